@@ -1,0 +1,62 @@
+"""The errors that cross this package's border.
+
+::
+
+    SysidError                 exit code 1: ran, but the result is not trustworthy
+    ├── InputError             exit code 2: bad input or usage
+    │   └── ModelError         the model file cannot be used as it is
+    │       └── AmbiguousJointError   several joints could be the terminal one
+    ├── SimulationError        non-finite values while simulating
+    ├── ExportError            a written file failed its own check
+    └── HardwareAbort          exit code 3: a real (or simulated) arm was stopped
+
+Every message is one line: what is wrong, where, and what to do about it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+
+class SysidError(Exception):
+    """Base of all errors raised on purpose; carries the process exit code."""
+
+    exit_code = 1
+
+
+class InputError(SysidError):
+    """Bad input or usage; the user has to change something."""
+
+    exit_code = 2
+
+
+class ModelError(InputError):
+    """A model file cannot be read, compiled or used."""
+
+
+class AmbiguousJointError(ModelError):
+    """Several joints could be the terminal one; lists them.
+
+    Args:
+        reason: why the tool cannot decide.
+        candidates: (joint name, body name) pairs to choose from.
+    """
+
+    def __init__(self, reason: str, candidates: Sequence[tuple[str, str]]) -> None:
+        self.candidates = tuple(candidates)
+        listed = ", ".join(f"{joint} (body {body})" for joint, body in self.candidates)
+        super().__init__(f"{reason}; choose one with --joint NAME. Candidates: {listed}")
+
+
+class SimulationError(SysidError):
+    """The simulation produced values that are not finite."""
+
+
+class ExportError(SysidError):
+    """A written file does not reproduce what was identified."""
+
+
+class HardwareAbort(SysidError):
+    """A run on the arm was stopped before its end."""
+
+    exit_code = 3
