@@ -1,0 +1,186 @@
+"""Joint friction as columns that are linear in their coefficients.
+
+The torque of friction (and of the other per-joint effects that a torque channel contains) is
+tau_f = sum_k c_k phi_k(qd, qdd, load). Each phi_k is one named term:
+
+===========  ============================  ==========================================
+term         column                        coefficient's unit (hinge joint)
+===========  ============================  ==========================================
+coulomb      sign(qd)                      N m
+viscous      qd                            N m s/rad
+offset       1                             N m (torque sensor or current offset)
+armature     qdd                           kg m^2 (rotor inertia seen through the gear)
+sqrt         sign(qd) sqrt(abs(qd))        N m (s/rad)^0.5
+stribeck     sign(qd) exp(-(qd/vs)^2)      N m (breakaway above Coulomb)
+load         sign(qd) abs(load)            1 (loss of a gear that grows with its load)
+===========  ============================  ==========================================
+
+Sources: Coulomb, viscous and Stribeck terms as in Armstrong-Helouvry, Dupont, Canudas de Wit,
+"A survey of models, analysis tools and compensation methods for the control of machines with
+friction", Automatica 30(7), 1994, eq. 4; load term as in Hamon, Gautier, Garrec, "Dynamic
+identification of robots with a dry friction model depending on load and velocity", IROS 2010.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.errors import InputError
+from robot_sysid.records import Array
+
+# Stribeck velocities of geared joints lie between 0.01 and 0.3 rad/s at the output.
+DEFAULT_STRIBECK_VELOCITY = 0.1
+
+
+@dataclass(frozen=True)
+class JointSignals:
+    """What the terms of one joint may depend on.
+
+    Attributes:
+        qd: (N,) velocity [rad/s].
+        qdd: (N,) acceleration [rad/s^2], where known.
+        load: (N,) torque the gear transmits [N m], where known.
+        stribeck_velocity: vs [rad/s].
+    """
+
+    qd: Array
+    qdd: Array | None
+    load: Array | None
+    stribeck_velocity: float
+
+
+def _armature(signals: JointSignals) -> Array:
+    if signals.qdd is None:
+        raise InputError("the friction term 'armature' needs joint accelerations, none were given")
+    return np.asarray(signals.qdd, dtype=float)
+
+
+def _load(signals: JointSignals) -> Array:
+    if signals.load is None:
+        raise InputError("the friction term 'load' needs the torque each gear carries, none given")
+    return np.sign(signals.qd) * np.abs(signals.load)
+
+
+def _stribeck(signals: JointSignals) -> Array:
+    return np.sign(signals.qd) * np.exp(-((signals.qd / signals.stribeck_velocity) ** 2))
+
+
+TERMS: Mapping[str, Callable[[JointSignals], Array]] = {
+    "coulomb": lambda s: np.sign(s.qd),
+    "viscous": lambda s: np.asarray(s.qd, dtype=float),
+    "offset": lambda s: np.ones_like(s.qd, dtype=float),
+    "armature": _armature,
+    "sqrt": lambda s: np.sign(s.qd) * np.sqrt(np.abs(s.qd)),
+    "stribeck": _stribeck,
+    "load": _load,
+}
+"""Term name to the function that makes its column; a new term is one more line here."""
+
+DISCONTINUOUS = frozenset({"coulomb", "stribeck", "load"})
+"""Terms that jump where the velocity changes sign, so that rows near rest mislead them."""
+
+PRESETS = (
+    "none",
+    "coulomb-viscous",
+    "coulomb-viscous-offset",
+    "coulomb-viscous-offset-armature",
+    "coulomb-viscous-offset-sqrt",
+    "coulomb-viscous-offset-armature-sqrt",
+    "coulomb-viscous-offset-stribeck",
+    "coulomb-viscous-offset-load",
+    "coulomb-viscous-offset-armature-load",
+)
+"""Names worth trying; any other combination of terms works too."""
+
+DEFAULT_MEASURED = "coulomb-viscous-offset"
+"""Friction model for measured data."""
+
+
+@dataclass(frozen=True)
+class FrictionModel:
+    """Which friction terms a joint has.
+
+    Attributes:
+        terms: term names, in the order of the columns.
+        stribeck_velocity: vs of the term "stribeck" [rad/s].
+    """
+
+    terms: tuple[str, ...]
+    stribeck_velocity: float = DEFAULT_STRIBECK_VELOCITY
+
+    def __post_init__(self) -> None:
+        unknown = [term for term in self.terms if term not in TERMS]
+        if unknown:
+            raise InputError(f"unknown friction term {unknown[0]!r}; valid: {', '.join(TERMS)}")
+        if len(set(self.terms)) != len(self.terms):
+            raise InputError(f"friction terms {list(self.terms)} name a term twice; use each once")
+        if not self.stribeck_velocity > 0.0 or not np.isfinite(self.stribeck_velocity):
+            raise InputError(f"Stribeck velocity must be positive, got {self.stribeck_velocity}")
+
+    @property
+    def name(self) -> str:
+        """The terms joined by "-", or "none"."""
+        return "-".join(self.terms) or "none"
+
+    @property
+    def non_negative(self) -> tuple[bool, ...]:
+        """Per term, whether a physical joint has a coefficient >= 0.
+
+        An offset has no sign. The square-root term bends the curve either way and, where it is
+        present, only the sum with the viscous term is bound to brake, so neither has one.
+        """
+        free = {"offset", "sqrt"} | ({"viscous"} if "sqrt" in self.terms else set())
+        return tuple(term not in free for term in self.terms)
+
+    def parameter_names(self, joint: str) -> tuple[str, ...]:
+        """Return the parameter name of each column, for instance ``coulomb[joint6]``."""
+        return tuple(f"{term}[{joint}]" for term in self.terms)
+
+    def columns(
+        self, qd: Array, qdd: Array | None = None, load: Array | None = None
+    ) -> NDArray[np.float64]:
+        """Return the regressor columns (N, k) of one joint.
+
+        Args:
+            qd: (N,) velocity [rad/s].
+            qdd: (N,) acceleration [rad/s^2]; needed by "armature".
+            load: (N,) torque the joint's gear transmits [N m]; needed by "load".
+
+        Raises:
+            InputError: a term needs a signal that was not given.
+        """
+        velocity = np.asarray(qd, dtype=float)
+        signals = JointSignals(velocity, qdd, load, self.stribeck_velocity)
+        columns = np.empty((len(velocity), len(self.terms)))
+        for index, term in enumerate(self.terms):
+            columns[:, index] = TERMS[term](signals)
+        return columns
+
+
+def friction_model(
+    name: str, stribeck_velocity: float = DEFAULT_STRIBECK_VELOCITY
+) -> FrictionModel:
+    """Return the friction model with this name.
+
+    Args:
+        name: "none", or terms joined by "-" or "+"; a leading "+" adds to the default for
+            measured data, so "+sqrt" is "coulomb-viscous-offset-sqrt".
+        stribeck_velocity: vs of the term "stribeck" [rad/s].
+
+    Raises:
+        InputError: a term is unknown; lists the valid terms and presets.
+    """
+    full = DEFAULT_MEASURED + name if name.startswith("+") else name
+    terms = tuple(() if full == "none" else re.split(r"[-+]", full))
+    unknown = [term for term in terms if term not in TERMS]
+    if unknown:
+        raise InputError(
+            f"unknown friction term {unknown[0]!r} in {name!r}; join any of {', '.join(TERMS)} "
+            f"with '-', or use one of: {', '.join(PRESETS)}"
+        )
+    return FrictionModel(terms, stribeck_velocity)
