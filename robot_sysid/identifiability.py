@@ -1,0 +1,133 @@
+"""What the equations can see: rank, condition numbers, and the invisible directions in words.
+
+Columns are scaled to unit length first, so that units do not decide about rank. A column that is
+nothing but rounding noise is set to zero instead of being blown up by that scaling.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from robot_sysid import blind_words
+from robot_sysid.records import Array, Identifiability, SquareRootInformation
+
+RELATIVE_CUT = 1e-10
+"""Singular values (and column lengths) below this share of the largest count as zero."""
+_COMPONENT_TOLERANCE = 1e-6
+N_INERTIAL = 10
+
+
+@dataclass(frozen=True)
+class VisibleSpace:
+    """Singular value decomposition of a column-scaled matrix, cut where it is blind.
+
+    Attributes:
+        scale: (p,) x = scale * y turns scaled coordinates y into parameters x.
+        left: (M, r) orthonormal basis of the visible right-hand sides.
+        singular: (r,) singular values above the cut, descending.
+        right: (p, r) orthonormal basis of the visible y.
+        null: (p, p - r) orthonormal basis of the invisible y.
+        dead: (p,) columns that carry no signal at all.
+    """
+
+    scale: Array
+    left: Array
+    singular: Array
+    right: Array
+    null: Array
+    dead: np.ndarray
+
+    @property
+    def rank(self) -> int:
+        """Number of visible combinations r."""
+        return len(self.singular)
+
+    @property
+    def condition_number(self) -> float:
+        """Largest over smallest visible singular value; infinite where nothing is visible."""
+        return float(self.singular[0] / self.singular[-1]) if self.rank else float("inf")
+
+    @property
+    def identified(self) -> tuple[bool, ...]:
+        """Per parameter, whether no invisible direction contains it."""
+        hidden = np.linalg.norm(self.null, axis=1)
+        return tuple(bool(h < _COMPONENT_TOLERANCE) for h in hidden)
+
+    def solve(self, right_hand_side: Array) -> Array:
+        """Return the minimum-norm least-squares solution (p,) for a (M,) right-hand side."""
+        solution = self.right @ ((self.left.T @ right_hand_side) / self.singular)
+        return np.where(self.dead, 0.0, self.scale * solution)
+
+    def inverse_root(self) -> Array:
+        """Return G (p, r) with G G^T = pseudo-inverse of A^T A in parameter units."""
+        return self.scale[:, None] * self.right / self.singular
+
+
+def visible_space(matrix: Array) -> VisibleSpace:
+    """Decompose a stacked regressor (M, p) into what it can and cannot see."""
+    scale, dead = column_scale(matrix)
+    scaled = np.where(dead, 0.0, matrix * scale)
+    left, singular, right = np.linalg.svd(scaled, full_matrices=True)
+    rank = _count_visible(singular)
+    return VisibleSpace(
+        scale, left[:, :rank], singular[:rank], right[:rank].T, right[rank:].T, dead
+    )
+
+
+def column_scale(matrix: Array) -> tuple[Array, np.ndarray]:
+    """Return (scale (p,), dead (p,)): 1 / column length, and which columns are rounding noise."""
+    length = np.linalg.norm(matrix, axis=0)
+    dead = length <= RELATIVE_CUT * np.max(length, initial=0.0)
+    return 1.0 / np.where(dead, 1.0, length), dead
+
+
+def analyse_identifiability(
+    information: SquareRootInformation, terminal_joint: str | None = None
+) -> Identifiability:
+    """Tell what the data can see of the terminal link and of its joint's friction.
+
+    The rank counts the ten inertial parameters and the terminal joint's Coulomb and viscous
+    friction after all other columns (nuisances) have been eliminated:
+    rank [Y_interest Y_nuisance] - rank Y_nuisance.
+
+    Args:
+        information: square-root information; the last joint is the terminal one.
+        terminal_joint: name of the terminal joint, if it is not the last.
+    """
+    matrix, _ = information.stacked()
+    space = visible_space(matrix)
+    interest = parameters_of_interest(information, terminal_joint)
+    raw = np.linalg.svd(np.where(space.dead, 0.0, matrix), compute_uv=False)
+    condition = float(raw[0] / raw[space.rank - 1]) if space.rank else float("inf")
+    return Identifiability(
+        rank=space.rank - _nuisance_rank(matrix, space, interest),
+        n_parameters=int(np.count_nonzero(interest)),
+        condition_number=condition,
+        scaled_condition_number=space.condition_number,
+        identified=space.identified,
+        blind=blind_words.describe(space.null, space.scale, information.names),
+    )
+
+
+def parameters_of_interest(
+    information: SquareRootInformation, terminal_joint: str | None = None
+) -> np.ndarray:
+    """Return (p,) booleans: the ten inertial parameters and the terminal joint's friction."""
+    joint = terminal_joint or information.joints[-1].joint
+    wanted = {f"coulomb[{joint}]", f"viscous[{joint}]"}
+    return np.array([k < N_INERTIAL or n in wanted for k, n in enumerate(information.names)])
+
+
+def _count_visible(singular: Array) -> int:
+    largest = np.max(singular, initial=0.0)
+    return int(np.count_nonzero(singular > RELATIVE_CUT * largest)) if largest > 0.0 else 0
+
+
+def _nuisance_rank(matrix: Array, space: VisibleSpace, interest: np.ndarray) -> int:
+    nuisance = np.where(space.dead, 0.0, matrix * space.scale)[:, ~interest]
+    if nuisance.shape[1] == 0 or space.rank == 0:
+        return 0
+    singular = np.linalg.svd(nuisance, compute_uv=False)
+    return int(np.count_nonzero(singular > RELATIVE_CUT * space.singular[0]))

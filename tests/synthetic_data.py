@@ -1,0 +1,86 @@
+"""Equations of a made-up arm, for tests of the estimators: no model file, no simulator.
+
+The wrench rows here are typed in from Newton and Euler, independently of the package's regressor.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from robot_sysid import spatial
+from robot_sysid.information import InformationAccumulator
+
+Z = np.array([0.0, 0.0, 1.0])
+ORIGIN = np.zeros(3)
+
+
+def batch_skew(vectors):
+    """(N, 3, 3) cross-product matrices of (N, 3) vectors."""
+    return np.cross(vectors[:, None, :], np.eye(3)).swapaxes(1, 2)
+
+
+def inertia_rows(vectors):
+    """(N, 3, 6) matrices with inertia_rows(w) [Ixx Ixy Ixz Iyy Iyz Izz] = I w."""
+    rows = np.zeros((len(vectors), 3, 6))
+    for k, (i, j) in enumerate(((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))):
+        rows[:, i, k] += vectors[:, j]
+        if i != j:
+            rows[:, j, k] += vectors[:, i]
+    return rows
+
+
+def wrench_rows(omega, alpha, acceleration):
+    """(N, 6, 10) rows of [moment, force] about the body origin."""
+    spin = batch_skew(omega)
+    rows = np.zeros((len(omega), 6, 10))
+    rows[:, :3, 1:4] = -batch_skew(acceleration)
+    rows[:, :3, 4:] = inertia_rows(alpha) + spin @ inertia_rows(omega)
+    rows[:, 3:, 0] = acceleration
+    rows[:, 3:, 1:4] = batch_skew(alpha) + spin @ spin
+    return rows
+
+
+def joint_rows(rng, count, axis=Z, offset=ORIGIN):
+    """(count, 12) rows of one hinge joint: ten inertial columns, Coulomb, viscous."""
+    screw = np.concatenate((axis, np.cross(offset, axis)))
+    omega, alpha, acceleration = rng.normal(size=(3, count, 3))
+    speed = rng.normal(size=count)
+    inertial = np.einsum("i,nik->nk", screw, wrench_rows(omega, alpha, acceleration))
+    return np.column_stack((inertial, np.sign(speed), speed))
+
+
+def random_body(rng, spread=1.0):
+    """theta of a random rigid body: J = L L^T; small ``spread`` brings it near the boundary."""
+    factor = np.tril(rng.normal(size=(4, 4))) * np.array([[0.1], [0.1], [0.1], [1.0]])
+    factor[:, 0] *= spread
+    return spatial.theta_from_pseudo_inertia(factor @ factor.T + 1e-6 * np.eye(4) * spread)
+
+
+def arm_equations(rng, joints=3, count=60):
+    """[(rows (count, 12), columns (12,))] and names of an arm whose joints point everywhere."""
+    names = list(spatial.PARAMETER_NAMES)
+    equations = []
+    for j in range(joints):
+        axis = rng.normal(size=3)
+        rows = joint_rows(rng, count, axis / np.linalg.norm(axis), rng.normal(size=3))
+        columns = np.append(np.arange(10), [len(names), len(names) + 1])
+        names += [f"coulomb[joint{j}]", f"viscous[joint{j}]"]
+        equations.append((rows, columns))
+    return equations, tuple(names)
+
+
+def information_of(equations, names, truth, noise=0.0, rng=None):
+    """SquareRootInformation of equations with tau = rows truth + noise."""
+    joints = [f"joint{j}" for j in range(len(equations))]
+    accumulator = InformationAccumulator(names, joints, [c for _, c in equations])
+    for j, (rows, columns) in enumerate(equations):
+        error = noise * rng.normal(size=len(rows)) if rng is not None else 0.0
+        accumulator.add(j, rows, rows @ truth[columns] + error)
+    return accumulator.result()
+
+
+def terminal_information(rng, truth, axis=Z, offset=ORIGIN, count=80):
+    """What ``--torques terminal`` collects: one joint, ten inertial and two friction columns."""
+    equations = [(joint_rows(rng, count, axis, offset), np.arange(12))]
+    names = (*spatial.PARAMETER_NAMES, "coulomb[joint0]", "viscous[joint0]")
+    return information_of(equations, names, truth)
