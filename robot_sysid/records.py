@@ -153,6 +153,7 @@ class RobotModel:
         prior: composite terminal link (terminal body and all below it at the reference
             configuration), in the terminal body's frame.
         friction: the model's friction of the chain joints.
+        sha256: hash of the files that make the model.
         notes: what the reader of the file had to assume, one sentence each.
     """
 
@@ -168,6 +169,7 @@ class RobotModel:
     limits: JointLimits
     prior: InertialParameters
     friction: JointFriction
+    sha256: str = ""
     notes: tuple[str, ...] = ()
 
     @property
@@ -325,10 +327,7 @@ class SquareRootInformation:
     def squared_residuals(self, values: Array) -> Array:
         """Return sum of squared residuals per joint (joints,) [N^2 m^2] at values (p,)."""
         return np.array(
-            [
-                np.sum((j.triangle @ np.append(values[j.columns], -1.0)) ** 2)
-                for j in self.joints
-            ]
+            [np.sum((j.triangle @ np.append(values[j.columns], -1.0)) ** 2) for j in self.joints]
         )
 
 

@@ -1,0 +1,97 @@
+"""From measurements to square-root information: the equations of every joint, streamed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+
+import numpy as np
+
+from robot_sysid.errors import InputError
+from robot_sysid.friction import FrictionModel
+from robot_sysid.information import InformationAccumulator
+from robot_sysid.kinematics import ChainKinematics
+from robot_sysid.records import Array, Measurement, RobotModel, SquareRootInformation
+from robot_sysid.regressor import joint_regressor
+from robot_sysid.spatial import PARAMETER_NAMES
+
+TORQUE_CHOICES = ("chain", "terminal")
+TERMINAL_FRICTION = FrictionModel(("coulomb", "viscous"))
+NO_FRICTION = FrictionModel(())
+
+
+def friction_of_terminal_joint(robot: RobotModel, identify: bool) -> tuple[FrictionModel, ...]:
+    """Return the friction terms to estimate per chain joint: those of the last joint, or none."""
+    last = TERMINAL_FRICTION if identify else NO_FRICTION
+    return (NO_FRICTION,) * (robot.n_joints - 1) + (last,)
+
+
+class Equations:
+    """The linear equations rows x = tau of one arm: parameter names, priors, and rows of a chunk.
+
+    Args:
+        robot: the arm.
+        torques: "chain" for every joint that carries the link, "terminal" for the last one only.
+        friction: terms to estimate, one model per chain joint; where a joint has none, the model's
+            own friction is taken as known.
+    """
+
+    def __init__(self, robot: RobotModel, torques: str, friction: Sequence[FrictionModel]) -> None:
+        if torques not in TORQUE_CHOICES:
+            raise InputError(f"unknown torques {torques!r}; choose one of {TORQUE_CHOICES}")
+        self._robot = robot
+        self._friction = tuple(friction)
+        self._kinematics = ChainKinematics(robot)
+        last = robot.n_joints - 1
+        self.rows_of = tuple(range(robot.n_joints)) if torques == "chain" else (last,)
+        names = [self._friction[j].parameter_names(robot.joint_names[j]) for j in self.rows_of]
+        self.names = PARAMETER_NAMES + tuple(name for joint in names for name in joint)
+        self.joints = tuple(robot.joint_names[j] for j in self.rows_of)
+        self.columns = tuple(
+            np.array([*range(10), *(self.names.index(name) for name in joint)]) for joint in names
+        )
+
+    @property
+    def prior(self) -> Array:
+        """The model's own values of all parameters (p,)."""
+        values = dict(zip(PARAMETER_NAMES, self._robot.prior.theta))
+        for j in self.rows_of:
+            joint = self._robot.joint_names[j]
+            values[f"coulomb[{joint}]"] = self._robot.friction.coulomb[j]
+            values[f"viscous[{joint}]"] = self._robot.friction.viscous[j]
+        return np.array([float(values.get(name, 0.0)) for name in self.names])
+
+    def rows(self, measurement: Measurement) -> Iterator[tuple[Array, Array]]:
+        """Yield (rows (N, k), right-hand side (N,)) per joint of ``joints``."""
+        if measurement.qdd is None:
+            raise InputError("the measurement has no accelerations; differentiate it first")
+        q, qd, qdd = measurement.q, measurement.qd, measurement.qdd
+        motion = self._kinematics.evaluate(q, qd, qdd)
+        known = motion.tau_rest + self._known_friction(qd)
+        inertial = joint_regressor(motion, self.rows_of)
+        for block, j in zip(inertial, self.rows_of):
+            own = self._friction[j].columns(qd[:, j], qdd[:, j], measurement.tau[:, j])
+            yield np.hstack((block, own)), measurement.tau[:, j] - known[:, j]
+
+    def _known_friction(self, qd: Array) -> Array:
+        """Return the model's friction (N, n) of the joints whose friction is not estimated."""
+        estimated = np.array([bool(model.terms) for model in self._friction])
+        return np.where(estimated, 0.0, self._robot.friction.torque(qd))
+
+
+def collect_sysid_data(
+    equations: Equations, measurements: Iterable[Measurement]
+) -> SquareRootInformation:
+    """Stream measurements into square-root information, in constant memory.
+
+    Args:
+        equations: what to collect.
+        measurements: chunks with accelerations.
+
+    Returns:
+        One QR triangle per joint whose torque is used.
+    """
+    accumulator = InformationAccumulator(equations.names, equations.joints, equations.columns)
+    for measurement in measurements:
+        for index, (rows, tau) in enumerate(equations.rows(measurement)):
+            accumulator.add(index, rows, tau)
+    return accumulator.result()

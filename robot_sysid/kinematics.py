@@ -1,0 +1,198 @@
+"""Motion of the terminal body and torque of the rest of the arm, both by MuJoCo.
+
+The torque of the rest never passes through the regressor: it comes from a copy of the model whose
+terminal link has neither mass nor inertia. A wrong regressor therefore shows as a wrong result, also
+on the model's own simulation.
+"""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from robot_sysid.records import Array, BodyMotion, RobotModel
+
+
+def analysis_copy(mj_model: Any) -> Any:
+    """Return a copy of a compiled model reduced to rigid-body dynamics, armature and springs.
+
+    Switched off: constraints (contacts, limits, equalities, and MuJoCo's own frictionloss, which is
+    a ramp in acceleration and velocity and not Coulomb's law), gravity compensation (a real joint
+    carries the weight), fluid drag, and linear joint damping (friction is added by the caller).
+    """
+    model = copy.copy(mj_model)
+    disable = mujoco.mjtDisableBit
+    for flag in (disable.mjDSBL_CONSTRAINT, disable.mjDSBL_CONTACT, disable.mjDSBL_SENSOR):
+        model.opt.disableflags |= int(flag)
+    # "invdiscrete" would reinterpret qacc, "fwdinv" and "energy" only cost time.
+    model.opt.enableflags = 0
+    model.opt.density = model.opt.viscosity = 0.0
+    model.body_gravcomp[:] = 0.0
+    model.dof_damping[:] = 0.0
+    return model
+
+
+def without_link(mj_model: Any, body_id: int) -> Any:
+    """Return a copy whose body ``body_id`` and everything below it weighs nothing."""
+    model = copy.copy(mj_model)
+    for body in subtree(mj_model, body_id):
+        model.body_mass[body] = 0.0
+        model.body_inertia[body] = 0.0
+    return model
+
+
+def subtree(mj_model: Any, body_id: int) -> list[int]:
+    """Return the ids of a body and all its descendants."""
+    inside = {body_id}
+    for body in range(body_id + 1, mj_model.nbody):
+        if int(mj_model.body_parentid[body]) in inside:
+            inside.add(body)
+    return sorted(inside)
+
+
+def has_only_armature(mj_model: Any) -> bool:
+    """Tell whether joint armature is the only torque beside rigid-body dynamics.
+
+    Springs, nonlinear damping, tendons and actuator armature or damping need MuJoCo's full inverse
+    dynamics; without them a cheaper formula gives the same torque.
+    """
+    fields = (
+        "jnt_stiffness",
+        "jnt_stiffnesspoly",
+        "dof_dampingpoly",
+        "tendon_stiffness",
+        "tendon_stiffnesspoly",
+        "tendon_damping",
+        "tendon_dampingpoly",
+        "tendon_armature",
+        "actuator_armature",
+        "actuator_damping",
+        "actuator_dampingpoly",
+    )
+    return not any(np.any(getattr(mj_model, name, 0.0)) for name in fields)
+
+
+class ArmDynamics:
+    """Inverse dynamics of the whole arm, sample by sample.
+
+    Args:
+        robot: the arm.
+        mj_model: another compiled model of the same arm (for instance one that was written and
+            loaded again); default the robot's own.
+    """
+
+    def __init__(self, robot: RobotModel, mj_model: Any = None) -> None:
+        self._robot = robot
+        self.model = analysis_copy(robot.mj_model if mj_model is None else mj_model)
+        self.data = mujoco.MjData(self.model)
+        self.data.qpos[:] = robot.reference_qpos
+        self._chain = _as_slice(robot.qpos_index), _as_slice(robot.dof_index)
+
+    def torque(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Return joint torques (N, n) without friction for motions (N, n)."""
+        tau = np.empty_like(q)
+        data, model = self.data, self.model
+        qpos, qvel, qacc = data.qpos, data.qvel, data.qacc
+        at_q, at_v = self._chain
+        for k in range(len(q)):
+            qpos[at_q], qvel[at_v], qacc[at_v] = q[k], qd[k], qdd[k]
+            mujoco.mj_inverse(model, data)
+            tau[k] = data.qfrc_inverse[at_v]
+        return tau
+
+    def beyond_rigid_bodies(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Return the torque (N, n) of armature, springs, tendons and actuators alone."""
+        rigid = np.empty(self.model.nv)
+        beyond = np.empty_like(q)
+        for k in range(len(q)):
+            full = self.torque(q[k : k + 1], qd[k : k + 1], qdd[k : k + 1])
+            mujoco.mj_rne(self.model, self.data, 1, rigid)
+            beyond[k] = full[0] - rigid[self._chain[1]]
+        return beyond
+
+
+class ChainKinematics:
+    """Evaluates terminal body motion, Jacobian and the torque of the rest of the arm.
+
+    Args:
+        robot: the arm.
+    """
+
+    def __init__(self, robot: RobotModel) -> None:
+        full = analysis_copy(robot.mj_model)
+        self._robot = robot
+        self._model = without_link(full, robot.body_id)
+        self._data = mujoco.MjData(self._model)
+        self._data.qpos[:] = robot.reference_qpos
+        self._chain = _as_slice(robot.qpos_index), _as_slice(robot.dof_index)
+        self._armature = full.dof_armature[robot.dof_index].copy()
+        self._full = None if has_only_armature(full) else ArmDynamics(robot)
+
+    def evaluate(self, q: Array, qd: Array, qdd: Array) -> BodyMotion:
+        """Return the body motion for chain motions (N, n)."""
+        samples, dofs = len(q), self._model.nv
+        position_jacobian = np.zeros((samples, 3, dofs))
+        rotation_jacobian = np.zeros((samples, 3, dofs))
+        rotation = np.empty((samples, 9))
+        acceleration = np.empty((samples, 6))
+        rest = np.empty((samples, dofs))
+        self._sweep(
+            (q, qd, qdd), position_jacobian, rotation_jacobian, rotation, acceleration, rest
+        )
+        jacobian = self._body_jacobian(position_jacobian, rotation_jacobian, rotation)
+        velocity = np.einsum("kij,kj->ki", jacobian, qd)
+        # MuJoCo's linear acceleration is the classical one minus gravity; the spatial one lacks
+        # the omega x v of the moving body frame.
+        acceleration[:, 3:] -= np.cross(velocity[:, :3], velocity[:, 3:])
+        tau_rest = rest[:, self._robot.dof_index] + self._beyond_rigid_bodies(q, qd, qdd)
+        return BodyMotion(velocity, acceleration, jacobian, tau_rest)
+
+    def _sweep(
+        self,
+        motion: tuple[Array, Array, Array],
+        position_jacobian: Array,
+        rotation_jacobian: Array,
+        rotation: Array,
+        acceleration: Array,
+        rest: Array,
+    ) -> None:
+        """Fill the outputs sample by sample: the minimal sequence of MuJoCo calls."""
+        model, data, body = self._model, self._data, self._robot.body_id
+        qpos, qvel, qacc, xmat = data.qpos, data.qvel, data.qacc, data.xmat
+        at_q, at_v = self._chain
+        frame = int(mujoco.mjtObj.mjOBJ_XBODY)
+        for k, (q, qd, qdd) in enumerate(zip(*motion)):
+            qpos[at_q], qvel[at_v], qacc[at_v] = q, qd, qdd
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            mujoco.mj_comVel(model, data)
+            mujoco.mj_rne(model, data, 1, rest[k])
+            mujoco.mj_rnePostConstraint(model, data)
+            mujoco.mj_objectAcceleration(model, data, frame, body, acceleration[k], 1)
+            mujoco.mj_jacBody(model, data, position_jacobian[k], rotation_jacobian[k], body)
+            rotation[k] = xmat[body]
+
+    def _body_jacobian(self, position: Array, rotational: Array, rotation: Array) -> Array:
+        """Return (N, 6, n) [angular; linear] in body coordinates from world-frame Jacobians."""
+        to_body = rotation.reshape(-1, 3, 3).transpose(0, 2, 1)
+        at_v = self._robot.dof_index
+        jacobian = np.empty((len(rotation), 6, len(at_v)))
+        np.matmul(to_body, rotational[:, :, at_v], out=jacobian[:, :3])
+        np.matmul(to_body, position[:, :, at_v], out=jacobian[:, 3:])
+        return jacobian
+
+    def _beyond_rigid_bodies(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Return armature, spring, tendon and actuator torques (N, n) of the full model."""
+        if self._full is None:
+            return self._armature * qdd
+        return self._full.beyond_rigid_bodies(q, qd, qdd)
+
+
+def _as_slice(index: Any) -> Any:
+    """Return a slice where the addresses are consecutive: several times faster to write to."""
+    first, count = int(index[0]), len(index)
+    consecutive = np.array_equal(index, np.arange(first, first + count))
+    return slice(first, first + count) if consecutive else index

@@ -1,0 +1,112 @@
+"""Model file in, RobotModel out: chain, terminal link, limits and the model's own parameters."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Optional
+
+import mujoco
+import numpy as np
+
+from robot_sysid.compilation import CompiledModel, compile_model
+from robot_sysid.composite import composite_theta
+from robot_sysid.errors import ModelError
+from robot_sysid.limits import joint_limits
+from robot_sysid.records import Array, InertialParameters, JointFriction, RobotModel
+from robot_sysid.terminal import (
+    body_label,
+    chain_to,
+    find_terminal_joint,
+    joint_label,
+    resolve_joint,
+)
+
+DEFAULT_MAX_VELOCITY = 2.0
+"""Speed limit of hinge joints [rad/s]."""
+
+
+def load_robot_model(
+    path: Path,
+    mesh_dir: Optional[Path] = None,
+    joint: Optional[str] = None,
+    max_velocity: float = DEFAULT_MAX_VELOCITY,
+) -> RobotModel:
+    """Load an MJCF or URDF file and find the arm in it.
+
+    Args:
+        path: model file.
+        mesh_dir: folder of its meshes; default what the file says.
+        joint: name of the terminal joint; default found automatically.
+        max_velocity: speed limit of hinge joints [rad/s].
+
+    Raises:
+        ModelError: the file cannot be used; says why.
+        AmbiguousJointError: several joints could be the terminal one.
+    """
+    compiled = compile_model(Path(path), mesh_dir)
+    return robot_from_compiled(compiled, Path(path), joint, max_velocity)
+
+
+def robot_from_compiled(
+    compiled: CompiledModel, path: Path, joint: Optional[str], max_velocity: float
+) -> RobotModel:
+    """Return the arm in a compiled model; arguments and errors as in ``load_robot_model``."""
+    mj_model = compiled.mj_model
+    terminal = find_terminal_joint(mj_model) if joint is None else resolve_joint(mj_model, joint)
+    chain = chain_to(mj_model, terminal)
+    body = int(mj_model.jnt_bodyid[terminal])
+    qpos = reference_configuration(mj_model)
+    dofs = mj_model.jnt_dofadr[list(chain)].astype(np.int64)
+    return RobotModel(
+        path=path,
+        mj_model=mj_model,
+        sha256=compiled.sha256,
+        joint_names=tuple(joint_label(mj_model, j) for j in chain),
+        body_name=body_label(mj_model, body),
+        body_id=body,
+        qpos_index=mj_model.jnt_qposadr[list(chain)].astype(np.int64),
+        dof_index=dofs,
+        reference_qpos=qpos,
+        is_slide=mj_model.jnt_type[list(chain)] == int(mujoco.mjtJoint.mjJNT_SLIDE),
+        limits=joint_limits(mj_model, chain, max_velocity),
+        prior=_prior(mj_model, qpos, body),
+        friction=JointFriction(mj_model.dof_frictionloss[dofs], mj_model.dof_damping[dofs]),
+        notes=compiled.notes + _chain_notes(mj_model, chain),
+    )
+
+
+def reference_configuration(mj_model: Any) -> Array:
+    """Return the (nq,) configuration at rest: keyframe "home" if there is one, else qpos0."""
+    home = mujoco.mj_name2id(mj_model, int(mujoco.mjtObj.mjOBJ_KEY), "home")
+    source = mj_model.key_qpos[home] if home >= 0 else mj_model.qpos0
+    return np.array(source, dtype=float)
+
+
+def _prior(mj_model: Any, qpos: Array, body: int) -> InertialParameters:
+    theta = composite_theta(mj_model, qpos, body)
+    if theta[0] <= 0.0:
+        raise ModelError(
+            f"the terminal body {body_label(mj_model, body)} and all below it weigh nothing; give "
+            "it an <inertial> or geoms with mass as a starting value"
+        )
+    return InertialParameters(theta)
+
+
+def _chain_notes(mj_model: Any, chain: tuple[int, ...]) -> tuple[str, ...]:
+    """Return sentences on what the analysis leaves out for this chain."""
+    notes = []
+    coupled = [
+        joint_label(mj_model, joint)
+        for joint in chain
+        for eq in range(mj_model.neq)
+        if int(mj_model.eq_type[eq]) == int(mujoco.mjtEq.mjEQ_JOINT)
+        and joint in (int(mj_model.eq_obj1id[eq]), int(mj_model.eq_obj2id[eq]))
+    ]
+    if coupled:
+        notes.append(
+            f"equality constraints on {', '.join(coupled)} are ignored: every chain joint is "
+            "taken to be driven by itself"
+        )
+    if mj_model.opt.density or mj_model.opt.viscosity:
+        notes.append("the model's air or fluid drag is ignored")
+    return tuple(notes)

@@ -1,0 +1,103 @@
+"""The spatial dynamics regressor: derived with SymPy, evaluated with numpy on whole chunks.
+
+One rigid body, frame at the body origin, body coordinates, twist V = [omega, v]:
+
+    F = G V' - ad(V)^T G V,   F = [n, f] = Y6(V, V') theta
+
+(Lynch and Park, "Modern Robotics", 2017, eq. 8.40). V' is the SPATIAL acceleration minus gravity:
+its linear part is the classical acceleration minus omega x v minus g, so that gravity enters once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any, Callable
+
+import numpy as np
+
+from robot_sysid.records import Array, BodyMotion
+from robot_sysid.spatial import PARAMETER_NAMES
+
+
+def derive_regressor() -> tuple[Any, tuple[Any, ...]]:
+    """Derive Y6 = dF / dtheta symbolically.
+
+    Returns:
+        (Y6, symbols): the (6, 10) SymPy matrix in the order of ``spatial.PARAMETER_NAMES``, and the
+        twelve symbols [omega, v, omega', v'] it depends on.
+    """
+    import sympy as sp
+
+    theta = sp.symbols(PARAMETER_NAMES, real=True)
+    motion = sp.symbols("wx wy wz vx vy vz awx awy awz avx avy avz", real=True)
+    twist, acceleration = sp.Matrix(motion[:6]), sp.Matrix(motion[6:])
+    spatial_inertia = _spatial_inertia(sp, theta)
+    wrench = spatial_inertia * acceleration - _adjoint(sp, twist).T * spatial_inertia * twist
+    return wrench.jacobian(sp.Matrix(theta)), motion
+
+
+def _hat(sp: Any, vector: Sequence[Any]) -> Any:
+    x, y, z = vector
+    return sp.Matrix([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+
+
+def _spatial_inertia(sp: Any, theta: Sequence[Any]) -> Any:
+    """G = [[I, [h]x], [-[h]x, m 1]]."""
+    m, hx, hy, hz, ixx, ixy, ixz, iyy, iyz, izz = theta
+    inertia = sp.Matrix([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
+    h = _hat(sp, (hx, hy, hz))
+    return sp.Matrix(sp.BlockMatrix([[inertia, h], [-h, m * sp.eye(3)]]))
+
+
+def _adjoint(sp: Any, twist: Any) -> Any:
+    """ad(V) = [[[omega]x, 0], [[v]x, [omega]x]]."""
+    omega, v = _hat(sp, twist[:3]), _hat(sp, twist[3:])
+    return sp.Matrix(sp.BlockMatrix([[omega, sp.zeros(3)], [v, omega]]))
+
+
+@lru_cache(maxsize=1)
+def _lambdified() -> tuple[Callable[..., Sequence[Any]], tuple[tuple[int, int], ...]]:
+    """Return the numeric function of Y6's non-zero entries and where these entries stand."""
+    import sympy as sp
+
+    matrix, symbols = derive_regressor()
+    places = tuple((i, j) for i in range(6) for j in range(10) if matrix[i, j] != 0)
+    entries = [matrix[i, j] for i, j in places]
+    return sp.lambdify(symbols, entries, modules="numpy", cse=True), places
+
+
+def wrench_regressor(velocity: Array, acceleration: Array) -> Array:
+    """Return Y6 with wrench = Y6 theta.
+
+    Args:
+        velocity: (N, 6) twist [omega, v] in body coordinates [rad/s, m/s].
+        acceleration: (N, 6) spatial acceleration minus gravity [rad/s^2, m/s^2].
+
+    Returns:
+        (6, 10, N) regressor of the wrench [n, f] at the body origin in body coordinates.
+    """
+    function, places = _lambdified()
+    regressor = np.zeros((6, len(PARAMETER_NAMES), len(velocity)))
+    values = function(*np.ascontiguousarray(velocity.T), *np.ascontiguousarray(acceleration.T))
+    for (i, j), value in zip(places, values):
+        regressor[i, j] = value
+    return regressor
+
+
+def joint_regressor(motion: BodyMotion, joints: Sequence[int]) -> Array:
+    """Return the joint torque regressor J^T Y6 of the terminal link.
+
+    Args:
+        motion: body motion of N samples.
+        joints: which chain joints to make rows for.
+
+    Returns:
+        (len(joints), N, 10): one block of rows per joint, tau = rows theta [N m].
+    """
+    wrench = wrench_regressor(motion.velocity, motion.acceleration)
+    jacobian = np.ascontiguousarray(motion.jacobian.transpose(2, 1, 0))
+    rows = np.empty((len(joints), len(motion.velocity), len(PARAMETER_NAMES)))
+    for row, joint in zip(rows, joints):
+        row[...] = np.einsum("ik,ijk->jk", jacobian[joint], wrench).T
+    return rows

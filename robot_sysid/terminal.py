@@ -1,0 +1,203 @@
+"""Which joint is the arm's last one, and which joints carry it.
+
+The joints form a tree. A serial run is a path without branches; the arm is the longest serial run
+of hinge and slide joints, and its last joint is the terminal one. What branches off behind it are
+fingers. Where two runs could both be the arm, or the last joint looks like a jaw, the user decides.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Any, Optional
+
+import mujoco
+
+from robot_sysid.errors import AmbiguousJointError, ModelError
+
+_JAW_JOINT = re.compile(r"grip|finger|jaw|claw|knuckle|pinch", re.IGNORECASE)
+_JAW_BODY = re.compile(r"finger|jaw|claw|knuckle", re.IGNORECASE)
+RIVAL_SHARE = 0.6
+"""A run beside the longest one that has at least this share of its joints may be an arm too."""
+
+
+def joint_label(mj_model: Any, joint: int) -> str:
+    """Return the joint's name, or "#id" where it has none."""
+    return _label(mj_model, mujoco.mjtObj.mjOBJ_JOINT, joint)
+
+
+def body_label(mj_model: Any, body: int) -> str:
+    """Return the body's name, or "#id" where it has none."""
+    return _label(mj_model, mujoco.mjtObj.mjOBJ_BODY, body)
+
+
+def _label(mj_model: Any, kind: Any, index: int) -> str:
+    return mujoco.mj_id2name(mj_model, int(kind), index) or f"#{index}"
+
+
+def is_hinge_or_slide(mj_model: Any, joint: int) -> bool:
+    """Tell whether a joint has one degree of freedom."""
+    kind = int(mj_model.jnt_type[joint])
+    return kind in (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+
+
+@dataclass(frozen=True)
+class SerialRun:
+    """A path of joints without branches.
+
+    Attributes:
+        joints: joint ids from the base outwards.
+        ancestors: ids of all joints between the world and this run.
+    """
+
+    joints: tuple[int, ...]
+    ancestors: frozenset[int]
+
+    def is_behind(self, other: SerialRun) -> bool:
+        """Tell whether this run hangs on the other one."""
+        return other.joints[-1] in self.ancestors
+
+
+def parent_joint(mj_model: Any, joint: int) -> Optional[int]:
+    """Return the next joint towards the world, or None."""
+    body = int(mj_model.jnt_bodyid[joint])
+    if joint > int(mj_model.body_jntadr[body]):
+        return joint - 1
+    return last_joint_of(mj_model, int(mj_model.body_parentid[body]))
+
+
+def last_joint_of(mj_model: Any, body: int) -> Optional[int]:
+    """Return the joint that moves a body: its own last one or that of its nearest ancestor."""
+    while body > 0:
+        count = int(mj_model.body_jntnum[body])
+        if count:
+            return int(mj_model.body_jntadr[body]) + count - 1
+        body = int(mj_model.body_parentid[body])
+    return None
+
+
+def chain_to(mj_model: Any, joint: int) -> tuple[int, ...]:
+    """Return the ids of all joints from the world to ``joint``, that one included.
+
+    Raises:
+        ModelError: there is a ball or free joint among them.
+    """
+    chain: list[int] = []
+    at: Optional[int] = joint
+    while at is not None:
+        chain.insert(0, at)
+        at = parent_joint(mj_model, at)
+    for member in chain:
+        if not is_hinge_or_slide(mj_model, member):
+            kind = mujoco.mjtJoint(int(mj_model.jnt_type[member])).name[len("mjJNT_") :].lower()
+            raise ModelError(
+                f"{kind} joint {joint_label(mj_model, member)} is part of the chain to joint "
+                f"{joint_label(mj_model, joint)}; only hinge and slide joints can be identified, "
+                "so weld it or replace it in the model"
+            )
+    return tuple(chain)
+
+
+def serial_runs(mj_model: Any) -> list[SerialRun]:
+    """Return all maximal serial runs of hinge and slide joints."""
+    parents = {joint: parent_joint(mj_model, joint) for joint in range(mj_model.njnt)}
+    children: dict[Optional[int], list[int]] = {}
+    for joint, parent in parents.items():
+        children.setdefault(parent, []).append(joint)
+    runs = []
+    for joint in range(mj_model.njnt):
+        parent = parents[joint]
+        if not is_hinge_or_slide(mj_model, joint) or _continues(mj_model, parent, children):
+            continue
+        run = [joint]
+        while _continues(mj_model, run[-1], children):
+            run.append(children[run[-1]][0])
+        runs.append(SerialRun(tuple(run), _ancestors(parents, joint)))
+    return runs
+
+
+def _continues(
+    mj_model: Any, joint: Optional[int], children: dict[Optional[int], list[int]]
+) -> bool:
+    """Tell whether a run goes on behind ``joint``: exactly one joint follows, of the right kind."""
+    if joint is None or not is_hinge_or_slide(mj_model, joint):
+        return False
+    following = children.get(joint, [])
+    return len(following) == 1 and is_hinge_or_slide(mj_model, following[0])
+
+
+def _ancestors(parents: dict[int, Optional[int]], joint: int) -> frozenset[int]:
+    found: set[int] = set()
+    at = parents[joint]
+    while at is not None:
+        found.add(at)
+        at = parents[at]
+    return frozenset(found)
+
+
+def find_terminal_joint(mj_model: Any) -> int:
+    """Return the id of the arm's last joint.
+
+    Raises:
+        ModelError: the model has no hinge or slide joint.
+        AmbiguousJointError: several joints could be meant.
+    """
+    runs = serial_runs(mj_model)
+    if not runs:
+        raise ModelError("the model has no hinge or slide joints, so there is no arm to identify")
+    longest = max(len(run.joints) for run in runs)
+    tops = [run for run in runs if len(run.joints) == longest]
+    arm = next(run for run in tops if not any(run.is_behind(other) for other in tops))
+    rivals = [run for run in runs if _is_rival(run, arm)]
+    if rivals:
+        ends = [arm.joints[-1]] + [run.joints[-1] for run in rivals]
+        raise AmbiguousJointError(
+            f"{len(ends)} serial chains of joints could be the arm", _candidates(mj_model, ends)
+        )
+    _require_no_jaw(mj_model, arm)
+    return arm.joints[-1]
+
+
+def _is_rival(run: SerialRun, arm: SerialRun) -> bool:
+    """Tell whether a run beside the arm is long enough to be an arm itself."""
+    beside = run is not arm and not run.is_behind(arm) and not arm.is_behind(run)
+    return beside and len(run.joints) >= RIVAL_SHARE * len(arm.joints)
+
+
+def _require_no_jaw(mj_model: Any, arm: SerialRun) -> None:
+    last = arm.joints[-1]
+    joint = joint_label(mj_model, last)
+    body = body_label(mj_model, int(mj_model.jnt_bodyid[last]))
+    if len(arm.joints) > 1 and (_JAW_JOINT.search(joint) or _JAW_BODY.search(body)):
+        raise AmbiguousJointError(
+            f"the last joint {joint} looks like the jaw of a gripper",
+            _candidates(mj_model, list(arm.joints[-2:])),
+        )
+
+
+def _candidates(mj_model: Any, joints: list[int]) -> list[tuple[str, str]]:
+    return [
+        (joint_label(mj_model, j), body_label(mj_model, int(mj_model.jnt_bodyid[j])))
+        for j in joints
+    ]
+
+
+def resolve_joint(mj_model: Any, name: str) -> int:
+    """Return the id of the joint called ``name`` ("#3" for a nameless one).
+
+    Raises:
+        ModelError: there is no such joint (lists those there are), or it cannot be terminal.
+    """
+    usable = [j for j in range(mj_model.njnt) if is_hinge_or_slide(mj_model, j)]
+    labels = {joint_label(mj_model, j): j for j in range(mj_model.njnt)}
+    if name not in labels:
+        known = ", ".join(joint_label(mj_model, j) for j in usable) or "none"
+        raise ModelError(f"--joint {name}: no such joint; the model has: {known}")
+    joint = labels[name]
+    last = last_joint_of(mj_model, int(mj_model.jnt_bodyid[joint]))
+    if last is not None and last != joint:
+        raise ModelError(
+            f"--joint {name}: joint {joint_label(mj_model, last)} moves the same body after it; "
+            f"choose {joint_label(mj_model, last)}"
+        )
+    return joint

@@ -1,0 +1,261 @@
+"""Excitation trajectories: sums of sinusoids with exact derivatives, at rest at both ends.
+
+Joint j follows q_j(t) = c_j + w(t) s_j(t) with s_j(t) = sum_k a_jk sin(2 pi f_jk t + phi_jk) and a
+window w that rises smoothly from 0 to 1 and falls back. All of it is evaluated lazily, so that a
+long trajectory takes no memory. Limits are met by scaling amplitudes, never by clamping.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Callable, Optional
+
+import numpy as np
+
+from robot_sysid.errors import InputError
+from robot_sysid.records import Array, JointLimits, Motion, MotionPlan, RobotModel, checked_array
+
+FREQUENCY_BAND_HZ = (0.1, 0.6)
+TERMS_PER_JOINT = (3, 5)
+TERMINAL_SHARE = 0.7
+"""Share of the terminal joint's range that its motion uses."""
+OTHER_SHARE = 0.1
+"""Share of every other joint's range that its motion uses."""
+POSITION_MARGIN = 0.02
+"""Share of the range kept free at each position limit."""
+TORQUE_MARGIN = 0.95
+"""Share of the torque limits that the motion may use."""
+UNLIMITED_RANGE = {False: 2.0 * np.pi, True: 0.3}
+"""Range assumed for a joint without limits: hinge [rad], slide [m]."""
+LONGEST_FADE = 2.5
+_SPEED_CHECK_HZ = 50.0
+_TORQUE_CHECK_HZ = 25.0
+_CHUNK = 2048
+
+TorqueFunction = Callable[[Motion], Array]
+
+
+@dataclass(frozen=True)
+class SineTrajectory:
+    """A sum of sinusoids per joint under a common window.
+
+    Attributes:
+        center: (n,) position at rest [rad].
+        amplitude, frequency_hz, phase: (n, K) of the sinusoids [rad, Hz, rad]; unused ones have
+            amplitude 0.
+        duration: length [s].
+        fade: time the window takes to rise and to fall [s].
+    """
+
+    center: Array
+    amplitude: Array
+    frequency_hz: Array
+    phase: Array
+    duration: float
+    fade: float
+
+    def __post_init__(self) -> None:
+        joints = np.shape(self.center)[0]
+        object.__setattr__(self, "center", checked_array(self.center, (joints,), "center"))
+        terms = np.shape(self.amplitude)[1]
+        for name in ("amplitude", "frequency_hz", "phase"):
+            value = checked_array(getattr(self, name), (joints, terms), name)
+            object.__setattr__(self, name, value)
+        if not 0.0 < 2.0 * self.fade <= self.duration:
+            raise InputError(f"fade {self.fade} s does not fit twice into {self.duration} s")
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints n."""
+        return len(self.center)
+
+    def scaled(self, factor: Array) -> SineTrajectory:
+        """Return the trajectory with each joint's amplitudes times ``factor`` (n,) or a number."""
+        factors = np.broadcast_to(np.asarray(factor, dtype=float), (self.n_joints,))
+        return replace(self, amplitude=self.amplitude * factors[:, None])
+
+    def evaluate(self, time: Array) -> Motion:
+        """Return position, velocity and acceleration at times (N,) [s], by the product rule."""
+        time = np.asarray(time, dtype=float)
+        w, dw, ddw = window(time, self.duration, self.fade)
+        s, ds, dds = self._sinusoids(time)
+        w, dw, ddw = w[:, None], dw[:, None], ddw[:, None]
+        return Motion(
+            time,
+            self.center + w * s,
+            dw * s + w * ds,
+            ddw * s + 2.0 * dw * ds + w * dds,
+        )
+
+    def _sinusoids(self, time: Array) -> tuple[Array, Array, Array]:
+        """Return s, s' and s'' (N, n)."""
+        s, ds, dds = (np.zeros((len(time), self.n_joints)) for _ in range(3))
+        omega = 2.0 * np.pi * self.frequency_hz
+        for j, k in np.argwhere(self.amplitude):
+            angle = omega[j, k] * time + self.phase[j, k]
+            sine, cosine = self.amplitude[j, k] * np.sin(angle), np.cos(angle)
+            s[:, j] += sine
+            ds[:, j] += self.amplitude[j, k] * omega[j, k] * cosine
+            dds[:, j] -= omega[j, k] ** 2 * sine
+        return s, ds, dds
+
+
+def window(time: Array, duration: float, fade: float) -> tuple[Array, Array, Array]:
+    """Return w, w' and w'' (N,): septic smoothstep up, ones, and down again.
+
+    With x = t / fade in [0, 1]: w = 35 x^4 - 84 x^5 + 70 x^6 - 20 x^7, whose first three
+    derivatives vanish at both ends, so that motion starts and ends without a jerk.
+    """
+    rising = time < 0.5 * duration
+    x = np.clip(np.where(rising, time, duration - time) / fade, 0.0, 1.0)
+    w = x**4 * (35.0 + x * (-84.0 + x * (70.0 - 20.0 * x)))
+    dw = 140.0 * (x * (1.0 - x)) ** 3 / fade
+    ddw = 420.0 * (x * (1.0 - x)) ** 2 * (1.0 - 2.0 * x) / fade**2
+    return w, np.where(rising, dw, -dw), ddw
+
+
+def sample_times(duration: float, sample_rate: float, chunk: int = _CHUNK) -> Iterator[Array]:
+    """Yield the sample times k / rate from 0 to the duration, both included, in chunks [s]."""
+    count = sample_count(duration, sample_rate)
+    for first in range(0, count, chunk):
+        time = np.arange(first, min(first + chunk, count)) / sample_rate
+        yield np.minimum(time, duration)
+
+
+def sample_count(duration: float, sample_rate: float) -> int:
+    """Return the number of samples of a trajectory, both ends included."""
+    return int(np.floor(duration * sample_rate + 1e-6)) + 1
+
+
+def motion_chunks(plan: MotionPlan, sample_rate: float) -> Iterator[Motion]:
+    """Yield the whole motion of a plan at a sample rate [Hz], chunk by chunk."""
+    for time in sample_times(plan.duration, sample_rate):
+        yield plan.evaluate(time)
+
+
+def generate_excitation_trajectory(
+    robot: RobotModel,
+    rng: np.random.Generator,
+    duration: float = 15.0,
+    torque: Optional[TorqueFunction] = None,
+) -> tuple[SineTrajectory, tuple[str, ...]]:
+    """Draw a random trajectory that moves the terminal joint widely and the others a little.
+
+    Args:
+        robot: the arm; its limits are obeyed.
+        rng: source of randomness.
+        duration: length [s].
+        torque: joint torques (N, n) along a motion; None leaves torque limits unchecked.
+
+    Returns:
+        (trajectory, notes): notes name limits that made it smaller or that cannot be met.
+    """
+    fade = min(LONGEST_FADE, 0.25 * duration)
+    center, reach = _center_and_reach(robot)
+    frequency, phase, weight = _draw_sinusoids(rng, robot.n_joints)
+    shape = SineTrajectory(center, weight, frequency, phase, duration, fade)
+    trajectory = _fit_reach_and_velocity(shape, reach, robot.limits)
+    return _fit_torque(trajectory, robot, torque)
+
+
+def _center_and_reach(robot: RobotModel) -> tuple[Array, Array]:
+    """Return where each joint rests and how far it may go from there (n,), (n,)."""
+    lower, upper = robot.limits.lower, robot.limits.upper
+    limited = np.isfinite(lower) & np.isfinite(upper)
+    assumed = np.array([UNLIMITED_RANGE[bool(slide)] for slide in robot.is_slide])
+    span = np.where(limited, upper - lower, assumed)
+    share = np.full(robot.n_joints, OTHER_SHARE)
+    share[-1] = TERMINAL_SHARE
+    reach = 0.5 * span * share
+    center = robot.reference.copy()
+    middle = 0.5 * (lower[-1] + upper[-1]) if limited[-1] else center[-1]
+    center[-1] = middle
+    margin = POSITION_MARGIN * span
+    return np.clip(center, lower + reach + margin, upper - reach - margin), reach
+
+
+def _draw_sinusoids(rng: np.random.Generator, joints: int) -> tuple[Array, Array, Array]:
+    """Return frequencies, phases and relative amplitudes (joints, K).
+
+    The band is cut into as many slots as there are sinusoids and each gets a slot of its own, so
+    that no two frequencies of the whole arm coincide; within its slot a frequency is a random real
+    number, so ratios are not small fractions and the motion does not repeat.
+    """
+    most = TERMS_PER_JOINT[1]
+    terms = rng.integers(TERMS_PER_JOINT[0], most + 1, size=joints)
+    used = np.arange(most) < terms[:, None]
+    slots = rng.permutation(joints * most).reshape(joints, most)
+    position = (slots + rng.uniform(0.1, 0.9, size=slots.shape)) / slots.size
+    low, high = FREQUENCY_BAND_HZ
+    frequency = low + (high - low) * position
+    phase = rng.uniform(0.0, 2.0 * np.pi, size=slots.shape)
+    weight = np.where(used, rng.uniform(0.4, 1.0, size=slots.shape), 0.0)
+    return frequency, phase, weight
+
+
+def _fit_reach_and_velocity(
+    shape: SineTrajectory, reach: Array, limits: JointLimits
+) -> SineTrajectory:
+    """Scale each joint to its reach, then down to its velocity limit where that is tighter.
+
+    The reach is compared with the sum of the amplitudes, a bound for all times. Speed is sampled;
+    between samples a 0.6 Hz motion exceeds its sampled peak by less than 0.1 %, which the 1 %
+    reserve covers.
+    """
+    total = np.sum(np.abs(shape.amplitude), axis=1)
+    speed = _peak(shape, _SPEED_CHECK_HZ, lambda motion: motion.qd)
+    return shape.scaled(np.minimum(reach / total, 0.99 * limits.velocity / speed))
+
+
+def _peak(plan: MotionPlan, rate: float, quantity: TorqueFunction) -> Array:
+    """Return (n,) largest absolute value of a quantity along a plan sampled at ``rate`` Hz."""
+    times = sample_times(plan.duration, max(rate, 64.0 / plan.duration))
+    peaks = [np.max(np.abs(quantity(plan.evaluate(time))), axis=0) for time in times]
+    return np.max(peaks, axis=0)
+
+
+def _fit_torque(
+    trajectory: SineTrajectory, robot: RobotModel, torque: Optional[TorqueFunction]
+) -> tuple[SineTrajectory, tuple[str, ...]]:
+    """Shrink the whole motion until the torque limits hold.
+
+    A joint whose weight alone, at rest, exceeds its limit cannot be helped by a smaller motion; it
+    is named in a note and left out of the search.
+    """
+    if torque is None or not np.any(np.isfinite(robot.limits.torque)):
+        return trajectory, ()
+    excess = _TorqueExcess(trajectory, robot.limits.torque, torque)
+    at_rest = excess.per_joint(0.0) > 1.0
+    notes = tuple(
+        f"holding still takes more than the torque limit of {robot.limits.torque[j]:g} at joint "
+        f"{robot.joint_names[j]}; its limit is not obeyed"
+        for j in np.flatnonzero(at_rest)
+    )
+    factor = excess.largest_factor(~at_rest)
+    if factor < 1.0:
+        notes += (f"motion scaled to {100.0 * factor:.0f} % to stay within the torque limits",)
+    return trajectory.scaled(factor), notes
+
+
+class _TorqueExcess:
+    """Peak torque over allowed torque as a function of how much the motion is scaled."""
+
+    def __init__(self, trajectory: SineTrajectory, limit: Array, torque: TorqueFunction) -> None:
+        self._trajectory, self._limit, self._torque = trajectory, limit, torque
+
+    def per_joint(self, factor: float) -> Array:
+        """Return (n,) peak torque divided by the allowed torque."""
+        scaled = self._trajectory.scaled(np.asarray(factor))
+        return _peak(scaled, _TORQUE_CHECK_HZ, self._torque) / (TORQUE_MARGIN * self._limit)
+
+    def largest_factor(self, counted: Array) -> float:
+        """Return the largest factor in (0, 1] that keeps the counted joints within limits."""
+        low, high = 0.0, 1.0
+        if not np.any(self.per_joint(1.0)[counted] > 1.0):
+            return 1.0
+        for _ in range(12):
+            middle = 0.5 * (low + high)
+            fits = not np.any(self.per_joint(middle)[counted] > 1.0)
+            low, high = (middle, high) if fits else (low, middle)
+        return max(low, 2.0**-12)
