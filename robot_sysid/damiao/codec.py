@@ -1,0 +1,223 @@
+"""Packing and unpacking of MIT command and feedback frames, for all joints at once.
+
+MIT command, 64 bits, most significant first: position 16, velocity 12, kp 12, kd 12, torque 12.
+Feedback: status 4, id 4, position 16, velocity 12, torque 12, two temperature bytes. A quantity in
+[lo, hi] is the integer u = (x - lo) (2^bits - 1) / (hi - lo): no code stands for exactly zero.
+
+Arrays are (..., n): any leading shape, n joints last; frames are (..., n, 8) bytes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.errors import InputError
+from robot_sysid.records import Array
+
+Bytes = NDArray[np.uint8]
+Codes = NDArray[np.int64]
+
+KP_MAX = 500.0
+KD_MAX = 5.0
+_POSITION_FULL = 0xFFFF
+_TWELVE_FULL = 0xFFF
+# A register holds float32: 12.566 comes back as 12.5659999..., which must not refuse 12.566.
+_FLOAT32_SLACK = 1e-6
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """What the integers in each joint's frames mean.
+
+    Attributes:
+        position: (n,) PMAX [rad].
+        velocity: (n,) VMAX [rad/s].
+        torque: (n,) TMAX [N m].
+    """
+
+    position: Array
+    velocity: Array
+    torque: Array
+
+    def __post_init__(self) -> None:
+        for name in ("position", "velocity", "torque"):
+            value = np.atleast_1d(np.asarray(getattr(self, name), dtype=float))
+            if value.ndim != 1 or not np.all(np.isfinite(value)) or np.any(value <= 0.0):
+                raise InputError(f"{name} scaling must be positive numbers, got {value.tolist()}")
+            object.__setattr__(self, name, value)
+        if not len(self.position) == len(self.velocity) == len(self.torque):
+            raise InputError("position, velocity and torque scaling must cover the same joints")
+
+    @classmethod
+    def from_limits(cls, limits: Iterable[tuple[float, float, float]]) -> Scaling:
+        """Build the scaling of n joints from their (PMAX, VMAX, TMAX)."""
+        table = np.array(list(limits), dtype=float).reshape(-1, 3)
+        return cls(table[:, 0], table[:, 1], table[:, 2])
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    @property
+    def steps(self) -> tuple[Array, Array, Array]:
+        """One quantisation step (n,) of position [rad], velocity [rad/s] and torque [N m]."""
+        return (
+            2.0 * self.position / _POSITION_FULL,
+            2.0 * self.velocity / _TWELVE_FULL,
+            2.0 * self.torque / _TWELVE_FULL,
+        )
+
+
+@dataclass(frozen=True)
+class MitCommand:
+    """What a joint is told: torque = kp (position - q) + kd (velocity - qd) + torque.
+
+    Attributes:
+        position: (..., n) [rad].
+        velocity: (..., n) [rad/s].
+        kp: (..., n) stiffness, 0 to 500 [N m/rad].
+        kd: (..., n) damping, 0 to 5 [N m s/rad].
+        torque: (..., n) feed-forward [N m].
+    """
+
+    position: Array
+    velocity: Array
+    kp: Array
+    kd: Array
+    torque: Array
+
+
+@dataclass(frozen=True)
+class Feedback:
+    """What joints answer; output-shaft quantities.
+
+    Attributes:
+        can_id: (..., n) low four bits of the motor's CAN id.
+        status: (..., n) status code, see ``status.describe``.
+        position, velocity, torque: (..., n) [rad, rad/s, N m].
+        temperature_mos, temperature_rotor: (..., n) of the power stage and the winding [deg C].
+    """
+
+    can_id: Codes
+    status: Codes
+    position: Array
+    velocity: Array
+    torque: Array
+    temperature_mos: Codes
+    temperature_rotor: Codes
+
+
+def encode_mit(command: MitCommand, scaling: Scaling) -> Bytes:
+    """Return the MIT frames (..., n, 8), each value rounded to the nearest code.
+
+    Raises:
+        InputError: a value is not finite or outside its range (nothing is clamped), kp > 0 without
+            kd > 0 (the motor would oscillate), or a frame's first seven bytes would all be 0xFF
+            (the motor would take it for enable, disable, zero or clear).
+    """
+    unstable = (np.asarray(command.kp) > 0.0) & ~(np.asarray(command.kd) > 0.0)
+    if np.any(unstable):
+        raise InputError(f"kp > 0 needs kd > 0 at joint {_first_joint(unstable)}")
+    p = _codes(command.position, -scaling.position, scaling.position, _POSITION_FULL, "position")
+    v = _codes(command.velocity, -scaling.velocity, scaling.velocity, _TWELVE_FULL, "velocity")
+    kp = _codes(command.kp, 0.0, KP_MAX, _TWELVE_FULL, "kp")
+    kd = _codes(command.kd, 0.0, KD_MAX, _TWELVE_FULL, "kd")
+    t = _codes(command.torque, -scaling.torque, scaling.torque, _TWELVE_FULL, "torque")
+    frames = _pack(p >> 8, p, v >> 4, (v << 4) | (kp >> 8), kp, kd >> 4, (kd << 4) | (t >> 8), t)
+    special = np.all(frames[..., :7] == 0xFF, axis=-1)
+    if np.any(special):
+        raise InputError(
+            f"the command of joint {_first_joint(special)} has every field at its maximum and "
+            "would read as a special frame; lower its gains or torque"
+        )
+    return frames
+
+
+def decode_mit(frames: Bytes, scaling: Scaling) -> MitCommand:
+    """Return what MIT frames (..., n, 8) command; the motor's side of ``encode_mit``."""
+    d = np.asarray(frames, dtype=np.int64)
+    p = (d[..., 0] << 8) | d[..., 1]
+    v = (d[..., 2] << 4) | (d[..., 3] >> 4)
+    kp = ((d[..., 3] & 0xF) << 8) | d[..., 4]
+    kd = (d[..., 5] << 4) | (d[..., 6] >> 4)
+    t = ((d[..., 6] & 0xF) << 8) | d[..., 7]
+    return MitCommand(
+        _values(p, scaling.position, _POSITION_FULL),
+        _values(v, scaling.velocity, _TWELVE_FULL),
+        np.asarray(kp * (KP_MAX / _TWELVE_FULL)),
+        np.asarray(kd * (KD_MAX / _TWELVE_FULL)),
+        _values(t, scaling.torque, _TWELVE_FULL),
+    )
+
+
+def encode_feedback(feedback: Feedback, scaling: Scaling) -> Bytes:
+    """Return feedback frames (..., n, 8) as a motor sends them: truncated and saturated."""
+    p = _truncated(feedback.position, scaling.position, _POSITION_FULL)
+    v = _truncated(feedback.velocity, scaling.velocity, _TWELVE_FULL)
+    t = _truncated(feedback.torque, scaling.torque, _TWELVE_FULL)
+    head = (np.asarray(feedback.status) << 4) | (np.asarray(feedback.can_id) & 0xF)
+    hot = np.asarray(feedback.temperature_mos), np.asarray(feedback.temperature_rotor)
+    return _pack(head, p >> 8, p, v >> 4, (v << 4) | (t >> 8), t, *hot)
+
+
+def decode_feedback(frames: Bytes, scaling: Scaling, half_step: bool = False) -> Feedback:
+    """Return what feedback frames (..., n, 8) say.
+
+    Args:
+        frames: received data bytes.
+        scaling: the motors' own PMAX, VMAX, TMAX.
+        half_step: add half a quantisation step to position, velocity and torque. The motor drops
+            the fraction when it packs a value, so what arrives is on average half a step too low.
+    """
+    d = np.asarray(frames, dtype=np.int64)
+    shift = 0.5 if half_step else 0.0
+    p = ((d[..., 1] << 8) | d[..., 2]) + shift
+    v = ((d[..., 3] << 4) | (d[..., 4] >> 4)) + shift
+    t = (((d[..., 4] & 0xF) << 8) | d[..., 5]) + shift
+    return Feedback(
+        d[..., 0] & 0xF,
+        d[..., 0] >> 4,
+        _values(p, scaling.position, _POSITION_FULL),
+        _values(v, scaling.velocity, _TWELVE_FULL),
+        _values(t, scaling.torque, _TWELVE_FULL),
+        d[..., 6],
+        d[..., 7],
+    )
+
+
+def _codes(value: Any, low: Any, high: Any, full: int, name: str) -> Codes:
+    value = np.asarray(value, dtype=float)
+    slack = _FLOAT32_SLACK * np.maximum(np.abs(low), np.abs(high))
+    # Written so that a NaN counts as outside.
+    outside = ~((value >= low - slack) & (value <= high + slack))
+    if np.any(outside):
+        bad = float(np.broadcast_to(value, outside.shape)[outside][0])
+        limit = float(np.broadcast_to(high, outside.shape)[outside][0])
+        raise InputError(
+            f"{name} {bad:g} of joint {_first_joint(outside)} is outside its range, limit {limit:g}"
+        )
+    # floor(x + 1/2): numpy's rint rounds halves to even, which differs in the last bit.
+    codes = np.floor((value - low) * (full / (high - low)) + 0.5)
+    return np.clip(codes, 0, full).astype(np.int64)
+
+
+def _truncated(value: Any, limit: Array, full: int) -> Codes:
+    codes = np.floor((np.asarray(value, dtype=float) + limit) * (full / (2.0 * limit)))
+    return np.clip(codes, 0, full).astype(np.int64)
+
+
+def _values(codes: Any, limit: Array, full: int) -> Array:
+    return np.asarray(codes * (2.0 * limit / full) - limit)
+
+
+def _pack(*columns: Any) -> Bytes:
+    columns = np.broadcast_arrays(*(np.asarray(c, dtype=np.int64) & 0xFF for c in columns))
+    return np.stack(columns, axis=-1).astype(np.uint8)
+
+
+def _first_joint(mask: Any) -> int:
+    return int(np.argwhere(np.atleast_1d(mask))[0][-1])

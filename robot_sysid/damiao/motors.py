@@ -1,0 +1,165 @@
+"""The Damiao motor types: how their CAN frames are scaled, and what the motors can do.
+
+The scaling limits PMAX, VMAX, TMAX are only how numbers are packed into frames; they are not what a
+motor can deliver. That is what the ratings say. The scaling is stored in each motor and can be
+changed there, so this table serves the export and the comparison with the registers; on a bus the
+register values are used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import pi
+
+from robot_sysid.errors import InputError
+
+_RPM = 2.0 * pi / 60.0
+
+
+@dataclass(frozen=True)
+class MotorSpec:
+    """One motor type; all quantities are at the output shaft.
+
+    Attributes:
+        name: type name as used with --motor-type.
+        position_limit: PMAX, frames carry positions in [-PMAX, PMAX] [rad].
+        velocity_limit: VMAX [rad/s].
+        torque_limit: TMAX [N m].
+        rated_torque: torque the motor can hold for good [N m], None where the maker states none.
+        peak_torque: torque it reaches for a short time [N m], or None.
+        supply: supply voltage the type is usually run at [V].
+        no_load_rpm: (supply [V], no-load speed [rev/min]) pairs, ascending; empty where unknown.
+        gear_ratio: motor turns per output turn, or None.
+        note: what a user should know about this row, or "".
+    """
+
+    name: str
+    position_limit: float
+    velocity_limit: float
+    torque_limit: float
+    rated_torque: float | None = None
+    peak_torque: float | None = None
+    supply: float = 24.0
+    no_load_rpm: tuple[tuple[float, float], ...] = ()
+    gear_ratio: float | None = None
+    note: str = ""
+
+    @property
+    def limits(self) -> tuple[float, float, float]:
+        """(PMAX, VMAX, TMAX)."""
+        return self.position_limit, self.velocity_limit, self.torque_limit
+
+    def no_load_speed(self, supply: float | None = None) -> float | None:
+        """Return the no-load speed [rad/s] at a supply voltage [V], or None where unknown.
+
+        No-load speed is proportional to voltage; between two data-sheet points it is
+        interpolated, outside them the nearest point is scaled.
+        """
+        if not self.no_load_rpm:
+            return None
+        volts = self.supply if supply is None else supply
+        for (low, slow), (high, fast) in zip(self.no_load_rpm, self.no_load_rpm[1:]):
+            if low <= volts <= high:
+                return _RPM * (slow + (fast - slow) * (volts - low) / (high - low))
+        nearest, rpm = min(self.no_load_rpm, key=lambda pair: abs(pair[0] - volts))
+        return _RPM * rpm * volts / nearest
+
+
+_SPECS = (
+    MotorSpec("DM4310", 12.5, 30.0, 10.0, 3.0, 7.0, 24.0, ((24.0, 200.0),), 10.0),
+    MotorSpec("DM4340", 12.5, 10.0, 28.0, 9.0, 27.0, 24.0, ((24.0, 52.0), (48.0, 100.0)), 40.0),
+    MotorSpec("DM4340_48V", 12.5, 20.0, 28.0, 9.0, 27.0, 48.0, ((24.0, 52.0), (48.0, 100.0)), 40.0),
+    MotorSpec("DM6006", 12.5, 45.0, 12.0, 4.0, 12.0, 24.0, ((24.0, 240.0), (48.0, 408.0)), 6.0),
+    MotorSpec("DM8006", 12.5, 45.0, 20.0, 8.0, 20.0, 24.0, ((24.0, 200.0), (48.0, 393.0)), 6.0),
+    MotorSpec(
+        "DM10010L", 12.5, 25.0, 200.0, 40.0, 120.0, 24.0, ((24.0, 100.0), (48.0, 200.0)), 10.0
+    ),
+    MotorSpec("DM8009", 12.5, 45.0, 54.0, 20.0, 40.0, 24.0, ((24.0, 160.0), (48.0, 320.0)), 9.0),
+    MotorSpec("DM3507", 12.566, 50.0, 5.0, 0.8, 3.0, 24.0, ((24.0, 460.0), (48.0, 910.0)), 7.0),
+    MotorSpec(
+        "DM4310_48V",
+        12.5,
+        50.0,
+        10.0,
+        3.0,
+        7.0,
+        48.0,
+        ((48.0, 400.0),),
+        10.0,
+        "the maker's sources disagree about VMAX (30 or 50 rad/s)",
+    ),
+    MotorSpec("DM6248", 12.566, 20.0, 120.0, 30.0, 97.0, 48.0, (), 48.0),
+    MotorSpec("DM10010", 12.5, 20.0, 200.0, 40.0, 150.0, 48.0, ((48.0, 150.0),), 10.0),
+    MotorSpec("DMH3510", 12.5, 280.0, 1.0, 0.18, 0.45, 24.0, (), 1.0),
+    MotorSpec("DMH6215", 12.5, 45.0, 10.0, 1.0, 2.0, 24.0, (), 1.0),
+    MotorSpec(
+        "DMS3519",
+        12.5,
+        2000.0,
+        2.0,
+        3.5,
+        7.8,
+        24.0,
+        (),
+        19.2,
+        "its TMAX is below the motor's rated torque and its VMAX leaves steps of 1 rad/s: "
+        "compare with the registers before using torques or velocities",
+    ),
+    MotorSpec("DMG6220", 12.5, 45.0, 10.0, 1.3, 2.7, 24.0, (), 1.0),
+)
+
+MOTORS: dict[str, MotorSpec] = {spec.name: spec for spec in _SPECS}
+
+
+def motor_spec(name: str) -> MotorSpec:
+    """Return the type called ``name``, or raise InputError listing the valid ones."""
+    try:
+        return MOTORS[name]
+    except KeyError:
+        valid = ", ".join(MOTORS)
+        raise InputError(f"unknown Damiao motor type {name!r}; valid types: {valid}") from None
+
+
+def motor_specs(names: Sequence[str], n_joints: int) -> tuple[MotorSpec, ...]:
+    """Return one MotorSpec per joint.
+
+    Args:
+        names: type names, base to terminal joint, as given with --motor-type.
+        n_joints: number of joints they have to cover.
+
+    Raises:
+        InputError: no type, an unknown type, or not one per joint.
+    """
+    if not names:
+        raise InputError(
+            "--export-damiao requires at least one --motor-type: give one per joint, base to "
+            f"terminal, out of {', '.join(MOTORS)}"
+        )
+    specs = tuple(motor_spec(name) for name in names)
+    if len(specs) != n_joints:
+        times = "once" if len(specs) == 1 else f"{len(specs)} times"
+        raise InputError(
+            f"--motor-type was given {times} but the chain has {n_joints} joints: "
+            "give it once per joint, base to terminal"
+        )
+    return specs
+
+
+def matching_types(limits: tuple[float, float, float], tolerance: float = 1e-3) -> tuple[str, ...]:
+    """Return the names of the types whose (PMAX, VMAX, TMAX) equal ``limits`` within a tolerance.
+
+    Args:
+        limits: values read from registers 21 to 23 [rad, rad/s, N m].
+        tolerance: relative.
+    """
+    return tuple(spec.name for spec in _SPECS if limits_agree(spec.limits, limits, tolerance))
+
+
+def limits_agree(
+    expected: tuple[float, float, float],
+    found: tuple[float, float, float],
+    tolerance: float = 1e-3,
+) -> bool:
+    """Tell whether two (PMAX, VMAX, TMAX) agree within a relative tolerance."""
+    return all(abs(a - b) <= tolerance * abs(a) for a, b in zip(expected, found))
