@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Optional
 
 from robot_sysid.errors import InputError
 
@@ -36,15 +35,15 @@ class SysidConfig:
     """
 
     model: Path
-    mesh_dir: Optional[Path] = None
+    mesh_dir: Path | None = None
     duration: float = 15.0
     sample_rate: float = 1000.0
     friction: bool = True
     output_dir: Path = Path("sysid_output")
     export_damiao: bool = False
     motor_types: tuple[str, ...] = ()
-    seed: Optional[int] = None
-    joint: Optional[str] = None
+    seed: int | None = None
+    joint: str | None = None
     torques: str = "chain"
     max_velocity: float = 2.0
 

@@ -1,8 +1,8 @@
 """Motion of the terminal body and torque of the rest of the arm, both by MuJoCo.
 
 The torque of the rest never passes through the regressor: it comes from a copy of the model whose
-terminal link has neither mass nor inertia. A wrong regressor therefore shows as a wrong result, also
-on the model's own simulation.
+terminal link has neither mass nor inertia. A wrong regressor therefore shows as a wrong result,
+also on the model's own simulation.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Optional
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -27,8 +27,8 @@ DEFAULT_MAX_VELOCITY = 2.0
 
 def load_robot_model(
     path: Path,
-    mesh_dir: Optional[Path] = None,
-    joint: Optional[str] = None,
+    mesh_dir: Path | None = None,
+    joint: str | None = None,
     max_velocity: float = DEFAULT_MAX_VELOCITY,
 ) -> RobotModel:
     """Load an MJCF or URDF file and find the arm in it.
@@ -48,7 +48,7 @@ def load_robot_model(
 
 
 def robot_from_compiled(
-    compiled: CompiledModel, path: Path, joint: Optional[str], max_velocity: float
+    compiled: CompiledModel, path: Path, joint: str | None, max_velocity: float
 ) -> RobotModel:
     """Return the arm in a compiled model; arguments and errors as in ``load_robot_model``."""
     mj_model = compiled.mj_model

@@ -1,4 +1,4 @@
-"""The frozen records that pass between stages. SI units and radians; each record checks itself once.
+"""The frozen records that pass between stages; each checks itself once. SI units and radians.
 
 Legend of shapes: N samples, n chain joints (base to terminal), p parameters.
 """
@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
-from typing import Any, Optional, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from robot_sysid.errors import InputError
 Array = NDArray[np.float64]
 
 
-def checked_array(value: Any, shape: tuple[Optional[int], ...], name: str) -> Array:
+def checked_array(value: Any, shape: tuple[int | None, ...], name: str) -> Array:
     """Return a read-only float view of ``value``, or raise InputError naming what is wrong.
 
     Args:
@@ -239,7 +239,7 @@ class Measurement:
     q: Array
     qd: Array
     tau: Array
-    qdd: Optional[Array] = None
+    qdd: Array | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time", checked_array(self.time, (None,), "time"))
@@ -309,7 +309,7 @@ class SquareRootInformation:
         """Number of scalar equations."""
         return sum(joint.n_samples for joint in self.joints)
 
-    def stacked(self, weights: Optional[Array] = None) -> tuple[Array, Array]:
+    def stacked(self, weights: Array | None = None) -> tuple[Array, Array]:
         """Return (A (M, p), b (M,)) with ||A x - b||^2 = sum_j w_j^2 ||Y_j x - tau_j||^2.
 
         Args:
@@ -390,7 +390,7 @@ class Estimate:
     rmse_per_joint: Mapping[str, float]
     status: Status
     method: str = "ols"
-    covariance: Optional[Array] = None
+    covariance: Array | None = None
 
     def __post_init__(self) -> None:
         size = len(self.names)
@@ -401,7 +401,7 @@ class Estimate:
         """The ten inertial parameters."""
         return InertialParameters(self.values[:10])
 
-    def value(self, name: str) -> Optional[float]:
+    def value(self, name: str) -> float | None:
         """Return one parameter by name, or None where it was not estimated."""
         return float(self.values[self.names.index(name)]) if name in self.names else None
 
@@ -434,7 +434,7 @@ class Identification:
     estimate: Estimate
     torques: str
     friction: bool
-    seed: Optional[int]
+    seed: int | None
     duration: float
     sample_rate: float
     versions: Mapping[str, str]

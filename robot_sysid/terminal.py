@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Any, Optional
+from typing import Any
 
 import mujoco
 
@@ -58,7 +58,7 @@ class SerialRun:
         return other.joints[-1] in self.ancestors
 
 
-def parent_joint(mj_model: Any, joint: int) -> Optional[int]:
+def parent_joint(mj_model: Any, joint: int) -> int | None:
     """Return the next joint towards the world, or None."""
     body = int(mj_model.jnt_bodyid[joint])
     if joint > int(mj_model.body_jntadr[body]):
@@ -66,7 +66,7 @@ def parent_joint(mj_model: Any, joint: int) -> Optional[int]:
     return last_joint_of(mj_model, int(mj_model.body_parentid[body]))
 
 
-def last_joint_of(mj_model: Any, body: int) -> Optional[int]:
+def last_joint_of(mj_model: Any, body: int) -> int | None:
     """Return the joint that moves a body: its own last one or that of its nearest ancestor."""
     while body > 0:
         count = int(mj_model.body_jntnum[body])
@@ -83,7 +83,7 @@ def chain_to(mj_model: Any, joint: int) -> tuple[int, ...]:
         ModelError: there is a ball or free joint among them.
     """
     chain: list[int] = []
-    at: Optional[int] = joint
+    at: int | None = joint
     while at is not None:
         chain.insert(0, at)
         at = parent_joint(mj_model, at)
@@ -101,7 +101,7 @@ def chain_to(mj_model: Any, joint: int) -> tuple[int, ...]:
 def serial_runs(mj_model: Any) -> list[SerialRun]:
     """Return all maximal serial runs of hinge and slide joints."""
     parents = {joint: parent_joint(mj_model, joint) for joint in range(mj_model.njnt)}
-    children: dict[Optional[int], list[int]] = {}
+    children: dict[int | None, list[int]] = {}
     for joint, parent in parents.items():
         children.setdefault(parent, []).append(joint)
     runs = []
@@ -117,7 +117,7 @@ def serial_runs(mj_model: Any) -> list[SerialRun]:
 
 
 def _continues(
-    mj_model: Any, joint: Optional[int], children: dict[Optional[int], list[int]]
+    mj_model: Any, joint: int | None, children: dict[int | None, list[int]]
 ) -> bool:
     """Tell whether a run goes on behind ``joint``: exactly one joint follows, of the right kind."""
     if joint is None or not is_hinge_or_slide(mj_model, joint):
@@ -126,7 +126,7 @@ def _continues(
     return len(following) == 1 and is_hinge_or_slide(mj_model, following[0])
 
 
-def _ancestors(parents: dict[int, Optional[int]], joint: int) -> frozenset[int]:
+def _ancestors(parents: dict[int, int | None], joint: int) -> frozenset[int]:
     found: set[int] = set()
     at = parents[joint]
     while at is not None:

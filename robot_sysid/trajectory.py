@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Callable, Optional
+from typing import Callable
 
 import numpy as np
 
@@ -138,7 +138,7 @@ def generate_excitation_trajectory(
     robot: RobotModel,
     rng: np.random.Generator,
     duration: float = 15.0,
-    torque: Optional[TorqueFunction] = None,
+    torque: TorqueFunction | None = None,
 ) -> tuple[SineTrajectory, tuple[str, ...]]:
     """Draw a random trajectory that moves the terminal joint widely and the others a little.
 
@@ -216,7 +216,7 @@ def _peak(plan: MotionPlan, rate: float, quantity: TorqueFunction) -> Array:
 
 
 def _fit_torque(
-    trajectory: SineTrajectory, robot: RobotModel, torque: Optional[TorqueFunction]
+    trajectory: SineTrajectory, robot: RobotModel, torque: TorqueFunction | None
 ) -> tuple[SineTrajectory, tuple[str, ...]]:
     """Shrink the whole motion until the torque limits hold.
 
