@@ -1,0 +1,216 @@
+"""The Kinova example: published geometry and inertials, possible bodies, closed meshes, scripts."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_sysid import spatial
+
+EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "kinova"
+MODELS = ("kinova_fullinertia_guess.xml", "kinova_fullinertia.xml")
+LINKS = ("base", "link0", "link1", "link2", "link3", "link4", "link5", "link6")
+README_THETA = [
+    *(0.789160, -0.000047, 0.009093, 0.120437),
+    *(0.024382, 0.000001, 0.000009, 0.024312, -0.001638, 0.000551),
+]
+NUMBER = re.compile(r"-?\d+\.?\d*(?:e[-+]?\d+)?")
+
+sys.path.insert(0, str(EXAMPLE))
+shapes = importlib.import_module("shapes")
+gen3 = importlib.import_module("gen3")
+links = importlib.import_module("links")
+make_model = importlib.import_module("make_model")
+sys.path.remove(str(EXAMPLE))
+
+sizes = st.floats(0.005, 0.2)
+
+
+def load(file: str) -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_path(str(EXAMPLE / "model" / file))
+
+
+def theta_of(model: mujoco.MjModel, body: str) -> np.ndarray:
+    b = model.body(body).id
+    return spatial.theta_from_mujoco(
+        model.body_mass[b], model.body_ipos[b], model.body_iquat[b], model.body_inertia[b]
+    )
+
+
+def at(model: mujoco.MjModel, qpos: np.ndarray) -> mujoco.MjData:
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    return data
+
+
+@pytest.mark.parametrize("file", MODELS)
+def test_seven_joints_and_eight_bodies_in_a_row(file):
+    model = load(file)
+    assert [model.joint(j).name for j in range(model.njnt)] == [f"joint{j}" for j in range(7)]
+    assert tuple(model.body(b).name for b in range(1, model.nbody)) == LINKS
+    assert list(model.body_parentid) == [0, *range(model.nbody - 1)]
+
+
+@pytest.mark.parametrize("file", MODELS)
+def test_joints_stand_at_the_published_heights(file):
+    model = load(file)
+    data = at(model, np.zeros(7))
+    heights = [0.15643, 0.28481, 0.49519, 0.70557, 0.91400, 1.01993, 1.12586]
+    np.testing.assert_allclose(data.xanchor[:, 2], heights, atol=2e-5)
+    np.testing.assert_allclose(data.site("flange").xpos[2], 1.18739, atol=2e-5)
+    np.testing.assert_allclose(data.site("flange").xpos[1], -0.0249, atol=1e-4)
+
+
+@pytest.mark.parametrize("file", MODELS)
+def test_axes_keep_the_published_sense_and_the_last_frame_looks_out_of_the_arm(file):
+    data = at(load(file), np.zeros(7))
+    down, sideways = [0, 0, -1], [0, 1, 0]
+    expected = [down, sideways, down, sideways, down, sideways, down]
+    np.testing.assert_allclose(data.xaxis, expected, atol=1e-12)
+    outwards = data.site("flange").xpos - data.body("link6").xpos
+    np.testing.assert_allclose(data.body("link6").xmat.reshape(3, 3).T @ outwards, gen3.FLANGE)
+
+
+def test_the_guess_has_the_terminal_link_of_the_readme():
+    np.testing.assert_allclose(theta_of(load(MODELS[0]), "link6"), README_THETA, atol=1e-14)
+
+
+@pytest.mark.parametrize(("file", "total"), [(MODELS[0], 8.47706), (MODELS[1], 9.526438)])
+def test_total_mass(file, total):
+    np.testing.assert_allclose(load(file).body_mass.sum(), total, atol=1e-6)
+
+
+@pytest.mark.parametrize(("file", "table"), [(MODELS[0], "STANDARD"), (MODELS[1], "BRAKES")])
+@pytest.mark.parametrize("link", LINKS[:-1])
+def test_links_have_the_published_inertials(file, table, link):
+    published = gen3.theta(getattr(gen3, table)[link])
+    np.testing.assert_allclose(theta_of(load(file), link), published, atol=1e-14)
+
+
+@pytest.mark.parametrize("file", MODELS)
+@pytest.mark.parametrize("link", LINKS)
+def test_every_link_is_a_possible_body(file, link):
+    assert spatial.smallest_pseudo_eigenvalue(theta_of(load(file), link)) > 1e-4
+
+
+def test_the_true_tool_is_the_sum_of_its_parts():
+    """Mass and centre of mass by the lever rule along the flange direction, worked by hand."""
+    theta = theta_of(load(MODELS[1]), "link6")
+    masses = np.array([0.43504643, 0.6632, 2 * 0.05645, 0.306])
+    heights = np.array([0.03437502, 0.061525 + 0.03232, 0.061525 + 0.115, 0.061525 + 0.145])
+    np.testing.assert_allclose(theta[0], masses.sum(), rtol=1e-12)
+    np.testing.assert_allclose(theta[3], masses @ heights, rtol=1e-12)
+
+
+@pytest.mark.parametrize("file", MODELS)
+def test_nothing_touches_at_rest(file):
+    model = load(file)
+    for qpos in (np.zeros(7), model.key("home").qpos):
+        assert at(model, qpos).ncon == 0
+
+
+def test_a_folded_arm_does_touch_itself():
+    """The collision capsules are real: folding the forearm back and the wrist in hits the arm."""
+    data = at(load(MODELS[0]), np.array([0.0, 0.0, 0.0, 2.57, 0.0, 2.09, 0.0]))
+    assert data.ncon > 0
+
+
+@pytest.mark.parametrize("file", MODELS)
+def test_home_is_reachable_and_held_within_the_nominal_torques(file):
+    model = load(file)
+    data = at(model, model.key("home").qpos)
+    limited = model.jnt_limited.astype(bool)
+    assert list(limited) == [False, True, False, True, False, True, False]
+    assert np.all(np.abs(data.qpos[limited]) < model.jnt_range[limited, 1])
+    limits = model.actuator_forcerange[:, 1]
+    np.testing.assert_array_equal(limits, [39, 39, 39, 39, 9, 9, 9])
+    assert np.all(np.abs(data.qfrc_bias) < 0.5 * limits)
+
+
+def test_friction_of_both_models():
+    guess, truth = load(MODELS[0]), load(MODELS[1])
+    np.testing.assert_array_equal(guess.dof_frictionloss, [0, 0, 0, 0, 0, 0, 0.4])
+    np.testing.assert_array_equal(np.ravel(guess.dof_damping)[-1], 0.1)
+    assert np.all(truth.dof_frictionloss > 0.1)
+    assert np.all(np.ravel(truth.dof_damping) > 0.0)
+
+
+@pytest.mark.parametrize("variant", make_model.variants(), ids=lambda variant: variant.file)
+def test_committed_models_are_what_the_script_writes(variant):
+    committed = (EXAMPLE / "model" / variant.file).read_text(encoding="utf-8")
+    written = make_model.model_xml(variant)
+    assert NUMBER.sub("#", committed) == NUMBER.sub("#", written)
+    numbers = [[float(n) for n in NUMBER.findall(text)] for text in (committed, written)]
+    np.testing.assert_allclose(*numbers, rtol=1e-9, atol=1e-15)
+
+
+@pytest.mark.parametrize("name", sorted(links.link_meshes()))
+def test_committed_meshes_are_what_the_script_writes(name, tmp_path):
+    shapes.write_stl(tmp_path / "again.stl", links.link_meshes()[name])
+    committed = shapes.read_stl(EXAMPLE / "model" / "meshes" / f"{name}.stl")
+    written = shapes.read_stl(tmp_path / "again.stl")
+    np.testing.assert_allclose(committed, written, atol=2.0 * shapes.GRID)
+
+
+def open_edges(mesh: np.ndarray) -> int:
+    """Count edges that are not run through once in each direction."""
+    keys = np.round(mesh / shapes.GRID).astype(np.int64)
+    edges: dict[tuple, int] = {}
+    for a, b in ((0, 1), (1, 2), (2, 0)):
+        for start, end in zip(map(tuple, keys[:, a]), map(tuple, keys[:, b])):
+            if start == end:
+                continue
+            sign, key = (1, (start, end)) if start < end else (-1, (end, start))
+            edges[key] = edges.get(key, 0) + sign
+    return sum(count != 0 for count in edges.values())
+
+
+@pytest.mark.parametrize("name", sorted(links.link_meshes()))
+def test_meshes_are_closed_small_and_seen_from_outside(name):
+    path = EXAMPLE / "model" / "meshes" / f"{name}.stl"
+    mesh = shapes.read_stl(path)
+    assert open_edges(mesh) == 0
+    assert shapes.volume(mesh) > 1e-6
+    assert path.stat().st_size < 130_000
+
+
+def test_a_missing_triangle_would_be_noticed():
+    mesh = shapes.box((0.0, 0.0, 0.0), (0.1, 0.1, 0.1))
+    assert open_edges(mesh) == 0
+    assert open_edges(mesh[1:]) == 3
+
+
+@given(sizes, sizes, sizes, sizes)
+def test_volume_of_a_cylinder(radius, height, x, y):
+    """A lathe of two equal radii holds the prism over a regular polygon, wherever it stands."""
+    mesh = shapes.moved(shapes.lathe([(radius, 0.0), (radius, height)]), (x, y, -height))
+    n = shapes.SEGMENTS
+    polygon = 0.5 * n * radius**2 * np.sin(2.0 * np.pi / n)
+    np.testing.assert_allclose(shapes.volume(mesh), polygon * height, rtol=1e-9)
+
+
+@given(sizes, sizes, sizes)
+def test_a_box_of_steel_has_the_inertia_of_its_mesh(a, b, c):
+    """solid_box against MuJoCo's own integration of a box geom."""
+    body = f'<body><geom type="box" size="{a} {b} {c}" pos=".1 -.2 .3" mass="2"/></body>'
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    theta = gen3.solid_box(2.0, (0.1, -0.2, 0.3), np.array([2 * a, 2 * b, 2 * c]))
+    compiled = spatial.theta_from_mujoco(
+        model.body_mass[1], model.body_ipos[1], model.body_iquat[1], model.body_inertia[1]
+    )
+    np.testing.assert_allclose(theta, compiled, rtol=1e-9, atol=1e-12)
+
+
+def run_script(name: str, *arguments: str) -> subprocess.CompletedProcess:
+    command = [sys.executable, str(EXAMPLE / name), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, cwd=EXAMPLE, timeout=120)
