@@ -92,6 +92,27 @@ class InertialParameters:
 
 
 @dataclass(frozen=True)
+class SubtreeBody:
+    """One body of the terminal link, the terminal body itself or one below it.
+
+    Attributes:
+        body_id: MuJoCo body id.
+        name: body name ("#7" for a nameless body with id 7).
+        theta: (10,) its inertial parameters in the TERMINAL body's frame, inertia about that
+            frame's origin; kg, kg m, kg m^2.
+        welded: whether no joint lies between it and the terminal body.
+    """
+
+    body_id: int
+    name: str
+    theta: Array
+    welded: bool
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "theta", checked_array(self.theta, (10,), f"theta of {self.name}"))
+
+
+@dataclass(frozen=True)
 class JointLimits:
     """What each chain joint may do; infinite where there is no limit.
 
@@ -453,6 +474,9 @@ class Progress(Protocol):
     def note(self, message: str) -> None:
         """Tell the user something that does not stop the run."""
 
+    def detail(self, message: str) -> None:
+        """Tell something that is only of interest when a result looks odd."""
+
 
 class Silent:
     """Progress that says nothing."""
@@ -466,3 +490,6 @@ class Silent:
 
     def note(self, message: str) -> None:
         """Ignore the note."""
+
+    def detail(self, message: str) -> None:
+        """Ignore the detail."""

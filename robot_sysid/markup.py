@@ -1,0 +1,133 @@
+"""XML text and where its elements stand in it, so that a file can be edited without rewriting it.
+
+An XML library that writes a parsed tree back loses the quoting and line breaks inside tags. Here
+the tree only tells *what* to change; the change itself is made in the bytes of the original file.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from xml.parsers import expat
+from xml.sax.saxutils import quoteattr
+
+_START_TAG = re.compile(rb"""<[^\s/>]+(?:[^>"']|"[^"]*"|'[^']*')*>""")
+_ATTRIBUTE = re.compile(rb"""([^\s=/<>"']+)(\s*=\s*)("[^"]*"|'[^']*')""")
+_COMMENT = re.compile(rb"<!--(.*?)-->", re.DOTALL)
+
+
+@dataclass(frozen=True)
+class Span:
+    """Byte offsets of one element.
+
+    Attributes:
+        start, end: the whole element, text[start:end].
+        inner_start, inner_end: what lies between its tags; both equal ``end`` for ``<a/>``.
+    """
+
+    start: int
+    inner_start: int
+    inner_end: int
+    end: int
+
+    @property
+    def is_empty_tag(self) -> bool:
+        """Whether the element is written as ``<a/>``."""
+        return self.inner_start == self.end
+
+
+@dataclass(frozen=True)
+class Edit:
+    """Replace text[start:end] by ``replacement``."""
+
+    start: int
+    end: int
+    replacement: bytes
+
+
+def masked_comments(text: bytes) -> bytes:
+    """Return the text with the dashes inside comments replaced, every offset unchanged.
+
+    MuJoCo's reader accepts ``--`` inside a comment, which strict XML parsers refuse.
+    """
+    return _COMMENT.sub(lambda m: b"<!--" + m.group(1).replace(b"-", b"~") + b"-->", text)
+
+
+def element_spans(text: bytes) -> tuple[Span, ...]:
+    """Return the span of every element of a well-formed UTF-8 text, in document order."""
+    starts: list[int] = []
+    closings: dict[int, int] = {}
+    open_elements: list[int] = []
+    parser = expat.ParserCreate("utf-8")
+
+    def opened(name: str, attributes: dict[str, str]) -> None:
+        open_elements.append(len(starts))
+        starts.append(parser.CurrentByteIndex)
+
+    def closed(name: str) -> None:
+        closings[open_elements.pop()] = parser.CurrentByteIndex
+
+    parser.StartElementHandler = opened
+    parser.EndElementHandler = closed
+    parser.Parse(masked_comments(text), True)
+    return tuple(_span(text, start, closings[i]) for i, start in enumerate(starts))
+
+
+def _span(text: bytes, start: int, closing: int) -> Span:
+    match = _START_TAG.match(text, start)
+    assert match is not None
+    if match.group().endswith(b"/>"):
+        return Span(start, match.end(), match.end(), match.end())
+    return Span(start, match.end(), closing, text.index(b">", closing) + 1)
+
+
+def set_attribute(text: bytes, span: Span, name: str, value: str) -> Edit:
+    """Return the edit that gives an element's start tag the attribute name="value"."""
+    quoted = quoteattr(value).encode()
+    found = _attribute(text, span, name)
+    if found is not None:
+        return Edit(found.start(3), found.end(3), quoted)
+    end = span.inner_start - (2 if span.is_empty_tag else 1)
+    while text[end - 1 : end].isspace():
+        end -= 1
+    return Edit(end, end, b" " + name.encode() + b"=" + quoted)
+
+
+def remove_attribute(text: bytes, span: Span, name: str) -> Edit | None:
+    """Return the edit that removes an attribute with the space before it; None if absent."""
+    found = _attribute(text, span, name)
+    if found is None:
+        return None
+    start = found.start()
+    while text[start - 1 : start].isspace():
+        start -= 1
+    return Edit(start, found.end(), b"")
+
+
+def _attribute(text: bytes, span: Span, name: str) -> re.Match[bytes] | None:
+    matches = _ATTRIBUTE.finditer(text, span.start, span.inner_start)
+    return next((m for m in matches if m.group(1) == name.encode()), None)
+
+
+def apply_edits(text: bytes, edits: Iterable[Edit], start: int = 0, end: int = -1) -> bytes:
+    """Return text[start:end] with the edits that lie in it made; edits must not overlap."""
+    end = len(text) if end < 0 else end
+    pieces, position = [], start
+    for edit in sorted(edits, key=lambda e: (e.start, e.end)):
+        if edit.start < position:
+            raise ValueError(f"overlapping edits at byte {edit.start}")
+        pieces += [text[position : edit.start], edit.replacement]
+        position = edit.end
+    return b"".join([*pieces, text[position:end]])
+
+
+def indentation(text: bytes, position: int) -> bytes:
+    """Return the white space between the start of the line and ``position`` (empty if text)."""
+    lead = text[text.rfind(b"\n", 0, position) + 1 : position]
+    return lead if not lead.strip() else b""
+
+
+def line_break(text: bytes) -> bytes:
+    """Return the line ending the text uses."""
+    return b"\r\n" if b"\r\n" in text else b"\n"
