@@ -23,18 +23,23 @@ from robot_sysid.spatial import PARAMETER_NAMES
 def derive_regressor() -> tuple[Any, tuple[Any, ...]]:
     """Derive Y6 = dF / dtheta symbolically.
 
+    F is linear in theta, so that column k of its Jacobian is F at theta = e_k.
+
     Returns:
         (Y6, symbols): the (6, 10) SymPy matrix in the order of ``spatial.PARAMETER_NAMES``, and the
         twelve symbols [omega, v, omega', v'] it depends on.
     """
     import sympy as sp
 
-    theta = sp.symbols(PARAMETER_NAMES, real=True)
     motion = sp.symbols("wx wy wz vx vy vz awx awy awz avx avy avz", real=True)
     twist, acceleration = sp.Matrix(motion[:6]), sp.Matrix(motion[6:])
-    spatial_inertia = _spatial_inertia(sp, theta)
-    wrench = spatial_inertia * acceleration - _adjoint(sp, twist).T * spatial_inertia * twist
-    return wrench.jacobian(sp.Matrix(theta)), motion
+    adjoint = _adjoint(sp, twist)
+    columns = []
+    for k in range(len(PARAMETER_NAMES)):
+        unit = [int(i == k) for i in range(len(PARAMETER_NAMES))]
+        spatial_inertia = _spatial_inertia(sp, unit)
+        columns.append(spatial_inertia * acceleration - adjoint.T * (spatial_inertia * twist))
+    return sp.Matrix.hstack(*columns), motion
 
 
 def _hat(sp: Any, vector: Sequence[Any]) -> Any:
@@ -47,13 +52,13 @@ def _spatial_inertia(sp: Any, theta: Sequence[Any]) -> Any:
     m, hx, hy, hz, ixx, ixy, ixz, iyy, iyz, izz = theta
     inertia = sp.Matrix([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
     h = _hat(sp, (hx, hy, hz))
-    return sp.Matrix(sp.BlockMatrix([[inertia, h], [-h, m * sp.eye(3)]]))
+    return inertia.row_join(h).col_join((-h).row_join(m * sp.eye(3)))
 
 
 def _adjoint(sp: Any, twist: Any) -> Any:
     """ad(V) = [[[omega]x, 0], [[v]x, [omega]x]]."""
     omega, v = _hat(sp, twist[:3]), _hat(sp, twist[3:])
-    return sp.Matrix(sp.BlockMatrix([[omega, sp.zeros(3)], [v, omega]]))
+    return omega.row_join(sp.zeros(3)).col_join(v.row_join(omega))
 
 
 @lru_cache(maxsize=1)
@@ -64,7 +69,8 @@ def _lambdified() -> tuple[Callable[..., Sequence[Any]], tuple[tuple[int, int], 
     matrix, symbols = derive_regressor()
     places = tuple((i, j) for i in range(6) for j in range(10) if matrix[i, j] != 0)
     entries = [matrix[i, j] for i, j in places]
-    return sp.lambdify(symbols, entries, modules="numpy", cse=True), places
+    # The entries are polynomials: plain operators serve arrays too, without numpy's namespace.
+    return sp.lambdify(symbols, entries, modules="math", cse=True), places
 
 
 def wrench_regressor(velocity: Array, acceleration: Array) -> Array:

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
 from robot_sysid.errors import SimulationError
 from robot_sysid.kinematics import ArmDynamics
 from robot_sysid.records import Array, Measurement, Motion, RobotModel
+
+
+def inverse_torque(robot: RobotModel) -> Callable[[Motion], Array]:
+    """Return a function from a motion to the joint torques (N, n) the model needs for it."""
+    dynamics = ArmDynamics(robot)
+
+    def torque(motion: Motion) -> Array:
+        rigid = dynamics.torque(motion.q, motion.qd, motion.qdd)
+        return rigid + robot.friction.torque(motion.qd)
+
+    return torque
 
 
 def simulate_inverse(robot: RobotModel, motions: Iterable[Motion]) -> Iterator[Measurement]:
@@ -24,9 +35,9 @@ def simulate_inverse(robot: RobotModel, motions: Iterable[Motion]) -> Iterator[M
     Raises:
         SimulationError: a torque is not finite.
     """
-    dynamics = ArmDynamics(robot)
+    torque = inverse_torque(robot)
     for motion in motions:
-        tau = dynamics.torque(motion.q, motion.qd, motion.qdd) + robot.friction.torque(motion.qd)
+        tau = torque(motion)
         _require_finite(tau, motion.time, robot.joint_names)
         yield Measurement(motion.time, motion.q, motion.qd, tau, motion.qdd)
 
