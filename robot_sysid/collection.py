@@ -62,8 +62,10 @@ class Equations:
 
     def rows(self, measurement: Measurement) -> Iterator[tuple[Array, Array]]:
         """Yield (rows (N, k), right-hand side (N,)) per joint of ``joints``."""
-        if measurement.qdd is None:
-            raise InputError("the measurement has no accelerations; differentiate it first")
+        if measurement.qd is None or measurement.qdd is None:
+            raise InputError(
+                "the measurement has no velocities or accelerations; differentiate it first"
+            )
         q, qd, qdd = measurement.q, measurement.qd, measurement.qdd
         motion = self._kinematics.evaluate(q, qd, qdd)
         known = motion.tau_rest + self._known_friction(qd)

@@ -251,21 +251,25 @@ class Measurement:
 
     Attributes:
         time: (N,) [s], increasing.
-        q, qd: (N, n) positions and velocities [rad, rad/s].
+        q: (N, n) positions [rad].
+        qd: (N, n) velocities [rad/s], or None where only positions were measured.
         tau: (N, n) joint torques [N m].
         qdd: (N, n) accelerations [rad/s^2], or None where the log has none.
+        joint_time: (N, n) when each joint was sampled [s], where it has time stamps of its own;
+            None where ``time`` holds for all.
     """
 
     time: Array
     q: Array
-    qd: Array
+    qd: Array | None
     tau: Array
     qdd: Array | None = None
+    joint_time: Array | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time", checked_array(self.time, (None,), "time"))
         shape = (len(self.time), np.shape(self.q)[1] if np.ndim(self.q) == 2 else None)
-        for name in ("q", "qd", "tau", "qdd"):
+        for name in ("q", "qd", "tau", "qdd", "joint_time"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, checked_array(getattr(self, name), shape, name))
 
