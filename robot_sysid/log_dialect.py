@@ -1,0 +1,174 @@
+"""How a text log is laid out: separator, decimal mark, comments, header; and its rows as cells.
+
+Understood without being told: comma, semicolon, tab or blanks between cells, a decimal comma where
+the separator is not one, comment lines (``#`` or ``%``), a byte-order mark, Windows line ends,
+quoted cells, and a header that is itself the last comment line (as ``numpy.savetxt`` writes it).
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from robot_sysid.errors import InputError
+
+_COMMENT_MARKS = ("#", "%")
+_MISSING = frozenset({"", "nan", "null", "none", "na", "n/a", "-nan", "-", "missing"})
+SEPARATOR_NAMES = {",": "comma", ";": "semicolon", "\t": "tab", " ": "blanks"}
+
+
+@dataclass(frozen=True)
+class LogDialect:
+    """Layout of one log file.
+
+    Attributes:
+        path: the file.
+        encoding: text encoding.
+        separator: "," ";" tab, or " " for any run of blanks.
+        decimal_comma: whether numbers use a comma as the decimal mark.
+        header: column titles as written; empty where the file has none.
+        header_line: file line of the header; 0 where there is none.
+        first_row: the cells of the first row of data.
+        quoted: whether cells may be quoted.
+    """
+
+    path: Path
+    encoding: str
+    separator: str
+    decimal_comma: bool
+    header: tuple[str, ...]
+    header_line: int
+    first_row: tuple[str, ...]
+    quoted: bool
+
+    def split(self, line: str) -> list[str]:
+        """Return the cells of one line, without quotes, blanks or a trailing separator."""
+        cells = split_line(line, self.separator)
+        return cells[:-1] if len(cells) == self.width + 1 and cells[-1] == "" else cells
+
+    @property
+    def width(self) -> int:
+        """Number of cells a row should have."""
+        return len(self.header) or len(self.first_row)
+
+    def data_lines(self) -> Iterator[tuple[int, str]]:
+        """Yield (file line number, text) of each row of data."""
+        for number, line in _content_lines(self.path, self.encoding):
+            if number != self.header_line:
+                yield number, line
+
+    def number(self, cell: str) -> float:
+        """Return the value of a cell, NaN where it is empty or marked missing.
+
+        Raises:
+            ValueError: the cell is not a number.
+        """
+        text = cell.strip()
+        if text.lower() in _MISSING:
+            return float("nan")
+        return float(text.replace(",", ".") if self.decimal_comma else text)
+
+
+def read_dialect(path: Path) -> LogDialect:
+    """Look at the beginning of a log and return its layout.
+
+    Raises:
+        InputError: the file cannot be read, is not text, or holds no rows.
+    """
+    encoding = _encoding(path)
+    comments, lines = _beginning(path, encoding)
+    if not lines:
+        raise InputError(f"{path} holds no rows of data; check that the recording was written")
+    separator = _separator(lines[0][1])
+    cells = tuple(split_line(lines[0][1], separator))
+    if not _mostly_numbers(cells):
+        header_line, header = lines[0][0], _without_last_gap(cells)
+        if len(lines) < 2:
+            raise InputError(f"{path} has a header but no rows; check that the recording ran")
+        first = lines[1][1]
+    else:
+        width = len(_without_last_gap(cells))
+        header_line, header, first = 0, _commented_header(comments, width), lines[0][1]
+    decimal_comma = separator != "," and "," in first
+    quoted = '"' in first
+    first_row = _without_last_gap(tuple(split_line(first, separator)))
+    return LogDialect(
+        path, encoding, separator, decimal_comma, header, header_line, first_row, quoted
+    )
+
+
+def split_line(line: str, separator: str) -> list[str]:
+    """Return the cells of a line, without quotes and surrounding blanks."""
+    if separator == " ":
+        cells = next(csv.reader([" ".join(line.split())], delimiter=" "), [])
+    else:
+        cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
+    return [cell.strip() for cell in cells]
+
+
+def _encoding(path: Path) -> str:
+    try:
+        with path.open("rb") as stream:
+            start = stream.read(4096)
+    except OSError as error:
+        raise InputError(f"cannot read the log {path}: {error.strerror or error}") from error
+    if start[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return "utf-16"
+    if b"\0" in start:
+        raise InputError(f"{path} is not a text file; export the log as CSV")
+    return "utf-8-sig"
+
+
+def _content_lines(path: Path, encoding: str) -> Iterator[tuple[int, str]]:
+    # Titles may hold a degree sign in any encoding; numbers never do, so replacing is harmless.
+    with path.open(encoding=encoding, errors="replace") as stream:
+        for number, line in enumerate(stream, start=1):
+            text = line.strip("\r\n")
+            if text and not text.isspace() and not text.lstrip().startswith(_COMMENT_MARKS):
+                yield number, text
+
+
+def _beginning(path: Path, encoding: str) -> tuple[list[str], list[tuple[int, str]]]:
+    """Return the comment lines above the data and the first two content lines."""
+    content = _content_lines(path, encoding)
+    lines = [line for line, _ in zip(content, range(2))]
+    last = lines[0][0] if lines else 0
+    with path.open(encoding=encoding, errors="replace") as stream:
+        above = [line.strip() for line, _ in zip(stream, range(last - 1))]
+    return [line for line in above if line], lines
+
+
+def _commented_header(comments: list[str], width: int) -> tuple[str, ...]:
+    if not comments:
+        return ()
+    text = comments[-1].lstrip("#% ")
+    for separator in dict.fromkeys((_separator(text), " ")):
+        cells = _without_last_gap(tuple(split_line(text, separator)))
+        if len(cells) == width and not _mostly_numbers(cells):
+            return cells
+    return ()
+
+
+def _separator(line: str) -> str:
+    return next((mark for mark in (";", "\t", ",") if mark in line), " ")
+
+
+def _without_last_gap(cells: tuple[str, ...]) -> tuple[str, ...]:
+    return cells[:-1] if len(cells) > 1 and cells[-1] == "" else cells
+
+
+def _mostly_numbers(cells: tuple[str, ...]) -> bool:
+    # A row of data may carry a joint's name or a frame, a header may have a title like "1".
+    return 2 * sum(_is_number(cell) for cell in cells) > len(cells)
+
+
+def _is_number(cell: str) -> bool:
+    if cell.lower() in _MISSING:
+        return True
+    try:
+        float(cell.replace(",", "."))
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,50 @@
+"""Small logs for tests: a smooth motion of a few joints, written as the test wants it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from robot_sysid.records import JointLimits, Measurement
+
+JOINTS = ("base", "elbow", "wrist")
+TITLES = ("time", "q1", "q2", "q3", "tau1", "tau2", "tau3")
+
+
+def motion(n: int = 400, rate: float = 200.0) -> Measurement:
+    """Three joints swinging within 1 rad, with exact velocity."""
+    time = np.arange(n) / rate
+    phase = 2.0 * np.pi * np.outer(time, [0.5, 0.7, 1.1]) + [0.3, 0.9, 0.1]
+    omega = 2.0 * np.pi * np.array([0.5, 0.7, 1.1])
+    tau = np.sin(3.0 * phase) + [1.0, 2.0, 3.0]
+    return Measurement(time, 0.9 * np.sin(phase), 0.9 * omega * np.cos(phase), tau)
+
+
+def table(data: Measurement) -> np.ndarray:
+    """Columns time, positions, torques."""
+    return np.column_stack((data.time, data.q, data.tau))
+
+
+def write(
+    path: Path,
+    rows: np.ndarray | Sequence[Sequence[object]],
+    titles: Sequence[str] = TITLES,
+    separator: str = ",",
+) -> Path:
+    """Write titles and rows; floats with every digit."""
+    lines = [separator.join(titles)] if titles else []
+    lines += [separator.join(_text(cell) for cell in row) for row in rows]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def limits(reach: float = 2.0) -> JointLimits:
+    """Symmetric limits of three joints."""
+    full = np.full(3, reach)
+    return JointLimits(-full, full, np.full(3, 10.0), np.full(3, np.inf))
+
+
+def _text(cell: object) -> str:
+    return repr(float(cell)) if isinstance(cell, float) else str(cell)
