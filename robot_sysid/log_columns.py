@@ -131,18 +131,25 @@ def _sources(
         return None
     sources = []
     for joint, name in enumerate(joint_names):
-        columns = found.get((kind, joint), [])
-        if name in explicit:
-            sources.append(converter.source(kind, joint, *_lookup(explicit[name], titles)))
-        elif len(columns) > 1:
-            raise two_candidates(kind, name, [titles[i] for i in columns])
-        elif columns:
-            sources.append(converter.source(kind, joint, columns[0], 1.0))
+        column = _column(kind, name, explicit.get(name), found.get((kind, joint), []), titles)
+        if column:
+            sources.append(converter.source(kind, joint, *column))
     if len(sources) == len(joint_names):
         return tuple(sources)
     if explicit or kind in ("position", "torque"):
         raise _incomplete(kind, [read_title(title) for title in titles], joint_names)
     return None
+
+
+def _column(
+    kind: str, joint: str, explicit: str | None, candidates: Sequence[int], titles: Sequence[str]
+) -> tuple[int, float] | None:
+    """Return (column, factor) of one quantity of one joint."""
+    if explicit is not None:
+        return _lookup(explicit, titles)
+    if len(candidates) > 1:
+        raise two_candidates(kind, joint, [titles[index] for index in candidates])
+    return (candidates[0], 1.0) if candidates else None
 
 
 def _incomplete(kind: str, titles: Sequence[Title], joint_names: Sequence[str]) -> InputError:
