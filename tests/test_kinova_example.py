@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
+import os
 import re
 import subprocess
 import sys
@@ -30,6 +32,8 @@ shapes = importlib.import_module("shapes")
 gen3 = importlib.import_module("gen3")
 links = importlib.import_module("links")
 make_model = importlib.import_module("make_model")
+validate_regressor = importlib.import_module("validate_regressor")
+validate_identification = importlib.import_module("validate_identification")
 sys.path.remove(str(EXAMPLE))
 
 sizes = st.floats(0.005, 0.2)
@@ -211,6 +215,42 @@ def test_a_box_of_steel_has_the_inertia_of_its_mesh(a, b, c):
     np.testing.assert_allclose(theta, compiled, rtol=1e-9, atol=1e-12)
 
 
-def run_script(name: str, *arguments: str) -> subprocess.CompletedProcess:
-    command = [sys.executable, str(EXAMPLE / name), *arguments]
-    return subprocess.run(command, capture_output=True, text=True, cwd=EXAMPLE, timeout=120)
+def test_regressor_script_agrees_with_mujoco(capsys):
+    assert validate_regressor.main() == 0
+    assert "regressor agrees with MuJoCo" in capsys.readouterr().out
+
+
+def test_regressor_script_notices_a_wrong_column(capsys, monkeypatch):
+    def wrong(*arguments):
+        rows = joint_regressor(*arguments)
+        rows[:, :, 8] *= 1.001
+        return rows
+
+    joint_regressor = validate_regressor.joint_regressor
+    monkeypatch.setattr(validate_regressor, "joint_regressor", wrong)
+    assert validate_regressor.main() == 1
+    assert "DOES NOT AGREE" in capsys.readouterr().out
+
+
+def test_identification_script_finds_the_truth(capsys):
+    assert validate_identification.main() == 0
+    assert "4 of 4 exact cases are exact" in capsys.readouterr().out
+
+
+def test_identification_script_notices_a_wrong_result(capsys, monkeypatch):
+    collect = validate_identification.collect_sysid_data
+
+    def forgetful(equations, measurements):
+        halved = (dataclasses.replace(m, tau=0.5 * m.tau) for m in measurements)
+        return collect(equations, halved)
+
+    monkeypatch.setattr(validate_identification, "collect_sysid_data", forgetful)
+    assert validate_identification.main() == 1
+
+
+def test_pictures_are_skipped_with_a_note_where_nothing_can_draw():
+    environment = {**os.environ, "MUJOCO_GL": "nothing"}
+    command = [sys.executable, str(EXAMPLE / "render.py")]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=120)
+    assert done.returncode == 0
+    assert done.stdout.startswith("No pictures drawn")

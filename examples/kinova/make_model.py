@@ -147,7 +147,9 @@ def _add_assets(root: ET.Element, variant: Variant) -> None:
 
 
 def _add_bodies(world: ET.Element, variant: Variant) -> None:
-    ET.SubElement(world, "light", directional="true", pos=".7 -1 2", dir="-.35 .5 -1", diffuse=".5 .5 .5")
+    ET.SubElement(
+        world, "light", directional="true", pos=".7 -1 2", dir="-.35 .5 -1", diffuse=".5 .5 .5"
+    )
     world.append(_comment("The floor is only drawn: the arm's own contacts are what matters here."))
     floor = {"name": "floor", "type": "plane", "size": "0 0 .05", "material": "floor"}
     ET.SubElement(world, "geom", floor, contype="0", conaffinity="0")

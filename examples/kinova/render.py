@@ -81,28 +81,44 @@ class Studio:
         self.camera.lookat = at
         self.camera.distance, self.camera.azimuth, self.camera.elevation = distance, azimuth, -18
 
-    def pose(self, qpos: Array) -> None:
+    def pose(self, qpos: Array, shadow: bool = True) -> None:
         """Put the arm at joint positions (7,) [rad] and start a new picture with it."""
         self.data.qpos[:] = qpos
         self.mujoco.mj_forward(self.model, self.data)
         self.renderer.update_scene(self.data, self.camera, self.options)
-        self.renderer.scene.flags[self.mujoco.mjtRndFlag.mjRND_HAZE] = 1
+        flags, names = self.renderer.scene.flags, self.mujoco.mjtRndFlag
+        flags[names.mjRND_HAZE], flags[names.mjRND_SHADOW] = True, shadow
 
-    def ghost(self, qpos: Array, opacity: float) -> None:
-        """Add the arm at joint positions (7,) [rad] to the picture, as if made of glass."""
-        scene, before = self.renderer.scene, self.renderer.scene.ngeom
-        self.data.qpos[:] = qpos
-        self.mujoco.mj_forward(self.model, self.data)
-        self.mujoco.mjv_addGeoms(
-            self.model,
-            self.data,
-            self.options,
-            self.mujoco.MjvPerturb(),
-            self.mujoco.mjtCatBit.mjCAT_DYNAMIC,
-            scene,
-        )
-        for geom in scene.geoms[before : scene.ngeom]:
-            geom.rgba[3] *= opacity
+    def silhouette(self) -> NDArray[np.bool_]:
+        """Return which pixels show something else than floor and sky (height, width)."""
+        self.renderer.enable_segmentation_rendering()
+        identity = self.renderer.render()[..., 0]
+        self.renderer.disable_segmentation_rendering()
+        return (identity != -1) & (identity != self.model.geom("floor").id)
+
+    def empty(self) -> Picture:
+        """Return the picture without the arm."""
+        self.options.geomgroup[2] = 0
+        self.pose(self.home)
+        self.options.geomgroup[2] = 1
+        return self.picture()
+
+    def tips(self, poses: Array) -> Array:
+        """Return where the tool's tip is (N, 3) [m] at joint positions (N, 7) [rad]."""
+        points = []
+        for qpos in poses:
+            self.data.qpos[:] = qpos
+            self.mujoco.mj_kinematics(self.model, self.data)
+            link = self.data.body("link6")
+            points.append(link.xpos + link.xmat.reshape(3, 3) @ (0.0, 0.0, 0.3))
+        return np.array(points)
+
+    def trail(self, points: Array, radius: float, rgba: tuple[float, ...]) -> None:
+        """Add a line through points (N, 3) [m] to the picture."""
+        capsule = self.mujoco.mjtGeom.mjGEOM_CAPSULE
+        for start, end in zip(points[:-1], points[1:]):
+            geom = self._new_geom(capsule, np.zeros(3), np.zeros(3), np.eye(3).ravel(), rgba)
+            self.mujoco.mjv_connector(geom, capsule, radius, start, end)
 
     def show_inertia(self, body: int) -> None:
         """Make a body's geoms glass and add the box of its mass and inertia, centre as a dot.
@@ -117,19 +133,23 @@ class Studio:
         inertia = model.body_inertia[body]
         half = np.sqrt(1.5 * (inertia.sum() - 2.0 * inertia) / model.body_mass[body])
         box, ball = self.mujoco.mjtGeom.mjGEOM_BOX, self.mujoco.mjtGeom.mjGEOM_SPHERE
-        self._add(box, half, body, (0.90, 0.45, 0.10, 0.45))
-        self._add(ball, np.full(3, 0.008), body, (0.75, 0.10, 0.10, 1.0))
+        place = (self.data.xipos[body], self.data.ximat[body])
+        self._new_geom(box, half, *place, (0.90, 0.45, 0.10, 0.45))
+        self._new_geom(ball, np.full(3, 0.008), *place, (0.75, 0.10, 0.10, 1.0))
 
     def picture(self) -> Picture:
         """Return the picture (height, width, 3)."""
         return self.renderer.render()
 
-    def _add(self, kind: Any, size: Array, body: int, rgba: tuple[float, ...]) -> None:
+    def _new_geom(
+        self, kind: Any, size: Array, place: Array, turn: Array, rgba: tuple[float, ...]
+    ) -> Any:
         scene = self.renderer.scene
-        place = (self.data.xipos[body], self.data.ximat[body])
         geom = scene.geoms[scene.ngeom]
-        self.mujoco.mjv_initGeom(geom, kind, size, *place, np.array(rgba, dtype=np.float32))
+        self.mujoco.mjv_initGeom(geom, kind, size, place, turn, np.array(rgba, dtype=np.float32))
+        geom.segid = -1
         scene.ngeom += 1
+        return geom
 
 
 def draw_home() -> Picture:
@@ -143,16 +163,30 @@ def draw_both() -> Picture:
 
 
 def draw_sweep() -> Picture:
-    """The poses that an excitation trajectory of 15 s passes, half a second apart."""
+    """The arm at home, pale copies along a trajectory of 15 s, and the path of the tool's tip."""
     from robot_sysid.parser import load_robot_model
     from robot_sysid.trajectory import generate_excitation_trajectory
 
     robot = load_robot_model(HERE / "model" / GUESS)
     plan, _ = generate_excitation_trajectory(robot, np.random.default_rng(0))
     studio = _arm(GUESS, (1400, 1000))
-    for qpos in plan.evaluate(np.arange(0.5, plan.duration, 0.5)).q:
-        studio.ghost(qpos, 0.07)
-    return studio.picture()
+    empty, copies = studio.empty(), plan.evaluate(np.linspace(2.0, 13.0, 12)).q
+    picture = empty.astype(float)
+    for qpos in copies:
+        studio.pose(qpos, shadow=False)
+        picture = over(picture, studio, empty, 0.22)
+    tips = studio.tips(plan.evaluate(np.arange(0.0, plan.duration, 0.03)).q)
+    studio.pose(studio.home)
+    studio.trail(tips, 0.0015, (0.90, 0.45, 0.10, 1.0))
+    return over(picture, studio, empty, 1.0).astype(np.uint8)
+
+
+def over(below: Array, studio: Studio, empty: Picture, opacity: float) -> Array:
+    """Return ``below`` with the studio's arm, and the shadow if it has one, laid over it."""
+    above = studio.picture()
+    shadow = np.any(np.abs(above.astype(float) - empty) > 6.0, axis=2)
+    drawn = (shadow | studio.silhouette())[..., None]
+    return np.where(drawn, (1.0 - opacity) * below + opacity * above, below)
 
 
 def draw_terminal_links() -> Picture:
@@ -162,8 +196,8 @@ def draw_terminal_links() -> Picture:
         studio = Studio(file, (800, 640))
         body = studio.model.body("link6").id
         studio.pose(studio.home)
-        studio.look(studio.data.xipos[body], 0.75, 140.0)
-        studio.pose(studio.home)
+        studio.look(studio.data.xipos[body], 0.66, 140.0)
+        studio.pose(studio.home, shadow=False)
         studio.show_inertia(body)
         pictures.append(studio.picture())
     return np.hstack(pictures)
@@ -172,7 +206,7 @@ def draw_terminal_links() -> Picture:
 def _arm(file: str, size: tuple[int, int]) -> Studio:
     """Return a model at its home pose, seen as a whole."""
     studio = Studio(file, size)
-    studio.look((0.22, 0.0, 0.40), 1.45, 140.0)
+    studio.look((0.24, 0.0, 0.39), 1.3, 140.0)
     studio.pose(studio.home)
     return studio
 

@@ -1,0 +1,148 @@
+"""Check the whole identification: does it find the terminal link that made the torques?
+
+The guess is the model an engineer has, the truth is the arm in the simulation. Five cases, from
+what must succeed exactly to what a real arm does. Exit code 0 when the exact ones are exact.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import gen3
+import numpy as np
+from numpy.typing import NDArray
+from validate_regressor import with_link
+
+from robot_sysid import spatial
+from robot_sysid.collection import (
+    TERMINAL_FRICTION,
+    Equations,
+    collect_sysid_data,
+    friction_of_terminal_joint,
+)
+from robot_sysid.friction import FrictionModel
+from robot_sysid.parser import load_robot_model
+from robot_sysid.records import Estimate, InertialParameters, MotionPlan, RobotModel
+from robot_sysid.simulator import inverse_torque, simulate_inverse
+from robot_sysid.solver import identify_parameters
+from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
+
+Array = NDArray[np.float64]
+
+MODELS = Path(__file__).resolve().parent / "model"
+TOLERANCE = 1e-8
+SAMPLE_RATE = 1000.0
+NAMES = (*spatial.PARAMETER_NAMES, "coulomb", "viscous")
+
+
+def main() -> int:
+    """Run the five cases, print what each found, and return the exit code."""
+    guess = load_robot_model(MODELS / "kinova_fullinertia_guess.xml")
+    truth = load_robot_model(MODELS / "kinova_fullinertia.xml")
+    plan, _ = generate_excitation_trajectory(
+        guess, np.random.default_rng(0), torque=inverse_torque(guess)
+    )
+    passed = [
+        own_simulation(guess, plan),
+        terminal_torque_only(guess, truth, plan),
+        links_known(guess, truth, plan),
+        payload_by_difference(guess, truth, plan),
+    ]
+    links_from_the_catalogue(guess, truth, plan)
+    print(f"\n{sum(passed)} of {len(passed)} exact cases are exact to {TOLERANCE:.0e}")
+    return 0 if all(passed) else 1
+
+
+def identify(
+    robot: RobotModel,
+    plant: RobotModel,
+    plan: MotionPlan,
+    torques: str = "chain",
+    friction: Sequence[FrictionModel] | None = None,
+) -> Estimate:
+    """Identify ``robot``'s terminal link from torques that ``plant`` produces along a plan."""
+    terms = friction_of_terminal_joint(robot, True) if friction is None else friction
+    equations = Equations(robot, torques, terms)
+    measurements = simulate_inverse(plant, motion_chunks(plan, SAMPLE_RATE))
+    return identify_parameters(collect_sysid_data(equations, measurements), equations.prior)
+
+
+def own_simulation(guess: RobotModel, plan: MotionPlan) -> bool:
+    """The model identified from its own simulation has to come back."""
+    print("1. The guess, identified from its own simulation")
+    return compare(known(guess), identify(guess, guess, plan), guess)
+
+
+def terminal_torque_only(guess: RobotModel, truth: RobotModel, plan: MotionPlan) -> bool:
+    """The last joint's torque shows seven combinations; mass and h_z must stay the guess's."""
+    print("\n2. The truth, seen by its last joint only: what it cannot see stays as guessed")
+    estimate = identify(guess, truth, plan, torques="terminal")
+    print(f"   not visible: {'; '.join(estimate.identifiability.blind)}")
+    expected = known(truth)
+    expected[[0, 3]] = known(guess)[[0, 3]]
+    # Of Ixx and Iyy only the difference shows; their sum stays as guessed.
+    half_sum = 0.5 * (known(guess)[4] + known(guess)[7])
+    half_difference = 0.5 * (known(truth)[4] - known(truth)[7])
+    expected[[4, 7]] = half_sum + half_difference, half_sum - half_difference
+    return compare(expected, estimate, guess)
+
+
+def links_known(guess: RobotModel, truth: RobotModel, plan: MotionPlan) -> bool:
+    """All but the terminal link is known: the truth has to come out, from a wrong start."""
+    print("\n3. The truth, when all other links are known")
+    start = replace(truth, prior=guess.prior)
+    return compare(known(truth), identify(start, truth, plan), guess)
+
+
+def payload_by_difference(guess: RobotModel, truth: RobotModel, plan: MotionPlan) -> bool:
+    """The tool alone, from two runs on one trajectory: whatever is wrong in both cancels.
+
+    Least squares is linear in the torques, and both runs have the same regressor.
+    """
+    print("\n4. The tool alone: run with it minus run without it, all other links guessed wrong")
+    tool = spatial.transform_theta(gen3.gripper_with_workpiece(), np.eye(3), np.array(gen3.FLANGE))
+    bare = truth.prior.theta - tool
+    unloaded = replace(truth, mj_model=with_link(truth, bare), prior=InertialParameters(bare))
+    with_tool, without = identify(guess, truth, plan), identify(guess, unloaded, plan)
+    found = with_tool.values[:10] - without.values[:10]
+    return print_table(tool, found, guess)
+
+
+def links_from_the_catalogue(guess: RobotModel, truth: RobotModel, plan: MotionPlan) -> None:
+    """What a real arm does: the other links are not quite what the model says."""
+    print("\n5. The truth, when all other links are only guessed (not expected to be exact)")
+    everywhere = (TERMINAL_FRICTION,) * guess.n_joints
+    estimate = identify(guess, truth, plan, friction=everywhere)
+    compare(known(truth), estimate, guess)
+    print(f"   residual {estimate.rmse:.3f} N m; {estimate.status.value}")
+
+
+def known(robot: RobotModel) -> Array:
+    """Return a model's own parameters (12,) in the order of NAMES."""
+    last = robot.friction.coulomb[-1], robot.friction.viscous[-1]
+    return np.append(robot.prior.theta, last)
+
+
+def compare(expected: Array, estimate: Estimate, guess: RobotModel) -> bool:
+    """Print an estimate beside what is expected (12,); tell whether they are equal."""
+    joint = guess.terminal_joint
+    friction = [estimate.value(f"{kind}[{joint}]") for kind in ("coulomb", "viscous")]
+    return print_table(expected, np.append(estimate.values[:10], friction), guess)
+
+
+def print_table(expected: Array, found: Array, guess: RobotModel) -> bool:
+    """Print values beside the expected ones and their errors, scaled by mass and size."""
+    length = spatial.characteristic_length(guess.prior.theta)
+    scale = np.append(spatial.parameter_scale(guess.prior.mass, length), [1.0, 1.0])
+    errors = np.abs(found - expected) / scale[: len(found)]
+    print(f"   {'':<10}{'expected':>14}{'identified':>14}{'scaled error':>14}")
+    for name, want, got, error in zip(NAMES, expected, found, errors):
+        print(f"   {name:<10}{want:>14.6f}{got:>14.6f}{error:>14.1e}")
+    return bool(np.all(errors < TOLERANCE))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

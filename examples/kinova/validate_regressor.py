@@ -1,0 +1,98 @@
+"""Check the regressor against MuJoCo: known part + Y theta must be MuJoCo's inverse dynamics.
+
+The arm moves at random, far wilder than any real trajectory, with the terminal link of the model
+and with links made up at random. Exit code 0 when everything agrees, 1 when not.
+"""
+
+from __future__ import annotations
+
+import copy
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid import spatial
+from robot_sysid.kinematics import ArmDynamics, ChainKinematics
+from robot_sysid.parser import load_robot_model
+from robot_sysid.records import Motion, RobotModel
+from robot_sysid.regressor import joint_regressor
+
+Array = NDArray[np.float64]
+
+MODELS = Path(__file__).resolve().parent / "model"
+TOLERANCE = 1e-9
+SAMPLES = 500
+RANDOM_LINKS = 3
+
+
+def main() -> int:
+    """Compare on both models and print a line per terminal link; returns the exit code."""
+    rng = np.random.default_rng(0)
+    print(f"{SAMPLES} random states each; torques in N m, error relative to the largest torque")
+    print(f"{'model':<32}{'terminal link':<16}{'largest torque':>16}{'largest error':>16}")
+    worst = 0.0
+    for file in ("kinova_fullinertia_guess.xml", "kinova_fullinertia.xml"):
+        robot = load_robot_model(MODELS / file)
+        for name, theta in terminal_links(robot, rng):
+            expected, found = both_torques(robot, theta, random_motion(robot.n_joints, rng))
+            scale = float(np.max(np.abs(expected)))
+            error = float(np.max(np.abs(found - expected))) / scale
+            worst = max(worst, error)
+            print(f"{file:<32}{name:<16}{scale:>16.3f}{error:>16.1e}")
+    verdict = "agrees" if worst < TOLERANCE else "DOES NOT AGREE"
+    print(f"regressor {verdict} with MuJoCo: {worst:.1e} (allowed {TOLERANCE:.0e})")
+    return 0 if worst < TOLERANCE else 1
+
+
+def terminal_links(robot: RobotModel, rng: np.random.Generator) -> Iterator[tuple[str, Array]]:
+    """Yield (name, theta (10,)): the model's own link, then random ones that can exist."""
+    yield "of the model", robot.prior.theta
+    for number in range(1, RANDOM_LINKS + 1):
+        root = rng.normal(size=(4, 4)) * np.array([[0.1], [0.1], [0.1], [1.0]])
+        yield f"random {number}", spatial.theta_from_pseudo_inertia(root @ root.T)
+
+
+def random_motion(joints: int, rng: np.random.Generator) -> Motion:
+    """Return unrelated random positions, speeds and accelerations."""
+    q, qd, qdd = (scale * rng.normal(size=(SAMPLES, joints)) for scale in (2.0, 3.0, 10.0))
+    return Motion(np.arange(SAMPLES, dtype=float), q, qd, qdd)
+
+
+def both_torques(robot: RobotModel, theta: Array, motion: Motion) -> tuple[Array, Array]:
+    """Return torques (N, n) without friction: MuJoCo's, and known part + Y theta."""
+    body = ChainKinematics(robot).evaluate(motion.q, motion.qd, motion.qdd)
+    rows = joint_regressor(body, range(robot.n_joints))
+    ours = body.tau_rest + (rows @ theta).T
+    carrying = replace(robot, mj_model=with_link(robot, theta))
+    return ArmDynamics(carrying).torque(motion.q, motion.qd, motion.qdd), ours
+
+
+def with_link(robot: RobotModel, theta: Array) -> Any:
+    """Return a copy of the compiled model whose terminal body has the parameters theta (10,)."""
+    mass, com, inertia = spatial.com_from_theta(theta)
+    single = mujoco.MjModel.from_xml_string(_one_body(mass, com, inertia))
+    model = copy.copy(robot.mj_model)
+    for field in ("body_mass", "body_ipos", "body_iquat", "body_inertia"):
+        getattr(model, field)[robot.body_id] = getattr(single, field)[1]
+    return model
+
+
+def _one_body(mass: float, com: Array, inertia: Array) -> str:
+    numbers = (
+        " ".join(map(repr, map(float, values)))
+        for values in ([mass], com, spatial.fullinertia_from_symmetric(inertia))
+    )
+    return (
+        '<mujoco><worldbody><body><freejoint/><inertial mass="{}" pos="{}" fullinertia="{}"/>'
+        "</body></worldbody></mujoco>"
+    ).format(*numbers)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
