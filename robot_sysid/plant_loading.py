@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 
-from robot_sysid.compilation import CompiledModel, compile_model
+from robot_sysid.compilation import compile_model
 from robot_sysid.errors import InputError
 from robot_sysid.parser import DEFAULT_MAX_VELOCITY, robot_from_compiled
 from robot_sysid.records import Array, RobotModel
@@ -42,29 +43,26 @@ def load_plant(
         InputError: its joints are others than the robot's; lists the differences.
     """
     compiled = compile_model(Path(plant_path), mesh_dir)
-    terminal = robot.terminal_joint if _has_joint(compiled, robot.terminal_joint) else None
-    if terminal is None:
-        terminal = _own_terminal_joint(compiled, robot, plant_path)
+    terminal = robot.terminal_joint
+    if terminal not in _hinges_and_slides(compiled.mj_model):
+        terminal = _own_terminal_joint(compiled.mj_model, robot, Path(plant_path))
     plant = robot_from_compiled(compiled, Path(plant_path), terminal, max_velocity)
     _require_same_joints(robot, plant)
-    return replace(plant, notes=plant.notes + _geometry_notes(robot, plant))
+    notes = plant.notes + _held_notes(robot, plant) + _geometry_notes(robot, plant)
+    return replace(plant, notes=notes)
 
 
-def _has_joint(compiled: CompiledModel, name: str) -> bool:
-    return name in _hinges_and_slides(compiled)
+def _hinges_and_slides(mj_model: Any) -> list[str]:
+    joints = range(mj_model.njnt)
+    return [joint_label(mj_model, j) for j in joints if is_hinge_or_slide(mj_model, j)]
 
 
-def _hinges_and_slides(compiled: CompiledModel) -> list[str]:
-    model = compiled.mj_model
-    return [joint_label(model, j) for j in range(model.njnt) if is_hinge_or_slide(model, j)]
-
-
-def _own_terminal_joint(compiled: CompiledModel, robot: RobotModel, path: Path) -> str:
+def _own_terminal_joint(mj_model: Any, robot: RobotModel, path: Path) -> str:
     """Return the plant's last joint by its own rules, so that the two chains can be compared."""
     try:
-        return joint_label(compiled.mj_model, find_terminal_joint(compiled.mj_model))
+        return joint_label(mj_model, find_terminal_joint(mj_model))
     except InputError as error:
-        known = ", ".join(_hinges_and_slides(compiled)) or "none"
+        known = ", ".join(_hinges_and_slides(mj_model)) or "none"
         raise InputError(
             f"--plant-model {path.name} has no joint {robot.terminal_joint}, the last joint of "
             f"{robot.path.name}; its joints are: {known}"
@@ -103,6 +101,13 @@ def joint_differences(robot: RobotModel, plant: RobotModel) -> tuple[str, ...]:
 
 def _kind(slide: bool) -> str:
     return "slide" if slide else "hinge"
+
+
+def _held_notes(robot: RobotModel, plant: RobotModel) -> tuple[str, ...]:
+    """Return a sentence on joints that only the plant has; none of them is in the chain."""
+    ours = _hinges_and_slides(robot.mj_model)
+    held = [name for name in _hinges_and_slides(plant.mj_model) if name not in ours]
+    return (f"joints only the plant has are held still: {', '.join(held)}",) if held else ()
 
 
 def _geometry_notes(robot: RobotModel, plant: RobotModel) -> tuple[str, ...]:
