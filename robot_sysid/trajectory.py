@@ -31,6 +31,8 @@ UNLIMITED_RANGE = {False: 2.0 * np.pi, True: 0.3}
 LONGEST_FADE = 2.5
 _SPEED_CHECK_HZ = 50.0
 _TORQUE_CHECK_HZ = 25.0
+_FEWEST_CHECKS = 256
+_SMALLEST_FACTOR = 2.0**-30
 _CHUNK = 2048
 
 TorqueFunction = Callable[[Motion], Array]
@@ -201,7 +203,7 @@ def _fit_reach_and_velocity(
 
     The reach is compared with the sum of the amplitudes, a bound for all times. Speed is sampled;
     between samples a 0.6 Hz motion exceeds its sampled peak by less than 0.1 %, which the 1 %
-    reserve covers.
+    reserve covers. A short motion is mostly window, and still gets 64 samples per rise.
     """
     total = np.sum(np.abs(shape.amplitude), axis=1)
     speed = _peak(shape, _SPEED_CHECK_HZ, lambda motion: motion.qd)
@@ -210,7 +212,7 @@ def _fit_reach_and_velocity(
 
 def _peak(plan: MotionPlan, rate: float, quantity: TorqueFunction) -> Array:
     """Return (n,) largest absolute value of a quantity along a plan sampled at ``rate`` Hz."""
-    times = sample_times(plan.duration, max(rate, 64.0 / plan.duration))
+    times = sample_times(plan.duration, max(rate, _FEWEST_CHECKS / plan.duration))
     peaks = [np.max(np.abs(quantity(plan.evaluate(time))), axis=0) for time in times]
     return np.max(peaks, axis=0)
 
@@ -220,21 +222,21 @@ def _fit_torque(
 ) -> tuple[SineTrajectory, tuple[str, ...]]:
     """Shrink the whole motion until the torque limits hold.
 
-    A joint whose weight alone, at rest, exceeds its limit cannot be helped by a smaller motion; it
-    is named in a note and left out of the search.
+    A joint whose weight and dry friction alone exceed its limit cannot be helped by a smaller
+    motion; it is named in a note and left out of the search.
     """
     if torque is None or not np.any(np.isfinite(robot.limits.torque)):
         return trajectory, ()
     excess = _TorqueExcess(trajectory, robot.limits.torque, torque)
-    at_rest = excess.per_joint(0.0) > 1.0
+    hopeless = excess.per_joint(_SMALLEST_FACTOR) > 1.0
     notes = tuple(
-        f"holding still takes more than the torque limit of {robot.limits.torque[j]:g} at joint "
-        f"{robot.joint_names[j]}; its limit is not obeyed"
-        for j in np.flatnonzero(at_rest)
+        f"even the smallest motion takes more than the torque limit of {robot.limits.torque[j]:g} "
+        f"at joint {robot.joint_names[j]}; its limit is not obeyed"
+        for j in np.flatnonzero(hopeless)
     )
-    factor = excess.largest_factor(~at_rest)
+    factor = excess.largest_factor(~hopeless)
     if factor < 1.0:
-        notes += (f"motion scaled to {100.0 * factor:.0f} % to stay within the torque limits",)
+        notes += (f"motion scaled to {100.0 * factor:.2g} % to stay within the torque limits",)
     return trajectory.scaled(factor), notes
 
 
@@ -251,11 +253,11 @@ class _TorqueExcess:
 
     def largest_factor(self, counted: Array) -> float:
         """Return the largest factor in (0, 1] that keeps the counted joints within limits."""
-        low, high = 0.0, 1.0
         if not np.any(self.per_joint(1.0)[counted] > 1.0):
             return 1.0
+        low, high = np.log2(_SMALLEST_FACTOR), 0.0
         for _ in range(12):
             middle = 0.5 * (low + high)
-            fits = not np.any(self.per_joint(middle)[counted] > 1.0)
+            fits = not np.any(self.per_joint(2.0**middle)[counted] > 1.0)
             low, high = (middle, high) if fits else (low, middle)
-        return max(low, 2.0**-12)
+        return float(2.0**low)
