@@ -1,0 +1,37 @@
+"""Shared by all tests: the hypothesis profile and fixtures for the arms of ``tests.arms``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+
+from tests import arms
+
+settings.register_profile("laws", max_examples=100, deadline=None)
+settings.load_profile("laws")
+
+
+@pytest.fixture
+def arm_file(tmp_path):
+    """Factory: write an XML string to a file and return its path."""
+
+    def write(xml: str, name: str = "arm.xml") -> Path:
+        path = tmp_path / name
+        path.write_text(xml)
+        return path
+
+    return write
+
+
+@pytest.fixture
+def three_joint_arm():
+    """A small arm whose three joints turn about z, y and x."""
+    return arms.robot_of(arms.THREE)
+
+
+@pytest.fixture
+def seven_joint_arm():
+    """An arm with seven joints, each with Coulomb friction 0.4 and viscous friction 0.1."""
+    return arms.robot_of(arms.SEVEN)

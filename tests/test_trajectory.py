@@ -1,0 +1,242 @@
+"""Laws of trajectories: exact derivatives, limits kept at all times, rest at both ends."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_sysid.errors import InputError
+from robot_sysid.records import JointLimits
+from robot_sysid.simulator import inverse_torque
+from robot_sysid.trajectory import (
+    FREQUENCY_BAND_HZ,
+    TERMS_PER_JOINT,
+    SineTrajectory,
+    generate_excitation_trajectory,
+    motion_chunks,
+    sample_count,
+    sample_times,
+    window,
+)
+from tests import arms
+from tests.arms import SEEDS, robot_of
+
+THREE = robot_of(arms.THREE)
+DURATIONS = st.one_of(st.floats(0.02, 3.0), st.floats(3.0, 60.0))
+
+
+def excitation(robot, seed, duration=15.0, torque=None):
+    return generate_excitation_trajectory(robot, np.random.default_rng(seed), duration, torque)
+
+
+def dense(plan, points=4001):
+    return plan.evaluate(np.linspace(0.0, plan.duration, points))
+
+
+@st.composite
+def limited_arms(draw, torque=False):
+    """An arm whose limits are anything that JointLimits accepts, its rest position anywhere."""
+    lower, upper, velocity = [], [], []
+    for _ in range(3):
+        middle, width = draw(st.floats(-6.0, 6.0)), draw(st.floats(1e-3, 12.0))
+        open_below, open_above = draw(st.sampled_from([(0, 0), (0, 0), (1, 1), (0, 1), (1, 0)]))
+        lower.append(-np.inf if open_below else middle - 0.5 * width)
+        upper.append(np.inf if open_above else middle + 0.5 * width)
+        velocity.append(draw(st.floats(0.01, 20.0)))
+    force = [draw(st.floats(0.5, 100.0)) if torque else np.inf for _ in range(3)]
+    limits = JointLimits(*(np.array(part) for part in (lower, upper, velocity, force)))
+    reference = np.array(draw(st.lists(st.floats(-8.0, 8.0), min_size=3, max_size=3)))
+    return replace(THREE, limits=limits, reference_qpos=reference)
+
+
+@given(limited_arms(), SEEDS, DURATIONS)
+def test_position_and_velocity_limits_hold_at_all_times(robot, seed, duration):
+    plan, _ = excitation(robot, seed, duration)
+    motion = dense(plan)
+    assert np.all(motion.q > robot.limits.lower)
+    assert np.all(motion.q < robot.limits.upper)
+    assert np.all(np.abs(motion.qd) <= robot.limits.velocity)
+
+
+@given(limited_arms(), SEEDS, DURATIONS)
+def test_every_joint_moves_and_uses_what_it_may(robot, seed, duration):
+    """Either the reach or the speed is what holds a joint back, not the tool's timidity."""
+    plan, _ = excitation(robot, seed, duration)
+    speed = np.max(np.abs(dense(plan).qd), axis=0) / robot.limits.velocity
+    span = np.where(
+        np.isfinite(robot.limits.upper - robot.limits.lower),
+        robot.limits.upper - robot.limits.lower,
+        2.0 * np.pi,
+    )
+    share = 2.0 * np.sum(np.abs(plan.amplitude), axis=1) / span
+    full = np.isclose(share, [0.1, 0.1, 0.7], rtol=1e-12)
+    assert np.all(full | (speed > 0.95))
+
+
+@given(limited_arms(torque=True), SEEDS, DURATIONS)
+def test_torque_limits_hold_unless_the_smallest_motion_breaks_them(robot, seed, duration):
+    torque = inverse_torque(robot)
+    plan, notes = excitation(robot, seed, duration, torque)
+    peak = np.max(np.abs(torque(dense(plan, 801))), axis=0)
+    excused = np.array([any(f"joint {name};" in note for note in notes) for name in NAMES])
+    at_rest = np.abs(torque(plan.evaluate(np.zeros(1)))[0])
+    assert np.all((peak <= robot.limits.torque) | excused)
+    assert np.all(at_rest[excused] > 0.9 * robot.limits.torque[excused])
+
+
+NAMES = THREE.joint_names
+
+
+@given(limited_arms(), SEEDS, DURATIONS)
+def test_starts_and_ends_at_rest(robot, seed, duration):
+    plan, _ = excitation(robot, seed, duration)
+    ends = plan.evaluate(np.array([-1.0, 0.0, duration, duration + 1.0]))
+    np.testing.assert_allclose(ends.qd, 0.0, atol=1e-9)
+    np.testing.assert_allclose(ends.qdd, 0.0, atol=1e-9)
+    np.testing.assert_allclose(ends.q, np.tile(plan.center, (4, 1)), atol=1e-9)
+
+
+@given(limited_arms(), SEEDS, DURATIONS, st.floats(0.0, 1.0))
+def test_derivatives_match_finite_differences(robot, seed, duration, where):
+    plan, _ = excitation(robot, seed, duration)
+    step = 1e-4 * min(1.0, plan.fade)
+    time = where * duration + step * np.array([-1.0, 0.0, 1.0])
+    motion = plan.evaluate(time)
+    pace = 2.0 * np.pi * FREQUENCY_BAND_HZ[1] + 10.0 / plan.fade
+    size = np.sum(np.abs(plan.amplitude), axis=1)
+    velocity = (motion.q[2] - motion.q[0]) / (2.0 * step)
+    acceleration = (motion.qd[2] - motion.qd[0]) / (2.0 * step)
+    rounding = 1e-15 * (np.max(np.abs(motion.q)) + 1.0) / step
+    error = np.abs(velocity - motion.qd[1])
+    np.testing.assert_array_less(error, 1e-5 * size * pace + rounding)
+    error = np.abs(acceleration - motion.qdd[1])
+    np.testing.assert_array_less(error, 1e-5 * size * pace**2 + 1e-15 / step)
+
+
+@given(SEEDS)
+def test_frequencies_are_in_the_band_and_never_meet(seed):
+    plan, _ = excitation(robot_of(arms.SEVEN), seed)
+    used = plan.amplitude != 0.0
+    assert set(np.sum(used, axis=1)) <= set(range(TERMS_PER_JOINT[0], TERMS_PER_JOINT[1] + 1))
+    frequency = np.sort(plan.frequency_hz[used])
+    assert FREQUENCY_BAND_HZ[0] < frequency[0]
+    assert frequency[-1] < FREQUENCY_BAND_HZ[1]
+    assert np.min(np.diff(frequency)) > 1e-3
+
+
+@given(SEEDS)
+def test_frequencies_of_a_joint_are_incommensurate(seed):
+    """No two are in the ratio of small whole numbers, so that the motion does not repeat."""
+    plan, _ = excitation(robot_of(arms.SEVEN), seed)
+    for frequency, amplitude in zip(plan.frequency_hz, plan.amplitude):
+        for one, other in itertools.combinations(frequency[amplitude != 0.0], 2):
+            ratio = np.arange(1, 10) * one / other
+            assert np.min(np.abs(ratio - np.round(ratio))) > 1e-9
+
+
+@given(SEEDS)
+def test_same_seed_same_trajectory_and_another_seed_another_one(seed):
+    first, second = excitation(THREE, seed)[0], excitation(THREE, seed)[0]
+    np.testing.assert_array_equal(first.amplitude, second.amplitude)
+    np.testing.assert_array_equal(first.phase, second.phase)
+    assert not np.array_equal(first.phase, excitation(THREE, seed + 1)[0].phase)
+
+
+@given(st.floats(0.01, 100.0), st.floats(1.0, 1000.0), st.integers(1, 500))
+def test_samples_are_the_same_however_they_are_cut(duration, rate, chunk):
+    times = np.concatenate(list(sample_times(duration, rate, chunk)))
+    assert len(times) == sample_count(duration, rate)
+    np.testing.assert_array_equal(times, np.concatenate(list(sample_times(duration, rate))))
+    assert times[0] == 0.0
+    assert duration - 1.0 / rate < times[-1] <= duration
+    assert np.all(np.diff(times) > 0.0)
+
+
+@given(SEEDS)
+def test_chunks_are_the_whole_motion(seed):
+    plan, _ = excitation(THREE, seed, 6.0)
+    chunks = list(motion_chunks(plan, 700.0))
+    assert len(chunks) > 1
+    whole = plan.evaluate(np.concatenate([chunk.time for chunk in chunks]))
+    for field in ("q", "qd", "qdd"):
+        joined = np.concatenate([getattr(chunk, field) for chunk in chunks])
+        np.testing.assert_array_equal(joined, getattr(whole, field))
+
+
+def test_an_hour_is_evaluated_lazily():
+    plan, _ = excitation(THREE, 0, 15.0)
+    hour = replace(plan, duration=3600.0)
+    first = next(motion_chunks(hour, 1000.0))
+    assert len(first.time) < 10_000
+
+
+def test_window_rises_from_zero_to_one_and_falls_back():
+    time = np.linspace(0.0, 10.0, 1001)
+    w, dw, ddw = window(time, 10.0, 2.0)
+    assert np.all((w >= 0.0) & (w <= 1.0))
+    np.testing.assert_array_equal(w[200:801], 1.0)
+    assert np.all(dw[:500] >= 0.0)
+    np.testing.assert_allclose(w, w[::-1], atol=1e-12)
+    np.testing.assert_allclose(dw, -dw[::-1], atol=1e-12)
+    assert np.max(np.abs(ddw[[0, 200, 800, 1000]])) < 1e-12
+
+
+def test_the_terminal_joint_moves_most():
+    plan, _ = excitation(robot_of(arms.SEVEN), 3)
+    reach = np.max(np.abs(dense(plan).q - plan.center), axis=0)
+    assert reach[-1] > 2.0 * np.max(reach[:-1])
+
+
+def test_a_joint_whose_weight_exceeds_its_limit_is_named_and_the_rest_still_moves():
+    limits = replace(THREE.limits, torque=np.array([50.0, 1.0, 50.0]))
+    robot = replace(THREE, limits=limits)
+    reference = robot.reference_qpos.copy()
+    reference[1] = 1.2
+    robot = replace(robot, reference_qpos=reference)
+    plan, notes = excitation(robot, 0, 15.0, inverse_torque(robot))
+    assert any("joint joint1;" in note and "smallest motion" in note for note in notes)
+    assert np.max(np.abs(dense(plan).q - plan.center)) > 0.1
+
+
+def test_dry_friction_above_the_limit_is_named_instead_of_freezing_the_arm():
+    """However small the motion, sign(qd) costs the whole Coulomb torque."""
+    friction = replace(THREE.friction, coulomb=np.array([5.0, 0.0, 0.0]))
+    limits = replace(THREE.limits, torque=np.array([2.0, 100.0, 100.0]))
+    robot = replace(THREE, friction=friction, limits=limits)
+    plan, notes = excitation(robot, 0, 15.0, inverse_torque(robot))
+    assert any("joint joint0;" in note for note in notes)
+    assert np.max(np.abs(dense(plan).q - plan.center)) > 0.1
+
+
+def test_scaling_down_is_told():
+    limits = replace(THREE.limits, torque=np.array([np.inf, 0.8, np.inf]))
+    robot = replace(THREE, limits=limits)
+    _, notes = excitation(robot, 0, 15.0, inverse_torque(robot))
+    assert any("motion scaled to" in note for note in notes)
+
+
+def test_a_fade_that_does_not_fit_is_refused():
+    one = np.ones((1, 1))
+    with pytest.raises(InputError, match="does not fit twice"):
+        SineTrajectory(np.zeros(1), one, one, one, duration=1.0, fade=0.6)
+
+
+def test_no_module_of_the_pipeline_differentiates_numerically():
+    """Samples are never compared with their neighbours."""
+    import ast
+    from pathlib import Path
+
+    import robot_sysid
+
+    package = Path(robot_sysid.__file__).parent
+    used = set()
+    for module in ("trajectory", "simulator", "kinematics", "regressor", "collection", "solver"):
+        tree = ast.parse((package / f"{module}.py").read_text(encoding="utf-8"))
+        used |= {node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
+    assert used.isdisjoint({"diff", "gradient", "ediff1d", "mjd_inverseFD", "mjd_transitionFD"})
+    assert "mj_rne" in used
