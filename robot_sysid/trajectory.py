@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, JointLimits, Motion, MotionPlan, RobotModel, checked_array
@@ -72,7 +73,7 @@ class SineTrajectory:
         """Number of joints n."""
         return len(self.center)
 
-    def scaled(self, factor: Array) -> SineTrajectory:
+    def scaled(self, factor: Array | float) -> SineTrajectory:
         """Return the trajectory with each joint's amplitudes times ``factor`` (n,) or a number."""
         factors = np.broadcast_to(np.asarray(factor, dtype=float), (self.n_joints,))
         return replace(self, amplitude=self.amplitude * factors[:, None])
@@ -248,10 +249,10 @@ class _TorqueExcess:
 
     def per_joint(self, factor: float) -> Array:
         """Return (n,) peak torque divided by the allowed torque."""
-        scaled = self._trajectory.scaled(np.asarray(factor))
+        scaled = self._trajectory.scaled(factor)
         return _peak(scaled, _TORQUE_CHECK_HZ, self._torque) / (TORQUE_MARGIN * self._limit)
 
-    def largest_factor(self, counted: Array) -> float:
+    def largest_factor(self, counted: NDArray[np.bool_]) -> float:
         """Return the largest factor in (0, 1] that keeps the counted joints within limits."""
         if not np.any(self.per_joint(1.0)[counted] > 1.0):
             return 1.0
