@@ -65,15 +65,25 @@ class VisibleSpace:
         return self.scale[:, None] * self.right / self.singular
 
 
-def visible_space(matrix: Array) -> VisibleSpace:
-    """Decompose a stacked regressor (M, p) into what it can and cannot see."""
-    scale, dead = column_scale(matrix)
+def visible_space(matrix: Array, scale: Array | None = None) -> VisibleSpace:
+    """Decompose a stacked regressor (M, p) into what it can and cannot see.
+
+    Args:
+        matrix: (M, p) regressor.
+        scale: (p,) column scaling to use instead of one to unit length, where the matrix is what
+            remains of another one whose scaling decides what is small; the cut is absolute then.
+    """
+    reference = None if scale is None else 1.0
+    if scale is None:
+        scale, dead = column_scale(matrix)
+    else:
+        dead = np.linalg.norm(matrix * scale, axis=0) <= RELATIVE_CUT
     scaled = np.where(dead, 0.0, matrix * scale)
-    left, singular, right = np.linalg.svd(scaled, full_matrices=True)
-    rank = _count_visible(singular)
-    return VisibleSpace(
-        scale, left[:, :rank], singular[:rank], right[:rank].T, right[rank:].T, dead
-    )
+    missing = max(matrix.shape[1] - len(matrix), 0)
+    left, singular, right = np.linalg.svd(np.pad(scaled, ((0, missing), (0, 0))), False)
+    rank = _count_visible(singular, reference)
+    left = left[: len(matrix), :rank]
+    return VisibleSpace(scale, left, singular[:rank], right[:rank].T, right[rank:].T, dead)
 
 
 def column_scale(matrix: Array) -> tuple[Array, np.ndarray]:
@@ -120,9 +130,9 @@ def parameters_of_interest(
     return np.array([k < N_INERTIAL or n in wanted for k, n in enumerate(information.names)])
 
 
-def _count_visible(singular: Array) -> int:
-    largest = np.max(singular, initial=0.0)
-    return int(np.count_nonzero(singular > RELATIVE_CUT * largest)) if largest > 0.0 else 0
+def _count_visible(singular: Array, reference: float | None) -> int:
+    largest = np.max(singular, initial=0.0) if reference is None else reference
+    return int(np.count_nonzero(singular > RELATIVE_CUT * largest))
 
 
 def _nuisance_rank(matrix: Array, space: VisibleSpace, interest: np.ndarray) -> int:

@@ -5,6 +5,8 @@ The wrench rows here are typed in from Newton and Euler, independently of the pa
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 
 from robot_sysid import spatial
@@ -84,3 +86,36 @@ def terminal_information(rng, truth, axis=Z, offset=ORIGIN, count=80):
     equations = [(joint_rows(rng, count, axis, offset), np.arange(12))]
     names = (*spatial.PARAMETER_NAMES, "coulomb[joint0]", "viscous[joint0]")
     return information_of(equations, names, truth)
+
+
+def _solved(problem, tolerance):
+    import cvxpy
+
+    options = {f"tol_{kind}": tolerance for kind in ("gap_abs", "gap_rel", "feas")}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            problem.solve(solver=cvxpy.CLARABEL, **options)
+        except cvxpy.error.SolverError:
+            return False
+    return problem.status == "optimal"
+
+
+def sdp_least_squares(matrix, right):
+    """Least ||A x - b||^2 with x[:10] a possible body, by cvxpy and clarabel, well scaled."""
+    import cvxpy
+
+    triangle = np.linalg.qr(np.column_stack((matrix[:, 10:], matrix[:, :10], right)), mode="r")
+    inner = triangle[matrix.shape[1] - 10 :, matrix.shape[1] - 10 :]
+    inverse = np.linalg.inv(inner[:10, :10])
+    centre = spatial.pseudo_inertia(inverse @ inner[:10, 10])
+    units = np.sqrt(np.abs(np.diag(centre)))
+    columns = spatial.pseudo_inertia(inverse.T) / np.outer(units, units)
+    step = 1.0 / np.linalg.norm(columns.reshape(10, -1), 2)
+    y = cvxpy.Variable(10)
+    body = centre / np.outer(units, units) + sum(step * y[k] * columns[k] for k in range(10))
+    problem = cvxpy.Problem(cvxpy.Minimize(cvxpy.sum_squares(y)), [0.5 * (body + body.T) >> 0])
+    for tolerance in (1e-12, 1e-10, 1e-9):
+        if _solved(problem, tolerance):
+            break
+    return float(problem.value * step**2 + np.sum(inner[10:, 10] ** 2))

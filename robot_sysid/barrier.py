@@ -1,0 +1,224 @@
+"""Least squares over positive definite matrices: a primal-dual log-det barrier Newton in numpy.
+
+Minimises ||S w - d||^2 + l^T w + tie tr K(w) - mu log det K(w) with S diagonal and
+K(w) = K0 + sum_k w_k K_k, while mu goes down to a target, and the tie to mu or to 0 from a value
+that makes K = 1 a good start. With tie = mu the last two terms are, up to a constant, mu times the
+log-det divergence of K from the identity, so that K stays near the identity where the data is blind
+(zeros in S). With tie = 0 they and l^T w may be a divergence from another matrix: a prior.
+
+The dual matrix Z stands for mu K^-1. Steps use the symmetric scaling of Nesterov and Todd and
+Mehrotra's predictor and corrector (Toh, Todd, Tutuncu, "SDPT3 - a MATLAB software package for
+semidefinite programming", 1999), which stay fast where the optimum lies on the boundary. Each step
+is solved as a least-squares problem, never through the squared Hessian.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.errors import SysidError
+from robot_sysid.records import Array
+
+_CONVERGED = 1e-8
+_ROUNDING = 1e-2
+_TO_THE_WALL = 0.95
+_CENTRALITY = 0.02
+_SHORT = 0.5
+_MAX_STEPS = 100
+
+
+@dataclass(frozen=True)
+class MatrixProblem:
+    """The data of the problem; the K_k span all symmetric matrices of their size s.
+
+    Attributes:
+        singular: (k,) diagonal of S, zero where the data is blind.
+        right: (k,) d.
+        linear: (k,) l.
+        tied: whether the tie ends at mu; else it ends at 0.
+        constant: (s, s) K0.
+        basis: (k, s, s) symmetric K_k.
+    """
+
+    singular: Array
+    right: Array
+    linear: Array
+    tied: bool
+    constant: Array
+    basis: Array
+
+    def matrix(self, w: Array) -> Array:
+        """Return K(w) (s, s)."""
+        return self.constant + np.tensordot(w, self.basis, axes=1)
+
+    def misfit(self, w: Array) -> float:
+        """Return ||S w - d||^2."""
+        return float(np.sum((self.singular * w - self.right) ** 2))
+
+    def slope(self, w: Array) -> Array:
+        """Return the gradient (k,) of ||S w - d||^2 + l^T w."""
+        return 2.0 * self.singular * (self.singular * w - self.right) + self.linear
+
+
+def minimise(
+    problem: MatrixProblem, start: NDArray[Any], target: Callable[[Array], float]
+) -> Array:
+    """Follow the minimiser down to mu = target(w).
+
+    Args:
+        problem: what to minimise.
+        start: (k,) with K(start) positive definite, best close to the identity.
+        target: the mu > 0 to end at, given the current w.
+
+    Raises:
+        SysidError: if it does not converge.
+    """
+    try:
+        return _follow(problem, start, target)
+    except np.linalg.LinAlgError as error:
+        raise _not_converged() from error
+
+
+def _follow(problem: MatrixProblem, w: Array, target: Callable[[Array], float]) -> Array:
+    dual, tie = _first_dual(problem, w, target(w))
+    dual_root = np.linalg.cholesky(dual)
+    before = np.inf
+    for _ in range(_MAX_STEPS):
+        scaling = _Scaling(problem, w, dual_root)
+        goal = target(w)
+        step = _predict_and_correct(scaling, goal, tie)
+        effect = scaling.effect(step.direction) / goal
+        w = w + step.length * step.direction
+        arrived = scaling.mu <= 1.01 * goal and tie <= (1.01 if problem.tied else 0.0) * goal
+        if arrived and _is_settled(effect, before):
+            return w
+        dual_root = scaling.moved_dual_root(step.length * step.dual)
+        tie = tie + step.length * (step.tie - tie)
+        before = effect
+    raise _not_converged()
+
+
+def _is_settled(effect: float, before: float) -> bool:
+    """Tell whether steps are small, or small enough and no longer shrinking: rounding is all."""
+    return effect <= _CONVERGED or (effect <= _ROUNDING and effect > 0.1 * before)
+
+
+def _not_converged() -> SysidError:
+    return SysidError(
+        "the physically consistent fit did not converge; check the units of the torques and of "
+        "the model's inertias, or use --consistency off"
+    )
+
+
+def _first_dual(problem: MatrixProblem, start: Array, goal: float) -> tuple[Array, float]:
+    """Return (Z (s, s), tie) that balance the slope at ``start``, Z well inside the cone."""
+    slope = problem.slope(start)
+    flat = problem.basis.reshape(len(start), -1)
+    dual = np.linalg.lstsq(flat, slope, rcond=None)[0].reshape(problem.constant.shape)
+    dual = 0.5 * (dual + dual.T)
+    largest = float(np.max(np.abs(np.linalg.eigvalsh(dual))))
+    tie = max(2.0 * largest, goal)
+    return dual + tie * np.eye(len(dual)), tie
+
+
+class _Scaling:
+    """The point (K, Z) in coordinates in which both are the same diagonal matrix."""
+
+    def __init__(self, problem: MatrixProblem, w: Array, dual_root: NDArray[Any]) -> None:
+        primal_root = np.linalg.cholesky(problem.matrix(w))
+        left, self.diagonal, right = np.linalg.svd(dual_root.T @ primal_root)
+        roots = np.sqrt(self.diagonal)
+        outer = primal_root @ right.T / roots
+        self._inverse = (left / roots).T @ dual_root.T
+        self._basis = self._inverse @ problem.basis @ self._inverse.T
+        self._trace, self.tied = outer.T @ outer, problem.tied
+        self._linear = problem.linear
+        root = np.sqrt(2.0)
+        curved = np.diag(root * problem.singular)
+        self._matrix = np.vstack((curved, self._basis.reshape(len(w), -1).T))
+        self._data = root * (problem.right - problem.singular * w)
+        self._size = len(w)
+
+    @property
+    def mu(self) -> float:
+        """Mean eigenvalue of K Z."""
+        return float(np.mean(self.diagonal**2))
+
+    def solve(self, mu: float, tie: float, second_order: Array) -> tuple[Array, Array, Array]:
+        """Return (dw, scaled dK, scaled dZ) that aim at K Z = mu and at this tie."""
+        correction = 2.0 * second_order / (self.diagonal[:, None] + self.diagonal)
+        pull = np.diag(mu / self.diagonal) - tie * self._trace - correction
+        step = self._least_squares(np.concatenate((self._data, pull.ravel())))
+        primal = np.tensordot(step, self._basis, axes=1)
+        centre = np.diag(mu / self.diagonal - self.diagonal)
+        return step, primal, centre - correction - primal
+
+    def _least_squares(self, right: Array) -> Array:
+        """Return argmin 0.5 ||matrix dw - right||^2 + l^T dw."""
+        orthogonal, triangle = np.linalg.qr(self._matrix)
+        pulled = orthogonal.T @ right - np.linalg.solve(triangle.T, self._linear)
+        return np.linalg.solve(triangle, pulled)
+
+    def room(self, change: Array) -> float:
+        """Return the largest factor <= 1 that keeps diagonal + factor * change positive."""
+        roots = np.sqrt(self.diagonal)
+        lowest = float(np.linalg.eigvalsh(change / np.outer(roots, roots))[0])
+        return min(1.0, _TO_THE_WALL / -lowest) if lowest < 0.0 else 1.0
+
+    def moved_dual_root(self, change: Array) -> Array:
+        """Return a root of Z after a change given in scaled form."""
+        return self._inverse.T @ np.linalg.cholesky(np.diag(self.diagonal) + change)
+
+    def effect(self, step: Array) -> float:
+        """Return the squared length of a step in the metric of the objective."""
+        return float(np.sum((self._matrix @ step) ** 2))
+
+
+@dataclass(frozen=True)
+class _Step:
+    direction: Array
+    dual: Array
+    tie: float
+    length: float
+
+
+def _predict_and_correct(scaling: _Scaling, goal: float, tie: float) -> _Step:
+    """Return the next step; how far a bold one would get decides which mu and tie it aims at."""
+    here = np.diag(scaling.diagonal)
+    last_tie = goal if scaling.tied else 0.0
+    _, primal, dual = scaling.solve(goal, last_tie, np.zeros_like(here))
+    bold = min(scaling.room(primal), scaling.room(dual))
+    reached = float(np.sum((here + bold * primal) * (here + bold * dual))) / len(here)
+    tie = last_tie + (1.0 - bold) ** 2 * (tie - last_tie)
+    share = min(max(reached, 0.0) / scaling.mu, 1.0)
+    # A mu that hurries ahead of the tie would leave no room to loosen it.
+    mu = max(scaling.mu * share**3, 0.1 * tie, goal)
+    product = primal @ dual
+    best = _aim(scaling, mu, tie, 0.5 * (product + product.T))
+    if best.length < _SHORT:
+        plain = _aim(scaling, mu, tie, np.zeros_like(here))
+        best = plain if plain.length > best.length else best
+    return best
+
+
+def _aim(scaling: _Scaling, mu: float, tie: float, second_order: Array) -> _Step:
+    direction, primal, dual = scaling.solve(mu, tie, second_order)
+    return _Step(direction, dual, tie, _central_length(scaling, primal, dual))
+
+
+def _central_length(scaling: _Scaling, primal: Array, dual: Array) -> float:
+    """Return a step length that leaves no eigenvalue of K Z far behind the others."""
+    here = np.diag(scaling.diagonal)
+    length = min(scaling.room(primal), scaling.room(dual))
+    for _ in range(_MAX_STEPS):
+        roots = [np.linalg.cholesky(here + length * change) for change in (dual, primal)]
+        products = np.linalg.svd(roots[0].T @ roots[1], compute_uv=False) ** 2
+        if products[-1] >= _CENTRALITY * np.mean(products):
+            break
+        length *= 0.7
+    return length
