@@ -1,0 +1,76 @@
+"""Frames on the bus: special commands, register requests, and what must never be sent."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from robot_sysid.errors import SysidError
+
+REGISTER_ID = 0x7FF
+READ, WRITE, REFRESH, STORE = 0x33, 0x55, 0xCC, 0xAA
+ENABLE, DISABLE, SET_ZERO, CLEAR_ERROR = 0xFC, 0xFD, 0xFE, 0xFB
+_SPECIAL = b"\xff" * 7
+
+
+class Frame(NamedTuple):
+    """One CAN frame.
+
+    Attributes:
+        id: 11-bit arbitration id.
+        data: up to 8 bytes.
+        time: when it was on the bus, in the link's clock [s].
+        fd: whether it is a CAN-FD frame.
+        error: whether it is an error frame, which carries no data.
+        echo: whether it is one of our own, reported back when it was on the bus.
+    """
+
+    id: int
+    data: bytes
+    time: float = 0.0
+    fd: bool = False
+    error: bool = False
+    echo: bool = False
+
+
+def enable_frame(can_id: int) -> Frame:
+    """Return the frame that enables a motor in MIT mode."""
+    return Frame(can_id, _SPECIAL + bytes([ENABLE]))
+
+
+def disable_frame(can_id: int) -> Frame:
+    """Return the frame that disables a motor in MIT mode."""
+    return Frame(can_id, _SPECIAL + bytes([DISABLE]))
+
+
+def refresh_frame(can_id: int) -> Frame:
+    """Return the request for one feedback frame without any effect on the motor."""
+    return Frame(REGISTER_ID, bytes([can_id & 0xFF, can_id >> 8, REFRESH, 0, 0, 0, 0, 0]))
+
+
+def read_frame(can_id: int, register: int) -> Frame:
+    """Return the request for a register's value."""
+    return Frame(REGISTER_ID, bytes([can_id & 0xFF, can_id >> 8, READ, register, 0, 0, 0, 0]))
+
+
+def write_frame(can_id: int, register: int, value: bytes) -> Frame:
+    """Return the request that writes four bytes to a register; lost at power-off."""
+    return Frame(REGISTER_ID, bytes([can_id & 0xFF, can_id >> 8, WRITE, register]) + value)
+
+
+def is_special(data: bytes) -> bool:
+    """Tell whether data starts with seven bytes 0xFF, which makes its last byte a command."""
+    return len(data) == 8 and data[:7] == _SPECIAL
+
+
+def refuse_harmful(frame: Frame) -> None:
+    """Raise SysidError for a frame this tool never sends.
+
+    That is: storing a new zero position, clearing an error (an operator has to look first), any
+    other special frame but enable and disable, and storing registers to flash.
+    """
+    if frame.id == REGISTER_ID:
+        harmful = len(frame.data) < 4 or frame.data[2] not in (READ, WRITE, REFRESH)
+    else:
+        harmful = is_special(frame.data) and frame.data[7] not in (ENABLE, DISABLE)
+    if harmful:
+        raise SysidError(f"refused to send {frame.data.hex(' ')} to {frame.id:#x}")
