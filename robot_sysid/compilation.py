@@ -15,8 +15,9 @@ import numpy as np
 from robot_sysid.assets import check_assets
 from robot_sysid.documents import ModelDocument, read_document
 from robot_sysid.errors import ModelError
+from robot_sysid.exact_inertia import restore_exact_inertias
 from robot_sysid.relocation import relocated_text
-from robot_sysid.urdf import compilable_urdf
+from robot_sysid.urdf import compilable_urdf, link_inertias
 
 _FAILURES = (ValueError, mujoco.FatalError, mujoco.UnexpectedError)
 _NAME = re.compile(r"(?:Element name|Object name =) ?'?([^',\n]+)")
@@ -106,15 +107,31 @@ def _compile_mjcf(document: ModelDocument, mesh_dir: Path | None) -> Any:
 
 
 def _compile_urdf(document: ModelDocument, mesh_dir: Path | None) -> tuple[Any, tuple[str, ...]]:
-    text, notes = compilable_urdf(document, mesh_dir)
+    text, notes = _urdf_text(document, mesh_dir, with_minimum=False)
     try:
-        return mujoco.MjModel.from_xml_string(text.decode()), notes
+        mj_model = mujoco.MjModel.from_xml_string(text)
     except _FAILURES as error:
         if "mjMINVAL" not in str(error):
             raise ModelError(_one_line(document, error)) from None
-    text, notes = compilable_urdf(document, mesh_dir, with_minimum=True)
+        text, notes = _urdf_text(document, mesh_dir, with_minimum=True)
+        mj_model = _compile_text(document, text)
+    restore_exact_inertias(mj_model, link_inertias(document))
+    return mj_model, notes
+
+
+def _urdf_text(
+    document: ModelDocument, mesh_dir: Path | None, with_minimum: bool
+) -> tuple[str, tuple[str, ...]]:
     try:
-        return mujoco.MjModel.from_xml_string(text.decode()), notes
+        text, notes = compilable_urdf(document, mesh_dir, with_minimum)
+    except (ValueError, TypeError) as error:
+        raise ModelError(f"{document.path}: a number cannot be read: {error}") from None
+    return text.decode(), notes
+
+
+def _compile_text(document: ModelDocument, text: str) -> Any:
+    try:
+        return mujoco.MjModel.from_xml_string(text)
     except _FAILURES as error:
         raise ModelError(_one_line(document, error)) from None
 

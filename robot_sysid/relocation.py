@@ -48,7 +48,7 @@ def relocated_text(
     folders = asset_folders(document, mesh_dir)
     _move_assets(writer, assets, folders)
     _move_folders(writer, document, folders, {asset.node.tag for asset in assets})
-    return _utf8_declaration(writer.text(document.main))
+    return utf8_declaration(writer.text(document.main))
 
 
 def reference(target: Path, folder: Path | None) -> str:
@@ -152,36 +152,36 @@ def _move_folders(
     writer: _Writer, document: ModelDocument, folders: AssetFolders, tags: set[str]
 ) -> None:
     """Make the compiler elements name the asset folders as seen from the new place."""
-    wanted = {}
-    if tags - {"texture", "model"}:
-        wanted["meshdir"] = reference(folders.mesh, writer.folder)
-    if "texture" in tags:
-        wanted["texturedir"] = reference(folders.texture, writer.folder)
+    places = {
+        "meshdir": reference(folders.mesh, writer.folder),
+        "texturedir": reference(folders.texture, writer.folder),
+    }
     compilers = [node for node in document.root.children() if node.tag == "compiler"]
-    defined: set[str] = set()
     for node in compilers:
-        values = _new_folder_attributes(node, wanted)
-        defined |= {name for name in wanted if values.get(name) or node.get("assetdir")}
-        writer.set_attributes(node, values)
-    missing = {n: v for n, v in wanted.items() if n not in defined and v != "."}
+        writer.set_attributes(node, _new_folder_attributes(node, places))
+    needed = {"meshdir"} if tags - {"texture", "model"} else set()
+    needed |= {"texturedir"} if "texture" in tags else set()
+    named = {
+        name for node in compilers for name in needed if node.get(name) or node.get("assetdir")
+    }
+    missing = {name: places[name] for name in sorted(needed - named) if places[name] != "."}
     if missing and compilers:
         writer.set_attributes(compilers[0], missing)
     elif missing:
         writer.insert_compiler(document.main, missing)
 
 
-def _new_folder_attributes(node: Node, wanted: Mapping[str, str]) -> dict[str, str | None]:
+def _new_folder_attributes(node: Node, places: Mapping[str, str]) -> dict[str, str | None]:
     """Return what a compiler element's folder attributes become; None removes one."""
-    values: dict[str, str | None] = {
-        name: wanted.get(name) for name in ("meshdir", "texturedir") if node.get(name)
-    }
+    values: dict[str, str | None] = {name: places[name] for name in places if node.get(name)}
     if (node.get("strippath") or "").lower() == "true":
         values["strippath"] = "false"
     if node.get("assetdir"):
         # meshdir and texturedir may have to differ now, so both are named.
-        values.update({"assetdir": None, **wanted})
+        values.update({"assetdir": None, **places})
     return values
 
 
-def _utf8_declaration(text: bytes) -> bytes:
+def utf8_declaration(text: bytes) -> bytes:
+    """Return UTF-8 text whose XML declaration, if it has one, says so."""
     return _DECLARED_ENCODING.sub(rb"\1utf-8\2", text, count=1)

@@ -53,6 +53,40 @@ def rotation_from_quaternion(quaternion: Array) -> Array:
     )
 
 
+def quaternion_from_rotation(rotation: Array) -> Array:
+    """Return the unit quaternion [w, x, y, z] of a (3, 3) rotation matrix.
+
+    Shepperd, "Quaternion from rotation matrix", 1978: the largest component is found first, so
+    that no division is by a small number.
+    """
+    trace = float(np.trace(rotation))
+    diagonal = np.append(trace, np.diag(rotation))
+    largest = int(np.argmax(diagonal))
+    anti = np.array(
+        [
+            rotation[2, 1] - rotation[1, 2],
+            rotation[0, 2] - rotation[2, 0],
+            rotation[1, 0] - rotation[0, 1],
+        ]
+    )
+    if largest == 0:
+        quaternion = np.append(1.0 + trace, anti)
+    else:
+        i = largest - 1
+        quaternion = np.append(anti[i], rotation[i] + rotation[:, i])
+        quaternion[largest] = 1.0 + 2.0 * rotation[i, i] - trace
+    return quaternion / np.linalg.norm(quaternion)
+
+
+def rotation_from_rpy(roll: float, pitch: float, yaw: float) -> Array:
+    """Return Rz(yaw) Ry(pitch) Rx(roll) (3, 3), URDF's ``rpy`` [rad]."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
+    about_y = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
+    about_z = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
+    return about_z @ about_y @ about_x
+
+
 def theta_from_com(mass: float, com: Array, inertia_com: Array) -> Array:
     """Return theta (10,) from mass, centre of mass (3,) and inertia about it (3, 3).
 

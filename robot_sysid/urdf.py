@@ -6,90 +6,23 @@ Nothing that enters the dynamics is dropped: a mesh goes only where the link has
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from robot_sysid import markup
+import numpy as np
+
+from robot_sysid import markup, spatial
 from robot_sysid.documents import ModelDocument, local_name
 from robot_sysid.errors import ModelError
+from robot_sysid.inertial_text import urdf_inertial_about_com
 from robot_sysid.markup import Edit
+from robot_sysid.records import Array
+from robot_sysid.urdf_meshes import MeshUse, mesh_uses, settings_edits, urdf_compilers
 
-READABLE_MESHES = (".stl", ".obj", ".msh")
 MINIMUM_MASS = 1e-6
 MINIMUM_INERTIA = 1e-9
-_SCHEME = re.compile(r"^(package|model|file)://")
 _SETTINGS = {"fusestatic": "false", "strippath": "false"}
-
-
-@dataclass(frozen=True)
-class MeshUse:
-    """A ``<mesh filename>`` in a URDF.
-
-    Attributes:
-        element: the mesh element.
-        link: the link it belongs to.
-        shape: the ``<visual>`` or ``<collision>`` around it.
-        name: the file name as written.
-        path: the file; None if it was not found.
-    """
-
-    element: Any
-    link: Any
-    shape: Any
-    name: str
-    path: Path | None
-
-    @property
-    def is_usable(self) -> bool:
-        """Whether the file exists in a format MuJoCo reads."""
-        return self.path is not None and self.path.suffix.lower() in READABLE_MESHES
-
-
-def mesh_uses(document: ModelDocument, mesh_dir: Path | None = None) -> tuple[MeshUse, ...]:
-    """Return every mesh reference of a URDF, resolved.
-
-    ``package://``, ``model://`` and plain names are looked up in ``mesh_dir``, then in the file's
-    folder and every folder above it, with and without the package's name.
-    """
-    uses = []
-    for link in document.main.root.iterchildren("{*}link"):
-        for shape in link.iterchildren("{*}visual", "{*}collision"):
-            for mesh in shape.iter("{*}mesh"):
-                name = mesh.get("filename") or ""
-                path = find_mesh(document, name, mesh_dir)
-                uses.append(MeshUse(mesh, link, shape, name, path))
-    return tuple(uses)
-
-
-def find_mesh(document: ModelDocument, name: str, mesh_dir: Path | None = None) -> Path | None:
-    """Return the file a URDF mesh name means, or None."""
-    if not name:
-        return None
-    candidates = _mesh_candidates(document, name.replace("\\", "/"), mesh_dir)
-    return next((path for path in candidates if path.is_file()), None)
-
-
-def _mesh_candidates(document: ModelDocument, name: str, mesh_dir: Path | None) -> Iterator[Path]:
-    scheme = _SCHEME.match(name)
-    rest = Path(name[scheme.end() :] if scheme else name)
-    if scheme and scheme.group(1) == "file":
-        rest = Path("/") / rest
-    inside = Path(*rest.parts[1:])
-    if mesh_dir is not None:
-        folder = Path(mesh_dir).absolute()
-        yield from (folder / rest, folder / inside, folder / rest.name)
-    own = document.folder
-    for setting in _compilers(document):
-        own_meshes = own / (setting.get("meshdir") or ".")
-        yield from (own_meshes / rest, own_meshes / rest.name)
-    yield own / rest
-    if scheme:
-        for folder in (own, *own.parents):
-            yield from (folder / rest, folder / inside)
-    yield own / rest.name
 
 
 def compilable_urdf(
@@ -109,39 +42,17 @@ def compilable_urdf(
     notes: list[str] = []
     _use_absolute_meshes(document, mesh_dir, edits, notes)
     edits += settings_edits(document, _SETTINGS)
+    edits += _level_inertials(document)
     if with_minimum:
         _add_minimum_inertia(document, edits, notes)
     return markup.apply_edits(document.main.text, edits), tuple(notes)
-
-
-def settings_edits(document: ModelDocument, settings: Mapping[str, str]) -> list[Edit]:
-    """Return the edits that set MuJoCo's compiler attributes in a URDF; its meshdir goes."""
-    file = document.main
-    compilers = _compilers(document)
-    if not compilers:
-        attributes = "".join(f' {name}="{value}"' for name, value in settings.items())
-        place = file.spans[0].inner_start
-        addition = f"<mujoco><compiler{attributes}/></mujoco>".encode()
-        return [Edit(place, place, addition)]
-    edits = []
-    for element in compilers:
-        span = file.span(element)
-        edits += [markup.set_attribute(file.text, span, n, v) for n, v in settings.items()]
-        removal = markup.remove_attribute(file.text, span, "meshdir")
-        edits += [removal] if removal else []
-    return edits
-
-
-def _compilers(document: ModelDocument) -> list[Any]:
-    root = document.main.root
-    return [c for m in root.iterchildren("{*}mujoco") for c in m.iterchildren("{*}compiler")]
 
 
 def _use_absolute_meshes(
     document: ModelDocument, mesh_dir: Path | None, edits: list[Edit], notes: list[str]
 ) -> None:
     file, dropped = document.main, {}
-    from_geometry = any(c.get("inertiafromgeom") == "true" for c in _compilers(document))
+    from_geometry = any(c.get("inertiafromgeom") == "true" for c in urdf_compilers(document))
     for use in mesh_uses(document, mesh_dir):
         if use.is_usable:
             path = str(use.path)
@@ -149,7 +60,9 @@ def _use_absolute_meshes(
         elif use.shape not in dropped:
             _check_can_drop(document, use, from_geometry)
             span = file.span(use.shape)
-            edits.append(Edit(span.start, span.end, b""))
+            # Line numbers in MuJoCo's messages must stay those of the file.
+            lines = file.text[span.start : span.end].count(b"\n")
+            edits.append(Edit(span.start, span.end, b"\n" * lines))
             dropped[use.shape] = use
     # A shape is dropped whole, so the edits inside it must go with it.
     removed = [file.span(shape) for shape in dropped]
@@ -204,11 +117,43 @@ def _add_minimum_inertia(document: ModelDocument, edits: list[Edit], notes: list
 
 
 def _minimum(mass: float) -> bytes:
-    value = f"{MINIMUM_INERTIA:g}"
-    return (
-        f'<inertial><mass value="{max(mass, MINIMUM_MASS)!r}"/><inertia ixx="{value}" '
-        f'iyy="{value}" izz="{value}" ixy="0" ixz="0" iyz="0"/></inertial>'
-    ).encode()
+    inertia = MINIMUM_INERTIA * np.eye(3)
+    return urdf_inertial_about_com(max(mass, MINIMUM_MASS), np.zeros(3), inertia).encode()
+
+
+def link_inertias(document: ModelDocument) -> dict[str, tuple[float, Array, Array]]:
+    """Return link name to (mass, centre of mass (3,), inertia about it (3, 3) in link axes)."""
+    found = {}
+    for link in document.main.root.iterchildren("{*}link"):
+        inertial = link.find("{*}inertial")
+        inertia = inertial.find("{*}inertia") if inertial is not None else None
+        if inertia is None:
+            continue
+        origin = inertial.find("{*}origin")
+        com = _floats(origin, "xyz")
+        rotation = spatial.rotation_from_rpy(*_floats(origin, "rpy"))
+        six = [float(inertia.get(n) or 0.0) for n in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")]
+        matrix = rotation @ spatial.symmetric_from_six(np.array(six)) @ rotation.T
+        found[str(link.get("name"))] = (_mass(link), com, matrix)
+    return found
+
+
+def _floats(element: Any, name: str) -> Array:
+    text = element.get(name) if element is not None else None
+    return np.array([float(word) for word in text.split()]) if text else np.zeros(3)
+
+
+def _level_inertials(document: ModelDocument) -> Iterator[Edit]:
+    """Turn inertias into link axes: MuJoCo 3.3 ignores the ``rpy`` of an inertial."""
+    inertias, file = link_inertias(document), document.main
+    for link in document.main.root.iterchildren("{*}link"):
+        inertial = link.find("{*}inertial")
+        origin = inertial.find("{*}origin") if inertial is not None else None
+        if np.any(_floats(origin, "rpy")) and not _lacks_inertia(link):
+            span = file.span(inertial)
+            lines = b"\n" * file.text[span.start : span.end].count(b"\n")
+            text = urdf_inertial_about_com(*inertias[str(link.get("name"))])
+            yield Edit(span.start, span.end, text.encode() + lines)
 
 
 def _moving_links_without_mass(document: ModelDocument) -> Iterator[Any]:
