@@ -88,7 +88,9 @@ def _run(arguments: list[str]) -> int:
     outcome = run(config, console)
     for line in outcome.report_lines(options.verbose):
         console.stage(line)
-    return outcome.exit_code
+    if outcome.failure:
+        raise SysidError(outcome.failure)
+    return 0
 
 
 def _report(message: str, code: int, debug: bool) -> int:

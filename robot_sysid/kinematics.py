@@ -15,6 +15,8 @@ import numpy as np
 
 from robot_sysid.records import Array, BodyMotion, RobotModel
 
+MUJOCO_VERSION: str = mujoco.__version__
+
 
 def analysis_copy(mj_model: Any) -> Any:
     """Return a copy of a compiled model reduced to rigid-body dynamics, armature and springs.

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import os
+from collections.abc import Sequence
 from pathlib import Path
 
+from robot_sysid.damiao.trajectory_csv import DamiaoExportReport
 from robot_sysid.records import Estimate, Identification, Status
 
 
@@ -64,8 +65,20 @@ def detail_lines(identification: Identification) -> list[str]:
     ]
 
 
+def clamping_lines(report: DamiaoExportReport | None, joints: Sequence[str]) -> list[str]:
+    """Return what the Damiao export did, or nothing where there was none."""
+    if report is None:
+        return []
+    shares = zip(joints, report.joints, report.clamped_percent)
+    return [
+        "Damiao export, clamped to motor limits:",
+        *(f"  {joint} ({motor.motor_type}): {share:.1f} %" for joint, motor, share in shares),
+        *(f"  {warning}" for warning in report.warnings),
+    ]
+
+
 def folder_text(folder: Path) -> str:
     """Return a folder as the user would type it, with a trailing slash: ./sysid_output/."""
     text = folder.as_posix()
     prefix = "" if folder.is_absolute() or text.startswith(".") else "./"
-    return f"{prefix}{text}/" if text != "." else f".{os.sep}"
+    return f"{prefix}{text}/" if text != "." else "./"

@@ -34,7 +34,7 @@ _SPEED_CHECK_HZ = 50.0
 _TORQUE_CHECK_HZ = 25.0
 _FEWEST_CHECKS = 256
 _SMALLEST_FACTOR = 2.0**-30
-_CHUNK = 2048
+CHUNK = 2048
 
 TorqueFunction = Callable[[Motion], Array]
 
@@ -118,7 +118,7 @@ def window(time: Array, duration: float, fade: float) -> tuple[Array, Array, Arr
     return w, np.where(rising, dw, -dw), ddw
 
 
-def sample_times(duration: float, sample_rate: float, chunk: int = _CHUNK) -> Iterator[Array]:
+def sample_times(duration: float, sample_rate: float, chunk: int = CHUNK) -> Iterator[Array]:
     """Yield the sample times k / rate from 0 to the duration, both included, in chunks [s]."""
     count = sample_count(duration, sample_rate)
     for first in range(0, count, chunk):

@@ -1,0 +1,124 @@
+"""Writing the results: all files, each checked, or none."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from robot_sysid.composite import subtree_bodies
+from robot_sysid.config import SysidConfig
+from robot_sysid.damiao.joints import damiao_joints
+from robot_sysid.damiao.trajectory_csv import DamiaoExportReport, export_damiao_trajectory
+from robot_sysid.export import params_json_text, updated_model_text
+from robot_sysid.files import WholeFiles, whole_files
+from robot_sysid.records import Array, Identification, Motion, RobotModel
+from robot_sysid.reproduction import require_reproduction
+from robot_sysid.verification import reads_fullinertia_exactly, verify_written_model
+from robot_sysid.write_back import plan_write_back
+
+PARAMS_NAME = "params.json"
+DAMIAO_NAME = "damiao_trajectory.csv"
+
+Command = tuple[Array, Array, Array, Array]
+"""A chunk of time (N,), q, qd and feed-forward tau (N, n) [s, rad, rad/s, N m]."""
+
+
+@dataclass(frozen=True)
+class Written:
+    """What was written.
+
+    Attributes:
+        files: their paths.
+        identification: the result, with notes that arose while writing.
+        damiao: report of the Damiao export, where one was asked for.
+    """
+
+    files: tuple[Path, ...]
+    identification: Identification
+    damiao: DamiaoExportReport | None
+
+
+def updated_model_name(model: Path) -> str:
+    """Return the name of the written model: URDF stays URDF, all else is updated_model.xml."""
+    return "updated_model.urdf" if model.suffix.lower() == ".urdf" else "updated_model.xml"
+
+
+def check_motor_types(config: SysidConfig, robot: RobotModel) -> None:
+    """Raise InputError before any work where the Damiao export could not be done."""
+    if config.export_damiao:
+        damiao_joints(config.motor_types, robot.n_joints)
+
+
+def write_results(
+    config: SysidConfig,
+    robot: RobotModel,
+    identification: Identification,
+    checkpoints: Motion,
+    commands: Callable[[], Iterator[Command]],
+) -> Written:
+    """Write params.json, the updated model and, where asked for, the motor trajectory.
+
+    An estimate that is no possible rigid body gets a params.json only, which says so.
+
+    Args:
+        config: names and options.
+        robot: the arm as loaded.
+        identification: the result.
+        checkpoints: motion on which the written model must reproduce the predicted torque.
+        commands: gives the motion and feed-forward torque to export for motors.
+
+    Raises:
+        ExportError: a written file does not pass its check; nothing is left behind.
+        InputError: the folder cannot be written to.
+    """
+    folder = config.output_dir
+    names, report = [], None
+    with whole_files() as files:
+        if identification.estimate.inertial.is_consistent:
+            names.append(updated_model_name(config.model))
+            note = _write_model(
+                files, folder / names[-1], config, robot, identification, checkpoints
+            )
+            identification = replace(identification, notes=identification.notes + note)
+        if config.export_damiao:
+            names.append(DAMIAO_NAME)
+            report = _write_damiao(files, folder / DAMIAO_NAME, config, commands())
+        names.append(PARAMS_NAME)
+        files.write(folder / PARAMS_NAME, params_json_text(identification))
+    return Written(tuple(folder / name for name in names), identification, report)
+
+
+def _write_model(
+    files: WholeFiles,
+    path: Path,
+    config: SysidConfig,
+    robot: RobotModel,
+    identification: Identification,
+    checkpoints: Motion,
+) -> tuple[str, ...]:
+    """Write the updated model, compile it again and compare; returns notes."""
+    estimate = identification.estimate
+    theta = estimate.inertial.theta
+    bodies = subtree_bodies(robot.mj_model, robot.reference_qpos, robot.body_id)
+    plan = plan_write_back(theta, bodies)
+    text = updated_model_text(
+        config.model,
+        robot.body_name,
+        plan,
+        estimate.rmse,
+        path.absolute().parent,
+        config.mesh_dir,
+        principal=not reads_fullinertia_exactly(plan.theta),
+    )
+    draft = files.write(path, text)
+    compiled = verify_written_model(robot.mj_model, draft, robot.body_id, plan)
+    require_reproduction(robot, theta, compiled.mj_model, checkpoints, path)
+    return (plan.note,) if plan.note else ()
+
+
+def _write_damiao(
+    files: WholeFiles, path: Path, config: SysidConfig, commands: Iterator[Command]
+) -> DamiaoExportReport:
+    with open(files.draft(path), "w", encoding="utf-8", newline="\n") as file:
+        return export_damiao_trajectory(commands, config.motor_types, file)
