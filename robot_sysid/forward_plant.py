@@ -38,7 +38,7 @@ def forward_copy(plant: RobotModel) -> Any:
     """Return a copy of the plant's compiled model set up to be stepped as described above."""
     model = analysis_copy(plant.mj_model)
     flags, disable = int(model.opt.disableflags), mujoco.mjtDisableBit
-    for name in ("EQUALITY", "LIMIT", "CONTACT", "ACTUATION"):
+    for name in ("EQUALITY", "LIMIT", "ACTUATION"):
         flags |= int(getattr(disable, f"mjDSBL_{name}"))
     model.opt.disableflags = flags & ~int(disable.mjDSBL_CONSTRAINT)
     model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_RK4)

@@ -52,6 +52,20 @@ def test_the_acceleration_under_the_torque_of_a_motion_is_that_of_the_motion(xml
     np.testing.assert_allclose(plant.dry_friction(), dry, rtol=0.0, atol=1e-6 * scale)
 
 
+def test_actuators_and_contacts_of_the_model_do_not_act():
+    plain = arms.serial_arm((arms.Z, arms.Y, arms.X))
+    ball = '<geom type="sphere" size=".3" mass="0"/><joint name="joint'
+    servo = '<actuator><position joint="joint1" kp="500" ctrlrange="-1 1"/></actuator></mujoco>'
+    busy = plain.replace('<joint name="joint', ball).replace("</mujoco>", servo)
+    found = []
+    for xml in (plain, busy):
+        plant = forward(robot_of(xml))
+        plant.reset(np.full(3, 0.3), np.ones(3))
+        found.append(plant.acceleration(np.zeros(3)))
+    assert robot_of(busy).mj_model.nu == 1
+    np.testing.assert_array_equal(found[0], found[1])
+
+
 @pytest.mark.parametrize("name", ["coupled fingers", "free object beside", "home keyframe"])
 def test_what_is_not_in_the_chain_stays_where_it_is(name):
     robot = robot_of(arms.MODELS[name])
