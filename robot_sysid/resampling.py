@@ -1,0 +1,115 @@
+"""Irregular samples to a uniform time grid."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.errors import InputError
+from robot_sysid.records import Array, Measurement
+
+# Clocks are rarely better than this part of a sampling period.
+_REGULAR = 0.01
+
+
+@dataclass(frozen=True)
+class UniformSignals:
+    """Positions and torques on a uniform grid.
+
+    Attributes:
+        start: time of the first sample [s].
+        rate: sample rate [Hz].
+        q, tau: (N, n) [rad, N m].
+        gap: (N,) length of the hole in the log that a sample bridges [s]; zero where there is none.
+        notes: what was done.
+    """
+
+    start: float
+    rate: float
+    q: Array
+    tau: Array
+    gap: Array
+    notes: tuple[str, ...]
+
+
+def resampled(measurement: Measurement, rate: float | None = None) -> UniformSignals:
+    """Put a log on a uniform grid.
+
+    A log that is even up to the digits of its time stamps is taken as it is; else every joint is
+    interpolated by cubic splines, at its own time stamps where it has them.
+
+    Args:
+        measurement: the whole log.
+        rate: sample rate of the grid [Hz]; None takes the log's usual one.
+
+    Raises:
+        InputError: there are too few samples.
+    """
+    time = measurement.time
+    if len(time) < 8:
+        raise InputError(f"only {len(time)} samples; a log of several seconds is needed")
+    usual = rate or usual_rate(time)
+    if rate is None and measurement.joint_time is None and is_even(time):
+        gap = np.zeros(len(time))
+        exact = (len(time) - 1) / float(time[-1] - time[0])
+        return UniformSignals(float(time[0]), exact, measurement.q, measurement.tau, gap, ())
+    return _interpolated(measurement, usual)
+
+
+def usual_rate(time: Array) -> float:
+    """Return samples per second, holes left out."""
+    step = np.diff(time)
+    return float(1.0 / np.mean(step[step <= 1.75 * np.median(step)]))
+
+
+def is_even(time: Array) -> bool:
+    """Return whether time stamps are evenly spaced, up to their number of digits."""
+    line = np.linspace(time[0], time[-1], len(time))
+    period = float(time[-1] - time[0]) / (len(time) - 1)
+    return bool(np.max(np.abs(time - line)) <= max(_REGULAR * period, 1.01 * _last_digit(time)))
+
+
+def _last_digit(time: Array) -> float:
+    """Return the weight of the last decimal in use [s], at most a millisecond."""
+    since = time - time[0]
+    for digits in (3, 4, 5, 6):
+        scaled = since * 10.0**digits
+        if np.all(np.abs(scaled - np.round(scaled)) < 1e-3):
+            return 10.0**-digits
+    return 0.0
+
+
+def _interpolated(measurement: Measurement, rate: float) -> UniformSignals:
+    time = measurement.time
+    own = measurement.joint_time
+    first = float(time[0] if own is None else max(time[0], own[0].max()))
+    last = float(time[-1] if own is None else min(time[-1], own[-1].min()))
+    # A last sample that rounding puts just beyond the end is still on the grid.
+    count = math.floor((last - first) * rate + 1e-6) + 1
+    grid = np.minimum(first + np.arange(count) / rate, last)
+    q, tau = np.empty((count, measurement.q.shape[1])), np.empty((count, measurement.q.shape[1]))
+    for joint in range(q.shape[1]):
+        stamps = time if own is None else own[:, joint]
+        fresh = np.concatenate(([True], np.diff(stamps) > 0.0))
+        both = np.column_stack((measurement.q[:, joint], measurement.tau[:, joint]))
+        q[:, joint], tau[:, joint] = _spline(stamps[fresh], both[fresh], grid).T
+    said = "each joint at its own time stamps" if own is not None else "uneven time stamps"
+    note = f"resampled to a uniform {rate:.6g} Hz ({said}, cubic splines)"
+    return UniformSignals(first, rate, q, tau, _gaps(time, grid, rate), (note,))
+
+
+def _spline(time: Array, values: Array, grid: Array) -> Array:
+    from scipy.interpolate import CubicSpline
+
+    return CubicSpline(time, values)(grid)
+
+
+def _gaps(time: Array, grid: Array, rate: float) -> Array:
+    step = np.diff(time)
+    index: NDArray[np.intp] = np.clip(np.searchsorted(time, grid) - 1, 0, len(step) - 1)
+    length = step[index]
+    on_sample = np.abs(grid - time[np.clip(index + 1, 0, len(time) - 1)]) < 1e-3 / rate
+    return np.where((length > 1.75 / rate) & ~on_sample, length, 0.0)
