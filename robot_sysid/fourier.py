@@ -1,0 +1,173 @@
+"""Fourier series trajectories: linear in their coefficients, at rest at both ends.
+
+Joint j follows q_j(t) = r_j + w(t) (o_j + sum_k a_jk sin(k W t) + b_jk cos(k W t)), W = 2 pi f0, as
+in Swevers, Ganseman, Tukel, De Schutter, Van Brussel, "Optimal robot excitation and
+identification", IEEE Trans. Robotics and Automation 13(5), 1997, eq. 5. Rest at both ends comes
+from one of two places:
+
+- faded: a window w rises smoothly from 0 to 1 and falls back (``trajectory.window``);
+- periodic (fade = 0): w = 1, and the coefficients obey sum b = -o, sum k a = 0, sum k^2 b = 0, so
+  that the motion can be repeated without a stop.
+
+Because q is linear in (o, a, b), so are velocity and acceleration, and all joints share one matrix
+of basis functions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from robot_sysid.errors import InputError
+from robot_sysid.records import Array, Motion, checked_array
+from robot_sysid.trajectory import window
+
+END_TOLERANCE = 1e-9
+"""Largest velocity and acceleration a periodic trajectory may have at its ends [rad/s, rad/s^2]."""
+
+
+@dataclass(frozen=True)
+class FourierBasis:
+    """The functions a Fourier series trajectory is made of: 1, sin(k W t), cos(k W t), k = 1..K.
+
+    Attributes:
+        duration: length [s].
+        base_frequency_hz: frequency f0 of the first harmonic [Hz].
+        harmonics: number of harmonics K.
+        fade: time the window takes to rise and to fall [s]; 0 for a periodic trajectory.
+    """
+
+    duration: float
+    base_frequency_hz: float
+    harmonics: int
+    fade: float
+
+    def __post_init__(self) -> None:
+        if not (self.duration > 0.0 and self.base_frequency_hz > 0.0):
+            raise InputError("a Fourier series needs a positive duration and base frequency")
+        least = 1 if self.fade > 0.0 else 3
+        if self.harmonics < least:
+            raise InputError(
+                f"--harmonics {self.harmonics} is too few: a trajectory that is at rest at both "
+                f"ends this way needs at least {least}"
+            )
+        self._require_ends()
+
+    def _require_ends(self) -> None:
+        if self.fade < 0.0 or 2.0 * self.fade > self.duration:
+            raise InputError(f"fade {self.fade} s does not fit twice into {self.duration} s")
+        periods = self.duration * self.base_frequency_hz
+        if self.fade == 0.0 and (round(periods) < 1 or abs(periods - round(periods)) > 1e-12):
+            raise InputError(
+                f"--base-frequency {self.base_frequency_hz:g}: a periodic trajectory of "
+                f"{self.duration:g} s must hold a whole number of periods (it holds {periods:g})"
+            )
+
+    @property
+    def size(self) -> int:
+        """Number of functions 2 K + 1."""
+        return 2 * self.harmonics + 1
+
+    @property
+    def top_frequency_hz(self) -> float:
+        """Frequency of the last harmonic [Hz]."""
+        return self.harmonics * self.base_frequency_hz
+
+    @property
+    def order(self) -> Array:
+        """Harmonic numbers k = 1..K."""
+        return np.arange(1.0, self.harmonics + 1.0)
+
+    def evaluate(self, time: Array) -> tuple[Array, Array, Array]:
+        """Return the functions and their first and second derivatives (N, 2 K + 1)."""
+        time = np.asarray(time, dtype=float)
+        s, ds, dds = self._series(time)
+        if self.fade == 0.0:
+            return s, ds, dds
+        w, dw, ddw = (value[:, None] for value in window(time, self.duration, self.fade))
+        return w * s, dw * s + w * ds, ddw * s + 2.0 * dw * ds + w * dds
+
+    def _series(self, time: Array) -> tuple[Array, Array, Array]:
+        omega = 2.0 * np.pi * self.base_frequency_hz * self.order
+        sine, cosine = np.sin(np.outer(time, omega)), np.cos(np.outer(time, omega))
+        one, zero = np.ones((len(time), 1)), np.zeros((len(time), 1))
+        return (
+            np.hstack((one, sine, cosine)),
+            np.hstack((zero, omega * cosine, -omega * sine)),
+            np.hstack((zero, -(omega**2) * sine, -(omega**2) * cosine)),
+        )
+
+    def free_directions(self) -> Array:
+        """Return (2 K + 1, M) orthonormal directions that keep both ends at rest.
+
+        All of them where a window does that; otherwise those of o + sum b = 0, sum k a = 0,
+        sum k^2 b = 0.
+        """
+        if self.fade > 0.0:
+            return np.eye(self.size)
+        return np.linalg.svd(self._end_conditions())[2][3:].T
+
+    def _end_conditions(self) -> Array:
+        """Return (3, 2 K + 1) rows whose product with the coefficients must be zero."""
+        k, none = self.order, np.zeros(self.harmonics)
+        conditions = np.zeros((3, self.size))
+        conditions[0] = np.concatenate(([1.0], none, none + 1.0))
+        conditions[1, 1:] = np.concatenate((k / k[-1], none))
+        conditions[2, 1:] = np.concatenate((none, (k / k[-1]) ** 2))
+        return conditions
+
+
+@dataclass(frozen=True)
+class FourierTrajectory:
+    """A Fourier series per joint, starting and ending at rest in the same configuration.
+
+    Attributes:
+        basis: the functions.
+        rest: (n,) position at both ends [rad].
+        coefficients: (n, 2 K + 1) per joint offset, K sine and K cosine coefficients [rad].
+    """
+
+    basis: FourierBasis
+    rest: Array
+    coefficients: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rest", checked_array(self.rest, (None,), "rest"))
+        shape = (len(self.rest), self.basis.size)
+        value = checked_array(self.coefficients, shape, "Fourier coefficients")
+        object.__setattr__(self, "coefficients", value)
+        if self.basis.fade == 0.0:
+            self._require_rest()
+
+    def _require_rest(self) -> None:
+        """Refuse coefficients that do not start at rest; 0 at time 0 means 0 after each period."""
+        position, velocity, acceleration = self.basis.evaluate(np.zeros(1))
+        for row in (position, velocity, acceleration):
+            worst = float(np.max(np.abs(row @ self.coefficients.T)))
+            if worst > END_TOLERANCE:
+                raise InputError(
+                    f"the coefficients of a periodic trajectory do not start at rest (off by "
+                    f"{worst:.1e}); use a trajectory with a fade, or design it again"
+                )
+
+    @property
+    def duration(self) -> float:
+        """Length [s]."""
+        return self.basis.duration
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints n."""
+        return len(self.rest)
+
+    def evaluate(self, time: Array) -> Motion:
+        """Return position, velocity and acceleration at times (N,) [s]."""
+        time = np.asarray(time, dtype=float)
+        position, velocity, acceleration = self.basis.evaluate(time)
+        c = self.coefficients.T
+        return Motion(time, self.rest + position @ c, velocity @ c, acceleration @ c)
+
+    def scaled(self, factor: float) -> FourierTrajectory:
+        """Return the trajectory with all departures from rest times ``factor``."""
+        return replace(self, coefficients=factor * self.coefficients)
