@@ -18,12 +18,14 @@ from validate_regressor import with_link
 
 from robot_sysid import spatial
 from robot_sysid.collection import (
+    NO_FRICTION,
     TERMINAL_FRICTION,
     Equations,
     collect_sysid_data,
     friction_of_terminal_joint,
 )
 from robot_sysid.friction import FrictionModel
+from robot_sysid.information import InformationAccumulator
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Estimate, InertialParameters, MotionPlan, RobotModel
 from robot_sysid.simulator import inverse_torque, simulate_inverse
@@ -100,15 +102,21 @@ def links_known(guess: RobotModel, truth: RobotModel, plan: MotionPlan) -> bool:
 def payload_by_difference(guess: RobotModel, truth: RobotModel, plan: MotionPlan) -> bool:
     """The tool alone, from two runs on one trajectory: whatever is wrong in both cancels.
 
-    Least squares is linear in the torques, and both runs have the same regressor.
+    tau_with - tau_without = Y (theta_with - theta_without) = Y theta_tool.
     """
     print("\n4. The tool alone: run with it minus run without it, all other links guessed wrong")
     tool = spatial.transform_theta(gen3.gripper_with_workpiece(), np.eye(3), np.array(gen3.FLANGE))
     bare = truth.prior.theta - tool
     unloaded = replace(truth, mj_model=with_link(truth, bare), prior=InertialParameters(bare))
-    with_tool, without = identify(guess, truth, plan), identify(guess, unloaded, plan)
-    found = with_tool.values[:10] - without.values[:10]
-    return print_table(tool, found, guess)
+    equations = Equations(guess, "chain", (NO_FRICTION,) * guess.n_joints)
+    found = InformationAccumulator(equations.names, equations.joints, equations.columns)
+    runs = (simulate_inverse(arm, motion_chunks(plan, SAMPLE_RATE)) for arm in (truth, unloaded))
+    for pair in zip(*runs):
+        (loaded, empty) = (equations.rows(measurement) for measurement in pair)
+        for joint, ((rows, tau), (_, tau_empty)) in enumerate(zip(loaded, empty)):
+            found.add(joint, rows, tau - tau_empty)
+    estimate = identify_parameters(found.result(), np.zeros(10))
+    return print_table(tool, estimate.values, guess)
 
 
 def links_from_the_catalogue(guess: RobotModel, truth: RobotModel, plan: MotionPlan) -> None:

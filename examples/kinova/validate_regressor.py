@@ -13,7 +13,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -76,22 +75,13 @@ def both_torques(robot: RobotModel, theta: Array, motion: Motion) -> tuple[Array
 def with_link(robot: RobotModel, theta: Array) -> Any:
     """Return a copy of the compiled model whose terminal body has the parameters theta (10,)."""
     mass, com, inertia = spatial.com_from_theta(theta)
-    single = mujoco.MjModel.from_xml_string(_one_body(mass, com, inertia))
-    model = copy.copy(robot.mj_model)
-    for field in ("body_mass", "body_ipos", "body_iquat", "body_inertia"):
-        getattr(model, field)[robot.body_id] = getattr(single, field)[1]
+    moments, axes = np.linalg.eigh(inertia)
+    axes[:, 0] *= np.linalg.det(axes)
+    model, body = copy.copy(robot.mj_model), robot.body_id
+    model.body_mass[body], model.body_ipos[body] = mass, com
+    model.body_inertia[body] = moments
+    model.body_iquat[body] = spatial.quaternion_from_rotation(axes)
     return model
-
-
-def _one_body(mass: float, com: Array, inertia: Array) -> str:
-    numbers = (
-        " ".join(map(repr, map(float, values)))
-        for values in ([mass], com, spatial.fullinertia_from_symmetric(inertia))
-    )
-    return (
-        '<mujoco><worldbody><body><freejoint/><inertial mass="{}" pos="{}" fullinertia="{}"/>'
-        "</body></worldbody></mujoco>"
-    ).format(*numbers)
 
 
 if __name__ == "__main__":
