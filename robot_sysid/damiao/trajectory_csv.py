@@ -145,12 +145,11 @@ def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
     joints: list[DamiaoJoint] = []
     with _opened(path) as file:
         for number, line in enumerate(file, start=1):
-            if line.startswith("#"):
-                if "motor_type" in line:
-                    joints.append(_parse_joint(line, path, number))
-                continue
-            _check_columns(line, len(joints), path, number)
-            return DamiaoTrajectory(path, tuple(joints), number)
+            if not line.startswith("#"):
+                _check_columns(line, len(joints), path, number)
+                return DamiaoTrajectory(path, tuple(joints), number)
+            if "motor_type" in line:
+                joints.append(_parse_joint(line, path, number))
     raise InputError(f"{path} has no column line; it is not a Damiao trajectory")
 
 

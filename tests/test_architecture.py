@@ -1,0 +1,224 @@
+"""The package's shape: who may import whom, and how large a function or module may grow.
+
+A new module needs no entry here as long as it is pure maths; one that touches MuJoCo, files or
+motors is listed in its room below.
+"""
+
+from __future__ import annotations
+
+import ast
+import io
+import tokenize
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parents[1] / "robot_sysid"
+
+ROOMS = {
+    "command": {"cli", "damiao_cli"},
+    "pipeline": {"pipeline", "results", "summary"},
+    "model": {
+        *("parser", "compilation", "composite", "exact_inertia", "terminal", "limits"),
+        *("kinematics", "simulator", "collection", "collisions", "clearance", "halfspaces"),
+        *("plant", "plant_loading", "plant_simulation", "forward_plant", "closed_loop"),
+        *("excitation_problem", "verification", "reproduction"),
+    },
+    "files": {"measurement", "export", "params_json", "report"},
+    "damiao": {"damiao"},
+    "text": {
+        *("documents", "markup", "assets", "relocation", "urdf", "urdf_meshes"),
+        *("body_search", "compiler_settings", "inertial_text"),
+    },
+    "base": {"", "records", "errors", "spatial", "config"},
+}
+MAY_IMPORT = {
+    "command": {"pipeline", "model", "files", "damiao", "text", "maths", "base"},
+    "pipeline": {"model", "files", "damiao", "text", "maths", "base"},
+    "model": {"text", "maths", "base"},
+    "files": {"text", "maths", "base"},
+    "damiao": {"maths", "base"},
+    "text": {"maths", "base"},
+    "maths": {"base"},
+    "base": set(),
+}
+LIBRARY_ROOMS = {"mujoco": {"model"}, "lxml": {"text", "files"}, "can": {"damiao"}}
+LIBRARY_MODULES = {"matplotlib": "robot_sysid.report", "can": "robot_sysid.damiao.bus"}
+SLOW_TO_IMPORT = {"scipy", "sympy", "matplotlib", "can"}
+MOST_FUNCTION_LINES, MOST_MODULE_LINES, MOST_NESTING = 40, 500, 3
+
+BLOCKS = (ast.For, ast.While, ast.If, ast.With, ast.Try)
+FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
+NOT_CODE = {
+    *(tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT),
+    *(tokenize.ENDMARKER, tokenize.ENCODING),
+}
+
+
+def package_sources() -> dict[str, str]:
+    """Return source text by module name."""
+    sources = {}
+    for path in sorted(PACKAGE.rglob("*.py")):
+        parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+        name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+        sources[name] = path.read_text(encoding="utf-8")
+    return sources
+
+
+def room_of(module: str) -> str:
+    """Return the room of a module; one that is listed nowhere is pure maths."""
+    head = ".".join(module.split(".")[1:2])
+    return next((room for room, names in ROOMS.items() if head in names), "maths")
+
+
+def imports(source: str, known: Mapping[str, str], top_level: bool = False) -> Iterator[str]:
+    """Yield the full names a module imports; names out of a package's module become that module."""
+    tree = ast.parse(source)
+    for node in tree.body if top_level else ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "relative imports hide who imports whom; write them out"
+            for alias in node.names:
+                full = f"{node.module}.{alias.name}"
+                yield full if full in known else str(node.module)
+
+
+def import_faults(sources: Mapping[str, str]) -> Iterator[str]:
+    """Yield one line per import that the rooms do not allow."""
+    for module, source in sources.items():
+        room = room_of(module)
+        for name in set(imports(source, sources)) - {module}:
+            library = name.split(".")[0]
+            if library == "robot_sysid":
+                if room_of(name) not in MAY_IMPORT[room] | {room}:
+                    yield f"{module} ({room}) imports {name} ({room_of(name)})"
+            elif room not in LIBRARY_ROOMS.get(library, {room}):
+                yield f"{module} ({room}) imports {library}"
+            elif not module.startswith(LIBRARY_MODULES.get(library, "")):
+                yield f"{module} imports {library}"
+        for name in imports(source, sources, top_level=True):
+            if name.split(".")[0] in SLOW_TO_IMPORT:
+                yield f"{module} imports {name} at start-up; do it inside the function"
+
+
+def circles(sources: Mapping[str, str]) -> Iterator[str]:
+    """Yield one line per module that imports itself through others."""
+    graph = {m: {i for i in imports(s, sources) if i in sources} - {m} for m, s in sources.items()}
+    for start in graph:
+        reached, waiting = set(), list(graph[start])
+        while waiting:
+            module = waiting.pop()
+            if module not in reached:
+                reached.add(module)
+                waiting.extend(graph[module])
+        if start in reached:
+            yield f"{start} imports itself in a circle"
+
+
+def code_lines(source: str, tree: ast.Module) -> set[int]:
+    """Return the numbers of the lines with code: no comments, blank lines or docstrings."""
+    tokens = tokenize.generate_tokens(io.StringIO(source).readline)
+    spans = [(t.start[0], t.end[0]) for t in tokens if t.type not in NOT_CODE]
+    lines = {line for first, last in spans for line in range(first, last + 1)}
+    for node in ast.walk(tree):
+        if isinstance(node, (ast.Module, ast.ClassDef, *FUNCTIONS)) and ast.get_docstring(node):
+            lines -= set(range(node.body[0].lineno, (node.body[0].end_lineno or 0) + 1))
+    return lines
+
+
+def nesting(node: ast.AST, level: int = 0) -> int:
+    """Return how many blocks stand inside one another; an elif is on the level of its if."""
+    depths = [level]
+    for child in ast.iter_child_nodes(node):
+        is_elif = isinstance(node, ast.If) and node.orelse == [child] and isinstance(child, ast.If)
+        depths.append(nesting(child, level + (isinstance(child, BLOCKS) and not is_elif)))
+    return max(depths)
+
+
+def size_faults(sources: Mapping[str, str]) -> Iterator[str]:
+    """Yield one line per module or function that is too long or too deep."""
+    for module, source in sources.items():
+        tree = ast.parse(source)
+        if source.count("\n") > MOST_MODULE_LINES:
+            yield f"{module} has {source.count(chr(10))} lines"
+        code = code_lines(source, tree)
+        for node in (n for n in ast.walk(tree) if isinstance(n, FUNCTIONS)):
+            length = len(code & set(range(node.lineno, (node.end_lineno or 0) + 1)))
+            if length > MOST_FUNCTION_LINES:
+                yield f"{module}.{node.name} has {length} lines of code"
+            if nesting(node) > MOST_NESTING:
+                yield f"{module}.{node.name} is nested {nesting(node)} deep"
+
+
+def print_faults(sources: Mapping[str, str]) -> Iterator[str]:
+    """Yield one line per print outside the command-line modules."""
+    for module, source in sources.items():
+        calls = (n for n in ast.walk(ast.parse(source)) if isinstance(n, ast.Call))
+        if room_of(module) != "command" and any(
+            isinstance(call.func, ast.Name) and call.func.id == "print" for call in calls
+        ):
+            yield f"{module} prints"
+
+
+CHECKS = (import_faults, circles, size_faults, print_faults)
+
+
+@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
+def test_the_package_keeps_its_shape(check):
+    assert list(check(package_sources())) == []
+
+
+def test_median_module_stays_small():
+    lengths = sorted(source.count("\n") for source in package_sources().values())
+    assert lengths[len(lengths) // 2] <= 150
+
+
+GOOD = {"robot_sysid": "", "robot_sysid.parser": "x = 1\n", "robot_sysid.solver": "x = 1\n"}
+LONG = "def long():\n" + "    x = 1\n" * 41
+DEEP = "def deep():\n  if 1:\n    for _ in ():\n      with x:\n        while 1:\n          pass\n"
+
+
+@pytest.mark.parametrize(
+    ("module", "source", "check", "fault"),
+    [
+        ("solver", "import mujoco", import_faults, "(maths) imports mujoco"),
+        ("solver", "from robot_sysid.parser import x", import_faults, "imports robot_sysid.parser"),
+        ("solver", "from robot_sysid import parser", import_faults, "imports robot_sysid.parser"),
+        ("solver", "import robot_sysid.parser", import_faults, "imports robot_sysid.parser"),
+        ("export", "from robot_sysid import parser", import_faults, "(files) imports robot_sysid"),
+        ("parser", "from robot_sysid.damiao import x", import_faults, "(model) imports"),
+        ("parser", "def f():\n    import matplotlib", import_faults, "imports matplotlib"),
+        ("damiao.codec", "def f():\n    import can", import_faults, "imports can"),
+        ("solver", "import scipy.linalg", import_faults, "at start-up"),
+        ("parser", "def f():\n    import lxml", import_faults, "(model) imports lxml"),
+        ("solver", "from robot_sysid import solver2", circles, "robot_sysid.solver imports itself"),
+        ("solver", LONG, size_faults, "solver.long has 42 lines of code"),
+        ("solver", DEEP, size_faults, "solver.deep is nested 4 deep"),
+        ("solver", "\n" * 501, size_faults, "solver has 501 lines"),
+        ("solver", "def f():\n    print(1)", print_faults, "robot_sysid.solver prints"),
+    ],
+)
+def test_a_fault_is_found(module, source, check, fault):
+    back = {"robot_sysid.solver2": "import robot_sysid.solver", "robot_sysid.damiao": ""}
+    bad = {**GOOD, **back, f"robot_sysid.{module}": source}
+    assert any(fault in found for found in check(bad))
+
+
+def test_an_elif_is_not_nested_deeper():
+    chain = "def f(x):\n  if x == 1:\n    pass\n"
+    chain += "".join(f"  elif x == {k}:\n    pass\n" for k in range(2, 6))
+    assert nesting(ast.parse(chain)) == 1
+
+
+def test_what_is_allowed_is_not_a_fault():
+    allowed = {
+        "robot_sysid": "",
+        "robot_sysid.parser": "import mujoco\nfrom robot_sysid.solver import x",
+        "robot_sysid.solver": "def f():\n    import scipy",
+        "robot_sysid.cli": "from robot_sysid import parser\nprint(1)",
+        "robot_sysid.damiao.bus": "def f():\n    import can",
+        "robot_sysid.report.figures": "def f():\n    import matplotlib",
+    }
+    assert [fault for check in CHECKS for fault in check(allowed)] == []
