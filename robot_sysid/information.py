@@ -9,10 +9,12 @@ memory does not grow with the number of samples.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_sysid.errors import InputError
 from robot_sysid.records import Array, JointInformation, SquareRootInformation
 
 
@@ -65,3 +67,54 @@ def update_triangle(triangle: Array, rows: Array) -> Array:
     """Return the (k, k) triangle of all rows so far and the new ones (N, k)."""
     stacked = np.vstack((triangle, rows))
     return np.linalg.qr(stacked, mode="r")
+
+
+def combined(parts: Sequence[SquareRootInformation]) -> SquareRootInformation:
+    """Return the information of all parts' data together.
+
+    Args:
+        parts: at least one, all with the same parameters and joints.
+
+    Raises:
+        InputError: they differ in their parameters, joints or columns.
+    """
+    first = parts[0]
+    shape = [(j.joint, tuple(j.columns)) for j in first.joints]
+    for part in parts:
+        if part.names != first.names or [(j.joint, tuple(j.columns)) for j in part.joints] != shape:
+            raise InputError("only information about the same parameters and joints can be added")
+    joints = tuple(
+        JointInformation(
+            same[0].joint,
+            same[0].columns,
+            reduce(update_triangle, [j.triangle for j in same]),
+            sum(j.n_samples for j in same),
+        )
+        for same in zip(*(part.joints for part in parts))
+    )
+    return SquareRootInformation(first.names, joints)
+
+
+def restricted(information: SquareRootInformation, names: Sequence[str]) -> SquareRootInformation:
+    """Return the information about some of the parameters, the others held at zero.
+
+    Args:
+        information: the data.
+        names: which parameters stay, in any order; their order in the information is kept.
+
+    Raises:
+        InputError: a name is not in the information.
+    """
+    unknown = [name for name in names if name not in information.names]
+    if unknown:
+        raise InputError(f"no parameter {unknown[0]!r}; there are {', '.join(information.names)}")
+    kept = [index for index, name in enumerate(information.names) if name in set(names)]
+    new_index = {old: new for new, old in enumerate(kept)}
+    joints = []
+    for joint in information.joints:
+        stay = np.isin(joint.columns, kept)
+        triangle = joint.triangle[:, np.append(stay, True)]
+        columns = np.array([new_index[int(old)] for old in joint.columns[stay]], dtype=np.int64)
+        smaller = update_triangle(triangle[:0], triangle)
+        joints.append(JointInformation(joint.joint, columns, smaller, joint.n_samples))
+    return SquareRootInformation(tuple(information.names[i] for i in kept), tuple(joints))
