@@ -91,16 +91,19 @@ class ClosedLoop:
                 measurement = self._chunk(time, self._desired(ticks))
             yield measurement
 
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What the run showed so far, one sentence each: torque limits met, hidden friction."""
+    def notes(self, deadband: float | None = None) -> tuple[str, ...]:
+        """Return what the run showed so far: torque limits met, dry friction that does not show.
+
+        Args:
+            deadband: speed below which samples are going to be left out [rad/s].
+        """
         limits = tuple(
             f"the plant's {self._plant.joint_names[j]} was at its torque limit of "
             f"{self._plant.limits.torque[j]:.3g} N m for "
             f"{100.0 * self.limited[j] / self._ticks:.2g} % of the time"
             for j in np.flatnonzero(self.limited)
         )
-        return limits + self.ramp_use.sentences()
+        return limits + self.ramp_use.sentences(deadband)
 
     def _desired(self, ticks: Array) -> tuple[Motion, Array]:
         """Return the desired motion at the ticks and the feed-forward half a period later."""

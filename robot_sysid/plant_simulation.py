@@ -85,10 +85,14 @@ class PlantSimulation:
         motions = motion_chunks(self._plan, self._options.sample_rate)
         return simulate_inverse(self._plant, motions)
 
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What the last reading showed, one sentence each; complete once it has come to its end."""
-        return () if self._loop is None else self._loop.notes
+    def notes(self, deadband: float | None = None) -> tuple[str, ...]:
+        """Return what the last reading showed, one sentence each; ask once it is at its end.
+
+        Args:
+            deadband: speed below which samples are going to be left out [rad/s]; None stands for
+                1 % of each joint's highest speed.
+        """
+        return () if self._loop is None else self._loop.notes(deadband)
 
 
 def simulate_plant(

@@ -14,14 +14,16 @@ from velocities alone.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.records import Array, checked_array
 
-ENOUGH_FULL = 0.9
-"""Share of samples with full dry friction below which a joint is reported."""
+USUAL_DEADBAND = 0.01
+"""Share of a joint's highest speed below which samples are usually left out."""
 ENOUGH_EACH_WAY = 0.05
 """Share of the samples in each direction below which a joint is reported."""
 STANDSTILL = 1e-6
@@ -108,29 +110,52 @@ class RampUse:
         """Names of the joints whose dry friction never reaches its full size."""
         return tuple(name for name, share in zip(self._joints, self.share) if share == 0.0)
 
-    def sentences(self) -> tuple[str, ...]:
-        """Return one sentence per joint whose dry friction does not show in full."""
-        return tuple(self._sentence(int(j)) for j in np.flatnonzero(self.share < ENOUGH_FULL))
+    def sentences(self, deadband: float | None = None) -> tuple[str, ...]:
+        """Return what the user should know, one sentence each.
 
-    def _sentence(self, j: int) -> str:
+        Args:
+            deadband: speed below which samples are going to be left out [rad/s]; None stands for
+                1 % of each joint's highest speed.
+        """
+        moving = self._speed >= STANDSTILL
+        never = (self.share == 0.0) & moving
+        left_out = USUAL_DEADBAND * self._speed if deadband is None else deadband
+        partly = (self.ramp_speed > left_out) & ~never & moving
+        still = (self._ramp.coulomb > 0.0) & ~moving
+        found = [self._never(int(j)) for j in np.flatnonzero(never)]
+        found += [self._partly(np.flatnonzero(partly))] if np.any(partly) else []
+        found += [
+            f"{self._joints[j]} does not move, so its friction does not show in the data"
+            for j in np.flatnonzero(still)
+        ]
+        return tuple(found)
+
+    def _never(self, j: int) -> str:
         coulomb, viscous = self._ramp.coulomb[j], self._ramp.viscous[j]
-        if self._speed[j] < STANDSTILL:
-            return f"{self._joints[j]} does not move, so its friction does not show in the data"
-        level = f"the frictionloss of {self._joints[j]} ({coulomb:.3g} N m)"
-        if self.share[j] == 0.0:
-            return (
-                f"{level} is never reached: in MuJoCo it builds up with speed and is complete only "
-                f"above about {coulomb / viscous:.2g} rad/s, and this motion stays below "
-                f"{self._speed[j]:.2g} rad/s. It acts as {viscous:.2g} N m s/rad of extra viscous "
-                "friction, so its Coulomb coefficient cannot be identified; give the joint "
-                "armature in the plant model or let it move faster"
-            )
         return (
-            f"{level} is complete in only {100.0 * self.share[j]:.0f} % of the samples; its "
-            "Coulomb coefficient comes out too low unless samples slower than "
-            f"{self._ramp_speed[j]:.2g} rad/s are left out (--velocity-deadband). Armature in the "
-            "plant model narrows that range"
+            f"the frictionloss of {self._joints[j]} ({coulomb:.3g} N m) is never reached: in "
+            "MuJoCo it builds up with speed and is complete only above about "
+            f"{coulomb / viscous:.2g} rad/s, and this motion stays below {self._speed[j]:.2g} "
+            f"rad/s. It acts as {viscous:.2g} N m s/rad of extra viscous friction, so its Coulomb "
+            "coefficient cannot be identified; give the joint armature in the plant model or let "
+            "it move faster"
         )
+
+    def _partly(self, joints: NDArray[np.int64]) -> str:
+        listed = ", ".join(f"{self._joints[j]} {self._ramp_speed[j]:.2g}" for j in joints)
+        highest = float(np.max(self._ramp_speed[joints]))
+        return (
+            f"MuJoCo's frictionloss is incomplete below these speeds in rad/s: {listed}. Friction "
+            "coefficients come out wrong unless slower samples are left out "
+            f"(--velocity-deadband {_rounded_up(highest):g} covers all joints); armature in the "
+            "plant model lowers these speeds"
+        )
+
+
+def _rounded_up(value: float) -> float:
+    """Return the next number of two digits that is not smaller."""
+    step = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return float(f"{math.ceil(value / step) * step:.2g}")
 
 
 class DirectionUse:

@@ -19,6 +19,7 @@ from robot_sysid.composite import composite_theta
 from robot_sysid.friction import FrictionModel
 from robot_sysid.information import InformationAccumulator
 from robot_sysid.records import InertialParameters, JointFriction, Measurement
+from robot_sysid.signals import process
 from robot_sysid.simulator import inverse_torque
 from robot_sysid.solver import identify_parameters
 from robot_sysid.trajectory import generate_excitation_trajectory
@@ -78,6 +79,19 @@ def identified(robot, log, deadband, terms=TERMS):
     for index, (rows, tau) in enumerate(equations.rows(log)):
         fast = np.abs(log.qd[:, index]) > np.broadcast_to(deadband, robot.n_joints)[index]
         rows_of_joint.add(index, rows[fast], tau[fast])
+    return identify_parameters(rows_of_joint.result(), equations.prior)
+
+
+def identified_from_log(robot, log, options, terms=TERMS):
+    """The same from positions and torques by way of low-pass, derivatives and thinning."""
+    signals = process(log, options, robot.joint_names)
+    equations = Equations(robot, "chain", (FrictionModel(terms),) * robot.n_joints)
+    rows_of_joint = InformationAccumulator(equations.names, equations.joints, equations.columns)
+    motion = Measurement(signals.time, signals.q, signals.qd, signals.tau, signals.qdd)
+    usable = signals.usable()
+    for index, (rows, tau) in enumerate(equations.rows(motion)):
+        thinned = signals.thinner().push(np.column_stack((rows, tau)))[usable[:, index]]
+        rows_of_joint.add(index, thinned[:, :-1], thinned[:, -1])
     return identify_parameters(rows_of_joint.result(), equations.prior)
 
 

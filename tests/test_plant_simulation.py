@@ -82,7 +82,7 @@ def test_sensors_act_on_what_perfect_ones_would_see(plant, plan, simulation):
 def test_notes_of_the_inverse_simulation_are_empty(plant, plan):
     measurements = run(plant, plan, "inverse")
     joined(measurements)
-    assert measurements.notes == ()
+    assert measurements.notes() == ()
 
 
 def test_options_are_checked_by_name():

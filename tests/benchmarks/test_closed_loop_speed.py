@@ -1,0 +1,14 @@
+"""Time of the plant's closed loop: fifteen seconds of a seven-joint arm at 1 kHz."""
+
+from __future__ import annotations
+
+from robot_sysid.closed_loop import ClosedLoop
+from tests import arms
+from tests.closed_loop_proof import excitation, plant_from, recorded
+
+
+def test_fifteen_seconds_of_seven_joints_at_1_khz(benchmark):
+    robot = arms.robot_of(arms.serial_arm(arms.SEVEN_AXES))
+    loop = ClosedLoop(plant_from(robot), excitation(robot), 1000.0)
+    log = benchmark.pedantic(recorded, (loop,), rounds=3)
+    assert len(log) == 15_001
