@@ -121,6 +121,9 @@ class ChainKinematics:
 
     Args:
         robot: the arm.
+
+    Attributes:
+        armature: (n,) the model's rotor inertia of the chain joints [kg m^2].
     """
 
     def __init__(self, robot: RobotModel) -> None:
@@ -130,7 +133,7 @@ class ChainKinematics:
         self._data = mujoco.MjData(self._model)
         self._data.qpos[:] = robot.reference_qpos
         self._chain = _as_slice(robot.qpos_index), _as_slice(robot.dof_index)
-        self._armature = full.dof_armature[robot.dof_index].copy()
+        self.armature: Array = full.dof_armature[robot.dof_index].copy()
         self._full = None if has_only_armature(full) else ArmDynamics(robot)
 
     def evaluate(self, q: Array, qd: Array, qdd: Array) -> BodyMotion:
@@ -189,7 +192,7 @@ class ChainKinematics:
     def _beyond_rigid_bodies(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return armature, spring, tendon and actuator torques (N, n) of the full model."""
         if self._full is None:
-            return self._armature * qdd
+            return self.armature * qdd
         return self._full.beyond_rigid_bodies(q, qd, qdd)
 
 

@@ -87,6 +87,15 @@ def rotation_from_rpy(roll: float, pitch: float, yaw: float) -> Array:
     return about_z @ about_y @ about_x
 
 
+def rotation_from_vector(vector: Array) -> Array:
+    """Return the (3, 3) rotation by |v| radians about a (3,) vector v (Rodrigues' formula)."""
+    angle = float(np.linalg.norm(vector))
+    if angle == 0.0:
+        return np.eye(3)
+    axis = skew(np.asarray(vector) / angle)
+    return np.eye(3) + np.sin(angle) * axis + (1.0 - np.cos(angle)) * axis @ axis
+
+
 def theta_from_com(mass: float, com: Array, inertia_com: Array) -> Array:
     """Return theta (10,) from mass, centre of mass (3,) and inertia about it (3, 3).
 

@@ -1,0 +1,116 @@
+"""The equations of a processed log, low-passed and thinned, held in memory for several passes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.collection import Equations
+from robot_sysid.errors import InputError
+from robot_sysid.information import InformationAccumulator
+from robot_sysid.records import Array, Measurement, Motion, SquareRootInformation
+from robot_sysid.signals import ProcessedSignals
+
+_CHUNK = 2048
+
+SharedColumns = Callable[[Motion, slice], Array]
+"""Columns (m, n, s) of the shared parameters for a motion and its place in the signals."""
+
+
+@dataclass(frozen=True)
+class ThinnedSamples:
+    """Equations of all joints at K instants; iterating over it is one pass over the data.
+
+    Attributes:
+        names: (p,) parameter names.
+        joints: the joints that have equations.
+        columns: per joint, which parameters its rows contain.
+        time: (K,) [s].
+        rows: per joint (K, k).
+        tau: per joint (K,) right-hand sides [N m]; NaN where a sample is not used.
+    """
+
+    names: tuple[str, ...]
+    joints: tuple[str, ...]
+    columns: tuple[NDArray[np.int64], ...]
+    time: Array
+    rows: tuple[Array, ...]
+    tau: tuple[Array, ...]
+
+    def __iter__(self) -> Iterator[tuple[int, Array, Array]]:
+        """Yield (joint number, rows, right-hand sides) of each joint."""
+        for index, (rows, tau) in enumerate(zip(self.rows, self.tau)):
+            yield index, rows, tau
+
+    def information(self) -> SquareRootInformation:
+        """Return the square-root information of the samples in use."""
+        accumulator = InformationAccumulator(self.names, self.joints, self.columns)
+        for index, rows, tau in self:
+            used = np.isfinite(tau)
+            accumulator.add(index, rows[used], tau[used])
+        return accumulator.result()
+
+    def where(self, used: NDArray[np.bool_]) -> ThinnedSamples:
+        """Return the samples with those left out for which ``used`` (K,) is false."""
+        return replace(self, tau=tuple(np.where(used, tau, np.nan) for tau in self.tau))
+
+    def split(self, fraction: float) -> tuple[ThinnedSamples, ThinnedSamples]:
+        """Return (first part, last part), the last one holding ``fraction`` of the time."""
+        start, end = self.time[0], self.time[-1]
+        early = self.time <= end - fraction * (end - start)
+        return self.where(early), self.where(~early)
+
+    def only(self, names: Sequence[str]) -> ThinnedSamples:
+        """Return the equations with no other parameters than these, in this order."""
+        rows, columns = [], []
+        for joint_rows, joint_columns in zip(self.rows, self.columns):
+            own = [self.names[c] for c in joint_columns]
+            kept = [k for k, name in enumerate(own) if name in names]
+            rows.append(joint_rows[:, kept])
+            columns.append(np.array([list(names).index(own[k]) for k in kept]))
+        return replace(self, names=tuple(names), rows=tuple(rows), columns=tuple(columns))
+
+
+def thin_equations(
+    equations: Equations, signals: ProcessedSignals, shared: SharedColumns | None = None
+) -> ThinnedSamples:
+    """Build the equations at the full rate, then pass both sides through the same low-pass.
+
+    Args:
+        equations: what to build.
+        signals: the processed log.
+        shared: makes the columns of the shared parameters, where the equations have any.
+
+    Raises:
+        InputError: a joint never moves fast enough for its equations to be used.
+    """
+    thinners = [signals.thinner() for _ in equations.joints]
+    parts: list[list[Array]] = [[] for _ in equations.joints]
+    for start, (motion, tau) in zip(range(0, len(signals), _CHUNK), signals.chunks(_CHUNK)):
+        measurement = Measurement(motion.time, motion.q, motion.qd, tau, motion.qdd)
+        place = slice(start, start + len(motion.time))
+        common = None if shared is None else shared(motion, place)
+        for joint, (rows, right) in enumerate(equations.rows(measurement, common)):
+            parts[joint].append(thinners[joint].push(np.column_stack((rows, right))))
+    tables = [np.concatenate(part) for part in parts]
+    usable = signals.usable()[:, list(equations.rows_of)]
+    _require_usable(usable, equations.joints)
+    return ThinnedSamples(
+        equations.names,
+        equations.joints,
+        equations.columns,
+        signals.thinned_time(),
+        tuple(table[:, :-1] for table in tables),
+        tuple(np.where(ok, table[:, -1], np.nan) for table, ok in zip(tables, usable.T)),
+    )
+
+
+def _require_usable(usable: NDArray[np.bool_], joints: Sequence[str]) -> None:
+    if not np.any(usable):
+        raise InputError(
+            f"none of the joints {', '.join(joints)} moves faster than its velocity deadband; "
+            "record a motion, or lower --velocity-deadband"
+        )
