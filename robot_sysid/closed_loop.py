@@ -35,6 +35,7 @@ BANDWIDTH_TIMES_PERIOD = 0.1
 """Largest w h: far enough below 1, where the sampled loop would become unstable."""
 LOST_TRACKING = {False: 0.2, True: 0.05}
 """Position error that ends the run: hinge [rad], slide [m]."""
+_DIVERGED = 1e3
 _CONFIGURATIONS = 33
 
 
@@ -62,8 +63,9 @@ class ClosedLoop:
         self._bandwidth = min(BANDWIDTH, BANDWIDTH_TIMES_PERIOD / self.period)
         self._lost = np.array([LOST_TRACKING[bool(slide)] for slide in plant.is_slide])
         along = np.linspace(0.0, plan.duration, _CONFIGURATIONS)
-        self._arm = ForwardPlant(plant, self.period, plan.evaluate(along).q)
-        self._reset()
+        with captured_warnings():
+            self._arm = ForwardPlant(plant, self.period, plan.evaluate(along).q)
+            self._reset()
 
     def _reset(self) -> None:
         joints = self._plant.n_joints
@@ -155,11 +157,12 @@ class ClosedLoop:
     def _lost_message(self, error: Array, joint: int, time: float) -> str:
         name = self._plant.joint_names[joint]
         limited = np.flatnonzero(self.limited)
-        if not np.all(np.isfinite(error)) or self._arm.has_diverged():
+        if self._arm.has_diverged() or not np.all(np.abs(error) < _DIVERGED * self._lost):
             return (
                 f"the simulated plant diverged at {time:.3f} s (joint {name}): the likely cause "
-                "is a link with an impossible mass or inertia, or a spring too stiff for the time "
-                "step; check the plant model's <inertial> elements and lower its <option timestep>"
+                "is a spring too stiff for the time step, or a link with an impossible mass or "
+                "inertia; lower the plant model's <option timestep> and check its <inertial> "
+                "elements"
             )
         unit = "m" if self._plant.is_slide[joint] else "rad"
         head = f"joint {name} is {abs(error[joint]):.2g} {unit} off its trajectory at {time:.3f} s"

@@ -62,7 +62,7 @@ class ForwardPlant:
         configurations: (K, n) chain positions it will pass through, to judge that.
 
     Raises:
-        SimulationError: the plant is too stiff to be simulated; names the joint.
+        SimulationError: the plant is too stiff or has impossible inertias; names the joint.
     """
 
     def __init__(self, plant: RobotModel, period: float, configurations: Array) -> None:
@@ -180,6 +180,9 @@ def fastest_decay(plant: RobotModel, model: Any, configurations: Array) -> tuple
     Returns:
         (rate, joint): largest eigenvalue of M^-1 B over the configurations, M the mass matrix and
         B the damping, and the joint that moves most in its eigenvector.
+
+    Raises:
+        SimulationError: M is not positive definite.
     """
     data = mujoco.MjData(model)
     data.qpos[:] = plant.reference_qpos
@@ -188,11 +191,25 @@ def fastest_decay(plant: RobotModel, model: Any, configurations: Array) -> tuple
     for q in configurations:
         data.qpos[plant.qpos_index] = q
         mujoco.mj_forward(model, data)
-        values, vectors = np.linalg.eig(np.linalg.solve(_mass(plant, model, data), damping))
+        mass = _mass(plant, model, data)
+        _require_positive(plant, mass)
+        values, vectors = np.linalg.eig(np.linalg.solve(mass, damping))
         fastest = int(np.argmax(values.real))
         joint = int(np.argmax(np.abs(vectors[:, fastest])))
         rates.append((float(values.real[fastest]), joint))
     return max(rates)
+
+
+def _require_positive(plant: RobotModel, mass: Array) -> None:
+    """Raise SimulationError unless every motion of the chain has a positive kinetic energy."""
+    values, vectors = np.linalg.eigh(0.5 * (mass + mass.T))
+    if not values[0] > 0.0:
+        joint = plant.joint_names[int(np.argmax(np.abs(vectors[:, 0])))]
+        raise SimulationError(
+            f"the plant cannot move: a motion of joint {joint} has no positive kinetic energy, so "
+            "a link it carries has an impossible mass or inertia; check the plant model's "
+            "<inertial> elements"
+        )
 
 
 def _damping(plant: RobotModel, model: Any, data: Any) -> Array:
