@@ -10,7 +10,7 @@ Arrays are (..., n): any leading shape, n joints last; frames are (..., n, 8) by
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,10 @@ _POSITION_FULL = 0xFFFF
 _TWELVE_FULL = 0xFFF
 # A register holds float32: 12.566 comes back as 12.5659999..., which must not refuse 12.566.
 _FLOAT32_SLACK = 1e-6
+_FIELDS = ("position", "velocity", "kp", "kd", "torque")
+_FULL = np.array([[_POSITION_FULL], *[[_TWELVE_FULL]] * 4])
+_HAS_SIGN = np.array([[-1.0], [-1.0], [0.0], [0.0], [-1.0]])
+_MEASURED = [0, 1, 4]
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,9 @@ class Scaling:
     position: Array
     velocity: Array
     torque: Array
+    # Ranges (5, n) of the command's fields: position, velocity, kp, kd, torque.
+    _low: Array = field(init=False, repr=False, compare=False)
+    _high: Array = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         for name in ("position", "velocity", "torque"):
@@ -52,6 +59,10 @@ class Scaling:
             object.__setattr__(self, name, value)
         if not len(self.position) == len(self.velocity) == len(self.torque):
             raise InputError("position, velocity and torque scaling must cover the same joints")
+        gains = np.full_like(self.position, KP_MAX), np.full_like(self.position, KD_MAX)
+        high = np.stack([self.position, self.velocity, *gains, self.torque])
+        object.__setattr__(self, "_high", high)
+        object.__setattr__(self, "_low", high * _HAS_SIGN)
 
     @classmethod
     def from_limits(cls, limits: Iterable[tuple[float, float, float]]) -> Scaling:
@@ -119,15 +130,17 @@ def encode_mit(command: MitCommand, scaling: Scaling) -> Bytes:
             kd > 0 (the motor would oscillate), or a frame's first seven bytes would all be 0xFF
             (the motor would take it for enable, disable, zero or clear).
     """
-    unstable = (np.asarray(command.kp) > 0.0) & ~(np.asarray(command.kd) > 0.0)
+    fields = (command.position, command.velocity, command.kp, command.kd, command.torque)
+    values = np.array(np.broadcast_arrays(*fields), dtype=float)
+    unstable = (values[2] > 0.0) & ~(values[3] > 0.0)
     if np.any(unstable):
         raise InputError(f"kp > 0 needs kd > 0 at joint {_first_joint(unstable)}")
-    p = _codes(command.position, -scaling.position, scaling.position, _POSITION_FULL, "position")
-    v = _codes(command.velocity, -scaling.velocity, scaling.velocity, _TWELVE_FULL, "velocity")
-    kp = _codes(command.kp, 0.0, KP_MAX, _TWELVE_FULL, "kp")
-    kd = _codes(command.kd, 0.0, KD_MAX, _TWELVE_FULL, "kd")
-    t = _codes(command.torque, -scaling.torque, scaling.torque, _TWELVE_FULL, "torque")
-    frames = _pack(p >> 8, p, v >> 4, (v << 4) | (kp >> 8), kp, kd >> 4, (kd << 4) | (t >> 8), t)
+    _refuse_outside(values, scaling)
+    # floor(x + 1/2): numpy's rint rounds halves to even, which differs in the last bit.
+    p, v, kp, kd, t = _codes(values, scaling, slice(None), 0.5)
+    frames = _pack(
+        p.shape, p >> 8, p, v >> 4, (v << 4) | (kp >> 8), kp, kd >> 4, (kd << 4) | (t >> 8), t
+    )
     special = np.all(frames[..., :7] == 0xFF, axis=-1)
     if np.any(special):
         raise InputError(
@@ -156,12 +169,12 @@ def decode_mit(frames: Bytes, scaling: Scaling) -> MitCommand:
 
 def encode_feedback(feedback: Feedback, scaling: Scaling) -> Bytes:
     """Return feedback frames (..., n, 8) as a motor sends them: truncated and saturated."""
-    p = _truncated(feedback.position, scaling.position, _POSITION_FULL)
-    v = _truncated(feedback.velocity, scaling.velocity, _TWELVE_FULL)
-    t = _truncated(feedback.torque, scaling.torque, _TWELVE_FULL)
+    fields = (feedback.position, feedback.velocity, feedback.torque)
+    values = np.array(np.broadcast_arrays(*fields), dtype=float)
+    p, v, t = _codes(values, scaling, _MEASURED, 0.0)
     head = (np.asarray(feedback.status) << 4) | (np.asarray(feedback.can_id) & 0xF)
     hot = np.asarray(feedback.temperature_mos), np.asarray(feedback.temperature_rotor)
-    return _pack(head, p >> 8, p, v >> 4, (v << 4) | (t >> 8), t, *hot)
+    return _pack(p.shape, head, p >> 8, p, v >> 4, (v << 4) | (t >> 8), t, *hot)
 
 
 def decode_feedback(frames: Bytes, scaling: Scaling, half_step: bool = False) -> Feedback:
@@ -189,34 +202,44 @@ def decode_feedback(frames: Bytes, scaling: Scaling, half_step: bool = False) ->
     )
 
 
-def _codes(value: Any, low: Any, high: Any, full: int, name: str) -> Codes:
-    value = np.asarray(value, dtype=float)
-    slack = _FLOAT32_SLACK * np.maximum(np.abs(low), np.abs(high))
+def _ranges(scaling: Scaling, rows: Any, dimensions: int) -> tuple[Array, Array, Array]:
+    """Return (low, high, full) of some fields, shaped to broadcast with (fields, ..., n)."""
+    low, high = scaling._low[rows], scaling._high[rows]
+    shape = (len(low), *[1] * (dimensions - 2))
+    full = _FULL[rows].reshape(*shape, 1)
+    return low.reshape(*shape, -1), high.reshape(*shape, -1), full
+
+
+def _refuse_outside(values: Array, scaling: Scaling) -> None:
+    low, high, _ = _ranges(scaling, slice(None), values.ndim)
+    slack = _FLOAT32_SLACK * high
     # Written so that a NaN counts as outside.
-    outside = ~((value >= low - slack) & (value <= high + slack))
+    outside = ~((values >= low - slack) & (values <= high + slack))
     if np.any(outside):
-        bad = float(np.broadcast_to(value, outside.shape)[outside][0])
-        limit = float(np.broadcast_to(high, outside.shape)[outside][0])
+        where = np.argwhere(outside)[0]
+        bad, limit = values[tuple(where)], np.broadcast_to(high, values.shape)[tuple(where)]
         raise InputError(
-            f"{name} {bad:g} of joint {_first_joint(outside)} is outside its range, limit {limit:g}"
+            f"{_FIELDS[where[0]]} {bad:g} of joint {where[-1]} is outside its range, "
+            f"limit {limit:g}"
         )
-    # floor(x + 1/2): numpy's rint rounds halves to even, which differs in the last bit.
-    codes = np.floor((value - low) * (full / (high - low)) + 0.5)
-    return np.clip(codes, 0, full).astype(np.int64)
 
 
-def _truncated(value: Any, limit: Array, full: int) -> Codes:
-    codes = np.floor((np.asarray(value, dtype=float) + limit) * (full / (2.0 * limit)))
-    return np.clip(codes, 0, full).astype(np.int64)
+def _codes(values: Array, scaling: Scaling, rows: Any, offset: float) -> Codes:
+    """Return floor(code + offset) of (fields, ..., n) values, saturated."""
+    low, high, full = _ranges(scaling, rows, values.ndim)
+    exact = (values - low) * (full / (high - low)) + offset
+    return np.clip(np.floor(exact), 0, full).astype(np.int64)
 
 
 def _values(codes: Any, limit: Array, full: int) -> Array:
     return np.asarray(codes * (2.0 * limit / full) - limit)
 
 
-def _pack(*columns: Any) -> Bytes:
-    columns = np.broadcast_arrays(*(np.asarray(c, dtype=np.int64) & 0xFF for c in columns))
-    return np.stack(columns, axis=-1).astype(np.uint8)
+def _pack(shape: tuple[int, ...], *columns: Any) -> Bytes:
+    frames = np.empty((*shape, 8), dtype=np.uint8)
+    for k, column in enumerate(columns):
+        frames[..., k] = column & 0xFF
+    return frames
 
 
 def _first_joint(mask: Any) -> int:

@@ -107,6 +107,25 @@ def judge_bus(
     return findings + list(_near_start([m for m, _ in present], scan, settings))
 
 
+def general_findings(inspection: Inspection) -> list[Finding]:
+    """Return what motors say on their own, without a trajectory to compare them with."""
+    findings = [*_quiet(inspection), *_strangers(inspection, ())]
+    for motor in inspection.motors.values():
+        name = f"motor {motor.can_id}"
+        if len(motor.reply_ids) > 1:
+            text = f"{len(motor.reply_ids)} motors answer to CAN id {motor.can_id}"
+            findings.append(Finding(STOP, text))
+        lacking = _lacking(name, motor)
+        calm = PlaySettings(np.ones(1), np.ones(1))
+        nothing_allowed = Permissions()
+        findings += lacking or [
+            *_mode(name, motor),
+            *_watchdog(name, motor, calm, nothing_allowed),
+            *_state(name, motor, calm),
+        ]
+    return findings
+
+
 def judge_motor(
     motor: InspectedMotor,
     joint: DamiaoJoint,
@@ -115,10 +134,7 @@ def judge_motor(
 ) -> list[Finding]:
     """Return what one motor's answers say: ids, mode, scaling, watchdog, state."""
     name = f"motor {motor.can_id}"
-    lacking = [REGISTERS[n].name for n in REQUIRED if n not in motor.registers]
-    if lacking:
-        return [Finding(STOP, f"{name} does not answer for {', '.join(lacking)}; try again")]
-    return [
+    return _lacking(name, motor) or [
         *_identity(name, motor, joint),
         *_mode(name, motor),
         *_scaling(name, motor, joint, allowed),
@@ -130,6 +146,12 @@ def judge_motor(
 def stops(findings: Sequence[Finding]) -> list[str]:
     """Return the texts of the findings that forbid to play."""
     return [finding.text for finding in findings if finding.severity == STOP]
+
+
+def _lacking(name: str, motor: InspectedMotor) -> list[Finding]:
+    lacking = [REGISTERS[n].name for n in REQUIRED if n not in motor.registers]
+    text = f"{name} does not answer for {', '.join(lacking)}; try again"
+    return [Finding(STOP, text)] if lacking else []
 
 
 def _ids(can_ids: Sequence[int], master_ids: Sequence[int]) -> Iterator[Finding]:
@@ -225,7 +247,7 @@ def _strangers(inspection: Inspection, joints: Sequence[DamiaoJoint]) -> Iterato
     known = {joint.can_id for joint in joints}
     found = list(inspection.motors.values())
     others = [motor.can_id for motor in found if motor.can_id not in known]
-    if others:
+    if others and known:
         listed = ", ".join(map(str, others))
         yield Finding(NOTE, f"motors on the bus that are not in the trajectory: {listed}")
     yield from (

@@ -190,22 +190,30 @@ class MotorSession:
 
     def _collect(self, wanted: NDArray[np.bool_], until: float) -> Replies:
         raw = np.zeros((self.n_joints, 8), dtype=np.uint8)
-        answered = np.zeros(self.n_joints, bool)
         received = np.full(self.n_joints, np.nan)
         sent = np.full(self.n_joints, np.nan)
         missing = int(np.count_nonzero(wanted))
         try:
             while missing and (frame := self._link.receive(until)) is not None:
-                j = self._by_command.get(frame.id) if frame.echo else self._sender(frame)
-                if frame.echo and j is not None:
-                    sent[j] = frame.time
-                elif j is not None and wanted[j] and not answered[j]:
-                    raw[j] = np.frombuffer(frame.data, dtype=np.uint8)
-                    received[j], answered[j] = frame.time, True
-                    missing -= 1
+                missing -= self._take(frame, wanted, raw, received, sent)
         finally:
-            self.last_replies = self._replies(raw, answered, received, sent)
+            self.last_replies = self._replies(raw, received, sent)
         return self.last_replies
+
+    def _take(
+        self, frame: Frame, wanted: NDArray[np.bool_], raw: Bytes, received: Array, sent: Array
+    ) -> bool:
+        """File a frame where it belongs; return whether it is an answer that was missing."""
+        if frame.echo:
+            if frame.id in self._by_command:
+                sent[self._by_command[frame.id]] = frame.time
+            return False
+        j = self._sender(frame)
+        if j is None or not wanted[j] or np.isfinite(received[j]):
+            return False
+        raw[j] = np.frombuffer(frame.data, dtype=np.uint8)
+        received[j] = frame.time
+        return True
 
     def _sender(self, frame: Frame) -> int | None:
         """Return the joint whose feedback a frame is, or None."""
@@ -216,9 +224,8 @@ class MotorSession:
             return None
         return j
 
-    def _replies(
-        self, raw: Bytes, answered: NDArray[np.bool_], received: Array, sent: Array
-    ) -> Replies:
+    def _replies(self, raw: Bytes, received: Array, sent: Array) -> Replies:
+        answered = np.isfinite(received)
         feedback = decode_feedback(raw, self.scaling, self.half_step)
         for values in (feedback.position, feedback.velocity, feedback.torque):
             values[~answered] = np.nan

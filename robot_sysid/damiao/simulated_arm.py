@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from robot_sysid.damiao.faults import Fault
-from robot_sysid.damiao.frames import Frame
+from robot_sysid.damiao.frames import REGISTER_ID, Frame
 from robot_sysid.damiao.plant_protocol import Plant
 from robot_sysid.damiao.simulated_motor import SimulatedMotor
 from robot_sysid.errors import InputError
@@ -27,17 +27,26 @@ class SimulatedArm:
         motors: one per joint, base to terminal; more than the plant has joints are on the bus but
             move nothing.
         faults: what goes wrong, and when.
+        parked: the arm rests on something until a motor is enabled for the first time; else it
+            sinks from the beginning.
     """
 
     def __init__(
-        self, plant: Plant, motors: Sequence[SimulatedMotor], faults: Sequence[Fault] = ()
+        self,
+        plant: Plant,
+        motors: Sequence[SimulatedMotor],
+        faults: Sequence[Fault] = (),
+        parked: bool = True,
     ) -> None:
         if len(motors) < plant.n_joints:
             raise InputError(f"{plant.n_joints} joints need as many motors, got {len(motors)}")
         if any(not 0 <= fault.joint < len(motors) for fault in faults):
             raise InputError(f"faults name joints 0 to {len(motors) - 1}")
-        self.plant, self.motors = plant, list(motors)
+        self.plant, self.motors, self._parked = plant, list(motors), parked
         self.time = 0.0
+        self._by_low_id: dict[int, list[SimulatedMotor]] = {}
+        for motor in self.motors:
+            self._by_low_id.setdefault(motor.can_id & 0xFF, []).append(motor)
         self._enabled_at: float | None = None
         self._faults = sorted(faults, key=lambda fault: fault.after)
         self._changed = True
@@ -46,6 +55,8 @@ class SimulatedArm:
 
     def advance(self, until: float) -> None:
         """Let physics run up to ``until`` [s]."""
+        if self._parked:
+            self.time = max(self.time, until)
         while self.time + self.plant.timestep <= until:
             self.time += self.plant.timestep
             self._watch()
@@ -64,19 +75,26 @@ class SimulatedArm:
         self.advance(time)
         self._changed = True
         answers = []
-        for motor in self.motors:
+        for motor in self._listeners(frame):
             answer = motor.handle(frame, time)
             if answer is not None:
                 answers.append(answer)
                 answers += self._overheard(answer, motor, time)
         if self._enabled_at is None and any(motor.driving for motor in self.motors):
             self._enabled_at = time
+            self._parked = False
         return answers
 
     def _overheard(self, answer: Frame, sender: SimulatedMotor, time: float) -> list[Frame]:
         """Let the other motors see an answer: one whose id matches takes it for a command."""
-        others = [m.handle(answer, time) for m in self.motors if m is not sender]
-        return [frame for frame in others if frame is not None]
+        others = [m for m in self._listeners(answer) if m is not sender]
+        answers = [motor.handle(answer, time) for motor in others]
+        return [frame for frame in answers if frame is not None]
+
+    def _listeners(self, frame: Frame) -> list[SimulatedMotor]:
+        if frame.id == REGISTER_ID:
+            return self.motors
+        return self._by_low_id.get(frame.id & 0xFF, [])
 
     def _watch(self) -> None:
         for motor in self.motors:
