@@ -31,6 +31,7 @@ class ThinnedSamples:
         time: (K,) [s].
         rows: per joint (K, k).
         tau: per joint (K,) right-hand sides [N m]; NaN where a sample is not used.
+        measured: per joint (K,) the whole measured torque [N m].
     """
 
     names: tuple[str, ...]
@@ -39,6 +40,10 @@ class ThinnedSamples:
     time: Array
     rows: tuple[Array, ...]
     tau: tuple[Array, ...]
+    measured: tuple[Array, ...]
+
+    def __len__(self) -> int:
+        return len(self.time)
 
     def __iter__(self) -> Iterator[tuple[int, Array, Array]]:
         """Yield (joint number, rows, right-hand sides) of each joint."""
@@ -57,21 +62,18 @@ class ThinnedSamples:
         """Return the samples with those left out for which ``used`` (K,) is false."""
         return replace(self, tau=tuple(np.where(used, tau, np.nan) for tau in self.tau))
 
-    def split(self, fraction: float) -> tuple[ThinnedSamples, ThinnedSamples]:
-        """Return (first part, last part), the last one holding ``fraction`` of the time."""
-        start, end = self.time[0], self.time[-1]
-        early = self.time <= end - fraction * (end - start)
-        return self.where(early), self.where(~early)
+    def deviation(self, prior: Array) -> ThinnedSamples:
+        """Return the equations for the deviation from ``prior`` (p,)."""
+        right = [
+            tau - rows @ prior[columns]
+            for tau, rows, columns in zip(self.tau, self.rows, self.columns)
+        ]
+        return replace(self, tau=tuple(right))
 
-    def only(self, names: Sequence[str]) -> ThinnedSamples:
-        """Return the equations with no other parameters than these, in this order."""
-        rows, columns = [], []
-        for joint_rows, joint_columns in zip(self.rows, self.columns):
-            own = [self.names[c] for c in joint_columns]
-            kept = [k for k, name in enumerate(own) if name in names]
-            rows.append(joint_rows[:, kept])
-            columns.append(np.array([list(names).index(own[k]) for k in kept]))
-        return replace(self, names=tuple(names), rows=tuple(rows), columns=tuple(columns))
+    def squared_torque(self) -> Array:
+        """Return (joints,) sum of squares of the measured torque where it is used [N^2 m^2]."""
+        pairs = zip(self.tau, self.measured)
+        return np.array([np.sum(measured[np.isfinite(tau)] ** 2) for tau, measured in pairs])
 
 
 def thin_equations(
@@ -94,7 +96,8 @@ def thin_equations(
         place = slice(start, start + len(motion.time))
         common = None if shared is None else shared(motion, place)
         for joint, (rows, right) in enumerate(equations.rows(measurement, common)):
-            parts[joint].append(thinners[joint].push(np.column_stack((rows, right))))
+            whole = tau[:, equations.rows_of[joint]]
+            parts[joint].append(thinners[joint].push(np.column_stack((rows, right, whole))))
     tables = [np.concatenate(part) for part in parts]
     usable = signals.usable()[:, list(equations.rows_of)]
     _require_usable(usable, equations.joints)
@@ -103,8 +106,9 @@ def thin_equations(
         equations.joints,
         equations.columns,
         signals.thinned_time(),
-        tuple(table[:, :-1] for table in tables),
-        tuple(np.where(ok, table[:, -1], np.nan) for table, ok in zip(tables, usable.T)),
+        tuple(table[:, :-2] for table in tables),
+        tuple(np.where(ok, table[:, -2], np.nan) for table, ok in zip(tables, usable.T)),
+        tuple(table[:, -1] for table in tables),
     )
 
 
