@@ -190,8 +190,8 @@ class _Reader:
 
     def read(self, path: Path) -> SourceFile:
         """Return the file at ``path`` with its includes."""
-        self._seen.add(path.resolve())
         raw = _read_bytes(path)
+        self._seen.add(path.resolve())
         text = _as_utf8(raw, path)
         elements = tuple(_parse(text, path).iter(etree.Element))
         includes: dict[int, SourceFile] = {}
@@ -229,10 +229,10 @@ class _Reader:
 
 
 def _read_bytes(path: Path) -> bytes:
-    if path.is_dir():
-        raise InputError(f"{path} is a folder; pass a model file (MJCF .xml or .urdf)")
     try:
         return path.read_bytes()
+    except IsADirectoryError:
+        raise InputError(f"{path} is a folder; pass a model file (MJCF .xml or .urdf)") from None
     except FileNotFoundError:
         raise InputError(f"model file {path} not found; check the path") from None
     except (OSError, ValueError) as error:
@@ -246,7 +246,8 @@ def _as_utf8(raw: bytes, path: Path) -> bytes:
     declared = _ENCODING.match(raw)
     for encoding in ("utf-8-sig", declared.group(1).decode() if declared else "utf-16"):
         try:
-            return raw.decode(encoding).encode("utf-8")
+            # MuJoCo tolerates white space before the declaration, strict parsers do not.
+            return raw.decode(encoding).lstrip().encode("utf-8")
         except (UnicodeError, LookupError):
             continue
     raise ModelError(f"Expected an XML model file, but {path} is not text")

@@ -1,0 +1,241 @@
+"""The updated model: what was identified goes in, everything else stays as it was."""
+
+from __future__ import annotations
+
+import difflib
+import struct
+import zlib
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_sysid import spatial
+from robot_sysid.compilation import compile_model
+from robot_sysid.composite import composite_theta, subtree_bodies
+from robot_sysid.errors import ExportError
+from robot_sysid.export import export_updated_model, export_updated_xml, updated_model_text
+from robot_sysid.terminal import find_terminal_joint
+from robot_sysid.verification import reads_fullinertia_exactly, verify_written_model
+from robot_sysid.write_back import WriteBack, plan_write_back
+from tests.model_files import (
+    ARM,
+    INERTIAL,
+    SHARED,
+    TETRAHEDRON,
+    random_theta,
+    urdf_inertial,
+    urdf_joint,
+    urdf_link,
+    urdf_mesh,
+    urdf_robot,
+    write_files,
+)
+from tests.test_params_json import identification
+
+seeds = st.integers(0, 2**32 - 1)
+THETA = random_theta(np.random.default_rng(1), 2.0)
+URDF = urdf_robot(
+    urdf_link("base"),
+    urdf_link("l1", urdf_inertial()),
+    urdf_link("l2", "\n" + urdf_inertial(2.0, "0.1 0.2 0.3") + urdf_mesh("visual", "a.dae")),
+    urdf_link("tool", urdf_inertial(0.2)),
+    urdf_joint("base", "l1"),
+    urdf_joint("l1", "l2"),
+    urdf_joint("l2", "tool", "fixed"),
+)
+
+
+def exported(source, label, composite, target, mesh_dir=None, original=None):
+    """Export as the pipeline does; return the plan and the verified compiled model."""
+    original = original or compile_model(source, mesh_dir).mj_model
+    body = mujoco.mj_name2id(original, int(mujoco.mjtObj.mjOBJ_BODY), label)
+    body = int(label[1:]) if label.startswith("#") else body
+    plan = plan_write_back(composite, subtree_bodies(original, None, body))
+    principal = not reads_fullinertia_exactly(plan.theta)
+    export_updated_xml(source, label, plan, 1.23e-4, target, mesh_dir, principal)
+    return plan, verify_written_model(original, target, body, plan).mj_model, body
+
+
+@pytest.fixture(scope="module")
+def arm_files(tmp_path_factory):
+    """Suffix to file and compiled model."""
+    path = write_files(tmp_path_factory.mktemp("arm"), {"arm.xml": ARM, "arm.urdf": URDF})
+    files = [path, path.with_suffix(".urdf")]
+    return {file.suffix: (file, compile_model(file).mj_model) for file in files}
+
+
+@pytest.mark.parametrize(("suffix", "label"), [(".xml", "link2"), (".urdf", "l2")])
+@given(seed=seeds)
+def test_the_compiled_composite_is_the_identified_one(arm_files, suffix, label, seed):
+    rng = np.random.default_rng(seed)
+    source, original = arm_files[suffix]
+    before = composite_theta(original, None, original.body(label).id)
+    theta = before + random_theta(rng, 10.0 ** rng.uniform(-2, 1))
+    target = source.parent / "out" / f"updated{suffix}"
+    _, mj_model, body = exported(source, label, theta, target, original=original)
+    scale = spatial.parameter_scale(theta[0], spatial.characteristic_length(theta))
+    assert np.max(np.abs(composite_theta(mj_model, None, body) - theta) / scale) < 1e-12
+
+
+def test_only_the_inertial_and_the_comment_change(tmp_path):
+    source = write_files(tmp_path, {"m.xml": ARM})
+    plan = WriteBack(THETA)
+    text = updated_model_text(source, "link2", plan, 1.23e-4, tmp_path / "out").decode()
+    difference = list(difflib.ndiff(ARM.splitlines(), text.splitlines()))
+    removed = [line[2:].split() for line in difference if line.startswith("- ")]
+    comment, inertial = [line[2:] for line in difference if line.startswith("+ ")]
+    assert [words[0] for words in removed] == ["<inertial", 'diaginertia="2e-3']
+    assert comment == ("        <!-- System ID: body 'link2' identified with RMSE 0.000123 Nm -->")
+    assert inertial.startswith("          <inertial pos=") and "fullinertia=" in inertial
+    assert "quat" not in inertial and "diaginertia" not in inertial
+
+
+def test_line_endings_and_the_rest_of_the_bytes_stay(tmp_path):
+    source = tmp_path / "m.xml"
+    source.write_bytes(ARM.replace("\n", "\r\n").encode())
+    text = updated_model_text(source, "link2", WriteBack(THETA), 0.0, tmp_path)
+    assert text.count(b"\n") == text.count(b"\r\n") == ARM.count("\n")
+
+
+def test_its_own_output_can_be_exported_again(tmp_path):
+    source = write_files(tmp_path, {"m.xml": ARM})
+    first, second = tmp_path / "a" / "m.xml", tmp_path / "b" / "c" / "m.xml"
+    exported(source, "link2", 2.0 * THETA, first)
+    exported(first, "link2", 2.0 * THETA, second)
+    assert second.read_bytes() == first.read_bytes()
+    assert second.read_bytes().count(b"System ID") == 1
+
+
+def test_the_input_file_may_be_overwritten(tmp_path):
+    source = write_files(tmp_path, {"m.xml": ARM})
+    original = compile_model(source).mj_model
+    export_updated_xml(source, "link2", WriteBack(THETA), 0.0, source, principal=True)
+    verify_written_model(original, source, original.body("link2").id, WriteBack(THETA))
+
+
+MASSLESS = ARM.replace(
+    """<inertial pos="0 0 0.1" quat="0.9 0.1 0.2 0.3" mass="1.5"
+                    diaginertia="2e-3 3e-3 4e-3"/>
+          <geom type="capsule" size="0.02 0.1"/>""",
+    "",
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "label"), [("m.xml", MASSLESS, "link2"), ("m.urdf", URDF, "l2")]
+)
+def test_a_group_can_be_folded_into_the_terminal_body(tmp_path, name, text, label):
+    source = write_files(tmp_path, {name: text})
+    original = compile_model(source).mj_model
+    before = composite_theta(original, None, original.body(label).id)
+    tool = subtree_bodies(original, None, original.body(label).id)[1].theta
+    # A little less than the tool, with the mass of the terminal link gone.
+    composite = before - 0.5 * tool if name == "m.xml" else 0.5 * tool
+    plan, mj_model, body = exported(source, label, composite, tmp_path / "out" / name)
+    assert [b.name for b in plan.folded] == ["tool"]
+    assert mj_model.body("tool").mass == 0.0
+    np.testing.assert_allclose(composite_theta(mj_model, None, body), composite, atol=1e-12)
+    assert "'tool' weigh nothing" in (tmp_path / "out" / name).read_text()
+
+
+INCLUDING = {
+    "scene.xml": '<mujoco>\n<include file="parts/arm.xml"/>\n<include file="parts/size.xml"/>\n'
+    '<asset><texture name="t" type="2d" file="t.png"/></asset><worldbody/></mujoco>',
+    "parts/arm.xml": '<mujoco><compiler assetdir="files"/><asset><mesh name="m" file="m.obj"/>'
+    '</asset><worldbody><include file="link.xml"/></worldbody></mujoco>',
+    "parts/link.xml": f"<all><body><joint/>{INERTIAL}<geom type='mesh' mesh='m'/></body></all>",
+    "parts/size.xml": '<mujoco><size memory="1M"/><!-- kept --></mujoco>',
+    "files/m.obj": TETRAHEDRON,
+}
+
+
+def png(red: int) -> bytes:
+    """A picture of one point."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        check = zlib.crc32(kind + data)
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", check)
+
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", 1, 1, 8, 2, 0, 0, 0))
+    image = chunk(b"IDAT", zlib.compress(bytes([0, red, 0, 0])))
+    return b"\x89PNG\r\n\x1a\n" + header + image + chunk(b"IEND", b"")
+
+
+@pytest.mark.parametrize("folder", ["out", "in/parts", "in"])
+def test_a_nameless_body_in_an_include_is_changed_and_its_files_are_found(tmp_path, folder):
+    source = write_files(tmp_path / "in", INCLUDING)
+    (tmp_path / "in" / "files" / "t.png").write_bytes(png(200))
+    before = source.read_bytes(), (tmp_path / "in/parts/link.xml").read_bytes()
+    target = tmp_path / folder / "updated.xml"
+    exported(source, "#1", THETA, target)
+    assert before == (source.read_bytes(), (tmp_path / "in/parts/link.xml").read_bytes())
+    assert b"size.xml" in target.read_bytes() and b"link.xml" not in target.read_bytes()
+
+
+def test_the_users_mesh_folder_goes_into_the_written_model(tmp_path):
+    arm = ARM.replace('<geom size="0.1"/>', '<geom type="mesh" mesh="m"/>')
+    arm = arm.replace("<worldbody>", '<asset><mesh name="m" file="x/m.obj"/></asset><worldbody>')
+    source = write_files(tmp_path, {"m.xml": arm, "mine/m.obj": TETRAHEDRON})
+    exported(source, "link2", 2.0 * THETA, tmp_path / "out" / "m.xml", tmp_path / "mine")
+
+
+def test_a_relative_output_folder_works(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    source = write_files(tmp_path, {"in/m.urdf": URDF}).relative_to(tmp_path)
+    exported(source, "l2", 2.0 * THETA, source.parent.parent / "out" / "deep" / "m.urdf")
+
+
+def test_the_whole_way_from_an_identification(tmp_path):
+    source = write_files(tmp_path, {"m.xml": ARM})
+    original = compile_model(source).mj_model
+    bodies = subtree_bodies(original, None, original.body("link2").id)
+    result = identification(3.0 * THETA, model_path=source, body_name="link2")
+    plan = export_updated_model(result, bodies, tmp_path / "out" / "m.xml", principal=True)
+    verify_written_model(original, tmp_path / "out" / "m.xml", bodies[0].body_id, plan)
+    assert "RMSE 0.000100 Nm" in (tmp_path / "out" / "m.xml").read_text()
+
+
+def test_nothing_is_written_when_the_body_is_not_in_the_file(tmp_path):
+    source = write_files(tmp_path, {"m.xml": ARM})
+    with pytest.raises(ExportError, match="'link9' is not written out"):
+        export_updated_xml(source, "link9", WriteBack(THETA), 0.0, tmp_path / "out" / "m.xml")
+    assert not (tmp_path / "out").exists()
+
+
+WITHOUT_ONE_TERMINAL = (
+    "left/gripper_link",
+    "openarm_left_ee_base_link",
+    "moving_jaw_so101_v1",
+    "moving_jaw_so101_v1_link",
+)
+
+
+def terminal_label(mj_model) -> str:
+    """The terminal body of a public model; one of them where the tool would ask."""
+    names = [mj_model.body(i).name for i in range(mj_model.nbody)]
+    chosen = [name for name in WITHOUT_ONE_TERMINAL if name in names]
+    return chosen[0] if chosen else names[mj_model.jnt_bodyid[find_terminal_joint(mj_model)]]
+
+
+MODELS = [
+    path
+    for path in (*sorted(SHARED.glob("models/**/*.xml")), *sorted(SHARED.glob("**/*.urdf")))
+    if not path.stem.endswith(("actuators", "keyframe_ctrl", "no_act", "properties", "hand"))
+    or path.stem.endswith("nohand")
+]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not MODELS, reason="no public models here")
+@pytest.mark.parametrize("path", MODELS, ids=lambda p: f"{p.parent.name}/{p.name}")
+def test_public_models_keep_everything_but_the_inertia(tmp_path, path):
+    original = compile_model(path).mj_model
+    label = terminal_label(original)
+    theta = composite_theta(original, None, original.body(label).id) + 0.2 * THETA
+    first, second = tmp_path / "a" / path.name, tmp_path / "b" / "c" / path.name
+    exported(path, label, theta, first)
+    exported(first, label, theta, second)
+    assert second.read_bytes().count(b"System ID") == 1
