@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot_sysid.config import require_positive
+from robot_sysid.checks import require_positive
 from robot_sysid.criteria import CRITERIA
 from robot_sysid.errors import InputError
 from robot_sysid.fourier import FourierBasis

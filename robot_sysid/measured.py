@@ -11,7 +11,8 @@ from robot_sysid.estimators.options import EstimatorOptions
 from robot_sysid.friction import DEFAULT_MEASURED, FrictionModel, friction_model
 from robot_sysid.friction_choice import choose_friction, friction_per_joint
 from robot_sysid.log_checks import sign_check
-from robot_sysid.records import Array, Estimate, Measurement, Motion, Progress, RobotModel
+from robot_sysid.progress import Progress
+from robot_sysid.records import Array, Estimate, Measurement, Motion, RobotModel
 from robot_sysid.samples import SharedColumns, ThinnedSamples, thin_equations
 from robot_sysid.signals import (
     ProcessedSignals,

@@ -19,14 +19,13 @@ from robot_sysid.config import SysidConfig
 from robot_sysid.damiao.trajectory_csv import DamiaoExportReport
 from robot_sysid.kinematics import MUJOCO_VERSION
 from robot_sysid.parser import load_robot_model
+from robot_sysid.progress import Progress, Silent
 from robot_sysid.records import (
     Estimate,
     Identification,
     Measurement,
     MotionPlan,
-    Progress,
     RobotModel,
-    Silent,
     Status,
 )
 from robot_sysid.results import Command, check_motor_types, write_results

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from robot_sysid.closed_loop import ClosedLoop
-from robot_sysid.config import require_positive
+from robot_sysid.checks import require_positive
 from robot_sysid.errors import InputError
 from robot_sysid.records import Measurement, MotionPlan, RobotModel
 from robot_sysid.sensors import SensorOptions, Sensors

@@ -15,7 +15,7 @@ from typing import Union
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.config import require_positive
+from robot_sysid.checks import require_positive
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Measurement
 

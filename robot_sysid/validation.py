@@ -3,38 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.records import Array, SquareRootInformation, checked_array
+from robot_sysid.records import Array, SquareRootInformation, Validation, checked_array
 
 DEFAULT_FRACTION = 0.2
 """Part of a measured log, at its end, that is kept for validation."""
-
-
-@dataclass(frozen=True)
-class Validation:
-    """Torque prediction error on data that was not fitted.
-
-    Attributes:
-        source: which data, in words.
-        n_samples: number of samples of a joint's torque.
-        rmse: root mean square error over all joints [N m].
-        relative_error: ||tau - prediction|| / ||tau||, all joints stacked; zero is perfect.
-        rmse_per_joint: joint name to root mean square error [N m].
-        relative_error_per_joint: joint name to ||tau_j - prediction_j|| / ||tau_j||; None where a
-            joint's torque is zero.
-    """
-
-    source: str
-    n_samples: int
-    rmse: float
-    relative_error: float | None
-    rmse_per_joint: Mapping[str, float]
-    relative_error_per_joint: Mapping[str, float | None]
 
 
 class TorqueErrors:

@@ -1,0 +1,56 @@
+"""The frozen records that pass between stages; each checks itself once. SI units and radians.
+
+Legend of shapes: N samples, n chain joints (base to terminal), p parameters.
+"""
+
+from __future__ import annotations
+
+from robot_sysid.records.arm import (
+    InertialParameters,
+    JointFriction,
+    JointLimits,
+    RobotModel,
+    SubtreeBody,
+)
+from robot_sysid.records.arrays import (
+    Array,
+    checked_array,
+)
+from robot_sysid.records.data import (
+    BodyMotion,
+    JointInformation,
+    Measurement,
+    Motion,
+    MotionPlan,
+    SampleSource,
+    SquareRootInformation,
+)
+from robot_sysid.records.findings import (
+    Estimate,
+    Identifiability,
+    Identification,
+    Status,
+    Validation,
+)
+
+__all__ = [
+    "Array",
+    "BodyMotion",
+    "Estimate",
+    "Identifiability",
+    "Identification",
+    "InertialParameters",
+    "JointFriction",
+    "JointInformation",
+    "JointLimits",
+    "Measurement",
+    "Motion",
+    "MotionPlan",
+    "RobotModel",
+    "SampleSource",
+    "SquareRootInformation",
+    "Status",
+    "SubtreeBody",
+    "Validation",
+    "checked_array",
+]

@@ -1,0 +1,182 @@
+"""The arm as its model describes it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid import spatial
+from robot_sysid.errors import InputError
+from robot_sysid.records.arrays import Array, checked_array
+
+
+@dataclass(frozen=True)
+class InertialParameters:
+    """The ten inertial parameters of one rigid body.
+
+    Attributes:
+        theta: (10,) [m, hx, hy, hz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz] in the body frame, inertia about
+            the body ORIGIN; kg, kg m, kg m^2.
+    """
+
+    theta: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "theta", checked_array(self.theta, (10,), "theta"))
+
+    @property
+    def mass(self) -> float:
+        """Mass [kg]."""
+        return float(self.theta[0])
+
+    @property
+    def first_moment(self) -> Array:
+        """First moment of mass h = m c (3,) [kg m]."""
+        return self.theta[1:4]
+
+    @property
+    def inertia_origin(self) -> Array:
+        """Rotational inertia about the body origin (3, 3) [kg m^2]."""
+        return spatial.symmetric_from_six(self.theta[4:])
+
+    @property
+    def com(self) -> Array:
+        """Centre of mass (3,) in the body frame [m]."""
+        return spatial.com_from_theta(self.theta)[1]
+
+    @property
+    def inertia_com(self) -> Array:
+        """Rotational inertia about the centre of mass (3, 3), axes of the body frame [kg m^2]."""
+        return spatial.com_from_theta(self.theta)[2]
+
+    @property
+    def principal_moments(self) -> Array:
+        """Principal moments about the centre of mass (3,), ascending [kg m^2]."""
+        return np.linalg.eigvalsh(self.inertia_com)
+
+    @property
+    def is_consistent(self) -> bool:
+        """Whether a rigid body with these parameters can exist."""
+        return spatial.is_consistent(self.theta)
+
+
+@dataclass(frozen=True)
+class SubtreeBody:
+    """One body of the terminal link, the terminal body itself or one below it.
+
+    Attributes:
+        body_id: MuJoCo body id.
+        name: body name ("#7" for a nameless body with id 7).
+        theta: (10,) its inertial parameters in the TERMINAL body's frame, inertia about that
+            frame's origin; kg, kg m, kg m^2.
+        welded: whether no joint lies between it and the terminal body.
+    """
+
+    body_id: int
+    name: str
+    theta: Array
+    welded: bool
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "theta", checked_array(self.theta, (10,), f"theta of {self.name}"))
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """What each chain joint may do; infinite where there is no limit.
+
+    Attributes:
+        lower, upper: (n,) position limits [rad or m].
+        velocity: (n,) speed limits [rad/s or m/s].
+        torque: (n,) torque limits, symmetric [N m or N].
+    """
+
+    lower: Array
+    upper: Array
+    velocity: Array
+    torque: Array
+
+    def __post_init__(self) -> None:
+        sizes = {np.shape(v) for v in (self.lower, self.upper, self.velocity, self.torque)}
+        if len(sizes) != 1 or np.any(np.isnan(self.lower)) or np.any(np.isnan(self.upper)):
+            raise InputError(f"joint limits must be numbers of one length, got shapes {sizes}")
+        if np.any(self.lower >= self.upper) or np.any(self.velocity <= 0.0):
+            raise InputError("joint limits are empty: need lower < upper and velocity > 0")
+
+
+@dataclass(frozen=True)
+class JointFriction:
+    """Friction coefficients of the chain joints: tau_f = coulomb sign(qd) + viscous qd.
+
+    Attributes:
+        coulomb: (n,) [N m or N].
+        viscous: (n,) [N m s/rad or N s/m].
+    """
+
+    coulomb: Array
+    viscous: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "coulomb", checked_array(self.coulomb, (None,), "coulomb"))
+        size = len(self.coulomb)
+        object.__setattr__(self, "viscous", checked_array(self.viscous, (size,), "viscous"))
+
+    def torque(self, qd: Array) -> Array:
+        """Return the friction torque (N, n) at velocities qd (N, n)."""
+        return self.coulomb * np.sign(qd) + self.viscous * qd
+
+
+@dataclass(frozen=True)
+class RobotModel:
+    """One arm as the identification sees it.
+
+    Attributes:
+        path: the model file.
+        mj_model: the compiled MuJoCo model, exactly as the file describes it.
+        joint_names: the n chain joints, base to terminal ("#3" for a nameless joint with id 3).
+        body_name: the terminal body ("#7" for a nameless body with id 7).
+        body_id: its MuJoCo body id.
+        qpos_index, dof_index: (n,) addresses of the chain joints in qpos and qvel.
+        reference_qpos: (nq,) configuration at which joints outside the chain are held.
+        is_slide: (n,) whether a chain joint is a slide.
+        limits: what the chain joints may do.
+        prior: composite terminal link (terminal body and all below it at the reference
+            configuration), in the terminal body's frame.
+        friction: the model's friction of the chain joints.
+        sha256: hash of the files that make the model.
+        notes: what the reader of the file had to assume, one sentence each.
+    """
+
+    path: Path
+    mj_model: Any
+    joint_names: tuple[str, ...]
+    body_name: str
+    body_id: int
+    qpos_index: NDArray[np.int64]
+    dof_index: NDArray[np.int64]
+    reference_qpos: Array
+    is_slide: NDArray[np.bool_]
+    limits: JointLimits
+    prior: InertialParameters
+    friction: JointFriction
+    sha256: str = ""
+    notes: tuple[str, ...] = ()
+
+    @property
+    def n_joints(self) -> int:
+        """Number of chain joints n."""
+        return len(self.joint_names)
+
+    @property
+    def terminal_joint(self) -> str:
+        """Name of the last chain joint."""
+        return self.joint_names[-1]
+
+    @property
+    def reference(self) -> Array:
+        """Chain joint positions (n,) at the reference configuration."""
+        return self.reference_qpos[self.qpos_index]

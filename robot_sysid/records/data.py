@@ -1,0 +1,171 @@
+"""Motion, measurements, and what is left of them after one pass."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.records.arrays import Array, checked_array
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Chain joint motion on a time grid.
+
+    Attributes:
+        time: (N,) [s].
+        q, qd, qdd: (N, n) positions, velocities, accelerations [rad, rad/s, rad/s^2].
+    """
+
+    time: Array
+    q: Array
+    qd: Array
+    qdd: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "time", checked_array(self.time, (None,), "time"))
+        shape = (len(self.time), np.shape(self.q)[1] if np.ndim(self.q) == 2 else None)
+        for name in ("q", "qd", "qdd"):
+            object.__setattr__(self, name, checked_array(getattr(self, name), shape, name))
+
+
+class MotionPlan(Protocol):
+    """A trajectory: anything with a duration that can be evaluated exactly at any time."""
+
+    @property
+    def duration(self) -> float:
+        """Length [s]."""
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints n."""
+
+    def evaluate(self, time: Array) -> Motion:
+        """Return the motion at times (N,) [s]; exact derivatives."""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """Joint motion and torque samples, from a simulation or a log; one chunk of them or all.
+
+    Attributes:
+        time: (N,) [s], increasing.
+        q: (N, n) positions [rad].
+        qd: (N, n) velocities [rad/s], or None where only positions were measured.
+        tau: (N, n) joint torques [N m].
+        qdd: (N, n) accelerations [rad/s^2], or None where the log has none.
+        joint_time: (N, n) when each joint was sampled [s], where it has time stamps of its own;
+            None where ``time`` holds for all.
+    """
+
+    time: Array
+    q: Array
+    qd: Array | None
+    tau: Array
+    qdd: Array | None = None
+    joint_time: Array | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "time", checked_array(self.time, (None,), "time"))
+        shape = (len(self.time), np.shape(self.q)[1] if np.ndim(self.q) == 2 else None)
+        for name in ("q", "qd", "tau", "qdd", "joint_time"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, checked_array(getattr(self, name), shape, name))
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+
+@dataclass(frozen=True)
+class BodyMotion:
+    """What the regressor needs to know about the terminal body, in its own coordinates.
+
+    Attributes:
+        velocity: (N, 6) spatial velocity [omega, v] of the body-frame origin.
+        acceleration: (N, 6) spatial acceleration [alpha, a - omega x v] minus gravity.
+        jacobian: (N, 6, n) body Jacobian, velocity = jacobian qd.
+        tau_rest: (N, n) torque of the arm without the terminal link and without friction [N m].
+    """
+
+    velocity: Array
+    acceleration: Array
+    jacobian: Array
+    tau_rest: Array
+
+
+@dataclass(frozen=True)
+class JointInformation:
+    """Square-root information of one joint's equations: R^T R = [Y tau]^T [Y tau].
+
+    Attributes:
+        joint: joint name.
+        columns: (k,) which global parameters this joint's equations contain.
+        triangle: (k+1, k+1) upper triangle R of the QR factorisation of [Y tau].
+        n_samples: number of equations that went in.
+    """
+
+    joint: str
+    columns: NDArray[np.int64]
+    triangle: Array
+    n_samples: int
+
+    def __post_init__(self) -> None:
+        size = len(self.columns) + 1
+        triangle = checked_array(self.triangle, (size, size), f"information of {self.joint}")
+        object.__setattr__(self, "triangle", triangle)
+
+
+@dataclass(frozen=True)
+class SquareRootInformation:
+    """All that is left of the data after one pass over it.
+
+    Attributes:
+        names: (p,) global parameter names: the ten of ``spatial.PARAMETER_NAMES`` first, then
+            nuisances such as ``coulomb[joint6]``.
+        joints: one entry per joint whose torque is used.
+    """
+
+    names: tuple[str, ...]
+    joints: tuple[JointInformation, ...]
+
+    @property
+    def n_samples(self) -> int:
+        """Number of scalar equations."""
+        return sum(joint.n_samples for joint in self.joints)
+
+    def stacked(self, weights: Array | None = None) -> tuple[Array, Array]:
+        """Return (A (M, p), b (M,)) with ||A x - b||^2 = sum_j w_j^2 ||Y_j x - tau_j||^2.
+
+        Args:
+            weights: (joints,) weight of each joint's equations, 1/sigma; None weighs all alike.
+        """
+        scale = np.ones(len(self.joints)) if weights is None else np.asarray(weights)
+        blocks, rights = [], []
+        for joint, weight in zip(self.joints, scale):
+            block = np.zeros((len(joint.triangle), len(self.names)))
+            block[:, joint.columns] = weight * joint.triangle[:, :-1]
+            blocks.append(block)
+            rights.append(weight * joint.triangle[:, -1])
+        return np.vstack(blocks), np.concatenate(rights)
+
+    def squared_residuals(self, values: Array) -> Array:
+        """Return sum of squared residuals per joint (joints,) [N^2 m^2] at values (p,)."""
+        return np.array(
+            [np.sum((j.triangle @ np.append(values[j.columns], -1.0)) ** 2) for j in self.joints]
+        )
+
+
+class SampleSource(Protocol):
+    """The equations behind an information, sample by sample, for methods that need several passes.
+
+    Each iteration starts again at the first sample and yields chunks (joint number, rows (N, k),
+    tau (N,)) in the order of time per joint. tau is NaN where a sample is left out of the fit; such
+    a row stays in its place so that time lags keep their meaning.
+    """
+
+    def __iter__(self) -> Iterator[tuple[int, Array, Array]]:
+        """Start a new pass."""

@@ -1,0 +1,180 @@
+"""What an identification found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+
+import numpy as np
+
+from robot_sysid.records.arm import InertialParameters
+from robot_sysid.records.arrays import Array, checked_array
+
+
+class Status(Enum):
+    """How an identification ended: cause and remedy."""
+
+    OK = "all requested parameters are identified from the data"
+    PARTLY_FROM_MODEL = (
+        "some parameter combinations do not show in these torques and keep the model's values; "
+        "use --torques chain, a longer --duration or another --seed to see more"
+    )
+    INCONSISTENT = (
+        "the estimate is not a possible rigid body (its pseudo-inertia is not positive definite), "
+        "because the data is too noisy or excites the link too little; use --torques chain, "
+        "a longer --duration, another --seed or --consistency enforce"
+    )
+
+
+@dataclass(frozen=True)
+class Identifiability:
+    """What the equations can and cannot see.
+
+    Attributes:
+        rank: number of identifiable combinations of the ten inertial and the terminal joint's
+            friction parameters.
+        n_parameters: how many of those parameters were asked for.
+        condition_number: of the stacked regressor (of its visible part where columns are blind).
+        scaled_condition_number: the same after scaling each column to unit length.
+        identified: (p,) per parameter, whether the data alone determines it.
+        blind: the invisible combinations in words, for instance "mass".
+    """
+
+    rank: int
+    n_parameters: int
+    condition_number: float
+    scaled_condition_number: float
+    identified: tuple[bool, ...]
+    blind: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Result of one solver run.
+
+    Attributes:
+        names: (p,) parameter names, as in the information.
+        values: (p,) estimate.
+        identifiability: what the data could see.
+        rmse: root mean square torque residual over all equations [N m].
+        rmse_per_joint: joint name to root mean square torque residual [N m].
+        status: how it ended.
+        method: estimator's name.
+        covariance: (p, p), where one was computed; zero along directions the data cannot see.
+        standard_errors: (p,) standard deviation of each value; infinite where only the model's
+            value is known.
+        data_share: (p,) how much of each value comes from the data: 1 all, 0 all from the model.
+        noise_per_joint: joint name to standard deviation of its torque noise [N m].
+        effective_samples: joint name to the number of independent samples its noise leaves.
+        constrained: whether the plain estimate was replaced by the best possible rigid body.
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    identifiability: Identifiability
+    rmse: float
+    rmse_per_joint: Mapping[str, float]
+    status: Status
+    method: str = "ols"
+    covariance: Array | None = None
+    standard_errors: Array | None = None
+    data_share: Array | None = None
+    noise_per_joint: Mapping[str, float] = field(default_factory=dict)
+    effective_samples: Mapping[str, float] = field(default_factory=dict)
+    constrained: bool = False
+
+    def __post_init__(self) -> None:
+        size = len(self.names)
+        object.__setattr__(self, "values", checked_array(self.values, (size,), "estimate"))
+
+    @property
+    def inertial(self) -> InertialParameters:
+        """The ten inertial parameters."""
+        return InertialParameters(self.values[:10])
+
+    @property
+    def relative_errors(self) -> Array | None:
+        """Standard error over magnitude (p,); infinite where either is not known or zero."""
+        if self.standard_errors is None:
+            return None
+        size = np.abs(self.values)
+        known = np.isfinite(self.standard_errors) & (size > 0.0)
+        return np.where(known, self.standard_errors / np.where(known, size, 1.0), np.inf)
+
+    def value(self, name: str) -> float | None:
+        """Return one parameter by name, or None where it was not estimated."""
+        return float(self.values[self.names.index(name)]) if name in self.names else None
+
+
+@dataclass(frozen=True)
+class Validation:
+    """Torque prediction error on data that was not fitted.
+
+    Attributes:
+        source: which data, in words.
+        n_samples: number of samples of a joint's torque.
+        rmse: root mean square error over all joints [N m].
+        relative_error: ||tau - prediction|| / ||tau||, all joints stacked; zero is perfect.
+        rmse_per_joint: joint name to root mean square error [N m].
+        relative_error_per_joint: joint name to ||tau_j - prediction_j|| / ||tau_j||; None where a
+            joint's torque is zero.
+    """
+
+    source: str
+    n_samples: int
+    rmse: float
+    relative_error: float | None
+    rmse_per_joint: Mapping[str, float]
+    relative_error_per_joint: Mapping[str, float | None]
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Everything the exporters and the command line read.
+
+    Attributes:
+        model_path, model_sha256: which model file.
+        joint_name, body_name: terminal joint and body.
+        joint_names: all chain joints.
+        prior: the model's own parameters of the terminal link.
+        estimate: the result.
+        torques: "chain" or "terminal".
+        friction: whether friction was estimated.
+        seed: of the trajectory; None where the data came from a log.
+        duration: of the data [s].
+        sample_rate: [Hz].
+        versions: package name to version.
+        source: where the data came from, in words.
+        validation: prediction error on data that was not fitted, one entry per data set.
+        friction_model: name of the friction model of measured data; None where the simulation of
+            the model itself was analysed.
+        delay: by which torque lags position, where it was estimated [s].
+        tilt: angle between the model's gravity and the estimated one, where it was estimated [rad].
+        gravity: (3,) estimated gravity in the model's world frame [m/s^2], where it was estimated.
+        cutoff: of the low-pass of measured data [Hz].
+        notes: one sentence each: what the user should know.
+    """
+
+    model_path: Path
+    model_sha256: str
+    joint_name: str
+    body_name: str
+    joint_names: tuple[str, ...]
+    prior: InertialParameters
+    estimate: Estimate
+    torques: str
+    friction: bool
+    seed: int | None
+    duration: float
+    sample_rate: float
+    versions: Mapping[str, str]
+    source: str = "simulation of the model itself"
+    validation: tuple[Validation, ...] = ()
+    friction_model: str | None = None
+    delay: float | None = None
+    tilt: float | None = None
+    gravity: Array | None = None
+    cutoff: float | None = None
+    notes: tuple[str, ...] = ()
