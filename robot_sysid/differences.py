@@ -2,9 +2,10 @@
 
 Both are symmetric finite stencils, exact for polynomials up to their order, which suits signals
 that a low-pass has already been over: an eighth-order difference is exact to 1e-6 at a tenth of the
-sample rate. On low-passed encoder data it leaves the same error as any other accurate derivative;
-what a Savitzky-Golay window on the raw data, a Butterworth pair or a Fourier derivative leave is
-2 to 1000 times larger (benchmark in tests/benchmarks).
+sample rate. On low-passed encoder data it leaves only the noise inside the pass band; on the same
+data a Savitzky-Golay window over the raw positions leaves nearly three times as much, a Fourier
+derivative more than ten times, and a recursive filter run both ways as much, but errs near the ends
+(tests/benchmarks/differentiation_accuracy.py).
 """
 
 from __future__ import annotations

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from robot_sysid.column_file import ColumnChoices, Units, parse_units, read_columns_file
 from robot_sysid.column_titles import read_title
+from robot_sysid.damiao.trajectory_csv import trajectory_columns
 from robot_sysid.errors import InputError
 from robot_sysid.log_columns import ColumnMap, recognise_columns
 
@@ -98,6 +99,16 @@ def test_recordings_with_commands_status_and_temperature_use_what_was_measured()
     assert found.velocity is not None and found.joint_time is not None
     assert [s.index for s in found.joint_time] == [1, 11, 21]
     assert "joint2_cmd_tau" in found.unused and "joint0_status" in found.unused
+
+
+def test_the_columns_of_a_damiao_recording_are_known():
+    extra = ("time", "cmd_pos", "cmd_vel", "cmd_tau", "status", "temp_mos", "temp_rotor")
+    titles = ["time", *trajectory_columns(3)]
+    titles += [f"j{j}_{what}" for j in range(3) for what in extra]
+    found = recognise_columns(titles, ("joint1", "joint2", "joint3"))
+    taken = found.position + found.torque + (found.velocity or ()) + (found.joint_time or ())
+    expected = [f"j{j}_{what}" for what in ("pos", "tau", "vel", "time") for j in range(3)]
+    assert [source.title for source in taken] == expected
 
 
 @pytest.mark.parametrize(
