@@ -5,15 +5,29 @@ from __future__ import annotations
 import numpy as np
 
 from robot_sysid import spatial
-from robot_sysid.estimators.ols import least_squares
-from robot_sysid.identifiability import N_INERTIAL, analyse_identifiability
+from robot_sysid.coloured_noise import collect_residuals
+from robot_sysid.consistency import consistent_least_squares
+from robot_sysid.errors import InputError
+from robot_sysid.estimators.options import EstimatorOptions
+from robot_sysid.estimators.registry import estimator
+from robot_sysid.estimators.weighting import WeightedEquations
+from robot_sysid.identifiability import N_INERTIAL, analyse_identifiability, visible_space
+from robot_sysid.nonnegative import solve_nonnegative
 from robot_sysid.records import (
     Array,
     Estimate,
     Identifiability,
+    SampleSource,
     SquareRootInformation,
     Status,
     checked_array,
+)
+from robot_sysid.uncertainty import (
+    Uncertainty,
+    coloured_uncertainty,
+    inverse_root,
+    prior_curvature,
+    white_uncertainty,
 )
 
 
@@ -21,6 +35,8 @@ def identify_parameters(
     information: SquareRootInformation,
     prior: Array,
     method: str = "ols",
+    options: EstimatorOptions | None = None,
+    samples: SampleSource | None = None,
     terminal_joint: str | None = None,
 ) -> Estimate:
     """Estimate all parameters; what the data cannot see keeps the prior's value.
@@ -28,16 +44,26 @@ def identify_parameters(
     Args:
         information: the data.
         prior: (p,) the model's own values, in the order of ``information.names``.
-        method: name of the estimator.
+        method: name of the estimator: "ols", "wls" or "robust".
+        options: physical consistency, prior and the like.
+        samples: the same equations sample by sample; with them the standard errors allow for noise
+            that is correlated in time. "robust" needs them.
         terminal_joint: name of the terminal joint, if it is not the information's last.
 
     Returns:
         The estimate with rank, condition, residuals and a status that names cause and remedy.
+
+    Raises:
+        InputError: unknown method or option; lists the valid ones.
     """
+    chosen = options or EstimatorOptions()
     prior = checked_array(prior, (len(information.names),), "prior")
-    values = least_squares(information, prior)
+    equations = estimator(method)(information, prior, chosen, samples)
+    values, constrained = solve(equations, prior, chosen)
     identifiability = analyse_identifiability(information, terminal_joint)
     rmse, per_joint = torque_rmse(information, values)
+    errors, effective = _errors(information, equations, values, chosen, samples)
+    joints = [joint.joint for joint in information.joints]
     return Estimate(
         names=information.names,
         values=values,
@@ -46,7 +72,44 @@ def identify_parameters(
         rmse_per_joint=per_joint,
         status=judge(values, identifiability),
         method=method,
+        covariance=errors.covariance,
+        standard_errors=errors.standard_errors,
+        data_share=errors.data_share,
+        noise_per_joint=dict(zip(joints, map(float, equations.noise))),
+        effective_samples=dict(zip(joints, effective)),
+        constrained=constrained,
     )
+
+
+def solve(
+    equations: WeightedEquations, prior: Array, options: EstimatorOptions
+) -> tuple[Array, bool]:
+    """Return (values (p,), whether they are a constrained fit) of whitened equations.
+
+    Args:
+        equations: what an estimator hands on.
+        prior: (p,) the model's values.
+        options: consistency, prior and bounds.
+    """
+    weight = options.entropic_weight
+
+    def plain(matrix: Array, right: Array, model: Array) -> Array:
+        return model + visible_space(matrix).solve(right - matrix @ model)
+
+    def consistent(matrix: Array, right: Array, model: Array) -> Array:
+        return consistent_least_squares(matrix, right, model, weight)
+
+    matrix, right = equations.whitened()
+    bounded = _indices(equations.information.names, options.nonnegative)
+    if weight > 0.0:
+        return solve_nonnegative(consistent, matrix, right, prior, bounded), False
+    free = solve_nonnegative(plain, matrix, right, prior, bounded)
+    wanted = options.consistency == "enforce"
+    wanted |= options.consistency == "auto" and not spatial.is_consistent(free[:N_INERTIAL])
+    if not wanted:
+        return free, False
+    values = solve_nonnegative(consistent, matrix, right, prior, bounded)
+    return values, bool(np.any(values != free))
 
 
 def torque_rmse(
@@ -69,3 +132,29 @@ def judge(values: Array, identifiability: Identifiability) -> Status:
     if identifiability.rank < identifiability.n_parameters:
         return Status.PARTLY_FROM_MODEL
     return Status.OK
+
+
+def _errors(
+    information: SquareRootInformation,
+    equations: WeightedEquations,
+    values: Array,
+    options: EstimatorOptions,
+    samples: SampleSource | None,
+) -> tuple[Uncertainty, list[float]]:
+    """Return (uncertainty, effective number of samples per joint)."""
+    weights = 1.0 / equations.noise
+    curvature = prior_curvature(values[:N_INERTIAL], options.entropic_weight, len(values))
+    if samples is None:
+        counts = [float(joint.n_samples) for joint in information.joints]
+        noise = equations.noise
+        return white_uncertainty(equations.information, weights, noise, curvature), counts
+    root = inverse_root(information, weights, curvature)
+    residuals = collect_residuals(information, samples, values, equations.clip, root, weights)
+    return coloured_uncertainty(information, weights, residuals, curvature)
+
+
+def _indices(names: tuple[str, ...], chosen: tuple[str, ...]) -> list[int]:
+    unknown = [name for name in chosen if name not in names]
+    if unknown:
+        raise InputError(f"no parameter {unknown[0]!r} to bound; valid: {', '.join(names)}")
+    return [names.index(name) for name in chosen]

@@ -1,0 +1,205 @@
+"""What torque noise that is correlated in time does to an estimate, from one pass over the samples.
+
+Residuals of a joint are described by a sum of decaying exponentials,
+
+    gamma(l) = c_0 [l = 0] + sum_i c_i exp(-|l| / T_i),   c >= 0,  T_i = 1, 2, 4, ... samples,
+
+fitted to their autocovariance. The variance of the score Y^T e is then sum_i c_i Q_i with
+
+    Q_i = sum_(t, s) y_t exp(-|t - s| / T_i) y_s^T,
+
+which first-order recursive filters collect in constant memory. Slow rows and slow noise add up,
+fast ones average out; white noise gives sigma^2 Y^T Y.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.records import Array, SampleSource, SquareRootInformation
+
+_MAX_LAG = 2000
+_FITTED_LAGS = 60
+_MOST_ABSORBED = 0.8
+
+
+@dataclass(frozen=True)
+class JointResiduals:
+    """What a pass over one joint's samples leaves: sums over lags and kernels.
+
+    Attributes:
+        columns: (k,) which parameters this joint's equations contain.
+        count: number of samples n.
+        decay: (m,) exp(-1 / T_i).
+        sums: (1 + m, k, k) the Q_i; the first is Y^T Y.
+        lags: (v,) lags [samples], from 0.
+        products: (v,) mean of r_t r_(t+l) [N^2 m^2].
+        hats: (v,) mean of h_(t,t+l), H the matrix that turns this joint's torque into the fit.
+    """
+
+    columns: NDArray[np.int64]
+    count: int
+    decay: Array
+    sums: Array
+    lags: NDArray[np.int64]
+    products: Array
+    hats: Array
+
+    def absorbed(self, own: Array) -> Array:
+        """Return (1 + m,) the share of each kernel's noise that the fit takes out of residuals.
+
+        With H = Y own Y^T, residuals of noise V have the energy tr V - 2 tr H V + tr H V H.
+
+        Args:
+            own: (k, k) w^2 C, weight times the estimate's inverse normal matrix.
+        """
+        twice = own @ self.sums[0] @ own
+        lost = 2.0 * np.tensordot(self.sums, own, axes=2) - np.tensordot(self.sums, twice, axes=2)
+        return np.clip(lost / max(self.count, 1), 0.0, _MOST_ABSORBED)
+
+    def fit(self, own: Array, leaked: float) -> Array:
+        """Return kernel coefficients c >= 0 (1 + m,) [N^2 m^2].
+
+        The fit takes slow noise out of the residuals in the shape of ``hats``; that is part of what
+        each kernel is expected to look like.
+
+        Args:
+            own: as in ``absorbed``.
+            leaked: mean square that errors caused by other joints' noise add [N^2 m^2].
+        """
+        from scipy.optimize import nnls
+
+        energy = float(self.products[0])
+        shape = self.hats / self.hats[0] if self.hats[0] > 0.0 else np.zeros(len(self.lags))
+        seen = self.products - min(leaked, 0.5 * energy) * shape
+        if energy <= 0.0:
+            return np.zeros(1 + len(self.decay))
+        lost = self.absorbed(own)
+        kernels = np.column_stack((self.lags == 0, self.decay ** self.lags[:, None])).astype(float)
+        found = nnls(kernels - np.outer(shape, lost), seen / energy)[0]
+        found[0] += float(not np.any(found))
+        return found * seen[0] / float(found @ (1.0 - lost))
+
+    def effective_samples(self, kernels: Array) -> float:
+        """Return how many independent samples average as well: n gamma(0) / sum_l gamma(l)."""
+        summed = np.concatenate(([1.0], (1.0 + self.decay) / (1.0 - self.decay)))
+        spread = float(kernels @ summed)
+        return self.count * float(np.sum(kernels)) / spread if spread > 0.0 else float(self.count)
+
+
+class ResidualAccumulator:
+    """Collects one joint's sums over lags and kernels, chunk by chunk.
+
+    Args:
+        columns: which parameters the joint's rows contain.
+        root: (k, r) with w^2 C = root root^T.
+        expected: number of samples to come; lags and time constants stay below a tenth of it.
+    """
+
+    def __init__(self, columns: NDArray[np.int64], root: Array, expected: int) -> None:
+        self._columns, self._root = columns, root
+        lags = int(np.clip(expected // 10, 1, _MAX_LAG))
+        powers = np.arange(max(int(np.log2(max(lags / 2.0, 1.0))) + 1, 1))
+        self._decay = np.exp(-1.0 / 2.0**powers)
+        size = len(columns)
+        self._state = np.zeros((len(self._decay), 1, size))
+        self._cross = np.zeros((len(self._decay), size, size))
+        self._normal = np.zeros((size, size))
+        self._products, self._pairs, self._hats = (_LaggedSum(lags) for _ in range(3))
+
+    def add(self, rows: Array, residual: Array) -> None:
+        """Add rows (N, k) and residuals (N,); NaN where a sample is left out."""
+        kept = np.isfinite(residual)
+        rows = np.where(kept[:, None], rows, 0.0)
+        self._products.add(np.where(kept, residual, 0.0)[:, None])
+        self._pairs.add(kept.astype(float)[:, None])
+        self._hats.add(rows @ self._root)
+        self._add_kernels(rows)
+
+    def _add_kernels(self, rows: Array) -> None:
+        """Update Q_i with the filter u_t = a (u_(t-1) + y_(t-1)), a = exp(-1 / T_i)."""
+        from scipy.signal import lfilter
+
+        self._normal += rows.T @ rows
+        for i, decay in enumerate(self._decay):
+            past, self._state[i] = lfilter(
+                [0.0, decay], [1.0, -decay], rows, axis=0, zi=self._state[i]
+            )
+            self._cross[i] += rows.T @ past
+
+    def result(self) -> JointResiduals:
+        """Return what has been collected."""
+        symmetric = self._normal + self._cross + self._cross.transpose(0, 2, 1)
+        last = len(self._pairs.total) - 1
+        lags = np.unique(np.round(np.geomspace(1.0, last, _FITTED_LAGS)).astype(np.int64))
+        lags = np.concatenate(([0], lags))
+        pairs = np.maximum(self._pairs.total[lags], 1.0)
+        return JointResiduals(
+            columns=self._columns,
+            count=int(round(self._pairs.total[0])),
+            decay=self._decay,
+            sums=np.concatenate((self._normal[None], symmetric)),
+            lags=lags,
+            products=self._products.total[lags] / pairs,
+            hats=self._hats.total[lags] / pairs,
+        )
+
+
+class _LaggedSum:
+    """sum_t s_t . s_(t+l) for l = 0 .. lags of a vector signal that comes in chunks."""
+
+    def __init__(self, lags: int) -> None:
+        self.total = np.zeros(lags + 1)
+        self._tail: Array | None = None
+
+    def add(self, signal: Array) -> None:
+        lags = len(self.total) - 1
+        tail = signal[:0] if self._tail is None else self._tail
+        joined = np.concatenate((tail, signal))
+        self.total += _lagged(joined, lags) - _lagged(tail, lags)
+        self._tail = joined[-lags:]
+
+
+def collect_residuals(
+    information: SquareRootInformation,
+    samples: SampleSource,
+    values: Array,
+    clip: Array,
+    root: Array,
+    weights: Array,
+) -> list[JointResiduals]:
+    """Return each joint's sums, from one pass.
+
+    Args:
+        information: what the samples are equations of.
+        samples: the equations, sample by sample.
+        values: (p,) the estimate.
+        clip: (joints,) residuals beyond this are cut to it [N m].
+        root: (p, r) with C = root root^T.
+        weights: (joints,) of the fit [1/(N m)].
+    """
+    joints = information.joints
+    found = [
+        ResidualAccumulator(joint.columns, weight * root[joint.columns], joint.n_samples)
+        for joint, weight in zip(joints, weights)
+    ]
+    inside, total = np.zeros(len(joints)), np.zeros(len(joints))
+    for index, rows, tau in samples:
+        residual = tau - rows @ values[joints[index].columns]
+        inside[index] += np.count_nonzero(np.abs(residual) <= clip[index])
+        total[index] += np.count_nonzero(np.isfinite(residual))
+        found[index].add(rows, np.clip(residual, -clip[index], clip[index]))
+    # Cut residuals carry less of each error into the estimate: psi(r) / mean psi' (Huber 1964).
+    shares = np.maximum(inside, 1.0) / np.maximum(total, 1.0)
+    results = [accumulator.result() for accumulator in found]
+    return [replace(r, products=r.products / share**2) for r, share in zip(results, shares)]
+
+
+def _lagged(signal: Array, lags: int) -> Array:
+    """Return sum_t s_t . s_(t+l) for l = 0 .. lags of a signal (N, r), by FFT."""
+    size = 1 << int(np.ceil(np.log2(max(len(signal) + lags + 1, 2))))
+    power = np.sum(np.abs(np.fft.rfft(signal, size, axis=0)) ** 2, axis=1)
+    return np.fft.irfft(power, size)[: lags + 1]

@@ -1,0 +1,79 @@
+"""What an estimator hands on: equations, and how much each joint's equations count."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from robot_sysid.identifiability import visible_space
+from robot_sysid.records import Array, SampleSource, SquareRootInformation
+
+_NOISE_FLOOR = 1e-9
+
+
+@dataclass(frozen=True)
+class WeightedEquations:
+    """Equations ready to be solved: divided by the noise they are all alike.
+
+    Attributes:
+        information: the equations; robust methods have down-weighted outliers in them.
+        noise: (joints,) standard deviation to divide each joint's equations by [N m].
+        clip: (joints,) residuals beyond this count no more than it [N m]; infinite unless robust.
+    """
+
+    information: SquareRootInformation
+    noise: Array
+    clip: Array
+
+    def whitened(self) -> tuple[Array, Array]:
+        """Return (A (M, p), b (M,)) with residuals of unit variance."""
+        return self.information.stacked(1.0 / self.noise)
+
+
+def no_clip(information: SquareRootInformation) -> Array:
+    """Return (joints,) infinities: no residual is an outlier."""
+    return np.full(len(information.joints), np.inf)
+
+
+def noise_floor(information: SquareRootInformation) -> float:
+    """Return what counts as no noise at all: 1e-9 of the root mean square torque [N m]."""
+    squared = sum(float(np.sum(joint.triangle[:, -1] ** 2)) for joint in information.joints)
+    rms = np.sqrt(squared / max(information.n_samples, 1))
+    return float(_NOISE_FLOOR * rms) or 1.0
+
+
+def joint_noise(information: SquareRootInformation, values: Array, weights: Array) -> Array:
+    """Return (joints,) noise standard deviation of each joint's torque [N m].
+
+    sigma_j^2 = |r_j|^2 / (n_j - l_j), with the leverage l_j = w_j^2 tr(Y_j C Y_j^T): how many
+    parameters this joint's equations pay for (Seber, Lee, "Linear Regression Analysis", 2003).
+
+    Args:
+        information: the equations.
+        values: (p,) their solution.
+        weights: (joints,) weights it was found with.
+    """
+    squared = information.squared_residuals(values)
+    counts = np.array([joint.n_samples for joint in information.joints], dtype=float)
+    freedom = np.maximum(counts - leverage(information, weights), 1.0)
+    return np.maximum(np.sqrt(squared / freedom), noise_floor(information))
+
+
+def left_in(samples: SampleSource) -> Iterator[tuple[int, Array, Array]]:
+    """Yield the chunks of a pass without the samples that are left out."""
+    for index, rows, tau in samples:
+        keep = np.isfinite(tau)
+        yield (index, rows, tau) if np.all(keep) else (index, rows[keep], tau[keep])
+
+
+def leverage(information: SquareRootInformation, weights: Array) -> Array:
+    """Return (joints,) how many parameters each joint's equations pay for; sums to the rank."""
+    root = visible_space(information.stacked(weights)[0]).inverse_root()
+    return np.array(
+        [
+            weight**2 * np.sum((joint.triangle[:, :-1] @ root[joint.columns]) ** 2)
+            for joint, weight in zip(information.joints, weights)
+        ]
+    )

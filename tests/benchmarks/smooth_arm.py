@@ -1,0 +1,96 @@
+"""Equations that look like an arm's log: smooth multi-sine rows, torque noise that has a memory."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from robot_sysid.spatial import PARAMETER_NAMES
+from tests.synthetic_data import random_body, wrench_rows
+
+N_JOINTS = 7
+
+
+class SmoothArm:
+    """Seven joints, each with the ten inertial columns, Coulomb, viscous and offset.
+
+    Args:
+        rng: draws motion and truth.
+        rate: samples per second.
+        duration: seconds.
+    """
+
+    def __init__(self, rng, rate=200.0, duration=15.0):
+        self.rate, self.count = rate, int(rate * duration)
+        self.time = np.arange(self.count) / rate
+        omega, alpha = self._pair(rng, 3, 1.0)
+        acceleration = 9.81 * self._directions(rng) + 0.5 * self._pair(rng, 3, 1.0)[0]
+        wrench = wrench_rows(omega, alpha, acceleration)
+        names, self.columns, self.rows = list(PARAMETER_NAMES), [], []
+        for j in range(N_JOINTS):
+            speed = self._pair(rng, 1, 0.7)[0][:, 0]
+            screw = self._screw(rng)
+            inertial = np.einsum("ni,nik->nk", screw, wrench)
+            own = np.column_stack((np.sign(speed), speed, np.ones(self.count)))
+            self.columns.append(np.append(np.arange(10), len(names) + np.arange(3)))
+            names += [f"{kind}[joint{j}]" for kind in ("coulomb", "viscous", "offset")]
+            self.rows.append(np.hstack((inertial, own)))
+        self.names = tuple(names)
+        nuisance = rng.uniform(0.1, 1.0, 3 * N_JOINTS)
+        self.truth = np.concatenate((random_body(rng), nuisance))
+
+    def _pair(self, rng, size, amplitude):
+        """(signal, derivative), each (N, size): four sines of 0.1 to 0.6 Hz."""
+        frequency = 2.0 * np.pi * rng.uniform(0.1, 0.6, (4, size))
+        phase = rng.uniform(0.0, 2.0 * np.pi, (4, size))
+        angle = self.time[:, None, None] * frequency + phase
+        scale = amplitude * rng.uniform(0.3, 1.0, (4, size))
+        return np.sum(scale * np.sin(angle), axis=1), np.sum(
+            scale * frequency * np.cos(angle), axis=1
+        )
+
+    def _directions(self, rng):
+        vectors = self._pair(rng, 3, 1.0)[0] + rng.normal(size=3)
+        return vectors / np.linalg.norm(vectors, axis=1)[:, None]
+
+    def _screw(self, rng):
+        axis = self._directions(rng)
+        return np.hstack((axis, np.cross(0.3 * self._pair(rng, 3, 1.0)[0], axis)))
+
+    def noise(self, rng, sigma, memory):
+        """(N, 7) noise; ``memory`` is the time constant of its autocorrelation [s], 0 for white."""
+        from scipy.signal import lfilter
+
+        white = rng.normal(size=(self.count, N_JOINTS))
+        if memory == 0.0:
+            return sigma * white
+        decay = np.exp(-1.0 / (memory * self.rate))
+        start = decay * rng.normal(size=(1, N_JOINTS))
+        return sigma * lfilter([np.sqrt(1.0 - decay**2)], [1.0, -decay], white, axis=0, zi=start)[0]
+
+    def torques(self, noise):
+        return [
+            r @ self.truth[c] + noise[:, j] for j, (r, c) in enumerate(zip(self.rows, self.columns))
+        ]
+
+
+class Chunks:
+    """The equations of an arm, readable several times, in chunks per joint."""
+
+    def __init__(self, arm, torques, size=1000):
+        self.arm, self.torques, self.size = arm, torques, size
+
+    def __iter__(self):
+        for start in range(0, self.arm.count, self.size):
+            part = slice(start, start + self.size)
+            for j, rows in enumerate(self.arm.rows):
+                yield j, rows[part], self.torques[j][part]
+
+
+def information_of_chunks(arm, chunks):
+    from robot_sysid.information import InformationAccumulator
+
+    joints = [f"joint{j}" for j in range(N_JOINTS)]
+    accumulator = InformationAccumulator(arm.names, joints, arm.columns)
+    for index, rows, tau in chunks:
+        accumulator.add(index, rows, tau)
+    return accumulator.result()
