@@ -101,20 +101,19 @@ def verify_written_model(
     except InputError as error:
         raise ExportError(f"the written model cannot be loaded: {error}") from None
     changed = {body_id, *(body.body_id for body in plan.folded)}
-    require_same_model(original, compiled.mj_model, changed, written)
-    require_theta(compiled.mj_model, body_id, plan.theta, plan.theta, written)
+    require_same_model(original, compiled.mj_model, changed)
+    require_theta(compiled.mj_model, body_id, plan.theta, plan.theta)
     for body in plan.folded:
-        require_theta(compiled.mj_model, body.body_id, np.zeros(10), plan.theta, written)
+        require_theta(compiled.mj_model, body.body_id, np.zeros(10), plan.theta)
     return compiled
 
 
-def require_same_model(original: Any, other: Any, changed: Collection[int], path: Path) -> None:
+def require_same_model(original: Any, other: Any, changed: Collection[int]) -> None:
     """Raise ExportError naming the first compiled field that differs and may not.
 
     Args:
         original, other: compiled models.
         changed: ids of the bodies whose inertia may differ.
-        path: file of ``other``, for the message.
     """
     theirs = dict(_fields(other))
     for name, value in _fields(original):
@@ -122,8 +121,8 @@ def require_same_model(original: Any, other: Any, changed: Collection[int], path
             continue
         if name not in theirs or not _same(name, value, theirs[name], changed):
             raise ExportError(
-                f"{path.name}: the written model differs from the original in {name}, which "
-                "should not have changed; no model was written"
+                f"the written model differs from the original in {name}, which should not have "
+                "changed; no model was written"
             )
 
 
@@ -132,7 +131,6 @@ def require_theta(
     body_id: int,
     theta: Array,
     size: Array,
-    path: Path,
     tolerance: float = TOLERANCE,
 ) -> None:
     """Raise ExportError unless a compiled body has the parameters theta (10,).
@@ -142,7 +140,6 @@ def require_theta(
         body_id: MuJoCo body id.
         theta: (10,) what the body must have.
         size: (10,) a body that says what is large; deviations are relative to it.
-        path: the file, for the message.
         tolerance: largest relative deviation.
     """
     mass, com, inertia = spatial.com_from_theta(size)
@@ -155,7 +152,7 @@ def require_theta(
         deviation = max(deviation, about_com)
     if not deviation <= tolerance:
         raise ExportError(
-            f"{path.name}: body '{body_label(mj_model, body_id)}' compiles to an inertia that is "
+            f"in the written model, body '{body_label(mj_model, body_id)}' has an inertia that is "
             f"off by {deviation:.1e} relative (allowed {tolerance:.0e}); no model was written"
         )
 
@@ -169,7 +166,7 @@ def reads_fullinertia_exactly(theta: Array) -> bool:
     try:
         with captured_warnings():
             probe = mujoco.MjModel.from_xml_string(text)
-        require_theta(probe, 1, theta, theta, Path("probe"), ACCURATE)
+        require_theta(probe, 1, theta, theta, ACCURATE)
     except (ExportError, ValueError):
         return False
     return True
