@@ -23,6 +23,7 @@ from robot_sysid.records import Array, checked_array
 # rest makes up for the formulas being approximate for short kernels.
 _ATTENUATION = 90.0
 _TRANSITION = 1.2
+_BETA = 0.1102 * (_ATTENUATION - 8.7)
 HIGHEST_CUTOFF = 0.3
 """Largest cut-off, as a part of the sample rate, whose stop band still fits below Nyquist."""
 
@@ -85,6 +86,8 @@ def design_low_pass(cutoff: float, rate: float) -> LowPass:
     Raises:
         InputError: the cut-off is not between zero and 0.3 times the sample rate.
     """
+    from scipy.special import i0
+
     if not 0.0 < cutoff <= HIGHEST_CUTOFF * rate:
         raise InputError(
             f"cut-off {cutoff:g} Hz does not fit a sample rate of {rate:g} Hz; choose --cutoff "
@@ -94,7 +97,7 @@ def design_low_pass(cutoff: float, rate: float) -> LowPass:
     half = math.ceil((_ATTENUATION - 8.0) / (2.285 * width) / 2.0)
     at = np.arange(-half, half + 1)
     kernel = np.sinc(2.0 * cutoff / rate * at)
-    kernel *= np.kaiser(len(at), 0.1102 * (_ATTENUATION - 8.7))
+    kernel *= i0(_BETA * np.sqrt(1.0 - (at / half) ** 2))
     return LowPass(cutoff, rate, kernel / kernel.sum(), max(1, int(rate / (2.0 * cutoff))))
 
 
