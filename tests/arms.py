@@ -283,10 +283,10 @@ def _random_inertial(rng):
 
 
 @st.composite
-def random_chain(draw):
+def random_chain(draw, axes=("any", "any", "parallel", "nearly parallel")):
     """XML of a serial arm: any axes, hinges and slides, several joints per body, any gravity."""
     rng = np.random.default_rng(draw(SEEDS))
-    kind = draw(st.sampled_from(["any", "any", "parallel", "nearly parallel"]))
+    kind = draw(st.sampled_from(axes))
     bodies = draw(st.lists(st.lists(st.booleans(), min_size=1, max_size=3), min_size=1, max_size=5))
     content = draw(st.sampled_from(["", fingers(), "<body>" + _random_inertial(rng) + "</body>"]))
     for joints in reversed(bodies):

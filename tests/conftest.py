@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from robot_sysid.compilation import captured_warnings
 from tests import arms
 
 settings.register_profile("laws", max_examples=100, deadline=None)
@@ -23,6 +24,13 @@ def arm_file(tmp_path):
         return path
 
     return write
+
+
+@pytest.fixture(scope="module")
+def quiet_mujoco():
+    """Keep MuJoCo from writing about needle-shaped links: a line each and a log file."""
+    with captured_warnings():
+        yield
 
 
 @pytest.fixture
