@@ -293,3 +293,7 @@ def _report(message: str, code: int, debug: bool) -> int:
         traceback.print_exc()
     print(f"{PROGRAM}: error: {' '.join(message.split())}", file=sys.stderr, flush=True)
     return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -96,7 +96,7 @@ class Player:
         self._stop, self._recorder = stop, recorder
         self._on_phase, self._on_progress = on_phase, on_progress
         self._supervisor = Supervisor(session.joints, settings)
-        self._scaling_check = VelocityScalingCheck(session.n_joints)
+        self._scaling_check = VelocityScalingCheck(session.scaling.steps[1])
         self._metronome = Metronome(clock, settings.period, settings.max_lateness)
         self._gain = 0.0
         self._reference: Reference | None = None

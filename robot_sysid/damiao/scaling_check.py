@@ -2,7 +2,8 @@
 
 Both are scaled by numbers stored in the motor. If VMAX is wrong, every velocity is wrong by the
 same factor and nothing else looks odd. So the slope of position change against integrated velocity,
-over short windows, has to be 1.
+over short windows, has to be 1. How well it can be known depends on the scatter and on the steps of
+the velocity channel: an error of up to half a step, the same all through a window, is allowed for.
 """
 
 from __future__ import annotations
@@ -19,12 +20,14 @@ class VelocityScalingCheck:
     """Collects (integrated velocity, position change) pairs per joint.
 
     Args:
-        n_joints: number of joints n.
+        velocity_step: (n,) one quantisation step of each joint's velocity [rad/s].
         tolerance: how far the slope may be from 1.
     """
 
-    def __init__(self, n_joints: int, tolerance: float = 0.03) -> None:
+    def __init__(self, velocity_step: Array, tolerance: float = 0.03) -> None:
+        n_joints = len(velocity_step)
         self._tolerance = tolerance
+        self._rounding = 0.5 * velocity_step * _WINDOW
         self._last: tuple[Array, Array, Array] | None = None
         self._begin = np.zeros((2, n_joints))
         self._integral = np.zeros(n_joints)
@@ -63,19 +66,24 @@ class VelocityScalingCheck:
         self._begin = np.where(full, np.stack(self._last[:2]), self._begin)
 
     def slopes(self) -> tuple[Array, Array]:
-        """Return (slope (n,), its standard error (n,)); error infinite where there is no motion."""
+        """Return (slope (n,), how far off it may be (n,)); 1 and infinity where too little moved.
+
+        The second is three standard errors plus the largest effect of rounded velocities.
+        """
         count, x, y, xx, xy, yy = self._sums
         n = np.maximum(count, 1.0)
         cxx, cxy, cyy = xx - x * x / n, xy - x * y / n, yy - y * y / n
-        moved = (count >= _LEAST_WINDOWS) & (cxx > 0.0)
+        spread = np.sqrt(np.maximum(cxx, 0.0) / n)
+        moved = (count >= _LEAST_WINDOWS) & (spread > self._rounding)
         safe = np.where(moved, cxx, 1.0)
         slope = np.where(moved, cxy / safe, 1.0)
         residual = np.maximum(cyy - slope * cxy, 0.0) / np.maximum(count - 2.0, 1.0)
-        return slope, np.where(moved, np.sqrt(residual / safe), np.inf)
+        doubt = 3.0 * np.sqrt(residual / safe) + self._rounding / np.where(moved, spread, 1.0)
+        return slope, np.where(moved, doubt, np.inf)
 
     def worst(self) -> tuple[int, float] | None:
         """Return (joint, slope) of a joint whose slope is surely off, or None."""
-        slope, error = self.slopes()
-        excess = np.abs(slope - 1.0) - 3.0 * error
+        slope, doubt = self.slopes()
+        excess = np.abs(slope - 1.0) - doubt
         j = int(np.argmax(excess))
         return (j, float(slope[j])) if excess[j] > self._tolerance else None
