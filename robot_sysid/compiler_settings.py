@@ -12,6 +12,9 @@ from robot_sysid.errors import ExportError
 from robot_sysid.markup import Edit
 from robot_sysid.records import Array
 
+ROUNDING = 1e-9
+"""Relative difference that the check of the written model lets pass."""
+
 
 def setting(document: ModelDocument, name: str) -> str | None:
     """Return a compiler attribute; the last one in the file counts."""
@@ -35,9 +38,11 @@ def check_settings(document: ModelDocument, body: Node, theta: Array) -> None:
     mass, _, inertia = spatial.com_from_theta(theta)
     smallest = float(np.linalg.eigvalsh(inertia)[0])
     for name, value in (("boundmass", mass), ("boundinertia", smallest)):
-        # A bound that only rounding puts above the value changes nothing that matters.
-        if float(setting(document, name) or 0.0) > value * (1.0 + 1e-10):
-            _refuse(document, name, f"raises the identified value {value:.3g}; lower it")
+        bound = float(setting(document, name) or 0.0)
+        # A value that is at its bound but for rounding is written; the written model is checked.
+        if bound > value * (1.0 + ROUNDING):
+            change = f"raises the identified value {value:.9g} to {bound:g}"
+            _refuse(document, name, f"{change}; lower it")
 
 
 def inertia_from_geometry_edits(

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from robot_sysid import spatial
 from robot_sysid.body_search import find_body
 from robot_sysid.compiler_settings import check_settings, setting
 from robot_sysid.documents import read_document
@@ -37,6 +38,14 @@ def test_a_setting_that_would_change_the_value_is_refused_by_name(tmp_path, comp
     with pytest.raises(ExportError, match=f"compiler setting {name} ") as caught:
         check_settings(document, find_body(document, "link2"), THETA)
     assert "\n" not in str(caught.value)
+
+
+def test_a_value_at_its_bound_but_for_rounding_is_written(tmp_path):
+    theta = spatial.theta_from_com(1.0, np.array([0.0, 0.0, 0.1]), (1e-6 - 3e-16) * np.eye(3))
+    source, target = arm(tmp_path, "boundinertia='1e-6'"), tmp_path / "out" / "m.xml"
+    original = mujoco.MjModel.from_xml_path(str(source))
+    export_updated_xml(source, "link2", WriteBack(theta), 0.0, target)
+    verify_written_model(original, target, original.body("link2").id, WriteBack(theta))
 
 
 def test_fusestatic_does_not_matter_to_a_body_without_welded_children(tmp_path):
