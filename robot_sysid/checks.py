@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import Union
 
 from robot_sysid.errors import InputError
+
+PerJoint = Union[float, tuple[float, ...]]
+"""One number for all joints, or one per joint."""
 
 
 def require_positive(value: float, option: str) -> None:

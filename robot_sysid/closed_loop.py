@@ -22,6 +22,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from robot_sysid.checks import PerJoint
 from robot_sysid.compilation import captured_warnings
 from robot_sysid.errors import SimulationError
 from robot_sysid.forward_plant import ForwardPlant
@@ -93,7 +94,7 @@ class ClosedLoop:
                 measurement = self._chunk(time, self._desired(ticks))
             yield measurement
 
-    def notes(self, deadband: float | None = None) -> tuple[str, ...]:
+    def notes(self, deadband: PerJoint | None = None) -> tuple[str, ...]:
         """Return what the run showed so far: torque limits met, dry friction that does not show.
 
         Args:

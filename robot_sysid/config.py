@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
+from robot_sysid.checks import require_positive
 from robot_sysid.errors import InputError
+from robot_sysid.estimators.options import EstimatorOptions
+from robot_sysid.estimators.registry import estimator
+from robot_sysid.friction import friction_model
+from robot_sysid.sensors import SensorOptions
+from robot_sysid.signals import SignalOptions
 
-
-def require_positive(value: float, option: str) -> None:
-    """Raise InputError unless a number is positive and finite."""
-    if not (value > 0.0 and math.isfinite(value)):
-        raise InputError(f"{option} must be positive (got {value:g})")
+SIMULATIONS = ("inverse", "forward")
 
 
 @dataclass(frozen=True)
@@ -24,14 +25,28 @@ class SysidConfig:
         mesh_dir: folder of the meshes; None takes what the model says.
         duration: trajectory length [s].
         sample_rate: samples per second [Hz].
-        friction: whether to identify the terminal joint's friction.
+        friction: whether to identify friction.
         output_dir: folder of the results.
         export_damiao: whether to write a trajectory for Damiao motors.
         motor_types: Damiao motor type per chain joint.
-        seed: of the random trajectory; None draws a fresh one.
+        seed: of the random trajectory and the simulated noise; None draws a fresh one.
         joint: terminal joint; None finds it.
         torques: "chain" or "terminal".
         max_velocity: speed limit of hinge joints [rad/s].
+        measurements: a log of the arm; None simulates.
+        columns: file that names the log's columns.
+        units: units of the log, such as "deg" or "deg,ms".
+        plant_model: model file that plays the real arm; None simulates the model itself.
+        simulation: "inverse" or "forward", how the plant is simulated.
+        sensors: the plant's sensors.
+        save_measurements: file for the measurements that were analysed.
+        signals: filtering of measured data.
+        friction_model: friction terms of measured data; None takes the default, "auto" chooses.
+        estimate_delay, estimate_tilt: whether torque may lag position, the base may be tilted.
+        method: estimator; None takes "wls" for measured data, else "ols".
+        estimator: physical consistency, prior.
+        validate: share of a log, at its end, that is not fitted.
+        validation_measurements: another log to test the result on.
     """
 
     model: Path
@@ -46,8 +61,39 @@ class SysidConfig:
     joint: str | None = None
     torques: str = "chain"
     max_velocity: float = 2.0
+    measurements: Path | None = None
+    columns: Path | None = None
+    units: str | None = None
+    plant_model: Path | None = None
+    simulation: str = "inverse"
+    sensors: SensorOptions = field(default_factory=SensorOptions)
+    save_measurements: Path | None = None
+    signals: SignalOptions = field(default_factory=SignalOptions)
+    friction_model: str | None = None
+    estimate_delay: bool = False
+    estimate_tilt: bool = False
+    method: str | None = None
+    estimator: EstimatorOptions = field(default_factory=EstimatorOptions)
+    validate: float = 0.2
+    validation_measurements: Path | None = None
 
     def __post_init__(self) -> None:
+        self._check_trajectory()
+        self._check_damiao()
+        self._check_source()
+        self._check_estimation()
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether the data comes from a log or a plant instead of the model itself."""
+        return self.measurements is not None or self.plant_model is not None
+
+    @property
+    def estimation_method(self) -> str:
+        """The estimator's name."""
+        return self.method or ("wls" if self.is_measured else "ols")
+
+    def _check_trajectory(self) -> None:
         require_positive(self.duration, "--duration")
         require_positive(self.sample_rate, "--sample-rate")
         require_positive(self.max_velocity, "--max-velocity")
@@ -57,9 +103,46 @@ class SysidConfig:
             )
         if self.seed is not None and self.seed < 0:
             raise InputError(f"--seed must not be negative (got {self.seed})")
+
+    def _check_damiao(self) -> None:
         if self.export_damiao and not self.motor_types:
             raise InputError(
                 "--export-damiao requires at least one --motor-type, one per joint of the chain"
             )
         if self.motor_types and not self.export_damiao:
             raise InputError("--motor-type is only used together with --export-damiao; add it")
+        if self.export_damiao and self.measurements is not None:
+            raise InputError("--export-damiao needs a trajectory; it does not go with a log")
+
+    def _check_source(self) -> None:
+        if self.measurements is not None and self.plant_model is not None:
+            raise InputError("--measurements and --plant-model exclude each other; choose one")
+        if self.simulation not in SIMULATIONS:
+            raise InputError(f"--simulation {self.simulation!r}: choose one of {SIMULATIONS}")
+        spoiled = not self.sensors.exact or self.simulation != "inverse"
+        if spoiled and self.plant_model is None:
+            raise InputError(
+                "sensor noise and --simulation forward belong to a simulated plant; add "
+                "--plant-model (the model file itself will do)"
+            )
+        for option, value in (("--columns", self.columns), ("--units", self.units)):
+            if value is not None and self.measurements is None:
+                raise InputError(f"{option} describes a log; add --measurements LOG.csv")
+
+    def _check_estimation(self) -> None:
+        estimator(self.estimation_method)
+        if self.friction_model not in (None, "auto"):
+            friction_model(str(self.friction_model))
+        if not 0.0 <= self.validate < 1.0:
+            raise InputError(f"--validate must be at least 0 and below 1 (got {self.validate:g})")
+        wanted = {
+            "--friction-model": self.friction_model is not None,
+            "--delay auto": self.estimate_delay,
+            "--tilt auto": self.estimate_tilt,
+            "--validation-measurements": self.validation_measurements is not None,
+        }
+        for option, given in wanted.items():
+            if given and not self.is_measured:
+                raise InputError(f"{option} needs --measurements or --plant-model")
+        if self.friction_model is not None and not self.friction:
+            raise InputError("--friction-model and --no-friction exclude each other")

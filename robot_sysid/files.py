@@ -56,6 +56,18 @@ def whole_files() -> Iterator[WholeFiles]:
         raise
 
 
+def require_writable(folder: Path) -> None:
+    """Raise InputError where files could not be written to a folder, without creating it.
+
+    Asked before a long computation whose results are to be written there.
+    """
+    existing = next(f for f in (folder.absolute(), *folder.absolute().parents) if f.exists())
+    if not existing.is_dir():
+        raise InputError(f"cannot write to {folder}: {existing} is not a folder; choose another")
+    if not os.access(existing, os.W_OK | os.X_OK):
+        raise InputError(f"cannot write to {folder}: no permission; choose another folder")
+
+
 class WholeFiles:
     """Drafts beside their final paths, renamed together."""
 

@@ -58,13 +58,18 @@ class MeasurementLog:
 
     def load(self) -> Measurement:
         """Return the whole log at once."""
-        chunks = list(self.chunks())
-        parts = {
-            name: None if getattr(chunks[0], name) is None
-            else np.concatenate([getattr(chunk, name) for chunk in chunks])
-            for name in ("time", "q", "qd", "tau", "qdd", "joint_time")
-        }  # fmt: skip
-        return Measurement(**parts)  # type: ignore[arg-type]
+        return join_measurements(self.chunks())
+
+
+def join_measurements(chunks: Iterable[Measurement]) -> Measurement:
+    """Return consecutive chunks as one measurement."""
+    parts = list(chunks)
+    joined = {
+        name: None if getattr(parts[0], name) is None
+        else np.concatenate([getattr(part, name) for part in parts])
+        for name in ("time", "q", "qd", "tau", "qdd", "joint_time")
+    }  # fmt: skip
+    return Measurement(**joined)  # type: ignore[arg-type]
 
 
 def read_measurements(

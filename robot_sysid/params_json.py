@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -70,7 +70,10 @@ def export_params_json(
 
 def params_json_text(identification: Identification, more: Mapping[str, Any] | None = None) -> str:
     """Return the text of params.json; arguments as in ``export_params_json``."""
-    content = {**_result(identification), **_quality(identification), **_origin(identification)}
+    parts = (_result, _quality, _uncertainty, _measured, _origin)
+    content: dict[str, Any] = {}
+    for part in parts:
+        content.update(part(identification))
     clash = sorted(set(content) & set(more or {}))
     if clash:
         raise ValueError(f"params.json already has {', '.join(clash)}")
@@ -146,6 +149,48 @@ def _quality(identification: Identification) -> dict[str, Any]:
         "prior": inertial_entries(identification.prior),
         "notes": identification.notes,
     }
+
+
+def _uncertainty(identification: Identification) -> dict[str, Any]:
+    estimate = identification.estimate
+
+    def named(values: Any) -> dict[str, Any] | None:
+        return None if values is None else dict(zip(estimate.names, values))
+
+    return {
+        "constrained": estimate.constrained,
+        "standard_errors": named(estimate.standard_errors),
+        "relative_standard_errors": named(estimate.relative_errors),
+        "data_share": named(estimate.data_share),
+        "noise_per_joint": dict(estimate.noise_per_joint),
+        "samples_per_joint": dict(estimate.samples),
+        "effective_samples_per_joint": dict(estimate.effective_samples),
+        "limitations": identification.limitations,
+    }
+
+
+def _measured(identification: Identification) -> dict[str, Any]:
+    return {
+        "source": identification.source,
+        "friction_model": identification.friction_model,
+        "friction_per_joint": friction_entries(identification),
+        "validation": [asdict(test) for test in identification.validation],
+        "delay": identification.delay,
+        "tilt": identification.tilt,
+        "gravity": identification.gravity,
+        "cutoff": identification.cutoff,
+    }
+
+
+def friction_entries(identification: Identification) -> dict[str, dict[str, float]]:
+    """Return joint name to its estimated friction terms: {"joint6": {"coulomb": 0.4, ...}}."""
+    found: dict[str, dict[str, float]] = {}
+    estimate = identification.estimate
+    for name, value in zip(estimate.names, estimate.values):
+        term, bracket, rest = name.partition("[")
+        if bracket:
+            found.setdefault(rest[:-1], {})[term] = float(value)
+    return found
 
 
 def _origin(identification: Identification) -> dict[str, Any]:

@@ -2,45 +2,26 @@
 
 from __future__ import annotations
 
-import math
-import platform
 import secrets
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from robot_sysid import __version__
-from robot_sysid.collection import Equations, collect_sysid_data, friction_of_terminal_joint
+from robot_sysid.analysis import Analysis, analyse_itself, analyse_log, analyse_plant
 from robot_sysid.collisions import CHECK_RATE_HZ, find_new_contacts
 from robot_sysid.compilation import captured_warnings
 from robot_sysid.config import SysidConfig
 from robot_sysid.damiao.trajectory_csv import DamiaoExportReport
-from robot_sysid.kinematics import MUJOCO_VERSION
+from robot_sysid.files import require_writable
 from robot_sysid.parser import load_robot_model
 from robot_sysid.progress import Progress, Silent
-from robot_sysid.records import (
-    Estimate,
-    Identification,
-    Measurement,
-    MotionPlan,
-    RobotModel,
-    Status,
-)
+from robot_sysid.records import Identification, MotionPlan, RobotModel, Status
 from robot_sysid.results import Command, check_motor_types, write_results
-from robot_sysid.simulator import inverse_torque, simulate_inverse
-from robot_sysid.solver import identify_parameters
+from robot_sysid.simulator import inverse_torque
 from robot_sysid.summary import clamping_lines, detail_lines, folder_text, result_lines
-from robot_sysid.trajectory import (
-    CHUNK,
-    generate_excitation_trajectory,
-    motion_chunks,
-    sample_count,
-)
-
-CHECKPOINTS = 400
-"""On how many samples of the motion a written model is compared with the prediction."""
+from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 
 
 @dataclass(frozen=True)
@@ -92,21 +73,29 @@ def run(config: SysidConfig, progress: Progress | None = None) -> Outcome:
 
 
 def _run(config: SysidConfig, progress: Progress) -> Outcome:
+    require_writable(config.output_dir)
     robot = load(config, progress)
+    if config.measurements is not None:
+        analysis = analyse_log(config, robot, progress)
+        return _write(config, robot, analysis, no_commands, progress)
     seed = config.seed if config.seed is not None else secrets.randbelow(2**31)
     plan = excite(config, robot, seed, progress)
-    progress.stage("Running MuJoCo simulation...")
-    equations = Equations(robot, config.torques, friction_of_terminal_joint(robot, config.friction))
-    measurements = simulate(robot, plan, config.sample_rate, progress)
-    information = collect_sysid_data(equations, measurements)
-    progress.stage("Solving for parameters...")
-    estimate = identify_parameters(information, equations.prior)
-    identification = describe(config, robot, estimate, seed)
-    checkpoints = plan.evaluate(np.linspace(0.0, plan.duration, CHECKPOINTS))
-    written = write_results(
-        config, robot, identification, checkpoints, lambda: commands(robot, plan, config)
-    )
-    for note in written.identification.notes[len(identification.notes) :]:
+    analyse = analyse_itself if config.plant_model is None else analyse_plant
+    analysis = analyse(config, robot, plan, seed, progress)
+    return _write(config, robot, analysis, lambda: commands(robot, plan, config), progress)
+
+
+def _write(
+    config: SysidConfig,
+    robot: RobotModel,
+    analysis: Analysis,
+    motor_commands: Callable[[], Iterator[Command]],
+    progress: Progress,
+) -> Outcome:
+    """Write all results and pass on what writing them had to say."""
+    before = analysis.identification
+    written = write_results(config, robot, before, analysis.checkpoints, motor_commands)
+    for note in written.identification.notes[len(before.notes) :]:
         progress.note(note)
     return Outcome(written.identification, config.output_dir, written.files, written.damiao)
 
@@ -139,16 +128,6 @@ def excite(config: SysidConfig, robot: RobotModel, seed: int, progress: Progress
     return plan
 
 
-def simulate(
-    robot: RobotModel, plan: MotionPlan, sample_rate: float, progress: Progress
-) -> Iterator[Measurement]:
-    """Yield the measurements of the model's own simulation, showing progress."""
-    count = sample_count(plan.duration, sample_rate)
-    measurements = simulate_inverse(robot, motion_chunks(plan, sample_rate))
-    chunks = math.ceil(count / CHUNK)
-    return progress.track(measurements, "Collecting regressor data", chunks)
-
-
 def commands(robot: RobotModel, plan: MotionPlan, config: SysidConfig) -> Iterator[Command]:
     """Yield the motion with the torque it takes, for playing it on motors."""
     torque = inverse_torque(robot)
@@ -156,33 +135,6 @@ def commands(robot: RobotModel, plan: MotionPlan, config: SysidConfig) -> Iterat
         yield motion.time, motion.q, motion.qd, torque(motion)
 
 
-def describe(
-    config: SysidConfig, robot: RobotModel, estimate: Estimate, seed: int
-) -> Identification:
-    """Return the estimate together with where it comes from."""
-    return Identification(
-        model_path=config.model,
-        model_sha256=robot.sha256,
-        joint_name=robot.terminal_joint,
-        body_name=robot.body_name,
-        joint_names=robot.joint_names,
-        prior=robot.prior,
-        estimate=estimate,
-        torques=config.torques,
-        friction=config.friction,
-        seed=seed,
-        duration=config.duration,
-        sample_rate=config.sample_rate,
-        versions=versions(),
-        notes=robot.notes,
-    )
-
-
-def versions() -> dict[str, str]:
-    """Return the versions that a result depends on."""
-    return {
-        "robot_sysid": __version__,
-        "mujoco": MUJOCO_VERSION,
-        "numpy": np.__version__,
-        "python": platform.python_version(),
-    }
+def no_commands() -> Iterator[Command]:
+    """Yield nothing: a log is not played."""
+    return iter(())

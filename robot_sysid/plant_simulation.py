@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from robot_sysid.checks import PerJoint, require_positive
 from robot_sysid.closed_loop import ClosedLoop
-from robot_sysid.checks import require_positive
 from robot_sysid.errors import InputError
 from robot_sysid.records import Measurement, MotionPlan, RobotModel
 from robot_sysid.sensors import SensorOptions, Sensors
@@ -85,7 +85,7 @@ class PlantSimulation:
         motions = motion_chunks(self._plan, self._options.sample_rate)
         return simulate_inverse(self._plant, motions)
 
-    def notes(self, deadband: float | None = None) -> tuple[str, ...]:
+    def notes(self, deadband: PerJoint | None = None) -> tuple[str, ...]:
         """Return what the last reading showed, one sentence each; ask once it is at its end.
 
         Args:
@@ -93,6 +93,20 @@ class PlantSimulation:
                 1 % of each joint's highest speed.
         """
         return () if self._loop is None else self._loop.notes(deadband)
+
+    def least_deadband(self) -> tuple[float, ...]:
+        """Return (n,) speeds below which MuJoCo's dry friction was not complete [rad/s].
+
+        Zero for a joint whose friction never is: leaving out all its rows would help nobody. Empty
+        where the plant's friction follows Coulomb's law. Ask once the last reading is at its end.
+        """
+        if self._loop is None:
+            return ()
+        use = self._loop.ramp_use
+        return tuple(
+            0.0 if joint in use.never_full else float(speed)
+            for joint, speed in zip(self._plant.joint_names, use.ramp_speed)
+        )
 
 
 def simulate_plant(

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_sysid.checks import PerJoint
 from robot_sysid.records import Array, checked_array
 
 USUAL_DEADBAND = 0.01
@@ -110,7 +111,7 @@ class RampUse:
         """Names of the joints whose dry friction never reaches its full size."""
         return tuple(name for name, share in zip(self._joints, self.share) if share == 0.0)
 
-    def sentences(self, deadband: float | None = None) -> tuple[str, ...]:
+    def sentences(self, deadband: PerJoint | None = None) -> tuple[str, ...]:
         """Return what the user should know, one sentence each.
 
         Args:

@@ -10,16 +10,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import Union
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.checks import require_positive
+from robot_sysid.checks import PerJoint, require_positive
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Measurement
-
-PerJoint = Union[float, tuple[float, ...]]
 
 LONGEST_DELAY = 1.0
 """Longest torque delay that is accepted [s]; more is surely a slip of the unit."""

@@ -40,23 +40,25 @@ class SignalOptions:
 
     Attributes:
         cutoff: of the low-pass [Hz]; None chooses it from the data.
-        velocity_deadband: rows of a joint slower than this are not used [rad/s]; None takes 1 % of
-            the joint's peak speed, zero uses all rows.
+        velocity_deadband: rows of a joint slower than this are not used [rad/s], one number for all
+            joints or one per joint; None takes 1 % of the joint's peak speed, zero uses all rows.
+        least_deadband: (n,) where the deadband is taken from the data, it is at least this [rad/s].
         sample_rate: of the uniform grid [Hz]; None takes the log's.
     """
 
     cutoff: float | None = None
-    velocity_deadband: float | None = None
+    velocity_deadband: float | tuple[float, ...] | None = None
     sample_rate: float | None = None
+    least_deadband: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("cutoff", "sample_rate"):
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value > 0.0):
                 raise InputError(f"{name.replace('_', ' ')} must be positive, got {value} Hz")
-        band = self.velocity_deadband
-        if band is not None and not (math.isfinite(band) and band >= 0.0):
-            raise InputError(f"velocity deadband must not be negative, got {band} rad/s")
+        band = 0.0 if self.velocity_deadband is None else self.velocity_deadband
+        if not all(math.isfinite(value) and value >= 0.0 for value in np.atleast_1d(band)):
+            raise InputError(f"--velocity-deadband must not be negative (got {band} rad/s)")
 
 
 @dataclass(frozen=True)
@@ -146,7 +148,7 @@ def process(
     q = low_pass.filtered(uniform.q)
     lost = low_pass.half_width + REACH
     qd = first_derivative(q, uniform.rate)
-    deadband = _deadband(qd, options.velocity_deadband)
+    deadband = _deadband(qd, options)
     signals = ProcessedSignals(
         uniform.start + np.arange(lost, len(uniform.q) - lost) / uniform.rate,
         q[REACH:-REACH],
@@ -209,11 +211,18 @@ def _check_length(n_samples: int, low_pass: LowPass) -> None:
         )
 
 
-def _deadband(qd: Array, chosen: float | None) -> Array:
-    peak = np.max(np.abs(qd), axis=0)
-    if chosen is not None:
-        return np.full(len(peak), chosen)
-    return np.maximum(_RELATIVE_DEADBAND * peak, _LEAST_DEADBAND)
+def _deadband(qd: Array, options: SignalOptions) -> Array:
+    joints = qd.shape[1]
+    chosen = options.velocity_deadband
+    if chosen is None:
+        usual = np.maximum(_RELATIVE_DEADBAND * np.max(np.abs(qd), axis=0), _LEAST_DEADBAND)
+        return np.maximum(usual, options.least_deadband) if options.least_deadband else usual
+    if np.ndim(chosen) == 1 and len(np.atleast_1d(chosen)) != joints:
+        raise InputError(
+            f"--velocity-deadband has {len(np.atleast_1d(chosen))} values for {joints} joints; "
+            "give one number, or one per joint"
+        )
+    return np.broadcast_to(np.asarray(chosen, dtype=float), (joints,)).copy()
 
 
 def _bridged(uniform: UniformSignals, low_pass: LowPass) -> NDArray[np.bool_]:

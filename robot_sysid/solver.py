@@ -76,6 +76,7 @@ def identify_parameters(
         standard_errors=errors.standard_errors,
         data_share=errors.data_share,
         noise_per_joint=dict(zip(joints, map(float, equations.noise))),
+        samples={joint.joint: joint.n_samples for joint in information.joints},
         effective_samples=dict(zip(joints, effective)),
         constrained=constrained,
     )

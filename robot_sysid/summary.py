@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from robot_sysid.damiao.trajectory_csv import DamiaoExportReport
+from robot_sysid.params_json import friction_entries
 from robot_sysid.records import Estimate, Identification, Status
 
 
@@ -25,6 +28,77 @@ def result_lines(identification: Identification) -> list[str]:
         f"  Condition number: {estimate.identifiability.condition_number:.1f}",
         f"  Base parameters: {estimate.identifiability.rank}",
         *_blind_lines(estimate),
+        *_measured_lines(identification),
+    ]
+
+
+def _measured_lines(identification: Identification) -> list[str]:
+    """Return what only measured data can tell: errors, friction of all joints, validation."""
+    if identification.friction_model is None:
+        return []
+    return [
+        *_error_lines(identification.estimate),
+        *_all_friction_lines(identification),
+        *_noise_lines(identification.estimate),
+        *_alignment_lines(identification),
+        *_validation_lines(identification),
+        *(f"  Limit: {sentence}" for sentence in identification.limitations),
+    ]
+
+
+def _error_lines(estimate: Estimate) -> list[str]:
+    errors, relative = estimate.standard_errors, estimate.relative_errors
+    if errors is None or relative is None:
+        return []
+    share = np.ones(len(errors)) if estimate.data_share is None else estimate.data_share
+    rows = zip(estimate.names[:10], estimate.values, errors, relative, share)
+    return [
+        "Standard errors (and share of the data in each value):",
+        *(
+            f"  {name}: {value:.4g} ± {error:.2g} ({_percent(part)}; data {100.0 * data:.0f} %)"
+            for name, value, error, part, data in rows
+        ),
+    ]
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.2g} %" if np.isfinite(share) else "not known"
+
+
+def _all_friction_lines(identification: Identification) -> list[str]:
+    per_joint = friction_entries(identification)
+    if not per_joint:
+        return []
+    return [
+        f"Friction ({identification.friction_model}):",
+        *(
+            f"  {joint}: " + ", ".join(f"{term} {value:.3g}" for term, value in terms.items())
+            for joint, terms in per_joint.items()
+        ),
+    ]
+
+
+def _noise_lines(estimate: Estimate) -> list[str]:
+    if not estimate.noise_per_joint:
+        return []
+    listed = ", ".join(f"{joint} {v:.2g}" for joint, v in estimate.noise_per_joint.items())
+    return [f"Torque noise per joint after filtering, N·m: {listed}"]
+
+
+def _alignment_lines(identification: Identification) -> list[str]:
+    lines = []
+    if identification.delay is not None:
+        lines.append(f"Delay of torque behind position: {1e3 * identification.delay:.3f} ms")
+    if identification.tilt is not None:
+        lines.append(f"Tilt of the base: {np.degrees(identification.tilt):.3f} degrees")
+    return lines
+
+
+def _validation_lines(identification: Identification) -> list[str]:
+    return [
+        f"Validation on {test.source}: {test.rmse:.4f} N·m"
+        + ("" if test.relative_error is None else f" ({100.0 * test.relative_error:.2f} %)")
+        for test in identification.validation
     ]
 
 

@@ -67,6 +67,7 @@ class Estimate:
             value is known.
         data_share: (p,) how much of each value comes from the data: 1 all, 0 all from the model.
         noise_per_joint: joint name to standard deviation of its torque noise [N m].
+        samples: joint name to the number of samples its equations used.
         effective_samples: joint name to the number of independent samples its noise leaves.
         constrained: whether the plain estimate was replaced by the best possible rigid body.
     """
@@ -82,6 +83,7 @@ class Estimate:
     standard_errors: Array | None = None
     data_share: Array | None = None
     noise_per_joint: Mapping[str, float] = field(default_factory=dict)
+    samples: Mapping[str, int] = field(default_factory=dict)
     effective_samples: Mapping[str, float] = field(default_factory=dict)
     constrained: bool = False
 
@@ -93,6 +95,15 @@ class Estimate:
     def inertial(self) -> InertialParameters:
         """The ten inertial parameters."""
         return InertialParameters(self.values[:10])
+
+    @property
+    def independent_share(self) -> dict[str, float]:
+        """Joint name to independent samples per sample; small where residuals change slowly."""
+        return {
+            joint: self.effective_samples[joint] / count
+            for joint, count in self.samples.items()
+            if count and joint in self.effective_samples
+        }
 
     @property
     def relative_errors(self) -> Array | None:
@@ -154,6 +165,7 @@ class Identification:
         tilt: angle between the model's gravity and the estimated one, where it was estimated [rad].
         gravity: (3,) estimated gravity in the model's world frame [m/s^2], where it was estimated.
         cutoff: of the low-pass of measured data [Hz].
+        limitations: what limits the accuracy of the result, one sentence each.
         notes: one sentence each: what the user should know.
     """
 
@@ -177,4 +189,5 @@ class Identification:
     tilt: float | None = None
     gravity: Array | None = None
     cutoff: float | None = None
+    limitations: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()

@@ -1,0 +1,231 @@
+"""From a source of data to an Identification: the model itself, a simulated plant, or a log."""
+
+from __future__ import annotations
+
+import math
+import platform
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from robot_sysid import __version__
+from robot_sysid.collection import Equations, collect_sysid_data, friction_of_terminal_joint
+from robot_sysid.config import SysidConfig
+from robot_sysid.friction import DEFAULT_MEASURED
+from robot_sysid.kinematics import MUJOCO_VERSION
+from robot_sysid.limitations import limitations
+from robot_sysid.measured import MeasuredFit, MeasuredOptions, identify_measured, validate_on
+from robot_sysid.measurement import join_measurements, read_measurements, write_measurement_csv
+from robot_sysid.plant_loading import load_plant
+from robot_sysid.plant_simulation import PlantOptions, PlantSimulation, simulate_plant
+from robot_sysid.progress import Progress
+from robot_sysid.records import (
+    Estimate,
+    Identification,
+    Measurement,
+    Motion,
+    MotionPlan,
+    RobotModel,
+    Validation,
+)
+from robot_sysid.simulator import simulate_inverse
+from robot_sysid.solver import identify_parameters
+from robot_sysid.tilt import gravity
+from robot_sysid.trajectory import CHUNK, motion_chunks, sample_count
+
+CHECKPOINTS = 400
+"""On how many samples of the motion a written model is compared with the prediction."""
+_NOISE_STREAM = 1
+ITSELF = (
+    "this run simulates the model itself, so it can only return the model's own values; give "
+    "--measurements LOG.csv for a log of the real arm, or --plant-model for another model of it"
+)
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """What a source of data led to.
+
+    Attributes:
+        identification: the result.
+        checkpoints: motion on which a written model has to reproduce the predicted torque.
+    """
+
+    identification: Identification
+    checkpoints: Motion
+
+
+def analyse_itself(
+    config: SysidConfig, robot: RobotModel, plan: MotionPlan, seed: int, progress: Progress
+) -> Analysis:
+    """Simulate the model along the trajectory and identify it, in constant memory."""
+    progress.stage("Running MuJoCo simulation...")
+    equations = Equations(robot, config.torques, friction_of_terminal_joint(robot, config.friction))
+    measurements = _own_simulation(config, robot, plan)
+    count = math.ceil(sample_count(plan.duration, config.sample_rate) / CHUNK)
+    tracked = progress.track(measurements, "Collecting regressor data", count)
+    information = collect_sysid_data(equations, tracked)
+    progress.stage("Solving for parameters...")
+    estimate = identify_parameters(
+        information, equations.prior, config.estimation_method, config.estimator
+    )
+    if config.save_measurements is not None:
+        again = _own_simulation(config, robot, plan)
+        write_measurement_csv(config.save_measurements, robot.joint_names, again)
+    progress.note(ITSELF)
+    found = _describe(config, robot, estimate, plan.duration, config.sample_rate)
+    checkpoints = plan.evaluate(np.linspace(0.0, plan.duration, CHECKPOINTS))
+    return Analysis(replace(found, seed=seed), checkpoints)
+
+
+def _own_simulation(
+    config: SysidConfig, robot: RobotModel, plan: MotionPlan
+) -> Iterator[Measurement]:
+    return simulate_inverse(robot, motion_chunks(plan, config.sample_rate))
+
+
+def analyse_plant(
+    config: SysidConfig, robot: RobotModel, plan: MotionPlan, seed: int, progress: Progress
+) -> Analysis:
+    """Let another model play the real arm, and identify from what its sensors say."""
+    assert config.plant_model is not None
+    plant = load_plant(robot, config.plant_model, config.mesh_dir, config.max_velocity)
+    progress.stage(f"Running MuJoCo simulation of {config.plant_model}...")
+    options = PlantOptions(config.simulation, config.sample_rate, config.sensors)
+    rng = np.random.default_rng([seed, _NOISE_STREAM])
+    simulation = simulate_plant(plant, plan, options, rng)
+    count = math.ceil(sample_count(plan.duration, config.sample_rate) / CHUNK)
+    chunks = progress.track(iter(simulation), "Collecting measurements", count)
+    measurement = join_measurements(chunks)
+    if config.save_measurements is not None:
+        write_measurement_csv(config.save_measurements, robot.joint_names, [measurement])
+    config = _past_the_ramp(config, simulation)
+    deadband = config.signals.velocity_deadband
+    advice = simulation.notes(config.signals.least_deadband if deadband is None else deadband)
+    notes = plant.notes + advice
+    source = f"simulated plant {config.plant_model}, {config.simulation}"
+    analysis = _analyse(config, robot, measurement, source, notes, progress)
+    return replace(analysis, identification=replace(analysis.identification, seed=seed))
+
+
+def analyse_log(config: SysidConfig, robot: RobotModel, progress: Progress) -> Analysis:
+    """Identify from a log of the real arm."""
+    assert config.measurements is not None
+    progress.stage(f"Reading measurements from {config.measurements}...")
+    log = read_measurements(
+        config.measurements,
+        robot.joint_names,
+        robot.limits,
+        config.columns,
+        config.units,
+        robot.is_slide.tolist(),
+    )
+    if config.save_measurements is not None:
+        write_measurement_csv(config.save_measurements, robot.joint_names, log.chunks())
+    source = f"log {config.measurements}"
+    return _analyse(config, robot, log.load(), source, log.notes, progress)
+
+
+def _analyse(
+    config: SysidConfig,
+    robot: RobotModel,
+    measurement: Measurement,
+    source: str,
+    notes: tuple[str, ...],
+    progress: Progress,
+) -> Analysis:
+    """Identify from a whole log, wherever it came from."""
+    options = measured_options(config)
+    fit = identify_measured(robot, measurement, options, progress)
+    validation = _validations(config, robot, options, fit)
+    duration = float(measurement.time[-1] - measurement.time[0])
+    rate = (len(measurement) - 1) / duration
+    found = _describe(config, robot, fit.estimate, duration, rate)
+    tilted = fit.alignment.tilt_from(gravity(robot))
+    found = replace(
+        found,
+        source=source,
+        validation=validation,
+        friction_model=fit.friction.name,
+        delay=fit.alignment.delay if config.estimate_delay else None,
+        tilt=tilted if config.estimate_tilt else None,
+        gravity=fit.alignment.gravity if config.estimate_tilt else None,
+        cutoff=fit.cutoff,
+        notes=robot.notes + notes + fit.notes,
+    )
+    found = replace(found, limitations=limitations(found))
+    for note in notes + fit.notes:
+        progress.note(note)
+    return Analysis(found, fit.checkpoints)
+
+
+def measured_options(config: SysidConfig) -> MeasuredOptions:
+    """Return how a log is analysed."""
+    friction = config.friction_model or DEFAULT_MEASURED
+    return MeasuredOptions(
+        torques=config.torques,
+        friction=friction if config.friction else "none",
+        method=config.estimation_method,
+        estimator=config.estimator,
+        signals=config.signals,
+        estimate_delay=config.estimate_delay,
+        estimate_tilt=config.estimate_tilt,
+        held_out=config.validate,
+    )
+
+
+def _validations(
+    config: SysidConfig, robot: RobotModel, options: MeasuredOptions, fit: MeasuredFit
+) -> tuple[Validation, ...]:
+    own = () if fit.validation is None else (fit.validation,)
+    if config.validation_measurements is None:
+        return own
+    log = read_measurements(
+        config.validation_measurements,
+        robot.joint_names,
+        robot.limits,
+        config.columns,
+        config.units,
+        robot.is_slide.tolist(),
+    )
+    name = str(config.validation_measurements)
+    return (*own, validate_on(robot, log.load(), options, fit, name))
+
+
+def _past_the_ramp(config: SysidConfig, simulation: PlantSimulation) -> SysidConfig:
+    """Leave out what MuJoCo's dry friction, a ramp near standstill, would falsify."""
+    signals = replace(config.signals, least_deadband=simulation.least_deadband())
+    return replace(config, signals=signals)
+
+
+def _describe(
+    config: SysidConfig, robot: RobotModel, estimate: Estimate, duration: float, rate: float
+) -> Identification:
+    """Return the estimate together with where it comes from."""
+    return Identification(
+        model_path=config.model,
+        model_sha256=robot.sha256,
+        joint_name=robot.terminal_joint,
+        body_name=robot.body_name,
+        joint_names=robot.joint_names,
+        prior=robot.prior,
+        estimate=estimate,
+        torques=config.torques,
+        friction=config.friction,
+        seed=None,
+        duration=duration,
+        sample_rate=rate,
+        versions=versions(),
+        notes=robot.notes,
+    )
+
+
+def versions() -> dict[str, str]:
+    """Return the versions that a result depends on."""
+    return {
+        "robot_sysid": __version__,
+        "mujoco": MUJOCO_VERSION,
+        "numpy": np.__version__,
+        "python": platform.python_version(),
+    }

@@ -1,0 +1,234 @@
+"""The options of ``robot-sysid``: from arguments to a configuration."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any, NoReturn
+
+from robot_sysid import __version__
+from robot_sysid.config import SIMULATIONS, SysidConfig
+from robot_sysid.errors import InputError
+from robot_sysid.estimators.options import CONSISTENCY_CHOICES, PRIOR_CHOICES, EstimatorOptions
+from robot_sysid.estimators.registry import ESTIMATORS
+from robot_sysid.sensors import SensorOptions, parse_levels
+from robot_sysid.signals import SignalOptions
+
+
+class _Parser(argparse.ArgumentParser):
+    """Argument parser that reports a usage error as one line."""
+
+    def error(self, message: str) -> NoReturn:
+        raise InputError(f"{message} (robot-sysid --help lists all options)")
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
+    parser = _Parser(
+        prog="robot-sysid",
+        description="Identify mass, centre of mass, inertia and friction of a robot arm's "
+        "terminal link, and write a corrected model.",
+        epilog="Exit codes: 0 done, 1 result not trustworthy, 2 bad input, 130 interrupted.",
+        allow_abbrev=False,
+    )
+    parser.add_argument("model", metavar="MODEL", type=Path, help="MuJoCo XML (MJCF) or URDF file")
+    _add_main(parser.add_argument)
+    _add_model(parser.add_argument_group("model").add_argument)
+    _add_log(parser.add_argument_group("measurements").add_argument)
+    _add_plant(parser.add_argument_group("simulated plant").add_argument)
+    _add_estimation(parser.add_argument_group("estimation").add_argument)
+    _add_console(parser.add_argument_group("console"))
+    return parser
+
+
+def _add_main(add: Any) -> None:
+    add("--mesh-dir", type=Path, metavar="MESH_DIR", help="folder of the meshes (default: auto)")
+    add("--duration", type=float, default=15.0, help="trajectory duration in seconds (default: 15)")
+    add(
+        "--sample-rate",
+        type=float,
+        default=1000.0,
+        metavar="RATE",
+        help="samples per second in Hz (default: 1000)",
+    )
+    add("--no-friction", action="store_true", help="identify the 10 inertial parameters only")
+    add(
+        "--output-dir",
+        type=Path,
+        default=Path("sysid_output"),
+        metavar="DIR",
+        help="folder for the results (default: ./sysid_output)",
+    )
+    add("--export-damiao", action="store_true", help="write a trajectory CSV for Damiao motors")
+    add(
+        "--motor-type",
+        action="append",
+        default=[],
+        metavar="TYPE",
+        help="Damiao motor type, once per joint from the base outwards (e.g. DM4340)",
+    )
+    add("--seed", type=int, help="random seed of trajectory and noise (default: a fresh one)")
+
+
+def _add_model(add: Any) -> None:
+    add("--joint", metavar="NAME", help="terminal joint (default: found)")
+    add(
+        "--torques",
+        choices=("chain", "terminal"),
+        default="chain",
+        help="use the torques of all joints that carry the link, or of the last one only "
+        "(default: chain)",
+    )
+    add(
+        "--max-velocity",
+        type=float,
+        default=2.0,
+        metavar="V",
+        help="speed limit of hinge joints in rad/s (default: 2)",
+    )
+
+
+def _add_log(add: Any) -> None:
+    add("--measurements", type=Path, metavar="LOG.csv", help="analyse this log of the real arm")
+    add("--columns", type=Path, metavar="FILE", help="file that says which column is what")
+    add("--units", metavar="UNITS", help="units of the log, such as deg or deg,ms")
+    add("--cutoff", type=float, metavar="HZ", help="low-pass for all signals (default: from data)")
+    add(
+        "--velocity-deadband",
+        type=_levels("--velocity-deadband"),
+        metavar="V",
+        help="leave out rows of a joint slower than this, in rad/s; one number or one per joint "
+        "(default: 1 %% of its peak speed)",
+    )
+    add(
+        "--delay",
+        choices=("off", "auto"),
+        default="off",
+        help="estimate how much torque lags position (default: off)",
+    )
+    add(
+        "--tilt",
+        choices=("off", "auto"),
+        default="off",
+        help="estimate how much the base is tilted (default: off)",
+    )
+    add(
+        "--validate",
+        type=float,
+        default=0.2,
+        metavar="FRACTION",
+        help="share at the end of the log that only tests the result (default: 0.2)",
+    )
+    add(
+        "--validation-measurements",
+        type=Path,
+        metavar="LOG.csv",
+        help="another log that only tests the result",
+    )
+
+
+def _add_plant(add: Any) -> None:
+    add("--plant-model", type=Path, metavar="TRUTH.xml", help="model that plays the real arm")
+    add(
+        "--simulation",
+        choices=SIMULATIONS,
+        default="inverse",
+        help="plant by inverse dynamics, or in closed loop forward in time (default: inverse)",
+    )
+    add(
+        "--noise-torque",
+        type=_levels("--noise-torque"),
+        default=0.0,
+        metavar="S",
+        help="standard deviation of torque noise in N m, one number or one per joint",
+    )
+    add(
+        "--noise-position",
+        type=_levels("--noise-position"),
+        default=0.0,
+        metavar="S",
+        help="standard deviation of position noise in rad, one number or one per joint",
+    )
+    add("--encoder-resolution", type=float, default=0.0, metavar="R", help="encoder step in rad")
+    add("--torque-delay", type=float, default=0.0, metavar="S", help="torque lag in seconds")
+    add(
+        "--save-measurements",
+        type=Path,
+        metavar="FILE",
+        help="write the measurements as a log that --measurements reads",
+    )
+
+
+def _add_estimation(add: Any) -> None:
+    add(
+        "--method",
+        choices=tuple(ESTIMATORS),
+        help="least squares: plain, weighted by each joint's noise, or robust against outliers "
+        "(default: wls for measured data, else ols)",
+    )
+    add(
+        "--consistency",
+        choices=CONSISTENCY_CHOICES,
+        default="auto",
+        help="whether the result must be a possible rigid body: where needed, always, never "
+        "(default: auto)",
+    )
+    add("--prior", choices=PRIOR_CHOICES, default="none", help="pull towards the model's body")
+    add("--prior-weight", type=float, default=1.0, metavar="W", help="how strongly (default: 1)")
+    add(
+        "--friction-model",
+        metavar="TERMS",
+        help="friction terms of every joint, such as coulomb-viscous-offset, or auto "
+        "(default for measured data: coulomb-viscous-offset)",
+    )
+
+
+def _add_console(group: argparse._ArgumentGroup) -> None:
+    volume = group.add_mutually_exclusive_group()
+    volume.add_argument("-v", "--verbose", action="store_true", help="say more")
+    volume.add_argument("--quiet", action="store_true", help="print errors only")
+    group.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    group.add_argument("--version", action="version", version=f"robot-sysid {__version__}")
+
+
+def _levels(option: str) -> Any:
+    """Return an argument type: one number, or one per joint between commas."""
+    return lambda text: parse_levels(text, option)
+
+
+def config_from(options: argparse.Namespace) -> SysidConfig:
+    """Return the run's configuration; raises InputError for values that make no sense."""
+    return SysidConfig(
+        model=options.model,
+        mesh_dir=options.mesh_dir,
+        duration=options.duration,
+        sample_rate=options.sample_rate,
+        friction=not options.no_friction,
+        output_dir=options.output_dir,
+        export_damiao=options.export_damiao,
+        motor_types=tuple(options.motor_type),
+        seed=options.seed,
+        joint=options.joint,
+        torques=options.torques,
+        max_velocity=options.max_velocity,
+        measurements=options.measurements,
+        columns=options.columns,
+        units=options.units,
+        plant_model=options.plant_model,
+        simulation=options.simulation,
+        sensors=SensorOptions(
+            options.noise_torque,
+            options.noise_position,
+            options.encoder_resolution,
+            options.torque_delay,
+        ),
+        save_measurements=options.save_measurements,
+        signals=SignalOptions(options.cutoff, options.velocity_deadband),
+        friction_model=options.friction_model,
+        estimate_delay=options.delay == "auto",
+        estimate_tilt=options.tilt == "auto",
+        method=options.method,
+        estimator=EstimatorOptions(options.consistency, options.prior, options.prior_weight),
+        validate=options.validate,
+        validation_measurements=options.validation_measurements,
+    )
