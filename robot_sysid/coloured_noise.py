@@ -112,6 +112,8 @@ class ResidualAccumulator:
 
     def add(self, rows: Array, residual: Array) -> None:
         """Add rows (N, k) and residuals (N,); NaN where a sample is left out."""
+        if len(residual) == 0:
+            return
         kept = np.isfinite(residual)
         rows = np.where(kept[:, None], rows, 0.0)
         self._products.add(np.where(kept, residual, 0.0)[:, None])

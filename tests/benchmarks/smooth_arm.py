@@ -10,6 +10,18 @@ from tests.synthetic_data import random_body, wrench_rows
 N_JOINTS = 7
 
 
+def remembering_noise(rng, count, width, memory):
+    """(count, width) unit noise with autocorrelation exp(-lag / memory); memory 0 is white."""
+    from scipy.signal import lfilter
+
+    white = rng.normal(size=(count, width))
+    if memory == 0.0:
+        return white
+    decay = np.exp(-1.0 / memory)
+    start = decay * rng.normal(size=(1, width))
+    return lfilter([np.sqrt(1.0 - decay**2)], [1.0, -decay], white, axis=0, zi=start)[0]
+
+
 class SmoothArm:
     """Seven joints, each with the ten inertial columns, Coulomb, viscous and offset.
 
@@ -58,14 +70,7 @@ class SmoothArm:
 
     def noise(self, rng, sigma, memory):
         """(N, 7) noise; ``memory`` is the time constant of its autocorrelation [s], 0 for white."""
-        from scipy.signal import lfilter
-
-        white = rng.normal(size=(self.count, N_JOINTS))
-        if memory == 0.0:
-            return sigma * white
-        decay = np.exp(-1.0 / (memory * self.rate))
-        start = decay * rng.normal(size=(1, N_JOINTS))
-        return sigma * lfilter([np.sqrt(1.0 - decay**2)], [1.0, -decay], white, axis=0, zi=start)[0]
+        return sigma * remembering_noise(rng, self.count, N_JOINTS, memory * self.rate)
 
     def torques(self, noise):
         return [
