@@ -1,0 +1,72 @@
+"""Collecting 15 s of seven joints at 1 kHz, against MuJoCo's inverse dynamics in a bare loop."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from robot_sysid.collection import Equations, collect_sysid_data, friction_of_terminal_joint
+from robot_sysid.parser import load_robot_model
+from robot_sysid.regressor import wrench_regressor
+from robot_sysid.simulator import simulate_inverse
+from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
+from tests import arms
+
+MODELS = Path(__file__).parents[2].parent / "shared" / "models"
+ARMS = {
+    "inline": None,
+    "kinova": MODELS / "kinova_gen3" / "gen3.xml",
+    "iiwa": MODELS / "kuka_iiwa_14" / "iiwa14.xml",
+    "panda": MODELS / "franka_panda" / "panda.xml",
+}
+
+
+@pytest.fixture(params=ARMS)
+def recorded_arm(request):
+    """(arm, its measurements): 15 001 samples in chunks."""
+    path = ARMS[request.param]
+    if path is not None and not path.exists():
+        pytest.skip("the public models are not here")
+    robot = arms.robot_of(arms.SEVEN) if path is None else load_robot_model(path)
+    plan, _ = generate_excitation_trajectory(robot, np.random.default_rng(0))
+    wrench_regressor(np.zeros((1, 6)), np.zeros((1, 6)))
+    return robot, list(simulate_inverse(robot, motion_chunks(plan, 1000.0)))
+
+
+def collect(robot, measurements):
+    equations = Equations(robot, "chain", friction_of_terminal_joint(robot, True))
+    return collect_sysid_data(equations, measurements)
+
+
+def bare_loop(robot, measurements):
+    """What anyone would write first: nothing but mj_inverse per sample."""
+    model = robot.mj_model
+    data = mujoco.MjData(model)
+    data.qpos[:] = robot.reference_qpos
+    at_q, at_v = (slice(int(i[0]), int(i[-1]) + 1) for i in (robot.qpos_index, robot.dof_index))
+    for chunk in measurements:
+        for q, qd, qdd in zip(chunk.q, chunk.qd, chunk.qdd):
+            data.qpos[at_q], data.qvel[at_v], data.qacc[at_v] = q, qd, qdd
+            mujoco.mj_inverse(model, data)
+
+
+def best_of(function, *arguments, rounds=5):
+    """Shortest time of several runs [s]."""
+    times = []
+    for _ in range(rounds):
+        start = time.perf_counter()
+        function(*arguments)
+        times.append(time.perf_counter() - start)
+    return min(times)
+
+
+def test_collection_against_a_bare_loop_of_mj_inverse(benchmark, recorded_arm):
+    bare = best_of(bare_loop, *recorded_arm)
+    information = benchmark.pedantic(collect, recorded_arm, rounds=5, warmup_rounds=1)
+    assert information.n_samples == 7 * 15_001
+    benchmark.extra_info["mj_inverse loop [ms]"] = round(1e3 * bare, 1)
+    benchmark.extra_info["ratio"] = round(benchmark.stats.stats.min / bare, 2)
