@@ -13,6 +13,8 @@ from robot_sysid.records import Array
 
 _OLD_COMMENT = re.compile(rb"<!--\s*System ID:(?:(?!-->).)*-->\s*\Z", re.DOTALL)
 
+_SMALLEST_NORMAL = float(np.finfo(float).tiny)
+
 
 def mjcf_inertial(theta: Array, principal: bool = False) -> str:
     """Return MJCF for theta (10,), exact to the last digit.
@@ -47,7 +49,7 @@ def urdf_inertial_about_com(mass: float, com: Array, inertia: Array) -> str:
     """Return URDF for a mass, centre of mass (3,) and inertia about it (3, 3) in link axes."""
     names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
     six = spatial.six_from_symmetric(inertia)
-    moments = " ".join(f'{name}="{float(value) + 0.0!r}"' for name, value in zip(names, six))
+    moments = " ".join(f'{name}="{_number(value)}"' for name, value in zip(names, six))
     return (
         f'<inertial><origin xyz="{numbers(com)}" rpy="0 0 0"/><mass value="{float(mass)!r}"/>'
         f"<inertia {moments}/></inertial>"
@@ -56,7 +58,12 @@ def urdf_inertial_about_com(mass: float, com: Array, inertia: Array) -> str:
 
 def numbers(values: Array) -> str:
     """Return numbers with all their digits, separated by spaces."""
-    return " ".join(repr(float(value) + 0.0) for value in values)  # no "-0.0"
+    return " ".join(_number(value) for value in values)
+
+
+def _number(value: float) -> str:
+    # Also turns -0.0 into 0.0; MuJoCo 3.3 refuses to read denormal numbers.
+    return repr(float(value)) if abs(value) >= _SMALLEST_NORMAL else "0.0"
 
 
 def inertial_edit(body: Node, inertial: str) -> tuple[Node, Edit]:

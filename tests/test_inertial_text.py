@@ -11,7 +11,13 @@ from hypothesis import strategies as st
 from robot_sysid import spatial
 from robot_sysid.composite import body_theta
 from robot_sysid.documents import Node, read_document
-from robot_sysid.inertial_text import comment_edit, inertial_edit, mjcf_inertial, urdf_inertial
+from robot_sysid.inertial_text import (
+    comment_edit,
+    inertial_edit,
+    mjcf_inertial,
+    numbers,
+    urdf_inertial,
+)
 from robot_sysid.markup import apply_edits
 from robot_sysid.verification import reads_fullinertia_exactly
 from tests.model_files import random_theta, write_files
@@ -44,6 +50,10 @@ def test_fullinertia_is_about_the_centre_of_mass_in_mujoco_order():
     )
     assert 'xyz="0.0 0.0 1.0" rpy="0 0 0"' in urdf_inertial(theta)
     assert 'ixx="4.0" ixy="1.0" ixz="2.0" iyy="5.0" iyz="3.0" izz="6.0"' in urdf_inertial(theta)
+
+
+def test_numbers_that_mujoco_cannot_read_are_zero():
+    assert numbers(np.array([-0.0, 5e-324, -2e-310, 1e-300, 0.1])) == "0.0 0.0 0.0 1e-300 0.1"
 
 
 def edited(tmp_path, body_text, make):

@@ -107,15 +107,17 @@ def test_what_is_not_finite_is_null_everywhere():
     result = identification()
     seen = replace(result.estimate.identifiability, condition_number=np.inf)
     estimate = replace(result.estimate, identifiability=seen, rmse=np.float64("nan"))
-    text = params_json_text(replace(result, estimate=estimate), {"delay": np.array([np.nan, 1])})
+    text = params_json_text(
+        replace(result, estimate=estimate), {"later_field": np.array([np.nan, 1])}
+    )
     content = json.loads(text, parse_constant=pytest.fail)
     assert content["condition_number"] is None and content["rmse"] is None
-    assert content["delay"] == [None, 1.0]
+    assert content["later_field"] == [None, 1.0]
 
 
 def test_later_fields_can_be_added_but_not_replace_one():
-    content = json.loads(params_json_text(identification(), {"delay": {"j6": np.int64(3)}}))
-    assert content["delay"] == {"j6": 3}
+    content = json.loads(params_json_text(identification(), {"later_field": {"j6": np.int64(3)}}))
+    assert content["later_field"] == {"j6": 3}
     with pytest.raises(ValueError, match="mass"):
         params_json_text(identification(), {"mass": 1.0})
 
