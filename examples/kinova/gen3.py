@@ -189,6 +189,11 @@ TRUE_FRICTION = (
     (0.143, 0.2),
 )
 
+# Rotor inertia seen through the gear [kg m^2], the same in every joint: Kinova publishes none, and
+# 0.1 is what the public MuJoCo model of this arm has been proposed to use. It is the same in both
+# models, as if it had been measured beforehand.
+ARMATURE = 0.1
+
 
 def theta(inertial: Inertial) -> Array:
     """Return the ten parameters (10,) of a published inertial, in its own frame."""

@@ -188,6 +188,7 @@ def _add_joint(body: ET.Element, number: int, friction: tuple[float, float]) -> 
     joint = gen3.JOINTS[number]
     coulomb, viscous = friction
     attributes = {"name": f"joint{number}", "axis": _numbers(joint.axis)}
+    attributes["armature"] = _numbers([gen3.ARMATURE])
     if joint.limit is not None:
         attributes.update(limited="true", range=_numbers((-joint.limit, joint.limit)))
     if coulomb or viscous:
