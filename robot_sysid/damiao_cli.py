@@ -179,7 +179,8 @@ def _plan(options: argparse.Namespace, timing: BusTiming) -> Plan:
     trajectory = read_damiao_trajectory(options.trajectory)
     settings = play_settings(options, trajectory.joints, timing)
     allowed = permissions(options)
-    return make_plan(trajectory, settings, timing, allowed, not options.no_half_step)
+    adjust = not options.no_half_step, not options.no_centring
+    return make_plan(trajectory, settings, timing, allowed, *adjust)
 
 
 def _simulated_arm(options: argparse.Namespace, plan: Plan) -> SimulatedArm:

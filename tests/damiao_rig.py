@@ -90,7 +90,9 @@ class Rig:
         self.link = GuardedLink(self.bus, self.clock.now, fd, self._observe)
         kp, kd = default_gains([j.spec for j in joints])
         kp, kd = settings.pop("kp", kp), settings.pop("kd", kd)
-        self.settings = PlaySettings(kp, kd, **{"ramp_time": 0.3, "rest_time": 0.1, **settings})
+        self.settings = PlaySettings(
+            kp, kd, **{"ramp_time": 0.3, "approach_time": 0.3, "rest_time": 0.1, **settings}
+        )
         self.plan = make_plan(
             read_damiao_trajectory(path), self.settings, timing or BusTiming(),
             allowed or Permissions(), half_step,

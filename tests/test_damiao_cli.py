@@ -66,7 +66,7 @@ def quick(monkeypatch):
     """Shorten the pauses of a run."""
 
     def shortened(*arguments):
-        return replace(play_settings(*arguments), ramp_time=0.2, rest_time=0.05)
+        return replace(play_settings(*arguments), ramp_time=0.2, approach_time=0.2, rest_time=0.05)
 
     monkeypatch.setattr("robot_sysid.damiao_cli.play_settings", shortened)
 

@@ -101,6 +101,12 @@ class MitCommand:
     kd: Array
     torque: Array
 
+    def motor_torque(self, q: Array, qd: Array) -> Array:
+        """Return the torque (..., n) this asks for at positions and velocities (..., n) [N m]."""
+        return np.asarray(
+            self.kp * (self.position - q) + self.kd * (self.velocity - qd) + self.torque
+        )
+
 
 @dataclass(frozen=True)
 class Feedback:

@@ -253,6 +253,11 @@ def _add_permissions(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="do not add half a quantisation step to measured values (motors drop the fraction)",
     )
+    add(
+        "--no-centring",
+        action="store_true",
+        help="record torques as measured at the end of each cycle, not centred on its step",
+    )
 
 
 def _add_record_options(parser: argparse.ArgumentParser) -> None:

@@ -40,6 +40,7 @@ class Plan:
         timing: bit rates of the bus.
         allowed: what the user allowed on purpose.
         half_step: add half a quantisation step to measured values.
+        centred: centre recorded torques on the steps of the commands.
     """
 
     trajectory: DamiaoTrajectory
@@ -48,6 +49,7 @@ class Plan:
     timing: BusTiming
     allowed: Permissions
     half_step: bool = True
+    centred: bool = True
 
     def judge(self) -> list[Finding]:
         """Return the findings that need no bus."""
@@ -90,11 +92,18 @@ def make_plan(
     timing: BusTiming | None = None,
     allowed: Permissions | None = None,
     half_step: bool = True,
+    centred: bool = True,
 ) -> Plan:
     """Read a trajectory once and return the plan to play it."""
     scan = scan_trajectory(trajectory)
     return Plan(
-        trajectory, scan, settings, timing or BusTiming(), allowed or Permissions(), half_step
+        trajectory,
+        scan,
+        settings,
+        timing or BusTiming(),
+        allowed or Permissions(),
+        half_step,
+        centred,
     )
 
 
@@ -136,7 +145,7 @@ def perform(
         if recording:
             registers = [motor.registers for motor in motors]
             source = plan.trajectory.path.name
-            head = RecordingHead(joints, registers, settings, plan.half_step, source)
+            head = RecordingHead(joints, registers, settings, plan.half_step, source, plan.centred)
             recorder = stack.enter_context(
                 MeasurementRecorder(recording.path, head, recording.frames, recording.overwrite)
             )

@@ -32,6 +32,8 @@ from robot_sysid.damiao.supervision import Supervisor
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
 
+# The torque that carries the arm is there early in the ramp, before the arm has sunk.
+_LIFT_SHARE = 0.2
 _REPLY_SHARE = 0.9
 _LEAST_REPLY_SHARE = 0.3
 _SCALING_CHECK_CYCLES = 50
@@ -129,7 +131,7 @@ class Player:
         settings = self._settings
         first = trajectory(0.0)
         here = Reference(start, np.zeros_like(start), first.torque)
-        way, way_time = approach(start, first, settings.approach_speed, settings.ramp_time)
+        way, way_time = approach(start, first, settings.approach_speed, settings.approach_time)
         self._announce("enabling the motors")
         self._session.enable()
         self._metronome = Metronome(self._clock, settings.period, settings.max_lateness)
@@ -174,7 +176,7 @@ class Player:
         before, command = self._command, self._command_for(reference)
         replies = self._session.exchange(command, self._reply_deadline(deadline))
         self._supervisor.update(replies)
-        self._reference, self._command = reference, command
+        self._reference, self._command = reference, replies.command
         position = replies.feedback.position
         self._measured = np.where(replies.answered, position, self._measured)
         return replies, before or command
@@ -217,7 +219,7 @@ class Player:
             reference.velocity,
             self._gain * settings.kp,
             settings.kd,
-            self._gain * reference.torque,
+            min(self._gain / _LIFT_SHARE, 1.0) * reference.torque,
         )
 
     def _reply_deadline(self, deadline: float) -> float:

@@ -9,7 +9,7 @@ joint that did not answer are empty.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -25,7 +25,10 @@ from robot_sysid.damiao.trajectory_csv import trajectory_columns
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 
-_EXTRA = ("time", "cmd_pos", "cmd_vel", "cmd_tau", "status", "temp_mos", "temp_rotor")
+_EXTRA = (
+    *("time", "cmd_pos", "cmd_vel", "cmd_tau", "cmd_step"),
+    *("status", "temp_mos", "temp_rotor"),
+)
 
 
 class FrameLog(Protocol):
@@ -48,6 +51,7 @@ class RecordingHead:
         settings: of the run.
         half_step: whether half a quantisation step was added to the measured values.
         source: the trajectory file.
+        centred: whether torques are centred on the step of the command, see ``torque_step``.
     """
 
     joints: Sequence[DamiaoJoint]
@@ -55,6 +59,7 @@ class RecordingHead:
     settings: PlaySettings
     half_step: bool
     source: str
+    centred: bool = True
 
     def lines(self) -> list[str]:
         """Return the comment lines without their mark."""
@@ -75,6 +80,11 @@ class RecordingHead:
         lines.append(
             f"half_step={int(self.half_step)}: half a quantisation step {added} measured position, "
             "velocity and torque, because motors drop the fraction"
+        )
+        halved = "with half of jN_cmd_step added" if self.centred else "as measured"
+        lines.append(f"centred={int(self.centred)}: jN_tau is the torque {halved}")
+        lines.append(
+            "jN_cmd_step is the torque step that the command answered by this sample then made"
         )
         lines.append(
             "jN_time is when joint N was sampled, jN_cmd_* the command in force at that moment"
@@ -101,8 +111,7 @@ class MeasurementRecorder:
         frames: FrameLog | None = None,
         overwrite: bool = False,
     ) -> None:
-        self._frames = frames
-        self._ending = "stopped"
+        self._frames, self._centred = frames, head.centred
         self.rows = 0
         try:
             self._file = open(path, "w" if overwrite else "x", encoding="utf-8")  # noqa: SIM115
@@ -129,35 +138,26 @@ class MeasurementRecorder:
         if self._frames:
             self._frames.close()
 
-    def write(self, time: float, origin: float, replies: Replies, command: MitCommand) -> None:
+    def write(self, time: float, origin: float, replies: Replies, acted: MitCommand) -> None:
         """Write one cycle.
 
         Args:
             time: since the trajectory's start [s].
             origin: the trajectory's start in the link's clock [s].
             replies: what the joints answered.
-            command: in force when they were sampled.
+            acted: the command in force when they were sampled.
         """
         measured = replies.feedback
+        step = torque_step(replies, acted)
+        torque = measured.torque + 0.5 * step if self._centred else measured.torque
         cells = [f"{time:.6f}"]
-        for j in range(len(replies.answered)):
-            cells += _numbers(measured.position[j], measured.velocity[j], measured.torque[j])
+        for values in zip(measured.position, measured.velocity, torque):
+            cells += _numbers(values)
+        columns = (replies.time - origin, acted.position, acted.velocity, acted.torque, step)
+        state = (measured.status, measured.temperature_mos, measured.temperature_rotor)
         for j, answered in enumerate(replies.answered):
-            cells += _numbers(
-                replies.time[j] - origin,
-                command.position[j],
-                command.velocity[j],
-                command.torque[j],
-            )
-            cells += (
-                [
-                    str(measured.status[j]),
-                    str(measured.temperature_mos[j]),
-                    str(measured.temperature_rotor[j]),
-                ]
-                if answered
-                else [""] * 3
-            )
+            cells += _numbers([column[j] for column in columns])
+            cells += [str(code[j]) if answered else "" for code in state]
         self._file.write(",".join(cells) + "\n")
         self.rows += 1
 
@@ -209,5 +209,19 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
     return Recording(tuple(head), ending, dict(zip(titles, table.T)))
 
 
-def _numbers(*values: float) -> list[str]:
+def torque_step(replies: Replies, acted: MitCommand) -> Array:
+    """Return the torque step (n,) that the command just sent makes in each motor [N m].
+
+    A motor samples its torque at the very end of a command's time, when the joint has used up what
+    the command asked for; then the next command steps it up again. Over many cycles the samples are
+    therefore too low by half a step on average, by kp qd / (2 rate) for a steadily moving joint,
+    which looks like negative viscous friction. Adding half the step, which is known exactly because
+    position and velocity do not jump, gives the mean of the two sides.
+    """
+    command = replies.command or acted
+    q, qd = replies.feedback.position, replies.feedback.velocity
+    return command.motor_torque(q, qd) - acted.motor_torque(q, qd)
+
+
+def _numbers(values: Iterable[float]) -> list[str]:
     return [f"{value:.6f}" if np.isfinite(value) else "" for value in values]

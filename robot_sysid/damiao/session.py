@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import TracebackType
 
 import numpy as np
@@ -16,6 +16,7 @@ from robot_sysid.damiao.codec import (
     MitCommand,
     Scaling,
     decode_feedback,
+    decode_mit,
     encode_mit,
 )
 from robot_sysid.damiao.frames import Frame, disable_frame, enable_frame
@@ -44,11 +45,13 @@ class Replies:
             on the bus where the adapter reports that, else when the reply arrived. NaN where the
             joint did not answer.
         feedback: all joints; status -1 and NaN values where a joint did not answer.
+        command: what was sent, as the motors read it; None where it was no MIT command.
     """
 
     answered: NDArray[np.bool_]
     time: Array
     feedback: Feedback
+    command: MitCommand | None = None
 
 
 class MotorSession:
@@ -139,7 +142,7 @@ class MotorSession:
         self._link.drain()
         for j in np.flatnonzero(wanted):
             self._link.send(Frame(self.joints[j].can_id, frames[j].tobytes()))
-        return self._collect(wanted, until)
+        return self._collect(wanted, until, decode_mit(frames, self.scaling))
 
     def disable(self) -> tuple[int, ...]:
         """Disable every motor; return the CAN ids that did not confirm it.
@@ -188,7 +191,9 @@ class MotorSession:
                 break
         return status
 
-    def _collect(self, wanted: NDArray[np.bool_], until: float) -> Replies:
+    def _collect(
+        self, wanted: NDArray[np.bool_], until: float, command: MitCommand | None = None
+    ) -> Replies:
         raw = np.zeros((self.n_joints, 8), dtype=np.uint8)
         received = np.full(self.n_joints, np.nan)
         sent = np.full(self.n_joints, np.nan)
@@ -197,7 +202,7 @@ class MotorSession:
             while missing and (frame := self._link.receive(until)) is not None:
                 missing -= self._take(frame, wanted, raw, received, sent)
         finally:
-            self.last_replies = self._replies(raw, received, sent)
+            self.last_replies = replace(self._replies(raw, received, sent), command=command)
         return self.last_replies
 
     def _take(

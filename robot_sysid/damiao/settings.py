@@ -21,7 +21,9 @@ class PlaySettings:
         kp, kd: (n,) gains [N m/rad, N m s/rad]; kd > 0.
         rate: control cycles per second [Hz].
         speed: 1 plays as recorded, less plays slower.
-        ramp_time: how long the gains take to rise [s].
+        ramp_time: how long the gains take to rise [s]; short, because meanwhile the arm sinks under
+            whatever load the feed-forward torque does not know.
+        approach_time: least duration of the way to the first point [s].
         approach_speed: highest joint speed on the way to the first point [rad/s].
         rest_time: how long the arm is held still before and after moving [s].
         start_tolerance: how far a joint may be from the first point [rad].
@@ -37,7 +39,8 @@ class PlaySettings:
     kd: Array
     rate: float = 250.0
     speed: float = 1.0
-    ramp_time: float = 1.0
+    ramp_time: float = 0.3
+    approach_time: float = 1.0
     approach_speed: float = 0.2
     rest_time: float = 0.5
     start_tolerance: float = 0.5
