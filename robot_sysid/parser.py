@@ -57,18 +57,21 @@ def robot_from_compiled(
     body = int(mj_model.jnt_bodyid[terminal])
     qpos = reference_configuration(mj_model)
     dofs = mj_model.jnt_dofadr[list(chain)].astype(np.int64)
+    names = tuple(joint_label(mj_model, j) for j in chain)
+    speeds = [compiled.velocity_limits.get(name) for name in names]
     return RobotModel(
         path=path,
         mj_model=mj_model,
         sha256=compiled.sha256,
-        joint_names=tuple(joint_label(mj_model, j) for j in chain),
+        kind=compiled.kind,
+        joint_names=names,
         body_name=body_label(mj_model, body),
         body_id=body,
         qpos_index=mj_model.jnt_qposadr[list(chain)].astype(np.int64),
         dof_index=dofs,
         reference_qpos=qpos,
         is_slide=mj_model.jnt_type[list(chain)] == int(mujoco.mjtJoint.mjJNT_SLIDE),
-        limits=joint_limits(mj_model, chain, max_velocity),
+        limits=joint_limits(mj_model, chain, max_velocity, speeds),
         prior=_prior(mj_model, qpos, body),
         friction=JointFriction(mj_model.dof_frictionloss[dofs], mj_model.dof_damping[dofs]),
         notes=compiled.notes + _chain_notes(mj_model, chain),
@@ -95,18 +98,45 @@ def _prior(mj_model: Any, qpos: Array, body: int) -> InertialParameters:
 def _chain_notes(mj_model: Any, chain: tuple[int, ...]) -> tuple[str, ...]:
     """Return sentences on what the analysis leaves out for this chain."""
     notes = []
-    coupled = [
-        joint_label(mj_model, joint)
-        for joint in chain
-        for eq in range(mj_model.neq)
-        if int(mj_model.eq_type[eq]) == int(mujoco.mjtEq.mjEQ_JOINT)
-        and joint in (int(mj_model.eq_obj1id[eq]), int(mj_model.eq_obj2id[eq]))
-    ]
+    coupled = [joint_label(mj_model, joint) for joint in chain if _is_coupled(mj_model, joint)]
     if coupled:
         notes.append(
             f"equality constraints on {', '.join(coupled)} are ignored: every chain joint is "
             "taken to be driven by itself"
         )
+    if any(_closes_a_loop(mj_model, chain, eq) for eq in range(mj_model.neq)):
+        notes.append(
+            "connect or weld constraints on links of the arm are ignored: torques that pass "
+            "through a closed loop are not modelled"
+        )
     if mj_model.opt.density or mj_model.opt.viscosity:
         notes.append("the model's air or fluid drag is ignored")
     return tuple(notes)
+
+
+def _is_coupled(mj_model: Any, joint: int) -> bool:
+    """Tell whether an equality constraint couples a joint to another one or fixes it."""
+    of_joints = mj_model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
+    partners = np.stack((mj_model.eq_obj1id, mj_model.eq_obj2id))[:, of_joints]
+    return bool(np.any(partners == joint))
+
+
+def _closes_a_loop(mj_model: Any, chain: tuple[int, ...], eq: int) -> bool:
+    """Tell whether constraint ``eq`` ties a link of the arm to something it does not carry."""
+    kinds = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
+    if int(mj_model.eq_type[eq]) not in kinds:
+        return False
+    first, second = int(mj_model.eq_obj1id[eq]), int(mj_model.eq_obj2id[eq])
+    # Releases before 3.2 know no other objects than bodies here.
+    site = int(mujoco.mjtObj.mjOBJ_SITE)
+    if hasattr(mj_model, "eq_objtype") and int(mj_model.eq_objtype[eq]) == site:
+        first, second = int(mj_model.site_bodyid[first]), int(mj_model.site_bodyid[second])
+    return _carrier(mj_model, chain, first) != _carrier(mj_model, chain, second)
+
+
+def _carrier(mj_model: Any, chain: tuple[int, ...], body: int) -> int:
+    """Return the link of the arm that a body belongs to or hangs on; 0 for none."""
+    links = {int(mj_model.jnt_bodyid[joint]) for joint in chain}
+    while body > 0 and body not in links:
+        body = int(mj_model.body_parentid[body])
+    return body

@@ -116,9 +116,7 @@ def serial_runs(mj_model: Any) -> list[SerialRun]:
     return runs
 
 
-def _continues(
-    mj_model: Any, joint: int | None, children: dict[int | None, list[int]]
-) -> bool:
+def _continues(mj_model: Any, joint: int | None, children: dict[int | None, list[int]]) -> bool:
     """Tell whether a run goes on behind ``joint``: exactly one joint follows, of the right kind."""
     if joint is None or not is_hinge_or_slide(mj_model, joint):
         return False
@@ -150,11 +148,10 @@ def find_terminal_joint(mj_model: Any) -> int:
     arm = next(run for run in tops if not any(run.is_behind(other) for other in tops))
     rivals = [run for run in runs if _is_rival(run, arm)]
     if rivals:
-        ends = [arm.joints[-1]] + [run.joints[-1] for run in rivals]
-        raise AmbiguousJointError(
-            f"{len(ends)} serial chains of joints could be the arm", _candidates(mj_model, ends)
-        )
+        raise _two_arms(mj_model, runs, [arm, *rivals])
+    _require_no_ball(mj_model, arm)
     _require_no_jaw(mj_model, arm)
+    _require_drive(mj_model, arm)
     return arm.joints[-1]
 
 
@@ -162,6 +159,25 @@ def _is_rival(run: SerialRun, arm: SerialRun) -> bool:
     """Tell whether a run beside the arm is long enough to be an arm itself."""
     beside = run is not arm and not run.is_behind(arm) and not arm.is_behind(run)
     return beside and len(run.joints) >= RIVAL_SHARE * len(arm.joints)
+
+
+def _two_arms(mj_model: Any, runs: list[SerialRun], rivals: list[SerialRun]) -> AmbiguousJointError:
+    """Return the error that lists the rivals' ends, and what all of them hang on."""
+    trunks = [run for run in runs if all(rival.is_behind(run) for rival in rivals)]
+    ends = [run.joints[-1] for run in [*trunks, *rivals]]
+    reason = f"{len(rivals)} serial chains of joints could be the arm"
+    return AmbiguousJointError(reason, _candidates(mj_model, ends))
+
+
+def _require_no_ball(mj_model: Any, arm: SerialRun) -> None:
+    last = arm.joints[-1]
+    behind = [j for j in range(mj_model.njnt) if parent_joint(mj_model, j) == last]
+    if len(behind) == 1 and not is_hinge_or_slide(mj_model, behind[0]):
+        raise ModelError(
+            f"ball joint {joint_label(mj_model, behind[0])} is part of the chain; only hinge and "
+            "slide joints can be identified, so weld it, or hold it where it is with --joint "
+            f"{joint_label(mj_model, last)}"
+        )
 
 
 def _require_no_jaw(mj_model: Any, arm: SerialRun) -> None:
@@ -173,6 +189,41 @@ def _require_no_jaw(mj_model: Any, arm: SerialRun) -> None:
             f"the last joint {joint} looks like the jaw of a gripper",
             _candidates(mj_model, list(arm.joints[-2:])),
         )
+
+
+def _require_drive(mj_model: Any, arm: SerialRun) -> None:
+    """Ask where motors drive the arm but not its last joint: a hose, a pendulum, a loose tool."""
+    driven = driven_joints(mj_model)
+    with_motor = [joint for joint in arm.joints if joint in driven]
+    last = arm.joints[-1]
+    if with_motor and last not in driven:
+        raise AmbiguousJointError(
+            f"the last joint {joint_label(mj_model, last)} has no actuator, but others do",
+            _candidates(mj_model, [with_motor[-1], last]),
+        )
+
+
+def driven_joints(mj_model: Any) -> set[int]:
+    """Return the ids of joints that an actuator moves, directly, by a tendon or by a coupling."""
+    kind = mujoco.mjtTrn
+    joints: set[int] = set()
+    for transmission, target in zip(mj_model.actuator_trntype, mj_model.actuator_trnid[:, 0]):
+        if int(transmission) in (int(kind.mjTRN_JOINT), int(kind.mjTRN_JOINTINPARENT)):
+            joints.add(int(target))
+        elif int(transmission) == int(kind.mjTRN_TENDON):
+            joints.update(_joints_of_tendon(mj_model, int(target)))
+    coupled = mj_model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
+    for pair in zip(mj_model.eq_obj1id[coupled], mj_model.eq_obj2id[coupled]):
+        if joints.intersection(pair):
+            joints.update(int(joint) for joint in pair)
+    return joints
+
+
+def _joints_of_tendon(mj_model: Any, tendon: int) -> list[int]:
+    first, count = int(mj_model.tendon_adr[tendon]), int(mj_model.tendon_num[tendon])
+    wraps = slice(first, first + count)
+    of_joints = mj_model.wrap_type[wraps] == int(mujoco.mjtWrap.mjWRAP_JOINT)
+    return [int(joint) for joint in mj_model.wrap_objid[wraps][of_joints]]
 
 
 def _candidates(mj_model: Any, joints: list[int]) -> list[tuple[str, str]]:
