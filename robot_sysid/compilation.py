@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from robot_sysid.documents import ModelDocument, read_document
 from robot_sysid.errors import ModelError
 from robot_sysid.exact_inertia import restore_exact_inertias
 from robot_sysid.relocation import relocated_text
-from robot_sysid.urdf import compilable_urdf, link_inertias
+from robot_sysid.urdf import compilable_urdf, link_inertias, velocity_limits
 
 _FAILURES = (ValueError, mujoco.FatalError, mujoco.UnexpectedError)
 _NAME = re.compile(r"(?:Element name|Object name =) ?'?([^',\n]+)")
@@ -47,12 +47,14 @@ class CompiledModel:
         notes: what had to be assumed and what MuJoCo warned about, one sentence each.
         sha256: of the main file's bytes followed by those of the files it includes.
         kind: "mjcf" or "urdf".
+        velocity_limits: joint name to the speed limit a URDF states [rad/s or m/s].
     """
 
     mj_model: Any
     notes: tuple[str, ...]
     sha256: str
     kind: str
+    velocity_limits: Mapping[str, float] = field(default_factory=dict)
 
 
 @contextmanager
@@ -86,7 +88,8 @@ def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
             mj_model, notes = _compile_mjcf(document, mesh_dir), ()
     _check_finite(mj_model, document)
     said = tuple(dict.fromkeys(f"MuJoCo warns: {text}" for text in warnings))
-    return CompiledModel(mj_model, notes + said, document.sha256, document.kind)
+    speeds = velocity_limits(document) if document.kind == "urdf" else {}
+    return CompiledModel(mj_model, notes + said, document.sha256, document.kind, speeds)
 
 
 def _check_mesh_dir(mesh_dir: Path | None) -> None:

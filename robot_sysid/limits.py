@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco
@@ -13,21 +14,29 @@ DEFAULT_SLIDE_VELOCITY = 0.25
 """Speed limit of slide joints [m/s]."""
 
 
-def joint_limits(mj_model: Any, joints: tuple[int, ...], max_velocity: float) -> JointLimits:
+def joint_limits(
+    mj_model: Any,
+    joints: tuple[int, ...],
+    max_velocity: float,
+    stated: Sequence[float | None] = (),
+) -> JointLimits:
     """Return the limits of some joints.
 
     Args:
         mj_model: compiled model.
         joints: joint ids.
         max_velocity: speed limit of hinge joints [rad/s]; slide joints use their own default.
+        stated: speed limit of each joint that its model file states; None where it has none.
     """
     index = np.array(joints)
     limited = mj_model.jnt_limited[index].astype(bool)
     slide = mj_model.jnt_type[index] == int(mujoco.mjtJoint.mjJNT_SLIDE)
+    usual = np.where(slide, min(DEFAULT_SLIDE_VELOCITY, max_velocity), max_velocity)
+    own = np.array(stated, dtype=float)
     return JointLimits(
         lower=np.where(limited, mj_model.jnt_range[index, 0], -np.inf),
         upper=np.where(limited, mj_model.jnt_range[index, 1], np.inf),
-        velocity=np.where(slide, min(DEFAULT_SLIDE_VELOCITY, max_velocity), max_velocity),
+        velocity=np.fmin(usual, own) if len(own) else usual,
         torque=np.array([_torque_limit(mj_model, joint) for joint in joints]),
     )
 

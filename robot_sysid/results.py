@@ -39,9 +39,9 @@ class Written:
     damiao: DamiaoExportReport | None
 
 
-def updated_model_name(model: Path) -> str:
-    """Return the name of the written model: URDF stays URDF, all else is updated_model.xml."""
-    return "updated_model.urdf" if model.suffix.lower() == ".urdf" else "updated_model.xml"
+def updated_model_name(robot: RobotModel) -> str:
+    """Return the name of the written model: a URDF stays one."""
+    return "updated_model.urdf" if robot.kind == "urdf" else "updated_model.xml"
 
 
 def check_motor_types(config: SysidConfig, robot: RobotModel) -> None:
@@ -76,7 +76,7 @@ def write_results(
     names, report = [], None
     with whole_files() as files:
         if identification.estimate.inertial.is_consistent:
-            names.append(updated_model_name(config.model))
+            names.append(updated_model_name(robot))
             note = _write_model(
                 files, folder / names[-1], config, robot, identification, checkpoints
             )

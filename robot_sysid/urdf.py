@@ -6,6 +6,8 @@ Nothing that enters the dynamics is dropped: a mesh goes only where the link has
 
 from __future__ import annotations
 
+import contextlib
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -135,6 +137,19 @@ def link_inertias(document: ModelDocument) -> dict[str, tuple[float, Array, Arra
         six = [float(inertia.get(n) or 0.0) for n in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")]
         matrix = rotation @ spatial.symmetric_from_six(np.array(six)) @ rotation.T
         found[str(link.get("name"))] = (_mass(link), com, matrix)
+    return found
+
+
+def velocity_limits(document: ModelDocument) -> dict[str, float]:
+    """Return joint name to the speed limit it states [rad/s or m/s]; MuJoCo drops these."""
+    found = {}
+    for joint in document.main.root.iterchildren("{*}joint"):
+        limit = joint.find("{*}limit")
+        text = None if limit is None else limit.get("velocity")
+        with contextlib.suppress(ValueError):
+            value = float(text or "")
+            if value > 0.0 and math.isfinite(value):
+                found[str(joint.get("name"))] = value
     return found
 
 

@@ -162,3 +162,18 @@ def test_public_models_compile_and_fragments_say_so(path):
             compile_model(path)
     else:
         assert compile_model(path).mj_model.njnt > 0
+
+
+def test_a_urdf_states_its_speed_limits(tmp_path):
+    """Stated speeds are kept; zero, missing and malformed ones mean that there is none."""
+    limits = ('velocity="1.5"', 'velocity="0"', "", 'velocity="fast"')
+    joints = "".join(
+        f'<link name="l{k + 1}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" '
+        f'ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="j{k}" type="revolute">'
+        f'<parent link="l{k}"/><child link="l{k + 1}"/><axis xyz="0 0 1"/>'
+        f'<limit lower="-1" upper="1" effort="9" {limit}/></joint>'
+        for k, limit in enumerate(limits)
+    )
+    path = tmp_path / "arm.urdf"
+    path.write_text(f'<robot name="r"><link name="l0"/>{joints}</robot>')
+    assert compile_model(path).velocity_limits == {"j0": 1.5}

@@ -148,6 +148,7 @@ class RobotModel:
             configuration), in the terminal body's frame.
         friction: the model's friction of the chain joints.
         sha256: hash of the files that make the model.
+        kind: "mjcf" or "urdf".
         notes: what the reader of the file had to assume, one sentence each.
     """
 
@@ -164,6 +165,7 @@ class RobotModel:
     prior: InertialParameters
     friction: JointFriction
     sha256: str = ""
+    kind: str = "mjcf"
     notes: tuple[str, ...] = ()
 
     @property
