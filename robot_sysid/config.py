@@ -29,6 +29,9 @@ class SysidConfig:
         output_dir: folder of the results.
         export_damiao: whether to write a trajectory for Damiao motors.
         motor_types: Damiao motor type per chain joint.
+        can_ids, master_ids: of the motors; empty counts from 1, and adds 0x10 for replies.
+        damiao_rate: rows per second of the motor trajectory [Hz]; None takes the sample rate.
+        supply: voltage of the motors' supply [V], for comparing speeds with their no-load speed.
         seed: of the random trajectory and the simulated noise; None draws a fresh one.
         joint: terminal joint; None finds it.
         torques: "chain" or "terminal".
@@ -57,6 +60,10 @@ class SysidConfig:
     output_dir: Path = Path("sysid_output")
     export_damiao: bool = False
     motor_types: tuple[str, ...] = ()
+    can_ids: tuple[int, ...] = ()
+    master_ids: tuple[int, ...] = ()
+    damiao_rate: float | None = None
+    supply: float | None = None
     seed: int | None = None
     joint: str | None = None
     torques: str = "chain"
@@ -109,8 +116,19 @@ class SysidConfig:
             raise InputError(
                 "--export-damiao requires at least one --motor-type, one per joint of the chain"
             )
-        if self.motor_types and not self.export_damiao:
-            raise InputError("--motor-type is only used together with --export-damiao; add it")
+        given = {
+            "--motor-type": self.motor_types,
+            "--can-id": self.can_ids,
+            "--master-id": self.master_ids,
+            "--damiao-rate": self.damiao_rate,
+            "--supply": self.supply,
+        }
+        for option, value in given.items():
+            if value and not self.export_damiao:
+                raise InputError(f"{option} is only used together with --export-damiao; add it")
+        for option, number in (("--damiao-rate", self.damiao_rate), ("--supply", self.supply)):
+            if number is not None:
+                require_positive(number, option)
         if self.export_damiao and self.measurements is not None:
             raise InputError("--export-damiao needs a trajectory; it does not go with a log")
 

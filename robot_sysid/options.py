@@ -37,6 +37,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_log(parser.add_argument_group("measurements").add_argument)
     _add_plant(parser.add_argument_group("simulated plant").add_argument)
     _add_estimation(parser.add_argument_group("estimation").add_argument)
+    _add_damiao(parser.add_argument_group("Damiao motors").add_argument)
     _add_console(parser.add_argument_group("console"))
     return parser
 
@@ -183,6 +184,42 @@ def _add_estimation(add: Any) -> None:
     )
 
 
+def _add_damiao(add: Any) -> None:
+    add(
+        "--can-id",
+        type=_id,
+        action="append",
+        default=[],
+        metavar="ID",
+        help="CAN id of a joint's motor, once per joint (default: 1, 2, 3, ...)",
+    )
+    add(
+        "--master-id",
+        type=_id,
+        action="append",
+        default=[],
+        metavar="ID",
+        help="id a joint's motor answers on, once per joint (default: CAN id + 0x10)",
+    )
+    add(
+        "--damiao-rate",
+        type=float,
+        metavar="HZ",
+        help="rows per second of the motor trajectory (default: the sample rate)",
+    )
+    add(
+        "--supply",
+        type=float,
+        metavar="V",
+        help="supply voltage of the motors, to judge their top speed",
+    )
+
+
+def _id(text: str) -> int:
+    """Return an id written in decimal or as 0x..."""
+    return int(text, 0)
+
+
 def _add_console(group: argparse._ArgumentGroup) -> None:
     volume = group.add_mutually_exclusive_group()
     volume.add_argument("-v", "--verbose", action="store_true", help="say more")
@@ -207,6 +244,10 @@ def config_from(options: argparse.Namespace) -> SysidConfig:
         output_dir=options.output_dir,
         export_damiao=options.export_damiao,
         motor_types=tuple(options.motor_type),
+        can_ids=tuple(options.can_id),
+        master_ids=tuple(options.master_id),
+        damiao_rate=options.damiao_rate,
+        supply=options.supply,
         seed=options.seed,
         joint=options.joint,
         torques=options.torques,

@@ -131,7 +131,7 @@ def excite(config: SysidConfig, robot: RobotModel, seed: int, progress: Progress
 def commands(robot: RobotModel, plan: MotionPlan, config: SysidConfig) -> Iterator[Command]:
     """Yield the motion with the torque it takes, for playing it on motors."""
     torque = inverse_torque(robot)
-    for motion in motion_chunks(plan, config.sample_rate):
+    for motion in motion_chunks(plan, config.damiao_rate or config.sample_rate):
         yield motion.time, motion.q, motion.qd, torque(motion)
 
 

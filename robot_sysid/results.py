@@ -47,7 +47,8 @@ def updated_model_name(robot: RobotModel) -> str:
 def check_motor_types(config: SysidConfig, robot: RobotModel) -> None:
     """Raise InputError before any work where the Damiao export could not be done."""
     if config.export_damiao:
-        damiao_joints(config.motor_types, robot.n_joints)
+        ids, replies = config.can_ids or None, config.master_ids or None
+        damiao_joints(config.motor_types, robot.n_joints, ids, replies)
 
 
 def write_results(
@@ -121,4 +122,11 @@ def _write_damiao(
     files: WholeFiles, path: Path, config: SysidConfig, commands: Iterator[Command]
 ) -> DamiaoExportReport:
     with open(files.draft(path), "w", encoding="utf-8", newline="\n") as file:
-        return export_damiao_trajectory(commands, config.motor_types, file)
+        return export_damiao_trajectory(
+            commands,
+            config.motor_types,
+            file,
+            config.can_ids or None,
+            config.master_ids or None,
+            config.supply,
+        )
