@@ -1,0 +1,124 @@
+"""Timing of a run with seven motors: how late control cycles start, and what the codec takes.
+
+    pytest tests/benchmarks/test_damiao_timing.py --benchmark-only -s
+
+The simulated arm (seven pendulums) answers either within the same thread, which shows the player
+alone, or from a second thread over python-can's virtual bus, which shows both sharing one Python.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from robot_sysid.damiao.arm_server import served_in_background
+from robot_sysid.damiao.bus_link import open_bus
+from robot_sysid.damiao.bus_load import BusTiming
+from robot_sysid.damiao.clock import SystemClock
+from robot_sysid.damiao.codec import MitCommand, Scaling, decode_feedback, encode_mit
+from robot_sysid.damiao.joints import damiao_joints
+from robot_sysid.damiao.link import GuardedLink
+from robot_sysid.damiao.motors import MOTORS
+from robot_sysid.damiao.playback import Plan, RecordingChoice, look, make_plan, perform
+from robot_sysid.damiao.preflight import Permissions
+from robot_sysid.damiao.settings import PlaySettings, default_gains
+from robot_sysid.damiao.simulated_arm import SimulatedArm
+from robot_sysid.damiao.simulated_motor import simulated_motor
+from robot_sysid.damiao.stop_request import StopRequest
+from robot_sysid.damiao.trajectory_csv import export_damiao_trajectory, read_damiao_trajectory
+from tests.damiao_rig import Pendulums, swing
+
+JOINTS = 7
+SECONDS = 8.0
+RATES = (250.0, 500.0)
+
+
+class SameThreadLink:
+    """A link whose arm answers at once, in the caller's thread."""
+
+    def __init__(self, arm: SimulatedArm, clock: SystemClock) -> None:
+        self._arm, self._clock, self._start = arm, clock, clock.now()
+        self._replies = []
+
+    def send(self, frame):
+        self._replies += self._arm.handle(frame, self._clock.now() - self._start)
+
+    def receive(self, until):
+        if self._replies:
+            return self._replies.pop(0)._replace(time=self._clock.now())
+        self._clock.sleep_until(until)
+        return None
+
+    def close(self):
+        """Nothing to release."""
+
+
+def arm_and_plan(folder, rate: float) -> tuple[SimulatedArm, Plan]:
+    joints = damiao_joints(["DM4340"] * JOINTS, JOINTS)
+    path = folder / "damiao_trajectory.csv"
+    motion = swing(JOINTS, SECONDS, rate=1000.0)
+    export_damiao_trajectory([motion], ["DM4340"] * JOINTS, path)
+    kp, kd = default_gains([joint.spec for joint in joints])
+    # Measure lateness instead of stopping for it.
+    settings = PlaySettings(
+        kp, kd, rate=rate, max_lateness=10.0, max_missed=10_000, max_tracking_error=3.0
+    )
+    allowed = Permissions(bus_load=True)
+    plan = make_plan(read_damiao_trajectory(path), settings, allowed=allowed)
+    motors = [simulated_motor(j.spec, j.can_id, j.master_id, watchdog=3.0) for j in joints]
+    return SimulatedArm(Pendulums(JOINTS), motors), plan
+
+
+def play(link: GuardedLink, clock: SystemClock, plan: Plan, folder):
+    inspection, _ = look(link, clock, plan)
+    recording = RecordingChoice(folder / "measured.csv", overwrite=True)
+    return perform(link, clock, plan, inspection, StopRequest(), recording)
+
+
+def tell(benchmark, report, rate: float) -> None:
+    """Keep the figures with the benchmark and print them."""
+    figures = {
+        "lateness_p50_us": round(1e6 * report.lateness_p50),
+        "lateness_p99_us": round(1e6 * report.lateness_p99),
+        "skipped_cycles": report.skipped,
+        "cycles": report.cycles,
+        "missed_replies": int(np.sum(report.missed)),
+    }
+    benchmark.extra_info.update(figures)
+    print(f"\n{rate:g} Hz: {figures}")
+
+
+@pytest.mark.parametrize("rate", RATES)
+def test_the_player_alone(benchmark, tmp_path, rate):
+    arm, plan = arm_and_plan(tmp_path, rate)
+    clock = SystemClock()
+    link = GuardedLink(SameThreadLink(arm, clock), clock.now)
+    report = benchmark.pedantic(play, (link, clock, plan, tmp_path), rounds=1)
+    tell(benchmark, report, rate)
+
+
+@pytest.mark.parametrize("rate", RATES)
+def test_over_the_virtual_bus(benchmark, tmp_path, rate):
+    arm, plan = arm_and_plan(tmp_path, rate)
+    clock = SystemClock()
+    near, far = (open_bus("virtual", f"bench{rate}", BusTiming(), clock) for _ in range(2))
+    try:
+        with served_in_background(arm, far, clock):
+            link = GuardedLink(near, clock.now)
+            report = benchmark.pedantic(play, (link, clock, plan, tmp_path), rounds=1)
+    finally:
+        near.close()
+    tell(benchmark, report, rate)
+
+
+def test_encoding_and_decoding_one_cycle_of_all_joints(benchmark):
+    scaling = Scaling.from_limits([MOTORS["DM4340"].limits] * JOINTS)
+    zero = np.zeros(JOINTS)
+    command = MitCommand(zero + 0.1, zero + 0.2, zero + 20.0, zero + 1.0, zero + 0.3)
+    replies = np.random.default_rng(0).integers(0, 256, (JOINTS, 8), dtype=np.uint8)
+
+    def cycle():
+        encode_mit(command, scaling)
+        return decode_feedback(replies, scaling, half_step=True)
+
+    assert benchmark(cycle).position.shape == (JOINTS,)
