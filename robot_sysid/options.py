@@ -217,7 +217,10 @@ def _add_damiao(add: Any) -> None:
 
 def _id(text: str) -> int:
     """Return an id written in decimal or as 0x..."""
-    return int(text, 0)
+    try:
+        return int(text, 0)
+    except ValueError:
+        raise InputError(f"{text!r} is not a CAN id; write 3 or 0x03") from None
 
 
 def _add_console(group: argparse._ArgumentGroup) -> None:
