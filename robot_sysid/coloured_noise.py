@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from robot_sysid.records import Array, SampleSource, SquareRootInformation
 
 _MAX_LAG = 2000
-_FITTED_LAGS = 60
+_LAG_BINS = 60
 _MOST_ABSORBED = 0.8
 
 
@@ -35,7 +35,7 @@ class JointResiduals:
         count: number of samples n.
         decay: (m,) exp(-1 / T_i).
         sums: (1 + m, k, k) the Q_i; the first is Y^T Y.
-        lags: (v,) lags [samples], from 0.
+        lags: (v,) lags 0, 1, 2, ... [samples].
         products: (v,) mean of r_t r_(t+l) [N^2 m^2].
         hats: (v,) mean of h_(t,t+l), H the matrix that turns this joint's torque into the fit.
     """
@@ -70,18 +70,16 @@ class JointResiduals:
             own: as in ``absorbed``.
             leaked: mean square that errors caused by other joints' noise add [N^2 m^2].
         """
-        from scipy.optimize import nnls
-
         energy = float(self.products[0])
         shape = self.hats / self.hats[0] if self.hats[0] > 0.0 else np.zeros(len(self.lags))
         seen = self.products - min(leaked, 0.5 * energy) * shape
         if energy <= 0.0:
             return np.zeros(1 + len(self.decay))
-        lost = self.absorbed(own)
         kernels = np.column_stack((self.lags == 0, self.decay ** self.lags[:, None])).astype(float)
-        found = nnls(kernels - np.outer(shape, lost), seen / energy)[0]
-        found[0] += float(not np.any(found))
-        return found * seen[0] / float(found @ (1.0 - lost))
+        shapes = kernels - np.outer(shape, self.absorbed(own))
+        bins = _lag_bins(len(self.lags))
+        found = _simplest_fit(_pooled(shapes, bins), _pooled(seen / energy, bins), self.count)
+        return found * seen[0] / float(found @ shapes[0])
 
     def effective_samples(self, kernels: Array) -> float:
         """Return how many independent samples average as well: n gamma(0) / sum_l gamma(l)."""
@@ -135,18 +133,15 @@ class ResidualAccumulator:
     def result(self) -> JointResiduals:
         """Return what has been collected."""
         symmetric = self._normal + self._cross + self._cross.transpose(0, 2, 1)
-        last = len(self._pairs.total) - 1
-        lags = np.unique(np.round(np.geomspace(1.0, last, _FITTED_LAGS)).astype(np.int64))
-        lags = np.concatenate(([0], lags))
-        pairs = np.maximum(self._pairs.total[lags], 1.0)
+        pairs = np.maximum(self._pairs.total, 1.0)
         return JointResiduals(
             columns=self._columns,
             count=int(round(self._pairs.total[0])),
             decay=self._decay,
             sums=np.concatenate((self._normal[None], symmetric)),
-            lags=lags,
-            products=self._products.total[lags] / pairs,
-            hats=self._hats.total[lags] / pairs,
+            lags=np.arange(len(pairs)),
+            products=self._products.total / pairs,
+            hats=self._hats.total / pairs,
         )
 
 
@@ -198,6 +193,37 @@ def collect_residuals(
     shares = np.maximum(inside, 1.0) / np.maximum(total, 1.0)
     results = [accumulator.result() for accumulator in found]
     return [replace(r, products=r.products / share**2) for r, share in zip(results, shares)]
+
+
+def _simplest_fit(shapes: Array, seen: Array, count: int) -> Array:
+    """Return c >= 0 with shapes c ~ seen, without slow kernels that chance alone would call for.
+
+    Among the fits with the first 1, 2, ... kernels the one of least Akaike's criterion is taken;
+    the variance of an autocovariance is (1 / n) sum_l rho_l^2 (Bartlett 1946).
+    """
+    from scipy.optimize import nnls
+
+    size = shapes.shape[1]
+    fits = [nnls(shapes[:, :m], seen) for m in range(1, size + 1)]
+    variance = (1.0 + 2.0 * float(np.sum(seen[1:] ** 2))) / max(count, 1)
+    scores = [misfit**2 / variance + 2.0 * np.count_nonzero(found) for found, misfit in fits]
+    found = fits[int(np.argmin(scores))][0]
+    full = np.append(found, np.zeros(size - len(found)))
+    full[0] += float(not np.any(full))
+    return full
+
+
+def _lag_bins(count: int) -> NDArray[np.int64]:
+    """Return the first lag of each bin; bins widen in proportion to the lag."""
+    edges = np.floor(np.geomspace(1.0, max(count - 1, 1), _LAG_BINS)).astype(np.int64)
+    return np.unique(np.clip(np.concatenate(([0], edges)), 0, count - 1))
+
+
+def _pooled(values: Array, bins: NDArray[np.int64]) -> Array:
+    """Return sums over bins divided by the root of their width: means with equal variance."""
+    width = np.diff(np.append(bins, len(values)))
+    sums = np.add.reduceat(values, bins, axis=0)
+    return sums / np.sqrt(width).reshape((-1,) + (1,) * (values.ndim - 1))
 
 
 def _lagged(signal: Array, lags: int) -> Array:
