@@ -1,0 +1,201 @@
+"""From a model file to the arm in it."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given
+
+from robot_sysid import spatial
+from robot_sysid.errors import AmbiguousJointError, InputError, ModelError
+from robot_sysid.kinematics import subtree
+from robot_sysid.parser import load_robot_model, reference_configuration
+from tests import arms
+from tests.arms import SEEDS, X, Y, Z, compile_xml, robot_of, serial_arm, serial_bodies, world
+
+
+def test_a_file_becomes_an_arm(arm_file):
+    robot = load_robot_model(arm_file(arms.SEVEN))
+    assert robot.terminal_joint == "joint6"
+    assert robot.body_name == "link6"
+    assert robot.n_joints == 7
+    assert len(robot.sha256) == 64
+    np.testing.assert_array_equal(robot.qpos_index, np.arange(7))
+    np.testing.assert_allclose(robot.friction.coulomb, 0.4)
+    np.testing.assert_allclose(robot.friction.viscous, 0.1)
+    assert not np.any(robot.is_slide)
+
+
+def test_a_path_may_be_a_string(arm_file):
+    assert load_robot_model(str(arm_file(arms.THREE))).n_joints == 3
+
+
+def test_addresses_skip_what_is_not_the_arm():
+    robot = robot_of(arms.FREE_OBJECT_BESIDE)
+    np.testing.assert_array_equal(robot.qpos_index, [7, 8, 9])
+    np.testing.assert_array_equal(robot.dof_index, [6, 7, 8])
+
+
+def test_slides_are_marked():
+    np.testing.assert_array_equal(robot_of(arms.SLIDE_IN_CHAIN).is_slide, [0, 1, 0, 0])
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_either_of_two_arms_can_be_asked_for(side):
+    robot = robot_of(arms.TWO_ARMS, f"{side}_joint3")
+    assert robot.joint_names == tuple(f"{side}_joint{k}" for k in range(4))
+    assert robot.body_name == f"{side}_link3"
+
+
+def test_two_arms_without_a_choice_are_refused(arm_file):
+    with pytest.raises(AmbiguousJointError, match="left_joint3.*right_joint3"):
+        load_robot_model(arm_file(arms.TWO_ARMS))
+
+
+def test_a_joint_in_the_middle_makes_all_behind_it_the_link():
+    robot = robot_of(arms.THREE, "joint1")
+    assert robot.joint_names == ("joint0", "joint1")
+    masses = robot.mj_model.body_mass[subtree(robot.mj_model, robot.body_id)]
+    assert robot.prior.mass == pytest.approx(np.sum(masses), rel=1e-14)
+
+
+@pytest.mark.parametrize("name", arms.MODELS)
+def test_prior_is_the_composite_that_mujoco_sees(name):
+    """Mass and centre of mass of the subtree, by MuJoCo's own sums."""
+    robot = robot_of(arms.MODELS[name])
+    data = mujoco.MjData(robot.mj_model)
+    data.qpos[:] = robot.reference_qpos
+    mujoco.mj_kinematics(robot.mj_model, data)
+    mujoco.mj_comPos(robot.mj_model, data)
+    rotation = data.xmat[robot.body_id].reshape(3, 3)
+    com = rotation.T @ (data.subtree_com[robot.body_id] - data.xpos[robot.body_id])
+    assert robot.prior.mass == pytest.approx(robot.mj_model.body_subtreemass[robot.body_id])
+    np.testing.assert_allclose(robot.prior.com, com, atol=1e-14)
+    assert robot.prior.is_consistent
+
+
+@given(SEEDS)
+def test_prior_inertia_is_what_turning_the_whole_subtree_takes(seed):
+    """Kinetic energy of the subtree on a free body, as MuJoCo's mass matrix has it."""
+    robot = robot_of(arms.MASSLESS_TIP)
+    model = compile_xml(free_subtree())
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    omega = np.random.default_rng(seed).normal(size=3)
+    velocity, momentum = np.concatenate((np.zeros(3), omega)), np.zeros(6)
+    mujoco.mj_mulM(model, data, momentum, velocity)
+    inertia = spatial.symmetric_from_six(robot.prior.theta[4:])
+    assert omega @ inertia @ omega == pytest.approx(velocity @ momentum, rel=1e-12)
+
+
+def free_subtree():
+    """The terminal body of MASSLESS_TIP with all below it, floating."""
+    tip = arms.MASSLESS_TIP.split('<body name="flange"')[1].split("</body></body>")[0]
+    flange = f'<body name="flange"{tip}</body></body>'
+    return world(f"<body><freejoint/>{flange}</body>")
+
+
+def test_reference_is_the_home_keyframe_or_the_joints_own():
+    model = compile_xml(arms.HOME_KEYFRAME)
+    np.testing.assert_allclose(reference_configuration(model), [0.1, 0.2, 0.3, 0.4, 0.03, 0.01])
+    other = arms.HOME_KEYFRAME.replace('name="home"', 'name="stand"')
+    np.testing.assert_array_equal(reference_configuration(compile_xml(other)), np.zeros(6))
+    ref = serial_arm((Z, Y, X), joint='range="-1 1" ref=".3"')
+    np.testing.assert_allclose(reference_configuration(compile_xml(ref)), 0.3)
+
+
+def test_a_weightless_link_is_refused():
+    model = compile_xml(arms.THREE)
+    model.body_mass[3] = 0.0
+    model.body_inertia[3] = 0.0
+    with pytest.raises(ModelError, match="body link2 and all below it weigh nothing"):
+        robot_of(model)
+
+
+def notes_of(xml):
+    return " ".join(robot_of(xml).notes)
+
+
+def test_what_the_analysis_leaves_out_is_told():
+    assert "joint1, joint2" in notes_of(arms.EQUALITY_ON_CHAIN)
+    assert "drag is ignored" in notes_of(arms.IN_WATER)
+    assert notes_of(arms.SEVEN) == ""
+
+
+def test_couplings_outside_the_chain_are_no_news():
+    assert notes_of(arms.COUPLED_FINGERS) == ""
+
+
+def tied(one, other, extra_bodies=""):
+    tie = f'<equality><weld body1="{one}" body2="{other}"/></equality>'
+    return world(serial_bodies((Z, Y, X), tip=arms.fingers()) + extra_bodies, extra=tie)
+
+
+MOCAP = '<body name="hand_target" mocap="true"/>'
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "told"),
+    [
+        ("link2", "hand_target", True),
+        ("hand_target", "link2", True),
+        ("link0", "link2", True),
+        ("left_finger", "link1", True),
+        ("left_finger", "right_finger", False),
+        ("link2", "left_finger", False),
+    ],
+)
+def test_a_loop_closed_around_joints_of_the_arm_is_told(one, other, told):
+    assert ("closed loop" in notes_of(tied(one, other, MOCAP))) is told
+
+
+def test_a_tie_between_things_beside_the_arm_is_no_news():
+    cup = '<body name="cup" pos="1 0 0"><freejoint/><geom size=".1"/></body>'
+    assert notes_of(tied("cup", "hand_target", MOCAP + cup)) == ""
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "is empty"),
+        ("this is not XML", "not XML"),
+        ("<mujoco><worldbody>", "not XML"),
+        (world(""), "no hinge or slide joints"),
+        (arms.BALL_IN_CHAIN, "ball joint socket"),
+        (serial_arm((Z,)).replace('axis="0 0 1"', 'axis="0 0 0"'), "cannot compile"),
+    ],
+)
+def test_files_that_cannot_be_used_are_refused_in_one_line(arm_file, text, said):
+    with pytest.raises(InputError) as caught:
+        load_robot_model(arm_file(text))
+    message = str(caught.value)
+    assert said.lower() in message.lower()
+    assert "\n" not in message
+
+
+def test_a_missing_file_is_refused(tmp_path):
+    with pytest.raises(InputError, match="nowhere.xml"):
+        load_robot_model(tmp_path / "nowhere.xml")
+
+
+def test_speed_limit_is_passed_on():
+    np.testing.assert_array_equal(robot_of(arms.THREE, max_velocity=0.7).limits.velocity, 0.7)
+
+
+def test_angles_in_degrees_inertia_from_geoms_and_default_classes():
+    xml = (
+        '<mujoco><compiler angle="degree"/><default><default class="arm"><joint axis="0 1 0" '
+        'range="-90 90" damping="2" frictionloss=".3"/><geom density="1000"/></default></default>'
+        '<worldbody><body name="a" childclass="arm"><joint name="j1"/><geom type="box" '
+        'size=".1 .1 .1"/><body name="b" pos=".2 0 0"><joint name="j2" axis="0 0 1"/><geom '
+        'type="box" size=".05 .05 .1"/></body></body></worldbody></mujoco>'
+    )
+    robot = robot_of(xml)
+    assert robot.joint_names == ("j1", "j2")
+    np.testing.assert_allclose(robot.limits.upper, np.pi / 2)
+    np.testing.assert_allclose(robot.friction.viscous, 2.0)
+    np.testing.assert_allclose(robot.friction.coulomb, 0.3)
+    inertia = 2.0 / 12.0 * np.array([0.1**2 + 0.2**2, 0.1**2 + 0.2**2, 2 * 0.1**2])
+    expected = spatial.theta_from_com(2.0, np.zeros(3), np.diag(inertia))
+    np.testing.assert_allclose(robot.prior.theta, expected, atol=1e-14)

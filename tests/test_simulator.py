@@ -1,0 +1,115 @@
+"""The simulated arm: MuJoCo's inverse dynamics plus Coulomb and viscous friction."""
+
+from __future__ import annotations
+
+import copy
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_sysid.errors import SimulationError
+from robot_sysid.records import Motion
+from robot_sysid.simulator import inverse_torque, simulate_inverse
+from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
+from tests import arms
+from tests.arms import SEEDS, random_chain, random_motion, robot_of
+
+pytestmark = pytest.mark.usefixtures("quiet_mujoco")
+
+PLAIN = {name: robot_of(arms.MODELS[name]) for name in ("seven", "dry friction", "springs")}
+
+
+def random_chunk(robot, seed, samples=5):
+    rng = np.random.default_rng(seed)
+    time = 0.01 * np.arange(samples)
+    return Motion(time, *random_motion(rng, robot.n_joints, samples))
+
+
+def simulated(robot, motion):
+    (measurement,) = simulate_inverse(robot, [motion])
+    return measurement
+
+
+@given(random_chain(), SEEDS)
+def test_torques_are_mass_matrix_times_acceleration_plus_bias(xml, seed):
+    robot = robot_of(xml)
+    motion = random_chunk(robot, seed, 1)
+    model, at_v = robot.mj_model, robot.dof_index
+    data = mujoco.MjData(model)
+    data.qpos[:] = robot.reference_qpos
+    data.qpos[robot.qpos_index], data.qvel[at_v] = motion.q[0], motion.qd[0]
+    mujoco.mj_forward(model, data)
+    acceleration, inertial = np.zeros(model.nv), np.zeros(model.nv)
+    acceleration[at_v] = motion.qdd[0]
+    mujoco.mj_mulM(model, data, inertial, acceleration)
+    expected = (inertial + data.qfrc_bias)[at_v]
+    scale = np.max(np.abs(inertial)) + np.max(np.abs(data.qfrc_bias))
+    tau = simulated(robot, motion).tau[0]
+    np.testing.assert_allclose(tau, expected, rtol=0.0, atol=1e-12 * (scale + 1.0))
+
+
+@given(st.sampled_from(sorted(PLAIN)), SEEDS)
+def test_friction_is_coulomb_and_viscous_with_the_models_coefficients(name, seed):
+    robot = PLAIN[name]
+    motion = random_chunk(robot, seed)
+    model = copy.copy(robot.mj_model)
+    model.dof_frictionloss[:] = model.dof_damping[:] = 0.0
+    smooth = simulated(robot_of(model), motion).tau
+    friction = (
+        robot.mj_model.dof_frictionloss * np.sign(motion.qd)
+        + robot.mj_model.dof_damping * motion.qd
+    )
+    assert np.max(np.abs(friction)) > 0.0
+    rest = simulated(robot, motion).tau - friction
+    np.testing.assert_allclose(rest, smooth, rtol=0.0, atol=1e-13 * np.max(np.abs(smooth)))
+
+
+@given(SEEDS, st.integers(1, 20))
+def test_chunks_do_not_matter(seed, pieces):
+    robot = PLAIN["seven"]
+    whole = random_chunk(robot, seed, 40)
+    fields = ("time", "q", "qd", "qdd")
+    parts = zip(*(np.array_split(getattr(whole, field), pieces) for field in fields))
+    measurements = list(simulate_inverse(robot, [Motion(*part) for part in parts]))
+    tau = np.concatenate([measurement.tau for measurement in measurements])
+    np.testing.assert_array_equal(tau, simulated(robot, whole).tau)
+
+
+def test_measurement_carries_the_motion_it_was_made_from():
+    motion = random_chunk(PLAIN["seven"], 0)
+    measurement = simulated(PLAIN["seven"], motion)
+    for field in ("time", "q", "qd", "qdd"):
+        np.testing.assert_array_equal(getattr(measurement, field), getattr(motion, field))
+
+
+def test_contacts_and_joint_limits_do_not_push():
+    """A motion through the floor and past the limits takes no more than one in free space."""
+    free = arms.serial_arm(("0 0 1", "0 1 0", "1 0 0"), joint="")
+    wall = '<geom type="plane" size="5 5 1" pos="0 0 5"/>'
+    boxed = arms.serial_arm(("0 0 1", "0 1 0", "1 0 0"), joint='range="-.1 .1"')
+    tip = '<geom size=".1" mass="0"/></body></body></body>'
+    boxed = boxed.replace("</body></body></body>", tip).replace("<worldbody>", f"<worldbody>{wall}")
+    motion = random_chunk(robot_of(free), 2)
+    expected = simulated(robot_of(free), motion).tau
+    np.testing.assert_allclose(simulated(robot_of(boxed), motion).tau, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("field", ["body_mass", "body_inertia", "body_ipos"])
+def test_a_torque_that_is_not_finite_stops_the_run_with_time_joint_and_cause(field):
+    robot = robot_of(arms.SEVEN)
+    getattr(robot.mj_model, field)[robot.body_id] = np.nan
+    plan, _ = generate_excitation_trajectory(robot, np.random.default_rng(0), 2.0)
+    with pytest.raises(
+        SimulationError, match=r"joint joint\d .* at \d\.\d{3} s.*<inertial>"
+    ) as caught:
+        list(simulate_inverse(robot, motion_chunks(plan, 100.0)))
+    assert "\n" not in str(caught.value)
+
+
+def test_torque_function_is_the_simulation():
+    robot = PLAIN["seven"]
+    motion = random_chunk(robot, 3)
+    np.testing.assert_array_equal(inverse_torque(robot)(motion), simulated(robot, motion).tau)
