@@ -23,7 +23,7 @@ ROOMS = {
     "model": {
         *("parser", "compilation", "composite", "exact_inertia", "terminal", "limits"),
         *("kinematics", "simulator", "collection", "samples", "tilt"),
-        *("collisions", "clearance", "halfspaces", "excitation_problem"),
+        *("collisions", "clearance", "halfspaces", "excitation_problem", "reach"),
         *("plant", "plant_loading", "plant_simulation", "forward_plant", "closed_loop"),
         *("verification", "reproduction"),
     },

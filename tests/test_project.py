@@ -1,0 +1,186 @@
+"""The project as a whole: the README tells the truth, and the files around the code agree."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.metadata
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import robot_sysid
+from robot_sysid.cli import main
+from robot_sysid.options import build_parser
+from robot_sysid.regressor import derive_regressor
+
+ROOT = Path(__file__).resolve().parents[1]
+EXAMPLE = "examples/kinova/model/kinova_fullinertia_guess.xml"
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("examples/**/*.md")])
+SECTIONS = (
+    *("Overview", "System Identification Approach", "Key Features", "Installation"),
+    *("Prerequisites", "Quick Start", "Usage", "Output Formats"),
+    *("Understanding the System Identification Approach", "Project Structure"),
+    *("Troubleshooting", "Development", "Contributing", "Examples", "License", "Citation"),
+)
+QUICK_START = re.compile(r"<!-- quick start output -->\n```text\n(.*?)```", re.DOTALL)
+KINOVA_OUTPUT = re.compile(r"<!-- kinova output -->\n```text\n(.*?)```", re.DOTALL)
+
+
+def options() -> dict[str, argparse.Action]:
+    """Return every option string of the command line with its action."""
+    return {name: a for a in build_parser()._actions for name in a.option_strings}
+
+
+def readme_options() -> dict[str, str]:
+    """Return the default column of the README's option table by option."""
+    rows = re.findall(r"^\| (`-.*?) \| (.*?) \|", README, re.MULTILINE)
+    return {
+        name: default
+        for first, default in rows
+        for name in re.findall(r"(?:^|[`\s])(--?[a-z][a-z-]*)", first)
+    }
+
+
+def test_readme_lists_exactly_the_options_there_are():
+    assert set(readme_options()) == set(options())
+
+
+@pytest.mark.parametrize("name", ["--duration", "--sample-rate", "--torques", "--max-velocity"])
+def test_readme_defaults_are_those_of_the_command(name):
+    default = options()[name].default
+    text = f"{default:g}" if isinstance(default, float) else str(default)
+    assert readme_options()[name] == f"`{text}`"
+
+
+@pytest.mark.parametrize("title", SECTIONS)
+def test_readme_has_every_section(title):
+    assert re.search(rf"^##+ {re.escape(title)}$", README, re.MULTILINE)
+
+
+def masked(text: str) -> list[str]:
+    """Return lines with what changes from run to run replaced by #."""
+    text = re.sub(r"(seed:?|--seed) \d+", r"\1 #", text)
+    return re.sub(r"(Condition number: )[\d.]+", r"\1#", text).splitlines()
+
+
+@pytest.mark.parametrize(
+    ("page", "pattern"),
+    [("README.md", QUICK_START), ("examples/kinova/README.md", KINOVA_OUTPUT)],
+)
+def test_printed_output_in_the_pages_is_real(page, pattern, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    assert main([EXAMPLE]) == 0
+    promised = pattern.search((ROOT / page).read_text(encoding="utf-8"))
+    assert promised is not None
+    assert masked(promised[1]) == masked(capsys.readouterr().out)
+
+
+def readme_regressor() -> list[list[str]]:
+    """Return the 60 entries of the README's regressor as Python expressions."""
+    body = re.search(r"\\mathbf\{Y\} = \\begin\{bmatrix\}\n(.*?)\\end", README, re.DOTALL)
+    assert body is not None
+    return [[expression(entry) for entry in row.split("&")] for row in body[1].split(r"\\")[:6]]
+
+
+def expression(latex: str) -> str:
+    """Return an entry such as -\\dot{v}_z + \\omega_x v_y as -avz + wx*vy."""
+    text = latex.replace(r"\dot{\omega}_", "aw").replace(r"\dot{v}_", "av")
+    text = text.replace(r"\omega_", "w").replace("v_", "v").replace("^2", "**2")
+    return re.sub(r"(?<=[xyz]) (?=[wv])", "*", text.strip())
+
+
+def test_the_formula_in_the_readme_is_the_derived_regressor():
+    derived, symbols = derive_regressor()
+    values = dict(zip(map(str, symbols), np.random.default_rng(0).normal(size=12)))
+    written = [[eval(entry, {}, values) for entry in row] for row in readme_regressor()]
+    numeric = np.array(derived.subs(dict(zip(symbols, values.values()))), dtype=float)
+    np.testing.assert_allclose(written, numeric, rtol=1e-12)
+
+
+def test_version_is_the_same_everywhere():
+    version = robot_sysid.__version__
+    assert importlib.metadata.version("robot-sysid") == version
+    newest = re.search(r"^## \[(\d.*?)\]", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    assert newest is not None
+    assert newest[1] == version
+    assert version not in (ROOT / "pyproject.toml").read_text().split("[project.optional")[0]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_to_files_and_headings_lead_somewhere(page):
+    text = page.read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)\s]+)\)", text):
+        if target.startswith(("http://", "https://")):
+            continue
+        path, _, anchor = target.partition("#")
+        linked = page if not path else page.parent / path
+        assert linked.exists(), f"{page.name} links to {target}"
+        if anchor:
+            assert anchor in anchors(linked.read_text(encoding="utf-8"))
+
+
+def anchors(text: str) -> set[str]:
+    """Return the anchors of a page's headings, the way GitHub makes them."""
+    titles = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+
+
+@pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", "docs/architecture.md"])
+def test_files_named_in_the_pages_exist(page):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    named = set(re.findall(r"`((?:robot_sysid|tests|docs|examples|\.ci)/[\w./-]*\w)`", text))
+    assert [name for name in sorted(named) if not (ROOT / name).exists()] == []
+
+
+def tree_paths() -> list[str]:
+    """Return the paths drawn in the README's project structure."""
+    block = re.search(r"<!-- tree -->\n```text\n(.*?)```", README, re.DOTALL)
+    assert block is not None
+    paths, folders = [], []
+    for line in block[1].splitlines()[1:]:
+        match = re.match(r"([│ ]*)[├└]── (\S+)", line)
+        if match:
+            depth = len(match[1]) // 4
+            folders = [*folders[:depth], match[2]]
+            paths.append("".join(folders))
+    return paths
+
+
+def test_project_structure_in_the_readme_is_there():
+    assert len(tree_paths()) > 30
+    missing = [path for path in tree_paths() if not list(ROOT.glob(path.rstrip("/")))]
+    assert missing == []
+
+
+def names_of(requirements: list[str]) -> set[str]:
+    return {re.split(r"[\s<>=!;\[]", requirement)[0] for requirement in requirements}
+
+
+def test_conda_environment_has_the_core_dependencies():
+    listed = re.findall(r"^\s+- ([\w-]+)", (ROOT / "environment.yml").read_text(), re.MULTILINE)
+    needed = importlib.metadata.requires("robot-sysid") or []
+    core = names_of([r for r in needed if "extra ==" not in r])
+    assert core == names_of(listed) - {"python", "pip", "conda-forge"}
+
+
+def test_continuous_integration_runs_the_oldest_python_we_promise():
+    oldest = importlib.metadata.metadata("robot-sysid")["Requires-Python"].lstrip(">=")
+    assert f'"{oldest}"' in (ROOT / ".github" / "workflows" / "ci.yml").read_text()
+
+
+def test_a_run_starts_without_scipy_and_matplotlib(tmp_path):
+    """Both take longer to import than the whole identification."""
+    code = (
+        "import sys; from robot_sysid.cli import main; "
+        f"code = main([{str(ROOT / EXAMPLE)!r}, '--duration', '1', '--quiet']); "
+        "slow = {'scipy', 'matplotlib', 'can', 'cvxpy'} & set(sys.modules); "
+        "sys.exit(code or (sorted(slow)[0] if slow else 0))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True)
+    assert (done.returncode, done.stderr) == (0, b"")
