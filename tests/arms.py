@@ -220,6 +220,7 @@ def write_body(mj_model, body, theta):
     axes[:, 2] *= np.sign(np.linalg.det(axes))
     # The compiler's shortcuts for bodies whose inertia lies in the body frame no longer hold.
     mj_model.body_sameframe[body] = mj_model.body_simple[body] = 0
+    mj_model.dof_simplenum[:] = 0
     mj_model.body_mass[body] = mass
     mj_model.body_ipos[body] = com
     mj_model.body_inertia[body] = moments

@@ -1,0 +1,204 @@
+"""Public models of real arms: the tool finds the arm and identifies its last link exactly.
+
+Skipped where the models are not beside the checkout.
+"""
+
+from __future__ import annotations
+
+import copy
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from robot_sysid import spatial
+from robot_sysid.collection import Equations, collect_sysid_data, friction_of_terminal_joint
+from robot_sysid.composite import body_theta, composite_theta
+from robot_sysid.config import SysidConfig
+from robot_sysid.errors import AmbiguousJointError, ModelError
+from robot_sysid.kinematics import ArmDynamics, ChainKinematics
+from robot_sysid.parser import load_robot_model
+from robot_sysid.regressor import joint_regressor
+from robot_sysid.simulator import inverse_torque, simulate_inverse
+from robot_sysid.solver import identify_parameters
+from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
+from tests import arms
+
+ZOO = Path(__file__).parents[1].parent / "shared" / "models"
+
+pytestmark = pytest.mark.skipif(not ZOO.is_dir(), reason="the public models are not here")
+
+# Model, terminal joint, number of joints that carry the link.
+WHOLE_ARMS = [
+    ("kinova_gen3/gen3_official.xml", "joint_7", 7),
+    ("kinova_gen3/gen3.xml", "joint_7", 7),
+    ("kinova_gen3/scene.xml", "joint_7", 7),
+    ("kinova_gen3/gen3_7dof_2023.xml", "joint_7", 7),
+    ("franka_panda/panda.xml", "joint7", 7),
+    ("franka_panda/scene.xml", "joint7", 7),
+    ("franka_panda/panda_nohand.xml", "joint7", 7),
+    ("franka_fr3/FrankaFR3_7DoF.urdf", "fr3_joint7", 7),
+    ("kuka_iiwa_14/iiwa14.xml", "joint7", 7),
+    ("kuka_iiwa_14/scene.xml", "joint7", 7),
+    ("universal_robots_ur5e/ur5e.xml", "wrist_3", 6),
+    ("universal_robots_ur5e/scene.xml", "wrist_3", 6),
+    ("ufactory_xarm7/xarm7.xml", "joint7", 7),
+    ("ufactory_xarm7/scene.xml", "joint7", 7),
+    ("ufactory_xarm7/xarm7_nohand.xml", "joint7", 7),
+    ("trossen/wxai/wxai_follower.xml", "joint_5", 6),
+    ("trossen/wxai/wxai_base.xml", "joint_5", 6),
+    ("trossen/wxai/scene.xml", "joint_5", 6),
+    ("trossen/wxai/scene_wxai_pick_place.xml", "joint_5", 6),
+    ("trossen/wxai/scene_wxai_follow_target.xml", "joint_5", 6),
+]
+DOUBTFUL = [
+    ("openarm_v2/openarm_bimanual.xml", ["openarm_left_joint7", "openarm_right_joint7"]),
+    ("aloha/aloha.xml", ["left/wrist_rotate", "right/wrist_rotate"]),
+    ("aloha/scene.xml", ["left/wrist_rotate", "right/wrist_rotate"]),
+    ("so101/so101_new_calib.xml", ["wrist_roll", "gripper"]),
+    ("so101/so101_new_calib.urdf", ["wrist_roll", "gripper"]),
+    ("so101/scene.xml", ["wrist_roll", "gripper"]),
+    ("franka_panda/hand.xml", ["finger_joint1", "finger_joint2"]),
+    ("ufactory_xarm7/hand.xml", ["left_finger_joint", "right_finger_joint"]),
+]
+FRAGMENTS = [
+    "aloha/keyframe_ctrl.xml",
+    "aloha/keyframe_no_act.xml",
+    "aloha/joint_position_actuators.xml",
+    "aloha/filtered_cartesian_actuators.xml",
+    "so101/joints_properties.xml",
+]
+GRIPPERS = ("franka_panda/hand.xml", "ufactory_xarm7/hand.xml")
+CHOICES = [(model, joint) for model, joints in DOUBTFUL for joint in joints]
+LONG_ENOUGH = [(model, None) for model, _, _ in WHOLE_ARMS] + [
+    choice for choice in CHOICES if choice[0] not in GRIPPERS
+]
+SHORT = [choice for choice in CHOICES if choice[0] in GRIPPERS]
+QUICK = [("kuka_iiwa_14/iiwa14.xml", None), ("so101/so101_new_calib.urdf", "gripper")]
+
+
+def slow_unless_quick(choices):
+    """Parametrisation in which all but a few models need ``-m slow``."""
+    quick = {model for model, _ in QUICK} | {"ufactory_xarm7/xarm7.xml", "aloha/aloha.xml"}
+    return [
+        choice if choice[0] in quick else pytest.param(*choice, marks=pytest.mark.slow)
+        for choice in choices
+    ]
+
+
+@cache
+def load(model, joint=None):
+    """Models are read once; nothing here changes them."""
+    path = ZOO / model
+    if not path.exists():
+        pytest.skip(f"{model} is not here")
+    return load_robot_model(path, joint=joint)
+
+
+def excitation(robot, duration=15.0):
+    rng = np.random.default_rng(0)
+    return generate_excitation_trajectory(robot, rng, duration, inverse_torque(robot))[0]
+
+
+def identify(robot, plant=None):
+    """Default options and seed 0; the plant is the model itself unless another is given."""
+    config = SysidConfig(robot.path)
+    equations = Equations(robot, config.torques, friction_of_terminal_joint(robot, config.friction))
+    motions = motion_chunks(excitation(robot, config.duration), config.sample_rate)
+    information = collect_sysid_data(equations, simulate_inverse(plant or robot, motions))
+    return identify_parameters(information, equations.prior)
+
+
+def error_in_sizes(estimate, theta):
+    """Deviation of the ten parameters, each relative to the link's mass and size."""
+    scale = spatial.parameter_scale(theta[0], spatial.characteristic_length(theta))
+    return np.abs(estimate.values[:10] - theta) / scale
+
+
+def with_heavier_link(robot):
+    """The same arm carrying 30 % more at its last link."""
+    model = copy.copy(robot.mj_model)
+    arms.write_body(model, robot.body_id, 1.3 * body_theta(model, robot.body_id))
+    theta = composite_theta(model, robot.reference_qpos, robot.body_id)
+    return model, theta
+
+
+@pytest.mark.parametrize(("model", "terminal", "joints"), slow_unless_quick(WHOLE_ARMS))
+def test_the_arm_is_found(model, terminal, joints):
+    robot = load(model)
+    assert (robot.terminal_joint, robot.n_joints) == (terminal, joints)
+
+
+@pytest.mark.parametrize(("model", "joints"), slow_unless_quick(DOUBTFUL))
+def test_doubt_lists_the_candidates(model, joints):
+    with pytest.raises(AmbiguousJointError) as caught:
+        load(model)
+    assert [joint for joint, _ in caught.value.candidates] == joints
+    assert caught.value.exit_code == 2
+
+
+@pytest.mark.parametrize("model", FRAGMENTS)
+def test_a_fragment_is_refused_in_one_line(model):
+    with pytest.raises(ModelError) as caught:
+        load(model)
+    assert "\n" not in str(caught.value)
+    assert model.split("/")[1] in str(caught.value)
+
+
+@pytest.mark.parametrize(("model", "joint"), slow_unless_quick(LONG_ENOUGH + SHORT))
+def test_rest_plus_link_is_mujocos_inverse_dynamics(model, joint):
+    robot = load(model, joint)
+    heavier, theta = with_heavier_link(robot)
+    motion = excitation(robot, 6.0).evaluate(np.linspace(0.0, 6.0, 60))
+    body = ChainKinematics(robot).evaluate(motion.q, motion.qd, motion.qdd)
+    rows = joint_regressor(body, range(robot.n_joints))
+    predicted = body.tau_rest + (rows @ theta).T
+    actual = ArmDynamics(robot, heavier).torque(motion.q, motion.qd, motion.qdd)
+    np.testing.assert_allclose(predicted, actual, rtol=0.0, atol=1e-9 * np.max(np.abs(actual)))
+
+
+@pytest.mark.parametrize(("model", "joint"), slow_unless_quick(LONG_ENOUGH))
+def test_all_ten_parameters_are_identified(model, joint):
+    robot = load(model, joint)
+    estimate = identify(robot)
+    theta = composite_theta(robot.mj_model, robot.reference_qpos, robot.body_id)
+    assert estimate.identifiability.rank == 12
+    assert np.max(error_in_sizes(estimate, theta)) < 1e-6
+    friction = [robot.friction.coulomb[-1], robot.friction.viscous[-1]]
+    np.testing.assert_allclose(estimate.values[10:], friction, rtol=0.0, atol=1e-8)
+
+
+@pytest.mark.parametrize(("model", "joint"), slow_unless_quick(LONG_ENOUGH))
+def test_another_link_than_the_models_is_found(model, joint):
+    """Not a run that can only return the model: the arm that is simulated carries more."""
+    robot = load(model, joint)
+    heavier, theta = with_heavier_link(robot)
+    plant = arms.robot_of(heavier, robot.terminal_joint)
+    assert np.max(error_in_sizes(identify(robot, plant), theta)) < 1e-6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("model", "joint"), SHORT)
+def test_a_short_chain_identifies_some_and_keeps_the_models_values_of_the_rest(model, joint):
+    robot = load(model, joint)
+    heavier, theta = with_heavier_link(robot)
+    plant = arms.robot_of(heavier, robot.terminal_joint)
+    estimate = identify(robot, plant)
+    seen = np.array(estimate.identifiability.identified)[:10]
+    assert estimate.identifiability.rank < 12
+    assert np.all(error_in_sizes(estimate, theta)[seen] < 1e-6)
+    assert estimate.rmse < 1e-9
+    own = identify(robot)
+    assert np.max(error_in_sizes(own, robot.prior.theta)) < 1e-9
+
+
+@pytest.mark.parametrize(("model", "joint"), QUICK)
+def test_the_last_joint_alone_keeps_what_it_cannot_see(model, joint):
+    robot = load(model, joint)
+    equations = Equations(robot, "terminal", friction_of_terminal_joint(robot, True))
+    motions = motion_chunks(excitation(robot, 5.0), 200.0)
+    information = collect_sysid_data(equations, simulate_inverse(robot, motions))
+    estimate = identify_parameters(information, equations.prior)
+    assert estimate.identifiability.rank <= 9
+    np.testing.assert_allclose(estimate.values, equations.prior, rtol=0.0, atol=1e-9)
