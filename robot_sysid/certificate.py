@@ -1,8 +1,8 @@
 """Proof that a trajectory obeys its limits: a dense check of the whole motion.
 
 Positions, velocities, accelerations and torques are compared with their limits at 1 kHz or more.
-Clearance is checked between samples as well: no point of the arm moves faster than
-sum_j |qd_j| reach_j, so a configuration with slack s proves the motion free until that sum,
+Clearance is checked between samples as well: two bodies approach each other no faster than
+sum_j |qd_j| rate_j, so a configuration with slack s proves the motion free until that sum,
 integrated over time, has used up s; only there is the next collision test needed (conservative
 advancement, Mirtich, "Impulse-based dynamic simulation of rigid body systems", 1996, ch. 2).
 """
@@ -15,14 +15,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_sysid.design_problem import Closest, ExcitationProblem
-from robot_sysid.motion_constraints import LIMIT_NAMES
+from robot_sysid.motion_constraints import LIMIT_NAMES, ROUNDING
 from robot_sysid.records import Array, Motion, MotionPlan
 from robot_sysid.trajectory import motion_chunks
 
 LEAST_RATE_HZ = 1000.0
 FINEST_RATE_HZ = 4000.0
 """How densely clearance is tested where it is tight."""
-_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -111,14 +110,10 @@ def certify(problem: ExcitationProblem, plan: MotionPlan, sample_rate: float = 0
     )
 
 
-def joint_share(problem: ExcitationProblem, plan: MotionPlan) -> tuple[float, float, Array]:
-    """Return the largest share of a motion limit and of a torque limit, and when these peak [s].
-
-    Motion limits are those of position, velocity and acceleration.
-    """
+def joint_share(problem: ExcitationProblem, plan: MotionPlan) -> tuple[float, Array]:
+    """Return the largest share of any joint limit, and when limits are exceeded most [s]."""
     peaks = _joint_peaks(problem, plan, LEAST_RATE_HZ)
-    over = peaks.share > 1.0
-    return float(np.max(peaks.share[:3])), float(np.max(peaks.share[3])), peaks.time[over]
+    return float(np.max(peaks.share)), peaks.time[peaks.share > 1.0 + ROUNDING]
 
 
 def first_contact(problem: ExcitationProblem, plan: MotionPlan) -> float | None:
@@ -130,7 +125,7 @@ def first_contact(problem: ExcitationProblem, plan: MotionPlan) -> float | None:
 def tight_times(problem: ExcitationProblem, plan: MotionPlan, rate: float = 100.0) -> Array:
     """Return times [s] at which the slack has a local minimum below zero."""
     motion = plan.evaluate(np.arange(0.0, plan.duration, 1.0 / rate))
-    slack = problem.obstacles.slack(motion.q)[0]
+    slack = problem.obstacles.slack(motion.q).value
     padded = np.pad(slack, 1, constant_values=np.inf)
     lowest = (slack <= padded[:-2]) & (slack < padded[2:]) & (slack < 0.0)
     return motion.time[lowest]
@@ -165,7 +160,7 @@ def _joint_peaks(problem: ExcitationProblem, plan: MotionPlan, rate: float) -> _
 
 
 def _joint_excesses(problem: ExcitationProblem, peaks: _Peaks) -> Iterator[Excess]:
-    for i, j in np.argwhere(peaks.share > 1.0 + _ROUNDING):
+    for i, j in np.argwhere(peaks.share > 1.0 + ROUNDING):
         limit = f"{LIMIT_NAMES[i]} limit of joint {problem.joint_names[j]}"
         yield Excess(limit, float(peaks.share[i, j]), float(peaks.time[i, j]))
 
@@ -185,24 +180,31 @@ def _tightest(
     problem: ExcitationProblem, plan: MotionPlan, stop_below: float
 ) -> tuple[Closest, float, int]:
     """Return the tightest configuration, its time [s], and the number of tests it took."""
-    best, when, tests = Closest(np.inf, np.inf, ""), 0.0, 0
-    travelled = free_until = 0.0
+    obstacles = problem.obstacles
+    best, when, at_q, tests = np.inf, 0.0, plan.evaluate(np.zeros(1)).q[0], 0
+    budget = np.full(len(obstacles.rates), -np.inf)
     for motion in motion_chunks(plan, FINEST_RATE_HZ):
-        path = travelled + _path(motion, problem.obstacles.reach)
-        travelled = float(path[-1])
-        at = int(np.searchsorted(path, free_until))
-        while at < len(path) and best.slack >= stop_below:
-            here = problem.obstacles.closest(motion.q[at])
+        path = _path(motion, obstacles.rates)
+        at = _used_up(path, budget)
+        while at < len(path) and best >= stop_below:
+            here = obstacles.slack(motion.q[at : at + 1])
             tests += 1
-            if here.slack < best.slack:
-                best, when = here, float(motion.time[at])
-            free_until = path[at] + max(0.0, here.slack)
-            at = max(at + 1, int(np.searchsorted(path, free_until)))
-    return best, when, tests
+            if here.value[0] < best:
+                best, when, at_q = float(here.value[0]), float(motion.time[at]), motion.q[at]
+            budget = path[at] + np.maximum(0.0, here.budget[0])
+            at = max(at + 1, _used_up(path, budget))
+        budget = budget - path[-1]
+    return obstacles.closest(at_q), when, tests
 
 
-def _path(motion: Motion, reach: Array) -> Array:
-    """Return how far any point may have moved since just before the motion began (N,) [m]."""
-    speed = np.abs(motion.qd) @ reach
+def _used_up(path: Array, budget: Array) -> int:
+    """Return the first index at which some pair may have used up its slack; len(path) if none."""
+    rows = np.flatnonzero(path[-1] >= budget)
+    return min((int(np.searchsorted(path[:, r], budget[r])) for r in rows), default=len(path))
+
+
+def _path(motion: Motion, rates: Array) -> Array:
+    """Return how much each row's pairs may have approached (N, P) [m] since just before."""
+    speed = np.abs(motion.qd) @ rates.T
     before = np.concatenate((speed[:1], speed[:-1]))
-    return np.cumsum(np.maximum(speed, before)) / FINEST_RATE_HZ
+    return np.cumsum(np.maximum(speed, before), axis=0) / FINEST_RATE_HZ

@@ -12,14 +12,15 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from robot_sysid.design_problem import Closest
+from robot_sysid.design_problem import Closest, Slack
 from robot_sysid.halfspaces import GeomShape, HalfSpace, geom_shapes
-from robot_sysid.kinematics import subtree
+from robot_sysid.reach import ApproachBounds
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.terminal import body_label
 
@@ -27,7 +28,23 @@ HORIZON = 0.1
 """How much farther than the clearance a pair is still seen [m]."""
 KEPT_SHARE = 0.5
 """Share of its distance at rest that a pair nearer than the clearance must keep."""
-_NOWHERE = np.zeros(3), np.zeros(3)
+_NEIGHBOUR_POSTURES = 181
+"""How many positions of a joint are looked at to see whether its neighbours are harmless."""
+
+
+@dataclass
+class _Nearest:
+    """The tightest pair of one configuration, filled in as pairs are looked at."""
+
+    slack: float
+    budget: Array
+    axes: Array
+    anchors: Array
+    distance: float = np.inf
+    normal: Array = field(default_factory=lambda: np.zeros(3))
+    point: Array = field(default_factory=lambda: np.zeros(3))
+    bodies: tuple[int, int] = (0, 0)
+    space: HalfSpace | None = None
 
 
 class Clearance:
@@ -51,13 +68,15 @@ class Clearance:
         self._data = mujoco.MjData(self._model)
         self._data.qpos[:] = robot.reference_qpos
         self._joints = self._model.dof_jntid[robot.dof_index]
-        self._moves = _moved_bodies(robot, self._joints)
-        self._moving = np.any(self._moves, axis=1)
         self._half_spaces = tuple(half_spaces)
         self._required = np.full((self._model.nbody, self._model.nbody), clearance)
-        self._learn_pairs(robot.reference, rest)
         self._place(rest)
-        self.reach = self._reach()
+        self._bounds = ApproachBounds(robot, self._data)
+        self.rates = self._bounds.rates
+        self._learn_pairs(robot.reference, rest)
+        self._close_at_rest = self._name_close_pairs(clearance)
+        self._settle_neighbours(rest)
+        self._place(rest)
         self._planes = [
             (space, shape, _required_at(self._height(space, shape), space.clearance))
             for space in self._half_spaces
@@ -68,34 +87,33 @@ class Clearance:
         """Travel to another process as what it was made from: MuJoCo data is made anew there."""
         return type(self), self._arguments
 
-    def slack(self, q: Array) -> tuple[Array, Array]:
-        """Return the smallest slack (N,) [m] at q (N, n), and its gradient (N, n)."""
-        value = np.empty(len(q))
-        axes, anchors = np.empty((2, len(q), len(self._joints), 3))
-        normals, points = np.zeros((2, len(q), 3))
-        bodies = np.zeros((len(q), 2), dtype=np.int64)
-        for k, position in enumerate(q):
-            self._place(position)
-            value[k], normals[k], points[k], bodies[k] = self._tightest()
-            axes[k], anchors[k] = self._data.xaxis[self._joints], self._data.xanchor[self._joints]
-        lever = np.cross(points[:, None, :] - anchors, normals[:, None, :])
-        arm = np.where(self._robot.is_slide[:, None], normals[:, None, :], lever)
-        # Joints that move both bodies do not change their distance.
-        side = self._moves[bodies[:, 1]].astype(float) - self._moves[bodies[:, 0]]
-        return value, side * np.einsum("knd,knd->kn", axes, arm)
+    def slack(self, q: Array) -> Slack:
+        """Return the slack at positions q (N, n)."""
+        nearest = [self._nearest_at(position) for position in q]
+        axes = np.array([near.axes for near in nearest])
+        anchors = np.array([near.anchors for near in nearest])
+        normal = np.array([near.normal for near in nearest])[:, None, :]
+        point = np.array([near.point for near in nearest])[:, None, :]
+        lever = np.where(self._robot.is_slide[:, None], normal, np.cross(point - anchors, normal))
+        rates = np.einsum("knd,knd->kn", axes, lever)
+        # A joint changes the distance only if it moves one body and not the other.
+        part = self._bounds.part[[near.bodies for near in nearest]]
+        joint = np.arange(q.shape[1])
+        side = (joint < part[:, 1:]).astype(float) - (joint < part[:, :1])
+        return Slack(
+            value=np.array([near.slack for near in nearest]),
+            gradient=side * rates,
+            budget=np.array([near.budget for near in nearest]),
+        )
 
     def closest(self, q: Array) -> Closest:
         """Return the tightest distance at one configuration q (n,)."""
-        self._place(q)
-        slack, _, bodies, distance = self._nearest_contact()
-        label = " and ".join(self._label(b) for b in bodies) if np.isfinite(distance) else ""
-        best = Closest(slack, distance, label)
-        for space, shape, required in self._planes:
-            height = self._height(space, shape)
-            if height - required < best.slack:
-                label = f"{self._label(shape.body)} and {space.label}"
-                best = Closest(height - required, height, label)
-        return best
+        near = self._nearest_at(q)
+        first, second = (self._label(body) for body in near.bodies)
+        label = f"{first} and {second}" if np.isfinite(near.distance) else ""
+        if near.space is not None:
+            label = f"{second} and {near.space.label}"
+        return Closest(near.slack, near.distance, label)
 
     def half_spaces_left_at_rest(self) -> list[tuple[HalfSpace, str, float]]:
         """Return (half-space, body, how far outside [m]) of what is outside already at rest."""
@@ -107,11 +125,13 @@ class Clearance:
                 found.append((space, self._label(shape.body), -height))
         return found
 
-    def close_at_rest(self) -> list[str]:
+    def close_at_rest(self) -> tuple[str, ...]:
         """Return names of body pairs that are apart at rest but nearer than the clearance."""
-        clearance = self._arguments[2]
+        return self._close_at_rest
+
+    def _name_close_pairs(self, clearance: float) -> tuple[str, ...]:
         near = np.argwhere(np.triu((self._required < clearance) & np.isfinite(self._required)))
-        return [f"{self._label(a)} and {self._label(b)}" for a, b in near]
+        return tuple(f"{self._label(a)} and {self._label(b)}" for a, b in near)
 
     def _place(self, q: Array) -> None:
         self._data.qpos[self._robot.qpos_index] = q
@@ -126,39 +146,72 @@ class Clearance:
         return np.asarray(contact.dist), self._model.geom_bodyid[geoms]
 
     def _learn_pairs(self, *rests: Array) -> None:
-        """Settle the distance each pair has to keep, from what it has at rest."""
-        self._required[~(self._moving[:, None] | self._moving)] = -np.inf
+        """Settle the distance each pair has to keep, from what it has at rest.
+
+        Bodies of one part do not move against each other.
+        """
+        part = self._bounds.part
+        self._required[part[:, None] == part] = -np.inf
         for rest in rests:
             self._place(rest)
             for distance, (a, b) in zip(*self._contact_bodies()):
                 kept = min(self._required[a, b], _required_at(distance, np.inf))
                 self._required[a, b] = self._required[b, a] = kept
 
-    def _nearest_contact(self) -> tuple[float, int, tuple[int, int], float]:
-        """Return (slack, contact index, its bodies, its distance); index -1 where none is near."""
+    def _settle_neighbours(self, rest: Array) -> None:
+        """Drop pairs with one joint between them that keep their distance over all its range.
+
+        Links next to each other are always near; knowing beforehand that this is harmless saves
+        most collision tests.
+        """
+        least = np.full_like(self._required, np.inf)
+        for joint, (low, high) in enumerate(zip(*_range(self._robot))):
+            q = rest.copy()
+            for q[joint] in np.linspace(low, high, _NEIGHBOUR_POSTURES):
+                self._place(q)
+                distance, bodies = self._contact_bodies()
+                part = np.sort(self._bounds.part[bodies], axis=1)
+                ours = (part[:, 0] == joint) & (part[:, 1] == joint + 1)
+                first, second = np.sort(bodies[ours], axis=1).T
+                np.minimum.at(least, (first, second), distance[ours])
+        harmless = np.isfinite(least) & (least >= self._required)
+        self._required[harmless | harmless.T] = -np.inf
+
+    def _nearest_at(self, q: Array) -> _Nearest:
+        """Return what is nearest, among contacts and half-spaces, at one configuration."""
+        self._place(q)
+        near = _Nearest(
+            self.horizon,
+            np.full(len(self.rates), np.inf),
+            self._data.xaxis[self._joints],
+            self._data.xanchor[self._joints],
+        )
+        near.budget[-1] = self.horizon
+        self._add_contacts(near)
+        for space, shape, required in self._planes:
+            lowest = self._lowest(space, shape)
+            height = float(space.normal @ lowest) - space.offset
+            row = self._bounds.row(0, self._bounds.part[shape.body])
+            near.budget[row] = min(near.budget[row], height - required)
+            if height - required < near.slack:
+                near.slack, near.distance = height - required, height
+                near.normal, near.point, near.bodies = space.normal, lowest, (0, shape.body)
+                near.space = space
+        return near
+
+    def _add_contacts(self, near: _Nearest) -> None:
         if self._data.ncon == 0:
-            return self.horizon, -1, (0, 0), np.inf
+            return
         distance, bodies = self._contact_bodies()
         slack = distance - self._required[bodies[:, 0], bodies[:, 1]]
+        parts = self._bounds.part[bodies]
+        np.minimum.at(near.budget, self._bounds.row(parts[:, 0], parts[:, 1]), slack)
         index = int(np.argmin(slack))
-        if slack[index] >= self.horizon:
-            return self.horizon, -1, (0, 0), np.inf
-        pair = (int(bodies[index, 0]), int(bodies[index, 1]))
-        return float(slack[index]), index, pair, float(distance[index])
-
-    def _tightest(self) -> tuple[float, Array, Array, tuple[int, int]]:
-        """Return the smallest slack, with normal, point, and the bodies it leads from and to."""
-        slack, index, bodies, _ = self._nearest_contact()
-        normal, point = _NOWHERE
-        if index >= 0:
+        if slack[index] < near.slack:
             contact = self._data.contact[index]
-            normal, point = contact.frame[:3], contact.pos
-        for space, shape, required in self._planes:
-            height = self._height(space, shape) - required
-            if height < slack:
-                slack, bodies = height, (0, shape.body)
-                normal, point = space.normal, self._lowest(space, shape)
-        return slack, normal, point, bodies
+            near.slack, near.distance = float(slack[index]), float(distance[index])
+            near.normal, near.point = contact.frame[:3].copy(), contact.pos.copy()
+            near.bodies = (int(bodies[index, 0]), int(bodies[index, 1]))
 
     def _height(self, space: HalfSpace, shape: GeomShape) -> float:
         """Return how far the lowest point of a geom is above a half-space's boundary [m]."""
@@ -171,28 +224,6 @@ class Clearance:
         rotation = self._data.geom_xmat[shape.geom].reshape(3, 3)
         local = shape.extreme_point(-rotation.T @ space.normal)
         return self._data.geom_xpos[shape.geom] + rotation @ local
-
-    def _reach(self) -> Array:
-        """Bound how far any point can get from each joint's axis, going from the tip inwards."""
-        anchors, farther = self._data.xanchor[self._joints], 0.0
-        reach = np.ones(len(self._joints))
-        for j in reversed(range(len(self._joints))):
-            last = j + 1 == len(self._joints)
-            own = self._moves[:, j] & (True if last else ~self._moves[:, j + 1])
-            link = 0.0 if last else float(np.linalg.norm(anchors[j + 1] - anchors[j]))
-            farther = max(self._extent(own, anchors[j]), link + farther)
-            if self._robot.is_slide[j]:
-                limits = self._robot.limits
-                farther += min(1.0, float(limits.upper[j] - limits.lower[j]))
-            else:
-                reach[j] = farther
-        return reach
-
-    def _extent(self, bodies: Array, anchor: Array) -> float:
-        """Return how far from a point the geoms of some bodies reach [m]."""
-        geoms = np.flatnonzero(bodies[self._model.geom_bodyid])
-        centers = np.linalg.norm(self._data.geom_xpos[geoms] - anchor, axis=1)
-        return float(np.max(centers + self._model.geom_rbound[geoms], initial=0.0))
 
     def _label(self, body: int) -> str:
         return body_label(self._model, int(body))
@@ -210,13 +241,13 @@ def _with_margin(mj_model: Any, margin: float) -> Any:
     return model
 
 
-def _moved_bodies(robot: RobotModel, joints: Array) -> Array:
-    """Return (nbody, n) booleans: which chain joint moves which body."""
-    model = robot.mj_model
-    moves = np.zeros((model.nbody, len(joints)), dtype=bool)
-    for j, joint in enumerate(joints):
-        moves[subtree(model, int(model.jnt_bodyid[joint])), j] = True
-    return moves
+def _range(robot: RobotModel) -> tuple[Array, Array]:
+    """Return the positions (n,), (n,) between which each joint can be; a turn where unlimited."""
+    lower, upper = robot.limits.lower, robot.limits.upper
+    return (
+        np.where(np.isfinite(lower), lower, robot.reference - np.pi),
+        np.where(np.isfinite(upper), upper, robot.reference + np.pi),
+    )
 
 
 def _required_at(distance: float, clearance: float) -> float:

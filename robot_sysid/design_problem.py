@@ -22,7 +22,7 @@ class Closest:
 
     Attributes:
         slack: distance minus the distance that must be kept [m]; negative where it is not kept.
-        distance: itself [m].
+        distance: itself [m]; infinite where nothing is near.
         label: between what, for the reader.
     """
 
@@ -31,19 +31,35 @@ class Closest:
     label: str
 
 
+@dataclass(frozen=True)
+class Slack:
+    """How much room N configurations have.
+
+    Attributes:
+        value: (N,) smallest slack [m], at most the obstacles' horizon.
+        gradient: (N, n) with respect to the joint positions.
+        budget: (N, P) smallest slack among the pairs of each row of ``Obstacles.rates`` [m];
+            infinite where a row has no pair within the horizon.
+    """
+
+    value: Array
+    gradient: Array
+    budget: Array
+
+
 class Obstacles(Protocol):
     """What the arm must not touch, itself included."""
-
-    @property
-    def reach(self) -> Array:
-        """Farthest any point of the arm can be from each joint's axis (n,) [m]; 1 for a slide."""
 
     @property
     def horizon(self) -> float:
         """Largest slack that is told apart [m]; what is farther away counts as this far."""
 
-    def slack(self, q: Array) -> tuple[Array, Array]:
-        """Return the smallest slack (N,) [m] at positions q (N, n), and its gradient (N, n)."""
+    @property
+    def rates(self) -> Array:
+        """Approach bounds (P, n): pairs of row p approach at rates[p] @ abs(qd) [m/s] at most."""
+
+    def slack(self, q: Array) -> Slack:
+        """Return the slack at positions q (N, n)."""
 
     def closest(self, q: Array) -> Closest:
         """Return the tightest distance at one configuration q (n,)."""
@@ -59,15 +75,16 @@ class NoObstacles:
     horizon = 1.0
 
     def __init__(self, joints: int) -> None:
-        self.reach = np.zeros(joints)
+        self.rates = np.zeros((1, joints))
 
-    def slack(self, q: Array) -> tuple[Array, Array]:
+    def slack(self, q: Array) -> Slack:
         """Return the horizon everywhere."""
-        return np.full(len(q), self.horizon), np.zeros_like(q)
+        full = np.full(len(q), self.horizon)
+        return Slack(full, np.zeros_like(q), full[:, None])
 
     def closest(self, q: Array) -> Closest:
         """Return that nothing is near."""
-        return Closest(self.horizon, np.inf, "nothing")
+        return Closest(self.horizon, np.inf, "")
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,8 @@ OBSTACLE_LENGTH = 0.05
 """A slack of minus this length [m] counts as much as exceeding a limit by 100 %."""
 LIMIT_NAMES = ("position", "velocity", "acceleration", "torque")
 """The families of joint limits, in the order of their columns."""
+ROUNDING = 1e-9
+"""Share of a limit by which rounding may exceed it: the motion may start exactly at one."""
 _TORQUE_STEP = 1e-6
 
 
@@ -114,26 +116,24 @@ class _SlackMemory:
 
     def __init__(self, problem: ExcitationProblem) -> None:
         self._obstacles = problem.obstacles
+        # Slack that no constraint will ever ask for [m].
+        self._enough = 0.5 * problem.obstacles.horizon
         self._q = np.zeros((0, problem.n_joints))
-        self._slack = np.zeros(0)
+        self._budget = np.zeros((0, len(problem.obstacles.rates)))
 
     def slack(self, q: Array) -> tuple[Array, Array]:
         """Return slack (N,), exact where it is small, and its gradient (N, n)."""
         if self._q.shape != q.shape:
-            self._q, self._slack = q.copy(), np.full(len(q), -np.inf)
-        moved = np.abs(q - self._q) @ self._obstacles.reach
-        certain = self._slack - moved
+            self._q, self._budget = q.copy(), np.full((len(q), self._budget.shape[1]), -np.inf)
+        moved = np.abs(q - self._q) @ self._obstacles.rates.T
+        certain = np.min(self._budget - moved, axis=1)
         gradient = np.zeros_like(q)
-        tight = np.flatnonzero(~(certain > self.enough))
+        tight = np.flatnonzero(~(certain > self._enough))
         if len(tight):
-            certain[tight], gradient[tight] = self._obstacles.slack(q[tight])
-            self._q[tight], self._slack[tight] = q[tight], certain[tight]
+            found = self._obstacles.slack(q[tight])
+            certain[tight], gradient[tight] = found.value, found.gradient
+            self._q[tight], self._budget[tight] = q[tight], found.budget
         return certain, gradient
-
-    @property
-    def enough(self) -> float:
-        """Slack that no constraint will ever ask for [m]."""
-        return 0.5 * self._obstacles.horizon
 
 
 def _away(value: Array) -> Array:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_sysid.design_objective import Design
-from robot_sysid.motion_constraints import LIMIT_NAMES, MotionConstraints
+from robot_sysid.motion_constraints import LIMIT_NAMES, ROUNDING, MotionConstraints
 from robot_sysid.records import Array
 
 SHRINK = (1.0, 0.8, 0.6, 0.4, 0.2, 0.1, 0.04, 0.01)
@@ -105,7 +105,7 @@ def _shrunk(
         x = factor * full
         motion = (design.problem.rest + b @ x.T, db @ x.T, ddb @ x.T)
         value = constraints.evaluate(motion).value
-        if np.max(value) <= 0.0:
+        if np.max(value) <= ROUNDING:
             return Draw(design.criterion_of(x), x, "")
     return Draw(np.inf, np.zeros_like(full), _obstacle(design, value, motion[0]))
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import signal
+import threading
 from collections.abc import Iterator, Sequence
 from multiprocessing.connection import Connection, wait
 from types import TracebackType
@@ -30,6 +31,7 @@ class Team:
         self._shared, self._workers = shared, workers
         self._processes: list[Any] = []
         self._ends: list[Connection] = []
+        self._serial = 0
 
     def __enter__(self) -> Team:
         if self._workers > 1:
@@ -50,63 +52,90 @@ class Team:
 
     def _start(self) -> None:
         context = multiprocessing.get_context("spawn")
-        for _ in range(self._workers):
-            here, there = context.Pipe()
-            process = context.Process(target=_work, args=(there,), daemon=True)
-            process.start()
-            there.close()
-            self._processes.append(process)
-            self._ends.append(here)
-        for end in list(self._ends):
-            self._send(end, self._shared)
+        with _interrupts_ignored():
+            for _ in range(self._workers):
+                here, there = context.Pipe()
+                process = context.Process(target=_work, args=(there,), daemon=True)
+                process.start()
+                there.close()
+                self._processes.append(process)
+                self._ends.append(here)
+        for end in self._ends:
+            _send(end, self._shared)
 
     def run(self, jobs: Sequence[Job]) -> Iterator[Any]:
-        """Yield each job's result as soon as it is there, in any order."""
+        """Yield each job's result as soon as it is there, in any order.
+
+        Jobs of an earlier run that was not read to its end are finished and forgotten. Those of a
+        worker that has died are done here, where an error in them is seen.
+        """
         if not self._ends:
             yield from (job(self._shared) for job in jobs)
             return
-        waiting, busy = list(jobs), {}
+        waiting = list(jobs)
+        open_jobs: dict[int, Job] = {}
+        busy: dict[Any, list[int]] = {end: [] for end in self._ends}
         for end in self._ends:
-            self._hand_out(end, waiting, busy)
-        while busy:
-            for end in wait(list(busy)):
-                job = busy.pop(end)
-                result, answered = self._receive(end)
-                if answered:
-                    self._hand_out(end, waiting, busy)
-                    yield result
-                else:
-                    waiting.append(job)
-            if waiting and not busy:
-                yield from (job(self._shared) for job in waiting)
-                return
+            self._hand_out(end, waiting, open_jobs, busy)
+        while open_jobs:
+            for end in wait([end for end, serials in busy.items() if serials]):
+                answer = _receive(end)
+                if answer is None:
+                    yield from (open_jobs.pop(s)(self._shared) for s in busy.pop(end))
+                    self._ends.remove(end)
+                elif answer[0] in open_jobs:
+                    busy[end].remove(answer[0])
+                    del open_jobs[answer[0]]
+                    self._hand_out(end, waiting, open_jobs, busy)
+                    yield answer[1]
+        yield from (job(self._shared) for job in waiting)
 
-    def _hand_out(self, end: Any, waiting: list[Job], busy: dict[Any, Job]) -> None:
-        if waiting and end in self._ends:
-            job = waiting.pop(0)
-            self._send(end, job)
-            busy[end] = job
+    def _hand_out(
+        self, end: Any, waiting: list[Job], open_jobs: dict[int, Job], busy: dict[Any, list[int]]
+    ) -> None:
+        """Give a worker its next job, if there is one."""
+        if not waiting:
+            return
+        self._serial += 1
+        open_jobs[self._serial] = waiting.pop(0)
+        busy[end].append(self._serial)
+        _send(end, (self._serial, open_jobs[self._serial]))
 
-    def _send(self, end: Any, message: Any) -> None:
-        """Send to a worker; one that has died is found out when its answer is awaited."""
-        with contextlib.suppress(OSError):
-            end.send(message)
 
-    def _receive(self, end: Any) -> tuple[Any, bool]:
-        """Return (result, True), or (None, False) where the worker has died."""
-        try:
-            return end.recv(), True
-        except (EOFError, OSError):
-            self._ends.remove(end)
-            return None, False
+def _send(end: Any, message: Any) -> None:
+    """Send to the other side; one that has died is found out when its answer is awaited."""
+    with contextlib.suppress(OSError):
+        end.send(message)
+
+
+def _receive(end: Any) -> Any:
+    """Return an answer (serial, result), or None where the worker has died."""
+    try:
+        return end.recv()
+    except (EOFError, OSError):
+        return None
+
+
+@contextlib.contextmanager
+def _interrupts_ignored() -> Iterator[None]:
+    """Let processes started inside inherit that Ctrl-C is none of their business."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _work(end: Connection) -> None:
-    """Serve jobs until the other side hangs up; Ctrl-C is the other side's business."""
+    """Serve jobs until the other side hangs up."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         shared = end.recv()
         while True:
-            end.send(end.recv()(shared))
+            serial, job = end.recv()
+            end.send((serial, job(shared)))
     except (EOFError, OSError):
         return
