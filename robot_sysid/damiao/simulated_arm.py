@@ -11,6 +11,7 @@ from robot_sysid.damiao.frames import REGISTER_ID, Frame
 from robot_sysid.damiao.plant_protocol import Plant
 from robot_sysid.damiao.simulated_motor import SimulatedMotor
 from robot_sysid.errors import InputError
+from robot_sysid.records import Array
 
 # Damping that holds a blocked joint [N m s/rad].
 _JAM = 1e6
@@ -51,7 +52,6 @@ class SimulatedArm:
         self._faults = sorted(faults, key=lambda fault: fault.after)
         self._changed = True
         self._apply_faults(0.0)
-        self._read_sensors(np.zeros(plant.n_joints))
 
     def advance(self, until: float) -> None:
         """Let physics run up to ``until`` [s]."""
@@ -60,11 +60,10 @@ class SimulatedArm:
         while self.time + self.plant.timestep <= until:
             self.time += self.plant.timestep
             self._watch()
-            if self._changed:
-                self._gather()
-            torque, damping = self._law()
-            acted = self.plant.step(torque, np.where(self._jammed, _JAM, damping))
-            self._read_sensors(np.where(self._jammed, torque, acted))
+            # The position half a step ahead stands for the whole step to second order.
+            ahead = self.plant.q + 0.5 * self.plant.timestep * self.plant.qd
+            torque, damping = self._law(ahead)
+            self.plant.step(torque, np.where(self._jammed, _JAM, damping))
 
     def skip_to(self, time: float) -> None:
         """Set the clock without letting physics run: for a computer that fell behind."""
@@ -73,6 +72,7 @@ class SimulatedArm:
     def handle(self, frame: Frame, time: float) -> list[Frame]:
         """Let all motors take a frame at ``time`` [s]; return their answers."""
         self.advance(time)
+        self._read_sensors()
         self._changed = True
         answers = []
         for motor in self._listeners(frame):
@@ -120,17 +120,20 @@ class SimulatedArm:
         self._jammed = np.array([m.jammed for m in motors])
         self._changed = False
 
-    def _law(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return (torque, damping) of this step."""
-        torque = self._kp * (self._p - self.plant.q) + self._offset
+    def _law(self, q: Array) -> tuple[Array, Array]:
+        """Return (torque, damping) of the motors at positions q (n,) and present velocities."""
+        if self._changed:
+            self._gather()
+        torque = self._kp * (self._p - q) + self._offset
         total = torque - self._kd * self.plant.qd
         saturated = self._limited & (np.abs(total) > self._peak)
         limit = np.clip(total, -self._peak, self._peak)
         return np.where(saturated, limit, torque), np.where(saturated, 0.0, self._kd)
 
-    def _read_sensors(self, torque: np.ndarray) -> None:
+    def _read_sensors(self) -> None:
         q, qd = self.plant.q, self.plant.qd
+        torque, damping = self._law(q)
         for j, motor in enumerate(self.motors[: self.plant.n_joints]):
             motor.position, motor.velocity = float(q[j]), float(qd[j])
             # The motor knows the current it drives, not what its shorted windings do.
-            motor.torque = float(torque[j]) if motor.driving else 0.0
+            motor.torque = float(torque[j] - damping[j] * qd[j]) if motor.driving else 0.0
