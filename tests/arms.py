@@ -130,8 +130,9 @@ BALL_IN_CHAIN = world(
 )
 MASSLESS_TIP = serial_arm(
     (Z, Y, X, Z),
-    tip='<body name="flange" pos="0 0 .05" quat="1 0 .4 0"><body name="tool" pos=".02 0 .1" '
-    'quat="1 .2 0 0"><geom type="box" size=".02 .03 .05" mass=".6"/></body></body>',
+    tip='<body name="flange" pos="0 0 .05" quat="1 0 .4 0"><geom size=".02" mass=".1"/><body '
+    'name="tool" pos=".02 0 .1" quat="1 .2 0 0"><geom type="box" size=".02 .03 .05" mass=".6"/>'
+    "</body></body>",
     tip_inertial="",
 )
 TILTED_GRAVITY = serial_arm((Z, Y, X), option='gravity="3 -4 8"')
