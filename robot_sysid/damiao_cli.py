@@ -144,6 +144,8 @@ def _play_on(link: GuardedLink, clock: SystemClock, plan: Plan, options: argpars
         raise HardwareAbort(f"not played: {forbidden[0]}")
     if not options.yes:
         _ask_for_confirmation()
+        # The arm may have moved or been touched in the meantime.
+        inspection, _ = look(link, clock, plan)
     stop = StopRequest()
     with contextlib.ExitStack() as stack:
         stack.enter_context(stop.on_signals())

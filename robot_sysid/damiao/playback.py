@@ -7,8 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from robot_sysid.damiao.bus_load import BusTiming
 from robot_sysid.damiao.clock import Clock
 from robot_sysid.damiao.codec import Scaling
@@ -136,7 +134,6 @@ def perform(
         raise HardwareAbort(f"not played: {forbidden[0]}")
     motors = [inspection.motors[joint.can_id] for joint in joints]
     scaling = Scaling.from_limits(motor.limits or (0.0, 0.0, 0.0) for motor in motors)
-    start = np.array([float(m.feedback.position[0]) if m.feedback else 0.0 for m in motors])
     timeouts = {motor.can_id: motor.registers[TIMEOUT] for motor in motors}
     client = RegisterClient(link, clock)
     hears = audience or Audience()
@@ -153,4 +150,4 @@ def perform(
         session = stack.enter_context(MotorSession(link, clock, joints, scaling, plan.half_step))
         player = Player(session, clock, settings, stop, recorder, hears.phase, hears.progress)
         sampler = TrajectorySampler(plan.trajectory, settings.speed)
-        return player.play(sampler, plan.scan.duration / settings.speed, start)
+        return player.play(sampler, plan.scan.duration / settings.speed)

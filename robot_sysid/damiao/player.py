@@ -106,20 +106,19 @@ class Player:
         self._measured = np.full(session.n_joints, np.nan)
         self._cycles = self._played = 0
 
-    def play(self, trajectory: ReferenceFunction, duration: float, start: Array) -> PlayReport:
+    def play(self, trajectory: ReferenceFunction, duration: float) -> PlayReport:
         """Enable the motors, play ``trajectory`` and come to rest; disabling is the session's job.
 
         Args:
             trajectory: reference as a function of time; asked at times that never go back.
             duration: its length [s].
-            start: (n,) measured positions before enabling [rad].
 
         Raises:
             HardwareAbort: with the cause; motors that still answer have been brought to rest.
         """
         with _undisturbed():
             try:
-                self._run_phases(trajectory, duration, start)
+                self._run_phases(trajectory, duration)
             except BaseException as error:
                 self._stop_gently()
                 if isinstance(error, HardwareAbort):
@@ -127,13 +126,13 @@ class Player:
                 raise HardwareAbort(f"{type(error).__name__}: {error}") from error
         return self._report()
 
-    def _run_phases(self, trajectory: ReferenceFunction, duration: float, start: Array) -> None:
+    def _run_phases(self, trajectory: ReferenceFunction, duration: float) -> None:
         settings = self._settings
         first = trajectory(0.0)
+        self._announce("enabling the motors")
+        start = self._session.enable()
         here = Reference(start, np.zeros_like(start), first.torque)
         way, way_time = approach(start, first, settings.approach_speed, settings.approach_time)
-        self._announce("enabling the motors")
-        self._session.enable()
         self._metronome = Metronome(self._clock, settings.period, settings.max_lateness)
         self._announce("raising the gains")
         self._phase(hold(here), settings.ramp_time, ramp=True)

@@ -22,7 +22,7 @@ from robot_sysid.damiao.codec import (
 from robot_sysid.damiao.frames import Frame, disable_frame, enable_frame
 from robot_sysid.damiao.joints import DamiaoJoint
 from robot_sysid.damiao.link import GuardedLink, LinkError
-from robot_sysid.damiao.status import ENABLED, describe
+from robot_sysid.damiao.status import DISABLED, ENABLED, describe
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
 
@@ -111,14 +111,22 @@ class MotorSession:
                 "Cut their power"
             ) from error
 
-    def enable(self) -> None:
-        """Enable every motor, or raise HardwareAbort naming the one that does not."""
+    def enable(self) -> Array:
+        """Enable every motor and return where each one was just then (n,) [rad].
+
+        Raises:
+            HardwareAbort: a motor did not enable; names it.
+        """
         self._armed = True
+        position = np.empty(self.n_joints)
         for j, joint in enumerate(self.joints):
-            status = self._enable_one(j, joint)
+            feedback = self._enable_one(j, joint)
+            status = int(feedback.status[j])
             if status != ENABLED:
                 said = "no answer" if status == NO_STATUS else describe(status)
                 raise HardwareAbort(f"motor {joint.can_id} (joint {j}) did not enable: {said}")
+            position[j] = feedback.position[j]
+        return position
 
     def exchange(
         self, command: MitCommand, until: float, joints: NDArray[np.bool_] | None = None
@@ -179,17 +187,15 @@ class MotorSession:
         except LinkError:
             return
 
-    def _enable_one(self, j: int, joint: DamiaoJoint) -> int:
+    def _enable_one(self, j: int, joint: DamiaoJoint) -> Feedback:
         only = np.arange(self.n_joints) == j
-        status = NO_STATUS
         for _ in range(_ENABLE_TRIES):
             self._link.drain()
             self._link.send(enable_frame(joint.can_id))
             replies = self._collect(only, self._clock.now() + _CONFIRM_TIMEOUT)
-            status = int(replies.feedback.status[j])
-            if status not in (NO_STATUS, 0):
+            if replies.feedback.status[j] not in (NO_STATUS, DISABLED):
                 break
-        return status
+        return replies.feedback
 
     def _collect(
         self, wanted: NDArray[np.bool_], until: float, command: MitCommand | None = None
