@@ -31,7 +31,7 @@ def a_criterion(information: Array) -> tuple[float, Array]:
     """Return (ln sqrt(tr L^-1), gradient (r, r)); infinite where L is singular."""
     if _is_singular(information):
         return np.inf, np.zeros_like(information)
-    covariance = np.linalg.inv(information)
+    covariance = _inverse(information)
     trace = float(np.trace(covariance))
     return 0.5 * float(np.log(trace)), -0.5 * covariance @ covariance / trace
 
@@ -42,7 +42,7 @@ def d_criterion(information: Array) -> tuple[float, Array]:
         return np.inf, np.zeros_like(information)
     size = len(information)
     value = -float(np.linalg.slogdet(information)[1]) / (2.0 * size)
-    return value, -np.linalg.inv(information) / (2.0 * size)
+    return value, -_inverse(information) / (2.0 * size)
 
 
 def condition_criterion(information: Array) -> tuple[float, Array]:
@@ -57,6 +57,10 @@ def condition_criterion(information: Array) -> tuple[float, Array]:
     inner = np.outer(high, high) / values[-1] - np.outer(low, low) / values[0]
     gradient = inner / np.outer(root, root) - np.diag((high**2 - low**2) / root**2)
     return 0.5 * float(np.log(values[-1] / values[0])), 0.5 * gradient
+
+
+def _inverse(matrix: Array) -> Array:
+    return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
 
 
 def _is_singular(information: Array) -> bool:

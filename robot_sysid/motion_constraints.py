@@ -92,7 +92,7 @@ class MotionConstraints:
     def _torque_pull_back(self, tape: ConstraintTape, bar: Array) -> tuple[Array, Array, Array]:
         """Gradient through the torque by one-sided differences, at the active samples only."""
         active = np.flatnonzero(np.any(bar != 0.0, axis=1))
-        result = tuple(np.zeros_like(bar) for _ in range(3))
+        result = (np.zeros_like(bar), np.zeros_like(bar), np.zeros_like(bar))
         if len(active) == 0:
             return result
         at = [signal[active] for signal in tape.motion]

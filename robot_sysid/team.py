@@ -78,7 +78,8 @@ class Team:
         for end in self._ends:
             self._hand_out(end, waiting, open_jobs, busy)
         while open_jobs:
-            for end in wait([end for end, serials in busy.items() if serials]):
+            ready: list[Any] = wait([end for end, serials in busy.items() if serials])
+            for end in ready:
                 answer = _receive(end)
                 if answer is None:
                     yield from (open_jobs.pop(s)(self._shared) for s in busy.pop(end))

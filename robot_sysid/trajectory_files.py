@@ -117,7 +117,7 @@ def _read(path: Path) -> Mapping[str, Any]:
         ) from None
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise InputError(
-            f"{path} is not a trajectory of this tool; save one with --save-trajectory"
+            f"{path} is not a trajectory of this program; --save-trajectory writes one"
         )
     if content.get("version") != VERSION:
         raise InputError(
