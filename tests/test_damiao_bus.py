@@ -120,6 +120,8 @@ def test_a_bus_that_breaks_raises_our_error():
         link.receive(clock.now())
 
 
+# Older releases of python-can trip over a bus they have only half built.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize(
     ("interface", "channel", "words"),
     [

@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable, Iterator
 
 from robot_sysid.damiao.clock import Clock
+from robot_sysid.damiao.frames import Frame
 from robot_sysid.damiao.link import Link
 from robot_sysid.damiao.simulated_arm import SimulatedArm
 
@@ -28,12 +29,15 @@ def serve(arm: SimulatedArm, link: Link, clock: Clock, running: Callable[[], boo
         if now - arm.time > _MOST_BEHIND:
             left_out += now - arm.time
             arm.skip_to(now)
-        if frame is None:
-            arm.advance(now)
-        elif not frame.echo:
-            for reply in arm.handle(frame, now):
-                link.send(reply)
+        arm.advance(now)
+        if frame is not None and not frame.echo:
+            _answer(arm, link, frame, now)
     return left_out
+
+
+def _answer(arm: SimulatedArm, link: Link, frame: Frame, now: float) -> None:
+    for reply in arm.handle(frame, now):
+        link.send(reply)
 
 
 @contextlib.contextmanager

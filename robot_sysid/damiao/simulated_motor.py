@@ -160,15 +160,14 @@ class SimulatedMotor:
         self.commands_seen += 1
 
     def _special(self, code: int) -> None:
-        if code == ENABLE and not is_fault(self.status):
+        self.was_zeroed |= code not in (ENABLE, DISABLE, CLEAR_ERROR)
+        if is_fault(self.status) and code != CLEAR_ERROR:
+            return
+        if code == ENABLE:
             self.status = ENABLED
-        elif code == DISABLE and not is_fault(self.status):
+        elif code in (DISABLE, CLEAR_ERROR):
             self.status = DISABLED
             self._forget_command()
-        elif code == CLEAR_ERROR:
-            self.status = DISABLED
-        elif code not in (ENABLE, DISABLE):
-            self.was_zeroed = True
 
     def _register_answer(self, data: bytes) -> bytes | None:
         if data[0] | data[1] << 8 != self.can_id:
