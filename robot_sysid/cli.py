@@ -23,20 +23,44 @@ class Console:
 
     def __init__(self, quiet: bool, verbose: bool) -> None:
         self._quiet, self._verbose = quiet, verbose
+        self._bar: Any = None
 
     def stage(self, message: str) -> None:
         """Print a progress line."""
+        self.close()
         if not self._quiet:
             print(message, flush=True)
 
     def track(self, items: Iterator[Any], label: str, total: int) -> Iterator[Any]:
         """Show a bar while items pass, on a terminal; leave one line behind."""
-        if sys.stderr.isatty() and not self._quiet:
-            from tqdm import tqdm
-
-            items = tqdm(items, desc=label, total=total, leave=False, delay=0.5)
-        yield from items
+        yield from self._new_bar(label, total, items) if self._shows_bars else items
         self.stage(f"{label}: 100%")
+
+    def advance(self, label: str, done: int, total: int, text: str) -> None:
+        """Move the bar of a search, on a terminal; it is gone once the search is done."""
+        if not self._shows_bars:
+            return
+        self._bar = self._bar or self._new_bar(label, total)
+        self._bar.set_postfix_str(text, refresh=False)
+        self._bar.update(done - self._bar.n)
+        if done >= total:
+            self.close()
+
+    def close(self) -> None:
+        """Take away a bar that an early end of its search left behind."""
+        if self._bar is not None:
+            self._bar.close()
+            self._bar = None
+
+    @property
+    def _shows_bars(self) -> bool:
+        return sys.stderr.isatty() and not self._quiet
+
+    @staticmethod
+    def _new_bar(label: str, total: int, items: Iterator[Any] | None = None) -> Any:
+        from tqdm import tqdm
+
+        return tqdm(items, desc=label, total=total, leave=False, delay=0.5)
 
     def note(self, message: str) -> None:
         """Print a sentence the user should know."""

@@ -9,11 +9,13 @@ from robot_sysid.checks import require_positive
 from robot_sysid.errors import InputError
 from robot_sysid.estimators.options import EstimatorOptions
 from robot_sysid.estimators.registry import estimator
+from robot_sysid.excitation_options import ExcitationOptions
 from robot_sysid.friction import friction_model
 from robot_sysid.sensors import SensorOptions
 from robot_sysid.signals import SignalOptions
 
 SIMULATIONS = ("inverse", "forward")
+EXCITATIONS = ("sines", "optimal")
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,12 @@ class SysidConfig:
         joint: terminal joint; None finds it.
         torques: "chain" or "terminal".
         max_velocity: speed limit of hinge joints [rad/s].
+        excitation: "sines" for random sinusoids, "optimal" for a designed trajectory.
+        design: how a trajectory is designed, and what a plan is checked against.
+        trajectory: file of an earlier trajectory to use again.
+        save_trajectory: file for the coefficients (JSON); samples go beside it as CSV.
+        plan_only: whether to stop after the trajectory is made, checked and written.
+        speed: factor that slows the whole trajectory down.
         measurements: a log of the arm; None simulates.
         columns: file that names the log's columns.
         units: units of the log, such as "deg" or "deg,ms".
@@ -68,6 +76,12 @@ class SysidConfig:
     joint: str | None = None
     torques: str = "chain"
     max_velocity: float = 2.0
+    excitation: str = "sines"
+    design: ExcitationOptions = field(default_factory=ExcitationOptions)
+    trajectory: Path | None = None
+    save_trajectory: Path | None = None
+    plan_only: bool = False
+    speed: float = 1.0
     measurements: Path | None = None
     columns: Path | None = None
     units: str | None = None
@@ -87,6 +101,7 @@ class SysidConfig:
     def __post_init__(self) -> None:
         self._check_trajectory()
         self._check_damiao()
+        self._check_excitation()
         self._check_source()
         self._check_estimation()
 
@@ -132,13 +147,32 @@ class SysidConfig:
         if self.export_damiao and self.measurements is not None:
             raise InputError("--export-damiao needs a trajectory; it does not go with a log")
 
+    def _check_excitation(self) -> None:
+        if self.excitation not in EXCITATIONS:
+            raise InputError(f"--excitation {self.excitation!r}: choose one of {EXCITATIONS}")
+        if not 0.0 < self.speed <= 1.0:
+            raise InputError(f"--speed must be above 0 and at most 1 (got {self.speed:g})")
+        wanted = {
+            "--excitation optimal": self.excitation == "optimal",
+            "--trajectory": self.trajectory is not None,
+            "--save-trajectory": self.save_trajectory is not None,
+            "--plan-only": self.plan_only,
+            "--speed": self.speed != 1.0,
+        }
+        for option, given in wanted.items():
+            if given and self.measurements is not None:
+                raise InputError(f"{option} is about a trajectory; a log brings its own motion")
+        if self.trajectory is not None and self.excitation == "optimal":
+            raise InputError("--trajectory and --excitation optimal exclude each other")
+
     def _check_source(self) -> None:
         if self.measurements is not None and self.plant_model is not None:
             raise InputError("--measurements and --plant-model exclude each other; choose one")
         if self.simulation not in SIMULATIONS:
             raise InputError(f"--simulation {self.simulation!r}: choose one of {SIMULATIONS}")
         spoiled = not self.sensors.exact or self.simulation != "inverse"
-        if spoiled and self.plant_model is None:
+        planned = self.plan_only or self.excitation == "optimal"
+        if spoiled and self.plant_model is None and not planned:
             raise InputError(
                 "sensor noise and --simulation forward belong to a simulated plant; add "
                 "--plant-model (the model file itself will do)"

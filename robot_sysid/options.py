@@ -3,16 +3,31 @@
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
 from typing import Any, NoReturn
 
+import numpy as np
+
 from robot_sysid import __version__
-from robot_sysid.config import SIMULATIONS, SysidConfig
+from robot_sysid.config import EXCITATIONS, SIMULATIONS, SysidConfig
+from robot_sysid.criteria import CRITERIA
 from robot_sysid.errors import InputError
 from robot_sysid.estimators.options import CONSISTENCY_CHOICES, PRIOR_CHOICES, EstimatorOptions
 from robot_sysid.estimators.registry import ESTIMATORS
+from robot_sysid.excitation_options import ENDS, ExcitationOptions, box_from, plane_from
 from robot_sysid.sensors import SensorOptions, parse_levels
 from robot_sysid.signals import SignalOptions
+
+DEFAULT_NOISE_TORQUE = 0.3
+"""Torque noise that a plan predicts errors for where none is given [N m]."""
+_SAME_NAME = (
+    *("model", "mesh_dir", "duration", "sample_rate", "output_dir", "export_damiao", "seed"),
+    *("damiao_rate", "supply", "joint", "torques", "max_velocity", "excitation", "trajectory"),
+    *("save_trajectory", "plan_only", "speed", "measurements", "columns", "units"),
+    *("plant_model", "simulation", "save_measurements", "friction_model", "method", "validate"),
+    "validation_measurements",
+)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -34,6 +49,8 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("model", metavar="MODEL", type=Path, help="MuJoCo XML (MJCF) or URDF file")
     _add_main(parser.add_argument)
     _add_model(parser.add_argument_group("model").add_argument)
+    _add_excitation(parser.add_argument_group("excitation").add_argument)
+    _add_surroundings(parser.add_argument_group("limits of an optimal excitation").add_argument)
     _add_log(parser.add_argument_group("measurements").add_argument)
     _add_plant(parser.add_argument_group("simulated plant").add_argument)
     _add_estimation(parser.add_argument_group("estimation").add_argument)
@@ -86,6 +103,98 @@ def _add_model(add: Any) -> None:
         default=2.0,
         metavar="V",
         help="speed limit of hinge joints in rad/s (default: 2)",
+    )
+
+
+def _add_excitation(add: Any) -> None:
+    add(
+        "--excitation",
+        choices=EXCITATIONS,
+        default="sines",
+        help="random sinusoids, or a trajectory designed to tell most (default: sines)",
+    )
+    add(
+        "--criterion",
+        choices=tuple(CRITERIA),
+        default="D",
+        help="what the design makes small: summed variances (A), their volume (D), or the "
+        "condition number (default: D)",
+    )
+    add(
+        "--excitation-time-budget",
+        type=float,
+        default=60.0,
+        metavar="S",
+        help="cut the design after this many seconds (default: 60)",
+    )
+    add(
+        "--harmonics", type=int, metavar="K", help="harmonics of the design (default: up to 0.6 Hz)"
+    )
+    add(
+        "--base-frequency",
+        type=float,
+        metavar="F",
+        help="first harmonic in Hz (default: one period in the duration)",
+    )
+    add(
+        "--excitation-ends",
+        choices=ENDS,
+        default="faded",
+        help="bring a designed trajectory to rest by a fade, or by its periodic shape "
+        "(default: faded)",
+    )
+    add("--plan-only", action="store_true", help="make, check and write the trajectory, then stop")
+    add(
+        "--save-trajectory",
+        type=Path,
+        metavar="FILE",
+        help="write the trajectory's coefficients as JSON, and its samples as CSV beside it",
+    )
+    add("--trajectory", type=Path, metavar="FILE", help="use a trajectory that was saved")
+    add(
+        "--speed",
+        type=float,
+        default=1.0,
+        metavar="FACTOR",
+        help="slow the whole trajectory down, for a first run on the arm (default: 1)",
+    )
+
+
+def _add_surroundings(add: Any) -> None:
+    add(
+        "--max-acceleration",
+        type=float,
+        metavar="A",
+        help="acceleration limit of hinge joints in rad/s^2",
+    )
+    add(
+        "--max-torque",
+        type=_levels("--max-torque"),
+        metavar="T",
+        help="torque limit in N m beside the model's own, one number or one per joint",
+    )
+    add(
+        "--workspace",
+        type=float,
+        nargs=6,
+        metavar=("XMIN", "XMAX", "YMIN", "YMAX", "ZMIN", "ZMAX"),
+        help="box in metres that the terminal link must stay in",
+    )
+    add(
+        "--keep-out",
+        type=float,
+        nargs=4,
+        action="append",
+        default=[],
+        metavar=("NX", "NY", "NZ", "OFFSET"),
+        help="plane no moving part may cross: points x with N.x >= OFFSET are allowed",
+    )
+    add(
+        "--clearance",
+        type=float,
+        default=0.01,
+        metavar="D",
+        help="least distance in metres between parts that are apart at rest (default: 0.01)",
     )
 
 
@@ -238,41 +347,44 @@ def _levels(option: str) -> Any:
 
 def config_from(options: argparse.Namespace) -> SysidConfig:
     """Return the run's configuration; raises InputError for values that make no sense."""
+    same = {name: getattr(options, name) for name in _SAME_NAME}
     return SysidConfig(
-        model=options.model,
-        mesh_dir=options.mesh_dir,
-        duration=options.duration,
-        sample_rate=options.sample_rate,
+        **same,
         friction=not options.no_friction,
-        output_dir=options.output_dir,
-        export_damiao=options.export_damiao,
         motor_types=tuple(options.motor_type),
         can_ids=tuple(options.can_id),
         master_ids=tuple(options.master_id),
-        damiao_rate=options.damiao_rate,
-        supply=options.supply,
-        seed=options.seed,
-        joint=options.joint,
-        torques=options.torques,
-        max_velocity=options.max_velocity,
-        measurements=options.measurements,
-        columns=options.columns,
-        units=options.units,
-        plant_model=options.plant_model,
-        simulation=options.simulation,
+        design=_design(options),
         sensors=SensorOptions(
             options.noise_torque,
             options.noise_position,
             options.encoder_resolution,
             options.torque_delay,
         ),
-        save_measurements=options.save_measurements,
         signals=SignalOptions(options.cutoff, options.velocity_deadband),
-        friction_model=options.friction_model,
         estimate_delay=options.delay == "auto",
         estimate_tilt=options.tilt == "auto",
-        method=options.method,
         estimator=EstimatorOptions(options.consistency, options.prior, options.prior_weight),
-        validate=options.validate,
-        validation_measurements=options.validation_measurements,
+    )
+
+
+def _design(options: argparse.Namespace) -> ExcitationOptions:
+    noise = np.atleast_1d(options.noise_torque)
+    torque = () if options.max_torque is None else np.atleast_1d(options.max_torque)
+    return ExcitationOptions(
+        criterion=options.criterion,
+        duration=options.duration,
+        sample_rate=options.sample_rate,
+        harmonics=options.harmonics,
+        base_frequency=options.base_frequency,
+        ends=options.excitation_ends,
+        max_acceleration=options.max_acceleration,
+        max_torque=tuple(float(limit) for limit in torque),
+        noise_torque=tuple(map(float, noise)) if np.all(noise > 0.0) else (DEFAULT_NOISE_TORQUE,),
+        clearance=options.clearance,
+        workspace=None if options.workspace is None else box_from(tuple(options.workspace)),
+        keep_out=tuple(plane_from(tuple(plane)) for plane in options.keep_out),
+        torques=options.torques,
+        time_budget=options.excitation_time_budget,
+        workers=os.cpu_count() or 1,
     )

@@ -7,21 +7,49 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from robot_sysid.analysis import Analysis, analyse_itself, analyse_log, analyse_plant
-from robot_sysid.collisions import CHECK_RATE_HZ, find_new_contacts
 from robot_sysid.compilation import captured_warnings
 from robot_sysid.config import SysidConfig
 from robot_sysid.damiao.trajectory_csv import DamiaoExportReport
 from robot_sysid.files import require_writable
 from robot_sysid.parser import load_robot_model
+from robot_sysid.planning import PlanReport, make_plan, plan_files, report_plan
 from robot_sysid.progress import Progress, Silent
 from robot_sysid.records import Identification, MotionPlan, RobotModel, Status
-from robot_sysid.results import Command, check_motor_types, write_results
+from robot_sysid.results import Command, check_motor_types, write_commands, write_results
 from robot_sysid.simulator import inverse_torque
 from robot_sysid.summary import clamping_lines, detail_lines, folder_text, result_lines
-from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
+from robot_sysid.trajectory import motion_chunks
+
+
+@dataclass(frozen=True)
+class PlanOutcome:
+    """What a run with --plan-only produced.
+
+    Attributes:
+        plan: the trajectory.
+        report: what it promises and whether it keeps all limits.
+        files: what was written.
+        damiao: report lines of the Damiao export, where one was asked for.
+    """
+
+    plan: MotionPlan
+    report: PlanReport
+    files: tuple[Path, ...]
+    damiao: tuple[str, ...] = ()
+
+    @property
+    def failure(self) -> str | None:
+        """Why the trajectory must not be run, or None."""
+        broken = self.report.certificate.excesses
+        if not broken:
+            return None
+        return f"this trajectory must not be run: it breaks {len(broken)} limits, first {broken[0]}"
+
+    def report_lines(self, verbose: bool) -> list[str]:
+        """Return what the command line prints at the end."""
+        written = [f"Trajectory saved to {path}" for path in self.files]
+        return [*self.report.lines, *self.damiao, *written]
 
 
 @dataclass(frozen=True)
@@ -54,7 +82,7 @@ class Outcome:
         return [*result_lines(self.identification), *details, *clamping, saved]
 
 
-def run(config: SysidConfig, progress: Progress | None = None) -> Outcome:
+def run(config: SysidConfig, progress: Progress | None = None) -> Outcome | PlanOutcome:
     """Identify the terminal link of one arm and write the results.
 
     Args:
@@ -72,17 +100,29 @@ def run(config: SysidConfig, progress: Progress | None = None) -> Outcome:
     return outcome
 
 
-def _run(config: SysidConfig, progress: Progress) -> Outcome:
+def _run(config: SysidConfig, progress: Progress) -> Outcome | PlanOutcome:
     require_writable(config.output_dir)
     robot = load(config, progress)
     if config.measurements is not None:
         analysis = analyse_log(config, robot, progress)
         return _write(config, robot, analysis, no_commands, progress)
     seed = config.seed if config.seed is not None else secrets.randbelow(2**31)
-    plan = excite(config, robot, seed, progress)
+    plan = make_plan(config, robot, seed, progress)
+    if config.plan_only:
+        return _plan_outcome(config, robot, plan)
     analyse = analyse_itself if config.plant_model is None else analyse_plant
     analysis = analyse(config, robot, plan, seed, progress)
     return _write(config, robot, analysis, lambda: commands(robot, plan, config), progress)
+
+
+def _plan_outcome(config: SysidConfig, robot: RobotModel, plan: MotionPlan) -> PlanOutcome:
+    report = report_plan(config, robot, plan)
+    files = plan_files(config)
+    if not config.export_damiao:
+        return PlanOutcome(plan, report, files)
+    path, damiao = write_commands(config, commands(robot, plan, config))
+    lines = tuple(clamping_lines(damiao, robot.joint_names))
+    return PlanOutcome(plan, report, (*files, path), lines)
 
 
 def _write(
@@ -110,22 +150,6 @@ def load(config: SysidConfig, progress: Progress) -> RobotModel:
         progress.note(note)
     progress.detail(f"Joints that carry it: {', '.join(robot.joint_names)}")
     return robot
-
-
-def excite(config: SysidConfig, robot: RobotModel, seed: int, progress: Progress) -> MotionPlan:
-    """Draw the excitation trajectory and warn of what it touches."""
-    rate = f"{config.sample_rate:g} Hz"
-    progress.stage(f"Generating excitation trajectory ({config.duration:.1f}s, {rate})...")
-    if config.seed is None:
-        progress.stage(f"Random seed: {seed} (--seed {seed} repeats this run)")
-    plan, notes = generate_excitation_trajectory(
-        robot, np.random.default_rng(seed), config.duration, inverse_torque(robot)
-    )
-    for note in notes:
-        progress.note(note)
-    for contact in find_new_contacts(robot, motion_chunks(plan, CHECK_RATE_HZ)):
-        progress.note(f"{contact} along this trajectory; do not play it on the arm")
-    return plan
 
 
 def commands(robot: RobotModel, plan: MotionPlan, config: SysidConfig) -> Iterator[Command]:

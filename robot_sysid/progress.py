@@ -15,6 +15,9 @@ class Progress(Protocol):
     def track(self, items: Iterator[Any], label: str, total: int) -> Iterator[Any]:
         """Pass items through and count them."""
 
+    def advance(self, label: str, done: int, total: int, text: str) -> None:
+        """Tell that ``done`` of ``total`` steps of a search are done, and how it stands."""
+
     def note(self, message: str) -> None:
         """Tell the user something that does not stop the run."""
 
@@ -31,6 +34,9 @@ class Silent:
     def track(self, items: Iterator[Any], label: str, total: int) -> Iterator[Any]:
         """Pass the items through."""
         return items
+
+    def advance(self, label: str, done: int, total: int, text: str) -> None:
+        """Ignore the step."""
 
     def note(self, message: str) -> None:
         """Ignore the note."""

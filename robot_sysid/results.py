@@ -90,6 +90,15 @@ def write_results(
     return Written(tuple(folder / name for name in names), identification, report)
 
 
+def write_commands(
+    config: SysidConfig, commands: Iterator[Command]
+) -> tuple[Path, DamiaoExportReport]:
+    """Write the motor trajectory alone; returns its path and report."""
+    path = config.output_dir / DAMIAO_NAME
+    with whole_files() as files:
+        return path, _write_damiao(files, path, config, commands)
+
+
 def _write_model(
     files: WholeFiles,
     path: Path,
