@@ -1,10 +1,8 @@
 """Least squares over positive definite matrices: a primal-dual log-det barrier Newton in numpy.
 
-Minimises ||S w - d||^2 + l^T w + tie tr K(w) - mu log det K(w) with S diagonal and
-K(w) = K0 + sum_k w_k K_k, while mu goes down to a target, and the tie to mu or to 0 from a value
-that makes K = 1 a good start. With tie = mu the last two terms are, up to a constant, mu times the
-log-det divergence of K from the identity, so that K stays near the identity where the data is blind
-(zeros in S). With tie = 0 they and l^T w may be a divergence from another matrix: a prior.
+Minimises ||S w - d||^2 + l^T w - mu log det K(w) with S diagonal and K(w) = K0 + sum_k w_k K_k
+while mu goes down to a target. A term tie tr K(w) makes K = 1 a good start and is loosened on the
+way. With l_k = mu tr K_k the last two terms are a log-det divergence from the identity: a prior.
 
 The dual matrix Z stands for mu K^-1. Steps use the symmetric scaling of Nesterov and Todd and
 Mehrotra's predictor and corrector (Toh, Todd, Tutuncu, "SDPT3 - a MATLAB software package for
@@ -24,23 +22,28 @@ from numpy.typing import NDArray
 from robot_sysid.errors import SysidError
 from robot_sysid.records import Array
 
-_CONVERGED = 1e-8
-_ROUNDING = 1e-2
-_TO_THE_WALL = 0.95
-_CENTRALITY = 0.02
+# A step counts as none when its squared length is below this share of mu. Where rounding keeps steps
+# longer than that, ten of them at the target with less than half of mu are taken as the end.
+_CONVERGED, _PATIENCE, _ROUNDING = 1e-8, 10, 0.5
+# At the end: mu this close to its target, and the tie this small compared with it.
+_NEAR, _LOOSE = 1.2, 1e-6
+# Share of the way to the wall a step may go, and the least eigenvalue of K Z over their mean.
+_TO_THE_WALL, _CENTRALITY = 0.95, 0.02
+# mu stays this far ahead of the tie: with less there is no room to loosen it.
+_AHEAD = 3.0
+# Below this length a step without second-order correction is tried as well.
 _SHORT = 0.5
 _MAX_STEPS = 100
 
 
 @dataclass(frozen=True)
 class MatrixProblem:
-    """The data of the problem; the K_k span all symmetric matrices of their size s.
+    """The data of the problem; the K_k are linearly independent.
 
     Attributes:
-        singular: (k,) diagonal of S, zero where the data is blind.
+        singular: (k,) diagonal of S; zeros need an l that keeps K bounded.
         right: (k,) d.
         linear: (k,) l.
-        tied: whether the tie ends at mu; else it ends at 0.
         constant: (s, s) K0.
         basis: (k, s, s) symmetric K_k.
     """
@@ -48,7 +51,6 @@ class MatrixProblem:
     singular: Array
     right: Array
     linear: Array
-    tied: bool
     constant: Array
     basis: Array
 
@@ -63,6 +65,12 @@ class MatrixProblem:
     def slope(self, w: Array) -> Array:
         """Return the gradient (k,) of ||S w - d||^2 + l^T w."""
         return 2.0 * self.singular * (self.singular * w - self.right) + self.linear
+
+    def balance(self, w: Array) -> Array:
+        """Return the least symmetric Z (s, s) with tr(K_k Z) = slope_k."""
+        flat = self.basis.reshape(len(w), -1)
+        dual = np.linalg.lstsq(flat, self.slope(w), rcond=None)[0].reshape(self.constant.shape)
+        return 0.5 * (dual + dual.T)
 
 
 def minimise(
@@ -87,25 +95,19 @@ def minimise(
 def _follow(problem: MatrixProblem, w: Array, target: Callable[[Array], float]) -> Array:
     dual, tie = _first_dual(problem, w, target(w))
     dual_root = np.linalg.cholesky(dual)
-    before = np.inf
+    arrivals = 0
     for _ in range(_MAX_STEPS):
         scaling = _Scaling(problem, w, dual_root)
         goal = target(w)
         step = _predict_and_correct(scaling, goal, tie)
         effect = scaling.effect(step.direction) / goal
         w = w + step.length * step.direction
-        arrived = scaling.mu <= 1.01 * goal and tie <= (1.01 if problem.tied else 0.0) * goal
-        if arrived and _is_settled(effect, before):
+        arrivals += scaling.mu <= _NEAR * goal and tie <= _LOOSE * goal
+        if arrivals and effect <= (_CONVERGED if arrivals < _PATIENCE else _ROUNDING):
             return w
         dual_root = scaling.moved_dual_root(step.length * step.dual)
         tie = tie + step.length * (step.tie - tie)
-        before = effect
     raise _not_converged()
-
-
-def _is_settled(effect: float, before: float) -> bool:
-    """Tell whether steps are small, or small enough and no longer shrinking: rounding is all."""
-    return effect <= _CONVERGED or (effect <= _ROUNDING and effect > 0.1 * before)
 
 
 def _not_converged() -> SysidError:
@@ -117,12 +119,8 @@ def _not_converged() -> SysidError:
 
 def _first_dual(problem: MatrixProblem, start: Array, goal: float) -> tuple[Array, float]:
     """Return (Z (s, s), tie) that balance the slope at ``start``, Z well inside the cone."""
-    slope = problem.slope(start)
-    flat = problem.basis.reshape(len(start), -1)
-    dual = np.linalg.lstsq(flat, slope, rcond=None)[0].reshape(problem.constant.shape)
-    dual = 0.5 * (dual + dual.T)
-    largest = float(np.max(np.abs(np.linalg.eigvalsh(dual))))
-    tie = max(2.0 * largest, goal)
+    dual = problem.balance(start)
+    tie = max(2.0 * float(np.max(np.abs(np.linalg.eigvalsh(dual)))), goal)
     return dual + tie * np.eye(len(dual)), tie
 
 
@@ -136,13 +134,13 @@ class _Scaling:
         outer = primal_root @ right.T / roots
         self._inverse = (left / roots).T @ dual_root.T
         self._basis = self._inverse @ problem.basis @ self._inverse.T
-        self._trace, self.tied = outer.T @ outer, problem.tied
+        self._trace = outer.T @ outer
         self._linear = problem.linear
         root = np.sqrt(2.0)
         curved = np.diag(root * problem.singular)
         self._matrix = np.vstack((curved, self._basis.reshape(len(w), -1).T))
         self._data = root * (problem.right - problem.singular * w)
-        self._size = len(w)
+        self._orthogonal, self._triangle = np.linalg.qr(self._matrix)
 
     @property
     def mu(self) -> float:
@@ -160,9 +158,8 @@ class _Scaling:
 
     def _least_squares(self, right: Array) -> Array:
         """Return argmin 0.5 ||matrix dw - right||^2 + l^T dw."""
-        orthogonal, triangle = np.linalg.qr(self._matrix)
-        pulled = orthogonal.T @ right - np.linalg.solve(triangle.T, self._linear)
-        return np.linalg.solve(triangle, pulled)
+        pulled = self._orthogonal.T @ right - np.linalg.solve(self._triangle.T, self._linear)
+        return np.linalg.solve(self._triangle, pulled)
 
     def room(self, change: Array) -> float:
         """Return the largest factor <= 1 that keeps diagonal + factor * change positive."""
@@ -190,14 +187,12 @@ class _Step:
 def _predict_and_correct(scaling: _Scaling, goal: float, tie: float) -> _Step:
     """Return the next step; how far a bold one would get decides which mu and tie it aims at."""
     here = np.diag(scaling.diagonal)
-    last_tie = goal if scaling.tied else 0.0
-    _, primal, dual = scaling.solve(goal, last_tie, np.zeros_like(here))
+    _, primal, dual = scaling.solve(goal, 0.0, np.zeros_like(here))
     bold = min(scaling.room(primal), scaling.room(dual))
     reached = float(np.sum((here + bold * primal) * (here + bold * dual))) / len(here)
-    tie = last_tie + (1.0 - bold) ** 2 * (tie - last_tie)
+    tie = (1.0 - bold) ** 2 * tie
     share = min(max(reached, 0.0) / scaling.mu, 1.0)
-    # A mu that hurries ahead of the tie would leave no room to loosen it.
-    mu = max(scaling.mu * share**3, 0.1 * tie, goal)
+    mu = max(scaling.mu * share**3, _AHEAD * tie, goal)
     product = primal @ dual
     best = _aim(scaling, mu, tie, 0.5 * (product + product.T))
     if best.length < _SHORT:

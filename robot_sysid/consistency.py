@@ -6,10 +6,9 @@ Minimises ||A x - b||^2 subject to J(x) positive definite (Wensing, Kim, Slotine
 
     d(J || J0) = tr(J0^-1 J) - log det(J0^-1 J) - 4.
 
-All other parameters (friction, offsets) are free and eliminated beforehand, so the search runs over
-ten numbers. Where the data is blind the constrained optimum is not unique: of all bodies that
-explain the data equally well, the one nearest (in that divergence) to the plain estimate, rounded
-until it is possible, is taken; along blind directions the plain estimate is the prior.
+All other parameters (friction, offsets) are free and eliminated beforehand, so the search runs
+over ten numbers. Directions the data cannot see stay exactly at the prior in the constrained fit:
+letting them go would often mean a mass without bound, which makes room for any first moment.
 """
 
 from __future__ import annotations
@@ -30,9 +29,14 @@ from robot_sysid.records import Array
 
 INTERIOR_MARGIN = 1e-9
 """Smallest eigenvalue, relative to a well-rounded body of the same size, that is allowed."""
-_GAP = 1e-9
-_ROUNDNESS = 0.01
-_PRIOR_FLOOR = 1e-6
+# Excess over the optimum that is aimed at, and what rounding can resolve of the barrier.
+_GAP, _RESOLUTION = 1e-9, 1e-13
+# Eigenvalues are lifted to these shares of the largest: in the start, and in an impossible prior.
+_ROUNDNESS, _PRIOR_FLOOR = 0.01, 1e-6
+# How much harder than the best visible one a blind direction is held at the prior.
+_NAIL = 1e8
+# Smallest eigenvalue in units of the prior body that rounding may leave.
+_LEAST = 1e-12
 
 
 def consistent_least_squares(
@@ -43,18 +47,21 @@ def consistent_least_squares(
     Args:
         matrix: (M, p) A; ten inertial columns first.
         right: (M,) b.
-        prior: (p,) the model's values; parameters the data is blind to stay there.
+        prior: (p,) the model's values; where the data is blind the result stays there.
         weight: of the divergence from the prior body, in units of ||A x - b||^2; 0 for none.
 
     Returns:
         The plain least-squares solution where weight is 0 and that one is already consistent.
+        A prior body that is impossible itself is replaced by a possible one nearby.
     """
     plain = prior + visible_space(matrix).solve(right - matrix @ prior)
-    body, inertial = prior[:N_INERTIAL], plain[:N_INERTIAL]
-    start = lifted_body(inertial, body, _ROUNDNESS)
-    if weight == 0.0 and _is_inside(inertial, start):
+    rounded = lifted_body(plain[:N_INERTIAL], prior[:N_INERTIAL], _ROUNDNESS)
+    if weight == 0.0 and _is_inside(plain[:N_INERTIAL], rounded):
         return plain
-    return _search(_eliminate_nuisances(matrix, right, prior), start, weight)
+    base = np.array(prior, dtype=float)
+    base[:N_INERTIAL] = lifted_body(prior[:N_INERTIAL], prior[:N_INERTIAL], _PRIOR_FLOOR)
+    reduced = _eliminate_nuisances(matrix, right, base)
+    return _search(reduced, rounded, weight)
 
 
 def lifted_body(theta: Array, scale_of: Array, floor: float) -> Array:
@@ -100,6 +107,11 @@ class _Reduced:
     nuisance_right: Array
     prior: Array
 
+    def directions(self) -> Array:
+        """Return (10, 10) directions of deviation: the visible ones first, then the others."""
+        seen = np.where(self.space.dead[:, None], 0.0, self.space.right)
+        return self.space.scale[:, None] * np.hstack((seen, self.space.null))
+
     def expand(self, deviation: Array) -> Array:
         """Return all parameters (p,) with the nuisances at their optimum."""
         free = self.nuisance.solve(self.nuisance_right - self.coupling @ deviation)
@@ -124,43 +136,60 @@ def _is_inside(theta: Array, rounded: Array) -> bool:
 
 
 def _search(reduced: _Reduced, start: Array, weight: float) -> Array:
-    """Return all parameters (p,) that minimise the constrained or the entropic problem."""
-    prior = reduced.prior[:N_INERTIAL]
-    problem, basis = _normalised(reduced, start, weight)
-    rest = max(float(np.sum(reduced.right**2) - np.sum(problem.right**2)), 0.0)
-    strongest = float(np.max(problem.singular))
-    weakest = float(np.min(problem.singular[problem.singular > 0.0], initial=strongest))
+    """Return all parameters (p,) that minimise the constrained or the entropic problem.
+
+    Args:
+        reduced: the problem in deviations from the prior.
+        start: (10,) possible body.
+        weight: of the entropic prior.
+    """
+    prior, rank = reduced.prior[:N_INERTIAL], reduced.space.rank
+    basis = reduced.directions()
+    problem = _normalised(reduced, basis, start, weight)
+    rest = max(float(np.sum(reduced.right**2) - np.sum(problem.right[:rank] ** 2)), 0.0)
+    seen = reduced.space.singular
     # Where nothing but rounding is left to explain, the data's own strength sets the accuracy.
-    floor = max(1e-8 * weakest**2, 1e-15 * strongest**2, np.finfo(float).tiny / _GAP)
+    floor = max(1e-8 * np.min(seen, initial=1.0) ** 2, 1e-15 * np.max(seen, initial=0.0) ** 2)
 
     def target(w: Array) -> float:
         size = 4.0 + float(np.trace(problem.matrix(w)))
-        return weight or _GAP * max(problem.misfit(w) + rest, floor) / size
+        resolvable = _RESOLUTION * float(np.linalg.norm(problem.balance(w)))
+        return weight or max(_GAP * max(problem.misfit(w) + rest, floor) / size, resolvable)
 
     w = minimise(problem, np.linalg.solve(basis, start - prior), target)
-    return reduced.expand(basis @ w)
+    if weight == 0.0:
+        w[rank:] = 0.0
+    return reduced.expand(_pulled_inside(prior, basis @ w))
 
 
-def _normalised(reduced: _Reduced, start: Array, weight: float) -> tuple[MatrixProblem, Array]:
-    """Return (problem in w, basis (10, 10)) with deviation = basis w.
+def _pulled_inside(prior: Array, deviation: Array) -> Array:
+    """Return the deviation, shortened by what rounding may have put outside."""
+    inverse = np.linalg.inv(np.linalg.cholesky(spatial.pseudo_inertia(prior)))
+    change = inverse @ spatial.pseudo_inertia(deviation) @ inverse.T
+    lowest = 1.0 + float(np.linalg.eigvalsh(change)[0])
+    if lowest >= _LEAST:
+        return deviation
+    return deviation * (1.0 - _LEAST) / (1.0 - lowest)
 
-    K(w) = L^-1 J L^-T with L L^T = J(start); without a prior it is lowered by the interior margin.
+
+def _normalised(reduced: _Reduced, basis: Array, start: Array, weight: float) -> MatrixProblem:
+    """Return the problem in w with deviation = basis w, K(w) = L^-1 J L^-T, L L^T = J(start).
+
+    Without a prior K is lowered by the interior margin, and blind directions are nailed down.
     """
     space, prior = reduced.space, reduced.prior[:N_INERTIAL]
-    basis = space.scale[:, None] * np.hstack((space.right, space.null))
     inverse = np.linalg.inv(np.linalg.cholesky(spatial.pseudo_inertia(start)))
-    singular, right = np.zeros(N_INERTIAL), np.zeros(N_INERTIAL)
+    nailed = _NAIL * np.max(space.singular, initial=1.0) if weight == 0.0 else 0.0
+    singular, right = np.full(N_INERTIAL, nailed), np.zeros(N_INERTIAL)
     singular[: space.rank] = space.singular
     right[: space.rank] = space.left.T @ reduced.right
     directions = spatial.pseudo_inertia(basis.T)
-    precision = np.linalg.inv(spatial.pseudo_inertia(lifted_body(prior, prior, _PRIOR_FLOOR)))
-    constant = inverse @ spatial.pseudo_inertia(prior) @ inverse.T
-    problem = MatrixProblem(
+    precision = np.linalg.inv(spatial.pseudo_inertia(prior))
+    margin = INTERIOR_MARGIN if weight == 0.0 else 0.0
+    return MatrixProblem(
         singular=singular,
         right=right,
         linear=weight * np.einsum("kij,ij->k", directions, precision),
-        tied=weight == 0.0,
-        constant=constant - (INTERIOR_MARGIN if weight == 0.0 else 0.0) * np.eye(4),
+        constant=inverse @ spatial.pseudo_inertia(prior) @ inverse.T - margin * np.eye(4),
         basis=inverse @ directions @ inverse.T,
     )
-    return problem, basis
