@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from robot_sysid.errors import SysidError
 from robot_sysid.records import Array
 
-# A step counts as none when its squared length is below this share of mu. Where rounding keeps steps
-# longer than that, ten of them at the target with less than half of mu are taken as the end.
+# A step counts as none when its squared length is below this share of mu. Where rounding keeps
+# steps longer than that, ten of them at the target with less than half of mu are taken as the end.
 _CONVERGED, _PATIENCE, _ROUNDING = 1e-8, 10, 0.5
 # At the end: mu this close to its target, and the tie this small compared with it.
 _NEAR, _LOOSE = 1.2, 1e-6
