@@ -207,8 +207,8 @@ def _add_log(add: Any) -> None:
         "--velocity-deadband",
         type=_levels("--velocity-deadband"),
         metavar="V",
-        help="leave out rows of a joint slower than this, in rad/s; one number or one per joint "
-        "(default: 1 %% of its peak speed)",
+        help="leave out rows with moments in which a joint is slower than this, in rad/s; one "
+        "number or one per joint (default: 0.5 %% of its peak speed)",
     )
     add(
         "--delay",

@@ -90,7 +90,7 @@ class PlantSimulation:
 
         Args:
             deadband: speed below which samples are going to be left out [rad/s]; None stands for
-                1 % of each joint's highest speed.
+                the usual share of each joint's highest speed.
         """
         return () if self._loop is None else self._loop.notes(deadband)
 

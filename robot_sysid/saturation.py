@@ -22,9 +22,8 @@ from numpy.typing import NDArray
 
 from robot_sysid.checks import PerJoint
 from robot_sysid.records import Array, checked_array
+from robot_sysid.signals import USUAL_DEADBAND
 
-USUAL_DEADBAND = 0.01
-"""Share of a joint's highest speed below which samples are usually left out."""
 ENOUGH_EACH_WAY = 0.05
 """Share of the samples in each direction below which a joint is reported."""
 STANDSTILL = 1e-6
@@ -116,7 +115,7 @@ class RampUse:
 
         Args:
             deadband: speed below which samples are going to be left out [rad/s]; None stands for
-                1 % of each joint's highest speed.
+                the usual share of each joint's highest speed.
         """
         moving = self._speed >= STANDSTILL
         never = (self.share == 0.0) & moving
