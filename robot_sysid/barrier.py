@@ -113,7 +113,7 @@ def _follow(problem: MatrixProblem, w: Array, target: Callable[[Array], float]) 
 def _not_converged() -> SysidError:
     return SysidError(
         "the physically consistent fit did not converge; check the units of the torques and of "
-        "the model's inertias, or use --consistency off"
+        "the model's inertias, or use --consistency off or a larger --prior-weight"
     )
 
 
