@@ -49,7 +49,9 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("model", metavar="MODEL", type=Path, help="MuJoCo XML (MJCF) or URDF file")
     _add_main(parser.add_argument)
     _add_model(parser.add_argument_group("model").add_argument)
-    _add_excitation(parser.add_argument_group("excitation").add_argument)
+    excitation = parser.add_argument_group("excitation")
+    _add_excitation(excitation.add_argument)
+    _add_trajectory(excitation.add_argument)
     _add_surroundings(parser.add_argument_group("limits of an optimal excitation").add_argument)
     _add_log(parser.add_argument_group("measurements").add_argument)
     _add_plant(parser.add_argument_group("simulated plant").add_argument)
@@ -143,6 +145,9 @@ def _add_excitation(add: Any) -> None:
         help="bring a designed trajectory to rest by a fade, or by its periodic shape "
         "(default: faded)",
     )
+
+
+def _add_trajectory(add: Any) -> None:
     add("--plan-only", action="store_true", help="make, check and write the trajectory, then stop")
     add(
         "--save-trajectory",

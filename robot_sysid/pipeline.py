@@ -6,20 +6,23 @@ import secrets
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from robot_sysid.analysis import Analysis, analyse_itself, analyse_log, analyse_plant
 from robot_sysid.compilation import captured_warnings
 from robot_sysid.config import SysidConfig
-from robot_sysid.damiao.trajectory_csv import DamiaoExportReport
 from robot_sysid.files import require_writable
 from robot_sysid.parser import load_robot_model
 from robot_sysid.planning import PlanReport, make_plan, plan_files, report_plan
 from robot_sysid.progress import Progress, Silent
 from robot_sysid.records import Identification, MotionPlan, RobotModel, Status
 from robot_sysid.results import Command, check_motor_types, write_commands, write_results
+from robot_sysid.self_analysis import Analysis, analyse_itself
 from robot_sysid.simulator import inverse_torque
 from robot_sysid.summary import clamping_lines, detail_lines, folder_text, result_lines
 from robot_sysid.trajectory import motion_chunks
+
+if TYPE_CHECKING:
+    from robot_sysid.damiao.trajectory_csv import DamiaoExportReport
 
 
 @dataclass(frozen=True)
@@ -104,15 +107,26 @@ def _run(config: SysidConfig, progress: Progress) -> Outcome | PlanOutcome:
     require_writable(config.output_dir)
     robot = load(config, progress)
     if config.measurements is not None:
+        from robot_sysid.analysis import analyse_log
+
         analysis = analyse_log(config, robot, progress)
         return _write(config, robot, analysis, no_commands, progress)
     seed = config.seed if config.seed is not None else secrets.randbelow(2**31)
     plan = make_plan(config, robot, seed, progress)
     if config.plan_only:
         return _plan_outcome(config, robot, plan)
-    analyse = analyse_itself if config.plant_model is None else analyse_plant
-    analysis = analyse(config, robot, plan, seed, progress)
+    analysis = _analyse(config, robot, plan, seed, progress)
     return _write(config, robot, analysis, lambda: commands(robot, plan, config), progress)
+
+
+def _analyse(
+    config: SysidConfig, robot: RobotModel, plan: MotionPlan, seed: int, progress: Progress
+) -> Analysis:
+    if config.plant_model is None:
+        return analyse_itself(config, robot, plan, seed, progress)
+    from robot_sysid.analysis import analyse_plant
+
+    return analyse_plant(config, robot, plan, seed, progress)
 
 
 def _plan_outcome(config: SysidConfig, robot: RobotModel, plan: MotionPlan) -> PlanOutcome:

@@ -5,17 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from robot_sysid.compiler_settings import bound_inertia
 from robot_sysid.composite import subtree_bodies
 from robot_sysid.config import SysidConfig
-from robot_sysid.damiao.joints import damiao_joints
-from robot_sysid.damiao.trajectory_csv import DamiaoExportReport, export_damiao_trajectory
+from robot_sysid.documents import read_document
 from robot_sysid.export import params_json_text, updated_model_text
 from robot_sysid.files import WholeFiles, whole_files
-from robot_sysid.records import Array, Identification, Motion, RobotModel
+from robot_sysid.records import Array, Estimate, Identification, Motion, RobotModel
 from robot_sysid.reproduction import require_reproduction
 from robot_sysid.verification import reads_fullinertia_exactly, verify_written_model
 from robot_sysid.write_back import plan_write_back
+
+if TYPE_CHECKING:
+    from robot_sysid.damiao.trajectory_csv import DamiaoExportReport
 
 PARAMS_NAME = "params.json"
 DAMIAO_NAME = "damiao_trajectory.csv"
@@ -47,6 +51,8 @@ def updated_model_name(robot: RobotModel) -> str:
 def check_motor_types(config: SysidConfig, robot: RobotModel) -> None:
     """Raise InputError before any work where the Damiao export could not be done."""
     if config.export_damiao:
+        from robot_sysid.damiao.joints import damiao_joints
+
         ids, replies = config.can_ids or None, config.master_ids or None
         damiao_joints(config.motor_types, robot.n_joints, ids, replies)
 
@@ -111,7 +117,7 @@ def _write_model(
     estimate = identification.estimate
     theta = estimate.inertial.theta
     bodies = subtree_bodies(robot.mj_model, robot.reference_qpos, robot.body_id)
-    plan = plan_write_back(theta, bodies)
+    plan = plan_write_back(theta, bodies, _least_moment(config, estimate))
     text = updated_model_text(
         config.model,
         robot.body_name,
@@ -123,13 +129,24 @@ def _write_model(
     )
     draft = files.write(path, text)
     compiled = verify_written_model(robot.mj_model, draft, robot.body_id, plan)
-    require_reproduction(robot, theta, compiled.mj_model, checkpoints, path)
+    require_reproduction(robot, plan.written(theta), compiled.mj_model, checkpoints, path)
     return (plan.note,) if plan.note else ()
+
+
+def _least_moment(config: SysidConfig, estimate: Estimate) -> float:
+    """Return what the model's compiler raises moments to, where the data cannot tell [kg m^2]."""
+    if estimate.standard_errors is None:
+        return 0.0
+    bound = bound_inertia(read_document(config.model))
+    errors = [estimate.standard_errors[estimate.names.index(n)] for n in ("Ixx", "Iyy", "Izz")]
+    return bound if bound <= min(errors) else 0.0
 
 
 def _write_damiao(
     files: WholeFiles, path: Path, config: SysidConfig, commands: Iterator[Command]
 ) -> DamiaoExportReport:
+    from robot_sysid.damiao.trajectory_csv import export_damiao_trajectory
+
     with open(files.draft(path), "w", encoding="utf-8", newline="\n") as file:
         return export_damiao_trajectory(
             commands,

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robot_sysid.damiao.trajectory_csv import DamiaoExportReport
 from robot_sysid.params_json import friction_entries
 from robot_sysid.records import Estimate, Identification, Status
+
+if TYPE_CHECKING:
+    from robot_sysid.damiao.trajectory_csv import DamiaoExportReport
 
 
 def result_lines(identification: Identification) -> list[str]:

@@ -18,7 +18,10 @@ PACKAGE = Path(__file__).resolve().parents[1] / "robot_sysid"
 
 ROOMS = {
     "command": {"cli", "damiao_cli", "options"},
-    "pipeline": {"pipeline", "analysis", "measured", "friction_choice", "results", "summary"},
+    "pipeline": {
+        *("pipeline", "self_analysis", "analysis", "measured", "friction_choice", "planning"),
+        *("results", "summary"),
+    },
     "settings": {"config"},
     "model": {
         *("parser", "compilation", "composite", "exact_inertia", "terminal", "limits"),

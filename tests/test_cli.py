@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from robot_sysid import __version__
-from robot_sysid.analysis import ITSELF
+from robot_sysid.self_analysis import ITSELF
 from robot_sysid.cli import build_parser, main
 
 EXAMPLE = Path(__file__).parents[1] / "examples/kinova/model/kinova_fullinertia_guess.xml"
