@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import traceback
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 from robot_sysid.errors import SysidError
-from robot_sysid.options import build_parser, config_from
 
 INTERRUPTED = 130
 
@@ -81,6 +81,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in arguments
     _tolerant_output()
+    _one_blas_thread()
     try:
         return _run(arguments)
     except SysidError as error:
@@ -92,7 +93,18 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _report(f"{type(error).__name__}: {error} ({hint})", 1, debug)
 
 
+def _one_blas_thread() -> None:
+    """Keep numpy from starting threads: the matrices are small and threads only wait for another.
+
+    Must come before numpy is imported; whoever has set the variable keeps his value.
+    """
+    for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+
+
 def _run(arguments: list[str]) -> int:
+    from robot_sysid.options import build_parser, config_from
+
     options = build_parser().parse_args(arguments)
     config = config_from(options)
     console = Console(options.quiet, options.verbose)

@@ -11,8 +11,9 @@ from pathlib import Path
 import pytest
 
 from robot_sysid import __version__
+from robot_sysid.cli import main
+from robot_sysid.options import build_parser
 from robot_sysid.self_analysis import ITSELF
-from robot_sysid.cli import build_parser, main
 
 EXAMPLE = Path(__file__).parents[1] / "examples/kinova/model/kinova_fullinertia_guess.xml"
 
