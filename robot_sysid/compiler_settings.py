@@ -29,6 +29,11 @@ def compilers(document: ModelDocument) -> list[Node]:
     return [node for node in (*tops, *inside) if node.tag == "compiler"]
 
 
+def bound_inertia(document: ModelDocument) -> float:
+    """Return the smallest principal moment of inertia the compiler leaves alone [kg m^2]."""
+    return float(setting(document, "boundinertia") or 0.0)
+
+
 def check_settings(document: ModelDocument, body: Node, theta: Array) -> None:
     """Raise ExportError where the compiler would change what is written into ``body``."""
     if float(setting(document, "settotalmass") or 0.0) > 0.0:

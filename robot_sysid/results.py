@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from robot_sysid.compiler_settings import bound_inertia
 from robot_sysid.composite import subtree_bodies
 from robot_sysid.config import SysidConfig
@@ -16,7 +18,7 @@ from robot_sysid.files import WholeFiles, whole_files
 from robot_sysid.records import Array, Estimate, Identification, Motion, RobotModel
 from robot_sysid.reproduction import require_reproduction
 from robot_sysid.verification import reads_fullinertia_exactly, verify_written_model
-from robot_sysid.write_back import plan_write_back
+from robot_sysid.write_back import NO_LEEWAY, Leeway, plan_write_back
 
 if TYPE_CHECKING:
     from robot_sysid.damiao.trajectory_csv import DamiaoExportReport
@@ -117,7 +119,7 @@ def _write_model(
     estimate = identification.estimate
     theta = estimate.inertial.theta
     bodies = subtree_bodies(robot.mj_model, robot.reference_qpos, robot.body_id)
-    plan = plan_write_back(theta, bodies, _least_moment(config, estimate))
+    plan = plan_write_back(theta, bodies, _leeway(config, estimate))
     text = updated_model_text(
         config.model,
         robot.body_name,
@@ -133,13 +135,13 @@ def _write_model(
     return (plan.note,) if plan.note else ()
 
 
-def _least_moment(config: SysidConfig, estimate: Estimate) -> float:
-    """Return what the model's compiler raises moments to, where the data cannot tell [kg m^2]."""
+def _leeway(config: SysidConfig, estimate: Estimate) -> Leeway:
+    """Return how far moments may be raised: within their standard errors."""
     if estimate.standard_errors is None:
-        return 0.0
-    bound = bound_inertia(read_document(config.model))
+        return NO_LEEWAY
     errors = [estimate.standard_errors[estimate.names.index(n)] for n in ("Ixx", "Iyy", "Izz")]
-    return bound if bound <= min(errors) else 0.0
+    finite = [float(error) for error in errors if np.isfinite(error)]
+    return Leeway(bound_inertia(read_document(config.model)), min(finite, default=0.0))
 
 
 def _write_damiao(

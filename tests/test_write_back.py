@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from robot_sysid import spatial
 from robot_sysid.errors import ExportError
 from robot_sysid.records import SubtreeBody
-from robot_sysid.write_back import plan_write_back, possible_body
+from robot_sysid.write_back import Leeway, plan_write_back, possible_body
 from tests.model_files import random_theta
 
 seeds = st.integers(0, 2**32 - 1)
@@ -92,3 +92,39 @@ def test_a_body_on_the_edge_is_moved_inside_by_less_than_anyone_sees(seed, flatn
 )
 def test_what_is_no_body_is_none(theta):
     assert possible_body(theta, 1.0) is None
+
+
+def rod(rng, mass=1.0):
+    """All mass on a line: one moment of inertia is zero."""
+    along = np.diag([0.0, 0.0, 0.01 * mass])
+    inertia = np.trace(along) * np.eye(3) - along
+    return spatial.theta_from_com(mass, rng.normal(size=3), inertia)
+
+
+@given(seed=seeds, bound=st.floats(1e-9, 1e-4))
+def test_moments_below_the_files_bound_are_raised_where_they_are_not_known_better(seed, bound):
+    identified = rod(np.random.default_rng(seed))
+    plan = plan_write_back(identified, [body(1, NOTHING)], Leeway(bound, 2.0 * bound))
+    smallest = np.linalg.eigvalsh(spatial.com_from_theta(plan.theta)[2])[0]
+    np.testing.assert_allclose(smallest, bound, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(plan.written(identified), plan.theta, rtol=0, atol=1e-15)
+    assert plan.note is not None and "less than their standard errors" in plan.note
+
+
+@given(seed=seeds)
+def test_moments_that_are_known_better_are_left_for_the_compiler_check_to_refuse(seed):
+    identified = rod(np.random.default_rng(seed))
+    plan = plan_write_back(identified, [body(1, NOTHING)], Leeway(1e-4, 1e-5))
+    assert plan.note is None
+    np.testing.assert_allclose(plan.theta, identified, rtol=0, atol=1e-11)
+
+
+@given(seed=seeds)
+def test_a_small_body_below_a_rod_is_kept_where_the_moments_allow(seed):
+    """A compiler gives massless frames 1e-6 kg m^2; the rod minus that is impossible by as much."""
+    rng = np.random.default_rng(seed)
+    identified, frame = rod(rng), spatial.theta_from_com(1e-6, np.zeros(3), 1e-6 * np.eye(3))
+    plan = plan_write_back(identified, [body(1, NOTHING), body(2, frame)], Leeway(0.0, 1e-3))
+    assert plan.folded == () and spatial.is_consistent(plan.theta)
+    np.testing.assert_allclose(plan.theta + frame, plan.written(identified), rtol=0, atol=1e-14)
+    assert 1e-7 < plan.raised < 1e-3
