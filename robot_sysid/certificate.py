@@ -20,6 +20,8 @@ from robot_sysid.records import Array, Motion, MotionPlan
 from robot_sysid.trajectory import motion_chunks
 
 LEAST_RATE_HZ = 1000.0
+CLEARANCE_RESOLUTION = 1e-3
+"""How exactly the reported clearance is that of the tightest moment [m]."""
 FINEST_RATE_HZ = 4000.0
 """How densely clearance is tested where it is tight."""
 
@@ -49,7 +51,7 @@ class Certificate:
     Attributes:
         lowest, highest: (n,) positions [rad].
         velocity, acceleration, torque: (n,) largest absolute values.
-        closest: the tightest distance.
+        closest: the tightest distance, to a millimetre.
         closest_time: when [s].
         excesses: limits that are not kept; none for a trajectory that may be run.
         binding: limits used to 98 % or more, in words.
@@ -91,7 +93,7 @@ def certify(problem: ExcitationProblem, plan: MotionPlan, sample_rate: float = 0
         sample_rate: at which it will be run [Hz]; at least 1 kHz is checked.
     """
     peaks = _joint_peaks(problem, plan, max(LEAST_RATE_HZ, sample_rate))
-    closest, when, tests = _tightest(problem, plan, stop_below=-np.inf)
+    closest, when, tests = _tightest(problem, plan, CLEARANCE_RESOLUTION)
     excesses = [*_joint_excesses(problem, peaks)]
     if closest.slack < 0.0:
         excesses.append(Excess(f"clearance of {closest.label}", _clearance_share(closest), when))
@@ -118,7 +120,7 @@ def joint_share(problem: ExcitationProblem, plan: MotionPlan) -> tuple[float, Ar
 
 def first_contact(problem: ExcitationProblem, plan: MotionPlan) -> float | None:
     """Return the first time at which a clearance is not kept [s], or None."""
-    closest, when, _ = _tightest(problem, plan, stop_below=0.0)
+    closest, when, _ = _tightest(problem, plan, np.inf, stop_below=0.0)
     return when if closest.slack < 0.0 else None
 
 
@@ -177,9 +179,13 @@ def _clearance_share(closest: Closest) -> float:
 
 
 def _tightest(
-    problem: ExcitationProblem, plan: MotionPlan, stop_below: float
+    problem: ExcitationProblem, plan: MotionPlan, resolution: float, stop_below: float = -np.inf
 ) -> tuple[Closest, float, int]:
-    """Return the tightest configuration, its time [s], and the number of tests it took."""
+    """Return the tightest configuration, its time [s], and the number of tests it took.
+
+    Nowhere is the slack negative without being found, nor smaller than that of the configuration
+    returned by more than the resolution [m]. An end at ``stop_below`` saves the rest of the tests.
+    """
     obstacles = problem.obstacles
     best, when, at_q, tests = np.inf, 0.0, plan.evaluate(np.zeros(1)).q[0], 0
     budget = np.full(len(obstacles.rates), -np.inf)
@@ -191,7 +197,9 @@ def _tightest(
             tests += 1
             if here.value[0] < best:
                 best, when, at_q = float(here.value[0]), float(motion.time[at]), motion.q[at]
-            budget = path[at] + np.maximum(0.0, here.budget[0])
+            # What can neither be negative nor lower than the lowest need not be looked at.
+            floor = best - resolution if best < 0.0 else max(0.0, best - resolution)
+            budget = path[at] + np.maximum(0.0, here.budget[0] - floor)
             at = max(at + 1, _used_up(path, budget))
         budget = budget - path[-1]
     return obstacles.closest(at_q), when, tests

@@ -22,6 +22,7 @@ from robot_sysid.design_problem import Closest, Slack
 from robot_sysid.halfspaces import GeomShape, HalfSpace, geom_shapes
 from robot_sysid.reach import ApproachBounds
 from robot_sysid.records import Array, RobotModel
+from robot_sysid.screws import cross
 from robot_sysid.terminal import body_label
 
 HORIZON = 0.1
@@ -90,12 +91,13 @@ class Clearance:
     def slack(self, q: Array) -> Slack:
         """Return the slack at positions q (N, n)."""
         nearest = [self._nearest_at(position) for position in q]
-        axes = np.array([near.axes for near in nearest])
-        anchors = np.array([near.anchors for near in nearest])
-        normal = np.array([near.normal for near in nearest])[:, None, :]
-        point = np.array([near.point for near in nearest])[:, None, :]
-        lever = np.where(self._robot.is_slide[:, None], normal, np.cross(point - anchors, normal))
-        rates = np.einsum("knd,knd->kn", axes, lever)
+        # Component first, (3, N, n): a cross product by hand costs a tenth of numpy's.
+        axes = np.array([near.axes for near in nearest]).transpose(2, 0, 1)
+        anchors = np.array([near.anchors for near in nearest]).transpose(2, 0, 1)
+        normal = np.array([near.normal for near in nearest]).T[:, :, None]
+        point = np.array([near.point for near in nearest]).T[:, :, None]
+        lever = np.where(self._robot.is_slide, normal, cross(point - anchors, normal))
+        rates = np.sum(axes * lever, axis=0)
         # A joint changes the distance only if it moves one body and not the other.
         part = self._bounds.part[[near.bodies for near in nearest]]
         joint = np.arange(q.shape[1])

@@ -126,7 +126,6 @@ class ExcitationProblem:
         obstacles: what must not be touched.
         rows: chain joints whose torque will be used.
         sigma: (len(rows),) standard deviation of their noise [N m].
-        is_slide: (n,) whether a joint slides.
         notes: what the reader should know about these limits.
     """
 
@@ -139,7 +138,6 @@ class ExcitationProblem:
     obstacles: Obstacles
     rows: tuple[int, ...]
     sigma: Array
-    is_slide: Array
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

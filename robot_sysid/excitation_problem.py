@@ -67,7 +67,6 @@ def build_problem(robot: RobotModel, options: ExcitationOptions) -> ExcitationPr
         obstacles=obstacles,
         rows=rows,
         sigma=sigma,
-        is_slide=robot.is_slide,
         notes=notes + more,
     )
 
