@@ -13,7 +13,11 @@ from robot_sysid.config import SysidConfig
 from robot_sysid.progress import Progress
 from robot_sysid.records import MotionPlan, RobotModel
 from robot_sysid.simulator import inverse_torque
-from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
+from robot_sysid.trajectory import (
+    generate_excitation_trajectory,
+    motion_chunks,
+    sample_count,
+)
 
 if TYPE_CHECKING:
     from robot_sysid.certificate import Certificate
