@@ -77,7 +77,9 @@ def _loaded(path: Path, robot: RobotModel) -> MotionPlan:
 
 def _random(config: SysidConfig, robot: RobotModel, seed: int, progress: Progress) -> MotionPlan:
     rng = np.random.default_rng(seed)
-    plan, notes = generate_excitation_trajectory(robot, rng, config.duration, inverse_torque(robot))
+    # Ends on a sample, so that the last one is at rest.
+    duration = (sample_count(config.duration, config.sample_rate) - 1) / config.sample_rate
+    plan, notes = generate_excitation_trajectory(robot, rng, duration, inverse_torque(robot))
     for note in notes:
         progress.note(note)
     return plan
