@@ -66,7 +66,7 @@ class InformationAccumulator:
 def update_triangle(triangle: Array, rows: Array) -> Array:
     """Return the (k, k) triangle of all rows so far and the new ones (N, k)."""
     stacked = np.vstack((triangle, rows))
-    return np.linalg.qr(stacked, mode="r")
+    return np.asarray(np.linalg.qr(stacked, mode="r"), dtype=np.float64)
 
 
 def combined(parts: Sequence[SquareRootInformation]) -> SquareRootInformation:

@@ -55,7 +55,7 @@ def test_the_acceleration_under_the_torque_of_a_motion_is_that_of_the_motion(xml
 def test_actuators_and_contacts_of_the_model_do_not_act():
     plain = arms.serial_arm((arms.Z, arms.Y, arms.X))
     ball = '<geom type="sphere" size=".3" mass="0"/><joint name="joint'
-    servo = '<actuator><position joint="joint1" kp="500" ctrlrange="-1 1"/></actuator></mujoco>'
+    servo = '<actuator><position joint="joint2" kp="500" ctrlrange="-1 1"/></actuator></mujoco>'
     busy = plain.replace('<joint name="joint', ball).replace("</mujoco>", servo)
     found = []
     for xml in (plain, busy):

@@ -56,7 +56,7 @@ class InertialParameters:
     @property
     def principal_moments(self) -> Array:
         """Principal moments about the centre of mass (3,), ascending [kg m^2]."""
-        return np.linalg.eigvalsh(self.inertia_com)
+        return np.asarray(np.linalg.eigvalsh(self.inertia_com), dtype=np.float64)
 
     @property
     def is_consistent(self) -> bool:
