@@ -20,6 +20,7 @@ import numpy as np
 
 from robot_sysid.design_problem import Closest, Slack
 from robot_sysid.halfspaces import GeomShape, HalfSpace, geom_shapes
+from robot_sysid.pair_filter import drop_pairs
 from robot_sysid.reach import ApproachBounds
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.screws import cross
@@ -77,11 +78,12 @@ class Clearance:
         self._learn_pairs(robot.reference, rest)
         self._close_at_rest = self._name_close_pairs(clearance)
         self._settle_neighbours(rest)
+        drop_pairs(self._model, self._bounds.part, np.isneginf(self._required))
         self._place(rest)
         self._planes = [
             (space, shape, _required_at(self._height(space, shape), space.clearance))
             for space in self._half_spaces
-            for shape in geom_shapes(self._model, space.bodies)
+            for shape in geom_shapes(robot.mj_model, space.bodies)
         ]
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -11,7 +11,7 @@ from robot_sysid.design_objective import Design
 from robot_sysid.motion_constraints import LIMIT_NAMES, ROUNDING, MotionConstraints
 from robot_sysid.records import Array
 
-SHRINK = (1.0, 0.8, 0.6, 0.4, 0.2, 0.1, 0.04, 0.01)
+SHRINK = (1.0, 0.8, 0.6, 0.4, 0.2, 0.1, 0.04, 0.01, 0.003, 0.001)
 """Factors tried until a drawn motion obeys torque limits and touches nothing."""
 
 
