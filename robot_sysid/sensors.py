@@ -55,7 +55,7 @@ class SensorOptions:
                 f"(got {self.torque_delay:g})"
             )
         if self.noise_velocity is not None:
-            _require_not_negative(self.noise_velocity, "--noise-velocity")
+            _require_not_negative(self.noise_velocity, "noise_velocity")
 
     @property
     def exact_positions(self) -> bool:

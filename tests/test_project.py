@@ -14,6 +14,7 @@ import pytest
 
 import robot_sysid
 from robot_sysid.cli import main
+from robot_sysid.damiao.options import build_parser as build_damiao_parser
 from robot_sysid.options import build_parser
 from robot_sysid.regressor import derive_regressor
 
@@ -34,6 +35,15 @@ KINOVA_OUTPUT = re.compile(r"<!-- kinova output -->\n```text\n(.*?)```", re.DOTA
 def options() -> dict[str, argparse.Action]:
     """Return every option string of the command line with its action."""
     return {name: a for a in build_parser()._actions for name in a.option_strings}
+
+
+def damiao_options() -> set[str]:
+    """Return every option string of robot-sysid-damiao and its subcommands."""
+    parsers = [build_damiao_parser(robot_sysid.__version__)]
+    for action in parsers[0]._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            parsers += action.choices.values()
+    return {name for parser in parsers for a in parser._actions for name in a.option_strings}
 
 
 def readme_options() -> dict[str, str]:
@@ -184,3 +194,13 @@ def test_a_run_starts_without_scipy_and_matplotlib(tmp_path):
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True)
     assert (done.returncode, done.stderr) == (0, b"")
+
+
+def test_every_option_that_the_package_speaks_of_exists():
+    """Messages, notes and docstrings must not send a user to an option that is not there."""
+    known = set(options()) | damiao_options() | {"--hypothesis-seed"}
+    spoken = {}
+    for path in (ROOT / "robot_sysid").rglob("*.py"):
+        for name in re.findall(r"(?<![\w-])--[a-z][a-z-]*[a-z]", path.read_text(encoding="utf-8")):
+            spoken.setdefault(name, path.name)
+    assert {name: where for name, where in spoken.items() if name not in known} == {}
