@@ -147,7 +147,7 @@ def test_a_delay_of_whole_samples_is_exact(periods):
         ({"encoder_resolution": -1e-4}, "--encoder-resolution"),
         ({"torque_delay": -0.001}, "--torque-delay"),
         ({"torque_delay": 5.0}, "--torque-delay"),
-        ({"noise_velocity": -1.0}, "--noise-velocity"),
+        ({"noise_velocity": -1.0}, "noise_velocity"),
     ],
 )
 def test_impossible_sensors_are_refused_by_the_option_name(spoil, option):
