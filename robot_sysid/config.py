@@ -94,7 +94,7 @@ class SysidConfig:
     estimate_delay: bool = False
     estimate_tilt: bool = False
     method: str | None = None
-    estimator: EstimatorOptions = field(default_factory=EstimatorOptions)
+    estimator: EstimatorOptions = field(default_factory=lambda: EstimatorOptions("auto"))
     validate: float = 0.2
     validation_measurements: Path | None = None
 

@@ -122,7 +122,7 @@ def _eliminate_nuisances(matrix: Array, right: Array, prior: Array) -> _Reduced:
     scale, dead = column_scale(matrix)
     clean = np.where(dead, 0.0, matrix)
     deviation = right - clean @ prior
-    inertial, nuisance = clean[:, :N_INERTIAL], visible_space(clean[:, N_INERTIAL:])
+    inertial, nuisance = clean[:, :N_INERTIAL], visible_space(clean[:, N_INERTIAL:], inertial=False)
     onto = nuisance.left
     seen = inertial - onto @ (onto.T @ inertial)
     space = visible_space(seen, scale[:N_INERTIAL])

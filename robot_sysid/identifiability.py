@@ -1,7 +1,11 @@
 """What the equations can see: rank, condition numbers, and the invisible directions in words.
 
-Columns are scaled to unit length first, so that units do not decide about rank. A column that is
-nothing but rounding noise is set to zero instead of being blown up by that scaling.
+Columns are scaled first, so that units do not decide about rank: one scale for the mass, one for
+the three first moments, one for the six inertias, one for each further parameter. Parameters of
+one unit share a scale, because a column that is weak beside its sisters is weakly seen: an axis
+that is off by a hair shows the first moment along it at a millionth of the others, and scaling
+that up would turn rounding into an estimate. A column that is nothing but rounding noise is set to
+zero.
 """
 
 from __future__ import annotations
@@ -17,6 +21,7 @@ RELATIVE_CUT = 1e-10
 """Singular values (and column lengths) below this share of the largest count as zero."""
 _COMPONENT_TOLERANCE = 1e-6
 N_INERTIAL = 10
+_SAME_UNIT = (slice(1, 4), slice(4, 10))
 
 
 @dataclass(frozen=True)
@@ -65,17 +70,18 @@ class VisibleSpace:
         return self.scale[:, None] * self.right / self.singular
 
 
-def visible_space(matrix: Array, scale: Array | None = None) -> VisibleSpace:
+def visible_space(matrix: Array, scale: Array | None = None, inertial: bool = True) -> VisibleSpace:
     """Decompose a stacked regressor (M, p) into what it can and cannot see.
 
     Args:
         matrix: (M, p) regressor.
-        scale: (p,) column scaling to use instead of one to unit length, where the matrix is what
+        scale: (p,) column scaling to use instead of ``column_scale``, where the matrix is what
             remains of another one whose scaling decides what is small; the cut is absolute then.
+        inertial: whether the first ten columns are those of the inertial parameters.
     """
     reference = None if scale is None else 1.0
     if scale is None:
-        scale, dead = column_scale(matrix)
+        scale, dead = column_scale(matrix, inertial)
     else:
         dead = np.linalg.norm(matrix * scale, axis=0) <= RELATIVE_CUT
     scaled = np.where(dead, 0.0, matrix * scale)
@@ -86,11 +92,29 @@ def visible_space(matrix: Array, scale: Array | None = None) -> VisibleSpace:
     return VisibleSpace(scale, left, singular[:rank], right[:rank].T, right[rank:].T, dead)
 
 
-def column_scale(matrix: Array) -> tuple[Array, np.ndarray]:
-    """Return (scale (p,), dead (p,)): 1 / column length, and which columns are rounding noise."""
+def column_scale(matrix: Array, inertial: bool = True) -> tuple[Array, np.ndarray]:
+    """Return (scale (p,), dead (p,)): 1 / length of the columns, and which are rounding noise.
+
+    Args:
+        matrix: (M, p) regressor.
+        inertial: whether the first ten columns are those of the inertial parameters; those of one
+            unit then share the scale of the longest.
+    """
     length = np.linalg.norm(matrix, axis=0)
     dead = length <= RELATIVE_CUT * np.max(length, initial=0.0)
+    for group in _SAME_UNIT if inertial else ():
+        length[group] = np.max(length[group], initial=0.0)
     return 1.0 / np.where(dead, 1.0, length), dead
+
+
+def scaled_condition(matrix: Array, space: VisibleSpace) -> float:
+    """Return the condition number of the visible part with columns of unit length."""
+    if not space.rank:
+        return float("inf")
+    length = np.linalg.norm(matrix, axis=0)
+    unit = np.where(space.dead, 0.0, matrix / np.where(space.dead, 1.0, length))
+    singular = np.linalg.svd(unit, compute_uv=False)
+    return float(singular[0] / singular[space.rank - 1])
 
 
 def analyse_identifiability(
@@ -115,7 +139,7 @@ def analyse_identifiability(
         rank=space.rank - _nuisance_rank(matrix, space, interest),
         n_parameters=int(np.count_nonzero(interest)),
         condition_number=condition,
-        scaled_condition_number=space.condition_number,
+        scaled_condition_number=scaled_condition(matrix, space),
         identified=space.identified,
         blind=blind_words.describe(space.null, space.scale, information.names),
     )

@@ -141,7 +141,6 @@ def test_last_joint_alone_sees_nine_and_keeps_the_models_mass(theta, seed):
     assert np.all(estimate.error(truth)[estimate.identified] < 1e-8)
 
 
-@pytest.mark.xfail(strict=True, reason="weak columns are scaled up until their noise counts")
 def test_an_axis_that_is_off_by_a_hair_changes_the_estimate_by_a_hair():
     """Frames exported from CAD are straight to six digits only."""
     axes = (*arms.SEVEN_AXES[:-1], "1e-6 2e-6 1")
