@@ -11,7 +11,11 @@ from robot_sysid import blind_words, spatial
 from robot_sysid.certificate import Certificate, certify
 from robot_sysid.design_objective import visible_coordinates
 from robot_sysid.design_problem import ExcitationProblem
-from robot_sysid.predicted_information import PredictedInformation, RowSettings
+from robot_sysid.predicted_information import (
+    InformationTape,
+    PredictedInformation,
+    RowSettings,
+)
 from robot_sysid.records import Array, MotionPlan
 from robot_sysid.trajectory import motion_chunks
 
@@ -20,6 +24,7 @@ PREDICTION_RATE_HZ = 100.0
 LOOSE_SHARE = 0.2
 """A predicted standard deviation above this share of the parameter's size is called loose."""
 _INVISIBLE = 1e-10
+"""Share of the whole signal below which a direction counts as blind."""
 _DIAGONAL = {4: (0, 0), 7: (1, 1), 9: (2, 2)}
 _OFF_DIAGONAL = {5: (4, 7), 6: (4, 9), 8: (7, 9)}
 
@@ -81,8 +86,7 @@ def predict(problem: ExcitationProblem, plan: MotionPlan, sample_rate: float) ->
         sample_rate: at which torque will be measured, with independent noise in each sample [Hz].
     """
     n_samples = max(1, int(np.floor(plan.duration * sample_rate)) + 1)
-    information = _information(problem, plan, n_samples)
-    covariance, unseen_space, condition = _inverted(problem, information)
+    covariance, unseen_space, condition = _inverted(problem, _tape(problem, plan, n_samples))
     possible = visible_coordinates(problem) / problem.scale[:, None]
     limits = problem.limits
     return Prediction(
@@ -112,7 +116,7 @@ def parameter_sizes(problem: ExcitationProblem) -> Array:
     return size
 
 
-def _information(problem: ExcitationProblem, plan: MotionPlan, n_samples: int) -> Array:
+def _tape(problem: ExcitationProblem, plan: MotionPlan, n_samples: int) -> InformationTape:
     """Return the information (10, 10) about theta in units of ``problem.scale``."""
     chunks = list(motion_chunks(plan, PREDICTION_RATE_HZ))
     q, qd, qdd = (np.vstack([getattr(c, name) for c in chunks]) for name in ("q", "qd", "qdd"))
@@ -122,19 +126,19 @@ def _information(problem: ExcitationProblem, plan: MotionPlan, n_samples: int) -
         smoothing=np.zeros(problem.n_joints),
         coordinates=np.diag(problem.scale),
     )
-    return PredictedInformation(problem.chain, settings).evaluate(q, qd, qdd).information
+    return PredictedInformation(problem.chain, settings).evaluate(q, qd, qdd)
 
 
 def _inverted(
-    problem: ExcitationProblem, information: Array
+    problem: ExcitationProblem, tape: InformationTape
 ) -> tuple[Array, Array, tuple[float, float]]:
     """Return covariance of theta, blind directions (scaled), and both condition numbers.
 
     A parameter that a blind direction contains has infinite variance.
     """
-    scale = problem.scale
+    scale, information = problem.scale, tape.information
     values, vectors = np.linalg.eigh(information)
-    seen = values > _INVISIBLE * max(values[-1], 0.0)
+    seen = values > _INVISIBLE * tape.signal
     blind = vectors[:, ~seen]
     root = vectors[:, seen] / np.sqrt(values[seen])
     covariance = np.outer(scale, scale) * (root @ root.T)

@@ -101,6 +101,11 @@ class InformationTape:
     residual: Array
     information: Array
 
+    @property
+    def signal(self) -> float:
+        """Sum of the squared rows before elimination: what counts as large."""
+        return float(np.sum((self.residual + self.friction @ self.gain) ** 2))
+
     def pull_back(self, information_bar: Array) -> tuple[Array, Array, Array]:
         """Return the gradient (N, n) with respect to q, qd, qdd: reverse mode.
 
