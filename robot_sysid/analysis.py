@@ -41,12 +41,12 @@ def analyse_plant(
     count = math.ceil(sample_count(plan.duration, config.sample_rate) / CHUNK)
     chunks = progress.track(iter(simulation), "Collecting measurements", count)
     measurement = join_measurements(chunks)
+    config, ramp = _past_the_ramp(config, simulation)
     if config.save_measurements is not None:
-        write_measurement_csv(config.save_measurements, robot.joint_names, [measurement])
-    config = _past_the_ramp(config, simulation)
+        write_measurement_csv(config.save_measurements, robot.joint_names, [measurement], ramp)
     deadband = config.signals.velocity_deadband
     advice = simulation.notes(config.signals.least_deadband if deadband is None else deadband)
-    notes = plant.notes + advice
+    notes = plant.notes + advice + ramp
     source = f"simulated plant {config.plant_model}, {config.simulation}"
     analysis = _analyse(config, robot, measurement, source, notes, progress)
     return replace(analysis, identification=replace(analysis.identification, seed=seed))
@@ -79,9 +79,11 @@ def _analyse(
     progress: Progress,
 ) -> Analysis:
     """Identify from a whole log, wherever it came from."""
+    for note in notes:
+        progress.note(note)
     options = measured_options(config)
     fit = identify_measured(robot, measurement, options, progress)
-    validation = _validations(config, robot, options, fit)
+    validation = _validations(config, robot, options, fit, progress)
     duration = float(measurement.time[-1] - measurement.time[0])
     rate = (len(measurement) - 1) / duration
     found = describe(config, robot, fit.estimate, duration, rate)
@@ -95,10 +97,11 @@ def _analyse(
         tilt=tilted if config.estimate_tilt else None,
         gravity=fit.alignment.gravity if config.estimate_tilt else None,
         cutoff=fit.cutoff,
+        sensitivity=fit.sensitivity,
         notes=robot.notes + notes + fit.notes,
     )
     found = replace(found, limitations=limitations(found))
-    for note in notes + fit.notes:
+    for note in fit.notes:
         progress.note(note)
     return Analysis(found, fit.checkpoints)
 
@@ -119,7 +122,11 @@ def measured_options(config: SysidConfig) -> MeasuredOptions:
 
 
 def _validations(
-    config: SysidConfig, robot: RobotModel, options: MeasuredOptions, fit: MeasuredFit
+    config: SysidConfig,
+    robot: RobotModel,
+    options: MeasuredOptions,
+    fit: MeasuredFit,
+    progress: Progress,
 ) -> tuple[Validation, ...]:
     own = () if fit.validation is None else (fit.validation,)
     if config.validation_measurements is None:
@@ -132,11 +139,27 @@ def _validations(
         config.units,
         robot.is_slide.tolist(),
     )
+    for note in log.notes:
+        progress.note(f"validation log: {note}")
     name = str(config.validation_measurements)
     return (*own, validate_on(robot, log.load(), options, fit, name))
 
 
-def _past_the_ramp(config: SysidConfig, simulation: PlantSimulation) -> SysidConfig:
-    """Leave out what MuJoCo's dry friction, a ramp near standstill, would falsify."""
-    signals = replace(config.signals, least_deadband=simulation.least_deadband())
-    return replace(config, signals=signals)
+def _past_the_ramp(
+    config: SysidConfig, simulation: PlantSimulation
+) -> tuple[SysidConfig, tuple[str, ...]]:
+    """Leave out what MuJoCo's dry friction, a ramp near standstill, would falsify.
+
+    Returns:
+        (the configuration with it, a sentence on it where it does anything).
+    """
+    # A little above the ramp, so that three digits say all.
+    speeds = tuple(float(f"{1.005 * speed:.3g}") for speed in simulation.least_deadband())
+    if not any(speeds) or config.signals.velocity_deadband is not None:
+        return config, ()
+    listed = ",".join(f"{speed:g}" for speed in speeds)
+    note = (
+        "MuJoCo's dry friction builds up over a range of speeds; moments in which a joint is still "
+        f"in that range are left out. With the saved log --velocity-deadband {listed} does the same"
+    )
+    return replace(config, signals=replace(config.signals, least_deadband=speeds)), (note,)

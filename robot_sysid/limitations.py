@@ -6,7 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from robot_sysid.friction import friction_model
 from robot_sysid.records import Estimate, Identification
+from robot_sysid.sensitivity import OTHER_LINKS, TORQUE_SCALE
 from robot_sysid.spatial import PARAMETER_NAMES, characteristic_length, parameter_scale
 
 WEAK = 0.1
@@ -16,6 +18,10 @@ COLOURED = 0.3
 WORSE = 1.5
 """Held-out error over fitted error above which the model, not noise, is the limit."""
 PRIOR_SHARE = 0.5
+"""Share of the data in a value below which the model has more say."""
+SURE = 3.0
+"""Standard errors from zero beyond which a sign is sure."""
+_VISIBLE = 1e-4
 
 
 def limitations(found: Identification) -> tuple[str, ...]:
@@ -25,7 +31,9 @@ def limitations(found: Identification) -> tuple[str, ...]:
         *_blind(estimate),
         *_weak(estimate),
         *_prior(estimate),
-        *_coloured(estimate, found.sample_rate),
+        *_hidden(found),
+        *_negative_friction(found),
+        *_coloured(estimate),
         *_generalises(found),
         *_constrained(estimate),
     )
@@ -56,13 +64,57 @@ def _weak(estimate: Estimate) -> Iterator[str]:
 def _prior(estimate: Estimate) -> Iterator[str]:
     if estimate.data_share is None:
         return
-    share = estimate.data_share[:10]
-    names = [n for n, s in zip(PARAMETER_NAMES, share) if 0.0 < s < PRIOR_SHARE]
+    rows = zip(PARAMETER_NAMES, estimate.data_share, estimate.identifiability.identified)
+    names = [name for name, share, seen in rows if seen and share < PRIOR_SHARE]
     if names:
         yield f"more model than data in {', '.join(names)}: the prior outweighs the torques there"
 
 
-def _coloured(estimate: Estimate, rate: float) -> Iterator[str]:
+def _hidden(found: Identification) -> Iterator[str]:
+    """Tell what errors do that the residuals cannot show."""
+    causes = (
+        (OTHER_LINKS, "if the other links take 1 % more torque than the model says"),
+        (TORQUE_SCALE, "if each joint's torque scale is off by 1 %"),
+    )
+    moves = [f"{words}, {move}" for cause, words in causes for move in _moves(found, cause)]
+    if moves:
+        yield f"errors that residuals do not show: {'; '.join(moves)}"
+
+
+def _moves(found: Identification, cause: str) -> Iterator[str]:
+    """Yield what 1 % of a cause does, where it does anything."""
+    change, link = found.sensitivity.get(cause, {}), found.estimate.inertial
+    if not change or abs(change["m"]) <= _VISIBLE * link.mass:
+        return
+    mass = abs(change["m"])
+    text = f"the mass moves by {mass:.2g} kg"
+    if mass < 0.5 * link.mass:
+        com = np.array([change["hx"], change["hy"], change["hz"]]) - change["m"] * link.com
+        text += f" ({100.0 * mass / link.mass:.2g} %) and the centre of mass by "
+        text += f"{1e3 * np.linalg.norm(com) / link.mass:.2g} mm"
+    yield text
+
+
+def _negative_friction(found: Identification) -> Iterator[str]:
+    """Name joints that would drive themselves, more clearly than noise explains."""
+    if found.friction_model is None:
+        return
+    model, estimate = friction_model(found.friction_model), found.estimate
+    bounded = [term for term, bound in zip(model.terms, model.non_negative) if bound]
+    clear = []
+    for joint in found.joint_names:
+        for term in bounded:
+            value, error = (f(f"{term}[{joint}]") for f in (estimate.value, estimate.error))
+            if value is not None and error is not None and value < -SURE * error:
+                clear.append(f"{term} {value:.2g} of {joint}")
+    if clear:
+        yield (
+            f"friction that drives instead of brakes ({', '.join(clear)}): check the sign and the "
+            "scale of these torques, or let --friction-model auto choose other terms"
+        )
+
+
+def _coloured(estimate: Estimate) -> Iterator[str]:
     """Tell when residuals are correlated in time: then more samples do not help."""
     slow = [name for name, share in estimate.independent_share.items() if share < COLOURED]
     if slow:

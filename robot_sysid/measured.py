@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +15,7 @@ from robot_sysid.log_checks import sign_check
 from robot_sysid.progress import Progress
 from robot_sysid.records import Array, Estimate, Measurement, Motion, RobotModel
 from robot_sysid.samples import SharedColumns, ThinnedSamples, thin_equations
+from robot_sysid.sensitivity import sensitivity
 from robot_sysid.signals import (
     ProcessedSignals,
     SignalOptions,
@@ -98,6 +100,7 @@ class MeasuredFit:
         alignment: delay and gravity that were found (or assumed).
         validation: prediction error on the part that was not fitted, if any.
         cutoff: of the low-pass [Hz].
+        sensitivity: how hidden errors would move the estimate, see ``sensitivity``.
         checkpoints: some of the log's motion.
         notes: one sentence each.
     """
@@ -107,6 +110,7 @@ class MeasuredFit:
     alignment: Alignment
     validation: Validation | None
     cutoff: float
+    sensitivity: Mapping[str, Mapping[str, float]]
     checkpoints: Motion
     notes: tuple[str, ...]
 
@@ -143,6 +147,7 @@ def identify_measured(
         alignment,
         validation,
         signals.cutoff,
+        hidden_errors(_marked(samples, fitted), estimate),
         _checkpoints(signals),
         tuple(notes),
     )
@@ -169,6 +174,15 @@ def validate_samples(samples: ThinnedSamples, estimate: Estimate, source: str) -
     """Return the prediction error on samples whose parameters the estimate contains."""
     values = np.array([estimate.value(name) or 0.0 for name in samples.names])
     return validate(samples.information(), values, source, list(samples.squared_torque()))
+
+
+def hidden_errors(samples: ThinnedSamples, estimate: Estimate) -> Mapping[str, Mapping[str, float]]:
+    """Return how errors of the other links and of torque scales would move an estimate."""
+    used = samples.used()
+    noise = estimate.noise_per_joint
+    weights = np.array([1.0 / noise.get(joint, np.inf) for joint in used.joints])
+    rest = [measured - tau for measured, tau in zip(used.measured, used.tau)]
+    return sensitivity(used.information(), weights, used.rows, rest, used.measured)
 
 
 def _parts(signals: ProcessedSignals, options: MeasuredOptions) -> tuple[slice, slice]:

@@ -165,6 +165,7 @@ def _uncertainty(identification: Identification) -> dict[str, Any]:
         "noise_per_joint": dict(estimate.noise_per_joint),
         "samples_per_joint": dict(estimate.samples),
         "effective_samples_per_joint": dict(estimate.effective_samples),
+        "sensitivity": dict(identification.sensitivity),
         "limitations": identification.limitations,
     }
 

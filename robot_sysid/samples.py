@@ -70,6 +70,16 @@ class ThinnedSamples:
         ]
         return replace(self, tau=tuple(right))
 
+    def used(self) -> ThinnedSamples:
+        """Return the samples in use alone; joints may then have different numbers of them."""
+        kept = [np.isfinite(tau) for tau in self.tau]
+        return replace(
+            self,
+            rows=tuple(rows[keep] for rows, keep in zip(self.rows, kept)),
+            tau=tuple(tau[keep] for tau, keep in zip(self.tau, kept)),
+            measured=tuple(measured[keep] for measured, keep in zip(self.measured, kept)),
+        )
+
     def squared_torque(self) -> Array:
         """Return (joints,) sum of squares of the measured torque where it is used [N^2 m^2]."""
         pairs = zip(self.tau, self.measured)

@@ -75,7 +75,7 @@ def identify_parameters(
         covariance=errors.covariance,
         standard_errors=errors.standard_errors,
         data_share=errors.data_share,
-        noise_per_joint=dict(zip(joints, map(float, equations.noise))),
+        noise_per_joint=_noise(information, equations),
         samples={joint.joint: joint.n_samples for joint in information.joints},
         effective_samples=dict(zip(joints, effective)),
         constrained=constrained,
@@ -152,6 +152,11 @@ def _errors(
     root = inverse_root(information, weights, curvature)
     residuals = collect_residuals(information, samples, values, equations.clip, root, weights)
     return coloured_uncertainty(information, weights, residuals, curvature)
+
+
+def _noise(information: SquareRootInformation, equations: WeightedEquations) -> dict[str, float]:
+    pairs = zip(information.joints, equations.noise)
+    return {joint.joint: float(noise) for joint, noise in pairs if joint.n_samples}
 
 
 def _indices(names: tuple[str, ...], chosen: tuple[str, ...]) -> list[int]:

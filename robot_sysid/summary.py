@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from robot_sysid.measured import DELAY_NAME
 from robot_sysid.params_json import friction_entries
 from robot_sysid.records import Estimate, Identification, Status
+from robot_sysid.tilt import TILT_NAMES
 
 if TYPE_CHECKING:
     from robot_sysid.damiao.trajectory_csv import DamiaoExportReport
@@ -30,7 +32,7 @@ def result_lines(identification: Identification) -> list[str]:
         f"  RMSE: {estimate.rmse:.4f} N·m",
         f"  Condition number: {estimate.identifiability.condition_number:.1f}",
         f"  Base parameters: {estimate.identifiability.rank}",
-        *_blind_lines(estimate),
+        *_blind_lines(identification),
         *_measured_lines(identification),
     ]
 
@@ -57,28 +59,42 @@ def _error_lines(estimate: Estimate) -> list[str]:
     rows = zip(estimate.names[:10], estimate.values, errors, relative, share)
     return [
         "Standard errors (and share of the data in each value):",
-        *(
-            f"  {name}: {value:.4g} ± {error:.2g} ({_percent(part)}; data {100.0 * data:.0f} %)"
-            for name, value, error, part, data in rows
-        ),
+        *(f"  {name}: {_with_error(*figures)}" for name, *figures in rows),
     ]
 
 
+def _with_error(value: float, error: float, relative: float, data: float) -> str:
+    if not np.isfinite(error):
+        return f"{value:.4g}, at least partly from the model (data {100.0 * data:.0f} %)"
+    return f"{value:.4g} ± {error:.2g} ({_percent(relative)}; data {100.0 * data:.0f} %)"
+
+
 def _percent(share: float) -> str:
-    return f"{100.0 * share:.2g} %" if np.isfinite(share) else "not known"
+    """Return a share in percent with two digits, also where it is large."""
+    percent = 100.0 * share
+    return f"{percent:.2g} %" if percent < 99.5 else f"{percent:.0f} %"
 
 
 def _all_friction_lines(identification: Identification) -> list[str]:
     per_joint = friction_entries(identification)
     if not per_joint:
         return []
+    estimate = identification.estimate
     return [
         f"Friction ({identification.friction_model}):",
         *(
-            f"  {joint}: " + ", ".join(f"{term} {value:.3g}" for term, value in terms.items())
+            f"  {joint}: " + ", ".join(_term_text(estimate, joint, term) for term in terms)
             for joint, terms in per_joint.items()
         ),
     ]
+
+
+def _term_text(estimate: Estimate, joint: str, term: str) -> str:
+    name = f"{term}[{joint}]"
+    value, error = estimate.value(name), estimate.error(name)
+    if error is not None and not np.isfinite(error):
+        return f"{term} not visible"
+    return f"{term} {value:.3g}" + ("" if error is None else f" ± {error:.1g}")
 
 
 def _noise_lines(estimate: Estimate) -> list[str]:
@@ -89,11 +105,16 @@ def _noise_lines(estimate: Estimate) -> list[str]:
 
 
 def _alignment_lines(identification: Identification) -> list[str]:
-    lines = []
+    lines, estimate = [], identification.estimate
     if identification.delay is not None:
-        lines.append(f"Delay of torque behind position: {1e3 * identification.delay:.3f} ms")
+        error = 1e3 * (estimate.error(DELAY_NAME) or 0.0)
+        delay = f"{1e3 * identification.delay:.3f} ± {error:.2g} ms"
+        lines.append(f"Delay of torque behind position: {delay}")
     if identification.tilt is not None:
-        lines.append(f"Tilt of the base: {np.degrees(identification.tilt):.3f} degrees")
+        both = [estimate.error(name) or 0.0 for name in TILT_NAMES]
+        error = float(np.degrees(np.linalg.norm(both)))
+        tilt = f"{np.degrees(identification.tilt):.3f} ± {error:.2g} degrees"
+        lines.append(f"Tilt of the base: {tilt}")
     return lines
 
 
@@ -117,8 +138,11 @@ def _friction_lines(identification: Identification) -> list[str]:
     ]
 
 
-def _blind_lines(estimate: Estimate) -> list[str]:
-    if estimate.status is not Status.PARTLY_FROM_MODEL:
+def _blind_lines(identification: Identification) -> list[str]:
+    estimate = identification.estimate
+    # Of measured data, the limits of the result tell it.
+    measured = identification.friction_model is not None
+    if measured or estimate.status is not Status.PARTLY_FROM_MODEL:
         return []
     blind = "; ".join(estimate.identifiability.blind)
     return [f"  Not visible in these torques, kept from the model: {blind}"]

@@ -66,7 +66,8 @@ class Estimate:
         standard_errors: (p,) standard deviation of each value; infinite where only the model's
             value is known.
         data_share: (p,) how much of each value comes from the data: 1 all, 0 all from the model.
-        noise_per_joint: joint name to standard deviation of its torque noise [N m].
+        noise_per_joint: joint name to standard deviation of its torque noise [N m]; only joints
+            of which samples were used.
         samples: joint name to the number of samples its equations used.
         effective_samples: joint name to the number of independent samples its noise leaves.
         constrained: whether the plain estimate was replaced by the best possible rigid body.
@@ -118,6 +119,12 @@ class Estimate:
         """Return one parameter by name, or None where it was not estimated."""
         return float(self.values[self.names.index(name)]) if name in self.names else None
 
+    def error(self, name: str) -> float | None:
+        """Return the standard error of one parameter by name, or None where there is none."""
+        if self.standard_errors is None or name not in self.names:
+            return None
+        return float(self.standard_errors[self.names.index(name)])
+
 
 @dataclass(frozen=True)
 class Validation:
@@ -165,6 +172,8 @@ class Identification:
         tilt: angle between the model's gravity and the estimated one, where it was estimated [rad].
         gravity: (3,) estimated gravity in the model's world frame [m/s^2], where it was estimated.
         cutoff: of the low-pass of measured data [Hz].
+        sensitivity: cause of error to parameter to how 1 % of it would move the result, see
+            ``sensitivity``; empty where the simulation of the model itself was analysed.
         limitations: what limits the accuracy of the result, one sentence each.
         notes: one sentence each: what the user should know.
     """
@@ -189,5 +198,6 @@ class Identification:
     tilt: float | None = None
     gravity: Array | None = None
     cutoff: float | None = None
+    sensitivity: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     limitations: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
