@@ -74,8 +74,8 @@ def sign_check(
         if value < -0.7:
             raise InputError(
                 f"the torque of joint {name} has the opposite sign of the model's (likeness "
-                f"{value:.2f}); flip it in the columns file: torque.{name} = -TITLE, or correct the "
-                "sign and the zero of the positions"
+                f"{value:.2f}); flip it in the columns file: torque.{name} = -TITLE, or correct "
+                "the sign and the zero of the positions"
             )
         if value < -0.3:
             notes.append(

@@ -18,7 +18,7 @@ import numpy as np
 from robot_sysid import spatial
 from robot_sysid.errors import InputError
 from robot_sysid.files import write_whole
-from robot_sysid.records import Estimate, Identification, InertialParameters, Status
+from robot_sysid.records import Estimate, Identification, InertialParameters
 
 SCHEMA_VERSION = 1
 _SIX = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
@@ -138,7 +138,7 @@ def _quality(identification: Identification) -> dict[str, Any]:
         "valid": {
             "physically_consistent": estimate.inertial.is_consistent,
             "all_identified": all(seen.identified),
-            "trustworthy": estimate.status is not Status.INCONSISTENT,
+            "trustworthy": estimate.status.is_trustworthy,
         },
         "method": estimate.method,
         "torques": identification.torques,

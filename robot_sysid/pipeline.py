@@ -14,7 +14,7 @@ from robot_sysid.files import require_writable
 from robot_sysid.parser import load_robot_model
 from robot_sysid.planning import PlanReport, make_plan, plan_files, report_plan
 from robot_sysid.progress import Progress, Silent
-from robot_sysid.records import Identification, MotionPlan, RobotModel, Status
+from robot_sysid.records import Identification, MotionPlan, RobotModel
 from robot_sysid.results import Command, check_motor_types, write_commands, write_results
 from robot_sysid.self_analysis import Analysis, analyse_itself
 from robot_sysid.simulator import inverse_torque
@@ -75,7 +75,7 @@ class Outcome:
     def failure(self) -> str | None:
         """Why the result must not be used, or None."""
         status = self.identification.estimate.status
-        return f"no model was written: {status.value}" if status is Status.INCONSISTENT else None
+        return None if status.is_trustworthy else f"no model was written: {status.value}"
 
     def report_lines(self, verbose: bool) -> list[str]:
         """Return what the command line prints at the end."""

@@ -68,7 +68,7 @@ def write_results(
 ) -> Written:
     """Write params.json, the updated model and, where asked for, the motor trajectory.
 
-    An estimate that is no possible rigid body gets a params.json only, which says so.
+    An estimate that is not trustworthy gets a params.json only, which says why.
 
     Args:
         config: names and options.
@@ -84,7 +84,7 @@ def write_results(
     folder = config.output_dir
     names, report = [], None
     with whole_files() as files:
-        if identification.estimate.inertial.is_consistent:
+        if identification.estimate.status.is_trustworthy:
             names.append(updated_model_name(robot))
             note = _write_model(
                 files, folder / names[-1], config, robot, identification, checkpoints

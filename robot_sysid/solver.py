@@ -30,6 +30,9 @@ from robot_sysid.uncertainty import (
     white_uncertainty,
 )
 
+_KNOWN_MASS = 1e-6
+"""Standard error of the mass that is never too large [kg]."""
+
 
 def identify_parameters(
     information: SquareRootInformation,
@@ -70,7 +73,7 @@ def identify_parameters(
         identifiability=identifiability,
         rmse=rmse,
         rmse_per_joint=per_joint,
-        status=judge(values, identifiability),
+        status=judge(values, identifiability, errors.standard_errors),
         method=method,
         covariance=errors.covariance,
         standard_errors=errors.standard_errors,
@@ -126,10 +129,18 @@ def torque_rmse(
     return float(np.sqrt(np.sum(squared) / max(information.n_samples, 1))), per_joint
 
 
-def judge(values: Array, identifiability: Identifiability) -> Status:
-    """Return how the identification ended."""
+def judge(values: Array, identifiability: Identifiability, errors: Array) -> Status:
+    """Return how the identification ended.
+
+    Args:
+        values: (p,) the estimate.
+        identifiability: what the data sees.
+        errors: (p,) standard errors.
+    """
     if not spatial.is_consistent(values[:N_INERTIAL]):
         return Status.INCONSISTENT
+    if np.isfinite(errors[0]) and errors[0] > max(_KNOWN_MASS, 0.5 * values[0]):
+        return Status.TOO_WEAK
     if identifiability.rank < identifiability.n_parameters:
         return Status.PARTLY_FROM_MODEL
     return Status.OK

@@ -26,6 +26,16 @@ class Status(Enum):
         "because the data is too noisy or excites the link too little; use --torques chain, "
         "a longer --duration, another --seed or --consistency enforce"
     )
+    TOO_WEAK = (
+        "the data does not tell the link's mass from zero (it is less than two standard errors); "
+        "move faster, wider or longer (--excitation optimal), correct the other links' numbers in "
+        "the model, or add what the model knows with --prior entropic"
+    )
+
+    @property
+    def is_trustworthy(self) -> bool:
+        """Whether the result may go into a model."""
+        return self in (Status.OK, Status.PARTLY_FROM_MODEL)
 
 
 @dataclass(frozen=True)
