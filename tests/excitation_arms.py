@@ -26,7 +26,7 @@ def tube_arm(axes, scene="", pos="0 0 .25", joint='range="-2.5 2.5"', extra=""):
 
 
 FLOOR = '<geom name="floor" type="plane" size="2 2 .1"/>'
-POST = '<body name="post" pos=".35 0 .7"><geom type="cylinder" size=".05 .4"/></body>'
+POST = '<body name="post" pos=".35 0 .7"><geom type="capsule" size=".05 .35"/></body>'
 TUBES = tube_arm((Z, Y, X, Y))
 TUBES_AND_POST = tube_arm((Z, Y, X, Y), POST)
 TUBES_ON_FLOOR = tube_arm((Z, Y, X, Y), FLOOR)
