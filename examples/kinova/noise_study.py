@@ -1,0 +1,189 @@
+"""What torque noise does to an identification: one motion of the true arm, many draws of noise.
+
+Everything that noise does not change (the simulation, the filtering of positions, the equations) is
+computed once. The noise of a draw passes the same low-pass as the torques and is added to them,
+which is what would have come out of filtering noisy torques, because a filter is linear. So 200
+draws take seconds. The other links are known here; see validate_measurements.py for when they are
+not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from validate_regressor import with_link
+
+from robot_sysid.collection import Equations, collect_sysid_data
+from robot_sysid.estimators.ols import least_squares
+from robot_sysid.estimators.options import EstimatorOptions
+from robot_sysid.friction import DEFAULT_MEASURED, friction_model
+from robot_sysid.measurement import join_measurements
+from robot_sysid.parser import load_robot_model
+from robot_sysid.plant_simulation import PlantOptions, simulate_plant
+from robot_sysid.records import Estimate, MotionPlan, RobotModel
+from robot_sysid.samples import ThinnedSamples, thin_equations
+from robot_sysid.sensors import SensorOptions
+from robot_sysid.signals import SignalOptions, process
+from robot_sysid.simulator import inverse_torque, simulate_inverse
+from robot_sysid.solver import identify_parameters
+from robot_sysid.spatial import PARAMETER_NAMES
+from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
+from robot_sysid.uncertainty import cramer_rao_bound
+
+Array = NDArray[np.float64]
+
+MODELS = Path(__file__).resolve().parent / "model"
+SAMPLE_RATE = 1000.0
+ENCODER_STEP = 1e-4
+NORMAL_95 = 1.96
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Torque noise of all joints.
+
+    Attributes:
+        level: standard deviation [N m], one number or one per joint.
+        memory: time constant of its correlation [s]; 0 for white noise.
+    """
+
+    level: float | tuple[float, ...]
+    memory: float = 0.0
+
+    def draw(self, rng: np.random.Generator, samples: int, joints: int) -> Array:
+        """Return noise (samples, joints) [N m]."""
+        from scipy.signal import lfilter
+
+        noise = rng.normal(size=(samples, joints))
+        if self.memory > 0.0:
+            decay = np.exp(-1.0 / (SAMPLE_RATE * self.memory))
+            noise[1:] *= np.sqrt(1.0 - decay**2)
+            noise = lfilter([1.0], [1.0, -decay], noise, axis=0)
+        return np.asarray(self.level) * noise
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What many draws gave.
+
+    Attributes:
+        names: (p,) of the parameters.
+        errors: (draws, p) estimate minus truth.
+        covered: (draws, p) whether the 95 % interval holds the truth.
+        plain_covered: the same for the plain estimate, which the standard errors describe; a result
+            that was moved to the nearest possible body is usually closer to the truth than it.
+        constrained: share of draws whose plain estimate was no possible body.
+        impossible: number of results that are no possible body.
+    """
+
+    names: tuple[str, ...]
+    errors: Array
+    covered: NDArray[np.bool_]
+    plain_covered: NDArray[np.bool_]
+    constrained: float
+    impossible: int
+
+    def over_bound(self, bound: Array) -> Array:
+        """Return (p,) root mean square error over the Cramer-Rao bound's standard deviation."""
+        return np.sqrt(np.mean(self.errors**2, axis=0)) / bound
+
+
+class NoiseStudy:
+    """One motion of the true arm, read by a real encoder, ready for any torque noise.
+
+    Args:
+        plan: the trajectory; None draws one.
+        seed: of that trajectory.
+        options: how signals are processed.
+        simulation: "inverse" or "forward", how the true arm is simulated.
+    """
+
+    def __init__(
+        self,
+        plan: MotionPlan | None = None,
+        seed: int = 1,
+        options: SignalOptions | None = None,
+        simulation: str = "inverse",
+    ) -> None:
+        self.plant = load_robot_model(MODELS / "kinova_fullinertia.xml")
+        guess = load_robot_model(MODELS / "kinova_fullinertia_guess.xml").prior
+        self.robot = replace(self.plant, mj_model=with_link(self.plant, guess.theta), prior=guess)
+        self.plan = plan or random_plan(self.robot, seed)
+        self.samples, self._low_pass, self._length = self._recorded(options, simulation)
+        self.truth = self._true_values()
+
+    def _recorded(
+        self, options: SignalOptions | None, simulation: str
+    ) -> tuple[ThinnedSamples, object, int]:
+        sensors = SensorOptions(encoder_resolution=ENCODER_STEP)
+        how = PlantOptions(simulation, SAMPLE_RATE, sensors)
+        run = simulate_plant(self.plant, self.plan, how, np.random.default_rng(0))
+        log = join_measurements(run)
+        chosen = options or SignalOptions(least_deadband=run.least_deadband())
+        signals = process(log, chosen, self.robot.joint_names)
+        self.cutoff = signals.cutoff
+        return thin_equations(self._equations(), signals), signals.low_pass, len(signals)
+
+    def _equations(self) -> Equations:
+        model = friction_model(DEFAULT_MEASURED)
+        return Equations(self.robot, "chain", (model,) * self.robot.n_joints)
+
+    def _true_values(self) -> Array:
+        values = dict(zip(PARAMETER_NAMES, self.plant.prior.theta))
+        for joint, coulomb, viscous in zip(
+            self.plant.joint_names, self.plant.friction.coulomb, self.plant.friction.viscous
+        ):
+            values[f"coulomb[{joint}]"], values[f"viscous[{joint}]"] = coulomb, viscous
+        return np.array([float(values.get(name, 0.0)) for name in self.samples.names])
+
+    def bound(self, noise: Noise) -> Array:
+        """Return the Cramer-Rao bound (p,) of the whole log: exact motion, white noise."""
+        exact = simulate_inverse(self.plant, motion_chunks(self.plan, SAMPLE_RATE))
+        information = collect_sysid_data(self._equations(), exact)
+        level = np.broadcast_to(np.asarray(noise.level, dtype=float), (self.robot.n_joints,))
+        return np.sqrt(np.diag(cramer_rao_bound(information, level)))
+
+    def noisy(self, noise: Noise, rng: np.random.Generator) -> ThinnedSamples:
+        """Return the equations with one draw of noise in their torques."""
+        drawn = noise.draw(rng, self._length, self.robot.n_joints)
+        added = self._low_pass.thinned(drawn)
+        pairs = zip(self.samples.tau, added.T)
+        return replace(self.samples, tau=tuple(tau + extra for tau, extra in pairs))
+
+    def identified(self, samples: ThinnedSamples, consistency: str = "auto") -> Estimate:
+        """Return the estimate, as the command line would make it."""
+        prior, options = self._equations().prior, EstimatorOptions(consistency)
+        return identify_parameters(samples.information(), prior, "wls", options, samples)
+
+    def run(self, noise: Noise, draws: int, seed: int = 0) -> Outcome:
+        """Identify from many draws of noise."""
+        errors, plain_errors, reach, constrained, impossible = [], [], [], 0, 0
+        for draw in range(draws):
+            samples = self.noisy(noise, np.random.default_rng([seed, draw]))
+            estimate = self.identified(samples)
+            errors.append(estimate.values - self.truth)
+            plain_errors.append(self._plain(samples, estimate) - self.truth)
+            reach.append(NORMAL_95 * np.asarray(estimate.standard_errors))
+            constrained += estimate.constrained
+            impossible += not estimate.inertial.is_consistent
+        return Outcome(
+            self.samples.names,
+            np.array(errors),
+            np.abs(errors) < np.array(reach),
+            np.abs(plain_errors) < np.array(reach),
+            constrained / draws,
+            impossible,
+        )
+
+    def _plain(self, samples: ThinnedSamples, estimate: Estimate) -> Array:
+        weights = np.array([1.0 / estimate.noise_per_joint[joint] for joint in samples.joints])
+        return least_squares(samples.information(), self._equations().prior, weights)
+
+
+def random_plan(robot: RobotModel, seed: int) -> MotionPlan:
+    """Return the trajectory the command line would draw with this seed."""
+    rng = np.random.default_rng(seed)
+    return generate_excitation_trajectory(robot, rng, torque=inverse_torque(robot))[0]
