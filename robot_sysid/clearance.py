@@ -238,6 +238,8 @@ def _with_margin(mj_model: Any, margin: float) -> Any:
     model = copy.copy(mj_model)
     model.geom_margin[:] = margin
     model.geom_gap[:] = 0.0
+    # The largest margin among a body's geoms: without it the search for close bodies misses pairs.
+    model.body_margin[:] = margin
     if model.npair:
         model.pair_margin[:] = margin
         model.pair_gap[:] = 0.0

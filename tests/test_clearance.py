@@ -48,6 +48,24 @@ def test_distance_of_two_balls_is_that_of_their_centres_minus_radii():
         assert "ball" in closest.label
 
 
+@pytest.mark.parametrize("gap", [0.001, 0.02, 0.05, 0.1])
+def test_bodies_of_many_geoms_are_seen_from_afar(gap):
+    """Bodies with several geoms pass a coarser test first, which must know the margin too."""
+    row = "".join(f'<geom size=".05" pos="0 {0.1 * k:g} 0"/>' for k in range(3))
+    xml = world(
+        link(
+            '<joint name="push" type="slide" axis="1 0 0" range="-1 1"/>'
+            + hinge("spin", Z, 'range="-1 1"'),
+            row,
+            "0 0 0",
+            pos="0 0 0",
+        )
+        + f'<body name="rack" pos=".6 0 0">{row}</body>'
+    )
+    closest = clearance_of(xml).closest(np.array([0.5 - gap, 0.0]))
+    assert closest.distance == pytest.approx(gap, abs=1e-6)
+
+
 def test_what_is_far_counts_as_the_horizon():
     slack = clearance_of(BALLS).slack(np.zeros((1, 2)))
     assert slack.value[0] == HORIZON
