@@ -26,7 +26,7 @@ from robot_sysid.records import Array, RobotModel
 from robot_sysid.screws import cross
 from robot_sysid.terminal import body_label
 
-HORIZON = 0.1
+HORIZON = 0.05
 """How much farther than the clearance a pair is still seen [m]."""
 KEPT_SHARE = 0.5
 """Share of its distance at rest that a pair nearer than the clearance must keep."""
