@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from robot_sysid.collection import Equations
+from robot_sysid.errors import SysidError
 from robot_sysid.estimators.options import EstimatorOptions
 from robot_sysid.friction import DEFAULT_MEASURED, FrictionModel, friction_model
 from robot_sysid.friction_choice import choose_friction, friction_per_joint
@@ -29,7 +30,10 @@ from robot_sysid.tilt import TILT_NAMES, TiltColumns, gravity, turned, with_grav
 from robot_sysid.validation import Validation, hold_out, validate
 
 DELAY_NAME = "delay"
-_MOST_ROUNDS = 10
+DELAY_CUTOFF = 10.0
+"""Highest cut-off that is chosen where a delay is estimated [Hz]: beyond it the jumps of dry
+friction, which no derivative describes, make the search slow or fail."""
+_MOST_ROUNDS = 20
 _SETTLED_DELAY = 1e-7
 _SETTLED_TILT = 1e-7
 _CHECKPOINTS = 400
@@ -129,7 +133,7 @@ def identify_measured(
     Raises:
         InputError: the log does not fit the arm or the options.
     """
-    signals = process(measurement, options.signals, robot.joint_names)
+    signals = _processed(robot, measurement, options)
     notes = list(signals.notes)
     notes += _compare_with_model(robot, signals)
     fitted, held = _parts(signals, options)
@@ -151,6 +155,18 @@ def identify_measured(
         _checkpoints(signals),
         tuple(notes),
     )
+
+
+def _processed(
+    robot: RobotModel, measurement: Measurement, options: MeasuredOptions
+) -> ProcessedSignals:
+    """Return the signals; slow enough for a delay to act like a derivative where one is wanted."""
+    signals = process(measurement, options.signals, robot.joint_names)
+    chosen = options.signals.cutoff is None
+    if not (chosen and options.estimate_delay and signals.cutoff > DELAY_CUTOFF):
+        return signals
+    slower = replace(options.signals, cutoff=DELAY_CUTOFF)
+    return process(measurement, slower, robot.joint_names)
 
 
 def validate_on(
@@ -225,22 +241,26 @@ def _align(
     signals: ProcessedSignals,
     fitted: slice,
 ) -> tuple[Estimate, Alignment, ThinnedSamples]:
-    """Estimate, put right what was found of delay and tilt, and repeat until neither moves."""
-    alignment = Alignment(0.0, gravity(robot))
-    theta = robot.prior.theta
-    while True:
+    """Estimate, put right what was found of delay and tilt, and repeat until neither moves.
+
+    Raises:
+        SysidError: they keep moving.
+    """
+    alignment, theta = Alignment(0.0, gravity(robot)), robot.prior.theta
+    for _ in range(_MOST_ROUNDS):
         samples, prior = _samples(robot, options, friction, signals, alignment, theta)
         rows = _marked(samples, slice(fitted.start, min(fitted.stop, len(samples))))
-        settled = not options.shared
-        for_errors = rows if settled else None
-        estimate = _estimate(options, rows, prior, for_errors)
-        if settled:
-            return estimate, alignment, samples
+        estimate = _estimate(options, rows, prior)
         moved = alignment.moved(estimate)
-        theta = estimate.values[:10]
         if _is_settled(alignment, moved):
-            return _estimate(options, rows, prior, rows), moved, samples
-        alignment = moved
+            return estimate, moved, samples
+        alignment, theta = moved, estimate.values[:10]
+    sought = " and ".join(options.shared)
+    raise SysidError(
+        f"the estimates of {sought} do not settle within {_MOST_ROUNDS} rounds (last delay "
+        f"{1e3 * alignment.delay:.3g} ms): this log does not show them well enough; lower "
+        "--cutoff, or leave --delay and --tilt off"
+    )
 
 
 def _is_settled(before: Alignment, after: Alignment) -> bool:
@@ -248,11 +268,9 @@ def _is_settled(before: Alignment, after: Alignment) -> bool:
     return slow and after.tilt_from(before.gravity) < _SETTLED_TILT
 
 
-def _estimate(
-    options: MeasuredOptions, rows: ThinnedSamples, prior: Array, samples: ThinnedSamples | None
-) -> Estimate:
+def _estimate(options: MeasuredOptions, rows: ThinnedSamples, prior: Array) -> Estimate:
     return identify_parameters(
-        rows.information(), prior, options.method, options.estimator, samples, rows.joints[-1]
+        rows.information(), prior, options.method, options.estimator, rows, rows.joints[-1]
     )
 
 

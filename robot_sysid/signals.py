@@ -207,13 +207,15 @@ def delay_columns(signals: ProcessedSignals) -> Array:
     """Return (N, n) the column of a small remaining delay in each joint's equations: -d tau/dt.
 
     A torque that lags reads tau(t - delay) = tau(t) - delay tau'(t) + O(delay^2). Estimated as one
-    more parameter, taken out by ``with_delay`` and estimated again, it converges in two or three
-    rounds. The noise of the column does not bias the converged value, because white noise and its
-    symmetric derivative are uncorrelated. Like every column it has to pass ``thinner``; the few
-    samples at the ends that have no derivative repeat the last one that has.
+    more parameter, taken out by ``with_delay`` and estimated again, it converges in a few rounds.
+    The derivative is taken of low-passed torque: noise in the column would make each round find
+    only a part of the delay, though it does not bias the converged value. Like every column it has
+    to pass ``thinner``; the ends, where the low-pass has no result, are zero.
     """
-    inner = -first_derivative(signals.tau, signals.rate)
-    return np.concatenate((inner[:1].repeat(REACH, 0), inner, inner[-1:].repeat(REACH, 0)))
+    smooth = signals.low_pass.filtered(signals.tau)
+    inner = -first_derivative(smooth, signals.rate)
+    lost = (len(signals) - len(inner)) // 2
+    return np.pad(inner, ((lost, len(signals) - len(inner) - lost), (0, 0)))
 
 
 def _check_length(n_samples: int, low_pass: LowPass) -> None:
