@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
+import os
 import signal
 import threading
 from collections.abc import Iterator, Sequence
 from multiprocessing.connection import Connection, wait
 from types import TracebackType
 from typing import Any, Callable
+
+_THREAD_COUNTS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 Job = Callable[[Any], Any]
 """A function of the shared object; ``functools.partial`` of a module's function, to be sent."""
@@ -52,7 +55,7 @@ class Team:
 
     def _start(self) -> None:
         context = multiprocessing.get_context("spawn")
-        with _interrupts_ignored():
+        with _interrupts_ignored(), _one_thread_each():
             for _ in range(self._workers):
                 here, there = context.Pipe()
                 process = context.Process(target=_work, args=(there,), daemon=True)
@@ -128,6 +131,24 @@ def _interrupts_ignored() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+@contextlib.contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Let processes started inside do their linear algebra in one thread.
+
+    The matrices are small; threads that wait for each other would cost as much as they do.
+    """
+    before = {name: os.environ.get(name) for name in _THREAD_COUNTS}
+    os.environ.update(dict.fromkeys(_THREAD_COUNTS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
 
 
 def _work(end: Connection) -> None:

@@ -24,9 +24,9 @@ def a_plan(xml, seed=0, **changes):
     return some.trajectory(draw.x)
 
 
-def empirical_deviation(xml, plan, rate, sigma, draws, seed=0):
+def empirical_deviation_of(arm, plan, rate, sigma, draws, seed=0):
     """Spread (10,) of least-squares estimates over noise draws, by the tool's own equations."""
-    arm, rng = robot(xml), np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
     equations = Equations(arm, "chain", (FULL_FRICTION,) * arm.n_joints)
     size = len(equations.names)
     normal, right = np.zeros((size, size)), np.zeros((size, draws))
@@ -45,7 +45,7 @@ def test_deviations_are_those_of_monte_carlo(xml):
     plan = a_plan(xml)
     promised = predict(problem(xml), plan, 200.0)
     # 1000 draws know a standard deviation to 2.2 %; ten of them stay within 10 %.
-    seen = empirical_deviation(xml, plan, 200.0, 0.3, 1000)
+    seen = empirical_deviation_of(robot(xml), plan, 200.0, 0.3, 1000)
     assert promised.n_samples == 1201
     assert np.all(np.abs(seen / promised.deviation - 1.0) < 0.10)
 

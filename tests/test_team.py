@@ -27,6 +27,20 @@ def fail(shared):
     raise ValueError(f"broken {shared}")
 
 
+def thread_count(shared):
+    """A job that tells what its process was told about threads."""
+    return os.environ.get("OMP_NUM_THREADS")
+
+
+def test_workers_use_one_thread_each_and_leave_ours_alone(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
+    with Team(0, 2) as team:
+        assert list(team.run([thread_count, thread_count])) == ["1", "1"]
+    assert os.environ["OMP_NUM_THREADS"] == "7"
+    assert "MKL_NUM_THREADS" not in os.environ
+
+
 def test_one_worker_stays_in_this_process_and_keeps_the_order():
     with Team(os.getpid(), 1) as team:
         assert list(team.run([partial(add, number=k) for k in range(5)])) == [

@@ -1,0 +1,57 @@
+"""Time of the parts of an excitation search; never a pass or fail."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from robot_sysid.certificate import certify
+from robot_sysid.design_objective import Design, PenalisedDesign
+from robot_sysid.excitation_options import ExcitationOptions
+from robot_sysid.excitation_problem import build_problem
+from robot_sysid.improvement import first_candidate, improve
+from robot_sysid.parser import load_robot_model
+from robot_sysid.random_search import draw_trajectories
+
+KINOVA = Path(__file__).parents[2] / "examples/kinova/model/kinova_fullinertia_guess.xml"
+
+
+@cache
+def kinova():
+    """Design of the Kinova example and its best of 20 random trajectories."""
+    options = ExcitationOptions()
+    design = Design(build_problem(load_robot_model(KINOVA), options), options)
+    return design, min(draw_trajectories(design, 0, range(20)), key=lambda d: d.score).x
+
+
+@pytest.mark.benchmark(group="excitation")
+def test_twenty_random_trajectories(benchmark):
+    benchmark(draw_trajectories, kinova()[0], 0, range(20))
+
+
+@pytest.mark.benchmark(group="excitation")
+def test_objective_with_gradient(benchmark):
+    design, x = kinova()
+    none = np.zeros((len(design.grid), 29))
+    benchmark(PenalisedDesign(design, np.zeros(0), none, 10.0).evaluate, x)
+
+
+@pytest.mark.benchmark(group="excitation")
+def test_criterion_alone(benchmark):
+    design, x = kinova()
+    benchmark(design.criterion_of, x)
+
+
+@pytest.mark.benchmark(group="excitation")
+def test_one_round(benchmark):
+    design, x = kinova()
+    benchmark.pedantic(improve, (design, first_candidate(design, 0, x)), rounds=3)
+
+
+@pytest.mark.benchmark(group="excitation")
+def test_dense_check(benchmark):
+    design, x = kinova()
+    benchmark(certify, design.problem, design.trajectory(x))
