@@ -214,7 +214,9 @@ def _smallest_score(draws: list[Draw]) -> float:
 
 
 def _cut_note(stopped: str) -> tuple[str, ...]:
-    if stopped != "time budget":
+    if stopped == "interrupted":
+        return ("the search was interrupted; this is the best trajectory it had found until then",)
+    if not stopped:
         return ()
     return (
         "the time budget ended the search; the same seed may give another trajectory on another "

@@ -76,7 +76,7 @@ def deviations(some, plan, rate, smooth):
 @pytest.mark.parametrize("xml", [arms.SEVEN, arms.THREE, arms.SLIDE_IN_CHAIN])
 @pytest.mark.parametrize("ends", ["faded", "periodic"])
 def test_the_grid_is_fine_enough_for_the_band(xml, ends):
-    """On the search's grid no deviation is off by more than 3 %, on half of it by up to 10 %."""
+    """On the search's grid, with rounded friction, no deviation is off by more than 3 %."""
     some = Design(problem(xml, ends=ends), options(ends=ends, harmonics=None, duration=15.0))
     top = some.basis.top_frequency_hz
     worst = 0.0

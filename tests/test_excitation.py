@@ -121,6 +121,7 @@ def test_ctrl_c_keeps_the_best_so_far():
 
     result = search(TUBES, 3, interrupt, rounds=50)
     assert result.stopped == "interrupted"
+    assert any("interrupted" in note for note in result.notes)
     assert result.certificate.holds
 
 

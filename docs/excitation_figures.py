@@ -1,0 +1,119 @@
+"""Draws the pictures of docs/excitation.md.
+
+    python docs/excitation_figures.py [FOLDER]
+
+Needs the extra ``report`` (matplotlib). Takes about a minute: it designs the trajectory it shows.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import mujoco
+import numpy as np
+
+from robot_sysid.excitation import design_excitation
+from robot_sysid.excitation_options import ExcitationOptions
+from robot_sysid.excitation_problem import build_problem
+from robot_sysid.parser import load_robot_model
+from robot_sysid.plan_prediction import predict
+from robot_sysid.records import Array, MotionPlan, RobotModel
+from robot_sysid.simulator import inverse_torque
+from robot_sysid.spatial import PARAMETER_NAMES
+from robot_sysid.trajectory import generate_excitation_trajectory
+
+HERE = Path(__file__).resolve().parent
+MODEL = HERE.parent / "examples/kinova/model/kinova_fullinertia_guess.xml"
+SEED = 0
+SINES, OPTIMAL = "tab:gray", "tab:blue"
+
+
+def draw_trajectories(robot: RobotModel, plans: dict[str, MotionPlan], path: Path) -> None:
+    """Draw joint positions over time, one column per trajectory."""
+    figure, axes = plt.subplots(robot.n_joints, 2, figsize=(9, 9), sharex=True, sharey="row")
+    time = np.linspace(0.0, 15.0, 1501)
+    for column, (title, plan) in enumerate(plans.items()):
+        motion = plan.evaluate(time)
+        axes[0, column].set_title(title)
+        for joint, axis in enumerate(axes[:, column]):
+            axis.plot(time, motion.q[:, joint], color=(SINES, OPTIMAL)[column], lw=1.2)
+            axis.grid(alpha=0.3)
+            if column == 0:
+                axis.set_ylabel(f"{robot.joint_names[joint]} [rad]", fontsize=8)
+        axes[-1, column].set_xlabel("time [s]")
+    figure.tight_layout()
+    figure.savefig(path, dpi=80)
+
+
+def draw_deviations(shares: dict[str, Array], path: Path) -> None:
+    """Draw the predicted standard deviation of each parameter as bars."""
+    figure, axis = plt.subplots(figsize=(8, 3.6))
+    place = np.arange(10)
+    for offset, color, (label, share) in zip((-0.2, 0.2), (SINES, OPTIMAL), shares.items()):
+        axis.bar(place + offset, 100.0 * share, 0.38, color=color, label=label)
+    axis.set_yscale("log")
+    axis.set_xticks(place, PARAMETER_NAMES)
+    axis.set_ylabel("standard deviation\n[% of the parameter's size]")
+    axis.grid(axis="y", alpha=0.3)
+    axis.legend()
+    figure.tight_layout()
+    figure.savefig(path, dpi=80)
+
+
+def draw_sweep(robot: RobotModel, plans: dict[str, MotionPlan], path: Path) -> None:
+    """Draw the path of the terminal link and the arm in some postures."""
+    figure = plt.figure(figsize=(9, 4.6))
+    for column, (title, plan) in enumerate(plans.items()):
+        axis: Any = figure.add_subplot(1, 2, column + 1, projection="3d")
+        tip = np.array([skeleton(robot, q)[-1] for q in postures(plan, 400)])
+        axis.plot(*tip.T, color=(SINES, OPTIMAL)[column], lw=1.2)
+        for q in postures(plan, 12):
+            axis.plot(*skeleton(robot, q).T, color="black", alpha=0.25, lw=1.5)
+        axis.set(xlim=(-0.8, 0.8), ylim=(-0.8, 0.8), zlim=(-0.1, 1.4), title=title)
+        axis.set_box_aspect((1.6, 1.6, 1.5))
+        axis.tick_params(labelsize=6)
+    figure.tight_layout()
+    figure.savefig(path, dpi=80)
+
+
+def postures(plan: MotionPlan, count: int) -> Array:
+    """Return joint positions at equal time steps."""
+    return plan.evaluate(np.linspace(0.0, plan.duration, count)).q
+
+
+def skeleton(robot: RobotModel, q: Array) -> Array:
+    """Return the positions of the base, the joints and the terminal link's centre of mass."""
+    data = mujoco.MjData(robot.mj_model)
+    data.qpos[:] = robot.reference_qpos
+    data.qpos[robot.qpos_index] = q
+    mujoco.mj_kinematics(robot.mj_model, data)
+    joints = data.xanchor[robot.mj_model.dof_jntid[robot.dof_index]]
+    return np.vstack((np.zeros(3), joints, data.xipos[robot.body_id]))
+
+
+def main(folder: Path) -> None:
+    """Design, predict, draw."""
+    robot, options = load_robot_model(MODEL), ExcitationOptions(workers=2)
+    problem = build_problem(robot, options)
+    torque = inverse_torque(robot)
+    sines = [
+        generate_excitation_trajectory(robot, np.random.default_rng(seed), 15.0, torque)[0]
+        for seed in range(10)
+    ]
+    optimal = design_excitation(problem, options, np.random.default_rng(SEED)).trajectory
+    plans: dict[str, MotionPlan] = {"random sinusoids": sines[SEED], "optimal, D": optimal}
+    median = np.median([predict(problem, plan, 1000.0).share for plan in sines], axis=0)
+    shares = {
+        "random sinusoids (median of 10 seeds)": median,
+        "optimal, D": predict(problem, optimal, 1000.0).share,
+    }
+    draw_trajectories(robot, plans, folder / "excitation_trajectories.png")
+    draw_deviations(shares, folder / "excitation_deviations.png")
+    draw_sweep(robot, plans, folder / "excitation_sweep.png")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else HERE / "images")
