@@ -189,6 +189,8 @@ class SysidConfig:
             raise InputError(f"--validate must be at least 0 and below 1 (got {self.validate:g})")
         wanted = {
             "--friction-model": self.friction_model is not None,
+            "--cutoff": self.signals.cutoff is not None,
+            "--velocity-deadband": self.signals.velocity_deadband is not None,
             "--delay auto": self.estimate_delay,
             "--tilt auto": self.estimate_tilt,
             "--validation-measurements": self.validation_measurements is not None,

@@ -66,7 +66,8 @@ def _error_lines(estimate: Estimate) -> list[str]:
 def _with_error(value: float, error: float, relative: float, data: float) -> str:
     if not np.isfinite(error):
         return f"{value:.4g}, at least partly from the model (data {100.0 * data:.0f} %)"
-    return f"{value:.4g} ± {error:.2g} ({_percent(relative)}; data {100.0 * data:.0f} %)"
+    share = f"{_percent(relative)}; " if np.isfinite(relative) else ""
+    return f"{value:.4g} ± {error:.2g} ({share}data {100.0 * data:.0f} %)"
 
 
 def _percent(share: float) -> str:
