@@ -143,11 +143,15 @@ class Clearance:
         mujoco.mj_comPos(self._model, self._data)
         mujoco.mj_collision(self._model, self._data)
 
-    def _contact_bodies(self) -> tuple[Array, Any]:
-        """Return distances (C,) and bodies (C, 2) of the contacts MuJoCo sees."""
+    def _contact_bodies(self) -> tuple[Array, Any, Any]:
+        """Return distances (C,), bodies (C, 2) and indices (C,) of the contacts of geoms.
+
+        MuJoCo's deformable bodies have no geoms; they are not looked at.
+        """
         contact = self._data.contact
         geoms = np.stack((contact.geom1, contact.geom2), axis=1).reshape(-1, 2)
-        return np.asarray(contact.dist), self._model.geom_bodyid[geoms]
+        index = np.flatnonzero(np.all(geoms >= 0, axis=1))
+        return contact.dist[index], self._model.geom_bodyid[geoms[index]], index
 
     def _learn_pairs(self, *rests: Array) -> None:
         """Settle the distance each pair has to keep, from what it has at rest.
@@ -158,8 +162,9 @@ class Clearance:
         self._required[part[:, None] == part] = -np.inf
         for rest in rests:
             self._place(rest)
-            for distance, (a, b) in zip(*self._contact_bodies()):
-                kept = min(self._required[a, b], _required_at(distance, np.inf))
+            distance, bodies, _ = self._contact_bodies()
+            for apart, (a, b) in zip(distance, bodies):
+                kept = min(self._required[a, b], _required_at(apart, np.inf))
                 self._required[a, b] = self._required[b, a] = kept
 
     def _settle_neighbours(self, rest: Array) -> None:
@@ -173,7 +178,7 @@ class Clearance:
             q = rest.copy()
             for q[joint] in np.linspace(low, high, _NEIGHBOUR_POSTURES):
                 self._place(q)
-                distance, bodies = self._contact_bodies()
+                distance, bodies, _ = self._contact_bodies()
                 part = np.sort(self._bounds.part[bodies], axis=1)
                 ours = (part[:, 0] == joint) & (part[:, 1] == joint + 1)
                 first, second = np.sort(bodies[ours], axis=1).T
@@ -206,16 +211,16 @@ class Clearance:
     def _add_contacts(self, near: _Nearest) -> None:
         if self._data.ncon == 0:
             return
-        distance, bodies = self._contact_bodies()
+        distance, bodies, index = self._contact_bodies()
         slack = distance - self._required[bodies[:, 0], bodies[:, 1]]
         parts = self._bounds.part[bodies]
         np.minimum.at(near.budget, self._bounds.row(parts[:, 0], parts[:, 1]), slack)
-        index = int(np.argmin(slack))
-        if slack[index] < near.slack:
-            contact = self._data.contact[index]
-            near.slack, near.distance = float(slack[index]), float(distance[index])
+        tightest = int(np.argmin(slack)) if len(slack) else -1
+        if tightest >= 0 and slack[tightest] < near.slack:
+            contact = self._data.contact[int(index[tightest])]
+            near.slack, near.distance = float(slack[tightest]), float(distance[tightest])
             near.normal, near.point = contact.frame[:3].copy(), contact.pos.copy()
-            near.bodies = (int(bodies[index, 0]), int(bodies[index, 1]))
+            near.bodies = (int(bodies[tightest, 0]), int(bodies[tightest, 1]))
 
     def _height(self, space: HalfSpace, shape: GeomShape) -> float:
         """Return how far the lowest point of a geom is above a half-space's boundary [m]."""

@@ -7,6 +7,7 @@ each receives the object once and keeps it. Results do not depend on how many wo
 from __future__ import annotations
 
 import contextlib
+import itertools
 import multiprocessing
 import os
 import signal
@@ -34,7 +35,7 @@ class Team:
         self._shared, self._workers = shared, workers
         self._processes: list[Any] = []
         self._ends: list[Connection] = []
-        self._serial = 0
+        self._serials = itertools.count()
 
     def __enter__(self) -> Team:
         if self._workers > 1:
@@ -75,35 +76,61 @@ class Team:
         if not self._ends:
             yield from (job(self._shared) for job in jobs)
             return
-        waiting = list(jobs)
-        open_jobs: dict[int, Job] = {}
-        busy: dict[Any, list[int]] = {end: [] for end in self._ends}
-        for end in self._ends:
-            self._hand_out(end, waiting, open_jobs, busy)
-        while open_jobs:
-            ready: list[Any] = wait([end for end, serials in busy.items() if serials])
+        share = _Share(list(jobs), self._ends, self._serials)
+        while share.open_jobs:
+            ready: list[Any] = wait([end for end, serials in share.busy.items() if serials])
             for end in ready:
-                answer = _receive(end)
-                if answer is None:
-                    yield from (open_jobs.pop(s)(self._shared) for s in busy.pop(end))
-                    self._ends.remove(end)
-                elif answer[0] in open_jobs:
-                    busy[end].remove(answer[0])
-                    del open_jobs[answer[0]]
-                    self._hand_out(end, waiting, open_jobs, busy)
-                    yield answer[1]
-        yield from (job(self._shared) for job in waiting)
+                yield from self._results(end, share)
+        yield from (job(self._shared) for job in share.waiting)
 
-    def _hand_out(
-        self, end: Any, waiting: list[Job], open_jobs: dict[int, Job], busy: dict[Any, list[int]]
+    def _results(self, end: Connection, share: _Share) -> Iterator[Any]:
+        """Yield what a worker's answer makes available."""
+        answer = _receive(end)
+        if answer is None:
+            self._ends.remove(end)
+            yield from (job(self._shared) for job in share.taken_from(end))
+        elif share.is_due(end, answer[0]):
+            yield answer[1]
+
+
+class _Share:
+    """Who does which jobs of one run.
+
+    Args:
+        waiting: jobs to do.
+        ends: connections to the workers; each gets its first job.
+        serials: numbers that no other run of the team uses.
+    """
+
+    def __init__(
+        self, waiting: list[Job], ends: Sequence[Connection], serials: Iterator[int]
     ) -> None:
-        """Give a worker its next job, if there is one."""
-        if not waiting:
+        self.waiting, self._serials = waiting, serials
+        self.open_jobs: dict[int, Job] = {}
+        self.busy: dict[Any, list[int]] = {end: [] for end in ends}
+        for end in ends:
+            self._hand_out(end)
+
+    def is_due(self, end: Connection, serial: int) -> bool:
+        """Take note of an answer and give that worker its next job; False if from another run."""
+        if serial not in self.open_jobs:
+            return False
+        del self.open_jobs[serial]
+        self.busy[end].remove(serial)
+        self._hand_out(end)
+        return True
+
+    def taken_from(self, end: Connection) -> list[Job]:
+        """Return the jobs a worker has left undone."""
+        return [self.open_jobs.pop(serial) for serial in self.busy.pop(end)]
+
+    def _hand_out(self, end: Connection) -> None:
+        if not self.waiting:
             return
-        self._serial += 1
-        open_jobs[self._serial] = waiting.pop(0)
-        busy[end].append(self._serial)
-        _send(end, (self._serial, open_jobs[self._serial]))
+        serial, job = next(self._serials), self.waiting.pop(0)
+        self.open_jobs[serial] = job
+        self.busy[end].append(serial)
+        _send(end, (serial, job))
 
 
 def _send(end: Any, message: Any) -> None:

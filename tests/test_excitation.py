@@ -114,12 +114,13 @@ def test_time_budget_cuts_and_says_so():
     assert any("--save-trajectory" in note for note in result.notes)
 
 
-def test_ctrl_c_keeps_the_best_so_far():
+@pytest.mark.parametrize("workers", [1, 2])
+def test_ctrl_c_keeps_the_best_so_far(workers):
     def interrupt(state):
         if state.done >= 2:
             raise KeyboardInterrupt
 
-    result = search(TUBES, 3, interrupt, rounds=50)
+    result = search(TUBES, 3, interrupt, rounds=50, workers=workers)
     assert result.stopped == "interrupted"
     assert any("interrupted" in note for note in result.notes)
     assert result.certificate.holds
