@@ -38,6 +38,8 @@ links = importlib.import_module("links")
 make_model = importlib.import_module("make_model")
 validate_regressor = importlib.import_module("validate_regressor")
 validate_identification = importlib.import_module("validate_identification")
+validate_measurements = importlib.import_module("validate_measurements")
+validate_uncertainty = importlib.import_module("validate_uncertainty")
 sys.path.remove(str(EXAMPLE))
 
 sizes = st.floats(0.005, 0.2)
@@ -263,6 +265,45 @@ def test_identification_script_notices_a_wrong_result(capsys, monkeypatch):
 
     monkeypatch.setattr(validate_identification, "collect_sysid_data", forgetful)
     assert validate_identification.main() == 1
+
+
+@pytest.fixture(scope="module")
+def noise_study():
+    return validate_uncertainty.NoiseStudy()
+
+
+def test_few_draws_of_noise_already_look_right(noise_study):
+    noise = validate_uncertainty.Noise(0.3)
+    outcome = noise_study.run(noise, 25)
+    assert outcome.impossible == 0
+    assert 0.9 < np.mean(outcome.plain_covered) < 0.99
+    # The median over 31 parameters of a root mean square over 25 draws, good to some percent.
+    assert 0.8 < np.median(outcome.over_bound(noise_study.bound(noise))) < 1.2
+
+
+def test_uncertainty_script_notices_errors_stated_too_small(noise_study, capsys, monkeypatch):
+    identify = validate_uncertainty.NoiseStudy.identified
+
+    def boastful(*arguments):
+        estimate = identify(*arguments)
+        return dataclasses.replace(estimate, standard_errors=0.7 * estimate.standard_errors)
+
+    monkeypatch.setattr(validate_uncertainty.NoiseStudy, "identified", boastful)
+    noise = validate_uncertainty.Noise(0.3)
+    assert not validate_uncertainty.report("white", noise, noise_study, 25)
+    assert "white" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_uncertainty_script_finds_its_limits_kept(noise_study, capsys):
+    assert validate_uncertainty.main(study=noise_study) == 0
+    assert "all limits hold" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_measurements_script_finds_its_limits_kept(capsys):
+    assert validate_measurements.main() == 0
+    assert "all limits hold" in capsys.readouterr().out
 
 
 def test_pictures_are_skipped_with_a_note_where_nothing_can_draw():
