@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import signal
 import sys
+import threading
 import traceback
+import warnings
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from robot_sysid.errors import SysidError
+from robot_sysid.errors import InputError, SysidError
 
 INTERRUPTED = 130
 
@@ -29,7 +33,7 @@ class Console:
         """Print a progress line."""
         self.close()
         if not self._quiet:
-            print(message, flush=True)
+            _print(message, sys.stdout)
 
     def track(self, items: Iterator[Any], label: str, total: int) -> Iterator[Any]:
         """Show a bar while items pass, on a terminal; leave one line behind."""
@@ -65,12 +69,30 @@ class Console:
     def note(self, message: str) -> None:
         """Print a sentence the user should know."""
         if not self._quiet:
-            print(f"note: {message}", file=sys.stderr, flush=True)
+            _print(f"note: {message}", sys.stderr)
 
     def detail(self, message: str) -> None:
         """Print a sentence that only --verbose shows."""
         if self._verbose and not self._quiet:
-            print(message, flush=True)
+            _print(message, sys.stdout)
+
+
+def _print(message: str, stream: Any) -> None:
+    """Print a line; a reader that has gone away (``| head``) does not stop the run."""
+    try:
+        print(message, file=stream, flush=True)
+    except BrokenPipeError:
+        _silence(stream)
+    except OSError as error:
+        _silence(stream)
+        raise InputError(f"cannot print: {error.strerror}; send the output elsewhere") from None
+
+
+def _silence(stream: Any) -> None:
+    """Send what is still to be printed, and what waits in the buffer, to nowhere."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, stream.fileno())
+    os.close(nowhere)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -82,15 +104,40 @@ def main(argv: Sequence[str] | None = None) -> int:
     debug = "--debug" in arguments
     _tolerant_output()
     _one_blas_thread()
+    with _remembered_interrupts() as interrupts:
+        try:
+            return _run(arguments)
+        except SysidError as error:
+            return _report(str(error), error.exit_code, debug)
+        except (Exception, KeyboardInterrupt) as error:
+            if interrupts or isinstance(error, KeyboardInterrupt):
+                return _report("interrupted; no unfinished file is left", INTERRUPTED, debug)
+            hint = "this is a defect in robot-sysid; run again with --debug and report it"
+            return _report(f"{type(error).__name__}: {error} ({hint})", 1, debug)
+
+
+@contextlib.contextmanager
+def _remembered_interrupts() -> Iterator[list[int]]:
+    """Yield a list that gets an entry with Ctrl-C.
+
+    A compiled module that is interrupted while it is imported turns KeyboardInterrupt into an
+    ImportError; the list tells that from a real one.
+    """
+    seen: list[int] = []
+    usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if not usual or threading.current_thread() is not threading.main_thread():
+        yield seen
+        return
+
+    def interrupt(number: int, frame: Any) -> None:
+        seen.append(number)
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGINT, interrupt)
     try:
-        return _run(arguments)
-    except SysidError as error:
-        return _report(str(error), error.exit_code, debug)
-    except KeyboardInterrupt:
-        return _report("interrupted; nothing was written", INTERRUPTED, debug)
-    except Exception as error:
-        hint = "this is a defect in robot-sysid; run again with --debug and report it"
-        return _report(f"{type(error).__name__}: {error} ({hint})", 1, debug)
+        yield seen
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def _one_blas_thread() -> None:
@@ -111,7 +158,8 @@ def _run(arguments: list[str]) -> int:
     # Imported here so that --help and usage errors do not wait for MuJoCo.
     from robot_sysid.pipeline import run
 
-    outcome = run(config, console)
+    with _warnings_as_notes(console, options.debug):
+        outcome = run(config, console)
     for line in outcome.report_lines(options.verbose):
         console.stage(line)
     if outcome.failure:
@@ -119,16 +167,33 @@ def _run(arguments: list[str]) -> int:
     return 0
 
 
+@contextlib.contextmanager
+def _warnings_as_notes(console: Console, debug: bool) -> Iterator[None]:
+    """Turn warnings of Python libraries into notes; --debug shows where they come from."""
+
+    def show(message: Any, *_: Any, **__: Any) -> None:
+        console.note(f"numerical warning: {message}; check the result (--debug says where)")
+
+    with warnings.catch_warnings():
+        if not debug:
+            warnings.showwarning = show
+        yield
+
+
 def _report(message: str, code: int, debug: bool) -> int:
     if debug:
         traceback.print_exc()
     one_line = " ".join(message.split())
-    print(f"robot-sysid: error: {one_line}", file=sys.stderr, flush=True)
+    with contextlib.suppress(InputError):
+        _print(f"robot-sysid: error: {one_line}", sys.stderr)
     return code
 
 
 def _tolerant_output() -> None:
-    """Never fail on a terminal that cannot show a middle dot."""
+    """Never fail on a terminal that cannot show a middle dot, or where there is no terminal."""
+    # A closed stream's number would go to the next file that is opened, so it is filled first.
+    sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115
+    sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")

@@ -17,7 +17,7 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / "robot_sysid"
 
 ROOMS = {
-    "command": {"cli", "damiao_cli", "options"},
+    "command": {"__main__", "cli", "damiao_cli", "options"},
     "pipeline": {
         *("pipeline", "self_analysis", "analysis", "measured", "friction_choice", "planning"),
         *("results", "summary"),

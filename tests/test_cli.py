@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import os
 import re
+import signal
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import pytest
 
 from robot_sysid import __version__
 from robot_sysid.cli import main
+from robot_sysid.errors import SysidError
 from robot_sysid.options import build_parser
 from robot_sysid.self_analysis import ITSELF
 
@@ -241,3 +244,69 @@ def test_the_installed_command_leaves_nothing_but_results(arm):
     assert process.returncode == 0, process.stderr
     assert process.stderr == f"note: {ITSELF}\n"
     assert {p.name for p in arm.parent.iterdir()} == {"arm.xml", "sysid_output"}
+
+
+def test_the_command_runs_as_a_module(arm):
+    process = _run_command("--version", cwd=arm.parent, module="robot_sysid")
+    assert (process.returncode, process.stdout) == (0, f"robot-sysid {__version__}\n".encode())
+
+
+def test_a_reader_that_goes_away_does_not_cost_the_results(arm):
+    reader, writer = os.pipe()
+    os.close(reader)
+    process = _run_command(str(arm), "--seed", "3", cwd=arm.parent, stdout=writer)
+    os.close(writer)
+    assert (process.returncode, process.stderr) == (0, f"note: {ITSELF}\n".encode())
+    assert (arm.parent / "sysid_output" / "params.json").is_file()
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_output_that_cannot_be_printed_is_one_line(arm):
+    with open("/dev/full", "wb") as full:
+        process = _run_command(str(arm), cwd=arm.parent, stdout=full)
+    assert process.returncode == 2
+    assert process.stderr.startswith(b"robot-sysid: error: cannot print: ")
+    assert process.stderr.count(b"\n") == 1
+
+
+@pytest.mark.skipif(os.name == "nt", reason="streams cannot be closed by a shell")
+def test_closed_streams_do_not_matter(arm):
+    command = f"exec '{sys.executable}' -m robot_sysid '{arm}' --seed 3 >&- 2>&-"
+    assert subprocess.run(["sh", "-c", command], cwd=arm.parent, check=False).returncode == 0
+    assert (arm.parent / "sysid_output" / "params.json").is_file()
+
+
+def test_an_interrupt_that_a_module_turns_into_another_error_is_still_one(arm, capsys, monkeypatch):
+    def interrupted_import(*_args):
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            raise ImportError("initialization failed") from None
+
+    monkeypatch.setattr("robot_sysid.pipeline.run", interrupted_import)
+    assert main([str(arm)]) == 130
+    assert "interrupted" in capsys.readouterr().err
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_warnings_of_libraries_come_out_as_notes(arm, capsys, monkeypatch):
+    def warn(*_args):
+        warnings.warn("overflow encountered", RuntimeWarning, stacklevel=1)
+        raise SysidError("stop here")
+
+    monkeypatch.setattr("robot_sysid.pipeline.run", warn)
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        assert main([str(arm)]) == 1
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.split(":")[0] for line in lines] == ["note", "robot-sysid"]
+
+
+def _run_command(*arguments, cwd, module="robot_sysid.cli", stdout=subprocess.PIPE):
+    return subprocess.run(
+        [sys.executable, "-m", module, *arguments],
+        stdout=stdout,
+        stderr=subprocess.PIPE,
+        cwd=cwd,
+        check=False,
+    )
