@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Union
 
 from robot_sysid.errors import InputError
@@ -15,3 +16,13 @@ def require_positive(value: float, option: str) -> None:
     """Raise InputError unless a number is positive and finite."""
     if not (value > 0.0 and math.isfinite(value)):
         raise InputError(f"{option} must be positive (got {value:g})")
+
+
+def require_utf8(path: Path) -> None:
+    """Raise InputError where a path has no UTF-8 form, which MuJoCo and JSON need."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        raise InputError(
+            f"the path {path} cannot be written as UTF-8; rename it, or use a UTF-8 locale"
+        ) from None

@@ -19,6 +19,8 @@ from robot_sysid.exact_inertia import restore_exact_inertias
 from robot_sysid.relocation import relocated_text
 from robot_sysid.urdf import compilable_urdf, link_inertias, velocity_limits
 
+LARGEST = 1e12
+"""Largest size of any number of an arm in SI units; squares of far larger ones overflow."""
 _FAILURES = (ValueError, mujoco.FatalError, mujoco.UnexpectedError)
 _NAME = re.compile(r"(?:Element name|Object name =) ?'?([^',\n]+)")
 _LINE = re.compile(r"line(?: =)? (\d+)")
@@ -86,7 +88,7 @@ def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
             mj_model, notes = _compile_urdf(document, mesh_dir)
         else:
             mj_model, notes = _compile_mjcf(document, mesh_dir), ()
-    _check_finite(mj_model, document)
+    _check_values(mj_model, document)
     said = tuple(dict.fromkeys(f"MuJoCo warns: {text}" for text in warnings))
     speeds = velocity_limits(document) if document.kind == "urdf" else {}
     return CompiledModel(mj_model, notes + said, document.sha256, document.kind, speeds)
@@ -94,12 +96,13 @@ def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
 
 def _check_mesh_dir(mesh_dir: Path | None) -> None:
     if mesh_dir is not None and not Path(mesh_dir).is_dir():
-        raise ModelError(f"mesh folder {mesh_dir} does not exist; check --mesh-dir")
+        fault = "is not a folder" if Path(mesh_dir).exists() else "does not exist"
+        raise ModelError(f"mesh folder {mesh_dir} {fault}; check --mesh-dir")
 
 
 def _compile_mjcf(document: ModelDocument, mesh_dir: Path | None) -> Any:
     try:
-        if mesh_dir is None:
+        if mesh_dir is None and all(file.is_utf8 for file in document.files):
             return mujoco.MjModel.from_xml_path(str(document.path))
         text = relocated_text(document, None, mesh_dir)
         return mujoco.MjModel.from_xml_string(text.decode())
@@ -149,7 +152,11 @@ def _one_line(document: ModelDocument, error: BaseException) -> str:
     return f"MuJoCo cannot compile {document.path}: {first}{place}"
 
 
-def _check_finite(mj_model: Any, document: ModelDocument) -> None:
+def _check_values(mj_model: Any, document: ModelDocument) -> None:
     for name in _MUST_BE_FINITE:
-        if not np.all(np.isfinite(getattr(mj_model, name))):
+        values = getattr(mj_model, name)
+        if not np.all(np.isfinite(values)):
             raise ModelError(f"{document.path} contains a value that is not a number ({name})")
+        if np.any(np.abs(values) > LARGEST):
+            largest = float(np.max(np.abs(values)))
+            raise ModelError(f"{document.path} contains a value no arm has ({name} {largest:g})")

@@ -14,6 +14,8 @@ from robot_sysid.friction import friction_model
 from robot_sysid.sensors import SensorOptions
 from robot_sysid.signals import SignalOptions
 
+MOST_SAMPLES = 1e9
+"""Samples of a run; more would take days."""
 SIMULATIONS = ("inverse", "forward")
 EXCITATIONS = ("sines", "optimal")
 
@@ -122,6 +124,11 @@ class SysidConfig:
         if self.duration * self.sample_rate < 1.0:
             raise InputError(
                 "--duration times --sample-rate gives less than two samples; raise one of them"
+            )
+        if self.duration * self.sample_rate > MOST_SAMPLES:
+            raise InputError(
+                f"--duration times --sample-rate gives {self.duration * self.sample_rate:.3g} "
+                f"samples, more than the {MOST_SAMPLES:.0e} a run can take; lower one of them"
             )
         if self.seed is not None and self.seed < 0:
             raise InputError(f"--seed must not be negative (got {self.seed})")

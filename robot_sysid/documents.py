@@ -17,6 +17,7 @@ from typing import Any
 from lxml import etree
 
 from robot_sysid import markup
+from robot_sysid.checks import require_utf8
 from robot_sysid.errors import InputError, ModelError
 
 _ENCODING = re.compile(rb"^\s*<\?xml[^>]*encoding\s*=\s*[\"']([A-Za-z0-9._-]+)[\"']")
@@ -46,6 +47,11 @@ class SourceFile:
     def root(self) -> Any:
         """The root element."""
         return self.elements[0]
+
+    @property
+    def is_utf8(self) -> bool:
+        """Whether the file on disk is UTF-8, which is how MuJoCo reads every file."""
+        return self.raw == self.text or _is_utf8(self.raw)
 
     @cached_property
     def index(self) -> Mapping[Any, int]:
@@ -228,7 +234,16 @@ class _Reader:
         return next((path for path in candidates if path.is_file()), None)
 
 
+def _is_utf8(raw: bytes) -> bool:
+    try:
+        raw.decode("utf-8")
+    except UnicodeDecodeError:
+        return False
+    return True
+
+
 def _read_bytes(path: Path) -> bytes:
+    require_utf8(path)
     try:
         return path.read_bytes()
     except IsADirectoryError:

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
 
+from robot_sysid.checks import require_utf8
 from robot_sysid.errors import InputError
 
 
@@ -61,7 +62,12 @@ def require_writable(folder: Path) -> None:
 
     Asked before a long computation whose results are to be written there.
     """
-    existing = next(f for f in (folder.absolute(), *folder.absolute().parents) if f.exists())
+    require_utf8(folder)
+    try:
+        whole = folder.absolute()
+    except FileNotFoundError:
+        raise InputError("the current folder no longer exists; change to another one") from None
+    existing = next(f for f in (whole, *whole.parents) if f.exists())
     if not existing.is_dir():
         raise InputError(f"cannot write to {folder}: {existing} is not a folder; choose another")
     if not os.access(existing, os.W_OK | os.X_OK):

@@ -74,7 +74,7 @@ def _add_main(add: Any) -> None:
     add("--no-friction", action="store_true", help="identify the 10 inertial parameters only")
     add(
         "--output-dir",
-        type=Path,
+        type=_folder,
         default=Path("sysid_output"),
         metavar="DIR",
         help="folder for the results (default: ./sysid_output)",
@@ -343,6 +343,13 @@ def _add_console(group: argparse._ArgumentGroup) -> None:
     volume.add_argument("--quiet", action="store_true", help="print errors only")
     group.add_argument("--debug", action="store_true", help="show the traceback of an error")
     group.add_argument("--version", action="version", version=f"robot-sysid {__version__}")
+
+
+def _folder(text: str) -> Path:
+    """Return a path; an empty text is a shell variable that was not set."""
+    if not text:
+        raise argparse.ArgumentTypeError("is empty; use . for the current folder")
+    return Path(text)
 
 
 def _levels(option: str) -> Any:

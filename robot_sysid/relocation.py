@@ -1,8 +1,8 @@
 """MJCF text for another folder: file references and includes rewritten, everything else kept.
 
 An include is kept, with its path rewritten, when the included file needs no folder itself: no
-further include, no file reference, no ``meshdir``. Otherwise its text takes its place, because
-MuJoCo would look for those files relative to the new main file.
+further include, no file reference, no ``meshdir``, and is UTF-8. Otherwise its text takes its
+place, because MuJoCo would look for those files relative to the new main file.
 """
 
 from __future__ import annotations
@@ -41,7 +41,11 @@ def relocated_text(
     """
     assets = find_assets(document, mesh_dir)
     needing = {asset.node.file.path for asset in assets}
-    inlined = {f.path for f in document.files if folder is None or _needs_folder(f, needing)}
+    inlined = {
+        file.path
+        for file in document.files
+        if folder is None or not file.is_utf8 or _needs_folder(file, needing)
+    }
     writer = _Writer(folder, inlined | set(inline), {})
     for path, edits in (extra or {}).items():
         writer.add(path, edits)

@@ -116,6 +116,9 @@ BAD_OPTIONS = {
     "duration in words": (["--duration", "long"], "--duration"),
     "zero rate": (["--sample-rate", "0"], "--sample-rate must be positive"),
     "rate not a number": (["--sample-rate", "nan"], "--sample-rate must be positive"),
+    "too many samples": (["--duration", "1e9"], "1e+12 samples"),
+    "no output folder": (["--output-dir", ""], "--output-dir: is empty"),
+    "output folder without a name": (["--output-dir", "\udcff"], "cannot be written as UTF-8"),
     "too few samples": (["--duration", "0.1", "--sample-rate", "1"], "two samples"),
     "negative seed": (["--seed", "-1"], "--seed"),
     "zero speed": (["--max-velocity", "0"], "--max-velocity must be positive"),
@@ -128,7 +131,8 @@ BAD_OPTIONS = {
         "DM4340_48V",
     ),
     "too few motor types": (["--export-damiao", "--motor-type", "DM4340"], "2 joints"),
-    "no mesh folder": (["--mesh-dir", "nowhere"], "nowhere"),
+    "no mesh folder": (["--mesh-dir", "nowhere"], "nowhere does not exist"),
+    "mesh folder is a file": (["--mesh-dir", "arm.xml"], "arm.xml is not a folder"),
 }
 
 

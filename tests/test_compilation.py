@@ -177,3 +177,29 @@ def test_a_urdf_states_its_speed_limits(tmp_path):
     path = tmp_path / "arm.urdf"
     path.write_text(f'<robot name="r"><link name="l0"/>{joints}</robot>')
     assert compile_model(path).velocity_limits == {"j0": 1.5}
+
+
+@pytest.mark.parametrize("encoding", ["latin-1", "utf-16"])
+def test_names_in_other_encodings_are_read(tmp_path, encoding):
+    """MuJoCo reads every file as UTF-8; the text it gets is converted, included files too."""
+    head = f"<?xml version='1.0' encoding='{encoding}'?>"
+    body = "<body name='h\u00fcfte'><joint name='h\u00fcfte'/><geom size='.1'/></body>"
+    (tmp_path / "part.xml").write_bytes(f"{head}<mujoco>{body}</mujoco>".encode(encoding))
+    main = f"{head}<mujoco><worldbody><include file='part.xml'/></worldbody></mujoco>"
+    for name, text in (
+        ("a.xml", main),
+        ("b.xml", main.replace("<include file='part.xml'/>", body)),
+    ):
+        path = tmp_path / name
+        path.write_bytes(text.encode(encoding))
+        assert compile_model(path).mj_model.body(1).name == "h\u00fcfte"
+
+
+def test_a_value_no_arm_has_is_refused_by_name(tmp_path):
+    path = tmp_path / "m.xml"
+    path.write_text(
+        "<mujoco><worldbody><body><joint/><inertial pos='0 0 0' mass='1e300' "
+        "diaginertia='1 1 1'/></body></worldbody></mujoco>"
+    )
+    with pytest.raises(InputError, match="a value no arm has .body_mass 1e.300."):
+        compile_model(path)

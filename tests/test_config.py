@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.config import SysidConfig
+from robot_sysid.config import MOST_SAMPLES, SysidConfig
 from robot_sysid.errors import InputError
 
 MODEL = Path("arm.xml")
@@ -48,8 +48,12 @@ def test_numbers_that_must_be_positive_are_refused_otherwise(field, option, valu
 
 
 @given(st.floats(0.01, 1e5), st.floats(0.01, 1e5))
-def test_any_positive_duration_and_rate_with_two_samples_is_accepted(duration, rate):
-    if duration * rate >= 1.0:
+def test_any_duration_and_rate_with_two_samples_or_more_and_not_too_many_is_accepted(
+    duration, rate
+):
+    if duration * rate > MOST_SAMPLES:
+        assert "more than the 1e+09 a run can take" in message(duration=duration, sample_rate=rate)
+    elif duration * rate >= 1.0:
         assert SysidConfig(MODEL, duration=duration, sample_rate=rate).duration == duration
     else:
         assert "less than two samples" in message(duration=duration, sample_rate=rate)

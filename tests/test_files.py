@@ -9,7 +9,7 @@ import pytest
 
 from robot_sysid import files
 from robot_sysid.errors import InputError
-from robot_sysid.files import whole_file, whole_files, write_whole
+from robot_sysid.files import require_writable, whole_file, whole_files, write_whole
 
 
 def everything_in(folder: Path) -> dict[str, str]:
@@ -81,3 +81,12 @@ def test_the_user_decides_who_may_read_the_file(tmp_path):
     finally:
         os.umask(mask)
     assert (tmp_path / "a").stat().st_mode & 0o777 == 0o644
+
+
+def test_a_working_folder_that_is_gone_is_one_line(tmp_path, monkeypatch):
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    monkeypatch.chdir(gone)
+    gone.rmdir()
+    with pytest.raises(InputError, match="current folder no longer exists"):
+        require_writable(Path("out"))

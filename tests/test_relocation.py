@@ -108,3 +108,12 @@ def test_the_declared_encoding_becomes_the_real_one(tmp_path):
     path.write_bytes(text.encode("latin-1"))
     moved = relocated_text(read_document(path), tmp_path / "out").decode("utf-8")
     assert moved == text.replace("latin-1", "utf-8")
+
+
+def test_an_included_file_that_is_not_utf8_takes_its_place(tmp_path):
+    part = "<?xml version='1.0' encoding='latin-1'?><mujoco><!-- é --></mujoco>"
+    (tmp_path / "part.xml").write_bytes(part.replace("<!--", "<size/><!--").encode("latin-1"))
+    main = "<mujoco><include file='part.xml'/><worldbody/></mujoco>"
+    (tmp_path / "m.xml").write_text(main)
+    moved = relocated_text(read_document(tmp_path / "m.xml"), tmp_path / "out")
+    assert moved.decode() == "<mujoco><size/><!-- é --><worldbody/></mujoco>"
