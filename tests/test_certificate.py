@@ -22,7 +22,7 @@ from tests.arms import SEEDS
 from tests.excitation_arms import TUBES_AND_POST, problem, robot
 
 BASIS = FourierBasis(4.0, 0.25, 3, 1.0)
-BRIEF = FourierBasis(0.8, 1.25, 3, 0.3)
+BRIEF = FourierBasis(0.4, 2.5, 3, 0.15)
 
 
 def plan_of(some, seed, size, basis=BRIEF):
@@ -35,7 +35,7 @@ def plan_of(some, seed, size, basis=BRIEF):
 def test_peaks_are_those_of_the_samples(seed, size):
     some = problem(arms.THREE)
     plan = plan_of(some, seed, size)
-    proof, motion = certify(some, plan), plan.evaluate(np.arange(801) / 1000.0)
+    proof, motion = certify(some, plan), plan.evaluate(np.arange(401) / 1000.0)
     assert np.allclose(proof.lowest, motion.q.min(axis=0), atol=1e-12)
     assert np.allclose(proof.highest, motion.q.max(axis=0), atol=1e-12)
     assert np.allclose(proof.velocity, np.abs(motion.qd).max(axis=0), atol=1e-12)
@@ -50,18 +50,18 @@ def test_peaks_are_those_of_the_samples(seed, size):
     assert proof.holds == kept == (joint_share(some, plan)[0] <= 1.0)
 
 
-@given(SEEDS, st.floats(0.05, 0.5))
+@given(SEEDS, st.floats(0.02, 0.2))
 @settings(max_examples=100)
 def test_clearance_is_that_of_testing_often(seed, size):
     some = problem(TUBES_AND_POST)
     plan = plan_of(some, seed, size)
-    often = plan.evaluate(np.arange(161) / 200.0)
+    often = plan.evaluate(np.arange(161) / 400.0)
     least = np.min(some.obstacles.slack(often.q).value)
     fastest = np.max(some.obstacles.rates @ np.max(np.abs(often.qd), axis=0))
     proof = certify(some, plan)
     assert proof.closest.slack <= least + CLEARANCE_RESOLUTION + 1e-6
     # Between two of these samples nothing moves farther than this.
-    assert proof.closest.slack >= least - 0.005 * fastest
+    assert proof.closest.slack >= least - 0.0025 * fastest
     assert (first_contact(some, plan) is not None) == (proof.closest.slack < 0.0)
 
 

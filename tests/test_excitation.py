@@ -56,7 +56,7 @@ def assert_at_rest(result):
 
 
 @given(st.sampled_from(ARMS), SEEDS, st.sampled_from(["faded", "periodic"]))
-@settings(max_examples=12)
+@settings(max_examples=8)
 def test_limits_hold_for_any_seed(xml, seed, ends):
     result = search(xml, seed, ends=ends)
     assert result.certificate.holds

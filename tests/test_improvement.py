@@ -16,8 +16,15 @@ def best_draw(some, seed=0):
     return min(draw_trajectories(some, seed, range(6)), key=lambda d: d.score)
 
 
-@pytest.mark.parametrize("xml", [arms.THREE, TUBES, TUBES_AND_POST, arms.SLIDE_IN_CHAIN])
-@pytest.mark.parametrize("ends", ["faded", "periodic"])
+@pytest.mark.parametrize(
+    ("xml", "ends"),
+    [
+        (arms.THREE, "faded"),
+        (TUBES, "periodic"),
+        (TUBES_AND_POST, "faded"),
+        (arms.SLIDE_IN_CHAIN, "periodic"),
+    ],
+)
 def test_rounds_keep_the_best_and_prove_it(xml, ends):
     some = design(xml, ends=ends, iterations=15)
     candidate = first_candidate(some, 0, best_draw(some).x)
