@@ -12,6 +12,7 @@ from robot_sysid.compilation import CompiledModel, compile_model
 from robot_sysid.composite import composite_theta
 from robot_sysid.errors import ModelError
 from robot_sysid.limits import joint_limits
+from robot_sysid.mobile_base import arm_without_base
 from robot_sysid.records import Array, InertialParameters, JointFriction, RobotModel
 from robot_sysid.terminal import (
     body_label,
@@ -53,7 +54,8 @@ def robot_from_compiled(
     """Return the arm in a compiled model; arguments and errors as in ``load_robot_model``."""
     mj_model = compiled.mj_model
     terminal = find_terminal_joint(mj_model) if joint is None else resolve_joint(mj_model, joint)
-    chain = chain_to(mj_model, terminal)
+    whole = chain_to(mj_model, terminal)
+    chain = arm_without_base(mj_model, whole)
     body = int(mj_model.jnt_bodyid[terminal])
     qpos = reference_configuration(mj_model)
     dofs = mj_model.jnt_dofadr[list(chain)].astype(np.int64)
@@ -74,7 +76,7 @@ def robot_from_compiled(
         limits=joint_limits(mj_model, chain, max_velocity, speeds),
         prior=_prior(mj_model, qpos, body),
         friction=JointFriction(mj_model.dof_frictionloss[dofs], mj_model.dof_damping[dofs]),
-        notes=compiled.notes + _chain_notes(mj_model, chain),
+        notes=compiled.notes + _base_note(mj_model, whole, chain) + _chain_notes(mj_model, chain),
     )
 
 
@@ -93,6 +95,11 @@ def _prior(mj_model: Any, qpos: Array, body: int) -> InertialParameters:
             "it an <inertial> or geoms with mass as a starting value"
         )
     return InertialParameters(theta)
+
+
+def _base_note(mj_model: Any, whole: tuple[int, ...], chain: tuple[int, ...]) -> tuple[str, ...]:
+    held = ", ".join(joint_label(mj_model, j) for j in whole if j not in chain)
+    return (f"{held} drive a mobile base, which is taken to stand still",) if held else ()
 
 
 def _chain_notes(mj_model: Any, chain: tuple[int, ...]) -> tuple[str, ...]:

@@ -25,6 +25,7 @@ ROOMS = {
     "settings": {"config"},
     "model": {
         *("parser", "compilation", "composite", "exact_inertia", "terminal", "limits"),
+        "mobile_base",
         *("kinematics", "simulator", "collection", "samples", "tilt"),
         *("collisions", "clearance", "halfspaces", "excitation_problem", "reach"),
         *("plant", "plant_loading", "plant_simulation", "forward_plant", "closed_loop"),
