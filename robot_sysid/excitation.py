@@ -139,7 +139,9 @@ class _Search:
 
     def run(self) -> None:
         """Draw, choose, improve; stop early where time is up."""
-        with Team(self._design, self._options.workers) as team:
+        # More workers than starts would idle after the draws.
+        workers = min(self._options.workers, max(2, self._options.n_starts))
+        with Team(self._design, workers) as team:
             for draws in self._counted(team.run(self._draw_jobs())):
                 self._draws += draws
             self._prove_starts(team)
