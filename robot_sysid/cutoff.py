@@ -7,6 +7,8 @@ at high frequencies, where a second difference of white noise has the known shap
 (2 - 2 cos(2 pi f T))^2 / T^4, and the motion is what stands clearly above it. The chosen cut-off is
 the highest one whose expected error is small: a higher one keeps more of the friction's sign
 changes and cuts less off the ends of the log, and costs nothing as long as the noise stays small.
+It stays within a multiple of the frequencies that the arm moves at, beyond which nothing is gained
+and torques hold more and more that is not motion.
 """
 
 from __future__ import annotations
@@ -23,6 +25,9 @@ from robot_sysid.records import Array
 # biases an inertia by as much, 0.005 %.
 _HARMLESS = 5e-5
 _NEARLY_BEST = 1.25
+# The arm moves at frequencies that hold this share of the squared speed; the cut-off is at most so
+# many times the highest of them.
+_MOSTLY, _WIDEST = 0.99, 15.0
 # A band counts as motion where it stands this far above the noise, which chance does not.
 _CLEARLY = 6.0
 # Longer stretches would only resolve frequencies finer than any cut-off needs [s].
@@ -72,6 +77,9 @@ def choose_cutoff(q: Array, rate: float) -> CutoffChoice:
     motion = _motion(frequency, power, noise)
     noise = np.maximum(noise, np.where(motion > 0.0, 0.0, power))
     candidates = _candidates(len(q), rate)
+    candidates = candidates[
+        candidates <= max(candidates[0], _WIDEST * _speed_band(frequency, motion))
+    ]
     errors = np.array([_error(c, rate, length, motion, noise) for c in candidates])
     fit = np.flatnonzero(errors <= max(_HARMLESS, _NEARLY_BEST * errors.min()))
     best = candidates[fit[-1]]
@@ -117,12 +125,24 @@ def _motion(frequency: Array, power: Array, noise: Array) -> Array:
     """
     motion = np.where(power > _CLEARLY * noise, power - noise, 0.0)
     pooled = np.sum(power, axis=1)
-    speed = np.cumsum(np.sum(motion, axis=1) / frequency**2)
-    if speed[-1] == 0.0:
+    if not np.any(motion):
         return motion
-    slow = int(np.searchsorted(speed, 0.999 * speed[-1]))
+    slow = _within(frequency, motion, _MOSTLY)
     last = slow + int(np.argmin(_smooth(pooled)[slow : max(slow + 1, int(0.9 * len(pooled)))]))
     return np.where(np.arange(len(frequency))[:, None] <= last, motion, 0.0)
+
+
+def _within(frequency: Array, motion: Array, share: float) -> int:
+    """Return below which frequency index this share of the squared speed is."""
+    speed = np.cumsum(np.sum(motion, axis=1) / frequency**2)
+    return int(np.searchsorted(speed, share * speed[-1]))
+
+
+def _speed_band(frequency: Array, motion: Array) -> float:
+    """Return the highest frequency that the arm moves at [Hz]; all where it does not move."""
+    return float(
+        frequency[_within(frequency, motion, _MOSTLY)] if np.any(motion) else frequency[-1]
+    )
 
 
 def _smooth(power: Array) -> Array:

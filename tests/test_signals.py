@@ -231,6 +231,16 @@ def test_a_fast_small_motion_beside_a_slow_large_one_is_kept():
     assert choose_cutoff(q[:, None], 1000.0).cutoff > 12.5
 
 
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**32), st.sampled_from([1e-5, 1e-4, 1e-3]))
+def test_steps_of_a_coarse_encoder_are_not_taken_for_motion(seed, resolution):
+    """A joint that creeps over few steps has a spectrum of its own, far above any motion."""
+    q = Swing(seed).q(seconds(15.0, 1000.0)) * [1.0, 0.03, 0.01]
+    cutoff = choose_cutoff(np.round(q / resolution) * resolution, 1000.0).cutoff
+    # The fastest sine has 0.59 Hz, seen with a resolution of about a quarter of a hertz.
+    assert cutoff < 15.0 * 1.1
+
+
 def test_a_stretch_too_short_for_a_spectrum_is_refused():
     with pytest.raises(InputError, match="--cutoff HZ"):
         choose_cutoff(np.zeros((20, 2)), 200.0)

@@ -26,7 +26,7 @@ from robot_sysid.plant_simulation import PlantOptions, simulate_plant
 from robot_sysid.records import Estimate, MotionPlan, RobotModel
 from robot_sysid.samples import ThinnedSamples, thin_equations
 from robot_sysid.sensors import SensorOptions
-from robot_sysid.signals import SignalOptions, process
+from robot_sysid.signals import ProcessedSignals, SignalOptions, process
 from robot_sysid.simulator import inverse_torque, simulate_inverse
 from robot_sysid.solver import identify_parameters
 from robot_sysid.spatial import PARAMETER_NAMES
@@ -112,20 +112,22 @@ class NoiseStudy:
         guess = load_robot_model(MODELS / "kinova_fullinertia_guess.xml").prior
         self.robot = replace(self.plant, mj_model=with_link(self.plant, guess.theta), prior=guess)
         self.plan = plan or random_plan(self.robot, seed)
-        self.samples, self._low_pass, self._length = self._recorded(options, simulation)
+        self.signals = self._recorded(options, simulation)
+        self.samples = thin_equations(self._equations(), self.signals)
         self.truth = self._true_values()
 
-    def _recorded(
-        self, options: SignalOptions | None, simulation: str
-    ) -> tuple[ThinnedSamples, object, int]:
+    def _recorded(self, options: SignalOptions | None, simulation: str) -> ProcessedSignals:
         sensors = SensorOptions(encoder_resolution=ENCODER_STEP)
         how = PlantOptions(simulation, SAMPLE_RATE, sensors)
         run = simulate_plant(self.plant, self.plan, how, np.random.default_rng(0))
         log = join_measurements(run)
         chosen = options or SignalOptions(least_deadband=run.least_deadband())
-        signals = process(log, chosen, self.robot.joint_names)
-        self.cutoff = signals.cutoff
-        return thin_equations(self._equations(), signals), signals.low_pass, len(signals)
+        return process(log, chosen, self.robot.joint_names)
+
+    @property
+    def cutoff(self) -> float:
+        """Cut-off of the low-pass [Hz]."""
+        return self.signals.cutoff
 
     def _equations(self) -> Equations:
         model = friction_model(DEFAULT_MEASURED)
@@ -148,8 +150,8 @@ class NoiseStudy:
 
     def noisy(self, noise: Noise, rng: np.random.Generator) -> ThinnedSamples:
         """Return the equations with one draw of noise in their torques."""
-        drawn = noise.draw(rng, self._length, self.robot.n_joints)
-        added = self._low_pass.thinned(drawn)
+        drawn = noise.draw(rng, len(self.signals), self.robot.n_joints)
+        added = self.signals.low_pass.thinned(drawn)
         pairs = zip(self.samples.tau, added.T)
         return replace(self.samples, tau=tuple(tau + extra for tau, extra in pairs))
 

@@ -1,0 +1,38 @@
+"""The example's noise study, for benchmarks that ask more of it than the example does."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+
+import numpy as np
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "kinova"
+
+sys.path.insert(0, str(EXAMPLE))
+noise_study = importlib.import_module("noise_study")
+sys.path.remove(str(EXAMPLE))
+
+Noise, NoiseStudy, random_plan = noise_study.Noise, noise_study.NoiseStudy, noise_study.random_plan
+
+
+def designed_plan(robot, seed=1):
+    """The trajectory that ``--excitation optimal`` designs; takes about 20 s."""
+    from robot_sysid.excitation import design_excitation
+    from robot_sysid.excitation_options import ExcitationOptions
+    from robot_sysid.excitation_problem import build_problem
+
+    options = ExcitationOptions(duration=15.0)
+    problem = build_problem(robot, options)
+    return design_excitation(problem, options, np.random.default_rng(seed)).trajectory
+
+
+def friction_errors(study, estimate):
+    """Largest relative errors: (mass, Coulomb, viscous)."""
+    error = np.abs(estimate.values - study.truth)
+    worst = [error[0] / study.truth[0]]
+    for term in ("coulomb", "viscous"):
+        of_term = [k for k, name in enumerate(study.samples.names) if name.startswith(term)]
+        worst.append(np.max(error[of_term] / study.truth[of_term]))
+    return worst
