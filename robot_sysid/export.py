@@ -12,13 +12,14 @@ from pathlib import Path
 from robot_sysid import markup
 from robot_sysid.body_search import find_body
 from robot_sysid.compiler_settings import check_settings, inertia_from_geometry_edits
-from robot_sysid.documents import Node, read_document
+from robot_sysid.documents import ModelDocument, Node, read_document
 from robot_sysid.files import write_whole
 from robot_sysid.inertial_text import comment_edit, inertial_edit, mjcf_inertial, urdf_inertial
 from robot_sysid.markup import Edit
 from robot_sysid.params_json import export_params_json, params_json_text, read_params_json
 from robot_sysid.records import Array, Identification, SubtreeBody
 from robot_sysid.relocation import relocated_text
+from robot_sysid.urdf import minimum_inertia_edits
 from robot_sysid.urdf_meshes import relocated_urdf
 from robot_sysid.write_back import WriteBack, plan_write_back
 
@@ -108,7 +109,7 @@ def updated_model_text(
     folded = [find_body(document, other.name) for other in plan.folded]
     edits = [(terminal, comment_edit(terminal, body, rmse, plan.note))]
     if document.kind == "urdf":
-        edits += _urdf_edits(terminal, folded, plan.theta)
+        edits += _urdf_edits(document, terminal, folded, plan.theta)
         return relocated_urdf(document, folder, mesh_dir, [edit for _, edit in edits])
     edits += _mjcf_edits(terminal, folded, plan.theta, principal)
     edits += inertia_from_geometry_edits(document, [terminal, *folded])
@@ -124,10 +125,16 @@ def _mjcf_edits(
     return written + [inertial_edit(body, empty) for body in folded]
 
 
-def _urdf_edits(terminal: Node, folded: Sequence[Node], theta: Array) -> list[tuple[Node, Edit]]:
+def _urdf_edits(
+    document: ModelDocument, terminal: Node, folded: Sequence[Node], theta: Array
+) -> list[tuple[Node, Edit]]:
     empty = urdf_inertial(0.0 * theta)
     written = [inertial_edit(terminal, urdf_inertial(theta))]
-    return written + [inertial_edit(body, empty) for body in folded]
+    written += [inertial_edit(body, empty) for body in folded]
+    changed = {body.get("name") for body in (terminal, *folded)}
+    # What was added to get the model compiled stays in it: MuJoCo has to load it by itself.
+    minimum = minimum_inertia_edits(document)
+    return written + [(document.root, edit) for name, edit in minimum if name not in changed]
 
 
 def _by_file(edits: Collection[tuple[Node, Edit]]) -> dict[Path, list[markup.Edit]]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,9 +13,10 @@ import numpy as np
 from robot_sysid.collisions import CHECK_RATE_HZ, find_new_contacts
 from robot_sysid.config import SysidConfig
 from robot_sysid.progress import Progress
-from robot_sysid.records import MotionPlan, RobotModel
+from robot_sysid.records import Motion, MotionPlan, RobotModel
 from robot_sysid.simulator import inverse_torque
 from robot_sysid.trajectory import (
+    CHUNK,
     generate_excitation_trajectory,
     motion_chunks,
     sample_count,
@@ -107,8 +110,17 @@ def _designed(config: SysidConfig, robot: RobotModel, seed: int, progress: Progr
 
 
 def _warn_of_contacts(robot: RobotModel, plan: MotionPlan, progress: Progress) -> None:
-    for contact in find_new_contacts(robot, motion_chunks(plan, CHECK_RATE_HZ)):
+    motions = _counted(plan, progress)
+    for contact in find_new_contacts(robot, motions):
         progress.note(f"{contact} along this trajectory; do not play it on the arm")
+
+
+def _counted(plan: MotionPlan, progress: Progress) -> Iterator[Motion]:
+    """Yield the motion that is checked for contacts, and tell how far it is."""
+    total = math.ceil(sample_count(plan.duration, CHECK_RATE_HZ) / CHUNK)
+    for done, motion in enumerate(motion_chunks(plan, CHECK_RATE_HZ), start=1):
+        yield motion
+        progress.advance("Looking for contacts", done, total, "")
 
 
 def plan_files(config: SysidConfig) -> tuple[Path, ...]:

@@ -92,30 +92,39 @@ def _dropped_notes(uses: list[MeshUse]) -> list[str]:
     names = ", ".join(sorted({use.name for use in collisions}))
     return [
         f"collision meshes that are missing or unreadable to MuJoCo were left out ({names}); "
-        "the dynamics do not change, because these links have their own <inertial>"
+        "the dynamics do not change, because these links have their own <inertial>; a written "
+        "model still names them, so MuJoCo by itself loads it only once they are there, in a "
+        "format it reads"
     ]
 
 
 def _add_minimum_inertia(document: ModelDocument, edits: list[Edit], notes: list[str]) -> None:
-    file, links = document.main, []
+    found = dict(minimum_inertia_edits(document))
+    edits += found.values()
+    if found:
+        links = ", ".join(f"'{name}'" for name in found)
+        notes.append(
+            f"moving link {links} has no mass or inertia, which MuJoCo refuses; it was "
+            f"given {MINIMUM_MASS:g} kg and {MINIMUM_INERTIA:g} kg m^2"
+        )
+
+
+def minimum_inertia_edits(document: ModelDocument) -> Iterator[tuple[str, Edit]]:
+    """Yield (name of a moving link that weighs nothing, the edit that gives it a minimum)."""
+    file = document.main
     for link in _moving_links_without_mass(document):
         inertial = link.find("{*}inertial")
         span = file.span(link)
         if inertial is not None:
             old = file.span(inertial)
-            edits.append(Edit(old.start, old.end, _minimum(_mass(link))))
+            edit = Edit(old.start, old.end, _minimum(_mass(link)))
         elif span.is_empty_tag:
             opened = file.text[span.start : span.end - 2].rstrip() + b">"
             tag = b"</" + str(link.tag).encode() + b">"
-            edits.append(Edit(span.start, span.end, opened + _minimum(0.0) + tag))
+            edit = Edit(span.start, span.end, opened + _minimum(0.0) + tag)
         else:
-            edits.append(Edit(span.inner_start, span.inner_start, _minimum(0.0)))
-        links.append(f"'{link.get('name')}'")
-    if links:
-        notes.append(
-            f"moving link {', '.join(links)} has no mass or inertia, which MuJoCo refuses; it was "
-            f"given {MINIMUM_MASS:g} kg and {MINIMUM_INERTIA:g} kg m^2"
-        )
+            edit = Edit(span.inner_start, span.inner_start, _minimum(0.0))
+        yield str(link.get("name")), edit
 
 
 def _minimum(mass: float) -> bytes:

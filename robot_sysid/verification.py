@@ -78,6 +78,11 @@ _PATHS = {
     "hfield_pathadr",
     "tex_pathadr",
 }
+_SPRINGDAMPER = (
+    "a joint's springdamper computes it from the inertia: give that joint stiffness and damping "
+    "instead to get a model"
+)
+_ADVICE = {"dof_damping": _SPRINGDAMPER, "jnt_stiffness": _SPRINGDAMPER}
 _NUMBERS = (int, float, bytes, np.ndarray)
 
 
@@ -122,7 +127,7 @@ def require_same_model(original: Any, other: Any, changed: Collection[int]) -> N
         if name not in theirs or not _same(name, value, theirs[name], changed):
             raise ExportError(
                 f"the written model differs from the original in {name}, which should not have "
-                "changed; no model was written"
+                f"changed; {_ADVICE.get(name, 'no model was written')}"
             )
 
 

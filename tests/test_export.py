@@ -239,3 +239,12 @@ def test_public_models_keep_everything_but_the_inertia(tmp_path, path):
     exported(path, label, theta, first)
     exported(first, label, theta, second)
     assert second.read_bytes().count(b"System ID") == 1
+
+
+def test_a_link_that_weighs_nothing_does_not_keep_the_written_urdf_from_loading(tmp_path):
+    light = URDF.replace(urdf_inertial(), "", 1)
+    source, target = write_files(tmp_path, {"m.urdf": light}), tmp_path / "out" / "u.urdf"
+    with pytest.raises(ValueError, match="mjMINVAL"):
+        mujoco.MjModel.from_xml_path(str(source))
+    export_updated_xml(source, "l2", WriteBack(random_theta(np.random.default_rng(1))), 0.0, target)
+    assert mujoco.MjModel.from_xml_path(str(target)).njnt == 2

@@ -124,3 +124,8 @@ def test_whether_mujoco_finds_axes_accurately_is_measured():
     except ExportError:
         accurate = False
     assert reads_fullinertia_exactly(THETA) == accurate
+
+
+def test_a_difference_that_a_springdamper_makes_says_so():
+    with pytest.raises(ExportError, match="springdamper computes it from the inertia"):
+        compare('<joint name="j2"', '<joint damping="3" name="j2"')
