@@ -40,7 +40,8 @@ def _by_number(document: ModelDocument, label: str) -> Node:
     if number is None or document.kind == "urdf":
         raise ExportError(
             f"{document.path}: body '{label}' is not written out in the file (it comes from an "
-            "attached or generated part); write it out to get an updated model"
+            "attached or generated part); identify the attached model file by itself, or write "
+            "the body out"
         )
     # MuJoCo numbers bodies depth first, and <frame> adds none.
     left = int(number.group(1))

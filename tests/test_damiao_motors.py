@@ -8,7 +8,6 @@ import pytest
 from robot_sysid.damiao.motors import MOTORS, matching_types, motor_spec, motor_specs
 from robot_sysid.errors import InputError
 
-
 # Type, then what scales its frames: position [rad], speed [rad/s], torque [N m].
 LIMITS = {
     "DM4310": (12.5, 30, 10),
