@@ -106,8 +106,9 @@ def test_moments_below_the_files_bound_are_raised_where_they_are_not_known_bette
     identified = rod(np.random.default_rng(seed))
     plan = plan_write_back(identified, [body(1, NOTHING)], Leeway(bound, 2.0 * bound))
     smallest = np.linalg.eigvalsh(spatial.com_from_theta(plan.theta)[2])[0]
-    np.testing.assert_allclose(smallest, bound, rtol=0, atol=1e-15)
-    np.testing.assert_allclose(plan.written(identified), plan.theta, rtol=0, atol=1e-15)
+    # Rounding of an inertia about an origin metres away, which is of the order of ten.
+    np.testing.assert_allclose(smallest, bound, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(plan.written(identified), plan.theta, rtol=0, atol=1e-13)
     assert plan.note is not None and "less than their standard errors" in plan.note
 
 
@@ -126,5 +127,5 @@ def test_a_small_body_below_a_rod_is_kept_where_the_moments_allow(seed):
     identified, frame = rod(rng), spatial.theta_from_com(1e-6, np.zeros(3), 1e-6 * np.eye(3))
     plan = plan_write_back(identified, [body(1, NOTHING), body(2, frame)], Leeway(0.0, 1e-3))
     assert plan.folded == () and spatial.is_consistent(plan.theta)
-    np.testing.assert_allclose(plan.theta + frame, plan.written(identified), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(plan.theta + frame, plan.written(identified), rtol=0, atol=1e-13)
     assert 1e-7 < plan.raised < 1e-3
