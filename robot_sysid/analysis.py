@@ -12,8 +12,8 @@ from robot_sysid.friction import DEFAULT_MEASURED
 from robot_sysid.limitations import limitations
 from robot_sysid.measured import MeasuredFit, MeasuredOptions, identify_measured, validate_on
 from robot_sysid.measurement import join_measurements, read_measurements, write_measurement_csv
-from robot_sysid.plant_loading import load_plant
-from robot_sysid.plant_simulation import PlantOptions, PlantSimulation, simulate_plant
+from robot_sysid.plant.plant_loading import load_plant
+from robot_sysid.plant.plant_simulation import PlantOptions, PlantSimulation, simulate_plant
 from robot_sysid.progress import Progress
 from robot_sysid.records import (
     Measurement,

@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from robot_sysid.checks import require_positive
+from robot_sysid.design.excitation_options import ExcitationOptions
 from robot_sysid.errors import InputError
 from robot_sysid.estimators.options import EstimatorOptions
 from robot_sysid.estimators.registry import estimator
-from robot_sysid.excitation_options import ExcitationOptions
 from robot_sysid.friction import friction_model
 from robot_sysid.sensors import SensorOptions
 from robot_sysid.signals import SignalOptions

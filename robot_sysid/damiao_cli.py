@@ -188,7 +188,7 @@ def _plan(options: argparse.Namespace, timing: BusTiming) -> Plan:
 def _simulated_arm(options: argparse.Namespace, plan: Plan) -> SimulatedArm:
     # Imported here so that playing on real motors does not wait for MuJoCo.
     from robot_sysid.parser import load_robot_model
-    from robot_sysid.plant import MujocoPlant
+    from robot_sysid.plant.plant import MujocoPlant
 
     robot = load_robot_model(options.model, options.mesh_dir, options.joint)
     joints = plan.trajectory.joints

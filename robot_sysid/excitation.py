@@ -15,15 +15,15 @@ from functools import partial
 
 import numpy as np
 
-from robot_sysid.certificate import Certificate, certify
-from robot_sysid.design_objective import Design
-from robot_sysid.design_problem import ExcitationProblem
+from robot_sysid.design.certificate import Certificate, certify
+from robot_sysid.design.design_objective import Design
+from robot_sysid.design.design_problem import ExcitationProblem
+from robot_sysid.design.excitation_options import ExcitationOptions
+from robot_sysid.design.fourier import FourierTrajectory
+from robot_sysid.design.improvement import Candidate, first_candidate, improve
+from robot_sysid.design.random_search import Draw, draw_trajectories
+from robot_sysid.design.team import Team
 from robot_sysid.errors import InputError
-from robot_sysid.excitation_options import ExcitationOptions
-from robot_sysid.fourier import FourierTrajectory
-from robot_sysid.improvement import Candidate, first_candidate, improve
-from robot_sysid.random_search import Draw, draw_trajectories
-from robot_sysid.team import Team
 
 DRAWS_PER_JOB = 20
 

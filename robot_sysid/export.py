@@ -9,19 +9,24 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
-from robot_sysid import markup
-from robot_sysid.body_search import find_body
-from robot_sysid.compiler_settings import check_settings, inertia_from_geometry_edits
-from robot_sysid.documents import ModelDocument, Node, read_document
 from robot_sysid.files import write_whole
-from robot_sysid.inertial_text import comment_edit, inertial_edit, mjcf_inertial, urdf_inertial
-from robot_sysid.markup import Edit
+from robot_sysid.modelfile import markup
+from robot_sysid.modelfile.body_search import find_body
+from robot_sysid.modelfile.compiler_settings import check_settings, inertia_from_geometry_edits
+from robot_sysid.modelfile.documents import ModelDocument, Node, read_document
+from robot_sysid.modelfile.inertial_text import (
+    comment_edit,
+    inertial_edit,
+    mjcf_inertial,
+    urdf_inertial,
+)
+from robot_sysid.modelfile.markup import Edit
+from robot_sysid.modelfile.relocation import relocated_text
+from robot_sysid.modelfile.urdf import minimum_inertia_edits
+from robot_sysid.modelfile.urdf_meshes import relocated_urdf
+from robot_sysid.modelfile.write_back import WriteBack, plan_write_back
 from robot_sysid.params_json import export_params_json, params_json_text, read_params_json
 from robot_sysid.records import Array, Identification, SubtreeBody
-from robot_sysid.relocation import relocated_text
-from robot_sysid.urdf import minimum_inertia_edits
-from robot_sysid.urdf_meshes import relocated_urdf
-from robot_sysid.write_back import WriteBack, plan_write_back
 
 __all__ = [
     "export_params_json",

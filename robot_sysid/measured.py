@@ -12,7 +12,7 @@ from robot_sysid.errors import SysidError
 from robot_sysid.estimators.options import EstimatorOptions
 from robot_sysid.friction import DEFAULT_MEASURED, FrictionModel, friction_model
 from robot_sysid.friction_choice import choose_friction, friction_per_joint
-from robot_sysid.log_checks import sign_check
+from robot_sysid.logs.log_checks import sign_check
 from robot_sysid.progress import Progress
 from robot_sysid.records import Array, Estimate, Measurement, Motion, RobotModel
 from robot_sysid.samples import SharedColumns, ThinnedSamples, thin_equations

@@ -15,14 +15,14 @@ from pathlib import Path
 
 import numpy as np
 
-from robot_sysid.column_file import ColumnChoices, Units, parse_units, read_columns_file
 from robot_sysid.errors import InputError
 from robot_sysid.files import whole_file
-from robot_sysid.log_checks import check_log
-from robot_sysid.log_columns import ColumnMap, recognise_columns
-from robot_sysid.log_dialect import SEPARATOR_NAMES, LogDialect, read_dialect
-from robot_sysid.log_rows import LogRows, Repairs
-from robot_sysid.log_timing import LogContext
+from robot_sysid.logs.column_file import ColumnChoices, Units, parse_units, read_columns_file
+from robot_sysid.logs.log_checks import check_log
+from robot_sysid.logs.log_columns import ColumnMap, recognise_columns
+from robot_sysid.logs.log_dialect import SEPARATOR_NAMES, LogDialect, read_dialect
+from robot_sysid.logs.log_rows import LogRows, Repairs
+from robot_sysid.logs.log_timing import LogContext
 from robot_sysid.records import JointLimits, Measurement
 
 _CHUNK = 10_000

@@ -11,11 +11,11 @@ import numpy as np
 
 from robot_sysid import __version__
 from robot_sysid.config import EXCITATIONS, SIMULATIONS, SysidConfig
-from robot_sysid.criteria import CRITERIA
+from robot_sysid.design.criteria import CRITERIA
+from robot_sysid.design.excitation_options import ENDS, ExcitationOptions, box_from, plane_from
 from robot_sysid.errors import InputError
 from robot_sysid.estimators.options import CONSISTENCY_CHOICES, PRIOR_CHOICES, EstimatorOptions
 from robot_sysid.estimators.registry import ESTIMATORS
-from robot_sysid.excitation_options import ENDS, ExcitationOptions, box_from, plane_from
 from robot_sysid.sensors import SensorOptions, parse_levels
 from robot_sysid.signals import SignalOptions
 

@@ -8,19 +8,19 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from robot_sysid.compilation import CompiledModel, compile_model
-from robot_sysid.composite import composite_theta
-from robot_sysid.errors import ModelError
-from robot_sysid.limits import joint_limits
-from robot_sysid.mobile_base import arm_without_base
-from robot_sysid.records import Array, InertialParameters, JointFriction, RobotModel
-from robot_sysid.terminal import (
+from robot_sysid.compiled.compilation import CompiledModel, compile_model
+from robot_sysid.compiled.composite import composite_theta
+from robot_sysid.compiled.limits import joint_limits
+from robot_sysid.compiled.mobile_base import arm_without_base
+from robot_sysid.compiled.terminal import (
     body_label,
     chain_to,
     find_terminal_joint,
     joint_label,
     resolve_joint,
 )
+from robot_sysid.errors import ModelError
+from robot_sysid.records import Array, InertialParameters, JointFriction, RobotModel
 
 DEFAULT_MAX_VELOCITY = 2.0
 """Speed limit of hinge joints [rad/s]."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from robot_sysid.compilation import captured_warnings
+from robot_sysid.compiled.compilation import captured_warnings
 from robot_sysid.config import SysidConfig
 from robot_sysid.files import require_writable
 from robot_sysid.parser import load_robot_model

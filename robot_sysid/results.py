@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robot_sysid.compiler_settings import bound_inertia
-from robot_sysid.composite import subtree_bodies
+from robot_sysid.compiled.composite import subtree_bodies
+from robot_sysid.compiled.reproduction import require_reproduction
+from robot_sysid.compiled.verification import reads_fullinertia_exactly, verify_written_model
 from robot_sysid.config import SysidConfig
-from robot_sysid.documents import read_document
 from robot_sysid.export import params_json_text, updated_model_text
 from robot_sysid.files import WholeFiles, whole_files
+from robot_sysid.modelfile.compiler_settings import bound_inertia
+from robot_sysid.modelfile.documents import read_document
+from robot_sysid.modelfile.write_back import NO_LEEWAY, Leeway, plan_write_back
 from robot_sysid.records import Array, Estimate, Identification, Motion, RobotModel
-from robot_sysid.reproduction import require_reproduction
-from robot_sysid.verification import reads_fullinertia_exactly, verify_written_model
-from robot_sysid.write_back import NO_LEEWAY, Leeway, plan_write_back
 
 if TYPE_CHECKING:
     from robot_sysid.damiao.trajectory_csv import DamiaoExportReport

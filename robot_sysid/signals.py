@@ -25,12 +25,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.cutoff import choose_cutoff
-from robot_sysid.differences import REACH, advanced, first_derivative, second_derivative
 from robot_sysid.errors import InputError
-from robot_sysid.low_pass import LowPass, Thinner, design_low_pass
+from robot_sysid.filters.cutoff import choose_cutoff
+from robot_sysid.filters.differences import REACH, advanced, first_derivative, second_derivative
+from robot_sysid.filters.low_pass import LowPass, Thinner, design_low_pass
+from robot_sysid.filters.resampling import UniformSignals, resampled
 from robot_sysid.records import Array, Measurement, Motion
-from robot_sysid.resampling import UniformSignals, resampled
 
 LARGEST_SLOW_SHARE = 0.07
 """Share of the filter's weight that samples inside the deadband may have in a row that is used."""

@@ -6,13 +6,13 @@ import numpy as np
 
 from robot_sysid import spatial
 from robot_sysid.coloured_noise import collect_residuals
-from robot_sysid.consistency import consistent_least_squares
 from robot_sysid.errors import InputError
+from robot_sysid.estimators.consistency import consistent_least_squares
+from robot_sysid.estimators.nonnegative import solve_nonnegative
 from robot_sysid.estimators.options import EstimatorOptions
 from robot_sysid.estimators.registry import estimator
 from robot_sysid.estimators.weighting import WeightedEquations
 from robot_sysid.identifiability import N_INERTIAL, analyse_identifiability, visible_space
-from robot_sysid.nonnegative import solve_nonnegative
 from robot_sysid.records import (
     Array,
     Estimate,

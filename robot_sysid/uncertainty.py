@@ -19,7 +19,7 @@ import numpy as np
 
 from robot_sysid import spatial
 from robot_sysid.coloured_noise import JointResiduals
-from robot_sysid.consistency import lifted_body
+from robot_sysid.estimators.consistency import lifted_body
 from robot_sysid.identifiability import N_INERTIAL, VisibleSpace, visible_space
 from robot_sysid.records import Array, SquareRootInformation
 

@@ -13,7 +13,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from robot_sysid import spatial
-from robot_sysid.compilation import CompiledModel
+from robot_sysid.compiled.compilation import CompiledModel
 from robot_sysid.parser import robot_from_compiled
 
 X, Y, Z = "1 0 0", "0 1 0", "0 0 1"

@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from robot_sysid.closed_loop import ClosedLoop
 from robot_sysid.collection import Equations
-from robot_sysid.composite import composite_theta
+from robot_sysid.compiled.composite import composite_theta
 from robot_sysid.friction import FrictionModel
 from robot_sysid.information import InformationAccumulator
+from robot_sysid.plant.closed_loop import ClosedLoop
 from robot_sysid.records import InertialParameters, JointFriction, Measurement
 from robot_sysid.signals import process
 from robot_sysid.simulator import inverse_torque

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from robot_sysid.compilation import captured_warnings
+from robot_sysid.compiled.compilation import captured_warnings
 from tests import arms
 
 settings.register_profile("laws", max_examples=100, deadline=None)

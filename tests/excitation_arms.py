@@ -6,9 +6,9 @@ from functools import cache
 
 import numpy as np
 
-from robot_sysid.design_objective import Design
-from robot_sysid.excitation_options import ExcitationOptions
-from robot_sysid.excitation_problem import build_problem
+from robot_sysid.design.design_objective import Design
+from robot_sysid.design.excitation_options import ExcitationOptions
+from robot_sysid.surroundings.excitation_problem import build_problem
 from tests import arms
 from tests.arms import LINK, TIP, X, Y, Z, hinge, link, world
 

@@ -9,7 +9,7 @@ import numpy as np
 from robot_sysid.collection import Equations
 from robot_sysid.friction import DEFAULT_MEASURED, friction_model
 from robot_sysid.measurement import join_measurements
-from robot_sysid.plant_simulation import PlantOptions, simulate_plant
+from robot_sysid.plant.plant_simulation import PlantOptions, simulate_plant
 from robot_sysid.records import InertialParameters
 from robot_sysid.sensors import SensorOptions
 from robot_sysid.signals import SignalOptions

@@ -24,19 +24,12 @@ ROOMS = {
     },
     "settings": {"config"},
     "model": {
-        *("parser", "compilation", "composite", "exact_inertia", "terminal", "limits"),
-        "mobile_base",
-        *("kinematics", "simulator", "collection", "samples", "tilt"),
-        *("collisions", "clearance", "halfspaces", "excitation_problem", "reach"),
-        *("plant", "plant_loading", "plant_simulation", "forward_plant", "closed_loop"),
-        *("verification", "reproduction"),
+        *("parser", "kinematics", "simulator", "collection", "samples", "tilt"),
+        *("compiled", "plant", "surroundings"),
     },
     "files": {"measurement", "export", "params_json", "report"},
     "damiao": {"damiao"},
-    "text": {
-        *("documents", "markup", "assets", "relocation", "urdf", "urdf_meshes"),
-        *("body_search", "compiler_settings", "inertial_text"),
-    },
+    "text": {"modelfile"},
     "base": {"", "records", "errors", "spatial"},
 }
 BELOW_PIPELINE = {"settings", "model", "files", "damiao", "text", "maths", "base"}

@@ -5,9 +5,9 @@ from __future__ import annotations
 import mujoco
 import pytest
 
-from robot_sysid.assets import check_assets, find_assets
-from robot_sysid.documents import read_document
 from robot_sysid.errors import ModelError
+from robot_sysid.modelfile.assets import check_assets, find_assets
+from robot_sysid.modelfile.documents import read_document
 from tests.model_files import TETRAHEDRON, write_files
 
 USE = "<worldbody><body><geom type='mesh' mesh='m'/></body></worldbody>"

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_sysid.barrier import MatrixProblem, minimise
 from robot_sysid.errors import SysidError
+from robot_sysid.estimators.barrier import MatrixProblem, minimise
 
 UPPER = [(i, j) for i in range(3) for j in range(i, 3)]
 

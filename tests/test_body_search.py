@@ -5,10 +5,10 @@ from __future__ import annotations
 import mujoco
 import pytest
 
-from robot_sysid.body_search import find_body
-from robot_sysid.composite import body_label
-from robot_sysid.documents import read_document
+from robot_sysid.compiled.composite import body_label
 from robot_sysid.errors import ExportError
+from robot_sysid.modelfile.body_search import find_body
+from robot_sysid.modelfile.documents import read_document
 from tests.model_files import urdf_link, urdf_robot, write_files
 
 # Each body carries its MuJoCo id as mass of its only geom.

@@ -9,14 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_sysid.certificate import (
+from robot_sysid.design.certificate import (
     CLEARANCE_RESOLUTION,
     certify,
     first_contact,
     joint_share,
     tight_times,
 )
-from robot_sysid.fourier import FourierBasis, FourierTrajectory
+from robot_sysid.design.fourier import FourierBasis, FourierTrajectory
 from tests import arms
 from tests.arms import SEEDS
 from tests.excitation_arms import TUBES_AND_POST, problem, robot
@@ -77,13 +77,13 @@ class ThinWall:
     rates = np.array([[1.0, 0.0, 0.0]])
 
     def slack(self, q):
-        from robot_sysid.design_problem import Slack
+        from robot_sysid.design.design_problem import Slack
 
         value = np.minimum(np.abs(q[:, 0] - 0.2) - 1e-3, self.horizon)
         return Slack(value, np.zeros_like(q), value[:, None])
 
     def closest(self, q):
-        from robot_sysid.design_problem import Closest
+        from robot_sysid.design.design_problem import Closest
 
         value = float(self.slack(q[None]).value[0])
         return Closest(value, value, "arm and wall")

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 
-from robot_sysid.clearance import HORIZON, KEPT_SHARE, Clearance
-from robot_sysid.collisions import ContactFinder
-from robot_sysid.excitation_options import Plane
-from robot_sysid.halfspaces import plane_half_space
+from robot_sysid.compiled.collisions import ContactFinder
+from robot_sysid.design.excitation_options import Plane
 from robot_sysid.kinematics import subtree
+from robot_sysid.surroundings.clearance import HORIZON, KEPT_SHARE, Clearance
+from robot_sysid.surroundings.halfspaces import plane_half_space
 from tests.arms import SEEDS, X, Y, Z, hinge, link, world
 from tests.excitation_arms import POST, TOUCHING_AT_REST, TUBES_AND_POST, robot, tube_arm
 

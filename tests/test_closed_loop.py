@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robot_sysid.closed_loop import ClosedLoop
 from robot_sysid.errors import SimulationError
-from robot_sysid.forward_plant import ForwardPlant
 from robot_sysid.kinematics import ArmDynamics
 from robot_sysid.parser import load_robot_model
+from robot_sysid.plant.closed_loop import ClosedLoop
+from robot_sysid.plant.forward_plant import ForwardPlant
 from robot_sysid.trajectory import SineTrajectory
 from tests import arms
 from tests.arms import robot_of

@@ -17,7 +17,7 @@ from robot_sysid.collection import (
     collect_sysid_data,
     friction_of_terminal_joint,
 )
-from robot_sysid.composite import composite_theta
+from robot_sysid.compiled.composite import composite_theta
 from robot_sysid.errors import InputError
 from robot_sysid.identifiability import VisibleSpace, visible_space
 from robot_sysid.records import JointFriction, Measurement

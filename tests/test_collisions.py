@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robot_sysid.collisions import ContactFinder, find_new_contacts
+from robot_sysid.compiled.collisions import ContactFinder, find_new_contacts
 from robot_sysid.records import Motion
 from tests import arms
 from tests.arms import Y, Z, hinge, link, robot_of, world

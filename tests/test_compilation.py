@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from robot_sysid.compilation import captured_warnings, compile_model
+from robot_sysid.compiled.compilation import captured_warnings, compile_model
 from robot_sysid.errors import InputError, ModelError
 from tests.model_files import (
     ARM,

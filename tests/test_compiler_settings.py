@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from robot_sysid import spatial
-from robot_sysid.body_search import find_body
-from robot_sysid.compiler_settings import check_settings, setting
-from robot_sysid.documents import read_document
+from robot_sysid.compiled.verification import verify_written_model
 from robot_sysid.errors import ExportError
 from robot_sysid.export import export_updated_xml
-from robot_sysid.verification import verify_written_model
-from robot_sysid.write_back import WriteBack
+from robot_sysid.modelfile.body_search import find_body
+from robot_sysid.modelfile.compiler_settings import check_settings, setting
+from robot_sysid.modelfile.documents import read_document
+from robot_sysid.modelfile.write_back import WriteBack
 from tests.model_files import ARM, random_theta, write_files
 
 THETA = random_theta(np.random.default_rng(5), 1.7)

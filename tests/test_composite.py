@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid import spatial
-from robot_sysid.composite import body_theta, composite_theta, subtree_bodies
+from robot_sysid.compiled.composite import body_theta, composite_theta, subtree_bodies
 from tests.model_files import ARM
 
 MODEL = mujoco.MjModel.from_xml_string(ARM)

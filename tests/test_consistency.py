@@ -8,7 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robot_sysid import spatial
-from robot_sysid.consistency import body_divergence, consistent_least_squares, lifted_body
+from robot_sysid.estimators.consistency import (
+    body_divergence,
+    consistent_least_squares,
+    lifted_body,
+)
 from tests.synthetic_data import (
     arm_equations,
     information_of,

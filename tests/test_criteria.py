@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.criteria import CRITERIA
+from robot_sysid.design.criteria import CRITERIA
 from tests.arms import SEEDS
 from tests.excitation_arms import slope
 

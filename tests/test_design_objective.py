@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_sysid.design_objective import GRID_PER_CYCLE, Design, PenalisedDesign
-from robot_sysid.predicted_information import PredictedInformation, RowSettings
-from robot_sysid.random_search import draw_trajectories
+from robot_sysid.design.design_objective import GRID_PER_CYCLE, Design, PenalisedDesign
+from robot_sysid.design.predicted_information import PredictedInformation, RowSettings
+from robot_sysid.design.random_search import draw_trajectories
 from tests import arms
 from tests.arms import SEEDS
 from tests.excitation_arms import (

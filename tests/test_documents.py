@@ -7,8 +7,8 @@ import os
 
 import pytest
 
-from robot_sysid.documents import read_document
 from robot_sysid.errors import InputError, ModelError
+from robot_sysid.modelfile.documents import read_document
 from tests.model_files import ARM, write_files
 
 BODY = "<mujoco><worldbody><body name='{}'/></worldbody></mujoco>"

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid import spatial
-from robot_sysid.composite import body_theta
-from robot_sysid.exact_inertia import restore_exact_inertias
-from robot_sysid.inertial_text import mjcf_inertial
+from robot_sysid.compiled.composite import body_theta
+from robot_sysid.compiled.exact_inertia import restore_exact_inertias
+from robot_sysid.modelfile.inertial_text import mjcf_inertial
 from tests.model_files import random_theta
 
 

@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_sysid.collisions import find_new_contacts
+from robot_sysid.compiled.collisions import find_new_contacts
+from robot_sysid.design.motion_constraints import ROUNDING
 from robot_sysid.errors import InputError
 from robot_sysid.excitation import design_excitation
-from robot_sysid.excitation_problem import build_problem
-from robot_sysid.motion_constraints import ROUNDING
+from robot_sysid.surroundings.excitation_problem import build_problem
 from robot_sysid.trajectory import motion_chunks
 from tests import arms
 from tests.arms import SEEDS

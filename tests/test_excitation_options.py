@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.errors import InputError
-from robot_sysid.excitation_options import (
+from robot_sysid.design.excitation_options import (
     TOP_FREQUENCY_HZ,
     Box,
     ExcitationOptions,
@@ -16,6 +15,7 @@ from robot_sysid.excitation_options import (
     per_joint,
     plane_from,
 )
+from robot_sysid.errors import InputError
 
 
 @pytest.mark.parametrize(

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robot_sysid.clearance import Clearance
-from robot_sysid.design_problem import NoObstacles
+from robot_sysid.design.design_problem import NoObstacles
+from robot_sysid.design.excitation_options import Box, Plane
 from robot_sysid.errors import InputError
-from robot_sysid.excitation_options import Box, Plane
-from robot_sysid.excitation_problem import build_problem
 from robot_sysid.records import JointLimits
 from robot_sysid.simulator import inverse_torque
+from robot_sysid.surroundings.clearance import Clearance
+from robot_sysid.surroundings.excitation_problem import build_problem
 from tests import arms
 from tests.arms import robot_of
 from tests.excitation_arms import TUBES, TUBES_AND_POST, options, robot

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robot_sysid.collisions import find_new_contacts
+from robot_sysid.compiled.collisions import find_new_contacts
+from robot_sysid.design.excitation_options import ExcitationOptions, Plane
 from robot_sysid.excitation import design_excitation
-from robot_sysid.excitation_options import ExcitationOptions, Plane
-from robot_sysid.excitation_problem import build_problem
 from robot_sysid.parser import load_robot_model
 from robot_sysid.simulator import inverse_torque
+from robot_sysid.surroundings.excitation_problem import build_problem
 from robot_sysid.trajectory import motion_chunks
 
 ZOO = Path(__file__).parents[1].parent / "shared" / "models"

@@ -13,13 +13,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid import spatial
-from robot_sysid.compilation import compile_model
-from robot_sysid.composite import composite_theta, subtree_bodies
+from robot_sysid.compiled.compilation import compile_model
+from robot_sysid.compiled.composite import composite_theta, subtree_bodies
+from robot_sysid.compiled.terminal import find_terminal_joint
+from robot_sysid.compiled.verification import reads_fullinertia_exactly, verify_written_model
 from robot_sysid.errors import ExportError
 from robot_sysid.export import export_updated_model, export_updated_xml, updated_model_text
-from robot_sysid.terminal import find_terminal_joint
-from robot_sysid.verification import reads_fullinertia_exactly, verify_written_model
-from robot_sysid.write_back import WriteBack, plan_write_back
+from robot_sysid.modelfile.write_back import WriteBack, plan_write_back
 from tests.model_files import (
     ARM,
     INERTIAL,

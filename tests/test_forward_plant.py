@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robot_sysid.errors import SimulationError
-from robot_sysid.forward_plant import ForwardPlant
 from robot_sysid.kinematics import ArmDynamics
+from robot_sysid.plant.forward_plant import ForwardPlant
 from tests import arms
 from tests.arms import SEEDS, random_chain, random_motion, robot_of
 

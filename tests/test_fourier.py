@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robot_sysid.design.fourier import FourierBasis, FourierTrajectory
 from robot_sysid.errors import InputError
-from robot_sysid.fourier import FourierBasis, FourierTrajectory
 from tests.arms import SEEDS
 
 JOINTS = 3

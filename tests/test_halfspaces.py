@@ -8,8 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.excitation_options import Box, Plane
-from robot_sysid.halfspaces import GeomShape, box_half_spaces, geom_shapes, plane_half_space
+from robot_sysid.design.excitation_options import Box, Plane
+from robot_sysid.surroundings.halfspaces import (
+    GeomShape,
+    box_half_spaces,
+    geom_shapes,
+    plane_half_space,
+)
 from tests.arms import SEEDS, compile_xml
 
 KINDS = {

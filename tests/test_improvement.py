@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robot_sysid.certificate import certify
-from robot_sysid.improvement import first_candidate, improve, obeys_everything
-from robot_sysid.random_search import draw_trajectories
+from robot_sysid.design.certificate import certify
+from robot_sysid.design.improvement import first_candidate, improve, obeys_everything
+from robot_sysid.design.random_search import draw_trajectories
 from tests import arms
 from tests.excitation_arms import TUBES, TUBES_AND_POST, design
 

@@ -9,17 +9,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid import spatial
-from robot_sysid.composite import body_theta
-from robot_sysid.documents import Node, read_document
-from robot_sysid.inertial_text import (
+from robot_sysid.compiled.composite import body_theta
+from robot_sysid.compiled.verification import reads_fullinertia_exactly
+from robot_sysid.modelfile.documents import Node, read_document
+from robot_sysid.modelfile.inertial_text import (
     comment_edit,
     inertial_edit,
     mjcf_inertial,
     numbers,
     urdf_inertial,
 )
-from robot_sysid.markup import apply_edits
-from robot_sysid.verification import reads_fullinertia_exactly
+from robot_sysid.modelfile.markup import apply_edits
 from tests.model_files import random_theta, write_files
 
 seeds = st.integers(0, 2**32 - 1)

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robot_sysid import spatial
-from robot_sysid.composite import body_theta, composite_theta
+from robot_sysid.compiled.composite import body_theta, composite_theta
 from robot_sysid.kinematics import (
     ArmDynamics,
     ChainKinematics,

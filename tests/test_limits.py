@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robot_sysid.limits import DEFAULT_SLIDE_VELOCITY, joint_limits
+from robot_sysid.compiled.limits import DEFAULT_SLIDE_VELOCITY, joint_limits
 from tests.arms import X, Y, Z, compile_xml, serial_arm
 
 ALL = (0, 1, 2)

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
-from robot_sysid.log_checks import sign_check
+from robot_sysid.logs.log_checks import sign_check
 from robot_sysid.measurement import MeasurementLog, read_measurements
 from robot_sysid.records import JointLimits
 from tests.log_files import JOINTS, TITLES, limits, motion, table, write

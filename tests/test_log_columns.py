@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_sysid.column_file import ColumnChoices, Units, parse_units, read_columns_file
-from robot_sysid.column_titles import read_title
 from robot_sysid.damiao.trajectory_csv import trajectory_columns
 from robot_sysid.errors import InputError
-from robot_sysid.log_columns import ColumnMap, recognise_columns
+from robot_sysid.logs.column_file import ColumnChoices, Units, parse_units, read_columns_file
+from robot_sysid.logs.column_titles import read_title
+from robot_sysid.logs.log_columns import ColumnMap, recognise_columns
 
 JOINTS = ("joint0", "joint1", "joint2")
 UR = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from lxml import etree
 
-from robot_sysid.markup import (
+from robot_sysid.modelfile.markup import (
     Edit,
     apply_edits,
     element_spans,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from robot_sysid.motion_constraints import MotionConstraints
+from robot_sysid.design.motion_constraints import MotionConstraints
 from tests import arms
 from tests.arms import SEEDS
 from tests.excitation_arms import TUBES_AND_POST, problem, slope

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import nnls
 
+from robot_sysid.estimators.nonnegative import solve_nonnegative
 from robot_sysid.identifiability import visible_space
-from robot_sysid.nonnegative import solve_nonnegative
 
 SEEDS = st.integers(0, 2**32 - 1)
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_sysid.pair_filter import MOST_GROUPS, drop_pairs
+from robot_sysid.surroundings.pair_filter import MOST_GROUPS, drop_pairs
 from tests.arms import SEEDS, compile_xml
 
 BODIES = 6

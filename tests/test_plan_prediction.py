@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from robot_sysid.collection import Equations
-from robot_sysid.fourier import FourierTrajectory
+from robot_sysid.design.fourier import FourierTrajectory
+from robot_sysid.design.plan_prediction import predict, prediction_lines
+from robot_sysid.design.random_search import draw_trajectories
 from robot_sysid.friction import FrictionModel
-from robot_sysid.plan_prediction import predict, prediction_lines
-from robot_sysid.random_search import draw_trajectories
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 from tests import arms

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.errors import SimulationError
-from robot_sysid.plant import MujocoPlant
+from robot_sysid.plant.plant import MujocoPlant
 from robot_sysid.records import Motion
 from robot_sysid.simulator import simulate_inverse
 from tests import arms

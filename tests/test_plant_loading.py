@@ -7,7 +7,7 @@ import pytest
 
 from robot_sysid.errors import InputError
 from robot_sysid.parser import load_robot_model
-from robot_sysid.plant_loading import load_plant
+from robot_sysid.plant.plant_loading import load_plant
 from tests.arms import FREE_OBJECT_BESIDE, SEVEN, THREE, TWO_ARMS, X, Y, Z, serial_arm
 
 

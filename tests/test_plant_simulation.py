@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.errors import InputError
-from robot_sysid.plant_simulation import PlantOptions, simulate_plant
+from robot_sysid.plant.plant_simulation import PlantOptions, simulate_plant
 from robot_sysid.records import Measurement
 from robot_sysid.sensors import SensorOptions
 from robot_sysid.simulator import simulate_inverse

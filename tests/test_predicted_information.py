@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robot_sysid.collection import Equations
-from robot_sysid.excitation_problem import screw_chain
+from robot_sysid.design.predicted_information import PredictedInformation, RowSettings
 from robot_sysid.friction import FrictionModel
-from robot_sysid.predicted_information import PredictedInformation, RowSettings
 from robot_sysid.records import Measurement
+from robot_sysid.surroundings.excitation_problem import screw_chain
 from tests import arms
 from tests.arms import SEEDS, random_motion, robot_of
 from tests.excitation_arms import slope

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_sysid.motion_constraints import ROUNDING, MotionConstraints
-from robot_sysid.random_search import draw_trajectories
+from robot_sysid.design.motion_constraints import ROUNDING, MotionConstraints
+from robot_sysid.design.random_search import draw_trajectories
 from tests import arms
 from tests.arms import SEEDS
 from tests.excitation_arms import TUBES, TUBES_AND_POST, design

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid import spatial
-from robot_sysid.composite import body_theta
+from robot_sysid.compiled.composite import body_theta
 from robot_sysid.records import BodyMotion
 from robot_sysid.regressor import derive_regressor, joint_regressor, wrench_regressor
 from tests.arms import SEEDS, random_rotation, rigid_bodies

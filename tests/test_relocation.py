@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from robot_sysid.documents import read_document
-from robot_sysid.relocation import reference, relocated_text
+from robot_sysid.modelfile.documents import read_document
+from robot_sysid.modelfile.relocation import reference, relocated_text
 from tests.model_files import TETRAHEDRON, write_files
 
 MESH = "<asset><mesh name='m' file='{}'/></asset>"

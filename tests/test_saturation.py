@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.saturation import DirectionUse, FrictionRamp, RampUse
+from robot_sysid.plant.saturation import DirectionUse, FrictionRamp, RampUse
 from tests.arms import SEEDS
 
 JOINTS = ("shoulder", "elbow", "wrist")

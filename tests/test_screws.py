@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 
+from robot_sysid.design.screws import ScrewChain, bracket, bracket_transposed, exponential
 from robot_sysid.errors import AmbiguousJointError
-from robot_sysid.excitation_problem import screw_chain
 from robot_sysid.kinematics import ChainKinematics
-from robot_sysid.screws import ScrewChain, bracket, bracket_transposed, exponential
+from robot_sysid.surroundings.excitation_problem import screw_chain
 from tests import arms
 from tests.arms import SEEDS, random_chain, random_motion, robot_of
 from tests.excitation_arms import slope

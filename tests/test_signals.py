@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_sysid.cutoff import choose_cutoff
-from robot_sysid.differences import REACH, advanced, first_derivative, second_derivative
 from robot_sysid.errors import InputError
-from robot_sysid.low_pass import Thinner, design_low_pass
+from robot_sysid.filters.cutoff import choose_cutoff
+from robot_sysid.filters.differences import REACH, advanced, first_derivative, second_derivative
+from robot_sysid.filters.low_pass import Thinner, design_low_pass
+from robot_sysid.filters.resampling import is_even, resampled
 from robot_sysid.measurement import read_measurements
 from robot_sysid.records import Measurement
-from robot_sysid.resampling import is_even, resampled
 from robot_sysid.signals import (
     LARGEST_SLOW_SHARE,
     SignalOptions,

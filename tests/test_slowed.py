@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robot_sysid.design.fourier import FourierBasis
+from robot_sysid.design.slowed import SlowedTrajectory, at_speed
 from robot_sysid.errors import InputError
-from robot_sysid.fourier import FourierBasis
-from robot_sysid.slowed import SlowedTrajectory, at_speed
 from tests.arms import SEEDS
 from tests.test_fourier import trajectory
 

@@ -7,7 +7,7 @@ from functools import partial
 
 import pytest
 
-from robot_sysid.team import Team
+from robot_sysid.design.team import Team
 
 
 def add(shared, number):

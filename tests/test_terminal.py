@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from robot_sysid.errors import AmbiguousJointError, ModelError
-from robot_sysid.terminal import (
+from robot_sysid.compiled.terminal import (
     body_label,
     chain_to,
     find_terminal_joint,
@@ -13,6 +12,7 @@ from robot_sysid.terminal import (
     resolve_joint,
     serial_runs,
 )
+from robot_sysid.errors import AmbiguousJointError, ModelError
 from tests import arms
 from tests.arms import X, Y, Z, compile_xml, fingers, hinge, link, serial_arm, serial_bodies, world
 

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robot_sysid.design.slowed import at_speed
+from robot_sysid.design.trajectory_files import load_trajectory, save_samples, save_trajectory
 from robot_sysid.errors import InputError
-from robot_sysid.slowed import at_speed
 from robot_sysid.trajectory import SineTrajectory
-from robot_sysid.trajectory_files import load_trajectory, save_samples, save_trajectory
 from tests.arms import SEEDS
 from tests.test_fourier import bases, trajectory
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from robot_sysid import spatial
-from robot_sysid.documents import read_document
 from robot_sysid.errors import ModelError
-from robot_sysid.urdf import compilable_urdf, link_inertias
+from robot_sysid.modelfile.documents import read_document
+from robot_sysid.modelfile.urdf import compilable_urdf, link_inertias
 from tests.model_files import (
     urdf_inertial,
     urdf_joint,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from robot_sysid.documents import read_document
-from robot_sysid.urdf_meshes import find_mesh, mesh_uses, relocated_urdf
+from robot_sysid.modelfile.documents import read_document
+from robot_sysid.modelfile.urdf_meshes import find_mesh, mesh_uses, relocated_urdf
 from tests.model_files import urdf_link, urdf_mesh, urdf_robot, write_files
 
 

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from robot_sysid import spatial
-from robot_sysid.errors import ExportError
-from robot_sysid.inertial_text import mjcf_inertial
-from robot_sysid.verification import (
+from robot_sysid.compiled.verification import (
     reads_fullinertia_exactly,
     require_same_model,
     require_theta,
     verify_written_model,
 )
-from robot_sysid.write_back import WriteBack
+from robot_sysid.errors import ExportError
+from robot_sysid.modelfile.inertial_text import mjcf_inertial
+from robot_sysid.modelfile.write_back import WriteBack
 from tests.model_files import ARM, random_theta, write_files
 
 # Damping ratios came with MuJoCo 3.1.

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from robot_sysid import spatial
 from robot_sysid.errors import ExportError
+from robot_sysid.modelfile.write_back import Leeway, plan_write_back, possible_body
 from robot_sysid.records import SubtreeBody
-from robot_sysid.write_back import Leeway, plan_write_back, possible_body
 from tests.model_files import random_theta
 
 seeds = st.integers(0, 2**32 - 1)

@@ -14,7 +14,7 @@ import pytest
 
 from robot_sysid import spatial
 from robot_sysid.collection import Equations, collect_sysid_data, friction_of_terminal_joint
-from robot_sysid.composite import body_theta, composite_theta
+from robot_sysid.compiled.composite import body_theta, composite_theta
 from robot_sysid.config import SysidConfig
 from robot_sysid.errors import AmbiguousJointError, ModelError
 from robot_sysid.kinematics import ArmDynamics, ChainKinematics

@@ -22,7 +22,7 @@ from robot_sysid.estimators.options import EstimatorOptions
 from robot_sysid.friction import DEFAULT_MEASURED, friction_model
 from robot_sysid.measurement import join_measurements
 from robot_sysid.parser import load_robot_model
-from robot_sysid.plant_simulation import PlantOptions, simulate_plant
+from robot_sysid.plant.plant_simulation import PlantOptions, simulate_plant
 from robot_sysid.records import Estimate, MotionPlan, RobotModel
 from robot_sysid.samples import ThinnedSamples, thin_equations
 from robot_sysid.sensors import SensorOptions

@@ -32,7 +32,7 @@ from robot_sysid.damiao.stop_request import StopRequest
 from robot_sysid.damiao.trajectory_csv import read_damiao_trajectory
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.parser import load_robot_model
-from robot_sysid.plant import MujocoPlant
+from robot_sysid.plant.plant import MujocoPlant
 
 MODELS = Path(__file__).resolve().parent / "model"
 TRUTH = MODELS / "kinova_fullinertia.xml"

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from robot_sysid.closed_loop import ClosedLoop
 from robot_sysid.kinematics import ArmDynamics
 from robot_sysid.parser import load_robot_model
+from robot_sysid.plant.closed_loop import ClosedLoop
 from robot_sysid.records import Measurement
 from robot_sysid.sensors import SensorOptions, Sensors
 from robot_sysid.signals import SignalOptions

@@ -15,7 +15,7 @@ from robot_sysid import spatial
 from robot_sysid.estimators.options import EstimatorOptions
 from robot_sysid.measured import MeasuredOptions, identify_measured
 from robot_sysid.measurement import join_measurements
-from robot_sysid.plant_simulation import PlantOptions, simulate_plant
+from robot_sysid.plant.plant_simulation import PlantOptions, simulate_plant
 from robot_sysid.progress import Silent
 from robot_sysid.sensors import SensorOptions
 from robot_sysid.tilt import TILT_NAMES, gravity, with_gravity

@@ -19,9 +19,9 @@ Noise, NoiseStudy, random_plan = noise_study.Noise, noise_study.NoiseStudy, nois
 
 def designed_plan(robot, seed=1):
     """The trajectory that ``--excitation optimal`` designs; takes about 20 s."""
+    from robot_sysid.design.excitation_options import ExcitationOptions
     from robot_sysid.excitation import design_excitation
-    from robot_sysid.excitation_options import ExcitationOptions
-    from robot_sysid.excitation_problem import build_problem
+    from robot_sysid.surroundings.excitation_problem import build_problem
 
     options = ExcitationOptions(duration=15.0)
     problem = build_problem(robot, options)

@@ -16,14 +16,14 @@ from pathlib import Path
 
 import numpy as np
 
-from robot_sysid.design_objective import Design
+from robot_sysid.design.design_objective import Design
+from robot_sysid.design.excitation_options import ExcitationOptions
+from robot_sysid.design.plan_prediction import predict
+from robot_sysid.design.predicted_information import PredictedInformation, RowSettings
 from robot_sysid.excitation import design_excitation
-from robot_sysid.excitation_options import ExcitationOptions
-from robot_sysid.excitation_problem import build_problem
 from robot_sysid.parser import load_robot_model
-from robot_sysid.plan_prediction import predict
-from robot_sysid.predicted_information import PredictedInformation, RowSettings
 from robot_sysid.simulator import inverse_torque
+from robot_sysid.surroundings.excitation_problem import build_problem
 from robot_sysid.trajectory import generate_excitation_trajectory
 from tests.test_plan_prediction import empirical_deviation_of
 

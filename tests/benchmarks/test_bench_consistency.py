@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from robot_sysid import spatial
-from robot_sysid.consistency import consistent_least_squares
+from robot_sysid.estimators.consistency import consistent_least_squares
 from tests.synthetic_data import arm_equations, random_body, sdp_least_squares
 
 

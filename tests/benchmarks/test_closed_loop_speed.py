@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from robot_sysid.closed_loop import ClosedLoop
+from robot_sysid.plant.closed_loop import ClosedLoop
 from tests import arms
 from tests.closed_loop_proof import excitation, plant_from, recorded
 

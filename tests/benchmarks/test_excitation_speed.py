@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robot_sysid.certificate import certify
-from robot_sysid.design_objective import Design, PenalisedDesign
-from robot_sysid.excitation_options import ExcitationOptions
-from robot_sysid.excitation_problem import build_problem
-from robot_sysid.improvement import first_candidate, improve
+from robot_sysid.design.certificate import certify
+from robot_sysid.design.design_objective import Design, PenalisedDesign
+from robot_sysid.design.excitation_options import ExcitationOptions
+from robot_sysid.design.improvement import first_candidate, improve
+from robot_sysid.design.random_search import draw_trajectories
 from robot_sysid.parser import load_robot_model
-from robot_sysid.random_search import draw_trajectories
+from robot_sysid.surroundings.excitation_problem import build_problem
 
 KINOVA = Path(__file__).parents[2] / "examples/kinova/model/kinova_fullinertia_guess.xml"
 

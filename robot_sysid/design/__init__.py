@@ -1,0 +1,1 @@
+"""The parts of excitation design: trajectories, objective, constraints, search."""

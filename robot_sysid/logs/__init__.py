@@ -1,0 +1,1 @@
+"""Reading logs: which column is what, and what is wrong with them."""

@@ -1,0 +1,1 @@
+"""The model file as text: read safely, searched, rewritten for another folder."""

@@ -1,0 +1,1 @@
+"""A simulated arm that plays the real one."""

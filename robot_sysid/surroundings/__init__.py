@@ -1,0 +1,1 @@
+"""What an arm must not touch, and how near it comes."""
