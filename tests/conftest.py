@@ -14,6 +14,13 @@ settings.register_profile("laws", max_examples=100, deadline=None)
 settings.load_profile("laws")
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_configure(config):
+    """Let --benchmark-enable and --benchmark-only count, though benchmarks are off by default."""
+    wanted = config.getoption("benchmark_enable") or config.getoption("benchmark_only")
+    config.option.benchmark_skip = config.getoption("benchmark_skip") and not wanted
+
+
 @pytest.fixture
 def arm_file(tmp_path):
     """Factory: write an XML string to a file and return its path."""
