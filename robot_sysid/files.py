@@ -111,6 +111,12 @@ class WholeFiles:
             raise InputError(_cannot_write(path, error)) from None
         return draft
 
+    def withdraw(self, path: Path) -> None:
+        """Remove the draft of ``path``, if there is one: it will not appear."""
+        draft = self._drafts.pop(path, None)
+        if draft is not None:
+            draft.unlink(missing_ok=True)
+
     def commit(self) -> None:
         """Give every draft its final name; what stood there before comes back if one fails."""
         backups: dict[Path, Path | None] = {}

@@ -15,7 +15,13 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.planning import PlanReport, make_plan, plan_files, report_plan
 from robot_sysid.progress import Progress, Silent
 from robot_sysid.records import Identification, MotionPlan, RobotModel
-from robot_sysid.results import Command, check_motor_types, write_commands, write_results
+from robot_sysid.results import (
+    Command,
+    check_motor_types,
+    updated_model_name,
+    write_commands,
+    write_results,
+)
 from robot_sysid.self_analysis import Analysis, analyse_itself
 from robot_sysid.simulator import inverse_torque
 from robot_sysid.summary import clamping_lines, detail_lines, folder_text, result_lines
@@ -64,18 +70,24 @@ class Outcome:
         output_dir: where files went.
         files: what was written there.
         damiao: report of the Damiao export, where one was asked for.
+        not_written: why the result could not be written into the model, or None.
     """
 
     identification: Identification
     output_dir: Path
     files: tuple[Path, ...]
     damiao: DamiaoExportReport | None = None
+    not_written: str | None = None
 
     @property
     def failure(self) -> str | None:
-        """Why the result must not be used, or None."""
+        """Why there is no updated model, or None."""
         status = self.identification.estimate.status
-        return None if status.is_trustworthy else f"no model was written: {status.value}"
+        if not status.is_trustworthy:
+            return f"no model was written: {status.value}"
+        if self.not_written is None:
+            return None
+        return f"{self.not_written} (the identified numbers are in params.json)"
 
     def report_lines(self, verbose: bool) -> list[str]:
         """Return what the command line prints at the end."""
@@ -151,7 +163,16 @@ def _write(
     written = write_results(config, robot, before, analysis.checkpoints, motor_commands)
     for note in written.identification.notes[len(before.notes) :]:
         progress.note(note)
-    return Outcome(written.identification, config.output_dir, written.files, written.damiao)
+    stale = config.output_dir / updated_model_name(robot)
+    if stale not in written.files and stale.exists():
+        progress.note(f"{stale} is from an earlier run; this run wrote no model")
+    return Outcome(
+        written.identification,
+        config.output_dir,
+        written.files,
+        written.damiao,
+        written.failure,
+    )
 
 
 def load(config: SysidConfig, progress: Progress) -> RobotModel:

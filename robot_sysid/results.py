@@ -13,6 +13,7 @@ from robot_sysid.compiled.composite import subtree_bodies
 from robot_sysid.compiled.reproduction import require_reproduction
 from robot_sysid.compiled.verification import reads_fullinertia_exactly, verify_written_model
 from robot_sysid.config import SysidConfig
+from robot_sysid.errors import ExportError
 from robot_sysid.export import params_json_text, updated_model_text
 from robot_sysid.files import WholeFiles, whole_files
 from robot_sysid.modelfile.compiler_settings import bound_inertia
@@ -38,11 +39,13 @@ class Written:
         files: their paths.
         identification: the result, with notes that arose while writing.
         damiao: report of the Damiao export, where one was asked for.
+        failure: why there is no updated model although the result is trustworthy, or None.
     """
 
     files: tuple[Path, ...]
     identification: Identification
     damiao: DamiaoExportReport | None
+    failure: str | None = None
 
 
 def updated_model_name(robot: RobotModel) -> str:
@@ -68,7 +71,8 @@ def write_results(
 ) -> Written:
     """Write params.json, the updated model and, where asked for, the motor trajectory.
 
-    An estimate that is not trustworthy gets a params.json only, which says why.
+    An estimate that is not trustworthy, or that cannot be written into this model, gets a
+    params.json only, which says why.
 
     Args:
         config: names and options.
@@ -78,24 +82,38 @@ def write_results(
         commands: gives the motion and feed-forward torque to export for motors.
 
     Raises:
-        ExportError: a written file does not pass its check; nothing is left behind.
         InputError: the folder cannot be written to.
     """
     folder = config.output_dir
-    names, report = [], None
+    names, report, failure = [], None, None
     with whole_files() as files:
         if identification.estimate.status.is_trustworthy:
-            names.append(updated_model_name(robot))
-            note = _write_model(
-                files, folder / names[-1], config, robot, identification, checkpoints
-            )
+            path = folder / updated_model_name(robot)
+            note, failure = _try_model(files, path, config, robot, identification, checkpoints)
+            names += [] if failure else [path.name]
             identification = replace(identification, notes=identification.notes + note)
         if config.export_damiao:
             names.append(DAMIAO_NAME)
             report = _write_damiao(files, folder / DAMIAO_NAME, config, commands())
         names.append(PARAMS_NAME)
         files.write(folder / PARAMS_NAME, params_json_text(identification))
-    return Written(tuple(folder / name for name in names), identification, report)
+    return Written(tuple(folder / name for name in names), identification, report, failure)
+
+
+def _try_model(
+    files: WholeFiles,
+    path: Path,
+    config: SysidConfig,
+    robot: RobotModel,
+    identification: Identification,
+    checkpoints: Motion,
+) -> tuple[tuple[str, ...], str | None]:
+    """Write the updated model; returns (notes, why it could not be written or None)."""
+    try:
+        return _write_model(files, path, config, robot, identification, checkpoints), None
+    except ExportError as error:
+        files.withdraw(path)
+        return (), str(error)
 
 
 def write_commands(

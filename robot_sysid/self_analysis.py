@@ -88,6 +88,7 @@ def describe(
         joint_name=robot.terminal_joint,
         body_name=robot.body_name,
         joint_names=robot.joint_names,
+        is_slide=bool(robot.is_slide[-1]),
         prior=robot.prior,
         estimate=estimate,
         torques=config.torques,

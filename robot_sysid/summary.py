@@ -133,9 +133,11 @@ def _friction_lines(identification: Identification) -> list[str]:
     viscous = estimate.value(f"viscous[{joint}]")
     if coulomb is None or viscous is None:
         return []
+    units = ("N", "N·s/m") if identification.is_slide else ("N·m", "N·m·s/rad")
+    # Adding zero turns the -0.00 that rounding leaves into 0.00.
     return [
-        f"  Coulomb friction: {coulomb:.2f} N·m",
-        f"  Viscous friction: {viscous:.2f} N·m·s/rad",
+        f"  Coulomb friction: {round(coulomb, 2) + 0.0:.2f} {units[0]}",
+        f"  Viscous friction: {round(viscous, 2) + 0.0:.2f} {units[1]}",
     ]
 
 

@@ -188,6 +188,27 @@ def test_terminal_torques_say_what_they_cannot_see(tmp_path, monkeypatch, capsys
     assert "Not visible in these torques, kept from the model: mass" in printed
 
 
+def test_friction_of_a_slide_is_a_force(arm, capsys):
+    arm.write_text(ARM.replace('<joint name="elbow"', '<joint name="elbow" type="slide"'))
+    assert main([str(arm), "--seed", "1"]) == 0
+    printed = capsys.readouterr().out
+    assert "  Coulomb friction: 0.00 N\n  Viscous friction: 0.00 N·s/m\n" in printed
+
+
+def test_a_model_that_cannot_be_written_keeps_the_numbers(arm, capsys):
+    """Exit code 1, params.json, no model; an older model is said to be old."""
+    assert main([str(arm), "--seed", "1", "--quiet"]) == 0
+    arm.write_text(ARM.replace("<worldbody>", '<compiler settotalmass="2"/><worldbody>'))
+    (arm.parent / "sysid_output/params.json").unlink()
+    capsys.readouterr()
+    assert main([str(arm), "--seed", "1"]) == 1
+    printed = capsys.readouterr()
+    assert "Identified parameters:" in printed.out
+    assert "settotalmass" in printed.err.splitlines()[-1]
+    assert "updated_model.xml is from an earlier run" in printed.err
+    assert (arm.parent / "sysid_output/params.json").exists()
+
+
 def test_quiet_prints_nothing(arm, capsys):
     assert main([str(arm), "--quiet"]) == 0
     assert capsys.readouterr() == ("", "")

@@ -53,6 +53,6 @@ def require_reproduction(
     if not deviation <= TORQUE_TOLERANCE:
         raise ExportError(
             f"{path.name} does not reproduce the identified torques: joint {joint} is off by "
-            f"{deviation:.1e} relative (allowed {TORQUE_TOLERANCE:.0e}); nothing was written"
+            f"{deviation:.1e} relative (allowed {TORQUE_TOLERANCE:.0e}); no model was written"
         )
     return deviation

@@ -166,6 +166,7 @@ class Identification:
         model_path, model_sha256: which model file.
         joint_name, body_name: terminal joint and body.
         joint_names: all chain joints.
+        is_slide: whether the terminal joint is a slide, whose friction is a force.
         prior: the model's own parameters of the terminal link.
         estimate: the result.
         torques: "chain" or "terminal".
@@ -201,6 +202,7 @@ class Identification:
     duration: float
     sample_rate: float
     versions: Mapping[str, str]
+    is_slide: bool = False
     source: str = "simulation of the model itself"
     validation: tuple[Validation, ...] = ()
     friction_model: str | None = None
