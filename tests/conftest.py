@@ -33,7 +33,7 @@ def arm_file(tmp_path):
     return write
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session", autouse=True)
 def quiet_mujoco():
     """Keep MuJoCo from writing about needle-shaped links: a line each and a log file."""
     with captured_warnings():

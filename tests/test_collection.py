@@ -26,8 +26,6 @@ from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 from tests import arms
 from tests.arms import SEEDS, random_chain, rigid_bodies, robot_of
 
-pytestmark = pytest.mark.usefixtures("quiet_mujoco")
-
 RATE, DURATION = 40.0, 5.0
 ARMS = {
     name: robot_of(arms.MODELS[name])

@@ -23,8 +23,6 @@ from robot_sysid.regressor import joint_regressor
 from tests import arms
 from tests.arms import SEEDS, random_chain, random_motion, rigid_bodies, robot_of
 
-pytestmark = pytest.mark.usefixtures("quiet_mujoco")
-
 SAMPLES = 4
 
 

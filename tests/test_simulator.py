@@ -17,8 +17,6 @@ from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 from tests import arms
 from tests.arms import SEEDS, random_chain, random_motion, robot_of
 
-pytestmark = pytest.mark.usefixtures("quiet_mujoco")
-
 PLAIN = {name: robot_of(arms.MODELS[name]) for name in ("seven", "dry friction", "springs")}
 
 
