@@ -191,12 +191,23 @@ def _report(message: str, code: int, debug: bool) -> int:
 
 def _tolerant_output() -> None:
     """Never fail on a terminal that cannot show a middle dot, or where there is no terminal."""
-    # A closed stream's number would go to the next file that is opened, so it is filled first.
-    sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115
-    sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
+    sys.stdin = sys.stdin or _nowhere("r")
+    sys.stdout = sys.stdout or _nowhere()
+    sys.stderr = sys.stderr or _nowhere()
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
+
+
+def _nowhere(mode: str = "w") -> Any:
+    """Return a stream that swallows all and gives nothing, in place of one that was closed.
+
+    A closed stream's number would go to the next file that is opened; and a process that a library
+    starts (old versions of GLFW's loader do) has to find an open one.
+    """
+    stream = open(os.devnull, mode)  # noqa: SIM115
+    os.set_inheritable(stream.fileno(), True)
+    return stream
 
 
 if __name__ == "__main__":
