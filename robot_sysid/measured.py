@@ -14,7 +14,7 @@ from robot_sysid.friction import DEFAULT_MEASURED, FrictionModel, friction_model
 from robot_sysid.friction_choice import choose_friction, friction_per_joint
 from robot_sysid.logs.log_checks import sign_check
 from robot_sysid.progress import Progress
-from robot_sysid.records import Array, Estimate, Measurement, Motion, RobotModel
+from robot_sysid.records import DELAY_NAME, Array, Estimate, Measurement, Motion, RobotModel
 from robot_sysid.samples import SharedColumns, ThinnedSamples, thin_equations
 from robot_sysid.sensitivity import sensitivity
 from robot_sysid.signals import (
@@ -29,7 +29,6 @@ from robot_sysid.solver import identify_parameters
 from robot_sysid.tilt import TILT_NAMES, TiltColumns, gravity, turned, with_gravity
 from robot_sysid.validation import Validation, hold_out, validate
 
-DELAY_NAME = "delay"
 DELAY_CUTOFF = 10.0
 """Highest cut-off that is chosen where a delay is estimated [Hz]: beyond it the jumps of dry
 friction, which no derivative describes, make the search slow or fail."""

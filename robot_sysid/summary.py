@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robot_sysid.measured import DELAY_NAME
 from robot_sysid.params_json import friction_entries
-from robot_sysid.records import Estimate, Identification, Status
+from robot_sysid.records import DELAY_NAME, Estimate, Identification, Status
 from robot_sysid.tilt import TILT_NAMES
 
 if TYPE_CHECKING:

@@ -26,6 +26,7 @@ from robot_sysid.records.data import (
     SquareRootInformation,
 )
 from robot_sysid.records.findings import (
+    DELAY_NAME,
     Estimate,
     Identifiability,
     Identification,
@@ -34,6 +35,7 @@ from robot_sysid.records.findings import (
 )
 
 __all__ = [
+    "DELAY_NAME",
     "Array",
     "BodyMotion",
     "Estimate",

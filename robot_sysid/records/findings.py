@@ -12,6 +12,9 @@ import numpy as np
 from robot_sysid.records.arm import InertialParameters
 from robot_sysid.records.arrays import Array, checked_array
 
+DELAY_NAME = "delay"
+"""Name of the parameter by which torque lags position."""
+
 
 class Status(Enum):
     """How an identification ended: cause and remedy."""
