@@ -1,0 +1,91 @@
+"""The pipeline as a library: what it returns, writes and says."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from robot_sysid.config import SysidConfig
+from robot_sysid.errors import InputError
+from robot_sysid.params_json import read_params_json
+from robot_sysid.pipeline import run
+from robot_sysid.progress import Silent
+from tests import arms
+
+
+class Listener(Silent):
+    def __init__(self):
+        self.stages, self.notes = [], []
+
+    def stage(self, message):
+        self.stages.append(message)
+
+    def note(self, message):
+        self.notes.append(message)
+
+
+@pytest.fixture
+def arm(tmp_path):
+    path = tmp_path / "arm.xml"
+    path.write_text(arms.SEVEN)
+    return path
+
+
+def config(arm: Path, **more) -> SysidConfig:
+    values = {"duration": 3.0, "sample_rate": 200.0, "seed": 1, "output_dir": arm.parent / "out"}
+    return SysidConfig(arm, **{**values, **more})
+
+
+def test_a_run_returns_what_its_files_say(arm):
+    outcome = run(config(arm))
+    assert outcome.failure is None
+    assert [path.name for path in outcome.files] == ["updated_model.xml", "params.json"]
+    written = read_params_json(outcome.files[1])
+    estimate = outcome.identification.estimate
+    np.testing.assert_array_equal(written.inertial.theta, estimate.inertial.theta)
+    assert written["seed"] == outcome.identification.seed == 1
+
+
+def test_a_fresh_seed_is_drawn_told_and_stored(arm):
+    listener = Listener()
+    seed = run(config(arm, seed=None), listener).identification.seed
+    assert f"Random seed: {seed} (--seed {seed} repeats this run)" in listener.stages
+
+
+def test_params_json_is_strict(arm):
+    def refuse(constant):
+        raise AssertionError(f"{constant} is not JSON")
+
+    text = run(config(arm, torques="terminal")).files[1].read_text()
+    assert json.loads(text, parse_constant=refuse)["schema_version"] == 1
+
+
+def test_a_folder_that_cannot_be_written_to_is_found_before_the_work(arm):
+    (arm.parent / "out").write_text("a file")
+    listener = Listener()
+    with pytest.raises(InputError, match="not a folder"):
+        run(config(arm), listener)
+    assert listener.stages == []
+
+
+def test_a_plan_alone_writes_the_trajectory_and_no_parameters(arm):
+    outcome = run(config(arm, plan_only=True))
+    assert sorted(p.name for p in (arm.parent / "out").iterdir()) == [
+        "trajectory.csv",
+        "trajectory.json",
+    ]
+    assert any("Predicted standard deviations" in line for line in outcome.report_lines(False))
+
+
+def test_the_motor_trajectory_carries_the_torque_of_the_motion(arm):
+    """At rest, at both ends, the feed-forward torque is what holds the arm."""
+    motors = ("DM10010",) * 7
+    outcome = run(config(arm, export_damiao=True, motor_types=motors, damiao_rate=100.0))
+    rows = np.genfromtxt(outcome.files[1], delimiter=",", comments="#", skip_header=8)
+    assert outcome.files[1].name == "damiao_trajectory.csv"
+    assert len(rows) == 301
+    np.testing.assert_allclose(rows[0, 1:], rows[-1, 1:], atol=1e-4)
+    assert np.max(np.abs(rows[:, 3::3])) > 1.0
