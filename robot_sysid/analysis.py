@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -11,7 +12,12 @@ from robot_sysid.config import SysidConfig
 from robot_sysid.friction import DEFAULT_MEASURED
 from robot_sysid.limitations import limitations
 from robot_sysid.measured import MeasuredFit, MeasuredOptions, identify_measured, validate_on
-from robot_sysid.measurement import join_measurements, read_measurements, write_measurement_csv
+from robot_sysid.measurement import (
+    MeasurementLog,
+    join_measurements,
+    read_measurements,
+    write_measurement_csv,
+)
 from robot_sysid.plant.plant_loading import load_plant
 from robot_sysid.plant.plant_simulation import PlantOptions, PlantSimulation, simulate_plant
 from robot_sysid.progress import Progress
@@ -56,18 +62,23 @@ def analyse_log(config: SysidConfig, robot: RobotModel, progress: Progress) -> A
     """Identify from a log of the real arm."""
     assert config.measurements is not None
     progress.stage(f"Reading measurements from {config.measurements}...")
-    log = read_measurements(
-        config.measurements,
+    log = _read_log(config, robot, config.measurements)
+    if config.save_measurements is not None:
+        write_measurement_csv(config.save_measurements, robot.joint_names, log.chunks())
+    source = f"log {config.measurements}"
+    return _analyse(config, robot, log.load(), source, log.notes, progress)
+
+
+def _read_log(config: SysidConfig, robot: RobotModel, path: Path) -> MeasurementLog:
+    """Open a log of this arm with the columns and units that were declared."""
+    return read_measurements(
+        path,
         robot.joint_names,
         robot.limits,
         config.columns,
         config.units,
         robot.is_slide.tolist(),
     )
-    if config.save_measurements is not None:
-        write_measurement_csv(config.save_measurements, robot.joint_names, log.chunks())
-    source = f"log {config.measurements}"
-    return _analyse(config, robot, log.load(), source, log.notes, progress)
 
 
 def _analyse(
@@ -131,14 +142,7 @@ def _validations(
     own = () if fit.validation is None else (fit.validation,)
     if config.validation_measurements is None:
         return own
-    log = read_measurements(
-        config.validation_measurements,
-        robot.joint_names,
-        robot.limits,
-        config.columns,
-        config.units,
-        robot.is_slide.tolist(),
-    )
+    log = _read_log(config, robot, config.validation_measurements)
     for note in log.notes:
         progress.note(f"validation log: {note}")
     name = str(config.validation_measurements)
