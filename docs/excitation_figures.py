@@ -15,14 +15,14 @@ import matplotlib.pyplot as plt
 import mujoco
 import numpy as np
 
-from robot_sysid.design.excitation_options import ExcitationOptions
-from robot_sysid.design.plan_prediction import predict
-from robot_sysid.excitation import design_excitation
+from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.excitation.options import ExcitationOptions
+from robot_sysid.excitation.prediction import predict
+from robot_sysid.excitation.problem import build_problem
+from robot_sysid.excitation.search import design_excitation
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, MotionPlan, RobotModel
 from robot_sysid.simulator import inverse_torque
-from robot_sysid.spatial import PARAMETER_NAMES
-from robot_sysid.surroundings.excitation_problem import build_problem
 from robot_sysid.trajectory import generate_excitation_trajectory
 
 HERE = Path(__file__).resolve().parent

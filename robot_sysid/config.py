@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from robot_sysid.checks import require_positive
-from robot_sysid.design.excitation_options import ExcitationOptions
+from robot_sysid.dynamics.friction import friction_model
 from robot_sysid.errors import InputError
-from robot_sysid.estimators.options import EstimatorOptions
-from robot_sysid.estimators.registry import estimator
-from robot_sysid.friction import friction_model
-from robot_sysid.sensors import SensorOptions
-from robot_sysid.signals import SignalOptions
+from robot_sysid.estimation.least_squares import EstimatorOptions
+from robot_sysid.estimation.registry import estimator
+from robot_sysid.excitation.options import ExcitationOptions
+from robot_sysid.records.options import require_positive
+from robot_sysid.signals.process import SignalOptions
+from robot_sysid.simulation.sensors import SensorOptions
 
 MOST_SAMPLES = 1e9
 """Samples of a run; more would take days."""

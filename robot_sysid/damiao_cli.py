@@ -10,14 +10,12 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 from robot_sysid import __version__
-from robot_sysid.damiao.arm_server import serve, served_in_background
-from robot_sysid.damiao.bus_link import open_bus
-from robot_sysid.damiao.bus_load import BusTiming, default_rate
-from robot_sysid.damiao.bus_log import RawFrameLog
-from robot_sysid.damiao.clock import SystemClock
-from robot_sysid.damiao.faults import parse_fault
-from robot_sysid.damiao.inspection import inspect_bus
-from robot_sysid.damiao.link import GuardedLink, Link
+from robot_sysid.damiao.bus.can_bus import open_bus
+from robot_sysid.damiao.bus.can_log import RawFrameLog
+from robot_sysid.damiao.bus.clock import SystemClock
+from robot_sysid.damiao.bus.inspection import inspect_bus
+from robot_sysid.damiao.bus.link import GuardedLink, Link
+from robot_sysid.damiao.bus.slcan import SlcanTerminal
 from robot_sysid.damiao.options import (
     PROGRAM,
     build_parser,
@@ -25,7 +23,9 @@ from robot_sysid.damiao.options import (
     permissions,
     play_settings,
 )
-from robot_sysid.damiao.playback import (
+from robot_sysid.damiao.play.player import StopRequest
+from robot_sysid.damiao.play.preflight import Finding, general_findings, stops
+from robot_sysid.damiao.play.run import (
     Audience,
     Plan,
     RecordingChoice,
@@ -33,13 +33,13 @@ from robot_sysid.damiao.playback import (
     make_plan,
     perform,
 )
-from robot_sysid.damiao.preflight import Finding, general_findings, stops
+from robot_sysid.damiao.protocol.bus_load import BusTiming, default_rate
 from robot_sysid.damiao.report_lines import finding_lines, load_line, motor_table, run_lines
-from robot_sysid.damiao.simulated_arm import SimulatedArm
-from robot_sysid.damiao.simulated_motor import simulated_motor
-from robot_sysid.damiao.slcan_terminal import SlcanTerminal
-from robot_sysid.damiao.stop_request import StopRequest
-from robot_sysid.damiao.trajectory_csv import read_damiao_trajectory
+from robot_sysid.damiao.simulated.arm import SimulatedArm
+from robot_sysid.damiao.simulated.faults import parse_fault
+from robot_sysid.damiao.simulated.motor import simulated_motor
+from robot_sysid.damiao.simulated.server import serve, served_in_background
+from robot_sysid.damiao.trajectory.csv_file import read_damiao_trajectory
 from robot_sysid.errors import HardwareAbort, InputError, SysidError
 
 INTERRUPTED = 130
@@ -188,7 +188,7 @@ def _plan(options: argparse.Namespace, timing: BusTiming) -> Plan:
 def _simulated_arm(options: argparse.Namespace, plan: Plan) -> SimulatedArm:
     # Imported here so that playing on real motors does not wait for MuJoCo.
     from robot_sysid.parser import load_robot_model
-    from robot_sysid.plant.plant import MujocoPlant
+    from robot_sysid.simulation.stepper import MujocoPlant
 
     robot = load_robot_model(options.model, options.mesh_dir, options.joint)
     joints = plan.trajectory.joints

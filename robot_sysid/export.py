@@ -9,24 +9,23 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
-from robot_sysid.files import write_whole
-from robot_sysid.modelfile import markup
-from robot_sysid.modelfile.body_search import find_body
-from robot_sysid.modelfile.compiler_settings import check_settings, inertia_from_geometry_edits
-from robot_sysid.modelfile.documents import ModelDocument, Node, read_document
-from robot_sysid.modelfile.inertial_text import (
+from robot_sysid.mjcf import markup
+from robot_sysid.mjcf.compiler_settings import check_settings, inertia_from_geometry_edits
+from robot_sysid.mjcf.documents import ModelDocument, Node, read_document
+from robot_sysid.mjcf.inertial import (
     comment_edit,
+    find_body,
     inertial_edit,
     mjcf_inertial,
     urdf_inertial,
 )
-from robot_sysid.modelfile.markup import Edit
-from robot_sysid.modelfile.relocation import relocated_text
-from robot_sysid.modelfile.urdf import minimum_inertia_edits
-from robot_sysid.modelfile.urdf_meshes import relocated_urdf
-from robot_sysid.modelfile.write_back import WriteBack, plan_write_back
-from robot_sysid.params_json import export_params_json, params_json_text, read_params_json
+from robot_sysid.mjcf.markup import Edit
+from robot_sysid.mjcf.relocation import relocated_text
+from robot_sysid.mjcf.urdf import minimum_inertia_edits, relocated_urdf
+from robot_sysid.mjcf.write_back import WriteBack, plan_write_back
+from robot_sysid.output.params_json import export_params_json, params_json_text, read_params_json
 from robot_sysid.records import Array, Identification, SubtreeBody
+from robot_sysid.records.atomic_files import write_whole
 
 __all__ = [
     "export_params_json",

@@ -10,14 +10,19 @@ from typing import Any, NoReturn
 import numpy as np
 
 from robot_sysid import __version__
+from robot_sysid.collision.halfspaces import box_from, plane_from
 from robot_sysid.config import EXCITATIONS, SIMULATIONS, SysidConfig
-from robot_sysid.design.criteria import CRITERIA
-from robot_sysid.design.excitation_options import ENDS, ExcitationOptions, box_from, plane_from
 from robot_sysid.errors import InputError
-from robot_sysid.estimators.options import CONSISTENCY_CHOICES, PRIOR_CHOICES, EstimatorOptions
-from robot_sysid.estimators.registry import ESTIMATORS
-from robot_sysid.sensors import SensorOptions, parse_levels
-from robot_sysid.signals import SignalOptions
+from robot_sysid.estimation.least_squares import (
+    CONSISTENCY_CHOICES,
+    PRIOR_CHOICES,
+    EstimatorOptions,
+)
+from robot_sysid.estimation.registry import ESTIMATORS
+from robot_sysid.excitation.information import CRITERIA
+from robot_sysid.excitation.options import ENDS, ExcitationOptions
+from robot_sysid.signals.process import SignalOptions
+from robot_sysid.simulation.sensors import SensorOptions, parse_levels
 
 DEFAULT_NOISE_TORQUE = 0.3
 """Torque noise that a plan predicts errors for where none is given [N m]."""

@@ -8,18 +8,18 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from robot_sysid.compiled.compilation import CompiledModel, compile_model
-from robot_sysid.compiled.composite import composite_theta
-from robot_sysid.compiled.limits import joint_limits
-from robot_sysid.compiled.mobile_base import arm_without_base
-from robot_sysid.compiled.terminal import (
+from robot_sysid.errors import ModelError
+from robot_sysid.model.chain import (
+    arm_without_base,
     body_label,
     chain_to,
     find_terminal_joint,
     joint_label,
     resolve_joint,
 )
-from robot_sysid.errors import ModelError
+from robot_sysid.model.compilation import CompiledModel, compile_model
+from robot_sysid.model.inertia import composite_theta
+from robot_sysid.model.limits import joint_limits
 from robot_sysid.records import Array, InertialParameters, JointFriction, RobotModel
 
 DEFAULT_MAX_VELOCITY = 2.0

@@ -8,27 +8,27 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from robot_sysid.compiled.compilation import captured_warnings
 from robot_sysid.config import SysidConfig
-from robot_sysid.files import require_writable
+from robot_sysid.identify.simulated import Analysis, analyse_itself
+from robot_sysid.model.compilation import captured_warnings
+from robot_sysid.output.summary import clamping_lines, detail_lines, folder_text, result_lines
 from robot_sysid.parser import load_robot_model
 from robot_sysid.planning import PlanReport, make_plan, plan_files, report_plan
-from robot_sysid.progress import Progress, Silent
 from robot_sysid.records import Identification, MotionPlan, RobotModel
-from robot_sysid.results import (
+from robot_sysid.records.atomic_files import require_writable
+from robot_sysid.records.progress import Progress, Silent
+from robot_sysid.results_writer import (
     Command,
     check_motor_types,
     updated_model_name,
     write_commands,
     write_results,
 )
-from robot_sysid.self_analysis import Analysis, analyse_itself
 from robot_sysid.simulator import inverse_torque
-from robot_sysid.summary import clamping_lines, detail_lines, folder_text, result_lines
 from robot_sysid.trajectory import motion_chunks
 
 if TYPE_CHECKING:
-    from robot_sysid.damiao.trajectory_csv import DamiaoExportReport
+    from robot_sysid.damiao.trajectory.csv_file import DamiaoExportReport
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ def _run(config: SysidConfig, progress: Progress) -> Outcome | PlanOutcome:
     require_writable(config.output_dir)
     robot = load(config, progress)
     if config.measurements is not None:
-        from robot_sysid.analysis import analyse_log
+        from robot_sysid.identify.log import analyse_log
 
         analysis = analyse_log(config, robot, progress)
         return _write(config, robot, analysis, no_commands, progress)
@@ -136,7 +136,7 @@ def _analyse(
 ) -> Analysis:
     if config.plant_model is None:
         return analyse_itself(config, robot, plan, seed, progress)
-    from robot_sysid.analysis import analyse_plant
+    from robot_sysid.identify.log import analyse_plant
 
     return analyse_plant(config, robot, plan, seed, progress)
 

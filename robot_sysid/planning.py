@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robot_sysid.compiled.collisions import CHECK_RATE_HZ, find_new_contacts
 from robot_sysid.config import SysidConfig
-from robot_sysid.progress import Progress
+from robot_sysid.model.contacts import CHECK_RATE_HZ, find_new_contacts
 from robot_sysid.records import Motion, MotionPlan, RobotModel
+from robot_sysid.records.progress import Progress
 from robot_sysid.simulator import inverse_torque
 from robot_sysid.trajectory import (
     CHUNK,
@@ -23,8 +23,8 @@ from robot_sysid.trajectory import (
 )
 
 if TYPE_CHECKING:
-    from robot_sysid.design.certificate import Certificate
-    from robot_sysid.excitation import SearchState
+    from robot_sysid.excitation.limit_check import Certificate
+    from robot_sysid.excitation.search import SearchState
 
 PLAN_NAME = "trajectory.json"
 
@@ -54,7 +54,7 @@ def make_plan(config: SysidConfig, robot: RobotModel, seed: int, progress: Progr
         _announce(config, seed, progress, "Generating")
         plan = _random(config, robot, seed, progress)
     if config.speed != 1.0:
-        from robot_sysid.design.slowed import at_speed
+        from robot_sysid.excitation.trajectory_files import at_speed
 
         plan = at_speed(plan, config.speed)
     if config.excitation == "sines" and not config.plan_only:
@@ -71,7 +71,7 @@ def _announce(config: SysidConfig, seed: int, progress: Progress, what: str) -> 
 
 
 def _loaded(path: Path, robot: RobotModel) -> MotionPlan:
-    from robot_sysid.design.trajectory_files import load_trajectory
+    from robot_sysid.excitation.trajectory_files import load_trajectory
 
     saved = load_trajectory(path)
     saved.require_fits(robot.joint_names)
@@ -89,8 +89,8 @@ def _random(config: SysidConfig, robot: RobotModel, seed: int, progress: Progres
 
 
 def _designed(config: SysidConfig, robot: RobotModel, seed: int, progress: Progress) -> MotionPlan:
-    from robot_sysid.excitation import design_excitation
-    from robot_sysid.surroundings.excitation_problem import build_problem
+    from robot_sysid.excitation.problem import build_problem
+    from robot_sysid.excitation.search import design_excitation
 
     problem = build_problem(robot, config.design)
 
@@ -133,7 +133,7 @@ def plan_files(config: SysidConfig) -> tuple[Path, ...]:
 
 def _save(config: SysidConfig, robot: RobotModel, plan: MotionPlan) -> None:
     for path in plan_files(config)[:1]:
-        from robot_sysid.design.trajectory_files import save_samples, save_trajectory
+        from robot_sysid.excitation.trajectory_files import save_samples, save_trajectory
 
         save_trajectory(path, plan, robot.joint_names)
         save_samples(path.with_suffix(".csv"), plan, robot.joint_names, config.sample_rate)
@@ -141,8 +141,8 @@ def _save(config: SysidConfig, robot: RobotModel, plan: MotionPlan) -> None:
 
 def report_plan(config: SysidConfig, robot: RobotModel, plan: MotionPlan) -> PlanReport:
     """Check a trajectory against all limits and predict what it will tell."""
-    from robot_sysid.design.plan_prediction import predict, prediction_lines
-    from robot_sysid.surroundings.excitation_problem import build_problem
+    from robot_sysid.excitation.prediction import predict, prediction_lines
+    from robot_sysid.excitation.problem import build_problem
 
     problem = build_problem(robot, config.design)
     prediction = predict(problem, plan, config.sample_rate)

@@ -16,8 +16,8 @@ from typing import Any, Callable
 
 import numpy as np
 
+from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.records import Array, BodyMotion
-from robot_sysid.spatial import PARAMETER_NAMES
 
 
 def derive_regressor() -> tuple[Any, tuple[Any, ...]]:

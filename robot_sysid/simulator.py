@@ -1,4 +1,4 @@
-"""The simulated arm: a trajectory in, torque measurements out, chunk by chunk."""
+"""Simulation and data collection: a trajectory in, torques out, equations collected, in chunks."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
+from robot_sysid.dynamics.equations import Equations
+from robot_sysid.dynamics.kinematics import ArmDynamics
 from robot_sysid.errors import SimulationError
-from robot_sysid.kinematics import ArmDynamics
-from robot_sysid.records import Array, Measurement, Motion, RobotModel
+from robot_sysid.estimation.information import InformationAccumulator
+from robot_sysid.records import Array, Measurement, Motion, RobotModel, SquareRootInformation
 
 
 def inverse_torque(robot: RobotModel) -> Callable[[Motion], Array]:
@@ -40,6 +42,25 @@ def simulate_inverse(robot: RobotModel, motions: Iterable[Motion]) -> Iterator[M
         tau = torque(motion)
         _require_finite(tau, motion.time, robot.joint_names)
         yield Measurement(motion.time, motion.q, motion.qd, tau, motion.qdd)
+
+
+def collect_sysid_data(
+    equations: Equations, measurements: Iterable[Measurement]
+) -> SquareRootInformation:
+    """Stream measurements into square-root information, in constant memory.
+
+    Args:
+        equations: what to collect.
+        measurements: chunks with accelerations.
+
+    Returns:
+        One QR triangle per joint whose torque is used.
+    """
+    accumulator = InformationAccumulator(equations.names, equations.joints, equations.columns)
+    for measurement in measurements:
+        for index, (rows, tau) in enumerate(equations.rows(measurement)):
+            accumulator.add(index, rows, tau)
+    return accumulator.result()
 
 
 def _require_finite(tau: Array, time: Array, joints: tuple[str, ...]) -> None:

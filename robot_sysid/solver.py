@@ -4,15 +4,25 @@ from __future__ import annotations
 
 import numpy as np
 
-from robot_sysid import spatial
-from robot_sysid.coloured_noise import collect_residuals
+from robot_sysid.dynamics import spatial
 from robot_sysid.errors import InputError
-from robot_sysid.estimators.consistency import consistent_least_squares
-from robot_sysid.estimators.nonnegative import solve_nonnegative
-from robot_sysid.estimators.options import EstimatorOptions
-from robot_sysid.estimators.registry import estimator
-from robot_sysid.estimators.weighting import WeightedEquations
-from robot_sysid.identifiability import N_INERTIAL, analyse_identifiability, visible_space
+from robot_sysid.estimation.autocorrelation import collect_residuals
+from robot_sysid.estimation.consistency import consistent_least_squares
+from robot_sysid.estimation.identifiability import (
+    N_INERTIAL,
+    analyse_identifiability,
+    visible_space,
+)
+from robot_sysid.estimation.least_squares import EstimatorOptions, WeightedEquations
+from robot_sysid.estimation.nonnegative import solve_nonnegative
+from robot_sysid.estimation.registry import estimator
+from robot_sysid.estimation.uncertainty import (
+    Uncertainty,
+    coloured_uncertainty,
+    inverse_root,
+    prior_curvature,
+    white_uncertainty,
+)
 from robot_sysid.records import (
     Array,
     Estimate,
@@ -21,13 +31,6 @@ from robot_sysid.records import (
     SquareRootInformation,
     Status,
     checked_array,
-)
-from robot_sysid.uncertainty import (
-    Uncertainty,
-    coloured_uncertainty,
-    inverse_root,
-    prior_curvature,
-    white_uncertainty,
 )
 
 _KNOWN_MASS = 1e-6

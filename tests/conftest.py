@@ -1,4 +1,4 @@
-"""Shared by all tests: the hypothesis profile and fixtures for the arms of ``tests.arms``."""
+"""Shared by all tests: the hypothesis profile and fixtures for the arms of ``support.arms``."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from robot_sysid.compiled.compilation import captured_warnings
-from tests import arms
+from robot_sysid.model.compilation import captured_warnings
+from tests.support import arms
 
 settings.register_profile("laws", max_examples=100, deadline=None)
 settings.load_profile("laws")

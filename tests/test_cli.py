@@ -15,10 +15,9 @@ import pytest
 from robot_sysid import __version__
 from robot_sysid.cli import main
 from robot_sysid.errors import SysidError
+from robot_sysid.identify.simulated import ITSELF
 from robot_sysid.options import build_parser
-from robot_sysid.self_analysis import ITSELF
-
-EXAMPLE = Path(__file__).parents[1] / "examples/kinova/model/kinova_fullinertia_guess.xml"
+from tests.support.places import GUESS
 
 ARM = """<mujoco model="two">
   <worldbody>
@@ -58,12 +57,12 @@ def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_the_example_prints_the_documented_block(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert main([str(EXAMPLE)]) == 0
+    assert main([str(GUESS)]) == 0
     lines = capsys.readouterr().out.splitlines()
     seed_line = lines.pop(3)
     assert re.fullmatch(r"Random seed: \d+ \(--seed \d+ repeats this run\)", seed_line)
     assert lines[:6] == [
-        f"Loading robot model from {EXAMPLE}...",
+        f"Loading robot model from {GUESS}...",
         "Identified terminal joint: joint6",
         "Generating excitation trajectory (15.0s, 1000 Hz)...",
         "Running MuJoCo simulation...",
@@ -181,7 +180,7 @@ def test_no_friction_drops_the_two_friction_lines(arm, capsys):
 
 def test_terminal_torques_say_what_they_cannot_see(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert main([str(EXAMPLE), "--torques", "terminal", "--seed", "1"]) == 0
+    assert main([str(GUESS), "--torques", "terminal", "--seed", "1"]) == 0
     printed = capsys.readouterr().out
     assert "Base parameters: 9" in printed
     assert "Mass: 0.789 kg" in printed
@@ -235,7 +234,7 @@ def test_debug_shows_the_traceback(arm, capsys):
 
 
 def test_an_interrupt_leaves_no_file(arm, capsys, monkeypatch):
-    import robot_sysid.results as results
+    import robot_sysid.results_writer as results
 
     def interrupt(*_args, **_kwargs):
         raise KeyboardInterrupt

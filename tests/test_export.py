@@ -12,18 +12,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid import spatial
-from robot_sysid.compiled.compilation import compile_model
-from robot_sysid.compiled.composite import composite_theta, subtree_bodies
-from robot_sysid.compiled.terminal import find_terminal_joint
-from robot_sysid.compiled.verification import reads_fullinertia_exactly, verify_written_model
+from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError
 from robot_sysid.export import export_updated_model, export_updated_xml, updated_model_text
-from robot_sysid.modelfile.write_back import WriteBack, plan_write_back
-from tests.model_files import (
+from robot_sysid.mjcf.write_back import WriteBack, plan_write_back
+from robot_sysid.model.chain import find_terminal_joint
+from robot_sysid.model.compilation import compile_model
+from robot_sysid.model.inertia import composite_theta, subtree_bodies
+from robot_sysid.output.verification import reads_fullinertia_exactly, verify_written_model
+from tests.output.test_params_json import identification
+from tests.support.model_files import (
     ARM,
     INERTIAL,
-    SHARED,
     TETRAHEDRON,
     random_theta,
     urdf_inertial,
@@ -33,7 +33,7 @@ from tests.model_files import (
     urdf_robot,
     write_files,
 )
-from tests.test_params_json import identification
+from tests.support.places import SHARED
 
 seeds = st.integers(0, 2**32 - 1)
 THETA = random_theta(np.random.default_rng(1), 2.0)

@@ -8,7 +8,6 @@ import os
 import re
 import subprocess
 import sys
-from pathlib import Path
 from xml.etree import ElementTree
 
 import mujoco
@@ -17,9 +16,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid import spatial
+from robot_sysid.dynamics import spatial
+from tests.support.places import EXAMPLE
 
-EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "kinova"
 MODELS = ("kinova_fullinertia_guess.xml", "kinova_fullinertia.xml")
 LINKS = ("base", "link0", "link1", "link2", "link3", "link4", "link5", "link6")
 MUJOCO = tuple(int(part) for part in mujoco.__version__.split(".")[:2])

@@ -7,12 +7,22 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from robot_sysid import spatial
+from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.kinematics import subtree
 from robot_sysid.errors import AmbiguousJointError, InputError, ModelError
-from robot_sysid.kinematics import subtree
 from robot_sysid.parser import load_robot_model, reference_configuration
-from tests import arms
-from tests.arms import SEEDS, X, Y, Z, compile_xml, robot_of, serial_arm, serial_bodies, world
+from tests.support import arms
+from tests.support.arms import (
+    SEEDS,
+    X,
+    Y,
+    Z,
+    compile_xml,
+    robot_of,
+    serial_arm,
+    serial_bodies,
+    world,
+)
 
 
 def test_a_file_becomes_an_arm(arm_file):

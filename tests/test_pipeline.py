@@ -10,10 +10,10 @@ import pytest
 
 from robot_sysid.config import SysidConfig
 from robot_sysid.errors import InputError
-from robot_sysid.params_json import read_params_json
+from robot_sysid.output.params_json import read_params_json
 from robot_sysid.pipeline import run
-from robot_sysid.progress import Silent
-from tests import arms
+from robot_sysid.records.progress import Silent
+from tests.support import arms
 
 
 class Listener(Silent):

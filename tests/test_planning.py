@@ -6,8 +6,8 @@ from pathlib import Path
 
 from robot_sysid.config import SysidConfig
 from robot_sysid.planning import make_plan
-from robot_sysid.progress import Silent
-from tests import arms
+from robot_sysid.records.progress import Silent
+from tests.support import arms
 
 
 class Recorder(Silent):

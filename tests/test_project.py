@@ -7,7 +7,6 @@ import importlib.metadata
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,8 +16,8 @@ from robot_sysid.cli import main
 from robot_sysid.damiao.options import build_parser as build_damiao_parser
 from robot_sysid.options import build_parser
 from robot_sysid.regressor import derive_regressor
+from tests.support.places import ROOT
 
-ROOT = Path(__file__).resolve().parents[1]
 EXAMPLE = "examples/kinova/model/kinova_fullinertia_guess.xml"
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("examples/**/*.md")])
@@ -189,8 +188,8 @@ def test_a_run_starts_without_what_it_does_not_need(tmp_path):
     code = (
         "import sys; from robot_sysid.cli import main; "
         f"code = main([{str(ROOT / EXAMPLE)!r}, '--duration', '1', '--quiet']); "
-        "slow = {'scipy', 'matplotlib', 'can', 'cvxpy', 'robot_sysid.measured', "
-        "'robot_sysid.damiao', 'robot_sysid.excitation'} & set(sys.modules); "
+        "slow = {'scipy', 'matplotlib', 'can', 'cvxpy', 'robot_sysid.identify.fit', "
+        "'robot_sysid.damiao', 'robot_sysid.excitation.search'} & set(sys.modules); "
         "sys.exit(code or (sorted(slow)[0] if slow else 0))"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True)

@@ -8,13 +8,12 @@ another motion better than one.
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import pytest
 
 from robot_sysid.cli import main
+from tests.support.places import DATA
 
-DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 KUKA, TX40 = DATA / "kuka_lwr4", DATA / "tx40"
 
 pytestmark = pytest.mark.skipif(not DATA.exists(), reason="the logs of real arms are not here")

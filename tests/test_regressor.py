@@ -9,11 +9,11 @@ import sympy as sp
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid import spatial
-from robot_sysid.compiled.composite import body_theta
+from robot_sysid.dynamics import spatial
+from robot_sysid.model.inertia import body_theta
 from robot_sysid.records import BodyMotion
 from robot_sysid.regressor import derive_regressor, joint_regressor, wrench_regressor
-from tests.arms import SEEDS, random_rotation, rigid_bodies
+from tests.support.arms import SEEDS, random_rotation, rigid_bodies
 
 PRINTED_TERMS = """
 0 | 0 | avz + wx*vy - wy*vx | -avy + wx*vz - wz*vx | awx | awy - wx*wz | awz + wx*wy | -wy*wz | wy**2 - wz**2 | wy*wz

@@ -14,8 +14,8 @@ from robot_sysid.errors import SimulationError
 from robot_sysid.records import Motion
 from robot_sysid.simulator import inverse_torque, simulate_inverse
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
-from tests import arms
-from tests.arms import SEEDS, random_chain, random_motion, robot_of
+from tests.support import arms
+from tests.support.arms import SEEDS, random_chain, random_motion, robot_of
 
 PLAIN = {name: robot_of(arms.MODELS[name]) for name in ("seven", "dry friction", "springs")}
 

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_sysid.information import InformationAccumulator
+from robot_sysid.estimation.information import InformationAccumulator
 from robot_sysid.records import SquareRootInformation, Status
 from robot_sysid.solver import identify_parameters
-from tests.synthetic_data import (
+from tests.support.synthetic_data import (
     arm_equations,
     information_of,
     joint_rows,

@@ -7,27 +7,25 @@ from __future__ import annotations
 
 import copy
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from robot_sysid import spatial
-from robot_sysid.collection import Equations, collect_sysid_data, friction_of_terminal_joint
-from robot_sysid.compiled.composite import body_theta, composite_theta
 from robot_sysid.config import SysidConfig
+from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.equations import Equations, friction_of_terminal_joint
+from robot_sysid.dynamics.kinematics import ArmDynamics, ChainKinematics
 from robot_sysid.errors import AmbiguousJointError, ModelError
-from robot_sysid.kinematics import ArmDynamics, ChainKinematics
+from robot_sysid.model.inertia import body_theta, composite_theta
 from robot_sysid.parser import load_robot_model
 from robot_sysid.regressor import joint_regressor
-from robot_sysid.simulator import inverse_torque, simulate_inverse
+from robot_sysid.simulator import collect_sysid_data, inverse_torque, simulate_inverse
 from robot_sysid.solver import identify_parameters
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
-from tests import arms
+from tests.support import arms
+from tests.support.places import MODELS
 
-ZOO = Path(__file__).parents[1].parent / "shared" / "models"
-
-pytestmark = pytest.mark.skipif(not ZOO.is_dir(), reason="the public models are not here")
+pytestmark = pytest.mark.skipif(not MODELS.is_dir(), reason="the public models are not here")
 
 # Model, terminal joint, number of joints that carry the link.
 WHOLE_ARMS = [
@@ -90,7 +88,7 @@ def slow_unless_quick(choices):
 @cache
 def load(model, joint=None):
     """Models are read once; nothing here changes them."""
-    path = ZOO / model
+    path = MODELS / model
     if not path.exists():
         pytest.skip(f"{model} is not here")
     try:

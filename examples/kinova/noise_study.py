@@ -16,22 +16,21 @@ import numpy as np
 from numpy.typing import NDArray
 from validate_regressor import with_link
 
-from robot_sysid.collection import Equations, collect_sysid_data
-from robot_sysid.estimators.ols import least_squares
-from robot_sysid.estimators.options import EstimatorOptions
-from robot_sysid.friction import DEFAULT_MEASURED, friction_model
-from robot_sysid.measurement import join_measurements
+from robot_sysid.dynamics.equations import Equations
+from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_model
+from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.estimation.least_squares import EstimatorOptions, least_squares
+from robot_sysid.estimation.uncertainty import cramer_rao_bound
+from robot_sysid.identify.samples import ThinnedSamples, thin_equations
+from robot_sysid.logs.reader import join_measurements
 from robot_sysid.parser import load_robot_model
-from robot_sysid.plant.plant_simulation import PlantOptions, simulate_plant
 from robot_sysid.records import Estimate, MotionPlan, RobotModel
-from robot_sysid.samples import ThinnedSamples, thin_equations
-from robot_sysid.sensors import SensorOptions
-from robot_sysid.signals import ProcessedSignals, SignalOptions, process
-from robot_sysid.simulator import inverse_torque, simulate_inverse
+from robot_sysid.signals.process import ProcessedSignals, SignalOptions, process
+from robot_sysid.simulation.measurements import PlantOptions, simulate_plant
+from robot_sysid.simulation.sensors import SensorOptions
+from robot_sysid.simulator import collect_sysid_data, inverse_torque, simulate_inverse
 from robot_sysid.solver import identify_parameters
-from robot_sysid.spatial import PARAMETER_NAMES
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
-from robot_sysid.uncertainty import cramer_rao_bound
 
 Array = NDArray[np.float64]
 

@@ -20,19 +20,19 @@ from xml.etree import ElementTree
 import numpy as np
 
 from robot_sysid import cli
-from robot_sysid.damiao.clock import SimulatedClock
-from robot_sysid.damiao.faults import Fault
-from robot_sysid.damiao.link import GuardedLink
-from robot_sysid.damiao.playback import Plan, RecordingChoice, look, make_plan, perform
-from robot_sysid.damiao.settings import PlaySettings, default_gains
-from robot_sysid.damiao.simulated_arm import SimulatedArm
-from robot_sysid.damiao.simulated_link import SimulatedLink
-from robot_sysid.damiao.simulated_motor import simulated_motor
-from robot_sysid.damiao.stop_request import StopRequest
-from robot_sysid.damiao.trajectory_csv import read_damiao_trajectory
+from robot_sysid.damiao.bus.clock import SimulatedClock
+from robot_sysid.damiao.bus.link import GuardedLink
+from robot_sysid.damiao.play.player import StopRequest
+from robot_sysid.damiao.play.run import Plan, RecordingChoice, look, make_plan, perform
+from robot_sysid.damiao.play.settings import PlaySettings, default_gains
+from robot_sysid.damiao.simulated.arm import SimulatedArm
+from robot_sysid.damiao.simulated.faults import Fault
+from robot_sysid.damiao.simulated.motor import simulated_motor
+from robot_sysid.damiao.simulated.simulated_link import SimulatedLink
+from robot_sysid.damiao.trajectory.csv_file import read_damiao_trajectory
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.parser import load_robot_model
-from robot_sysid.plant.plant import MujocoPlant
+from robot_sysid.simulation.stepper import MujocoPlant
 
 MODELS = Path(__file__).resolve().parent / "model"
 TRUTH = MODELS / "kinova_fullinertia.xml"

@@ -16,19 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 from validate_regressor import with_link
 
-from robot_sysid import spatial
-from robot_sysid.collection import (
+from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.equations import (
     NO_FRICTION,
     TERMINAL_FRICTION,
     Equations,
-    collect_sysid_data,
     friction_of_terminal_joint,
 )
-from robot_sysid.friction import FrictionModel
-from robot_sysid.information import InformationAccumulator
+from robot_sysid.dynamics.friction import FrictionModel
+from robot_sysid.estimation.information import InformationAccumulator
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Estimate, InertialParameters, MotionPlan, RobotModel
-from robot_sysid.simulator import inverse_torque, simulate_inverse
+from robot_sysid.simulator import collect_sysid_data, inverse_torque, simulate_inverse
 from robot_sysid.solver import identify_parameters
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 

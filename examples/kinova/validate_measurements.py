@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 import numpy as np
 from validate_damiao_loop import GUESS, MODELS, TRUTH, known_links_guessed_tool, robot_sysid
 
-from robot_sysid import spatial
+from robot_sysid.dynamics import spatial
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import RobotModel
 

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid import spatial
-from robot_sysid.kinematics import ArmDynamics, ChainKinematics
+from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.kinematics import ArmDynamics, ChainKinematics
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Motion, RobotModel
 from robot_sysid.regressor import joint_regressor

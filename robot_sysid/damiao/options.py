@@ -8,12 +8,12 @@ from typing import NoReturn
 
 import numpy as np
 
-from robot_sysid.damiao.bus_link import INTERFACES
-from robot_sysid.damiao.bus_load import BusTiming, default_rate
-from robot_sysid.damiao.faults import FAULT_KINDS
-from robot_sysid.damiao.joints import DamiaoJoint
-from robot_sysid.damiao.preflight import Permissions
-from robot_sysid.damiao.settings import PlaySettings, default_gains, per_joint
+from robot_sysid.damiao.bus.can_bus import INTERFACES
+from robot_sysid.damiao.play.preflight import Permissions
+from robot_sysid.damiao.play.settings import PlaySettings, default_gains, per_joint
+from robot_sysid.damiao.protocol.bus_load import BusTiming, default_rate
+from robot_sysid.damiao.protocol.joints import DamiaoJoint
+from robot_sysid.damiao.simulated.faults import FAULT_KINDS
 from robot_sysid.errors import InputError
 
 PROGRAM = "robot-sysid-damiao"

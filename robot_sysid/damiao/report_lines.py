@@ -6,14 +6,20 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
-from robot_sysid.damiao.bus_load import BusTiming, bus_load
-from robot_sysid.damiao.inspection import InspectedMotor, Inspection
-from robot_sysid.damiao.joints import DamiaoJoint
-from robot_sysid.damiao.motors import limits_agree, matching_types
-from robot_sysid.damiao.player import PlayReport
-from robot_sysid.damiao.preflight import Finding
-from robot_sysid.damiao.registers import CTRL_MODE, GR, MODES, TIMEOUT, TIMEOUT_UNIT
-from robot_sysid.damiao.status import describe
+from robot_sysid.damiao.bus.inspection import InspectedMotor, Inspection
+from robot_sysid.damiao.play.player import PlayReport
+from robot_sysid.damiao.play.preflight import Finding
+from robot_sysid.damiao.protocol.bus_load import BusTiming, bus_load
+from robot_sysid.damiao.protocol.joints import DamiaoJoint
+from robot_sysid.damiao.protocol.motors import limits_agree, matching_types
+from robot_sysid.damiao.protocol.registers import (
+    CTRL_MODE,
+    GR,
+    MODES,
+    TIMEOUT,
+    TIMEOUT_UNIT,
+    describe,
+)
 
 _HEADINGS: tuple[str, ...] = (
     *("id", "reply", "mode", "PMAX", "VMAX", "TMAX", "type", "watchdog", "gear", "degC", "state"),

@@ -30,7 +30,7 @@ from pathlib import Path
 from typing import Any
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.column_matching import QUANTITIES
+from robot_sysid.logs.columns import QUANTITIES
 
 _KEYS = ("time", *QUANTITIES, "units", "rate")
 _SCALED = re.compile(r"\s*([-+]?[0-9.]+(?:[eE][-+]?\d+)?)\s*\*\s*(.+)")

@@ -25,7 +25,7 @@ from robot_sysid.records.data import (
     SampleSource,
     SquareRootInformation,
 )
-from robot_sysid.records.findings import (
+from robot_sysid.records.results import (
     DELAY_NAME,
     Estimate,
     Identifiability,

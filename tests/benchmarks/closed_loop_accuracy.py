@@ -10,17 +10,15 @@ parameters; the friction columns show the worst joint.
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
-from robot_sysid.kinematics import ArmDynamics
+from robot_sysid.dynamics.kinematics import ArmDynamics
 from robot_sysid.parser import load_robot_model
-from robot_sysid.plant.closed_loop import ClosedLoop
 from robot_sysid.records import Measurement
-from robot_sysid.sensors import SensorOptions, Sensors
-from robot_sysid.signals import SignalOptions
-from tests.closed_loop_proof import (
+from robot_sysid.signals.process import SignalOptions
+from robot_sysid.simulation.closed_loop import ClosedLoop
+from robot_sysid.simulation.sensors import SensorOptions, Sensors
+from tests.support.closed_loop_proof import (
     differentiated,
     errors_of,
     excitation,
@@ -30,15 +28,15 @@ from tests.closed_loop_proof import (
     proof_run,
     recorded,
 )
+from tests.support.places import GUESS
 
-MODEL = Path(__file__).parents[2] / "examples" / "kinova" / "model" / "kinova_fullinertia_guess.xml"
 RATE = 1000.0
 SEEDS = (1, 2, 3)
 
 
 def main() -> None:
     """Print the three tables."""
-    robot = load_robot_model(MODEL)
+    robot = load_robot_model(GUESS)
     integration_table(robot)
     proof_table(robot)
     sensor_table(robot)

@@ -11,14 +11,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from robot_sysid import spatial
-from robot_sysid.estimators.options import EstimatorOptions
-from robot_sysid.measured import MeasuredOptions, identify_measured
-from robot_sysid.measurement import join_measurements
-from robot_sysid.plant.plant_simulation import PlantOptions, simulate_plant
-from robot_sysid.progress import Silent
-from robot_sysid.sensors import SensorOptions
-from robot_sysid.tilt import TILT_NAMES, gravity, with_gravity
+from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.gravity import TILT_NAMES, gravity, with_gravity
+from robot_sysid.estimation.least_squares import EstimatorOptions
+from robot_sysid.identify.fit import MeasuredOptions, identify_measured
+from robot_sysid.logs.reader import join_measurements
+from robot_sysid.records.progress import Silent
+from robot_sysid.simulation.measurements import PlantOptions, simulate_plant
+from robot_sysid.simulation.sensors import SensorOptions
 from tests.benchmarks.example_study import NoiseStudy, designed_plan, random_plan
 
 PAIRS = ((0.0, 0.0), (1e-3, 0.25), (3.7e-3, 0.5), (5e-3, 0.75), (10e-3, 1.0))

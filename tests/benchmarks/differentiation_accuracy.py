@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import butter, savgol_filter, sosfiltfilt
 
-from robot_sysid.filters.cutoff import choose_cutoff
-from robot_sysid.filters.differences import second_derivative
-from robot_sysid.filters.low_pass import design_low_pass
+from robot_sysid.signals.cutoff import choose_cutoff
+from robot_sysid.signals.differences import second_derivative
+from robot_sysid.signals.low_pass import design_low_pass
 
 OMEGA = 2.0 * np.pi * np.array([0.13, 0.29, 0.43, 0.59])
 DURATION = 15.0

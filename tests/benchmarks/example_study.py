@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import importlib
 import sys
-from pathlib import Path
 
 import numpy as np
 
-EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "kinova"
+from tests.support.places import EXAMPLE
 
 sys.path.insert(0, str(EXAMPLE))
 noise_study = importlib.import_module("noise_study")
@@ -19,9 +18,9 @@ Noise, NoiseStudy, random_plan = noise_study.Noise, noise_study.NoiseStudy, nois
 
 def designed_plan(robot, seed=1):
     """The trajectory that ``--excitation optimal`` designs; takes about 20 s."""
-    from robot_sysid.design.excitation_options import ExcitationOptions
-    from robot_sysid.excitation import design_excitation
-    from robot_sysid.surroundings.excitation_problem import build_problem
+    from robot_sysid.excitation.options import ExcitationOptions
+    from robot_sysid.excitation.problem import build_problem
+    from robot_sysid.excitation.search import design_excitation
 
     options = ExcitationOptions(duration=15.0)
     problem = build_problem(robot, options)

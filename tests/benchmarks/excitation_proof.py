@@ -16,18 +16,18 @@ from pathlib import Path
 
 import numpy as np
 
-from robot_sysid.design.design_objective import Design
-from robot_sysid.design.excitation_options import ExcitationOptions
-from robot_sysid.design.plan_prediction import predict
-from robot_sysid.design.predicted_information import PredictedInformation, RowSettings
-from robot_sysid.excitation import design_excitation
+from robot_sysid.excitation.information import PredictedInformation, RowSettings
+from robot_sysid.excitation.optimise import Design
+from robot_sysid.excitation.options import ExcitationOptions
+from robot_sysid.excitation.prediction import predict
+from robot_sysid.excitation.problem import build_problem
+from robot_sysid.excitation.search import design_excitation
 from robot_sysid.parser import load_robot_model
 from robot_sysid.simulator import inverse_torque
-from robot_sysid.surroundings.excitation_problem import build_problem
 from robot_sysid.trajectory import generate_excitation_trajectory
-from tests.test_plan_prediction import empirical_deviation_of
+from tests.excitation.test_prediction import empirical_deviation_of
+from tests.support.places import GUESS
 
-KINOVA = Path(__file__).parents[2] / "examples/kinova/model/kinova_fullinertia_guess.xml"
 RATE, SIGMA = 1000.0, 0.3
 
 
@@ -96,7 +96,7 @@ def grid_errors(problem, options, plan):
 def main():
     """Run all three."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("model", nargs="?", type=Path, default=KINOVA)
+    parser.add_argument("model", nargs="?", type=Path, default=GUESS)
     parser.add_argument("--searches", type=int, default=10)
     parser.add_argument("--workers", type=int, default=2)
     arguments = parser.parse_args()

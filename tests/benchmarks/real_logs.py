@@ -15,14 +15,14 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from robot_sysid.estimators.options import EstimatorOptions
-from robot_sysid.measured import MeasuredOptions, identify_measured, validate_on
-from robot_sysid.measurement import read_measurements
+from robot_sysid.estimation.least_squares import EstimatorOptions
+from robot_sysid.identify.fit import MeasuredOptions, identify_measured, validate_on
+from robot_sysid.logs.reader import read_measurements
 from robot_sysid.parser import load_robot_model
-from robot_sysid.progress import Silent
-from robot_sysid.signals import SignalOptions
+from robot_sysid.records.progress import Silent
+from robot_sysid.signals.process import SignalOptions
+from tests.support.places import DATA
 
-HERE = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 AUTO = MeasuredOptions(friction="auto", estimator=EstimatorOptions(consistency="auto"))
 KUKA_PAIRS = (
     (1, 2, "1.82 % (whole arm)"),
@@ -32,7 +32,7 @@ KUKA_PAIRS = (
 )
 
 
-def main(data: Path = HERE) -> None:
+def main(data: Path = DATA) -> None:
     """Print both arms' tables."""
     kuka(data / "kuka_lwr4")
     tx40(data / "tx40")

@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.signals import LARGEST_SLOW_SHARE
+from robot_sysid.signals.process import LARGEST_SLOW_SHARE
 from tests.benchmarks.example_study import Noise, NoiseStudy, friction_errors
 
 SEEDS = range(61, 73)
@@ -46,7 +46,7 @@ class UnmaskedStudy:
     """One trajectory with all its rows, and what is needed to mask them."""
 
     def __init__(self, seed, simulation) -> None:
-        from robot_sysid import signals
+        from robot_sysid.signals.process import process as signals
 
         kept = signals.LARGEST_SLOW_SHARE
         signals.LARGEST_SLOW_SHARE = 2.0

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from robot_sysid.spatial import PARAMETER_NAMES
-from tests.synthetic_data import random_body, wrench_rows
+from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from tests.support.synthetic_data import random_body, wrench_rows
 
 N_JOINTS = 7
 
@@ -92,7 +92,7 @@ class Chunks:
 
 
 def information_of_chunks(arm, chunks):
-    from robot_sysid.information import InformationAccumulator
+    from robot_sysid.estimation.information import InformationAccumulator
 
     joints = [f"joint{j}" for j in range(N_JOINTS)]
     accumulator = InformationAccumulator(arm.names, joints, arm.columns)

@@ -11,9 +11,9 @@ import time
 import numpy as np
 import pytest
 
-from robot_sysid import spatial
-from robot_sysid.estimators.consistency import consistent_least_squares
-from tests.synthetic_data import arm_equations, random_body, sdp_least_squares
+from robot_sysid.dynamics import spatial
+from robot_sysid.estimation.consistency import consistent_least_squares
+from tests.support.synthetic_data import arm_equations, random_body, sdp_least_squares
 
 
 def random_problem(seed):

@@ -8,10 +8,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robot_sysid import spatial
-from robot_sysid.estimators.options import EstimatorOptions
+from robot_sysid.dynamics import spatial
+from robot_sysid.estimation.least_squares import EstimatorOptions
+from robot_sysid.estimation.uncertainty import cramer_rao_bound
 from robot_sysid.solver import identify_parameters
-from robot_sysid.uncertainty import cramer_rao_bound
 from tests.benchmarks.smooth_arm import Chunks, SmoothArm, information_of_chunks
 
 DRAWS = 200

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from robot_sysid.plant.closed_loop import ClosedLoop
-from tests import arms
-from tests.closed_loop_proof import excitation, plant_from, recorded
+from robot_sysid.simulation.closed_loop import ClosedLoop
+from tests.support import arms
+from tests.support.closed_loop_proof import excitation, plant_from, recorded
 
 
 def test_fifteen_seconds_of_seven_joints_at_1_khz(benchmark):

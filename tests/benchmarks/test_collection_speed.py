@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import time
-from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 
-from robot_sysid.collection import Equations, collect_sysid_data, friction_of_terminal_joint
+from robot_sysid.dynamics.equations import Equations, friction_of_terminal_joint
 from robot_sysid.parser import load_robot_model
 from robot_sysid.regressor import wrench_regressor
-from robot_sysid.simulator import simulate_inverse
+from robot_sysid.simulator import collect_sysid_data, simulate_inverse
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
-from tests import arms
+from tests.support import arms
+from tests.support.places import MODELS
 
-MODELS = Path(__file__).parents[2].parent / "shared" / "models"
 ARMS = {
     "inline": None,
     "kinova": MODELS / "kinova_gen3" / "gen3.xml",

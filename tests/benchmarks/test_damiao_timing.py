@@ -11,22 +11,22 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robot_sysid.damiao.arm_server import served_in_background
-from robot_sysid.damiao.bus_link import open_bus
-from robot_sysid.damiao.bus_load import BusTiming
-from robot_sysid.damiao.clock import SystemClock
-from robot_sysid.damiao.codec import MitCommand, Scaling, decode_feedback, encode_mit
-from robot_sysid.damiao.joints import damiao_joints
-from robot_sysid.damiao.link import GuardedLink
-from robot_sysid.damiao.motors import MOTORS
-from robot_sysid.damiao.playback import Plan, RecordingChoice, look, make_plan, perform
-from robot_sysid.damiao.preflight import Permissions
-from robot_sysid.damiao.settings import PlaySettings, default_gains
-from robot_sysid.damiao.simulated_arm import SimulatedArm
-from robot_sysid.damiao.simulated_motor import simulated_motor
-from robot_sysid.damiao.stop_request import StopRequest
-from robot_sysid.damiao.trajectory_csv import export_damiao_trajectory, read_damiao_trajectory
-from tests.damiao_rig import Pendulums, swing
+from robot_sysid.damiao.bus.can_bus import open_bus
+from robot_sysid.damiao.bus.clock import SystemClock
+from robot_sysid.damiao.bus.link import GuardedLink
+from robot_sysid.damiao.play.player import StopRequest
+from robot_sysid.damiao.play.preflight import Permissions
+from robot_sysid.damiao.play.run import Plan, RecordingChoice, look, make_plan, perform
+from robot_sysid.damiao.play.settings import PlaySettings, default_gains
+from robot_sysid.damiao.protocol.bus_load import BusTiming
+from robot_sysid.damiao.protocol.codec import MitCommand, Scaling, decode_feedback, encode_mit
+from robot_sysid.damiao.protocol.joints import damiao_joints
+from robot_sysid.damiao.protocol.motors import MOTORS
+from robot_sysid.damiao.simulated.arm import SimulatedArm
+from robot_sysid.damiao.simulated.motor import simulated_motor
+from robot_sysid.damiao.simulated.server import served_in_background
+from robot_sysid.damiao.trajectory.csv_file import export_damiao_trajectory, read_damiao_trajectory
+from tests.support.damiao_rig import Pendulums, swing
 
 JOINTS = 7
 SECONDS = 8.0

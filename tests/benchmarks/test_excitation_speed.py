@@ -3,27 +3,24 @@
 from __future__ import annotations
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from robot_sysid.design.certificate import certify
-from robot_sysid.design.design_objective import Design, PenalisedDesign
-from robot_sysid.design.excitation_options import ExcitationOptions
-from robot_sysid.design.improvement import first_candidate, improve
-from robot_sysid.design.random_search import draw_trajectories
+from robot_sysid.excitation.limit_check import certify
+from robot_sysid.excitation.optimise import Design, PenalisedDesign, first_candidate, improve
+from robot_sysid.excitation.options import ExcitationOptions
+from robot_sysid.excitation.problem import build_problem
+from robot_sysid.excitation.search import draw_trajectories
 from robot_sysid.parser import load_robot_model
-from robot_sysid.surroundings.excitation_problem import build_problem
-
-KINOVA = Path(__file__).parents[2] / "examples/kinova/model/kinova_fullinertia_guess.xml"
+from tests.support.places import GUESS
 
 
 @cache
 def kinova():
     """Design of the Kinova example and its best of 20 random trajectories."""
     options = ExcitationOptions()
-    design = Design(build_problem(load_robot_model(KINOVA), options), options)
+    design = Design(build_problem(load_robot_model(GUESS), options), options)
     return design, min(draw_trajectories(design, 0, range(20)), key=lambda d: d.score).x
 
 

@@ -6,11 +6,11 @@ import importlib.util
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 
-MODEL = Path(__file__).parents[2] / "examples/kinova/model/kinova_fullinertia_guess.xml"
+from tests.support.places import GUESS
+
 IMPORTS_ONLY = [sys.executable, "-c", "import mujoco, numpy"]
 # Waits for one child, whose peak memory is then that of all children.
 PEAK_MEMORY = """
@@ -20,7 +20,7 @@ print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
 """
 
 pytestmark = pytest.mark.skipif(
-    importlib.util.find_spec("robot_sysid.cli") is None or not MODEL.exists(),
+    importlib.util.find_spec("robot_sysid.cli") is None or not GUESS.exists(),
     reason="needs the command line and the Kinova example",
 )
 
@@ -28,7 +28,7 @@ pytestmark = pytest.mark.skipif(
 def command(output, *options):
     program = "import sys; from robot_sysid.cli import main; sys.exit(main())"
     where = ["--output-dir", str(output), "--seed", "0"]
-    return [sys.executable, "-c", program, str(MODEL), *where, *options]
+    return [sys.executable, "-c", program, str(GUESS), *where, *options]
 
 
 def run(arguments):

@@ -1,0 +1,265 @@
+"""How far the arm is from itself, from the scene and from forbidden half-spaces, by MuJoCo.
+
+MuJoCo finds every pair of geoms nearer than a margin, with distance, point and normal; half-spaces
+are tested against the extreme point of each geom. The gradient of a distance is the relative
+velocity of the two nearest points along the normal, per unit joint rate.
+
+Pairs of bodies that touch at rest stay in touch by design of the model (neighbouring links) and are
+ignored. A pair that is apart at rest but nearer than the clearance must keep half that distance.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from robot_sysid.collision.broad_phase import ApproachBounds, drop_pairs
+from robot_sysid.collision.halfspaces import GeomShape, HalfSpace, geom_shapes
+from robot_sysid.collision.obstacles import Closest, Slack
+from robot_sysid.dynamics.spatial import cross
+from robot_sysid.model.chain import body_label
+from robot_sysid.records import Array, RobotModel
+
+HORIZON = 0.05
+"""How much farther than the clearance a pair is still seen [m]."""
+KEPT_SHARE = 0.5
+"""Share of its distance at rest that a pair nearer than the clearance must keep."""
+_NEIGHBOUR_POSTURES = 181
+"""How many positions of a joint are looked at to see whether its neighbours are harmless."""
+
+
+@dataclass
+class _Nearest:
+    """The tightest pair of one configuration, filled in as pairs are looked at."""
+
+    slack: float
+    budget: Array
+    axes: Array
+    anchors: Array
+    distance: float = np.inf
+    normal: Array = field(default_factory=lambda: np.zeros(3))
+    point: Array = field(default_factory=lambda: np.zeros(3))
+    bodies: tuple[int, int] = (0, 0)
+    space: HalfSpace | None = None
+
+
+class Clearance:
+    """Distances of one arm; fulfils ``design_problem.Obstacles``.
+
+    Args:
+        robot: the arm.
+        rest: (n,) configuration in which the motion starts.
+        clearance: distance to keep between bodies that are apart at rest [m].
+        half_spaces: further space that is forbidden.
+    """
+
+    horizon = HORIZON
+
+    def __init__(
+        self, robot: RobotModel, rest: Array, clearance: float, half_spaces: Sequence[HalfSpace]
+    ) -> None:
+        self._arguments = (robot, rest, clearance, tuple(half_spaces))
+        self._robot = robot
+        self._model = _with_margin(robot.mj_model, clearance + HORIZON)
+        self._data = mujoco.MjData(self._model)
+        self._data.qpos[:] = robot.reference_qpos
+        self._joints = self._model.dof_jntid[robot.dof_index]
+        self._half_spaces = tuple(half_spaces)
+        self._required = np.full((self._model.nbody, self._model.nbody), clearance)
+        self._place(rest)
+        self._bounds = ApproachBounds(robot, self._data)
+        self.rates = self._bounds.rates
+        self._learn_pairs(robot.reference, rest)
+        self._close_at_rest = self._name_close_pairs(clearance)
+        self._settle_neighbours(rest)
+        drop_pairs(self._model, self._bounds.part, np.isneginf(self._required))
+        self._place(rest)
+        self._planes = [
+            (space, shape, _required_at(self._height(space, shape), space.clearance))
+            for space in self._half_spaces
+            for shape in geom_shapes(robot.mj_model, space.bodies)
+        ]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Travel to another process as what it was made from: MuJoCo data is made anew there."""
+        return type(self), self._arguments
+
+    def slack(self, q: Array) -> Slack:
+        """Return the slack at positions q (N, n)."""
+        nearest = [self._nearest_at(position) for position in q]
+        # Component first, (3, N, n): a cross product by hand costs a tenth of numpy's.
+        axes = np.array([near.axes for near in nearest]).transpose(2, 0, 1)
+        anchors = np.array([near.anchors for near in nearest]).transpose(2, 0, 1)
+        normal = np.array([near.normal for near in nearest]).T[:, :, None]
+        point = np.array([near.point for near in nearest]).T[:, :, None]
+        lever = np.where(self._robot.is_slide, normal, cross(point - anchors, normal))
+        rates = np.sum(axes * lever, axis=0)
+        # A joint changes the distance only if it moves one body and not the other.
+        part = self._bounds.part[[near.bodies for near in nearest]]
+        joint = np.arange(q.shape[1])
+        side = (joint < part[:, 1:]).astype(float) - (joint < part[:, :1])
+        return Slack(
+            value=np.array([near.slack for near in nearest]),
+            gradient=side * rates,
+            budget=np.array([near.budget for near in nearest]),
+        )
+
+    def closest(self, q: Array) -> Closest:
+        """Return the tightest distance at one configuration q (n,)."""
+        near = self._nearest_at(q)
+        first, second = (self._label(body) for body in near.bodies)
+        label = f"{first} and {second}" if np.isfinite(near.distance) else ""
+        if near.space is not None:
+            label = f"{second} and {near.space.label}"
+        return Closest(near.slack, near.distance, label)
+
+    def half_spaces_left_at_rest(self) -> list[tuple[HalfSpace, str, float]]:
+        """Return (half-space, body, how far outside [m]) of what is outside already at rest."""
+        self._place(self._arguments[1])
+        found = []
+        for space, shape, _ in self._planes:
+            height = self._height(space, shape)
+            if height <= 0.0:
+                found.append((space, self._label(shape.body), -height))
+        return found
+
+    def close_at_rest(self) -> tuple[str, ...]:
+        """Return names of body pairs that are apart at rest but nearer than the clearance."""
+        return self._close_at_rest
+
+    def _name_close_pairs(self, clearance: float) -> tuple[str, ...]:
+        near = np.argwhere(np.triu((self._required < clearance) & np.isfinite(self._required)))
+        return tuple(f"{self._label(a)} and {self._label(b)}" for a, b in near)
+
+    def _place(self, q: Array) -> None:
+        self._data.qpos[self._robot.qpos_index] = q
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_comPos(self._model, self._data)
+        mujoco.mj_collision(self._model, self._data)
+
+    def _contact_bodies(self) -> tuple[Array, Any, Any]:
+        """Return distances (C,), bodies (C, 2) and indices (C,) of the contacts of geoms.
+
+        MuJoCo's deformable bodies have no geoms; they are not looked at.
+        """
+        contact = self._data.contact
+        geoms = np.stack((contact.geom1, contact.geom2), axis=1).reshape(-1, 2)
+        index = np.flatnonzero(np.all(geoms >= 0, axis=1))
+        return contact.dist[index], self._model.geom_bodyid[geoms[index]], index
+
+    def _learn_pairs(self, *rests: Array) -> None:
+        """Settle the distance each pair has to keep, from what it has at rest.
+
+        Bodies of one part do not move against each other.
+        """
+        part = self._bounds.part
+        self._required[part[:, None] == part] = -np.inf
+        for rest in rests:
+            self._place(rest)
+            distance, bodies, _ = self._contact_bodies()
+            for apart, (a, b) in zip(distance, bodies):
+                kept = min(self._required[a, b], _required_at(apart, np.inf))
+                self._required[a, b] = self._required[b, a] = kept
+
+    def _settle_neighbours(self, rest: Array) -> None:
+        """Drop pairs with one joint between them that keep their distance over all its range.
+
+        Links next to each other are always near; knowing beforehand that this is harmless saves
+        most collision tests.
+        """
+        least = np.full_like(self._required, np.inf)
+        for joint, (low, high) in enumerate(zip(*_range(self._robot))):
+            q = rest.copy()
+            for q[joint] in np.linspace(low, high, _NEIGHBOUR_POSTURES):
+                self._place(q)
+                distance, bodies, _ = self._contact_bodies()
+                part = np.sort(self._bounds.part[bodies], axis=1)
+                ours = (part[:, 0] == joint) & (part[:, 1] == joint + 1)
+                first, second = np.sort(bodies[ours], axis=1).T
+                np.minimum.at(least, (first, second), distance[ours])
+        harmless = np.isfinite(least) & (least >= self._required)
+        self._required[harmless | harmless.T] = -np.inf
+
+    def _nearest_at(self, q: Array) -> _Nearest:
+        """Return what is nearest, among contacts and half-spaces, at one configuration."""
+        self._place(q)
+        near = _Nearest(
+            self.horizon,
+            np.full(len(self.rates), np.inf),
+            self._data.xaxis[self._joints],
+            self._data.xanchor[self._joints],
+        )
+        near.budget[-1] = self.horizon
+        self._add_contacts(near)
+        for space, shape, required in self._planes:
+            lowest = self._lowest(space, shape)
+            height = float(space.normal @ lowest) - space.offset
+            row = self._bounds.row(0, self._bounds.part[shape.body])
+            near.budget[row] = min(near.budget[row], height - required)
+            if height - required < near.slack:
+                near.slack, near.distance = height - required, height
+                near.normal, near.point, near.bodies = space.normal, lowest, (0, shape.body)
+                near.space = space
+        return near
+
+    def _add_contacts(self, near: _Nearest) -> None:
+        if self._data.ncon == 0:
+            return
+        distance, bodies, index = self._contact_bodies()
+        slack = distance - self._required[bodies[:, 0], bodies[:, 1]]
+        parts = self._bounds.part[bodies]
+        np.minimum.at(near.budget, self._bounds.row(parts[:, 0], parts[:, 1]), slack)
+        tightest = int(np.argmin(slack)) if len(slack) else -1
+        if tightest >= 0 and slack[tightest] < near.slack:
+            contact = self._data.contact[int(index[tightest])]
+            near.slack, near.distance = float(slack[tightest]), float(distance[tightest])
+            near.normal, near.point = contact.frame[:3].copy(), contact.pos.copy()
+            near.bodies = (int(bodies[tightest, 0]), int(bodies[tightest, 1]))
+
+    def _height(self, space: HalfSpace, shape: GeomShape) -> float:
+        """Return how far the lowest point of a geom is above a half-space's boundary [m]."""
+        return float(space.normal @ self._lowest(space, shape)) - space.offset
+
+    def _lowest(self, space: HalfSpace, shape: GeomShape) -> Array:
+        """Return the point (3,) of a geom that is farthest against a half-space's normal."""
+        if shape.geom < 0:
+            return self._data.xpos[shape.body].copy()
+        rotation = self._data.geom_xmat[shape.geom].reshape(3, 3)
+        local = shape.extreme_point(-rotation.T @ space.normal)
+        return self._data.geom_xpos[shape.geom] + rotation @ local
+
+    def _label(self, body: int) -> str:
+        return body_label(self._model, int(body))
+
+
+def _with_margin(mj_model: Any, margin: float) -> Any:
+    """Return a copy in which pairs of geoms are reported up to a distance [m]."""
+    model = copy.copy(mj_model)
+    model.geom_margin[:] = margin
+    model.geom_gap[:] = 0.0
+    # The largest margin among a body's geoms: without it the search for close bodies misses pairs.
+    model.body_margin[:] = margin
+    if model.npair:
+        model.pair_margin[:] = margin
+        model.pair_gap[:] = 0.0
+    model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    return model
+
+
+def _range(robot: RobotModel) -> tuple[Array, Array]:
+    """Return the positions (n,), (n,) between which each joint can be; a turn where unlimited."""
+    lower, upper = robot.limits.lower, robot.limits.upper
+    return (
+        np.where(np.isfinite(lower), lower, robot.reference - np.pi),
+        np.where(np.isfinite(upper), upper, robot.reference + np.pi),
+    )
+
+
+def _required_at(distance: float, clearance: float) -> float:
+    """Return the distance to keep for a pair with this distance at rest [m]."""
+    return -np.inf if distance <= 0.0 else min(clearance, KEPT_SHARE * distance)

@@ -1,1 +1,0 @@
-"""The compiled model: what MuJoCo makes of a file, and whether a written one matches it."""

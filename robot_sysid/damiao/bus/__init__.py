@@ -1,0 +1,1 @@
+"""One end of a CAN bus, and talking to motors on it."""

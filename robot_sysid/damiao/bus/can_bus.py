@@ -1,0 +1,151 @@
+"""A real (or virtual) CAN bus through python-can."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from robot_sysid.damiao.bus.clock import Clock
+from robot_sysid.damiao.bus.link import LinkError
+from robot_sysid.damiao.protocol.bus_load import BusTiming
+from robot_sysid.damiao.protocol.frames import Frame
+from robot_sysid.errors import InputError
+
+# Adapters on this computer only: nothing here may put motor commands on a network.
+INTERFACES = (
+    "socketcan",
+    "slcan",
+    "gs_usb",
+    "pcan",
+    "kvaser",
+    "vector",
+    "ixxat",
+    "canalystii",
+    "cantact",
+    "seeedstudio",
+    "virtual",
+)
+_REPORTS_OWN_FRAMES = ("socketcan", "virtual")
+_SEND_TIMEOUT = 0.01
+_PLAUSIBLE_AGE = 1.0
+_FD_CLOCK = 80_000_000
+
+
+def import_can() -> Any:
+    """Return the python-can module, or raise InputError saying how to get it."""
+    try:
+        import can
+    except ImportError:
+        raise InputError(
+            'talking to motors needs python-can: pip install "robot-sysid[can]"'
+        ) from None
+    return can
+
+
+class BusLink:
+    """Wraps a python-can bus as a link whose time stamps are in our clock.
+
+    Args:
+        bus: an open python-can bus.
+        clock: the clock that ``until`` and frame times are in.
+    """
+
+    def __init__(self, bus: Any, clock: Clock) -> None:
+        self._can = import_can()
+        self._bus, self._clock = bus, clock
+
+    def send(self, frame: Frame) -> None:
+        """Send a frame, or raise LinkError."""
+        message = self._can.Message(
+            arbitration_id=frame.id,
+            data=frame.data,
+            is_extended_id=False,
+            is_fd=frame.fd,
+            bitrate_switch=frame.fd,
+        )
+        try:
+            self._bus.send(message, timeout=_SEND_TIMEOUT)
+        except (self._can.CanError, OSError) as error:
+            raise LinkError(f"the CAN bus does not take frames: {error}") from error
+
+    def receive(self, until: float) -> Frame | None:
+        """Return the next standard frame, or None at ``until`` [s]."""
+        while True:
+            left = max(until - self._clock.now(), 0.0)
+            try:
+                message = self._bus.recv(left)
+            except (self._can.CanError, OSError, ValueError) as error:
+                raise LinkError(f"the CAN bus cannot be read: {error}") from error
+            if message is None and self._clock.now() >= until:
+                return None
+            if message is not None and not message.is_extended_id:
+                return self._frame(message)
+
+    def close(self) -> None:
+        """Release the adapter."""
+        self._bus.shutdown()
+
+    def _frame(self, message: Any) -> Frame:
+        return Frame(
+            message.arbitration_id,
+            bytes(message.data),
+            self._stamp(message.timestamp),
+            message.is_fd,
+            message.is_error_frame,
+            not message.is_rx,
+        )
+
+    def _stamp(self, stamp: float) -> float:
+        """Return a message's time in our clock; now, where the adapter's clock is another one."""
+        age = time.time() - stamp
+        return self._clock.now() - (age if 0.0 <= age < _PLAUSIBLE_AGE else 0.0)
+
+
+def open_bus(interface: str, channel: str | None, timing: BusTiming, clock: Clock) -> BusLink:
+    """Open a CAN bus.
+
+    Args:
+        interface: one of ``INTERFACES``.
+        channel: what the interface calls it, for instance can0 or /dev/ttyACM0.
+        timing: bit rates (socketcan takes them from ``ip link``).
+        clock: for time stamps.
+
+    Raises:
+        InputError: python-can is missing, or the bus cannot be opened.
+    """
+    can = import_can()
+    if interface not in INTERFACES:
+        raise InputError(f"unknown --interface {interface!r}; valid: {', '.join(INTERFACES)}")
+    try:
+        bus = can.Bus(
+            channel=channel,
+            interface=interface,
+            ignore_config=True,
+            **_bus_options(can, interface, timing),
+        )
+    except Exception as error:
+        # Each adapter's driver raises what it likes.
+        reason = " ".join(str(error).split())
+        raise InputError(f"cannot open {interface} channel {channel}: {reason}") from error
+    return BusLink(bus, clock)
+
+
+def _bus_options(can: Any, interface: str, timing: BusTiming) -> dict[str, Any]:
+    options: dict[str, Any] = {}
+    if interface in _REPORTS_OWN_FRAMES:
+        options["receive_own_messages"] = True
+    if interface == "socketcan":
+        options["fd"] = timing.fd
+    elif interface == "virtual":
+        options["protocol"] = can.CanProtocol.CAN_FD if timing.fd else can.CanProtocol.CAN_20
+    elif timing.fd:
+        options["timing"] = can.BitTimingFd.from_sample_point(
+            f_clock=_FD_CLOCK,
+            nom_bitrate=int(timing.bitrate),
+            nom_sample_point=80.0,
+            data_bitrate=int(timing.data_bitrate),
+            data_sample_point=75.0,
+        )
+    else:
+        options["bitrate"] = int(timing.bitrate)
+    return options

@@ -1,0 +1,113 @@
+"""Looking at the motors on a bus without any effect on them: who is there, registers, state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from robot_sysid.damiao.bus.clock import Clock
+from robot_sysid.damiao.bus.link import GuardedLink
+from robot_sysid.damiao.bus.register_client import RegisterClient
+from robot_sysid.damiao.protocol.codec import Feedback, Scaling, decode_feedback
+from robot_sysid.damiao.protocol.registers import ESC_ID, LOGGED, MST_ID, PMAX, TMAX, VMAX
+
+ALL_IDS = range(1, 16)
+_LISTEN = 0.05
+_ASK_TIMEOUT = 0.03
+
+
+@dataclass(frozen=True)
+class InspectedMotor:
+    """What one motor said.
+
+    Attributes:
+        can_id: id it was asked under.
+        reply_ids: ids on which answers came; several mean several motors.
+        registers: register number to value; only those that were answered.
+        feedback: its state (one joint), or None where it does not answer a refresh.
+    """
+
+    can_id: int
+    reply_ids: tuple[int, ...]
+    registers: Mapping[int, float]
+    feedback: Feedback | None
+
+    @property
+    def master_id(self) -> int:
+        """The reply id its register names."""
+        return int(self.registers.get(MST_ID, self.reply_ids[0]))
+
+    @property
+    def limits(self) -> tuple[float, float, float] | None:
+        """(PMAX, VMAX, TMAX) from its registers."""
+        if not all(number in self.registers for number in (PMAX, VMAX, TMAX)):
+            return None
+        return self.registers[PMAX], self.registers[VMAX], self.registers[TMAX]
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """What a look at the bus found.
+
+    Attributes:
+        motors: those that answered, by CAN id.
+        chatter: frames seen before anything was asked; motors only speak when spoken to.
+        error_frames: error frames seen while asking.
+    """
+
+    motors: Mapping[int, InspectedMotor]
+    chatter: int
+    error_frames: int
+
+
+def inspect_bus(
+    link: GuardedLink,
+    clock: Clock,
+    ids: Iterable[int] = ALL_IDS,
+    on_motor: Callable[[int], None] | None = None,
+) -> Inspection:
+    """Ask every id for its registers and state; enables nothing.
+
+    Args:
+        link: the bus.
+        clock: for timeouts.
+        ids: CAN ids to ask.
+        on_motor: called with each id before it is asked.
+    """
+    chatter = _listen(link, clock)
+    client = RegisterClient(link, clock, timeout=_ASK_TIMEOUT)
+    motors = {}
+    for can_id in ids:
+        if on_motor:
+            on_motor(can_id)
+        answers = client.read_all(can_id, ESC_ID)
+        if answers:
+            reply_ids = tuple(answer.reply_id for answer in answers)
+            motors[can_id] = _inspect_motor(client, can_id, reply_ids)
+    return Inspection(motors, chatter, client.error_frames)
+
+
+def _listen(link: GuardedLink, clock: Clock) -> int:
+    until, heard = clock.now() + _LISTEN, 0
+    while (frame := link.receive(until)) is not None:
+        heard += not frame.echo
+    return heard
+
+
+def _inspect_motor(
+    client: RegisterClient, can_id: int, reply_ids: tuple[int, ...]
+) -> InspectedMotor:
+    registers = {}
+    for number in LOGGED:
+        reply = client.read(can_id, number)
+        if reply is not None:
+            registers[number] = reply.value
+    motor = InspectedMotor(can_id, reply_ids, registers, None)
+    frame = client.refresh(can_id, reply_ids[0])
+    if frame is None or motor.limits is None or min(motor.limits) <= 0.0:
+        return motor
+    raw = np.frombuffer(frame.data, dtype=np.uint8)[None]
+    feedback = decode_feedback(raw, Scaling.from_limits([motor.limits]))
+    return InspectedMotor(can_id, reply_ids, registers, feedback)

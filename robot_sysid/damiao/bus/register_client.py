@@ -1,0 +1,152 @@
+"""Reading and writing motor registers, one request at a time and never while commands stream.
+
+Register replies and feedback come on the same id. They are told apart by the request that is
+outstanding: a reply repeats its motor's id, an operation and the register's number.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+from robot_sysid.damiao.bus.clock import Clock
+from robot_sysid.damiao.bus.link import GuardedLink
+from robot_sysid.damiao.protocol.frames import (
+    READ,
+    WRITE,
+    Frame,
+    read_frame,
+    refresh_frame,
+    write_frame,
+)
+from robot_sysid.damiao.protocol.registers import (
+    REGISTERS,
+    TIMEOUT,
+    TIMEOUT_UNIT,
+    bytes_from_value,
+    value_from_bytes,
+)
+from robot_sysid.errors import HardwareAbort
+
+
+class RegisterReply(NamedTuple):
+    """A register's value and the id it was answered on."""
+
+    value: float
+    reply_id: int
+
+
+class RegisterClient:
+    """Talks about registers over a link.
+
+    Args:
+        link: the bus.
+        clock: for timeouts.
+        timeout: how long an answer may take [s].
+        tries: how often to ask.
+    """
+
+    def __init__(
+        self, link: GuardedLink, clock: Clock, timeout: float = 0.02, tries: int = 3
+    ) -> None:
+        self._link, self._clock = link, clock
+        self._timeout, self._tries = timeout, tries
+        self.error_frames = 0
+
+    def read(self, can_id: int, register: int) -> RegisterReply | None:
+        """Return a register's value, or None where the motor does not answer."""
+        for _ in range(self._tries):
+            replies = self._ask(read_frame(can_id, register), first_only=True)
+            if replies:
+                return replies[0]
+        return None
+
+    def read_all(self, can_id: int, register: int) -> list[RegisterReply]:
+        """Return every answer to one request: more than one means that motors share an id."""
+        return self._ask(read_frame(can_id, register), first_only=False)
+
+    def write(self, can_id: int, register: int, value: float) -> None:
+        """Write a register (lost at power-off), or raise HardwareAbort.
+
+        A motor refuses a value by answering with the old one, so the answer is compared.
+        """
+        raw = bytes_from_value(register, value)
+        name = REGISTERS[register].name
+        for _ in range(self._tries):
+            replies = self._ask(write_frame(can_id, register, raw), first_only=True)
+            if replies and bytes_from_value(register, replies[0].value) == raw:
+                return
+            if replies:
+                raise HardwareAbort(
+                    f"motor {can_id} refused {name} = {value:g} and keeps {replies[0].value:g}"
+                )
+        raise HardwareAbort(f"motor {can_id} did not answer to writing {name}")
+
+    def refresh(self, can_id: int, master_id: int) -> Frame | None:
+        """Return a feedback frame without any effect on the motor, or None."""
+        for _ in range(self._tries):
+            self._link.drain()
+            self._link.send(refresh_frame(can_id))
+            until = self._clock.now() + self._timeout
+            while (frame := self._receive(until)) is not None:
+                if frame.id == master_id and frame.data[0] & 0xF == can_id & 0xF:
+                    return frame
+        return None
+
+    def _ask(self, request: Frame, first_only: bool) -> list[RegisterReply]:
+        self._link.drain()
+        self._link.send(request)
+        until = self._clock.now() + self._timeout
+        replies: list[RegisterReply] = []
+        while (frame := self._receive(until)) is not None:
+            if _answers(frame, request):
+                value = value_from_bytes(request.data[3], frame.data[4:8])
+                replies.append(RegisterReply(value, frame.id))
+                if first_only:
+                    break
+        return replies
+
+    def _receive(self, until: float) -> Frame | None:
+        while (frame := self._link.receive(until)) is not None:
+            self.error_frames += frame.error
+            if not frame.error and not frame.echo and len(frame.data) == 8:
+                return frame
+        return None
+
+
+def _answers(frame: Frame, request: Frame) -> bool:
+    # Most firmware answers a write with 0x55, some with 0x33.
+    operations = (READ, WRITE) if request.data[2] == WRITE else (READ,)
+    return (
+        frame.data[:2] == request.data[:2]
+        and frame.data[2] in operations
+        and frame.data[3] == request.data[3]
+    )
+
+
+@contextlib.contextmanager
+def watchdogs_set_to(
+    client: RegisterClient, before: Mapping[int, float], seconds: float | None
+) -> Iterator[None]:
+    """Write the watchdog register of each motor, and its old value when the block ends.
+
+    Nothing is stored to flash: after a power cycle the motors have their own values again.
+
+    Args:
+        client: talks to the motors.
+        before: CAN id to the value of the register now.
+        seconds: watchdog time [s]; None leaves them alone.
+    """
+    if seconds is None:
+        yield
+        return
+    try:
+        for can_id in before:
+            client.write(can_id, TIMEOUT, float(round(seconds / TIMEOUT_UNIT)))
+        yield
+    finally:
+        for can_id, value in before.items():
+            # A motor that does not answer any more keeps the safer value until power-off.
+            with contextlib.suppress(HardwareAbort):
+                client.write(can_id, TIMEOUT, value)

@@ -1,0 +1,1 @@
+"""Playing a trajectory on motors: checked first, supervised, recorded."""

@@ -1,0 +1,356 @@
+"""The list that is gone through before an arm may move.
+
+Every point yields findings: ``ok``, ``note`` (worth knowing) or ``stop`` (nothing is played before
+it is put right), each with what was found and what to do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from robot_sysid.damiao.bus.inspection import InspectedMotor, Inspection
+from robot_sysid.damiao.play.settings import PlaySettings
+from robot_sysid.damiao.protocol.bus_load import BusTiming, bus_load, suggested_rate
+from robot_sysid.damiao.protocol.joints import DamiaoJoint, id_problems
+from robot_sysid.damiao.protocol.motors import limits_agree
+from robot_sysid.damiao.protocol.registers import (
+    CTRL_MODE,
+    DISABLED,
+    ENABLED,
+    ESC_ID,
+    MIT_MODE,
+    MODES,
+    MST_ID,
+    REGISTERS,
+    REQUIRED,
+    TIMEOUT,
+    TIMEOUT_UNIT,
+    describe,
+)
+from robot_sysid.damiao.trajectory.clamping import rating_warnings
+from robot_sysid.damiao.trajectory.csv_file import TrajectoryScan
+
+OK, NOTE, STOP = "ok", "note", "stop"
+_REST_SPEED = 0.05
+_LEAST_WATCHDOG_CYCLES = 3
+_LONG_WATCHDOG = 0.5
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One point of the list.
+
+    Attributes:
+        severity: "ok", "note" or "stop".
+        text: one line: what was found and, unless ok, what to do.
+    """
+
+    severity: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Permissions:
+    """What the user allowed on purpose.
+
+    Attributes:
+        register_limits: use PMAX, VMAX, TMAX from the registers where they differ from the type's.
+        bus_load: load the bus above the limit.
+        watchdog: time that the watchdogs are set to for the run [s], or None to leave them alone.
+    """
+
+    register_limits: bool = False
+    bus_load: bool = False
+    watchdog: float | None = None
+
+
+def judge_plan(
+    scan: TrajectoryScan,
+    joints: Sequence[DamiaoJoint],
+    settings: PlaySettings,
+    timing: BusTiming,
+    allowed: Permissions,
+) -> list[Finding]:
+    """Return what can be said without a bus: ids, limits, ends at rest, bus load."""
+    findings = [
+        *_ids([j.can_id for j in joints], [j.master_id for j in joints]),
+        *_ends(scan, settings),
+        *_ratings(scan, joints, settings),
+        *_load(len(joints), settings, timing, allowed),
+    ]
+    limits = [joint.spec.limits for joint in joints]
+    return findings + list(_within_limits(scan, joints, limits, settings, "its type's"))
+
+
+def judge_bus(
+    inspection: Inspection,
+    scan: TrajectoryScan,
+    joints: Sequence[DamiaoJoint],
+    settings: PlaySettings,
+    allowed: Permissions,
+) -> list[Finding]:
+    """Return what the motors on the bus say to the plan."""
+    findings = [*_quiet(inspection), *_strangers(inspection, joints)]
+    present = [(j, m) for m in joints if (j := inspection.motors.get(m.can_id))]
+    missing = [joint.can_id for joint in joints if joint.can_id not in inspection.motors]
+    for can_id in missing:
+        findings.append(
+            Finding(STOP, f"motor {can_id} does not answer; check power, wiring, its id, bit rate")
+        )
+    for motor, joint in present:
+        findings += judge_motor(motor, joint, settings, allowed)
+    if missing or any(motor.limits is None for motor, _ in present):
+        return findings
+    limits = [motor.limits or (0.0, 0.0, 0.0) for motor, _ in present]
+    findings += _within_limits(scan, joints, limits, settings, "its registers'")
+    return findings + list(_near_start([m for m, _ in present], scan, settings))
+
+
+def general_findings(inspection: Inspection) -> list[Finding]:
+    """Return what motors say on their own, without a trajectory to compare them with."""
+    findings = [*_quiet(inspection), *_strangers(inspection, ())]
+    for motor in inspection.motors.values():
+        name = f"motor {motor.can_id}"
+        if len(motor.reply_ids) > 1:
+            text = f"{len(motor.reply_ids)} motors answer to CAN id {motor.can_id}"
+            findings.append(Finding(STOP, text))
+        lacking = _lacking(name, motor)
+        calm = PlaySettings(np.ones(1), np.ones(1))
+        nothing_allowed = Permissions()
+        findings += lacking or [
+            *_mode(name, motor),
+            *_watchdog(name, motor, calm, nothing_allowed),
+            *_state(name, motor, calm),
+        ]
+    return findings
+
+
+def judge_motor(
+    motor: InspectedMotor,
+    joint: DamiaoJoint,
+    settings: PlaySettings,
+    allowed: Permissions,
+) -> list[Finding]:
+    """Return what one motor's answers say: ids, mode, scaling, watchdog, state."""
+    name = f"motor {motor.can_id}"
+    return _lacking(name, motor) or [
+        *_identity(name, motor, joint),
+        *_mode(name, motor),
+        *_scaling(name, motor, joint, allowed),
+        *_watchdog(name, motor, settings, allowed),
+        *_state(name, motor, settings),
+    ]
+
+
+def stops(findings: Sequence[Finding]) -> list[str]:
+    """Return the texts of the findings that forbid to play."""
+    return [finding.text for finding in findings if finding.severity == STOP]
+
+
+def _lacking(name: str, motor: InspectedMotor) -> list[Finding]:
+    lacking = [REGISTERS[n].name for n in REQUIRED if n not in motor.registers]
+    text = f"{name} does not answer for {', '.join(lacking)}; try again"
+    return [Finding(STOP, text)] if lacking else []
+
+
+def _ids(can_ids: Sequence[int], master_ids: Sequence[int]) -> Iterator[Finding]:
+    problems = list(id_problems(can_ids, master_ids))
+    for problem in problems:
+        yield Finding(STOP, problem)
+    if not problems:
+        yield Finding(OK, f"ids are unique: {', '.join(map(str, can_ids))}")
+    if 0 in master_ids:
+        yield Finding(NOTE, "a master id of 0 is a poor choice; set it to CAN id + 0x10")
+
+
+def _ends(scan: TrajectoryScan, settings: PlaySettings) -> Iterator[Finding]:
+    worst = float(np.max(scan.end_velocity)) * settings.speed
+    if worst > _REST_SPEED:
+        yield Finding(
+            STOP,
+            f"the trajectory starts or ends at {worst:.2f} rad/s; it has to start and end at rest",
+        )
+    else:
+        yield Finding(OK, f"starts and ends at rest, {scan.duration / settings.speed:.1f} s")
+
+
+def _ratings(
+    scan: TrajectoryScan, joints: Sequence[DamiaoJoint], settings: PlaySettings
+) -> Iterator[Finding]:
+    for j, joint in enumerate(joints):
+        spec, torque = joint.spec, scan.peak_torque[j]
+        velocity = scan.peak_velocity[j] * settings.speed
+        beyond = spec.peak_torque is not None and torque > spec.peak_torque
+        for text in rating_warnings(j, spec, velocity, torque):
+            yield Finding(STOP if beyond and "peak torque" in text else NOTE, text)
+        if spec.note:
+            yield Finding(NOTE, f"joint {j}, {spec.name}: {spec.note}")
+
+
+def _load(
+    n_motors: int, settings: PlaySettings, timing: BusTiming, allowed: Permissions
+) -> Iterator[Finding]:
+    load = bus_load(n_motors, settings.rate, timing)
+    text = f"{n_motors} motors at {settings.rate:g} Hz load {timing.name} to {100 * load:.0f} %"
+    if load <= settings.max_bus_load:
+        yield Finding(OK, text)
+        return
+    handy = suggested_rate(n_motors, timing)
+    text += f", limit {100 * settings.max_bus_load:.0f} %; use --rate {handy:g}"
+    yield Finding(NOTE if allowed.bus_load else STOP, text + " (or --force-bus-load)")
+
+
+def _within_limits(
+    scan: TrajectoryScan,
+    joints: Sequence[DamiaoJoint],
+    limits: Sequence[tuple[float, float, float]],
+    settings: PlaySettings,
+    whose: str,
+) -> Iterator[Finding]:
+    asked = (
+        ("position", "rad", scan.peak_position),
+        ("velocity", "rad/s", scan.peak_velocity * settings.speed),
+        ("torque", "N m", scan.peak_torque),
+        ("position step", "rad/s", scan.peak_step * settings.speed),
+    )
+    fine = True
+    for j, (joint, limit) in enumerate(zip(joints, limits)):
+        for (what, unit, peaks), top in zip(asked, (*limit, limit[1])):
+            if peaks[j] > top * (1.0 + 1e-6):
+                fine = False
+                yield Finding(
+                    STOP,
+                    f"joint {j}: {what} {peaks[j]:.4g} {unit} is beyond {whose} limit {top:g} "
+                    f"(motor {joint.can_id}); export a smaller trajectory",
+                )
+    if fine:
+        yield Finding(OK, f"the trajectory stays within {whose} limits")
+
+
+def _quiet(inspection: Inspection) -> Iterator[Finding]:
+    if inspection.chatter:
+        yield Finding(
+            STOP,
+            f"{inspection.chatter} frames came without being asked for: another program is "
+            "talking to these motors; end it first",
+        )
+    if inspection.error_frames:
+        yield Finding(
+            NOTE,
+            f"{inspection.error_frames} error frames: two motors may share an id, or a motor is "
+            "set to CAN-FD (use --fd) or to another bit rate",
+        )
+
+
+def _strangers(inspection: Inspection, joints: Sequence[DamiaoJoint]) -> Iterator[Finding]:
+    known = {joint.can_id for joint in joints}
+    found = list(inspection.motors.values())
+    others = [motor.can_id for motor in found if motor.can_id not in known]
+    if others and known:
+        listed = ", ".join(map(str, others))
+        yield Finding(NOTE, f"motors on the bus that are not in the trajectory: {listed}")
+    yield from (
+        Finding(STOP, problem)
+        for problem in id_problems([m.can_id for m in found], [m.master_id for m in found])
+    )
+
+
+def _identity(name: str, motor: InspectedMotor, joint: DamiaoJoint) -> Iterator[Finding]:
+    if len(motor.reply_ids) > 1:
+        yield Finding(STOP, f"{len(motor.reply_ids)} motors answer to CAN id {motor.can_id}")
+    if int(motor.registers[ESC_ID]) != joint.can_id:
+        found = int(motor.registers[ESC_ID])
+        yield Finding(STOP, f"{name} says that its CAN id is {found}; power-cycle it")
+    stored = int(motor.registers[MST_ID])
+    if stored != joint.master_id or set(motor.reply_ids) != {joint.master_id}:
+        answers = ", ".join(f"{i:#x}" for i in sorted(set(motor.reply_ids)))
+        yield Finding(
+            STOP,
+            f"{name} answers on {answers} (MST_ID {stored:#x}) but the trajectory expects "
+            f"{joint.master_id:#x}; set MST_ID, or export with --master-id",
+        )
+
+
+def _mode(name: str, motor: InspectedMotor) -> Iterator[Finding]:
+    mode = int(motor.registers[CTRL_MODE])
+    if mode != MIT_MODE:
+        said = MODES.get(mode, "unknown")
+        yield Finding(STOP, f"{name} is in mode {mode} ({said}); set CTRL_MODE to 1 (MIT)")
+
+
+def _scaling(
+    name: str, motor: InspectedMotor, joint: DamiaoJoint, allowed: Permissions
+) -> Iterator[Finding]:
+    found = motor.limits or (0.0, 0.0, 0.0)
+    if min(found) <= 0.0:
+        yield Finding(STOP, f"{name} has PMAX, VMAX, TMAX {_three(found)}: not usable")
+    elif not limits_agree(joint.spec.limits, found):
+        text = (
+            f"{name} has PMAX, VMAX, TMAX {_three(found)} but a {joint.motor_type} has "
+            f"{_three(joint.spec.limits)}"
+        )
+        if allowed.register_limits:
+            yield Finding(NOTE, f"{text}: the motor's own values are used")
+        else:
+            yield Finding(STOP, f"{text}; if the motor is right, give --accept-register-limits")
+    else:
+        yield Finding(OK, f"{name} is scaled as a {joint.motor_type}: {_three(found)}")
+
+
+def _watchdog(
+    name: str, motor: InspectedMotor, settings: PlaySettings, allowed: Permissions
+) -> Iterator[Finding]:
+    stored = motor.registers[TIMEOUT] * TIMEOUT_UNIT
+    timeout = stored if allowed.watchdog is None else allowed.watchdog
+    if timeout == 0.0:
+        text = f"{name} has no watchdog: it would go on for ever if this program died"
+        yield Finding(STOP, f"{text}; give --set-watchdog 0.1 or set TIMEOUT")
+    elif timeout < _LEAST_WATCHDOG_CYCLES * settings.period:
+        text = f"{name}'s watchdog of {1e3 * timeout:g} ms is too short for {settings.rate:g} Hz"
+        yield Finding(STOP, f"{text}; give --set-watchdog 0.1")
+    elif timeout > _LONG_WATCHDOG:
+        text = f"{name}'s watchdog of {1e3 * timeout:g} ms is long; --set-watchdog 0.1 is better"
+        yield Finding(NOTE, text)
+    else:
+        yield Finding(OK, f"{name}'s watchdog stops it after {1e3 * timeout:g} ms")
+
+
+def _state(name: str, motor: InspectedMotor, settings: PlaySettings) -> Iterator[Finding]:
+    if motor.feedback is None:
+        yield Finding(STOP, f"{name} does not tell its state; its firmware may be too old")
+        return
+    code = int(motor.feedback.status[0])
+    if code == ENABLED:
+        yield Finding(STOP, f"{name} is enabled already; end the program that uses it")
+    elif code != DISABLED:
+        text = f"{name} reports {describe(code)}; find the cause, then clear it or power-cycle"
+        yield Finding(STOP, text)
+    hot = int(max(motor.feedback.temperature_mos[0], motor.feedback.temperature_rotor[0]))
+    if hot > settings.start_temperature:
+        text = f"{name} is at {hot} deg C, above {settings.start_temperature:g}; let it cool down"
+        yield Finding(STOP, text)
+
+
+def _near_start(
+    motors: Sequence[InspectedMotor], scan: TrajectoryScan, settings: PlaySettings
+) -> Iterator[Finding]:
+    for j, motor in enumerate(motors):
+        if motor.feedback is None:
+            continue
+        here, first = float(motor.feedback.position[0]), float(scan.first[j])
+        if abs(here - first) > settings.start_tolerance:
+            turn = ""
+            if abs(abs(here - first) - 2.0 * np.pi) < settings.start_tolerance:
+                turn = "; a whole turn apart: the motor lost its turn count when it was off"
+            yield Finding(
+                STOP,
+                f"joint {j} is at {here:.3f} rad but the trajectory starts at {first:.3f}, more "
+                f"than {settings.start_tolerance:g} away; move it there by hand{turn}",
+            )
+
+
+def _three(values: tuple[float, float, float]) -> str:
+    return ", ".join(f"{value:g}" for value in values)

@@ -1,0 +1,227 @@
+"""The measurement file of a run: written row by row, so that whatever happens, rows are kept.
+
+Comment lines say how it was made (motors, register values, gains, time stamps). Then one row per
+control cycle: ``time``, position, velocity and torque of each joint, and per joint the time stamp
+of its own sample, the command in force when it was sampled, status and temperatures. Cells of a
+joint that did not answer are empty.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from robot_sysid.damiao.play.session import Replies
+from robot_sysid.damiao.play.settings import PlaySettings
+from robot_sysid.damiao.protocol.codec import MitCommand
+from robot_sysid.damiao.protocol.joints import DamiaoJoint
+from robot_sysid.damiao.protocol.registers import text_of
+from robot_sysid.damiao.trajectory.csv_file import trajectory_columns
+from robot_sysid.errors import InputError
+from robot_sysid.records import Array
+
+_EXTRA = (
+    *("time", "cmd_pos", "cmd_vel", "cmd_tau", "cmd_step"),
+    *("status", "temp_mos", "temp_rotor"),
+)
+
+
+class FrameLog(Protocol):
+    """Who keeps the raw frames."""
+
+    def flush(self) -> None:
+        """Write what has come so far."""
+
+    def close(self) -> None:
+        """Finish the file."""
+
+
+@dataclass(frozen=True)
+class RecordingHead:
+    """What the comment lines of a recording say.
+
+    Attributes:
+        joints: the motors, base to terminal.
+        registers: per joint, register number to value; these are what the codec used.
+        settings: of the run.
+        half_step: whether half a quantisation step was added to the measured values.
+        source: the trajectory file.
+        centred: whether torques are centred on the step of the command, see ``torque_step``.
+    """
+
+    joints: Sequence[DamiaoJoint]
+    registers: Sequence[Mapping[int, float]]
+    settings: PlaySettings
+    half_step: bool
+    source: str
+    centred: bool = True
+
+    def lines(self) -> list[str]:
+        """Return the comment lines without their mark."""
+        run = self.settings
+        lines = ["robot-sysid-damiao recording", f"trajectory={self.source}"]
+        for joint in self.joints:
+            lines.append(
+                f"motor_type={joint.motor_type},can_id={joint.can_id},mode={joint.mode},"
+                f"master_id={joint.master_id}"
+            )
+        for j, values in enumerate(self.registers):
+            texts = ",".join(text_of(number, values[number]) for number in sorted(values))
+            lines.append(f"registers_j{j}: {texts}")
+        lines.append(f"rate_hz={run.rate:g},speed={run.speed:g}")
+        lines.append("kp=" + " ".join(f"{x:g}" for x in run.kp))
+        lines.append("kd=" + " ".join(f"{x:g}" for x in run.kd))
+        added = "added to" if self.half_step else "not added to"
+        lines.append(
+            f"half_step={int(self.half_step)}: half a quantisation step {added} measured position, "
+            "velocity and torque, because motors drop the fraction"
+        )
+        halved = "with half of jN_cmd_step added" if self.centred else "as measured"
+        lines.append(f"centred={int(self.centred)}: jN_tau is the torque {halved}")
+        lines.append(
+            "jN_cmd_step is the torque step that the command answered by this sample then made"
+        )
+        lines.append(
+            "jN_time is when joint N was sampled, jN_cmd_* the command in force at that moment"
+        )
+        return lines
+
+
+class MeasurementRecorder:
+    """Writes a run to a new CSV file, each row at once.
+
+    A context manager; the file's last line says how the run ended.
+
+    Args:
+        path: the file; must not exist unless ``overwrite``.
+        head: what to write above the rows.
+        frames: also flushed and closed, if given.
+        overwrite: replace an existing file.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        head: RecordingHead,
+        frames: FrameLog | None = None,
+        overwrite: bool = False,
+    ) -> None:
+        self._frames, self._centred = frames, head.centred
+        self.rows = 0
+        try:
+            self._file = open(path, "w" if overwrite else "x", encoding="utf-8")  # noqa: SIM115
+        except FileExistsError:
+            raise InputError(
+                f"{path} exists; choose another --record file or give --overwrite"
+            ) from None
+        except OSError as error:
+            raise InputError(f"cannot write {path}: {error.strerror}") from None
+        columns = ["time", *trajectory_columns(len(head.joints))]
+        columns += [f"j{j}_{what}" for j in range(len(head.joints)) for what in _EXTRA]
+        for line in head.lines():
+            self._file.write(f"# {line}\n")
+        self._file.write(",".join(columns) + "\n")
+        self._file.flush()
+
+    def __enter__(self) -> MeasurementRecorder:
+        return self
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        ending = "completed" if error is None else f"stopped: {error}".replace("\n", " ")
+        self._file.write(f"# end: {ending}\n")
+        self._file.close()
+        if self._frames:
+            self._frames.close()
+
+    def write(self, time: float, origin: float, replies: Replies, acted: MitCommand) -> None:
+        """Write one cycle.
+
+        Args:
+            time: since the trajectory's start [s].
+            origin: the trajectory's start in the link's clock [s].
+            replies: what the joints answered.
+            acted: the command in force when they were sampled.
+        """
+        measured = replies.feedback
+        step = torque_step(replies, acted)
+        torque = measured.torque + 0.5 * step if self._centred else measured.torque
+        cells = [f"{time:.6f}"]
+        for values in zip(measured.position, measured.velocity, torque):
+            cells += _numbers(values)
+        columns = (replies.time - origin, acted.position, acted.velocity, acted.torque, step)
+        state = (measured.status, measured.temperature_mos, measured.temperature_rotor)
+        for j, answered in enumerate(replies.answered):
+            cells += _numbers([column[j] for column in columns])
+            cells += [str(code[j]) if answered else "" for code in state]
+        self._file.write(",".join(cells) + "\n")
+        self.rows += 1
+
+    def end_cycle(self) -> None:
+        """Hand everything to the operating system, which keeps it even if this process dies."""
+        self._file.flush()
+        if self._frames:
+            self._frames.flush()
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A recording read back.
+
+    Attributes:
+        head: the comment lines above the rows, without their mark.
+        ending: how the run ended.
+        columns: title to (N,) values; NaN where a joint did not answer.
+    """
+
+    head: tuple[str, ...]
+    ending: str
+    columns: Mapping[str, Array]
+
+    def joint_values(self, what: str) -> Array:
+        """Return (N, n) values of, for instance, "pos" or "cmd_tau"."""
+        names = [name for name in self.columns if name.partition("_")[2] == what]
+        return np.stack([self.columns[name] for name in names], axis=1)
+
+
+def read_recording(path: str | os.PathLike[str]) -> Recording:
+    """Read a recording, complete or cut short.
+
+    Raises:
+        InputError: the file cannot be read or has no column line.
+    """
+    try:
+        lines = Path(path).read_text(encoding="utf-8").splitlines()
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror}") from None
+    rows = [line for line in lines if line and not line.startswith("#")]
+    if not rows or not rows[0].startswith("time,"):
+        raise InputError(f"{path} is not a recording of robot-sysid-damiao: no column line")
+    head = [line[2:] for line in lines[: lines.index(rows[0])]]
+    ending = lines[-1][len("# end: ") :] if lines[-1].startswith("# end: ") else "cut short"
+    table = np.array([[float(c or "nan") for c in row.split(",")] for row in rows[1:]])
+    titles = rows[0].split(",")
+    table = table.reshape(-1, len(titles))
+    return Recording(tuple(head), ending, dict(zip(titles, table.T)))
+
+
+def torque_step(replies: Replies, acted: MitCommand) -> Array:
+    """Return the torque step (n,) that the command just sent makes in each motor [N m].
+
+    A motor samples its torque at the very end of a command's time, when the joint has used up what
+    the command asked for; then the next command steps it up again. Over many cycles the samples are
+    therefore too low by half a step on average, by kp qd / (2 rate) for a steadily moving joint,
+    which looks like negative viscous friction. Adding half the step, which is known exactly because
+    position and velocity do not jump, gives the mean of the two sides.
+    """
+    command = replies.command or acted
+    q, qd = replies.feedback.position, replies.feedback.velocity
+    return command.motor_torque(q, qd) - acted.motor_torque(q, qd)
+
+
+def _numbers(values: Iterable[float]) -> list[str]:
+    return [f"{value:.6f}" if np.isfinite(value) else "" for value in values]

@@ -1,0 +1,114 @@
+"""A trajectory file as a function of time, read forward in small pieces."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from robot_sysid.damiao.trajectory.csv_file import DamiaoTrajectory
+from robot_sysid.records import Array
+
+# Small, so that parsing the next piece takes a fraction of a control cycle.
+_ROWS = 32
+
+
+class Reference(NamedTuple):
+    """What the joints should do at one moment: (n,) position [rad], velocity, torque [N m]."""
+
+    position: Array
+    velocity: Array
+    torque: Array
+
+
+ReferenceFunction = Callable[[float], Reference]
+
+
+class TrajectorySampler:
+    """Interpolates a trajectory file at times that never go back.
+
+    Played at ``speed`` s the joints pass the same positions with s times the velocity. The
+    feed-forward torque is the file's: at reduced speed its inertial part is too large, which the
+    position control makes up for.
+
+    Args:
+        trajectory: the file.
+        speed: 0 < speed <= 1.
+    """
+
+    def __init__(self, trajectory: DamiaoTrajectory, speed: float = 1.0) -> None:
+        self._chunks = trajectory.chunks(_ROWS)
+        self._speed = speed
+        self._table = np.hstack([np.reshape(c, (len(c), -1)) for c in next(self._chunks)])
+        self._start = float(self._table[0, 0])
+
+    def __call__(self, time: float) -> Reference:
+        """Return the reference at ``time`` [s] after the start; the end is held."""
+        moment = self._start + time * self._speed
+        while moment > self._table[-1, 0] and self._read_on():
+            pass
+        n = (self._table.shape[1] - 1) // 3
+        row = _interpolate(self._table, moment)
+        velocity = row[1 + n : 1 + 2 * n] * self._speed
+        return Reference(row[1 : 1 + n], velocity, row[1 + 2 * n :])
+
+    def _read_on(self) -> bool:
+        chunk = next(self._chunks, None)
+        if chunk is None:
+            return False
+        rows = np.hstack([np.reshape(c, (len(c), -1)) for c in chunk])
+        self._table = np.vstack([self._table[-1:], rows])
+        return True
+
+
+def _interpolate(table: Array, moment: float) -> Array:
+    after = int(np.searchsorted(table[:, 0], moment))
+    if after == 0 or after == len(table):
+        return np.asarray(table[min(after, len(table) - 1)])
+    low, high = table[after - 1], table[after]
+    return np.asarray(low + (high - low) * ((moment - low[0]) / (high[0] - low[0])))
+
+
+def approach(
+    start: Array, target: Reference, speed: float, shortest: float
+) -> tuple[ReferenceFunction, float]:
+    """Return a motion from rest at ``start`` to rest at the target, and its duration [s].
+
+    The path is the quintic 10 s^3 - 15 s^4 + 6 s^5, whose peak speed is 15/8 of the mean.
+
+    Args:
+        start: (n,) where the joints are [rad].
+        target: where to go, with the torque to feed forward on the way.
+        speed: highest joint speed [rad/s].
+        shortest: least duration [s].
+    """
+    distance = target.position - start
+    duration = max(shortest, 1.875 * float(np.max(np.abs(distance))) / speed)
+
+    def reference(time: float) -> Reference:
+        s = min(max(time / duration, 0.0), 1.0)
+        share = s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
+        rate = 30.0 * s * s * (1.0 - s) ** 2 / duration
+        return Reference(start + share * distance, rate * distance, target.torque)
+
+    return reference, duration
+
+
+def come_to_rest(last: Reference, deceleration: float) -> tuple[ReferenceFunction, float]:
+    """Return a motion that brakes all joints together from ``last``, and its duration [s]."""
+    duration = float(np.max(np.abs(last.velocity))) / deceleration
+
+    def reference(time: float) -> Reference:
+        t = min(max(time, 0.0), duration)
+        left = 1.0 - t / duration if duration > 0.0 else 0.0
+        position = last.position + last.velocity * t * (1.0 + left) / 2.0
+        return Reference(position, last.velocity * left, last.torque)
+
+    return reference, duration
+
+
+def hold(reference: Reference) -> ReferenceFunction:
+    """Return a function that stays at a reference, at rest."""
+    still = Reference(reference.position, np.zeros_like(reference.velocity), reference.torque)
+    return lambda time: still

@@ -1,0 +1,1 @@
+"""What Damiao motors are and what their CAN frames mean; needs no bus."""

@@ -1,0 +1,89 @@
+"""Which motor drives which joint, and whether their ids can share one bus."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from robot_sysid.damiao.protocol.motors import MotorSpec, motor_spec, motor_specs
+from robot_sysid.errors import InputError
+
+MASTER_ID_OFFSET = 0x10
+
+
+@dataclass(frozen=True)
+class DamiaoJoint:
+    """Which motor drives a joint.
+
+    Attributes:
+        motor_type: name of the type.
+        can_id: id the motor listens to.
+        master_id: id the motor answers on.
+        mode: control mode; only "MIT" is played.
+    """
+
+    motor_type: str
+    can_id: int
+    master_id: int
+    mode: str = "MIT"
+
+    @property
+    def spec(self) -> MotorSpec:
+        """The type's data."""
+        return motor_spec(self.motor_type)
+
+
+def damiao_joints(
+    motor_types: Sequence[str],
+    n_joints: int,
+    can_ids: Sequence[int] | None = None,
+    master_ids: Sequence[int] | None = None,
+) -> tuple[DamiaoJoint, ...]:
+    """Return one checked DamiaoJoint per joint.
+
+    Args:
+        motor_types: one type name per joint, base to terminal.
+        n_joints: number of joints of the chain.
+        can_ids: 1 to 15 each; None counts from 1.
+        master_ids: reply ids; None means CAN id + 0x10.
+
+    Raises:
+        InputError: wrong number of types or ids, unknown type, or ids that would not work
+            together on one bus.
+    """
+    specs = motor_specs(motor_types, n_joints)
+    ids = list(range(1, n_joints + 1)) if can_ids is None else list(can_ids)
+    replies = [i + MASTER_ID_OFFSET for i in ids] if master_ids is None else list(master_ids)
+    for option, values in (("--can-id", ids), ("--master-id", replies)):
+        if len(values) != n_joints:
+            raise InputError(
+                f"{option} was given {len(values)} times but the chain has {n_joints} joints: "
+                "give it once per joint or not at all"
+            )
+    problem = next(id_problems(ids, replies), None)
+    if problem:
+        raise InputError(problem)
+    return tuple(DamiaoJoint(s.name, i, m) for s, i, m in zip(specs, ids, replies))
+
+
+def id_problems(can_ids: Sequence[int], master_ids: Sequence[int]) -> Iterator[str]:
+    """Yield a sentence for each way in which these ids cannot share one bus.
+
+    A motor looks at the low eight bits of every frame's id, replies of other motors included, and
+    a reply carries only the low four bits of the sender's id.
+    """
+    for i in can_ids:
+        if not 1 <= i <= 15:
+            yield f"CAN id {i} is outside 1 to 15, where replies can be told apart"
+    for name, values in (("CAN", can_ids), ("master", master_ids)):
+        for i in sorted({i for i in values if list(values).count(i) > 1}):
+            yield f"{name} id {i:#04x} is used by more than one motor; each needs its own"
+    for i, master in zip(can_ids, master_ids):
+        if not 0 <= master <= 0x7FE:
+            yield f"master id {master:#x} of the motor with CAN id {i} is outside 0 to 0x7fe"
+        for other in can_ids:
+            if other != i and master & 0xFF == other:
+                yield (
+                    f"replies of the motor with CAN id {i} (master id {master:#x}) would be taken "
+                    f"as commands by the motor with CAN id {other}; use {i + MASTER_ID_OFFSET:#x}"
+                )

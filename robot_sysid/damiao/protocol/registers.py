@@ -1,0 +1,106 @@
+"""What a Damiao motor holds: its registers with their four bytes each, and its status code."""
+
+from __future__ import annotations
+
+import struct
+from typing import NamedTuple
+
+MST_ID, ESC_ID, TIMEOUT, CTRL_MODE = 7, 8, 9, 10
+GR, PMAX, VMAX, TMAX, CAN_BR = 20, 21, 22, 23, 35
+
+TIMEOUT_UNIT = 50e-6
+"""Seconds per unit of the watchdog register."""
+MIT_MODE = 1
+MODES = {1: "MIT", 2: "POS_VEL", 3: "VEL", 4: "POS_FORCE"}
+FD_BITRATE_CODES_ABOVE = 4
+"""Bit-rate codes above this one make the motor answer in CAN-FD."""
+
+
+class Register(NamedTuple):
+    """One register: number, name, and whether it holds an unsigned integer or a float."""
+
+    number: int
+    name: str
+    integer: bool = False
+
+
+_TABLE = (
+    Register(0, "UV_Value"),
+    Register(1, "KT_Value"),
+    Register(2, "OT_Value"),
+    Register(3, "OC_Value"),
+    Register(MST_ID, "MST_ID", True),
+    Register(ESC_ID, "ESC_ID", True),
+    Register(TIMEOUT, "TIMEOUT", True),
+    Register(CTRL_MODE, "CTRL_MODE", True),
+    Register(11, "Damp"),
+    Register(12, "Inertia"),
+    Register(14, "sw_ver", True),
+    Register(16, "NPP", True),
+    Register(17, "Rs"),
+    Register(19, "Flux"),
+    Register(GR, "Gr"),
+    Register(PMAX, "PMAX"),
+    Register(VMAX, "VMAX"),
+    Register(TMAX, "TMAX"),
+    Register(29, "OV_Value"),
+    Register(30, "GREF"),
+    Register(CAN_BR, "can_br", True),
+)
+
+REGISTERS = {register.number: register for register in _TABLE}
+REQUIRED = (MST_ID, ESC_ID, TIMEOUT, CTRL_MODE, PMAX, VMAX, TMAX)
+"""Without these nothing is played."""
+LOGGED = (*REQUIRED, GR, 2, 3, 0, 29, 1, 30, 11, 12, 14, 16, 17, 19)
+"""Read before playing and written into the recording's header."""
+
+
+def value_from_bytes(number: int, raw: bytes) -> float:
+    """Return a register's value from its four little-endian bytes."""
+    integer = REGISTERS[number].integer
+    return float(struct.unpack("<I" if integer else "<f", raw)[0])
+
+
+def bytes_from_value(number: int, value: float) -> bytes:
+    """Return the four little-endian bytes of a register's value."""
+    if REGISTERS[number].integer:
+        return struct.pack("<I", int(value))
+    return struct.pack("<f", value)
+
+
+def text_of(number: int, value: float) -> str:
+    """Return NAME=value as written into a recording's header."""
+    register = REGISTERS[number]
+    return f"{register.name}={int(value) if register.integer else format(value, '.9g')}"
+
+
+DISABLED, ENABLED = 0, 1
+LOST_COMMUNICATION = 0xD
+
+_MEANINGS = {
+    DISABLED: "disabled",
+    ENABLED: "enabled",
+    0x2: "encoder error",
+    0x3: "output-shaft calibration error",
+    0x4: "sensor output error",
+    0x5: "calibration data error",
+    0x6: "motor parameters could not be read",
+    0x7: "sensor could not be read",
+    0x8: "over-voltage",
+    0x9: "under-voltage",
+    0xA: "over-current",
+    0xB: "power stage too hot",
+    0xC: "winding too hot",
+    LOST_COMMUNICATION: "communication lost (watchdog expired)",
+    0xE: "overload",
+}
+
+
+def describe(code: int) -> str:
+    """Return a status code in words."""
+    return f"status {code:X}: {_MEANINGS.get(code, 'not documented')}"
+
+
+def is_fault(code: int) -> bool:
+    """Tell whether a code is a fault; every fault makes the motor leave the enabled state."""
+    return code not in (DISABLED, ENABLED)

@@ -1,0 +1,1 @@
+"""Simulated motors and the arm they drive, to rehearse without hardware."""

@@ -1,0 +1,60 @@
+"""Running a simulated arm in real time behind any link."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import threading
+from collections.abc import Callable, Iterator
+
+from robot_sysid.damiao.bus.clock import Clock
+from robot_sysid.damiao.bus.link import Link
+from robot_sysid.damiao.protocol.frames import Frame
+from robot_sysid.damiao.simulated.arm import SimulatedArm
+
+_TICK = 1e-3
+_SWITCH_INTERVAL = 2e-4
+_MOST_BEHIND = 0.1
+
+
+def serve(arm: SimulatedArm, link: Link, clock: Clock, running: Callable[[], bool]) -> float:
+    """Let the arm live and answer until ``running`` says no; return the time it left out [s].
+
+    A computer too slow for the physics makes the arm skip time rather than fall behind for ever.
+    """
+    start, left_out = clock.now() - arm.time, 0.0
+    while running():
+        frame = link.receive(clock.now() + _TICK)
+        now = clock.now() - start
+        if now - arm.time > _MOST_BEHIND:
+            left_out += now - arm.time
+            arm.skip_to(now)
+        arm.advance(now)
+        if frame is not None and not frame.echo:
+            _answer(arm, link, frame, now)
+    return left_out
+
+
+def _answer(arm: SimulatedArm, link: Link, frame: Frame, now: float) -> None:
+    for reply in arm.handle(frame, now):
+        link.send(reply)
+
+
+@contextlib.contextmanager
+def served_in_background(arm: SimulatedArm, link: Link, clock: Clock) -> Iterator[None]:
+    """Serve the arm in a thread for as long as the block runs, then close its link."""
+    leave = threading.Event()
+    # Python hands over between busy threads every 5 ms by default: longer than a control cycle.
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(_SWITCH_INTERVAL)
+    thread = threading.Thread(
+        target=serve, args=(arm, link, clock, lambda: not leave.is_set()), daemon=True
+    )
+    thread.start()
+    try:
+        yield
+    finally:
+        leave.set()
+        thread.join()
+        sys.setswitchinterval(interval)
+        link.close()

@@ -1,0 +1,79 @@
+"""A CAN bus with a simulated arm on it, in simulated time: exact, repeatable, no waiting."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+
+from robot_sysid.damiao.bus.clock import SimulatedClock
+from robot_sysid.damiao.protocol.bus_load import BusTiming
+from robot_sysid.damiao.protocol.frames import Frame
+from robot_sysid.damiao.simulated.arm import SimulatedArm
+
+_TURNAROUND = 50e-6
+
+
+class SimulatedLink:
+    """Carries frames one after the other, each as long as its bits take.
+
+    A burst of commands goes out before any reply, because commands have the lower ids.
+
+    Args:
+        clock: moved by waiting.
+        arm: who answers.
+        timing: bit rates; a classic host sees an error frame where a motor answers in CAN-FD.
+        echo: report each sent frame back when it was on the bus, as SocketCAN does.
+    """
+
+    def __init__(
+        self,
+        clock: SimulatedClock,
+        arm: SimulatedArm,
+        timing: BusTiming | None = None,
+        echo: bool = False,
+    ) -> None:
+        self.clock, self.arm = clock, arm
+        self._timing = timing or BusTiming()
+        self._echo = echo
+        self._free_at = 0.0
+        self._order = itertools.count()
+        self._echoes: list[tuple[float, int, Frame]] = []
+        self._replies: list[tuple[float, int, int, Frame]] = []
+        self.sent: list[Frame] = []
+
+    def send(self, frame: Frame) -> None:
+        """Put a frame on the bus; the arm gets it when its last bit is through."""
+        end = max(self.clock.now(), self._free_at) + self._timing.frame_time
+        self._free_at = end
+        self.sent.append(frame._replace(time=end))
+        if self._echo:
+            entry = end, next(self._order), frame._replace(time=end, echo=True)
+            heapq.heappush(self._echoes, entry)
+        for reply in self.arm.handle(frame, end):
+            ready = end + _TURNAROUND
+            heapq.heappush(self._replies, (ready, reply.id, next(self._order), reply))
+
+    def receive(self, until: float) -> Frame | None:
+        """Return the next frame that is through by ``until`` [s], or None at that time."""
+        if self._echoes and self._echoes[0][0] <= until:
+            arrival, _, frame = heapq.heappop(self._echoes)
+            self.clock.sleep_until(arrival)
+            return frame
+        if self._replies:
+            arrival = max(self._replies[0][0], self._free_at) + self._timing.frame_time
+            if arrival <= until:
+                return self._deliver(arrival)
+        self.clock.sleep_until(until)
+        return None
+
+    def _deliver(self, arrival: float) -> Frame:
+        reply = heapq.heappop(self._replies)[-1]
+        self._free_at = arrival
+        self.clock.sleep_until(arrival)
+        unreadable = reply.fd and not self._timing.fd
+        return reply._replace(
+            time=arrival, error=unreadable, data=b"" if unreadable else reply.data
+        )
+
+    def close(self) -> None:
+        """Nothing to release."""

@@ -1,0 +1,1 @@
+"""The trajectory file that motors play, and what had to be clamped in it."""

@@ -1,1 +1,0 @@
-"""The parts of excitation design: trajectories, objective, constraints, search."""

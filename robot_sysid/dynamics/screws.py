@@ -1,0 +1,145 @@
+"""Motion of the terminal body from joint screws, in numpy, with exact gradients."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from robot_sysid.dynamics.spatial import cross
+from robot_sysid.records import Array, checked_array
+
+
+@dataclass(frozen=True)
+class ScrewChain:
+    """A serial arm as seen from its terminal body.
+
+    Product of exponentials in the body frame (Lynch and Park, "Modern Robotics", 2017, eq. 4.16 and
+    5.18): all that has to be known about an arm is the body Jacobian B of its terminal body at one
+    configuration. With Ad and ad of SE(3) and J_i the columns of the body Jacobian at q,
+
+        J_i = Ad(exp(-B_n d_n) ... exp(-B_{i+1} d_{i+1})) B_i,      d = q - home,
+        dJ_i / dq_k = ad(J_i) J_k for k > i, else 0,
+        V  = sum_i J_i qd_i,
+        V' = sum_i J_i qdd_i + sum_{i<k} ad(J_i) J_k qd_i qd_k - [0, g].
+
+    This serves where thousands of gradients are needed; the identification itself uses MuJoCo.
+    Arrays are component first: (6, n, N) holds N samples of n twists [omega, v].
+
+    Attributes:
+        screws: (6, n) body Jacobian [omega, v] of the terminal body at ``home``.
+        home: (n,) joint positions there [rad].
+        gravity: (3,) gravity in the terminal body's frame at ``home`` [m/s^2].
+    """
+
+    screws: Array
+    home: Array
+    gravity: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "home", checked_array(self.home, (None,), "home"))
+        shape = (6, len(self.home))
+        object.__setattr__(self, "screws", checked_array(self.screws, shape, "screws"))
+        object.__setattr__(self, "gravity", checked_array(self.gravity, (3,), "gravity"))
+
+    def evaluate(self, q: Array, qd: Array, qdd: Array) -> ChainMotion:
+        """Return the terminal body's motion for chain motions (N, n)."""
+        jacobian, gravity = self._jacobian(q)
+        # U_k: what joint k contributes to the twist; P_k: twist of all joints before it.
+        steps = jacobian * qd.T
+        before = np.cumsum(steps, axis=1) - steps
+        velocity = np.sum(steps, axis=1)
+        acceleration = np.sum(jacobian * qdd.T + bracket(before, steps), axis=1)
+        acceleration[3:] -= gravity
+        return ChainMotion(qd, qdd, jacobian, steps, before, velocity, acceleration, gravity)
+
+    def _jacobian(self, q: Array) -> tuple[Array, Array]:
+        """Return the body Jacobian (6, n, N) and gravity in the body frame (3, N)."""
+        samples, joints = q.shape
+        jacobian = np.empty((6, joints, samples))
+        rotation = np.repeat(np.eye(3)[:, :, None], samples, axis=2)
+        position = np.zeros((3, samples))
+        for i in reversed(range(joints)):
+            omega = np.tensordot(rotation, self.screws[:3, i], axes=(1, 0))
+            linear = np.tensordot(rotation, self.screws[3:, i], axes=(1, 0))
+            jacobian[:3, i] = omega
+            jacobian[3:, i] = linear + cross(position, omega)
+            step_rotation, step_position = exponential(self.screws[:, i], self.home[i] - q[:, i])
+            position = position + np.einsum("abn,bn->an", rotation, step_position)
+            rotation = np.einsum("abn,bcn->acn", rotation, step_rotation)
+        return jacobian, np.tensordot(rotation, self.gravity, axes=(1, 0))
+
+
+@dataclass(frozen=True)
+class ChainMotion:
+    """Terminal body motion of N samples, with what its gradient needs.
+
+    Attributes:
+        qd, qdd: (N, n) joint velocity and acceleration.
+        jacobian: (6, n, N) body Jacobian.
+        steps, before: (6, n, N) each joint's twist, and the sum over the joints before it.
+        velocity: (6, N) twist of the body.
+        acceleration: (6, N) spatial acceleration minus gravity.
+        gravity: (3, N) gravity in the body frame.
+    """
+
+    qd: Array
+    qdd: Array
+    jacobian: Array
+    steps: Array
+    before: Array
+    velocity: Array
+    acceleration: Array
+    gravity: Array
+
+    def pull_back(
+        self, jacobian_bar: Array, velocity_bar: Array, acceleration_bar: Array
+    ) -> tuple[Array, Array, Array]:
+        """Return the gradient (N, n) with respect to q, qd and qdd: reverse mode.
+
+        Args:
+            jacobian_bar: (6, n, N) derivative of a scalar with respect to ``jacobian``.
+            velocity_bar: (6, N) the same for ``velocity``.
+            acceleration_bar: (6, N) the same for ``acceleration``.
+        """
+        bar_a = acceleration_bar[:, None, :]
+        before_bar = -bracket_transposed(self.steps, bar_a)
+        after = np.sum(before_bar, axis=1, keepdims=True) - np.cumsum(before_bar, axis=1)
+        steps_bar = bracket_transposed(self.before, bar_a) + after + velocity_bar[:, None, :]
+        jacobian_bar = jacobian_bar + bar_a * self.qdd.T + steps_bar * self.qd.T
+        turned = bracket_transposed(self.jacobian, jacobian_bar)
+        q_bar = np.sum((np.cumsum(turned, axis=1) - turned) * self.jacobian, axis=0)
+        falling = cross(self.jacobian[:3], self.gravity[:, None, :])
+        q_bar += np.sum(bar_a[3:] * falling, axis=0)
+        qd_bar = np.sum(self.jacobian * steps_bar, axis=0)
+        qdd_bar = np.sum(self.jacobian * bar_a, axis=0)
+        return q_bar.T, qd_bar.T, qdd_bar.T
+
+
+def exponential(twist: Array, angle: Array) -> tuple[Array, Array]:
+    """Return rotation (3, 3, N) and translation (3, N) of exp([twist] angle).
+
+    Rodrigues' formula (Modern Robotics, eq. 3.51 and 3.88); a twist with omega = 0 slides.
+    """
+    omega, linear = twist[:3], twist[3:]
+    if not np.any(omega):
+        return np.repeat(np.eye(3)[:, :, None], len(angle), axis=2), np.outer(linear, angle)
+    hat = np.array(
+        [[0.0, -omega[2], omega[1]], [omega[2], 0.0, -omega[0]], [-omega[1], omega[0], 0.0]]
+    )
+    square = hat @ hat
+    sine, versine = np.sin(angle), 1.0 - np.cos(angle)
+    rotation = np.eye(3)[:, :, None] + np.multiply.outer(hat, sine)
+    rotation += np.multiply.outer(square, versine)
+    translation = np.outer(linear, angle) + np.outer(hat @ linear, versine)
+    return rotation, translation + np.outer(square @ linear, angle - sine)
+
+
+def bracket(a: Array, b: Array) -> Array:
+    """Return ad(a) b = [w_a x w_b, v_a x w_b + w_a x v_b] for twists (6, ...)."""
+    return np.concatenate((cross(a[:3], b[:3]), cross(a[3:], b[:3]) + cross(a[:3], b[3:])), axis=0)
+
+
+def bracket_transposed(a: Array, b: Array) -> Array:
+    """Return ad(a)^T b = -[w_a x m + v_a x f, w_a x f] for b = [m, f] (6, ...)."""
+    return -np.concatenate((cross(a[:3], b[:3]) + cross(a[3:], b[3:]), cross(a[:3], b[3:])), axis=0)

@@ -1,0 +1,293 @@
+"""What the equations can show: rank, condition numbers, and in words what they cannot.
+
+Columns are scaled first, so that units do not decide about rank: one scale for the mass, one for
+the three first moments, one for the six inertias, one for each further parameter. Parameters of
+one unit share a scale, because a column that is weak beside its sisters is weakly seen: an axis
+that is off by a hair shows the first moment along it at a millionth of the others, and scaling
+that up would turn rounding into an estimate. A column that is nothing but rounding noise is set to
+zero.
+
+A null space has many bases. The one put into words is sparse: first what lies within the first
+moment or within the inertia alone, then what mixes them, each in reduced row echelon form. A single
+parameter that cannot be identified always appears by itself then.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.estimation import identifiability as blind_words
+from robot_sysid.records import Array, Identifiability, SquareRootInformation
+
+RELATIVE_CUT = 1e-10
+"""Singular values (and column lengths) below this share of the largest count as zero."""
+_COMPONENT_TOLERANCE = 1e-6
+N_INERTIAL = 10
+_SAME_UNIT = (slice(1, 4), slice(4, 10))
+
+
+@dataclass(frozen=True)
+class VisibleSpace:
+    """Singular value decomposition of a column-scaled matrix, cut where it is blind.
+
+    Attributes:
+        scale: (p,) x = scale * y turns scaled coordinates y into parameters x.
+        left: (M, r) orthonormal basis of the visible right-hand sides.
+        singular: (r,) singular values above the cut, descending.
+        right: (p, r) orthonormal basis of the visible y.
+        null: (p, p - r) orthonormal basis of the invisible y.
+        dead: (p,) columns that carry no signal at all.
+    """
+
+    scale: Array
+    left: Array
+    singular: Array
+    right: Array
+    null: Array
+    dead: np.ndarray
+
+    @property
+    def rank(self) -> int:
+        """Number of visible combinations r."""
+        return len(self.singular)
+
+    @property
+    def condition_number(self) -> float:
+        """Largest over smallest visible singular value; infinite where nothing is visible."""
+        return float(self.singular[0] / self.singular[-1]) if self.rank else float("inf")
+
+    @property
+    def identified(self) -> tuple[bool, ...]:
+        """Per parameter, whether no invisible direction contains it."""
+        hidden = np.linalg.norm(self.null, axis=1)
+        return tuple(bool(h < _COMPONENT_TOLERANCE) for h in hidden)
+
+    def solve(self, right_hand_side: Array) -> Array:
+        """Return the minimum-norm least-squares solution (p,) for a (M,) right-hand side."""
+        solution = self.right @ ((self.left.T @ right_hand_side) / self.singular)
+        return np.where(self.dead, 0.0, self.scale * solution)
+
+    def inverse_root(self) -> Array:
+        """Return G (p, r) with G G^T = pseudo-inverse of A^T A in parameter units."""
+        return self.scale[:, None] * self.right / self.singular
+
+
+def visible_space(matrix: Array, scale: Array | None = None, inertial: bool = True) -> VisibleSpace:
+    """Decompose a stacked regressor (M, p) into what it can and cannot see.
+
+    Args:
+        matrix: (M, p) regressor.
+        scale: (p,) column scaling to use instead of ``column_scale``, where the matrix is what
+            remains of another one whose scaling decides what is small; the cut is absolute then.
+        inertial: whether the first ten columns are those of the inertial parameters.
+    """
+    reference = None if scale is None else 1.0
+    if scale is None:
+        scale, dead = column_scale(matrix, inertial)
+    else:
+        dead = np.linalg.norm(matrix * scale, axis=0) <= RELATIVE_CUT
+    scaled = np.where(dead, 0.0, matrix * scale)
+    missing = max(matrix.shape[1] - len(matrix), 0)
+    left, singular, right = np.linalg.svd(np.pad(scaled, ((0, missing), (0, 0))), False)
+    rank = _count_visible(singular, reference)
+    left = left[: len(matrix), :rank]
+    return VisibleSpace(scale, left, singular[:rank], right[:rank].T, right[rank:].T, dead)
+
+
+def column_scale(matrix: Array, inertial: bool = True) -> tuple[Array, np.ndarray]:
+    """Return (scale (p,), dead (p,)): 1 / length of the columns, and which are rounding noise.
+
+    Args:
+        matrix: (M, p) regressor.
+        inertial: whether the first ten columns are those of the inertial parameters; those of one
+            unit then share the scale of the longest.
+    """
+    length = np.linalg.norm(matrix, axis=0)
+    dead = length <= RELATIVE_CUT * np.max(length, initial=0.0)
+    for group in _SAME_UNIT if inertial else ():
+        length[group] = np.max(length[group], initial=0.0)
+    return 1.0 / np.where(dead, 1.0, length), dead
+
+
+def scaled_condition(matrix: Array, space: VisibleSpace) -> float:
+    """Return the condition number of the visible part with columns of unit length."""
+    if not space.rank:
+        return float("inf")
+    length = np.linalg.norm(matrix, axis=0)
+    unit = np.where(space.dead, 0.0, matrix / np.where(space.dead, 1.0, length))
+    singular = np.linalg.svd(unit, compute_uv=False)
+    return float(singular[0] / singular[space.rank - 1])
+
+
+def analyse_identifiability(
+    information: SquareRootInformation, terminal_joint: str | None = None
+) -> Identifiability:
+    """Tell what the data can see of the terminal link and of its joint's friction.
+
+    The rank counts the ten inertial parameters and the terminal joint's Coulomb and viscous
+    friction after all other columns (nuisances) have been eliminated:
+    rank [Y_interest Y_nuisance] - rank Y_nuisance.
+
+    Args:
+        information: square-root information; the last joint is the terminal one.
+        terminal_joint: name of the terminal joint, if it is not the last.
+    """
+    matrix, _ = information.stacked()
+    space = visible_space(matrix)
+    interest = parameters_of_interest(information, terminal_joint)
+    raw = np.linalg.svd(np.where(space.dead, 0.0, matrix), compute_uv=False)
+    condition = float(raw[0] / raw[space.rank - 1]) if space.rank else float("inf")
+    return Identifiability(
+        rank=space.rank - _nuisance_rank(matrix, space, interest),
+        n_parameters=int(np.count_nonzero(interest)),
+        condition_number=condition,
+        scaled_condition_number=scaled_condition(matrix, space),
+        identified=space.identified,
+        blind=blind_words.describe(space.null, space.scale, information.names),
+    )
+
+
+def parameters_of_interest(
+    information: SquareRootInformation, terminal_joint: str | None = None
+) -> np.ndarray:
+    """Return (p,) booleans: the ten inertial parameters and the terminal joint's friction."""
+    joint = terminal_joint or information.joints[-1].joint
+    wanted = {f"coulomb[{joint}]", f"viscous[{joint}]"}
+    return np.array([k < N_INERTIAL or n in wanted for k, n in enumerate(information.names)])
+
+
+def _count_visible(singular: Array, reference: float | None) -> int:
+    largest = np.max(singular, initial=0.0) if reference is None else reference
+    return int(np.count_nonzero(singular > RELATIVE_CUT * largest))
+
+
+def _nuisance_rank(matrix: Array, space: VisibleSpace, interest: np.ndarray) -> int:
+    nuisance = np.where(space.dead, 0.0, matrix * space.scale)[:, ~interest]
+    if nuisance.shape[1] == 0 or space.rank == 0:
+        return 0
+    singular = np.linalg.svd(nuisance, compute_uv=False)
+    return int(np.count_nonzero(singular > RELATIVE_CUT * space.singular[0]))
+
+
+_TOLERANCE = 1e-6
+_ROUNDING = 5e-3
+_FIRST_MOMENT, _INERTIA = range(1, 4), range(4, 10)
+_SINGLE = {
+    "m": "mass",
+    "hx": "first moment along x",
+    "hy": "first moment along y",
+    "hz": "first moment along z",
+    "coulomb": "Coulomb friction",
+    "viscous": "viscous friction",
+}
+
+
+def describe(null: Array, scale: Array, names: Sequence[str]) -> tuple[str, ...]:
+    """Return one phrase per invisible direction.
+
+    Args:
+        null: (p, d) orthonormal basis of the invisible scaled coordinates.
+        scale: (p,) parameters = scale * scaled coordinates.
+        names: (p,) parameter names, the ten inertial ones first.
+    """
+    return tuple(_phrase(v * scale, names) for v in readable_basis(null))
+
+
+def readable_basis(null: Array) -> list[Array]:
+    """Return d vectors (p,) that span the null space and have few non-zero entries."""
+    size, dimension = null.shape
+    found: list[Array] = []
+    for group in (_FIRST_MOMENT, _INERTIA, range(10), range(size)):
+        for candidate in _row_echelon(_within(null, group)):
+            if len(found) < dimension and _is_new(candidate, found):
+                found.append(candidate)
+    return sorted(found, key=lambda v: int(np.flatnonzero(v)[0]))
+
+
+def _within(null: Array, group: Sequence[int]) -> Array:
+    """Return (p, e) basis of the part of the null space that lives on ``group`` alone."""
+    outside = np.setdiff1d(np.arange(len(null)), np.asarray(group))
+    if len(outside) == 0 or null.shape[1] == 0:
+        return null
+    _, singular, right = np.linalg.svd(null[outside], full_matrices=True)
+    padded = np.zeros(null.shape[1])
+    padded[: len(singular)] = singular
+    basis = null @ right[padded < _TOLERANCE].T
+    basis[outside] = 0.0
+    return basis
+
+
+def _row_echelon(basis: Array) -> list[Array]:
+    """Return the reduced row echelon form of the columns (p, e), largest pivots first."""
+    rows = basis.T.copy()
+    for k in range(len(rows)):
+        _eliminate(rows, k)
+    rows[np.abs(rows) < _TOLERANCE] = 0.0
+    return [row / np.linalg.norm(row) for row in rows if np.any(row)]
+
+
+def _eliminate(rows: Array, k: int) -> None:
+    pivot_row, column = np.unravel_index(np.argmax(np.abs(rows[k:])), rows[k:].shape)
+    rows[[k, k + pivot_row]] = rows[[k + pivot_row, k]]
+    if abs(rows[k, column]) < _TOLERANCE:
+        return
+    rows[k] /= rows[k, column]
+    others = np.arange(len(rows)) != k
+    rows[others] -= np.outer(rows[others, column], rows[k])
+
+
+def _is_new(candidate: Array, found: list[Array]) -> bool:
+    if not found:
+        return True
+    known = np.array(found).T
+    rest = candidate - known @ np.linalg.lstsq(known, candidate, rcond=None)[0]
+    return bool(np.linalg.norm(rest) > _TOLERANCE)
+
+
+def _phrase(direction: Array, names: Sequence[str]) -> str:
+    used = [int(k) for k in np.flatnonzero(direction)]
+    unit = direction / np.linalg.norm(direction)
+    unit = unit * np.sign(unit[used[0]])
+    if len(used) == 1:
+        return _single(names[used[0]])
+    if set(used) <= set(_FIRST_MOMENT):
+        return f"first moment along {_axis(unit[1:4])}"
+    if set(used) <= set(_INERTIA):
+        return _inertia_phrase(unit, used, names)
+    return _combination(unit, used, names)
+
+
+def _single(name: str) -> str:
+    kind, _, joint = name.partition("[")
+    words = _SINGLE.get(kind, f"inertia {name}" if name in spatial.PARAMETER_NAMES else kind)
+    return f"{words} of {joint.rstrip(']')}" if joint else words
+
+
+def _inertia_phrase(unit: Array, used: list[int], names: Sequence[str]) -> str:
+    if len(used) == 2 and abs(abs(unit[used[0]]) - abs(unit[used[1]])) < _ROUNDING:
+        same = unit[used[0]] * unit[used[1]] > 0.0
+        kind, sign = ("sum", "+") if same else ("difference", "-")
+        return f"the {kind} {names[used[0]]} {sign} {names[used[1]]}"
+    moments, axes = np.linalg.eigh(spatial.symmetric_from_six(unit[4:10]))
+    spread = np.abs(moments - np.array([0.0, moments[2], moments[2]]))
+    if np.max(spread) < _ROUNDING * moments[2]:
+        return f"the sum of the two inertias transverse to {_axis(axes[:, 0])}"
+    return _combination(unit, used, names)
+
+
+def _axis(vector: Array) -> str:
+    vector = vector / np.linalg.norm(vector)
+    leading = vector[np.argmax(np.abs(vector) > _ROUNDING)]
+    entries = np.round(vector * np.sign(leading), 2) + 0.0
+    return "(" + ", ".join(f"{entry:g}" for entry in entries) + ")"
+
+
+def _combination(unit: Array, used: list[int], names: Sequence[str]) -> str:
+    text = f"{unit[used[0]]:.2g} {names[used[0]]}"
+    for k in used[1:]:
+        text += f" {'-' if unit[k] < 0 else '+'} {abs(unit[k]):.2g} {names[k]}"
+    return text

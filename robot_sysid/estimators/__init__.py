@@ -1,1 +1,0 @@
-"""Estimators: one module per family; ``registry`` finds them by name."""

@@ -1,0 +1,1 @@
+"""Designing a motion: trajectories, objective, limits, search."""

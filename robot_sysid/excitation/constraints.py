@@ -1,0 +1,141 @@
+"""The constraints of an excitation as numbers g <= 0 on a time grid, with gradients.
+
+Five families in the columns of one array (N, 4 n + 1): position, velocity, acceleration and torque
+of each joint as share of its limit minus one, and the slack towards obstacles over a length.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from robot_sysid.excitation.problem import ExcitationProblem
+from robot_sysid.records import Array, Motion
+
+OBSTACLE_LENGTH = 0.05
+"""A slack of minus this length [m] counts as much as exceeding a limit by 100 %."""
+LIMIT_NAMES = ("position", "velocity", "acceleration", "torque")
+"""The families of joint limits, in the order of their columns."""
+ROUNDING = 1e-9
+"""Share of a limit by which rounding may exceed it: the motion may start exactly at one."""
+_TORQUE_STEP = 1e-6
+
+
+@dataclass(frozen=True)
+class ConstraintTape:
+    """Constraint values of a motion, and what their gradient needs.
+
+    Attributes:
+        value: (N, 4 n + 1) g; fulfilled where <= 0.
+        motion: (q, qd, qdd), each (N, n).
+        torque: (N, n) [N m].
+        slack_gradient: (N, n) of the slack with respect to q.
+    """
+
+    value: Array
+    motion: tuple[Array, Array, Array]
+    torque: Array
+    slack_gradient: Array
+
+
+class MotionConstraints:
+    """Evaluates the constraints of one problem.
+
+    Args:
+        problem: the arm and its limits.
+        share: share of the limits to use; a little less than 1 leaves room for what happens
+            between grid points.
+        extra_slack: distance to keep beside the obstacles' own requirement [m].
+    """
+
+    def __init__(self, problem: ExcitationProblem, share: float, extra_slack: float) -> None:
+        self._problem, self._extra = problem, extra_slack
+        limits = problem.limits
+        self._center = 0.5 * (limits.lower + limits.upper)
+        self._half = (
+            share * 0.5 * (limits.upper - limits.lower),
+            share * limits.velocity,
+            share * limits.acceleration,
+            share * limits.torque,
+        )
+        self._nearby = _SlackMemory(problem)
+
+    def evaluate(self, motion: tuple[Array, Array, Array]) -> ConstraintTape:
+        """Return all constraints of a motion (q, qd, qdd), each (N, n)."""
+        q, qd, qdd = motion
+        torque = np.zeros_like(q)
+        if np.any(np.isfinite(self._half[3])):
+            torque = self._torque(*motion)
+        signals = (q - self._center, qd, qdd, torque)
+        shares = [np.abs(signal) / half - 1.0 for signal, half in zip(signals, self._half)]
+        slack, gradient = self._nearby.slack(q)
+        towards = (self._extra - slack) / OBSTACLE_LENGTH
+        return ConstraintTape(np.hstack((*shares, towards[:, None])), motion, torque, gradient)
+
+    def pull_back(self, tape: ConstraintTape, weight: Array) -> tuple[Array, Array, Array]:
+        """Return the gradient (N, n) of sum(weight * g) with respect to q, qd and qdd."""
+        n = self._problem.n_joints
+        q, qd, qdd = tape.motion
+        signals = (q - self._center, qd, qdd, tape.torque)
+        bars = [
+            weight[:, i * n : (i + 1) * n] * np.sign(signal) / half
+            for i, (signal, half) in enumerate(zip(signals, self._half))
+        ]
+        bars[0] = bars[0] - weight[:, -1:] * tape.slack_gradient / OBSTACLE_LENGTH
+        from_torque = self._torque_pull_back(tape, bars[3])
+        return bars[0] + from_torque[0], bars[1] + from_torque[1], bars[2] + from_torque[2]
+
+    def _torque(self, q: Array, qd: Array, qdd: Array) -> Array:
+        return self._problem.torque(Motion(np.arange(float(len(q))), q, qd, qdd))
+
+    def _torque_pull_back(self, tape: ConstraintTape, bar: Array) -> tuple[Array, Array, Array]:
+        """Gradient through the torque by one-sided differences, at the active samples only."""
+        active = np.flatnonzero(np.any(bar != 0.0, axis=1))
+        result = (np.zeros_like(bar), np.zeros_like(bar), np.zeros_like(bar))
+        if len(active) == 0:
+            return result
+        at = [signal[active] for signal in tape.motion]
+        # The friction torque jumps where a joint reverses; a step across the jump would be noise.
+        for which in range(3):
+            for joint in range(self._problem.n_joints):
+                moved = [signal.copy() for signal in at]
+                moved[which][:, joint] += _TORQUE_STEP * _away(moved[which][:, joint])
+                change = (self._torque(*moved) - tape.torque[active]) / _TORQUE_STEP
+                change *= _away(at[which][:, joint])[:, None]
+                result[which][active, joint] = np.sum(change * bar[active], axis=1)
+        return result
+
+
+class _SlackMemory:
+    """Slack along a trajectory that changes little from one call to the next.
+
+    A sample whose joints have moved by less than its last known slack allows cannot have become
+    tight; it keeps what is certain of its slack and needs no collision test.
+    """
+
+    def __init__(self, problem: ExcitationProblem) -> None:
+        self._obstacles = problem.obstacles
+        # Slack that no constraint will ever ask for [m].
+        self._enough = 0.5 * problem.obstacles.horizon
+        self._q = np.zeros((0, problem.n_joints))
+        self._budget = np.zeros((0, len(problem.obstacles.rates)))
+
+    def slack(self, q: Array) -> tuple[Array, Array]:
+        """Return slack (N,), exact where it is small, and its gradient (N, n)."""
+        if self._q.shape != q.shape:
+            self._q, self._budget = q.copy(), np.full((len(q), self._budget.shape[1]), -np.inf)
+        moved = np.abs(q - self._q) @ self._obstacles.rates.T
+        certain = np.min(self._budget - moved, axis=1)
+        gradient = np.zeros_like(q)
+        tight = np.flatnonzero(~(certain > self._enough))
+        if len(tight):
+            found = self._obstacles.slack(q[tight])
+            certain[tight], gradient[tight] = found.value, found.gradient
+            self._q[tight], self._budget[tight] = q[tight], found.budget
+        return certain, gradient
+
+
+def _away(value: Array) -> Array:
+    """Return the direction (+1 or -1) that leads away from zero."""
+    return np.where(value < 0.0, -1.0, 1.0)

@@ -1,0 +1,240 @@
+"""Information about the ten inertial parameters that a motion will give, and its gradient.
+
+Joint j delivers equations tau_j = Y_j theta + Z_j x_j with its own nuisances x_j: Coulomb friction,
+viscous friction and a torque offset, Z_j = [sign(qd_j), qd_j, 1]. What is left for theta after
+eliminating them is the Schur complement
+
+    L = sum_j E_j^T E_j / sigma_j^2,   E_j = Y_j - Z_j C_j,   C_j = (Z_j^T Z_j)^-1 Z_j^T Y_j,
+
+and L^-1 is the covariance of the least-squares estimate in white noise (Cramer-Rao bound).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from robot_sysid.dynamics.screws import ChainMotion, ScrewChain
+from robot_sysid.records import Array
+from robot_sysid.regressor import wrench_regressor
+
+_RIDGE = 1e-10
+"""Keeps the elimination defined where a joint stands still and its friction has no columns."""
+
+
+@dataclass(frozen=True)
+class RowSettings:
+    """Which equations there will be.
+
+    Attributes:
+        joints: chain joints whose torque is used.
+        sigma: (len(joints),) standard deviation of their torque noise [N m].
+        smoothing: (n,) speed below which sign(qd) is rounded off to tanh [rad/s]; 0 for none.
+        coordinates: (10, r) theta = coordinates @ x: scaling, and restriction to what can be seen.
+    """
+
+    joints: tuple[int, ...]
+    sigma: Array
+    smoothing: Array
+    coordinates: Array
+
+
+class PredictedInformation:
+    """Maps motions to information about x, theta = coordinates @ x.
+
+    Args:
+        chain: the arm.
+        settings: which equations.
+    """
+
+    def __init__(self, chain: ScrewChain, settings: RowSettings) -> None:
+        self._chain, self._settings = chain, settings
+        self._joints = list(settings.joints)
+
+    def evaluate(self, q: Array, qd: Array, qdd: Array) -> InformationTape:
+        """Return the information of one sample per row of q, qd, qdd (N, n)."""
+        motion = self._chain.evaluate(q, qd, qdd)
+        wrench = _wrench(motion.velocity, motion.acceleration)
+        jacobian = motion.jacobian[:, self._joints]
+        rows = np.einsum("ijn,ikn->jnk", jacobian, wrench, optimize=True)
+        rows = rows @ self._settings.coordinates / self._settings.sigma[:, None, None]
+        friction, slope = self._nuisances(qd[:, self._joints].T)
+        gain = _least_squares(friction, rows)
+        residual = rows - friction @ gain
+        information = np.einsum("jnk,jnl->kl", residual, residual, optimize=True)
+        return InformationTape(
+            self._settings, motion, wrench, friction, slope, gain, residual, information
+        )
+
+    def _nuisances(self, qd: Array) -> tuple[Array, Array]:
+        """Return Z (rows, N, 3) and the derivative of its first column with respect to qd."""
+        speed = self._settings.smoothing[self._joints][:, None]
+        smooth = np.tanh(qd / np.where(speed > 0.0, speed, 1.0))
+        sign = np.where(speed > 0.0, smooth, np.sign(qd))
+        slope = np.where(speed > 0.0, (1.0 - smooth**2) / np.where(speed > 0.0, speed, 1.0), 0.0)
+        return np.stack((sign, qd, np.ones_like(qd)), axis=2), slope
+
+
+@dataclass(frozen=True)
+class InformationTape:
+    """Information of a motion, and what its gradient needs.
+
+    Attributes:
+        settings: which equations.
+        motion: of the terminal body.
+        wrench: (6, 10, N) regressor of the wrench.
+        friction: (rows, N, 3) nuisance columns Z.
+        slope: (rows, N) derivative of the first of them with respect to qd.
+        gain: (rows, 3, r) C.
+        residual: (rows, N, r) E.
+        information: (r, r) L.
+    """
+
+    settings: RowSettings
+    motion: ChainMotion
+    wrench: Array
+    friction: Array
+    slope: Array
+    gain: Array
+    residual: Array
+    information: Array
+
+    @property
+    def signal(self) -> float:
+        """Sum of the squared rows before elimination: what counts as large."""
+        return float(np.sum((self.residual + self.friction @ self.gain) ** 2))
+
+    def pull_back(self, information_bar: Array) -> tuple[Array, Array, Array]:
+        """Return the gradient (N, n) with respect to q, qd, qdd: reverse mode.
+
+        C needs no derivative: it minimises the residual.
+
+        Args:
+            information_bar: (r, r) symmetric derivative of a scalar with respect to L.
+        """
+        joints = list(self.settings.joints)
+        rows_bar = 2.0 * self.residual @ information_bar
+        friction_bar = -rows_bar @ self.gain.transpose(0, 2, 1)
+        scale = self.settings.coordinates.T
+        theta_bar = rows_bar @ scale / self.settings.sigma[:, None, None]
+        jacobian_bar = np.zeros_like(self.motion.jacobian)
+        jacobian_bar[:, joints] = np.einsum("jnk,ikn->ijn", theta_bar, self.wrench, optimize=True)
+        jacobian = self.motion.jacobian[:, joints]
+        wrench_bar = np.einsum("ijn,jnk->ikn", jacobian, theta_bar, optimize=True)
+        velocity_bar, acceleration_bar = _wrench_pull_back(self.motion.velocity, wrench_bar)
+        q_bar, qd_bar, qdd_bar = self.motion.pull_back(jacobian_bar, velocity_bar, acceleration_bar)
+        qd_bar[:, joints] += (friction_bar[..., 0] * self.slope + friction_bar[..., 1]).T
+        return q_bar, qd_bar, qdd_bar
+
+
+def _least_squares(friction: Array, rows: Array) -> Array:
+    """Return C (rows, 3, r) of the regression of each joint's rows on its nuisances."""
+    transposed = friction.transpose(0, 2, 1)
+    normal = transposed @ friction
+    trace = np.trace(normal, axis1=1, axis2=2)[:, None, None]
+    return np.linalg.solve(normal + _RIDGE * trace * np.eye(3), transposed @ rows)
+
+
+@lru_cache(maxsize=1)
+def _coefficients() -> tuple[Array, Array]:
+    """Return the constants of Y6 = A V' + B V V: (60, 6) and (60, 6, 6), symmetric in V V.
+
+    Read off ``regressor.wrench_regressor`` by polarisation, so that there is one derivation only.
+    """
+    one, none = np.eye(6), np.zeros((6, 6))
+    linear = wrench_regressor(none, one).reshape(60, 6)
+    pairs = np.array([one[k] + one[m] for k in range(6) for m in range(6)])
+    both = wrench_regressor(pairs, np.zeros_like(pairs)).reshape(60, 6, 6)
+    alone = wrench_regressor(one, none).reshape(60, 6)
+    return linear, 0.5 * (both - alone[:, :, None] - alone[:, None, :])
+
+
+def _wrench(velocity: Array, acceleration: Array) -> Array:
+    """Return Y6 (6, 10, N) for twists and accelerations (6, N)."""
+    linear, quadratic = _coefficients()
+    products = (velocity[:, None] * velocity[None, :]).reshape(36, -1)
+    return (linear @ acceleration + quadratic.reshape(60, 36) @ products).reshape(6, 10, -1)
+
+
+def _wrench_pull_back(velocity: Array, wrench_bar: Array) -> tuple[Array, Array]:
+    """Return the gradient (6, N) with respect to the twist and the acceleration."""
+    linear, quadratic = _coefficients()
+    bar = wrench_bar.reshape(60, -1)
+    products_bar = (quadratic.reshape(60, 36).T @ bar).reshape(6, 6, -1)
+    return 2.0 * np.einsum("kmn,mn->kn", products_bar, velocity), linear.T @ bar
+
+
+Criterion = Callable[[Array], "tuple[float, Array]"]
+
+
+_SINGULAR = 1e-14
+
+
+def a_criterion(information: Array) -> tuple[float, Array]:
+    """Return (ln sqrt(tr L^-1), gradient (r, r)); infinite where L is singular."""
+    if _is_singular(information):
+        return np.inf, np.zeros_like(information)
+    covariance = _inverse(information)
+    trace = float(np.trace(covariance))
+    return 0.5 * float(np.log(trace)), -0.5 * covariance @ covariance / trace
+
+
+def d_criterion(information: Array) -> tuple[float, Array]:
+    """Return (-ln det L / 2r, gradient (r, r)); infinite where L is singular."""
+    if _is_singular(information):
+        return np.inf, np.zeros_like(information)
+    size = len(information)
+    value = -float(np.linalg.slogdet(information)[1]) / (2.0 * size)
+    return value, -_inverse(information) / (2.0 * size)
+
+
+def condition_criterion(information: Array) -> tuple[float, Array]:
+    """Return (ln of the condition number with columns of unit length, gradient (r, r))."""
+    if _is_singular(information):
+        return np.inf, np.zeros_like(information)
+    root = np.sqrt(np.diag(information))
+    values, vectors = np.linalg.eigh(information / np.outer(root, root))
+    low, high = vectors[:, 0], vectors[:, -1]
+    # d ln(high / low) / 2 with respect to the scaled matrix, then through the scaling.
+    # Each eigenvector's share of the scaling's own derivative is its squared entries.
+    inner = np.outer(high, high) / values[-1] - np.outer(low, low) / values[0]
+    gradient = inner / np.outer(root, root) - np.diag((high**2 - low**2) / root**2)
+    return 0.5 * float(np.log(values[-1] / values[0])), 0.5 * gradient
+
+
+def _inverse(matrix: Array) -> Array:
+    return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+
+
+def _is_singular(information: Array) -> bool:
+    """Tell whether L, scaled to unit diagonal, has no usable inverse."""
+    diagonal = np.diag(information)
+    if not np.all(np.isfinite(information)) or np.any(diagonal <= 0.0):
+        return True
+    root = np.sqrt(diagonal)
+    return bool(np.linalg.eigvalsh(information / np.outer(root, root))[0] <= _SINGULAR)
+
+
+CRITERIA: Mapping[str, Criterion] = {
+    "A": a_criterion,
+    "D": d_criterion,
+    "cond": condition_criterion,
+}
+"""Criterion name to function; a new criterion is one more line here.
+
+Each is the logarithm of something readable, so that a change of 0.01 means about 1 %:
+
+====  =============================================  ==========================================
+name  exp(value)                                     makes small
+====  =============================================  ==========================================
+A     root of the sum of variances, sqrt(tr L^-1)    the average uncertainty
+D     det(L)^(-1/2r), r parameters                   the volume of the confidence ellipsoid
+cond  condition number of the scaled regressor       the spread between best and worst direction
+====  =============================================  ==========================================
+
+(Pukelsheim, "Optimal Design of Experiments", 2006, ch. 6.) The condition number says nothing about
+how large the information is; it is offered for comparison.
+"""

@@ -1,0 +1,219 @@
+"""Proof that a trajectory obeys its limits: a dense check of the whole motion.
+
+Positions, velocities, accelerations and torques are compared with their limits at 1 kHz or more.
+Clearance is checked between samples as well: two bodies approach each other no faster than
+sum_j |qd_j| rate_j, so a configuration with slack s proves the motion free until that sum,
+integrated over time, has used up s; only there is the next collision test needed (conservative
+advancement, Mirtich, "Impulse-based dynamic simulation of rigid body systems", 1996, ch. 2).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from robot_sysid.collision.obstacles import Closest
+from robot_sysid.excitation.constraints import LIMIT_NAMES, ROUNDING
+from robot_sysid.excitation.problem import ExcitationProblem
+from robot_sysid.records import Array, Motion, MotionPlan
+from robot_sysid.trajectory import motion_chunks
+
+LEAST_RATE_HZ = 1000.0
+CLEARANCE_RESOLUTION = 1e-3
+"""How exactly the reported clearance is that of the tightest moment [m]."""
+FINEST_RATE_HZ = 4000.0
+"""How densely clearance is tested where it is tight."""
+
+
+@dataclass(frozen=True)
+class Excess:
+    """One limit that is not kept, where it is exceeded most.
+
+    Attributes:
+        limit: which one, in words.
+        share: value over limit (a clearance: 1 + missing distance over 0.05 m).
+        time: when [s].
+    """
+
+    limit: str
+    share: float
+    time: float
+
+    def __str__(self) -> str:
+        return f"{self.limit} ({100.0 * (self.share - 1.0):.1f} % over at {self.time:.2f} s)"
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """Peaks of a trajectory against its limits.
+
+    Attributes:
+        lowest, highest: (n,) positions [rad].
+        velocity, acceleration, torque: (n,) largest absolute values.
+        closest: the tightest distance, to a millimetre.
+        closest_time: when [s].
+        excesses: limits that are not kept; none for a trajectory that may be run.
+        binding: limits used to 98 % or more, in words.
+        n_collision_tests: how many configurations were tested.
+    """
+
+    lowest: Array
+    highest: Array
+    velocity: Array
+    acceleration: Array
+    torque: Array
+    closest: Closest
+    closest_time: float
+    excesses: tuple[Excess, ...]
+    binding: tuple[str, ...]
+    n_collision_tests: int
+
+    @property
+    def holds(self) -> bool:
+        """Whether every limit is kept."""
+        return not self.excesses
+
+
+@dataclass(frozen=True)
+class _Peaks:
+    """Largest share of each limit (4, n), when it is reached (4, n), and extremes (5, n)."""
+
+    share: Array
+    time: Array
+    extremes: Array
+
+
+def certify(problem: ExcitationProblem, plan: MotionPlan, sample_rate: float = 0.0) -> Certificate:
+    """Check a whole trajectory.
+
+    Args:
+        problem: the arm and its limits.
+        plan: the trajectory.
+        sample_rate: at which it will be run [Hz]; at least 1 kHz is checked.
+    """
+    peaks = _joint_peaks(problem, plan, max(LEAST_RATE_HZ, sample_rate))
+    closest, when, tests = _tightest(problem, plan, CLEARANCE_RESOLUTION)
+    excesses = [*_joint_excesses(problem, peaks)]
+    if closest.slack < 0.0:
+        excesses.append(Excess(f"clearance of {closest.label}", _clearance_share(closest), when))
+    lowest, highest, velocity, acceleration, torque = peaks.extremes
+    return Certificate(
+        lowest,
+        highest,
+        velocity,
+        acceleration,
+        torque,
+        closest,
+        when,
+        tuple(sorted(excesses, key=lambda excess: -excess.share)),
+        tuple(_binding(problem, peaks, closest)),
+        tests,
+    )
+
+
+def joint_share(problem: ExcitationProblem, plan: MotionPlan) -> tuple[float, Array]:
+    """Return the largest share of any joint limit, and when limits are exceeded most [s]."""
+    peaks = _joint_peaks(problem, plan, LEAST_RATE_HZ)
+    return float(np.max(peaks.share)), peaks.time[peaks.share > 1.0 + ROUNDING]
+
+
+def first_contact(problem: ExcitationProblem, plan: MotionPlan) -> float | None:
+    """Return the first time at which a clearance is not kept [s], or None."""
+    closest, when, _ = _tightest(problem, plan, np.inf, stop_below=0.0)
+    return when if closest.slack < 0.0 else None
+
+
+def tight_times(problem: ExcitationProblem, plan: MotionPlan, rate: float = 100.0) -> Array:
+    """Return times [s] at which the slack has a local minimum below zero."""
+    motion = plan.evaluate(np.arange(0.0, plan.duration, 1.0 / rate))
+    slack = problem.obstacles.slack(motion.q).value
+    padded = np.pad(slack, 1, constant_values=np.inf)
+    lowest = (slack <= padded[:-2]) & (slack < padded[2:]) & (slack < 0.0)
+    return motion.time[lowest]
+
+
+def _joint_peaks(problem: ExcitationProblem, plan: MotionPlan, rate: float) -> _Peaks:
+    limits, n = problem.limits, problem.n_joints
+    center = 0.5 * (limits.lower + limits.upper)
+    half = np.stack(
+        (
+            0.5 * (limits.upper - limits.lower),
+            limits.velocity,
+            limits.acceleration,
+            limits.torque,
+        )
+    )
+    share, time = np.zeros((4, n)), np.zeros((4, n))
+    extremes = np.vstack((np.full(n, np.inf), np.full(n, -np.inf), np.zeros((3, n))))
+    for motion in motion_chunks(plan, rate):
+        torque = problem.torque(motion)
+        signals = np.stack((motion.q - center, motion.qd, motion.qdd, torque))
+        here = np.abs(signals) / half[:, None, :]
+        where = np.argmax(here, axis=1)
+        largest = np.take_along_axis(here, where[:, None, :], axis=1)[:, 0]
+        time = np.where(largest > share, motion.time[where], time)
+        share = np.maximum(share, largest)
+        peaks = np.max(np.abs(signals[1:]), axis=1)
+        extremes[0] = np.minimum(extremes[0], np.min(motion.q, axis=0))
+        extremes[1] = np.maximum(extremes[1], np.max(motion.q, axis=0))
+        extremes[2:] = np.maximum(extremes[2:], peaks)
+    return _Peaks(share, time, extremes)
+
+
+def _joint_excesses(problem: ExcitationProblem, peaks: _Peaks) -> Iterator[Excess]:
+    for i, j in np.argwhere(peaks.share > 1.0 + ROUNDING):
+        limit = f"{LIMIT_NAMES[i]} limit of joint {problem.joint_names[j]}"
+        yield Excess(limit, float(peaks.share[i, j]), float(peaks.time[i, j]))
+
+
+def _binding(problem: ExcitationProblem, peaks: _Peaks, closest: Closest) -> Iterator[str]:
+    for i, j in np.argwhere(peaks.share >= 0.98):
+        yield f"{LIMIT_NAMES[i]} limit of joint {problem.joint_names[j]}"
+    if closest.slack < 0.005:
+        yield f"clearance of {closest.label}"
+
+
+def _clearance_share(closest: Closest) -> float:
+    return 1.0 - closest.slack / 0.05
+
+
+def _tightest(
+    problem: ExcitationProblem, plan: MotionPlan, resolution: float, stop_below: float = -np.inf
+) -> tuple[Closest, float, int]:
+    """Return the tightest configuration, its time [s], and the number of tests it took.
+
+    Nowhere is the slack negative without being found, nor smaller than that of the configuration
+    returned by more than the resolution [m]. An end at ``stop_below`` saves the rest of the tests.
+    """
+    obstacles = problem.obstacles
+    best, when, at_q, tests = np.inf, 0.0, plan.evaluate(np.zeros(1)).q[0], 0
+    budget = np.full(len(obstacles.rates), -np.inf)
+    for motion in motion_chunks(plan, FINEST_RATE_HZ):
+        path = _path(motion, obstacles.rates)
+        at = _used_up(path, budget)
+        while at < len(path) and best >= stop_below:
+            here = obstacles.slack(motion.q[at : at + 1])
+            tests += 1
+            if here.value[0] < best:
+                best, when, at_q = float(here.value[0]), float(motion.time[at]), motion.q[at]
+            # What can neither be negative nor lower than the lowest need not be looked at.
+            floor = best - resolution if best < 0.0 else max(0.0, best - resolution)
+            budget = path[at] + np.maximum(0.0, here.budget[0] - floor)
+            at = max(at + 1, _used_up(path, budget))
+        budget = budget - path[-1]
+    return obstacles.closest(at_q), when, tests
+
+
+def _used_up(path: Array, budget: Array) -> int:
+    """Return the first index at which some pair may have used up its slack; len(path) if none."""
+    rows = np.flatnonzero(path[-1] >= budget)
+    return min((int(np.searchsorted(path[:, r], budget[r])) for r in rows), default=len(path))
+
+
+def _path(motion: Motion, rates: Array) -> Array:
+    """Return how much each row's pairs may have approached (N, P) [m] since just before."""
+    speed = np.abs(motion.qd) @ rates.T
+    before = np.concatenate((speed[:1], speed[:-1]))
+    return np.cumsum(np.maximum(speed, before), axis=0) / FINEST_RATE_HZ

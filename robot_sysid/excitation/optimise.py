@@ -1,0 +1,283 @@
+"""What the optimiser minimises, and one round of it: minimise, update multipliers, check or repair.
+
+The objective is a criterion of the information plus an augmented Lagrangian of the constraints.
+For constraints g <= 0 with multipliers l and weight m the penalty is
+sum (max(0, l + m g)^2 - l^2) / 2 m; between minimisations l becomes max(0, l + m g)
+(Nocedal, Wright, "Numerical Optimization", 2006, section 17.4). It leads to a feasible optimum
+without an infinite weight, so the problem stays well conditioned.
+
+Constraints hold at all times, the optimiser knows finitely many. After each round the whole motion
+is checked and times at which a limit was exceeded join the optimiser's (exchange method for
+semi-infinite programs, Hettich, Kortanek, SIAM Review 35(3), 1993, section 7). What little is still
+over a limit is taken off by shrinking the whole motion towards rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from robot_sysid.excitation.constraints import ROUNDING, ConstraintTape, MotionConstraints
+from robot_sysid.excitation.fourier import FourierBasis, FourierTrajectory
+from robot_sysid.excitation.information import (
+    CRITERIA,
+    Criterion,
+    PredictedInformation,
+    RowSettings,
+)
+from robot_sysid.excitation.limit_check import first_contact, joint_share, tight_times
+from robot_sysid.excitation.options import ExcitationOptions
+from robot_sysid.excitation.problem import ExcitationProblem
+from robot_sysid.records import Array
+
+FIRST_WEIGHT = 10.0
+WEIGHT_GROWTH = 1.5
+PLAIN_ROUNDS = 2
+"""Rounds before the weight begins to grow: the multipliers should do the work."""
+MEMORY = 20
+"""Gradient pairs L-BFGS keeps."""
+REPAIRS = (1.0, 0.999, 0.998, 0.996, 0.992, 0.985, 0.97, 0.94, 0.9, 0.8, 0.6, 0.4, 0.2, 0.1)
+"""Factors tried until a motion obeys everything."""
+MOST_EXTRA_TIMES = 60
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A trajectory on its way to the optimum.
+
+    Attributes:
+        number: which start it came from.
+        x: (n, M) free coefficients, possibly beyond a limit.
+        multipliers: (N + E, 4 n + 1).
+        extra_times: (E,) [s].
+        weight: of the penalty.
+        rounds: how many are done.
+        proven_x: (n, M) the best one so far that obeys everything, or None.
+        proven_score: its criterion.
+    """
+
+    number: int
+    x: Array
+    multipliers: Array
+    extra_times: Array
+    weight: float
+    rounds: int
+    proven_x: Array | None
+    proven_score: float
+
+
+def first_candidate(design: Design, number: int, x: Array) -> Candidate:
+    """Return a candidate at free coefficients x (n, M), proven where it can be."""
+    width = 4 * design.problem.n_joints + 1
+    none = np.zeros((len(design.grid), width))
+    start = Candidate(number, x, none, np.zeros(0), FIRST_WEIGHT, 0, None, np.inf)
+    return _prove(design, start)
+
+
+def improve(design: Design, candidate: Candidate) -> Candidate:
+    """Return the candidate after one more round."""
+    objective = PenalisedDesign(
+        design, candidate.extra_times, candidate.multipliers, candidate.weight
+    )
+    x = _minimise(objective, candidate.x, design.options.iterations)
+    multipliers = objective.updated_multipliers(objective.evaluate(x).constraints.value)
+    grow = WEIGHT_GROWTH if candidate.rounds >= PLAIN_ROUNDS else 1.0
+    moved = replace(
+        candidate,
+        x=x,
+        multipliers=multipliers,
+        weight=grow * candidate.weight,
+        rounds=candidate.rounds + 1,
+    )
+    return _prove(design, _with_extra_times(design, moved))
+
+
+def _minimise(objective: PenalisedDesign, x: Array, iterations: int) -> Array:
+    """Return the free coefficients after some L-BFGS iterations."""
+    from scipy.optimize import minimize
+
+    def function(flat: Array) -> tuple[float, Array]:
+        evaluation = objective.evaluate(flat.reshape(x.shape))
+        return evaluation.value, evaluation.gradient.ravel()
+
+    options = {"maxiter": iterations, "maxcor": MEMORY, "maxls": 30}
+    result = minimize(function, x.ravel(), jac=True, method="L-BFGS-B", options=options)
+    return np.asarray(result.x).reshape(x.shape)
+
+
+def _with_extra_times(design: Design, candidate: Candidate) -> Candidate:
+    """Return the candidate with the times at which the whole motion exceeds a limit."""
+    plan = design.trajectory(candidate.x)
+    _, over = joint_share(design.problem, plan)
+    found = np.concatenate((over, tight_times(design.problem, plan)))
+    known = np.round(candidate.extra_times, 3)
+    new = np.setdiff1d(np.round(found, 3), known)[: MOST_EXTRA_TIMES - len(known)]
+    none = np.zeros((len(new), candidate.multipliers.shape[1]))
+    return replace(
+        candidate,
+        extra_times=np.concatenate((candidate.extra_times, new)),
+        multipliers=np.vstack((candidate.multipliers, none)),
+    )
+
+
+def _prove(design: Design, candidate: Candidate) -> Candidate:
+    """Return the candidate with its proven trajectory updated, if the present one is better."""
+    for factor in REPAIRS:
+        x = factor * candidate.x
+        score = design.criterion_of(x)
+        if not score < candidate.proven_score:
+            break
+        if obeys_everything(design, x):
+            return replace(candidate, proven_x=x, proven_score=score)
+    return candidate
+
+
+def obeys_everything(design: Design, x: Array) -> bool:
+    """Tell whether the whole motion keeps every limit."""
+    plan = design.trajectory(x)
+    share, _ = joint_share(design.problem, plan)
+    return share <= 1.0 + ROUNDING and first_contact(design.problem, plan) is None
+
+
+GRID_PER_CYCLE = 25
+"""Grid points per period of the highest frequency; see docs/excitation.md for the proof."""
+FEWEST_GRID_POINTS = 60
+LIMIT_SHARE = 0.99
+"""Share of the limits the search uses; the rest covers peaks between grid points."""
+EXTRA_SLACK = 0.003
+"""Distance the search keeps beside the required one [m]."""
+SMOOTHING_SHARE = 0.03
+"""Share of the speed limit below which the search rounds off Coulomb friction's jump."""
+_WORST = 1e6
+"""Stands for an infinite criterion: the optimiser needs a number."""
+
+
+class Design:
+    """Everything about one problem that does not change during the search.
+
+    Args:
+        problem: the arm.
+        options: criterion, basis, noise.
+    """
+
+    def __init__(self, problem: ExcitationProblem, options: ExcitationOptions) -> None:
+        self.problem, self.options = problem, options
+        self.basis: FourierBasis = options.basis()
+        self.directions = self.basis.free_directions()
+        self.grid = _grid(self.basis)
+        self.criterion: Criterion = CRITERIA[options.criterion]
+        self.coordinates = visible_coordinates(problem)
+        samples = options.duration * options.sample_rate / len(self.grid)
+        smoothing = SMOOTHING_SHARE * problem.limits.velocity
+        self.information = PredictedInformation(
+            problem.chain,
+            RowSettings(
+                problem.rows, problem.sigma / np.sqrt(samples), smoothing, self.coordinates
+            ),
+        )
+
+    @property
+    def n_free(self) -> int:
+        """Number of free coefficients per joint."""
+        return self.directions.shape[1]
+
+    def trajectory(self, x: Array) -> FourierTrajectory:
+        """Return the trajectory of the free coefficients x (n, M)."""
+        return FourierTrajectory(self.basis, self.problem.rest, x @ self.directions.T)
+
+    def functions(self, time: Array) -> tuple[Array, Array, Array]:
+        """Return the basis of the free coefficients, and its derivatives (N, M)."""
+        position, velocity, acceleration = self.basis.evaluate(time)
+        return (
+            position @ self.directions,
+            velocity @ self.directions,
+            acceleration @ self.directions,
+        )
+
+    def criterion_of(self, x: Array) -> float:
+        """Return the criterion of free coefficients x (n, M) alone."""
+        b, db, ddb = self.functions(self.grid)
+        q, qd, qdd = self.problem.rest + b @ x.T, db @ x.T, ddb @ x.T
+        return self.criterion(self.information.evaluate(q, qd, qdd).information)[0]
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """The objective at one point.
+
+    Attributes:
+        value: criterion plus penalty.
+        gradient: (n, M).
+        criterion: alone.
+        constraints: on the grid and the extra times.
+    """
+
+    value: float
+    gradient: Array
+    criterion: float
+    constraints: ConstraintTape
+
+
+class PenalisedDesign:
+    """Objective of one inner minimisation, for fixed multipliers and times.
+
+    Args:
+        design: the problem.
+        extra_times: (E,) times at which constraints hold beside those of the grid [s].
+        multipliers: (N + E, 4 n + 1), non-negative.
+        weight: of the quadratic penalty.
+    """
+
+    def __init__(
+        self, design: Design, extra_times: Array, multipliers: Array, weight: float
+    ) -> None:
+        self._design, self._multipliers, self._weight = design, multipliers, weight
+        self._functions = design.functions(np.concatenate((design.grid, extra_times)))
+        self._constraints = MotionConstraints(design.problem, LIMIT_SHARE, EXTRA_SLACK)
+
+    def evaluate(self, x: Array) -> Evaluation:
+        """Return value and gradient at free coefficients x (n, M)."""
+        b, db, ddb = self._functions
+        q, qd, qdd = self._design.problem.rest + b @ x.T, db @ x.T, ddb @ x.T
+        count = len(self._design.grid)
+        tape = self._design.information.evaluate(q[:count], qd[:count], qdd[:count])
+        criterion, slope = self._design.criterion(tape.information)
+        constraints = self._constraints.evaluate((q, qd, qdd))
+        active = np.maximum(0.0, self._multipliers + self._weight * constraints.value)
+        penalty = float(np.sum(active**2 - self._multipliers**2)) / (2.0 * self._weight)
+        bars = self._constraints.pull_back(constraints, active)
+        for bar, part in zip(bars, tape.pull_back(slope)):
+            bar[:count] += part
+        gradient = bars[0].T @ b + bars[1].T @ db + bars[2].T @ ddb
+        value = min(criterion, _WORST) + penalty
+        return Evaluation(value, gradient, criterion, constraints)
+
+    def updated_multipliers(self, value: Array) -> Array:
+        """Return the multipliers after a minimisation that ended with constraints ``value``."""
+        return np.maximum(0.0, self._multipliers + self._weight * value)
+
+
+def _grid(basis: FourierBasis) -> Array:
+    """Return the time grid [s]: midpoints of equal intervals."""
+    wanted = GRID_PER_CYCLE * basis.top_frequency_hz * basis.duration
+    count = max(FEWEST_GRID_POINTS, int(np.ceil(wanted)))
+    return (np.arange(count) + 0.5) * basis.duration / count
+
+
+def visible_coordinates(problem: ExcitationProblem) -> Array:
+    """Return (10, r): scaled directions of theta that some motion of this arm can show.
+
+    Found from unrelated positions, velocities and accelerations, a fixed set of random numbers.
+    What such data cannot see, no trajectory of these joints can.
+    """
+    scale = np.diag(problem.scale)
+    settings = RowSettings(
+        problem.rows, np.ones(len(problem.rows)), np.zeros(problem.n_joints), scale
+    )
+    rng = np.random.default_rng(0)
+    q, qd, qdd = rng.normal(size=(3, 400, problem.n_joints))
+    q = np.clip(problem.rest + 2.0 * q, problem.limits.lower, problem.limits.upper)
+    matrix = PredictedInformation(problem.chain, settings).evaluate(q, qd, qdd).information
+    values, vectors = np.linalg.eigh(matrix)
+    return scale @ vectors[:, values > 1e-9 * values[-1]]

@@ -1,0 +1,364 @@
+"""Designs the trajectory that tells most about the terminal link within all limits.
+
+Random feasible trajectories first; the best of them are improved by L-BFGS rounds. All of the work
+is counted in trajectories, rounds and iterations, never in seconds: the same seed and options give
+the same trajectory on a fast and on a slow machine, with one worker or with several. The time
+budget only cuts the search short, which the result then says.
+"""
+
+from __future__ import annotations
+
+import time as clocks
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from robot_sysid.errors import InputError
+from robot_sysid.excitation.constraints import LIMIT_NAMES, ROUNDING, MotionConstraints
+from robot_sysid.excitation.fourier import FourierTrajectory
+from robot_sysid.excitation.limit_check import Certificate, certify
+from robot_sysid.excitation.optimise import Candidate, Design, first_candidate, improve
+from robot_sysid.excitation.options import ExcitationOptions
+from robot_sysid.excitation.problem import ExcitationProblem
+from robot_sysid.excitation.workers import Team
+from robot_sysid.records import Array
+
+DRAWS_PER_JOB = 20
+
+
+@dataclass(frozen=True)
+class SearchState:
+    """How far a search is.
+
+    Attributes:
+        done, total: jobs.
+        objective: exp of the criterion of the best trajectory so far; smaller is better.
+        best: what it stands for.
+    """
+
+    done: int
+    total: int
+    objective: float
+    best: str
+
+
+ProgressCallback = Callable[[SearchState], None]
+
+OBJECTIVES = {
+    "A": "root of summed variances",
+    "D": "mean standard deviation",
+    "cond": "condition number",
+}
+"""Criterion to what exp of its value is; deviations relative to m, m L and m L^2."""
+
+
+@dataclass(frozen=True)
+class ExcitationResult:
+    """A designed trajectory.
+
+    Attributes:
+        trajectory: it.
+        criterion: name of the criterion.
+        objective: exp of its value.
+        start_objective: that of the best random trajectory.
+        certificate: proof that all limits are kept.
+        n_feasible: random trajectories that obey all limits, of ``n_drawn``.
+        n_drawn: random trajectories.
+        stopped: "" where the search was finished, else what cut it.
+        notes: what the reader should know.
+    """
+
+    trajectory: FourierTrajectory
+    criterion: str
+    objective: float
+    start_objective: float
+    certificate: Certificate
+    n_feasible: int
+    n_drawn: int
+    stopped: str
+    notes: tuple[str, ...]
+
+
+def design_excitation(
+    problem: ExcitationProblem,
+    options: ExcitationOptions,
+    rng: np.random.Generator,
+    progress: ProgressCallback | None = None,
+    clock: Callable[[], float] = clocks.monotonic,
+) -> ExcitationResult:
+    """Search for the trajectory that makes the predicted uncertainty smallest.
+
+    Ctrl-C ends the search and keeps the best trajectory so far.
+
+    Args:
+        problem: the arm, its limits and surroundings.
+        options: what is wanted.
+        rng: source of randomness.
+        progress: told after every job.
+        clock: gives the time [s].
+
+    Raises:
+        InputError: no drawn trajectory obeys all limits; names the one that is in the way.
+        KeyboardInterrupt: interrupted before there was any trajectory.
+    """
+    search = _Search(Design(problem, options), int(rng.integers(2**62)), progress, clock)
+    try:
+        search.run()
+    except KeyboardInterrupt:
+        search.stopped = "interrupted"
+        if search.best is None:
+            raise
+    return search.result()
+
+
+class _Search:
+    """One search; what it has found so far survives an interruption."""
+
+    def __init__(
+        self,
+        design: Design,
+        seed: int,
+        progress: ProgressCallback | None,
+        clock: Callable[[], float],
+    ) -> None:
+        self._design, self._options, self._seed = design, design.options, seed
+        self._progress, self._clock = progress, clock
+        self._deadline = clock() + design.options.time_budget
+        self._draws: list[Draw] = []
+        self._candidates: dict[int, Candidate] = {}
+        self._done = 0
+        self.stopped = ""
+
+    @property
+    def best(self) -> Candidate | None:
+        """The best proven candidate; of equally good ones the first."""
+        proven = [c for _, c in sorted(self._candidates.items()) if c.proven_x is not None]
+        return min(proven, key=lambda c: c.proven_score) if proven else None
+
+    def run(self) -> None:
+        """Draw, choose, improve; stop early where time is up."""
+        # More workers than starts would idle after the draws.
+        workers = min(self._options.workers, max(2, self._options.n_starts))
+        with Team(self._design, workers) as team:
+            for draws in self._counted(team.run(self._draw_jobs())):
+                self._draws += draws
+            self._prove_starts(team)
+            for _ in range(self._options.rounds):
+                jobs = [partial(improve, candidate=c) for c in self._candidates.values()]
+                for candidate in self._counted(team.run(jobs)):
+                    self._candidates[candidate.number] = candidate
+                if self.stopped:
+                    return
+
+    def _draw_jobs(self) -> list[partial[list[Draw]]]:
+        numbers = range(self._options.draws)
+        return [
+            partial(draw_trajectories, seed=self._seed, numbers=numbers[k : k + DRAWS_PER_JOB])
+            for k in range(0, len(numbers), DRAWS_PER_JOB)
+        ]
+
+    def _prove_starts(self, team: Team) -> None:
+        """Take the best draws as starts; without a feasible one there is no search."""
+        feasible = sorted((d for d in self._draws if np.isfinite(d.score)), key=lambda d: d.score)
+        if not feasible:
+            raise InputError(_why_none(self._draws, self._design))
+        jobs = [
+            partial(first_candidate, number=k, x=draw.x)
+            for k, draw in enumerate(feasible[: max(1, self._options.n_starts)])
+        ]
+        for candidate in team.run(jobs):
+            self._candidates[candidate.number] = candidate
+            self._tell()
+
+    def _counted(self, results: Iterator) -> Iterator:
+        """Pass results on until time is up."""
+        for result in results:
+            yield result
+            self._done += 1
+            self._tell()
+            if self._clock() > self._deadline:
+                self.stopped = "time budget"
+                return
+
+    def _tell(self) -> None:
+        if self._progress is None:
+            return
+        jobs = len(self._draw_jobs()) + self._options.rounds * max(1, self._options.n_starts)
+        score = self.best.proven_score if self.best else _smallest_score(self._draws)
+        name = OBJECTIVES[self._options.criterion]
+        self._progress(SearchState(self._done, jobs, float(np.exp(score)), name))
+
+    def result(self) -> ExcitationResult:
+        """Return the best trajectory with its proof."""
+        best = self.best
+        if best is None or best.proven_x is None:
+            raise InputError(_why_none(self._draws, self._design))
+        trajectory = self._design.trajectory(best.proven_x)
+        proof = certify(self._design.problem, trajectory, self._options.sample_rate)
+        feasible = sum(bool(np.isfinite(draw.score)) for draw in self._draws)
+        return ExcitationResult(
+            trajectory=trajectory,
+            criterion=self._options.criterion,
+            objective=float(np.exp(best.proven_score)),
+            start_objective=float(np.exp(_smallest_score(self._draws))),
+            certificate=proof,
+            n_feasible=feasible,
+            n_drawn=len(self._draws),
+            stopped=self.stopped,
+            notes=self._design.problem.notes + _cut_note(self.stopped),
+        )
+
+
+def _smallest_score(draws: list[Draw]) -> float:
+    return min((draw.score for draw in draws), default=np.inf)
+
+
+def _cut_note(stopped: str) -> tuple[str, ...]:
+    if stopped == "interrupted":
+        return ("the search was interrupted; this is the best trajectory it had found until then",)
+    if not stopped:
+        return ()
+    return (
+        "the time budget ended the search; the same seed may give another trajectory on another "
+        "machine, so keep this one with --save-trajectory or raise --excitation-time-budget",
+    )
+
+
+def _why_none(draws: list[Draw], design: Design) -> str:
+    """Say which limit is in the way of all drawn trajectories."""
+    reasons = [draw.obstacle for draw in draws if draw.obstacle]
+    if not reasons:
+        blind = 10 - design.coordinates.shape[1]
+        return (
+            "no drawn trajectory shows all that these joints could show of the link "
+            f"({blind} directions are invisible in principle); use a longer --duration"
+        )
+    names, counts = np.unique(reasons, return_counts=True)
+    worst = int(np.argmax(counts))
+    return (
+        f"no trajectory is feasible: {counts[worst]} of {len(draws)} random ones, however small, "
+        f"are stopped by the {names[worst]}; relax that limit or change the model's reference "
+        "configuration"
+    )
+
+
+SHRINK = (1.0, 0.8, 0.6, 0.4, 0.2, 0.1, 0.04, 0.01, 0.003, 0.001)
+"""Factors tried until a drawn motion obeys torque limits and touches nothing."""
+
+FEW = 6
+"""Every how many grid points are looked at first."""
+
+Functions = tuple[Array, Array, Array]
+
+
+@dataclass(frozen=True)
+class Draw:
+    """One random trajectory.
+
+    Attributes:
+        score: its criterion; infinite where no factor made it feasible.
+        x: (n, M) free coefficients.
+        obstacle: which limit even the smallest multiple of it exceeds; "" where one is feasible.
+    """
+
+    score: float
+    x: Array
+    obstacle: str
+
+
+def draw_trajectories(design: Design, seed: int, numbers: Sequence[int]) -> list[Draw]:
+    """Return draws number ``numbers``; each depends on the seed and its own number alone."""
+    functions = design.functions(design.grid)
+    checks = _Checks(design)
+    draws = []
+    for number in numbers:
+        rng = np.random.default_rng([seed, number])
+        full = _within_motion_limits(design, functions, rng)
+        draws.append(_shrunk(design, functions, checks, full))
+    return draws
+
+
+def _random_shape(design: Design, rng: np.random.Generator) -> Array:
+    """Return free coefficients (n, M) of harmonics whose speeds, not angles, are alike."""
+    size = (design.problem.n_joints, design.basis.size)
+    falling = np.tile(1.0 / design.basis.order, 2) ** rng.uniform(0.0, 1.0)
+    shape = rng.normal(size=size) * rng.uniform(0.2, 1.0, size=size)
+    shape[:, 1:] *= falling
+    shape[:, 0] = 0.0
+    return shape @ design.directions
+
+
+def _random_offset(design: Design, functions: Functions, rng: np.random.Generator) -> Array:
+    """Return free coefficients (n, M) that move each joint to a random middle and back.
+
+    Only a faded trajectory has such an offset; the offset of a periodic one follows from the rest.
+    """
+    limits, rest = design.problem.limits, design.problem.rest
+    x = np.zeros((design.problem.n_joints, design.n_free))
+    middle = rng.uniform(0.2, 0.8, size=len(rest))
+    if design.basis.fade > 0.0:
+        x[:, 0] = limits.lower + middle * (limits.upper - limits.lower) - rest
+    return x * np.minimum(1.0, 0.7 * _room(design, functions, np.zeros_like(x), x))[:, None]
+
+
+def _within_motion_limits(design: Design, functions: Functions, rng: np.random.Generator) -> Array:
+    """Return a random motion, each joint as large as position, speed and acceleration allow."""
+    offset = _random_offset(design, functions, rng)
+    shape = _random_shape(design, rng)
+    return offset + shape * (0.98 * _room(design, functions, offset, shape))[:, None]
+
+
+def _room(design: Design, functions: Functions, base: Array, x: Array) -> Array:
+    """Return the largest factors (n,) for which base + factor x keeps the motion limits."""
+    limits, rest = design.problem.limits, design.problem.rest
+    ranges = (
+        (limits.lower - rest, limits.upper - rest),
+        (-limits.velocity, limits.velocity),
+        (-limits.acceleration, limits.acceleration),
+    )
+    factor = np.full(len(rest), np.inf)
+    for function, (low, high) in zip(functions, ranges):
+        at, step = function @ base.T, function @ x.T
+        room = np.where(step > 0.0, high - at, low - at)
+        share = np.abs(step) > 1e-12
+        ratio = np.where(share, room / np.where(share, step, 1.0), np.inf)
+        factor = np.minimum(factor, np.min(ratio, axis=0))
+    return np.where(np.isfinite(factor), np.maximum(factor, 0.0), 0.0)
+
+
+class _Checks:
+    """Constraints of a motion on a few grid points first: most that is infeasible shows there."""
+
+    def __init__(self, design: Design) -> None:
+        self._few = MotionConstraints(design.problem, share=1.0, extra_slack=0.0)
+        self._all = MotionConstraints(design.problem, share=1.0, extra_slack=0.0)
+
+    def worst(self, motion: Functions) -> tuple[Array, Array]:
+        """Return constraint values (k, 4 n + 1), of all points if the few are feasible, and q."""
+        q, qd, qdd = (signal[::FEW] for signal in motion)
+        value = self._few.evaluate((q, qd, qdd)).value
+        if np.max(value) > ROUNDING:
+            return value, q
+        return self._all.evaluate(motion).value, motion[0]
+
+
+def _shrunk(design: Design, functions: Functions, checks: _Checks, full: Array) -> Draw:
+    """Return the largest tried multiple of a motion that is feasible on the grid."""
+    b, db, ddb = functions
+    for factor in SHRINK:
+        x = factor * full
+        value, q = checks.worst((design.problem.rest + b @ x.T, db @ x.T, ddb @ x.T))
+        if np.max(value) <= ROUNDING:
+            return Draw(design.criterion_of(x), x, "")
+    return Draw(np.inf, np.zeros_like(full), _obstacle(design, value, q))
+
+
+def _obstacle(design: Design, value: Array, q: Array) -> str:
+    """Name the constraint that is exceeded most."""
+    sample, column = np.unravel_index(int(np.argmax(value)), value.shape)
+    kind, joint = divmod(int(column), design.problem.n_joints)
+    if kind < len(LIMIT_NAMES):
+        return f"{LIMIT_NAMES[kind]} limit of joint {design.problem.joint_names[joint]}"
+    return f"clearance of {design.problem.obstacles.closest(q[sample]).label}"

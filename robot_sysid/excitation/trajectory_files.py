@@ -1,0 +1,211 @@
+"""Trajectories as files: coefficients as JSON, and samples as CSV to look at.
+
+The JSON file holds what the trajectory is made of, so it is small, its derivatives are exact, and
+loading it gives back every bit. The CSV file is for other programs; it is not read back.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Union
+
+import numpy as np
+
+from robot_sysid.errors import InputError
+from robot_sysid.excitation.fourier import FourierBasis, FourierTrajectory
+from robot_sysid.records import Array, Motion, MotionPlan
+from robot_sysid.records.atomic_files import whole_file
+from robot_sysid.trajectory import SineTrajectory, motion_chunks
+
+FORMAT = "robot-sysid trajectory"
+VERSION = 1
+_ARRAYS = {
+    "sines": ("center", "amplitude", "frequency_hz", "phase"),
+    "fourier": ("rest", "coefficients"),
+}
+
+
+@dataclass(frozen=True)
+class SlowedTrajectory:
+    """A trajectory scaled in time: q(s t), s q'(s t), s^2 q''(s t).
+
+    Attributes:
+        plan: the trajectory at full speed.
+        speed: factor s, 0 < s <= 1; a faster motion would leave the limits it was made for.
+    """
+
+    plan: MotionPlan
+    speed: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.speed <= 1.0:
+            raise InputError(
+                f"--speed must be above 0 and at most 1 (got {self.speed:g}): the trajectory was "
+                "made for full speed and can only be slowed down"
+            )
+
+    @property
+    def duration(self) -> float:
+        """Length [s]."""
+        return self.plan.duration / self.speed
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints n."""
+        return self.plan.n_joints
+
+    def evaluate(self, time: Array) -> Motion:
+        """Return the motion at times (N,) [s]; exact derivatives."""
+        time = np.asarray(time, dtype=float)
+        # Rounding must not carry the last sample beyond the end.
+        motion = self.plan.evaluate(np.minimum(self.speed * time, self.plan.duration))
+        return Motion(time, motion.q, self.speed * motion.qd, self.speed**2 * motion.qdd)
+
+
+def at_speed(plan: MotionPlan, speed: float) -> MotionPlan:
+    """Return the trajectory at a share of its speed; 1 returns it as it is."""
+    return plan if speed == 1.0 else SlowedTrajectory(plan, speed)
+
+
+Saveable = Union[SineTrajectory, FourierTrajectory, SlowedTrajectory]
+
+
+@dataclass(frozen=True)
+class SavedTrajectory:
+    """A trajectory from a file.
+
+    Attributes:
+        plan: it.
+        joint_names: the joints it was made for, base to terminal.
+    """
+
+    plan: MotionPlan
+    joint_names: tuple[str, ...]
+
+    def require_fits(self, joint_names: Sequence[str]) -> None:
+        """Raise InputError unless an arm with these joints can run it."""
+        if self.plan.n_joints != len(joint_names):
+            raise InputError(
+                f"--trajectory: made for {self.plan.n_joints} joints ({_listed(self.joint_names)}),"
+                f" but this arm has {len(joint_names)} ({_listed(joint_names)})"
+            )
+
+
+def save_trajectory(path: Path, plan: MotionPlan, joint_names: Sequence[str]) -> None:
+    """Write a trajectory's coefficients as JSON.
+
+    Args:
+        path: file; appears whole or not at all.
+        plan: a sum of sinusoids, a Fourier series, or one of them slowed down.
+        joint_names: one per joint.
+
+    Raises:
+        InputError: this kind of trajectory has no coefficients, or the file cannot be written.
+    """
+    content = {"format": FORMAT, "version": VERSION, "joints": list(joint_names)}
+    with whole_file(path) as file:
+        json.dump({**content, **_described(plan)}, file, indent=1)
+        file.write("\n")
+
+
+def _described(plan: MotionPlan) -> dict[str, Any]:
+    """Return a trajectory as plain numbers; repr of a float is exact."""
+    if isinstance(plan, SlowedTrajectory):
+        return {**_described(plan.plan), "speed": plan.speed}
+    if isinstance(plan, SineTrajectory):
+        numbers = {"duration": plan.duration, "fade": plan.fade}
+        return {"kind": "sines", **numbers, **_listed_arrays(plan, "sines")}
+    if isinstance(plan, FourierTrajectory):
+        return {"kind": "fourier", **asdict(plan.basis), **_listed_arrays(plan, "fourier")}
+    raise InputError(f"a {type(plan).__name__} has no coefficients to save")
+
+
+def _listed_arrays(plan: object, kind: str) -> dict[str, Any]:
+    return {name: getattr(plan, name).tolist() for name in _ARRAYS[kind]}
+
+
+def load_trajectory(path: Path) -> SavedTrajectory:
+    """Read a trajectory that ``save_trajectory`` has written.
+
+    Raises:
+        InputError: the file cannot be read, or is something else; says what.
+    """
+    content = _read(path)
+    try:
+        kind = content["kind"]
+        if kind not in _ARRAYS:
+            raise InputError(
+                f"{path}: unknown kind of trajectory {kind!r}; valid: {', '.join(_ARRAYS)}"
+            )
+        plan = at_speed(_built(kind, content), float(content.get("speed", 1.0)))
+        return SavedTrajectory(plan, tuple(str(name) for name in content["joints"]))
+    except KeyError as error:
+        raise InputError(f"{path}: the trajectory lacks the entry {error}") from None
+    except (TypeError, ValueError, IndexError) as error:
+        raise InputError(f"{path}: not a usable trajectory ({error})") from None
+
+
+def _read(path: Path) -> Mapping[str, Any]:
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror}") from None
+    except ValueError:
+        raise InputError(
+            f"{path} is not JSON; --trajectory takes the .json file of --save-trajectory"
+        ) from None
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise InputError(
+            f"{path} is not a trajectory of this program; --save-trajectory writes one"
+        )
+    if content.get("version") != VERSION:
+        raise InputError(
+            f"{path} has version {content.get('version')!r} of the format, this program reads "
+            f"version {VERSION}; save it again with the program it came from"
+        )
+    return content
+
+
+def _built(kind: str, content: Mapping[str, Any]) -> SineTrajectory | FourierTrajectory:
+    arrays = {name: np.array(content[name], dtype=float) for name in _ARRAYS[kind]}
+    if kind == "sines":
+        return SineTrajectory(
+            **arrays, duration=float(content["duration"]), fade=float(content["fade"])
+        )
+    basis = FourierBasis(
+        duration=float(content["duration"]),
+        base_frequency_hz=float(content["base_frequency_hz"]),
+        harmonics=int(content["harmonics"]),
+        fade=float(content["fade"]),
+    )
+    return FourierTrajectory(basis, **arrays)
+
+
+def save_samples(
+    path: Path, plan: MotionPlan, joint_names: Sequence[str], sample_rate: float
+) -> None:
+    """Write a trajectory's samples as CSV: time, then q, qd and qdd of each joint, SI units.
+
+    Args:
+        path: file; appears whole or not at all.
+        plan: the trajectory.
+        joint_names: one per joint.
+        sample_rate: rows per second [Hz].
+    """
+    titles = [f"{quantity}_{name}" for quantity in ("q", "qd", "qdd") for name in joint_names]
+    with whole_file(path) as file:
+        file.write(",".join(["time", *titles]) + "\n")
+        file.writelines(_rows(plan, sample_rate))
+
+
+def _rows(plan: MotionPlan, sample_rate: float) -> Iterator[str]:
+    for motion in motion_chunks(plan, sample_rate):
+        table = np.hstack((motion.time[:, None], motion.q, motion.qd, motion.qdd))
+        yield from (",".join(repr(value) for value in row) + "\n" for row in table.tolist())
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names)

@@ -1,0 +1,1 @@
+"""Identifications by where the torques come from, and the fit they share."""

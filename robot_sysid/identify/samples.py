@@ -1,0 +1,130 @@
+"""The equations of a processed log, low-passed and thinned, held in memory for several passes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.dynamics.equations import Equations
+from robot_sysid.errors import InputError
+from robot_sysid.estimation.information import InformationAccumulator
+from robot_sysid.records import Array, Measurement, Motion, SquareRootInformation
+from robot_sysid.signals.process import ProcessedSignals
+
+_CHUNK = 2048
+
+SharedColumns = Callable[[Motion, slice], Array]
+"""Columns (m, n, s) of the shared parameters for a motion and its place in the signals."""
+
+
+@dataclass(frozen=True)
+class ThinnedSamples:
+    """Equations of all joints at K instants; iterating over it is one pass over the data.
+
+    Attributes:
+        names: (p,) parameter names.
+        joints: the joints that have equations.
+        columns: per joint, which parameters its rows contain.
+        time: (K,) [s].
+        rows: per joint (K, k).
+        tau: per joint (K,) right-hand sides [N m]; NaN where a sample is not used.
+        measured: per joint (K,) the whole measured torque [N m].
+    """
+
+    names: tuple[str, ...]
+    joints: tuple[str, ...]
+    columns: tuple[NDArray[np.int64], ...]
+    time: Array
+    rows: tuple[Array, ...]
+    tau: tuple[Array, ...]
+    measured: tuple[Array, ...]
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def __iter__(self) -> Iterator[tuple[int, Array, Array]]:
+        """Yield (joint number, rows, right-hand sides) of each joint."""
+        for index, (rows, tau) in enumerate(zip(self.rows, self.tau)):
+            yield index, rows, tau
+
+    def information(self) -> SquareRootInformation:
+        """Return the square-root information of the samples in use."""
+        accumulator = InformationAccumulator(self.names, self.joints, self.columns)
+        for index, rows, tau in self:
+            used = np.isfinite(tau)
+            accumulator.add(index, rows[used], tau[used])
+        return accumulator.result()
+
+    def where(self, used: NDArray[np.bool_]) -> ThinnedSamples:
+        """Return the samples with those left out for which ``used`` (K,) is false."""
+        return replace(self, tau=tuple(np.where(used, tau, np.nan) for tau in self.tau))
+
+    def deviation(self, prior: Array) -> ThinnedSamples:
+        """Return the equations for the deviation from ``prior`` (p,)."""
+        right = [
+            tau - rows @ prior[columns]
+            for tau, rows, columns in zip(self.tau, self.rows, self.columns)
+        ]
+        return replace(self, tau=tuple(right))
+
+    def used(self) -> ThinnedSamples:
+        """Return the samples in use alone; joints may then have different numbers of them."""
+        kept = [np.isfinite(tau) for tau in self.tau]
+        return replace(
+            self,
+            rows=tuple(rows[keep] for rows, keep in zip(self.rows, kept)),
+            tau=tuple(tau[keep] for tau, keep in zip(self.tau, kept)),
+            measured=tuple(measured[keep] for measured, keep in zip(self.measured, kept)),
+        )
+
+    def squared_torque(self) -> Array:
+        """Return (joints,) sum of squares of the measured torque where it is used [N^2 m^2]."""
+        pairs = zip(self.tau, self.measured)
+        return np.array([np.sum(measured[np.isfinite(tau)] ** 2) for tau, measured in pairs])
+
+
+def thin_equations(
+    equations: Equations, signals: ProcessedSignals, shared: SharedColumns | None = None
+) -> ThinnedSamples:
+    """Build the equations at the full rate, then pass both sides through the same low-pass.
+
+    Args:
+        equations: what to build.
+        signals: the processed log.
+        shared: makes the columns of the shared parameters, where the equations have any.
+
+    Raises:
+        InputError: a joint never moves fast enough for its equations to be used.
+    """
+    thinners = [signals.thinner() for _ in equations.joints]
+    parts: list[list[Array]] = [[] for _ in equations.joints]
+    for start, (motion, tau) in zip(range(0, len(signals), _CHUNK), signals.chunks(_CHUNK)):
+        measurement = Measurement(motion.time, motion.q, motion.qd, tau, motion.qdd)
+        place = slice(start, start + len(motion.time))
+        common = None if shared is None else shared(motion, place)
+        for joint, (rows, right) in enumerate(equations.rows(measurement, common)):
+            whole = tau[:, equations.rows_of[joint]]
+            parts[joint].append(thinners[joint].push(np.column_stack((rows, right, whole))))
+    tables = [np.concatenate(part) for part in parts]
+    usable = signals.usable()[:, list(equations.rows_of)]
+    _require_usable(usable, equations.joints)
+    return ThinnedSamples(
+        equations.names,
+        equations.joints,
+        equations.columns,
+        signals.thinned_time(),
+        tuple(table[:, :-2] for table in tables),
+        tuple(np.where(ok, table[:, -2], np.nan) for table, ok in zip(tables, usable.T)),
+        tuple(table[:, -1] for table in tables),
+    )
+
+
+def _require_usable(usable: NDArray[np.bool_], joints: Sequence[str]) -> None:
+    if not np.any(usable):
+        raise InputError(
+            f"none of the joints {', '.join(joints)} moves faster than its velocity deadband; "
+            "record a motion, or lower --velocity-deadband"
+        )

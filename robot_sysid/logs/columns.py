@@ -1,0 +1,319 @@
+"""What the column titles of a log say: which quantity, of which joint, in which unit.
+
+A title is cut into words and numbers: ``j0_pos`` -> j 0 pos; ``jointVelocity[3] (deg/s)`` ->
+joint velocity 3, unit deg/s; ``q1`` -> q 1. Every word has to be known: a title with a foreign word
+(``joint1_position_std``, ``q1_filtered``) is not taken for the plain quantity.
+
+A column belongs to a joint by the joint's name, or else by counting. Both readings are made. A
+quantity whose titles carry every joint's name goes by the names; else the numbers in the titles
+have to be exactly 0..n-1 or 1..n. Two answers for one quantity are an error.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from robot_sysid.errors import InputError
+
+
+def _words(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
+_KINDS = {
+    "time": "time t timestamp timestamps stamp stamps clock",
+    "position": "q pos position positions angle angles qpos jpos",
+    "velocity": "qd dq qdot dqdt vel velocity velocities speed speeds qvel jvel",
+    "acceleration": "qdd ddq qddot acc accel acceleration accelerations qacc jacc",
+    "torque": "tau taus torque torques effort efforts eff trq tq force forces",
+}
+KIND_OF_WORD = {word: kind for kind, words in _KINDS.items() for word in words.split()}
+"""Word to the quantity it stands for."""
+
+_COMMANDED = _words(
+    "cmd command commanded commands des desired ref reference target setpoint sp goal planned "
+    "plan ff feedforward d"
+)
+_NEUTRAL = _words(
+    "j jnt joint joints axis ax a m motor motors dof arm robot field state states js jointstate "
+    "jointstates header meas measured measurement act actual fb feedback msr present current "
+    "sensor data values value"
+)
+_JOINED = {("q", "dot"): "qd", ("q", "ddot"): "qdd", ("dot", "q"): "qd", ("ddot", "q"): "qdd"}
+
+_UNITS = {
+    "time": {"s": 1.0, "sec": 1.0, "secs": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3}
+    | {"msec": 1e-3, "millis": 1e-3, "us": 1e-6, "usec": 1e-6, "µs": 1e-6, "micros": 1e-6}
+    | {"ns": 1e-9, "nsec": 1e-9, "nanos": 1e-9},
+    "position": {"rad": 1.0, "deg": math.pi / 180, "degree": math.pi / 180, "mm": 1e-3}
+    | {"degrees": math.pi / 180, "°": math.pi / 180, "rads": 1.0, "radians": 1.0, "m": 1.0},
+    "velocity": {"rads": 1.0, "radsec": 1.0, "rad": 1.0, "degs": math.pi / 180, "ms": 1.0}
+    | {"deg": math.pi / 180, "dps": math.pi / 180, "°s": math.pi / 180, "mms": 1e-3}
+    | {"degsec": math.pi / 180, "rpm": math.pi / 30, "rads1": 1.0},
+    "acceleration": {"rads2": 1.0, "degs2": math.pi / 180, "rads": 1.0, "degs": math.pi / 180}
+    | {"deg": math.pi / 180, "rad": 1.0, "°s2": math.pi / 180, "ms2": 1.0},
+    "torque": {"nm": 1.0, "mnm": 1e-3, "ncm": 1e-2, "knm": 1e3, "n": 1.0},
+}
+_UNIT_WORDS = _words(
+    "s sec secs second seconds ms msec millis us usec µs micros ns nsec nanos rad rads radians deg "
+    "degs degree degrees ° dps rpm mm nm mnm ncm knm s2"
+)
+_BRACKETS = re.compile(r"[\[(<{]([^\])>}]*)[\])>}]")
+
+
+@dataclass(frozen=True)
+class Title:
+    """What a title says.
+
+    Attributes:
+        text: the title as written.
+        words: lower-case words without units and numbers.
+        numbers: the whole numbers in it.
+        unit: the unit written in it, squeezed ("deg/s" -> "degs"), or "".
+    """
+
+    text: str
+    words: tuple[str, ...]
+    numbers: tuple[int, ...]
+    unit: str
+
+    @property
+    def commanded(self) -> bool:
+        """Whether it is a command or a reference, not a measurement."""
+        return any(word in _COMMANDED for word in self.words)
+
+    @property
+    def kind(self) -> str | None:
+        """The measured quantity, or None where it is none, or a word is foreign."""
+        kinds = {KIND_OF_WORD[word] for word in self.words if word in KIND_OF_WORD}
+        foreign = [w for w in self.words if w not in KIND_OF_WORD and w not in _NEUTRAL]
+        return kinds.pop() if len(kinds) == 1 and not foreign else None
+
+
+def read_title(text: str) -> Title:
+    """Cut a title into words, numbers and unit."""
+    unit, plain = _bracketed_unit(text.strip().lstrip("%#"))
+    pieces = _pieces(plain)
+    numbers = tuple(int(piece) for piece in pieces if piece.isdigit())
+    words = [piece for piece in pieces if not piece.isdigit()]
+    units = [word for word in words if word in _UNIT_WORDS]
+    words = [word for word in words if word not in _UNIT_WORDS]
+    return Title(text, tuple(_join(words)), numbers, unit or "".join(units))
+
+
+def unit_factor(kind: str, unit: str) -> float | None:
+    """Return what turns a value in this unit into SI, or None where the unit is unknown."""
+    return _UNITS[kind].get(unit)
+
+
+def name_pieces(name: str) -> tuple[str, ...]:
+    """Return a joint's name cut like a title, to find it inside one."""
+    return tuple(_pieces(name))
+
+
+def without_written_name(title: Title, name: str) -> Title | None:
+    """Return the rest of a title that begins or ends with a name exactly as written, or None.
+
+    So ``#3`` and ``arm-1`` are found too, and ``arm_1`` is told from ``arm-1``.
+    """
+    text = title.text.strip()
+    rest = text[len(name) :]
+    if text.startswith(name) and rest and not rest[0].isalnum():
+        return read_title(rest)
+    rest = text[: -len(name)]
+    if text.endswith(name) and rest and not rest[-1].isalnum():
+        return read_title(rest)
+    return None
+
+
+def without_name(title: Title, name: str) -> Title | None:
+    """Return the rest of a title that holds the pieces of a name, or None.
+
+    So ``Joint_1.position`` belongs to ``joint1``.
+    """
+    unit, plain = _bracketed_unit(title.text.strip().lstrip("%#"))
+    pieces, wanted = _pieces(plain), _pieces(name)
+    for start in range(len(pieces) - len(wanted) + 1 if wanted else 0):
+        if pieces[start : start + len(wanted)] == wanted:
+            rest = read_title(" ".join(pieces[:start] + pieces[start + len(wanted) :]))
+            return Title(title.text, rest.words, rest.numbers, unit or rest.unit)
+    return None
+
+
+def _bracketed_unit(text: str) -> tuple[str, str]:
+    """Return (unit, title without it); a number in brackets is an index and stays."""
+    unit = ""
+    for content in _BRACKETS.findall(text):
+        if content.strip().isdigit():
+            text = _BRACKETS.sub(rf" {content.strip()} ", text, count=1)
+        else:
+            unit = re.sub(r"[^a-z0-9°µ]", "", content.lower().replace("μ", "µ"))
+            text = _BRACKETS.sub(" ", text, count=1)
+    return unit, text
+
+
+def _pieces(text: str) -> list[str]:
+    whole_units = re.sub(r"(?<![a-zA-Z])[mk]?Nm(?![a-z])", lambda m: m[0].lower(), text)
+    apart = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", whole_units)
+    return re.findall(r"[a-zA-Z°µ]+|\d+", apart.lower())
+
+
+def _join(words: Sequence[str]) -> list[str]:
+    joined: list[str] = []
+    for word in words:
+        pair = (joined[-1], word) if joined else ("", word)
+        joined[-1:] = [_JOINED[pair]] if pair in _JOINED else [*joined[-1:], word]
+    return joined
+
+
+Found = dict[tuple[str, int], list[int]]
+"""(quantity, joint number) to the columns that could be it."""
+
+QUANTITIES = ("position", "velocity", "acceleration", "torque", "joint_time")
+REMEDY = "name the columns with --columns FILE"
+
+
+def match_joints(
+    titles: Sequence[Title], joint_names: Sequence[str], first_row: Sequence[str] = ()
+) -> Found:
+    """Return the candidate columns of each quantity of each joint; nothing where it is incomplete.
+
+    Args:
+        titles: the log's titles.
+        joint_names: the n chain joints.
+        first_row: the first row of data, which may list joint names.
+
+    Raises:
+        InputError: names and numbers contradict each other, or both offer a column.
+    """
+    named = _by_name(titles, joint_names)
+    owned = {index for columns in named.values() for index in columns}
+    counted = _by_number(titles, joint_names, first_row, set())
+    unnamed = _by_number(titles, joint_names, first_row, owned)
+    found: Found = {}
+    for kind in QUANTITIES:
+        keys = [(kind, joint) for joint in range(len(joint_names))]
+        if all(key in named for key in keys):
+            if keys[0] in unnamed:
+                pair = (named[keys[0]][0], unnamed[keys[0]][0])
+                raise two_candidates(kind, joint_names[0], [titles[i].text for i in pair])
+            found.update({key: named[key] for key in keys})
+        elif all(key in counted for key in keys):
+            _check_counted(kind, counted, named, titles, joint_names)
+            found.update({key: counted[key] for key in keys})
+    return found
+
+
+def joint_kind(title: Title) -> str | None:
+    """Return the quantity of a title that belongs to one joint, or None."""
+    if title.kind != "time":
+        return title.kind
+    # A bare "t" beside a joint could as well be its torque or temperature.
+    return "joint_time" if set(title.words) & {"time", "stamp", "timestamp"} else None
+
+
+def two_candidates(kind: str, joint: str, titles: Sequence[str]) -> InputError:
+    """Return the error for a quantity that several columns could be."""
+    listed = " and ".join(repr(title) for title in titles)
+    of_joint = f" of joint {joint}" if joint else ""
+    return InputError(f"{listed} could both be the {kind}{of_joint}; {REMEDY} to choose one")
+
+
+def _by_name(titles: Sequence[Title], joint_names: Sequence[str]) -> Found:
+    found: Found = {}
+    written = sorted(enumerate(joint_names), key=lambda pair: -len(pair[1]))
+    aliases = _aliases(joint_names)
+    for index, title in enumerate(titles):
+        readings = [(joint, without_written_name(title, name)) for joint, name in written]
+        readings += [(joint, without_name(title, alias)) for joint, alias in aliases]
+        for joint, rest in readings:
+            kind = joint_kind(rest) if rest and not rest.numbers else None
+            if kind:
+                found.setdefault((kind, joint), []).append(index)
+                break
+    return found
+
+
+def _aliases(joint_names: Sequence[str]) -> list[tuple[int, str]]:
+    """Return (joint, spelling), longest first; a part all joints share may be left out."""
+    full = list(enumerate(joint_names))
+    pieces = [name_pieces(name) for name in joint_names]
+    shared_start = _shared(pieces)
+    shared_end = _shared([p[::-1] for p in pieces])
+    short = [" ".join(p[shared_start : len(p) - shared_end]) for p in pieces]
+    # A bare number is left to counting, where the base (0 or 1) is checked.
+    if len(set(short)) == len(short) > 1 and not any(s.isdigit() or not s for s in short):
+        full += list(enumerate(short))
+    return sorted(full, key=lambda pair: -len(name_pieces(pair[1])))
+
+
+def _shared(pieces: Sequence[Sequence[str]]) -> int:
+    count = 0
+    while all(len(p) > count and p[count] == pieces[0][count] for p in pieces):
+        count += 1
+    return count
+
+
+def _by_number(
+    titles: Sequence[Title], joint_names: Sequence[str], first_row: Sequence[str], skip: set[int]
+) -> Found:
+    """Return the reading by counting, leaving out the columns to ``skip``."""
+    numbered: dict[str, dict[int, list[int]]] = {}
+    for index, title in enumerate(titles):
+        kind = None if index in skip else joint_kind(title)
+        lone = len(joint_names) == 1 and not title.numbers and kind != "joint_time"
+        if kind and (len(title.numbers) == 1 or lone):
+            number = title.numbers[0] if title.numbers else 0
+            numbered.setdefault(kind, {}).setdefault(number, []).append(index)
+    order = _order_from_names(titles, joint_names, first_row)
+    found: Found = {}
+    for kind, columns in numbered.items():
+        places = order or _counting_order(columns, len(joint_names))
+        for number, joint in places.items():
+            if number in columns:
+                found[kind, joint] = columns[number]
+    return found
+
+
+def _counting_order(columns: Mapping[int, list[int]], n_joints: int) -> dict[int, int]:
+    """Return number to joint where the numbers are exactly 0..n-1 or 1..n, else nothing."""
+    first = min(columns)
+    expected = list(range(first, first + n_joints))
+    fits = first in (0, 1) and sorted(columns) == expected
+    return {number: joint for joint, number in enumerate(expected)} if fits else {}
+
+
+def _order_from_names(
+    titles: Sequence[Title], joint_names: Sequence[str], first_row: Sequence[str]
+) -> dict[int, int]:
+    """Return number to joint from a log's own list of names (ROS joint_states: name0, name1, ...).
+
+    ROS publishers may order joints by the alphabet, so counting would be wrong.
+    """
+    listed: dict[int, str] = {}
+    for title, cell in zip(titles, first_row):
+        if title.words and title.words[-1] in ("name", "names"):
+            cells = re.findall(r"[^\s,'\"\[\]()]+", cell)
+            start = title.numbers[0] if title.numbers else 0
+            listed.update({start + k: name for k, name in enumerate(cells)})
+    return {number: joint_names.index(n) for number, n in listed.items() if n in joint_names}
+
+
+def _check_counted(
+    kind: str,
+    counted: Found,
+    named: Found,
+    titles: Sequence[Title],
+    joint_names: Sequence[str],
+) -> None:
+    """Refuse a count that gives a column to another joint than the one it names."""
+    for joint, name in enumerate(joint_names):
+        for index in named.get((kind, joint), []):
+            if index not in counted[kind, joint]:
+                raise InputError(
+                    f"column {titles[index].text!r} carries the name of joint {name}, but by "
+                    f"counting it belongs to another joint; {REMEDY}"
+                )

@@ -1,0 +1,191 @@
+"""Log files of real arms to Measurement records, and back.
+
+A log is a text table with a row per sample: time, and position and torque of every chain joint;
+velocity, acceleration and other columns as they come (see ``column_titles``, ``log_columns`` and
+``column_file`` for how columns are found, ``log_checks`` for what is checked). It is read in
+chunks, so that an hour at 1 kHz takes no more memory than a second.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from robot_sysid.errors import InputError
+from robot_sysid.logs.checks import check_log
+from robot_sysid.logs.column_file import ColumnChoices, Units, parse_units, read_columns_file
+from robot_sysid.logs.column_map import ColumnMap, recognise_columns
+from robot_sysid.logs.dialect import SEPARATOR_NAMES, LogDialect, read_dialect
+from robot_sysid.logs.rows import LogRows, Repairs
+from robot_sysid.logs.timing import LogContext
+from robot_sysid.records import JointLimits, Measurement
+from robot_sysid.records.atomic_files import whole_file
+
+_CHUNK = 10_000
+
+
+@dataclass(frozen=True)
+class MeasurementLog:
+    """A checked log; its samples are read from the file whenever they are asked for.
+
+    Attributes:
+        path: the file.
+        joint_names: the n chain joints, base to terminal.
+        columns: which column was taken for what.
+        n_samples: number of usable rows.
+        sample_rate: usual number of samples per second [Hz].
+        duration: from the first to the last sample [s].
+        notes: one sentence each: which columns were used, what was mended, what looks odd.
+    """
+
+    path: Path
+    joint_names: tuple[str, ...]
+    columns: ColumnMap
+    n_samples: int
+    sample_rate: float
+    duration: float
+    notes: tuple[str, ...]
+    _rows: LogRows = field(repr=False)
+
+    def chunks(self, size: int = _CHUNK) -> Iterator[Measurement]:
+        """Yield the samples in order, at most ``size`` at a time; can be called again and again."""
+        for chunk in self._rows.chunks(size):
+            yield Measurement(chunk.time, chunk.q, chunk.qd, chunk.tau, chunk.qdd, chunk.joint_time)
+
+    def load(self) -> Measurement:
+        """Return the whole log at once."""
+        return join_measurements(self.chunks())
+
+
+def join_measurements(chunks: Iterable[Measurement]) -> Measurement:
+    """Return consecutive chunks as one measurement."""
+    parts = list(chunks)
+    joined = {
+        name: None if getattr(parts[0], name) is None
+        else np.concatenate([getattr(part, name) for part in parts])
+        for name in ("time", "q", "qd", "tau", "qdd", "joint_time")
+    }  # fmt: skip
+    return Measurement(**joined)  # type: ignore[arg-type]
+
+
+def read_measurements(
+    path: Path,
+    joint_names: Sequence[str],
+    limits: JointLimits | None = None,
+    columns: Path | None = None,
+    units: str | None = None,
+    is_slide: Sequence[bool] = (),
+) -> MeasurementLog:
+    """Recognise, check and open a log.
+
+    Args:
+        path: the log.
+        joint_names: the n chain joints, base to terminal.
+        limits: what the joints may do; None checks no limits.
+        columns: a columns file (``--columns``), or None.
+        units: declared units such as "deg" or "deg,ms"; None goes by the titles, else rad and s.
+        is_slide: (n,) whether a joint is a slide, whose positions are metres.
+
+    Raises:
+        InputError: the log cannot be read, is ambiguous or cannot be what it seems to be.
+    """
+    path = Path(path)
+    dialect = read_dialect(path)
+    choices = read_columns_file(Path(columns), joint_names) if columns else ColumnChoices()
+    declared = _declared_units(units, choices)
+    found = recognise_columns(
+        _titles(dialect, choices), joint_names, choices, declared, dialect.first_row, is_slide
+    )
+    rows, repairs = LogRows(dialect, found, is_slide), Repairs()
+    slides = np.array(list(is_slide) or [False] * len(joint_names))
+    context = LogContext(str(path), tuple(joint_names), limits, slides, found.angle_declared)
+    timing, notes = check_log(rows.chunks(_CHUNK, repairs), context, repairs)
+    return MeasurementLog(
+        path,
+        tuple(joint_names),
+        found,
+        timing.n_samples,
+        _tidy_rate(1.0 / timing.period),
+        timing.end - timing.start,
+        (_layout(dialect), *found.describe(), *notes),
+        rows,
+    )
+
+
+def write_measurement_csv(
+    path: Path,
+    joint_names: Sequence[str],
+    chunks: Iterable[Measurement],
+    header_comments: Sequence[str] = (),
+) -> None:
+    """Write samples in the form ``read_measurements`` reads, with every digit.
+
+    The file appears whole or not at all.
+
+    Args:
+        path: where to.
+        joint_names: the n chain joints; columns are called ``<joint>_position`` and so on.
+        chunks: the samples in order, at least one chunk.
+        header_comments: lines written above the titles, each after a "#".
+
+    Raises:
+        InputError: there are no samples, or the file cannot be written.
+    """
+    with whole_file(path) as stream:
+        stream.writelines(f"# {' '.join(comment.splitlines())}\n" for comment in header_comments)
+        writer = csv.writer(stream, lineterminator="\n")
+        _write_chunks(writer.writerow, joint_names, chunks)
+
+
+def _write_chunks(
+    write_row: Callable[[Iterable[str]], object],
+    joint_names: Sequence[str],
+    chunks: Iterable[Measurement],
+) -> None:
+    quantities: tuple[tuple[str, str], ...] = ()
+    for chunk in chunks:
+        if not quantities:
+            quantities = _written_quantities(chunk)
+            write_row(["time", *(f"{j}_{name}" for name, _ in quantities for j in joint_names)])
+        values = [getattr(chunk, attribute) for _, attribute in quantities]
+        for row in np.column_stack((chunk.time, *values)).tolist():
+            write_row(map(repr, row))
+    if not quantities:
+        raise InputError("there are no samples to write")
+
+
+def _written_quantities(chunk: Measurement) -> tuple[tuple[str, str], ...]:
+    names = (("position", "q"), ("velocity", "qd"), ("torque", "tau"), ("acceleration", "qdd"))
+    quantities = (*names, ("time", "joint_time"))
+    return tuple(pair for pair in quantities if getattr(chunk, pair[1]) is not None)
+
+
+def _titles(dialect: LogDialect, choices: ColumnChoices) -> tuple[str, ...]:
+    numbered = tuple(f"#{k + 1}" for k in range(dialect.width))
+    if dialect.header or choices.columns:
+        return dialect.header or numbered
+    raise InputError(
+        f"{dialect.path} has no column titles; say which of its {dialect.width} columns is what "
+        "with --columns FILE, for instance 'time = #1' and 'position = #2, #3, ...'"
+    )
+
+
+def _declared_units(units: str | None, choices: ColumnChoices) -> Units:
+    given = parse_units(units) if units else Units()
+    return Units(given.angle or choices.units.angle, given.time or choices.units.time)
+
+
+def _tidy_rate(rate: float) -> float:
+    # Rounded time stamps leave 499.9999998 Hz where 500 was meant.
+    return float(round(rate)) if abs(rate - round(rate)) < 1e-6 * rate else rate
+
+
+def _layout(dialect: LogDialect) -> str:
+    separator = SEPARATOR_NAMES[dialect.separator]
+    decimal = ", decimal comma" if dialect.decimal_comma else ""
+    commented = "" if dialect.header_line or not dialect.header else ", titles in a comment line"
+    return f"log layout: {dialect.width} columns separated by {separator}{decimal}{commented}"

@@ -1,0 +1,284 @@
+"""Model files as XML: safe reading, which kind they are, and what they include.
+
+Includes are resolved the way MuJoCo does: relative to the main file's folder, else relative to the
+including file's; the children of the included root take the place of the ``<include>``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from lxml import etree
+
+from robot_sysid.errors import InputError, ModelError
+from robot_sysid.mjcf import markup
+from robot_sysid.records.atomic_files import require_utf8
+
+_ENCODING = re.compile(rb"^\s*<\?xml[^>]*encoding\s*=\s*[\"']([A-Za-z0-9._-]+)[\"']")
+_ENTITY = re.compile(rb"<!DOCTYPE[^>]*<!ENTITY", re.DOTALL)
+_KINDS = {"mujoco": "mjcf", "robot": "urdf"}
+
+
+@dataclass(frozen=True)
+class SourceFile:
+    """One XML file.
+
+    Attributes:
+        path: absolute path.
+        raw: its bytes on disk.
+        text: the same as UTF-8 without byte order mark.
+        elements: all its elements in document order, the root first.
+        includes: index of an ``<include>`` in ``elements`` to the file it brings in.
+    """
+
+    path: Path
+    raw: bytes
+    text: bytes
+    elements: tuple[Any, ...]
+    includes: Mapping[int, SourceFile]
+
+    @property
+    def root(self) -> Any:
+        """The root element."""
+        return self.elements[0]
+
+    @property
+    def is_utf8(self) -> bool:
+        """Whether the file on disk is UTF-8, which is how MuJoCo reads every file."""
+        return self.raw == self.text or _is_utf8(self.raw)
+
+    @cached_property
+    def index(self) -> Mapping[Any, int]:
+        """Element to its place in ``elements``."""
+        return {element: i for i, element in enumerate(self.elements)}
+
+    @cached_property
+    def spans(self) -> tuple[markup.Span, ...]:
+        """Where each element stands in ``text``."""
+        return markup.element_spans(self.text)
+
+    def span(self, element: Any) -> markup.Span:
+        """Return where one of this file's elements stands in ``text``."""
+        return self.spans[self.index[element]]
+
+
+@dataclass(frozen=True)
+class Node:
+    """An element of the expanded model.
+
+    Attributes:
+        file: the file it is written in.
+        element: the lxml element.
+    """
+
+    file: SourceFile
+    element: Any
+
+    @property
+    def tag(self) -> str:
+        """Tag without namespace."""
+        return local_name(self.element)
+
+    def get(self, name: str, default: str | None = None) -> str | None:
+        """Return an attribute's value."""
+        return self.element.get(name, default)
+
+    def children(self) -> Iterator[Node]:
+        """Yield the child elements, those of included files in place of the ``<include>``."""
+        for child in self.element.iterchildren(etree.Element):
+            included = self.file.includes.get(self.file.index[child])
+            if included is None:
+                yield Node(self.file, child)
+            else:
+                yield from Node(included, included.root).children()
+
+    def walk(self) -> Iterator[Node]:
+        """Yield this element and all below it in document order."""
+        yield self
+        for child in self.children():
+            yield from child.walk()
+
+
+@dataclass(frozen=True)
+class ModelDocument:
+    """A model file with everything it includes.
+
+    Attributes:
+        main: the file itself.
+        kind: "mjcf" or "urdf".
+        files: the main file and the included ones, in the order MuJoCo reads them.
+    """
+
+    main: SourceFile
+    kind: str
+    files: tuple[SourceFile, ...]
+
+    @property
+    def path(self) -> Path:
+        """Absolute path of the main file."""
+        return self.main.path
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the main file."""
+        return self.main.path.parent
+
+    @property
+    def root(self) -> Node:
+        """Root of the expanded model."""
+        return Node(self.main, self.main.root)
+
+    @property
+    def sha256(self) -> str:
+        """SHA-256 of the main file's bytes followed by those of the included files."""
+        digest = hashlib.sha256()
+        for file in self.files:
+            digest.update(file.raw)
+        return digest.hexdigest()
+
+    def walk(self) -> Iterator[Node]:
+        """Yield all elements of the expanded model in document order."""
+        return self.root.walk()
+
+
+def local_name(element: Any) -> str:
+    """Return an element's tag without its namespace."""
+    return str(etree.QName(element).localname)
+
+
+def read_document(path: Path) -> ModelDocument:
+    """Read a model file and what it includes.
+
+    Args:
+        path: an MJCF (root ``<mujoco>``) or URDF (root ``<robot>``) file.
+
+    Raises:
+        InputError: the file is missing, a folder or unreadable.
+        ModelError: it is not XML, only a fragment of a model, or an include fails.
+    """
+    reader = _Reader(Path(path).absolute())
+    main = reader.read(reader.main_path)
+    document = ModelDocument(main, _KINDS.get(local_name(main.root), ""), tuple(reader.files))
+    _check_is_whole_model(document)
+    return document
+
+
+def _check_is_whole_model(document: ModelDocument) -> None:
+    name, advice = document.path, "pass the main model file, the one that includes this one"
+    if not document.kind:
+        tag = local_name(document.main.root)
+        raise ModelError(
+            f"{name} is a fragment, not a whole model: its root is <{tag}>, expected <mujoco> "
+            f"(MJCF) or <robot> (URDF); {advice}"
+        )
+    tags = {child.tag for child in document.root.children()}
+    if document.kind == "mjcf" and "worldbody" not in tags:
+        raise ModelError(f"{name} is a fragment, not a whole model: no <worldbody>; {advice}")
+    if document.kind == "urdf" and "link" not in tags:
+        xacro = any("xacro" in str(uri) for uri in document.main.root.nsmap.values())
+        hint = "run xacro on it first" if xacro else advice
+        raise ModelError(f"{name} is a fragment, not a whole model: no <link>; {hint}")
+
+
+class _Reader:
+    """Reads one model: remembers what has been included."""
+
+    def __init__(self, main_path: Path) -> None:
+        self.main_path = main_path
+        self.files: list[SourceFile] = []
+        self._seen: set[Path] = set()
+
+    def read(self, path: Path) -> SourceFile:
+        """Return the file at ``path`` with its includes."""
+        raw = _read_bytes(path)
+        self._seen.add(path.resolve())
+        text = _as_utf8(raw, path)
+        elements = tuple(_parse(text, path).iter(etree.Element))
+        includes: dict[int, SourceFile] = {}
+        file = SourceFile(path, raw, text, elements, includes)
+        self.files.append(file)
+        for i, element in enumerate(elements):
+            if local_name(element) == "include" and local_name(elements[0]) != "robot":
+                includes[i] = self._read_include(file, element)
+        return file
+
+    def _read_include(self, parent: SourceFile, element: Any) -> SourceFile:
+        where = f"{parent.path}, line {element.sourceline}"
+        name = element.get("file")
+        if not name:
+            raise ModelError(f"{where}: <include> without a file attribute")
+        path = self._find_include(parent, name)
+        if path is None:
+            raise ModelError(
+                f"{where}: included file {name} not found (looked in {parent.path.parent})"
+            )
+        if path.resolve() in self._seen:
+            raise ModelError(
+                f"{where}: {name} is included twice or includes itself; each file may "
+                "be included once"
+            )
+        included = self.read(path)
+        if next(included.root.iterchildren(etree.Element), None) is None:
+            raise ModelError(f"{where}: included file {name} is empty")
+        return included
+
+    def _find_include(self, parent: SourceFile, name: str) -> Path | None:
+        folders = (self.main_path.parent, parent.path.parent)
+        candidates = (folder / name.replace("\\", "/") for folder in folders)
+        return next((path for path in candidates if path.is_file()), None)
+
+
+def _is_utf8(raw: bytes) -> bool:
+    try:
+        raw.decode("utf-8")
+    except UnicodeDecodeError:
+        return False
+    return True
+
+
+def _read_bytes(path: Path) -> bytes:
+    require_utf8(path)
+    try:
+        return path.read_bytes()
+    except IsADirectoryError:
+        raise InputError(f"{path} is a folder; pass a model file (MJCF .xml or .urdf)") from None
+    except FileNotFoundError:
+        raise InputError(f"model file {path} not found; check the path") from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"cannot read model file {path}: {reason}") from None
+
+
+def _as_utf8(raw: bytes, path: Path) -> bytes:
+    if not raw.strip():
+        raise ModelError(f"Expected an XML model file, but {path} is empty")
+    declared = _ENCODING.match(raw)
+    for encoding in ("utf-8-sig", declared.group(1).decode() if declared else "utf-16"):
+        try:
+            # MuJoCo tolerates white space before the declaration, strict parsers do not.
+            return raw.decode(encoding).lstrip().encode("utf-8")
+        except (UnicodeError, LookupError):
+            continue
+    raise ModelError(f"Expected an XML model file, but {path} is not text")
+
+
+def _parse(text: bytes, path: Path) -> Any:
+    if _ENTITY.search(text):
+        raise ModelError(
+            f"{path} declares XML entities, which a model file does not need and which can hide an "
+            "attack; remove its <!DOCTYPE ...>"
+        )
+    parser = etree.XMLParser(
+        resolve_entities=False, no_network=True, load_dtd=False, encoding="utf-8"
+    )
+    try:
+        return etree.fromstring(markup.masked_comments(text), parser)
+    except etree.XMLSyntaxError as error:
+        reason = " ".join(str(error.msg).split())
+        raise ModelError(f"Expected an XML model file, but {path} is not XML: {reason}") from None

@@ -1,0 +1,162 @@
+"""The body whose inertia is replaced, found in the text, and its new ``<inertial>`` and comment."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+import numpy as np
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.errors import ExportError
+from robot_sysid.mjcf import markup
+from robot_sysid.mjcf.documents import ModelDocument, Node
+from robot_sysid.mjcf.markup import Edit
+from robot_sysid.records import Array
+
+_OLD_COMMENT = re.compile(rb"<!--\s*System ID:(?:(?!-->).)*-->\s*\Z", re.DOTALL)
+
+_SMALLEST_NORMAL = float(np.finfo(float).tiny)
+
+
+def mjcf_inertial(theta: Array, principal: bool = False) -> str:
+    """Return MJCF for theta (10,), exact to the last digit.
+
+    MuJoCo's ``fullinertia`` is about the CENTRE OF MASS, in the order xx yy zz xy xz yz.
+
+    Args:
+        theta: (10,) parameters in the body frame, inertia about its origin.
+        principal: write principal moments and axes instead of the full matrix; MuJoCo before 3.14
+            finds the axes of a full matrix to six digits only.
+    """
+    mass, com, inertia = spatial.com_from_theta(theta)
+    head = f'<inertial pos="{numbers(com)}" mass="{float(mass)!r}"'
+    if not np.any(theta):
+        return f'{head} diaginertia="0 0 0"/>'
+    if not principal:
+        six = spatial.fullinertia_from_symmetric(inertia)
+        return f'{head} fullinertia="{numbers(six)}"/>'
+    moments, axes = np.linalg.eigh(inertia)
+    if np.linalg.det(axes) < 0.0:
+        axes = -axes
+    quaternion = spatial.quaternion_from_rotation(axes)
+    return f'{head} quat="{numbers(quaternion)}" diaginertia="{numbers(moments)}"/>'
+
+
+def urdf_inertial(theta: Array) -> str:
+    """Return URDF for theta (10,): origin at the centre of mass, axes of the link."""
+    return urdf_inertial_about_com(*spatial.com_from_theta(theta))
+
+
+def urdf_inertial_about_com(mass: float, com: Array, inertia: Array) -> str:
+    """Return URDF for a mass, centre of mass (3,) and inertia about it (3, 3) in link axes."""
+    names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    six = spatial.six_from_symmetric(inertia)
+    moments = " ".join(f'{name}="{_number(value)}"' for name, value in zip(names, six))
+    return (
+        f'<inertial><origin xyz="{numbers(com)}" rpy="0 0 0"/><mass value="{float(mass)!r}"/>'
+        f"<inertia {moments}/></inertial>"
+    )
+
+
+def numbers(values: Array) -> str:
+    """Return numbers with all their digits, separated by spaces."""
+    return " ".join(_number(value) for value in values)
+
+
+def _number(value: float) -> str:
+    # Also turns -0.0 into 0.0; MuJoCo 3.3 refuses to read denormal numbers.
+    return repr(float(value)) if abs(value) >= _SMALLEST_NORMAL else "0.0"
+
+
+def inertial_edit(body: Node, inertial: str) -> tuple[Node, Edit]:
+    """Return the edit that gives a body this inertial, and the element whose file it is in."""
+    old = next((child for child in body.children() if child.tag == "inertial"), None)
+    if old is not None:
+        span = old.file.span(old.element)
+        return old, Edit(span.start, span.end, inertial.encode())
+    text, span = body.file.text, body.file.span(body.element)
+    if span.is_empty_tag:
+        opened = text[span.start : span.end - 2].rstrip() + b">"
+        name = re.match(rb"<([^\s/>]+)", opened)
+        assert name is not None
+        whole = opened + inertial.encode() + b"</" + name.group(1) + b">"
+        return body, Edit(span.start, span.end, whole)
+    indent = markup.line_break(text) + markup.indentation(text, span.start) + b"  "
+    return body, Edit(span.inner_start, span.inner_start, indent + inertial.encode())
+
+
+def comment_edit(body: Node, label: str, rmse: float, addition: str | None) -> Edit:
+    """Return the edit that puts the comment before a body, in place of an older one."""
+    text, start = body.file.text, body.file.span(body.element).start
+    figure = f"{rmse:.6f}" if rmse == 0.0 or rmse >= 1e-6 else f"{rmse:.3g}"
+    words = f"System ID: body '{label}' identified with RMSE {figure} Nm"
+    words += f"; {addition}" if addition else ""
+    comment = f"<!-- {words.replace('--', '- -')} -->".encode()
+    old = _OLD_COMMENT.search(text[:start])
+    # What follows the comment repeats the body's own indentation.
+    between = markup.line_break(text) + markup.indentation(text, start)
+    return Edit(old.start() if old else start, start, comment + between)
+
+
+_MULTIPLIERS = ("replicate", "attach", "composite", "flexcomp")
+
+
+def find_body(document: ModelDocument, label: str) -> Node:
+    """Return the ``<body>`` (MJCF) or ``<link>`` (URDF) of a compiled body.
+
+    Args:
+        document: the model.
+        label: the body's name, or "#7" for the nameless body with MuJoCo id 7.
+
+    Raises:
+        ExportError: it is not written out in the file.
+    """
+    wanted = "link" if document.kind == "urdf" else "body"
+    named = [n for n in document.walk() if n.tag == wanted and n.get("name") == label]
+    if len(named) > 1:
+        raise ExportError(f"{document.path}: body '{label}' stands in the file {len(named)} times")
+    node = named[0] if named else _by_number(document, label)
+    repeated = [n for n in _replicates(document) if _contains(n, node)]
+    if repeated:
+        raise ExportError(
+            f"{document.path}: body '{label}' is repeated by a <replicate>, so its inertia cannot "
+            "be changed alone; write its copies out"
+        )
+    return node
+
+
+def _by_number(document: ModelDocument, label: str) -> Node:
+    number = re.fullmatch(r"#(\d+)", label)
+    if number is None or document.kind == "urdf":
+        raise ExportError(
+            f"{document.path}: body '{label}' is not written out in the file (it comes from an "
+            "attached or generated part); identify the attached model file by itself, or write "
+            "the body out"
+        )
+    # MuJoCo numbers bodies depth first, and <frame> adds none.
+    left = int(number.group(1))
+    for node in _bodies_and_multipliers(document):
+        if node.tag in _MULTIPLIERS:
+            raise ExportError(
+                f"{document.path}: cannot count up to the nameless body {label} past a "
+                f"<{node.tag}>; give the body a name"
+            )
+        left -= 1
+        if left == 0:
+            return node
+    raise ExportError(f"{document.path}: no body number {label} in the file; give it a name")
+
+
+def _bodies_and_multipliers(document: ModelDocument) -> Iterator[Node]:
+    for section in document.root.children():
+        if section.tag == "worldbody":
+            yield from (n for n in section.walk() if n.tag in ("body", *_MULTIPLIERS))
+
+
+def _replicates(document: ModelDocument) -> Iterator[Node]:
+    return (node for node in document.walk() if node.tag == "replicate")
+
+
+def _contains(outer: Node, inner: Node) -> bool:
+    return any(node.element is inner.element for node in outer.walk())

@@ -1,0 +1,191 @@
+"""MJCF text for another folder: file references and includes rewritten, everything else kept.
+
+An include is kept, with its path rewritten, when the included file needs no folder itself: no
+further include, no file reference, no ``meshdir``, and is UTF-8. Otherwise its text takes its
+place, because MuJoCo would look for those files relative to the new main file.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Collection, Iterator, Mapping
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+from robot_sysid.mjcf import markup
+from robot_sysid.mjcf.assets import Asset, AssetFolders, asset_folders, find_assets
+from robot_sysid.mjcf.documents import ModelDocument, Node, SourceFile, local_name
+from robot_sysid.mjcf.markup import Edit
+
+_FOLDER_ATTRIBUTES = ("assetdir", "meshdir", "texturedir", "strippath")
+_DECLARED_ENCODING = re.compile(rb"""\A(<\?xml[^>]*encoding\s*=\s*["'])[^"']*(["'])""")
+Edits = Mapping[Path, Collection[Edit]]
+
+
+def relocated_text(
+    document: ModelDocument,
+    folder: Path | None,
+    mesh_dir: Path | None = None,
+    extra: Edits | None = None,
+    inline: Collection[Path] = (),
+) -> bytes:
+    """Return the UTF-8 text of an MJCF document as it must read in another folder.
+
+    Args:
+        document: the model.
+        folder: where the text will live; None makes every path absolute and inlines all includes.
+        mesh_dir: the user's mesh folder, if any.
+        extra: further edits per file.
+        inline: included files whose text must take the place of their ``<include>``.
+    """
+    assets = find_assets(document, mesh_dir)
+    needing = {asset.node.file.path for asset in assets}
+    inlined = {
+        file.path
+        for file in document.files
+        if folder is None or not file.is_utf8 or _needs_folder(file, needing)
+    }
+    writer = _Writer(folder, inlined | set(inline), {})
+    for path, edits in (extra or {}).items():
+        writer.add(path, edits)
+    folders = asset_folders(document, mesh_dir)
+    _move_assets(writer, assets, folders)
+    _move_folders(writer, document, folders, {asset.node.tag for asset in assets})
+    return utf8_declaration(writer.text(document.main))
+
+
+def reference(target: Path, folder: Path | None) -> str:
+    """Return how a file in ``folder`` refers to ``target``: relative where that is safe."""
+    if folder is None:
+        return target.as_posix()
+    try:
+        relative = os.path.relpath(target, folder)
+    except ValueError:
+        return target.as_posix()  # another drive
+    # MuJoCo reduces ".." in the text of a path, the system in the folders themselves: behind a
+    # symbolic link the two differ, and only an absolute path is right for both.
+    if os.path.realpath(os.path.join(folder, relative)) != os.path.realpath(target):
+        return target.as_posix()
+    return Path(relative).as_posix()
+
+
+class _Writer:
+    """Collects edits per file and writes the main file out."""
+
+    def __init__(
+        self, folder: Path | None, inlined: set[Path], edits: dict[Path, list[Edit]]
+    ) -> None:
+        self.folder = folder
+        self._inlined = inlined
+        self._edits = edits
+
+    def add(self, path: Path, edits: Collection[Edit | None]) -> None:
+        self._edits.setdefault(path, []).extend(edit for edit in edits if edit is not None)
+
+    def set_attributes(self, node: Node, values: Mapping[str, str | None]) -> None:
+        """Set, or remove where None, the attributes of an element that differ."""
+        text, span = node.file.text, node.file.span(node.element)
+        for name, value in values.items():
+            if value is None:
+                self.add(node.file.path, [markup.remove_attribute(text, span, name)])
+            elif not _same_path(node.get(name), value):
+                self.add(node.file.path, [markup.set_attribute(text, span, name, value)])
+
+    def insert_compiler(self, file: SourceFile, values: Mapping[str, str]) -> None:
+        """Add a compiler element at the top of a file."""
+        place = file.spans[0].inner_start
+        attributes = "".join(f" {name}={quoteattr(value)}" for name, value in values.items())
+        element = markup.line_break(file.text) + f"  <compiler{attributes}/>".encode()
+        self.add(file.path, [Edit(place, place, element)])
+
+    def text(self, file: SourceFile) -> bytes:
+        return markup.apply_edits(file.text, self._all_edits(file))
+
+    def _all_edits(self, file: SourceFile) -> list[Edit]:
+        return [*self._edits.get(file.path, ()), *self._include_edits(file)]
+
+    def _include_edits(self, file: SourceFile) -> Iterator[Edit]:
+        for i, included in file.includes.items():
+            span = file.spans[i]
+            if self._must_inline(included):
+                yield Edit(span.start, span.end, self._inner_text(included))
+            else:
+                name = reference(included.path, self.folder)
+                yield markup.set_attribute(file.text, span, "file", name)
+
+    def _must_inline(self, file: SourceFile) -> bool:
+        return file.path in self._inlined or any(
+            self._must_inline(included) for included in file.includes.values()
+        )
+
+    def _inner_text(self, file: SourceFile) -> bytes:
+        span = file.spans[0]
+        edits = self._all_edits(file)
+        return markup.apply_edits(file.text, edits, span.inner_start, span.inner_end).strip()
+
+
+def _same_path(old: str | None, new: str) -> bool:
+    return old is not None and os.path.normpath(old) == os.path.normpath(new)
+
+
+def _needs_folder(file: SourceFile, needing: Collection[Path]) -> bool:
+    sets_folder = any(
+        local_name(element) == "compiler" and any(element.get(a) for a in _FOLDER_ATTRIBUTES)
+        for element in file.elements
+    )
+    return bool(file.includes) or sets_folder or file.path in needing
+
+
+def _move_assets(writer: _Writer, assets: Collection[Asset], folders: AssetFolders) -> None:
+    """Rewrite the references that are not simply "name inside the asset folder"."""
+    for asset in assets:
+        if asset.path is None:
+            continue
+        base = folders.texture if asset.node.tag == "texture" else folders.mesh
+        if asset.node.tag == "model":
+            name = reference(asset.path, writer.folder)
+        elif asset.path == Path(os.path.normpath(base / asset.name.replace("\\", "/"))):
+            continue
+        else:
+            name = reference(asset.path, base if writer.folder is not None else None)
+        writer.set_attributes(asset.node, {asset.attribute: name})
+
+
+def _move_folders(
+    writer: _Writer, document: ModelDocument, folders: AssetFolders, tags: set[str]
+) -> None:
+    """Make the compiler elements name the asset folders as seen from the new place."""
+    places = {
+        "meshdir": reference(folders.mesh, writer.folder),
+        "texturedir": reference(folders.texture, writer.folder),
+    }
+    compilers = [node for node in document.root.children() if node.tag == "compiler"]
+    for node in compilers:
+        writer.set_attributes(node, _new_folder_attributes(node, places))
+    needed = {"meshdir"} if tags - {"texture", "model"} else set()
+    needed |= {"texturedir"} if "texture" in tags else set()
+    named = {
+        name for node in compilers for name in needed if node.get(name) or node.get("assetdir")
+    }
+    missing = {name: places[name] for name in sorted(needed - named) if places[name] != "."}
+    if missing and compilers:
+        writer.set_attributes(compilers[0], missing)
+    elif missing:
+        writer.insert_compiler(document.main, missing)
+
+
+def _new_folder_attributes(node: Node, places: Mapping[str, str]) -> dict[str, str | None]:
+    """Return what a compiler element's folder attributes become; None removes one."""
+    values: dict[str, str | None] = {name: places[name] for name in places if node.get(name)}
+    if (node.get("strippath") or "").lower() == "true":
+        values["strippath"] = "false"
+    if node.get("assetdir"):
+        # meshdir and texturedir may have to differ now, so both are named.
+        values.update({"assetdir": None, **places})
+    return values
+
+
+def utf8_declaration(text: bytes) -> bytes:
+    """Return UTF-8 text whose XML declaration, if it has one, says so."""
+    return _DECLARED_ENCODING.sub(rb"\1utf-8\2", text, count=1)

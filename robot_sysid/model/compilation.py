@@ -1,0 +1,210 @@
+"""Model file -> compiled MuJoCo model, quietly: MuJoCo's warnings become notes, its errors ours.
+
+MuJoCo before 3.14 finds the principal axes of a full inertia matrix to about six digits. A URDF
+cannot state them any other way, so its compiled inertias are replaced by accurate ones.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.errors import ModelError
+from robot_sysid.mjcf.assets import check_assets
+from robot_sysid.mjcf.documents import ModelDocument, read_document
+from robot_sysid.mjcf.relocation import relocated_text
+from robot_sysid.mjcf.urdf import compilable_urdf, link_inertias, velocity_limits
+from robot_sysid.records import Array
+
+LARGEST = 1e12
+"""Largest size of any number of an arm in SI units; squares of far larger ones overflow."""
+_FAILURES = (ValueError, mujoco.FatalError, mujoco.UnexpectedError)
+_NAME = re.compile(r"(?:Element name|Object name =) ?'?([^',\n]+)")
+_LINE = re.compile(r"line(?: =)? (\d+)")
+_MUST_BE_FINITE = (
+    "body_mass",
+    "body_inertia",
+    "body_ipos",
+    "body_iquat",
+    "body_pos",
+    "body_quat",
+    "jnt_pos",
+    "jnt_axis",
+    "qpos0",
+    "dof_damping",
+    "dof_armature",
+    "dof_frictionloss",
+)
+
+
+@dataclass(frozen=True)
+class CompiledModel:
+    """A compiled model file.
+
+    Attributes:
+        mj_model: the compiled MuJoCo model.
+        notes: what had to be assumed and what MuJoCo warned about, one sentence each.
+        sha256: of the main file's bytes followed by those of the files it includes.
+        kind: "mjcf" or "urdf".
+        velocity_limits: joint name to the speed limit a URDF states [rad/s or m/s].
+    """
+
+    mj_model: Any
+    notes: tuple[str, ...]
+    sha256: str
+    kind: str
+    velocity_limits: Mapping[str, float] = field(default_factory=dict)
+
+
+@contextmanager
+def captured_warnings() -> Iterator[list[str]]:
+    """Collect MuJoCo's warnings in the list yielded, instead of on stderr and in a log file."""
+    messages: list[str] = []
+    previous = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda message: messages.append(" ".join(str(message).split())))
+    try:
+        yield messages
+    finally:
+        mujoco.set_mju_user_warning(previous)
+
+
+def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
+    """Compile an MJCF or URDF file.
+
+    Args:
+        path: the model file.
+        mesh_dir: folder that replaces the file's mesh folder (and, in a URDF, its packages).
+
+    Raises:
+        InputError, ModelError: the file cannot be read or MuJoCo refuses it; one line.
+    """
+    document = read_document(path)
+    _check_mesh_dir(mesh_dir)
+    with captured_warnings() as warnings:
+        if document.kind == "urdf":
+            mj_model, notes = _compile_urdf(document, mesh_dir)
+        else:
+            mj_model, notes = _compile_mjcf(document, mesh_dir), ()
+    _check_values(mj_model, document)
+    said = tuple(dict.fromkeys(f"MuJoCo warns: {text}" for text in warnings))
+    speeds = velocity_limits(document) if document.kind == "urdf" else {}
+    return CompiledModel(mj_model, notes + said, document.sha256, document.kind, speeds)
+
+
+def _check_mesh_dir(mesh_dir: Path | None) -> None:
+    if mesh_dir is not None and not Path(mesh_dir).is_dir():
+        fault = "is not a folder" if Path(mesh_dir).exists() else "does not exist"
+        raise ModelError(f"mesh folder {mesh_dir} {fault}; check --mesh-dir")
+
+
+def _compile_mjcf(document: ModelDocument, mesh_dir: Path | None) -> Any:
+    try:
+        if mesh_dir is None and all(file.is_utf8 for file in document.files):
+            return mujoco.MjModel.from_xml_path(str(document.path))
+        text = relocated_text(document, None, mesh_dir)
+        return mujoco.MjModel.from_xml_string(text.decode())
+    except _FAILURES as error:
+        # Asked only now, so that MuJoCo's own rules decide what is missing.
+        check_assets(document, mesh_dir)
+        raise ModelError(_one_line(document, error)) from None
+
+
+def _compile_urdf(document: ModelDocument, mesh_dir: Path | None) -> tuple[Any, tuple[str, ...]]:
+    text, notes = _urdf_text(document, mesh_dir, with_minimum=False)
+    try:
+        mj_model = mujoco.MjModel.from_xml_string(text)
+    except _FAILURES as error:
+        if "mjMINVAL" not in str(error):
+            raise ModelError(_one_line(document, error)) from None
+        text, notes = _urdf_text(document, mesh_dir, with_minimum=True)
+        mj_model = _compile_text(document, text)
+    restore_exact_inertias(mj_model, link_inertias(document))
+    return mj_model, notes
+
+
+def _urdf_text(
+    document: ModelDocument, mesh_dir: Path | None, with_minimum: bool
+) -> tuple[str, tuple[str, ...]]:
+    try:
+        text, notes = compilable_urdf(document, mesh_dir, with_minimum)
+    except (ValueError, TypeError) as error:
+        raise ModelError(f"{document.path}: a number cannot be read: {error}") from None
+    return text.decode(), notes
+
+
+def _compile_text(document: ModelDocument, text: str) -> Any:
+    try:
+        return mujoco.MjModel.from_xml_string(text)
+    except _FAILURES as error:
+        raise ModelError(_one_line(document, error)) from None
+
+
+def _one_line(document: ModelDocument, error: BaseException) -> str:
+    text = str(error).strip()
+    first = re.sub(r"^(XML )?Error: ", "", text.splitlines()[0] if text else "unknown error")
+    name, line = _NAME.search(text), _LINE.search(text)
+    where = [f"'{name.group(1).strip()}'"] if name and name.group(1).strip() else []
+    where += [f"line {line.group(1)}"] if line and line.group(1) != "0" else []
+    place = f" ({', '.join(where)})" if where else ""
+    return f"MuJoCo cannot compile {document.path}: {first}{place}"
+
+
+def _check_values(mj_model: Any, document: ModelDocument) -> None:
+    for name in _MUST_BE_FINITE:
+        values = getattr(mj_model, name)
+        if not np.all(np.isfinite(values)):
+            raise ModelError(f"{document.path} contains a value that is not a number ({name})")
+        if np.any(np.abs(values) > LARGEST):
+            largest = float(np.max(np.abs(values)))
+            raise ModelError(f"{document.path} contains a value no arm has ({name} {largest:g})")
+
+
+_SAME_TRACE = 1e-9
+_ALREADY_EXACT = 1e-13
+
+
+def restore_exact_inertias(
+    mj_model: Any, inertias: Mapping[str, tuple[float, Array, Array]]
+) -> None:
+    """Give compiled bodies the inertia their links state, where MuJoCo's differs by inaccuracy.
+
+    Values that a compiler setting changed on purpose are left alone.
+
+    Args:
+        mj_model: compiled URDF; changed in place.
+        inertias: link name to (mass, centre of mass (3,), inertia about it (3, 3)).
+    """
+    changed = False
+    for name, (_, _, inertia) in inertias.items():
+        body = mujoco.mj_name2id(mj_model, int(mujoco.mjtObj.mjOBJ_BODY), name)
+        if body > 0 and _is_inaccurate(mj_model, body, inertia):
+            moments, axes = np.linalg.eigh(inertia)
+            if np.linalg.det(axes) < 0.0:
+                axes = -axes
+            mj_model.body_inertia[body] = moments
+            mj_model.body_iquat[body] = spatial.quaternion_from_rotation(axes)
+            changed = True
+    if changed:
+        mujoco.mj_setConst(mj_model, mujoco.MjData(mj_model))
+
+
+def _is_inaccurate(mj_model: Any, body: int, inertia: Array) -> bool:
+    rotation = spatial.rotation_from_quaternion(mj_model.body_iquat[body])
+    compiled = rotation @ np.diag(mj_model.body_inertia[body]) @ rotation.T
+    size = float(np.trace(inertia))
+    moments = np.linalg.eigvalsh(inertia)
+    # Equal traces but another matrix: turned. balanceinertia keeps the trace too, and only
+    # touches what breaks the triangle inequality.
+    turned = abs(float(np.trace(compiled)) - size) <= _SAME_TRACE * size
+    balanced = moments[0] + moments[1] < moments[2]
+    return bool(
+        turned and not balanced and np.max(np.abs(compiled - inertia)) > _ALREADY_EXACT * size
+    )

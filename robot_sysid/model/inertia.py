@@ -1,0 +1,57 @@
+"""Inertial parameters of compiled MuJoCo bodies, alone and together with what hangs on them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.model.chain import body_label
+from robot_sysid.records import Array, SubtreeBody
+
+
+def body_theta(mj_model: Any, body_id: int) -> Array:
+    """Return theta (10,) of one compiled body in its own frame, inertia about its origin."""
+    return spatial.theta_from_mujoco(
+        float(mj_model.body_mass[body_id]),
+        mj_model.body_ipos[body_id],
+        mj_model.body_iquat[body_id],
+        mj_model.body_inertia[body_id],
+    )
+
+
+def subtree_bodies(mj_model: Any, qpos: Array | None, body_id: int) -> tuple[SubtreeBody, ...]:
+    """Return a body and everything below it, expressed in that body's frame.
+
+    Args:
+        mj_model: compiled model.
+        qpos: (nq,) configuration; None takes the model's ``qpos0``.
+        body_id: top of the subtree.
+    """
+    data = mujoco.MjData(mj_model)
+    if qpos is not None:
+        data.qpos[:] = qpos
+    mujoco.mj_kinematics(mj_model, data)
+    top_rotation = data.xmat[body_id].reshape(3, 3)
+    bodies: dict[int, SubtreeBody] = {}
+    for i in range(body_id, mj_model.nbody):
+        parent = int(mj_model.body_parentid[i])
+        if i != body_id and parent not in bodies:
+            continue
+        rotation = top_rotation.T @ data.xmat[i].reshape(3, 3)
+        translation = top_rotation.T @ (data.xpos[i] - data.xpos[body_id])
+        own = body_theta(mj_model, i)
+        theta = own if i == body_id else spatial.transform_theta(own, rotation, translation)
+        welded = i == body_id or (bodies[parent].welded and mj_model.body_jntnum[i] == 0)
+        bodies[i] = SubtreeBody(i, body_label(mj_model, i), theta, bool(welded))
+    return tuple(bodies.values())
+
+
+def composite_theta(mj_model: Any, qpos: Array | None, body_id: int) -> Array:
+    """Return theta (10,) of a body together with everything below it, held at ``qpos``.
+
+    Expressed in the body's own frame, inertia about its origin.
+    """
+    return np.sum([body.theta for body in subtree_bodies(mj_model, qpos, body_id)], axis=0)

@@ -1,0 +1,229 @@
+"""params.json: the identified parameters and how far to trust them, in full precision.
+
+Strict JSON: what is not a finite number becomes null. Inertia is about the body ORIGIN in
+``inertia_tensor`` and about the centre of mass in ``inertia_about_com``.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.errors import InputError
+from robot_sysid.records import Estimate, Identification, InertialParameters
+from robot_sysid.records.atomic_files import write_whole
+
+SCHEMA_VERSION = 1
+_SIX = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
+
+
+@dataclass(frozen=True)
+class ParamsRecord(Mapping[str, Any]):
+    """What a params.json says; read it like a dictionary.
+
+    Attributes:
+        content: key to value, as in the file.
+    """
+
+    content: Mapping[str, Any]
+
+    def __getitem__(self, key: str) -> Any:
+        return self.content[key]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.content)
+
+    def __len__(self) -> int:
+        return len(self.content)
+
+    @property
+    def inertial(self) -> InertialParameters:
+        """The ten inertial parameters."""
+        six = [self["inertia_tensor"][name] for name in _SIX]
+        return InertialParameters(
+            np.array([self["mass"], *self["center_of_mass_moment"], *six], dtype=float)
+        )
+
+
+def export_params_json(
+    identification: Identification, path: Path, more: Mapping[str, Any] | None = None
+) -> None:
+    """Write params.json.
+
+    Args:
+        identification: the result.
+        path: file to write; its folder is created.
+        more: further top-level entries, for instance standard errors.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    write_whole(path, params_json_text(identification, more))
+
+
+def params_json_text(identification: Identification, more: Mapping[str, Any] | None = None) -> str:
+    """Return the text of params.json; arguments as in ``export_params_json``."""
+    parts = (_result, _quality, _uncertainty, _measured, _origin)
+    content: dict[str, Any] = {}
+    for part in parts:
+        content.update(part(identification))
+    clash = sorted(set(content) & set(more or {}))
+    if clash:
+        raise ValueError(f"params.json already has {', '.join(clash)}")
+    return json.dumps(_strict({**content, **(more or {})}), indent=2, allow_nan=False) + "\n"
+
+
+def read_params_json(path: Path) -> ParamsRecord:
+    """Read a params.json.
+
+    Raises:
+        InputError: it cannot be read, is not JSON or lacks the ten parameters.
+    """
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+        record = ParamsRecord(content)
+        record.inertial  # noqa: B018 - checks the ten parameters
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror}") from None
+    except (ValueError, TypeError, KeyError, InputError) as error:
+        raise InputError(f"{path} is not a params.json: {error}") from None
+    return record
+
+
+def inertial_entries(inertial: InertialParameters) -> dict[str, Any]:
+    """Return the ten parameters and what follows from them as JSON entries."""
+    six = inertial.theta[4:]
+    about_com = spatial.six_from_symmetric(inertial.inertia_com)
+    return {
+        "mass": inertial.mass,
+        "center_of_mass_moment": inertial.first_moment,
+        "inertia_tensor": dict(zip(_SIX, six)),
+        "center_of_mass": inertial.com,
+        "inertia_about_com": dict(zip(_SIX, about_com)),
+        "principal_moments": inertial.principal_moments,
+    }
+
+
+def _result(identification: Identification) -> dict[str, Any]:
+    estimate, joint = identification.estimate, identification.joint_name
+    entries = inertial_entries(estimate.inertial)
+    derived = {key: entries.pop(key) for key in list(entries)[3:]}
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "joint_name": joint,
+        "body_name": identification.body_name,
+        **entries,
+        "coulomb_friction": estimate.value(f"coulomb[{joint}]"),
+        "viscous_friction": estimate.value(f"viscous[{joint}]"),
+        "rmse": estimate.rmse,
+        "condition_number": estimate.identifiability.condition_number,
+        "n_base_params": estimate.identifiability.rank,
+        **derived,
+    }
+
+
+def _quality(identification: Identification) -> dict[str, Any]:
+    estimate = identification.estimate
+    seen = estimate.identifiability
+    return {
+        "status": estimate.status.name,
+        "status_text": estimate.status.value,
+        "valid": {
+            "physically_consistent": estimate.inertial.is_consistent,
+            "all_identified": all(seen.identified),
+            "trustworthy": estimate.status.is_trustworthy,
+        },
+        "method": estimate.method,
+        "torques": identification.torques,
+        "parameter_source": _sources(estimate),
+        "blind_combinations": seen.blind,
+        "rmse_per_joint": dict(estimate.rmse_per_joint),
+        "condition_number_scaled": seen.scaled_condition_number,
+        "prior": inertial_entries(identification.prior),
+        "notes": identification.notes,
+    }
+
+
+def _uncertainty(identification: Identification) -> dict[str, Any]:
+    estimate = identification.estimate
+
+    def named(values: Any) -> dict[str, Any] | None:
+        return None if values is None else dict(zip(estimate.names, values))
+
+    return {
+        "constrained": estimate.constrained,
+        "standard_errors": named(estimate.standard_errors),
+        "relative_standard_errors": named(estimate.relative_errors),
+        "data_share": named(estimate.data_share),
+        "noise_per_joint": dict(estimate.noise_per_joint),
+        "samples_per_joint": dict(estimate.samples),
+        "effective_samples_per_joint": dict(estimate.effective_samples),
+        "sensitivity": dict(identification.sensitivity),
+        "limitations": identification.limitations,
+    }
+
+
+def _measured(identification: Identification) -> dict[str, Any]:
+    return {
+        "source": identification.source,
+        "friction_model": identification.friction_model,
+        "friction_per_joint": friction_entries(identification),
+        "validation": [asdict(test) for test in identification.validation],
+        "delay": identification.delay,
+        "tilt": identification.tilt,
+        "gravity": identification.gravity,
+        "cutoff": identification.cutoff,
+    }
+
+
+def friction_entries(identification: Identification) -> dict[str, dict[str, float]]:
+    """Return joint name to its estimated friction terms: {"joint6": {"coulomb": 0.4, ...}}."""
+    found: dict[str, dict[str, float]] = {}
+    estimate = identification.estimate
+    for name, value in zip(estimate.names, estimate.values):
+        term, bracket, rest = name.partition("[")
+        if bracket:
+            found.setdefault(rest[:-1], {})[term] = float(value)
+    return found
+
+
+def _origin(identification: Identification) -> dict[str, Any]:
+    return {
+        "model": {
+            "path": str(identification.model_path),
+            "sha256": identification.model_sha256,
+        },
+        "joint_names": identification.joint_names,
+        "seed": identification.seed,
+        "duration": identification.duration,
+        "sample_rate": identification.sample_rate,
+        "versions": dict(identification.versions),
+    }
+
+
+def _sources(estimate: Estimate) -> dict[str, str]:
+    seen = estimate.identifiability.identified
+    words = {True: "identified", False: "from_model"}
+    return {name: words[bool(known)] for name, known in zip(estimate.names, seen)}
+
+
+def _strict(value: Any) -> Any:
+    """Return what strict JSON can hold: arrays as lists, non-finite numbers as null."""
+    if isinstance(value, Mapping):
+        return {str(key): _strict(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [_strict(item) for item in value]
+    if isinstance(value, (bool, np.bool_)):
+        return bool(value)
+    if isinstance(value, np.integer):
+        return int(value)
+    if isinstance(value, (float, np.floating)):
+        return float(value) if math.isfinite(value) else None
+    return value

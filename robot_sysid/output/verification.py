@@ -1,0 +1,260 @@
+"""Is the written model the original one with nothing changed but the identified inertia?
+
+Both files are compiled and every field of the compiled models is compared. What may differ is
+listed here, each entry with its reason. Then the written model has to move as the identification
+predicts, torque by torque.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.kinematics import ArmDynamics, ChainKinematics
+from robot_sysid.errors import ExportError, InputError
+from robot_sysid.mjcf.inertial import mjcf_inertial
+from robot_sysid.mjcf.write_back import WriteBack
+from robot_sysid.model.chain import body_label
+from robot_sysid.model.compilation import CompiledModel, captured_warnings, compile_model
+from robot_sysid.model.inertia import body_theta
+from robot_sysid.records import Array, Motion, RobotModel
+from robot_sysid.regressor import joint_regressor
+
+TOLERANCE = 1e-9
+"""Largest relative deviation of the compiled inertia from what was asked for."""
+ACCURATE = 1e-12
+"""Deviation below which MuJoCo's principal axes count as accurate; 4.0.0 stays below 1e-13."""
+
+# What was written. Compared row by row: only the changed bodies may differ.
+_WRITTEN = {
+    "body_mass",
+    "body_inertia",
+    "body_ipos",
+    "body_iquat",
+    # Whether body frame and inertial frame coincide.
+    "body_sameframe",
+}
+# What MuJoCo computes from masses and inertias when it compiles.
+_DERIVED = {
+    "body_subtreemass",
+    "body_invweight0",
+    "dof_M0",
+    "dof_invweight0",
+    "dof_length",
+    "tendon_invweight0",
+    "actuator_acc0",
+    # Found by simulating the actuator's movement, so masses enter.
+    "actuator_lengthrange",
+    # Whether a body's inertia is diagonal in its joint's axes; a shortcut for the engine.
+    "body_simple",
+    "dof_simplenum",
+    # Whether a geom or site coincides with its body's inertial frame; a shortcut too.
+    "geom_sameframe",
+    "site_sameframe",
+    # Camera and light positions relative to the subtree's centre of mass.
+    "cam_poscom0",
+    "light_poscom0",
+    # Collision bounding boxes are kept in the inertial frame of their body.
+    "bvh_aabb",
+    "bvh_child",
+    "bvh_depth",
+    "bvh_nodeid",
+    # Scene size and mean mass, for drawing and for scaling contacts.
+    "stat.center",
+    "stat.extent",
+    "stat.meaninertia",
+    "stat.meanmass",
+    "stat.meansize",
+}
+# Where asset files are, and the sizes that follow from the length of these names.
+_PATHS = {
+    "paths",
+    "npaths",
+    "nbuffer",
+    "mesh_pathadr",
+    "skin_pathadr",
+    "hfield_pathadr",
+    "tex_pathadr",
+}
+_SPRINGDAMPER = (
+    "a joint's springdamper computes it from the inertia: give that joint stiffness and damping "
+    "instead to get a model"
+)
+_ADVICE = {"dof_damping": _SPRINGDAMPER, "jnt_stiffness": _SPRINGDAMPER}
+_NUMBERS = (int, float, bytes, np.ndarray)
+
+
+def verify_written_model(
+    original: Any, written: Path, body_id: int, plan: WriteBack
+) -> CompiledModel:
+    """Compile a written model, compare it with the original and return it.
+
+    Args:
+        original: the compiled input model.
+        written: the file that was written.
+        body_id: MuJoCo id of the terminal body.
+        plan: what was to be written.
+
+    Raises:
+        ExportError: it does not load, something else changed, or the inertia is not what was asked
+            for; names the field.
+    """
+    try:
+        compiled = compile_model(written)
+    except InputError as error:
+        raise ExportError(f"the written model cannot be loaded: {error}") from None
+    changed = {body_id, *(body.body_id for body in plan.folded)}
+    require_same_model(original, compiled.mj_model, changed)
+    require_theta(compiled.mj_model, body_id, plan.theta, plan.theta)
+    for body in plan.folded:
+        require_theta(compiled.mj_model, body.body_id, np.zeros(10), plan.theta)
+    return compiled
+
+
+def require_same_model(original: Any, other: Any, changed: Collection[int]) -> None:
+    """Raise ExportError naming the first compiled field that differs and may not.
+
+    Args:
+        original, other: compiled models.
+        changed: ids of the bodies whose inertia may differ.
+    """
+    theirs = dict(_fields(other))
+    for name, value in _fields(original):
+        if name in _DERIVED or name in _PATHS:
+            continue
+        if name not in theirs or not _same(name, value, theirs[name], changed):
+            raise ExportError(
+                f"the written model differs from the original in {name}, which should not have "
+                f"changed; {_ADVICE.get(name, 'no model was written')}"
+            )
+
+
+def require_theta(
+    mj_model: Any,
+    body_id: int,
+    theta: Array,
+    size: Array,
+    tolerance: float = TOLERANCE,
+) -> None:
+    """Raise ExportError unless a compiled body has the parameters theta (10,).
+
+    Args:
+        mj_model: compiled model.
+        body_id: MuJoCo body id.
+        theta: (10,) what the body must have.
+        size: (10,) a body that says what is large; deviations are relative to it.
+        tolerance: largest relative deviation.
+    """
+    mass, com, inertia = spatial.com_from_theta(size)
+    scale = spatial.parameter_scale(mass, spatial.characteristic_length(size))
+    deviation = float(np.max(np.abs(body_theta(mj_model, body_id) - theta) / scale))
+    if np.any(theta):
+        # The inertia about the centre of mass is small beside that about a distant origin.
+        compiled = spatial.com_from_theta(body_theta(mj_model, body_id))[2]
+        about_com = float(np.max(np.abs(compiled - inertia)) / np.max(np.abs(inertia)))
+        deviation = max(deviation, about_com)
+    if not deviation <= tolerance:
+        raise ExportError(
+            f"in the written model, body '{body_label(mj_model, body_id)}' has an inertia that is "
+            f"off by {deviation:.1e} relative (allowed {tolerance:.0e}); no model was written"
+        )
+
+
+def reads_fullinertia_exactly(theta: Array) -> bool:
+    """Tell whether the installed MuJoCo finds the axes of theta's full inertia accurately.
+
+    Versions before 3.14 stop at six digits; then principal moments have to be written instead.
+    """
+    text = f"<mujoco><worldbody><body>{mjcf_inertial(theta)}</body></worldbody></mujoco>"
+    try:
+        with captured_warnings():
+            probe = mujoco.MjModel.from_xml_string(text)
+        require_theta(probe, 1, theta, theta, ACCURATE)
+    except (ExportError, ValueError):
+        return False
+    return True
+
+
+def _fields(mj_model: Any) -> Iterator[tuple[str, Any]]:
+    """Yield every number and array of a compiled model with its name, options included."""
+    yield from _numbers(mj_model, "")
+    yield from _numbers(mj_model.opt, "opt.")
+    yield from _numbers(mj_model.stat, "stat.")
+    for part in _public(mj_model.vis):
+        yield from _numbers(getattr(mj_model.vis, part), f"vis.{part}.")
+
+
+def _numbers(holder: Any, prefix: str) -> Iterator[tuple[str, Any]]:
+    for name in _public(holder):
+        value = getattr(holder, name)
+        if isinstance(value, _NUMBERS):
+            yield prefix + name, value
+
+
+def _public(holder: Any) -> list[str]:
+    return [name for name in dir(holder) if not name.startswith("_")]
+
+
+def _same(name: str, ours: Any, theirs: Any, changed: Collection[int]) -> bool:
+    if not isinstance(ours, np.ndarray):
+        return bool(ours == theirs)
+    if ours.shape != theirs.shape:
+        return False
+    if name in _WRITTEN:
+        keep = [i for i in range(len(ours)) if i not in changed]
+        ours, theirs = ours[keep], theirs[keep]
+    if name == "actuator_biasprm":
+        # Damping from a dampratio is computed from the inertia the actuator moves.
+        ours, theirs = np.delete(ours, 2, axis=1), np.delete(theirs, 2, axis=1)
+    return bool(np.array_equal(ours, theirs, equal_nan=ours.dtype.kind == "f"))
+
+
+TORQUE_TOLERANCE = 1e-9
+"""Largest deviation of a written model's torque, relative to the joint's largest torque."""
+
+
+def predicted_torque(robot: RobotModel, theta: Array, motion: Motion) -> Array:
+    """Return tau_rest + Y theta (N, n) [N m], without friction."""
+    body = ChainKinematics(robot).evaluate(motion.q, motion.qd, motion.qdd)
+    rows = joint_regressor(body, range(robot.n_joints))
+    return body.tau_rest + (rows @ theta).T
+
+
+def torque_deviation(
+    robot: RobotModel, theta: Array, written_model: Any, motion: Motion
+) -> tuple[float, str]:
+    """Return the largest relative torque deviation of a written model, and at which joint."""
+    predicted = predicted_torque(robot, theta, motion)
+    actual = ArmDynamics(robot, written_model).torque(motion.q, motion.qd, motion.qdd)
+    peak = np.max(np.abs(predicted), axis=0)
+    # A joint that carries next to nothing is judged by what its neighbours carry.
+    scale = np.maximum(peak, 1e-3 * np.max(peak, initial=0.0))
+    relative = np.max(np.abs(actual - predicted), axis=0) / np.where(scale > 0.0, scale, 1.0)
+    worst = int(np.argmax(relative))
+    return float(relative[worst]), robot.joint_names[worst]
+
+
+def require_reproduction(
+    robot: RobotModel, theta: Array, written_model: Any, motion: Motion, path: Path
+) -> float:
+    """Return the deviation, or raise ExportError where the written model moves differently.
+
+    Args:
+        robot: the arm as it was loaded.
+        theta: (10,) composite terminal link that was identified.
+        written_model: compiled model of the written file.
+        motion: where to compare.
+        path: the written file, for the message.
+    """
+    deviation, joint = torque_deviation(robot, theta, written_model, motion)
+    if not deviation <= TORQUE_TOLERANCE:
+        raise ExportError(
+            f"{path.name} does not reproduce the identified torques: joint {joint} is off by "
+            f"{deviation:.1e} relative (allowed {TORQUE_TOLERANCE:.0e}); no model was written"
+        )
+    return deviation

@@ -1,0 +1,1 @@
+"""From raw samples to signals a regressor can be built on."""

@@ -1,0 +1,171 @@
+"""Choosing the cut-off frequency from the data.
+
+The error of an acceleration taken from low-passed positions has two parts: motion above the
+cut-off, which is lost, and encoder noise below it, which grows with the fourth power of frequency.
+Both can be read off the spectrum of the raw second difference of position: the noise is the level
+at high frequencies, where a second difference of white noise has the known shape
+(2 - 2 cos(2 pi f T))^2 / T^4, and the motion is what stands clearly above it. The chosen cut-off is
+the highest one whose expected error is small: a higher one keeps more of the friction's sign
+changes and cuts less off the ends of the log, and costs nothing as long as the noise stays small.
+It stays within a multiple of the frequencies that the arm moves at, beyond which nothing is gained
+and torques hold more and more that is not motion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from robot_sysid.errors import InputError
+from robot_sysid.records import Array
+from robot_sysid.signals.low_pass import design_low_pass
+
+# Expected squared error of acceleration, as a part of its mean square, that is no loss yet: it
+# biases an inertia by as much, 0.005 %.
+_HARMLESS = 5e-5
+_NEARLY_BEST = 1.25
+# The arm moves at frequencies that hold this share of the squared speed; the cut-off is at most so
+# many times the highest of them.
+_MOSTLY, _WIDEST = 0.99, 15.0
+# A band counts as motion where it stands this far above the noise, which chance does not.
+_CLEARLY = 6.0
+# Longer stretches would only resolve frequencies finer than any cut-off needs [s].
+_LONGEST = 20.0
+# Both passes of the filter together may cut off this part of the log.
+_TRIMMED = 0.2
+_SHORTEST = 64
+
+
+@dataclass(frozen=True)
+class CutoffChoice:
+    """A cut-off and where it comes from.
+
+    Attributes:
+        cutoff: [Hz].
+        position_noise: (n,) standard deviation of the white noise seen in each position [rad].
+        relative_error: expected root mean square error of acceleration, as a part of the
+            acceleration's own.
+        reason: one sentence.
+    """
+
+    cutoff: float
+    position_noise: Array
+    relative_error: float
+    reason: str
+
+
+def choose_cutoff(q: Array, rate: float) -> CutoffChoice:
+    """Choose one cut-off for all joints.
+
+    Args:
+        q: (N, n) positions on a uniform grid [rad].
+        rate: sample rate [Hz].
+
+    Raises:
+        InputError: the log is too short to have a spectrum.
+    """
+    if len(q) < _SHORTEST:
+        raise InputError(
+            f"{len(q)} samples are too few to choose a cut-off from; record longer, or give "
+            "--cutoff HZ"
+        )
+    length = min((len(q) - 2) // 4, max(_SHORTEST, round(_LONGEST * rate)))
+    frequency, power, shape = _acceleration_spectrum(q, rate, length)
+    level = _noise_level(frequency, power, shape, rate)
+    noise = level * shape[:, None]
+    motion = _motion(frequency, power, noise)
+    noise = np.maximum(noise, np.where(motion > 0.0, 0.0, power))
+    candidates = _candidates(len(q), rate)
+    candidates = candidates[
+        candidates <= max(candidates[0], _WIDEST * _speed_band(frequency, motion))
+    ]
+    errors = np.array([_error(c, rate, length, motion, noise) for c in candidates])
+    fit = np.flatnonzero(errors <= max(_HARMLESS, _NEARLY_BEST * errors.min()))
+    best = candidates[fit[-1]]
+    sigma = np.sqrt(level * rate / 2.0)
+    relative = float(np.sqrt(errors[fit[-1]]))
+    reason = (
+        f"cut-off {best:.3g} Hz chosen from the data: position noise "
+        f"{sigma.min():.2g} to {sigma.max():.2g} rad, expected error of the acceleration "
+        f"{100 * relative:.2g} %"
+    )
+    return CutoffChoice(float(best), sigma, relative, reason)
+
+
+def _acceleration_spectrum(q: Array, rate: float, length: int) -> tuple[Array, Array, Array]:
+    """Return frequency (F,), spectrum of the second difference (F, n) and noise shape (F,)."""
+    from scipy.signal import welch
+
+    acceleration = np.diff(q, 2, axis=0) * rate**2
+    frequency, power = welch(
+        acceleration,
+        rate,
+        "blackmanharris",
+        length,
+        noverlap=3 * length // 4,
+        detrend="constant",
+        axis=0,
+    )
+    shape = ((2.0 - 2.0 * np.cos(2.0 * np.pi * frequency / rate)) * rate**2) ** 2
+    return frequency[1:], power[1:], shape[1:]
+
+
+def _noise_level(frequency: Array, power: Array, shape: Array, rate: float) -> Array:
+    high = (frequency > 0.25 * rate) & (frequency < 0.475 * rate)
+    # The median of a chi-square lies a little below its mean; with this many segments by 5 %.
+    return 1.05 * np.median(power[high] / shape[high, None], axis=0)
+
+
+def _motion(frequency: Array, power: Array, noise: Array) -> Array:
+    """Return the part of the spectrum (F, n) that is motion of the arm.
+
+    Vibration, ripple and noise that is not white make the spectrum of acceleration rise again at
+    high frequencies; motion ends where it is lowest.
+    """
+    motion = np.where(power > _CLEARLY * noise, power - noise, 0.0)
+    pooled = np.sum(power, axis=1)
+    if not np.any(motion):
+        return motion
+    slow = _within(frequency, motion, _MOSTLY)
+    last = slow + int(np.argmin(_smooth(pooled)[slow : max(slow + 1, int(0.9 * len(pooled)))]))
+    return np.where(np.arange(len(frequency))[:, None] <= last, motion, 0.0)
+
+
+def _within(frequency: Array, motion: Array, share: float) -> int:
+    """Return below which frequency index this share of the squared speed is."""
+    speed = np.cumsum(np.sum(motion, axis=1) / frequency**2)
+    return int(np.searchsorted(speed, share * speed[-1]))
+
+
+def _speed_band(frequency: Array, motion: Array) -> float:
+    """Return the highest frequency that the arm moves at [Hz]; all where it does not move."""
+    return float(
+        frequency[_within(frequency, motion, _MOSTLY)] if np.any(motion) else frequency[-1]
+    )
+
+
+def _smooth(power: Array) -> Array:
+    """Return the mean over a quarter of an octave or so around each frequency (F,)."""
+    index = np.arange(len(power))
+    width = np.maximum(1, index // 4)
+    total = np.concatenate(([0.0], np.cumsum(power)))
+    low = np.maximum(0, index - width // 2)
+    high = np.minimum(len(power), low + width)
+    return (total[high] - total[low]) / (high - low)
+
+
+def _candidates(n_samples: int, rate: float) -> Array:
+    highest = 0.2 * rate
+    half_width_times_cutoff = design_low_pass(highest, rate).half_width * highest / rate
+    lowest = 4.0 * half_width_times_cutoff / (_TRIMMED * n_samples / rate)
+    return np.geomspace(min(lowest, highest), highest, 40)
+
+
+def _error(cutoff: float, rate: float, length: int, motion: Array, noise: Array) -> float:
+    """Return the expected squared error of acceleration as a part of its mean square."""
+    kernel = design_low_pass(cutoff, rate).kernel
+    gain = np.abs(np.fft.rfft(kernel, length))[1:, None]
+    wrong = np.sum((1.0 - gain) ** 2 * motion + gain**2 * noise)
+    total = np.sum(motion)
+    return float(wrong / total) if total > 0.0 else float(wrong)

@@ -1,0 +1,133 @@
+"""The plant: another model of the same arm, which plays the real one in a simulation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from robot_sysid.errors import InputError
+from robot_sysid.model.chain import find_terminal_joint, is_hinge_or_slide, joint_label
+from robot_sysid.model.compilation import compile_model
+from robot_sysid.parser import DEFAULT_MAX_VELOCITY, robot_from_compiled
+from robot_sysid.records import Array, RobotModel
+
+GEOMETRY_TOLERANCE = 1e-6
+"""How far apart the terminal bodies of model and plant may be without a note [m]."""
+
+
+def load_plant(
+    robot: RobotModel,
+    plant_path: Path,
+    mesh_dir: Path | None = None,
+    max_velocity: float = DEFAULT_MAX_VELOCITY,
+) -> RobotModel:
+    """Load the model that plays the real arm, matched to the arm to be identified.
+
+    Args:
+        robot: the arm to be identified.
+        plant_path: MJCF or URDF file with the same joints; masses, friction, armature, fingers
+            and everything else may differ.
+        mesh_dir: folder of its meshes; default what the file says.
+        max_velocity: speed limit of hinge joints [rad/s].
+
+    Returns:
+        The plant, held at its own reference configuration apart from the chain. Its notes say
+        where its geometry differs from the robot's.
+
+    Raises:
+        ModelError: the file cannot be used; says why.
+        InputError: its joints are others than the robot's; lists the differences.
+    """
+    compiled = compile_model(Path(plant_path), mesh_dir)
+    terminal = robot.terminal_joint
+    if terminal not in _hinges_and_slides(compiled.mj_model):
+        terminal = _own_terminal_joint(compiled.mj_model, robot, Path(plant_path))
+    plant = robot_from_compiled(compiled, Path(plant_path), terminal, max_velocity)
+    _require_same_joints(robot, plant)
+    notes = plant.notes + _held_notes(robot, plant) + _geometry_notes(robot, plant)
+    return replace(plant, notes=notes)
+
+
+def _hinges_and_slides(mj_model: Any) -> list[str]:
+    joints = range(mj_model.njnt)
+    return [joint_label(mj_model, j) for j in joints if is_hinge_or_slide(mj_model, j)]
+
+
+def _own_terminal_joint(mj_model: Any, robot: RobotModel, path: Path) -> str:
+    """Return the plant's last joint by its own rules, so that the two chains can be compared."""
+    try:
+        return joint_label(mj_model, find_terminal_joint(mj_model))
+    except InputError as error:
+        known = ", ".join(_hinges_and_slides(mj_model)) or "none"
+        raise InputError(
+            f"--plant-model {path.name} has no joint {robot.terminal_joint}, the last joint of "
+            f"{robot.path.name}; its joints are: {known}"
+        ) from error
+
+
+def _require_same_joints(robot: RobotModel, plant: RobotModel) -> None:
+    differences = joint_differences(robot, plant)
+    if differences:
+        raise InputError(
+            f"--plant-model {plant.path.name} does not have the joints of {robot.path.name}: "
+            f"{'; '.join(differences)}. Give a model of the same arm with the same joint names"
+        )
+
+
+def joint_differences(robot: RobotModel, plant: RobotModel) -> tuple[str, ...]:
+    """Return in words how the chain of a plant differs from the robot's; empty if it does not."""
+    ours, theirs = robot.joint_names, plant.joint_names
+    found = []
+    if len(ours) != len(theirs):
+        found.append(f"{len(theirs)} joints in the chain instead of {len(ours)}")
+    missing = [name for name in ours if name not in theirs]
+    extra = [name for name in theirs if name not in ours]
+    if missing:
+        found.append(f"missing {', '.join(missing)}")
+    if extra:
+        found.append(f"not in the robot: {', '.join(extra)}")
+    if not found and ours != theirs:
+        found.append(f"order {', '.join(theirs)} instead of {', '.join(ours)}")
+    kinds = dict(zip(theirs, plant.is_slide))
+    for name, slide in zip(ours, robot.is_slide):
+        if kinds.get(name, slide) != slide:
+            found.append(f"{name} is a {_kind(not slide)} instead of a {_kind(slide)}")
+    return tuple(found)
+
+
+def _kind(slide: bool) -> str:
+    return "slide" if slide else "hinge"
+
+
+def _held_notes(robot: RobotModel, plant: RobotModel) -> tuple[str, ...]:
+    """Return a sentence on joints that only the plant has; none of them is in the chain."""
+    ours = _hinges_and_slides(robot.mj_model)
+    held = [name for name in _hinges_and_slides(plant.mj_model) if name not in ours]
+    return (f"joints only the plant has are held still: {', '.join(held)}",) if held else ()
+
+
+def _geometry_notes(robot: RobotModel, plant: RobotModel) -> tuple[str, ...]:
+    """Return a sentence where the same joint positions put the terminal body elsewhere."""
+    distance = max(
+        float(np.linalg.norm(terminal_position(robot, q) - terminal_position(plant, q)))
+        for q in (robot.reference, robot.reference + 0.5)
+    )
+    if distance <= GEOMETRY_TOLERANCE:
+        return ()
+    return (
+        f"the same joint positions put the terminal body of the plant {1e3 * distance:.3g} mm from "
+        "where the model has it, so the identified values also carry that difference",
+    )
+
+
+def terminal_position(robot: RobotModel, q: Array) -> Array:
+    """Return where the terminal body is in the world (3,) [m] at chain positions q (n,)."""
+    data = mujoco.MjData(robot.mj_model)
+    data.qpos[:] = robot.reference_qpos
+    data.qpos[robot.qpos_index] = q
+    mujoco.mj_kinematics(robot.mj_model, data)
+    return np.array(data.xpos[robot.body_id])

@@ -1,0 +1,177 @@
+"""Distances of an arm from itself, the scene and half-spaces; their gradients and bounds."""
+
+from __future__ import annotations
+
+import pickle
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+
+from robot_sysid.collision.clearance import HORIZON, KEPT_SHARE, Clearance
+from robot_sysid.collision.halfspaces import Plane, plane_half_space
+from robot_sysid.dynamics.kinematics import subtree
+from robot_sysid.model.contacts import ContactFinder
+from tests.support.arms import SEEDS, X, Y, Z, hinge, link, world
+from tests.support.excitation_arms import POST, TOUCHING_AT_REST, TUBES_AND_POST, robot, tube_arm
+
+KEEP = 0.01
+# Two balls: one turns about z at radius 0.3, one stands at the same radius.
+BALLS = world(
+    link(
+        hinge("spin", Z),
+        '<geom size=".02" pos=".3 0 0"/>'
+        + link(hinge("tip", X), '<geom size=".01" pos="0 0 .5"/>', pos="0 0 .2"),
+        pos="0 0 0",
+    )
+    + '<body name="ball"><geom name="ball" size=".05" pos="0 .3 0"/></body>'
+)
+
+
+@cache
+def clearance_of(xml, planes=(), keep=KEEP):
+    arm = robot(xml)
+    moving = subtree(arm.mj_model, int(arm.mj_model.jnt_bodyid[0]))
+    spaces = [plane_half_space(plane, keep, moving) for plane in planes]
+    return Clearance(arm, arm.reference, keep, spaces)
+
+
+def test_distance_of_two_balls_is_that_of_their_centres_minus_radii():
+    found = clearance_of(BALLS)
+    for angle in (1.3, 1.4, 1.8):
+        centres = 2.0 * 0.3 * np.sin(0.5 * abs(np.pi / 2.0 - angle))
+        closest = found.closest(np.array([angle, 0.0]))
+        assert closest.distance == pytest.approx(centres - 0.07, abs=1e-6)
+        assert closest.slack == pytest.approx(closest.distance - KEEP, abs=1e-12)
+        assert "ball" in closest.label
+
+
+@pytest.mark.parametrize("gap", [0.001, 0.02, 0.05])
+def test_bodies_of_many_geoms_are_seen_from_afar(gap):
+    """Bodies with several geoms pass a coarser test first, which must know the margin too."""
+    row = "".join(f'<geom size=".05" pos="0 {0.1 * k:g} 0"/>' for k in range(3))
+    xml = world(
+        link(
+            '<joint name="push" type="slide" axis="1 0 0" range="-1 1"/>'
+            + hinge("spin", Z, 'range="-1 1"'),
+            row,
+            "0 0 0",
+            pos="0 0 0",
+        )
+        + f'<body name="rack" pos=".6 0 0">{row}</body>'
+    )
+    closest = clearance_of(xml).closest(np.array([0.5 - gap, 0.0]))
+    assert closest.distance == pytest.approx(gap, abs=1e-6)
+
+
+def test_what_is_far_counts_as_the_horizon():
+    slack = clearance_of(BALLS).slack(np.zeros((1, 2)))
+    assert slack.value[0] == HORIZON
+    assert not np.any(slack.gradient)
+
+
+@given(SEEDS)
+@settings(max_examples=100)
+def test_gradient_equals_differences(seed):
+    found = clearance_of(TUBES_AND_POST, (Plane((0.1, 0.2, 1.0), -0.2),))
+    rng = np.random.default_rng(seed)
+    q, direction = rng.uniform(-1.0, 1.0, size=(2, 4))
+    step = 1e-6
+    three = found.slack(q + step * np.outer([-1.0, 0.0, 1.0], direction))
+    # Deep inside each other, MuJoCo's nearest points are approximate.
+    assume(three.value[1] > -KEEP)
+    one_sided = np.diff(three.value) / step
+    exact = three.gradient[1] @ direction
+    # Where another pair becomes the nearest one the slack has a kink and two slopes.
+    assert min(abs(one_sided - exact)) < 1e-3 * (1.0 + abs(exact))
+
+
+@given(SEEDS)
+@settings(max_examples=100)
+def test_no_move_uses_up_more_slack_than_its_bound(seed):
+    found = clearance_of(TUBES_AND_POST, (Plane((0.0, 0.0, 1.0), -0.2),))
+    rng = np.random.default_rng(seed)
+    start = rng.uniform(-2.0, 2.0, size=4)
+    end = start + rng.uniform(0.01, 0.3) * rng.normal(size=4)
+    both = found.slack(np.vstack((start, end)))
+    moved = found.rates @ np.abs(end - start)
+    assert both.value[1] >= np.min(both.budget[0] - moved) - 1e-6
+
+
+def test_bounds_of_a_slide_hold_too():
+    xml = world(
+        link(
+            '<joint name="lift" type="slide" axis="0 0 1" range="-1 1"/>',
+            '<geom size=".05"/>' + link(hinge("turn", Y), '<geom size=".05" pos="0 0 .3"/>'),
+            pos="0 0 .5",
+        )
+        + '<geom type="plane" size="1 1 .1"/>'
+    )
+    found = clearance_of(xml)
+    rng = np.random.default_rng(0)
+    for _ in range(100):
+        start, step = rng.uniform(-0.6, 0.6, size=2), 0.1 * rng.normal(size=2)
+        both = found.slack(np.vstack((start, start + step)))
+        assert both.value[1] >= np.min(both.budget[0] - found.rates @ np.abs(step)) - 1e-6
+
+
+def test_bodies_that_touch_at_rest_are_ignored():
+    found, arm = clearance_of(TOUCHING_AT_REST), robot(TOUCHING_AT_REST)
+    assert arm.mj_model.ngeom > 4
+    assert found.slack(arm.reference[None]).value[0] > 0.0
+
+
+def test_negative_slack_wherever_the_contact_finder_sees_a_contact():
+    arm, found = robot(TUBES_AND_POST), clearance_of(TUBES_AND_POST)
+    finder, rng = ContactFinder(arm), np.random.default_rng(5)
+    touching = 0
+    for q in rng.uniform(-2.5, 2.5, size=(300, 4)):
+        if finder.new_pairs(q):
+            touching += 1
+            assert found.closest(q).slack <= -KEEP + 1e-9
+    assert touching > 10
+
+
+def near_at_rest(gap):
+    """A ball on the arm whose distance from another one is ``gap`` at rest."""
+    return BALLS.replace('pos="0 .3 0"/></body>', f'pos="0.3 {0.07 + gap} 0"/></body>')
+
+
+def test_a_pair_nearer_than_the_clearance_keeps_half_its_distance_at_rest():
+    found = clearance_of(near_at_rest(0.004))
+    closest = found.closest(np.zeros(2))
+    assert closest.distance == pytest.approx(0.004, abs=1e-6)
+    assert closest.slack == pytest.approx(KEPT_SHARE * 0.004, abs=1e-6)
+    assert len(found.close_at_rest()) == 1
+
+
+def test_neighbours_that_cannot_come_nearer_need_no_test():
+    # The second link turns about its own tube, 5 mm from the first one, whatever its angle.
+    stacked = tube_arm((Z, Z), pos="0 0 .225")
+    found = clearance_of(stacked)
+    assert found.slack(np.array([[0.0, 1.0]])).value[0] == HORIZON
+
+
+def test_half_spaces_count_like_bodies():
+    found = clearance_of(TUBES_AND_POST.replace(POST, ""), (Plane((0.0, 0.0, 1.0), 0.0),))
+    straight_down = np.array([0.0, np.pi - 0.3, 0.0, 0.0])
+    closest = found.closest(straight_down)
+    assert closest.slack < 0.0
+    assert "keep-out plane" in closest.label
+
+
+def test_half_spaces_already_left_at_rest_are_named():
+    found = clearance_of(TUBES_AND_POST, (Plane((0.0, 0.0, -1.0), -0.8),))
+    names = {body for _, body, _ in found.half_spaces_left_at_rest()}
+    depths = [depth for _, _, depth in found.half_spaces_left_at_rest()]
+    assert "link3" in names
+    # The tip of the last tube is at 4 * 0.25 + 0.2 + 0.03 m.
+    assert max(depths) == pytest.approx(4 * 0.25 + 0.23 - 0.8, abs=1e-6)
+
+
+def test_travels_to_another_process():
+    found = clearance_of(TUBES_AND_POST, (Plane((0.0, 0.0, 1.0), -0.2),))
+    copied = pickle.loads(pickle.dumps(found))
+    q = np.random.default_rng(0).uniform(-1.0, 1.0, size=(20, 4))
+    assert np.array_equal(copied.slack(q).value, found.slack(q).value)

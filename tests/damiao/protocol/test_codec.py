@@ -1,0 +1,196 @@
+"""Laws of the Damiao frame codec."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robot_sysid.damiao.protocol.codec import (
+    KD_MAX,
+    KP_MAX,
+    Feedback,
+    MitCommand,
+    Scaling,
+    decode_feedback,
+    decode_mit,
+    encode_feedback,
+    encode_mit,
+)
+from robot_sysid.damiao.protocol.motors import MOTORS
+from robot_sysid.errors import InputError
+
+UNIT = st.floats(-1.0, 1.0)
+SHARE = st.floats(0.0, 1.0)
+TYPES = sorted(MOTORS)
+KP_STEP, KD_STEP = KP_MAX / 4095, KD_MAX / 4095
+
+
+def scaling_of(*names: str) -> Scaling:
+    return Scaling.from_limits(MOTORS[name].limits for name in names)
+
+
+def command(p: float, v: float, kp: float, kd: float, t: float) -> MitCommand:
+    return MitCommand(*(np.array([float(x)]) for x in (p, v, kp, kd, t)))
+
+
+def hexed(frame: np.ndarray) -> str:
+    return " ".join(f"{byte:02X}" for byte in frame)
+
+
+@pytest.mark.parametrize(
+    ("values", "limits", "expected"),
+    [
+        ((0, 0, 0, 0, 0), (12.5, 30, 10), "80 00 80 00 00 00 08 00"),
+        ((1.0, 2.0, 20, 1, 0.5), (12.5, 30, 10), "8A 3D 88 80 A4 33 38 66"),
+        ((-0.7854, -1.5, 240, 3, -6.25), (12.5, 10, 28), "77 F5 6C C7 AE 99 96 36"),
+    ],
+)
+def test_known_commands_have_known_bytes(values, limits, expected):
+    assert hexed(encode_mit(command(*values), Scaling.from_limits([limits]))[0]) == expected
+
+
+@pytest.mark.parametrize(
+    ("limits", "p", "v", "t"),
+    [
+        ((12.5, 10, 28), 1.08701, -0.21734, 1.40171),
+        ((12.5, 8, 28), 1.08701, -0.17387, 1.40171),
+        ((12.5, 30, 10), 1.08701, -0.65201, 0.50061),
+    ],
+)
+def test_known_feedback_has_known_values(limits, p, v, t):
+    frame = np.frombuffer(bytes.fromhex("138B217D3866231F"), dtype=np.uint8)[None]
+    feedback = decode_feedback(frame, Scaling.from_limits([limits]))
+    assert (feedback.can_id[0], feedback.status[0]) == (3, 1)
+    assert feedback.position[0] == pytest.approx(p, abs=5e-6)
+    assert feedback.velocity[0] == pytest.approx(v, abs=5e-6)
+    assert feedback.torque[0] == pytest.approx(t, abs=5e-6)
+    assert (feedback.temperature_mos[0], feedback.temperature_rotor[0]) == (35, 31)
+
+
+@pytest.mark.parametrize("name", TYPES)
+@settings(max_examples=100, deadline=None)
+@given(p=UNIT, v=UNIT, kp=SHARE, kd=st.floats(0.001, 1.0), t=UNIT)
+def test_command_survives_within_half_a_step(name, p, v, kp, kd, t):
+    spec, scaling = MOTORS[name], scaling_of(name)
+    sent = command(
+        p * spec.position_limit, v * spec.velocity_limit, kp * KP_MAX, kd * KD_MAX,
+        min(t, 0.8) * spec.torque_limit,
+    )  # fmt: skip
+    back = decode_mit(encode_mit(sent, scaling), scaling)
+    steps = dict(zip(("position", "velocity", "torque"), scaling.steps), kp=KP_STEP, kd=KD_STEP)
+    for field, step in steps.items():
+        error = abs(getattr(back, field)[0] - getattr(sent, field)[0])
+        assert error <= 0.5 * float(np.squeeze(step)) * (1 + 1e-9), field
+
+
+@pytest.mark.parametrize("name", TYPES)
+@settings(max_examples=100, deadline=None)
+@given(raw=st.binary(min_size=8, max_size=8))
+def test_decoding_and_encoding_a_command_gives_its_bytes_back(name, raw):
+    scaling = scaling_of(name)
+    frame = np.frombuffer(raw, dtype=np.uint8)[None]
+    meant = decode_mit(frame, scaling)
+    if raw[:7] == b"\xff" * 7 or (meant.kp[0] > 0 and meant.kd[0] == 0):
+        with pytest.raises(InputError):
+            encode_mit(meant, scaling)
+    else:
+        assert encode_mit(meant, scaling).tobytes() == raw
+
+
+@pytest.mark.parametrize("name", TYPES)
+@settings(max_examples=100, deadline=None)
+@given(p=UNIT, v=UNIT, t=UNIT, status=st.integers(0, 15), can_id=st.integers(1, 15))
+def test_feedback_survives_within_a_step_and_half_a_step_centred(name, p, v, t, status, can_id):
+    spec, scaling = MOTORS[name], scaling_of(name)
+    truth = np.array([p, v, t]) * spec.limits
+    one = np.ones(1)
+    sent = Feedback(
+        one * can_id, one * status, *(one * x for x in truth), one * 40, one * 50
+    )  # fmt: skip
+    sent = Feedback(*(np.asarray(x, dtype=int) if k in (0, 1, 5, 6) else x
+                      for k, x in enumerate(vars(sent).values())))  # fmt: skip
+    frame = encode_feedback(sent, scaling)
+    plain, centred = decode_feedback(frame, scaling), decode_feedback(frame, scaling, True)
+    for field, value, step in zip(("position", "velocity", "torque"), truth, scaling.steps):
+        late = value - getattr(plain, field)[0]
+        assert -1e-9 * step[0] <= late <= step[0] * (1 + 1e-9)
+        assert abs(value - getattr(centred, field)[0]) <= 0.5 * step[0] * (1 + 1e-9)
+    assert (plain.status[0], plain.can_id[0]) == (status, can_id)
+    assert (plain.temperature_mos[0], plain.temperature_rotor[0]) == (40, 50)
+
+
+@pytest.mark.parametrize("name", TYPES)
+@pytest.mark.parametrize("field", ["position", "velocity", "torque", "kp", "kd"])
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_out_of_range_is_refused_and_the_limit_itself_is_not(name, field, sign):
+    spec, scaling = MOTORS[name], scaling_of(name)
+    low, high = {"kp": (0.0, KP_MAX), "kd": (0.0, KD_MAX)}.get(
+        field, (-getattr(spec, f"{field}_limit", 1.0), getattr(spec, f"{field}_limit", 1.0))
+    )
+    values = {"position": 0.0, "velocity": 0.0, "kp": 0.0, "kd": 1.0, "torque": 0.0}
+    values[field] = low if sign < 0 else high
+    encode_mit(command(*values.values()), scaling)
+    values[field] += sign * 1e-5 * high
+    with pytest.raises(InputError, match=rf"{field} .* of joint 0 is outside its range"):
+        encode_mit(command(*values.values()), scaling)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_values_that_are_not_finite_are_refused(bad):
+    with pytest.raises(InputError, match="velocity"):
+        encode_mit(command(0.0, bad, 1.0, 1.0, 0.0), scaling_of("DM4340"))
+
+
+def test_a_limit_that_went_through_a_float32_register_is_still_inside():
+    scaling = Scaling.from_limits([tuple(map(float, np.float32(MOTORS["DM3507"].limits)))])
+    assert hexed(encode_mit(command(12.566, 0, 0, 0, 0), scaling)[0]).startswith("FF FF 80 00")
+
+
+@pytest.mark.parametrize("torque_share", [0.876, 0.9, 1.0])
+def test_a_command_that_looks_like_a_special_frame_is_refused(torque_share):
+    with pytest.raises(InputError, match="special frame"):
+        encode_mit(command(12.5, 10, 500, 5, 28 * torque_share), scaling_of("DM4340"))
+
+
+def test_stiffness_without_damping_is_refused():
+    with pytest.raises(InputError, match="kp > 0 needs kd > 0 at joint 0"):
+        encode_mit(command(0, 0, 10, 0, 0), scaling_of("DM4340"))
+
+
+@settings(max_examples=100, deadline=None)
+@given(data=st.data())
+def test_all_joints_at_once_equal_one_joint_at_a_time(data):
+    names = data.draw(st.lists(st.sampled_from(TYPES), min_size=1, max_size=8))
+    limits = np.array([MOTORS[name].limits for name in names]).T
+    draw = lambda: np.array([data.draw(st.floats(-0.8, 0.8)) for _ in names])  # noqa: E731
+    p, v, t = (draw() * limit for limit in limits)
+    many = MitCommand(p, v, np.full(len(names), 20.0), np.full(len(names), 1.0), t)
+    frames = encode_mit(many, scaling_of(*names))
+    for j, name in enumerate(names):
+        single = encode_mit(command(p[j], v[j], 20.0, 1.0, t[j]), scaling_of(name))
+        assert frames[j].tobytes() == single[0].tobytes()
+    back = decode_mit(frames, scaling_of(*names))
+    assert back.position.shape == (len(names),)
+
+
+def test_encoding_a_whole_trajectory_at_once_keeps_its_shape():
+    scaling = scaling_of("DM4340", "DM4310")
+    flat = np.zeros((50, 2))
+    frames = encode_mit(MitCommand(flat, flat, flat + 20, flat + 1, flat), scaling)
+    assert frames.shape == (50, 2, 8)
+    assert np.all(frames == frames[:1])
+
+
+def test_the_message_names_the_joint_that_is_out_of_range():
+    q = np.array([0.0, 0.0, 13.0])
+    one = np.ones(3)
+    with pytest.raises(InputError, match=r"position 13 of joint 2 .* limit 12.5"):
+        encode_mit(MitCommand(q, 0 * one, one, one, 0 * one), scaling_of(*["DM4340"] * 3))
+
+
+@pytest.mark.parametrize("bad", [(0.0, 1.0, 1.0), (-12.5, 1.0, 1.0), (np.nan, 1.0, 1.0)])
+def test_scaling_has_to_be_positive(bad):
+    with pytest.raises(InputError, match="scaling must be positive"):
+        Scaling.from_limits([bad])

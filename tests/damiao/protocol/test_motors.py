@@ -1,0 +1,71 @@
+"""The motor table."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from robot_sysid.damiao.protocol.motors import MOTORS, matching_types, motor_spec, motor_specs
+from robot_sysid.errors import InputError
+
+# Type, then what scales its frames: position [rad], speed [rad/s], torque [N m].
+LIMITS = {
+    "DM4310": (12.5, 30, 10),
+    "DM4340": (12.5, 10, 28),
+    "DM4340_48V": (12.5, 20, 28),
+    "DM6006": (12.5, 45, 12),
+    "DM8006": (12.5, 45, 20),
+    "DM10010L": (12.5, 25, 200),
+    "DM8009": (12.5, 45, 54),
+    "DM3507": (12.566, 50, 5),
+    "DM4310_48V": (12.5, 50, 10),
+    "DM6248": (12.566, 20, 120),
+    "DM10010": (12.5, 20, 200),
+    "DMH3510": (12.5, 280, 1),
+    "DMH6215": (12.5, 45, 10),
+    "DMS3519": (12.5, 2000, 2),
+    "DMG6220": (12.5, 45, 10),
+}
+
+
+def test_every_type_has_its_limits_and_the_seven_common_ones_come_first():
+    assert {name: spec.limits for name, spec in MOTORS.items()} == LIMITS
+    assert list(MOTORS)[:7] == list(LIMITS)[:7]
+
+
+def test_an_unknown_type_lists_the_valid_ones():
+    with pytest.raises(InputError, match="unknown Damiao motor type 'no such type'") as caught:
+        motor_spec("no such type")
+    assert all(name in str(caught.value) for name in MOTORS)
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        ([], "--export-damiao requires at least one --motor-type"),
+        (["DM4340"] * 3, "--motor-type was given 3 times but the chain has 7 joints"),
+        (["DM4340"], "--motor-type was given once but the chain has 7 joints"),
+    ],
+)
+def test_motor_types_have_to_match_the_chain(names, words):
+    with pytest.raises(InputError, match=words):
+        motor_specs(names, 7)
+
+
+@pytest.mark.parametrize("name", list(MOTORS))
+def test_ratings_are_ordered_and_every_type_finds_itself_by_its_limits(name):
+    spec = MOTORS[name]
+    if spec.rated_torque is not None and spec.peak_torque is not None:
+        assert 0 < spec.rated_torque < spec.peak_torque
+    assert name in matching_types(spec.limits)
+    assert min(spec.limits) > 0
+
+
+def test_no_load_speed_follows_the_supply_voltage():
+    rpm = 2 * np.pi / 60
+    spec = MOTORS["DM4340"]
+    assert spec.no_load_speed() == pytest.approx(52 * rpm)
+    assert spec.no_load_speed(48.0) == pytest.approx(100 * rpm)
+    assert spec.no_load_speed(36.0) == pytest.approx(76 * rpm)
+    assert spec.no_load_speed(12.0) == pytest.approx(26 * rpm)
+    assert MOTORS["DMH3510"].no_load_speed() is None

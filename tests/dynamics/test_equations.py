@@ -1,0 +1,277 @@
+"""Laws of the equations: noise-free data gives back the link, whatever the order or the chunks."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import robot_sysid.dynamics.equations as collection
+from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.equations import Equations, friction_of_terminal_joint
+from robot_sysid.errors import InputError
+from robot_sysid.estimation.identifiability import VisibleSpace, visible_space
+from robot_sysid.model.inertia import composite_theta
+from robot_sysid.records import JointFriction, Measurement
+from robot_sysid.simulator import collect_sysid_data, simulate_inverse
+from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
+from tests.support import arms
+from tests.support.arms import SEEDS, random_chain, rigid_bodies, robot_of
+
+RATE, DURATION = 40.0, 5.0
+ARMS = {
+    name: robot_of(arms.MODELS[name])
+    for name in (
+        *("seven", "three", "slide in chain", "shared bodies", "unlimited", "nameless"),
+        *("coupled fingers", "massless tip", "tilted gravity", "gravity compensated", "in water"),
+        *("armature", "springs", "tendon spring", "home keyframe"),
+    )
+}
+SEVEN = ARMS["seven"]
+
+
+def plant_with(robot, theta, friction):
+    """(the same arm with another link and other friction in its last joint, its true theta)."""
+    model = copy.copy(robot.mj_model)
+    arms.write_body(model, robot.body_id, theta)
+    coulomb, viscous = robot.friction.coulomb.copy(), robot.friction.viscous.copy()
+    coulomb[-1], viscous[-1] = friction
+    plant = replace(robot, mj_model=model, friction=JointFriction(coulomb, viscous))
+    truth = composite_theta(model, robot.reference_qpos, robot.body_id)
+    return plant, np.append(truth, friction)
+
+
+def measure(plant, seed, rate=RATE, duration=DURATION):
+    """One chunk of noise-free measurements along an excitation trajectory of the plant."""
+    plan, _ = generate_excitation_trajectory(plant, np.random.default_rng(seed), duration)
+    return list(simulate_inverse(plant, motion_chunks(plan, rate)))
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Plain least squares for the deviation from the model."""
+
+    names: tuple
+    values: np.ndarray
+    prior: np.ndarray
+    space: VisibleSpace
+    torque_size: float
+    rmse: float
+
+    @property
+    def identified(self):
+        return np.array(self.space.identified)
+
+    def error(self, truth):
+        """Deviation of each parameter in units of its typical size, at least 1 in SI units."""
+        return np.abs(self.values - truth) / (scale_of(truth) + 1.0)
+
+
+def identify(robot, measurements, torques="chain", friction=True):
+    equations = Equations(robot, torques, friction_of_terminal_joint(robot, friction))
+    information = collect_sysid_data(equations, measurements)
+    return solve(information, equations.prior)
+
+
+def solve(information, prior):
+    matrix, right = information.stacked()
+    space = visible_space(matrix)
+    values = prior + space.solve(right - matrix @ prior)
+    squared = np.sum(information.squared_residuals(values))
+    rmse = float(np.sqrt(squared / information.n_samples))
+    return Fit(information.names, values, prior, space, float(np.linalg.norm(right)), rmse)
+
+
+def scale_of(truth):
+    """Typical size of each parameter of a body of this mass and size; friction counts as it is."""
+    length = spatial.characteristic_length(truth[:10])
+    inertial = spatial.parameter_scale(truth[0], length)
+    return np.append(inertial, np.full(len(truth) - 10, inertial[0]))
+
+
+@given(st.sampled_from(sorted(ARMS)), rigid_bodies(), SEEDS)
+@settings(max_examples=150)
+def test_noise_free_torques_give_back_any_possible_link(name, theta, seed):
+    robot = ARMS[name]
+    rng = np.random.default_rng(seed)
+    plant, truth = plant_with(robot, theta, rng.uniform(0.0, 2.0, size=2))
+    estimate = identify(robot, measure(plant, seed))
+    assert estimate.space.rank == 12
+    error = np.abs(estimate.values - truth)
+    # A link of a few grams is found from torques a thousand times its own: 16 digits leave 1e-13.
+    rounding = 1e-12 * np.append(spatial.parameter_scale(1.0, 1.0), [1.0, 1.0])
+    np.testing.assert_array_less(error, 1e-8 * scale_of(truth) + rounding)
+
+
+@given(random_chain(("any", "parallel")), rigid_bodies(), SEEDS)
+def test_on_any_chain_what_is_called_identified_is_right_and_the_blind_rest_is_the_models(
+    xml, theta, seed
+):
+    robot = robot_of(xml)
+    plant, truth = plant_with(robot, theta, (0.3, 0.2))
+    estimate = identify(robot, measure(plant, seed))
+    space = estimate.space
+    # Torques carry about 14 digits, of which weak columns and the condition number eat some.
+    digits = 1e-8 + 1e-14 * estimate.torque_size * space.condition_number * space.scale
+    assert np.all((estimate.error(truth) < digits)[estimate.identified])
+    moved = (estimate.values - estimate.prior) / space.scale
+    size = np.linalg.norm(moved) + np.linalg.norm((truth - estimate.prior) / space.scale)
+    rotation = 1e-10 + 1e-15 * space.condition_number
+    np.testing.assert_allclose(space.null.T @ moved, 0.0, atol=rotation * size)
+    assert estimate.rmse < 1e-9 * (1.0 + np.linalg.norm(truth))
+
+
+@given(rigid_bodies(), SEEDS)
+def test_last_joint_alone_sees_nine_and_keeps_the_models_mass(theta, seed):
+    plant, truth = plant_with(SEVEN, theta, (0.4, 0.1))
+    estimate = identify(SEVEN, measure(plant, seed), torques="terminal")
+    assert estimate.space.rank == 9
+    assert estimate.values[0] == SEVEN.prior.mass
+    assert np.count_nonzero(estimate.identified) == 8
+    assert np.all(estimate.error(truth)[estimate.identified] < 1e-8)
+
+
+def test_an_axis_that_is_off_by_a_hair_changes_the_estimate_by_a_hair():
+    """Frames exported from CAD are straight to six digits only."""
+    axes = (*arms.SEVEN_AXES[:-1], "1e-6 2e-6 1")
+    plant, _ = plant_with(SEVEN, 1.3 * SEVEN.prior.theta, (0.3, 0.2))
+    expected = identify(SEVEN, measure(plant, 0), torques="terminal").values
+    tilted = robot_of(arms.serial_arm(axes, joint='range="-2.5 2.5" frictionloss=".4"'))
+    plant, _ = plant_with(tilted, 1.3 * SEVEN.prior.theta, (0.3, 0.2))
+    values = identify(tilted, measure(plant, 0), torques="terminal").values
+    np.testing.assert_allclose(values, expected, rtol=0.0, atol=1e-4)
+
+
+@pytest.mark.parametrize("column", range(10))
+def test_a_wrong_regressor_column_shows_on_the_models_own_simulation(monkeypatch, column):
+    """The torque of the rest is MuJoCo's, so that Y cannot cancel against itself."""
+    right = collection.joint_regressor
+
+    def wrong(motion, joints):
+        rows = right(motion, joints)
+        rows[:, :, column] *= 1.01
+        return rows
+
+    measurements = measure(SEVEN, 0)
+    sound = identify(SEVEN, measurements)
+    monkeypatch.setattr(collection, "joint_regressor", wrong)
+    broken = identify(SEVEN, measurements)
+    truth = SEVEN.prior.theta
+    assert np.max(np.abs(sound.values[:10] - truth)) < 1e-10
+    assert broken.values[column] == pytest.approx(truth[column] / 1.01, rel=1e-6)
+
+
+@pytest.mark.parametrize("column", range(10))
+def test_a_missing_regressor_column_shows_as_a_residual(monkeypatch, column):
+    right = collection.joint_regressor
+
+    def blind(motion, joints):
+        rows = right(motion, joints)
+        rows[:, :, column] = 0.0
+        return rows
+
+    measurements = measure(SEVEN, 0)
+    sound = identify(SEVEN, measurements)
+    monkeypatch.setattr(collection, "joint_regressor", blind)
+    assert identify(SEVEN, measurements).rmse > 1e3 * sound.rmse
+
+
+def merged(measurements):
+    """All chunks as one measurement."""
+    fields = ("time", "q", "qd", "tau", "qdd")
+    return Measurement(*(np.concatenate([getattr(m, f) for m in measurements]) for f in fields))
+
+
+def picked(measurement, index):
+    """The samples of these indices, time left as it is."""
+    return Measurement(
+        measurement.time[: len(index)],
+        *(getattr(measurement, field)[index] for field in ("q", "qd", "tau", "qdd")),
+    )
+
+
+def normal_matrices(measurements):
+    """R^T R of every joint: what does not depend on the signs of a triangle's rows."""
+    equations = Equations(SEVEN, "chain", friction_of_terminal_joint(SEVEN, True))
+    information = collect_sysid_data(equations, measurements)
+    return [joint.triangle.T @ joint.triangle for joint in information.joints]
+
+
+WHOLE = merged(measure(SEVEN, 5))
+
+
+def assert_same_information(one, other):
+    for first, second in zip(one, other):
+        np.testing.assert_allclose(first, second, rtol=0.0, atol=1e-12 * np.max(np.abs(first)))
+
+
+@given(st.lists(st.integers(1, len(WHOLE) - 1), max_size=8, unique=True))
+def test_information_does_not_depend_on_the_chunks(cuts):
+    parts = np.split(np.arange(len(WHOLE)), sorted(cuts))
+    chunks = [picked(WHOLE, part) for part in parts]
+    assert_same_information(normal_matrices([WHOLE]), normal_matrices(chunks))
+
+
+@given(SEEDS)
+def test_information_does_not_depend_on_the_order_of_samples(seed):
+    order = np.random.default_rng(seed).permutation(len(WHOLE))
+    assert_same_information(normal_matrices([WHOLE]), normal_matrices([picked(WHOLE, order)]))
+
+
+@given(SEEDS)
+def test_estimate_does_not_depend_on_the_order_of_joints(seed):
+    equations = Equations(SEVEN, "chain", friction_of_terminal_joint(SEVEN, True))
+    plant, truth = plant_with(SEVEN, 2.0 * SEVEN.prior.theta, (0.3, 0.2))
+    information = collect_sysid_data(equations, measure(plant, seed % 5))
+    order = np.random.default_rng(seed).permutation(7)
+    shuffled = replace(information, joints=tuple(information.joints[j] for j in order))
+    estimate = solve(shuffled, equations.prior)
+    np.testing.assert_allclose(estimate.values, truth, rtol=0.0, atol=1e-9)
+
+
+@given(st.sampled_from(["three", "shared bodies", "armature", "springs"]), SEEDS, st.floats(-3, 3))
+def test_torques_times_k_give_theta_times_k(name, seed, exponent):
+    """An arm k times as heavy needs k times the torque and has k times the parameters."""
+    robot, factor = ARMS[name], 10.0**exponent
+    model = copy.copy(robot.mj_model)
+    for field in ("body_mass", "body_inertia", "dof_armature", "dof_damping", "jnt_stiffness"):
+        getattr(model, field)[:] *= factor
+    heavy = robot_of(model)
+    measurements = measure(robot, seed)
+    scaled = [replace(m, tau=factor * m.tau) for m in measurements]
+    theta = identify(robot, measurements).values[:10]
+    error = np.abs(identify(heavy, scaled).values[:10] - factor * theta)
+    np.testing.assert_array_less(error, factor * 1e-8 * scale_of(theta))
+
+
+def test_friction_of_the_other_joints_is_known_and_that_of_the_last_estimated():
+    estimate = identify(SEVEN, measure(SEVEN, 1))
+    assert estimate.names[10:] == ("coulomb[joint6]", "viscous[joint6]")
+    np.testing.assert_allclose(estimate.values[10:], [0.4, 0.1], atol=1e-11)
+
+
+def test_without_friction_the_models_own_is_taken_as_known():
+    estimate = identify(SEVEN, measure(SEVEN, 1), friction=False)
+    assert estimate.names == spatial.PARAMETER_NAMES
+    np.testing.assert_allclose(estimate.values, SEVEN.prior.theta, atol=1e-11)
+
+
+def test_prior_is_the_models_own_link_and_friction():
+    equations = Equations(SEVEN, "chain", friction_of_terminal_joint(SEVEN, True))
+    np.testing.assert_array_equal(equations.prior, np.append(SEVEN.prior.theta, [0.4, 0.1]))
+
+
+def test_unknown_torques_are_refused():
+    with pytest.raises(InputError, match="'chain', 'terminal'"):
+        Equations(SEVEN, "all", friction_of_terminal_joint(SEVEN, True))
+
+
+@pytest.mark.parametrize("missing", ["qd", "qdd"])
+def test_a_measurement_without_derivatives_is_refused(missing):
+    equations = Equations(SEVEN, "chain", friction_of_terminal_joint(SEVEN, True))
+    with pytest.raises(InputError, match="differentiate it first"):
+        collect_sysid_data(equations, [replace(WHOLE, **{missing: None})])

@@ -1,0 +1,216 @@
+"""Laws of the arm's motion: torque of the rest plus link equals MuJoCo's inverse dynamics."""
+
+from __future__ import annotations
+
+import copy
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.kinematics import (
+    ArmDynamics,
+    ChainKinematics,
+    analysis_copy,
+    has_only_armature,
+    subtree,
+)
+from robot_sysid.model.inertia import body_theta, composite_theta
+from robot_sysid.regressor import joint_regressor
+from tests.support import arms
+from tests.support.arms import SEEDS, random_chain, random_motion, rigid_bodies, robot_of
+
+SAMPLES = 4
+
+
+def with_link(robot, theta):
+    """(model whose terminal body has these parameters of its own, its composite theta)."""
+    model = copy.copy(robot.mj_model)
+    arms.write_body(model, robot.body_id, theta)
+    return model, composite_theta(model, robot.reference_qpos, robot.body_id)
+
+
+def link_torque(robot, theta, body):
+    """Y theta (N, n)."""
+    return (joint_regressor(body, range(robot.n_joints)) @ theta).T
+
+
+def assert_reproduces(robot, theta, motion):
+    """tau_rest + Y theta' = inverse dynamics of the model with theta' written into it."""
+    model, composite = with_link(robot, theta)
+    body = ChainKinematics(robot).evaluate(*motion)
+    link = link_torque(robot, composite, body)
+    actual = ArmDynamics(robot, model).torque(*motion)
+    # 1e-9 of the link's own torque; beside it only the rounding errors of terms that cancel:
+    # what the rest weighs, and what the link's mass would take one metre away from the axis.
+    _, qd, qdd = motion
+    metre_away = composite[0] * (10.0 + np.max(np.abs(qdd)) + np.max(qd**2))
+    rounding = 1e-13 * (np.max(np.abs(actual)) + metre_away)
+    allowed = 1e-9 * np.max(np.abs(link)) + rounding
+    np.testing.assert_allclose(body.tau_rest + link, actual, rtol=0.0, atol=allowed)
+
+
+@given(random_chain(), rigid_bodies(), SEEDS)
+def test_rest_plus_link_is_mujocos_inverse_dynamics_on_any_chain(xml, theta, seed):
+    robot = robot_of(xml)
+    motion = random_motion(np.random.default_rng(seed), robot.n_joints, SAMPLES)
+    assert_reproduces(robot, theta, motion)
+
+
+@pytest.mark.parametrize("name", arms.MODELS)
+@settings(max_examples=15)
+@given(theta=rigid_bodies(), seed=SEEDS)
+def test_rest_plus_link_is_mujocos_inverse_dynamics_on(name, theta, seed):
+    robot = robot_of(arms.MODELS[name])
+    motion = random_motion(np.random.default_rng(seed), robot.n_joints, SAMPLES)
+    assert_reproduces(robot, theta, motion)
+
+
+@pytest.mark.parametrize("name", arms.NEWER_MODELS)
+def test_rest_plus_link_covers_what_newer_releases_add(name):
+    try:
+        robot = robot_of(arms.NEWER_MODELS[name])
+    except ValueError:
+        pytest.skip("this MuJoCo does not know the attribute")
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        theta = composite_theta(robot.mj_model, None, robot.body_id) * rng.uniform(0.5, 2.0)
+        assert_reproduces(robot, theta, random_motion(rng, robot.n_joints, SAMPLES))
+    assert not has_only_armature(analysis_copy(robot.mj_model))
+
+
+@given(random_chain(), SEEDS)
+def test_torque_of_the_rest_does_not_know_the_link(xml, seed):
+    robot = robot_of(xml)
+    rng = np.random.default_rng(seed)
+    motion = random_motion(rng, robot.n_joints, SAMPLES)
+    heavier, _ = with_link(robot, 7.0 * body_theta(robot.mj_model, robot.body_id))
+    rest = ChainKinematics(robot).evaluate(*motion).tau_rest
+    same = ChainKinematics(robot_of(heavier)).evaluate(*motion).tau_rest
+    np.testing.assert_allclose(rest, same, rtol=0.0, atol=1e-13 * np.max(np.abs(rest), initial=1.0))
+
+
+@given(random_chain(), SEEDS)
+def test_body_velocity_is_the_derivative_of_the_body_pose(xml, seed):
+    robot = robot_of(xml)
+    rng = np.random.default_rng(seed)
+    q, qd, qdd = random_motion(rng, robot.n_joints, 1)
+    velocity = ChainKinematics(robot).evaluate(q, qd, qdd).velocity[0]
+    step = 1e-6
+    (r0, p0), (r1, p1) = (pose(robot, (q + s * step * qd)[0]) for s in (-1, 1))
+    spin, at = (r1 @ r0.T - r0 @ r1.T) / (4.0 * step), pose(robot, q[0])[0]
+    world = np.concatenate(([spin[2, 1], spin[0, 2], spin[1, 0]], (p1 - p0) / (2.0 * step)))
+    expected = np.concatenate((at.T @ world[:3], at.T @ world[3:]))
+    np.testing.assert_allclose(velocity, expected, rtol=0.0, atol=1e-7 * (1.0 + speed(qd)))
+
+
+@given(random_chain(), SEEDS)
+def test_body_acceleration_is_the_derivative_of_the_body_velocity_minus_gravity(xml, seed):
+    """In body coordinates the twist's rate is the spatial acceleration."""
+    robot = robot_of(xml)
+    q, qd, qdd = random_motion(np.random.default_rng(seed), robot.n_joints, 1)
+    kinematics, step = ChainKinematics(robot), 1e-5
+    before, after = (
+        kinematics.evaluate(q + h * qd + 0.5 * h * h * qdd, qd + h * qdd, qdd).velocity[0]
+        for h in (-step, step)
+    )
+    down = pose(robot, q[0])[0].T @ robot.mj_model.opt.gravity
+    expected = (after - before) / (2.0 * step) - np.concatenate((np.zeros(3), down))
+    actual = kinematics.evaluate(q, qd, qdd).acceleration[0]
+    np.testing.assert_allclose(actual, expected, rtol=0.0, atol=1e-6 * (1.0 + speed(qd) ** 3))
+
+
+def speed(qd):
+    return float(np.sum(np.abs(qd)))
+
+
+def pose(robot, q):
+    """(rotation, position) of the terminal body."""
+    data = mujoco.MjData(robot.mj_model)
+    data.qpos[:] = robot.reference_qpos
+    data.qpos[robot.qpos_index] = q
+    mujoco.mj_kinematics(robot.mj_model, data)
+    return data.xmat[robot.body_id].reshape(3, 3).copy(), data.xpos[robot.body_id].copy()
+
+
+@given(random_chain(), SEEDS)
+def test_a_sample_needs_no_neighbours(xml, seed):
+    """No finite differences: each sample alone, in any order, gives the very same numbers."""
+    robot = robot_of(xml)
+    rng = np.random.default_rng(seed)
+    motion = random_motion(rng, robot.n_joints, 5)
+    together = ChainKinematics(robot).evaluate(*motion)
+    kinematics = ChainKinematics(robot)
+    for k in rng.permutation(5):
+        alone = kinematics.evaluate(*(part[k : k + 1] for part in motion))
+        for field in ("velocity", "acceleration", "jacobian", "tau_rest"):
+            np.testing.assert_allclose(
+                getattr(alone, field)[0], getattr(together, field)[k], rtol=1e-13, atol=1e-13
+            )
+
+
+@given(st.sampled_from(sorted(arms.MODELS)), SEEDS)
+def test_model_of_the_user_is_left_alone(name, seed):
+    robot = robot_of(arms.MODELS[name])
+    before = robot.mj_model.body_mass.copy(), robot.mj_model.opt.disableflags
+    motion = random_motion(np.random.default_rng(seed), robot.n_joints, 2)
+    ChainKinematics(robot).evaluate(*motion)
+    ArmDynamics(robot).torque(*motion)
+    np.testing.assert_array_equal(robot.mj_model.body_mass, before[0])
+    assert robot.mj_model.opt.disableflags == before[1]
+
+
+def plain_torque(xml, motion):
+    return ArmDynamics(robot_of(xml)).torque(*motion)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["gravity compensated", "in water", "dry friction", "equality on chain", "discrete inverse"],
+)
+def test_torque_is_that_of_the_rigid_bodies_alone(name):
+    motion = random_motion(np.random.default_rng(1), 3, 20)
+    expected = plain_torque(arms.THREE, motion)
+    np.testing.assert_allclose(plain_torque(arms.MODELS[name], motion), expected, rtol=1e-12)
+
+
+def test_springs_and_armature_stay_in_the_torque():
+    motion = random_motion(np.random.default_rng(2), 3, 20)
+    rigid = plain_torque(arms.THREE, motion)
+    springs = plain_torque(arms.SPRINGS, motion) - rigid
+    np.testing.assert_allclose(springs, 30.0 * (motion[0] - 0.7), rtol=1e-10, atol=1e-10)
+    armature = plain_torque(arms.ARMATURE, motion) - rigid
+    np.testing.assert_allclose(armature, 0.3 * motion[2], rtol=1e-10, atol=1e-10)
+
+
+def test_massless_link_leaves_no_warning_behind():
+    robot = robot_of(arms.COUPLED_FINGERS)
+    kinematics = ChainKinematics(robot)
+    kinematics.evaluate(*random_motion(np.random.default_rng(3), robot.n_joints, 50))
+    assert not np.any(kinematics._data.warning.number)
+
+
+def test_subtree_is_a_body_and_all_below_it():
+    model = arms.compile_xml(arms.COUPLED_FINGERS)
+    names = [mujoco.mj_id2name(model, int(mujoco.mjtObj.mjOBJ_BODY), b) for b in subtree(model, 5)]
+    assert names == ["link4", "link5", "left_finger", "right_finger"]
+
+
+def test_held_joints_stay_at_the_home_keyframe():
+    robot = robot_of(arms.HOME_KEYFRAME)
+    motion = random_motion(np.random.default_rng(4), robot.n_joints, SAMPLES)
+    wide, closed = np.array([0.03, 0.01]), np.array([0.0, 0.0])
+    moved = [composite_theta(robot.mj_model, np.append(np.zeros(4), f), 4) for f in (wide, closed)]
+    assert np.max(np.abs(moved[0] - moved[1])) > 1e-4
+    np.testing.assert_allclose(robot.prior.theta, moved[0], rtol=1e-14)
+    assert_reproduces(robot, body_theta(robot.mj_model, robot.body_id), motion)
+
+
+def test_point_mass_far_out_is_still_exact():
+    robot = robot_of(arms.SEVEN)
+    theta = spatial.theta_from_com(10.0, np.array([3.0, 0.0, 0.0]), 1e-9 * np.eye(3))
+    motion = random_motion(np.random.default_rng(5), robot.n_joints, SAMPLES, speed=10.0)
+    assert_reproduces(robot, theta, motion)

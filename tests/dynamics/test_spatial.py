@@ -1,0 +1,207 @@
+"""Laws of the inertia conversions: round trips, frame shifts, consistency in every frame."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_sysid.dynamics import spatial
+from tests.support.synthetic_data import random_body, wrench_rows
+
+SEEDS = st.integers(0, 2**32 - 1)
+# Down to a needle: the thinnest direction holds 1e-12 of the mass's second moment.
+SPREADS = st.sampled_from([1.0, 1e-3, 1e-6])
+
+
+def random_frame(rng):
+    return spatial.rotation_from_quaternion(rng.normal(size=4)), rng.normal(size=3)
+
+
+def scaled(theta):
+    return theta / spatial.parameter_scale(theta[0], spatial.characteristic_length(theta))
+
+
+def point_masses(rng, count=8):
+    """(masses, positions (count, 3)): the definition all conversions must agree with."""
+    return rng.uniform(0.1, 1.0, count), rng.normal(size=(count, 3))
+
+
+def theta_of_points(masses, points):
+    squares = np.sum(points**2, axis=1)[:, None, None] * np.eye(3)
+    inertia = np.einsum("n,nij->ij", masses, squares - points[:, :, None] * points[:, None, :])
+    moment = masses @ points
+    return np.concatenate(([np.sum(masses)], moment, spatial.six_from_symmetric(inertia)))
+
+
+@given(SEEDS)
+def test_theta_from_com_is_the_sum_over_point_masses(seed):
+    masses, points = point_masses(np.random.default_rng(seed))
+    com = masses @ points / np.sum(masses)
+    about_com = theta_of_points(masses, points - com)
+    actual = spatial.theta_from_com(np.sum(masses), com, spatial.symmetric_from_six(about_com[4:]))
+    np.testing.assert_allclose(actual, theta_of_points(masses, points), rtol=0.0, atol=1e-12)
+
+
+@given(SEEDS)
+def test_pseudo_inertia_is_the_second_moment_of_the_points(seed):
+    masses, points = point_masses(np.random.default_rng(seed))
+    homogeneous = np.column_stack((points, np.ones(len(points))))
+    expected = np.einsum("n,ni,nj->ij", masses, homogeneous, homogeneous)
+    actual = spatial.pseudo_inertia(theta_of_points(masses, points))
+    np.testing.assert_allclose(actual, expected, rtol=0.0, atol=1e-12)
+
+
+@given(SEEDS)
+def test_moving_the_frame_moves_the_points(seed):
+    rng = np.random.default_rng(seed)
+    masses, points = point_masses(rng)
+    rotation, translation = random_frame(rng)
+    moved = theta_of_points(masses, points @ rotation.T + translation)
+    actual = spatial.transform_theta(theta_of_points(masses, points), rotation, translation)
+    np.testing.assert_allclose(actual, moved, rtol=0.0, atol=1e-11)
+
+
+@given(SEEDS, SPREADS)
+def test_frame_shift_and_back_is_the_identity(seed, spread):
+    rng = np.random.default_rng(seed)
+    theta = random_body(rng, spread)
+    rotation, translation = random_frame(rng)
+    there = spatial.transform_theta(theta, rotation, translation)
+    back = spatial.transform_theta(there, rotation.T, -rotation.T @ translation)
+    size = spatial.parameter_scale(theta[0], 1.0 + np.linalg.norm(translation))
+    np.testing.assert_allclose(back / size, theta / size, rtol=0.0, atol=1e-14)
+
+
+@given(SEEDS, SPREADS)
+def test_origin_to_com_and_back_is_the_identity(seed, spread):
+    theta = random_body(np.random.default_rng(seed), spread)
+    back = spatial.theta_from_com(*spatial.com_from_theta(theta))
+    np.testing.assert_allclose(scaled(back), scaled(theta), rtol=0.0, atol=1e-13)
+
+
+@given(SEEDS, SPREADS)
+def test_pseudo_inertia_and_back_is_the_identity(seed, spread):
+    theta = random_body(np.random.default_rng(seed), spread)
+    back = spatial.theta_from_pseudo_inertia(spatial.pseudo_inertia(theta))
+    np.testing.assert_allclose(scaled(back), scaled(theta), rtol=0.0, atol=1e-14)
+
+
+@given(SEEDS, st.booleans())
+def test_consistency_does_not_depend_on_the_frame(seed, possible):
+    rng = np.random.default_rng(seed)
+    theta = random_body(rng)
+    if not possible:
+        theta = theta + scaled_defect(rng, theta)
+    moved = spatial.transform_theta(theta, *random_frame(rng))
+    assert spatial.is_consistent(theta) == spatial.is_consistent(moved) == possible
+
+
+def scaled_defect(rng, theta):
+    """A change that makes one principal second moment clearly negative."""
+    _, com, inertia = spatial.com_from_theta(theta)
+    second = 0.5 * np.trace(inertia) * np.eye(3) - inertia
+    values, vectors = np.linalg.eigh(second)
+    values[0] = -values[0] - 0.1 * values[2]
+    second = (vectors * values) @ vectors.T
+    broken = np.trace(second) * np.eye(3) - second
+    return spatial.theta_from_com(theta[0], com, broken) - theta
+
+
+@given(SEEDS)
+def test_positive_pseudo_inertia_is_the_triangle_inequality_of_principal_moments(seed):
+    rng = np.random.default_rng(seed)
+    moments = rng.uniform(0.1, 1.0, 3)
+    rotation, com = random_frame(rng)
+    theta = spatial.theta_from_com(2.0, com, rotation @ np.diag(moments) @ rotation.T)
+    slack = np.sum(moments) - 2.0 * np.max(moments)
+    if abs(slack) > 1e-9:
+        assert spatial.is_consistent(theta) == (slack > 0.0)
+
+
+@given(SEEDS)
+def test_mujocos_body_form_and_ours_agree(seed):
+    rng = np.random.default_rng(seed)
+    quaternion, com = rng.normal(size=4), rng.normal(size=3)
+    principal = np.array([0.3, 0.4, 0.5]) * rng.uniform(0.9, 1.1, 3)
+    theta = spatial.theta_from_mujoco(1.5, com, quaternion, principal)
+    mass, back, inertia = spatial.com_from_theta(theta)
+    assert mass == 1.5
+    np.testing.assert_allclose(back, com, rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(np.linalg.eigvalsh(inertia), np.sort(principal), atol=1e-13)
+
+
+@given(SEEDS)
+def test_kinetic_energy_is_the_same_in_every_frame(seed):
+    """Momentum is the wrench rows at rest: energy = V . momentum(V) / 2."""
+    rng = np.random.default_rng(seed)
+    theta, (rotation, translation) = random_body(rng), random_frame(rng)
+    omega, velocity = rng.normal(size=(2, 3))
+    there_omega = rotation @ omega
+    there_velocity = rotation @ velocity - np.cross(there_omega, translation)
+    moved = spatial.transform_theta(theta, rotation, translation)
+    energies = [
+        np.concatenate((w, v)) @ (wrench_rows(np.zeros((1, 3)), w[None], v[None])[0] @ body)
+        for body, w, v in ((theta, omega, velocity), (moved, there_omega, there_velocity))
+    ]
+    assert energies[0] == pytest.approx(energies[1], rel=1e-10)
+    assert energies[0] > 0.0
+
+
+def test_both_orders_of_an_inertia_name_the_same_matrix():
+    six = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    matrix = spatial.symmetric_from_six(six)
+    np.testing.assert_array_equal(matrix, matrix.T)
+    np.testing.assert_array_equal(spatial.six_from_symmetric(matrix), six)
+    np.testing.assert_array_equal(
+        spatial.fullinertia_from_symmetric(matrix), [1.0, 4.0, 6.0, 2.0, 3.0, 5.0]
+    )
+
+
+def test_a_massless_body_has_its_com_at_the_origin_and_is_not_possible():
+    theta = np.zeros(10)
+    mass, com, inertia = spatial.com_from_theta(theta)
+    assert mass == 0.0
+    np.testing.assert_array_equal(com, 0.0)
+    np.testing.assert_array_equal(inertia, 0.0)
+    assert not spatial.is_consistent(theta)
+    assert spatial.characteristic_length(theta) == 1.0
+
+
+@given(SEEDS, st.floats(-3, 3), st.floats(-3, 3))
+def test_the_scale_of_a_body_follows_its_units(seed, mass_power, length_power):
+    theta = random_body(np.random.default_rng(seed))
+    units = spatial.parameter_scale(10.0**mass_power, 10.0**length_power)
+    one, other = (spatial.characteristic_length(t) for t in (theta, units * theta))
+    assert other == pytest.approx(10.0**length_power * one, rel=1e-12)
+
+
+angles = st.floats(-np.pi, np.pi, allow_subnormal=False)
+
+
+@given(seed=st.integers(0, 2**32 - 1), k=st.integers(0, 3), size=st.floats(0.0, 1.0))
+def test_a_quaternion_survives_the_way_through_its_matrix(seed, k, size):
+    # Small ``size`` gives nearly a half turn about one axis, where signs are fragile.
+    quaternion = size * np.random.default_rng(seed).normal(size=4) + 2.0 * np.eye(4)[k]
+    quaternion /= np.linalg.norm(quaternion)
+    back = spatial.quaternion_from_rotation(spatial.rotation_from_quaternion(quaternion))
+    np.testing.assert_allclose(np.abs(back @ quaternion), 1.0, rtol=0, atol=1e-15 * 4)
+    matrix = np.empty(9)
+    mujoco.mju_quat2Mat(matrix, back)
+    expected = spatial.rotation_from_quaternion(quaternion)
+    np.testing.assert_allclose(matrix.reshape(3, 3), expected, rtol=0, atol=1e-14)
+
+
+@given(roll=angles, pitch=angles, yaw=angles)
+def test_rpy_turns_as_a_urdf_joint_does(roll, pitch, yaw):
+    text = (
+        '<robot name="r"><mujoco><compiler fusestatic="false"/></mujoco><link name="a"/>'
+        '<link name="b"/><joint name="j" type="fixed"><parent link="a"/><child link="b"/>'
+        f'<origin rpy="{roll!r} {pitch!r} {yaw!r}"/></joint></robot>'
+    )
+    quaternion = mujoco.MjModel.from_xml_string(text).body_quat[-1]
+    expected = spatial.rotation_from_quaternion(quaternion)
+    actual = spatial.rotation_from_rpy(roll, pitch, yaw)
+    np.testing.assert_allclose(actual, expected, rtol=0, atol=1e-13)

@@ -1,0 +1,90 @@
+"""Sums over lags and kernels, against their definitions written out as dense matrices."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robot_sysid.estimation.autocorrelation import ResidualAccumulator
+from tests.benchmarks.smooth_arm import remembering_noise
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def collected(rows, residual, cuts=(), expected=None):
+    accumulator = ResidualAccumulator(
+        np.arange(rows.shape[1]), 0.1 * np.eye(rows.shape[1]), expected or len(rows)
+    )
+    for part in np.split(np.arange(len(rows)), sorted(cuts)):
+        accumulator.add(rows[part], residual[part])
+    return accumulator.result()
+
+
+@settings(max_examples=100, deadline=None)
+@given(SEEDS)
+def test_kernel_sums_are_those_of_the_dense_kernels(seed):
+    rng = np.random.default_rng(seed)
+    rows = rng.normal(size=(80, 3))
+    found = collected(rows, rng.normal(size=80))
+    lag = np.abs(np.subtract.outer(np.arange(80), np.arange(80)))
+    np.testing.assert_allclose(found.sums[0], rows.T @ rows, rtol=0.0, atol=1e-11)
+    for decay, total in zip(found.decay, found.sums[1:]):
+        np.testing.assert_allclose(total, rows.T @ decay**lag @ rows, rtol=0.0, atol=1e-10)
+
+
+@settings(max_examples=100, deadline=None)
+@given(SEEDS, st.lists(st.integers(0, 200), max_size=5))
+def test_chunks_do_not_matter(seed, cuts):
+    rng = np.random.default_rng(seed)
+    rows, residual = rng.normal(size=(200, 3)), rng.normal(size=200)
+    residual[rng.random(200) < 0.1] = np.nan
+    once, parts = collected(rows, residual), collected(rows, residual, cuts)
+    for name in ("sums", "products", "hats"):
+        np.testing.assert_allclose(getattr(parts, name), getattr(once, name), rtol=0.0, atol=1e-10)
+    assert parts.count == once.count == np.count_nonzero(np.isfinite(residual))
+
+
+def test_lagged_products_are_means_over_the_pairs_that_exist():
+    rng = np.random.default_rng(0)
+    residual = rng.normal(size=60)
+    residual[[5, 6, 30]] = np.nan
+    found = collected(np.ones((60, 1)), residual)
+    for lag, product in zip(found.lags, found.products):
+        pairs = residual[: 60 - lag] * residual[lag:]
+        assert product == pytest.approx(np.nanmean(pairs), abs=1e-12)
+
+
+@pytest.mark.parametrize("memory", [0.0, 4.0, 20.0, 50.0])
+def test_effective_samples_of_noise_with_a_known_memory(memory):
+    rng = np.random.default_rng(1)
+    count = 40_000
+    residual = remembering_noise(rng, count, 1, memory)[:, 0]
+    found = collected(np.zeros((count, 1)), residual)
+    kernels = found.fit(np.zeros((1, 1)), 0.0)
+    decay = np.exp(-1.0 / memory) if memory else 0.0
+    expected = count * (1.0 - decay) / (1.0 + decay)
+    assert np.all(kernels >= 0.0)
+    assert np.sum(kernels) == pytest.approx(1.0, rel=0.1)
+    assert found.effective_samples(kernels) == pytest.approx(expected, rel=0.2)
+
+
+def test_silence_is_not_an_error():
+    found = collected(np.ones((50, 2)), np.zeros(50))
+    kernels = found.fit(0.01 * np.eye(2), 0.0)
+    np.testing.assert_array_equal(kernels, 0.0)
+    assert found.effective_samples(kernels) == 50.0
+
+
+def test_an_absorbed_share_is_that_of_the_dense_projection():
+    rng = np.random.default_rng(2)
+    rows = np.column_stack((np.ones(70), np.linspace(-1.0, 1.0, 70), rng.normal(size=70)))
+    own = np.linalg.inv(rows.T @ rows)
+    found = collected(rows, rng.normal(size=70))
+    hat = rows @ own @ rows.T
+    lag = np.abs(np.subtract.outer(np.arange(70), np.arange(70)))
+    kernels = [np.eye(70), *(decay**lag for decay in found.decay)]
+    rest = np.eye(70) - hat
+    expected = [1.0 - np.trace(rest @ kernel @ rest) / 70.0 for kernel in kernels]
+    np.testing.assert_allclose(found.absorbed(own), np.clip(expected, 0.0, 0.8), atol=1e-10)

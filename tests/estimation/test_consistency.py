@@ -1,0 +1,191 @@
+"""Laws of the physically consistent fit; the oracle comparison at scale is a benchmark."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.estimation.consistency import (
+    body_divergence,
+    consistent_least_squares,
+    lifted_body,
+)
+from tests.support.synthetic_data import (
+    arm_equations,
+    information_of,
+    random_body,
+    sdp_least_squares,
+    terminal_information,
+)
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def noisy_problem(seed, noise=3.0, spread=0.1):
+    """(A, b, prior) of a thin body under heavy noise: most plain estimates are impossible."""
+    rng = np.random.default_rng(seed)
+    equations, names = arm_equations(rng, joints=3, count=40)
+    truth = np.concatenate((random_body(rng, spread), rng.uniform(0.1, 1.0, 6)))
+    prior = np.concatenate((random_body(rng), np.zeros(6)))
+    return (*information_of(equations, names, truth, noise, rng).stacked(), prior)
+
+
+def plain(matrix, right):
+    return np.linalg.lstsq(matrix, right, rcond=None)[0]
+
+
+def cost(matrix, right, values):
+    return float(np.sum((matrix @ values - right) ** 2))
+
+
+@settings(max_examples=100, deadline=None)
+@given(SEEDS, st.floats(0.01, 30.0))
+def test_the_result_is_always_a_possible_body(seed, noise):
+    matrix, right, prior = noisy_problem(seed, noise)
+    values = consistent_least_squares(matrix, right, prior)
+    body = spatial.pseudo_inertia(values[:10])
+    assert np.linalg.eigvalsh(body)[0] > 1e-14 * np.trace(body)
+
+
+@settings(max_examples=100, deadline=None)
+@given(SEEDS)
+def test_a_consistent_plain_estimate_stays_unchanged(seed):
+    matrix, right, prior = noisy_problem(seed, noise=1e-4, spread=1.0)
+    unconstrained = plain(matrix, right)
+    if not spatial.is_consistent(
+        unconstrained[:10] - 1e-8 * lifted_body(prior[:10], prior[:10], 0.01)
+    ):
+        return
+    values = consistent_least_squares(matrix, right, prior)
+    np.testing.assert_allclose(values, unconstrained, rtol=0.0, atol=1e-11)
+
+
+@settings(max_examples=100, deadline=None)
+@given(SEEDS)
+def test_no_possible_body_nearby_fits_better(seed):
+    matrix, right, prior = noisy_problem(seed)
+    values = consistent_least_squares(matrix, right, prior)
+    best = cost(matrix, right, values)
+    rng = np.random.default_rng(seed + 1)
+    towards = np.concatenate((random_body(rng), rng.uniform(0.1, 1.0, 6)))
+    for share in (1e-3, 1e-2, 0.1):
+        moved = (1.0 - share) * values + share * towards
+        assert cost(matrix, right, moved) >= best * (1.0 - 1e-8)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_objective_is_that_of_the_semidefinite_program(seed):
+    matrix, right, prior = noisy_problem(seed)
+    values = consistent_least_squares(matrix, right, prior)
+    reference = sdp_least_squares(matrix, right)
+    assert not spatial.is_consistent(plain(matrix, right)[:10])
+    assert cost(matrix, right, values) == pytest.approx(reference, rel=1e-8)
+
+
+@settings(max_examples=100, deadline=None)
+@given(SEEDS, st.floats(-3, 3), st.floats(-2, 2), st.floats(-3, 3))
+def test_units_do_not_matter(seed, mass_power, length_power, torque_power):
+    matrix, right, prior = noisy_problem(seed)
+    units = np.ones(16)
+    units[:10] = spatial.parameter_scale(10.0**mass_power, 10.0**length_power)
+    torque = 10.0**torque_power
+    one = consistent_least_squares(matrix, right, prior)
+    other = consistent_least_squares(torque * matrix / units, torque * right, units * prior)
+    scale = units * np.max(np.abs(one))
+    np.testing.assert_allclose(other / scale, one * units / scale, rtol=0.0, atol=1e-6)
+
+
+@settings(max_examples=100, deadline=None)
+@given(SEEDS, st.floats(0.0, 30.0))
+def test_what_the_data_cannot_see_stays_exactly_at_the_prior(seed, noise):
+    matrix, right, prior = terminal_problem(seed, noise)
+    values = consistent_least_squares(matrix, right, prior)
+    assert values[0] == prior[0]
+    assert values[3] == prior[3]
+    assert values[4] + values[7] == pytest.approx(prior[4] + prior[7], rel=1e-12)
+    assert spatial.is_consistent(values[:10])
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_with_blind_directions_the_objective_is_that_of_the_visible_program(seed):
+    matrix, right, prior = terminal_problem(seed, 3.0)
+    values = consistent_least_squares(matrix, right, prior)
+    assert not spatial.is_consistent(blind_plain(matrix, right, prior)[:10])
+    blind = np.zeros((3, 12))
+    blind[0, 0] = blind[1, 3] = blind[2, 4] = blind[2, 7] = 1.0
+    nailed = np.vstack((matrix, 1e5 * blind))
+    reference = sdp_least_squares(nailed, np.append(right, 1e5 * blind @ prior))
+    assert cost(matrix, right, values) == pytest.approx(reference, rel=1e-5)
+
+
+def terminal_problem(seed, noise):
+    rng = np.random.default_rng(seed)
+    truth = np.append(random_body(rng, 0.1), [0.4, 0.1])
+    prior = np.append(random_body(rng), [0.0, 0.0])
+    matrix, right = terminal_information(rng, truth).stacked()
+    return matrix, right + noise * rng.normal(size=len(right)), prior
+
+
+def blind_plain(matrix, right, prior):
+    return prior + np.linalg.lstsq(matrix, right - matrix @ prior, rcond=1e-10)[0]
+
+
+def test_data_at_rest_gives_the_prior_or_its_nearest_possible_body():
+    rng = np.random.default_rng(0)
+    body = random_body(rng)
+    values = consistent_least_squares(np.zeros((11, 10)), np.zeros(11), body)
+    np.testing.assert_array_equal(values, body)
+    repaired = consistent_least_squares(np.zeros((11, 10)), np.zeros(11), -body)
+    assert spatial.is_consistent(repaired)
+
+
+def test_noise_free_data_of_a_body_on_the_boundary_is_recovered():
+    rng = np.random.default_rng(1)
+    plate = spatial.theta_from_com(2.0, np.array([0.1, 0.0, 0.2]), np.diag([0.01, 0.02, 0.03]))
+    equations, names = arm_equations(rng)
+    truth = np.concatenate((plate, np.full(6, 0.3)))
+    matrix, right = information_of(equations, names, truth).stacked()
+    values = consistent_least_squares(
+        matrix, right, np.concatenate((random_body(rng), np.zeros(6)))
+    )
+    assert spatial.is_consistent(values[:10])
+    np.testing.assert_allclose(values, truth, rtol=0.0, atol=1e-7)
+
+
+@settings(max_examples=100, deadline=None)
+@given(SEEDS)
+def test_a_strong_prior_wins_and_a_weak_one_gives_way(seed):
+    matrix, right, prior = noisy_problem(seed)
+    strong = consistent_least_squares(matrix, right, prior, weight=1e9)
+    weak = consistent_least_squares(matrix, right, prior, weight=1e-9)
+    constrained = consistent_least_squares(matrix, right, prior)
+    assert body_divergence(strong[:10], prior[:10]) < 1e-6
+    best = cost(matrix, right, constrained)
+    assert cost(matrix, right, weak) == pytest.approx(best, rel=1e-5)
+
+
+@settings(max_examples=100, deadline=None)
+@given(SEEDS, st.floats(-2, 3))
+def test_a_newton_step_from_the_entropic_optimum_gains_nothing(seed, power):
+    matrix, right, prior = noisy_problem(seed)
+    weight = 10.0**power
+    values = consistent_least_squares(matrix, right, prior, weight=weight)
+    basis = spatial.pseudo_inertia_basis()
+    inverse = np.linalg.inv(spatial.pseudo_inertia(values[:10]))
+    pull = np.linalg.inv(spatial.pseudo_inertia(prior[:10])) - inverse
+    slope, curve = 2.0 * matrix.T @ (matrix @ values - right), 2.0 * matrix.T @ matrix
+    slope[:10] += weight * np.einsum("kij,ij->k", basis, pull)
+    curve[:10, :10] += weight * np.einsum("kij,lji->kl", inverse @ basis, inverse @ basis)
+    gain = 0.5 * slope @ np.linalg.solve(curve, slope)
+    assert gain < 1e-6 * weight
+
+
+def test_divergence_is_zero_only_at_the_prior_and_infinite_outside():
+    rng = np.random.default_rng(3)
+    body = random_body(rng)
+    assert body_divergence(body, body) == pytest.approx(0.0, abs=1e-10)
+    assert body_divergence(1.1 * body, body) > 1e-3
+    assert body_divergence(-body, body) == float("inf")

@@ -1,0 +1,246 @@
+"""Prediction error on held-out data, the same from samples and from triangles."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robot_sysid.dynamics.friction import friction_model
+from robot_sysid.errors import InputError
+from robot_sysid.estimation.cross_validation import (
+    TorqueErrors,
+    blocks,
+    choose_model,
+    hold_out,
+    validate,
+)
+from robot_sysid.estimation.information import InformationAccumulator, combined, restricted
+from robot_sysid.records import SquareRootInformation
+
+JOINTS = ("shoulder", "elbow")
+
+
+def torques(seed: int, n: int = 60) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return rng.normal(size=(n, 2)) * [5.0, 0.5], rng.normal(size=(n, 2))
+
+
+@settings(max_examples=100)
+@given(st.integers(0, 2**32), st.integers(1, 60))
+def test_chunks_add_up_to_the_textbook_formulas(seed, size):
+    measured, predicted = torques(seed)
+    errors = TorqueErrors(JOINTS)
+    for start in range(0, len(measured), size):
+        errors.add(measured[start : start + size], predicted[start : start + size])
+    result = errors.result("test")
+    wrong = measured - predicted
+    assert result.rmse == pytest.approx(np.sqrt(np.mean(wrong**2)), rel=1e-12)
+    relative = np.linalg.norm(wrong) / np.linalg.norm(measured)
+    assert result.relative_error == pytest.approx(relative, rel=1e-12)
+    each = np.linalg.norm(wrong, axis=0) / np.linalg.norm(measured, axis=0)
+    assert list(result.relative_error_per_joint.values()) == pytest.approx(list(each), rel=1e-12)
+    assert result.rmse_per_joint["elbow"] == pytest.approx(np.sqrt(np.mean(wrong[:, 1] ** 2)))
+    assert result.n_samples == 60
+
+
+@settings(max_examples=100)
+@given(st.integers(0, 2**32))
+def test_triangles_give_the_error_of_the_samples(seed):
+    rng = np.random.default_rng(seed)
+    rows, values = rng.normal(size=(2, 50, 3)), rng.normal(size=3)
+    tau, _ = torques(seed, 50)
+    accumulator = InformationAccumulator("abc", JOINTS, [np.arange(3)] * 2)
+    errors = TorqueErrors(JOINTS)
+    for joint in range(2):
+        accumulator.add(joint, rows[joint], tau[:, joint])
+    errors.add(tau, np.stack([rows[j] @ values for j in range(2)], axis=1))
+    small, large = validate(accumulator.result(), values, "t"), errors.result("t")
+    for name in ("rmse", "relative_error"):
+        assert getattr(small, name) == pytest.approx(getattr(large, name), rel=1e-9)
+    assert small.rmse_per_joint == pytest.approx(large.rmse_per_joint, rel=1e-9)
+    whole = validate(accumulator.result(), values, "t", squared_torque=[1e4, 1e4])
+    wrong = large.rmse * np.sqrt(100)
+    assert whole.relative_error == pytest.approx(wrong / np.sqrt(2e4), rel=1e-9)
+
+
+def test_masked_samples_do_not_count_even_when_they_are_not_finite():
+    measured, predicted = torques(0)
+    usable = np.ones(measured.shape, dtype=bool)
+    usable[:20, 0] = False
+    spoiled = np.where(usable, measured, np.nan)
+    errors = TorqueErrors(JOINTS)
+    errors.add(spoiled, predicted, usable)
+    expected = np.sqrt(np.mean((measured - predicted)[20:, 0] ** 2))
+    assert errors.result("t").rmse_per_joint["shoulder"] == pytest.approx(expected, rel=1e-12)
+    with pytest.raises(InputError, match="not finite"):
+        errors.add(spoiled, predicted)
+
+
+def test_a_joint_without_torque_has_no_relative_error():
+    errors = TorqueErrors(JOINTS)
+    errors.add(np.array([[1.0, 0.0]]), np.array([[0.5, 0.0]]))
+    result = errors.result("t")
+    assert result.relative_error_per_joint == {"shoulder": 0.5, "elbow": None}
+
+
+def test_nothing_to_validate_on_is_said():
+    with pytest.raises(InputError, match="no usable torque samples to validate on in the last"):
+        TorqueErrors(JOINTS).result("the last 20 %")
+
+
+@settings(max_examples=100)
+@given(st.integers(20, 10_000), st.floats(0.01, 0.8), st.integers(0, 3))
+def test_parts_do_not_overlap_and_the_end_is_held_out(n_rows, fraction, gap):
+    fitted, held = hold_out(n_rows, fraction, gap)
+    assert fitted.start == 0 and held.stop == n_rows
+    assert held.start - fitted.stop == gap
+    assert fraction * n_rows <= held.stop - held.start < fraction * n_rows + 1.0
+
+
+def test_holding_out_nothing_fits_everything():
+    assert hold_out(10, 0.0, gap=5) == (slice(0, 10), slice(10, 10))
+
+
+@pytest.mark.parametrize("fraction", [-0.1, 1.0, 1.5, np.nan])
+def test_a_fraction_out_of_range_is_refused(fraction):
+    with pytest.raises(InputError, match="--validate must be"):
+        hold_out(100, fraction)
+
+
+def test_a_split_without_rows_to_fit_is_refused():
+    with pytest.raises(InputError, match="cannot be split"):
+        hold_out(5, 0.5, gap=3)
+
+
+@settings(max_examples=100)
+@given(st.integers(2, 12), st.integers(12, 5000))
+def test_blocks_cover_all_rows_once_and_evenly(count, n_rows):
+    cut = blocks(n_rows, count)
+    assert np.concatenate([np.arange(n_rows)[part] for part in cut]).tolist() == list(range(n_rows))
+    lengths = [part.stop - part.start for part in cut]
+    assert max(lengths) - min(lengths) <= 1
+
+
+@pytest.mark.parametrize(("n_rows", "count"), [(10, 1), (3, 5)])
+def test_too_few_rows_for_blocks_are_refused(n_rows, count):
+    with pytest.raises(InputError, match="cannot be cut"):
+        blocks(n_rows, count)
+
+
+FULL = friction_model("coulomb-viscous-offset-sqrt-stribeck")
+TERMS = ("inertia", *FULL.parameter_names("j"))
+CANDIDATES = ("none", "viscous", "coulomb-viscous", "coulomb-viscous-offset",
+              "coulomb-viscous-sqrt", FULL.name)  # fmt: skip
+
+
+def least_squares(information: SquareRootInformation) -> np.ndarray:
+    matrix, right = information.stacked()
+    return np.linalg.lstsq(matrix, right, rcond=None)[0]
+
+
+def data(seed: int, true: str, noise: float, n: int = 500) -> list[SquareRootInformation]:
+    """One joint with an inertia and the friction model ``true``; information of five blocks."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(n) * 0.02
+    omega = rng.uniform(1.0, 6.0, 3)
+    phase = rng.uniform(0.0, 6.0, 3)
+    qd = np.cos(np.outer(time, omega) + phase) @ [0.4, 0.7, 0.3]
+    qdd = -np.sin(np.outer(time, omega) + phase) @ ([0.4, 0.7, 0.3] * omega)
+    model = friction_model(true)
+    tau = 0.3 * qdd + model.columns(qd) @ rng.uniform(0.5, 1.5, len(model.terms))
+    tau += noise * rng.normal(size=n)
+    rows = np.column_stack((qdd, FULL.columns(qd)))
+    return [information(rows[part], tau[part]) for part in blocks(n, 5)]
+
+
+def information(rows: np.ndarray, tau: np.ndarray) -> SquareRootInformation:
+    accumulator = InformationAccumulator(TERMS, ("j",), [np.arange(len(TERMS))])
+    accumulator.add(0, rows, tau)
+    return accumulator.result()
+
+
+def candidates(parts: list[SquareRootInformation]) -> dict[str, list[SquareRootInformation]]:
+    chosen = {}
+    for name in CANDIDATES:
+        kept = ("inertia", *friction_model(name).parameter_names("j"))
+        chosen[name] = list(map(partial(restricted, names=kept), parts))
+    return chosen
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.integers(0, 2**32), st.sampled_from(["viscous", "coulomb-viscous"]))
+def test_the_model_that_made_the_data_is_never_judged_too_simple(seed, true):
+    choice = choose_model(candidates(data(seed, true, 0.05)), least_squares)
+    contained = [name for name in CANDIDATES if set(_terms(true)) <= set(_terms(name))]
+    assert choice.name in contained
+    assert choice.rmse[choice.name] == pytest.approx(0.05, rel=0.3)
+
+
+def _terms(name: str) -> tuple[str, ...]:
+    return friction_model(name).terms
+
+
+def test_the_true_model_is_usually_chosen_exactly():
+    """The one-standard-error rule picks the truth in at least 85 % of 100 draws."""
+    draws = [choose_model(candidates(data(s, "coulomb-viscous", 0.05)), least_squares).name
+             for s in range(100)]  # fmt: skip
+    assert draws.count("coulomb-viscous") >= 85
+
+
+@settings(max_examples=100)
+@given(st.integers(0, 2**32), st.floats(0.01, 100.0))
+def test_the_choice_does_not_depend_on_the_unit_of_torque(seed, scale):
+    parts = data(seed, "coulomb-viscous", 0.1)
+    scaled = [_scaled(part, scale) for part in parts]
+    first = choose_model(candidates(parts), least_squares)
+    assert choose_model(candidates(scaled), least_squares).score == pytest.approx(
+        first.score, rel=1e-6
+    )
+
+
+def _scaled(part: SquareRootInformation, scale: float) -> SquareRootInformation:
+    (joint,) = part.joints
+    factors = np.append(np.ones(len(joint.columns)), scale)
+    return replace(part, joints=(replace(joint, triangle=joint.triangle * factors),))
+
+
+def test_noise_free_data_is_decided_too():
+    choice = choose_model(candidates(data(3, "coulomb-viscous", 0.0)), least_squares)
+    assert choice.rmse["coulomb-viscous"] < 1e-12 < 1e-3 < choice.rmse["viscous"]
+    assert "coulomb" in choice.name and choice.name in choice.note
+
+
+@settings(max_examples=100)
+@given(st.integers(0, 2**32))
+def test_combined_and_restricted_information_equal_a_fit_to_the_samples(seed):
+    rng = np.random.default_rng(seed)
+    rows, tau = rng.normal(size=(80, len(TERMS))), rng.normal(size=80)
+    parts = [information(rows[part], tau[part]) for part in blocks(80, 4)]
+    kept = [TERMS[0], TERMS[3], TERMS[1]]
+    small = restricted(combined(parts), kept)
+    assert small.names == (TERMS[0], TERMS[1], TERMS[3])
+    expected = np.linalg.lstsq(rows[:, [0, 1, 3]], tau, rcond=None)
+    np.testing.assert_allclose(least_squares(small), expected[0], atol=1e-10)
+    residual = small.squared_residuals(expected[0])
+    np.testing.assert_allclose(residual, expected[1], rtol=1e-10)
+    assert small.n_samples == 80
+
+
+def test_unknown_parameters_and_unlike_parts_are_refused():
+    parts = data(0, "viscous", 0.1)
+    with pytest.raises(InputError, match=r"no parameter 'mass'; there are inertia, coulomb\[j\]"):
+        restricted(parts[0], ["mass"])
+    with pytest.raises(InputError, match="same parameters and joints"):
+        combined([parts[0], restricted(parts[1], ["inertia"])])
+
+
+def test_one_block_or_no_candidate_is_refused():
+    with pytest.raises(InputError, match="at least two blocks"):
+        choose_model({"a": data(0, "viscous", 0.1)[:1]}, least_squares)
+    with pytest.raises(InputError, match="needs a candidate"):
+        choose_model({}, least_squares)

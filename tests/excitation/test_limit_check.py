@@ -1,0 +1,136 @@
+"""The dense check finds what a sampled check would miss, and nothing that is not there."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robot_sysid.excitation.fourier import FourierBasis, FourierTrajectory
+from robot_sysid.excitation.limit_check import (
+    CLEARANCE_RESOLUTION,
+    certify,
+    first_contact,
+    joint_share,
+    tight_times,
+)
+from tests.support import arms
+from tests.support.arms import SEEDS
+from tests.support.excitation_arms import TUBES_AND_POST, problem, robot
+
+BASIS = FourierBasis(4.0, 0.25, 3, 1.0)
+BRIEF = FourierBasis(0.4, 2.5, 3, 0.15)
+
+
+def plan_of(some, seed, size, basis=BRIEF):
+    rng = np.random.default_rng(seed)
+    return FourierTrajectory(basis, some.rest, size * rng.normal(size=(some.n_joints, 7)))
+
+
+@given(SEEDS, st.floats(0.02, 0.6))
+@settings(max_examples=100)
+def test_peaks_are_those_of_the_samples(seed, size):
+    some = problem(arms.THREE)
+    plan = plan_of(some, seed, size)
+    proof, motion = certify(some, plan), plan.evaluate(np.arange(401) / 1000.0)
+    assert np.allclose(proof.lowest, motion.q.min(axis=0), atol=1e-12)
+    assert np.allclose(proof.highest, motion.q.max(axis=0), atol=1e-12)
+    assert np.allclose(proof.velocity, np.abs(motion.qd).max(axis=0), atol=1e-12)
+    assert np.allclose(proof.acceleration, np.abs(motion.qdd).max(axis=0), atol=1e-12)
+    assert np.allclose(proof.torque, np.abs(some.torque(motion)).max(axis=0), atol=1e-9)
+    limits = some.limits
+    kept = (
+        np.all((motion.q >= limits.lower) & (motion.q <= limits.upper))
+        and np.all(np.abs(motion.qd) <= limits.velocity)
+        and np.all(np.abs(motion.qdd) <= limits.acceleration)
+    )
+    assert proof.holds == kept == (joint_share(some, plan)[0] <= 1.0)
+
+
+@given(SEEDS, st.floats(0.02, 0.2))
+@settings(max_examples=100)
+def test_clearance_is_that_of_testing_often(seed, size):
+    some = problem(TUBES_AND_POST)
+    plan = plan_of(some, seed, size)
+    often = plan.evaluate(np.arange(161) / 400.0)
+    least = np.min(some.obstacles.slack(often.q).value)
+    fastest = np.max(some.obstacles.rates @ np.max(np.abs(often.qd), axis=0))
+    proof = certify(some, plan)
+    assert proof.closest.slack <= least + CLEARANCE_RESOLUTION + 1e-6
+    # Between two of these samples nothing moves farther than this.
+    assert proof.closest.slack >= least - 0.0025 * fastest
+    assert (first_contact(some, plan) is not None) == (proof.closest.slack < 0.0)
+
+
+def test_few_tests_are_needed_where_there_is_room():
+    some = problem(TUBES_AND_POST)
+    assert certify(some, plan_of(some, 0, 0.0)).n_collision_tests == 1
+
+
+class ThinWall:
+    """Forbids a band of 2 mrad in the first joint's position."""
+
+    horizon = 0.1
+    rates = np.array([[1.0, 0.0, 0.0]])
+
+    def slack(self, q):
+        from robot_sysid.collision.obstacles import Slack
+
+        value = np.minimum(np.abs(q[:, 0] - 0.2) - 1e-3, self.horizon)
+        return Slack(value, np.zeros_like(q), value[:, None])
+
+    def closest(self, q):
+        from robot_sysid.collision.obstacles import Closest
+
+        value = float(self.slack(q[None]).value[0])
+        return Closest(value, value, "arm and wall")
+
+
+def test_finds_a_wall_that_samples_step_over():
+    some = dataclasses.replace(problem(arms.THREE), obstacles=ThinWall())
+    coefficients = np.zeros((3, 7))
+    coefficients[0, 0] = 0.4
+    plan = FourierTrajectory(BASIS, some.rest, coefficients)
+    sampled = some.obstacles.slack(plan.evaluate(np.arange(80) / 20.0 + 0.02).q).value
+    assert np.min(sampled) > 0.0
+    proof = certify(some, plan)
+    assert not proof.holds
+    assert "clearance of arm and wall" in str(proof.excesses[0])
+    assert first_contact(some, plan) == pytest.approx(proof.closest_time, abs=3.0)
+
+
+def test_says_which_limit_is_exceeded_most_and_when():
+    some = problem(arms.THREE)
+    coefficients = np.zeros((3, 7))
+    coefficients[1, 3] = 3.0
+    plan = FourierTrajectory(BASIS, some.rest, coefficients)
+    proof = certify(some, plan)
+    worst = proof.excesses[0]
+    assert worst.limit.endswith("limit of joint joint1")
+    assert worst.share > 1.0
+    assert all(a.share >= b.share for a, b in zip(proof.excesses, proof.excesses[1:]))
+    assert "% over at" in str(worst)
+
+
+def test_tight_times_are_local_minima_of_the_slack():
+    some = problem(TUBES_AND_POST)
+    coefficients = np.zeros((4, 7))
+    coefficients[1, 2] = 1.2
+    plan = FourierTrajectory(BASIS, robot(TUBES_AND_POST).reference, coefficients)
+    times = tight_times(some, plan)
+    assert len(times) > 0
+    for time in times:
+        around = some.obstacles.slack(plan.evaluate(time + np.array([-0.01, 0.0, 0.01])).q).value
+        assert around[1] < 0.0
+        assert around[1] <= min(around[0], around[2]) + 1e-9
+
+
+def test_binding_limits_are_named():
+    some = problem(arms.THREE)
+    coefficients = np.zeros((3, 7))
+    coefficients[2, 0] = some.limits.upper[2] - some.rest[2]
+    proof = certify(some, FourierTrajectory(BASIS, some.rest, coefficients))
+    assert "position limit of joint joint2" in proof.binding

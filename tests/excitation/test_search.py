@@ -1,0 +1,230 @@
+"""The whole search: limits hold for any seed, it is repeatable, and it can be cut at any time."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robot_sysid.errors import InputError
+from robot_sysid.excitation.constraints import ROUNDING, MotionConstraints
+from robot_sysid.excitation.problem import build_problem
+from robot_sysid.excitation.search import design_excitation, draw_trajectories
+from robot_sysid.model.contacts import find_new_contacts
+from robot_sysid.trajectory import motion_chunks
+from tests.support import arms
+from tests.support.arms import SEEDS
+from tests.support.excitation_arms import (
+    TOUCHING_AT_REST,
+    TUBES,
+    TUBES_AND_POST,
+    TUBES_ON_FLOOR,
+    design,
+    options,
+    problem,
+    robot,
+)
+
+ARMS = (arms.THREE, arms.SLIDE_IN_CHAIN, arms.UNLIMITED, TUBES, TUBES_AND_POST, TOUCHING_AT_REST)
+
+
+def search(xml, seed, progress=None, clock=None, **changes):
+    clocks = {} if clock is None else {"clock": clock}
+    rng = np.random.default_rng(seed)
+    return design_excitation(problem(xml, **changes), options(**changes), rng, progress, **clocks)
+
+
+def assert_obeys(xml, result, some):
+    """Every limit at 1 kHz by the records of the arm itself, and no contact by MuJoCo."""
+    arm, slack = robot(xml), 1.0 + ROUNDING
+    for motion in motion_chunks(result.trajectory, 1000.0):
+        assert np.all(motion.q >= arm.limits.lower) and np.all(motion.q <= arm.limits.upper)
+        assert np.all(np.abs(motion.qd) <= arm.limits.velocity * slack)
+        assert np.all(np.abs(motion.qdd) <= some.limits.acceleration * slack)
+        assert np.all(np.abs(some.torque(motion)) <= some.limits.torque * slack)
+    assert find_new_contacts(arm, motion_chunks(result.trajectory, 1000.0)) == ()
+
+
+def assert_at_rest(result):
+    ends = result.trajectory.evaluate(np.array([0.0, result.trajectory.duration]))
+    assert np.max(np.abs(ends.qd)) < 1e-9
+    assert np.max(np.abs(ends.qdd)) < 1e-9
+    assert np.max(np.abs(ends.q - ends.q[0])) < 1e-9
+
+
+@given(st.sampled_from(ARMS), SEEDS, st.sampled_from(["faded", "periodic"]))
+@settings(max_examples=8)
+def test_limits_hold_for_any_seed(xml, seed, ends):
+    result = search(xml, seed, ends=ends)
+    assert result.certificate.holds
+    assert_obeys(xml, result, problem(xml, ends=ends))
+    assert_at_rest(result)
+
+
+@pytest.mark.slow
+@given(
+    st.sampled_from(ARMS),
+    SEEDS,
+    st.sampled_from(["faded", "periodic"]),
+    st.sampled_from(["A", "D", "cond"]),
+)
+@settings(max_examples=150)
+def test_limits_hold_for_any_seed_and_criterion(xml, seed, ends, criterion):
+    result = search(xml, seed, ends=ends, criterion=criterion, rounds=2, iterations=20)
+    assert result.certificate.holds
+    assert_obeys(xml, result, problem(xml, ends=ends, criterion=criterion, rounds=2, iterations=20))
+    assert_at_rest(result)
+
+
+def test_same_seed_same_trajectory_other_seed_another():
+    one, two, other = (search(TUBES, seed) for seed in (7, 7, 8))
+    assert np.array_equal(one.trajectory.coefficients, two.trajectory.coefficients)
+    assert not np.array_equal(one.trajectory.coefficients, other.trajectory.coefficients)
+
+
+def test_the_number_of_workers_does_not_matter():
+    alone, together = (search(TUBES, 1, workers=w, starts=2) for w in (1, 2))
+    assert np.array_equal(alone.trajectory.coefficients, together.trajectory.coefficients)
+    assert alone.objective == together.objective
+
+
+def test_more_rounds_are_never_worse():
+    values = [search(TUBES_AND_POST, 2, rounds=r).objective for r in (0, 1, 3)]
+    assert values[0] >= values[1] >= values[2]
+    assert values[2] < 0.9 * values[0]
+
+
+def test_progress_tells_the_objective():
+    seen = []
+    result = search(TUBES, 3, seen.append, rounds=2)
+    assert [state.done for state in seen] == sorted(state.done for state in seen)
+    assert seen[-1].done == seen[-1].total
+    assert seen[-1].objective == pytest.approx(result.objective)
+    assert all(a.objective >= b.objective for a, b in zip(seen[2:], seen[3:]))
+
+
+def test_time_budget_cuts_and_says_so():
+    ticks = itertools.count(step=10.0)
+    result = search(TUBES, 3, clock=lambda: float(next(ticks)), time_budget=15.0, rounds=50)
+    assert result.stopped == "time budget"
+    assert result.certificate.holds
+    assert any("--save-trajectory" in note for note in result.notes)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_ctrl_c_keeps_the_best_so_far(workers):
+    def interrupt(state):
+        if state.done >= 2:
+            raise KeyboardInterrupt
+
+    result = search(TUBES, 3, interrupt, rounds=50, workers=workers)
+    assert result.stopped == "interrupted"
+    assert any("interrupted" in note for note in result.notes)
+    assert result.certificate.holds
+
+
+def test_ctrl_c_before_there_is_anything_is_an_interruption():
+    def interrupt(state):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        search(TUBES, 3, interrupt)
+
+
+def test_where_nothing_is_feasible_the_limit_is_named():
+    some = problem(TUBES)
+    weak = replace(some, limits=replace(some.limits, torque=np.full(4, 1e-3)))
+    with pytest.raises(InputError, match=r"6 of 6 .* torque limit of joint joint") as caught:
+        design_excitation(weak, options(), np.random.default_rng(0))
+    assert "\n" not in str(caught.value)
+
+
+def test_the_floor_of_the_model_is_not_touched():
+    result = search(TUBES_ON_FLOOR, 0, rounds=2, iterations=20)
+    assert_obeys(TUBES_ON_FLOOR, result, problem(TUBES_ON_FLOOR, rounds=2, iterations=20))
+
+
+@pytest.mark.parametrize("speed", [0.3, 1.0])
+def test_a_tighter_speed_limit_is_kept(speed):
+    some = problem(arms.THREE)
+    slow = replace(some, limits=replace(some.limits, velocity=np.full(3, speed)))
+    result = design_excitation(slow, options(), np.random.default_rng(0))
+    assert np.all(result.certificate.velocity <= speed * (1.0 + ROUNDING))
+    assert np.max(result.certificate.velocity) > 0.3 * speed
+
+
+def test_terminal_torques_optimise_what_they_can_show():
+    result = search(arms.SEVEN, 0, torques="terminal")
+    assert np.isfinite(result.objective)
+    assert result.certificate.holds
+
+
+def test_build_and_search_from_one_record():
+    chosen = options(duration=4.0)
+    some = build_problem(robot(arms.THREE), chosen)
+    result = design_excitation(some, chosen, np.random.default_rng(0))
+    assert result.trajectory.duration == 4.0
+
+
+PERIODIC = {"ends": "periodic"}
+DESIGNS = [
+    design(arms.THREE),
+    design(TUBES),
+    design(arms.SLIDE_IN_CHAIN),
+    design(arms.UNLIMITED, **PERIODIC),
+]
+
+
+def motion_of(some, x):
+    b, db, ddb = some.functions(some.grid)
+    return some.problem.rest + b @ x.T, db @ x.T, ddb @ x.T
+
+
+@given(st.sampled_from(DESIGNS), SEEDS)
+@settings(max_examples=100)
+def test_every_feasible_draw_keeps_all_limits_on_the_grid(some, seed):
+    (draw,) = draw_trajectories(some, seed, [0])
+    if np.isfinite(draw.score):
+        value = MotionConstraints(some.problem, 1.0, 0.0).evaluate(motion_of(some, draw.x)).value
+        assert np.max(value) <= ROUNDING
+        assert draw.obstacle == ""
+    else:
+        assert not np.any(draw.x)
+
+
+def test_most_draws_of_an_arm_in_free_space_are_feasible():
+    draws = draw_trajectories(design(TUBES), 0, range(30))
+    assert sum(np.isfinite(draw.score) for draw in draws) > 20
+
+
+def test_a_draw_depends_on_its_number_and_the_seed_alone():
+    some = design(TUBES_AND_POST)
+    together = draw_trajectories(some, 5, range(4))
+    alone = draw_trajectories(some, 5, [2])[0]
+    other_seed = draw_trajectories(some, 6, [2])[0]
+    assert np.array_equal(together[2].x, alone.x)
+    assert together[2].score == alone.score
+    assert not np.array_equal(alone.x, other_seed.x)
+
+
+def test_a_draw_that_fits_nowhere_names_what_is_in_the_way():
+    some = design(TUBES)
+    # Shoulders that hold less than the arm weighs, at rest and in any other posture.
+    weak = np.full(4, 1e-3)
+    object.__setattr__(some.problem.limits, "torque", weak)
+    try:
+        (draw,) = draw_trajectories(some, 0, [0])
+    finally:
+        object.__setattr__(some.problem.limits, "torque", np.full(4, np.inf))
+    assert draw.score == np.inf
+    assert "torque limit of joint joint" in draw.obstacle
+
+
+@pytest.mark.parametrize("some", DESIGNS)
+def test_the_score_is_the_criterion(some):
+    draw = min(draw_trajectories(some, 1, range(5)), key=lambda d: d.score)
+    assert draw.score == some.criterion_of(draw.x)

@@ -1,0 +1,152 @@
+"""Equations of a log: both sides filtered alike, the truth solves them, masks only leave out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+from robot_sysid.errors import InputError
+from robot_sysid.estimation.information import combined
+from robot_sysid.identify import samples as samples_module
+from robot_sysid.identify.samples import ThinnedSamples, thin_equations
+from robot_sysid.signals.process import SignalOptions, process
+from tests.support.arms import SEEDS
+from tests.support.measured_logs import (
+    SIGNALS,
+    equations_of,
+    guessed,
+    log_of,
+    true_arm,
+    true_values,
+)
+
+
+@pytest.fixture(scope="module")
+def plant():
+    return true_arm()
+
+
+@pytest.fixture(scope="module")
+def signals(plant):
+    return process(log_of(plant), SIGNALS, plant.joint_names)
+
+
+def random_samples(seed, count=40):
+    """Two joints that share their first two of five parameters."""
+    rng = np.random.default_rng(seed)
+    tau = rng.normal(size=(2, count))
+    tau[rng.random((2, count)) < 0.3] = np.nan
+    return ThinnedSamples(
+        names=("a", "b", "c", "d", "e"),
+        joints=("one", "two"),
+        columns=(np.array([0, 1, 2]), np.array([0, 1, 3, 4])),
+        time=np.arange(float(count)),
+        rows=(rng.normal(size=(count, 3)), rng.normal(size=(count, 4))),
+        tau=tuple(tau),
+        measured=tuple(rng.normal(size=(2, count))),
+    )
+
+
+def test_the_truth_solves_the_filtered_equations(plant, signals):
+    """Whatever the guess is: other values of the terminal link and no friction at all."""
+    equations = equations_of(guessed(plant))
+    samples = thin_equations(equations, signals)
+    truth = true_values(plant, samples.names)
+    for rows, tau, columns in zip(samples.rows, samples.tau, samples.columns):
+        used = np.isfinite(tau)
+        assert np.count_nonzero(used) > 80
+        error = tau[used] - rows[used] @ truth[columns]
+        # What remains: the low-pass changes motion a little before the equations are built.
+        assert np.max(np.abs(error)) < 2e-3 * np.max(np.abs(tau[used]))
+
+
+@pytest.mark.parametrize("chunk", [7, 100, 5000])
+def test_the_chunk_size_changes_nothing(plant, signals, chunk, monkeypatch):
+    whole = thin_equations(equations_of(plant), signals)
+    monkeypatch.setattr(samples_module, "_CHUNK", chunk)
+    parts = thin_equations(equations_of(plant), signals)
+    for one, other in zip((*whole.rows, *whole.tau), (*parts.rows, *parts.tau)):
+        np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-12)
+
+
+def test_rows_stand_at_the_thinned_instants_and_masked_ones_stay_in_place(plant, signals):
+    samples = thin_equations(equations_of(plant), signals)
+    np.testing.assert_array_equal(samples.time, signals.thinned_time())
+    for tau, usable in zip(samples.tau, signals.usable().T):
+        np.testing.assert_array_equal(np.isfinite(tau), usable)
+
+
+def test_terminal_torques_give_one_joints_equations(plant, signals):
+    samples = thin_equations(equations_of(plant, "terminal"), signals)
+    assert samples.joints == (plant.terminal_joint,)
+    assert len(samples.names) == 13
+
+
+def test_shared_columns_pass_the_same_low_pass(plant, signals):
+    equations = equations_of(plant, shared=("late",))
+    samples = thin_equations(
+        equations, signals, lambda motion, place: signals.tau[place][:, :, None]
+    )
+    for rows, measured in zip(samples.rows, samples.measured):
+        np.testing.assert_array_equal(rows[:, -1], measured)
+
+
+def test_a_log_without_motion_is_refused_with_the_remedy(plant, signals):
+    still = replace(signals, deadband=np.full(3, 1e3))
+    with pytest.raises(InputError, match="faster than its velocity deadband; record a motion, or"):
+        thin_equations(equations_of(plant), still)
+
+
+def test_a_zero_deadband_uses_every_row(plant):
+    signals = process(log_of(plant), SignalOptions(cutoff=8.0, velocity_deadband=0.0))
+    samples = thin_equations(equations_of(plant), signals)
+    assert all(np.all(np.isfinite(tau)) for tau in samples.tau)
+
+
+@given(SEEDS)
+def test_parts_add_up_to_the_whole(seed):
+    samples = random_samples(seed)
+    first = np.random.default_rng(seed).random(len(samples)) < 0.5
+    parts = [samples.where(first).information(), samples.where(~first).information()]
+    whole, joined = samples.information(), combined(parts)
+    x = np.random.default_rng(seed + 1).normal(size=5)
+    np.testing.assert_allclose(whole.squared_residuals(x), joined.squared_residuals(x), rtol=1e-10)
+    assert whole.n_samples == joined.n_samples
+
+
+@given(SEEDS)
+def test_residuals_of_the_deviation_are_those_of_the_sum(seed):
+    samples, rng = random_samples(seed), np.random.default_rng(seed + 1)
+    prior, step = rng.normal(size=(2, 5))
+    np.testing.assert_allclose(
+        samples.information().squared_residuals(prior + step),
+        samples.deviation(prior).information().squared_residuals(step),
+        rtol=1e-10,
+    )
+
+
+@given(SEEDS)
+def test_the_samples_in_use_hold_all_the_information(seed):
+    samples = random_samples(seed)
+    used = samples.used()
+    assert all(np.all(np.isfinite(tau)) for tau in used.tau)
+    x = np.random.default_rng(seed + 1).normal(size=5)
+    residuals = [
+        np.sum((rows @ x[columns] - tau) ** 2)
+        for rows, tau, columns in zip(used.rows, used.tau, used.columns)
+    ]
+    np.testing.assert_allclose(samples.information().squared_residuals(x), residuals, rtol=1e-10)
+
+
+@settings(max_examples=20)
+@given(SEEDS)
+def test_squared_torque_counts_only_what_is_used(seed):
+    samples = random_samples(seed)
+    expected = [
+        sum(m**2 for m, t in zip(measured, tau) if np.isfinite(t))
+        for measured, tau in zip(samples.measured, samples.tau)
+    ]
+    np.testing.assert_allclose(samples.squared_torque(), expected, rtol=1e-12)

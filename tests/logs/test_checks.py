@@ -1,0 +1,297 @@
+"""Each thing that can be wrong with a log is found and said, with line numbers and a remedy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from robot_sysid.errors import InputError
+from robot_sysid.logs.checks import sign_check
+from robot_sysid.logs.reader import MeasurementLog, read_measurements
+from robot_sysid.records import JointLimits
+from tests.support.log_files import JOINTS, TITLES, limits, motion, table, write
+
+# Titles stand in line 1, so row k stands in line k + 2.
+FIRST = 2
+
+
+def read(tmp_path, rows, titles=TITLES, **known) -> MeasurementLog:
+    return read_measurements(write(tmp_path / "log.csv", rows, titles), JOINTS, **known)
+
+
+def odd(log: MeasurementLog) -> str:
+    """The notes beyond the layout and the columns."""
+    return " | ".join(note for note in log.notes if not note.startswith("log "))
+
+
+def test_a_good_log_draws_no_remark(tmp_path):
+    data = motion()
+    rows = np.column_stack((data.time, data.q, data.tau, data.qd))
+    titles = (*TITLES, "qd1", "qd2", "qd3")
+    assert odd(read(tmp_path, rows, titles, limits=limits())) == ""
+
+
+# Each fault changes the table and is an error that says the words.
+def text_cell(rows):
+    return [[*r[:2], "oops", *r[3:]] if k == 9 else r for k, r in enumerate(rows.tolist())]
+
+
+def short_row(rows):
+    return [r[:5] if k == 9 else r for k, r in enumerate(rows.tolist())]
+
+
+def backwards(rows):
+    rows[[20, 21], 0] = rows[[21, 20], 0]
+    return rows
+
+
+def many_holes(rows):
+    rows[::10, 2] = np.nan
+    return rows
+
+
+def coarse_time(rows):
+    rows[:, 0] = np.floor(rows[:, 0] * 50) / 50
+    return rows
+
+
+def milliseconds(rows):
+    rows[:, 0] *= 1e3
+    return rows
+
+
+def microseconds(rows):
+    rows[:, 0] *= 1e6
+    return rows
+
+
+def nanoseconds_since_1970(rows):
+    rows[:, 0] = 1.7e18 + rows[:, 0] * 1e9
+    return rows
+
+
+def tiny_time(rows):
+    rows[:, 0] *= 1e-3
+    return rows
+
+
+def degrees(rows):
+    rows[:, 1:4] = np.degrees(rows[:, 1:4])
+    return rows
+
+
+def at_rest(rows):
+    rows[:, 1:4] = 0.3 + 1e-3 * rows[:, 1:4]
+    return rows
+
+
+def spike(rows):
+    rows[33, 3] += 2.0
+    return rows
+
+
+def zero_torque(rows):
+    rows[:, 5] = 0.0
+    return rows
+
+
+def stuck_torque(rows):
+    rows[:, 6] = 1.25
+    return rows
+
+
+ERRORS: list[tuple[Callable, list[str]]] = [
+    (text_cell, ["line 11", "'q2'", "'oops' is not a number"]),
+    (short_row, ["line 11", "5 cells instead of 7"]),
+    (backwards, ["line 23", "backwards", "0.005 s"]),
+    (many_holes, ["40 of 400 rows", "lines 2, 12, 22 and 37 more"]),
+    (coarse_time, ["repeat the time stamp", "more digits"]),
+    (milliseconds, ["time steps of 5 s", "--units ms"]),
+    (microseconds, ["--units us"]),
+    (nanoseconds_since_1970, ["--units ns"]),
+    (tiny_time, ["time steps of 5e-06 s", "declare the unit"]),
+    (degrees, ["look like degrees", "--units deg"]),
+    (at_rest, ["at rest", "no joint moves"]),
+    (spike, ["joint wrist", "jumps at lines 35, 36"]),
+    (zero_torque, ["torque of joint elbow is zero in every row"]),
+    (stuck_torque, ["torque of joint wrist is the same (1.25 N m)"]),
+]
+
+
+@pytest.mark.parametrize(("fault", "words"), ERRORS, ids=[f.__name__ for f, _ in ERRORS])
+def test_a_log_that_cannot_be_used_is_refused(tmp_path, fault, words):
+    with pytest.raises(InputError) as caught:
+        read(tmp_path, fault(table(motion())))
+    message = str(caught.value)
+    assert all(word in message for word in words), message
+    assert "\n" not in message
+
+
+def test_too_few_rows_are_refused(tmp_path):
+    with pytest.raises(InputError, match="only 5 usable rows"):
+        read(tmp_path, table(motion(5)))
+
+
+@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.sets(st.integers(1, 397), min_size=1, max_size=15), st.sampled_from(["", "nan", "NULL"]))
+def test_rows_with_holes_are_left_out_and_counted(tmp_path, holes, written):
+    data = motion()
+    rows = table(data).tolist()
+    for k in holes:
+        rows[k][4] = written
+    log = read(tmp_path, rows)
+    kept = np.setdiff1d(np.arange(len(data)), list(holes))
+    np.testing.assert_array_equal(log.load().time, data.time[kept])
+    first = ", ".join(str(k + FIRST) for k in sorted(holes)[:3])
+    assert f"left out {len(holes)} rows with empty or NaN cells (line" in odd(log)
+    assert f" {first}" in odd(log)
+    assert "longest gap" in odd(log)
+
+
+def test_a_repeated_time_stamp_is_left_out_and_counted(tmp_path):
+    rows = table(motion())
+    rows[50, 0] = rows[49, 0]
+    log = read(tmp_path, rows)
+    assert log.n_samples == 399
+    assert "left out 1 rows that repeat a time stamp (line 52)" in odd(log)
+
+
+def test_a_gap_is_named_with_its_length(tmp_path):
+    rows = np.delete(table(motion()), slice(100, 120), axis=0)
+    log = read(tmp_path, rows)
+    assert "samples are missing before line 102" in odd(log)
+    assert "105 ms where 5 ms is usual" in odd(log)
+    assert log.sample_rate == 200.0
+
+
+def test_uneven_sampling_is_said(tmp_path):
+    rows = table(motion())
+    keep = np.random.default_rng(0).random(len(rows)) < 0.7
+    assert "unevenly spaced" in odd(read(tmp_path, rows[keep]))
+
+
+def test_a_last_row_that_is_cut_off_is_left_out(tmp_path):
+    path = write(tmp_path / "log.csv", table(motion()))
+    path.write_text(path.read_text()[:-40])
+    log = read_measurements(path, JOINTS)
+    assert log.n_samples == 399
+    assert "left out the last row, which is cut off (line 401)" in odd(log)
+
+
+@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.floats(3.5, 12.0), st.floats(-20.0, 20.0))
+def test_wrapped_positions_are_unwrapped(tmp_path, amplitude, offset):
+    data = motion()
+    rows = table(data)
+    true = offset + amplitude * data.q[:, 0]
+    rows[:, 1] = np.angle(np.exp(1j * true))
+    log = read(tmp_path, rows, units="rad")
+    found = log.load().q[:, 0]
+    turns = np.round((true - found) / (2.0 * np.pi))[0]
+    np.testing.assert_allclose(found + 2.0 * np.pi * turns, true, rtol=0.0, atol=1e-12)
+    wrapped = bool(np.any(np.abs(np.diff(rows[:, 1])) > np.pi))
+    assert ("full turn" in odd(log)) == wrapped
+
+
+def test_a_slide_has_no_full_turn(tmp_path):
+    rows = table(motion())
+    rows[200:, 1] += 2.0 * np.pi
+    with pytest.raises(InputError, match="joint base jumps at line 202"):
+        read(tmp_path, rows, is_slide=(True, False, False))
+
+
+def test_declared_radians_are_believed(tmp_path):
+    rows = table(motion())
+    rows[:, 1] += 15.0
+    with pytest.raises(InputError, match="look like degrees"):
+        read(tmp_path, rows)
+    assert read(tmp_path, rows, units="rad").n_samples == 400
+
+
+def test_positions_outside_the_limits_are_said(tmp_path):
+    said = odd(read(tmp_path, table(motion()), limits=limits(0.85)))
+    assert "joint limits: base by 0.05" in said and "line" in said
+
+
+def test_missing_limits_allow_everything(tmp_path):
+    free = JointLimits(np.full(3, -np.inf), np.full(3, np.inf), np.ones(3), np.ones(3))
+    assert "limits" not in odd(read(tmp_path, table(motion()), limits=free))
+
+
+def test_standing_still_at_either_end_is_said(tmp_path):
+    data = motion(1000)
+    rows = table(data)
+    rows[:200, 1:4] = rows[200, 1:4]
+    rows[700:, 1:4] = rows[700, 1:4]
+    said = odd(read(tmp_path, rows))
+    assert "stands still up to line 203 (1.00 s)" in said
+    assert "stands still from line 702 on (1.50 s)" in said
+
+
+def test_a_joint_that_does_not_move_is_named(tmp_path):
+    rows = table(motion())
+    rows[:, 2] = 0.5
+    assert "do not move in this log: elbow" in odd(read(tmp_path, rows))
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"), [(1.0, ""), (-1.0, "by -1 times"), (180 / np.pi, "0.0175 times")]
+)
+def test_a_velocity_column_that_does_not_fit_is_said(tmp_path, factor, words):
+    data = motion()
+    quantised = np.round(data.q / 1e-4) * 1e-4
+    rows = np.column_stack((data.time, quantised, data.tau, data.qd))
+    rows[:, 8] *= factor
+    said = odd(read(tmp_path, rows, (*TITLES, "qd1", "qd2", "qd3")))
+    assert words in said if words else said == ""
+    assert factor == 1.0 or "velocity column of joint elbow" in said
+
+
+def own_times(shift: float) -> tuple[np.ndarray, tuple[str, ...]]:
+    rows = table(motion())
+    stamps = rows[:, :1] + np.array([0.0, 1e-3, 2e-3]) + shift
+    return np.column_stack((rows, stamps)), (*TITLES, *(f"{j}_time" for j in JOINTS))
+
+
+def test_own_time_stamps_are_kept(tmp_path):
+    rows, titles = own_times(0.0)
+    np.testing.assert_array_equal(read(tmp_path, rows, titles).load().joint_time, rows[:, 7:])
+
+
+def test_own_time_stamps_of_another_clock_or_backwards_are_refused(tmp_path):
+    rows, titles = own_times(5.0)
+    with pytest.raises(InputError, match=r"5 s away.*joint_time = none"):
+        read(tmp_path, rows, titles)
+    rows, titles = own_times(0.0)
+    rows[7, 8] -= 0.05
+    with pytest.raises(InputError, match="runs backwards at line 9"):
+        read(tmp_path, rows, titles)
+
+
+@settings(max_examples=100)
+@given(st.integers(0, 2**32), st.integers(0, 2), st.floats(0.1, 10.0))
+def test_a_flipped_torque_is_found_and_a_right_one_is_not(seed, joint, scale):
+    rng = np.random.default_rng(seed)
+    model = rng.normal(size=(200, 3)) + 1.0
+    measured = scale * (model + 0.3 * rng.normal(size=model.shape))
+    assert sign_check(measured, model, JOINTS) == ()
+    measured[:, joint] *= -1.0
+    with pytest.raises(InputError, match=f"torque of joint {JOINTS[joint]} has the opposite sign"):
+        sign_check(measured, model, JOINTS)
+
+
+def test_a_torque_that_only_leans_the_wrong_way_is_a_note():
+    rng = np.random.default_rng(1)
+    model = rng.normal(size=(2000, 3))
+    measured = model + 0.0
+    measured[:, 1] = -0.5 * model[:, 1] + 0.8 * rng.normal(size=2000)
+    (note,) = sign_check(measured, model, JOINTS)
+    assert "joint elbow runs against" in note
+
+
+def test_a_torque_without_a_model_counterpart_has_no_sign():
+    assert sign_check(np.ones((5, 3)), np.zeros((5, 3)), JOINTS) == ()

@@ -1,0 +1,259 @@
+"""Column titles are recognised in the ways people write them, and never two ways at once."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robot_sysid.damiao.trajectory.csv_file import trajectory_columns
+from robot_sysid.errors import InputError
+from robot_sysid.logs.column_file import ColumnChoices, Units, parse_units, read_columns_file
+from robot_sysid.logs.column_map import ColumnMap, recognise_columns
+from robot_sysid.logs.columns import read_title
+
+JOINTS = ("joint0", "joint1", "joint2")
+UR = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
+
+
+def recognise(titles: str, joints=JOINTS, **known) -> ColumnMap:
+    return recognise_columns(titles.split(","), joints, **known)
+
+
+def where(found: ColumnMap) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    return tuple(s.index for s in found.position), tuple(s.index for s in found.torque)
+
+
+@pytest.mark.parametrize(
+    "titles",
+    [
+        "time,q1,q2,q3,tau1,tau2,tau3",
+        "t,q_0,q_1,q_2,tau_0,tau_1,tau_2",
+        "timestamp,q[0],q[1],q[2],tau[0],tau[1],tau[2]",
+        "Time,j0_pos,j1_pos,j2_pos,j0_tau,j1_tau,j2_tau",
+        "time_s,joint1_pos,joint2_pos,joint3_pos,effort1,effort2,effort3",
+        "stamp,position.1,position.2,position.3,effort.1,effort.2,effort.3",
+        "time [s],Position 1 [rad],Position 2 [rad],Position 3 [rad],M1 torque [N*m],"
+        "M2 torque [N*m],M3 torque [N*m]",
+        "time,jointPosition1,jointPosition2,jointPosition3,jointTorque1,jointTorque2,jointTorque3",
+        "timestamp,actual_q_0,actual_q_1,actual_q_2,actual_torque_0,actual_torque_1,actual_torque_2",
+        "%time,field.position0,field.position1,field.position2,field.effort0,field.effort1,"
+        "field.effort2",
+        "time,A1,A2,A3,tau_J_1,tau_J_2,tau_J_3".replace("A", "angle_"),
+    ],
+)
+def test_counting_titles_go_by_their_numbers(titles):
+    found = recognise(titles, ("base", "elbow", "wrist"))
+    assert found.time is not None and found.time.index == 0
+    assert where(found) == ((1, 2, 3), (4, 5, 6))
+
+
+@pytest.mark.parametrize(
+    "titles",
+    [
+        "time,elbow_joint_position,shoulder_lift_joint_position,shoulder_pan_joint_position,"
+        "elbow_joint_effort,shoulder_lift_joint_effort,shoulder_pan_joint_effort",
+        "t,position_elbow_joint,position_shoulder_lift_joint,position_shoulder_pan_joint,"
+        "effort_elbow_joint,effort_shoulder_lift_joint,effort_shoulder_pan_joint",
+        "t,Elbow.pos,ShoulderLift.pos,ShoulderPan.pos,Elbow.tau,ShoulderLift.tau,ShoulderPan.tau",
+        "time,/joint_states/elbow_joint/position,/joint_states/shoulder_lift_joint/position,"
+        "/joint_states/shoulder_pan_joint/position,/joint_states/elbow_joint/effort,"
+        "/joint_states/shoulder_lift_joint/effort,/joint_states/shoulder_pan_joint/effort",
+    ],
+)
+def test_named_titles_go_to_their_joint_whatever_the_order(titles):
+    assert where(recognise(titles, UR)) == ((3, 2, 1), (6, 5, 4))
+
+
+@settings(max_examples=100)
+@given(st.permutations(range(7)), st.sampled_from([0, 1]), st.sampled_from(["{}_{}", "{}{}"]))
+def test_the_order_of_the_columns_does_not_matter(order, base, form):
+    kinds = [(kind, joint) for kind in ("q", "tau") for joint in range(3)]
+    titles = ["t"] + [form.format(kind, joint + base) for kind, joint in kinds]
+    shuffled = [titles[i] for i in order]
+    found = recognise_columns(shuffled, ("base", "elbow", "wrist"))
+    assert [s.title for s in found.position + found.torque] == titles[1:]
+    assert found.time is not None and found.time.title == "t"
+
+
+def test_ros_names_in_the_first_row_outrank_counting():
+    titles = "%time,field.name0,field.name1,field.name2,field.position0,field.position1,"
+    titles += "field.position2,field.effort0,field.effort1,field.effort2"
+    row = ["1", "elbow_joint", "shoulder_lift_joint", "shoulder_pan_joint"] + ["0"] * 6
+    assert where(recognise(titles, UR, first_row=row)) == ((6, 5, 4), (9, 8, 7))
+
+
+def test_a_ros_header_stamp_is_preferred_to_the_time_of_receipt():
+    found = recognise("%time,field.header.stamp,q1,q2,q3,tau1,tau2,tau3")
+    assert found.time is not None and found.time.index == 1
+
+
+def test_recordings_with_commands_status_and_temperature_use_what_was_measured():
+    parts = ["time", "pos", "vel", "tau", "cmd_pos", "cmd_vel", "cmd_tau", "status"]
+    parts += ["temp_mos", "temp_rotor"]
+    titles = ["time"] + [f"joint{j}_{part}" for j in range(3) for part in parts]
+    found = recognise_columns(titles, JOINTS)
+    assert where(found) == ((2, 12, 22), (4, 14, 24))
+    assert found.velocity is not None and found.joint_time is not None
+    assert [s.index for s in found.joint_time] == [1, 11, 21]
+    assert "joint2_cmd_tau" in found.unused and "joint0_status" in found.unused
+
+
+def test_the_columns_of_a_damiao_recording_are_known():
+    extra = ("time", "cmd_pos", "cmd_vel", "cmd_tau", "status", "temp_mos", "temp_rotor")
+    titles = ["time", *trajectory_columns(3)]
+    titles += [f"j{j}_{what}" for j in range(3) for what in extra]
+    found = recognise_columns(titles, ("joint1", "joint2", "joint3"))
+    taken = found.position + found.torque + (found.velocity or ()) + (found.joint_time or ())
+    expected = [f"j{j}_{what}" for what in ("pos", "tau", "vel", "time") for j in range(3)]
+    assert [source.title for source in taken] == expected
+
+
+@pytest.mark.parametrize(
+    ("title", "kind"),
+    [
+        ("q_d_1", None), ("q1_des", None), ("joint1_position_std", None), ("current_1", None),
+        ("tau_ext_1", None), ("qd1", "velocity"), ("dq_1", "velocity"), ("qdot1", "velocity"),
+        ("q_dot_1", "velocity"), ("ddq1", "acceleration"), ("qdd_1", "acceleration"),
+        ("measured_torque_1", "torque"), ("current_position_1", "position"),
+    ],
+)  # fmt: skip
+def test_a_foreign_or_commanding_word_is_not_a_measured_quantity(title, kind):
+    assert read_title(title).kind == kind
+
+
+def test_units_in_titles_become_factors():
+    found = recognise(
+        "time_ms,q1 [deg],q2 [deg],q3 [deg],qd1 (deg/s),qd2_deg_s,qd3_dps,tau1_Nm,tau2,tau3_mNm"
+    )
+    assert found.time is not None and found.time.factor == 1e-3
+    assert {s.factor for s in found.position} == {math.pi / 180}
+    assert found.velocity is not None
+    assert {s.factor for s in found.velocity} == {math.pi / 180}
+    assert [s.factor for s in found.torque] == [1.0, 1.0, 1e-3]
+    assert found.angle_declared
+
+
+def test_declared_degrees_leave_slides_alone():
+    found = recognise(
+        "t,q1,q2,q3,tau1,tau2,tau3", units=Units("deg", "us"), is_slide=(False, True, False)
+    )
+    assert [s.factor for s in found.position] == [math.pi / 180, 1.0, math.pi / 180]
+    assert found.time is not None and found.time.factor == 1e-6
+
+
+@pytest.mark.parametrize(
+    ("titles", "words"),
+    [
+        ("time,q1,q2,q3,tau1,tau2,tau3,torque_1", ["'tau1' and 'torque_1'", "joint joint0"]),
+        ("time,timestamp,q1,q2,q3,tau1,tau2,tau3", ["'time' and 'timestamp'"]),
+        (
+            "t,joint0_pos,joint1_pos,joint2_pos,q1,q2,q3,tau1,tau2,tau3",
+            ["'joint0_pos' and 'q1'", "--columns"],
+        ),
+        ("t,q1,q2,q3,q4,tau1,tau2,tau3,tau4", ["position", "3 chain joints", "found 4"]),
+        ("t,q1,q2,tau1,tau2", ["position", "3 chain joints", "found 2"]),
+        ("t,q1,q2,q3", ["torque", "found none"]),
+        ("t,q1,q2,q3,tau1_cmd,tau2_cmd,tau3_cmd", ["torque", "commanded"]),
+        ("q1,q2,q3,tau1,tau2,tau3", ["no time column", "rate"]),
+        ("t,joint1_pos,joint2_pos,joint3_pos,tau1,tau2,tau3", ["carries the name of joint joint1"]),
+        ("t,q1 [furlong],q2,q3,tau1,tau2,tau3", ["furlong", "unknown"]),
+    ],
+)
+def test_what_is_missing_or_ambiguous_is_said(titles, words):
+    with pytest.raises(InputError) as caught:
+        recognise(titles)
+    assert all(word in str(caught.value) for word in words)
+
+
+def test_a_title_that_contradicts_the_declared_unit_is_refused():
+    with pytest.raises(InputError, match=r"q1 \[rad\].*contradicts"):
+        recognise("t,q1 [rad],q2,q3,tau1,tau2,tau3", units=Units("deg", None))
+
+
+def test_every_decision_is_described():
+    said = " ".join(recognise("t_ms,q1,q2,q3,tau1,tau2,tau3,q1_cmd").describe())
+    assert "'t_ms' x 0.001" in said
+    assert "'q1', 'q2', 'q3'" in said
+    assert "not used: q1_cmd" in said
+
+
+def choices(tmp_path, text: str) -> ColumnChoices:
+    path = tmp_path / "columns.txt"
+    path.write_text(text)
+    return read_columns_file(path, JOINTS)
+
+
+BOTH_FORMS = [
+    "# remark\ntime = Zeit  # seconds\nposition = A, B, C\ntorque.joint0 = -X\n"
+    "torque.joint1 = 0.5 * Y\ntorque.joint2 = Z\nunits = deg,ms\n",
+    '{"time": "Zeit", "position": ["A", "B", "C"], "units": "deg,ms",'
+    ' "torque": {"joint0": "-X", "joint1": "0.5*Y", "joint2": "Z"}}',
+]
+
+
+@pytest.mark.parametrize("text", BOTH_FORMS)
+def test_a_columns_file_names_flips_and_scales(tmp_path, text):
+    found = recognise("X,Y,Z,A,B,C,Zeit", choices=choices(tmp_path, text))
+    assert where(found) == ((3, 4, 5), (0, 1, 2))
+    assert [s.factor for s in found.torque] == [-1.0, 0.5, 1.0]
+    assert found.position[0].factor == math.pi / 180
+    assert found.time is not None and found.time.factor == 1e-3
+
+
+def test_a_columns_file_decides_between_candidates(tmp_path):
+    picked = choices(tmp_path, "torque = torque_1, tau2, tau3\n")
+    found = recognise("time,q1,q2,q3,tau1,tau2,tau3,torque_1", choices=picked)
+    assert where(found)[1] == (7, 5, 6)
+
+
+def test_a_columns_file_counts_columns_and_keeps_quantities_out(tmp_path):
+    text = "rate = 100\nposition = #1, #2, #3\ntorque = #4, #5, #6\nvelocity = none\n"
+    found = recognise("q1,q2,q3,qd1,qd2,qd3", choices=choices(tmp_path, text))
+    assert where(found) == ((0, 1, 2), (3, 4, 5))
+    assert found.velocity is None and found.time is None and found.rate == 100.0
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("speed = a", "valid keys: time, position"),
+        ("position = a, b", "lists 2 columns, the chain has 3"),
+        ("torque.elbow = a", "unknown joint 'elbow'"),
+        ("time a", "line 1"),
+        ("time = a\ntime = b", "line 2"),
+        ('{"time": ', "not valid JSON"),
+        ("rate = -3", "positive number"),
+        ("units = grad", "not understood"),
+    ],
+)
+def test_a_bad_columns_file_says_what_is_wrong(tmp_path, text, words):
+    with pytest.raises(InputError, match=words):
+        choices(tmp_path, text)
+
+
+def test_a_columns_file_that_names_no_column_lists_the_columns(tmp_path):
+    with pytest.raises(InputError, match="no single column 'B'.*time, q1"):
+        recognise(
+            "time,q1,q2,q3,tau1,tau2,tau3", choices=choices(tmp_path, "torque = B, tau2, tau3")
+        )
+
+
+def test_a_missing_columns_file_is_an_input_error(tmp_path):
+    with pytest.raises(InputError, match="cannot read the columns file"):
+        read_columns_file(tmp_path / "none.txt", JOINTS)
+
+
+@pytest.mark.parametrize(
+    ("text", "units"), [("deg", Units("deg")), ("ms, rad", Units("rad", "ms"))]
+)
+def test_units_are_parsed(text, units):
+    assert parse_units(text) == units
+
+
+@pytest.mark.parametrize("text", ["", "deg,rad", "s ms", "inch"])
+def test_units_that_make_no_sense_are_refused(text):
+    with pytest.raises(InputError, match="not understood"):
+        parse_units(text)

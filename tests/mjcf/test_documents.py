@@ -1,0 +1,161 @@
+"""Reading model files: what is refused, and includes as MuJoCo reads them."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+
+import pytest
+
+from robot_sysid.errors import InputError, ModelError
+from robot_sysid.mjcf.documents import read_document
+from tests.support.model_files import ARM, write_files
+
+BODY = "<mujoco><worldbody><body name='{}'/></worldbody></mujoco>"
+LAUGHS = """<!DOCTYPE a [<!ENTITY a "ha"><!ENTITY b "&a;&a;">]>
+<mujoco model="&b;"><worldbody/></mujoco>"""
+OUTSIDE = """<!DOCTYPE a [<!ENTITY a SYSTEM "file:///etc/hostname">]>
+<mujoco><worldbody>&a;</worldbody></mujoco>"""
+
+
+def names(path):
+    return [node.get("name") for node in read_document(path).walk() if node.tag == "body"]
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "Expected an XML model file, but .* is empty"),
+        (b"  \n", "Expected an XML model file, but .* is empty"),
+        (b"hello", "Expected an XML model file, but .* is not XML"),
+        (b"\x89PNG\r\n\x1a\n\x00\xff", "Expected an XML model file"),
+        (ARM[:200].encode(), "Expected an XML model file, but .* is not XML"),
+        (b"{'a': 1}", "Expected an XML model file"),
+        (LAUGHS.encode(), "declares XML entities"),
+        (OUTSIDE.encode(), "declares XML entities"),
+        (OUTSIDE.encode("utf-16"), "declares XML entities"),
+        (b"<default/>", "is a fragment, not a whole model: its root is <default>"),
+        (b"<mujoco/>", "is a fragment, not a whole model: no <worldbody>"),
+        (b"<robot/>", "is a fragment, not a whole model: no <link>"),
+        (b"<robot xmlns:xacro='http://ros.org/wiki/xacro'/>", "run xacro on it first"),
+    ],
+)
+def test_what_is_no_model_is_refused_in_one_line(tmp_path, content, message):
+    path = tmp_path / "m.xml"
+    path.write_bytes(content)
+    with pytest.raises(ModelError, match=message) as caught:
+        read_document(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_folder_and_a_missing_file_are_one_line(tmp_path):
+    with pytest.raises(InputError, match="is a folder"):
+        read_document(tmp_path)
+    with pytest.raises(InputError, match="nothing.xml not found"):
+        read_document(tmp_path / "nothing.xml")
+    with pytest.raises(InputError, match="cannot read"):
+        read_document(tmp_path / "a\0b")
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
+def test_an_unreadable_file_is_one_line(tmp_path):
+    path = write_files(tmp_path, {"m.xml": ARM})
+    path.chmod(0)
+    with pytest.raises(InputError, match="cannot read model file .*: Permission denied"):
+        read_document(path)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        ARM,
+        "\ufeff" + ARM,
+        "\n  <?xml version='1.0'?>" + ARM,
+        "<?xml version='1.0' encoding='latin-1'?>" + ARM,
+        "<!DOCTYPE mujoco>" + ARM,
+    ],
+)
+def test_what_mujoco_accepts_is_accepted(tmp_path, content):
+    path = write_files(tmp_path, {"m.xml": content})
+    assert names(path) == ["base", "link1", "link2", "tool", "finger"]
+
+
+def test_latin_text_is_read(tmp_path):
+    path = tmp_path / "m.xml"
+    path.write_bytes("<?xml version='1.0' encoding='latin-1'?><!-- \u00e9 -->".encode("latin-1"))
+    path.write_bytes(path.read_bytes() + BODY.format("a").encode())
+    assert "\u00e9".encode() in read_document(path).main.text
+
+
+@pytest.mark.parametrize(
+    ("files", "bodies"),
+    [
+        ({"m": "<mujoco><include file='s/a'/></mujoco>", "s/a": BODY.format("x")}, ["x"]),
+        (
+            {
+                "m": "<mujoco><include file='s/a'/></mujoco>",
+                "s/a": "<mujoco><include file='b'/></mujoco>",
+                "s/b": BODY.format("beside the includer"),
+            },
+            ["beside the includer"],
+        ),
+        (
+            {
+                "m": "<mujoco><include file='s/a'/></mujoco>",
+                "s/a": "<mujoco><include file='b'/></mujoco>",
+                "s/b": BODY.format("beside the includer"),
+                "b": BODY.format("beside the main file"),
+            },
+            ["beside the main file"],
+        ),
+        (
+            {
+                "m": "<mujoco><worldbody><body name='1'><include file='a'/></body>"
+                "<body name='4'/></worldbody></mujoco>",
+                "a": "<anything><body name='2'><body name='3'/></body></anything>",
+            },
+            ["1", "2", "3", "4"],
+        ),
+    ],
+)
+def test_includes_are_found_where_mujoco_finds_them(tmp_path, files, bodies):
+    assert names(write_files(tmp_path, files)) == bodies
+
+
+@pytest.mark.parametrize(
+    ("files", "message"),
+    [
+        ({"m": "<mujoco><include/></mujoco>"}, "without a file attribute"),
+        ({"m": "<mujoco>\n<include file='a'/></mujoco>"}, "line 2: included file a not found"),
+        ({"m": "<mujoco><include file='m'/></mujoco>"}, "m is included twice or includes itself"),
+        (
+            {
+                "m": "<mujoco><include file='a'/></mujoco>",
+                "a": "<mujoco><include file='m'/></mujoco>",
+            },
+            "m is included twice or includes itself",
+        ),
+        (
+            {
+                "m": "<mujoco><include file='a'/><include file='./a'/></mujoco>",
+                "a": BODY.format("x"),
+            },
+            "included twice",
+        ),
+        ({"m": "<mujoco><include file='a'/></mujoco>", "a": "<x><!-- --></x>"}, "a is empty"),
+        ({"m": "<mujoco><include file='a'/></mujoco>", "a": "<x>"}, "a is not XML"),
+    ],
+)
+def test_includes_that_fail_are_one_line(tmp_path, files, message):
+    with pytest.raises(ModelError, match=message) as caught:
+        read_document(write_files(tmp_path, files))
+    assert "\n" not in str(caught.value)
+
+
+def test_the_hash_is_that_of_the_file_and_covers_includes(tmp_path):
+    path = write_files(tmp_path, {"m.xml": BODY.format("x")})
+    assert read_document(path).sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    main = "<mujoco><include file='m.xml'/></mujoco>"
+    outer = read_document(write_files(tmp_path, {"n.xml": main})).sha256
+    write_files(tmp_path, {"m.xml": BODY.format("y")})
+    assert read_document(tmp_path / "n.xml").sha256 != outer

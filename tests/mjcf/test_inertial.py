@@ -1,0 +1,165 @@
+"""The text of an inertial means exactly theta, and the comment stands where it should."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.errors import ExportError
+from robot_sysid.mjcf.documents import Node, read_document
+from robot_sysid.mjcf.inertial import (
+    comment_edit,
+    find_body,
+    inertial_edit,
+    mjcf_inertial,
+    numbers,
+    urdf_inertial,
+)
+from robot_sysid.mjcf.markup import apply_edits
+from robot_sysid.model.inertia import body_label, body_theta
+from robot_sysid.output.verification import reads_fullinertia_exactly
+from tests.support.model_files import random_theta, urdf_link, urdf_robot, write_files
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+@pytest.mark.parametrize("principal", [True, False])
+@given(seed=seeds)
+def test_mujoco_reads_back_what_was_written(principal, seed):
+    rng = np.random.default_rng(seed)
+    theta = random_theta(rng, 10.0 ** rng.uniform(-3, 1), 10.0 ** rng.uniform(-2, 0))
+    if not principal and not reads_fullinertia_exactly(theta):
+        return
+    inertial = mjcf_inertial(theta, principal)
+    text = f"<mujoco><worldbody><body><joint/>{inertial}</body></worldbody></mujoco>"
+    got = body_theta(mujoco.MjModel.from_xml_string(text), 1)
+    scale = spatial.parameter_scale(theta[0], spatial.characteristic_length(theta))
+    assert np.max(np.abs(got - theta) / scale) < 1e-12
+
+
+def test_fullinertia_is_about_the_centre_of_mass_in_mujoco_order():
+    theta = spatial.theta_from_com(
+        2.0,
+        np.array([0.0, 0.0, 1.0]),
+        np.array([[4.0, 1.0, 2.0], [1.0, 5.0, 3.0], [2.0, 3.0, 6.0]]),
+    )
+    assert mjcf_inertial(theta) == (
+        '<inertial pos="0.0 0.0 1.0" mass="2.0" fullinertia="4.0 5.0 6.0 1.0 2.0 3.0"/>'
+    )
+    assert 'xyz="0.0 0.0 1.0" rpy="0 0 0"' in urdf_inertial(theta)
+    assert 'ixx="4.0" ixy="1.0" ixz="2.0" iyy="5.0" iyz="3.0" izz="6.0"' in urdf_inertial(theta)
+
+
+def test_numbers_that_mujoco_cannot_read_are_zero():
+    assert numbers(np.array([-0.0, 5e-324, -2e-310, 1e-300, 0.1])) == "0.0 0.0 0.0 1e-300 0.1"
+
+
+def edited(tmp_path, body_text, make):
+    text = f"<mujoco><worldbody>{body_text}</worldbody></mujoco>"
+    document = read_document(write_files(tmp_path, {"m.xml": text}))
+    body = next(node for node in document.walk() if node.tag == "body")
+    edit = make(body)
+    changed = apply_edits(body.file.text, [edit[1] if isinstance(edit, tuple) else edit])
+    return changed.decode().split("<worldbody>")[1].split("</worldbody>")[0]
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("<body name='a'/>", "<body name='a'><NEW/></body>"),
+        ("<body><inertial pos='0 0 0'\n mass='1'/><joint/></body>", "<body><NEW/><joint/></body>"),
+        ("<body><inertial></inertial></body>", "<body><NEW/></body>"),
+        ("\n  <body>\n    <joint/>\n  </body>", "\n  <body>\n    <NEW/>\n    <joint/>\n  </body>"),
+        (
+            "<body><body><inertial/></body></body>",
+            "<body>\n  <NEW/><body><inertial/></body></body>",
+        ),
+    ],
+)
+def test_the_old_inertial_goes_and_a_missing_one_comes(tmp_path, before, after):
+    assert edited(tmp_path, before, lambda body: inertial_edit(body, "<NEW/>")) == after
+
+
+COMMENT = "<!-- System ID: body 'a' identified with RMSE 0.000123 Nm -->"
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("\n    <body/>", f"\n    {COMMENT}\n    <body/>"),
+        ("<body/>", f"{COMMENT}\n<body/>"),
+        (f"\n    {COMMENT}\n    <body/>", f"\n    {COMMENT}\n    <body/>"),
+        ("\n  <!-- System ID: old -->\n  <body/>", f"\n  {COMMENT}\n  <body/>"),
+        ("\n  <!-- mine -->\n  <body/>", f"\n  <!-- mine -->\n  {COMMENT}\n  <body/>"),
+        (
+            "\n  <!-- System ID: x --><geom/>\n  <body/>",
+            f"\n  <!-- System ID: x --><geom/>\n  {COMMENT}\n  <body/>",
+        ),
+    ],
+)
+def test_one_comment_stands_before_the_body(tmp_path, before, after):
+    assert edited(tmp_path, before, lambda body: comment_edit(body, "a", 0.000123, None)) == after
+
+
+def test_a_comment_is_legal_whatever_the_name(tmp_path):
+    text = edited(tmp_path, "<body/>", lambda b: comment_edit(b, "a--b", 1.5e-13, "said--so"))
+    assert text.count("--") == 2 and "RMSE 1.5e-13 Nm; said" in text
+
+
+def test_an_inertial_in_an_included_file_is_found_there(tmp_path):
+    main = "<mujoco><worldbody><body><include file='i.xml'/></body></worldbody></mujoco>"
+    files = {"m.xml": main, "i.xml": "<x><inertial pos='0 0 0' mass='1'/></x>"}
+    document = read_document(write_files(tmp_path, files))
+    body = next(node for node in document.walk() if node.tag == "body")
+    holder, _ = inertial_edit(body, "")
+    assert isinstance(holder, Node) and holder.file.path.name == "i.xml"
+
+
+# Each body carries its MuJoCo id as mass of its only geom.
+NAMELESS = """<mujoco><include file="a.xml"/><worldbody>
+<body><geom size="1" mass="3"/><frame><body><geom size="1" mass="4"/></body></frame></body>
+<frame pos="1 0 0"><body><geom size="1" mass="5"/></body></frame></worldbody></mujoco>"""
+INCLUDED = """<mujoco><worldbody><body><geom size="1" mass="1"/>
+<body name="b"><geom size="1" mass="2"/></body></body></worldbody></mujoco>"""
+
+
+def test_nameless_bodies_are_counted_as_mujoco_counts(tmp_path):
+    path = write_files(tmp_path, {"m.xml": NAMELESS, "a.xml": INCLUDED})
+    mj_model, document = mujoco.MjModel.from_xml_path(str(path)), read_document(path)
+    for number in range(1, mj_model.nbody):
+        node = find_body(document, body_label(mj_model, number))
+        geom = next(child for child in node.children() if child.tag == "geom")
+        assert float(geom.get("mass")) == mj_model.body_mass[number] == number
+
+
+@pytest.mark.parametrize(
+    ("content", "label", "message"),
+    [
+        ("<body name='a'/>", "b", "'b' is not written out in the file"),
+        ("<body name='a'/><body name='a'/>", "a", "'a' stands in the file 2 times"),
+        ("<replicate count='2'><body name='a'/></replicate>", "a", "repeated by a <replicate>"),
+        ("<replicate count='2'><body/></replicate><body/>", "#3", "past a <replicate>"),
+        ("<body><attach model='x' body='y' prefix='z'/></body><body/>", "#4", "past a <attach>"),
+        ("<body/>", "#2", "no body number #2"),
+    ],
+)
+def test_what_is_not_written_out_is_one_line(tmp_path, content, label, message):
+    text = f"<mujoco><worldbody>{content}</worldbody></mujoco>"
+    with pytest.raises(ExportError, match=message) as caught:
+        find_body(read_document(write_files(tmp_path, {"m.xml": text})), label)
+    assert "\n" not in str(caught.value)
+
+
+def test_multipliers_behind_the_body_do_not_matter(tmp_path):
+    text = "<mujoco><worldbody><body pos='1 0 0'/><replicate count='2'><body/></replicate>"
+    path = write_files(tmp_path, {"m.xml": text + "</worldbody></mujoco>"})
+    assert find_body(read_document(path), "#1").get("pos") == "1 0 0"
+
+
+def test_a_link_is_found_by_name(tmp_path):
+    text = urdf_robot(urdf_link("a"), urdf_link("b"))
+    assert find_body(read_document(write_files(tmp_path, {"m": text})), "b").get("name") == "b"

@@ -1,0 +1,119 @@
+"""A model rewritten for another folder compiles to the same thing there."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from robot_sysid.mjcf.documents import read_document
+from robot_sysid.mjcf.relocation import reference, relocated_text
+from tests.support.model_files import TETRAHEDRON, write_files
+
+MESH = "<asset><mesh name='m' file='{}'/></asset>"
+USE = "<worldbody><body><geom type='mesh' mesh='m'/></body></worldbody>"
+BOTH = MESH + "<worldbody><body name='b'><geom type='mesh' mesh='m'/></body></worldbody>"
+CASES = {
+    "no folder named": {"m.xml": f"<mujoco>{MESH.format('m.obj')}{USE}</mujoco>", "m.obj": ""},
+    "meshdir": {
+        "m.xml": f"<mujoco><compiler meshdir='d &amp; e'/>{MESH.format('m.obj')}{USE}</mujoco>",
+        "d & e/m.obj": "",
+    },
+    "assetdir and strippath": {
+        "m.xml": "<mujoco><compiler assetdir='d' strippath='true'/>"
+        f"{MESH.format('away/m.obj')}{USE}</mujoco>",
+        "d/m.obj": "",
+    },
+    "two compilers": {
+        "m.xml": "<mujoco><compiler assetdir='no'/><compiler meshdir='d'/>"
+        f"{MESH.format('m.obj')}{USE}</mujoco>",
+        "d/m.obj": "",
+    },
+    "folder named in an include": {
+        "m.xml": "<mujoco><include file='s/a.xml'/></mujoco>",
+        "s/a.xml": f"<mujoco><compiler meshdir='d'/>{MESH.format('m.obj')}{USE}</mujoco>",
+        "d/m.obj": "",
+    },
+    "include in an include": {
+        "m.xml": f"<mujoco><include file='s/a.xml'/>{MESH.format('m.obj')}</mujoco>",
+        "s/a.xml": "<mujoco><include file='s/b.xml'/></mujoco>",
+        "s/b.xml": f"<mujoco>{USE}</mujoco>",
+        "m.obj": "",
+    },
+}
+
+
+def sizes(path) -> tuple:
+    mj_model = mujoco.MjModel.from_xml_path(str(path))
+    return mj_model.nbody, mj_model.nmesh, mj_model.body_mass.tobytes()
+
+
+@pytest.mark.parametrize("files", CASES.values(), ids=CASES.keys())
+@pytest.mark.parametrize("folder", ["out", "out/deep er", "s", "."])
+def test_it_loads_from_its_new_folder(tmp_path, files, folder):
+    files = {name: text or TETRAHEDRON for name, text in files.items()}
+    source = write_files(tmp_path / "in", files)
+    target = tmp_path / "in" / folder / "copy.xml"
+    target.parent.mkdir(parents=True, exist_ok=True)
+    target.write_bytes(relocated_text(read_document(source), target.parent))
+    assert sizes(target) == sizes(source)
+
+
+def test_in_its_own_folder_nothing_changes(tmp_path):
+    files = {"m.xml": CASES["meshdir"]["m.xml"], "d & e/m.obj": TETRAHEDRON}
+    source = write_files(tmp_path, files)
+    assert relocated_text(read_document(source), tmp_path) == source.read_bytes()
+
+
+def test_an_include_without_paths_stays_an_include(tmp_path):
+    files = {
+        "m.xml": "<mujoco><worldbody/><include file='s/a.xml'/></mujoco>",
+        "s/a.xml": "<mujoco><size memory='1M'/></mujoco>",
+    }
+    source = write_files(tmp_path, files)
+    text = relocated_text(read_document(source), tmp_path / "out")
+    assert b'<include file="../s/a.xml"/>' in text
+
+
+def test_the_users_mesh_folder_is_found_from_the_new_place(tmp_path):
+    files = {"m.xml": CASES["meshdir"]["m.xml"], "mine/m.obj": TETRAHEDRON}
+    source = write_files(tmp_path, files)
+    (tmp_path / "out").mkdir()
+    target = tmp_path / "out" / "copy.xml"
+    target.write_bytes(relocated_text(read_document(source), target.parent, tmp_path / "mine"))
+    assert mujoco.MjModel.from_xml_path(str(target)).nmesh == 1
+
+
+def test_absolute_text_needs_no_folder_at_all(tmp_path):
+    files = {n: t or TETRAHEDRON for n, t in CASES["folder named in an include"].items()}
+    source = write_files(tmp_path, files)
+    text = relocated_text(read_document(source), None)
+    np.testing.assert_array_equal(
+        mujoco.MjModel.from_xml_string(text.decode()).body_mass,
+        mujoco.MjModel.from_xml_path(str(source)).body_mass,
+    )
+
+
+def test_behind_a_symbolic_link_the_path_is_absolute(tmp_path):
+    (tmp_path / "real" / "deep").mkdir(parents=True)
+    (tmp_path / "link").symlink_to(tmp_path / "real" / "deep")
+    target = tmp_path / "file"
+    assert reference(target, tmp_path / "link") == str(target)
+    assert reference(target, tmp_path / "real") == "../file"
+
+
+def test_the_declared_encoding_becomes_the_real_one(tmp_path):
+    path = tmp_path / "m.xml"
+    text = "<?xml version='1.0' encoding='latin-1'?>\n<mujoco model='\u00e9'><worldbody/></mujoco>"
+    path.write_bytes(text.encode("latin-1"))
+    moved = relocated_text(read_document(path), tmp_path / "out").decode("utf-8")
+    assert moved == text.replace("latin-1", "utf-8")
+
+
+def test_an_included_file_that_is_not_utf8_takes_its_place(tmp_path):
+    part = "<?xml version='1.0' encoding='latin-1'?><mujoco><!-- é --></mujoco>"
+    (tmp_path / "part.xml").write_bytes(part.replace("<!--", "<size/><!--").encode("latin-1"))
+    main = "<mujoco><include file='part.xml'/><worldbody/></mujoco>"
+    (tmp_path / "m.xml").write_text(main)
+    moved = relocated_text(read_document(tmp_path / "m.xml"), tmp_path / "out")
+    assert moved.decode() == "<mujoco><size/><!-- é --><worldbody/></mujoco>"

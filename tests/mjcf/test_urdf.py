@@ -1,0 +1,142 @@
+"""URDF as MuJoCo can compile it; what must not be dropped is an error."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.errors import ModelError
+from robot_sysid.mjcf.documents import read_document
+from robot_sysid.mjcf.urdf import (
+    compilable_urdf,
+    find_mesh,
+    link_inertias,
+    mesh_uses,
+    relocated_urdf,
+)
+from tests.support.model_files import (
+    urdf_inertial,
+    urdf_joint,
+    urdf_link,
+    urdf_mesh,
+    urdf_robot,
+    write_files,
+)
+
+
+def arm(tmp_path, content, *more):
+    parts = (urdf_link("base"), urdf_link("l1", content), urdf_joint("base", "l1"), *more)
+    return read_document(write_files(tmp_path, {"m.urdf": urdf_robot(*parts)}))
+
+
+def test_line_numbers_stay_those_of_the_file(tmp_path):
+    content = urdf_inertial(rpy="0.1 0 0").replace("><", ">\n<")
+    content += urdf_mesh("collision", "gone.stl").replace("><", ">\n<")
+    text, _ = compilable_urdf(arm(tmp_path, content))
+    assert text.count(b"\n") == (tmp_path / "m.urdf").read_bytes().count(b"\n")
+
+
+def test_a_missing_collision_mesh_is_left_out_where_the_link_has_an_inertial(tmp_path):
+    text, notes = compilable_urdf(arm(tmp_path, urdf_inertial() + urdf_mesh("collision", "x.stl")))
+    assert b"<collision>" not in text
+    assert len(notes) == 1 and "x.stl" in notes[0]
+
+
+@pytest.mark.parametrize("setting", ["", '<mujoco><compiler inertiafromgeom="true"/></mujoco>'])
+def test_a_mesh_that_makes_the_inertia_must_be_there(tmp_path, setting):
+    content = urdf_mesh("collision", "x.stl") + (urdf_inertial() if setting else "")
+    with pytest.raises(ModelError, match=r"collision mesh x.stl of link 'l1' is not found"):
+        compilable_urdf(arm(tmp_path, content, setting))
+
+
+def test_what_is_only_drawn_is_left_out_in_silence(tmp_path):
+    text, notes = compilable_urdf(arm(tmp_path, urdf_inertial() + urdf_mesh("visual", "x.dae")))
+    assert b"<visual>" not in text and notes == ()
+
+
+@pytest.mark.parametrize(
+    ("content", "given"),
+    [
+        ("", True),
+        (urdf_inertial(mass=0.0, inertia="0 0 0"), True),
+        (urdf_inertial(mass=2.0, inertia="0 0 0"), True),
+        (urdf_inertial(), False),
+    ],
+)
+def test_the_minimum_goes_to_moving_links_without_inertia(tmp_path, content, given):
+    text, notes = compilable_urdf(arm(tmp_path, content), with_minimum=True)
+    assert (b'ixx="1e-09"' in text) == given
+    assert [("'l1'" in note) for note in notes] == [True] * given
+    if "2.0" in content:
+        assert b'<mass value="2.0"/>' in text
+
+
+def test_a_link_whose_mass_is_welded_to_it_needs_no_minimum(tmp_path):
+    more = (urdf_link("tool", urdf_inertial()), urdf_joint("l1", "tool", "fixed"))
+    assert compilable_urdf(arm(tmp_path, "", *more), with_minimum=True)[1] == ()
+
+
+def test_link_inertias_are_in_link_axes(tmp_path):
+    mass, com, inertia = link_inertias(arm(tmp_path, urdf_inertial(2.0, "0.1 0.2 0.3")))["l1"]
+    rotation = spatial.rotation_from_rpy(0.1, 0.2, 0.3)
+    assert mass == 2.0
+    np.testing.assert_array_equal(com, [0.1, 0.0, 0.0])
+    expected = rotation @ np.diag([0.01, 0.02, 0.025]) @ rotation.T
+    np.testing.assert_allclose(inertia, expected, rtol=0, atol=1e-16)
+
+
+def document(tmp_path, *parts, name="robots/arm.urdf"):
+    return read_document(write_files(tmp_path, {name: urdf_robot(*parts, urdf_link("base"))}))
+
+
+@pytest.mark.parametrize(
+    ("name", "place"),
+    [
+        ("meshes/a.stl", "robots/meshes/a.stl"),
+        ("package://pack/meshes/a.stl", "pack/meshes/a.stl"),
+        ("package://pack/meshes/a.stl", "meshes/a.stl"),
+        ("package://pack/meshes/a.stl", "robots/meshes/a.stl"),
+        ("model://pack/meshes/a.stl", "pack/meshes/a.stl"),
+        ("away/meshes/a.stl", "robots/a.stl"),
+        ("meshes\\a.stl", "robots/meshes/a.stl"),
+    ],
+)
+def test_a_mesh_is_found_in_the_folders_above(tmp_path, name, place):
+    write_files(tmp_path, {place: ""})
+    assert find_mesh(document(tmp_path), name) == tmp_path / place
+
+
+def test_a_file_address_is_absolute(tmp_path):
+    write_files(tmp_path, {"a.stl": ""})
+    assert find_mesh(document(tmp_path), f"file://{tmp_path}/a.stl") == tmp_path / "a.stl"
+
+
+@pytest.mark.parametrize("place", ["pack/meshes/a.stl", "meshes/a.stl", "a.stl"])
+def test_the_users_mesh_folder_comes_first(tmp_path, place):
+    write_files(tmp_path, {f"mine/{place}": "", "robots/meshes/a.stl": ""})
+    found = find_mesh(document(tmp_path), "package://pack/meshes/a.stl", tmp_path / "mine")
+    assert found == tmp_path / "mine" / place
+
+
+def test_what_is_missing_or_unreadable_is_not_usable(tmp_path):
+    write_files(tmp_path, {"robots/a.dae": "", "robots/b.STL": ""})
+    shapes = [urdf_mesh("visual", name) for name in ("a.dae", "b.STL", "c.stl", "")]
+    uses = mesh_uses(document(tmp_path, urdf_link("l", "".join(shapes))))
+    assert [use.is_usable for use in uses] == [False, True, False, False]
+
+
+def test_names_are_rewritten_where_the_file_exists_and_kept_elsewhere(tmp_path):
+    write_files(tmp_path, {"pack/a.stl": ""})
+    shapes = urdf_mesh("visual", "package://pack/a.stl") + urdf_mesh("visual", "gone.dae")
+    text = relocated_urdf(document(tmp_path, urdf_link("l", shapes)), tmp_path / "out", None, [])
+    assert b'filename="../pack/a.stl"' in text and b'filename="gone.dae"' in text
+    assert b'<mujoco><compiler strippath="false"/></mujoco>' in text
+
+
+def test_a_mesh_folder_of_the_file_goes_when_the_names_say_it_all(tmp_path):
+    write_files(tmp_path, {"robots/m/a.stl": ""})
+    setting = '<mujoco><compiler meshdir="m" strippath="true"/></mujoco>'
+    link = urdf_link("l", urdf_mesh("collision", "a.stl"))
+    text = relocated_urdf(document(tmp_path, setting, link), tmp_path / "out", None, [])
+    assert b'<compiler strippath="false"/>' in text and b'"../robots/m/a.stl"' in text

@@ -1,0 +1,312 @@
+"""Which joint is the arm's last one: found, asked for, or refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from robot_sysid.errors import AmbiguousJointError, ModelError
+from robot_sysid.model.chain import (
+    body_label,
+    chain_to,
+    find_terminal_joint,
+    joint_label,
+    resolve_joint,
+    serial_runs,
+)
+from tests.support import arms
+from tests.support.arms import (
+    X,
+    Y,
+    Z,
+    compile_xml,
+    fingers,
+    hinge,
+    link,
+    robot_of,
+    serial_arm,
+    serial_bodies,
+    world,
+)
+
+
+def found(xml):
+    model = compile_xml(xml)
+    return joint_label(model, find_terminal_joint(model))
+
+
+def candidates(xml):
+    with pytest.raises(AmbiguousJointError) as caught:
+        find_terminal_joint(compile_xml(xml))
+    return [joint for joint, _ in caught.value.candidates]
+
+
+def refusal(xml):
+    with pytest.raises(ModelError) as caught:
+        model = compile_xml(xml)
+        chain_to(model, find_terminal_joint(model))
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+HINGE_FINGERS = fingers('axis="1 0 0"')
+
+
+def long_finger(side, y):
+    """A finger of three joints."""
+    axes = (X, Y, Y)
+    inner = serial_bodies(axes, prefix=f"{side}_finger_")
+    return f'<body name="{side}_palm" pos="0 {y} 0">{inner}</body>'
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("seven", "joint6"),
+        ("three", "joint2"),
+        ("slide in chain", "roll"),
+        ("shared bodies", "spin"),
+        ("unlimited", "joint2"),
+        ("nameless", "#2"),
+        ("coupled fingers", "joint5"),
+        ("free object beside", "joint2"),
+        ("massless tip", "joint3"),
+    ],
+)
+def test_the_last_joint_before_the_tree_branches_is_found(name, expected):
+    assert found(arms.MODELS[name]) == expected
+
+
+def test_hinged_fingers_are_not_the_arm():
+    assert found(serial_arm((Z, Y, Z, Y), tip=HINGE_FINGERS)) == "joint3"
+
+
+def test_fingers_of_several_joints_are_not_the_arm():
+    hand = long_finger("left", 0.1) + long_finger("right", -0.1)
+    assert found(serial_arm((Z, Y, Z, Y, X), tip=hand)) == "joint4"
+
+
+def test_fingers_as_long_as_the_arm_are_not_the_arm():
+    hand = long_finger("left", 0.1) + long_finger("right", -0.1)
+    assert found(serial_arm((Z, Y, X), tip=hand)) == "joint2"
+
+
+def test_one_joint_and_two_fingers():
+    assert found(serial_arm((Z,), tip=fingers())) == "joint0"
+
+
+def test_fingers_longer_than_the_arm_are_doubt_and_the_arm_is_offered_too():
+    hand = long_finger("left", 0.1) + long_finger("right", -0.1)
+    asked = candidates(serial_arm((Z, Y), tip=hand))
+    assert asked == ["joint1", "left_finger_joint2", "right_finger_joint2"]
+
+
+def test_two_arms_are_doubt():
+    assert candidates(arms.TWO_ARMS) == ["left_joint3", "right_joint3"]
+
+
+def test_two_arms_of_different_length_are_doubt():
+    content = serial_bodies((Z, Y, Z, Y, X), prefix="a_") + serial_bodies((Z, Y, X), prefix="b_")
+    assert candidates(world(content)) == ["a_joint4", "b_joint2"]
+
+
+def test_two_arms_on_one_torso_are_doubt_and_the_torso_is_offered_too():
+    both = "".join(
+        f'<body name="{side}shoulder">{serial_bodies((Z, Y, X), prefix=side)}</body>'
+        for side in ("left_", "right_")
+    )
+    xml = world(link(hinge("waist", Z), both, "torso"))
+    assert candidates(xml) == ["waist", "left_joint2", "right_joint2"]
+
+
+def test_a_head_beside_the_arm_is_not_an_arm():
+    head = serial_bodies((Z, Y), prefix="head_")
+    arm = serial_bodies((Z, Y, Z, Y, X), prefix="arm_")
+    assert found(world(link(hinge("waist", Z), f"<body>{head}</body>{arm}", "torso"))) == (
+        "arm_joint4"
+    )
+
+
+def test_an_arm_on_a_rail_keeps_the_rail_in_its_chain():
+    rail = '<joint name="rail" type="slide" axis="1 0 0" range="-1 1"/>'
+    model = compile_xml(world(link(rail, serial_bodies((Z, Y, X)), "carriage")))
+    chain = chain_to(model, find_terminal_joint(model))
+    assert [joint_label(model, j) for j in chain] == ["rail", "joint0", "joint1", "joint2"]
+
+
+def test_wheels_beside_the_arm_are_not_arms():
+    wheels = "".join(
+        f'<body pos="0 {y} 0">{hinge(f"wheel{y}", Y)}<geom size=".1" mass="1"/></body>'
+        for y in (0.3, -0.3)
+    )
+    assert found(world(wheels + serial_bodies((Z, Y, X, Z)))) == "joint3"
+
+
+@pytest.mark.parametrize("name", ["gripper", "Jaw", "left_finger", "claw_joint", "gripper-opening"])
+def test_a_single_jaw_in_line_with_the_arm_is_doubt(name):
+    jaw = (
+        f'<body name="end"><joint name="{name}" axis="1 0 0"/><geom size=".02" mass=".02"/></body>'
+    )
+    assert candidates(serial_arm((Z, Y, X, Z), tip=jaw)) == ["joint3", name]
+
+
+def test_a_jaw_is_recognised_by_its_body_too():
+    jaw = (
+        '<body name="moving_jaw"><joint name="m6" axis="1 0 0"/><geom size=".02" mass=".1"/></body>'
+    )
+    assert candidates(serial_arm((Z, Y, X, Z), tip=jaw)) == ["joint3", "m6"]
+
+
+def test_a_hand_named_body_behind_a_wrist_is_not_a_jaw():
+    xml = serial_arm((Z, Y, X)).replace('name="link2"', 'name="gripper_base_link"')
+    assert found(xml) == "joint2"
+
+
+def test_candidates_are_listed_with_their_bodies_in_one_line():
+    with pytest.raises(AmbiguousJointError) as caught:
+        find_terminal_joint(compile_xml(arms.TWO_ARMS))
+    message = str(caught.value)
+    assert "left_joint3 (body left_link3), right_joint3 (body right_link3)" in message
+    assert "--joint NAME" in message
+    assert "\n" not in message
+
+
+def motors(*joints):
+    return f'<actuator>{"".join(f"""<motor joint="{name}"/>""" for name in joints)}</actuator>'
+
+
+def test_a_last_joint_without_a_motor_behind_joints_with_motors_is_doubt():
+    xml = serial_arm((Z, Y, X, Y), extra=motors("joint0", "joint1", "joint2"))
+    assert candidates(xml) == ["joint2", "joint3"]
+
+
+def test_a_model_without_any_motor_is_no_doubt():
+    assert found(serial_arm((Z, Y, X, Y))) == "joint3"
+
+
+@pytest.mark.parametrize(
+    "drive",
+    [
+        '<tendon><fixed name="t"><joint joint="joint3" coef="1"/></fixed></tendon>'
+        '<actuator><motor joint="joint0"/><motor tendon="t"/></actuator>',
+        '<equality><joint joint1="joint3" joint2="joint2"/></equality>' + motors("joint2"),
+        motors("joint3"),
+    ],
+)
+def test_a_last_joint_driven_by_tendon_coupling_or_motor_is_no_doubt(drive):
+    assert found(serial_arm((Z, Y, X, Y), extra=drive)) == "joint3"
+
+
+BALL = '<joint name="socket" type="ball"/>'
+
+
+def test_a_ball_joint_in_the_middle_of_the_chain_is_refused():
+    assert "ball joint socket" in refusal(arms.BALL_IN_CHAIN)
+
+
+@pytest.mark.parametrize("behind", [0, 1, 2])
+def test_a_ball_joint_behind_the_longest_run_is_refused_too(behind):
+    hand = serial_bodies((X, Y)[:behind], prefix="hand_") if behind else ""
+    xml = serial_arm((Z, Y), tip=link(BALL, hand, "wrist"))
+    assert "ball joint socket" in refusal(xml)
+    assert "--joint joint1" in refusal(xml)
+
+
+def test_a_ball_joint_behind_the_joint_asked_for_is_held():
+    model = compile_xml(serial_arm((Z, Y), tip=link(BALL, "", "wrist")))
+    assert chain_to(model, resolve_joint(model, "joint1")) == (0, 1)
+
+
+def test_a_ball_joint_among_fingers_is_held():
+    thumb = f'<body name="thumb">{BALL}<geom size=".01" mass=".02"/></body>'
+    assert found(serial_arm((Z, Y, X), tip=fingers() + thumb)) == "joint2"
+
+
+def test_a_floating_base_is_refused():
+    floating = world(link('<freejoint name="root"/>', serial_bodies((Z, Y, X)), "base"))
+    assert "free joint root" in refusal(floating)
+
+
+def test_a_model_without_joints_is_refused():
+    assert "no hinge or slide joints" in refusal(world('<body><geom size=".1"/></body>'))
+
+
+def test_a_model_with_nothing_but_a_free_object_is_refused():
+    cup = '<body><freejoint/><geom size=".1"/></body>'
+    assert "no hinge or slide joints" in refusal(world(cup))
+
+
+def test_a_joint_can_be_asked_for_by_name_or_number():
+    model = compile_xml(arms.TWO_ARMS)
+    assert joint_label(model, resolve_joint(model, "right_joint3")) == "right_joint3"
+    nameless = compile_xml(arms.NAMELESS)
+    assert resolve_joint(nameless, "#1") == 1
+
+
+def test_an_unknown_joint_is_refused_and_the_known_ones_listed():
+    with pytest.raises(ModelError, match="no such joint; the model has: joint0, joint1, joint2"):
+        resolve_joint(compile_xml(arms.THREE), "joint9")
+
+
+def test_a_joint_that_is_not_the_last_of_its_body_is_refused_and_the_last_named():
+    with pytest.raises(ModelError, match="choose roll"):
+        resolve_joint(compile_xml(arms.SHARED_BODIES), "yaw")
+
+
+def test_a_ball_joint_cannot_be_asked_for():
+    model = compile_xml(arms.BALL_IN_CHAIN)
+    with pytest.raises(ModelError, match="ball joint socket"):
+        chain_to(model, resolve_joint(model, "socket"))
+
+
+def test_every_hinge_and_slide_is_in_exactly_one_run():
+    for xml in (*arms.MODELS.values(), arms.TWO_ARMS, arms.BALL_IN_CHAIN):
+        model = compile_xml(xml)
+        joints = sorted(joint for run in serial_runs(model) for joint in run.joints)
+        kinds = [j for j in range(model.njnt) if model.jnt_type[j] in (2, 3)]
+        assert joints == kinds
+
+
+def test_labels_of_nameless_things_are_their_numbers():
+    model = compile_xml(arms.NAMELESS)
+    assert (joint_label(model, 2), body_label(model, 3)) == ("#2", "#3")
+
+
+PLANE = (("slide", X), ("slide", Y), ("hinge", Z))
+
+
+def on_base(kinds_and_axes, attributes="", axes=(Z, Y, X, Y)):
+    joints = "".join(
+        f'<joint name="base{i}" type="{kind}" axis="{axis}" {attributes}/>'
+        for i, (kind, axis) in enumerate(kinds_and_axes)
+    )
+    inertial = '<inertial pos="0 0 .1" mass="20" diaginertia="1 1 1"/>'
+    return world(f'<body name="base">{inertial}{joints}{serial_bodies(axes)}</body>')
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (1, 0, 2), (2, 0, 1)])
+def test_a_mobile_base_is_held_and_named(order):
+    robot = robot_of(on_base([PLANE[i] for i in order]))
+    assert robot.joint_names == ("joint0", "joint1", "joint2", "joint3")
+    assert any("base0, base1, base2 drive a mobile base" in note for note in robot.notes)
+
+
+@pytest.mark.parametrize(
+    ("joints", "attributes", "axes"),
+    [
+        (PLANE, 'range="-1 1"', (Z, Y, X, Y)),  # a gantry: its travel ends somewhere
+        (PLANE, "", (Z, Y)),  # too little of an arm remains
+        ((("slide", X), ("slide", Y), ("hinge", X)), "", (Z, Y, X, Y)),  # the turn is not planar
+        ((("slide", X), ("slide", Y), ("slide", Z)), "", (Z, Y, X, Y)),
+        (PLANE[:2], "", (Z, Y, X, Y)),
+    ],
+)
+def test_other_joints_at_the_root_belong_to_the_arm(joints, attributes, axes):
+    robot = robot_of(on_base(joints, attributes, axes))
+    assert robot.n_joints == len(joints) + len(axes)
+    assert not any("mobile base" in note for note in robot.notes)
+
+
+def test_the_arm_is_the_same_with_and_without_its_base():
+    fixed, mobile = robot_of(world(serial_bodies((Z, Y, X, Y)))), robot_of(on_base(PLANE))
+    np.testing.assert_allclose(mobile.prior.theta, fixed.prior.theta, rtol=1e-12, atol=0.0)

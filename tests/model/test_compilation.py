@@ -1,0 +1,239 @@
+"""Compiling quietly: notes and one-line errors instead of MuJoCo's own output."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.errors import InputError, ModelError
+from robot_sysid.mjcf.inertial import mjcf_inertial
+from robot_sysid.model.compilation import captured_warnings, compile_model, restore_exact_inertias
+from robot_sysid.model.inertia import body_theta
+from tests.support.model_files import (
+    ARM,
+    INERTIAL,
+    TETRAHEDRON,
+    random_theta,
+    urdf_inertial,
+    urdf_joint,
+    urdf_link,
+    urdf_mesh,
+    urdf_robot,
+    write_files,
+)
+from tests.support.places import SHARED
+
+BODY = "<body name='b'><joint/>{}</body>"
+MESH_MODEL = """<mujoco><compiler meshdir="d"/><asset><mesh name="m" file="m.obj"/></asset>
+<worldbody><body><joint/><geom type="mesh" mesh="m"/></body></worldbody></mujoco>"""
+TWO_LINKS = (urdf_link("base"), urdf_link("l1", urdf_inertial()), urdf_joint("base", "l1"))
+
+
+def world(content: str) -> str:
+    return f"<mujoco><worldbody>{content}</worldbody></mujoco>"
+
+
+def test_an_mjcf_file_compiles_to_what_mujoco_makes_of_it(tmp_path):
+    path = write_files(tmp_path, {"m.xml": ARM})
+    compiled = compile_model(path)
+    assert (compiled.kind, compiled.notes) == ("mjcf", ())
+    assert compiled.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    expected = mujoco.MjModel.from_xml_path(str(path))
+    np.testing.assert_array_equal(compiled.mj_model.body_mass, expected.body_mass)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (world(BODY.format("")), "mass and inertia of moving bodies .*'b', line 1"),
+        (world("\n<body foo='1'/>"), "unrecognized attribute: 'foo' .*line 2"),
+        (world(f"<body pos='0 nan 0'>{INERTIAL}</body>"), "not a number .body_pos"),
+        (MESH_MODEL, r"mesh file m.obj not found \(looked in .*d\); pass --mesh-dir"),
+        (urdf_robot(urdf_link("a"), urdf_joint("a", "gone")), "joint parent or child missing"),
+        (
+            urdf_robot(*TWO_LINKS).replace('ixx="0.01"', 'ixx="much"'),
+            "a number cannot be read: .*much",
+        ),
+    ],
+)
+def test_what_mujoco_refuses_is_one_line_with_the_file(tmp_path, text, message):
+    path = write_files(tmp_path, {"m.xml": text})
+    with pytest.raises(ModelError, match=message) as caught:
+        compile_model(path)
+    assert "m.xml" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_warnings_become_notes_and_leave_no_trace(tmp_path, capfd, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = world(BODY.format(INERTIAL)).replace(
+        "<worldbody>", "<worldbody><light diffuse='nan 0 0'/>"
+    )
+    compiled = compile_model(write_files(tmp_path, {"m.xml": text}))
+    assert len(compiled.notes) == 1 and "NaN" in compiled.notes[0]
+    assert capfd.readouterr() == ("", "")
+    assert os.listdir(tmp_path) == ["m.xml"]
+
+
+def test_warnings_while_simulating_are_captured_and_the_handler_comes_back(capfd):
+    def before(message: str) -> None:
+        raise AssertionError(message)
+
+    mujoco.set_mju_user_warning(before)
+    try:
+        mj_model = mujoco.MjModel.from_xml_string(world(BODY.format(INERTIAL)))
+        data = mujoco.MjData(mj_model)
+        data.qpos[0] = np.nan
+        with captured_warnings() as messages:
+            mujoco.mj_step(mj_model, data)
+        assert mujoco.get_mju_user_warning() is before
+    finally:
+        mujoco.set_mju_user_warning(None)
+    assert len(messages) == 1 and "QPOS" in messages[0]
+    assert capfd.readouterr() == ("", "")
+
+
+def test_the_mesh_folder_can_be_given(tmp_path):
+    path = write_files(tmp_path, {"m.xml": MESH_MODEL, "mine/m.obj": TETRAHEDRON})
+    assert compile_model(path, tmp_path / "mine").mj_model.nmesh == 1
+    with pytest.raises(ModelError, match="mesh folder .*gone does not exist; check --mesh-dir"):
+        compile_model(path, tmp_path / "gone")
+
+
+def test_it_depends_on_no_working_folder(tmp_path, monkeypatch):
+    write_files(tmp_path, {"a/m.xml": MESH_MODEL, "a/d/m.obj": TETRAHEDRON})
+    monkeypatch.chdir(tmp_path)
+    assert compile_model(Path("a/m.xml")).mj_model.nmesh == 1
+    monkeypatch.chdir(tmp_path / "a" / "d")
+    assert compile_model(Path("../m.xml"), Path(".")).mj_model.nmesh == 1
+
+
+def test_welded_links_of_a_urdf_stay_bodies(tmp_path):
+    parts = (urdf_link("tool", urdf_inertial()), urdf_joint("l1", "tool", "fixed"))
+    path = write_files(tmp_path, {"m.urdf": urdf_robot(*TWO_LINKS, *parts)})
+    compiled = compile_model(path)
+    assert compiled.kind == "urdf"
+    assert [compiled.mj_model.body(i).name for i in range(4)] == ["world", "base", "l1", "tool"]
+
+
+def test_a_urdf_mesh_in_a_package_is_found(tmp_path):
+    link = urdf_link("l1", urdf_inertial() + urdf_mesh("collision", "package://p/m/a.obj"))
+    text = urdf_robot(urdf_link("base"), link, urdf_joint("base", "l1"))
+    path = write_files(tmp_path, {"p/urdf/m.urdf": text, "p/m/a.obj": TETRAHEDRON})
+    assert compile_model(path).mj_model.nmesh == 1
+
+
+def test_a_moving_link_without_inertia_gets_a_minimum_and_a_note(tmp_path):
+    parts = (urdf_link("l2"), urdf_joint("l1", "l2"))
+    compiled = compile_model(write_files(tmp_path, {"m.urdf": urdf_robot(*TWO_LINKS, *parts)}))
+    assert compiled.mj_model.body("l2").mass == pytest.approx(1e-6)
+    assert len(compiled.notes) == 1 and "'l2'" in compiled.notes[0]
+
+
+def test_a_urdf_inertia_is_exact_whatever_its_axes(tmp_path):
+    link = urdf_link("l1", urdf_inertial(1.0, "0.3 -0.7 1.1", "2e-6 3e-6 4.5e-6"))
+    text = urdf_robot(urdf_link("base"), link, urdf_joint("base", "l1"))
+    mj_model = compile_model(write_files(tmp_path, {"m.urdf": text})).mj_model
+    rotation = np.empty(9)
+    mujoco.mju_quat2Mat(rotation, mj_model.body("l1").iquat)
+    moments = np.sort(mj_model.body("l1").inertia)
+    np.testing.assert_allclose(moments, [2e-6, 3e-6, 4.5e-6], rtol=1e-12)
+    largest = rotation.reshape(3, 3)[:, np.argmax(mj_model.body("l1").inertia)]
+    expected = np.array([np.cos(1.1) * np.sin(-0.7), np.sin(1.1) * np.sin(-0.7), np.cos(-0.7)])
+    turn = np.array([np.sin(1.1), -np.cos(1.1), 0.0])
+    expected = np.cos(0.3) * expected + np.sin(0.3) * turn
+    assert abs(largest @ expected) == pytest.approx(1.0, abs=1e-12)
+
+
+FILES = sorted(SHARED.glob("models/**/*.xml")) + sorted(SHARED.glob("**/*.urdf"))
+FRAGMENTS = {"joint_position_actuators", "keyframe_ctrl", "keyframe_no_act", "joints_properties"}
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not FILES, reason="no public models here")
+@pytest.mark.parametrize("path", FILES, ids=lambda p: f"{p.parent.name}/{p.name}")
+def test_public_models_compile_and_fragments_say_so(path):
+    if path.stem in FRAGMENTS:
+        with pytest.raises(ModelError, match="is a fragment"):
+            compile_model(path)
+    elif path.stem == "filtered_cartesian_actuators":
+        with pytest.raises(InputError, match="transmission target 'left/gripper' not found"):
+            compile_model(path)
+    else:
+        assert compile_model(path).mj_model.njnt > 0
+
+
+def test_a_urdf_states_its_speed_limits(tmp_path):
+    """Stated speeds are kept; zero, missing and malformed ones mean that there is none."""
+    limits = ('velocity="1.5"', 'velocity="0"', "", 'velocity="fast"')
+    joints = "".join(
+        f'<link name="l{k + 1}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" '
+        f'ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="j{k}" type="revolute">'
+        f'<parent link="l{k}"/><child link="l{k + 1}"/><axis xyz="0 0 1"/>'
+        f'<limit lower="-1" upper="1" effort="9" {limit}/></joint>'
+        for k, limit in enumerate(limits)
+    )
+    path = tmp_path / "arm.urdf"
+    path.write_text(f'<robot name="r"><link name="l0"/>{joints}</robot>')
+    assert compile_model(path).velocity_limits == {"j0": 1.5}
+
+
+@pytest.mark.parametrize("encoding", ["latin-1", "utf-16"])
+def test_names_in_other_encodings_are_read(tmp_path, encoding):
+    """MuJoCo reads every file as UTF-8; the text it gets is converted, included files too."""
+    head = f"<?xml version='1.0' encoding='{encoding}'?>"
+    body = "<body name='h\u00fcfte'><joint name='h\u00fcfte'/><geom size='.1'/></body>"
+    (tmp_path / "part.xml").write_bytes(f"{head}<mujoco>{body}</mujoco>".encode(encoding))
+    main = f"{head}<mujoco><worldbody><include file='part.xml'/></worldbody></mujoco>"
+    for name, text in (
+        ("a.xml", main),
+        ("b.xml", main.replace("<include file='part.xml'/>", body)),
+    ):
+        path = tmp_path / name
+        path.write_bytes(text.encode(encoding))
+        assert compile_model(path).mj_model.body(1).name == "h\u00fcfte"
+
+
+def test_a_value_no_arm_has_is_refused_by_name(tmp_path):
+    path = tmp_path / "m.xml"
+    path.write_text(
+        "<mujoco><worldbody><body><joint/><inertial pos='0 0 0' mass='1e300' "
+        "diaginertia='1 1 1'/></body></worldbody></mujoco>"
+    )
+    with pytest.raises(InputError, match="a value no arm has .body_mass 1e.300."):
+        compile_model(path)
+
+
+def compiled(theta):
+    inertial = mjcf_inertial(theta, principal=True)
+    body = f"<body name='b'><joint/>{inertial}</body>"
+    return mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_a_turned_inertia_is_restored_with_all_that_follows(seed):
+    rng = np.random.default_rng(seed)
+    theta = random_theta(rng)
+    good, bad = compiled(theta), compiled(theta)
+    turn = spatial.rotation_from_quaternion(np.append(1.0, 1e-4 * rng.normal(size=3)))
+    axes = turn @ spatial.rotation_from_quaternion(bad.body_iquat[1])
+    bad.body_iquat[1] = spatial.quaternion_from_rotation(axes)
+    restore_exact_inertias(bad, {"b": spatial.com_from_theta(theta)})
+    np.testing.assert_allclose(body_theta(bad, 1), theta, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(bad.dof_M0, good.dof_M0, rtol=1e-11)
+
+
+def test_a_bounded_inertia_and_an_unknown_link_are_left_alone():
+    theta = random_theta(np.random.default_rng(0))
+    model = compiled(theta)
+    model.body_inertia[1] *= 2.0
+    before = body_theta(model, 1)
+    restore_exact_inertias(model, {"b": spatial.com_from_theta(theta), "gone": (1, 0, np.eye(3))})
+    np.testing.assert_array_equal(body_theta(model, 1), before)

@@ -1,0 +1,95 @@
+"""Contacts along a motion that are not there at rest."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from robot_sysid.model.contacts import ContactFinder, find_new_contacts
+from robot_sysid.records import Motion
+from tests.support import arms
+from tests.support.arms import Y, Z, hinge, link, robot_of, world
+
+BALL = '<geom size=".08"/>'
+WALL = '<body name="wall" pos="0 .5 .5"><geom type="box" size=".5 .05 .5"/></body>'
+
+
+def arm_with_tip(beside="", extra=""):
+    """Two joints; the tip is a ball 0.4 m from a vertical axis."""
+    tip = link(hinge("twist", Y), BALL, "tip", pos=".4 0 0")
+    return world(link(hinge("turn", Z), tip, "upper", pos="0 0 .5") + beside, extra=extra)
+
+
+def sweep(angles):
+    """Turn about the vertical axis, one step per second."""
+    q = np.column_stack((angles, np.zeros(len(angles))))
+    zeros = np.zeros_like(q)
+    return Motion(np.arange(len(q), dtype=float), q, zeros, zeros)
+
+
+def contacts(xml, angles):
+    return find_new_contacts(robot_of(xml), [sweep(angles)])
+
+
+def test_free_motion_touches_nothing():
+    assert contacts(arm_with_tip(WALL), np.zeros(4)) == ()
+
+
+def test_first_touch_of_a_pair_is_told_once_with_time_and_names():
+    (contact,) = contacts(arm_with_tip(WALL), [0.0, 0.3, 1.5, 0.0, 1.5])
+    assert contact.time == 2.0
+    assert set(contact.bodies) == {"wall", "tip"}
+    assert str(contact).endswith("touch at 2.00 s")
+
+
+def test_chunks_do_not_matter():
+    robot = robot_of(arm_with_tip(WALL))
+    whole = sweep([0.0, 0.3, 1.5, 0.0])
+    parts = [
+        Motion(whole.time[k : k + 1], *(getattr(whole, f)[k : k + 1] for f in ("q", "qd", "qdd")))
+        for k in range(4)
+    ]
+    assert find_new_contacts(robot, parts) == find_new_contacts(robot, [whole])
+
+
+def test_what_touches_at_rest_is_taken_for_granted():
+    resting = '<body name="stand" pos=".4 0 .42"><geom size=".05"/></body>'
+    robot = robot_of(arm_with_tip(resting))
+    assert find_new_contacts(robot, [sweep([0.0, 0.05, -0.05])]) == ()
+
+
+def test_things_that_touch_each_other_beside_the_arm_are_no_news():
+    falling = '<body name="cup" pos="0 .5 1.0"><freejoint/><geom size=".05" mass=".1"/></body>'
+    assert contacts(arm_with_tip(WALL + falling), np.zeros(3)) == ()
+
+
+def test_excluded_pairs_are_not_contacts():
+    exclude = '<contact><exclude body1="wall" body2="tip"/></contact>'
+    assert contacts(arm_with_tip(WALL, exclude), [0.0, 1.5]) == ()
+
+
+def test_links_of_the_arm_touching_each_other_are_found():
+    base = '<body name="base" pos=".2 0 .3"><geom size=".1"/></body>'
+    folded = world(
+        base + link(hinge("bend", Y), link(hinge("end", Y), BALL, "tip"), "upper", pos="0 0 .5")
+    )
+    (contact,) = contacts(folded, [0.0, 2.2])
+    assert set(contact.bodies) == {"base", "tip"}
+
+
+def test_a_near_miss_inside_the_contact_margin_is_no_touch():
+    near = WALL.replace("<geom ", '<geom margin=".5" ')
+    finder = ContactFinder(robot_of(arm_with_tip(near)))
+    assert finder.new_pairs(np.array([0.3, 0.0])) == set()
+    assert len(finder.new_pairs(np.array([1.5, 0.0]))) == 1
+
+
+def test_nameless_bodies_are_told_by_number():
+    (contact,) = contacts(arm_with_tip(WALL.replace('name="wall"', "")), [0.0, 1.5])
+    assert any(name.startswith("#") for name in contact.bodies)
+
+
+@pytest.mark.parametrize("name", arms.MODELS)
+def test_rest_is_free_of_new_contacts_on(name):
+    robot = robot_of(arms.MODELS[name])
+    assert ContactFinder(robot).new_pairs(robot.reference) == set()

@@ -1,0 +1,58 @@
+"""Inertia of bodies and of what hangs on them, against MuJoCo's own dynamics."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.model.inertia import body_theta, composite_theta, subtree_bodies
+from tests.support.model_files import ARM
+
+MODEL = mujoco.MjModel.from_xml_string(ARM)
+LINK2 = MODEL.body("link2").id
+
+
+@given(q=st.lists(st.floats(-3.0, 3.0), min_size=3, max_size=3))
+def test_the_composite_is_mujocos_subtree(q):
+    data = mujoco.MjData(MODEL)
+    data.qpos[:] = q
+    mujoco.mj_kinematics(MODEL, data)
+    mujoco.mj_comPos(MODEL, data)
+    mass, com, _ = spatial.com_from_theta(composite_theta(MODEL, data.qpos, LINK2))
+    assert abs(mass - MODEL.body_subtreemass[LINK2]) < 1e-14
+    world = data.xpos[LINK2] + data.xmat[LINK2].reshape(3, 3) @ com
+    np.testing.assert_allclose(world, data.subtree_com[LINK2], rtol=0, atol=1e-14)
+
+
+@given(q=st.lists(st.floats(-3.0, 3.0), min_size=3, max_size=3))
+def test_a_hinge_feels_the_composite_inertia(q):
+    data = mujoco.MjData(MODEL)
+    data.qpos[:] = q
+    mujoco.mj_forward(MODEL, data)
+    dof = MODEL.joint("j2").dofadr[0]
+    unit, column = np.eye(MODEL.nv)[dof], np.zeros(MODEL.nv)
+    mujoco.mj_mulM(MODEL, data, column, unit)
+    # The hinge turns about the body's x axis through its origin.
+    inertia = spatial.symmetric_from_six(composite_theta(MODEL, data.qpos, LINK2)[4:])
+    assert abs(column[dof] - inertia[0, 0]) < 1e-14
+
+
+def test_the_subtree_knows_what_is_welded():
+    bodies = subtree_bodies(MODEL, None, LINK2)
+    assert [(b.name, b.welded) for b in bodies] == [
+        ("link2", True),
+        ("tool", True),
+        ("finger", False),
+    ]
+    np.testing.assert_array_equal(bodies[0].theta, body_theta(MODEL, LINK2))
+    total = np.sum([b.theta for b in bodies], axis=0)
+    np.testing.assert_allclose(total, composite_theta(MODEL, None, LINK2), rtol=1e-15)
+
+
+def test_a_nameless_body_is_called_by_its_number():
+    text = "<mujoco><worldbody><body/><body><geom size='1'/></body></worldbody></mujoco>"
+    bodies = subtree_bodies(mujoco.MjModel.from_xml_string(text), None, 2)
+    assert [body.name for body in bodies] == ["#2"]

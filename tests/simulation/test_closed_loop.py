@@ -1,0 +1,214 @@
+"""The closed loop reports effective torques, follows any arm's trajectory, and says why it cannot.
+
+And the proof: positions and torques of a plant with MuJoCo's friction and armature give back its
+mass within 0.2 % and its friction within 2 %.
+"""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import pytest
+
+from robot_sysid.dynamics.kinematics import ArmDynamics
+from robot_sysid.errors import SimulationError
+from robot_sysid.parser import load_robot_model
+from robot_sysid.simulation.closed_loop import ClosedLoop
+from robot_sysid.simulation.forward_dynamics import ForwardPlant
+from robot_sysid.trajectory import SineTrajectory
+from tests.support import arms
+from tests.support.arms import robot_of
+from tests.support.closed_loop_proof import (
+    differentiated,
+    errors_of,
+    excitation,
+    identified,
+    plant_from,
+    proof_run,
+    recorded,
+)
+from tests.support.places import MODELS
+
+PUBLIC_ARMS = {
+    "kinova_gen3/gen3.xml": None,
+    "kinova_gen3/gen3_7dof_2023.xml": None,
+    "franka_panda/panda.xml": None,
+    "franka_fr3/FrankaFR3_7DoF.urdf": None,
+    "kuka_iiwa_14/iiwa14.xml": None,
+    "universal_robots_ur5e/ur5e.xml": None,
+    "ufactory_xarm7/xarm7.xml": None,
+    "ufactory_xarm7/xarm7_nohand.xml": None,
+    "trossen/wxai/wxai_follower.xml": None,
+    "openarm_v2/openarm_bimanual.xml": "openarm_left_joint7",
+    "aloha/aloha.xml": "left/wrist_rotate",
+    "so101/so101_new_calib.xml": "wrist_roll",
+}
+CANNOT_MOVE_WITHIN_LIMITS = {"limits violated"}
+
+
+def swing(robot, speed=1.0, duration=4.0, frequency=0.5):
+    """All joints swing at one frequency, each in a phase of its own, up to about this speed."""
+    joints = robot.n_joints
+    shape = (joints, 1)
+    amplitude = np.full(shape, speed / (2.0 * np.pi * frequency))
+    amplitude[robot.is_slide] *= 0.1
+    phase = np.arange(joints)[:, None] * 1.0
+    return SineTrajectory(
+        robot.reference, amplitude, np.full(shape, frequency), phase, duration, 0.25 * duration
+    )
+
+
+@pytest.mark.parametrize("name", sorted(set(arms.MODELS) - CANNOT_MOVE_WITHIN_LIMITS))
+def test_the_log_obeys_the_equations_of_motion_and_the_trajectory_is_followed(name):
+    robot = robot_of(arms.MODELS[name])
+    plan = swing(robot, duration=1.0)
+    loop = ClosedLoop(robot, plan, 500.0)
+    log = recorded(loop)
+    ramp = ForwardPlant(robot, loop.period, robot.reference[None]).ramp
+    expected = ArmDynamics(robot).torque(log.q, log.qd, log.qdd)
+    expected += robot.friction.viscous * log.qd + ramp.torque(log.qd, log.qdd)
+    scale = np.max(np.abs(expected))
+    np.testing.assert_allclose(log.tau, expected, rtol=0.0, atol=1e-8 * scale)
+    assert np.max(np.abs(log.q - plan.evaluate(log.time).q)) < 1e-3
+
+
+def effective_torque_error(robot, sample_rate):
+    """RMS of (reported torque - inverse dynamics of the differentiated positions) [N m]."""
+    loop = ClosedLoop(robot, swing(robot, speed=2.0), sample_rate)
+    log = differentiated(recorded(loop), sample_rate)
+    expected = ArmDynamics(robot).torque(log.q, log.qd, log.qdd) + robot.friction.viscous * log.qd
+    return float(np.sqrt(np.mean((log.tau - expected) ** 2)))
+
+
+def test_reported_torque_is_the_effective_torque_to_second_order_in_the_period():
+    robot = robot_of(arms.serial_arm((arms.Z, arms.Y, arms.X), joint='damping="2"'))
+    coarse, fine = (effective_torque_error(robot, rate) for rate in (500.0, 1000.0))
+    # A first-order error, such as apparent armature h damping / 2, would only halve.
+    assert coarse / fine > 3.5
+    # Damping 2 N m s/rad, accelerations of 6 rad/s^2: apparent armature would leave 6e-3 N m.
+    assert fine < 1e-4
+
+
+@pytest.mark.parametrize(("rate", "period"), [(1000.0, 1e-3), (500.0, 2e-3), (100.0, 2e-3)])
+def test_the_control_period_divides_the_sample_period_and_is_at_most_the_models_step(rate, period):
+    robot = robot_of(arms.THREE)
+    assert ClosedLoop(robot, swing(robot), rate).period == pytest.approx(period, rel=1e-12)
+    slower = ClosedLoop(robot, swing(robot), 300.0)
+    assert slower.period == pytest.approx(1.0 / 600.0, rel=1e-12)
+
+
+def test_a_second_run_is_the_same_bit_by_bit():
+    robot = robot_of(arms.DRY_FRICTION)
+    loop = ClosedLoop(robot, swing(robot, duration=1.0), 200.0)
+    first, second = recorded(loop), recorded(loop)
+    np.testing.assert_array_equal(first.tau, second.tau)
+    np.testing.assert_array_equal(first.q, second.q)
+
+
+def with_torque_limit(robot, limit):
+    """The robot with this actuator force range on every joint."""
+    model = copy.copy(robot.mj_model)
+    model.jnt_actfrclimited[:] = 1
+    model.jnt_actfrcrange[:] = [-limit, limit]
+    return robot_of(model)
+
+
+def test_torque_limits_are_obeyed_and_reported():
+    robot = robot_of(arms.THREE)
+    plan = swing(robot, speed=2.0)
+    free = recorded(ClosedLoop(robot, plan, 200.0))
+    peak = np.max(np.abs(free.tau))
+    loop = ClosedLoop(with_torque_limit(robot, 0.98 * peak), plan, 200.0)
+    log = recorded(loop)
+    assert np.max(np.abs(log.tau)) <= 0.98 * peak
+    (note,) = loop.notes()
+    assert "was at its torque limit of" in note
+
+
+def test_an_arm_too_weak_for_the_motion_stops_the_run_with_time_joint_and_cause():
+    robot = robot_of(arms.THREE)
+    peak = np.max(np.abs(recorded(ClosedLoop(robot, swing(robot, 2.0), 200.0)).tau))
+    weak = with_torque_limit(robot, 0.3 * peak)
+    words = r"joint joint\d is .* rad off its trajectory at \d\.\d+ s: the torque limit of joint"
+    with pytest.raises(SimulationError, match=words):
+        recorded(ClosedLoop(weak, swing(weak, 2.0), 200.0))
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "words"),
+    [
+        ("1e6", r"joint joint\d is .* off its trajectory at 0\.0\d\d s.*likely cause is a spring"),
+        ("1e12", r"the simulated plant diverged at 0\.0\d\d s \(joint joint\d\): the likely cause"),
+    ],
+)
+def test_a_plant_that_runs_away_stops_the_run_quietly(stiffness, words, capfd):
+    stiff = robot_of(arms.serial_arm((arms.Z, arms.Y, arms.X), joint=f'stiffness="{stiffness}"'))
+    with pytest.raises(SimulationError, match=words):
+        recorded(ClosedLoop(stiff, swing(stiff), 200.0))
+    assert capfd.readouterr().err == ""
+
+
+def test_impossible_inertias_are_refused_before_the_run(capfd):
+    robot = robot_of(arms.THREE)
+    model = copy.copy(robot.mj_model)
+    model.body_mass[2] = -50.0
+    with pytest.raises(SimulationError, match="joint1 has no positive kinetic energy"):
+        ClosedLoop(robot_of(model), swing(robot), 200.0)
+    assert capfd.readouterr().err == ""
+
+
+def test_the_first_chunk_comes_before_the_rest_is_simulated():
+    robot = robot_of(arms.THREE)
+    loop = ClosedLoop(robot, swing(robot, duration=1000.0), 200.0)
+    first = next(loop.run())
+    assert first.time[-1] < 20.0
+
+
+@pytest.fixture(scope="module")
+def arm():
+    """The seven-joint arm without friction of its own, as the engineer believes it to be."""
+    return robot_of(arms.serial_arm(arms.SEVEN_AXES))
+
+
+@pytest.fixture(scope="module")
+def proof(arm):
+    """Closed-loop run of a plant with armature and dry friction."""
+    return proof_run(arm, excitation(arm, duration=8.0), 500.0)
+
+
+def test_mass_and_friction_come_back_from_positions_and_torques(proof):
+    errors, _, _ = proof
+    assert errors.mass < 0.002
+    assert errors.coulomb < 0.02 and errors.viscous < 0.02 and errors.armature < 0.02
+
+
+def test_without_leaving_out_the_ramp_friction_would_be_wrong(arm, proof):
+    _, log, loop = proof
+    plant = plant_from(arm)
+    assert errors_of(identified(arm, log, 0.0), plant).viscous > 0.2
+    assert loop.ramp_use.never_full == ()
+    assert "--velocity-deadband" in loop.notes()[0]
+    assert loop.notes(deadband=0.2) == ()
+
+
+def test_a_wrist_without_armature_is_reported_because_its_friction_never_saturates(arm):
+    plant = plant_from(arm, armature=0.0, coulomb=2.0)
+    loop = ClosedLoop(plant, excitation(arm, duration=4.0), 200.0)
+    recorded(loop)
+    assert loop.ramp_use.never_full
+    for joint in loop.ramp_use.never_full:
+        assert any(f"frictionloss of {joint} (2 N m) is never reached" in n for n in loop.notes())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(PUBLIC_ARMS))
+def test_public_arms_follow_their_trajectory(name):
+    path = MODELS / name
+    if not path.exists():
+        pytest.skip("public models are not here")
+    robot = load_robot_model(path, joint=PUBLIC_ARMS[name])
+    loop = ClosedLoop(robot, excitation(robot, duration=5.0), 500.0)
+    log = recorded(loop)
+    assert len(log) == 2501
+    assert np.max(loop.worst_error) < 1e-3

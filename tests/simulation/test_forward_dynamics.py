@@ -1,0 +1,125 @@
+"""Laws of the plant's forward dynamics: the inverse of the inverse, and nothing else moves."""
+
+from __future__ import annotations
+
+import copy
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robot_sysid.dynamics.kinematics import ArmDynamics
+from robot_sysid.errors import SimulationError
+from robot_sysid.simulation.forward_dynamics import ForwardPlant
+from tests.support import arms
+from tests.support.arms import SEEDS, random_chain, random_motion, robot_of
+
+PERIOD = 1e-3
+
+
+def forward(robot, period=PERIOD):
+    """The plant, judged at its reference configuration."""
+    return ForwardPlant(robot, period, robot.reference[None])
+
+
+@pytest.mark.parametrize("name", arms.MODELS)
+def test_torques_are_rigid_body_dynamics_plus_damping_plus_dry_friction(name):
+    robot = robot_of(arms.MODELS[name])
+    motion = random_motion(np.random.default_rng(1), robot.n_joints, 5)
+    plant = forward(robot)
+    expected = ArmDynamics(robot).torque(*motion) + robot.friction.viscous * motion[1]
+    expected += plant.ramp.torque(motion[1], motion[2])
+    scale = np.max(np.abs(expected))
+    np.testing.assert_allclose(plant.inverse(*motion), expected, rtol=0.0, atol=1e-9 * scale)
+
+
+@given(random_chain(), SEEDS)
+@settings(max_examples=100)
+def test_the_acceleration_under_the_torque_of_a_motion_is_that_of_the_motion(xml, seed):
+    friction = 'frictionloss="0.3" damping="0.1" armature="0.05"'
+    robot = robot_of(xml.replace("<joint ", f"<joint {friction} "))
+    q, qd, qdd = random_motion(np.random.default_rng(seed), robot.n_joints, 1)
+    plant = forward(robot)
+    tau = plant.inverse(q, qd, qdd)
+    plant.reset(q[0], qd[0])
+    found = plant.acceleration(tau[0])
+    # MuJoCo's solver stops at 1e-12 of its own cost; the mass matrix of a random chain adds 1e4.
+    scale = max(1.0, np.max(np.abs(qdd)))
+    np.testing.assert_allclose(found, qdd[0], rtol=0.0, atol=1e-6 * scale)
+    dry = plant.ramp.torque(qd, qdd)[0]
+    np.testing.assert_allclose(plant.dry_friction(), dry, rtol=0.0, atol=1e-6 * scale)
+
+
+def test_actuators_and_contacts_of_the_model_do_not_act():
+    plain = arms.serial_arm((arms.Z, arms.Y, arms.X))
+    ball = '<geom type="sphere" size=".3" mass="0"/><joint name="joint'
+    servo = '<actuator><position joint="joint2" kp="500" ctrlrange="-1 1"/></actuator></mujoco>'
+    busy = plain.replace('<joint name="joint', ball).replace("</mujoco>", servo)
+    found = []
+    for xml in (plain, busy):
+        plant = forward(robot_of(xml))
+        plant.reset(np.full(3, 0.3), np.ones(3))
+        found.append(plant.acceleration(np.zeros(3)))
+    assert robot_of(busy).mj_model.nu == 1
+    np.testing.assert_array_equal(found[0], found[1])
+
+
+@pytest.mark.parametrize("name", ["coupled fingers", "free object beside", "home keyframe"])
+def test_what_is_not_in_the_chain_stays_where_it_is(name):
+    robot = robot_of(arms.MODELS[name])
+    plant = forward(robot)
+    plant.reset(robot.reference, np.full(robot.n_joints, 2.0))
+    for _ in range(50):
+        plant.step(np.zeros(robot.n_joints))
+    others = np.setdiff1d(np.arange(robot.mj_model.nq), robot.qpos_index)
+    np.testing.assert_array_equal(plant.data.qpos[others], robot.reference_qpos[others])
+    assert np.max(np.abs(plant.state()[0] - robot.reference)) > 0.01
+
+
+def test_held_fingers_load_the_arm_as_if_they_were_welded():
+    welded = arms.MODELS["coupled fingers"]
+    for cut in ('<joint name="left_finger_joint"', '<joint name="right_finger_joint"'):
+        start = welded.index(cut)
+        welded = welded[:start] + welded[welded.index("/>", start) + 2 :]
+    welded = welded[: welded.index("<tendon>")] + "</mujoco>"
+    with_fingers, without = robot_of(arms.COUPLED_FINGERS), robot_of(welded)
+    found = []
+    for robot in (with_fingers, without):
+        plant = forward(robot)
+        plant.reset(robot.reference, np.ones(robot.n_joints))
+        found.append(plant.acceleration(np.zeros(robot.n_joints)))
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-7)
+
+
+@given(st.floats(1e-3, 100.0))
+def test_steps_are_short_enough_for_the_plants_damping(damping):
+    xml = arms.serial_arm((arms.Z,), joint=f'damping="{damping}"', option='gravity="0 0 0"')
+    robot = robot_of(xml)
+    plant = forward(robot)
+    plant.reset(np.zeros(1), np.ones(1))
+    inertia = plant.times_mass(np.ones(1))[0]
+    plant.step(np.zeros(1))
+    # Free decay: exp(-B t / M) in closed form. Runge-Kutta at h B / M <= 1 errs by up to 1/120.
+    expected = np.exp(-damping * PERIOD / inertia)
+    assert plant.state()[1][0] == pytest.approx(expected, rel=0.0, abs=1.0 / 120.0)
+
+
+def test_a_plant_too_stiff_to_simulate_is_refused_by_joint():
+    robot = robot_of(arms.serial_arm((arms.Z, arms.Y), joint='damping=".1"'))
+    model = copy.copy(robot.mj_model)
+    model.dof_damping[1] = 1e5
+    model.body_mass[2], model.body_inertia[2] = 1e-6, 1e-10
+    with pytest.raises(SimulationError, match="joint1 of the plant is too stiff"):
+        forward(robot_of(model))
+
+
+def test_the_robots_own_model_is_left_alone():
+    robot = robot_of(arms.DRY_FRICTION)
+    before = robot.mj_model.opt.timestep, robot.mj_model.dof_armature.copy()
+    plant = forward(robot, 3e-4)
+    plant.step(np.zeros(3))
+    assert robot.mj_model.opt.timestep == before[0]
+    np.testing.assert_array_equal(robot.mj_model.dof_armature, before[1])
+    assert int(robot.mj_model.opt.integrator) != int(mujoco.mjtIntegrator.mjINT_RK4)

@@ -1,0 +1,169 @@
+"""Laws of simulated sensors: what each option changes, by how much, and what it leaves alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_sysid.errors import InputError
+from robot_sysid.records import Measurement
+from robot_sysid.simulation.sensors import SensorOptions, Sensors, parse_levels, quantised
+from tests.support.arms import SEEDS
+
+RATE = 1000.0
+SAMPLES = 400
+
+
+def smooth(samples=SAMPLES, joints=3, frequency=2.0):
+    """Exact measurements of a sine motion with a sine torque of 10 N m."""
+    time = np.arange(samples) / RATE
+    angle = 2.0 * np.pi * frequency * time[:, None] + np.arange(joints)
+    return Measurement(time, np.sin(angle), np.cos(angle), 10.0 * np.sin(angle), -np.sin(angle))
+
+
+def cut(measurement, lengths):
+    """The same measurements in chunks."""
+    edges = np.unique(np.clip(np.cumsum([0, *lengths, SAMPLES]), 0, SAMPLES))
+    for a, b in zip(edges[:-1], edges[1:]):
+        parts = (getattr(measurement, name)[a:b] for name in ("time", "q", "qd", "tau", "qdd"))
+        yield Measurement(*parts)
+
+
+def read(measurements, seed=0, **options):
+    """All readings as one measurement."""
+    sensors = Sensors(SensorOptions(**options), RATE, np.random.default_rng(seed))
+    chunks = list(sensors.read(measurements))
+    joined = [
+        None if getattr(chunks[0], n) is None else np.concatenate([getattr(c, n) for c in chunks])
+        for n in ("time", "q", "qd", "tau", "qdd")
+    ]
+    return Measurement(*joined)
+
+
+def same(first, second):
+    """Whether two measurements are equal bit by bit."""
+    return all(
+        np.array_equal(getattr(first, name), getattr(second, name)) for name in ("q", "qd", "tau")
+    )
+
+
+def test_perfect_sensors_change_nothing():
+    exact = smooth()
+    seen = read([exact])
+    assert SensorOptions().exact
+    assert same(seen, exact) and np.array_equal(seen.qdd, exact.qdd)
+
+
+@given(st.lists(st.integers(1, 150), max_size=8), SEEDS)
+def test_readings_do_not_depend_on_how_the_stream_is_cut(lengths, seed):
+    spoil = {
+        "noise_torque": (0.1, 0.2, 0.3),
+        "noise_position": 1e-3,
+        "encoder_resolution": 1e-4,
+        "torque_delay": 0.0034,
+        "noise_velocity": 0.01,
+    }
+    exact = smooth()
+    assert same(read([exact], seed, **spoil), read(cut(exact, lengths), seed, **spoil))
+
+
+def test_the_same_sensors_give_the_same_readings_twice():
+    sensors = Sensors(SensorOptions(noise_torque=0.1), RATE, np.random.default_rng(3))
+    first, second = (next(sensors.read([smooth()])) for _ in range(2))
+    assert same(first, second)
+
+
+def test_noise_has_the_standard_deviation_asked_for_joint_by_joint():
+    exact = smooth(60_000)
+    levels = np.array([0.1, 0.5, 2.0])
+    seen = read([exact], noise_torque=tuple(levels), noise_position=0.02, noise_velocity=0.3)
+    # 60 000 draws: the spread of an estimated deviation is 0.3 %; 1.5 % is five times that.
+    np.testing.assert_allclose(np.std(seen.tau - exact.tau, axis=0), levels, rtol=0.015)
+    np.testing.assert_allclose(np.std(seen.q - exact.q, axis=0), 0.02, rtol=0.015)
+    np.testing.assert_allclose(np.std(seen.qd - exact.qd, axis=0), 0.3, rtol=0.015)
+
+
+def test_torque_and_position_noise_are_independent():
+    exact = smooth(60_000, joints=1)
+    seen = read([exact], noise_torque=1.0, noise_position=1.0)
+    correlation = np.corrcoef((seen.tau - exact.tau)[:, 0], (seen.q - exact.q)[:, 0])[0, 1]
+    assert abs(correlation) < 5.0 / np.sqrt(60_000)
+
+
+@given(st.floats(1e-6, 0.1), SEEDS)
+def test_quantised_positions_are_multiples_of_the_step_and_nearest(step, seed):
+    values = np.random.default_rng(seed).normal(size=50)
+    seen = quantised(values, step)
+    assert np.all(np.abs(seen - values) <= 0.5 * step * (1.0 + 1e-9))
+    np.testing.assert_allclose(seen / step, np.round(seen / step), rtol=0.0, atol=1e-6)
+    np.testing.assert_array_equal(quantised(seen, step), seen)
+
+
+@pytest.mark.parametrize("spoil", [{"noise_position": 1e-4}, {"encoder_resolution": 1e-4}])
+def test_spoiled_positions_take_velocities_and_accelerations_along(spoil):
+    seen = read([smooth()], **spoil)
+    assert seen.qd is None and seen.qdd is None
+
+
+def test_spoiled_torques_leave_the_motion_exact():
+    exact = smooth()
+    seen = read([exact], noise_torque=0.1, torque_delay=0.01)
+    assert np.array_equal(seen.qdd, exact.qdd) and np.array_equal(seen.qd, exact.qd)
+
+
+def test_a_velocity_sensor_reports_velocities_beside_spoiled_positions():
+    seen = read([smooth()], encoder_resolution=1e-3, noise_velocity=0.01)
+    assert seen.qd is not None and seen.qdd is None
+
+
+@given(st.floats(0.0, 0.05))
+def test_a_delayed_torque_is_the_torque_that_much_earlier(delay):
+    frequency = 2.0
+    exact = smooth(frequency=frequency)
+    seen = read([exact], torque_delay=delay)
+    settled = exact.time > delay + 4.0 / RATE
+    angle = 2.0 * np.pi * frequency * (exact.time[settled] - delay)[:, None] + np.arange(3)
+    # The stated bound: h^4 / 24 times the fourth derivative, 10 N m (2 pi f)^4.
+    bound = 10.0 * (2.0 * np.pi * frequency) ** 4 / (24.0 * RATE**4)
+    np.testing.assert_allclose(seen.tau[settled], 10.0 * np.sin(angle), rtol=0.0, atol=1.01 * bound)
+
+
+@pytest.mark.parametrize("periods", [1, 3, 7])
+def test_a_delay_of_whole_samples_is_exact(periods):
+    exact = smooth()
+    seen = read([exact], torque_delay=periods / RATE)
+    np.testing.assert_array_equal(seen.tau[periods:], exact.tau[:-periods])
+    np.testing.assert_array_equal(seen.tau[:periods], np.repeat(exact.tau[:1], periods, axis=0))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "option"),
+    [
+        ({"noise_torque": -0.1}, "--noise-torque"),
+        ({"noise_torque": (0.1, float("nan"))}, "--noise-torque"),
+        ({"noise_position": float("inf")}, "--noise-position"),
+        ({"encoder_resolution": -1e-4}, "--encoder-resolution"),
+        ({"torque_delay": -0.001}, "--torque-delay"),
+        ({"torque_delay": 5.0}, "--torque-delay"),
+        ({"noise_velocity": -1.0}, "noise_velocity"),
+    ],
+)
+def test_impossible_sensors_are_refused_by_the_option_name(spoil, option):
+    with pytest.raises(InputError, match=option):
+        SensorOptions(**spoil)
+
+
+def test_a_list_of_levels_must_fit_the_joints():
+    joints = ("a", "b", "c")
+    SensorOptions(noise_torque=(1.0, 2.0, 3.0)).require_joints(joints)
+    with pytest.raises(InputError, match=r"--noise-torque has 2 values for 3 joints.*a, b, c"):
+        SensorOptions(noise_torque=(1.0, 2.0)).require_joints(joints)
+
+
+def test_levels_are_read_from_text():
+    assert parse_levels("0.3", "--noise-torque") == 0.3
+    assert parse_levels("0.3, 0.1", "--noise-torque") == (0.3, 0.1)
+    with pytest.raises(InputError, match="--noise-torque 'much' is neither"):
+        parse_levels("much", "--noise-torque")

@@ -1,0 +1,132 @@
+"""A plant that differs from the model, its closed-loop log, and what identification makes of it.
+
+Shared by the tests and the accuracy benchmark. The log holds positions and torques only; velocities
+and accelerations come from differences of the positions, so nothing of the simulation's own
+knowledge reaches the estimate.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+
+from robot_sysid.dynamics.equations import Equations
+from robot_sysid.dynamics.friction import FrictionModel
+from robot_sysid.estimation.information import InformationAccumulator
+from robot_sysid.model.inertia import composite_theta
+from robot_sysid.records import InertialParameters, JointFriction, Measurement
+from robot_sysid.signals.process import process
+from robot_sysid.simulation.closed_loop import ClosedLoop
+from robot_sysid.simulator import inverse_torque
+from robot_sysid.solver import identify_parameters
+from robot_sysid.trajectory import generate_excitation_trajectory
+
+TERMS = ("coulomb", "viscous", "offset", "armature")
+# Central differences over nine samples, exact for polynomials of degree eight (Fornberg 1988).
+FIRST = np.array([3, -32, 168, -672, 0, 672, -168, 32, -3]) / 840.0
+SECOND = np.array([-9, 128, -1008, 8064, -14350, 8064, -1008, 128, -9]) / 5040.0
+
+
+def plant_from(robot, armature=0.1, coulomb=0.4, viscous=0.1, payload=1.4, time_step=0.002):
+    """The robot with MuJoCo friction and armature in every joint and a heavier terminal link."""
+    model, chain = copy.copy(robot.mj_model), robot.dof_index
+    model.dof_armature[chain] = armature
+    model.dof_frictionloss[chain], model.dof_damping[chain] = coulomb, viscous
+    model.body_mass[robot.body_id] *= payload
+    model.body_inertia[robot.body_id] *= payload
+    model.opt.timestep = time_step
+    # The ramp of MuJoCo's dry friction follows from inertias that are stored with the model.
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    theta = composite_theta(model, robot.reference_qpos, robot.body_id)
+    return replace(
+        robot,
+        mj_model=model,
+        prior=InertialParameters(theta),
+        friction=JointFriction(model.dof_frictionloss[chain], model.dof_damping[chain]),
+    )
+
+
+def excitation(robot, seed=1, duration=15.0):
+    """A random trajectory within the robot's limits."""
+    rng = np.random.default_rng(seed)
+    return generate_excitation_trajectory(robot, rng, duration, inverse_torque(robot))[0]
+
+
+def recorded(loop):
+    """(log of the whole run as one measurement)."""
+    chunks = list(loop.run())
+    names = ("time", "q", "qd", "tau", "qdd")
+    return Measurement(*(np.concatenate([getattr(c, n) for c in chunks]) for n in names))
+
+
+def differentiated(log, sample_rate):
+    """The log without its first and last four samples, motion from its positions alone."""
+    inner = len(log) - 8
+    windows = [log.q[i : i + inner] for i in range(9)]
+    qd = sample_rate * sum(c * w for c, w in zip(FIRST, windows))
+    qdd = sample_rate**2 * sum(c * w for c, w in zip(SECOND, windows))
+    kept = slice(4, -4)
+    return Measurement(log.time[kept], log.q[kept], qd, log.tau[kept], qdd)
+
+
+def identified(robot, log, deadband, terms=TERMS):
+    """Estimate of the terminal link and of every joint's friction; slow rows are left out."""
+    equations = Equations(robot, "chain", (FrictionModel(terms),) * robot.n_joints)
+    rows_of_joint = InformationAccumulator(equations.names, equations.joints, equations.columns)
+    for index, (rows, tau) in enumerate(equations.rows(log)):
+        fast = np.abs(log.qd[:, index]) > np.broadcast_to(deadband, robot.n_joints)[index]
+        rows_of_joint.add(index, rows[fast], tau[fast])
+    return identify_parameters(rows_of_joint.result(), equations.prior)
+
+
+def identified_from_log(robot, log, options, terms=TERMS):
+    """The same from positions and torques by way of low-pass, derivatives and thinning."""
+    signals = process(log, options, robot.joint_names)
+    equations = Equations(robot, "chain", (FrictionModel(terms),) * robot.n_joints)
+    rows_of_joint = InformationAccumulator(equations.names, equations.joints, equations.columns)
+    motion = Measurement(signals.time, signals.q, signals.qd, signals.tau, signals.qdd)
+    usable = signals.usable()
+    for index, (rows, tau) in enumerate(equations.rows(motion)):
+        thinned = signals.thinner().push(np.column_stack((rows, tau)))[usable[:, index]]
+        rows_of_joint.add(index, thinned[:, :-1], thinned[:, -1])
+    return identify_parameters(rows_of_joint.result(), equations.prior)
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Relative errors of one identification; friction is the worst joint's."""
+
+    mass: float
+    com: float
+    coulomb: float
+    viscous: float
+    armature: float
+
+
+def errors_of(estimate, plant):
+    """How far an estimate is from the plant."""
+    joints = plant.joint_names
+    truth = {
+        "coulomb": plant.friction.coulomb,
+        "viscous": plant.friction.viscous,
+        "armature": plant.mj_model.dof_armature[plant.dof_index],
+    }
+    worst = [
+        np.max(np.abs(np.array([estimate.value(f"{term}[{j}]") for j in joints]) / value - 1.0))
+        for term, value in truth.items()
+    ]
+    mass = abs(estimate.inertial.mass / plant.prior.mass - 1.0)
+    com = float(np.linalg.norm(estimate.inertial.com - plant.prior.com))
+    return Errors(mass, com, *worst)
+
+
+def proof_run(robot, plan, sample_rate=1000.0, **plant_options):
+    """(errors with the ramp masked out, log as run, closed loop) of one plant."""
+    plant = plant_from(robot, **plant_options)
+    loop = ClosedLoop(plant, plan, sample_rate)
+    log = differentiated(recorded(loop), sample_rate)
+    estimate = identified(robot, log, 1.02 * loop.ramp_use.ramp_speed)
+    return errors_of(estimate, plant), log, loop

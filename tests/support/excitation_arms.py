@@ -1,0 +1,72 @@
+"""Arms with geometry, and excitation problems that are small enough to search in a moment."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from robot_sysid.excitation.optimise import Design
+from robot_sysid.excitation.options import ExcitationOptions
+from robot_sysid.excitation.problem import build_problem
+from tests.support import arms
+from tests.support.arms import LINK, TIP, X, Y, Z, hinge, link, world
+
+_TUBE = '<geom type="capsule" size=".03" fromto="0 0 .04 0 0 .2"/>'
+
+
+def tube_arm(axes, scene="", pos="0 0 .25", joint='range="-2.5 2.5"', extra=""):
+    """A serial arm of capsules beside some scene."""
+    content = ""
+    for index in reversed(range(len(axes))):
+        inertial = TIP if index == len(axes) - 1 else LINK
+        joints = hinge(f"joint{index}", axes[index], joint)
+        content = link(joints, _TUBE + content, f"link{index}", pos, inertial=inertial)
+    return world(content + scene, extra=extra)
+
+
+FLOOR = '<geom name="floor" type="plane" size="2 2 .1"/>'
+POST = '<body name="post" pos=".35 0 .7"><geom type="capsule" size=".05 .35"/></body>'
+TUBES = tube_arm((Z, Y, X, Y))
+TUBES_AND_POST = tube_arm((Z, Y, X, Y), POST)
+TUBES_ON_FLOOR = tube_arm((Z, Y, X, Y), FLOOR)
+# The last link lies in the second one at rest, as neighbouring links of public models do.
+TOUCHING_AT_REST = tube_arm((Z, Y, X, Y), POST, joint='range="-2.5 2.5"', pos="0 0 .25").replace(
+    _TUBE, '<geom type="capsule" size=".03" fromto="0 0 -.1 0 0 .3"/>'
+)
+SLIDING = arms.SLIDE_IN_CHAIN
+
+SMALL = {"duration": 6.0, "harmonics": 4, "draws": 6, "starts": 1, "rounds": 1, "iterations": 8}
+
+
+@cache
+def robot(xml):
+    """RobotModel of an XML string."""
+    return arms.robot_of(xml)
+
+
+def options(**changes):
+    """Options of a search that takes a fraction of a second."""
+    return ExcitationOptions(**{**SMALL, **changes})
+
+
+@cache
+def problem(xml, **changes):
+    """ExcitationProblem of an XML string."""
+    return build_problem(robot(xml), options(**changes))
+
+
+def design(xml, **changes):
+    """Design of an XML string."""
+    return Design(problem(xml, **changes), options(**changes))
+
+
+def random_x(some_design, seed, size=0.3):
+    """Random free coefficients (n, M) of a design."""
+    shape = (some_design.problem.n_joints, some_design.n_free)
+    return size * np.random.default_rng(seed).normal(size=shape)
+
+
+def slope(function, x, direction, step=1e-6):
+    """Central difference of a function along a direction."""
+    return (function(x + step * direction) - function(x - step * direction)) / (2.0 * step)

@@ -1,0 +1,63 @@
+"""Logs of a small arm whose truth is known, for tests of everything that reads measured data."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from robot_sysid.dynamics.equations import Equations
+from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_model
+from robot_sysid.logs.reader import join_measurements
+from robot_sysid.records import InertialParameters
+from robot_sysid.signals.process import SignalOptions
+from robot_sysid.simulation.measurements import PlantOptions, simulate_plant
+from robot_sysid.simulation.sensors import SensorOptions
+from robot_sysid.simulator import inverse_torque
+from robot_sysid.trajectory import generate_excitation_trajectory
+from tests.support import arms
+
+RATE, DURATION = 200.0, 10.0
+JOINT = 'range="-2 2" frictionloss=".3" damping=".2" armature=".05"'
+SIGNALS = SignalOptions(cutoff=8.0)
+DEFAULT = friction_model(DEFAULT_MEASURED)
+
+
+def true_arm():
+    """The arm that makes the logs."""
+    return arms.robot_of(arms.serial_arm((arms.Z, arms.Y, arms.X), joint=JOINT))
+
+
+def guessed(robot, scale=0.6):
+    """The same arm with another prior of the terminal link and no idea of its friction."""
+    model = arms.compile_xml(arms.serial_arm((arms.Z, arms.Y, arms.X), joint=JOINT))
+    theta = scale * robot.prior.theta
+    arms.write_body(model, robot.body_id, theta)
+    model.dof_frictionloss[:] = 0.0
+    model.dof_damping[:] = 0.0
+    return replace(arms.robot_of(model), prior=InertialParameters(theta))
+
+
+def plan_of(robot, seed=1, duration=DURATION):
+    """A random trajectory on which every joint moves widely."""
+    rng = np.random.default_rng(seed)
+    plan = generate_excitation_trajectory(robot, rng, duration, inverse_torque(robot))[0]
+    return plan.scaled(np.array([3.0, 3.0, 1.0]))
+
+
+def log_of(plant, plan=None, seed=1, simulation="inverse", rate=RATE, **sensors):
+    """What the sensors of an arm report along a trajectory."""
+    options = PlantOptions(simulation, rate, SensorOptions(**sensors))
+    run = simulate_plant(plant, plan or plan_of(plant), options, np.random.default_rng(seed))
+    return join_measurements(run)
+
+
+def equations_of(robot, torques="chain", shared=()):
+    """Equations with Coulomb, viscous friction and offset in every joint."""
+    return Equations(robot, torques, (DEFAULT,) * robot.n_joints, shared)
+
+
+def true_values(plant, names):
+    """The plant's own values of these parameters."""
+    known = dict(zip(equations_of(plant).names, equations_of(plant).prior))
+    return np.array([float(known.get(name, 0.0)) for name in names])

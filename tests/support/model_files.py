@@ -1,0 +1,87 @@
+"""Small model files for the tests that read and write them, and where the large ones are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from robot_sysid.dynamics import spatial
+
+TETRAHEDRON = """v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1
+f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"""
+
+INERTIAL = "<inertial pos='0.01 0.02 0.03' mass='0.5' diaginertia='2e-3 3e-3 4e-3'/>"
+
+ARM = f"""<mujoco model="two links">
+  <!-- a comment -- with dashes -->
+  <worldbody>
+    <body name="base">
+      <geom size="0.1"/>
+      <body name="link1" pos="0 0 0.2">
+        <joint name="j1" axis="0 1 0"/>
+        {INERTIAL}
+        <body name="link2"   pos="0 0 0.3"
+              quat="1 0.1 0 0">
+          <joint name="j2" axis="1 0 0"/>
+          <inertial pos="0 0 0.1" quat="0.9 0.1 0.2 0.3" mass="1.5"
+                    diaginertia="2e-3 3e-3 4e-3"/>
+          <geom type="capsule" size="0.02 0.1"/>
+          <body name="tool" pos="0 0 0.1" euler="10 20 30">
+            <inertial pos="0 0 0" mass="0.2" diaginertia="1e-4 1e-4 1e-4"/>
+          </body>
+          <body name="finger" pos="0 0.05 0.1">
+            <joint name="grip" type="slide"/>
+            <inertial pos="0 0 0" mass="0.1" diaginertia="1e-5 1e-5 1e-5"/>
+          </body>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def urdf_link(name: str, content: str = "") -> str:
+    return f'<link name="{name}">{content}</link>'
+
+
+def urdf_inertial(mass: float = 1.0, rpy: str = "0 0 0", inertia: str = "0.01 0.02 0.025") -> str:
+    x, y, z = inertia.split()
+    return (
+        f'<inertial><origin xyz="0.1 0 0" rpy="{rpy}"/><mass value="{mass}"/>'
+        f'<inertia ixx="{x}" iyy="{y}" izz="{z}" ixy="0" ixz="0" iyz="0"/></inertial>'
+    )
+
+
+def urdf_joint(parent: str, child: str, kind: str = "revolute") -> str:
+    return (
+        f'<joint name="{parent}_{child}" type="{kind}"><parent link="{parent}"/>'
+        f'<child link="{child}"/><axis xyz="0 0 1"/><origin xyz="0 0 0.2" rpy="0.1 0 0"/>'
+        '<limit lower="-1" upper="1" effort="10" velocity="1"/></joint>'
+    )
+
+
+def urdf_mesh(shape: str, name: str) -> str:
+    return f'<{shape}><geometry><mesh filename="{name}"/></geometry></{shape}>'
+
+
+def urdf_robot(*parts: str) -> str:
+    return '<robot name="r">\n' + "\n".join(parts) + "\n</robot>\n"
+
+
+def write_files(folder: Path, files: dict[str, str]) -> Path:
+    """Write files given by relative name; return the first one's path."""
+    for name, content in files.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(content, encoding="utf-8")
+    return folder / next(iter(files))
+
+
+def random_theta(rng: np.random.Generator, mass: float = 1.0, size: float = 0.1) -> np.ndarray:
+    """theta of a random rigid body of this mass [kg] and size [m], anywhere near its origin."""
+    factor = rng.normal(size=(4, 4))
+    pseudo = factor @ factor.T + 0.02 * np.eye(4)
+    scale = np.diag([size, size, size, 1.0])
+    return spatial.theta_from_pseudo_inertia(mass * scale @ pseudo @ scale / pseudo[3, 3])
