@@ -16,14 +16,15 @@ import mujoco
 import numpy as np
 
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.excitation.options import ExcitationOptions
+from robot_sysid.excitation.optimise import Design
+from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
 from robot_sysid.excitation.prediction import predict
 from robot_sysid.excitation.problem import build_problem
 from robot_sysid.excitation.search import design_excitation
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, MotionPlan, RobotModel
-from robot_sysid.simulator import inverse_torque
-from robot_sysid.trajectory import generate_excitation_trajectory
+from robot_sysid.simulator import ArmTorque
+from robot_sysid.trajectory import TrajectoryOptions, generate_excitation_trajectory
 
 HERE = Path(__file__).resolve().parent
 MODEL = HERE.parent / "examples/kinova/model/kinova_fullinertia_guess.xml"
@@ -96,14 +97,15 @@ def skeleton(robot: RobotModel, q: Array) -> Array:
 
 def main(folder: Path) -> None:
     """Design, predict, draw."""
-    robot, options = load_robot_model(MODEL), ExcitationOptions(workers=2)
-    problem = build_problem(robot, options)
-    torque = inverse_torque(robot)
+    robot = load_robot_model(MODEL)
+    problem = build_problem(robot, LimitOptions())
+    design = Design(problem, ExcitationOptions(workers=2), TrajectoryOptions())
+    torque = ArmTorque(robot)
     sines = [
         generate_excitation_trajectory(robot, np.random.default_rng(seed), 15.0, torque)[0]
         for seed in range(10)
     ]
-    optimal = design_excitation(problem, options, np.random.default_rng(SEED)).trajectory
+    optimal = design_excitation(design, np.random.default_rng(SEED)).trajectory
     plans: dict[str, MotionPlan] = {"random sinusoids": sines[SEED], "optimal, D": optimal}
     median = np.median([predict(problem, plan, 1000.0).share for plan in sines], axis=0)
     shares = {

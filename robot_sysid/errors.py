@@ -15,7 +15,17 @@ Every message is one line: what is wrong, where, and what to do about it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+
+INTERRUPTED = 130
+EXIT_CODES: Mapping[int, str] = {
+    0: "done",
+    1: "result not trustworthy, or something to change before playing",
+    2: "bad input",
+    3: "run on the arm refused or stopped",
+    INTERRUPTED: "interrupted",
+}
+"""What a process says with its exit code."""
 
 
 class SysidError(Exception):

@@ -1,68 +1,68 @@
-"""The identified parameters as files: params.json and the updated model.
-
-The updated model is the input's own text with the terminal body's ``<inertial>`` replaced, so
-comments, order and white space stay. Paths are rewritten so that it loads from its new folder.
-"""
+"""Writing the results: params.json, the updated model and the motor trajectory, all or none."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, TextIO
 
-from robot_sysid.mjcf import markup
-from robot_sysid.mjcf.compiler_settings import check_settings, inertia_from_geometry_edits
-from robot_sysid.mjcf.documents import ModelDocument, Node, read_document
-from robot_sysid.mjcf.inertial import (
-    comment_edit,
-    find_body,
-    inertial_edit,
-    mjcf_inertial,
-    urdf_inertial,
+import numpy as np
+
+from robot_sysid.errors import ExportError
+from robot_sysid.mjcf.compiler_settings import bound_inertia
+from robot_sysid.mjcf.documents import read_document
+from robot_sysid.mjcf.updated_model import updated_model_text
+from robot_sysid.mjcf.write_back import EXACT, Tolerance, WriteBack, plan_write_back
+from robot_sysid.model.inertia import subtree_bodies
+from robot_sysid.output.params_json import export_params_json, params_json_text
+from robot_sysid.output.verification import (
+    reads_fullinertia_exactly,
+    require_reproduction,
+    verify_written_model,
 )
-from robot_sysid.mjcf.markup import Edit
-from robot_sysid.mjcf.relocation import relocated_text
-from robot_sysid.mjcf.urdf import minimum_inertia_edits, relocated_urdf
-from robot_sysid.mjcf.write_back import WriteBack, plan_write_back
-from robot_sysid.output.params_json import export_params_json, params_json_text, read_params_json
-from robot_sysid.records import Array, Identification, SubtreeBody
-from robot_sysid.records.atomic_files import write_whole
+from robot_sysid.records import Estimate, Identification, Motion, RobotModel
+from robot_sysid.records.atomic_files import WholeFiles, whole_files, write_whole
+
+if TYPE_CHECKING:
+    from robot_sysid.damiao.trajectory.csv_file import DamiaoExportReport
 
 __all__ = [
+    "MotorFile",
+    "Written",
     "export_params_json",
-    "export_updated_model",
     "export_updated_xml",
-    "params_json_text",
-    "plan_write_back",
-    "read_params_json",
-    "updated_model_text",
+    "updated_model_name",
+    "write_results",
 ]
 
+PARAMS_NAME = "params.json"
+DAMIAO_NAME = "damiao_trajectory.csv"
 
-def export_updated_model(
-    identification: Identification,
-    bodies: Sequence[SubtreeBody],
-    destination: Path,
-    mesh_dir: Path | None = None,
-    principal: bool = False,
-) -> WriteBack:
-    """Write the model with the identified terminal link, and return what went into which body.
+MotorFile = Callable[[TextIO], "DamiaoExportReport"]
+"""Writes the motor trajectory into an open file."""
 
-    Args:
-        identification: the result.
-        bodies: the terminal body and all below it, as the model describes them.
-        destination: file to write; its folder is created.
-        mesh_dir: the user's mesh folder, if any.
-        principal: see ``inertial_text.mjcf_inertial``.
 
-    Raises:
-        ExportError: the link cannot be written into this model; says why.
-        InputError: the file cannot be written.
+@dataclass(frozen=True)
+class Written:
+    """What was written.
+
+    Attributes:
+        files: their paths.
+        notes: what writing had to say, one sentence each.
+        damiao: report of the Damiao export, where one was asked for.
+        failure: why there is no updated model although the result is trustworthy, or None.
     """
-    estimate = identification.estimate
-    plan = plan_write_back(estimate.inertial.theta, bodies)
-    source, label = identification.model_path, identification.body_name
-    export_updated_xml(source, label, plan, estimate.rmse, destination, mesh_dir, principal)
-    return plan
+
+    files: tuple[Path, ...]
+    notes: tuple[str, ...]
+    damiao: DamiaoExportReport | None
+    failure: str | None = None
+
+
+def updated_model_name(robot: RobotModel) -> str:
+    """Return the name of the written model: a URDF stays one."""
+    return "updated_model.urdf" if robot.kind == "urdf" else "updated_model.xml"
 
 
 def export_updated_xml(
@@ -80,69 +80,89 @@ def export_updated_xml(
     write_whole(destination, text)
 
 
-def updated_model_text(
-    source: Path,
-    body: str,
-    plan: WriteBack,
-    rmse: float,
+def write_results(
+    robot: RobotModel,
+    identification: Identification,
+    checkpoints: Motion,
     folder: Path,
     mesh_dir: Path | None = None,
-    principal: bool = False,
-) -> bytes:
-    """Return the text of a model file with the terminal body's inertia replaced.
+    motor_file: MotorFile | None = None,
+) -> Written:
+    """Write params.json, the updated model and, where asked for, the motor trajectory.
 
-    Of an MJCF with includes, the included files that lead to a changed body, and those that
-    contain paths, take the place of their ``<include>``; the others stay included.
+    An estimate that is not trustworthy, or that cannot be written into this model, gets a
+    params.json only, which says why.
 
     Args:
-        source: the model file.
-        body: name of the terminal body, or "#7" for the nameless body with id 7.
-        plan: what to write.
-        rmse: of the identification [N m], for the comment.
-        folder: where the text will live.
+        robot: the arm as loaded.
+        identification: the result.
+        checkpoints: motion on which the written model must reproduce the predicted torque.
+        folder: where to.
         mesh_dir: the user's mesh folder, if any.
-        principal: see ``inertial_text.mjcf_inertial``.
+        motor_file: writes the motor trajectory; None for none.
 
     Raises:
-        ExportError: the body is not written out in the file, or a setting of the file changes
-            inertias when it is compiled.
+        InputError: the folder cannot be written to.
     """
-    document = read_document(source)
-    terminal = find_body(document, body)
-    check_settings(document, terminal, plan.theta)
-    folded = [find_body(document, other.name) for other in plan.folded]
-    edits = [(terminal, comment_edit(terminal, body, rmse, plan.note))]
-    if document.kind == "urdf":
-        edits += _urdf_edits(document, terminal, folded, plan.theta)
-        return relocated_urdf(document, folder, mesh_dir, [edit for _, edit in edits])
-    edits += _mjcf_edits(terminal, folded, plan.theta, principal)
-    edits += inertia_from_geometry_edits(document, [terminal, *folded])
-    by_file = _by_file(edits)
-    return relocated_text(document, folder, mesh_dir, by_file, by_file.keys())
+    names: list[str] = []
+    notes: tuple[str, ...] = ()
+    report, failure = None, None
+    with whole_files() as files:
+        if identification.estimate.status.is_trustworthy:
+            # Its place is taken last: what the other files say then holds for it.
+            path = files.reserve_last(folder / updated_model_name(robot))
+            try:
+                notes = _write_model(files, path, robot, identification, checkpoints, mesh_dir)
+                names.append(path.name)
+            except ExportError as error:
+                files.withdraw(path)
+                failure = str(error)
+        if motor_file is not None:
+            names.append(DAMIAO_NAME)
+            report = write_motor_file(files, folder / DAMIAO_NAME, motor_file)
+        names.append(PARAMS_NAME)
+        files.write(folder / PARAMS_NAME, params_json_text(identification, notes))
+    return Written(tuple(folder / name for name in names), notes, report, failure)
 
 
-def _mjcf_edits(
-    terminal: Node, folded: Sequence[Node], theta: Array, principal: bool
-) -> list[tuple[Node, Edit]]:
-    empty = mjcf_inertial(0.0 * theta)
-    written = [inertial_edit(terminal, mjcf_inertial(theta, principal))]
-    return written + [inertial_edit(body, empty) for body in folded]
+def write_motor_file(files: WholeFiles, path: Path, motor_file: MotorFile) -> DamiaoExportReport:
+    """Write the draft of a motor trajectory."""
+    with files.open(path) as file:
+        return motor_file(file)
 
 
-def _urdf_edits(
-    document: ModelDocument, terminal: Node, folded: Sequence[Node], theta: Array
-) -> list[tuple[Node, Edit]]:
-    empty = urdf_inertial(0.0 * theta)
-    written = [inertial_edit(terminal, urdf_inertial(theta))]
-    written += [inertial_edit(body, empty) for body in folded]
-    changed = {body.get("name") for body in (terminal, *folded)}
-    # What was added to get the model compiled stays in it: MuJoCo has to load it by itself.
-    minimum = minimum_inertia_edits(document)
-    return written + [(document.root, edit) for name, edit in minimum if name not in changed]
+def _write_model(
+    files: WholeFiles,
+    path: Path,
+    robot: RobotModel,
+    identification: Identification,
+    checkpoints: Motion,
+    mesh_dir: Path | None,
+) -> tuple[str, ...]:
+    """Write the updated model, compile it again and compare; returns notes."""
+    estimate = identification.estimate
+    theta = estimate.inertial.theta
+    bodies = subtree_bodies(robot.mj_model, robot.reference_qpos, robot.body_id)
+    plan = plan_write_back(theta, bodies, _tolerance(robot, estimate))
+    text = updated_model_text(
+        robot.path,
+        robot.body_name,
+        plan,
+        estimate.rmse,
+        path.absolute().parent,
+        mesh_dir,
+        principal=not reads_fullinertia_exactly(plan.theta),
+    )
+    draft = files.write(path, text)
+    compiled = verify_written_model(robot.mj_model, draft, robot.body_id, plan)
+    require_reproduction(robot, plan.written(theta), compiled.mj_model, checkpoints, path)
+    return (plan.note,) if plan.note else ()
 
 
-def _by_file(edits: Collection[tuple[Node, Edit]]) -> dict[Path, list[markup.Edit]]:
-    grouped: dict[Path, list[markup.Edit]] = {}
-    for node, edit in edits:
-        grouped.setdefault(node.file.path, []).append(edit)
-    return grouped
+def _tolerance(robot: RobotModel, estimate: Estimate) -> Tolerance:
+    """Return how far moments may be inflated: within their standard errors."""
+    if estimate.standard_errors is None:
+        return EXACT
+    errors = [estimate.standard_errors[estimate.names.index(n)] for n in ("Ixx", "Iyy", "Izz")]
+    finite = [float(error) for error in errors if np.isfinite(error)]
+    return Tolerance(bound_inertia(read_document(robot.path)), min(finite, default=0.0))

@@ -49,7 +49,10 @@ def load_robot_model(
 
 
 def robot_from_compiled(
-    compiled: CompiledModel, path: Path, joint: str | None, max_velocity: float
+    compiled: CompiledModel,
+    path: Path,
+    joint: str | None,
+    max_velocity: float = DEFAULT_MAX_VELOCITY,
 ) -> RobotModel:
     """Return the arm in a compiled model; arguments and errors as in ``load_robot_model``."""
     mj_model = compiled.mj_model

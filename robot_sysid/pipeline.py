@@ -3,32 +3,46 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO
 
 from robot_sysid.config import SysidConfig
-from robot_sysid.identify.simulated import Analysis, analyse_itself
+from robot_sysid.errors import InputError
+from robot_sysid.excitation.plan import CheckedPlan, MotionRequest, make_plan
+from robot_sysid.export import (
+    DAMIAO_NAME,
+    MotorFile,
+    updated_model_name,
+    write_motor_file,
+    write_results,
+)
+from robot_sysid.identify.simulated import Analysis, SimulatedRun, identify_itself
 from robot_sysid.model.compilation import captured_warnings
 from robot_sysid.output.summary import clamping_lines, detail_lines, folder_text, result_lines
 from robot_sysid.parser import load_robot_model
-from robot_sysid.planning import PlanReport, make_plan, plan_files, report_plan
-from robot_sysid.records import Identification, MotionPlan, RobotModel
-from robot_sysid.records.atomic_files import require_writable
-from robot_sysid.records.progress import Progress, Silent
-from robot_sysid.results_writer import (
-    Command,
-    check_motor_types,
-    updated_model_name,
-    write_commands,
-    write_results,
+from robot_sysid.records import Array, Identification, MotionPlan, RobotModel
+from robot_sysid.records.atomic_files import (
+    WholeFiles,
+    only_run_in,
+    require_writable,
+    whole_files,
 )
-from robot_sysid.simulator import inverse_torque
-from robot_sysid.trajectory import motion_chunks
+from robot_sysid.records.progress import Progress, Silent
+from robot_sysid.simulator import ArmTorque
+from robot_sysid.trajectory import (
+    motion_chunks,
+    require_countable,
+)
 
 if TYPE_CHECKING:
     from robot_sysid.damiao.trajectory.csv_file import DamiaoExportReport
+
+PLAN_NAME = "trajectory.json"
+
+Command = tuple[Array, Array, Array, Array]
+"""A chunk of time (N,), q, qd and feed-forward tau (N, n) [s, rad, rad/s, N m]."""
 
 
 @dataclass(frozen=True)
@@ -36,29 +50,21 @@ class PlanOutcome:
     """What a run with --plan-only produced.
 
     Attributes:
-        plan: the trajectory.
-        report: what it promises and whether it keeps all limits.
+        lines: what the trajectory promises.
+        failure: why it must not be run, or None; nothing is written then.
         files: what was written.
         damiao: report lines of the Damiao export, where one was asked for.
     """
 
-    plan: MotionPlan
-    report: PlanReport
-    files: tuple[Path, ...]
+    lines: tuple[str, ...]
+    failure: str | None
+    files: tuple[Path, ...] = ()
     damiao: tuple[str, ...] = ()
-
-    @property
-    def failure(self) -> str | None:
-        """Why the trajectory must not be run, or None."""
-        broken = self.report.certificate.excesses
-        if not broken:
-            return None
-        return f"this trajectory must not be run: it breaks {len(broken)} limits, first {broken[0]}"
 
     def report_lines(self, verbose: bool) -> list[str]:
         """Return what the command line prints at the end."""
         written = [f"Trajectory saved to {path}" for path in self.files]
-        return [*self.report.lines, *self.damiao, *written]
+        return [*self.lines, *self.damiao, *written]
 
 
 @dataclass(frozen=True)
@@ -108,7 +114,8 @@ def run(config: SysidConfig, progress: Progress | None = None) -> Outcome | Plan
         SysidError: with the exit code that fits, see ``errors``.
     """
     progress = progress or Silent()
-    with captured_warnings() as warnings:
+    require_writable(config.output.output_dir)
+    with captured_warnings() as warnings, only_run_in(config.output.output_dir):
         outcome = _run(config, progress)
     for warning in dict.fromkeys(warnings):
         progress.note(f"MuJoCo warns: {warning}")
@@ -116,70 +123,37 @@ def run(config: SysidConfig, progress: Progress | None = None) -> Outcome | Plan
 
 
 def _run(config: SysidConfig, progress: Progress) -> Outcome | PlanOutcome:
-    require_writable(config.output_dir)
     robot = load(config, progress)
-    if config.measurements is not None:
-        from robot_sysid.identify.log import analyse_log
+    if config.log.measurements:
+        from robot_sysid.identify.measured import identify_logs
 
-        analysis = analyse_log(config, robot, progress)
-        return _write(config, robot, analysis, no_commands, progress)
-    seed = config.seed if config.seed is not None else secrets.randbelow(2**31)
-    plan = make_plan(config, robot, seed, progress)
-    if config.plan_only:
-        return _plan_outcome(config, robot, plan)
-    analysis = _analyse(config, robot, plan, seed, progress)
-    return _write(config, robot, analysis, lambda: commands(robot, plan, config), progress)
-
-
-def _analyse(
-    config: SysidConfig, robot: RobotModel, plan: MotionPlan, seed: int, progress: Progress
-) -> Analysis:
-    if config.plant_model is None:
-        return analyse_itself(config, robot, plan, seed, progress)
-    from robot_sysid.identify.log import analyse_plant
-
-    return analyse_plant(config, robot, plan, seed, progress)
-
-
-def _plan_outcome(config: SysidConfig, robot: RobotModel, plan: MotionPlan) -> PlanOutcome:
-    report = report_plan(config, robot, plan)
-    files = plan_files(config)
-    if not config.export_damiao:
-        return PlanOutcome(plan, report, files)
-    path, damiao = write_commands(config, commands(robot, plan, config))
-    lines = tuple(clamping_lines(damiao, robot.joint_names))
-    return PlanOutcome(plan, report, (*files, path), lines)
-
-
-def _write(
-    config: SysidConfig,
-    robot: RobotModel,
-    analysis: Analysis,
-    motor_commands: Callable[[], Iterator[Command]],
-    progress: Progress,
-) -> Outcome:
-    """Write all results and pass on what writing them had to say."""
-    before = analysis.identification
-    written = write_results(config, robot, before, analysis.checkpoints, motor_commands)
-    for note in written.identification.notes[len(before.notes) :]:
-        progress.note(note)
-    stale = config.output_dir / updated_model_name(robot)
-    if stale not in written.files and stale.exists():
-        progress.note(f"{stale} is from an earlier run; this run wrote no model")
-    return Outcome(
-        written.identification,
-        config.output_dir,
-        written.files,
-        written.damiao,
-        written.failure,
-    )
+        save, estimation = config.arm.save_measurements, config.estimation
+        analysis = identify_logs(robot, config.log, save, estimation, progress)
+        return _write(config, robot, analysis, None, progress)
+    chosen = config.trajectory.seed
+    seed = secrets.randbelow(2**31) if chosen is None else chosen
+    checked = make_plan(_request(config), robot, seed, progress)
+    if config.trajectory.plan_only:
+        return _plan_outcome(config, robot, checked)
+    if checked.failure:
+        raise InputError(f"{checked.failure}; {_remedy(config)}")
+    with whole_files() as files:
+        save_plan(files, config, robot, checked.plan)
+    analysis = _analyse(config, robot, checked.plan, seed, progress)
+    return _write(config, robot, analysis, _motor_file(config, robot, checked.plan), progress)
 
 
 def load(config: SysidConfig, progress: Progress) -> RobotModel:
     """Load the model and find its terminal joint."""
-    progress.stage(f"Loading robot model from {config.model}...")
-    robot = load_robot_model(config.model, config.mesh_dir, config.joint, config.max_velocity)
-    check_motor_types(config, robot)
+    model = config.model
+    progress.stage(f"Loading robot model from {model.path}...")
+    robot = load_robot_model(model.path, model.mesh_dir, model.joint, config.limits.max_velocity)
+    if config.motors.export_damiao:
+        from robot_sysid.damiao.protocol.joints import damiao_joints
+
+        # Refused before any work where the export could not be done.
+        motors = config.motors
+        damiao_joints(motors.motor_type, robot.n_joints, motors.can_id, motors.master_id)
     progress.stage(f"Identified terminal joint: {robot.terminal_joint}")
     for note in robot.notes:
         progress.note(note)
@@ -187,13 +161,113 @@ def load(config: SysidConfig, progress: Progress) -> RobotModel:
     return robot
 
 
-def commands(robot: RobotModel, plan: MotionPlan, config: SysidConfig) -> Iterator[Command]:
-    """Yield the motion with the torque it takes, for playing it on motors."""
-    torque = inverse_torque(robot)
-    for motion in motion_chunks(plan, config.damiao_rate or config.sample_rate):
+def _request(config: SysidConfig) -> MotionRequest:
+    played = config.motors.export_damiao or config.arm.simulation == "forward"
+    torques, noise = config.estimation.torques, config.arm.noise_torque
+    options = config.trajectory, config.excitation, config.limits
+    return MotionRequest(*options, torques, noise, played)
+
+
+def _remedy(config: SysidConfig) -> str:
+    if config.trajectory.file is not None:
+        return "design one for this arm with --excitation optimal, or slow it down with --speed"
+    return "relax that limit, try another --seed, or use --excitation optimal"
+
+
+def plan_files(config: SysidConfig) -> tuple[Path, ...]:
+    """Return where a run writes its trajectory: coefficients and samples, or nothing."""
+    path = config.trajectory.save
+    if path is None and config.trajectory.plan_only:
+        path = config.output.output_dir / PLAN_NAME
+    return () if path is None else (path, path.with_suffix(".csv"))
+
+
+def save_plan(
+    files: WholeFiles, config: SysidConfig, robot: RobotModel, plan: MotionPlan
+) -> tuple[Path, ...]:
+    """Write the drafts of the trajectory where it was asked for; returns where it will be."""
+    paths = plan_files(config)
+    if paths:
+        from robot_sysid.excitation.trajectory_files import save_samples, save_trajectory
+
+        with files.open(paths[0]) as file:
+            save_trajectory(file, plan, robot.joint_names, robot.sha256)
+        with files.open(paths[1]) as file:
+            save_samples(file, plan, robot.joint_names, config.trajectory.sample_rate)
+    return paths
+
+
+def _plan_outcome(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> PlanOutcome:
+    from robot_sysid.excitation.prediction import predict, prediction_lines
+
+    assert checked.problem is not None
+    rate = config.trajectory.sample_rate
+    prediction = predict(checked.problem, checked.plan, rate, checked.check)
+    lines = tuple(prediction_lines(prediction, checked.problem.sigma))
+    if checked.failure:
+        return PlanOutcome(lines, f"{checked.failure}; nothing was written")
+    motor_file = _motor_file(config, robot, checked.plan)
+    with whole_files() as files:
+        paths = save_plan(files, config, robot, checked.plan)
+        if motor_file is None:
+            return PlanOutcome(lines, None, paths)
+        path = config.output.output_dir / DAMIAO_NAME
+        report = write_motor_file(files, path, motor_file)
+    damiao = tuple(clamping_lines(report, robot.joint_names))
+    return PlanOutcome(lines, None, (*paths, path), damiao)
+
+
+def _analyse(
+    config: SysidConfig, robot: RobotModel, plan: MotionPlan, seed: int, progress: Progress
+) -> Analysis:
+    arm, rate = config.arm, config.trajectory.sample_rate
+    simulated = SimulatedRun(plan, rate, seed, arm.save_measurements)
+    if arm.plant_model is None:
+        return identify_itself(robot, simulated, config.estimation, progress)
+    from robot_sysid.identify.measured import identify_simulated_arm
+
+    mesh_dir = config.model.mesh_dir
+    return identify_simulated_arm(robot, arm, mesh_dir, simulated, config.estimation, progress)
+
+
+def _write(
+    config: SysidConfig,
+    robot: RobotModel,
+    analysis: Analysis,
+    motor_file: MotorFile | None,
+    progress: Progress,
+) -> Outcome:
+    """Write all results and pass on what writing them had to say."""
+    folder, mesh_dir = config.output.output_dir, config.model.mesh_dir
+    found, checkpoints = analysis.identification, analysis.checkpoints
+    written = write_results(robot, found, checkpoints, folder, mesh_dir, motor_file)
+    for note in written.notes:
+        progress.note(note)
+    stale = folder / updated_model_name(robot)
+    if stale not in written.files and stale.exists():
+        progress.note(f"{stale} is from an earlier run; this run wrote no model")
+    return Outcome(found, folder, written.files, written.damiao, written.failure)
+
+
+def _motor_file(config: SysidConfig, robot: RobotModel, plan: MotionPlan) -> MotorFile | None:
+    """Return what writes the trajectory for Damiao motors, or None where none was asked for."""
+    motors = config.motors
+    if not motors.export_damiao:
+        return None
+    from robot_sysid.damiao.trajectory.csv_file import export_damiao_trajectory
+
+    rate = motors.damiao_rate or config.trajectory.sample_rate
+    require_countable(plan.duration, rate, "--damiao-rate")
+
+    def write(file: TextIO) -> DamiaoExportReport:
+        motion, ids = commands(robot, plan, rate), (motors.can_id, motors.master_id)
+        return export_damiao_trajectory(motion, motors.motor_type, file, *ids, motors.supply)
+
+    return write
+
+
+def commands(robot: RobotModel, plan: MotionPlan, rate: float) -> Iterator[Command]:
+    """Yield the motion with the torque it takes at a rate [Hz], for playing it on motors."""
+    torque = ArmTorque(robot)
+    for motion in motion_chunks(plan, rate):
         yield motion.time, motion.q, motion.qd, torque(motion)
-
-
-def no_commands() -> Iterator[Command]:
-    """Yield nothing: a log is not played."""
-    return iter(())

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
+from typing import Any
 
 import numpy as np
 
@@ -13,15 +14,25 @@ from robot_sysid.estimation.information import InformationAccumulator
 from robot_sysid.records import Array, Measurement, Motion, RobotModel, SquareRootInformation
 
 
-def inverse_torque(robot: RobotModel) -> Callable[[Motion], Array]:
-    """Return a function from a motion to the joint torques (N, n) the model needs for it."""
-    dynamics = ArmDynamics(robot)
+class ArmTorque:
+    """Torques the model needs for a motion, friction included.
 
-    def torque(motion: Motion) -> Array:
-        rigid = dynamics.torque(motion.q, motion.qd, motion.qdd)
-        return rigid + robot.friction.torque(motion.qd)
+    Args:
+        robot: the arm.
+    """
 
-    return torque
+    def __init__(self, robot: RobotModel) -> None:
+        self._robot = robot
+        self._dynamics = ArmDynamics(robot)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Travel to another process as what it was made from."""
+        return type(self), (self._robot,)
+
+    def __call__(self, motion: Motion) -> Array:
+        """Return joint torques (N, n) [N m]."""
+        rigid = self._dynamics.torque(motion.q, motion.qd, motion.qdd)
+        return rigid + self._robot.friction.torque(motion.qd)
 
 
 def simulate_inverse(robot: RobotModel, motions: Iterable[Motion]) -> Iterator[Measurement]:
@@ -37,7 +48,7 @@ def simulate_inverse(robot: RobotModel, motions: Iterable[Motion]) -> Iterator[M
     Raises:
         SimulationError: a torque is not finite.
     """
-    torque = inverse_torque(robot)
+    torque = ArmTorque(robot)
     for motion in motions:
         tau = torque(motion)
         _require_finite(tau, motion.time, robot.joint_names)

@@ -13,9 +13,8 @@ from robot_sysid.estimation.identifiability import (
     analyse_identifiability,
     visible_space,
 )
-from robot_sysid.estimation.least_squares import EstimatorOptions, WeightedEquations
-from robot_sysid.estimation.nonnegative import solve_nonnegative
-from robot_sysid.estimation.registry import estimator
+from robot_sysid.estimation.least_squares import WeightedEquations
+from robot_sysid.estimation.options import ESTIMATORS, EstimationOptions
 from robot_sysid.estimation.uncertainty import (
     Uncertainty,
     coloured_uncertainty,
@@ -41,7 +40,7 @@ def identify_parameters(
     information: SquareRootInformation,
     prior: Array,
     method: str = "ols",
-    options: EstimatorOptions | None = None,
+    options: EstimationOptions | None = None,
     samples: SampleSource | None = None,
     terminal_joint: str | None = None,
 ) -> Estimate:
@@ -51,7 +50,7 @@ def identify_parameters(
         information: the data.
         prior: (p,) the model's own values, in the order of ``information.names``.
         method: name of the estimator: "ols", "wls" or "robust".
-        options: physical consistency, prior and the like.
+        options: physical consistency and prior; None takes the plain estimate.
         samples: the same equations sample by sample; with them the standard errors allow for noise
             that is correlated in time. "robust" needs them.
         terminal_joint: name of the terminal joint, if it is not the information's last.
@@ -62,9 +61,11 @@ def identify_parameters(
     Raises:
         InputError: unknown method or option; lists the valid ones.
     """
-    chosen = options or EstimatorOptions()
+    if method not in ESTIMATORS:
+        raise InputError(f"unknown method {method!r}; valid: {', '.join(ESTIMATORS)}")
+    chosen = options or EstimationOptions(consistency="off")
     prior = checked_array(prior, (len(information.names),), "prior")
-    equations = estimator(method)(information, prior, chosen, samples)
+    equations = ESTIMATORS[method](information, prior, samples)
     values, constrained = solve(equations, prior, chosen)
     identifiability = analyse_identifiability(information, terminal_joint)
     rmse, per_joint = torque_rmse(information, values)
@@ -89,33 +90,23 @@ def identify_parameters(
 
 
 def solve(
-    equations: WeightedEquations, prior: Array, options: EstimatorOptions
+    equations: WeightedEquations, prior: Array, options: EstimationOptions
 ) -> tuple[Array, bool]:
     """Return (values (p,), whether they are a constrained fit) of whitened equations.
 
     Args:
         equations: what an estimator hands on.
         prior: (p,) the model's values.
-        options: consistency, prior and bounds.
+        options: consistency and prior.
     """
-    weight = options.entropic_weight
-
-    def plain(matrix: Array, right: Array, model: Array) -> Array:
-        return model + visible_space(matrix).solve(right - matrix @ model)
-
-    def consistent(matrix: Array, right: Array, model: Array) -> Array:
-        return consistent_least_squares(matrix, right, model, weight)
-
     matrix, right = equations.whitened()
-    bounded = _indices(equations.information.names, options.nonnegative)
-    if weight > 0.0:
-        return solve_nonnegative(consistent, matrix, right, prior, bounded), False
-    free = solve_nonnegative(plain, matrix, right, prior, bounded)
-    wanted = options.consistency == "enforce"
-    wanted |= options.consistency == "auto" and not spatial.is_consistent(free[:N_INERTIAL])
-    if not wanted:
+    if options.entropic_weight > 0.0:
+        return consistent_least_squares(matrix, right, prior, options.entropic_weight), False
+    free = prior + visible_space(matrix).solve(right - matrix @ prior)
+    possible = options.consistency == "auto" and spatial.is_consistent(free[:N_INERTIAL])
+    if options.consistency == "off" or possible:
         return free, False
-    values = solve_nonnegative(consistent, matrix, right, prior, bounded)
+    values = consistent_least_squares(matrix, right, prior)
     return values, bool(np.any(values != free))
 
 
@@ -153,7 +144,7 @@ def _errors(
     information: SquareRootInformation,
     equations: WeightedEquations,
     values: Array,
-    options: EstimatorOptions,
+    options: EstimationOptions,
     samples: SampleSource | None,
 ) -> tuple[Uncertainty, list[float]]:
     """Return (uncertainty, effective number of samples per joint)."""
@@ -171,10 +162,3 @@ def _errors(
 def _noise(information: SquareRootInformation, equations: WeightedEquations) -> dict[str, float]:
     pairs = zip(information.joints, equations.noise)
     return {joint.joint: float(noise) for joint, noise in pairs if joint.n_samples}
-
-
-def _indices(names: tuple[str, ...], chosen: tuple[str, ...]) -> list[int]:
-    unknown = [name for name in chosen if name not in names]
-    if unknown:
-        raise InputError(f"no parameter {unknown[0]!r} to bound; valid: {', '.join(names)}")
-    return [names.index(name) for name in chosen]

@@ -9,13 +9,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Callable
+from pathlib import Path
+from typing import Callable, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, JointLimits, Motion, MotionPlan, RobotModel, checked_array
+from robot_sysid.records.options import (
+    check_options,
+    not_negative,
+    option,
+    positive,
+    speed_factor,
+    whole_number,
+)
 
 FREQUENCY_BAND_HZ = (0.1, 0.6)
 TERMS_PER_JOINT = (3, 5)
@@ -35,6 +44,77 @@ _TORQUE_CHECK_HZ = 25.0
 _FEWEST_CHECKS = 256
 _SMALLEST_FACTOR = 2.0**-30
 CHUNK = 2048
+MOST_SAMPLES = 1e9
+"""Samples of a run; more would take days."""
+
+
+@dataclass(frozen=True)
+class TrajectoryOptions:
+    """Which trajectory the arm moves along, and how finely it is sampled."""
+
+    NEEDS: ClassVar[str] = "motion"
+    duration: float = option(
+        15.0,
+        "length; longer gives better conditioning",
+        unit="s",
+        check=positive,
+        needs="new motion",
+    )
+    sample_rate: float = option(
+        1000.0,
+        "samples per second; higher gives more equations",
+        unit="Hz",
+        metavar="RATE",
+        check=positive,
+    )
+    seed: int | None = option(
+        None,
+        "seed of the random trajectory and of simulated noise",
+        parse=whole_number,
+        check=not_negative,
+        usual="a fresh one",
+    )
+    speed: float = option(
+        1.0,
+        "slow the whole motion down, for a first run",
+        metavar="FACTOR",
+        check=speed_factor,
+    )
+    file: Path | None = option(
+        None, "use a trajectory that was saved", flag="--trajectory", metavar="FILE"
+    )
+    save: Path | None = option(
+        None,
+        "write the trajectory as JSON (coefficients), and as CSV (samples) beside it",
+        flag="--save-trajectory",
+        metavar="FILE",
+    )
+    plan_only: bool = option(False, "make, check and write the trajectory, then stop")
+
+    def __post_init__(self) -> None:
+        check_options(self)
+        if self.duration * self.sample_rate < 1.0:
+            raise InputError(
+                "--duration times --sample-rate gives less than two samples; raise one of them"
+            )
+        require_countable(self.duration / self.speed, self.sample_rate, "--sample-rate")
+
+
+def require_countable(duration: float, rate: float, option: str) -> None:
+    """Raise InputError where a trajectory would have more samples than a run can take.
+
+    Args:
+        duration: length [s].
+        rate: samples per second [Hz].
+        option: which sets the rate, for the message.
+    """
+    if not duration * rate <= MOST_SAMPLES:
+        raise InputError(
+            f"a trajectory of {duration:.3g} s with {option} {rate:g} has {duration * rate:.3g} "
+            f"samples, more than the {MOST_SAMPLES:.0e} a run can take; shorten it, or lower the "
+            "rate"
+        )
+
 
 TorqueFunction = Callable[[Motion], Array]
 
@@ -84,12 +164,7 @@ class SineTrajectory:
         w, dw, ddw = window(time, self.duration, self.fade)
         s, ds, dds = self._sinusoids(time)
         w, dw, ddw = w[:, None], dw[:, None], ddw[:, None]
-        return Motion(
-            time,
-            self.center + w * s,
-            dw * s + w * ds,
-            ddw * s + 2.0 * dw * ds + w * dds,
-        )
+        return Motion(time, self.center + w * s, dw * s + w * ds, ddw * s + 2.0 * dw * ds + w * dds)
 
     def _sinusoids(self, time: Array) -> tuple[Array, Array, Array]:
         """Return s, s' and s'' (N, n)."""
@@ -232,7 +307,7 @@ def _fit_torque(
     hopeless = excess.per_joint(_SMALLEST_FACTOR) > 1.0
     notes = tuple(
         f"even the smallest motion takes more than the torque limit of {robot.limits.torque[j]:g} "
-        f"at joint {robot.joint_names[j]}; its limit is not obeyed"
+        f"at joint {robot.joint_names[j]}; this motion does not keep it"
         for j in np.flatnonzero(hopeless)
     )
     factor = excess.largest_factor(~hopeless)

@@ -9,6 +9,7 @@ from hypothesis import settings
 
 from robot_sysid.model.compilation import captured_warnings
 from tests.support import arms
+from tests.support.command_line import CommandLine
 
 settings.register_profile("laws", max_examples=100, deadline=None)
 settings.load_profile("laws")
@@ -50,3 +51,10 @@ def three_joint_arm():
 def seven_joint_arm():
     """An arm with seven joints, each with Coulomb friction 0.4 and viscous friction 0.1."""
     return arms.robot_of(arms.SEVEN)
+
+
+@pytest.fixture
+def command(tmp_path, monkeypatch, capsys):
+    """The command line, in an empty working folder."""
+    monkeypatch.chdir(tmp_path)
+    return CommandLine(tmp_path, capsys)

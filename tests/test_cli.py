@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import re
 import signal
@@ -14,9 +15,12 @@ import pytest
 
 from robot_sysid import __version__
 from robot_sysid.cli import main
+from robot_sysid.commands import identify, plan, run
 from robot_sysid.errors import SysidError
 from robot_sysid.identify.simulated import ITSELF
-from robot_sysid.options import build_parser
+from robot_sysid.records.atomic_files import only_run_in
+from tests.support import option_samples
+from tests.support.command_line import files_in
 from tests.support.places import GUESS
 
 ARM = """<mujoco model="two">
@@ -117,7 +121,7 @@ BAD_OPTIONS = {
     "zero rate": (["--sample-rate", "0"], "--sample-rate must be positive"),
     "rate not a number": (["--sample-rate", "nan"], "--sample-rate must be positive"),
     "too many samples": (["--duration", "1e9"], "1e+12 samples"),
-    "no output folder": (["--output-dir", ""], "--output-dir: is empty"),
+    "no output folder": (["--output-dir", ""], "--output-dir: the folder's name is empty"),
     "output folder without a name": (["--output-dir", "\udcff"], "cannot be written as UTF-8"),
     "too few samples": (["--duration", "0.1", "--sample-rate", "1"], "two samples"),
     "negative seed": (["--seed", "-1"], "--seed"),
@@ -140,6 +144,22 @@ BAD_OPTIONS = {
 def test_bad_options_exit_2_with_one_line_and_nothing_written(case, arm, capsys):
     options, word = BAD_OPTIONS[case]
     _expect_usage_error([str(arm), *options], word, arm.parent, capsys)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("nosuch", True),
+        ("robot.stl", True),
+        ("arm2.xml", False),
+        ("a.MJCF", False),
+        ("b.urdf", False),
+    ],
+)
+def test_a_path_that_is_no_model_by_its_name_is_told_what_is_expected(name, expected, command):
+    message = command.refused(name)
+    assert f"model file {Path(name).absolute()} not found; check the path" in message
+    assert ("Expected an XML model file" in message) == expected
 
 
 def test_a_directory_is_not_a_model(arm, capsys):
@@ -234,7 +254,7 @@ def test_debug_shows_the_traceback(arm, capsys):
 
 
 def test_an_interrupt_leaves_no_file(arm, capsys, monkeypatch):
-    import robot_sysid.results_writer as results
+    import robot_sysid.export as results
 
     def interrupt(*_args, **_kwargs):
         raise KeyboardInterrupt
@@ -245,6 +265,93 @@ def test_an_interrupt_leaves_no_file(arm, capsys, monkeypatch):
     assert {p.name for p in arm.parent.rglob("*") if p.is_file()} == {"arm.xml"}
 
 
+FIRST, SECOND = ("--seed", "1"), ("--seed", "2")
+EXPORT = ("--quiet", "--export-damiao", *(("--motor-type", "DM4340") * 2))
+RESULTS = ("damiao_trajectory.csv", "params.json", "updated_model.xml")
+SHORT = ("--duration", "1", "--sample-rate", "100")
+
+
+@pytest.fixture
+def both_sets(command, arm):
+    """The files of two runs; those of the first are in the output folder."""
+    sets = []
+    for seed in (SECOND, FIRST):
+        command.run(arm, *SHORT, *EXPORT, *seed)
+        sets.append(files_in(arm.parent / "sysid_output"))
+        assert sorted(sets[-1]) == list(RESULTS)
+    assert all(sets[0][name] != sets[1][name] for name in RESULTS)
+    return sets[1], sets[0]
+
+
+@pytest.mark.parametrize("how", ["KeyboardInterrupt", "SIGTERM", "SIGINT"])
+def test_old_results_are_replaced_all_together_or_not_at_all(
+    how, both_sets, command, arm, monkeypatch
+):
+    """An error brings the old set back; a signal waits until the new one is there."""
+    replace, results = os.replace, arm.parent / "sysid_output"
+    first, second = both_sets
+    instants = [(rename, moment) for rename in range(3) for moment in ("before", "after")]
+    for instant in instants:
+        count = iter(range(99))
+
+        def stop():
+            if how == "KeyboardInterrupt":
+                raise KeyboardInterrupt
+            os.kill(os.getpid(), getattr(signal, how))
+
+        def interrupted(source, target, instant=instant, count=count, stop=stop):
+            rename = next(count)
+            if instant == (rename, "before"):
+                stop()
+            replace(source, target)
+            if instant == (rename, "after"):
+                stop()
+
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "replace", interrupted)
+            printed = command.run(arm, *SHORT, *EXPORT, *SECOND, code=130)
+        assert printed.err == "robot-sysid: error: interrupted; no unfinished file is left\n"
+        assert files_in(results) == (first if how == "KeyboardInterrupt" else second)
+        for name, content in first.items():
+            (results / name).write_bytes(content)
+
+
+def test_the_model_takes_its_place_last(command, arm, monkeypatch):
+    """A process that is killed on the way leaves an older model, never a new one beside it."""
+    replace, order = os.replace, []
+
+    def remember(source, target):
+        order.append(Path(target).name)
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", remember)
+    command.run(arm, *SHORT, *EXPORT, *FIRST)
+    assert sorted(order) == list(RESULTS)
+    assert order[-1] == "updated_model.xml"
+
+
+def test_a_signal_at_work_leaves_the_old_results_and_no_drafts(
+    both_sets, command, arm, monkeypatch
+):
+    def stop(*_, **__):
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    monkeypatch.setattr("robot_sysid.export.require_reproduction", stop)
+    command.run(arm, *SHORT, *EXPORT, *SECOND, code=130)
+    assert files_in(arm.parent / "sysid_output") == both_sets[0]
+
+
+def test_two_runs_do_not_write_into_one_folder(command, arm):
+    with only_run_in(arm.parent / "sysid_output"):
+        message = command.refused(arm, *SHORT)
+        assert message.endswith(
+            "another run is writing to sysid_output; wait until it ends, or choose another "
+            "--output-dir"
+        )
+        command.run(arm, *SHORT, "--output-dir", "elsewhere")
+    command.run(arm, *SHORT)
+
+
 def test_version(capsys):
     with pytest.raises(SystemExit) as stop:
         main(["--version"])
@@ -252,9 +359,57 @@ def test_version(capsys):
     assert capsys.readouterr().out.strip() == f"robot-sysid {__version__}"
 
 
-def test_every_option_has_help():
-    for action in build_parser()._actions:
+PARSERS = {
+    "": run.build_parser,
+    "plan": plan.build_parser,
+    "identify": identify.build_parser,
+}
+
+
+@pytest.mark.parametrize("name", PARSERS)
+def test_every_option_has_help(name):
+    for action in PARSERS[name]()._actions:
         assert action.help, action.option_strings
+        assert not action.help.startswith("==")
+
+
+def help_lines(arguments, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(arguments)
+    assert stop.value.code == 0
+    return capsys.readouterr().out.splitlines()
+
+
+@pytest.mark.parametrize("name", PARSERS)
+def test_help_is_an_example_and_the_main_options_on_one_page(name, capsys):
+    lines = help_lines([*name.split(), "--help"], capsys)
+    assert lines[0].startswith(f"example: robot-sysid {name}".rstrip())
+    assert len(lines) <= 50
+    assert max(map(len, lines)) <= 100
+
+
+@pytest.mark.parametrize("name", PARSERS)
+def test_the_main_options_are_options(name):
+    shown = [a for a in PARSERS[name](False)._actions if a.help != argparse.SUPPRESS]
+    module = {"": run, "plan": plan, "identify": identify}[name]
+    assert set(module.MAIN) <= {action.dest for action in shown}
+
+
+def test_all_options_of_all_records_are_in_the_full_help(capsys):
+    lines = help_lines(["--help-all"], capsys)
+    assert max(map(len, lines)) <= 100
+    text = "\n".join(lines)
+    for sample in option_samples.samples():
+        assert re.search(rf"^  {sample.option.flag}\b", text, re.MULTILINE), sample.option.flag
+    for record in option_samples.record_types().values():
+        assert any(record in records for _, records in run.GROUPS)
+
+
+@pytest.mark.parametrize("name", ["plan", "identify"])
+def test_the_full_help_of_a_command_shows_all_it_takes(name, capsys):
+    text = "\n".join(help_lines([name, "--help-all"], capsys))
+    for action in PARSERS[name]()._actions:
+        assert all(word in text for word in action.option_strings)
 
 
 def test_the_installed_command_leaves_nothing_but_results(arm):
@@ -312,6 +467,31 @@ def test_an_interrupt_that_a_module_turns_into_another_error_is_still_one(arm, c
     assert main([str(arm)]) == 130
     assert "interrupted" in capsys.readouterr().err
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_an_interrupt_while_the_command_is_loaded_is_one_line(arm, capsys, monkeypatch):
+    def interrupt(name):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("robot_sysid.cli.importlib.import_module", interrupt)
+    assert main([str(arm)]) == 130
+    assert capsys.readouterr().err == "robot-sysid: error: interrupted\n"
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="no SIGHUP here")
+def test_a_signal_that_nohup_makes_the_process_ignore_stays_ignored(arm, monkeypatch):
+    def run(*_):
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+        assert signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL
+        raise SysidError("stop here")
+
+    monkeypatch.setattr("robot_sysid.pipeline.run", run)
+    usual = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        assert main([str(arm)]) == 1
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, usual)
 
 
 def test_warnings_of_libraries_come_out_as_notes(arm, capsys, monkeypatch):

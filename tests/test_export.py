@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import difflib
 import struct
 import zlib
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -13,13 +15,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.errors import ExportError
-from robot_sysid.export import export_updated_model, export_updated_xml, updated_model_text
+from robot_sysid.errors import ExportError, InputError
+from robot_sysid.export import export_updated_xml, write_results
+from robot_sysid.mjcf.updated_model import updated_model_text
 from robot_sysid.mjcf.write_back import WriteBack, plan_write_back
 from robot_sysid.model.chain import find_terminal_joint
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.model.inertia import composite_theta, subtree_bodies
 from robot_sysid.output.verification import reads_fullinertia_exactly, verify_written_model
+from robot_sysid.parser import load_robot_model
+from robot_sysid.records import InertialParameters, Motion, Status
 from tests.output.test_params_json import identification
 from tests.support.model_files import (
     ARM,
@@ -34,6 +39,7 @@ from tests.support.model_files import (
     write_files,
 )
 from tests.support.places import SHARED
+from tests.support.results import theta_in
 
 seeds = st.integers(0, 2**32 - 1)
 THETA = random_theta(np.random.default_rng(1), 2.0)
@@ -127,7 +133,7 @@ MASSLESS = ARM.replace(
 @pytest.mark.parametrize(
     ("name", "text", "label"), [("m.xml", MASSLESS, "link2"), ("m.urdf", URDF, "l2")]
 )
-def test_a_group_can_be_folded_into_the_terminal_body(tmp_path, name, text, label):
+def test_a_group_can_be_lumped_into_the_terminal_body(tmp_path, name, text, label):
     source = write_files(tmp_path, {name: text})
     original = compile_model(source).mj_model
     before = composite_theta(original, None, original.body(label).id)
@@ -135,7 +141,7 @@ def test_a_group_can_be_folded_into_the_terminal_body(tmp_path, name, text, labe
     # A little less than the tool, with the mass of the terminal link gone.
     composite = before - 0.5 * tool if name == "m.xml" else 0.5 * tool
     plan, mj_model, body = exported(source, label, composite, tmp_path / "out" / name)
-    assert [b.name for b in plan.folded] == ["tool"]
+    assert [b.name for b in plan.lumped] == ["tool"]
     assert mj_model.body("tool").mass == 0.0
     np.testing.assert_allclose(composite_theta(mj_model, None, body), composite, atol=1e-12)
     assert "'tool' weigh nothing" in (tmp_path / "out" / name).read_text()
@@ -188,14 +194,74 @@ def test_a_relative_output_folder_works(tmp_path, monkeypatch):
     exported(source, "l2", 2.0 * THETA, source.parent.parent / "out" / "deep" / "m.urdf")
 
 
-def test_the_whole_way_from_an_identification(tmp_path):
-    source = write_files(tmp_path, {"m.xml": ARM})
-    original = compile_model(source).mj_model
-    bodies = subtree_bodies(original, None, original.body("link2").id)
-    result = identification(3.0 * THETA, model_path=source, body_name="link2")
-    plan = export_updated_model(result, bodies, tmp_path / "out" / "m.xml", principal=True)
-    verify_written_model(original, tmp_path / "out" / "m.xml", bodies[0].body_id, plan)
-    assert "RMSE 0.000100 Nm" in (tmp_path / "out" / "m.xml").read_text()
+def result_of(robot, theta, **changes):
+    """An identification of this arm that found theta."""
+    found = identification(theta, model_path=robot.path, body_name=robot.body_name)
+    return replace(found, estimate=replace(found.estimate, **changes))
+
+
+def still_life(robot):
+    """A few samples of motion to compare torques on."""
+    shape = (3, robot.n_joints)
+    return Motion(np.arange(3.0), *np.random.default_rng(0).uniform(-0.5, 0.5, (3, *shape)))
+
+
+@pytest.fixture
+def robot(tmp_path):
+    return load_robot_model(write_files(tmp_path, {"m.xml": ARM}), joint="j2")
+
+
+def test_the_whole_way_from_an_identification(tmp_path, robot):
+    theta = robot.prior.theta + THETA
+    written = write_results(robot, result_of(robot, theta), still_life(robot), tmp_path / "out")
+    assert [path.name for path in written.files] == ["updated_model.xml", "params.json"]
+    assert (written.notes, written.damiao, written.failure) == ((), None, None)
+    model = compile_model(written.files[0]).mj_model
+    found = composite_theta(model, None, robot.body_id)
+    np.testing.assert_allclose(found, theta, rtol=0.0, atol=1e-12)
+    assert "RMSE 0.000100 Nm" in written.files[0].read_text()
+    np.testing.assert_array_equal(theta_in(written.files[1]), theta)
+
+
+def test_a_result_that_is_not_trusted_gets_a_params_json_alone(tmp_path, robot):
+    doubtful = result_of(robot, robot.prior.theta + THETA, status=Status.TOO_WEAK)
+    written = write_results(robot, doubtful, still_life(robot), tmp_path / "out")
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["params.json"]
+    assert (written.files, written.failure) == ((tmp_path / "out" / "params.json",), None)
+
+
+def test_a_result_the_model_cannot_hold_gets_a_params_json_and_a_reason(tmp_path, robot):
+    """Less than the finger that hangs on the link weighs alone."""
+    small = 1e-3 * robot.prior.theta
+    written = write_results(robot, result_of(robot, small), still_life(robot), tmp_path / "out")
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["params.json"]
+    assert "is not a possible rigid body" in written.failure
+
+
+def test_a_file_that_is_not_the_model_in_memory_gets_no_new_model(tmp_path, robot):
+    heavier = copy.copy(robot.mj_model)
+    heavier.body_mass[robot.body_id - 1] *= 1.5
+    other = replace(robot, mj_model=heavier, prior=InertialParameters(robot.prior.theta))
+    found = result_of(robot, robot.prior.theta + THETA)
+    written = write_results(other, found, still_life(robot), tmp_path / "out")
+    assert "differs from the original in body_mass" in written.failure
+    assert not (tmp_path / "out" / "updated_model.xml").exists()
+
+
+def test_the_motor_trajectory_stands_beside_the_others_or_nothing_does(tmp_path, robot):
+    found, motion = result_of(robot, robot.prior.theta + THETA), still_life(robot)
+
+    def broken(file):
+        file.write("half a file")
+        raise InputError("no such motor")
+
+    with pytest.raises(InputError, match="no such motor"):
+        write_results(robot, found, motion, tmp_path / "out", motor_file=broken)
+    assert not (tmp_path / "out").exists()
+    written = write_results(robot, found, motion, tmp_path / "out", motor_file=lambda f: f.name)
+    names = ["updated_model.xml", "damiao_trajectory.csv", "params.json"]
+    assert [path.name for path in written.files] == names
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == sorted(names)
 
 
 def test_nothing_is_written_when_the_body_is_not_in_the_file(tmp_path):

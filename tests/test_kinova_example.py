@@ -17,6 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.dynamics import spatial
+from robot_sysid.model.inertia import body_theta
 from tests.support.places import EXAMPLE
 
 MODELS = ("kinova_fullinertia_guess.xml", "kinova_fullinertia.xml")
@@ -49,10 +50,7 @@ def load(file: str) -> mujoco.MjModel:
 
 
 def theta_of(model: mujoco.MjModel, body: str) -> np.ndarray:
-    b = model.body(body).id
-    return spatial.theta_from_mujoco(
-        model.body_mass[b], model.body_ipos[b], model.body_iquat[b], model.body_inertia[b]
-    )
+    return body_theta(model, model.body(body).id)
 
 
 def at(model: mujoco.MjModel, qpos: np.ndarray) -> mujoco.MjData:
@@ -227,10 +225,7 @@ def test_a_box_of_steel_has_the_inertia_of_its_mesh(a, b, c):
     body = f'<body><geom type="box" size="{a} {b} {c}" pos=".1 -.2 .3" mass="2"/></body>'
     model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
     theta = gen3.solid_box(2.0, (0.1, -0.2, 0.3), np.array([2 * a, 2 * b, 2 * c]))
-    compiled = spatial.theta_from_mujoco(
-        model.body_mass[1], model.body_ipos[1], model.body_iquat[1], model.body_inertia[1]
-    )
-    np.testing.assert_allclose(theta, compiled, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(theta, body_theta(model, 1), rtol=1e-9, atol=1e-12)
 
 
 def test_regressor_script_agrees_with_mujoco(capsys):

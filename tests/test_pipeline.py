@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robot_sysid.config import SysidConfig
+from robot_sysid.config import SysidConfig, config_from
 from robot_sysid.errors import InputError
-from robot_sysid.output.params_json import read_params_json
+from robot_sysid.excitation.trajectory_files import load_trajectory
+from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline import run
 from robot_sysid.records.progress import Silent
 from tests.support import arms
+from tests.support.results import theta_in
 
 
 class Listener(Silent):
@@ -36,23 +38,37 @@ def arm(tmp_path):
 
 def config(arm: Path, **more) -> SysidConfig:
     values = {"duration": 3.0, "sample_rate": 200.0, "seed": 1, "output_dir": arm.parent / "out"}
-    return SysidConfig(arm, **{**values, **more})
+    return config_from(arm, **{**values, **more})
 
 
 def test_a_run_returns_what_its_files_say(arm):
     outcome = run(config(arm))
     assert outcome.failure is None
     assert [path.name for path in outcome.files] == ["updated_model.xml", "params.json"]
-    written = read_params_json(outcome.files[1])
+    written = json.loads(outcome.files[1].read_text())
     estimate = outcome.identification.estimate
-    np.testing.assert_array_equal(written.inertial.theta, estimate.inertial.theta)
-    assert written["seed"] == outcome.identification.seed == 1
+    np.testing.assert_array_equal(theta_in(outcome.files[1]), estimate.inertial.theta)
+    assert written["seed"] == outcome.identification.data.seed == 1
 
 
 def test_a_fresh_seed_is_drawn_told_and_stored(arm):
     listener = Listener()
-    seed = run(config(arm, seed=None), listener).identification.seed
+    seed = run(config(arm, seed=None), listener).identification.data.seed
     assert f"Random seed: {seed} (--seed {seed} repeats this run)" in listener.stages
+
+
+def test_measured_data_is_weighted_unless_somebody_chooses(arm):
+    assert run(config(arm)).identification.estimate.method == "ols"
+    assert run(config(arm, plant_model=arm)).identification.estimate.method == "wls"
+    chosen = run(config(arm, plant_model=arm, method="ols"))
+    assert chosen.identification.estimate.method == "ols"
+
+
+def test_a_saved_plan_knows_its_model(arm):
+    plan = arm.parent / "plan.json"
+    run(config(arm, save_trajectory=plan))
+    assert load_trajectory(plan).sha256 == load_robot_model(arm).sha256
+    assert (arm.parent / "plan.csv").exists()
 
 
 def test_params_json_is_strict(arm):
@@ -60,7 +76,7 @@ def test_params_json_is_strict(arm):
         raise AssertionError(f"{constant} is not JSON")
 
     text = run(config(arm, torques="terminal")).files[1].read_text()
-    assert json.loads(text, parse_constant=refuse)["schema_version"] == 1
+    assert json.loads(text, parse_constant=refuse)["schema_version"] == 2
 
 
 def test_a_folder_that_cannot_be_written_to_is_found_before_the_work(arm):
@@ -83,7 +99,7 @@ def test_a_plan_alone_writes_the_trajectory_and_no_parameters(arm):
 def test_the_motor_trajectory_carries_the_torque_of_the_motion(arm):
     """At rest, at both ends, the feed-forward torque is what holds the arm."""
     motors = ("DM10010",) * 7
-    outcome = run(config(arm, export_damiao=True, motor_types=motors, damiao_rate=100.0))
+    outcome = run(config(arm, export_damiao=True, motor_type=motors, damiao_rate=100.0))
     rows = np.genfromtxt(outcome.files[1], delimiter=",", comments="#", skip_header=8)
     assert outcome.files[1].name == "damiao_trajectory.csv"
     assert len(rows) == 301

@@ -13,8 +13,7 @@ import pytest
 
 import robot_sysid
 from robot_sysid.cli import main
-from robot_sysid.damiao.options import build_parser as build_damiao_parser
-from robot_sysid.options import build_parser
+from robot_sysid.commands import identify, motors, plan, run
 from robot_sysid.regressor import derive_regressor
 from tests.support.places import ROOT
 
@@ -31,39 +30,15 @@ QUICK_START = re.compile(r"<!-- quick start output -->\n```text\n(.*?)```", re.D
 KINOVA_OUTPUT = re.compile(r"<!-- kinova output -->\n```text\n(.*?)```", re.DOTALL)
 
 
-def options() -> dict[str, argparse.Action]:
-    """Return every option string of the command line with its action."""
-    return {name: a for a in build_parser()._actions for name in a.option_strings}
+def parsers() -> list[argparse.ArgumentParser]:
+    """Return the parsers of all commands."""
+    motors_parsers = [motors.build_parser(name) for name in ("check", "play", "simulate")]
+    return [run.build_parser(), plan.build_parser(), identify.build_parser(), *motors_parsers]
 
 
-def damiao_options() -> set[str]:
-    """Return every option string of robot-sysid-damiao and its subcommands."""
-    parsers = [build_damiao_parser(robot_sysid.__version__)]
-    for action in parsers[0]._actions:
-        if isinstance(action, argparse._SubParsersAction):
-            parsers += action.choices.values()
-    return {name for parser in parsers for a in parser._actions for name in a.option_strings}
-
-
-def readme_options() -> dict[str, str]:
-    """Return the default column of the README's option table by option."""
-    rows = re.findall(r"^\| (`-.*?) \| (.*?) \|", README, re.MULTILINE)
-    return {
-        name: default
-        for first, default in rows
-        for name in re.findall(r"(?:^|[`\s])(--?[a-z][a-z-]*)", first)
-    }
-
-
-def test_readme_lists_exactly_the_options_there_are():
-    assert set(readme_options()) == set(options())
-
-
-@pytest.mark.parametrize("name", ["--duration", "--sample-rate", "--torques", "--max-velocity"])
-def test_readme_defaults_are_those_of_the_command(name):
-    default = options()[name].default
-    text = f"{default:g}" if isinstance(default, float) else str(default)
-    assert readme_options()[name] == f"`{text}`"
+def options() -> set[str]:
+    """Return every option string of all commands."""
+    return {name for p in parsers() for a in p._actions for name in a.option_strings}
 
 
 @pytest.mark.parametrize("title", SECTIONS)
@@ -198,7 +173,7 @@ def test_a_run_starts_without_what_it_does_not_need(tmp_path):
 
 def test_every_option_that_the_package_speaks_of_exists():
     """Messages, notes and docstrings must not send a user to an option that is not there."""
-    known = set(options()) | damiao_options() | {"--hypothesis-seed"}
+    known = options() | {"--hypothesis-seed"}
     spoken = {}
     for path in (ROOT / "robot_sysid").rglob("*.py"):
         for name in re.findall(r"(?<![\w-])--[a-z][a-z-]*[a-z]", path.read_text(encoding="utf-8")):

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from robot_sysid.errors import SimulationError
 from robot_sysid.records import Motion
-from robot_sysid.simulator import inverse_torque, simulate_inverse
+from robot_sysid.simulator import ArmTorque, simulate_inverse
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 from tests.support import arms
 from tests.support.arms import SEEDS, random_chain, random_motion, robot_of
@@ -110,4 +110,4 @@ def test_a_torque_that_is_not_finite_stops_the_run_with_time_joint_and_cause(fie
 def test_torque_function_is_the_simulation():
     robot = PLAIN["seven"]
     motion = random_chunk(robot, 3)
-    np.testing.assert_array_equal(inverse_torque(robot)(motion), simulated(robot, motion).tau)
+    np.testing.assert_array_equal(ArmTorque(robot)(motion), simulated(robot, motion).tau)

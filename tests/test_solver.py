@@ -1,4 +1,4 @@
-"""Laws of the solver: exact recovery, prior kept where blind, scaling, order of joints."""
+"""Laws of the solver: exact recovery, prior kept where nothing shows, scaling, order of joints."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_noise_free_data_is_recovered(seed):
 
 @settings(max_examples=100, deadline=None)
 @given(SEEDS)
-def test_where_the_data_is_blind_the_prior_stays_exactly(seed):
+def test_where_the_data_shows_nothing_the_prior_stays_exactly(seed):
     rng = np.random.default_rng(seed)
     truth = np.append(random_body(rng), [0.4, 0.1])
     prior = np.append(random_body(rng), [0.0, 0.0])

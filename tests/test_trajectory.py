@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import JointLimits
-from robot_sysid.simulator import inverse_torque
+from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import (
     FREQUENCY_BAND_HZ,
     TERMS_PER_JOINT,
@@ -80,7 +80,7 @@ def test_every_joint_moves_and_uses_what_it_may(robot, seed, duration):
 
 @given(limited_arms(torque=True), SEEDS, DURATIONS)
 def test_torque_limits_hold_unless_the_smallest_motion_breaks_them(robot, seed, duration):
-    torque = inverse_torque(robot)
+    torque = ArmTorque(robot)
     plan, notes = excitation(robot, seed, duration, torque)
     peak = np.max(np.abs(torque(dense(plan, 801))), axis=0)
     excused = np.array([any(f"joint {name};" in note for note in notes) for name in NAMES])
@@ -198,7 +198,7 @@ def test_a_joint_whose_weight_exceeds_its_limit_is_named_and_the_rest_still_move
     reference = robot.reference_qpos.copy()
     reference[1] = 1.2
     robot = replace(robot, reference_qpos=reference)
-    plan, notes = excitation(robot, 0, 15.0, inverse_torque(robot))
+    plan, notes = excitation(robot, 0, 15.0, ArmTorque(robot))
     assert any("joint joint1;" in note and "smallest motion" in note for note in notes)
     assert np.max(np.abs(dense(plan).q - plan.center)) > 0.1
 
@@ -208,7 +208,7 @@ def test_dry_friction_above_the_limit_is_named_instead_of_freezing_the_arm():
     friction = replace(THREE.friction, coulomb=np.array([5.0, 0.0, 0.0]))
     limits = replace(THREE.limits, torque=np.array([2.0, 100.0, 100.0]))
     robot = replace(THREE, friction=friction, limits=limits)
-    plan, notes = excitation(robot, 0, 15.0, inverse_torque(robot))
+    plan, notes = excitation(robot, 0, 15.0, ArmTorque(robot))
     assert any("joint joint0;" in note for note in notes)
     assert np.max(np.abs(dense(plan).q - plan.center)) > 0.1
 
@@ -216,7 +216,7 @@ def test_dry_friction_above_the_limit_is_named_instead_of_freezing_the_arm():
 def test_scaling_down_is_told():
     limits = replace(THREE.limits, torque=np.array([np.inf, 0.8, np.inf]))
     robot = replace(THREE, limits=limits)
-    _, notes = excitation(robot, 0, 15.0, inverse_torque(robot))
+    _, notes = excitation(robot, 0, 15.0, ArmTorque(robot))
     assert any("motion scaled to" in note for note in notes)
 
 

@@ -11,17 +11,21 @@ from functools import cache
 import numpy as np
 import pytest
 
-from robot_sysid.config import SysidConfig
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import Equations, friction_of_terminal_joint
 from robot_sysid.dynamics.kinematics import ArmDynamics, ChainKinematics
 from robot_sysid.errors import AmbiguousJointError, ModelError
+from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.model.inertia import body_theta, composite_theta
 from robot_sysid.parser import load_robot_model
 from robot_sysid.regressor import joint_regressor
-from robot_sysid.simulator import collect_sysid_data, inverse_torque, simulate_inverse
+from robot_sysid.simulator import ArmTorque, collect_sysid_data, simulate_inverse
 from robot_sysid.solver import identify_parameters
-from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
+from robot_sysid.trajectory import (
+    TrajectoryOptions,
+    generate_excitation_trajectory,
+    motion_chunks,
+)
 from tests.support import arms
 from tests.support.places import MODELS
 
@@ -101,14 +105,15 @@ def load(model, joint=None):
 
 def excitation(robot, duration=15.0):
     rng = np.random.default_rng(0)
-    return generate_excitation_trajectory(robot, rng, duration, inverse_torque(robot))[0]
+    return generate_excitation_trajectory(robot, rng, duration, ArmTorque(robot))[0]
 
 
 def identify(robot, plant=None):
     """Default options and seed 0; the plant is the model itself unless another is given."""
-    config = SysidConfig(robot.path)
-    equations = Equations(robot, config.torques, friction_of_terminal_joint(robot, config.friction))
-    motions = motion_chunks(excitation(robot, config.duration), config.sample_rate)
+    options, motion = EstimationOptions(), TrajectoryOptions()
+    terms = friction_of_terminal_joint(robot, not options.no_friction)
+    equations = Equations(robot, options.torques, terms)
+    motions = motion_chunks(excitation(robot, motion.duration), motion.sample_rate)
     information = collect_sysid_data(equations, simulate_inverse(plant or robot, motions))
     return identify_parameters(information, equations.prior)
 

@@ -19,16 +19,17 @@ from validate_regressor import with_link
 from robot_sysid.dynamics.equations import Equations
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_model
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.estimation.least_squares import EstimatorOptions, least_squares
-from robot_sysid.estimation.uncertainty import cramer_rao_bound
-from robot_sysid.identify.samples import ThinnedSamples, thin_equations
+from robot_sysid.estimation.identifiability import visible_space
+from robot_sysid.estimation.least_squares import least_squares
+from robot_sysid.estimation.options import EstimationOptions
+from robot_sysid.identify.samples import DecimatedSamples, decimated_equations
 from robot_sysid.logs.reader import join_measurements
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Estimate, MotionPlan, RobotModel
-from robot_sysid.signals.process import ProcessedSignals, SignalOptions, process
-from robot_sysid.simulation.measurements import PlantOptions, simulate_plant
-from robot_sysid.simulation.sensors import SensorOptions
-from robot_sysid.simulator import collect_sysid_data, inverse_torque, simulate_inverse
+from robot_sysid.records import Estimate, MotionPlan, RobotModel, SquareRootInformation
+from robot_sysid.signals.process import ProcessedSignals, process
+from robot_sysid.simulation.measurements import PlantSimulation
+from robot_sysid.simulation.sensors import SimulatedArmOptions
+from robot_sysid.simulator import ArmTorque, collect_sysid_data, simulate_inverse
 from robot_sysid.solver import identify_parameters
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 
@@ -96,7 +97,6 @@ class NoiseStudy:
     Args:
         plan: the trajectory; None draws one.
         seed: of that trajectory.
-        options: how signals are processed.
         simulation: "inverse" or "forward", how the true arm is simulated.
     """
 
@@ -104,24 +104,22 @@ class NoiseStudy:
         self,
         plan: MotionPlan | None = None,
         seed: int = 1,
-        options: SignalOptions | None = None,
         simulation: str = "inverse",
     ) -> None:
         self.plant = load_robot_model(MODELS / "kinova_fullinertia.xml")
         guess = load_robot_model(MODELS / "kinova_fullinertia_guess.xml").prior
         self.robot = replace(self.plant, mj_model=with_link(self.plant, guess.theta), prior=guess)
         self.plan = plan or random_plan(self.robot, seed)
-        self.signals = self._recorded(options, simulation)
-        self.samples = thin_equations(self._equations(), self.signals)
+        self.signals = self._recorded(simulation)
+        self.samples = decimated_equations(self._equations(), self.signals)
         self.truth = self._true_values()
 
-    def _recorded(self, options: SignalOptions | None, simulation: str) -> ProcessedSignals:
-        sensors = SensorOptions(encoder_resolution=ENCODER_STEP)
-        how = PlantOptions(simulation, SAMPLE_RATE, sensors)
-        run = simulate_plant(self.plant, self.plan, how, np.random.default_rng(0))
+    def _recorded(self, simulation: str) -> ProcessedSignals:
+        how = SimulatedArmOptions(simulation=simulation, encoder_resolution=ENCODER_STEP)
+        rng = np.random.default_rng(0)
+        run = PlantSimulation(self.plant, self.plan, how, SAMPLE_RATE, rng)
         log = join_measurements(run)
-        chosen = options or SignalOptions(least_deadband=run.least_deadband())
-        return process(log, chosen, self.robot.joint_names)
+        return process(log, self.robot.joint_names, least_deadband=run.least_deadband())
 
     @property
     def cutoff(self) -> float:
@@ -147,16 +145,16 @@ class NoiseStudy:
         level = np.broadcast_to(np.asarray(noise.level, dtype=float), (self.robot.n_joints,))
         return np.sqrt(np.diag(cramer_rao_bound(information, level)))
 
-    def noisy(self, noise: Noise, rng: np.random.Generator) -> ThinnedSamples:
+    def noisy(self, noise: Noise, rng: np.random.Generator) -> DecimatedSamples:
         """Return the equations with one draw of noise in their torques."""
         drawn = noise.draw(rng, len(self.signals), self.robot.n_joints)
-        added = self.signals.low_pass.thinned(drawn)
+        added = self.signals.low_pass.decimated(drawn)
         pairs = zip(self.samples.tau, added.T)
         return replace(self.samples, tau=tuple(tau + extra for tau, extra in pairs))
 
-    def identified(self, samples: ThinnedSamples, consistency: str = "auto") -> Estimate:
+    def identified(self, samples: DecimatedSamples, consistency: str = "auto") -> Estimate:
         """Return the estimate, as the command line would make it."""
-        prior, options = self._equations().prior, EstimatorOptions(consistency)
+        prior, options = self._equations().prior, EstimationOptions(consistency=consistency)
         return identify_parameters(samples.information(), prior, "wls", options, samples)
 
     def run(self, noise: Noise, draws: int, seed: int = 0) -> Outcome:
@@ -179,7 +177,7 @@ class NoiseStudy:
             impossible,
         )
 
-    def _plain(self, samples: ThinnedSamples, estimate: Estimate) -> Array:
+    def _plain(self, samples: DecimatedSamples, estimate: Estimate) -> Array:
         weights = np.array([1.0 / estimate.noise_per_joint[joint] for joint in samples.joints])
         return least_squares(samples.information(), self._equations().prior, weights)
 
@@ -187,4 +185,17 @@ class NoiseStudy:
 def random_plan(robot: RobotModel, seed: int) -> MotionPlan:
     """Return the trajectory the command line would draw with this seed."""
     rng = np.random.default_rng(seed)
-    return generate_excitation_trajectory(robot, rng, torque=inverse_torque(robot))[0]
+    return generate_excitation_trajectory(robot, rng, torque=ArmTorque(robot))[0]
+
+
+def cramer_rao_bound(information: SquareRootInformation, noise: Array) -> Array:
+    """Return the least covariance (p, p) any unbiased estimate can have: (Y^T Sigma^-1 Y)^-1.
+
+    For white normal noise; the pseudo-inverse where the data shows nothing (Cramer 1946, Rao 1945).
+
+    Args:
+        information: the equations.
+        noise: (joints,) noise standard deviation [N m].
+    """
+    root = visible_space(information.stacked(1.0 / noise)[0]).inverse_root()
+    return root @ root.T

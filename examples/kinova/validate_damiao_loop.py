@@ -20,19 +20,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from robot_sysid import cli
-from robot_sysid.damiao.bus.clock import SimulatedClock
-from robot_sysid.damiao.bus.link import GuardedLink
-from robot_sysid.damiao.play.player import StopRequest
-from robot_sysid.damiao.play.run import Plan, RecordingChoice, look, make_plan, perform
-from robot_sysid.damiao.play.settings import PlaySettings, default_gains
-from robot_sysid.damiao.simulated.arm import SimulatedArm
-from robot_sysid.damiao.simulated.faults import Fault
-from robot_sysid.damiao.simulated.motor import simulated_motor
-from robot_sysid.damiao.simulated.simulated_link import SimulatedLink
-from robot_sysid.damiao.trajectory.csv_file import read_damiao_trajectory
-from robot_sysid.errors import HardwareAbort
 from robot_sysid.parser import load_robot_model
-from robot_sysid.simulation.stepper import MujocoPlant
 
 MODELS = Path(__file__).resolve().parent / "model"
 TRUTH = MODELS / "kinova_fullinertia.xml"
@@ -40,6 +28,8 @@ GUESS = MODELS / "kinova_fullinertia_guess.xml"
 MOTORS = ("DM8009",) * 4 + ("DM4340",) * 3
 DURATION = 30.0
 MASS_TOLERANCE, COM_TOLERANCE = 0.01, 2e-3
+OTHER_SCALE = "tmax:1=27"
+REFUSED = 3
 
 
 def main() -> int:
@@ -48,14 +38,13 @@ def main() -> int:
         folder = Path(name)
         model = known_links_guessed_tool(folder)
         print("1. export: robot-sysid MODEL --export-damiao --motor-type ...")
-        plan = exported_plan(model, folder)
-        print(f"   {plan.scan.samples} rows, {plan.scan.duration:g} s")
-        print(f"2. play and record, {plan.settings.rate:g} Hz on a simulated classic CAN bus")
-        play_and_record(plan, folder / "measured.csv")
+        trajectory = exported_trajectory(model, folder)
+        print("2. play and record: robot-sysid motors simulate ... --play --record measured.csv")
+        play_and_record(trajectory, folder / "measured.csv")
         print("3. identify: robot-sysid MODEL --measurements measured.csv")
         close = compare(identified(model, folder / "measured.csv", folder))
         print("4. the same with a motor that has another TMAX than its type")
-        refused = other_scale_is_refused(plan, folder / "never.csv")
+        refused = other_scale_is_refused(trajectory, folder / "never.csv")
     return 0 if close and refused else 1
 
 
@@ -75,45 +64,48 @@ def known_links_guessed_tool(folder: Path) -> Path:
     return path
 
 
-def robot_sysid(*arguments: object) -> None:
-    """Run the command robot-sysid, silently as long as it succeeds."""
+def robot_sysid(*arguments: object) -> tuple[int, str]:
+    """Run the command robot-sysid; return its exit code and what it printed."""
     words = io.StringIO()
     with contextlib.redirect_stdout(words), contextlib.redirect_stderr(words):
         code = cli.main([str(argument) for argument in arguments])
+    return code, words.getvalue()
+
+
+def succeeding(*arguments: object) -> str:
+    """Run the command robot-sysid, which has to succeed, and return what it printed."""
+    code, words = robot_sysid(*arguments)
     if code != 0:
-        print(words.getvalue())
+        print(words)
         raise SystemExit(f"robot-sysid ended with exit code {code}")
+    return words
 
 
-def exported_plan(model: Path, folder: Path) -> Plan:
-    """Export the excitation trajectory and return the plan to play it."""
+def exported_trajectory(model: Path, folder: Path, duration: float = DURATION) -> Path:
+    """Export the excitation trajectory and return its path."""
     types = [word for motor in MOTORS for word in ("--motor-type", motor)]
-    options = ("--duration", DURATION, "--seed", 0, "--output-dir", folder / "export")
-    robot_sysid(model, *options, "--export-damiao", *types)
-    trajectory = read_damiao_trajectory(folder / "export" / "damiao_trajectory.csv")
-    kp, kd = default_gains([joint.spec for joint in trajectory.joints])
-    return make_plan(trajectory, PlaySettings(kp, kd))
+    options = ("--duration", duration, "--seed", 0, "--output-dir", folder / "export")
+    succeeding(model, *options, "--export-damiao", *types)
+    return folder / "export" / "damiao_trajectory.csv"
 
 
-def play_and_record(plan: Plan, record: Path, faults: tuple[Fault, ...] = ()) -> None:
-    """Play on a simulated arm, in simulated time."""
-    clock = SimulatedClock()
-    joints = plan.trajectory.joints
-    motors = [simulated_motor(j.spec, j.can_id, j.master_id) for j in joints]
-    plant = MujocoPlant(load_robot_model(TRUTH), plan.scan.first)
-    bus = SimulatedLink(clock, SimulatedArm(plant, motors, faults), echo=True)
-    link = GuardedLink(bus, clock.now)
-    inspection, _ = look(link, clock, plan)
-    report = perform(link, clock, plan, inspection, StopRequest(), RecordingChoice(record))
-    assert not any(motor.driving for motor in motors)
-    worst = float(np.max(report.worst_tracking))
-    print(f"   {report.cycles} cycles recorded, at most {worst:.3f} rad off the path")
+def simulated(trajectory: Path, record: Path) -> tuple[object, ...]:
+    """Return the command that plays on a simulated arm, in simulated time."""
+    played = ("motors", "simulate", trajectory, "--model", TRUTH, "--play")
+    return (*played, "--record", record)
+
+
+def play_and_record(trajectory: Path, record: Path) -> None:
+    """Play on the simulated arm and print how that went."""
+    for line in succeeding(*simulated(trajectory, record)).splitlines():
+        if line.startswith(("played ", "largest distance ")):
+            print(f"   {line}")
 
 
 def identified(model: Path, log: Path, folder: Path) -> dict[str, object]:
     """Identify the model's terminal link from a log and return params.json."""
     output = folder / "identified"
-    robot_sysid(model, "--measurements", log, "--output-dir", output)
+    succeeding(model, "--measurements", log, "--output-dir", output)
     return dict(json.loads((output / "params.json").read_text()))
 
 
@@ -131,15 +123,11 @@ def compare(found: dict[str, object]) -> bool:
     return abs(mass_error) < MASS_TOLERANCE and com_error < COM_TOLERANCE
 
 
-def other_scale_is_refused(plan: Plan, record: Path) -> bool:
+def other_scale_is_refused(trajectory: Path, record: Path) -> bool:
     """Tell whether a motor with half its type's TMAX is refused before anything moves."""
-    try:
-        play_and_record(plan, record, (Fault("tmax", 1, 27.0),))
-    except HardwareAbort as refusal:
-        print(f"   refused: {refusal}")
-        return not record.exists()
-    print("   played in spite of it")
-    return False
+    code, words = robot_sysid(*simulated(trajectory, record), "--fault", OTHER_SCALE)
+    print(f"   {words.splitlines()[-1]}")
+    return code == REFUSED and not record.exists()
 
 
 if __name__ == "__main__":

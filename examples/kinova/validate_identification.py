@@ -27,7 +27,7 @@ from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.estimation.information import InformationAccumulator
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Estimate, InertialParameters, MotionPlan, RobotModel
-from robot_sysid.simulator import collect_sysid_data, inverse_torque, simulate_inverse
+from robot_sysid.simulator import ArmTorque, collect_sysid_data, simulate_inverse
 from robot_sysid.solver import identify_parameters
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 
@@ -44,7 +44,7 @@ def main() -> int:
     guess = load_robot_model(MODELS / "kinova_fullinertia_guess.xml")
     truth = load_robot_model(MODELS / "kinova_fullinertia.xml")
     plan, _ = generate_excitation_trajectory(
-        guess, np.random.default_rng(0), torque=inverse_torque(guess)
+        guess, np.random.default_rng(0), torque=ArmTorque(guess)
     )
     passed = [
         own_simulation(guess, plan),
@@ -81,7 +81,7 @@ def terminal_torque_only(guess: RobotModel, truth: RobotModel, plan: MotionPlan)
     """The last joint's torque shows seven combinations; mass and h_z must stay the guess's."""
     print("\n2. The truth, seen by its last joint only: what it cannot see stays as guessed")
     estimate = identify(guess, truth, plan, torques="terminal")
-    print(f"   not visible: {'; '.join(estimate.identifiability.blind)}")
+    print(f"   not visible: {'; '.join(estimate.identifiability.unidentifiable)}")
     expected = known(truth)
     expected[[0, 3]] = known(guess)[[0, 3]]
     # Of Ixx and Iyy only the difference shows; their sum stays as guessed.

@@ -17,9 +17,9 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 from validate_damiao_loop import GUESS, MODELS, TRUTH, known_links_guessed_tool, robot_sysid
 
-from robot_sysid.dynamics import spatial
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import RobotModel
 
@@ -123,8 +123,8 @@ def delay_and_tilt(bench: Bench) -> bool:
 def tilted_truth(folder: Path, degrees: float) -> Path:
     """Write the truth with gravity turned by an angle, and return its path."""
     tree = ElementTree.parse(TRUTH)
-    turn = spatial.rotation_from_vector(np.radians(degrees) * np.array([0.6, 0.8, 0.0]))
-    down = turn @ np.array([0.0, 0.0, -GRAVITY])
+    turn = Rotation.from_rotvec(np.radians(degrees) * np.array([0.6, 0.8, 0.0]))
+    down = turn.apply(np.array([0.0, 0.0, -GRAVITY]))
     root, compiler = tree.getroot(), tree.find("compiler")
     assert compiler is not None
     compiler.set("meshdir", str(MODELS / compiler.get("meshdir", "")))

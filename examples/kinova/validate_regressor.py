@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -80,7 +81,7 @@ def with_link(robot: RobotModel, theta: Array) -> Any:
     model, body = copy.copy(robot.mj_model), robot.body_id
     model.body_mass[body], model.body_ipos[body] = mass, com
     model.body_inertia[body] = moments
-    model.body_iquat[body] = spatial.quaternion_from_rotation(axes)
+    mujoco.mju_mat2Quat(model.body_iquat[body], axes.ravel())
     return model
 
 

@@ -2,12 +2,75 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
+from robot_sysid.errors import InputError
 from robot_sysid.records import Array
+
+
+@dataclass(frozen=True)
+class Box:
+    """An axis-aligned box in world coordinates.
+
+    Attributes:
+        lower, upper: opposite corners (x, y, z) [m]; infinite where a side is open.
+    """
+
+    lower: tuple[float, float, float]
+    upper: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        if len(self.lower) != 3 or len(self.upper) != 3:
+            raise InputError("--workspace takes six numbers: XMIN XMAX YMIN YMAX ZMIN ZMAX")
+        for axis, low, high in zip("xyz", self.lower, self.upper):
+            if not low < high:
+                raise InputError(
+                    f"--workspace is empty along {axis}: {low:g} is not below {high:g}; "
+                    "the order is XMIN XMAX YMIN YMAX ZMIN ZMAX"
+                )
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A plane no part of the arm may cross: points x with normal . x >= offset are allowed.
+
+    Attributes:
+        normal: (3,) direction of the allowed side; made a unit vector.
+        offset: distance of the plane from the world origin along the normal [m].
+    """
+
+    normal: tuple[float, float, float]
+    offset: float
+
+    def __post_init__(self) -> None:
+        length = math.sqrt(sum(v * v for v in self.normal)) if len(self.normal) == 3 else 0.0
+        if not (length > 0.0 and math.isfinite(length) and math.isfinite(self.offset)):
+            raise InputError(
+                "--keep-out takes four numbers NX NY NZ OFFSET with a normal that is not zero; "
+                "0 0 1 0 keeps the arm above the floor"
+            )
+        unit = tuple(float(v) / length for v in self.normal)
+        object.__setattr__(self, "normal", unit)
+        object.__setattr__(self, "offset", float(self.offset) / length)
+
+
+def box_from(values: tuple[float, ...]) -> Box:
+    """Return the box of six numbers XMIN XMAX YMIN YMAX ZMIN ZMAX [m]."""
+    if len(values) != 6:
+        raise InputError("--workspace takes six numbers: XMIN XMAX YMIN YMAX ZMIN ZMAX")
+    low, high = values[0::2], values[1::2]
+    return Box((low[0], low[1], low[2]), (high[0], high[1], high[2]))
+
+
+def plane_from(values: tuple[float, ...]) -> Plane:
+    """Return the plane of four numbers NX NY NZ OFFSET (OFFSET in multiples of the normal)."""
+    if len(values) != 4:
+        raise InputError("--keep-out takes four numbers: NX NY NZ OFFSET")
+    return Plane((values[0], values[1], values[2]), values[3])
 
 
 @dataclass(frozen=True)

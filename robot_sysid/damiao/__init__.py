@@ -1,7 +1,7 @@
 """Damiao motors: export, check, play and record trajectories over CAN.
 
-What needs no bus (motors, codec, bus_load, trajectory_csv, ...) works without python-can; the
-modules that open a bus import it inside the function that does.
+What needs no bus (protocol, trajectory, the simulated arm) works without python-can; the modules
+that open a bus or log its frames import it inside the function that does.
 """
 
 from __future__ import annotations

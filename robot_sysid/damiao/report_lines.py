@@ -1,4 +1,4 @@
-"""What the command line says about motors, findings and runs, as lines of text."""
+"""What the command line says about motors, checks and runs, as lines of text."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from robot_sysid.damiao.bus.inspection import InspectedMotor, Inspection
 from robot_sysid.damiao.play.player import PlayReport
-from robot_sysid.damiao.play.preflight import Finding
+from robot_sysid.damiao.play.preflight import Check
 from robot_sysid.damiao.protocol.bus_load import BusTiming, bus_load
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.protocol.motors import limits_agree, matching_types
@@ -38,10 +38,10 @@ def motor_table(inspection: Inspection, joints: Sequence[DamiaoJoint] = ()) -> I
         yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip()
 
 
-def finding_lines(findings: Iterable[Finding]) -> Iterator[str]:
-    """Yield one line per finding."""
-    for finding in findings:
-        yield f"[{_MARKS[finding.severity]}] {finding.text}"
+def check_lines(checks: Iterable[Check]) -> Iterator[str]:
+    """Yield one line per check."""
+    for check in checks:
+        yield f"[{_MARKS[check.severity]}] {check.text}"
 
 
 def load_line(n_motors: int, rate: float, timing: BusTiming) -> str:

@@ -10,10 +10,9 @@ from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.dynamics.kinematics import ChainKinematics
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
-from robot_sysid.records import Array, Measurement, RobotModel
+from robot_sysid.records import TORQUE_CHOICES, Array, Measurement, RobotModel
 from robot_sysid.regressor import joint_regressor
 
-TORQUE_CHOICES = ("chain", "terminal")
 TERMINAL_FRICTION = FrictionModel(("coulomb", "viscous"))
 NO_FRICTION = FrictionModel(())
 

@@ -81,9 +81,6 @@ TERMS: Mapping[str, Callable[[JointSignals], Array]] = {
 }
 """Term name to the function that makes its column; a new term is one more line here."""
 
-DISCONTINUOUS = frozenset({"coulomb", "stribeck", "load"})
-"""Terms that jump where the velocity changes sign, so that rows near rest mislead them."""
-
 PRESETS = (
     "none",
     "coulomb-viscous",

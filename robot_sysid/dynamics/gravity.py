@@ -12,7 +12,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.kinematics import ChainKinematics
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, RobotModel
@@ -50,7 +49,9 @@ def tilt_axes(vector: Array) -> Array:
 
 def turned(vector: Array, angles: Array) -> Array:
     """Return gravity (3,) turned by two angles (2,) [rad] about ``tilt_axes``."""
-    return spatial.rotation_from_vector(angles @ tilt_axes(vector)) @ vector
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_rotvec(angles @ tilt_axes(vector)).apply(vector))
 
 
 class TiltColumns:

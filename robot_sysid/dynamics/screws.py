@@ -92,28 +92,30 @@ class ChainMotion:
     acceleration: Array
     gravity: Array
 
-    def pull_back(
-        self, jacobian_bar: Array, velocity_bar: Array, acceleration_bar: Array
+    def vjp(
+        self, jacobian_adjoint: Array, velocity_adjoint: Array, acceleration_adjoint: Array
     ) -> tuple[Array, Array, Array]:
         """Return the gradient (N, n) with respect to q, qd and qdd: reverse mode.
 
         Args:
-            jacobian_bar: (6, n, N) derivative of a scalar with respect to ``jacobian``.
-            velocity_bar: (6, N) the same for ``velocity``.
-            acceleration_bar: (6, N) the same for ``acceleration``.
+            jacobian_adjoint: (6, n, N) derivative of a scalar with respect to ``jacobian``.
+            velocity_adjoint: (6, N) the same for ``velocity``.
+            acceleration_adjoint: (6, N) the same for ``acceleration``.
         """
-        bar_a = acceleration_bar[:, None, :]
-        before_bar = -bracket_transposed(self.steps, bar_a)
-        after = np.sum(before_bar, axis=1, keepdims=True) - np.cumsum(before_bar, axis=1)
-        steps_bar = bracket_transposed(self.before, bar_a) + after + velocity_bar[:, None, :]
-        jacobian_bar = jacobian_bar + bar_a * self.qdd.T + steps_bar * self.qd.T
-        turned = bracket_transposed(self.jacobian, jacobian_bar)
-        q_bar = np.sum((np.cumsum(turned, axis=1) - turned) * self.jacobian, axis=0)
+        outer_adjoint = acceleration_adjoint[:, None, :]
+        before_adjoint = -bracket_transposed(self.steps, outer_adjoint)
+        after = np.sum(before_adjoint, axis=1, keepdims=True) - np.cumsum(before_adjoint, axis=1)
+        steps_adjoint = (
+            bracket_transposed(self.before, outer_adjoint) + after + velocity_adjoint[:, None, :]
+        )
+        jacobian_adjoint = jacobian_adjoint + outer_adjoint * self.qdd.T + steps_adjoint * self.qd.T
+        turned = bracket_transposed(self.jacobian, jacobian_adjoint)
+        q_adjoint = np.sum((np.cumsum(turned, axis=1) - turned) * self.jacobian, axis=0)
         falling = cross(self.jacobian[:3], self.gravity[:, None, :])
-        q_bar += np.sum(bar_a[3:] * falling, axis=0)
-        qd_bar = np.sum(self.jacobian * steps_bar, axis=0)
-        qdd_bar = np.sum(self.jacobian * bar_a, axis=0)
-        return q_bar.T, qd_bar.T, qdd_bar.T
+        q_adjoint += np.sum(outer_adjoint[3:] * falling, axis=0)
+        qd_adjoint = np.sum(self.jacobian * steps_adjoint, axis=0)
+        qdd_adjoint = np.sum(self.jacobian * outer_adjoint, axis=0)
+        return q_adjoint.T, qd_adjoint.T, qdd_adjoint.T
 
 
 def exponential(twist: Array, angle: Array) -> tuple[Array, Array]:

@@ -17,12 +17,6 @@ _UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _MUJOCO_UPPER = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
-def skew(vector: Array) -> Array:
-    """Return the cross-product matrix [v]x of a (3,) vector, so that [v]x w = v x w."""
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
 def cross(a: Array, b: Array) -> Array:
     """Return a x b for component-first arrays (3, ...); numpy's own takes ten times as long."""
     return np.stack(
@@ -48,61 +42,6 @@ def fullinertia_from_symmetric(matrix: Array) -> Array:
     return np.array([matrix[i, j] for i, j in _MUJOCO_UPPER])
 
 
-def rotation_from_quaternion(quaternion: Array) -> Array:
-    """Return the (3, 3) rotation matrix of a quaternion in MuJoCo order [w, x, y, z]."""
-    w, x, y, z = np.asarray(quaternion, dtype=float) / np.linalg.norm(quaternion)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
-def quaternion_from_rotation(rotation: Array) -> Array:
-    """Return the unit quaternion [w, x, y, z] of a (3, 3) rotation matrix.
-
-    Shepperd, "Quaternion from rotation matrix", 1978: the largest component is found first, so
-    that no division is by a small number.
-    """
-    trace = float(np.trace(rotation))
-    diagonal = np.append(trace, np.diag(rotation))
-    largest = int(np.argmax(diagonal))
-    anti = np.array(
-        [
-            rotation[2, 1] - rotation[1, 2],
-            rotation[0, 2] - rotation[2, 0],
-            rotation[1, 0] - rotation[0, 1],
-        ]
-    )
-    if largest == 0:
-        quaternion = np.append(1.0 + trace, anti)
-    else:
-        i = largest - 1
-        quaternion = np.append(anti[i], rotation[i] + rotation[:, i])
-        quaternion[largest] = 1.0 + 2.0 * rotation[i, i] - trace
-    return quaternion / np.linalg.norm(quaternion)
-
-
-def rotation_from_rpy(roll: float, pitch: float, yaw: float) -> Array:
-    """Return Rz(yaw) Ry(pitch) Rx(roll) (3, 3), URDF's ``rpy`` [rad]."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
-    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
-    about_y = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
-    about_z = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
-    return about_z @ about_y @ about_x
-
-
-def rotation_from_vector(vector: Array) -> Array:
-    """Return the (3, 3) rotation by |v| radians about a (3,) vector v (Rodrigues' formula)."""
-    angle = float(np.linalg.norm(vector))
-    if angle == 0.0:
-        return np.eye(3)
-    axis = skew(np.asarray(vector) / angle)
-    return np.eye(3) + np.sin(angle) * axis + (1.0 - np.cos(angle)) * axis @ axis
-
-
 def theta_from_com(mass: float, com: Array, inertia_com: Array) -> Array:
     """Return theta (10,) from mass, centre of mass (3,) and inertia about it (3, 3).
 
@@ -119,12 +58,6 @@ def com_from_theta(theta: Array) -> tuple[float, Array, Array]:
     com = h / mass if mass != 0.0 else np.zeros(3)
     steiner = mass * (com @ com * np.eye(3) - np.outer(com, com))
     return mass, com, symmetric_from_six(theta[4:10]) - steiner
-
-
-def theta_from_mujoco(mass: float, ipos: Array, iquat: Array, principal: Array) -> Array:
-    """Return theta (10,) of a compiled MuJoCo body (``body_mass/ipos/iquat/inertia``)."""
-    rotation = rotation_from_quaternion(iquat)
-    return theta_from_com(mass, ipos, rotation @ np.diag(principal) @ rotation.T)
 
 
 def transform_theta(theta: Array, rotation: Array, translation: Array) -> Array:

@@ -8,7 +8,7 @@ Minimises ||A x - b||^2 subject to J(x) positive definite (Wensing, Kim, Slotine
 
 All other parameters (friction, offsets) are free and eliminated beforehand, so the search runs
 over ten numbers. Directions the data cannot see stay exactly at the prior in the constrained fit:
-letting them go would often mean a mass without bound, which makes room for any first moment.
+letting them go would often mean a mass without bound, which allows any first moment.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ INTERIOR_MARGIN = 1e-9
 _GAP, _RESOLUTION = 1e-9, 1e-13
 # Eigenvalues are lifted to these shares of the largest: in the start, and in an impossible prior.
 _ROUNDNESS, _PRIOR_FLOOR = 0.01, 1e-6
-# How much harder than the best visible one a blind direction is held at the prior.
-_NAIL = 1e8
+# How much harder than the best visible one an unidentifiable direction is held at the prior.
+_PIN = 1e8
 # Smallest eigenvalue in units of the prior body that rounding may leave.
 _LEAST = 1e-12
 
@@ -47,7 +47,7 @@ def consistent_least_squares(
     Args:
         matrix: (M, p) A; ten inertial columns first.
         right: (M,) b.
-        prior: (p,) the model's values; where the data is blind the result stays there.
+        prior: (p,) the model's values; where the data shows nothing the result stays there.
         weight: of the divergence from the prior body, in units of ||A x - b||^2; 0 for none.
 
     Returns:
@@ -87,15 +87,6 @@ def lifted_body(theta: Array, scale_of: Array, floor: float) -> Array:
     )
 
 
-def body_divergence(theta: Array, prior: Array) -> float:
-    """Return d(J(theta) || J(prior)) >= 0; infinite where theta is not a possible body."""
-    ratio = np.linalg.solve(spatial.pseudo_inertia(prior), spatial.pseudo_inertia(theta))
-    sign, logarithm = np.linalg.slogdet(ratio)
-    if sign <= 0.0 or not spatial.is_consistent(theta):
-        return float("inf")
-    return float(np.trace(ratio) - logarithm - 4.0)
-
-
 @dataclass(frozen=True)
 class _Reduced:
     """The problem in the ten inertial deviations from the prior, nuisances eliminated."""
@@ -109,7 +100,7 @@ class _Reduced:
 
     def directions(self) -> Array:
         """Return (10, 10) directions of deviation: the visible ones first, then the others."""
-        seen = np.where(self.space.dead[:, None], 0.0, self.space.right)
+        seen = np.where(self.space.zero[:, None], 0.0, self.space.right)
         return self.space.scale[:, None] * np.hstack((seen, self.space.null))
 
     def expand(self, deviation: Array) -> Array:
@@ -119,8 +110,8 @@ class _Reduced:
 
 
 def _eliminate_nuisances(matrix: Array, right: Array, prior: Array) -> _Reduced:
-    scale, dead = column_scale(matrix)
-    clean = np.where(dead, 0.0, matrix)
+    scale, zero = column_scale(matrix)
+    clean = np.where(zero, 0.0, matrix)
     deviation = right - clean @ prior
     inertial, nuisance = clean[:, :N_INERTIAL], visible_space(clean[:, N_INERTIAL:], inertial=False)
     onto = nuisance.left
@@ -175,12 +166,12 @@ def _pulled_inside(prior: Array, deviation: Array) -> Array:
 def _normalised(reduced: _Reduced, basis: Array, start: Array, weight: float) -> MatrixProblem:
     """Return the problem in w with deviation = basis w, K(w) = L^-1 J L^-T, L L^T = J(start).
 
-    Without a prior K is lowered by the interior margin, and blind directions are nailed down.
+    Without a prior K is lowered by the interior margin, and unidentifiable directions are pinned.
     """
     space, prior = reduced.space, reduced.prior[:N_INERTIAL]
     inverse = np.linalg.inv(np.linalg.cholesky(spatial.pseudo_inertia(start)))
-    nailed = _NAIL * np.max(space.singular, initial=1.0) if weight == 0.0 else 0.0
-    singular, right = np.full(N_INERTIAL, nailed), np.zeros(N_INERTIAL)
+    pinned = _PIN * np.max(space.singular, initial=1.0) if weight == 0.0 else 0.0
+    singular, right = np.full(N_INERTIAL, pinned), np.zeros(N_INERTIAL)
     singular[: space.rank] = space.singular
     right[: space.rank] = space.left.T @ reduced.right
     directions = spatial.pseudo_inertia(basis.T)

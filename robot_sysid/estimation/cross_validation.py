@@ -18,61 +18,14 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.information import combined
-from robot_sysid.records import Array, SquareRootInformation, Validation, checked_array
-
-DEFAULT_FRACTION = 0.2
-"""Part of a measured log, at its end, that is kept for validation."""
-
-
-class TorqueErrors:
-    """Adds up prediction errors chunk by chunk.
-
-    Args:
-        joint_names: the n joints.
-    """
-
-    def __init__(self, joint_names: Sequence[str]) -> None:
-        self._names = tuple(joint_names)
-        self._wrong = np.zeros(len(self._names))
-        self._total = np.zeros(len(self._names))
-        self._count = np.zeros(len(self._names))
-
-    def add(self, measured: Array, predicted: Array, usable: Array | None = None) -> None:
-        """Add samples.
-
-        Args:
-            measured, predicted: (N, n) torques [N m], filtered alike.
-            usable: (N, n) which of them count; None counts all.
-
-        Raises:
-            InputError: the shapes differ, or a value that counts is not finite.
-        """
-        shape = (None, len(self._names))
-        counted = np.ones(np.shape(measured), bool) if usable is None else np.asarray(usable, bool)
-        tau = checked_array(np.where(counted, measured, 0.0), shape, "measured torque")
-        wrong = np.where(counted, np.asarray(measured) - predicted, 0.0)
-        wrong = checked_array(wrong, tau.shape, "torque error")
-        self._wrong += np.sum(wrong**2, axis=0)
-        self._total += np.sum(tau**2, axis=0)
-        self._count += np.sum(counted, axis=0)
-
-    def result(self, source: str) -> Validation:
-        """Return the errors so far.
-
-        Args:
-            source: which data it was, in words.
-
-        Raises:
-            InputError: no sample was added.
-        """
-        return _validation(source, self._names, self._wrong, self._total, self._count)
+from robot_sysid.records import Array, SquareRootInformation, Validation
 
 
 def validate(
     information: SquareRootInformation,
     values: Array,
     source: str,
-    squared_torque: Sequence[float] | None = None,
+    squared_torque: Array,
 ) -> Validation:
     """Return the prediction error from the information of held-out data alone.
 
@@ -80,17 +33,16 @@ def validate(
         information: of data that was not fitted.
         values: (p,) the estimate, in the order of ``information.names``.
         source: which data it was, in words.
-        squared_torque: (joints,) sum of squares of the whole measured torque [N^2 m^2]; None takes
-            that of the right-hand sides, which lack the part the rest of the arm explains.
+        squared_torque: (joints,) sum of squares of the whole measured torque [N^2 m^2]; the
+            right-hand sides lack the part that the rest of the arm explains.
 
     Raises:
         InputError: the information holds no samples.
     """
-    right = [float(np.sum(joint.triangle[:, -1] ** 2)) for joint in information.joints]
-    total = np.array(right if squared_torque is None else squared_torque, dtype=float)
     counts = np.array([joint.n_samples for joint in information.joints], dtype=float)
     names = [joint.joint for joint in information.joints]
-    return _validation(source, names, information.squared_residuals(values), total, counts)
+    wrong = information.squared_residuals(values)
+    return _validation(source, names, wrong, squared_torque, counts)
 
 
 def hold_out(n_rows: int, fraction: float, gap: int = 0) -> tuple[slice, slice]:

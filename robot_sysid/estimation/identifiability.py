@@ -20,7 +20,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimation import identifiability as blind_words
 from robot_sysid.records import Array, Identifiability, SquareRootInformation
 
 RELATIVE_CUT = 1e-10
@@ -32,7 +31,7 @@ _SAME_UNIT = (slice(1, 4), slice(4, 10))
 
 @dataclass(frozen=True)
 class VisibleSpace:
-    """Singular value decomposition of a column-scaled matrix, cut where it is blind.
+    """Singular value decomposition of a column-scaled matrix, cut where nothing shows.
 
     Attributes:
         scale: (p,) x = scale * y turns scaled coordinates y into parameters x.
@@ -40,7 +39,7 @@ class VisibleSpace:
         singular: (r,) singular values above the cut, descending.
         right: (p, r) orthonormal basis of the visible y.
         null: (p, p - r) orthonormal basis of the invisible y.
-        dead: (p,) columns that carry no signal at all.
+        zero: (p,) columns that carry no signal at all.
     """
 
     scale: Array
@@ -48,7 +47,7 @@ class VisibleSpace:
     singular: Array
     right: Array
     null: Array
-    dead: np.ndarray
+    zero: np.ndarray
 
     @property
     def rank(self) -> int:
@@ -69,7 +68,7 @@ class VisibleSpace:
     def solve(self, right_hand_side: Array) -> Array:
         """Return the minimum-norm least-squares solution (p,) for a (M,) right-hand side."""
         solution = self.right @ ((self.left.T @ right_hand_side) / self.singular)
-        return np.where(self.dead, 0.0, self.scale * solution)
+        return np.where(self.zero, 0.0, self.scale * solution)
 
     def inverse_root(self) -> Array:
         """Return G (p, r) with G G^T = pseudo-inverse of A^T A in parameter units."""
@@ -87,19 +86,19 @@ def visible_space(matrix: Array, scale: Array | None = None, inertial: bool = Tr
     """
     reference = None if scale is None else 1.0
     if scale is None:
-        scale, dead = column_scale(matrix, inertial)
+        scale, zero = column_scale(matrix, inertial)
     else:
-        dead = np.linalg.norm(matrix * scale, axis=0) <= RELATIVE_CUT
-    scaled = np.where(dead, 0.0, matrix * scale)
+        zero = np.linalg.norm(matrix * scale, axis=0) <= RELATIVE_CUT
+    scaled = np.where(zero, 0.0, matrix * scale)
     missing = max(matrix.shape[1] - len(matrix), 0)
     left, singular, right = np.linalg.svd(np.pad(scaled, ((0, missing), (0, 0))), False)
     rank = _count_visible(singular, reference)
     left = left[: len(matrix), :rank]
-    return VisibleSpace(scale, left, singular[:rank], right[:rank].T, right[rank:].T, dead)
+    return VisibleSpace(scale, left, singular[:rank], right[:rank].T, right[rank:].T, zero)
 
 
 def column_scale(matrix: Array, inertial: bool = True) -> tuple[Array, np.ndarray]:
-    """Return (scale (p,), dead (p,)): 1 / length of the columns, and which are rounding noise.
+    """Return (scale (p,), zero (p,)): 1 / length of the columns, and which are rounding noise.
 
     Args:
         matrix: (M, p) regressor.
@@ -107,10 +106,10 @@ def column_scale(matrix: Array, inertial: bool = True) -> tuple[Array, np.ndarra
             unit then share the scale of the longest.
     """
     length = np.linalg.norm(matrix, axis=0)
-    dead = length <= RELATIVE_CUT * np.max(length, initial=0.0)
+    zero = length <= RELATIVE_CUT * np.max(length, initial=0.0)
     for group in _SAME_UNIT if inertial else ():
         length[group] = np.max(length[group], initial=0.0)
-    return 1.0 / np.where(dead, 1.0, length), dead
+    return 1.0 / np.where(zero, 1.0, length), zero
 
 
 def scaled_condition(matrix: Array, space: VisibleSpace) -> float:
@@ -118,7 +117,7 @@ def scaled_condition(matrix: Array, space: VisibleSpace) -> float:
     if not space.rank:
         return float("inf")
     length = np.linalg.norm(matrix, axis=0)
-    unit = np.where(space.dead, 0.0, matrix / np.where(space.dead, 1.0, length))
+    unit = np.where(space.zero, 0.0, matrix / np.where(space.zero, 1.0, length))
     singular = np.linalg.svd(unit, compute_uv=False)
     return float(singular[0] / singular[space.rank - 1])
 
@@ -139,7 +138,7 @@ def analyse_identifiability(
     matrix, _ = information.stacked()
     space = visible_space(matrix)
     interest = parameters_of_interest(information, terminal_joint)
-    raw = np.linalg.svd(np.where(space.dead, 0.0, matrix), compute_uv=False)
+    raw = np.linalg.svd(np.where(space.zero, 0.0, matrix), compute_uv=False)
     condition = float(raw[0] / raw[space.rank - 1]) if space.rank else float("inf")
     return Identifiability(
         rank=space.rank - _nuisance_rank(matrix, space, interest),
@@ -147,7 +146,7 @@ def analyse_identifiability(
         condition_number=condition,
         scaled_condition_number=scaled_condition(matrix, space),
         identified=space.identified,
-        blind=blind_words.describe(space.null, space.scale, information.names),
+        unidentifiable=describe(space.null, space.scale, information.names),
     )
 
 
@@ -166,7 +165,7 @@ def _count_visible(singular: Array, reference: float | None) -> int:
 
 
 def _nuisance_rank(matrix: Array, space: VisibleSpace, interest: np.ndarray) -> int:
-    nuisance = np.where(space.dead, 0.0, matrix * space.scale)[:, ~interest]
+    nuisance = np.where(space.zero, 0.0, matrix * space.scale)[:, ~interest]
     if nuisance.shape[1] == 0 or space.rank == 0:
         return 0
     singular = np.linalg.svd(nuisance, compute_uv=False)

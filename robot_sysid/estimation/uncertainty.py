@@ -110,19 +110,6 @@ def coloured_uncertainty(
     return _uncertainty(information, weights, score, prior), effective
 
 
-def cramer_rao_bound(information: SquareRootInformation, noise: Array) -> Array:
-    """Return the least covariance (p, p) any unbiased estimate can have: (Y^T Sigma^-1 Y)^-1.
-
-    For white normal noise; the pseudo-inverse where the data is blind (Cramer 1946, Rao 1945).
-
-    Args:
-        information: the equations.
-        noise: (joints,) noise standard deviation [N m].
-    """
-    root = visible_space(information.stacked(1.0 / noise)[0]).inverse_root()
-    return root @ root.T
-
-
 def inverse_root(information: SquareRootInformation, weights: Array, prior: Array) -> Array:
     """Return G (p, r) with C = G G^T = (Y^T W Y + P)^-1."""
     return _joint_space(information, weights, prior).inverse_root()

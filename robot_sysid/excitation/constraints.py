@@ -23,7 +23,7 @@ _TORQUE_STEP = 1e-6
 
 
 @dataclass(frozen=True)
-class ConstraintTape:
+class ConstraintCache:
     """Constraint values of a motion, and what their gradient needs.
 
     Attributes:
@@ -61,7 +61,7 @@ class MotionConstraints:
         )
         self._nearby = _SlackMemory(problem)
 
-    def evaluate(self, motion: tuple[Array, Array, Array]) -> ConstraintTape:
+    def evaluate(self, motion: tuple[Array, Array, Array]) -> ConstraintCache:
         """Return all constraints of a motion (q, qd, qdd), each (N, n)."""
         q, qd, qdd = motion
         torque = np.zeros_like(q)
@@ -71,39 +71,40 @@ class MotionConstraints:
         shares = [np.abs(signal) / half - 1.0 for signal, half in zip(signals, self._half)]
         slack, gradient = self._nearby.slack(q)
         towards = (self._extra - slack) / OBSTACLE_LENGTH
-        return ConstraintTape(np.hstack((*shares, towards[:, None])), motion, torque, gradient)
+        return ConstraintCache(np.hstack((*shares, towards[:, None])), motion, torque, gradient)
 
-    def pull_back(self, tape: ConstraintTape, weight: Array) -> tuple[Array, Array, Array]:
+    def vjp(self, cache: ConstraintCache, weight: Array) -> tuple[Array, Array, Array]:
         """Return the gradient (N, n) of sum(weight * g) with respect to q, qd and qdd."""
         n = self._problem.n_joints
-        q, qd, qdd = tape.motion
-        signals = (q - self._center, qd, qdd, tape.torque)
-        bars = [
+        q, qd, qdd = cache.motion
+        signals = (q - self._center, qd, qdd, cache.torque)
+        adjoints = [
             weight[:, i * n : (i + 1) * n] * np.sign(signal) / half
             for i, (signal, half) in enumerate(zip(signals, self._half))
         ]
-        bars[0] = bars[0] - weight[:, -1:] * tape.slack_gradient / OBSTACLE_LENGTH
-        from_torque = self._torque_pull_back(tape, bars[3])
-        return bars[0] + from_torque[0], bars[1] + from_torque[1], bars[2] + from_torque[2]
+        adjoints[0] = adjoints[0] - weight[:, -1:] * cache.slack_gradient / OBSTACLE_LENGTH
+        from_torque = self._torque_vjp(cache, adjoints[3])
+        position, velocity, acceleration = (a + b for a, b in zip(adjoints, from_torque))
+        return position, velocity, acceleration
 
     def _torque(self, q: Array, qd: Array, qdd: Array) -> Array:
         return self._problem.torque(Motion(np.arange(float(len(q))), q, qd, qdd))
 
-    def _torque_pull_back(self, tape: ConstraintTape, bar: Array) -> tuple[Array, Array, Array]:
+    def _torque_vjp(self, cache: ConstraintCache, adjoint: Array) -> tuple[Array, Array, Array]:
         """Gradient through the torque by one-sided differences, at the active samples only."""
-        active = np.flatnonzero(np.any(bar != 0.0, axis=1))
-        result = (np.zeros_like(bar), np.zeros_like(bar), np.zeros_like(bar))
+        active = np.flatnonzero(np.any(adjoint != 0.0, axis=1))
+        result = (np.zeros_like(adjoint), np.zeros_like(adjoint), np.zeros_like(adjoint))
         if len(active) == 0:
             return result
-        at = [signal[active] for signal in tape.motion]
+        at = [signal[active] for signal in cache.motion]
         # The friction torque jumps where a joint reverses; a step across the jump would be noise.
         for which in range(3):
             for joint in range(self._problem.n_joints):
                 moved = [signal.copy() for signal in at]
                 moved[which][:, joint] += _TORQUE_STEP * _away(moved[which][:, joint])
-                change = (self._torque(*moved) - tape.torque[active]) / _TORQUE_STEP
+                change = (self._torque(*moved) - cache.torque[active]) / _TORQUE_STEP
                 change *= _away(at[which][:, joint])[:, None]
-                result[which][active, joint] = np.sum(change * bar[active], axis=1)
+                result[which][active, joint] = np.sum(change * adjoint[active], axis=1)
         return result
 
 

@@ -54,7 +54,7 @@ class PredictedInformation:
         self._chain, self._settings = chain, settings
         self._joints = list(settings.joints)
 
-    def evaluate(self, q: Array, qd: Array, qdd: Array) -> InformationTape:
+    def evaluate(self, q: Array, qd: Array, qdd: Array) -> InformationCache:
         """Return the information of one sample per row of q, qd, qdd (N, n)."""
         motion = self._chain.evaluate(q, qd, qdd)
         wrench = _wrench(motion.velocity, motion.acceleration)
@@ -65,7 +65,7 @@ class PredictedInformation:
         gain = _least_squares(friction, rows)
         residual = rows - friction @ gain
         information = np.einsum("jnk,jnl->kl", residual, residual, optimize=True)
-        return InformationTape(
+        return InformationCache(
             self._settings, motion, wrench, friction, slope, gain, residual, information
         )
 
@@ -79,7 +79,7 @@ class PredictedInformation:
 
 
 @dataclass(frozen=True)
-class InformationTape:
+class InformationCache:
     """Information of a motion, and what its gradient needs.
 
     Attributes:
@@ -107,27 +107,33 @@ class InformationTape:
         """Sum of the squared rows before elimination: what counts as large."""
         return float(np.sum((self.residual + self.friction @ self.gain) ** 2))
 
-    def pull_back(self, information_bar: Array) -> tuple[Array, Array, Array]:
+    def vjp(self, information_adjoint: Array) -> tuple[Array, Array, Array]:
         """Return the gradient (N, n) with respect to q, qd, qdd: reverse mode.
 
         C needs no derivative: it minimises the residual.
 
         Args:
-            information_bar: (r, r) symmetric derivative of a scalar with respect to L.
+            information_adjoint: (r, r) symmetric derivative of a scalar with respect to L.
         """
         joints = list(self.settings.joints)
-        rows_bar = 2.0 * self.residual @ information_bar
-        friction_bar = -rows_bar @ self.gain.transpose(0, 2, 1)
+        rows_adjoint = 2.0 * self.residual @ information_adjoint
+        friction_adjoint = -rows_adjoint @ self.gain.transpose(0, 2, 1)
         scale = self.settings.coordinates.T
-        theta_bar = rows_bar @ scale / self.settings.sigma[:, None, None]
-        jacobian_bar = np.zeros_like(self.motion.jacobian)
-        jacobian_bar[:, joints] = np.einsum("jnk,ikn->ijn", theta_bar, self.wrench, optimize=True)
+        theta_adjoint = rows_adjoint @ scale / self.settings.sigma[:, None, None]
+        jacobian_adjoint = np.zeros_like(self.motion.jacobian)
+        jacobian_adjoint[:, joints] = np.einsum(
+            "jnk,ikn->ijn", theta_adjoint, self.wrench, optimize=True
+        )
         jacobian = self.motion.jacobian[:, joints]
-        wrench_bar = np.einsum("ijn,jnk->ikn", jacobian, theta_bar, optimize=True)
-        velocity_bar, acceleration_bar = _wrench_pull_back(self.motion.velocity, wrench_bar)
-        q_bar, qd_bar, qdd_bar = self.motion.pull_back(jacobian_bar, velocity_bar, acceleration_bar)
-        qd_bar[:, joints] += (friction_bar[..., 0] * self.slope + friction_bar[..., 1]).T
-        return q_bar, qd_bar, qdd_bar
+        wrench_adjoint = np.einsum("ijn,jnk->ikn", jacobian, theta_adjoint, optimize=True)
+        velocity_adjoint, acceleration_adjoint = _wrench_vjp(self.motion.velocity, wrench_adjoint)
+        q_adjoint, qd_adjoint, qdd_adjoint = self.motion.vjp(
+            jacobian_adjoint, velocity_adjoint, acceleration_adjoint
+        )
+        qd_adjoint[:, joints] += (
+            friction_adjoint[..., 0] * self.slope + friction_adjoint[..., 1]
+        ).T
+        return q_adjoint, qd_adjoint, qdd_adjoint
 
 
 def _least_squares(friction: Array, rows: Array) -> Array:
@@ -159,12 +165,12 @@ def _wrench(velocity: Array, acceleration: Array) -> Array:
     return (linear @ acceleration + quadratic.reshape(60, 36) @ products).reshape(6, 10, -1)
 
 
-def _wrench_pull_back(velocity: Array, wrench_bar: Array) -> tuple[Array, Array]:
+def _wrench_vjp(velocity: Array, wrench_adjoint: Array) -> tuple[Array, Array]:
     """Return the gradient (6, N) with respect to the twist and the acceleration."""
     linear, quadratic = _coefficients()
-    bar = wrench_bar.reshape(60, -1)
-    products_bar = (quadratic.reshape(60, 36).T @ bar).reshape(6, 6, -1)
-    return 2.0 * np.einsum("kmn,mn->kn", products_bar, velocity), linear.T @ bar
+    adjoint = wrench_adjoint.reshape(60, -1)
+    products_adjoint = (quadratic.reshape(60, 36).T @ adjoint).reshape(6, 6, -1)
+    return 2.0 * np.einsum("kmn,mn->kn", products_adjoint, velocity), linear.T @ adjoint
 
 
 Criterion = Callable[[Array], "tuple[float, Array]"]

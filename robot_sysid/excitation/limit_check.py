@@ -1,8 +1,8 @@
-"""Proof that a trajectory obeys its limits: a dense check of the whole motion.
+"""Does a trajectory keep all limits? A dense check of the whole motion, wherever it came from.
 
 Positions, velocities, accelerations and torques are compared with their limits at 1 kHz or more.
 Clearance is checked between samples as well: two bodies approach each other no faster than
-sum_j |qd_j| rate_j, so a configuration with slack s proves the motion free until that sum,
+sum_j |qd_j| rate_j, so a configuration with slack s shows that the motion is free until that sum,
 integrated over time, has used up s; only there is the next collision test needed (conservative
 advancement, Mirtich, "Impulse-based dynamic simulation of rigid body systems", 1996, ch. 2).
 """
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -23,8 +24,19 @@ from robot_sysid.trajectory import motion_chunks
 LEAST_RATE_HZ = 1000.0
 CLEARANCE_RESOLUTION = 1e-3
 """How exactly the reported clearance is that of the tightest moment [m]."""
+REPAIRS = (1.0, 0.999, 0.998, 0.996, 0.992, 0.985, 0.97, 0.94, 0.9, 0.8, 0.6, 0.4, 0.2, 0.1)
+"""Factors tried until a motion obeys everything."""
+SMALLER = (0.05, 0.02, 0.01)
+"""Further factors for a motion that nobody designed."""
 FINEST_RATE_HZ = 4000.0
 """How densely clearance is tested where it is tight."""
+
+
+class Scalable(MotionPlan, Protocol):
+    """A motion that can be made smaller as a whole."""
+
+    def scaled(self, factor: float) -> MotionPlan:
+        """Return the motion with all departures from its middle times ``factor``."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +58,7 @@ class Excess:
 
 
 @dataclass(frozen=True)
-class Certificate:
+class LimitCheck:
     """Peaks of a trajectory against its limits.
 
     Attributes:
@@ -55,7 +67,6 @@ class Certificate:
         closest: the tightest distance, to a millimetre.
         closest_time: when [s].
         excesses: limits that are not kept; none for a trajectory that may be run.
-        binding: limits used to 98 % or more, in words.
         n_collision_tests: how many configurations were tested.
     """
 
@@ -67,13 +78,21 @@ class Certificate:
     closest: Closest
     closest_time: float
     excesses: tuple[Excess, ...]
-    binding: tuple[str, ...]
     n_collision_tests: int
 
     @property
     def holds(self) -> bool:
         """Whether every limit is kept."""
         return not self.excesses
+
+    @property
+    def failure(self) -> str | None:
+        """Why the trajectory must not be run, or None."""
+        if self.holds:
+            return None
+        count = len(self.excesses)
+        limits = "" if count == 1 else f"{count} limits, first "
+        return f"this trajectory must not be run: it breaks {limits}the {self.excesses[0]}"
 
 
 @dataclass(frozen=True)
@@ -85,7 +104,9 @@ class _Peaks:
     extremes: Array
 
 
-def certify(problem: ExcitationProblem, plan: MotionPlan, sample_rate: float = 0.0) -> Certificate:
+def check_limits(
+    problem: ExcitationProblem, plan: MotionPlan, sample_rate: float = 0.0
+) -> LimitCheck:
     """Check a whole trajectory.
 
     Args:
@@ -99,7 +120,7 @@ def certify(problem: ExcitationProblem, plan: MotionPlan, sample_rate: float = 0
     if closest.slack < 0.0:
         excesses.append(Excess(f"clearance of {closest.label}", _clearance_share(closest), when))
     lowest, highest, velocity, acceleration, torque = peaks.extremes
-    return Certificate(
+    return LimitCheck(
         lowest,
         highest,
         velocity,
@@ -108,9 +129,26 @@ def certify(problem: ExcitationProblem, plan: MotionPlan, sample_rate: float = 0
         closest,
         when,
         tuple(sorted(excesses, key=lambda excess: -excess.share)),
-        tuple(_binding(problem, peaks, closest)),
         tests,
     )
+
+
+def scaled_to_limits(
+    problem: ExcitationProblem, plan: Scalable, sample_rate: float
+) -> tuple[MotionPlan, float]:
+    """Return the largest tried multiple of a motion that keeps all limits, and its factor.
+
+    Where even the smallest breaks one, the smallest is returned.
+
+    Args:
+        problem, sample_rate: as in ``check_limits``.
+        plan: a motion that can be made smaller.
+    """
+    for factor in (*REPAIRS, *SMALLER):
+        smaller = plan if factor == 1.0 else plan.scaled(factor)
+        if check_limits(problem, smaller, sample_rate).holds:
+            break
+    return smaller, factor
 
 
 def joint_share(problem: ExcitationProblem, plan: MotionPlan) -> tuple[float, Array]:
@@ -166,13 +204,6 @@ def _joint_excesses(problem: ExcitationProblem, peaks: _Peaks) -> Iterator[Exces
     for i, j in np.argwhere(peaks.share > 1.0 + ROUNDING):
         limit = f"{LIMIT_NAMES[i]} limit of joint {problem.joint_names[j]}"
         yield Excess(limit, float(peaks.share[i, j]), float(peaks.time[i, j]))
-
-
-def _binding(problem: ExcitationProblem, peaks: _Peaks, closest: Closest) -> Iterator[str]:
-    for i, j in np.argwhere(peaks.share >= 0.98):
-        yield f"{LIMIT_NAMES[i]} limit of joint {problem.joint_names[j]}"
-    if closest.slack < 0.005:
-        yield f"clearance of {closest.label}"
 
 
 def _clearance_share(closest: Closest) -> float:

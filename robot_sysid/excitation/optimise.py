@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robot_sysid.excitation.constraints import ROUNDING, ConstraintTape, MotionConstraints
+from robot_sysid.excitation.constraints import ROUNDING, ConstraintCache, MotionConstraints
 from robot_sysid.excitation.fourier import FourierBasis, FourierTrajectory
 from robot_sysid.excitation.information import (
     CRITERIA,
@@ -26,10 +26,11 @@ from robot_sysid.excitation.information import (
     PredictedInformation,
     RowSettings,
 )
-from robot_sysid.excitation.limit_check import first_contact, joint_share, tight_times
+from robot_sysid.excitation.limit_check import REPAIRS, first_contact, joint_share, tight_times
 from robot_sysid.excitation.options import ExcitationOptions
 from robot_sysid.excitation.problem import ExcitationProblem
 from robot_sysid.records import Array
+from robot_sysid.trajectory import TrajectoryOptions
 
 FIRST_WEIGHT = 10.0
 WEIGHT_GROWTH = 1.5
@@ -37,8 +38,6 @@ PLAIN_ROUNDS = 2
 """Rounds before the weight begins to grow: the multipliers should do the work."""
 MEMORY = 20
 """Gradient pairs L-BFGS keeps."""
-REPAIRS = (1.0, 0.999, 0.998, 0.996, 0.992, 0.985, 0.97, 0.94, 0.9, 0.8, 0.6, 0.4, 0.2, 0.1)
-"""Factors tried until a motion obeys everything."""
 MOST_EXTRA_TIMES = 60
 
 
@@ -53,8 +52,8 @@ class Candidate:
         extra_times: (E,) [s].
         weight: of the penalty.
         rounds: how many are done.
-        proven_x: (n, M) the best one so far that obeys everything, or None.
-        proven_score: its criterion.
+        feasible_x: (n, M) the best one so far that obeys everything, or None.
+        feasible_score: its criterion.
     """
 
     number: int
@@ -63,16 +62,16 @@ class Candidate:
     extra_times: Array
     weight: float
     rounds: int
-    proven_x: Array | None
-    proven_score: float
+    feasible_x: Array | None
+    feasible_score: float
 
 
 def first_candidate(design: Design, number: int, x: Array) -> Candidate:
-    """Return a candidate at free coefficients x (n, M), proven where it can be."""
+    """Return a candidate at free coefficients x (n, M), checked against all limits."""
     width = 4 * design.problem.n_joints + 1
     none = np.zeros((len(design.grid), width))
     start = Candidate(number, x, none, np.zeros(0), FIRST_WEIGHT, 0, None, np.inf)
-    return _prove(design, start)
+    return _checked(design, start)
 
 
 def improve(design: Design, candidate: Candidate) -> Candidate:
@@ -90,7 +89,7 @@ def improve(design: Design, candidate: Candidate) -> Candidate:
         weight=grow * candidate.weight,
         rounds=candidate.rounds + 1,
     )
-    return _prove(design, _with_extra_times(design, moved))
+    return _checked(design, _with_extra_times(design, moved))
 
 
 def _minimise(objective: PenalisedDesign, x: Array, iterations: int) -> Array:
@@ -121,15 +120,15 @@ def _with_extra_times(design: Design, candidate: Candidate) -> Candidate:
     )
 
 
-def _prove(design: Design, candidate: Candidate) -> Candidate:
-    """Return the candidate with its proven trajectory updated, if the present one is better."""
+def _checked(design: Design, candidate: Candidate) -> Candidate:
+    """Return the candidate with its feasible trajectory updated, if the present one is better."""
     for factor in REPAIRS:
         x = factor * candidate.x
         score = design.criterion_of(x)
-        if not score < candidate.proven_score:
+        if not score < candidate.feasible_score:
             break
         if obeys_everything(design, x):
-            return replace(candidate, proven_x=x, proven_score=score)
+            return replace(candidate, feasible_x=x, feasible_score=score)
     return candidate
 
 
@@ -141,7 +140,7 @@ def obeys_everything(design: Design, x: Array) -> bool:
 
 
 GRID_PER_CYCLE = 25
-"""Grid points per period of the highest frequency; see docs/excitation.md for the proof."""
+"""Grid points per period of the highest frequency; see docs/excitation.md for why."""
 FEWEST_GRID_POINTS = 60
 LIMIT_SHARE = 0.99
 """Share of the limits the search uses; the rest covers peaks between grid points."""
@@ -158,17 +157,20 @@ class Design:
 
     Args:
         problem: the arm.
-        options: criterion, basis, noise.
+        options: criterion, basis, and how long to search.
+        motion: duration and sample rate.
     """
 
-    def __init__(self, problem: ExcitationProblem, options: ExcitationOptions) -> None:
-        self.problem, self.options = problem, options
-        self.basis: FourierBasis = options.basis()
+    def __init__(
+        self, problem: ExcitationProblem, options: ExcitationOptions, motion: TrajectoryOptions
+    ) -> None:
+        self.problem, self.options, self.sample_rate = problem, options, motion.sample_rate
+        self.basis: FourierBasis = options.basis(motion.duration)
         self.directions = self.basis.free_directions()
         self.grid = _grid(self.basis)
         self.criterion: Criterion = CRITERIA[options.criterion]
         self.coordinates = visible_coordinates(problem)
-        samples = options.duration * options.sample_rate / len(self.grid)
+        samples = motion.duration * motion.sample_rate / len(self.grid)
         smoothing = SMOOTHING_SHARE * problem.limits.velocity
         self.information = PredictedInformation(
             problem.chain,
@@ -216,7 +218,7 @@ class Evaluation:
     value: float
     gradient: Array
     criterion: float
-    constraints: ConstraintTape
+    constraints: ConstraintCache
 
 
 class PenalisedDesign:
@@ -241,15 +243,15 @@ class PenalisedDesign:
         b, db, ddb = self._functions
         q, qd, qdd = self._design.problem.rest + b @ x.T, db @ x.T, ddb @ x.T
         count = len(self._design.grid)
-        tape = self._design.information.evaluate(q[:count], qd[:count], qdd[:count])
-        criterion, slope = self._design.criterion(tape.information)
+        cache = self._design.information.evaluate(q[:count], qd[:count], qdd[:count])
+        criterion, slope = self._design.criterion(cache.information)
         constraints = self._constraints.evaluate((q, qd, qdd))
         active = np.maximum(0.0, self._multipliers + self._weight * constraints.value)
         penalty = float(np.sum(active**2 - self._multipliers**2)) / (2.0 * self._weight)
-        bars = self._constraints.pull_back(constraints, active)
-        for bar, part in zip(bars, tape.pull_back(slope)):
-            bar[:count] += part
-        gradient = bars[0].T @ b + bars[1].T @ db + bars[2].T @ ddb
+        adjoints = self._constraints.vjp(constraints, active)
+        for adjoint, part in zip(adjoints, cache.vjp(slope)):
+            adjoint[:count] += part
+        gradient = adjoints[0].T @ b + adjoints[1].T @ db + adjoints[2].T @ ddb
         value = min(criterion, _WORST) + penalty
         return Evaluation(value, gradient, criterion, constraints)
 

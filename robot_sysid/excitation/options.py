@@ -1,18 +1,27 @@
-"""What an optimised excitation was asked to be: one frozen record, checked once."""
+"""What a motion has to obey, and how one is designed: options, each checked once."""
 
 from __future__ import annotations
 
-import math
+import os
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
-from robot_sysid.collision.halfspaces import Box, Plane
+from robot_sysid.collision.obstacles import Box, Plane, box_from, plane_from
 from robot_sysid.errors import InputError
 from robot_sysid.excitation.fourier import FourierBasis
 from robot_sysid.excitation.information import CRITERIA
-from robot_sysid.records.options import require_positive
+from robot_sysid.records.options import (
+    PerJoint,
+    check_options,
+    levels,
+    not_negative,
+    option,
+    positive,
+)
 
+EXCITATIONS = ("sines", "optimal")
 ENDS = ("faded", "periodic")
 LONGEST_FADE = 1.5
 """Fade of a faded trajectory [s]; shorter where the trajectory is short."""
@@ -22,113 +31,157 @@ FEWEST_HARMONICS = 3
 
 
 @dataclass(frozen=True)
+class LimitOptions:
+    """What every motion has to obey beside the model's own limits."""
+
+    NEEDS: ClassVar[str] = "motion"
+    max_velocity: float = option(
+        2.0, "speed limit of hinge joints", unit="rad/s", metavar="V", check=positive
+    )
+    max_acceleration: float | None = option(
+        None,
+        "acceleration limit of hinge joints",
+        unit="rad/s²",
+        metavar="A",
+        check=positive,
+        usual="none; for a design, what full speed at its top frequency needs",
+    )
+    max_torque: PerJoint | None = option(
+        None,
+        "torque limit beside the model's own, one number or one per joint",
+        unit="N·m",
+        metavar="T",
+        parse=levels,
+        check=positive,
+        usual="the model's own",
+    )
+    ignore_torque_limit: tuple[str, ...] = option(
+        (), "joint whose torque limit is not obeyed; may be repeated", metavar="JOINT", repeats=True
+    )
+    workspace: tuple[float, ...] | None = option(
+        None,
+        "box that the terminal link stays in",
+        unit="m",
+        metavar=("XMIN", "XMAX", "YMIN", "YMAX", "ZMIN", "ZMAX"),
+    )
+    keep_out: tuple[tuple[float, ...], ...] = option(
+        (),
+        "plane that no moving part crosses: points x with N·x ≥ OFFSET are allowed",
+        unit="m",
+        metavar=("NX", "NY", "NZ", "OFFSET"),
+        repeats=True,
+    )
+    clearance: float = option(
+        0.01,
+        "least distance between parts that are apart at rest",
+        unit="m",
+        metavar="D",
+        check=not_negative,
+    )
+
+    def __post_init__(self) -> None:
+        check_options(self)
+        # Refused here, before any work, where the numbers make no box or plane.
+        _ = self.box, self.planes
+
+    @property
+    def box(self) -> Box | None:
+        """The workspace."""
+        return None if self.workspace is None else box_from(self.workspace)
+
+    @property
+    def planes(self) -> tuple[Plane, ...]:
+        """The planes to keep out of."""
+        return tuple(plane_from(plane) for plane in self.keep_out)
+
+
+@dataclass(frozen=True)
 class ExcitationOptions:
-    """Options of an optimised excitation; defaults are those of the command line.
+    """How a trajectory is found.
 
     Attributes:
-        criterion: "A", "D" or "cond".
-        duration: trajectory length [s].
-        sample_rate: samples per second of the data to come [Hz]; also how densely limits are
-            checked, at least 1 kHz.
-        harmonics: number of harmonics K; None takes what reaches 0.6 Hz.
-        base_frequency: frequency of the first harmonic [Hz]; None takes 1 / duration.
-        ends: "faded" or "periodic".
-        max_acceleration: limit of every hinge joint [rad/s^2]; None takes what a motion at the
-            speed limit and the highest frequency needs.
-        max_torque: limit of every joint beside the model's own [N m]; one number, one per joint,
-            or none.
-        noise_torque: standard deviation of the torque noise [N m]; one number or one per joint.
-        clearance: least distance between bodies that are apart at rest [m].
-        workspace: box the terminal link must stay in.
-        keep_out: planes no moving part may cross.
-        torques: "chain" or "terminal": which joint torques will be used.
-        time_budget: the search is cut after this time [s].
         draws: number of random trajectories to begin with.
         starts: how many of the best are improved; None takes two per minute of budget, at least 2.
         rounds: improvement rounds per start.
         iterations: optimiser iterations per round.
-        workers: processes to use; 1 stays in this one.
+        workers: processes to use; 1 stays in this one, None takes one per processor.
     """
 
-    criterion: str = "D"
-    duration: float = 15.0
-    sample_rate: float = 1000.0
-    harmonics: int | None = None
-    base_frequency: float | None = None
-    ends: str = "faded"
-    max_acceleration: float | None = None
-    max_torque: tuple[float, ...] = ()
-    noise_torque: tuple[float, ...] = (0.3,)
-    clearance: float = 0.01
-    workspace: Box | None = None
-    keep_out: tuple[Plane, ...] = ()
-    torques: str = "chain"
-    time_budget: float = 60.0
+    kind: str = option(
+        "sines",
+        "random sinusoids, or a trajectory designed to tell as much as possible",
+        flag="--excitation",
+        choices=EXCITATIONS,
+        needs="motion",
+    )
+    criterion: str = option(
+        "D",
+        "what the design makes small: summed variances (A), their joint volume (D), or the "
+        "condition number",
+        choices=tuple(CRITERIA),
+        needs="design",
+    )
+    time_budget: float = option(
+        60.0,
+        "stop designing after this time and keep the best",
+        flag="--excitation-time-budget",
+        unit="s",
+        metavar="S",
+        check=positive,
+        needs="design",
+    )
+    harmonics: int | None = option(
+        None,
+        "harmonics of a designed trajectory",
+        metavar="K",
+        usual="up to 0.6 Hz",
+        needs="design",
+    )
+    base_frequency: float | None = option(
+        None,
+        "first harmonic",
+        unit="Hz",
+        metavar="F",
+        check=positive,
+        usual="one period",
+        needs="design",
+    )
+    ends: str = option(
+        "faded",
+        "come to rest by a fade, or by the trajectory's own shape",
+        flag="--excitation-ends",
+        choices=ENDS,
+        needs="design",
+    )
     draws: int = 300
     starts: int | None = None
     rounds: int = 8
     iterations: int = 60
-    workers: int = 1
+    workers: int | None = None
 
     def __post_init__(self) -> None:
-        _require_choice(self.criterion, tuple(CRITERIA), "--criterion")
-        _require_choice(self.ends, ENDS, "--excitation-ends")
-        _require_choice(self.torques, ("chain", "terminal"), "--torques")
-        self._require_numbers()
-        self._require_counts()
-        self.basis()
-
-    def _require_numbers(self) -> None:
-        require_positive(self.duration, "--duration")
-        require_positive(self.sample_rate, "--sample-rate")
-        require_positive(self.time_budget, "--excitation-time-budget")
-        for value, option in (
-            (self.base_frequency, "--base-frequency"),
-            (self.max_acceleration, "--max-acceleration"),
-        ):
-            if value is not None:
-                require_positive(value, option)
-        for values, option in (
-            (self.noise_torque, "--noise-torque"),
-            (self.max_torque, "--max-torque"),
-        ):
-            for value in values:
-                require_positive(value, option)
-        if not self.noise_torque:
-            raise InputError("--noise-torque needs at least one number")
-        if not (self.clearance >= 0.0 and math.isfinite(self.clearance)):
-            raise InputError(f"--clearance must not be negative (got {self.clearance:g})")
-
-    def _require_counts(self) -> None:
+        check_options(self)
         least = {"draws": 1, "rounds": 0, "iterations": 1, "workers": 1}
         for name, value in least.items():
-            if getattr(self, name) < value:
-                raise InputError(f"{name} must be at least {value} (got {getattr(self, name)})")
+            chosen = getattr(self, name)
+            if chosen is not None and chosen < value:
+                raise InputError(f"{name} must be at least {value} (got {chosen})")
 
-    def basis(self) -> FourierBasis:
-        """Return the Fourier basis these options describe."""
-        base = 1.0 / self.duration if self.base_frequency is None else self.base_frequency
+    def basis(self, duration: float) -> FourierBasis:
+        """Return the Fourier basis of a designed trajectory of this duration [s]."""
+        base = 1.0 / duration if self.base_frequency is None else self.base_frequency
         reaching = int(np.floor(TOP_FREQUENCY_HZ / base + 1e-9))
         chosen = max(FEWEST_HARMONICS, reaching) if self.harmonics is None else self.harmonics
-        fade = min(LONGEST_FADE, 0.25 * self.duration) if self.ends == "faded" else 0.0
-        return FourierBasis(self.duration, base, chosen, fade)
+        fade = min(LONGEST_FADE, 0.25 * duration) if self.ends == "faded" else 0.0
+        return FourierBasis(duration, base, chosen, fade)
 
     @property
     def n_starts(self) -> int:
         """How many of the best random trajectories are improved."""
         per_budget = 2 * max(1, round(self.time_budget / 60.0))
-        return per_budget if self.starts is None else self.starts
+        return max(1, per_budget if self.starts is None else self.starts)
 
-
-def per_joint(values: tuple[float, ...], joints: int, option: str) -> np.ndarray:
-    """Return one value per joint of an option that takes one number or one per joint."""
-    if len(values) not in (1, joints):
-        raise InputError(
-            f"{option} takes one number, or one for each of the {joints} joints (got {len(values)})"
-        )
-    return np.broadcast_to(np.asarray(values, dtype=float), (joints,)).copy()
-
-
-def _require_choice(value: str, choices: tuple[str, ...], option: str) -> None:
-    if value not in choices:
-        raise InputError(f"{option} {value}: choose one of {', '.join(choices)}")
+    @property
+    def n_workers(self) -> int:
+        """Number of processes; more than there are starts would idle after the draws."""
+        return min(self.workers or os.cpu_count() or 1, max(2, self.n_starts))

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimation import identifiability as blind_words
-from robot_sysid.excitation.information import InformationTape, PredictedInformation, RowSettings
-from robot_sysid.excitation.limit_check import Certificate, certify
+from robot_sysid.estimation.identifiability import describe
+from robot_sysid.excitation.information import InformationCache, PredictedInformation, RowSettings
+from robot_sysid.excitation.limit_check import LimitCheck, check_limits
 from robot_sysid.excitation.optimise import visible_coordinates
 from robot_sysid.excitation.problem import ExcitationProblem
 from robot_sysid.records import Array, MotionPlan
@@ -21,7 +21,7 @@ PREDICTION_RATE_HZ = 100.0
 LOOSE_SHARE = 0.2
 """A predicted standard deviation above this share of the parameter's size is called loose."""
 _INVISIBLE = 1e-10
-"""Share of the whole signal below which a direction counts as blind."""
+"""Share of the whole signal below which a direction counts as not visible."""
 _DIAGONAL = {4: (0, 0), 7: (1, 1), 9: (2, 2)}
 _OFF_DIAGONAL = {5: (4, 7), 6: (4, 9), 8: (7, 9)}
 
@@ -32,10 +32,10 @@ class Prediction:
 
     Attributes:
         joint_names: of the chain.
-        certificate: peaks against limits.
+        limit_check: peaks against limits.
         limits: (3, n) velocity, acceleration and torque limits.
         n_samples: samples per joint the prediction is for.
-        covariance: (10, 10) of theta; infinite on the diagonal where this motion is blind.
+        covariance: (10, 10) of theta; infinite on the diagonal where this motion does not show it.
         size: (10,) magnitude each parameter is compared with: its own value in the model, for a
             first moment m L, for a product of inertia sqrt(Iii Ijj).
         com_deviation: standard deviation of the centre of mass, root of summed squares [m].
@@ -46,7 +46,7 @@ class Prediction:
     """
 
     joint_names: tuple[str, ...]
-    certificate: Certificate
+    limit_check: LimitCheck
     limits: Array
     n_samples: int
     covariance: Array
@@ -74,21 +74,27 @@ class Prediction:
         return tuple(k for k in range(10) if np.isfinite(share[k]) and share[k] > LOOSE_SHARE)
 
 
-def predict(problem: ExcitationProblem, plan: MotionPlan, sample_rate: float) -> Prediction:
+def predict(
+    problem: ExcitationProblem,
+    plan: MotionPlan,
+    sample_rate: float,
+    limit_check: LimitCheck | None = None,
+) -> Prediction:
     """Predict what least squares will make of a trajectory, with friction and offset of each joint.
 
     Args:
         problem: the arm, its limits, and the torque noise.
         plan: the trajectory.
         sample_rate: at which torque will be measured, with independent noise in each sample [Hz].
+        limit_check: of this trajectory, where it was made already.
     """
     n_samples = max(1, int(np.floor(plan.duration * sample_rate)) + 1)
-    covariance, unseen_space, condition = _inverted(problem, _tape(problem, plan, n_samples))
+    covariance, unseen_space, condition = _inverted(problem, _forward(problem, plan, n_samples))
     possible = visible_coordinates(problem) / problem.scale[:, None]
     limits = problem.limits
     return Prediction(
         joint_names=problem.joint_names,
-        certificate=certify(problem, plan, sample_rate),
+        limit_check=limit_check or check_limits(problem, plan, sample_rate),
         limits=np.stack((limits.velocity, limits.acceleration, limits.torque)),
         n_samples=n_samples,
         covariance=covariance,
@@ -113,7 +119,7 @@ def parameter_sizes(problem: ExcitationProblem) -> Array:
     return size
 
 
-def _tape(problem: ExcitationProblem, plan: MotionPlan, n_samples: int) -> InformationTape:
+def _forward(problem: ExcitationProblem, plan: MotionPlan, n_samples: int) -> InformationCache:
     """Return the information (10, 10) about theta in units of ``problem.scale``."""
     chunks = list(motion_chunks(plan, PREDICTION_RATE_HZ))
     q, qd, qdd = (np.vstack([getattr(c, name) for c in chunks]) for name in ("q", "qd", "qdd"))
@@ -127,23 +133,23 @@ def _tape(problem: ExcitationProblem, plan: MotionPlan, n_samples: int) -> Infor
 
 
 def _inverted(
-    problem: ExcitationProblem, tape: InformationTape
+    problem: ExcitationProblem, cache: InformationCache
 ) -> tuple[Array, Array, tuple[float, float]]:
-    """Return covariance of theta, blind directions (scaled), and both condition numbers.
+    """Return covariance of theta, hidden directions (scaled), and both condition numbers.
 
-    A parameter that a blind direction contains has infinite variance.
+    A parameter that a hidden direction contains has infinite variance.
     """
-    scale, information = problem.scale, tape.information
+    scale, information = problem.scale, cache.information
     values, vectors = np.linalg.eigh(information)
-    seen = values > _INVISIBLE * tape.signal
-    blind = vectors[:, ~seen]
+    seen = values > _INVISIBLE * cache.signal
+    hidden = vectors[:, ~seen]
     root = vectors[:, seen] / np.sqrt(values[seen])
     covariance = np.outer(scale, scale) * (root @ root.T)
-    covariance[np.diag_indices(10)] += np.where(np.linalg.norm(blind, axis=1) > 1e-6, np.inf, 0.0)
+    covariance[np.diag_indices(10)] += np.where(np.linalg.norm(hidden, axis=1) > 1e-6, np.inf, 0.0)
     raw = information / np.outer(scale, scale)
     length = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
     unit = information / np.outer(length, length)
-    return covariance, blind, (_condition(raw), _condition(unit))
+    return covariance, hidden, (_condition(raw), _condition(unit))
 
 
 def _condition(information: Array) -> float:
@@ -168,9 +174,9 @@ def _complement(basis: Array) -> Array:
     return left[:, len(singular) :]
 
 
-def _beyond(blind: Array, possible: Array) -> Array:
-    """Return the part of the blind directions that another motion could show."""
-    inside = possible @ (np.linalg.pinv(possible) @ blind)
+def _beyond(hidden: Array, possible: Array) -> Array:
+    """Return the part of the hidden directions that another motion could show."""
+    inside = possible @ (np.linalg.pinv(possible) @ hidden)
     left, singular, _ = np.linalg.svd(inside, full_matrices=False)
     return left[:, singular > 1e-6]
 
@@ -178,7 +184,7 @@ def _beyond(blind: Array, possible: Array) -> Array:
 def _words(problem: ExcitationProblem, space: Array) -> tuple[str, ...]:
     if space.shape[1] == 0:
         return ()
-    return blind_words.describe(space, problem.scale, spatial.PARAMETER_NAMES)
+    return describe(space, problem.scale, spatial.PARAMETER_NAMES)
 
 
 def prediction_lines(prediction: Prediction, sigma: Array) -> Iterator[str]:
@@ -197,8 +203,8 @@ def prediction_lines(prediction: Prediction, sigma: Array) -> Iterator[str]:
     )
     yield "Peaks (share of limit):"
     yield from _joint_lines(prediction)
-    yield _clearance_line(prediction.certificate)
-    yield from _excess_lines(prediction.certificate)
+    yield _clearance_line(prediction.limit_check)
+    yield from _excess_lines(prediction.limit_check)
     yield from _advice_lines(prediction)
 
 
@@ -215,8 +221,8 @@ def _parameter_lines(prediction: Prediction) -> Iterator[str]:
 
 
 def _joint_lines(prediction: Prediction) -> Iterator[str]:
-    proof = prediction.certificate
-    peaks = np.stack((proof.velocity, proof.acceleration, proof.torque))
+    check = prediction.limit_check
+    peaks = np.stack((check.velocity, check.acceleration, check.torque))
     width = max(len(name) for name in prediction.joint_names)
     for j, name in enumerate(prediction.joint_names):
         parts = [
@@ -225,7 +231,7 @@ def _joint_lines(prediction: Prediction) -> Iterator[str]:
                 ("velocity", "acceleration", "torque"), peaks[:, j], prediction.limits[:, j]
             )
         ]
-        reach = f"{proof.lowest[j]:+.2f} to {proof.highest[j]:+.2f}"
+        reach = f"{check.lowest[j]:+.2f} to {check.highest[j]:+.2f}"
         yield f"  {name:{width}s}  position {reach}  {'  '.join(parts)}"
 
 
@@ -233,17 +239,17 @@ def _share_text(peak: float, limit: float) -> str:
     return f" ({100.0 * peak / limit:3.0f} %)" if np.isfinite(limit) else " (no limit)"
 
 
-def _clearance_line(proof: Certificate) -> str:
-    if not np.isfinite(proof.closest.distance):
+def _clearance_line(check: LimitCheck) -> str:
+    if not np.isfinite(check.closest.distance):
         return "Clearance: nothing comes near"
     return (
-        f"Clearance: {1000.0 * proof.closest.distance:.1f} mm between {proof.closest.label} "
-        f"at {proof.closest_time:.2f} s"
+        f"Clearance: {1000.0 * check.closest.distance:.1f} mm between {check.closest.label} "
+        f"at {check.closest_time:.2f} s"
     )
 
 
-def _excess_lines(proof: Certificate) -> Iterator[str]:
-    for excess in proof.excesses:
+def _excess_lines(check: LimitCheck) -> Iterator[str]:
+    for excess in check.excesses:
         yield f"NOT KEPT: {excess}"
 
 

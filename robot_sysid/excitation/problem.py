@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -12,25 +11,30 @@ from robot_sysid.collision.clearance import Clearance
 from robot_sysid.collision.halfspaces import HalfSpace, box_half_spaces, plane_half_space
 from robot_sysid.collision.obstacles import NoObstacles, Obstacles
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.kinematics import ArmDynamics, ChainKinematics, subtree
+from robot_sysid.dynamics.kinematics import ChainKinematics, subtree
 from robot_sysid.dynamics.screws import ScrewChain
 from robot_sysid.errors import InputError
-from robot_sysid.excitation.options import ExcitationOptions, per_joint
+from robot_sysid.excitation.options import TOP_FREQUENCY_HZ, LimitOptions
 from robot_sysid.records import Array, Motion, RobotModel, checked_array
+from robot_sysid.records.options import PerJoint, per_joint
+from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import POSITION_MARGIN, TORQUE_MARGIN, UNLIMITED_RANGE
+
+DEFAULT_NOISE_TORQUE = 0.3
+"""Torque noise that a plan predicts errors for where none is given [N m]."""
 
 TorqueFunction = Callable[[Motion], Array]
 
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """What the motion must obey; a torque limit is infinite where there is none.
+    """What the motion must obey.
 
     Attributes:
         lower, upper: (n,) positions, finite, margin already taken off [rad or m].
         velocity: (n,) [rad/s or m/s].
         acceleration: (n,) [rad/s^2 or m/s^2].
-        torque: (n,) [N m or N]; infinite too where holding still already exceeds the limit.
+        torque: (n,) [N m or N]; infinite where there is none.
     """
 
     lower: Array
@@ -93,33 +97,22 @@ class ExcitationProblem:
         return spatial.parameter_scale(float(self.prior[0]), length)
 
 
-class ArmTorque:
-    """Torques the model needs for a motion, friction included.
+def build_problem(
+    robot: RobotModel,
+    limits: LimitOptions,
+    torques: str = "chain",
+    noise_torque: PerJoint = DEFAULT_NOISE_TORQUE,
+    top_frequency_hz: float | None = TOP_FREQUENCY_HZ,
+) -> ExcitationProblem:
+    """Collect what a search or a limit check needs to know about an arm.
 
     Args:
         robot: the arm.
-    """
-
-    def __init__(self, robot: RobotModel) -> None:
-        self._robot = robot
-        self._dynamics = ArmDynamics(robot)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Travel to another process as what it was made from."""
-        return type(self), (self._robot,)
-
-    def __call__(self, motion: Motion) -> Array:
-        """Return joint torques (N, n) [N m]."""
-        rigid = self._dynamics.torque(motion.q, motion.qd, motion.qdd)
-        return rigid + self._robot.friction.torque(motion.qd)
-
-
-def build_problem(robot: RobotModel, options: ExcitationOptions) -> ExcitationProblem:
-    """Collect what the search needs to know about an arm.
-
-    Args:
-        robot: the arm.
-        options: limits and surroundings asked for.
+        limits: what its motion has to obey.
+        torques: "chain" or "terminal": which joint torques will be used.
+        noise_torque: standard deviation of the torque noise [N m], one number or one per joint.
+        top_frequency_hz: where no acceleration limit is given, the one that full speed at this
+            frequency needs [Hz]; None leaves accelerations free.
 
     Raises:
         InputError: the arm breaks a limit already at rest; says which.
@@ -127,16 +120,16 @@ def build_problem(robot: RobotModel, options: ExcitationOptions) -> ExcitationPr
     lower, upper = _position_limits(robot)
     rest = np.clip(robot.reference, lower, upper)
     torque = ArmTorque(robot)
-    limits, notes = _limits(robot, options, (lower, upper), rest, torque)
+    motion_limits, notes = _limits(robot, limits, (lower, upper), top_frequency_hz)
     if not np.array_equal(rest, robot.reference):
         notes += _moved_rest_note(robot, rest)
-    obstacles, more = _obstacles(robot, options, rest)
-    rows = tuple(range(robot.n_joints)) if options.torques == "chain" else (robot.n_joints - 1,)
-    sigma = per_joint(options.noise_torque, robot.n_joints, "--noise-torque")[list(rows)]
+    obstacles, more = _obstacles(robot, limits, rest)
+    rows = tuple(range(robot.n_joints)) if torques == "chain" else (robot.n_joints - 1,)
+    sigma = per_joint(noise_torque, robot.n_joints, "--noise-torque")[list(rows)]
     return ExcitationProblem(
         joint_names=robot.joint_names,
         rest=rest,
-        limits=limits,
+        limits=motion_limits,
         chain=screw_chain(robot),
         prior=robot.prior.theta,
         torque=torque,
@@ -167,38 +160,60 @@ def _position_limits(robot: RobotModel) -> tuple[Array, Array]:
 
 def _limits(
     robot: RobotModel,
-    options: ExcitationOptions,
+    options: LimitOptions,
     position: tuple[Array, Array],
-    rest: Array,
-    torque: ArmTorque,
+    top_frequency_hz: float | None,
 ) -> tuple[MotionLimits, tuple[str, ...]]:
-    own = robot.limits.torque
-    asked = per_joint(options.max_torque or (np.inf,), robot.n_joints, "--max-torque")
-    allowed = TORQUE_MARGIN * np.minimum(own, asked)
-    still = np.zeros((1, robot.n_joints))
-    holding = np.abs(torque(Motion(np.zeros(1), rest[None], still, still))[0])
-    too_weak = holding >= allowed
-    notes = tuple(
-        f"holding still takes {holding[j]:.3g} at joint {robot.joint_names[j]}, more than its "
-        f"torque limit of {min(own[j], asked[j]):g} allows; its limit is not obeyed"
-        for j in np.flatnonzero(too_weak)
-    )
+    allowed = torque_limits(robot, options)
+    ignored = ", ".join(options.ignore_torque_limit)
+    notes = (f"the torque limit of {ignored} is not obeyed, as asked",) if ignored else ()
+    top = np.inf if top_frequency_hz is None else top_frequency_hz
+    natural = 2.0 * np.pi * top * robot.limits.velocity
+    asked = options.max_acceleration
     limits = MotionLimits(
         lower=position[0],
         upper=position[1],
         velocity=robot.limits.velocity,
-        acceleration=_acceleration_limits(robot, options),
-        torque=np.where(too_weak, np.inf, allowed),
+        acceleration=natural if asked is None else np.where(robot.is_slide, natural, asked),
+        torque=TORQUE_MARGIN * allowed,
     )
     return limits, notes
 
 
-def _acceleration_limits(robot: RobotModel, options: ExcitationOptions) -> Array:
-    """Return acceleration limits: asked for, or those of a sinusoid at full speed and frequency."""
-    natural = 2.0 * np.pi * options.basis().top_frequency_hz * robot.limits.velocity
-    if options.max_acceleration is None:
-        return natural
-    return np.where(robot.is_slide, natural, options.max_acceleration)
+def torque_limits(robot: RobotModel, options: LimitOptions) -> Array:
+    """Return the torque limits (n,), the model's own and those asked for; infinite without one.
+
+    Raises:
+        InputError: a joint to ignore is none of the arm's, or a list does not fit the joints.
+    """
+    unknown = [name for name in options.ignore_torque_limit if name not in robot.joint_names]
+    if unknown:
+        raise InputError(
+            f"--ignore-torque-limit {unknown[0]}: no such joint; the chain has "
+            f"{', '.join(robot.joint_names)}"
+        )
+    asked = np.inf if options.max_torque is None else options.max_torque
+    both = np.minimum(robot.limits.torque, per_joint(asked, robot.n_joints, "--max-torque"))
+    ignored = np.isin(robot.joint_names, options.ignore_torque_limit)
+    return np.where(ignored, np.inf, both)
+
+
+def require_holding(problem: ExcitationProblem) -> None:
+    """Raise InputError where holding still at rest takes more than a torque limit allows."""
+    still = np.zeros((1, problem.n_joints))
+    rest = Motion(np.zeros(1), problem.rest[None], still, still)
+    holding = np.abs(problem.torque(rest)[0])
+    excess = holding / problem.limits.torque
+    worst = int(np.argmax(excess))
+    if excess[worst] < 1.0:
+        return
+    name = problem.joint_names[worst]
+    raise InputError(
+        f"no trajectory is feasible: holding still takes {holding[worst]:.3g} at joint {name}, "
+        f"more than {100.0 * TORQUE_MARGIN:.0f} % of its torque limit of "
+        f"{problem.limits.torque[worst] / TORQUE_MARGIN:g}; change the model's reference "
+        f"configuration, or give --ignore-torque-limit {name} if the joint can carry it"
+    )
 
 
 def _moved_rest_note(robot: RobotModel, rest: Array) -> tuple[str, ...]:
@@ -214,7 +229,7 @@ def _moved_rest_note(robot: RobotModel, rest: Array) -> tuple[str, ...]:
 
 
 def _obstacles(
-    robot: RobotModel, options: ExcitationOptions, rest: Array
+    robot: RobotModel, options: LimitOptions, rest: Array
 ) -> tuple[Obstacles, tuple[str, ...]]:
     model = robot.mj_model
     spaces = _half_spaces(robot, options)
@@ -234,14 +249,13 @@ def _obstacles(
     return clearance, (note,)
 
 
-def _half_spaces(robot: RobotModel, options: ExcitationOptions) -> tuple[HalfSpace, ...]:
+def _half_spaces(robot: RobotModel, options: LimitOptions) -> tuple[HalfSpace, ...]:
     model = robot.mj_model
     first = int(model.jnt_bodyid[model.dof_jntid[robot.dof_index[0]]])
     moving = subtree(model, first)
-    planes = tuple(plane_half_space(p, options.clearance, moving) for p in options.keep_out)
-    if options.workspace is None:
-        return planes
-    return planes + box_half_spaces(options.workspace, subtree(model, robot.body_id))
+    planes = tuple(plane_half_space(p, options.clearance, moving) for p in options.planes)
+    box = options.box
+    return planes if box is None else planes + box_half_spaces(box, subtree(model, robot.body_id))
 
 
 def _require_inside(clearance: Clearance) -> None:

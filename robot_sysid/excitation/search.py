@@ -18,11 +18,10 @@ import numpy as np
 from robot_sysid.errors import InputError
 from robot_sysid.excitation.constraints import LIMIT_NAMES, ROUNDING, MotionConstraints
 from robot_sysid.excitation.fourier import FourierTrajectory
-from robot_sysid.excitation.limit_check import Certificate, certify
+from robot_sysid.excitation.limit_check import LimitCheck, check_limits
 from robot_sysid.excitation.optimise import Candidate, Design, first_candidate, improve
-from robot_sysid.excitation.options import ExcitationOptions
-from robot_sysid.excitation.problem import ExcitationProblem
-from robot_sysid.excitation.workers import Team
+from robot_sysid.excitation.problem import require_holding
+from robot_sysid.excitation.workers import WorkerPool
 from robot_sysid.records import Array
 
 DRAWS_PER_JOB = 20
@@ -63,7 +62,7 @@ class ExcitationResult:
         criterion: name of the criterion.
         objective: exp of its value.
         start_objective: that of the best random trajectory.
-        certificate: proof that all limits are kept.
+        limit_check: that all limits are kept.
         n_feasible: random trajectories that obey all limits, of ``n_drawn``.
         n_drawn: random trajectories.
         stopped: "" where the search was finished, else what cut it.
@@ -74,7 +73,7 @@ class ExcitationResult:
     criterion: str
     objective: float
     start_objective: float
-    certificate: Certificate
+    limit_check: LimitCheck
     n_feasible: int
     n_drawn: int
     stopped: str
@@ -82,8 +81,7 @@ class ExcitationResult:
 
 
 def design_excitation(
-    problem: ExcitationProblem,
-    options: ExcitationOptions,
+    design: Design,
     rng: np.random.Generator,
     progress: ProgressCallback | None = None,
     clock: Callable[[], float] = clocks.monotonic,
@@ -93,17 +91,18 @@ def design_excitation(
     Ctrl-C ends the search and keeps the best trajectory so far.
 
     Args:
-        problem: the arm, its limits and surroundings.
-        options: what is wanted.
+        design: the arm, its limits, and what is wanted.
         rng: source of randomness.
         progress: told after every job.
         clock: gives the time [s].
 
     Raises:
-        InputError: no drawn trajectory obeys all limits; names the one that is in the way.
+        InputError: holding still breaks a torque limit, or no drawn trajectory obeys all limits;
+            names the one that is in the way.
         KeyboardInterrupt: interrupted before there was any trajectory.
     """
-    search = _Search(Design(problem, options), int(rng.integers(2**62)), progress, clock)
+    require_holding(design.problem)
+    search = _Search(design, int(rng.integers(2**62)), progress, clock)
     try:
         search.run()
     except KeyboardInterrupt:
@@ -133,21 +132,19 @@ class _Search:
 
     @property
     def best(self) -> Candidate | None:
-        """The best proven candidate; of equally good ones the first."""
-        proven = [c for _, c in sorted(self._candidates.items()) if c.proven_x is not None]
-        return min(proven, key=lambda c: c.proven_score) if proven else None
+        """The best candidate that obeys everything; of equally good ones the first."""
+        fit = [c for _, c in sorted(self._candidates.items()) if c.feasible_x is not None]
+        return min(fit, key=lambda c: c.feasible_score) if fit else None
 
     def run(self) -> None:
         """Draw, choose, improve; stop early where time is up."""
-        # More workers than starts would idle after the draws.
-        workers = min(self._options.workers, max(2, self._options.n_starts))
-        with Team(self._design, workers) as team:
-            for draws in self._counted(team.run(self._draw_jobs())):
+        with WorkerPool(self._design, self._options.n_workers) as pool:
+            for draws in self._counted(pool.run(self._draw_jobs())):
                 self._draws += draws
-            self._prove_starts(team)
+            self._check_starts(pool)
             for _ in range(self._options.rounds):
                 jobs = [partial(improve, candidate=c) for c in self._candidates.values()]
-                for candidate in self._counted(team.run(jobs)):
+                for candidate in self._counted(pool.run(jobs)):
                     self._candidates[candidate.number] = candidate
                 if self.stopped:
                     return
@@ -159,16 +156,16 @@ class _Search:
             for k in range(0, len(numbers), DRAWS_PER_JOB)
         ]
 
-    def _prove_starts(self, team: Team) -> None:
+    def _check_starts(self, pool: WorkerPool) -> None:
         """Take the best draws as starts; without a feasible one there is no search."""
         feasible = sorted((d for d in self._draws if np.isfinite(d.score)), key=lambda d: d.score)
         if not feasible:
             raise InputError(_why_none(self._draws, self._design))
         jobs = [
             partial(first_candidate, number=k, x=draw.x)
-            for k, draw in enumerate(feasible[: max(1, self._options.n_starts)])
+            for k, draw in enumerate(feasible[: self._options.n_starts])
         ]
-        for candidate in team.run(jobs):
+        for candidate in pool.run(jobs):
             self._candidates[candidate.number] = candidate
             self._tell()
 
@@ -185,25 +182,25 @@ class _Search:
     def _tell(self) -> None:
         if self._progress is None:
             return
-        jobs = len(self._draw_jobs()) + self._options.rounds * max(1, self._options.n_starts)
-        score = self.best.proven_score if self.best else _smallest_score(self._draws)
+        jobs = len(self._draw_jobs()) + self._options.rounds * self._options.n_starts
+        score = self.best.feasible_score if self.best else _smallest_score(self._draws)
         name = OBJECTIVES[self._options.criterion]
         self._progress(SearchState(self._done, jobs, float(np.exp(score)), name))
 
     def result(self) -> ExcitationResult:
-        """Return the best trajectory with its proof."""
+        """Return the best trajectory with the check of its limits."""
         best = self.best
-        if best is None or best.proven_x is None:
+        if best is None or best.feasible_x is None:
             raise InputError(_why_none(self._draws, self._design))
-        trajectory = self._design.trajectory(best.proven_x)
-        proof = certify(self._design.problem, trajectory, self._options.sample_rate)
+        trajectory = self._design.trajectory(best.feasible_x)
+        check = check_limits(self._design.problem, trajectory, self._design.sample_rate)
         feasible = sum(bool(np.isfinite(draw.score)) for draw in self._draws)
         return ExcitationResult(
             trajectory=trajectory,
             criterion=self._options.criterion,
-            objective=float(np.exp(best.proven_score)),
+            objective=float(np.exp(best.feasible_score)),
             start_objective=float(np.exp(_smallest_score(self._draws))),
-            certificate=proof,
+            limit_check=check,
             n_feasible=feasible,
             n_drawn=len(self._draws),
             stopped=self.stopped,
@@ -230,10 +227,10 @@ def _why_none(draws: list[Draw], design: Design) -> str:
     """Say which limit is in the way of all drawn trajectories."""
     reasons = [draw.obstacle for draw in draws if draw.obstacle]
     if not reasons:
-        blind = 10 - design.coordinates.shape[1]
+        hidden = 10 - design.coordinates.shape[1]
         return (
             "no drawn trajectory shows all that these joints could show of the link "
-            f"({blind} directions are invisible in principle); use a longer --duration"
+            f"({hidden} directions do not show in principle); use a longer --duration"
         )
     names, counts = np.unique(reasons, return_counts=True)
     worst = int(np.argmax(counts))

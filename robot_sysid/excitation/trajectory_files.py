@@ -10,7 +10,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Union
+from typing import Any, TextIO
 
 import numpy as np
 
@@ -70,9 +70,6 @@ def at_speed(plan: MotionPlan, speed: float) -> MotionPlan:
     return plan if speed == 1.0 else SlowedTrajectory(plan, speed)
 
 
-Saveable = Union[SineTrajectory, FourierTrajectory, SlowedTrajectory]
-
-
 @dataclass(frozen=True)
 class SavedTrajectory:
     """A trajectory from a file.
@@ -80,32 +77,47 @@ class SavedTrajectory:
     Attributes:
         plan: it.
         joint_names: the joints it was made for, base to terminal.
+        sha256: of the model file it was made for; "" where the file does not tell.
     """
 
     plan: MotionPlan
     joint_names: tuple[str, ...]
+    sha256: str = ""
+
+    def __post_init__(self) -> None:
+        if self.plan.n_joints != len(self.joint_names):
+            raise InputError(
+                f"a trajectory of {self.plan.n_joints} joints names {len(self.joint_names)}: "
+                f"{_listed(self.joint_names)}"
+            )
 
     def require_fits(self, joint_names: Sequence[str]) -> None:
-        """Raise InputError unless an arm with these joints can run it."""
-        if self.plan.n_joints != len(joint_names):
+        """Raise InputError unless it was made for joints of these names, in this order."""
+        if self.joint_names != tuple(joint_names):
             raise InputError(
-                f"--trajectory: made for {self.plan.n_joints} joints ({_listed(self.joint_names)}),"
-                f" but this arm has {len(joint_names)} ({_listed(joint_names)})"
+                f"--trajectory: made for the {self.plan.n_joints} joints "
+                f"{_listed(self.joint_names)}, but this arm has the {len(joint_names)} joints "
+                f"{_listed(joint_names)}; design one for this arm with --excitation optimal"
             )
 
 
-def save_trajectory(path: Path, plan: MotionPlan, joint_names: Sequence[str]) -> None:
+def save_trajectory(
+    path: Path | TextIO, plan: MotionPlan, joint_names: Sequence[str], sha256: str = ""
+) -> None:
     """Write a trajectory's coefficients as JSON.
 
     Args:
-        path: file; appears whole or not at all.
+        path: file, which appears whole or not at all, or an open one.
         plan: a sum of sinusoids, a Fourier series, or one of them slowed down.
         joint_names: one per joint.
+        sha256: of the model file it was made for.
 
     Raises:
         InputError: this kind of trajectory has no coefficients, or the file cannot be written.
     """
-    content = {"format": FORMAT, "version": VERSION, "joints": list(joint_names)}
+    content: dict[str, Any] = {"format": FORMAT, "version": VERSION, "joints": list(joint_names)}
+    if sha256:
+        content["model_sha256"] = sha256
     with whole_file(path) as file:
         json.dump({**content, **_described(plan)}, file, indent=1)
         file.write("\n")
@@ -141,7 +153,8 @@ def load_trajectory(path: Path) -> SavedTrajectory:
                 f"{path}: unknown kind of trajectory {kind!r}; valid: {', '.join(_ARRAYS)}"
             )
         plan = at_speed(_built(kind, content), float(content.get("speed", 1.0)))
-        return SavedTrajectory(plan, tuple(str(name) for name in content["joints"]))
+        names = tuple(str(name) for name in content["joints"])
+        return SavedTrajectory(plan, names, str(content.get("model_sha256", "")))
     except KeyError as error:
         raise InputError(f"{path}: the trajectory lacks the entry {error}") from None
     except (TypeError, ValueError, IndexError) as error:
@@ -153,7 +166,7 @@ def _read(path: Path) -> Mapping[str, Any]:
         content = json.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}") from None
-    except ValueError:
+    except (ValueError, RecursionError):
         raise InputError(
             f"{path} is not JSON; --trajectory takes the .json file of --save-trajectory"
         ) from None
@@ -185,12 +198,12 @@ def _built(kind: str, content: Mapping[str, Any]) -> SineTrajectory | FourierTra
 
 
 def save_samples(
-    path: Path, plan: MotionPlan, joint_names: Sequence[str], sample_rate: float
+    path: Path | TextIO, plan: MotionPlan, joint_names: Sequence[str], sample_rate: float
 ) -> None:
     """Write a trajectory's samples as CSV: time, then q, qd and qdd of each joint, SI units.
 
     Args:
-        path: file; appears whole or not at all.
+        path: file, which appears whole or not at all, or an open one.
         plan: the trajectory.
         joint_names: one per joint.
         sample_rate: rows per second [Hz].

@@ -1,77 +1,57 @@
-"""Identification from a measured log: process, choose friction, align, estimate, validate."""
+"""The fit of measured data: process, choose friction, align, estimate, validate."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.dynamics.equations import Equations
-from robot_sysid.dynamics.friction import DEFAULT_MEASURED, FrictionModel, friction_model
+from robot_sysid.dynamics.friction import FrictionModel, friction_model
 from robot_sysid.dynamics.gravity import TILT_NAMES, TiltColumns, gravity, turned, with_gravity
 from robot_sysid.errors import SysidError
-from robot_sysid.estimation.cross_validation import Validation, hold_out, validate
-from robot_sysid.estimation.least_squares import EstimatorOptions
+from robot_sysid.estimation.cross_validation import hold_out, validate
+from robot_sysid.estimation.options import CHOSEN, EstimationOptions
 from robot_sysid.estimation.uncertainty import sensitivity
 from robot_sysid.identify.friction_selection import choose_friction, friction_per_joint
-from robot_sysid.identify.samples import SharedColumns, ThinnedSamples, thin_equations
-from robot_sysid.logs.checks import sign_check
-from robot_sysid.records import DELAY_NAME, Array, Estimate, Measurement, Motion, RobotModel
-from robot_sysid.records.progress import Progress
-from robot_sysid.signals.process import (
-    ProcessedSignals,
-    SignalOptions,
-    delay_columns,
-    process,
-    with_delay,
+from robot_sysid.identify.samples import (
+    DecimatedSamples,
+    SharedColumns,
+    decimated_equations,
+    joined,
 )
-from robot_sysid.simulator import inverse_torque
+from robot_sysid.logs.checks import sign_check
+from robot_sysid.records import (
+    DELAY_NAME,
+    Array,
+    Estimate,
+    Measurement,
+    Motion,
+    RobotModel,
+    Validation,
+)
+from robot_sysid.records.progress import Progress
+from robot_sysid.signals.process import ProcessedSignals, delay_columns, process, with_delay
+from robot_sysid.simulator import ArmTorque
 from robot_sysid.solver import identify_parameters
 
 DELAY_CUTOFF = 10.0
 """Highest cut-off that is chosen where a delay is estimated [Hz]: beyond it the jumps of dry
 friction, which no derivative describes, make the search slow or fail."""
+DEFAULT_METHOD = "wls"
 _MOST_ROUNDS = 20
 _SETTLED_DELAY = 1e-7
 _SETTLED_TILT = 1e-7
 _CHECKPOINTS = 400
 
-
-@dataclass(frozen=True)
-class MeasuredOptions:
-    """How a measured log is turned into an estimate.
-
-    Attributes:
-        torques: "chain" or "terminal".
-        friction: name of the friction model of every joint, "auto" to choose it, or "none".
-        method: estimator's name.
-        estimator: choices that apply to every method.
-        signals: filtering.
-        estimate_delay: whether torque may lag position by an unknown time.
-        estimate_tilt: whether the base may be tilted by unknown small angles.
-        held_out: share of the log, at its end, that is not fitted.
-    """
-
-    torques: str = "chain"
-    friction: str = DEFAULT_MEASURED
-    method: str = "wls"
-    estimator: EstimatorOptions = EstimatorOptions()
-    signals: SignalOptions = SignalOptions()
-    estimate_delay: bool = False
-    estimate_tilt: bool = False
-    held_out: float = 0.2
-
-    @property
-    def shared(self) -> tuple[str, ...]:
-        """Names of the parameters that enter every joint's equations."""
-        delay = (DELAY_NAME,) if self.estimate_delay else ()
-        return delay + (TILT_NAMES if self.estimate_tilt else ())
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """What is known so far about the log's delay and the base's tilt.
+    """What is known so far about the delay of the logs and the base's tilt.
 
     Attributes:
         delay: by which torque lags position [s].
@@ -95,7 +75,7 @@ class Alignment:
 
 @dataclass(frozen=True)
 class MeasuredFit:
-    """Result of an identification from a log.
+    """Result of a fit to measured data.
 
     Attributes:
         estimate: the result.
@@ -103,8 +83,8 @@ class MeasuredFit:
         alignment: delay and gravity that were found (or assumed).
         validation: prediction error on the part that was not fitted, if any.
         cutoff: of the low-pass [Hz].
-        sensitivity: how hidden errors would move the estimate, see ``sensitivity``.
-        checkpoints: some of the log's motion.
+        sensitivity: how hidden errors would move the estimate, see ``uncertainty.sensitivity``.
+        checkpoints: some of the measured motion.
         notes: one sentence each.
     """
 
@@ -118,80 +98,100 @@ class MeasuredFit:
     notes: tuple[str, ...]
 
 
-def identify_measured(
-    robot: RobotModel, measurement: Measurement, options: MeasuredOptions, progress: Progress
+def fit_measured(
+    robot: RobotModel,
+    logs: Sequence[Measurement],
+    options: EstimationOptions,
+    progress: Progress,
+    least_deadband: Sequence[float] = (),
 ) -> MeasuredFit:
-    """Identify the terminal link from a whole log.
+    """Identify the terminal link from one log or from several together.
 
     Args:
         robot: the arm as its model describes it.
-        measurement: the log.
+        logs: whole logs, each filtered on its own.
         options: how.
         progress: where to tell how far it is.
+        least_deadband: (n,) see ``signals.process.process``.
 
     Raises:
-        InputError: the log does not fit the arm or the options.
+        InputError: a log does not fit the arm or the options.
     """
-    signals = _processed(robot, measurement, options)
-    notes = list(signals.notes)
-    notes += _compare_with_model(robot, signals)
-    fitted, held = _parts(signals, options)
+    signals = _processed(robot, logs, options, least_deadband)
+    notes = [note for log in signals for note in (*log.notes, *_compare_with_model(robot, log))]
+    fitted, held = _parts(signals, options.validate)
     model, chosen = _friction(robot, options, signals, fitted)
-    notes += chosen
+    notes += [*chosen, *(note for log in signals for note in _one_way(robot, model, log))]
     progress.stage("Solving for parameters...")
     estimate, alignment, samples = _align(robot, options, model, signals, fitted)
     validation = None
-    if held.stop > held.start:
-        share = f"the last {100.0 * options.held_out:.0f} % of the log"
-        validation = validate_samples(_marked(samples, held), estimate, share)
+    if options.validate > 0.0:
+        log = "the log" if len(signals) == 1 else "each log"
+        source = f"the last {100.0 * options.validate:.0f} % of {log}"
+        validation = validate_samples(_chosen(samples, held), estimate, source)
     return MeasuredFit(
         estimate,
         model,
         alignment,
         validation,
-        signals.cutoff,
-        hidden_errors(_marked(samples, fitted), estimate),
-        _checkpoints(signals),
-        tuple(notes),
+        signals[0].cutoff,
+        hidden_errors(_chosen(samples, fitted), estimate),
+        _checkpoints(signals[0]),
+        tuple(dict.fromkeys(notes)),
     )
 
 
 def _processed(
-    robot: RobotModel, measurement: Measurement, options: MeasuredOptions
-) -> ProcessedSignals:
-    """Return the signals; slow enough for a delay to act like a derivative where one is wanted."""
-    signals = process(measurement, options.signals, robot.joint_names)
-    chosen = options.signals.cutoff is None
-    if not (chosen and options.estimate_delay and signals.cutoff > DELAY_CUTOFF):
+    robot: RobotModel,
+    logs: Sequence[Measurement],
+    options: EstimationOptions,
+    least_deadband: Sequence[float],
+) -> list[ProcessedSignals]:
+    """Return the signals, all with the lowest cut-off that one of the logs asks for.
+
+    It is slow enough for a delay to act like a derivative where one is wanted.
+    """
+
+    def processed(log: Measurement, cutoff: float | None) -> ProcessedSignals:
+        band = options.velocity_deadband
+        return process(log, robot.joint_names, cutoff, band, least_deadband)
+
+    signals = [processed(log, options.cutoff) for log in logs]
+    if options.cutoff is not None:
         return signals
-    slower = replace(options.signals, cutoff=DELAY_CUTOFF)
-    return process(measurement, slower, robot.joint_names)
+    lowest = min(log.cutoff for log in signals)
+    lowest = min(lowest, DELAY_CUTOFF) if options.delay == "auto" else lowest
+    return [
+        log if log.cutoff == lowest else processed(raw, lowest) for log, raw in zip(signals, logs)
+    ]
 
 
 def validate_on(
     robot: RobotModel,
     measurement: Measurement,
-    options: MeasuredOptions,
+    options: EstimationOptions,
     fit: MeasuredFit,
     name: str,
 ) -> Validation:
     """Return the prediction error of a fit on another log, processed like the fitted one."""
-    settings = replace(options.signals, cutoff=fit.cutoff)
-    signals = with_delay(process(measurement, settings, robot.joint_names), fit.alignment.delay)
+    band = options.velocity_deadband
+    signals = process(measurement, robot.joint_names, fit.cutoff, band)
     arm = with_gravity(robot, fit.alignment.gravity)
-    equations = Equations(
-        arm, options.torques, friction_per_joint(arm, options.torques, fit.friction)
-    )
-    return validate_samples(thin_equations(equations, signals), fit.estimate, name)
+    per_joint = friction_per_joint(arm, options.torques, fit.friction)
+    equations = Equations(arm, options.torques, per_joint)
+    samples = decimated_equations(equations, with_delay(signals, fit.alignment.delay))
+    return validate_samples(samples, fit.estimate, name)
 
 
-def validate_samples(samples: ThinnedSamples, estimate: Estimate, source: str) -> Validation:
+def validate_samples(samples: DecimatedSamples, estimate: Estimate, source: str) -> Validation:
     """Return the prediction error on samples whose parameters the estimate contains."""
     values = np.array([estimate.value(name) or 0.0 for name in samples.names])
-    return validate(samples.information(), values, source, list(samples.squared_torque()))
+    return validate(samples.information(), values, source, samples.squared_torque())
 
 
-def hidden_errors(samples: ThinnedSamples, estimate: Estimate) -> Mapping[str, Mapping[str, float]]:
+def hidden_errors(
+    samples: DecimatedSamples, estimate: Estimate
+) -> Mapping[str, Mapping[str, float]]:
     """Return how errors of the other links and of torque scales would move an estimate."""
     used = samples.used()
     noise = estimate.noise_per_joint
@@ -200,17 +200,34 @@ def hidden_errors(samples: ThinnedSamples, estimate: Estimate) -> Mapping[str, M
     return sensitivity(used.information(), weights, used.rows, rest, used.measured)
 
 
-def _parts(signals: ProcessedSignals, options: MeasuredOptions) -> tuple[slice, slice]:
-    """Return which thinned rows are fitted and which are held out, a filter's length apart."""
-    gap = -(-len(signals.low_pass.kernel) // signals.low_pass.step)
-    gap = gap if options.held_out > 0.0 else 0
-    return hold_out(len(signals.thinned_time()), options.held_out, gap)
+def _parts(signals: Sequence[ProcessedSignals], share: float) -> tuple[list[Mask], list[Mask]]:
+    """Return which decimated rows (K,) of each log are fitted, and which are held out.
+
+    The two parts are a filter's length apart.
+    """
+    fitted: list[Mask] = []
+    held: list[Mask] = []
+    for log in signals:
+        gap = -(-len(log.low_pass.kernel) // log.low_pass.step) if share > 0.0 else 0
+        rows = len(log.decimated_time())
+        for masks, part in zip((fitted, held), hold_out(rows, share, gap)):
+            masks.append(np.zeros(rows, dtype=bool))
+            masks[-1][part] = True
+    return fitted, held
+
+
+def _chosen(logs: Sequence[DecimatedSamples], parts: Sequence[Mask]) -> DecimatedSamples:
+    """Return the samples of all logs with one part of each in use.
+
+    A delay shortens logs at their ends; the parts then end earlier.
+    """
+    return joined([log.where(part[: len(log)]) for log, part in zip(logs, parts)])
 
 
 def _compare_with_model(robot: RobotModel, signals: ProcessedSignals) -> tuple[str, ...]:
     motion = _checkpoints(signals)
     places = np.searchsorted(signals.time, motion.time)
-    return sign_check(signals.tau[places], inverse_torque(robot)(motion), robot.joint_names)
+    return sign_check(signals.tau[places], ArmTorque(robot)(motion), robot.joint_names)
 
 
 def _checkpoints(signals: ProcessedSignals) -> Motion:
@@ -219,42 +236,48 @@ def _checkpoints(signals: ProcessedSignals) -> Motion:
 
 
 def _friction(
-    robot: RobotModel, options: MeasuredOptions, signals: ProcessedSignals, fitted: slice
+    robot: RobotModel,
+    options: EstimationOptions,
+    signals: Sequence[ProcessedSignals],
+    fitted: Sequence[Mask],
 ) -> tuple[FrictionModel, tuple[str, ...]]:
-    if options.friction != "auto":
-        return friction_model(options.friction), ()
-    model, choice = choose_friction(robot, options.torques, signals, fitted)
+    if options.measured_friction != CHOSEN:
+        return friction_model(options.measured_friction), ()
+    model, choice = choose_friction(robot, options.torques, signals, np.concatenate(fitted))
     return model, (f"friction model {choice.note}",)
 
 
-def _marked(samples: ThinnedSamples, part: slice) -> ThinnedSamples:
-    used = np.zeros(len(samples), dtype=bool)
-    used[part] = True
-    return samples.where(used)
+def _one_way(robot: RobotModel, model: FrictionModel, signals: ProcessedSignals) -> Iterator[str]:
+    """Yield a sentence per joint whose Coulomb friction looks like an offset in this log."""
+    if {"coulomb", "offset"} <= set(model.terms):
+        yield from signals.one_way_joints(robot.joint_names)
 
 
 def _align(
     robot: RobotModel,
-    options: MeasuredOptions,
+    options: EstimationOptions,
     friction: FrictionModel,
-    signals: ProcessedSignals,
-    fitted: slice,
-) -> tuple[Estimate, Alignment, ThinnedSamples]:
+    signals: Sequence[ProcessedSignals],
+    fitted: Sequence[Mask],
+) -> tuple[Estimate, Alignment, list[DecimatedSamples]]:
     """Estimate, put right what was found of delay and tilt, and repeat until neither moves.
 
     Raises:
         SysidError: they keep moving.
     """
     alignment, theta = Alignment(0.0, gravity(robot)), robot.prior.theta
+    method = options.method or DEFAULT_METHOD
     for _ in range(_MOST_ROUNDS):
         samples, prior = _samples(robot, options, friction, signals, alignment, theta)
-        rows = _marked(samples, slice(fitted.start, min(fitted.stop, len(samples))))
-        estimate = _estimate(options, rows, prior)
+        rows = _chosen(samples, fitted)
+        estimate = identify_parameters(
+            rows.information(), prior, method, options, rows, rows.joints[-1]
+        )
         moved = alignment.moved(estimate)
         if _is_settled(alignment, moved):
             return estimate, moved, samples
         alignment, theta = moved, estimate.values[:10]
-    sought = " and ".join(options.shared)
+    sought = " and ".join(shared_names(options))
     raise SysidError(
         f"the estimates of {sought} do not settle within {_MOST_ROUNDS} rounds (last delay "
         f"{1e3 * alignment.delay:.3g} ms): this log does not show them well enough; lower "
@@ -267,34 +290,39 @@ def _is_settled(before: Alignment, after: Alignment) -> bool:
     return slow and after.tilt_from(before.gravity) < _SETTLED_TILT
 
 
-def _estimate(options: MeasuredOptions, rows: ThinnedSamples, prior: Array) -> Estimate:
-    return identify_parameters(
-        rows.information(), prior, options.method, options.estimator, rows, rows.joints[-1]
-    )
+def shared_names(options: EstimationOptions) -> tuple[str, ...]:
+    """Return the names of the parameters that enter every joint's equations."""
+    delay = (DELAY_NAME,) if options.delay == "auto" else ()
+    return delay + (TILT_NAMES if options.tilt == "auto" else ())
 
 
 def _samples(
     robot: RobotModel,
-    options: MeasuredOptions,
+    options: EstimationOptions,
     friction: FrictionModel,
-    signals: ProcessedSignals,
+    signals: Sequence[ProcessedSignals],
     alignment: Alignment,
     theta: Array,
-) -> tuple[ThinnedSamples, Array]:
-    """Return the equations around an alignment, and the prior of their parameters."""
+) -> tuple[list[DecimatedSamples], Array]:
+    """Return each log's equations around an alignment, and the prior of their parameters."""
     arm = with_gravity(robot, alignment.gravity)
-    shifted = with_delay(signals, alignment.delay) if alignment.delay else signals
     per_joint = friction_per_joint(arm, options.torques, friction)
-    equations = Equations(arm, options.torques, per_joint, options.shared)
-    shared = _shared_columns(arm, options, shifted, theta) if options.shared else None
-    return thin_equations(equations, shifted, shared), equations.prior
+    equations = Equations(arm, options.torques, per_joint, shared_names(options))
+    parts = []
+    for log in signals:
+        shifted = with_delay(log, alignment.delay) if alignment.delay else log
+        shared = _shared_columns(arm, options, shifted, theta)
+        parts.append(decimated_equations(equations, shifted, shared))
+    return parts, equations.prior
 
 
 def _shared_columns(
-    arm: RobotModel, options: MeasuredOptions, signals: ProcessedSignals, theta: Array
-) -> SharedColumns:
-    late = delay_columns(signals)[:, :, None] if options.estimate_delay else None
-    tilted = TiltColumns(arm, theta) if options.estimate_tilt else None
+    arm: RobotModel, options: EstimationOptions, signals: ProcessedSignals, theta: Array
+) -> SharedColumns | None:
+    if not shared_names(options):
+        return None
+    late = delay_columns(signals)[:, :, None] if options.delay == "auto" else None
+    tilted = TiltColumns(arm, theta) if options.tilt == "auto" else None
 
     def columns(motion: Motion, place: slice) -> Array:
         parts = [] if late is None else [late[place]]

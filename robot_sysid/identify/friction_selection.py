@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.dynamics.equations import NO_FRICTION, Equations
 from robot_sysid.dynamics.friction import PRESETS, TERMS, FrictionModel, friction_model
@@ -12,7 +13,7 @@ from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation.cross_validation import ModelChoice, blocks, choose_model
 from robot_sysid.estimation.information import restricted
 from robot_sysid.estimation.least_squares import least_squares
-from robot_sysid.identify.samples import ThinnedSamples, thin_equations
+from robot_sysid.identify.samples import DecimatedSamples, decimated_equations, joined
 from robot_sysid.records import Array, RobotModel, SquareRootInformation
 from robot_sysid.signals.process import ProcessedSignals
 
@@ -29,7 +30,7 @@ def friction_per_joint(
 
 
 def choose_friction(
-    robot: RobotModel, torques: str, signals: ProcessedSignals, fitted: slice
+    robot: RobotModel, torques: str, signals: Sequence[ProcessedSignals], fitted: NDArray[np.bool_]
 ) -> tuple[FrictionModel, ModelChoice]:
     """Return the friction model that predicts held-out stretches of the log best.
 
@@ -38,13 +39,13 @@ def choose_friction(
     Args:
         robot: the arm.
         torques: "chain" or "terminal".
-        signals: the processed log.
-        fitted: which thinned rows may be used.
+        signals: the processed logs.
+        fitted: (K,) which decimated rows may be used.
     """
     everything = FrictionModel(tuple(TERMS))
     equations = Equations(robot, torques, friction_per_joint(robot, torques, everything))
-    samples = thin_equations(equations, signals).deviation(equations.prior)
-    parts = _informations(samples, fitted)
+    samples = joined([decimated_equations(equations, log) for log in signals])
+    parts = _informations(samples.deviation(equations.prior), fitted)
     candidates = {
         name: [restricted(part, _names(equations, friction_model(name))) for part in parts]
         for name in PRESETS
@@ -53,8 +54,10 @@ def choose_friction(
     return friction_model(choice.name), choice
 
 
-def _informations(samples: ThinnedSamples, fitted: slice) -> list[SquareRootInformation]:
-    rows = np.arange(len(samples))[fitted]
+def _informations(
+    samples: DecimatedSamples, fitted: NDArray[np.bool_]
+) -> list[SquareRootInformation]:
+    rows = np.flatnonzero(fitted)
     parts = []
     for block in blocks(len(rows), BLOCKS):
         used = np.zeros(len(samples), dtype=bool)

@@ -1,4 +1,4 @@
-"""The equations of a processed log, low-passed and thinned, held in memory for several passes."""
+"""The equations of a processed log, low-passed and decimated, held in memory for several passes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SharedColumns = Callable[[Motion, slice], Array]
 
 
 @dataclass(frozen=True)
-class ThinnedSamples:
+class DecimatedSamples:
     """Equations of all joints at K instants; iterating over it is one pass over the data.
 
     Attributes:
@@ -58,11 +58,11 @@ class ThinnedSamples:
             accumulator.add(index, rows[used], tau[used])
         return accumulator.result()
 
-    def where(self, used: NDArray[np.bool_]) -> ThinnedSamples:
+    def where(self, used: NDArray[np.bool_]) -> DecimatedSamples:
         """Return the samples with those left out for which ``used`` (K,) is false."""
         return replace(self, tau=tuple(np.where(used, tau, np.nan) for tau in self.tau))
 
-    def deviation(self, prior: Array) -> ThinnedSamples:
+    def deviation(self, prior: Array) -> DecimatedSamples:
         """Return the equations for the deviation from ``prior`` (p,)."""
         right = [
             tau - rows @ prior[columns]
@@ -70,7 +70,7 @@ class ThinnedSamples:
         ]
         return replace(self, tau=tuple(right))
 
-    def used(self) -> ThinnedSamples:
+    def used(self) -> DecimatedSamples:
         """Return the samples in use alone; joints may then have different numbers of them."""
         kept = [np.isfinite(tau) for tau in self.tau]
         return replace(
@@ -86,9 +86,9 @@ class ThinnedSamples:
         return np.array([np.sum(measured[np.isfinite(tau)] ** 2) for tau, measured in pairs])
 
 
-def thin_equations(
+def decimated_equations(
     equations: Equations, signals: ProcessedSignals, shared: SharedColumns | None = None
-) -> ThinnedSamples:
+) -> DecimatedSamples:
     """Build the equations at the full rate, then pass both sides through the same low-pass.
 
     Args:
@@ -99,7 +99,7 @@ def thin_equations(
     Raises:
         InputError: a joint never moves fast enough for its equations to be used.
     """
-    thinners = [signals.thinner() for _ in equations.joints]
+    decimators = [signals.decimator() for _ in equations.joints]
     parts: list[list[Array]] = [[] for _ in equations.joints]
     for start, (motion, tau) in zip(range(0, len(signals), _CHUNK), signals.chunks(_CHUNK)):
         measurement = Measurement(motion.time, motion.q, motion.qd, tau, motion.qdd)
@@ -107,19 +107,32 @@ def thin_equations(
         common = None if shared is None else shared(motion, place)
         for joint, (rows, right) in enumerate(equations.rows(measurement, common)):
             whole = tau[:, equations.rows_of[joint]]
-            parts[joint].append(thinners[joint].push(np.column_stack((rows, right, whole))))
+            parts[joint].append(decimators[joint].push(np.column_stack((rows, right, whole))))
     tables = [np.concatenate(part) for part in parts]
     usable = signals.usable()[:, list(equations.rows_of)]
     _require_usable(usable, equations.joints)
-    return ThinnedSamples(
+    return DecimatedSamples(
         equations.names,
         equations.joints,
         equations.columns,
-        signals.thinned_time(),
+        signals.decimated_time(),
         tuple(table[:, :-2] for table in tables),
         tuple(np.where(ok, table[:, -2], np.nan) for table, ok in zip(tables, usable.T)),
         tuple(table[:, -1] for table in tables),
     )
+
+
+def joined(parts: Sequence[DecimatedSamples]) -> DecimatedSamples:
+    """Return the samples of several logs as one, with equations for the same parameters."""
+
+    def stacked(name: str) -> tuple[Array, ...]:
+        return tuple(np.concatenate(same) for same in zip(*(getattr(p, name) for p in parts)))
+
+    if len(parts) == 1:
+        return parts[0]
+    time = np.concatenate([part.time for part in parts])
+    rows, tau, measured = stacked("rows"), stacked("tau"), stacked("measured")
+    return replace(parts[0], time=time, rows=rows, tau=tau, measured=measured)
 
 
 def _require_usable(usable: NDArray[np.bool_], joints: Sequence[str]) -> None:

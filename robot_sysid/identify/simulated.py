@@ -1,25 +1,29 @@
-"""Identifying a model from its own simulation: what every identification starts from."""
+"""Identifying a model from its own simulation, and what every identification says of itself."""
 
 from __future__ import annotations
 
 import math
 import platform
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from robot_sysid import __version__
-from robot_sysid.config import SysidConfig
 from robot_sysid.dynamics.equations import Equations, friction_of_terminal_joint
 from robot_sysid.dynamics.kinematics import MUJOCO_VERSION
+from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.records import (
+    DataOrigin,
     Estimate,
     Identification,
     Measurement,
     Motion,
     MotionPlan,
     RobotModel,
+    Source,
 )
 from robot_sysid.records.progress import Progress
 from robot_sysid.simulator import collect_sysid_data, simulate_inverse
@@ -47,43 +51,77 @@ class Analysis:
     checkpoints: Motion
 
 
-def analyse_itself(
-    config: SysidConfig, robot: RobotModel, plan: MotionPlan, seed: int, progress: Progress
+@dataclass(frozen=True)
+class SimulatedRun:
+    """A motion that a simulation follows.
+
+    Attributes:
+        plan: the trajectory.
+        sample_rate: samples per second [Hz].
+        seed: of the trajectory and of simulated noise.
+        save: file for the measurements, or None.
+    """
+
+    plan: MotionPlan
+    sample_rate: float
+    seed: int
+    save: Path | None = None
+
+    @property
+    def n_chunks(self) -> int:
+        """Number of chunks its samples come in."""
+        return math.ceil(sample_count(self.plan.duration, self.sample_rate) / CHUNK)
+
+    def origin(self, source: Source, detail: str = "") -> DataOrigin:
+        """Return where its data comes from."""
+        return DataOrigin(source, detail, self.plan.duration, self.sample_rate, self.seed)
+
+
+def identify_itself(
+    robot: RobotModel, run: SimulatedRun, options: EstimationOptions, progress: Progress
 ) -> Analysis:
     """Simulate the model along the trajectory and identify it, in constant memory."""
     progress.stage("Running MuJoCo simulation...")
-    equations = Equations(robot, config.torques, friction_of_terminal_joint(robot, config.friction))
-    measurements = _own_simulation(config, robot, plan)
-    count = math.ceil(sample_count(plan.duration, config.sample_rate) / CHUNK)
-    tracked = progress.track(measurements, "Collecting regressor data", count)
+    friction = friction_of_terminal_joint(robot, not options.no_friction)
+    equations = Equations(robot, options.torques, friction)
+    tracked = progress.track(_simulated(robot, run), "Collecting regressor data", run.n_chunks)
     information = collect_sysid_data(equations, tracked)
     progress.stage("Solving for parameters...")
-    estimate = identify_parameters(
-        information, equations.prior, config.estimation_method, config.estimator
-    )
-    if config.save_measurements is not None:
+    method = options.method or "ols"
+    estimate = identify_parameters(information, equations.prior, method, options)
+    if run.save is not None:
         from robot_sysid.logs.reader import write_measurement_csv
 
-        again = _own_simulation(config, robot, plan)
-        write_measurement_csv(config.save_measurements, robot.joint_names, again)
+        write_measurement_csv(run.save, robot.joint_names, _simulated(robot, run))
     progress.note(ITSELF)
-    found = describe(config, robot, estimate, plan.duration, config.sample_rate)
-    checkpoints = plan.evaluate(np.linspace(0.0, plan.duration, CHECKPOINTS))
-    return Analysis(replace(found, seed=seed), checkpoints)
+    found = describe(robot, estimate, options.torques, run.origin(Source.ITSELF))
+    return Analysis(found, run.plan.evaluate(np.linspace(0.0, run.plan.duration, CHECKPOINTS)))
 
 
-def _own_simulation(
-    config: SysidConfig, robot: RobotModel, plan: MotionPlan
-) -> Iterator[Measurement]:
-    return simulate_inverse(robot, motion_chunks(plan, config.sample_rate))
+def _simulated(robot: RobotModel, run: SimulatedRun) -> Iterator[Measurement]:
+    return simulate_inverse(robot, motion_chunks(run.plan, run.sample_rate))
 
 
 def describe(
-    config: SysidConfig, robot: RobotModel, estimate: Estimate, duration: float, rate: float
+    robot: RobotModel,
+    estimate: Estimate,
+    torques: str,
+    data: DataOrigin,
+    notes: tuple[str, ...] = (),
+    **measured: Any,
 ) -> Identification:
-    """Return the estimate together with where it comes from."""
+    """Return the estimate together with where it comes from.
+
+    Args:
+        robot: the arm.
+        estimate: the result.
+        torques: "chain" or "terminal".
+        data: where the torques came from.
+        notes: one sentence each, beside those about the model.
+        measured: further fields of ``Identification`` that only measured data has.
+    """
     return Identification(
-        model_path=config.model,
+        model_path=robot.path,
         model_sha256=robot.sha256,
         joint_name=robot.terminal_joint,
         body_name=robot.body_name,
@@ -91,13 +129,11 @@ def describe(
         is_slide=bool(robot.is_slide[-1]),
         prior=robot.prior,
         estimate=estimate,
-        torques=config.torques,
-        friction=config.friction,
-        seed=None,
-        duration=duration,
-        sample_rate=rate,
+        torques=torques,
+        data=data,
         versions=versions(),
-        notes=robot.notes,
+        notes=robot.notes + notes,
+        **measured,
     )
 
 

@@ -1,4 +1,4 @@
-"""Checks of a log's positions, velocities and torques: units, jumps, rest, limits, dead columns."""
+"""Checks of a log's positions, velocities and torques: units, jumps, rest, limits, zero columns."""
 
 from __future__ import annotations
 
@@ -223,11 +223,11 @@ class Velocity:
             if bb < 1e-4:
                 continue
             slope = ab / aa if aa > 0.0 else 0.0
-            likeness = ab / np.sqrt(aa * bb) if aa > 0.0 else 0.0
-            if likeness < 0.9 or abs(slope - 1.0) > 0.03:
+            correlation = ab / np.sqrt(aa * bb) if aa > 0.0 else 0.0
+            if correlation < 0.9 or abs(slope - 1.0) > 0.03:
                 notes.append(
                     f"the velocity column of joint {name} does not fit its position (position "
-                    f"changes by {slope:.3g} times the integral, likeness {likeness:.2f}); "
+                    f"changes by {slope:.3g} times the integral, correlation {correlation:.2f}); "
                     "the identification differentiates positions and does not use it"
                 )
         return notes

@@ -1,9 +1,9 @@
 """Log files of real arms to Measurement records, and back.
 
 A log is a text table with a row per sample: time, and position and torque of every chain joint;
-velocity, acceleration and other columns as they come (see ``column_titles``, ``log_columns`` and
-``column_file`` for how columns are found, ``log_checks`` for what is checked). It is read in
-chunks, so that an hour at 1 kHz takes no more memory than a second.
+velocity, acceleration and other columns as they come (see ``columns``, ``column_map`` and
+``column_file`` for how columns are found, ``checks`` for what is checked). It is read and checked
+in chunks; ``MeasurementLog.load`` then holds all of it in memory, which the fit needs.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import csv
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
@@ -24,8 +25,35 @@ from robot_sysid.logs.rows import LogRows, Repairs
 from robot_sysid.logs.timing import LogContext
 from robot_sysid.records import JointLimits, Measurement
 from robot_sysid.records.atomic_files import whole_file
+from robot_sysid.records.options import check_options, option
 
 _CHUNK = 10_000
+
+
+@dataclass(frozen=True)
+class LogOptions:
+    """Which logs of the real arm, and what their columns are."""
+
+    NEEDS: ClassVar[str] = "log"
+    measurements: tuple[Path, ...] = option(
+        (),
+        "identify from this log of the real arm; may be repeated",
+        metavar="LOG.csv",
+        repeats=True,
+        needs="estimate",
+    )
+    columns: Path | None = option(
+        None, "file that says which column is what", metavar="FILE", usual="recognised"
+    )
+    units: str | None = option(
+        None, "units of the log, such as deg or deg,ms", metavar="UNITS", usual="SI"
+    )
+    validation_measurements: Path | None = option(
+        None, "another log that only tests the result", metavar="LOG.csv"
+    )
+
+    def __post_init__(self) -> None:
+        check_options(self)
 
 
 @dataclass(frozen=True)

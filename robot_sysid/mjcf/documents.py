@@ -23,6 +23,7 @@ from robot_sysid.records.atomic_files import require_utf8
 _ENCODING = re.compile(rb"^\s*<\?xml[^>]*encoding\s*=\s*[\"']([A-Za-z0-9._-]+)[\"']")
 _ENTITY = re.compile(rb"<!DOCTYPE[^>]*<!ENTITY", re.DOTALL)
 _KINDS = {"mujoco": "mjcf", "robot": "urdf"}
+_SUFFIXES = (".xml", ".mjcf", ".urdf")
 
 
 @dataclass(frozen=True)
@@ -249,7 +250,9 @@ def _read_bytes(path: Path) -> bytes:
     except IsADirectoryError:
         raise InputError(f"{path} is a folder; pass a model file (MJCF .xml or .urdf)") from None
     except FileNotFoundError:
-        raise InputError(f"model file {path} not found; check the path") from None
+        known = path.suffix.lower() in _SUFFIXES
+        hint = "" if known else " (Expected an XML model file: .xml, .mjcf or .urdf)"
+        raise InputError(f"model file {path} not found; check the path{hint}") from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"cannot read model file {path}: {reason}") from None

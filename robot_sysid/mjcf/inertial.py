@@ -37,10 +37,8 @@ def mjcf_inertial(theta: Array, principal: bool = False) -> str:
         six = spatial.fullinertia_from_symmetric(inertia)
         return f'{head} fullinertia="{numbers(six)}"/>'
     moments, axes = np.linalg.eigh(inertia)
-    if np.linalg.det(axes) < 0.0:
-        axes = -axes
-    quaternion = spatial.quaternion_from_rotation(axes)
-    return f'{head} quat="{numbers(quaternion)}" diaginertia="{numbers(moments)}"/>'
+    first_two = numbers(axes[:, :2].T.ravel())
+    return f'{head} xyaxes="{first_two}" diaginertia="{numbers(moments)}"/>'
 
 
 def urdf_inertial(theta: Array) -> str:

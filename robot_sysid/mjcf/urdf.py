@@ -137,6 +137,8 @@ def _minimum(mass: float) -> bytes:
 
 def link_inertias(document: ModelDocument) -> dict[str, tuple[float, Array, Array]]:
     """Return link name to (mass, centre of mass (3,), inertia about it (3, 3) in link axes)."""
+    from scipy.spatial.transform import Rotation
+
     found = {}
     for link in document.main.root.iterchildren("{*}link"):
         inertial = link.find("{*}inertial")
@@ -145,7 +147,8 @@ def link_inertias(document: ModelDocument) -> dict[str, tuple[float, Array, Arra
             continue
         origin = inertial.find("{*}origin")
         com = _floats(origin, "xyz")
-        rotation = spatial.rotation_from_rpy(*_floats(origin, "rpy"))
+        # Rz(yaw) Ry(pitch) Rx(roll): about the fixed axes, x first.
+        rotation = Rotation.from_euler("xyz", _floats(origin, "rpy")).as_matrix()
         six = [float(inertia.get(n) or 0.0) for n in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")]
         matrix = rotation @ spatial.symmetric_from_six(np.array(six)) @ rotation.T
         found[str(link.get("name"))] = (_mass(link), com, matrix)

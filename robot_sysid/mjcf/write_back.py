@@ -26,20 +26,20 @@ _MOMENTS = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
-class Leeway:
+class Tolerance:
     """What may be done to moments of inertia that a model file cannot hold as identified.
 
     Attributes:
         least_moment: smallest principal moment the file's compiler leaves alone [kg m^2].
-        most_raised: by how much all three moments may be raised, because they are not known any
+        most_inflated: by how much all three moments may be inflated, because they are not known any
             better [kg m^2].
     """
 
     least_moment: float = 0.0
-    most_raised: float = 0.0
+    most_inflated: float = 0.0
 
 
-NO_LEEWAY = Leeway()
+EXACT = Tolerance()
 
 
 @dataclass(frozen=True)
@@ -48,23 +48,23 @@ class WriteBack:
 
     Attributes:
         theta: (10,) inertial parameters of the terminal body alone, in its own frame.
-        folded: the bodies whose inertia went into the terminal body and which weigh nothing now.
+        lumped: the bodies whose inertia went into the terminal body and which weigh nothing now.
         note: one sentence on that, or None.
-        raised: by how much all moments of inertia are larger than identified [kg m^2].
+        inflated: by how much all moments of inertia are larger than identified [kg m^2].
     """
 
     theta: Array
-    folded: tuple[SubtreeBody, ...] = ()
+    lumped: tuple[SubtreeBody, ...] = ()
     note: str | None = None
-    raised: float = 0.0
+    inflated: float = 0.0
 
     def written(self, composite: Array) -> Array:
         """Return what an identified composite (10,) is in the written model."""
-        return composite + self.raised * _MOMENTS
+        return composite + self.inflated * _MOMENTS
 
 
 def plan_write_back(
-    composite: Array, bodies: Sequence[SubtreeBody], leeway: Leeway = NO_LEEWAY
+    composite: Array, bodies: Sequence[SubtreeBody], tolerance: Tolerance = EXACT
 ) -> WriteBack:
     """Share an identified composite among the bodies of the terminal link.
 
@@ -72,40 +72,40 @@ def plan_write_back(
         composite: (10,) identified parameters of the terminal body and all below it, in the
             terminal body's frame.
         bodies: those bodies as the model describes them, the terminal body first.
-        leeway: what may be done to moments that the file cannot hold.
+        tolerance: what may be done to moments that the file cannot hold.
 
     Raises:
         ExportError: neither the terminal body nor the rigid group can take the rest.
     """
     terminal, others = bodies[0], bodies[1:]
     mass, rest = float(composite[0]), _sum(others)
-    alone = possible_body(composite - rest, mass, leeway)
+    alone = possible_body(composite - rest, mass, tolerance)
     if alone is not None:
-        raised = float(alone[4] - (composite - rest)[4])
-        return WriteBack(alone, (), _raised_note(alone, raised), raised)
-    folded = tuple(body for body in others if body.welded and np.any(body.theta))
+        inflated = float(alone[4] - (composite - rest)[4])
+        return WriteBack(alone, (), _inflated_note(alone, inflated), inflated)
+    lumped = tuple(body for body in others if body.welded and np.any(body.theta))
     hanging = [body for body in others if not body.welded]
     rest = _sum(hanging)
-    group = possible_body(composite - rest, mass, leeway) if folded else None
+    group = possible_body(composite - rest, mass, tolerance) if lumped else None
     if group is None:
         raise ExportError(_refusal(composite, terminal, others))
-    names = ", ".join(f"'{body.name}'" for body in folded)
+    names = ", ".join(f"'{body.name}'" for body in lumped)
     note = (
         f"body '{terminal.name}' now holds the inertia of all that is rigidly attached to it; "
         f"{names} weigh nothing in the written model"
     )
-    raised = float(group[4] - (composite - rest)[4])
-    both = [part for part in (note, _raised_note(group, raised)) if part]
-    return WriteBack(group, folded, "; ".join(both), raised)
+    inflated = float(group[4] - (composite - rest)[4])
+    both = [part for part in (note, _inflated_note(group, inflated)) if part]
+    return WriteBack(group, lumped, "; ".join(both), inflated)
 
 
-def possible_body(theta: Array, scale: float, leeway: Leeway = NO_LEEWAY) -> Array | None:
+def possible_body(theta: Array, scale: float, tolerance: Tolerance = EXACT) -> Array | None:
     """Return theta, moved inside the possible where rounding left it on the edge, or None.
 
     Args:
         theta: (10,) a difference of two bodies.
         scale: mass of the larger of them [kg]; what is tiny beside it is nothing.
-        leeway: what may be done to its moments.
+        tolerance: what may be done to its moments.
     """
     mass, com, inertia = spatial.com_from_theta(theta)
     size = float(np.trace(inertia)) / 2.0
@@ -115,22 +115,22 @@ def possible_body(theta: Array, scale: float, leeway: Leeway = NO_LEEWAY) -> Arr
     moments = np.linalg.eigvalsh(inertia)
     smallest = 1.0 - float(moments[-1]) / size
     # Adding s to each second moment adds 2 s to each moment of inertia.
-    raised = 2.0 * max(0.0, MARGIN - smallest) * size
-    if leeway.most_raised >= leeway.least_moment - float(moments[0]):
-        raised = max(raised, leeway.least_moment - float(moments[0]))
-    if raised > max(2.0 * (SLACK + MARGIN) * size, leeway.most_raised):
+    inflated = 2.0 * max(0.0, MARGIN - smallest) * size
+    if tolerance.most_inflated >= tolerance.least_moment - float(moments[0]):
+        inflated = max(inflated, tolerance.least_moment - float(moments[0]))
+    if inflated > max(2.0 * (SLACK + MARGIN) * size, tolerance.most_inflated):
         return None
-    return spatial.theta_from_com(mass, com, inertia + raised * np.eye(3))
+    return spatial.theta_from_com(mass, com, inertia + inflated * np.eye(3))
 
 
-def _raised_note(theta: Array, raised: float) -> str | None:
-    """Return a sentence where moments of inertia were raised by more than rounding."""
+def _inflated_note(theta: Array, inflated: float) -> str | None:
+    """Return a sentence where moments of inertia were inflated by more than rounding."""
     moments = np.linalg.eigvalsh(spatial.com_from_theta(theta)[2])
-    if raised <= SLACK * float(np.sum(moments)):
+    if inflated <= SLACK * float(np.sum(moments)):
         return None
     return (
         f"the model file cannot hold moments of inertia as small as identified (its compiler "
-        f"settings, or what other bodies hold already), so all three are written {raised:.2g} "
+        f"settings, or what other bodies hold already), so all three are written {inflated:.2g} "
         "kg m^2 larger; that is less than their standard errors"
     )
 

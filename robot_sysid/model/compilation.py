@@ -16,12 +16,12 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.assets import check_assets
 from robot_sysid.mjcf.documents import ModelDocument, read_document
 from robot_sysid.mjcf.relocation import relocated_text
 from robot_sysid.mjcf.urdf import compilable_urdf, link_inertias, velocity_limits
+from robot_sysid.model.inertia import inertia_about_com
 from robot_sysid.records import Array
 
 LARGEST = 1e12
@@ -190,15 +190,14 @@ def restore_exact_inertias(
             if np.linalg.det(axes) < 0.0:
                 axes = -axes
             mj_model.body_inertia[body] = moments
-            mj_model.body_iquat[body] = spatial.quaternion_from_rotation(axes)
+            mujoco.mju_mat2Quat(mj_model.body_iquat[body], axes.ravel())
             changed = True
     if changed:
         mujoco.mj_setConst(mj_model, mujoco.MjData(mj_model))
 
 
 def _is_inaccurate(mj_model: Any, body: int, inertia: Array) -> bool:
-    rotation = spatial.rotation_from_quaternion(mj_model.body_iquat[body])
-    compiled = rotation @ np.diag(mj_model.body_inertia[body]) @ rotation.T
+    compiled = inertia_about_com(mj_model, body)
     size = float(np.trace(inertia))
     moments = np.linalg.eigvalsh(inertia)
     # Equal traces but another matrix: turned. balanceinertia keeps the trace too, and only

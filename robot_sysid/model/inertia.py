@@ -14,12 +14,16 @@ from robot_sysid.records import Array, SubtreeBody
 
 def body_theta(mj_model: Any, body_id: int) -> Array:
     """Return theta (10,) of one compiled body in its own frame, inertia about its origin."""
-    return spatial.theta_from_mujoco(
-        float(mj_model.body_mass[body_id]),
-        mj_model.body_ipos[body_id],
-        mj_model.body_iquat[body_id],
-        mj_model.body_inertia[body_id],
-    )
+    mass, com = float(mj_model.body_mass[body_id]), mj_model.body_ipos[body_id]
+    return spatial.theta_from_com(mass, com, inertia_about_com(mj_model, body_id))
+
+
+def inertia_about_com(mj_model: Any, body_id: int) -> Array:
+    """Return the inertia (3, 3) of one compiled body about its centre of mass, in body axes."""
+    flat = np.empty(9)
+    mujoco.mju_quat2Mat(flat, mj_model.body_iquat[body_id])
+    axes = flat.reshape(3, 3)
+    return axes @ np.diag(mj_model.body_inertia[body_id]) @ axes.T
 
 
 def subtree_bodies(mj_model: Any, qpos: Array | None, body_id: int) -> tuple[SubtreeBody, ...]:

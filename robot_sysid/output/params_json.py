@@ -8,93 +8,44 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.errors import InputError
+from robot_sysid.output.limitations import limitations
 from robot_sysid.records import Estimate, Identification, InertialParameters
 from robot_sysid.records.atomic_files import write_whole
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 _SIX = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 
 
-@dataclass(frozen=True)
-class ParamsRecord(Mapping[str, Any]):
-    """What a params.json says; read it like a dictionary.
-
-    Attributes:
-        content: key to value, as in the file.
-    """
-
-    content: Mapping[str, Any]
-
-    def __getitem__(self, key: str) -> Any:
-        return self.content[key]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.content)
-
-    def __len__(self) -> int:
-        return len(self.content)
-
-    @property
-    def inertial(self) -> InertialParameters:
-        """The ten inertial parameters."""
-        six = [self["inertia_tensor"][name] for name in _SIX]
-        return InertialParameters(
-            np.array([self["mass"], *self["center_of_mass_moment"], *six], dtype=float)
-        )
-
-
 def export_params_json(
-    identification: Identification, path: Path, more: Mapping[str, Any] | None = None
+    identification: Identification, path: Path, notes: tuple[str, ...] = ()
 ) -> None:
     """Write params.json.
 
     Args:
         identification: the result.
         path: file to write; its folder is created.
-        more: further top-level entries, for instance standard errors.
+        notes: beside those of the identification, one sentence each.
 
     Raises:
         InputError: the file cannot be written.
     """
-    write_whole(path, params_json_text(identification, more))
+    write_whole(path, params_json_text(identification, notes))
 
 
-def params_json_text(identification: Identification, more: Mapping[str, Any] | None = None) -> str:
+def params_json_text(identification: Identification, notes: tuple[str, ...] = ()) -> str:
     """Return the text of params.json; arguments as in ``export_params_json``."""
     parts = (_result, _quality, _uncertainty, _measured, _origin)
-    content: dict[str, Any] = {}
-    for part in parts:
-        content.update(part(identification))
-    clash = sorted(set(content) & set(more or {}))
-    if clash:
-        raise ValueError(f"params.json already has {', '.join(clash)}")
-    return json.dumps(_strict({**content, **(more or {})}), indent=2, allow_nan=False) + "\n"
-
-
-def read_params_json(path: Path) -> ParamsRecord:
-    """Read a params.json.
-
-    Raises:
-        InputError: it cannot be read, is not JSON or lacks the ten parameters.
-    """
-    try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
-        record = ParamsRecord(content)
-        record.inertial  # noqa: B018 - checks the ten parameters
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror}") from None
-    except (ValueError, TypeError, KeyError, InputError) as error:
-        raise InputError(f"{path} is not a params.json: {error}") from None
-    return record
+    content = {key: value for part in parts for key, value in part(identification).items()}
+    content["notes"] = identification.notes + notes
+    return json.dumps(_strict(content), indent=2, allow_nan=False) + "\n"
 
 
 def inertial_entries(inertial: InertialParameters) -> dict[str, Any]:
@@ -143,11 +94,11 @@ def _quality(identification: Identification) -> dict[str, Any]:
         "method": estimate.method,
         "torques": identification.torques,
         "parameter_source": _sources(estimate),
-        "blind_combinations": seen.blind,
+        "unidentifiable_combinations": seen.unidentifiable,
         "rmse_per_joint": dict(estimate.rmse_per_joint),
         "condition_number_scaled": seen.scaled_condition_number,
         "prior": inertial_entries(identification.prior),
-        "notes": identification.notes,
+        "notes": (),
     }
 
 
@@ -166,13 +117,13 @@ def _uncertainty(identification: Identification) -> dict[str, Any]:
         "samples_per_joint": dict(estimate.samples),
         "effective_samples_per_joint": dict(estimate.effective_samples),
         "sensitivity": dict(identification.sensitivity),
-        "limitations": identification.limitations,
+        "limitations": limitations(identification),
     }
 
 
 def _measured(identification: Identification) -> dict[str, Any]:
     return {
-        "source": identification.source,
+        "source": identification.data.words,
         "friction_model": identification.friction_model,
         "friction_per_joint": friction_entries(identification),
         "validation": [asdict(test) for test in identification.validation],
@@ -201,9 +152,9 @@ def _origin(identification: Identification) -> dict[str, Any]:
             "sha256": identification.model_sha256,
         },
         "joint_names": identification.joint_names,
-        "seed": identification.seed,
-        "duration": identification.duration,
-        "sample_rate": identification.sample_rate,
+        "seed": identification.data.seed,
+        "duration": identification.data.duration,
+        "sample_rate": identification.data.sample_rate,
         "versions": dict(identification.versions),
     }
 

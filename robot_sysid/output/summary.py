@@ -1,17 +1,15 @@
-"""The result block that the command line prints, and what limits a result, in plain words."""
+"""The result block that the command line prints."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robot_sysid.dynamics.friction import friction_model
 from robot_sysid.dynamics.gravity import TILT_NAMES
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES, characteristic_length, parameter_scale
-from robot_sysid.estimation.uncertainty import OTHER_LINKS, TORQUE_SCALE
+from robot_sysid.output.limitations import limitations
 from robot_sysid.output.params_json import friction_entries
 from robot_sysid.records import DELAY_NAME, Estimate, Identification, Status
 
@@ -34,14 +32,14 @@ def result_lines(identification: Identification) -> list[str]:
         f"  RMSE: {estimate.rmse:.4f} N·m",
         f"  Condition number: {estimate.identifiability.condition_number:.1f}",
         f"  Base parameters: {estimate.identifiability.rank}",
-        *_blind_lines(identification),
+        *_unidentifiable_lines(identification),
         *_measured_lines(identification),
     ]
 
 
 def _measured_lines(identification: Identification) -> list[str]:
     """Return what only measured data can tell: errors, friction of all joints, validation."""
-    if identification.friction_model is None:
+    if not identification.data.source.is_measured:
         return []
     return [
         *_error_lines(identification.estimate),
@@ -49,7 +47,7 @@ def _measured_lines(identification: Identification) -> list[str]:
         *_noise_lines(identification.estimate),
         *_alignment_lines(identification),
         *_validation_lines(identification),
-        *(f"  Limit: {sentence}" for sentence in identification.limitations),
+        *(f"  Limit: {sentence}" for sentence in limitations(identification)),
     ]
 
 
@@ -143,14 +141,14 @@ def _friction_lines(identification: Identification) -> list[str]:
     ]
 
 
-def _blind_lines(identification: Identification) -> list[str]:
+def _unidentifiable_lines(identification: Identification) -> list[str]:
     estimate = identification.estimate
     # Of measured data, the limits of the result tell it.
-    measured = identification.friction_model is not None
+    measured = identification.data.source.is_measured
     if measured or estimate.status is not Status.PARTLY_FROM_MODEL:
         return []
-    blind = "; ".join(estimate.identifiability.blind)
-    return [f"  Not visible in these torques, kept from the model: {blind}"]
+    listed = "; ".join(estimate.identifiability.unidentifiable)
+    return [f"  Not visible in these torques, kept from the model: {listed}"]
 
 
 def detail_lines(identification: Identification) -> list[str]:
@@ -188,133 +186,3 @@ def folder_text(folder: Path) -> str:
     text = folder.as_posix()
     prefix = "" if folder.is_absolute() or text.startswith(".") else "./"
     return f"{prefix}{text}/" if text != "." else "./"
-
-
-WEAK = 0.1
-"""Standard error, relative to a body of this mass and size, above which a parameter is weak."""
-COLOURED = 0.3
-"""Share of independent samples below which residuals are called correlated in time."""
-WORSE = 1.5
-"""Held-out error over fitted error above which the model, not noise, is the limit."""
-PRIOR_SHARE = 0.5
-"""Share of the data in a value below which the model has more say."""
-SURE = 3.0
-"""Standard errors from zero beyond which a sign is sure."""
-_VISIBLE = 1e-4
-
-
-def limitations(found: Identification) -> tuple[str, ...]:
-    """Return one sentence per thing that limits the accuracy of an identification."""
-    estimate = found.estimate
-    return (
-        *_blind(estimate),
-        *_weak(estimate),
-        *_prior(estimate),
-        *_hidden(found),
-        *_negative_friction(found),
-        *_coloured(estimate),
-        *_generalises(found),
-        *_constrained(estimate),
-    )
-
-
-def _blind(estimate: Estimate) -> Iterator[str]:
-    if estimate.identifiability.blind:
-        blind = "; ".join(estimate.identifiability.blind)
-        yield f"not visible in these torques, kept from the model: {blind}"
-
-
-def _weak(estimate: Estimate) -> Iterator[str]:
-    """Name the parameters whose standard error is large for a body of this mass and size."""
-    if estimate.standard_errors is None:
-        return
-    theta = estimate.values[:10]
-    scale = parameter_scale(max(float(theta[0]), 1e-9), characteristic_length(theta))
-    relative = estimate.standard_errors[:10] / scale
-    weak = [k for k in np.argsort(-relative) if np.isfinite(relative[k]) and relative[k] > WEAK]
-    if weak:
-        listed = ", ".join(f"{PARAMETER_NAMES[k]} (±{100.0 * relative[k]:.0f} %)" for k in weak)
-        yield (
-            f"weakly seen, in percent of what a body of this mass and size has: {listed}; move "
-            "faster, wider or longer, or use --excitation optimal"
-        )
-
-
-def _prior(estimate: Estimate) -> Iterator[str]:
-    if estimate.data_share is None:
-        return
-    rows = zip(PARAMETER_NAMES, estimate.data_share, estimate.identifiability.identified)
-    names = [name for name, share, seen in rows if seen and share < PRIOR_SHARE]
-    if names:
-        yield f"more model than data in {', '.join(names)}: the prior outweighs the torques there"
-
-
-def _hidden(found: Identification) -> Iterator[str]:
-    """Tell what errors do that the residuals cannot show."""
-    causes = (
-        (OTHER_LINKS, "if the other links take 1 % more torque than the model says"),
-        (TORQUE_SCALE, "if each joint's torque scale is off by 1 %"),
-    )
-    moves = [f"{words}, {move}" for cause, words in causes for move in _moves(found, cause)]
-    if moves:
-        yield f"errors that residuals do not show: {'; '.join(moves)}"
-
-
-def _moves(found: Identification, cause: str) -> Iterator[str]:
-    """Yield what 1 % of a cause does, where it does anything."""
-    change, link = found.sensitivity.get(cause, {}), found.estimate.inertial
-    if not change or abs(change["m"]) <= _VISIBLE * link.mass:
-        return
-    mass = abs(change["m"])
-    text = f"the mass moves by {mass:.2g} kg"
-    if mass < 0.5 * link.mass:
-        com = np.array([change["hx"], change["hy"], change["hz"]]) - change["m"] * link.com
-        text += f" ({100.0 * mass / link.mass:.2g} %) and the centre of mass by "
-        text += f"{1e3 * np.linalg.norm(com) / link.mass:.2g} mm"
-    yield text
-
-
-def _negative_friction(found: Identification) -> Iterator[str]:
-    """Name joints that would drive themselves, more clearly than noise explains."""
-    if found.friction_model is None:
-        return
-    model, estimate = friction_model(found.friction_model), found.estimate
-    bounded = [term for term, bound in zip(model.terms, model.non_negative) if bound]
-    clear = []
-    for joint in found.joint_names:
-        for term in bounded:
-            value, error = (f(f"{term}[{joint}]") for f in (estimate.value, estimate.error))
-            if value is not None and error is not None and value < -SURE * error:
-                clear.append(f"{term} {value:.2g} of {joint}")
-    if clear:
-        yield (
-            f"friction that drives instead of brakes ({', '.join(clear)}): check the sign and the "
-            "scale of these torques, or let --friction-model auto choose other terms"
-        )
-
-
-def _coloured(estimate: Estimate) -> Iterator[str]:
-    """Tell when residuals are correlated in time: then more samples do not help."""
-    slow = [name for name, share in estimate.independent_share.items() if share < COLOURED]
-    if slow:
-        yield (
-            f"residuals of {', '.join(slow)} are correlated in time: errors of the other links' "
-            "parameters or of the friction model limit the result, not sensor noise"
-        )
-
-
-def _generalises(found: Identification) -> Iterator[str]:
-    for test in found.validation:
-        if test.rmse > WORSE * found.estimate.rmse:
-            yield (
-                f"torques of {test.source} are predicted {test.rmse / found.estimate.rmse:.1f} "
-                "times worse than the fitted ones: the model misses something that motion shows"
-            )
-
-
-def _constrained(estimate: Estimate) -> Iterator[str]:
-    if estimate.constrained:
-        yield (
-            "the plain estimate was no possible rigid body, so the best possible one was taken; "
-            "its standard errors are those of the plain estimate"
-        )

@@ -108,10 +108,10 @@ def verify_written_model(
         compiled = compile_model(written)
     except InputError as error:
         raise ExportError(f"the written model cannot be loaded: {error}") from None
-    changed = {body_id, *(body.body_id for body in plan.folded)}
+    changed = {body_id, *(body.body_id for body in plan.lumped)}
     require_same_model(original, compiled.mj_model, changed)
     require_theta(compiled.mj_model, body_id, plan.theta, plan.theta)
-    for body in plan.folded:
+    for body in plan.lumped:
         require_theta(compiled.mj_model, body.body_id, np.zeros(10), plan.theta)
     return compiled
 

@@ -17,6 +17,7 @@ from robot_sysid.records.arrays import (
     checked_array,
 )
 from robot_sysid.records.data import (
+    TORQUE_CHOICES,
     BodyMotion,
     JointInformation,
     Measurement,
@@ -27,17 +28,21 @@ from robot_sysid.records.data import (
 )
 from robot_sysid.records.results import (
     DELAY_NAME,
+    DataOrigin,
     Estimate,
     Identifiability,
     Identification,
+    Source,
     Status,
     Validation,
 )
 
 __all__ = [
     "DELAY_NAME",
+    "TORQUE_CHOICES",
     "Array",
     "BodyMotion",
+    "DataOrigin",
     "Estimate",
     "Identifiability",
     "Identification",
@@ -50,6 +55,7 @@ __all__ = [
     "MotionPlan",
     "RobotModel",
     "SampleSource",
+    "Source",
     "SquareRootInformation",
     "Status",
     "SubtreeBody",

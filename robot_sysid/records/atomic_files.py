@@ -1,15 +1,24 @@
-"""Output files that appear whole or not at all, one at a time or several together."""
+"""Output files that appear whole or not at all, one at a time or several together.
+
+An older file stays in its place, whole, until the very moment in which the new one takes it.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import secrets
+import shutil
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
 
 from robot_sysid.errors import InputError
+from robot_sysid.records.interrupts import held_back
+
+LOCK_NAME = ".robot-sysid.lock"
 
 
 @contextlib.contextmanager
@@ -22,10 +31,8 @@ def whole_file(path_or_file: str | os.PathLike[str] | TextIO) -> Iterator[TextIO
     if not isinstance(path_or_file, (str, os.PathLike)):
         yield path_or_file
         return
-    with whole_files() as outputs:
-        draft = outputs.draft(Path(path_or_file))
-        with open(draft, "w", encoding="utf-8", newline="\n") as file:
-            yield file
+    with whole_files() as outputs, outputs.open(Path(path_or_file)) as file:
+        yield file
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
@@ -73,11 +80,83 @@ def require_writable(folder: Path) -> None:
         raise InputError(f"cannot write to {folder}: no permission; choose another folder")
 
 
+@contextlib.contextmanager
+def only_run_in(folder: Path) -> Iterator[None]:
+    """Keep a second run out of an output folder while the block runs.
+
+    The folder is created; an empty one goes again when the block ends with an error.
+
+    Raises:
+        InputError: another run has the folder, or it cannot be written to.
+    """
+    outputs = WholeFiles()
+    lock = folder / LOCK_NAME
+    try:
+        outputs.create_folder(folder)
+        handle = _locked(lock)
+    except OSError as error:
+        outputs.discard()
+        raise InputError(_cannot_write(folder, error)) from None
+    try:
+        yield
+    finally:
+        with contextlib.suppress(OSError):  # Windows keeps what is open
+            lock.unlink()
+        os.close(handle)
+        outputs.discard()
+
+
+def _locked(lock: Path) -> int:
+    """Return the handle of a file that this process holds.
+
+    Raises:
+        InputError: another process holds it.
+    """
+    while True:
+        handle = os.open(lock, os.O_CREAT | os.O_RDWR, 0o666)
+        try:
+            _take_lock(handle, lock.parent)
+        except BaseException:
+            os.close(handle)
+            raise
+        if _is_file_of(handle, lock):
+            return handle
+        os.close(handle)
+
+
+def _is_file_of(handle: int, path: Path) -> bool:
+    """Tell whether a path still leads to an open file; a run that ended may have removed it."""
+    with contextlib.suppress(FileNotFoundError):
+        return os.path.samestat(os.fstat(handle), os.stat(path))
+    return False
+
+
+def _take_lock(handle: int, folder: Path) -> None:
+    """Lock an open file; the system lets go of it when this process ends, however it ends."""
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno not in (errno.EAGAIN, errno.EACCES, errno.EDEADLK):
+            return  # a file system without locks
+        raise InputError(
+            f"another run is writing to {folder}; wait until it ends, or choose another "
+            "--output-dir"
+        ) from None
+
+
 class WholeFiles:
     """Drafts beside their final paths, renamed together."""
 
     def __init__(self) -> None:
         self._drafts: dict[Path, Path] = {}
+        self._last: Path | None = None
         self._created_folders: list[Path] = []
 
     def draft(self, path: Path) -> Path:
@@ -92,13 +171,22 @@ class WholeFiles:
             raise InputError(f"cannot write {path}: it is a folder; choose another name")
         draft = path.with_name(f".{path.stem}-{secrets.token_hex(4)}{path.suffix}")
         try:
-            self._create_folder(path.parent)
+            self.create_folder(path.parent)
             # Not a private temporary file: the result gets the permissions the user's umask says.
             os.close(os.open(draft, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         except OSError as error:
             raise InputError(_cannot_write(path, error)) from None
         self._drafts[path] = draft
         return draft
+
+    def open(self, path: Path) -> TextIO:
+        """Return the draft of ``path`` as an open text file."""
+        return open(self.draft(path), "w", encoding="utf-8", newline="\n")
+
+    def reserve_last(self, path: Path) -> Path:
+        """Return ``path``, whose file will take its place after all others."""
+        self._last = path
+        return path
 
     def write(self, path: Path, content: str | bytes) -> Path:
         """Write the draft of ``path`` and return where it is."""
@@ -118,22 +206,24 @@ class WholeFiles:
 
     def commit(self) -> None:
         """Give every draft its final name; what stood there before comes back if one fails."""
+        order = sorted(self._drafts, key=lambda path: path == self._last)
         backups: dict[Path, Path | None] = {}
-        try:
-            for path, draft in self._drafts.items():
-                backups[path] = _set_aside(path)
-                os.replace(draft, path)
-        except BaseException as error:
-            for done, backup in backups.items():
-                _restore(done, backup, self._drafts[done])
-            if isinstance(error, OSError):
-                raise InputError(_cannot_write(path, error)) from None
-            raise
-        for backup in backups.values():
-            if backup is not None:
-                backup.unlink()
-        self._drafts.clear()
-        self._created_folders.clear()
+        with held_back():
+            try:
+                for path in order:
+                    backups[path] = _second_name(path)
+                    os.replace(self._drafts[path], path)
+            except BaseException as error:
+                for done, backup in backups.items():
+                    _restore(done, backup, self._drafts[done])
+                if isinstance(error, OSError):
+                    raise InputError(_cannot_write(path, error)) from None
+                raise
+            for backup in backups.values():
+                if backup is not None:
+                    backup.unlink()
+            self._drafts.clear()
+            self._created_folders.clear()
 
     def discard(self) -> None:
         """Remove the drafts and the folders made for them."""
@@ -145,25 +235,34 @@ class WholeFiles:
         self._drafts.clear()
         self._created_folders.clear()
 
-    def _create_folder(self, folder: Path) -> None:
+    def create_folder(self, folder: Path) -> None:
+        """Create a folder and those above it; ``discard`` removes them if they stay empty."""
         missing = [f for f in (folder, *folder.parents) if not f.exists()]
         for new in reversed(missing):
             new.mkdir(exist_ok=True)
             self._created_folders.append(new)
 
 
-def _set_aside(path: Path) -> Path | None:
-    """Keep a second name for an existing file, so that it can be brought back."""
+def _second_name(path: Path) -> Path | None:
+    """Give an existing file a second name, so that it can be brought back."""
     if not path.exists():
         return None
     backup = path.with_name(f".{path.name}-{secrets.token_hex(4)}.old")
-    os.replace(path, backup)
+    try:
+        os.link(path, backup)
+    except OSError:  # no links on this file system
+        try:
+            shutil.copy2(path, backup)
+        except OSError:
+            backup.unlink(missing_ok=True)
+            raise
     return backup
 
 
 def _restore(path: Path, backup: Path | None, draft: Path) -> None:
     if backup is not None:
         os.replace(backup, path)
+        backup.unlink(missing_ok=True)  # two names of one file are left as they are
     elif not draft.exists():
         path.unlink(missing_ok=True)
 

@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 
 from robot_sysid.records.arrays import Array, checked_array
 
+TORQUE_CHOICES = ("chain", "terminal")
+"""Whose torques are used: those of all joints that carry the link, or the last one's."""
+
 
 @dataclass(frozen=True)
 class Motion:

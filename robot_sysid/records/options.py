@@ -1,17 +1,193 @@
-"""Checks of single values that options share."""
+"""Options as fields of frozen records: each stands once, with its help, its unit and its check.
+
+The parsers of the command line, the defaults, the names in messages and the tables in the README
+all come from these fields. A record's ``NEEDS`` holds for all its options that say nothing else.
+"""
 
 from __future__ import annotations
 
 import math
-from typing import Union
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import MISSING, Field, dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any, Optional, TypeVar, Union
+
+import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 
 PerJoint = Union[float, tuple[float, ...]]
 """One number for all joints, or one per joint."""
+Check = Callable[[Any], Optional[str]]
+"""What is wrong with a value, as the end of a sentence that begins with the option; or None."""
+Record = TypeVar("Record")
+
+
+@dataclass(frozen=True)
+class Option:
+    """What is said about one option beside its default.
+
+    Attributes:
+        flag: as it is typed; "" for a positional argument.
+        help: what it does, in a few words.
+        unit: of its value, or "".
+        metavar: stands for the value in the help; one per value where it takes several.
+        choices: the values it may have; empty for any.
+        parse: turns text into a value; by default the type that the field's annotation names.
+        check: what is wrong with a value.
+        needs: what else must be there for the option to make sense, see ``config``; "" for nothing.
+        usual: what stands in the place of a default that is found later.
+        repeats: whether it is given once per value.
+        several: whether several values follow it.
+        required: whether it has to be given.
+        short: a second way to type it, or "".
+    """
+
+    flag: str
+    help: str
+    unit: str = ""
+    metavar: str | tuple[str, ...] | None = None
+    choices: tuple[str, ...] = ()
+    parse: Callable[[str], Any] | None = None
+    check: Check | None = None
+    needs: str = ""
+    usual: str = ""
+    repeats: bool = False
+    several: bool = False
+    required: bool = False
+    short: str = ""
+
+    @property
+    def key(self) -> str:
+        """The option's name as a keyword: no_friction for --no-friction."""
+        return self.flag.lstrip("-").replace("-", "_")
+
+
+def option(default: Any, help: str, flag: str = "", **rest: Any) -> Any:
+    """Return a dataclass field that is an option of the command line.
+
+    Args:
+        default: its default.
+        help: what it does, in a few words.
+        flag: where it is not the field's name with dashes.
+        rest: further attributes of ``Option``.
+    """
+    return field(default=default, metadata={"option": Option(flag, help, **rest)})
+
+
+def options_of(record: Any) -> Mapping[str, Option]:
+    """Return field name to option of a record or a record's class."""
+    found = {}
+    for each in fields(record):
+        if "option" in each.metadata:
+            stated: Option = each.metadata["option"]
+            flag = stated.flag or "--" + each.name.replace("_", "-")
+            needs = stated.needs or getattr(record, "NEEDS", "")
+            parse = stated.parse or _type_named_in(str(each.type))
+            found[each.name] = replace(stated, flag=flag, needs=needs, parse=parse)
+    return found
+
+
+def _type_named_in(annotation: str) -> Callable[[str], Any] | None:
+    """Return float for "tuple[float, ...] | None"."""
+    types: Mapping[str, Callable[[str], Any]] = {
+        "float": float, "int": int, "str": str, "Path": Path
+    }  # fmt: skip
+    return next((types[word] for word in re.findall(r"\w+", annotation) if word in types), None)
+
+
+def default_of(record: Any, name: str) -> Any:
+    """Return a field's default."""
+    each: Field = next(f for f in fields(record) if f.name == name)
+    return None if each.default is MISSING else each.default
+
+
+def given_options(record: Any) -> Iterator[Option]:
+    """Yield the options of a record that have another value than their default."""
+    for name, each in options_of(record).items():
+        if getattr(record, name) != default_of(record, name):
+            yield each
+
+
+def check_options(record: Any) -> None:
+    """Raise InputError naming the first option of a record whose value cannot be used."""
+    for name, each in options_of(record).items():
+        value = getattr(record, name)
+        if value is None:
+            continue
+        if each.choices and value not in each.choices:
+            raise InputError(f"{each.flag} {value!r}: choose one of {', '.join(each.choices)}")
+        for single in value if isinstance(value, tuple) else (value,):
+            complaint = each.check(single) if each.check else None
+            if complaint:
+                raise InputError(f"{each.flag} {complaint}")
+
+
+def record_from(record: type[Record], values: Mapping[str, Any]) -> Record:
+    """Return a record whose options have the values of their keys, where there are any."""
+    known = {name: each.key for name, each in options_of(record).items()}
+    return record(**{name: values[key] for name, key in known.items() if key in values})
+
+
+def positive(value: float) -> str | None:
+    """Complain unless a number is positive and finite."""
+    return None if value > 0.0 and math.isfinite(value) else f"must be positive (got {value:g})"
+
+
+def not_negative(value: float) -> str | None:
+    """Complain unless a number is zero or more and finite."""
+    fits = value >= 0.0 and math.isfinite(value)
+    return None if fits else f"must be a number that is not negative (got {value:g})"
+
+
+def speed_factor(value: float) -> str | None:
+    """Complain unless a number is above 0 and at most 1."""
+    return None if 0.0 < value <= 1.0 else f"must be above 0 and at most 1 (got {value:g})"
+
+
+def share(value: float) -> str | None:
+    """Complain unless a number is at least 0 and below 1."""
+    return None if 0.0 <= value < 1.0 else f"must be at least 0 and below 1 (got {value:g})"
 
 
 def require_positive(value: float, option: str) -> None:
     """Raise InputError unless a number is positive and finite."""
-    if not (value > 0.0 and math.isfinite(value)):
-        raise InputError(f"{option} must be positive (got {value:g})")
+    complaint = positive(value)
+    if complaint:
+        raise InputError(f"{option} {complaint}")
+
+
+def per_joint(values: PerJoint, joints: int, option: str) -> NDArray[np.float64]:
+    """Return one value per joint (n,) of an option that takes one number or one per joint."""
+    given = np.atleast_1d(np.asarray(values, dtype=float))
+    if len(given) not in (1, joints):
+        raise InputError(
+            f"{option} takes one number, or one for each of the {joints} joints (got {len(given)})"
+        )
+    return np.broadcast_to(given, (joints,)).copy()
+
+
+def levels(text: str) -> PerJoint:
+    """Return the numbers in a text: one for all joints, or one per joint between commas."""
+    try:
+        numbers = tuple(float(part) for part in text.split(","))
+    except ValueError as error:
+        raise InputError(f"{text!r} is neither a number nor a list like 0.1,0.1,0.05") from error
+    return numbers[0] if len(numbers) == 1 else numbers
+
+
+def folder(text: str) -> Path:
+    """Return a path; an empty text is a shell variable that was not set."""
+    if not text:
+        raise InputError("the folder's name is empty; use . for the current folder")
+    return Path(text)
+
+
+def whole_number(text: str) -> int:
+    """Return a whole number written in decimal or as 0x..."""
+    try:
+        return int(text, 0)
+    except ValueError:
+        raise InputError(f"{text!r} is not a whole number; write 3 or 0x03") from None

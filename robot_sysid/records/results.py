@@ -49,10 +49,10 @@ class Identifiability:
         rank: number of identifiable combinations of the ten inertial and the terminal joint's
             friction parameters.
         n_parameters: how many of those parameters were asked for.
-        condition_number: of the stacked regressor (of its visible part where columns are blind).
+        condition_number: of the stacked regressor; of its identifiable part where that is smaller.
         scaled_condition_number: the same after scaling each column to unit length.
         identified: (p,) per parameter, whether the data alone determines it.
-        blind: the invisible combinations in words, for instance "mass".
+        unidentifiable: the combinations that do not show, in words, for instance "mass".
     """
 
     rank: int
@@ -60,7 +60,7 @@ class Identifiability:
     condition_number: float
     scaled_condition_number: float
     identified: tuple[bool, ...]
-    blind: tuple[str, ...]
+    unidentifiable: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -161,6 +161,43 @@ class Validation:
     relative_error_per_joint: Mapping[str, float | None]
 
 
+class Source(Enum):
+    """What the torques of an identification come from, in words."""
+
+    ITSELF = "simulation of the model itself"
+    SIMULATED_ARM = "simulated plant"
+    LOG = "log"
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether the data says something that the model does not know already."""
+        return self is not Source.ITSELF
+
+
+@dataclass(frozen=True)
+class DataOrigin:
+    """Where the data of an identification comes from.
+
+    Attributes:
+        source: what kind of data it is.
+        detail: which file, say; added to the source's words.
+        duration: of the data [s].
+        sample_rate: [Hz].
+        seed: of trajectory and simulated noise; None for a log.
+    """
+
+    source: Source
+    detail: str
+    duration: float
+    sample_rate: float
+    seed: int | None = None
+
+    @property
+    def words(self) -> str:
+        """The source in words."""
+        return f"{self.source.value} {self.detail}".rstrip()
+
+
 @dataclass(frozen=True)
 class Identification:
     """Everything the exporters and the command line read.
@@ -173,22 +210,16 @@ class Identification:
         prior: the model's own parameters of the terminal link.
         estimate: the result.
         torques: "chain" or "terminal".
-        friction: whether friction was estimated.
-        seed: of the trajectory; None where the data came from a log.
-        duration: of the data [s].
-        sample_rate: [Hz].
+        data: where the torques came from.
         versions: package name to version.
-        source: where the data came from, in words.
         validation: prediction error on data that was not fitted, one entry per data set.
-        friction_model: name of the friction model of measured data; None where the simulation of
-            the model itself was analysed.
+        friction_model: name of the friction model of measured data.
         delay: by which torque lags position, where it was estimated [s].
         tilt: angle between the model's gravity and the estimated one, where it was estimated [rad].
         gravity: (3,) estimated gravity in the model's world frame [m/s^2], where it was estimated.
         cutoff: of the low-pass of measured data [Hz].
-        sensitivity: cause of error to parameter to how 1 % of it would move the result, see
-            ``sensitivity``; empty where the simulation of the model itself was analysed.
-        limitations: what limits the accuracy of the result, one sentence each.
+        sensitivity: cause of error to parameter to how 1 % of it would move the result of
+            measured data, see ``uncertainty.sensitivity``.
         notes: one sentence each: what the user should know.
     """
 
@@ -200,13 +231,9 @@ class Identification:
     prior: InertialParameters
     estimate: Estimate
     torques: str
-    friction: bool
-    seed: int | None
-    duration: float
-    sample_rate: float
+    data: DataOrigin
     versions: Mapping[str, str]
     is_slide: bool = False
-    source: str = "simulation of the model itself"
     validation: tuple[Validation, ...] = ()
     friction_model: str | None = None
     delay: float | None = None
@@ -214,5 +241,4 @@ class Identification:
     gravity: Array | None = None
     cutoff: float | None = None
     sensitivity: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    limitations: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()

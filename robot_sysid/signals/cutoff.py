@@ -4,11 +4,16 @@ The error of an acceleration taken from low-passed positions has two parts: moti
 cut-off, which is lost, and encoder noise below it, which grows with the fourth power of frequency.
 Both can be read off the spectrum of the raw second difference of position: the noise is the level
 at high frequencies, where a second difference of white noise has the known shape
-(2 - 2 cos(2 pi f T))^2 / T^4, and the motion is what stands clearly above it. The chosen cut-off is
-the highest one whose expected error is small: a higher one keeps more of the friction's sign
-changes and cuts less off the ends of the log, and costs nothing as long as the noise stays small.
-It stays within a multiple of the frequencies that the arm moves at, beyond which nothing is gained
-and torques hold more and more that is not motion.
+(2 - 2 cos(2 pi f T))^2 / T^4, and the motion is what stands clearly above it. The steps of an
+encoder are such noise only where a joint passes several of them within a sampling period. A joint
+that creeps over its steps is read as a staircase, whose spectrum stands far above that shape at low
+frequencies; what a staircase differs from the line through its steps is noise as well
+(``encoder_steps``).
+
+The chosen cut-off is the highest one whose expected error is small: a higher one keeps more of the
+friction's sign changes and cuts less off the ends of the log, and costs nothing as long as the
+noise stays small. It stays within a multiple of the frequencies that the arm moves at, beyond which
+nothing is gained and torques hold more and more that is not motion.
 """
 
 from __future__ import annotations
@@ -30,6 +35,9 @@ _NEARLY_BEST = 1.25
 _MOSTLY, _WIDEST = 0.99, 15.0
 # A band counts as motion where it stands this far above the noise, which chance does not.
 _CLEARLY = 6.0
+# Share of an encoder's steps beside which the reading stays the same, up to which the steps are
+# passed so fast that their noise is white.
+_HARDLY_EVER = 0.01
 # Longer stretches would only resolve frequencies finer than any cut-off needs [s].
 _LONGEST = 20.0
 # Both passes of the filter together may cut off this part of the log.
@@ -55,12 +63,14 @@ class CutoffChoice:
     reason: str
 
 
-def choose_cutoff(q: Array, rate: float) -> CutoffChoice:
+def choose_cutoff(q: Array, rate: float, steps: Array | None = None) -> CutoffChoice:
     """Choose one cut-off for all joints.
 
     Args:
         q: (N, n) positions on a uniform grid [rad].
         rate: sample rate [Hz].
+        steps: (N, n) the part of q that comes from the steps of encoders [rad]; None takes it from
+            q, which has to be as it was read then.
 
     Raises:
         InputError: the log is too short to have a spectrum.
@@ -74,7 +84,8 @@ def choose_cutoff(q: Array, rate: float) -> CutoffChoice:
     frequency, power, shape = _acceleration_spectrum(q, rate, length)
     level = _noise_level(frequency, power, shape, rate)
     noise = level * shape[:, None]
-    motion = _motion(frequency, power, noise)
+    stairs = _acceleration_spectrum(encoder_steps(q) if steps is None else steps, rate, length)[1]
+    motion = _motion(frequency, power, np.maximum(noise, stairs))
     noise = np.maximum(noise, np.where(motion > 0.0, 0.0, power))
     candidates = _candidates(len(q), rate)
     candidates = candidates[
@@ -91,6 +102,24 @@ def choose_cutoff(q: Array, rate: float) -> CutoffChoice:
         f"{100 * relative:.2g} %"
     )
     return CutoffChoice(float(best), sigma, relative, reason)
+
+
+def encoder_steps(q: Array) -> Array:
+    """Return what readings q (N, n) differ from the line through the middles of their steps (N, n).
+
+    Between two readings that differ, the joint passed the middle of them; in between it moved
+    nearly straight on. Zero for a joint whose reading hardly ever stays the same while it moves:
+    its steps are too fine to make a staircase.
+    """
+    steps = np.zeros_like(q)
+    sample = np.arange(len(q))
+    for joint, reading in enumerate(q.T):
+        before = np.flatnonzero(np.diff(reading))
+        stayed = np.diff(before, prepend=-1) > 1
+        if np.count_nonzero(stayed) > _HARDLY_EVER * len(before):
+            middles = 0.5 * (reading[before] + reading[before + 1])
+            steps[:, joint] = reading - np.interp(sample, before + 0.5, middles)
+    return steps
 
 
 def _acceleration_spectrum(q: Array, rate: float, length: int) -> tuple[Array, Array, Array]:

@@ -25,8 +25,8 @@ SHIFT_REACH = 32
 # Fornberg, "Generation of finite difference formulas", Math. Comp. 51, 1988, table 1, order 8.
 _FIRST = np.array([3, -32, 168, -672, 0, 672, -168, 32, -3]) / 840.0
 _SECOND = np.array([-9, 128, -1008, 8064, -14350, 8064, -1008, 128, -9]) / 5040.0
-# Kaiser window of 100 dB: flat to 1e-5 up to 0.8 times the Nyquist frequency.
-_SHIFT_BETA = 0.1102 * (100.0 - 8.7)
+# Of the shift's Kaiser window [dB]: flat to 1e-5 up to 0.8 times the Nyquist frequency.
+_SHIFT_ATTENUATION = 100.0
 
 
 def first_derivative(values: Array, rate: float) -> Array:
@@ -53,10 +53,13 @@ def advanced(values: Array, samples: float) -> tuple[Array, int]:
         (K, ...) shifted values, and the index ``first`` that the first one replaces. The same
         ``first`` and K hold for every shift of the same number of whole samples.
     """
+    from scipy.signal import kaiser_beta
+
     whole = math.floor(samples + 0.5)
     fraction = samples - whole
     at = np.arange(-SHIFT_REACH, SHIFT_REACH + 1) - fraction
-    window = np.i0(_SHIFT_BETA * np.sqrt(np.maximum(0.0, 1.0 - (at / (SHIFT_REACH + 1)) ** 2)))
+    inside = np.maximum(0.0, 1.0 - (at / (SHIFT_REACH + 1)) ** 2)
+    window = np.i0(kaiser_beta(_SHIFT_ATTENUATION) * np.sqrt(inside))
     stencil = np.sinc(at) * window
     inner = _correlated(values, stencil / stencil.sum())
     first = SHIFT_REACH + max(0, -whole)

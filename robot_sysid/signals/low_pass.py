@@ -23,20 +23,19 @@ from robot_sysid.records import Array, checked_array
 # rest makes up for the formulas being approximate for short kernels.
 _ATTENUATION = 90.0
 _TRANSITION = 1.2
-_BETA = 0.1102 * (_ATTENUATION - 8.7)
 HIGHEST_CUTOFF = 0.3
 """Largest cut-off, as a part of the sample rate, whose stop band still fits below Nyquist."""
 
 
 @dataclass(frozen=True)
 class LowPass:
-    """A zero-phase low-pass that also thins samples out to its own bandwidth.
+    """A zero-phase low-pass that also decimates samples out to its own bandwidth.
 
     Attributes:
         cutoff: frequency passed with half its amplitude [Hz].
         rate: sample rate it works at [Hz].
         kernel: (2 M + 1,) symmetric weights that add up to one.
-        step: every how many samples one filtered sample is kept when thinning out.
+        step: every how many samples one filtered sample is kept when decimating.
     """
 
     cutoff: float
@@ -64,19 +63,19 @@ class LowPass:
         kernel = self.kernel.reshape(-1, *(1,) * (np.ndim(values) - 1))
         return oaconvolve(values, kernel, mode="valid", axes=0)
 
-    def thinned(self, values: Array) -> Array:
+    def decimated(self, values: Array) -> Array:
         """Return (K, ...) filtered samples of values (N, ...), one per ``step``."""
-        return Thinner(self).push(values)
+        return Decimator(self).push(values)
 
     def centres(self, n_samples: int) -> NDArray[np.int64]:
-        """Return (K,) which of ``n_samples`` each thinned sample is centred on."""
+        """Return (K,) which of ``n_samples`` each decimated sample is centred on."""
         return np.arange(self.half_width, n_samples - self.half_width, self.step)
 
 
 def design_low_pass(cutoff: float, rate: float) -> LowPass:
     """Return the low-pass with this cut-off.
 
-    Thinned samples come at about twice the cut-off, so that white noise stays nearly white and
+    Decimated samples come at about twice the cut-off, so that white noise stays nearly white and
     their number says how much the data really holds.
 
     Args:
@@ -86,7 +85,7 @@ def design_low_pass(cutoff: float, rate: float) -> LowPass:
     Raises:
         InputError: the cut-off is not between zero and 0.3 times the sample rate.
     """
-    from scipy.special import i0
+    from scipy.signal import firwin, kaiser_beta
 
     if not 0.0 < cutoff <= HIGHEST_CUTOFF * rate:
         raise InputError(
@@ -95,14 +94,12 @@ def design_low_pass(cutoff: float, rate: float) -> LowPass:
         )
     width = 2.0 * math.pi * _TRANSITION * cutoff / rate
     half = math.ceil((_ATTENUATION - 8.0) / (2.285 * width) / 2.0)
-    at = np.arange(-half, half + 1)
-    kernel = np.sinc(2.0 * cutoff / rate * at)
-    kernel *= i0(_BETA * np.sqrt(1.0 - (at / half) ** 2))
-    return LowPass(cutoff, rate, kernel / kernel.sum(), max(1, int(rate / (2.0 * cutoff))))
+    kernel = firwin(2 * half + 1, cutoff, window=("kaiser", kaiser_beta(_ATTENUATION)), fs=rate)
+    return LowPass(cutoff, rate, kernel, max(1, int(rate / (2.0 * cutoff))))
 
 
-class Thinner:
-    """Filters and thins a stream of samples that arrives in chunks of any size.
+class Decimator:
+    """Filters and decimates a stream of samples that arrives in chunks of any size.
 
     Args:
         low_pass: the filter.
@@ -115,7 +112,7 @@ class Thinner:
         self._skip = 0
 
     def push(self, values: Array) -> Array:
-        """Take the next samples (N, ...) and return the thinned ones (K, ...) they complete."""
+        """Take the next samples (N, ...) and return the decimated ones (K, ...) they complete."""
         waiting = np.asarray(values, dtype=float)
         if self._waiting is not None:
             waiting = np.concatenate((self._waiting, waiting))

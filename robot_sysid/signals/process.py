@@ -5,7 +5,7 @@
 3. positions are low-passed and differentiated (``differences``); velocity columns are not used:
    a drive filters and delays them in its own way;
 4. regressor columns and torques, both computed at the full rate, pass the same low-pass and are
-   thinned out to its bandwidth (``ProcessedSignals.thinner``);
+   decimated to its bandwidth (``ProcessedSignals.decimator``);
 5. the ends are cut off, and rows over long holes in the log, or over moments in which a joint is
    too slow for its friction to have a sign, are masked (``ProcessedSignals.usable``).
 
@@ -18,7 +18,6 @@ masked. In a simulated closed loop a mask that only looks at a row's own instant
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -27,47 +26,22 @@ from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Measurement, Motion
-from robot_sysid.signals.cutoff import choose_cutoff
+from robot_sysid.records.options import PerJoint, per_joint
+from robot_sysid.signals.cutoff import choose_cutoff, encoder_steps
 from robot_sysid.signals.differences import REACH, advanced, first_derivative, second_derivative
-from robot_sysid.signals.low_pass import LowPass, Thinner, design_low_pass
-from robot_sysid.signals.resampling import UniformSignals, resampled
+from robot_sysid.signals.low_pass import Decimator, LowPass, design_low_pass
+from robot_sysid.signals.resampling import UniformSignals, is_fresh, resampled
 
 LARGEST_SLOW_SHARE = 0.07
 """Share of the filter's weight that samples inside the deadband may have in a row that is used."""
 USUAL_DEADBAND = 0.005
 """Share of its own peak speed below which a joint has hardly left stiction."""
+ENOUGH_EACH_WAY = 0.05
+"""Share of the samples in each direction below which a joint is reported."""
 # Below this speed a joint is at rest [rad/s]: encoder noise moves it as fast.
 _LEAST_DEADBAND = 1e-3
 # A hole shorter than this part of the cut-off's period is bridged well enough by interpolation.
 _HARMLESS_GAP = 0.25
-
-
-@dataclass(frozen=True)
-class SignalOptions:
-    """How a measured log is processed.
-
-    Attributes:
-        cutoff: of the low-pass [Hz]; None chooses it from the data.
-        velocity_deadband: speed of a joint below which its friction has no sure direction [rad/s],
-            one number for all joints or one per joint; rows in which such samples weigh too much
-            are not used. None takes 0.5 % of the joint's peak speed, zero uses all rows.
-        least_deadband: (n,) where the deadband is taken from the data, it is at least this [rad/s].
-        sample_rate: of the uniform grid [Hz]; None takes the log's.
-    """
-
-    cutoff: float | None = None
-    velocity_deadband: float | tuple[float, ...] | None = None
-    sample_rate: float | None = None
-    least_deadband: tuple[float, ...] = ()
-
-    def __post_init__(self) -> None:
-        for name in ("cutoff", "sample_rate"):
-            value = getattr(self, name)
-            if value is not None and not (math.isfinite(value) and value > 0.0):
-                raise InputError(f"{name.replace('_', ' ')} must be positive, got {value} Hz")
-        band = 0.0 if self.velocity_deadband is None else self.velocity_deadband
-        if not all(math.isfinite(value) and value >= 0.0 for value in np.atleast_1d(band)):
-            raise InputError(f"--velocity-deadband must not be negative (got {band} rad/s)")
 
 
 @dataclass(frozen=True)
@@ -115,22 +89,37 @@ class ProcessedSignals:
             motion = Motion(self.time[part], self.q[part], self.qd[part], self.qdd[part])
             yield motion, self.tau[part]
 
-    def thinner(self) -> Thinner:
+    def decimator(self) -> Decimator:
         """Return a fresh filter for one stream of regressor rows or torques, chunk by chunk."""
-        return Thinner(self.low_pass)
+        return Decimator(self.low_pass)
 
-    def thinned_time(self) -> Array:
-        """Return (K,) the instants of the thinned rows [s]."""
+    def decimated_time(self) -> Array:
+        """Return (K,) the instants of the decimated rows [s]."""
         return self.time[self.low_pass.centres(len(self))]
 
     def slow_share(self) -> Array:
-        """Return (K, n) how much of each thinned row's weight is on samples in the deadband."""
+        """Return (K, n) how much of each decimated row's weight is on samples in the deadband."""
         size = np.abs(self.low_pass.kernel)
         weights = replace(self.low_pass, kernel=size / size.sum())
-        return weights.thinned((np.abs(self.qd) < self.deadband).astype(float))
+        return weights.decimated((np.abs(self.qd) < self.deadband).astype(float))
+
+    def one_way_joints(self, joint_names: Sequence[str]) -> Iterator[str]:
+        """Yield a sentence per joint that hardly moves both ways.
+
+        sign(qd) then never takes both values, and Coulomb friction looks like a constant offset.
+        """
+        forward = np.mean(self.qd > self.deadband, axis=0)
+        backward = np.mean(self.qd < -self.deadband, axis=0)
+        for joint in np.flatnonzero(np.minimum(forward, backward) < ENOUGH_EACH_WAY).tolist():
+            yield (
+                f"{joint_names[joint]} moves faster than {self.deadband[joint]:.2g} rad/s in "
+                f"{100.0 * forward[joint]:.0f} % of the samples forwards and in "
+                f"{100.0 * backward[joint]:.0f} % backwards; Coulomb friction and offset can only "
+                "be told apart where it does both, so let it move faster and both ways"
+            )
 
     def usable(self) -> NDArray[np.bool_]:
-        """Return (K, n) whether each joint's thinned row may be used."""
+        """Return (K, n) whether each joint's decimated row may be used."""
         centres = self.low_pass.centres(len(self))
         moving = self.slow_share() <= LARGEST_SLOW_SHARE
         holes = np.concatenate(([0], np.cumsum(self.bridged)))
@@ -140,30 +129,43 @@ class ProcessedSignals:
 
 
 def process(
-    measurement: Measurement, options: SignalOptions, joint_names: Sequence[str] = ()
+    measurement: Measurement,
+    joint_names: Sequence[str] = (),
+    cutoff: float | None = None,
+    deadband: PerJoint | None = None,
+    least_deadband: Sequence[float] = (),
 ) -> ProcessedSignals:
     """Turn a log into signals.
 
     Args:
         measurement: the whole log.
-        options: how.
         joint_names: the n joints, to name those that hardly move.
+        cutoff: of the low-pass [Hz]; None chooses it from the data.
+        deadband: speed of a joint below which its friction has no sure direction [rad/s], one
+            number for all joints or one per joint; rows in which such samples weigh too much are
+            not used. None takes 0.5 % of the joint's peak speed, zero uses all rows.
+        least_deadband: (n,) where the deadband is taken from the data, it is at least this [rad/s].
 
     Raises:
         InputError: the log is too short for its cut-off, or the cut-off does not fit its rate.
     """
-    uniform = resampled(measurement, options.sample_rate)
-    if options.cutoff is None:
-        choice = choose_cutoff(uniform.q, uniform.rate)
+    uniform = resampled(measurement)
+    if cutoff is None:
+        # Steps are seen in the readings themselves; interpolation rounds them off.
+        steps = resampled(replace(measurement, q=_steps(measurement))).q
+        choice = choose_cutoff(uniform.q, uniform.rate, steps)
         cutoff, reason = choice.cutoff, choice.reason
     else:
-        cutoff, reason = options.cutoff, f"cut-off {options.cutoff:g} Hz as given"
+        reason = f"cut-off {cutoff:g} Hz as given"
     low_pass = design_low_pass(cutoff, uniform.rate)
     _check_length(len(uniform.q), low_pass)
     q = low_pass.filtered(uniform.q)
     lost = low_pass.half_width + REACH
     qd = first_derivative(q, uniform.rate)
-    deadband = _deadband(qd, options)
+    if deadband is None:
+        band = np.maximum(_usual_deadband(qd), np.asarray(least_deadband or 0.0))
+    else:
+        band = per_joint(deadband, qd.shape[1], "--velocity-deadband")
     signals = ProcessedSignals(
         uniform.start + np.arange(lost, len(uniform.q) - lost) / uniform.rate,
         q[REACH:-REACH],
@@ -171,7 +173,7 @@ def process(
         second_derivative(q, uniform.rate),
         uniform.tau[lost:-lost],
         _bridged(uniform, low_pass),
-        deadband,
+        band,
         low_pass,
         (),
     )
@@ -210,12 +212,23 @@ def delay_columns(signals: ProcessedSignals) -> Array:
     more parameter, taken out by ``with_delay`` and estimated again, it converges in a few rounds.
     The derivative is taken of low-passed torque: noise in the column would make each round find
     only a part of the delay, though it does not bias the converged value. Like every column it has
-    to pass ``thinner``; the ends, where the low-pass has no result, are zero.
+    to pass ``decimator``; the ends, where the low-pass has no result, are zero.
     """
     smooth = signals.low_pass.filtered(signals.tau)
     inner = -first_derivative(smooth, signals.rate)
     lost = (len(signals) - len(inner)) // 2
     return np.pad(inner, ((lost, len(signals) - len(inner) - lost), (0, 0)))
+
+
+def _steps(measurement: Measurement) -> Array:
+    """Return what encoder steps add to the readings (N, n); zero in rows without a new one."""
+    if measurement.joint_time is None:
+        return encoder_steps(measurement.q)
+    steps = np.zeros_like(measurement.q)
+    for joint, stamps in enumerate(measurement.joint_time.T):
+        fresh = is_fresh(stamps)
+        steps[fresh, joint] = encoder_steps(measurement.q[fresh, joint, None])[:, 0]
+    return steps
 
 
 def _check_length(n_samples: int, low_pass: LowPass) -> None:
@@ -228,18 +241,8 @@ def _check_length(n_samples: int, low_pass: LowPass) -> None:
         )
 
 
-def _deadband(qd: Array, options: SignalOptions) -> Array:
-    joints = qd.shape[1]
-    chosen = options.velocity_deadband
-    if chosen is None:
-        usual = np.maximum(USUAL_DEADBAND * np.max(np.abs(qd), axis=0), _LEAST_DEADBAND)
-        return np.maximum(usual, options.least_deadband) if options.least_deadband else usual
-    if np.ndim(chosen) == 1 and len(np.atleast_1d(chosen)) != joints:
-        raise InputError(
-            f"--velocity-deadband has {len(np.atleast_1d(chosen))} values for {joints} joints; "
-            "give one number, or one per joint"
-        )
-    return np.broadcast_to(np.asarray(chosen, dtype=float), (joints,)).copy()
+def _usual_deadband(qd: Array) -> Array:
+    return np.maximum(USUAL_DEADBAND * np.max(np.abs(qd), axis=0), _LEAST_DEADBAND)
 
 
 def _bridged(uniform: UniformSignals, low_pass: LowPass) -> NDArray[np.bool_]:
@@ -253,8 +256,9 @@ def _notes(signals: ProcessedSignals, joint_names: Sequence[str]) -> Iterator[st
     usable = signals.usable()
     lost = (signals.low_pass.half_width * 2 + REACH) / signals.rate
     yield (
-        f"signals at {signals.rate:.6g} Hz, thinned to {signals.rate / signals.low_pass.step:.4g} "
-        f"Hz: {len(usable)} rows per joint; {lost:.2g} s cut off at each end"
+        f"signals at {signals.rate:.6g} Hz, decimated to "
+        f"{signals.rate / signals.low_pass.step:.4g} Hz: {len(usable)} rows per joint; {lost:.2g} "
+        "s cut off at each end"
     )
     for joint, share in enumerate(np.mean(usable, axis=0)):
         name = joint_names[joint] if joint < len(joint_names) else str(joint + 1)

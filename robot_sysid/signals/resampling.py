@@ -35,7 +35,7 @@ class UniformSignals:
     notes: tuple[str, ...]
 
 
-def resampled(measurement: Measurement, rate: float | None = None) -> UniformSignals:
+def resampled(measurement: Measurement) -> UniformSignals:
     """Put a log on a uniform grid.
 
     A log that is even up to the digits of its time stamps is taken as it is; else every joint is
@@ -43,7 +43,6 @@ def resampled(measurement: Measurement, rate: float | None = None) -> UniformSig
 
     Args:
         measurement: the whole log.
-        rate: sample rate of the grid [Hz]; None takes the log's usual one.
 
     Raises:
         InputError: there are too few samples.
@@ -51,12 +50,11 @@ def resampled(measurement: Measurement, rate: float | None = None) -> UniformSig
     time = measurement.time
     if len(time) < 8:
         raise InputError(f"only {len(time)} samples; a log of several seconds is needed")
-    usual = rate or usual_rate(time)
-    if rate is None and measurement.joint_time is None and is_even(time):
+    if measurement.joint_time is None and is_even(time):
         gap = np.zeros(len(time))
         exact = (len(time) - 1) / float(time[-1] - time[0])
         return UniformSignals(float(time[0]), exact, measurement.q, measurement.tau, gap, ())
-    return _interpolated(measurement, usual)
+    return _interpolated(measurement, usual_rate(time))
 
 
 def usual_rate(time: Array) -> float:
@@ -93,12 +91,17 @@ def _interpolated(measurement: Measurement, rate: float) -> UniformSignals:
     q, tau = np.empty((count, measurement.q.shape[1])), np.empty((count, measurement.q.shape[1]))
     for joint in range(q.shape[1]):
         stamps = time if own is None else own[:, joint]
-        fresh = np.concatenate(([True], np.diff(stamps) > 0.0))
+        fresh = is_fresh(stamps)
         both = np.column_stack((measurement.q[:, joint], measurement.tau[:, joint]))
         q[:, joint], tau[:, joint] = _spline(stamps[fresh], both[fresh], grid).T
     said = "each joint at its own time stamps" if own is not None else "uneven time stamps"
     note = f"resampled to a uniform {rate:.6g} Hz ({said}, cubic splines)"
     return UniformSignals(first, rate, q, tau, _gaps(time, grid, rate), (note,))
+
+
+def is_fresh(stamps: Array) -> NDArray[np.bool_]:
+    """Return (N,) whether each row holds a new sample of a joint with these time stamps (N,)."""
+    return np.concatenate(([True], np.diff(stamps) > 0.0))
 
 
 def _spline(time: Array, values: Array, grid: Array) -> Array:

@@ -6,10 +6,6 @@ settings and the inertia the joint had when the model was compiled. On a joint w
 ramp can be so wide that a slow motion never leaves it; the torque is then viscous friction D b and
 inertia D, and no data can give fc. ``RampUse`` counts how often each joint was past its ramp, from
 the friction torques a simulation saw or from those the formula gives for a log.
-
-A real joint has a reason of the same kind: where it hardly moves, or only one way, sign(qd) never
-takes both values and Coulomb friction looks like a constant offset. ``DirectionUse`` counts that
-from velocities alone.
 """
 
 from __future__ import annotations
@@ -24,8 +20,6 @@ from robot_sysid.records import Array, checked_array
 from robot_sysid.records.options import PerJoint
 from robot_sysid.signals.process import USUAL_DEADBAND
 
-ENOUGH_EACH_WAY = 0.05
-"""Share of the samples in each direction below which a joint is reported."""
 STANDSTILL = 1e-6
 """Highest speed of a joint that is taken not to move at all [rad/s]."""
 _FULL = 1e-6
@@ -156,42 +150,3 @@ def _rounded_up(value: float) -> float:
     """Return the next number of two digits that is not smaller."""
     step = 10.0 ** (math.floor(math.log10(value)) - 1)
     return float(f"{math.ceil(value / step) * step:.2g}")
-
-
-class DirectionUse:
-    """Counts how much of a log each joint moves forwards and backwards.
-
-    Args:
-        joints: (n,) joint names.
-        deadband: speed below which the direction is not trusted [rad/s].
-    """
-
-    def __init__(self, joints: tuple[str, ...], deadband: float) -> None:
-        self._joints, self._deadband = joints, deadband
-        self._samples = 0
-        self._forward = np.zeros(len(joints), dtype=np.int64)
-        self._backward = np.zeros(len(joints), dtype=np.int64)
-
-    def add(self, qd: Array) -> None:
-        """Count a chunk of velocities (N, n)."""
-        self._samples += len(qd)
-        self._forward += np.count_nonzero(qd > self._deadband, axis=0)
-        self._backward += np.count_nonzero(qd < -self._deadband, axis=0)
-
-    def sentences(self) -> tuple[str, ...]:
-        """Return one sentence per joint whose Coulomb friction this log cannot tell."""
-        enough = ENOUGH_EACH_WAY * self._samples
-        return tuple(
-            self._sentence(name, int(forward), int(backward))
-            for name, forward, backward in zip(self._joints, self._forward, self._backward)
-            if min(forward, backward) < enough
-        )
-
-    def _sentence(self, name: str, forward: int, backward: int) -> str:
-        total = max(self._samples, 1)
-        return (
-            f"{name} moves faster than {self._deadband:.3g} rad/s in {100.0 * forward / total:.0f} "
-            f"% of the samples forwards and in {100.0 * backward / total:.0f} % backwards; Coulomb "
-            "friction and offset can only be told apart where it does both, so let it move faster "
-            "and both ways"
-        )

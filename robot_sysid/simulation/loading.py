@@ -12,7 +12,7 @@ import numpy as np
 from robot_sysid.errors import InputError
 from robot_sysid.model.chain import find_terminal_joint, is_hinge_or_slide, joint_label
 from robot_sysid.model.compilation import compile_model
-from robot_sysid.parser import DEFAULT_MAX_VELOCITY, robot_from_compiled
+from robot_sysid.parser import robot_from_compiled
 from robot_sysid.records import Array, RobotModel
 
 GEOMETRY_TOLERANCE = 1e-6
@@ -23,7 +23,6 @@ def load_plant(
     robot: RobotModel,
     plant_path: Path,
     mesh_dir: Path | None = None,
-    max_velocity: float = DEFAULT_MAX_VELOCITY,
 ) -> RobotModel:
     """Load the model that plays the real arm, matched to the arm to be identified.
 
@@ -32,7 +31,6 @@ def load_plant(
         plant_path: MJCF or URDF file with the same joints; masses, friction, armature, fingers
             and everything else may differ.
         mesh_dir: folder of its meshes; default what the file says.
-        max_velocity: speed limit of hinge joints [rad/s].
 
     Returns:
         The plant, held at its own reference configuration apart from the chain. Its notes say
@@ -46,7 +44,7 @@ def load_plant(
     terminal = robot.terminal_joint
     if terminal not in _hinges_and_slides(compiled.mj_model):
         terminal = _own_terminal_joint(compiled.mj_model, robot, Path(plant_path))
-    plant = robot_from_compiled(compiled, Path(plant_path), terminal, max_velocity)
+    plant = robot_from_compiled(compiled, Path(plant_path), terminal)
     _require_same_joints(robot, plant)
     notes = plant.notes + _held_notes(robot, plant) + _geometry_notes(robot, plant)
     return replace(plant, notes=notes)

@@ -3,53 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 
 import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Measurement, MotionPlan, RobotModel
-from robot_sysid.records.options import PerJoint, require_positive
+from robot_sysid.records.options import PerJoint, per_joint
 from robot_sysid.simulation.closed_loop import ClosedLoop
-from robot_sysid.simulation.sensors import SensorOptions, Sensors
+from robot_sysid.simulation.sensors import Sensors, SimulatedArmOptions
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import motion_chunks
-
-SIMULATIONS = ("inverse", "forward")
-
-
-@dataclass(frozen=True)
-class PlantOptions:
-    """How a plant is simulated.
-
-    Attributes:
-        simulation: "inverse" computes the torques of the exact trajectory with Coulomb's law;
-            "forward" lets a controller follow it in MuJoCo's forward dynamics with MuJoCo's own
-            dry friction.
-        sample_rate: of the measurements [Hz].
-        sensors: how good the sensors are.
-    """
-
-    simulation: str = "inverse"
-    sample_rate: float = 1000.0
-    sensors: SensorOptions = field(default_factory=SensorOptions)
-
-    def __post_init__(self) -> None:
-        require_positive(self.sample_rate, "--sample-rate")
-        if self.simulation not in SIMULATIONS:
-            raise InputError(
-                f"--simulation {self.simulation!r} is unknown; choose one of "
-                f"{', '.join(SIMULATIONS)}"
-            )
 
 
 class PlantSimulation:
     """A run of the plant that can be read as often as wanted; every reading is the same.
 
     Args:
-        plant: the arm that plays the real one, see ``plant_loading.load_plant``.
+        plant: the arm that plays the real one, see ``loading.load_plant``.
         plan: the trajectory.
-        options: how to simulate.
+        options: how to simulate it, and its sensors.
+        sample_rate: of the measurements [Hz].
         rng: source of the sensor noise; drawn from once, here.
 
     Raises:
@@ -61,18 +34,20 @@ class PlantSimulation:
         self,
         plant: RobotModel,
         plan: MotionPlan,
-        options: PlantOptions,
+        options: SimulatedArmOptions,
+        sample_rate: float,
         rng: np.random.Generator,
     ) -> None:
-        options.sensors.require_joints(plant.joint_names)
+        per_joint(options.noise_torque, plant.n_joints, "--noise-torque")
+        per_joint(options.noise_position, plant.n_joints, "--noise-position")
         if plan.n_joints != plant.n_joints:
             raise InputError(
                 f"the trajectory moves {plan.n_joints} joints, the plant has {plant.n_joints}"
             )
-        self._plant, self._plan, self._options = plant, plan, options
-        self._sensors = Sensors(options.sensors, options.sample_rate, rng)
+        self._plant, self._plan, self._sample_rate = plant, plan, sample_rate
+        self._sensors = Sensors(options, sample_rate, rng)
         forward = options.simulation == "forward"
-        self._loop = ClosedLoop(plant, plan, options.sample_rate) if forward else None
+        self._loop = ClosedLoop(plant, plan, sample_rate) if forward else None
 
     def __iter__(self) -> Iterator[Measurement]:
         """Yield what the sensors report, chunk by chunk in constant memory."""
@@ -82,7 +57,7 @@ class PlantSimulation:
         """Yield what perfect sensors would report."""
         if self._loop is not None:
             return self._loop.run()
-        motions = motion_chunks(self._plan, self._options.sample_rate)
+        motions = motion_chunks(self._plan, self._sample_rate)
         return simulate_inverse(self._plant, motions)
 
     def notes(self, deadband: PerJoint | None = None) -> tuple[str, ...]:
@@ -107,13 +82,3 @@ class PlantSimulation:
             0.0 if joint in use.never_full else float(speed)
             for joint, speed in zip(self._plant.joint_names, use.ramp_speed)
         )
-
-
-def simulate_plant(
-    plant: RobotModel, plan: MotionPlan, options: PlantOptions, rng: np.random.Generator
-) -> PlantSimulation:
-    """Return the measurements of a plant that follows a trajectory; iterate to run it.
-
-    Arguments and errors as in ``PlantSimulation``.
-    """
-    return PlantSimulation(plant, plan, options, rng)

@@ -10,94 +10,93 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Measurement
-from robot_sysid.records.options import PerJoint, require_positive
+from robot_sysid.records.options import (
+    PerJoint,
+    check_options,
+    levels,
+    not_negative,
+    option,
+    require_positive,
+)
 
 LONGEST_DELAY = 1.0
 """Longest torque delay that is accepted [s]; more is surely a slip of the unit."""
+SIMULATIONS = ("inverse", "forward")
 _WHOLE = 1e-9
 
 
+def _plausible_delay(value: float) -> str | None:
+    if value > LONGEST_DELAY:
+        return f"is given in seconds and may be at most {LONGEST_DELAY:g} (got {value:g})"
+    return not_negative(value)
+
+
 @dataclass(frozen=True)
-class SensorOptions:
-    """How good the sensors of a simulated arm are; the defaults are perfect ones.
+class SimulatedArmOptions:
+    """The model that plays the real arm, how it is moved, and how good its sensors are.
 
     Attributes:
-        noise_torque: standard deviation of white torque noise [N m], one number for all joints or
-            one per joint.
-        noise_position: standard deviation of white position noise before quantisation [rad], one
-            number or one per joint.
-        encoder_resolution: step of the position reading [rad]; 0 for none.
-        torque_delay: how much later than positions torques arrive [s].
-        noise_velocity: standard deviation of white noise on a velocity sensor of its own [rad/s];
-            None for an arm that measures positions only.
+        simulation: "inverse" computes the torques of the exact trajectory with Coulomb's law;
+            "forward" lets a controller follow it in MuJoCo's forward dynamics with MuJoCo's own
+            dry friction.
     """
 
-    noise_torque: PerJoint = 0.0
-    noise_position: PerJoint = 0.0
-    encoder_resolution: float = 0.0
-    torque_delay: float = 0.0
-    noise_velocity: float | None = None
+    NEEDS: ClassVar[str] = "plant"
+    plant_model: Path | None = option(
+        None,
+        "model that plays the real arm and makes the torques",
+        metavar="TRUTH.xml",
+        needs="estimate",
+    )
+    simulation: str = option(
+        "inverse",
+        "torques by inverse dynamics, or a controlled arm stepped forward in time",
+        choices=SIMULATIONS,
+    )
+    noise_torque: PerJoint = option(
+        0.0,
+        "standard deviation of the torque noise, one number or one per joint",
+        unit="N·m",
+        metavar="S",
+        parse=levels,
+        check=not_negative,
+        needs="plant or plan",
+    )
+    noise_position: PerJoint = option(
+        0.0,
+        "standard deviation of the position noise, one number or one per joint",
+        unit="rad",
+        metavar="S",
+        parse=levels,
+        check=not_negative,
+    )
+    encoder_resolution: float = option(
+        0.0, "step of the encoders", unit="rad", metavar="R", check=not_negative
+    )
+    torque_delay: float = option(
+        0.0, "how much the measured torque lags", unit="s", metavar="S", check=_plausible_delay
+    )
+    save_measurements: Path | None = option(
+        None,
+        "write the measurements in the form that --measurements reads",
+        metavar="FILE",
+        needs="estimate",
+    )
 
     def __post_init__(self) -> None:
-        _require_not_negative(self.noise_torque, "--noise-torque")
-        _require_not_negative(self.noise_position, "--noise-position")
-        _require_not_negative(self.encoder_resolution, "--encoder-resolution")
-        _require_not_negative(self.torque_delay, "--torque-delay")
-        if self.torque_delay > LONGEST_DELAY:
-            raise InputError(
-                f"--torque-delay is given in seconds and may be at most {LONGEST_DELAY:g} "
-                f"(got {self.torque_delay:g})"
-            )
-        if self.noise_velocity is not None:
-            _require_not_negative(self.noise_velocity, "noise_velocity")
+        check_options(self)
 
     @property
     def exact_positions(self) -> bool:
         """Whether positions come through unchanged."""
         return not np.any(self.noise_position) and self.encoder_resolution == 0.0
-
-    @property
-    def exact(self) -> bool:
-        """Whether nothing at all is changed."""
-        perfect_torque = not np.any(self.noise_torque) and self.torque_delay == 0.0
-        return self.exact_positions and perfect_torque and self.noise_velocity is None
-
-    def require_joints(self, joints: tuple[str, ...]) -> None:
-        """Raise InputError where a list of noise levels does not fit the arm's joints."""
-        named = (("--noise-torque", self.noise_torque), ("--noise-position", self.noise_position))
-        for option, value in named:
-            if np.ndim(value) == 1 and len(np.atleast_1d(value)) != len(joints):
-                raise InputError(
-                    f"{option} has {len(np.atleast_1d(value))} values for {len(joints)} joints; "
-                    f"give one for all or one for each of {', '.join(joints)}"
-                )
-
-
-def _require_not_negative(value: PerJoint, option: str) -> None:
-    for number in np.atleast_1d(value):
-        if not (number >= 0.0 and math.isfinite(number)):
-            raise InputError(f"{option} must be a number that is not negative (got {number:g})")
-
-
-def parse_levels(text: str, option: str) -> PerJoint:
-    """Return the noise levels in an option's text: one number, or several between commas.
-
-    Raises:
-        InputError: there is something else in it.
-    """
-    try:
-        levels = tuple(float(part) for part in text.split(","))
-    except ValueError as error:
-        raise InputError(
-            f"{option} {text!r} is neither a number nor a list like 0.1,0.1,0.05"
-        ) from error
-    return levels[0] if len(levels) == 1 else levels
 
 
 class Sensors:
@@ -114,25 +113,22 @@ class Sensors:
     """
 
     def __init__(
-        self, options: SensorOptions, sample_rate: float, rng: np.random.Generator
+        self, options: SimulatedArmOptions, sample_rate: float, rng: np.random.Generator
     ) -> None:
         require_positive(sample_rate, "--sample-rate")
         self._options = options
         self._sample_rate = sample_rate
-        self._seeds = rng.integers(2**63, size=(3, 4))
+        self._seeds = rng.integers(2**63, size=(2, 4))
 
     def read(self, measurements: Iterable[Measurement]) -> Iterator[Measurement]:
         """Yield what the sensors report; the same stream gives the same readings each time."""
-        torque, position, velocity = (np.random.default_rng(seed) for seed in self._seeds)
+        torque, position = (np.random.default_rng(seed) for seed in self._seeds)
         delay = TorqueDelay(self._options.torque_delay * self._sample_rate)
         for exact in measurements:
             tau = _noisy(delay.apply(exact.tau), self._options.noise_torque, torque)
             spoiled = replace(exact, tau=tau)
             if not self._options.exact_positions:
                 spoiled = replace(spoiled, q=self._position(exact.q, position), qd=None, qdd=None)
-            if self._options.noise_velocity is not None and exact.qd is not None:
-                qd = _noisy(exact.qd, self._options.noise_velocity, velocity)
-                spoiled = replace(spoiled, qd=qd, qdd=None)
             yield spoiled
 
     def _position(self, q: Array, rng: np.random.Generator) -> Array:

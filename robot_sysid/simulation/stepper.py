@@ -23,7 +23,7 @@ from robot_sysid.simulation.forward_dynamics import forward_copy
 DEFAULT_TIMESTEP = 5e-4
 
 
-class MujocoPlant:
+class ArmStepper:
     """The chain of a model, torques in, motion out.
 
     Args:

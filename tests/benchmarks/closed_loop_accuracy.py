@@ -15,9 +15,8 @@ import numpy as np
 from robot_sysid.dynamics.kinematics import ArmDynamics
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
-from robot_sysid.signals.process import SignalOptions
 from robot_sysid.simulation.closed_loop import ClosedLoop
-from robot_sysid.simulation.sensors import SensorOptions, Sensors
+from robot_sysid.simulation.sensors import Sensors, SimulatedArmOptions
 from tests.support.closed_loop_proof import (
     differentiated,
     errors_of,
@@ -73,11 +72,11 @@ def proof_table(robot) -> None:
 
 def sensor_table(robot) -> None:
     """The whole signal path, with encoder steps and torque noise."""
-    print("Low-pass, derivatives and thinning; --velocity-deadband 0.1")
+    print("Low-pass, derivatives and decimation; --velocity-deadband 0.1")
     sensors = (
-        SensorOptions(),
-        SensorOptions(encoder_resolution=1e-4),
-        SensorOptions(encoder_resolution=1e-4, noise_torque=0.1),
+        SimulatedArmOptions(),
+        SimulatedArmOptions(encoder_resolution=1e-4),
+        SimulatedArmOptions(encoder_resolution=1e-4, noise_torque=0.1),
     )
     for seed in SEEDS:
         plant = plant_from(robot)
@@ -85,7 +84,7 @@ def sensor_table(robot) -> None:
         for options in sensors:
             (seen,) = Sensors(options, RATE, np.random.default_rng(seed)).read([exact])
             log = Measurement(seen.time, seen.q, None, seen.tau, None)
-            estimate = identified_from_log(robot, log, SignalOptions(velocity_deadband=0.1))
+            estimate = identified_from_log(robot, log, deadband=0.1)
             steps, noise = options.encoder_resolution, options.noise_torque
             print(f"  seed {seed}, encoder {steps:g} rad, torque noise {noise:g} N m:")
             print(f"    {words(errors_of(estimate, plant))}")

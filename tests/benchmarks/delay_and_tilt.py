@@ -10,25 +10,21 @@ moves all joints but the last within a tenth of their range; the designed one sh
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.gravity import TILT_NAMES, gravity, with_gravity
-from robot_sysid.estimation.least_squares import EstimatorOptions
-from robot_sysid.identify.fit import MeasuredOptions, identify_measured
+from robot_sysid.estimation.options import EstimationOptions
+from robot_sysid.identify.fit import fit_measured
 from robot_sysid.logs.reader import join_measurements
 from robot_sysid.records.progress import Silent
-from robot_sysid.simulation.measurements import PlantOptions, simulate_plant
-from robot_sysid.simulation.sensors import SensorOptions
+from robot_sysid.simulation.measurements import PlantSimulation
+from robot_sysid.simulation.sensors import SimulatedArmOptions
 from tests.benchmarks.example_study import NoiseStudy, designed_plan, random_plan
 
 PAIRS = ((0.0, 0.0), (1e-3, 0.25), (3.7e-3, 0.5), (5e-3, 0.75), (10e-3, 1.0))
 SENSORS = ((0.0, 0.0), (0.0, 1e-4), (0.1, 1e-4), (0.3, 1e-4))
-OPTIONS = MeasuredOptions(
-    estimator=EstimatorOptions(consistency="auto"),
-    estimate_delay=True,
-    estimate_tilt=True,
-    held_out=0.0,
-)
+RATE = 1000.0
+OPTIONS = EstimationOptions(delay="auto", tilt="auto", validate=0.0)
 
 
 def main() -> None:
@@ -52,12 +48,11 @@ def found(study, plan, pair, noise, step, seed):
     """(error of delay, its standard error [ms], error of gravity's direction, stated [degrees])."""
     delay, tilt = pair
     turn = np.radians(tilt) * np.array([np.cos(seed), np.sin(seed), 0.0])
-    down = spatial.rotation_from_vector(turn) @ gravity(study.plant)
-    sensors = SensorOptions(noise_torque=noise, encoder_resolution=step, torque_delay=delay)
-    options = PlantOptions(sensors=sensors)
+    down = Rotation.from_rotvec(turn).apply(gravity(study.plant))
+    sensors = SimulatedArmOptions(noise_torque=noise, encoder_resolution=step, torque_delay=delay)
     plant, rng = with_gravity(study.plant, down), np.random.default_rng(seed)
-    log = join_measurements(simulate_plant(plant, plan, options, rng))
-    fit = identify_measured(study.robot, log, OPTIONS, Silent())
+    log = join_measurements(PlantSimulation(plant, plan, sensors, RATE, rng))
+    fit = fit_measured(study.robot, [log], OPTIONS, Silent())
     both = [fit.estimate.error(name) for name in TILT_NAMES]
     return (
         1e3 * (fit.alignment.delay - delay),

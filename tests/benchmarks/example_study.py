@@ -18,13 +18,15 @@ Noise, NoiseStudy, random_plan = noise_study.Noise, noise_study.NoiseStudy, nois
 
 def designed_plan(robot, seed=1):
     """The trajectory that ``--excitation optimal`` designs; takes about 20 s."""
-    from robot_sysid.excitation.options import ExcitationOptions
+    from robot_sysid.excitation.optimise import Design
+    from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
     from robot_sysid.excitation.problem import build_problem
     from robot_sysid.excitation.search import design_excitation
+    from robot_sysid.trajectory import TrajectoryOptions
 
-    options = ExcitationOptions(duration=15.0)
-    problem = build_problem(robot, options)
-    return design_excitation(problem, options, np.random.default_rng(seed)).trajectory
+    problem = build_problem(robot, LimitOptions())
+    design = Design(problem, ExcitationOptions(), TrajectoryOptions())
+    return design_excitation(design, np.random.default_rng(seed)).trajectory
 
 
 def friction_errors(study, estimate):

@@ -18,13 +18,13 @@ import numpy as np
 
 from robot_sysid.excitation.information import PredictedInformation, RowSettings
 from robot_sysid.excitation.optimise import Design
-from robot_sysid.excitation.options import ExcitationOptions
+from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
 from robot_sysid.excitation.prediction import predict
 from robot_sysid.excitation.problem import build_problem
 from robot_sysid.excitation.search import design_excitation
 from robot_sysid.parser import load_robot_model
-from robot_sysid.simulator import inverse_torque
-from robot_sysid.trajectory import generate_excitation_trajectory
+from robot_sysid.simulator import ArmTorque
+from robot_sysid.trajectory import TrajectoryOptions, generate_excitation_trajectory
 from tests.excitation.test_prediction import empirical_deviation_of
 from tests.support.places import GUESS
 
@@ -45,9 +45,10 @@ def processor_seconds():
     return time.process_time() + children.ru_utime + children.ru_stime
 
 
-def compare(robot, problem, options, searches):
+def compare(robot, design, searches):
     """Print the comparison; return the last trajectory."""
-    torque = inverse_torque(robot)
+    problem = design.problem
+    torque = ArmTorque(robot)
     sines = [
         three(
             problem,
@@ -60,7 +61,7 @@ def compare(robot, problem, options, searches):
     print("sinusoids      ", *(f"{v:8.3f}" for v in middle))
     for seed in range(searches):
         wall, cpu = time.time(), processor_seconds()
-        result = design_excitation(problem, options, np.random.default_rng(seed))
+        result = design_excitation(design, np.random.default_rng(seed))
         found = three(problem, result.trajectory)
         wall, cpu = time.time() - wall, processor_seconds() - cpu
         ratios = " ".join(f"{v:.1f}x" for v in middle / found)
@@ -69,9 +70,9 @@ def compare(robot, problem, options, searches):
     return result.trajectory
 
 
-def grid_errors(problem, options, plan):
+def grid_errors(design, plan):
     """Print the largest error of a predicted deviation for grids of several densities."""
-    design = Design(problem, options)
+    problem = design.problem
 
     def deviations(rate):
         time_grid = (np.arange(int(plan.duration * rate)) + 0.5) / rate
@@ -82,10 +83,10 @@ def grid_errors(problem, options, plan):
             np.zeros(problem.n_joints),
             design.coordinates,
         )
-        tape = PredictedInformation(problem.chain, settings).evaluate(
+        cache = PredictedInformation(problem.chain, settings).evaluate(
             motion.q, motion.qd, motion.qdd
         )
-        return np.sqrt(np.diag(np.linalg.inv(tape.information)))
+        return np.sqrt(np.diag(np.linalg.inv(cache.information)))
 
     fine = deviations(RATE)
     for per_cycle in (5, 8, 10, 15, 25, 50):
@@ -102,12 +103,12 @@ def main():
     arguments = parser.parse_args()
     robot = load_robot_model(arguments.model)
     options = ExcitationOptions(workers=arguments.workers)
-    problem = build_problem(robot, options)
-    plan = compare(robot, problem, options, arguments.searches)
-    promised = predict(problem, plan, RATE).deviation
+    design = Design(build_problem(robot, LimitOptions()), options, TrajectoryOptions())
+    plan = compare(robot, design, arguments.searches)
+    promised = predict(design.problem, plan, RATE).deviation
     seen = empirical_deviation_of(robot, plan, RATE, SIGMA, 1000)
     print("Monte Carlo spread over prediction:", *(f"{v:.3f}" for v in seen / promised))
-    grid_errors(problem, options, plan)
+    grid_errors(design, plan)
 
 
 if __name__ == "__main__":

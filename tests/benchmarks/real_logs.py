@@ -15,15 +15,14 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from robot_sysid.estimation.least_squares import EstimatorOptions
-from robot_sysid.identify.fit import MeasuredOptions, identify_measured, validate_on
+from robot_sysid.estimation.options import CHOSEN, EstimationOptions
+from robot_sysid.identify.fit import fit_measured, validate_on
 from robot_sysid.logs.reader import read_measurements
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.progress import Silent
-from robot_sysid.signals.process import SignalOptions
 from tests.support.places import DATA
 
-AUTO = MeasuredOptions(friction="auto", estimator=EstimatorOptions(consistency="auto"))
+AUTO = EstimationOptions(friction_model=CHOSEN)
 KUKA_PAIRS = (
     (1, 2, "1.82 % (whole arm)"),
     (2, 1, ""),
@@ -44,9 +43,9 @@ def kuka(folder: Path) -> None:
     logs = {k: read(robot, folder / f"lwr4_hw{k}_200Hz.csv") for k in (1, 2, 3)}
     print("KUKA LWR4+: relative torque error on a run that was not fitted")
     for cutoff in (None, 8.0):
-        options = replace(AUTO, held_out=0.0, signals=SignalOptions(cutoff=cutoff))
+        options = replace(AUTO, validate=0.0, cutoff=cutoff)
         for fitted, tested, published in KUKA_PAIRS:
-            fit = identify_measured(robot, logs[fitted], options, Silent())
+            fit = fit_measured(robot, [logs[fitted]], options, Silent())
             test = validate_on(robot, logs[tested], options, fit, str(tested))
             error = f"{100 * test.relative_error:5.2f} %, {test.rmse:.3f} N m"
             how = f"cut-off {fit.cutoff:.2g} Hz, {fit.friction.name}"
@@ -61,7 +60,7 @@ def tx40(folder: Path) -> None:
         "TX40: whole-arm fits reach 5.2 % on the fitted motion and 4.7 to 6.1 % on held-out folds"
     )
     for friction in ("coulomb-viscous-offset", "coulomb-viscous-offset-armature-sqrt", "auto"):
-        fit = identify_measured(robot, log, replace(AUTO, friction=friction), Silent())
+        fit = fit_measured(robot, [log], replace(AUTO, friction_model=friction), Silent())
         estimate, test = fit.estimate, fit.validation
         print(
             f"  {friction}: fitted {estimate.rmse:.2f} N m, last 20 % {test.rmse:.2f} N m "

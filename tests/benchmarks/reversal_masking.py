@@ -46,7 +46,7 @@ class UnmaskedStudy:
     """One trajectory with all its rows, and what is needed to mask them."""
 
     def __init__(self, seed, simulation) -> None:
-        from robot_sysid.signals.process import process as signals
+        from robot_sysid.signals import process as signals
 
         kept = signals.LARGEST_SLOW_SHARE
         signals.LARGEST_SLOW_SHARE = 2.0

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimation.least_squares import EstimatorOptions
-from robot_sysid.estimation.uncertainty import cramer_rao_bound
+from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.solver import identify_parameters
+from tests.benchmarks.example_study import noise_study
 from tests.benchmarks.smooth_arm import Chunks, SmoothArm, information_of_chunks
 
 DRAWS = 200
@@ -64,7 +64,7 @@ def test_weighted_estimates_reach_the_cramer_rao_bound():
             errors[method].append(
                 identify_parameters(information, np.zeros(31), method).values - base.truth
             )
-    bound = np.sqrt(np.diag(cramer_rao_bound(information, sigma)))
+    bound = np.sqrt(np.diag(noise_study.cramer_rao_bound(information, sigma)))
     ratios = {m: np.sqrt(np.mean(np.square(errors[m]), axis=0)) / bound for m in names}
     for method in names:
         ratio = ratios[method]
@@ -75,7 +75,7 @@ def test_weighted_estimates_reach_the_cramer_rao_bound():
 
 @pytest.mark.slow
 def test_automatic_consistency_never_returns_an_impossible_body():
-    plain_possible, options = 0, EstimatorOptions(consistency="auto")
+    plain_possible, options = 0, EstimationOptions(consistency="auto")
     for seed in range(DRAWS):
         arm, _, _, information = draw(seed, 0.1)
         prior = np.concatenate((arm.truth[:10] * 1.2, np.zeros(21)))

@@ -11,22 +11,23 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robot_sysid.damiao.bus.can_bus import open_bus
+from robot_sysid.damiao.bus.can_bus import BusAddress, open_bus
 from robot_sysid.damiao.bus.clock import SystemClock
 from robot_sysid.damiao.bus.link import GuardedLink
 from robot_sysid.damiao.play.player import StopRequest
 from robot_sysid.damiao.play.preflight import Permissions
-from robot_sysid.damiao.play.run import Plan, RecordingChoice, look, make_plan, perform
-from robot_sysid.damiao.play.settings import PlaySettings, default_gains
+from robot_sysid.damiao.play.recorder import RecordingOptions
+from robot_sysid.damiao.play.run import Plan, inspect, run
+from robot_sysid.damiao.play.settings import PlaySettings
 from robot_sysid.damiao.protocol.bus_load import BusTiming
 from robot_sysid.damiao.protocol.codec import MitCommand, Scaling, decode_feedback, encode_mit
 from robot_sysid.damiao.protocol.joints import damiao_joints
 from robot_sysid.damiao.protocol.motors import MOTORS
 from robot_sysid.damiao.simulated.arm import SimulatedArm
 from robot_sysid.damiao.simulated.motor import simulated_motor
-from robot_sysid.damiao.simulated.server import served_in_background
 from robot_sysid.damiao.trajectory.csv_file import export_damiao_trajectory, read_damiao_trajectory
 from tests.support.damiao_rig import Pendulums, swing
+from tests.support.links import served_in_background
 
 JOINTS = 7
 SECONDS = 8.0
@@ -58,21 +59,18 @@ def arm_and_plan(folder, rate: float) -> tuple[SimulatedArm, Plan]:
     path = folder / "damiao_trajectory.csv"
     motion = swing(JOINTS, SECONDS, rate=1000.0)
     export_damiao_trajectory([motion], ["DM4340"] * JOINTS, path)
-    kp, kd = default_gains([joint.spec for joint in joints])
     # Measure lateness instead of stopping for it.
-    settings = PlaySettings(
-        kp, kd, rate=rate, max_lateness=10.0, max_missed=10_000, max_tracking_error=3.0
-    )
+    settings = PlaySettings(rate=rate, max_lateness=10.0, max_missed=10_000, max_tracking_error=3.0)
+    recording = RecordingOptions(folder / "measured.csv", overwrite=True)
     allowed = Permissions(bus_load=True)
-    plan = make_plan(read_damiao_trajectory(path), settings, allowed=allowed)
+    plan = Plan(read_damiao_trajectory(path), settings, BusTiming(), allowed, recording)
     motors = [simulated_motor(j.spec, j.can_id, j.master_id, watchdog=3.0) for j in joints]
     return SimulatedArm(Pendulums(JOINTS), motors), plan
 
 
-def play(link: GuardedLink, clock: SystemClock, plan: Plan, folder):
-    inspection, _ = look(link, clock, plan)
-    recording = RecordingChoice(folder / "measured.csv", overwrite=True)
-    return perform(link, clock, plan, inspection, StopRequest(), recording)
+def play(link: GuardedLink, clock: SystemClock, plan: Plan):
+    inspection, _ = inspect(link, clock, plan)
+    return run(link, clock, plan, inspection, StopRequest())
 
 
 def tell(benchmark, report, rate: float) -> None:
@@ -93,7 +91,7 @@ def test_the_player_alone(benchmark, tmp_path, rate):
     arm, plan = arm_and_plan(tmp_path, rate)
     clock = SystemClock()
     link = GuardedLink(SameThreadLink(arm, clock), clock.now)
-    report = benchmark.pedantic(play, (link, clock, plan, tmp_path), rounds=1)
+    report = benchmark.pedantic(play, (link, clock, plan), rounds=1)
     tell(benchmark, report, rate)
 
 
@@ -101,11 +99,12 @@ def test_the_player_alone(benchmark, tmp_path, rate):
 def test_over_the_virtual_bus(benchmark, tmp_path, rate):
     arm, plan = arm_and_plan(tmp_path, rate)
     clock = SystemClock()
-    near, far = (open_bus("virtual", f"bench{rate}", BusTiming(), clock) for _ in range(2))
+    address = BusAddress("virtual", f"bench{rate}")
+    near, far = (open_bus(address, BusTiming(), clock) for _ in range(2))
     try:
         with served_in_background(arm, far, clock):
             link = GuardedLink(near, clock.now)
-            report = benchmark.pedantic(play, (link, clock, plan, tmp_path), rounds=1)
+            report = benchmark.pedantic(play, (link, clock, plan), rounds=1)
     finally:
         near.close()
     tell(benchmark, report, rate)

@@ -7,20 +7,21 @@ from functools import cache
 import numpy as np
 import pytest
 
-from robot_sysid.excitation.limit_check import certify
+from robot_sysid.excitation.limit_check import check_limits
 from robot_sysid.excitation.optimise import Design, PenalisedDesign, first_candidate, improve
-from robot_sysid.excitation.options import ExcitationOptions
+from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
 from robot_sysid.excitation.problem import build_problem
 from robot_sysid.excitation.search import draw_trajectories
 from robot_sysid.parser import load_robot_model
+from robot_sysid.trajectory import TrajectoryOptions
 from tests.support.places import GUESS
 
 
 @cache
 def kinova():
     """Design of the Kinova example and its best of 20 random trajectories."""
-    options = ExcitationOptions()
-    design = Design(build_problem(load_robot_model(GUESS), options), options)
+    problem = build_problem(load_robot_model(GUESS), LimitOptions())
+    design = Design(problem, ExcitationOptions(), TrajectoryOptions())
     return design, min(draw_trajectories(design, 0, range(20)), key=lambda d: d.score).x
 
 
@@ -51,4 +52,4 @@ def test_one_round(benchmark):
 @pytest.mark.benchmark(group="excitation")
 def test_dense_check(benchmark):
     design, x = kinova()
-    benchmark(certify, design.problem, design.trajectory(x))
+    benchmark(check_limits, design.problem, design.trajectory(x))

@@ -51,9 +51,9 @@ def test_keeps_exactly_the_pairs_that_matter(filters, parts, seed):
     rng = np.random.default_rng(seed)
     ignored = rng.uniform(size=(BODIES + 1, BODIES + 1)) < 0.3
     ignored |= ignored.T
-    thinned = copy.copy(model)
-    drop_pairs(thinned, part, ignored)
-    before, after = contacts(model, seed), contacts(thinned, seed)
+    decimated = copy.copy(model)
+    drop_pairs(decimated, part, ignored)
+    before, after = contacts(model, seed), contacts(decimated, seed)
     body = model.geom_bodyid
     matter = {
         (a, b)

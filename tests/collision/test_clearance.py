@@ -10,7 +10,8 @@ import pytest
 from hypothesis import assume, given, settings
 
 from robot_sysid.collision.clearance import HORIZON, KEPT_SHARE, Clearance
-from robot_sysid.collision.halfspaces import Plane, plane_half_space
+from robot_sysid.collision.halfspaces import plane_half_space
+from robot_sysid.collision.obstacles import Plane
 from robot_sysid.dynamics.kinematics import subtree
 from robot_sysid.model.contacts import ContactFinder
 from tests.support.arms import SEEDS, X, Y, Z, hinge, link, world

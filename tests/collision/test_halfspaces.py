@@ -9,13 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.collision.halfspaces import (
-    Box,
     GeomShape,
-    Plane,
     box_half_spaces,
     geom_shapes,
     plane_half_space,
 )
+from robot_sysid.collision.obstacles import Box, Plane
 from tests.support.arms import SEEDS, compile_xml
 
 KINDS = {

@@ -1,4 +1,4 @@
-"""The command robot-sysid-damiao."""
+"""The command robot-sysid motors: check, play, simulate."""
 
 from __future__ import annotations
 
@@ -7,212 +7,40 @@ import re
 import signal
 import subprocess
 import sys
-import time
-from dataclasses import replace
 
+import can
 import numpy as np
 import pytest
 
-from robot_sysid.damiao.bus.can_bus import open_bus
+from robot_sysid.cli import main
+from robot_sysid.commands import motors as command
+from robot_sysid.damiao.bus.can_bus import BusAddress, open_bus
 from robot_sysid.damiao.bus.clock import SystemClock
-from robot_sysid.damiao.options import play_settings
-from robot_sysid.damiao.play.recorder import read_recording
 from robot_sysid.damiao.protocol.bus_load import BusTiming
-from robot_sysid.damiao.protocol.motors import MOTORS
-from robot_sysid.damiao.protocol.registers import DISABLED
-from robot_sysid.damiao.simulated.arm import SimulatedArm
-from robot_sysid.damiao.simulated.faults import FAULT_KINDS, Fault, parse_fault
-from robot_sysid.damiao.simulated.motor import simulated_motor
-from robot_sysid.damiao.simulated.server import served_in_background
+from robot_sysid.damiao.protocol.frames import enable_frame
+from robot_sysid.damiao.protocol.registers import DISABLED, TIMEOUT
+from robot_sysid.damiao.simulated.faults import Fault
+from robot_sysid.damiao.simulated.simulated_link import SimulatedLink
 from robot_sysid.damiao.trajectory.csv_file import export_damiao_trajectory
-from robot_sysid.damiao_cli import main
-from robot_sysid.errors import InputError
 from tests.support import arms
-from tests.support.damiao_rig import Pendulums, swing
+from tests.support.clocks import ScriptedClock
+from tests.support.damiao_rig import only_asks, swing, two_motor_arm
+from tests.support.links import RememberingLink, served_in_background
+from tests.support.recordings import read_recording
 
-# Wide enough for a busy computer: these tests run in real time.
-SLOWLY = [
-    "--rate",
-    "25",
-    "--max-lateness-ms",
-    "2000",
-    "--max-missed",
-    "100",
-    "--max-tracking-error",
-    "1",
-]
+COMMANDS = ("check", "play", "simulate")
+CAN0 = ("--channel", "can0")
 
 
 @pytest.fixture
 def trajectory(tmp_path):
-    path = tmp_path / "damiao_trajectory.csv"
-    motion = swing(2, duration=0.5, amplitude=0.05)
-    export_damiao_trajectory([motion], ["DM4340"] * 2, path)
+    return written(tmp_path, swing(2, duration=0.5, amplitude=0.05))
+
+
+def written(folder, motion):
+    path = folder / "damiao_trajectory.csv"
+    export_damiao_trajectory([motion], ["DM4340"] * motion[1].shape[1], path)
     return path
-
-
-@pytest.fixture
-def arm():
-    """A simulated arm on the virtual bus called after the test's process."""
-    motors = [simulated_motor(MOTORS["DM4340"], i, i + 16, watchdog=5.0) for i in (1, 2)]
-    simulated = SimulatedArm(Pendulums(2), motors)
-    clock = SystemClock()
-    with served_in_background(simulated, open_bus("virtual", "cli", BusTiming(), clock), clock):
-        yield simulated
-
-
-@pytest.fixture
-def quick(monkeypatch):
-    """Shorten the pauses of a run."""
-
-    def shortened(*arguments):
-        return replace(play_settings(*arguments), ramp_time=0.2, approach_time=0.2, rest_time=0.05)
-
-    monkeypatch.setattr("robot_sysid.damiao_cli.play_settings", shortened)
-
-
-BUS = ["--interface", "virtual", "--channel", "cli"]
-
-
-def run(capsys, *arguments):
-    """Run the command; return exit code, output and the one error line."""
-    code = main([str(a) for a in arguments])
-    out, err = capsys.readouterr()
-    assert len(err.splitlines()) <= 1, err
-    return code, out, err
-
-
-def test_check_prints_a_table_and_enables_nothing(capsys, arm, trajectory):
-    code, out, err = run(capsys, "check", trajectory, *BUS)
-    assert (code, err) == (0, "")
-    assert "ready to play" in out and "load classic CAN to 14 %" in out
-    assert re.search(r"2 +0x12 +MIT +12.5 +10 +28 +DM4340 +5000 ms +40 +31/29 +status 0", out)
-    assert [m.commands_seen for m in arm.motors] == [0, 0]
-    assert [m.status for m in arm.motors] == [DISABLED] * 2
-
-
-def test_check_works_without_a_trajectory(capsys, arm):
-    code, out, _ = run(capsys, "check", *BUS)
-    assert code == 0 and "DM4340 " in out
-
-
-def test_check_says_what_has_to_change(capsys, arm, trajectory):
-    Fault("mode", 0, 2.0).apply(arm.motors[0])
-    Fault("tmax", 1, 40.0).apply(arm.motors[1])
-    code, out, _ = run(capsys, "check", trajectory, *BUS)
-    assert code == 1
-    assert "[STOP] motor 1 is in mode 2 (POS_VEL); set CTRL_MODE to 1 (MIT)" in out
-    assert "not DM4340!" in out and "2 to change before playing" in out
-
-
-def test_check_of_an_empty_bus(capsys):
-    code, out, _ = run(capsys, "check", "--interface", "virtual", "--channel", "empty")
-    assert code == 1 and "no motor answers" in out
-
-
-def test_play_records_and_disables(capsys, quick, arm, trajectory, tmp_path):
-    record = tmp_path / "measured.csv"
-    code, out, err = run(
-        capsys, "play", trajectory, *BUS, *SLOWLY, "--yes", "--record", record, "--kd", "2"
-    )
-    assert (code, err) == (0, ""), err
-    assert "all motors are disabled" in out
-    assert [m.status for m in arm.motors] == [DISABLED] * 2
-    recording = read_recording(record)
-    assert recording.ending == "completed"
-    assert np.nanmax(np.abs(recording.joint_values("pos"))) < 1.0
-    assert (tmp_path / "measured.log").read_text().count(" T\n") > 20
-
-
-def test_dry_run_enables_nothing(capsys, arm, trajectory):
-    code, out, _ = run(capsys, "play", trajectory, *BUS, "--dry-run")
-    assert code == 0 and "nothing speaks against playing" in out
-    assert [m.commands_seen for m in arm.motors] == [0, 0]
-
-
-def test_dry_run_without_a_bus_judges_the_file(capsys, trajectory):
-    code, out, _ = run(capsys, "play", trajectory, "--dry-run")
-    assert code == 0 and "[ok  ] ids are unique: 1, 2" in out
-    code, out, err = run(capsys, "play", trajectory, "--dry-run", "--rate", "2000")
-    assert code == 3 and "limit 70 %; use --rate 1000" in err
-
-
-def test_a_motor_with_another_scaling_is_refused(capsys, arm, trajectory):
-    Fault("tmax", 0, 20.0).apply(arm.motors[0])
-    code, _, err = run(capsys, "play", trajectory, *BUS, *SLOWLY, "--yes")
-    assert code == 3 and "--accept-register-limits" in err
-    assert [m.commands_seen for m in arm.motors] == [0, 0]
-
-
-def test_playing_needs_a_confirmation(capsys, arm, trajectory, monkeypatch):
-    code, _, err = run(capsys, "play", trajectory, *BUS)
-    assert code == 2 and "give --yes" in err
-    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
-    monkeypatch.setattr("builtins.input", lambda prompt: "no")
-    code, _, err = run(capsys, "play", trajectory, *BUS)
-    assert code == 2 and "not confirmed" in err
-    assert [m.commands_seen for m in arm.motors] == [0, 0]
-
-
-def test_an_existing_recording_is_kept(capsys, arm, trajectory, tmp_path):
-    (tmp_path / "measured.csv").write_text("precious")
-    record = tmp_path / "measured.csv"
-    code, _, err = run(capsys, "play", trajectory, *BUS, "--yes", "--record", record)
-    assert code == 2 and "exists" in err
-    assert record.read_text() == "precious"
-
-
-def test_interrupting_before_anything_moves(capsys, arm, trajectory, monkeypatch):
-    def interrupt(prompt):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
-    monkeypatch.setattr("builtins.input", interrupt)
-    code, _, err = run(capsys, "play", trajectory, *BUS)
-    assert code == 130 and "nothing was moved" in err
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ([], "the following arguments are required: COMMAND"),
-        (["fly"], "invalid choice: 'fly'"),
-        (["play", "T"], "play needs --channel"),
-        (["play", "T", "--channel", "c", "--kd", "0"], "--kd must be above 0"),
-        (["play", "T", "--channel", "c", "--kd", "6"], "--kd must be above 0 and at most 5"),
-        (["play", "T", "--channel", "c", "--kp", "501"], "--kp must be at most 500"),
-        (["play", "T", "--channel", "c", "--kp", "1", "2", "3"], "--kp was given 3 values"),
-        (["play", "T", "--channel", "c", "--speed", "1.5"], "--speed must be above 0"),
-        (["play", "T", "--channel", "c", "--speed", "0"], "--speed must be above 0"),
-        (["play", "T", "--channel", "c", "--rate", "0"], "--rate"),
-        (["play", "T", "--channel", "c", "--rate", "nan"], "--rate must be a positive number"),
-        (["play", "T", "--channel", "c", "--set-watchdog", "0"], "--set-watchdog must be"),
-        (["play", "T", "--channel", "c", "--bitrate", "0"], "--bitrate and --data-bitrate"),
-        (["play", "missing.csv", "--channel", "c"], "cannot read missing.csv"),
-        (["check", "--channel", "c", "--interface", "udp_multicast"], "invalid choice"),
-        (["simulate", "T", "--model", "missing.xml"], "missing.xml"),
-    ],
-)  # fmt: skip
-def test_bad_usage_is_one_line_and_exit_code_2(capsys, trajectory, arguments, words):
-    arguments = [trajectory if a == "T" else a for a in arguments]
-    code, _, err = run(capsys, *arguments)
-    assert code == 2 and words in err, err
-
-
-def test_debug_shows_a_traceback(capsys):
-    assert main(["play", "missing.csv", "--channel", "c", "--debug"]) == 2
-    assert "Traceback" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("command", [[], ["check"], ["play"], ["simulate"]])
-def test_help_is_there(capsys, command):
-    with pytest.raises(SystemExit) as caught:
-        main([*command, "--help"])
-    assert caught.value.code == 0
-    assert "usage: robot-sysid-damiao" in capsys.readouterr().out
-
-
-# --- simulate ----------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -220,48 +48,425 @@ def model(arm_file):
     return arm_file(arms.serial_arm((arms.Z, arms.Y)))
 
 
-def test_a_rehearsal_in_one_process(capsys, quick, trajectory, model, tmp_path):
-    code, out, err = run(
-        capsys, "simulate", trajectory, "--model", model, "--play", *SLOWLY, "--watchdog", "5",
-        "--record", tmp_path / "measured.csv",
-    )  # fmt: skip
-    assert code == 0, err
+class SimulatedBus:
+    """A bus with a simulated arm on it, which the command opens in place of a real one.
+
+    Attributes:
+        arm: who answers.
+        clock: simulated time, also that of the command.
+        wire: the frames of the last link that was opened, or None.
+    """
+
+    def __init__(self):
+        self.arm, self.clock, self.wire = two_motor_arm(), ScriptedClock(), None
+
+    def open(self, address, timing, clock):
+        link = SimulatedLink(self.clock, self.arm, timing, echo=True)
+        self.wire = RememberingLink(link, self.clock)
+        return self.wire
+
+    @property
+    def motors(self):
+        return self.arm.motors
+
+
+@pytest.fixture
+def bus(monkeypatch):
+    simulated = SimulatedBus()
+    monkeypatch.setattr(command, "SystemClock", lambda: simulated.clock)
+    monkeypatch.setattr(command, "open_bus", simulated.open)
+    return simulated
+
+
+@pytest.fixture
+def no_real_time(monkeypatch):
+    """Let whoever asks for the computer's clock fail."""
+
+    def refuse(*_):
+        raise AssertionError("asked for real time")
+
+    monkeypatch.setattr(SystemClock, "now", refuse)
+    monkeypatch.setattr(SystemClock, "sleep_until", refuse)
+    monkeypatch.setattr("time.sleep", refuse)
+
+
+def run(capsys, *arguments):
+    """Run the command; return exit code, output and the one error line."""
+    code = main(["motors", *(str(argument) for argument in arguments)])
+    out, err = capsys.readouterr()
+    assert len(err.splitlines()) <= 1, err
+    return code, out, err
+
+
+# --- check --------------------------------------------------------------------------------------
+
+
+def test_check_prints_a_table_and_enables_nothing(capsys, bus, trajectory):
+    bus.motors[1].registers[TIMEOUT] = 100000.0
+    code, out, err = run(capsys, "check", trajectory, *CAN0)
+    assert (code, err) == (0, "")
+    assert "ready to play" in out and "load classic CAN to 14 %" in out
+    assert re.search(r"2 +0x12 +MIT +12.5 +10 +28 +DM4340 +5000 ms +40 +31/29 +status 0", out)
+    assert only_asks(bus.wire.sent)
+    assert [m.status for m in bus.motors] == [DISABLED] * 2
+
+
+def test_check_works_without_a_trajectory(capsys, bus):
+    code, out, _ = run(capsys, "check", *CAN0)
+    assert code == 0 and "DM4340 " in out
+
+
+def test_check_says_what_has_to_change(capsys, bus, trajectory):
+    Fault("mode", 0, 2.0).apply(bus.motors[0])
+    Fault("tmax", 1, 40.0).apply(bus.motors[1])
+    code, out, _ = run(capsys, "check", trajectory, *CAN0)
+    assert code == 1
+    assert "[STOP] motor 1 is in mode 2 (POS_VEL); set CTRL_MODE to 1 (MIT)" in out
+    assert "not DM4340!" in out and "2 to change before playing" in out
+
+
+def test_check_of_an_empty_bus(capsys, bus):
+    for motor in bus.motors:
+        motor.silent = True
+    code, out, _ = run(capsys, "check", *CAN0)
+    assert code == 1 and "no motor answers" in out
+
+
+# --- play ---------------------------------------------------------------------------------------
+
+
+def test_play_records_and_disables(capsys, bus, trajectory, tmp_path):
+    record = tmp_path / "measured.csv"
+    arguments = ("--yes", "--record", record, "--kd", "2", "--rate", "100")
+    code, out, err = run(capsys, "play", trajectory, *CAN0, *arguments)
+    assert (code, err) == (0, ""), err
+    assert "all motors are disabled" in out
+    assert [m.status for m in bus.motors] == [DISABLED] * 2
+    recording = read_recording(record)
+    assert recording.ending == "completed" and "kd=2 2" in recording.head
+    assert len(recording.columns["time"]) == 51
+    assert (tmp_path / "measured.log").read_text().count(" T\n") > 2 * 51
+
+
+def test_frames_can_be_logged_without_a_recording(capsys, bus, trajectory, tmp_path):
+    raw = tmp_path / "frames.asc"
+    code, _, err = run(capsys, "play", trajectory, *CAN0, "--yes", "--raw-log", raw)
+    assert (code, err) == (0, "")
+    assert sorted(tmp_path.iterdir()) == sorted([trajectory, raw])
+    with can.LogReader(raw) as reader:
+        logged = [(m.arbitration_id, bytes(m.data)) for m in reader if not m.is_rx]
+    # The log begins after the inspections, with the first thing that is done to a motor.
+    sent = [(frame.id, frame.data) for frame in bus.wire.sent]
+    assert logged == sent[-len(logged) :] and logged[0] == enable_frame(1)[:2]
+
+
+def test_dry_run_enables_nothing(capsys, bus, trajectory):
+    code, out, _ = run(capsys, "play", trajectory, *CAN0, "--dry-run")
+    assert code == 0 and "nothing speaks against playing" in out
+    assert only_asks(bus.wire.sent)
+
+
+def test_dry_run_without_a_bus_checks_the_file(capsys, bus, trajectory):
+    code, out, _ = run(capsys, "play", trajectory, "--dry-run")
+    assert code == 0 and "[ok  ] ids are unique: 1, 2" in out
+    code, out, err = run(capsys, "play", trajectory, "--dry-run", "--rate", "2000")
+    assert code == 3 and "limit 70 %; use --rate 1000" in err
+    assert bus.wire is None
+
+
+def test_a_motor_with_another_scaling_is_refused(capsys, bus, trajectory):
+    Fault("tmax", 0, 20.0).apply(bus.motors[0])
+    code, _, err = run(capsys, "play", trajectory, *CAN0, "--yes")
+    assert code == 3 and "--accept-register-limits" in err
+    assert only_asks(bus.wire.sent)
+
+
+def test_playing_needs_a_confirmation(capsys, bus, trajectory, monkeypatch):
+    code, _, err = run(capsys, "play", trajectory, *CAN0)
+    assert code == 2 and "give --yes" in err
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
+    monkeypatch.setattr("builtins.input", lambda prompt: "no")
+    code, _, err = run(capsys, "play", trajectory, *CAN0)
+    assert code == 2 and "not confirmed" in err
+    assert only_asks(bus.wire.sent)
+    monkeypatch.setattr("builtins.input", lambda prompt: " Yes ")
+    assert run(capsys, "play", trajectory, *CAN0)[0] == 0
+
+
+@pytest.mark.parametrize("there", ["measured.csv", "measured.log"])
+def test_existing_recordings_are_kept_and_nobody_is_asked_first(
+    capsys, bus, trajectory, tmp_path, there, monkeypatch
+):
+    def asked(prompt):
+        raise AssertionError("asked in vain")
+
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
+    monkeypatch.setattr("builtins.input", asked)
+    (tmp_path / there).write_text("precious")
+    record = ("--record", tmp_path / "measured.csv")
+    code, _, err = run(capsys, "play", trajectory, *CAN0, *record)
+    assert code == 2 and f"{there} exists" in err
+    assert (tmp_path / there).read_text() == "precious"
+    assert sorted(tmp_path.iterdir()) == sorted([trajectory, tmp_path / there])
+    assert run(capsys, "play", trajectory, *CAN0, *record, "--yes", "--overwrite")[0] == 0
     assert read_recording(tmp_path / "measured.csv").ending == "completed"
 
 
-def test_a_rehearsal_with_a_fault(capsys, quick, trajectory, model):
-    code, _, err = run(
-        capsys, "simulate", trajectory, "--model", model, "--play", *SLOWLY, "--watchdog", "5",
-        "--fault", "status:1=10@0.2",
-    )  # fmt: skip
-    assert code == 3 and "motor 2 (joint 1) reports status A: over-current" in err
+def test_interrupting_before_anything_moves(capsys, bus, trajectory, monkeypatch):
+    def interrupt(prompt):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
+    monkeypatch.setattr("builtins.input", interrupt)
+    code, _, err = run(capsys, "play", trajectory, *CAN0)
+    assert code == 130 and "no motor is enabled" in err
+    assert only_asks(bus.wire.sent)
 
 
-def test_a_model_with_other_joints_is_refused(capsys, trajectory, arm_file):
-    path = arm_file(arms.THREE)
-    code, _, err = run(capsys, "simulate", trajectory, "--model", path)
+def test_interrupting_while_it_moves_comes_to_rest_and_disables(capsys, bus, trajectory, tmp_path):
+    bus.clock.at(2.5, lambda: signal.raise_signal(signal.SIGINT))
+    record = tmp_path / "measured.csv"
+    code, out, err = run(capsys, "play", trajectory, *CAN0, "--yes", "--record", record)
+    assert code == 3 and "stopped by SIGINT" in err and "stopping" in out
+    assert [m.status for m in bus.motors] == [DISABLED] * 2
+
+
+# --- usage --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["fly"], "unknown command 'fly'; valid: check, play, simulate"),
+        (["check"], "check needs --channel"),
+        (["play", "T"], "play needs --channel"),
+        (["play", *CAN0], "the following arguments are required: TRAJECTORY"),
+        (["play", "T", *CAN0, "--kd", "0"], "--kd must be above 0"),
+        (["play", "T", *CAN0, "--kd", "6"], "--kd must be above 0 and at most 5"),
+        (["play", "T", *CAN0, "--kp", "501"], "--kp must be from 0 to 500"),
+        (["play", "T", *CAN0, "--kp", "1", "2", "3"], "--kp takes one number, or one for each of"),
+        (["play", "T", *CAN0, "--speed", "1.5"], "--speed must be above 0 and at most 1"),
+        (["play", "T", *CAN0, "--speed", "0"], "--speed must be above 0"),
+        (["play", "T", *CAN0, "--rate", "0"], "--rate must be positive"),
+        (["play", "T", *CAN0, "--rate", "nan"], "--rate must be positive"),
+        (["play", "T", *CAN0, "--set-watchdog", "0"], "--set-watchdog must be positive"),
+        (["play", "T", *CAN0, "--bitrate", "0"], "--bitrate must be positive"),
+        (["play", "missing.csv", *CAN0], "cannot read missing.csv"),
+        (["check", *CAN0, "--interface", "udp_multicast"], "invalid choice: 'udp_multicast'"),
+        (["check", *CAN0, "--model", "arm.xml"], "--model needs a TRAJECTORY to check"),
+        (["simulate", "T"], "the following arguments are required: --model"),
+        (["simulate", "T", "--model", "missing.xml"], "missing.xml"),
+        (["simulate", "T", "--model", "M", "--play", "--fault", "flood:1"], "unknown fault"),
+        (["simulate", "T", "--model", "M", "--play", "--fault", "silent:2"], "joints 0 to 1"),
+        (["simulate", "T", "--model", "M", "--watchdog", "0"], "--watchdog must be positive"),
+        (["simulate", "T", "--model", "M", "--interface", "pcan"], "--interface needs --channel"),
+    ],
+)  # fmt: skip
+def test_bad_usage_is_one_line_and_exit_code_2(capsys, trajectory, model, arguments, words):
+    files = {"T": trajectory, "M": model}
+    code, _, err = run(capsys, *(files.get(word, word) for word in arguments))
+    assert code == 2 and words in err, err
+
+
+def test_debug_shows_a_traceback(capsys):
+    assert main(["motors", "play", "missing.csv", *CAN0, "--debug"]) == 2
+    assert "Traceback" in capsys.readouterr().err
+
+
+def help_of(capsys, *arguments):
+    with pytest.raises(SystemExit) as caught:
+        main(["motors", *arguments])
+    assert caught.value.code == 0
+    return capsys.readouterr().out
+
+
+@pytest.mark.parametrize("arguments", [[], ["--help"], ["-h"]])
+def test_the_command_alone_prints_its_help(capsys, arguments):
+    text = help_of(capsys, *arguments)
+    assert text.startswith("example: robot-sysid motors check --channel can0\n")
+    assert all(name in text for name in COMMANDS)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_each_command_has_a_short_help_and_one_with_all_options(capsys, name):
+    text = help_of(capsys, name, "--help")
+    assert text.startswith(f"example: robot-sysid motors {name} ")
+    assert f"\nusage: robot-sysid motors {name} TRAJECTORY [options]\n" in text
+    assert len(text.splitlines()) <= 50
+    full = help_of(capsys, name, "--help-all")
+    options = re.findall(r"^  (?:-\w, |)(--[\w-]+)", text, re.MULTILINE)
+    everything = re.findall(r"^  (?:-\w, |)(--[\w-]+)", full, re.MULTILINE)
+    assert set(options) < set(everything)
+    assert {"--start-tolerance", "--bitrate", "--mesh-dir"} <= set(everything) - set(options)
+
+
+# --- a model of the arm -------------------------------------------------------------------------
+
+NARROW = 'range="-.3 .3"'
+WEAK = 'range="-2 2" actuatorfrcrange="-1 1"'
+
+
+def refused_by(capsys, folder, trajectory, path):
+    """What play and simulate refuse with, and check has to say: the same."""
+    record, files = folder / "measured.csv", set(folder.iterdir())
+    said = []
+    for arguments in (
+        ("play", trajectory, "--model", path, "--dry-run"),
+        ("play", trajectory, "--model", path, *CAN0, "--dry-run"),
+        ("play", trajectory, "--model", path, *CAN0, "--yes", "--record", record),
+        ("simulate", trajectory, "--model", path, "--play", "--record", record),
+        ("simulate", trajectory, "--model", path, *CAN0),
+    ):
+        code, out, err = run(capsys, *arguments)
+        assert code == 3 and len(err.splitlines()) == 1
+        said.append(err.partition(" played: ")[2] or err.partition("not rehearsed: ")[2])
+    code, out, _ = run(capsys, "check", trajectory, "--model", path, *CAN0)
+    assert code == 1
+    stops = [line.partition("[STOP] ")[2] for line in out.splitlines() if "[STOP]" in line]
+    assert set(folder.iterdir()) == files
+    assert {text.strip() for text in said} == {stops[0]}
+    return stops
+
+
+def test_a_trajectory_beyond_the_joint_ranges_is_refused(capsys, bus, tmp_path, arm_file):
+    trajectory = written(tmp_path, swing(2, amplitude=0.98))
+    path = arm_file(arms.serial_arm((arms.Z, arms.Y), joint=NARROW))
+    first, second = refused_by(capsys, tmp_path, trajectory, path)
+    assert first.startswith("joint joint0: position 0.98 rad is beyond the model's limit 0.3, at ")
+    assert second.startswith("joint joint1: position 0.98 rad is beyond the model's limit 0.3, at ")
+    assert only_asks(bus.wire.sent)
+
+
+def test_a_torque_beyond_the_models_limit_is_refused(capsys, bus, tmp_path, arm_file):
+    trajectory = written(tmp_path, swing(2, amplitude=0.98))
+    path = arm_file(arms.serial_arm((arms.Z, arms.Y), joint=WEAK))
+    stops = refused_by(capsys, tmp_path, trajectory, path)
+    assert [text[:20] for text in stops] == ["joint joint0: torque", "joint joint1: torque"]
+    assert only_asks(bus.wire.sent)
+
+
+def test_a_trajectory_inside_the_models_limits_is_played(capsys, bus, trajectory, model):
+    for arguments in (("check", trajectory), ("play", trajectory, "--yes")):
+        code, out, err = run(capsys, *arguments, "--model", model, *CAN0)
+        assert (code, err) == (0, "")
+        assert f"[ok  ] the trajectory stays within the limits of {model.name}" in out
+
+
+@pytest.mark.parametrize(
+    "arguments", [("check", *CAN0), ("play", "--dry-run"), ("simulate", "--play"), ("simulate",)]
+)
+def test_a_model_with_other_joints_is_refused(capsys, bus, trajectory, arm_file, arguments):
+    name, *rest = arguments
+    code, _, err = run(capsys, name, trajectory, *rest, "--model", arm_file(arms.THREE))
     assert code == 2 and "has 2 joints but the chain" in err and "has 3" in err
+    assert bus.wire is None
 
 
-@pytest.mark.parametrize("text", ["status", "status:x", "status:1=hot", "flood:1", "status:1@soon"])
-def test_faults_that_cannot_be_read_are_refused(text):
-    with pytest.raises(InputError, match="status, jammed, silent"):
-        parse_fault(text)
+# --- simulate -----------------------------------------------------------------------------------
 
 
-def test_faults_are_read():
-    assert parse_fault("status:2=13@4.5") == Fault("status", 2, 13.0, 4.5)
-    assert parse_fault("silent:0") == Fault("silent", 0, 1.0, 0.0)
-    assert all(parse_fault(f"{kind}:0").kind == kind for kind in FAULT_KINDS)
+def test_a_rehearsal_takes_no_real_time(capsys, no_real_time, trajectory, model, tmp_path):
+    record = tmp_path / "measured.csv"
+    arguments = ("--model", model, "--play", "--record", record)
+    code, out, err = run(capsys, "simulate", trajectory, *arguments)
+    assert (code, err) == (0, "")
+    assert "played 126 cycles, 0 skipped; started late by 0.00 ms" in out
+    recording = read_recording(record)
+    assert recording.ending == "completed"
+    assert np.all(np.isfinite(recording.joint_values("pos")))
 
 
-@pytest.mark.slow
+def frames_of(path):
+    """(time since the first frame, id, data, sent) of every frame in a log."""
+    with can.LogReader(path) as reader:
+        messages = list(reader)
+    start = messages[0].timestamp
+    return [(m.timestamp - start, m.arbitration_id, bytes(m.data), m.is_rx) for m in messages]
+
+
+def test_a_rehearsal_is_exactly_repeatable(capsys, trajectory, model, tmp_path):
+    records = [tmp_path / name / "measured.csv" for name in ("first", "second")]
+    for record in records:
+        record.parent.mkdir()
+        arguments = ("--model", model, "--play", "--record", record, "--fault", "jammed:1@1.9")
+        run(capsys, "simulate", trajectory, *arguments)
+    first, second = (record.read_bytes() for record in records)
+    assert first == second and first.count(b"\n") > 100
+    # The frames' log tells the date, so only times since its beginning can be the same.
+    logs = [frames_of(record.with_suffix(".log")) for record in records]
+    assert [frame[1:] for frame in logs[0]] == [frame[1:] for frame in logs[1]]
+    first_times, second_times = (np.array([frame[0] for frame in log]) for log in logs)
+    np.testing.assert_allclose(first_times, second_times, rtol=0, atol=3e-6)
+
+
+def test_a_rehearsal_with_a_fault(capsys, no_real_time, trajectory, model, tmp_path):
+    record = tmp_path / "measured.csv"
+    arguments = ("--model", model, "--play", "--fault", "status:1=10@1.9", "--record", record)
+    code, _, err = run(capsys, "simulate", trajectory, *arguments)
+    assert code == 3 and "motor 2 (joint 1) reports status A: over-current" in err
+    assert read_recording(record).ending.startswith("stopped: motor 2")
+
+
+@pytest.mark.parametrize("fd", [(), ("--fd",)])
+def test_a_rehearsal_uses_the_frames_it_is_told_to(capsys, trajectory, model, tmp_path, fd):
+    raw = tmp_path / "frames.log"
+    arguments = ("--model", model, "--play", *fd, "--raw-log", raw)
+    assert run(capsys, "simulate", trajectory, *arguments)[0] == 0
+    with can.LogReader(raw) as reader:
+        assert {m.is_fd for m in reader if not m.is_rx} == {bool(fd)}
+
+
+@pytest.mark.parametrize("fd", [(), ("--fd",)])
+def test_a_simulated_arm_on_a_bus_says_how_to_reach_it(capsys, bus, trajectory, model, fd):
+    address = ("--interface", "virtual", "--channel", "c")
+    code, out, err = run(
+        capsys, "simulate", trajectory, "--model", model, *address, *fd, "--for", "2"
+    )
+    assert (code, err) == (0, "")
+    words = ["play", str(trajectory), *address, *fd, "--record", "measured.csv"]
+    assert out.splitlines()[-1] == f"robot-sysid motors {' '.join(words)}"
+    assert bus.clock.now() == pytest.approx(2.0, abs=2e-3)
+
+
+def test_a_simulated_arm_goes_on_until_it_is_interrupted(capsys, bus, trajectory, model):
+    bus.clock.at(3.0, lambda: signal.raise_signal(signal.SIGINT))
+    assert run(capsys, "simulate", trajectory, "--model", model, *CAN0)[0] == 0
+    assert bus.clock.now() == pytest.approx(3.0, abs=2e-3)
+
+
+# --- real time ----------------------------------------------------------------------------------
+
+# Wide enough for most computers.
+SLOWLY = (
+    *("--rate", "25", "--max-lateness-ms", "2000", "--max-missed", "100"),
+    *("--max-tracking-error", "1"),
+)
+
+
+@pytest.mark.realtime
+def test_check_and_play_over_the_virtual_bus(capsys, trajectory, tmp_path):
+    address = BusAddress("virtual", "cli")
+    arguments = ("--interface", address.interface, "--channel", address.channel)
+    simulated, clock = two_motor_arm(watchdog=5.0), SystemClock()
+    with served_in_background(simulated, open_bus(address, BusTiming(), clock), clock):
+        code, out, err = run(capsys, "check", trajectory, *arguments)
+        assert (code, err) == (0, "") and "ready to play" in out
+        record = tmp_path / "measured.csv"
+        code, _, err = run(
+            capsys, "play", trajectory, *arguments, *SLOWLY, "--yes", "--record", record
+        )
+        assert (code, err) == (0, ""), err
+    assert [m.status for m in simulated.motors] == [DISABLED] * 2
+    assert read_recording(record).ending == "completed"
+
+
+@pytest.mark.realtime
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals")
 def test_two_processes_over_a_pseudo_terminal(trajectory, model, tmp_path):
     """What the user does: simulate in one terminal, play and stop it in the other."""
-    command = [sys.executable, "-m", "robot_sysid.damiao_cli"]
+    program = [sys.executable, "-m", "robot_sysid", "motors"]
     server = subprocess.Popen(
-        [*command, "simulate", trajectory, "--model", model, "--watchdog", "5"],
+        [*program, "simulate", trajectory, "--model", model, "--watchdog", "5"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:
@@ -270,7 +475,7 @@ def test_two_processes_over_a_pseudo_terminal(trajectory, model, tmp_path):
             match = re.search(r"--channel (\S+)", server.stdout.readline())
             device = match and match.group(1)
         play = [
-            *command, "play", trajectory, "--interface", "slcan", "--channel", device, *SLOWLY,
+            *program, "play", trajectory, "--interface", "slcan", "--channel", device, *SLOWLY,
             "--yes", "--record", tmp_path / "measured.csv",
         ]  # fmt: skip
         done = subprocess.run(play, capture_output=True, text=True, timeout=60)
@@ -278,7 +483,6 @@ def test_two_processes_over_a_pseudo_terminal(trajectory, model, tmp_path):
         assert read_recording(tmp_path / "measured.csv").ending == "completed"
     finally:
         server.send_signal(signal.SIGINT)
-        time.sleep(0.1)
         assert server.wait(timeout=20) == 0
         server.stdout.close()
         server.stderr.close()

@@ -33,20 +33,9 @@ def test_the_comparison_can_fail(loop, mass, shift, close):
 
 
 def test_a_motor_with_another_scale_is_refused_before_anything_moves(loop, tmp_path, monkeypatch):
-    motion = tmp_path / "damiao_trajectory.csv"
-    from robot_sysid.damiao.trajectory.csv_file import export_damiao_trajectory
-    from tests.support.damiao_rig import swing
-
-    export_damiao_trajectory([swing(7, 1.0, amplitude=0.05)], loop.MOTORS, motion)
-    trajectory = loop.read_damiao_trajectory(motion)
-    kp, kd = loop.default_gains([joint.spec for joint in trajectory.joints])
-    plan = loop.make_plan(trajectory, loop.PlaySettings(kp, kd, max_tracking_error=3.0))
-    assert loop.other_scale_is_refused(plan, tmp_path / "never.csv")
-    monkeypatch.setattr(loop, "Fault", lambda *_: loop_fault_that_does_nothing())
-    assert not loop.other_scale_is_refused(plan, tmp_path / "played.csv")
-
-
-def loop_fault_that_does_nothing():
-    from robot_sysid.damiao.simulated.faults import Fault
-
-    return Fault("temperature-mos", 0, 31.0)
+    trajectory = loop.exported_trajectory(loop.TRUTH, tmp_path, duration=1.0)
+    assert loop.other_scale_is_refused(trajectory, tmp_path / "never.csv")
+    # A fault that does nothing: each motor is at 31 degrees.
+    monkeypatch.setattr(loop, "OTHER_SCALE", "temperature-mos:0=31")
+    assert not loop.other_scale_is_refused(trajectory, tmp_path / "played.csv")
+    assert (tmp_path / "played.csv").exists()

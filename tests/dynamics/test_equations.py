@@ -108,7 +108,7 @@ def test_noise_free_torques_give_back_any_possible_link(name, theta, seed):
 
 
 @given(random_chain(("any", "parallel")), rigid_bodies(), SEEDS)
-def test_on_any_chain_what_is_called_identified_is_right_and_the_blind_rest_is_the_models(
+def test_on_any_chain_what_is_called_identified_is_right_and_the_rest_is_the_models(
     xml, theta, seed
 ):
     robot = robot_of(xml)
@@ -169,14 +169,14 @@ def test_a_wrong_regressor_column_shows_on_the_models_own_simulation(monkeypatch
 def test_a_missing_regressor_column_shows_as_a_residual(monkeypatch, column):
     right = collection.joint_regressor
 
-    def blind(motion, joints):
+    def nothing(motion, joints):
         rows = right(motion, joints)
         rows[:, :, column] = 0.0
         return rows
 
     measurements = measure(SEVEN, 0)
     sound = identify(SEVEN, measurements)
-    monkeypatch.setattr(collection, "joint_regressor", blind)
+    monkeypatch.setattr(collection, "joint_regressor", nothing)
     assert identify(SEVEN, measurements).rmse > 1e3 * sound.rmse
 
 

@@ -33,11 +33,15 @@ def test_turning_keeps_the_strength_and_turns_by_the_angle(seed, first, second):
     np.testing.assert_allclose(sine, np.sin(np.hypot(first, second)), rtol=0.0, atol=1e-12)
 
 
-@given(SEEDS)
-def test_columns_are_the_derivative_of_mujocos_torque(seed):
-    """By central differences of the whole arm's inverse dynamics at rest."""
+@pytest.mark.parametrize("name", ["shared bodies", "springs", "tendon spring"])
+@given(seed=SEEDS)
+def test_columns_are_the_derivative_of_mujocos_torque(name, seed):
+    """By central differences of the whole arm's inverse dynamics at rest.
+
+    Springs pull at rest too, but they do not know where down is.
+    """
     rng = np.random.default_rng(seed)
-    robot = with_gravity(arms.robot_of(arms.SHARED_BODIES), 9.81 * rng.normal(size=3))
+    robot = with_gravity(arms.robot_of(arms.MODELS[name]), 9.81 * rng.normal(size=3))
     q = rng.uniform(-1.0, 1.0, (4, robot.n_joints))
     columns = TiltColumns(robot, robot.prior.theta).evaluate(q)
     step, still, down = 1e-4, np.zeros_like(q), gravity(robot)

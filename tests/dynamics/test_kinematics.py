@@ -186,6 +186,21 @@ def test_springs_and_armature_stay_in_the_torque():
     np.testing.assert_allclose(armature, 0.3 * motion[2], rtol=1e-10, atol=1e-10)
 
 
+@pytest.mark.parametrize("what", ['stiffness="25" springlength=".2"', 'damping="3"'])
+def test_one_thing_a_tendon_does_is_enough_for_the_full_dynamics(what):
+    """The part that the rest of the arm takes has to hold it."""
+    both = 'stiffness="25" springlength=".2" damping="3"'
+    robot = robot_of(arms.TENDON_SPRING.replace(both, what))
+    motion = random_motion(np.random.default_rng(6), 3, 20)
+    assert np.max(np.abs(plain_torque(arms.THREE, motion) - ArmDynamics(robot).torque(*motion))) > 1
+    assert not has_only_armature(robot.mj_model)
+    assert_reproduces(robot, robot.prior.theta, motion)
+
+
+def test_an_arm_without_springs_and_tendons_needs_no_full_dynamics():
+    assert has_only_armature(robot_of(arms.ARMATURE).mj_model)
+
+
 def test_massless_link_leaves_no_warning_behind():
     robot = robot_of(arms.COUPLED_FINGERS)
     kinematics = ChainKinematics(robot)

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-import mujoco
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.dynamics import spatial
+from tests.support.arms import random_rotation
 from tests.support.synthetic_data import random_body, wrench_rows
 
 SEEDS = st.integers(0, 2**32 - 1)
-# Down to a needle: the thinnest direction holds 1e-12 of the mass's second moment.
+# Down to a needle: the shortest direction holds 1e-12 of the mass's second moment.
 SPREADS = st.sampled_from([1.0, 1e-3, 1e-6])
 
 
 def random_frame(rng):
-    return spatial.rotation_from_quaternion(rng.normal(size=4)), rng.normal(size=3)
+    return random_rotation(rng), rng.normal(size=3)
 
 
 def scaled(theta):
@@ -122,18 +122,6 @@ def test_positive_pseudo_inertia_is_the_triangle_inequality_of_principal_moments
 
 
 @given(SEEDS)
-def test_mujocos_body_form_and_ours_agree(seed):
-    rng = np.random.default_rng(seed)
-    quaternion, com = rng.normal(size=4), rng.normal(size=3)
-    principal = np.array([0.3, 0.4, 0.5]) * rng.uniform(0.9, 1.1, 3)
-    theta = spatial.theta_from_mujoco(1.5, com, quaternion, principal)
-    mass, back, inertia = spatial.com_from_theta(theta)
-    assert mass == 1.5
-    np.testing.assert_allclose(back, com, rtol=0.0, atol=1e-15)
-    np.testing.assert_allclose(np.linalg.eigvalsh(inertia), np.sort(principal), atol=1e-13)
-
-
-@given(SEEDS)
 def test_kinetic_energy_is_the_same_in_every_frame(seed):
     """Momentum is the wrench rows at rest: energy = V . momentum(V) / 2."""
     rng = np.random.default_rng(seed)
@@ -176,32 +164,3 @@ def test_the_scale_of_a_body_follows_its_units(seed, mass_power, length_power):
     units = spatial.parameter_scale(10.0**mass_power, 10.0**length_power)
     one, other = (spatial.characteristic_length(t) for t in (theta, units * theta))
     assert other == pytest.approx(10.0**length_power * one, rel=1e-12)
-
-
-angles = st.floats(-np.pi, np.pi, allow_subnormal=False)
-
-
-@given(seed=st.integers(0, 2**32 - 1), k=st.integers(0, 3), size=st.floats(0.0, 1.0))
-def test_a_quaternion_survives_the_way_through_its_matrix(seed, k, size):
-    # Small ``size`` gives nearly a half turn about one axis, where signs are fragile.
-    quaternion = size * np.random.default_rng(seed).normal(size=4) + 2.0 * np.eye(4)[k]
-    quaternion /= np.linalg.norm(quaternion)
-    back = spatial.quaternion_from_rotation(spatial.rotation_from_quaternion(quaternion))
-    np.testing.assert_allclose(np.abs(back @ quaternion), 1.0, rtol=0, atol=1e-15 * 4)
-    matrix = np.empty(9)
-    mujoco.mju_quat2Mat(matrix, back)
-    expected = spatial.rotation_from_quaternion(quaternion)
-    np.testing.assert_allclose(matrix.reshape(3, 3), expected, rtol=0, atol=1e-14)
-
-
-@given(roll=angles, pitch=angles, yaw=angles)
-def test_rpy_turns_as_a_urdf_joint_does(roll, pitch, yaw):
-    text = (
-        '<robot name="r"><mujoco><compiler fusestatic="false"/></mujoco><link name="a"/>'
-        '<link name="b"/><joint name="j" type="fixed"><parent link="a"/><child link="b"/>'
-        f'<origin rpy="{roll!r} {pitch!r} {yaw!r}"/></joint></robot>'
-    )
-    quaternion = mujoco.MjModel.from_xml_string(text).body_quat[-1]
-    expected = spatial.rotation_from_quaternion(quaternion)
-    actual = spatial.rotation_from_rpy(roll, pitch, yaw)
-    np.testing.assert_allclose(actual, expected, rtol=0, atol=1e-13)

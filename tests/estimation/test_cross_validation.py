@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from robot_sysid.dynamics.friction import friction_model
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.cross_validation import (
-    TorqueErrors,
     blocks,
     choose_model,
     hold_out,
@@ -25,72 +24,59 @@ from robot_sysid.records import SquareRootInformation
 JOINTS = ("shoulder", "elbow")
 
 
-def torques(seed: int, n: int = 60) -> tuple[np.ndarray, np.ndarray]:
-    rng = np.random.default_rng(seed)
-    return rng.normal(size=(n, 2)) * [5.0, 0.5], rng.normal(size=(n, 2))
-
-
-@settings(max_examples=100)
-@given(st.integers(0, 2**32), st.integers(1, 60))
-def test_chunks_add_up_to_the_textbook_formulas(seed, size):
-    measured, predicted = torques(seed)
-    errors = TorqueErrors(JOINTS)
-    for start in range(0, len(measured), size):
-        errors.add(measured[start : start + size], predicted[start : start + size])
-    result = errors.result("test")
-    wrong = measured - predicted
-    assert result.rmse == pytest.approx(np.sqrt(np.mean(wrong**2)), rel=1e-12)
-    relative = np.linalg.norm(wrong) / np.linalg.norm(measured)
-    assert result.relative_error == pytest.approx(relative, rel=1e-12)
-    each = np.linalg.norm(wrong, axis=0) / np.linalg.norm(measured, axis=0)
-    assert list(result.relative_error_per_joint.values()) == pytest.approx(list(each), rel=1e-12)
-    assert result.rmse_per_joint["elbow"] == pytest.approx(np.sqrt(np.mean(wrong[:, 1] ** 2)))
-    assert result.n_samples == 60
-
-
-@settings(max_examples=100)
-@given(st.integers(0, 2**32))
-def test_triangles_give_the_error_of_the_samples(seed):
-    rng = np.random.default_rng(seed)
-    rows, values = rng.normal(size=(2, 50, 3)), rng.normal(size=3)
-    tau, _ = torques(seed, 50)
+def held_out(rows, tau) -> SquareRootInformation:
+    """Information of two joints; NaN where a sample is left out."""
     accumulator = InformationAccumulator("abc", JOINTS, [np.arange(3)] * 2)
-    errors = TorqueErrors(JOINTS)
     for joint in range(2):
-        accumulator.add(joint, rows[joint], tau[:, joint])
-    errors.add(tau, np.stack([rows[j] @ values for j in range(2)], axis=1))
-    small, large = validate(accumulator.result(), values, "t"), errors.result("t")
-    for name in ("rmse", "relative_error"):
-        assert getattr(small, name) == pytest.approx(getattr(large, name), rel=1e-9)
-    assert small.rmse_per_joint == pytest.approx(large.rmse_per_joint, rel=1e-9)
-    whole = validate(accumulator.result(), values, "t", squared_torque=[1e4, 1e4])
-    wrong = large.rmse * np.sqrt(100)
-    assert whole.relative_error == pytest.approx(wrong / np.sqrt(2e4), rel=1e-9)
+        keep = np.isfinite(tau[:, joint])
+        accumulator.add(joint, rows[joint][keep], tau[keep, joint])
+    return accumulator.result()
 
 
-def test_masked_samples_do_not_count_even_when_they_are_not_finite():
-    measured, predicted = torques(0)
-    usable = np.ones(measured.shape, dtype=bool)
-    usable[:20, 0] = False
-    spoiled = np.where(usable, measured, np.nan)
-    errors = TorqueErrors(JOINTS)
-    errors.add(spoiled, predicted, usable)
-    expected = np.sqrt(np.mean((measured - predicted)[20:, 0] ** 2))
-    assert errors.result("t").rmse_per_joint["shoulder"] == pytest.approx(expected, rel=1e-12)
-    with pytest.raises(InputError, match="not finite"):
-        errors.add(spoiled, predicted)
+@settings(max_examples=100)
+@given(st.integers(0, 2**32), st.floats(0.0, 0.5))
+def test_triangles_give_the_errors_of_the_textbook_formulas(seed, left_out):
+    rng = np.random.default_rng(seed)
+    rows, values = rng.normal(size=(2, 60, 3)), rng.normal(size=3)
+    tau = rng.normal(size=(60, 2)) * [5.0, 0.5]
+    tau[rng.random(tau.shape) < left_out] = np.nan
+    total = np.nansum(tau**2, axis=0)
+    result = validate(held_out(rows, tau), values, "test", total)
+    wrong = tau - np.stack([rows[j] @ values for j in range(2)], axis=1)
+    assert result.rmse == pytest.approx(np.sqrt(np.nanmean(wrong**2)), rel=1e-9)
+    whole = np.sqrt(np.nansum(wrong**2) / np.sum(total))
+    assert result.relative_error == pytest.approx(whole, rel=1e-9)
+    each = np.sqrt(np.nansum(wrong**2, axis=0) / total)
+    assert list(result.relative_error_per_joint.values()) == pytest.approx(list(each), rel=1e-9)
+    rmse = np.sqrt(np.nanmean(wrong**2, axis=0))
+    assert list(result.rmse_per_joint.values()) == pytest.approx(list(rmse), rel=1e-9)
+    assert tuple(result.rmse_per_joint) == JOINTS
+    assert result.n_samples == np.max(np.count_nonzero(np.isfinite(tau), axis=0))
+
+
+def test_the_whole_measured_torque_sets_the_scale():
+    """The right-hand sides lack what the rest of the arm explains."""
+    rng = np.random.default_rng(0)
+    rows, tau = rng.normal(size=(2, 60, 3)), rng.normal(size=(60, 2))
+    values = rng.normal(size=3)
+    result = validate(held_out(rows, tau), values, "t", np.array([1e4, 3e4]))
+    assert result.relative_error == pytest.approx(result.rmse * np.sqrt(120 / 4e4), rel=1e-9)
+    elbow = result.rmse_per_joint["elbow"] * np.sqrt(60 / 3e4)
+    assert result.relative_error_per_joint["elbow"] == pytest.approx(elbow, rel=1e-9)
 
 
 def test_a_joint_without_torque_has_no_relative_error():
-    errors = TorqueErrors(JOINTS)
-    errors.add(np.array([[1.0, 0.0]]), np.array([[0.5, 0.0]]))
-    result = errors.result("t")
-    assert result.relative_error_per_joint == {"shoulder": 0.5, "elbow": None}
+    rows = np.ones((2, 1, 3))
+    tau = np.array([[1.0, 0.0]])
+    result = validate(held_out(rows, tau), np.array([0.5, 0.0, 0.0]), "t", np.array([1.0, 0.0]))
+    assert result.relative_error_per_joint["elbow"] is None
+    assert result.relative_error_per_joint["shoulder"] == pytest.approx(0.5, rel=1e-12)
 
 
 def test_nothing_to_validate_on_is_said():
+    nothing = held_out(np.ones((2, 1, 3)), np.full((1, 2), np.nan))
     with pytest.raises(InputError, match="no usable torque samples to validate on in the last"):
-        TorqueErrors(JOINTS).result("the last 20 %")
+        validate(nothing, np.zeros(3), "the last 20 %", np.zeros(2))
 
 
 @settings(max_examples=100)

@@ -1,4 +1,4 @@
-"""What the data can see: rank, condition numbers, blind directions in words."""
+"""What the data can see: rank, condition numbers, unidentifiable directions in words."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ def terminal(seed, axis, offset=ORIGIN):
 def test_last_joint_alone_sees_seven_of_ten_and_its_friction():
     seen = terminal(0, [0.0, 0.0, 1.0])
     assert (seen.rank, seen.n_parameters) == (9, 12)
-    assert seen.blind == ("mass", "first moment along z", "the sum Ixx + Iyy")
-    blind = {0, 3, 4, 7}
-    assert seen.identified == tuple(k not in blind for k in range(12))
+    assert seen.unidentifiable == ("mass", "first moment along z", "the sum Ixx + Iyy")
+    unseen = {0, 3, 4, 7}
+    assert seen.identified == tuple(k not in unseen for k in range(12))
 
 
-def test_blind_directions_of_a_slanted_axis_name_that_axis():
-    assert terminal(0, [0.6, 0.8, 0.0]).blind == (
+def test_unidentifiable_directions_of_a_slanted_axis_name_that_axis():
+    assert terminal(0, [0.6, 0.8, 0.0]).unidentifiable == (
         "mass",
         "first moment along (0.6, 0.8, 0)",
         "the sum of the two inertias transverse to (0.6, 0.8, 0)",
@@ -43,10 +43,10 @@ def test_blind_directions_of_a_slanted_axis_name_that_axis():
 
 
 def test_an_axis_off_the_origin_reads_as_combinations():
-    blind = terminal(0, [0.0, 0.0, 1.0], np.array([0.5, 0.0, 0.0])).blind
-    assert len(blind) == 3
-    assert "the sum Ixx + Iyy" in blind
-    assert any("m +" in phrase and "hx" in phrase for phrase in blind)
+    phrases = terminal(0, [0.0, 0.0, 1.0], np.array([0.5, 0.0, 0.0])).unidentifiable
+    assert len(phrases) == 3
+    assert "the sum Ixx + Iyy" in phrases
+    assert any("m +" in phrase and "hx" in phrase for phrase in phrases)
 
 
 @settings(max_examples=100, deadline=None)
@@ -55,8 +55,8 @@ def test_last_joint_alone_has_rank_nine_for_every_axis(seed):
     axis = np.random.default_rng(seed).normal(size=3)
     seen = terminal(seed, axis / np.linalg.norm(axis))
     assert seen.rank == 9
-    assert len(seen.blind) == 3
-    assert seen.blind[0] == "mass"
+    assert len(seen.unidentifiable) == 3
+    assert seen.unidentifiable[0] == "mass"
 
 
 def test_several_joints_see_everything_and_nuisances_do_not_count():
@@ -64,7 +64,7 @@ def test_several_joints_see_everything_and_nuisances_do_not_count():
     equations, names = arm_equations(rng, joints=4)
     seen = analyse_identifiability(information_of(equations, names, rng.normal(size=18)))
     assert (seen.rank, seen.n_parameters) == (12, 12)
-    assert seen.blind == ()
+    assert seen.unidentifiable == ()
     assert all(seen.identified)
 
 
@@ -74,10 +74,37 @@ def test_a_nuisance_that_never_shows_does_not_lower_the_rank():
     equations[0][0][:, 10:] = 0.0
     seen = analyse_identifiability(information_of(equations, names, rng.normal(size=16)))
     assert seen.rank == 12
-    assert seen.blind == ("Coulomb friction of joint0", "viscous friction of joint0")
+    assert seen.unidentifiable == ("Coulomb friction of joint0", "viscous friction of joint0")
 
 
-def test_rounding_noise_in_a_column_is_blind_and_does_not_enter_the_condition():
+def test_the_nuisances_ranks_do_not_make_up_for_what_the_link_hides():
+    """Friction of four joints, of which one is asked for; three inertial columns are zero."""
+    rng = np.random.default_rng(4)
+    equations, names = arm_equations(rng, joints=4)
+    for rows, _ in equations:
+        rows[:, [0, 3, 6]] = 0.0
+    seen = analyse_identifiability(information_of(equations, names, rng.normal(size=18)))
+    assert (seen.rank, seen.n_parameters) == (9, 12)
+    assert seen.unidentifiable == ("mass", "first moment along z", "inertia Ixz")
+
+
+def test_a_column_that_looks_like_a_nuisance_is_not_identified():
+    """An inertia whose torque never changes cannot be told from an offset."""
+    rng = np.random.default_rng(5)
+    equations, names = arm_equations(rng, joints=3)
+    (rows, columns), names = equations[0], names + ("offset[joint0]",)
+    for other, _ in equations:
+        other[:, 9] = 0.0
+    rows[:, 9] = 2.0
+    equations[0] = np.column_stack((rows, np.ones(len(rows)))), np.append(columns, 16)
+    information = information_of(equations, names, rng.normal(size=17))
+    seen = analyse_identifiability(information, "joint2")
+    assert (seen.rank, seen.n_parameters) == (11, 12)
+    assert not seen.identified[9] and not seen.identified[16]
+    assert all(np.delete(seen.identified, [9, 16]))
+
+
+def test_rounding_noise_in_a_column_is_zero_and_does_not_enter_the_condition():
     rng = np.random.default_rng(3)
     matrix = rng.normal(size=(40, 5))
     matrix[:, 2] *= 1e-15
@@ -120,5 +147,5 @@ def test_data_at_rest_sees_nothing():
     names = ("m", "hx", "hy", "hz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
     seen = analyse_identifiability(SquareRootInformation(names, (joint,)))
     assert seen.rank == 0
-    assert len(seen.blind) == 10
+    assert len(seen.unidentifiable) == 10
     assert seen.condition_number == float("inf")

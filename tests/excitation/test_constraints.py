@@ -34,16 +34,16 @@ def test_gradient_equals_differences(seed):
     constraints = MotionConstraints(problem(STRONG_MOTORS), 0.99, 0.0)
     rng = np.random.default_rng(seed)
     motion, direction = rng.normal(size=(2, 3, 3, 3))
-    tape = constraints.evaluate(motion)
-    weight = rng.uniform(size=tape.value.shape)
-    gradient = constraints.pull_back(tape, weight)
+    cache = constraints.evaluate(motion)
+    weight = rng.uniform(size=cache.value.shape)
+    gradient = constraints.vjp(cache, weight)
     exact = sum(np.sum(g * d) for g, d in zip(gradient, direction))
     size = sum(np.sum(np.abs(g * d)) for g, d in zip(gradient, direction))
     ahead, behind = (
         np.sum(weight * constraints.evaluate(motion + step * direction).value)
         for step in (1e-6, -1e-6)
     )
-    here = np.sum(weight * tape.value)
+    here = np.sum(weight * cache.value)
     # A coordinate that passes zero within the step has a kink there: two slopes.
     slopes = np.array([ahead - here, here - behind]) / 1e-6
     assert min(abs(slopes - exact)) < 1e-4 * size
@@ -75,12 +75,12 @@ def test_gradient_of_the_clearance_equals_differences():
             return MotionConstraints(some, 1.0, 0.0).evaluate((at, still, still)).value[0, -1]
 
         constraints = MotionConstraints(some, 1.0, 0.0)
-        tape = constraints.evaluate((q, still, still))
-        if tape.value[0, -1] <= -0.9:
+        cache = constraints.evaluate((q, still, still))
+        if cache.value[0, -1] <= -0.9:
             continue
-        weight = np.zeros_like(tape.value)
+        weight = np.zeros_like(cache.value)
         weight[0, -1] = 1.0
-        exact = np.sum(constraints.pull_back(tape, weight)[0] * direction)
+        exact = np.sum(constraints.vjp(cache, weight)[0] * direction)
         if value(q + 1e-4 * direction) + value(q - 1e-4 * direction) - 2 * value(q) < 1e-6:
             checked += 1
             assert exact == pytest.approx(slope(value, q, direction), rel=1e-3, abs=1e-3)

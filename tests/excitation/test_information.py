@@ -64,7 +64,7 @@ def test_gradient_equals_differences(seed, smoothing):
     motion, direction = rng.normal(size=(2, 3, 12, 3))
     weight = rng.normal(size=(4, 4))
     weight += weight.T
-    gradient = information.evaluate(*motion).pull_back(weight)
+    gradient = information.evaluate(*motion).vjp(weight)
     exact = sum(np.sum(g * d) for g, d in zip(gradient, direction))
     size = sum(np.sum(np.abs(g * d)) for g, d in zip(gradient, direction))
     value = slope(
@@ -123,16 +123,16 @@ def test_gradient_of_a_chain_motion_equals_differences(xml):
     rng = np.random.default_rng(3)
     chain, n = screw_chain(robot), robot.n_joints
     motion, direction = rng.normal(size=(3, 4, n)), rng.normal(size=(3, 4, n))
-    bars = rng.normal(size=(6, n, 4)), rng.normal(size=(6, 4)), rng.normal(size=(6, 4))
+    adjoints = rng.normal(size=(6, n, 4)), rng.normal(size=(6, 4)), rng.normal(size=(6, 4))
 
     def scalar(at):
         out = chain.evaluate(*at)
         return sum(
-            np.sum(bar * value)
-            for bar, value in zip(bars, (out.jacobian, out.velocity, out.acceleration))
+            np.sum(adjoint * value)
+            for adjoint, value in zip(adjoints, (out.jacobian, out.velocity, out.acceleration))
         )
 
-    gradient = chain.evaluate(*motion).pull_back(*bars)
+    gradient = chain.evaluate(*motion).vjp(*adjoints)
     exact = sum(np.sum(g * d) for g, d in zip(gradient, direction))
     assert exact == pytest.approx(slope(scalar, motion, direction), rel=1e-7)
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from robot_sysid.excitation.fourier import FourierBasis, FourierTrajectory
 from robot_sysid.excitation.limit_check import (
     CLEARANCE_RESOLUTION,
-    certify,
+    check_limits,
     first_contact,
     joint_share,
     tight_times,
@@ -35,19 +35,19 @@ def plan_of(some, seed, size, basis=BRIEF):
 def test_peaks_are_those_of_the_samples(seed, size):
     some = problem(arms.THREE)
     plan = plan_of(some, seed, size)
-    proof, motion = certify(some, plan), plan.evaluate(np.arange(401) / 1000.0)
-    assert np.allclose(proof.lowest, motion.q.min(axis=0), atol=1e-12)
-    assert np.allclose(proof.highest, motion.q.max(axis=0), atol=1e-12)
-    assert np.allclose(proof.velocity, np.abs(motion.qd).max(axis=0), atol=1e-12)
-    assert np.allclose(proof.acceleration, np.abs(motion.qdd).max(axis=0), atol=1e-12)
-    assert np.allclose(proof.torque, np.abs(some.torque(motion)).max(axis=0), atol=1e-9)
+    check, motion = check_limits(some, plan), plan.evaluate(np.arange(401) / 1000.0)
+    assert np.allclose(check.lowest, motion.q.min(axis=0), atol=1e-12)
+    assert np.allclose(check.highest, motion.q.max(axis=0), atol=1e-12)
+    assert np.allclose(check.velocity, np.abs(motion.qd).max(axis=0), atol=1e-12)
+    assert np.allclose(check.acceleration, np.abs(motion.qdd).max(axis=0), atol=1e-12)
+    assert np.allclose(check.torque, np.abs(some.torque(motion)).max(axis=0), atol=1e-9)
     limits = some.limits
     kept = (
         np.all((motion.q >= limits.lower) & (motion.q <= limits.upper))
         and np.all(np.abs(motion.qd) <= limits.velocity)
         and np.all(np.abs(motion.qdd) <= limits.acceleration)
     )
-    assert proof.holds == kept == (joint_share(some, plan)[0] <= 1.0)
+    assert check.holds == kept == (joint_share(some, plan)[0] <= 1.0)
 
 
 @given(SEEDS, st.floats(0.02, 0.2))
@@ -58,16 +58,16 @@ def test_clearance_is_that_of_testing_often(seed, size):
     often = plan.evaluate(np.arange(161) / 400.0)
     least = np.min(some.obstacles.slack(often.q).value)
     fastest = np.max(some.obstacles.rates @ np.max(np.abs(often.qd), axis=0))
-    proof = certify(some, plan)
-    assert proof.closest.slack <= least + CLEARANCE_RESOLUTION + 1e-6
+    check = check_limits(some, plan)
+    assert check.closest.slack <= least + CLEARANCE_RESOLUTION + 1e-6
     # Between two of these samples nothing moves farther than this.
-    assert proof.closest.slack >= least - 0.0025 * fastest
-    assert (first_contact(some, plan) is not None) == (proof.closest.slack < 0.0)
+    assert check.closest.slack >= least - 0.0025 * fastest
+    assert (first_contact(some, plan) is not None) == (check.closest.slack < 0.0)
 
 
 def test_few_tests_are_needed_where_there_is_room():
     some = problem(TUBES_AND_POST)
-    assert certify(some, plan_of(some, 0, 0.0)).n_collision_tests == 1
+    assert check_limits(some, plan_of(some, 0, 0.0)).n_collision_tests == 1
 
 
 class ThinWall:
@@ -96,10 +96,10 @@ def test_finds_a_wall_that_samples_step_over():
     plan = FourierTrajectory(BASIS, some.rest, coefficients)
     sampled = some.obstacles.slack(plan.evaluate(np.arange(80) / 20.0 + 0.02).q).value
     assert np.min(sampled) > 0.0
-    proof = certify(some, plan)
-    assert not proof.holds
-    assert "clearance of arm and wall" in str(proof.excesses[0])
-    assert first_contact(some, plan) == pytest.approx(proof.closest_time, abs=3.0)
+    check = check_limits(some, plan)
+    assert not check.holds
+    assert "clearance of arm and wall" in str(check.excesses[0])
+    assert first_contact(some, plan) == pytest.approx(check.closest_time, abs=3.0)
 
 
 def test_says_which_limit_is_exceeded_most_and_when():
@@ -107,11 +107,11 @@ def test_says_which_limit_is_exceeded_most_and_when():
     coefficients = np.zeros((3, 7))
     coefficients[1, 3] = 3.0
     plan = FourierTrajectory(BASIS, some.rest, coefficients)
-    proof = certify(some, plan)
-    worst = proof.excesses[0]
+    check = check_limits(some, plan)
+    worst = check.excesses[0]
     assert worst.limit.endswith("limit of joint joint1")
     assert worst.share > 1.0
-    assert all(a.share >= b.share for a, b in zip(proof.excesses, proof.excesses[1:]))
+    assert all(a.share >= b.share for a, b in zip(check.excesses, check.excesses[1:]))
     assert "% over at" in str(worst)
 
 
@@ -128,9 +128,15 @@ def test_tight_times_are_local_minima_of_the_slack():
         assert around[1] <= min(around[0], around[2]) + 1e-9
 
 
-def test_binding_limits_are_named():
-    some = problem(arms.THREE)
+def test_the_failure_counts_the_limits_and_names_the_worst():
+    some, slow = problem(arms.THREE), FourierBasis(40.0, 0.025, 3, 10.0)
     coefficients = np.zeros((3, 7))
-    coefficients[2, 0] = some.limits.upper[2] - some.rest[2]
-    proof = certify(some, FourierTrajectory(BASIS, some.rest, coefficients))
-    assert "position limit of joint joint2" in proof.binding
+    assert check_limits(some, FourierTrajectory(slow, some.rest, coefficients)).failure is None
+    coefficients[2, 0] = 1.05 * (some.limits.upper[2] - some.rest[2])
+    one = check_limits(some, FourierTrajectory(slow, some.rest, coefficients))
+    words = "this trajectory must not be run: it breaks the position limit of joint joint2 (5.0 % "
+    assert one.failure.startswith(words)
+    several = check_limits(some, FourierTrajectory(BASIS, some.rest, coefficients + 3.0))
+    count, worst = len(several.excesses), several.excesses[0]
+    assert count > 1
+    assert several.failure.endswith(f"it breaks {count} limits, first the {worst}")

@@ -1,4 +1,4 @@
-"""Rounds of improvement: what is proven obeys everything, and never gets worse."""
+"""Rounds of improvement: what is kept obeys everything, and never gets worse."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robot_sysid.excitation.information import CRITERIA, PredictedInformation, RowSettings
-from robot_sysid.excitation.limit_check import certify
+from robot_sysid.excitation.limit_check import check_limits
 from robot_sysid.excitation.optimise import (
     GRID_PER_CYCLE,
-    Design,
     PenalisedDesign,
     first_candidate,
     improve,
@@ -24,8 +23,6 @@ from tests.support.excitation_arms import (
     TUBES,
     TUBES_AND_POST,
     design,
-    options,
-    problem,
     random_x,
     slope,
 )
@@ -44,25 +41,25 @@ def best_draw(some, seed=0):
         (arms.SLIDE_IN_CHAIN, "periodic"),
     ],
 )
-def test_rounds_keep_the_best_and_prove_it(xml, ends):
+def test_rounds_keep_the_best_that_obeys_everything(xml, ends):
     some = design(xml, ends=ends, iterations=15)
     candidate = first_candidate(some, 0, best_draw(some).x)
-    scores = [candidate.proven_score]
+    scores = [candidate.feasible_score]
     for _ in range(3):
         candidate = improve(some, candidate)
-        scores.append(candidate.proven_score)
-        assert certify(some.problem, some.trajectory(candidate.proven_x)).holds
+        scores.append(candidate.feasible_score)
+        assert check_limits(some.problem, some.trajectory(candidate.feasible_x)).holds
     assert all(later <= earlier for earlier, later in zip(scores, scores[1:]))
     assert scores[-1] < scores[0] - 0.1
-    assert scores[-1] == some.criterion_of(candidate.proven_x)
+    assert scores[-1] == some.criterion_of(candidate.feasible_x)
 
 
 def test_a_motion_beyond_its_limits_is_shrunk_until_it_obeys():
     some = design(TUBES_AND_POST)
     candidate = first_candidate(some, 0, 3.0 * best_draw(some).x)
     assert not obeys_everything(some, candidate.x)
-    assert obeys_everything(some, candidate.proven_x)
-    assert np.linalg.norm(candidate.proven_x) < np.linalg.norm(candidate.x)
+    assert obeys_everything(some, candidate.feasible_x)
+    assert np.linalg.norm(candidate.feasible_x) < np.linalg.norm(candidate.x)
 
 
 def test_times_of_excess_join_the_grid():
@@ -131,7 +128,7 @@ def deviations(some, plan, rate, smooth):
 @pytest.mark.parametrize("ends", ["faded", "periodic"])
 def test_the_grid_is_fine_enough_for_the_band(xml, ends):
     """On the search's grid, with rounded friction, no deviation is off by more than 3 %."""
-    some = Design(problem(xml, ends=ends), options(ends=ends, harmonics=None, duration=15.0))
+    some = design(xml, duration=15.0, ends=ends, harmonics=None)
     top = some.basis.top_frequency_hz
     worst = 0.0
     for draw in draw_trajectories(some, 2, range(8)):
@@ -217,7 +214,7 @@ def test_a_is_the_root_of_the_summed_variances():
 
 @pytest.mark.parametrize("name", sorted(CRITERIA))
 @pytest.mark.parametrize("matrix", [np.zeros((3, 3)), np.ones((3, 3)), np.diag([1.0, 1.0, np.nan])])
-def test_blind_information_is_infinitely_bad(name, matrix):
+def test_singular_information_is_infinitely_bad(name, matrix):
     value, gradient = CRITERIA[name](matrix)
     assert value == np.inf
     assert np.array_equal(gradient, np.zeros((3, 3)))

@@ -2,46 +2,79 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.collision.halfspaces import Box, Plane, box_from, plane_from
+from robot_sysid.collision.obstacles import Box, Plane, box_from, plane_from
 from robot_sysid.errors import InputError
-from robot_sysid.excitation.options import TOP_FREQUENCY_HZ, ExcitationOptions, per_joint
+from robot_sysid.excitation.options import TOP_FREQUENCY_HZ, ExcitationOptions, LimitOptions
+
+NOT_POSITIVE = st.one_of(st.floats(max_value=0.0), st.sampled_from([np.nan, np.inf, -np.inf]))
+
+
+def refused(record, **changes):
+    """The one line with which a record's options are refused."""
+    with pytest.raises(InputError) as caught:
+        record(**changes)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("record", "name", "flag"),
+    [
+        (ExcitationOptions, "time_budget", "--excitation-time-budget"),
+        (ExcitationOptions, "base_frequency", "--base-frequency"),
+        (LimitOptions, "max_velocity", "--max-velocity"),
+        (LimitOptions, "max_acceleration", "--max-acceleration"),
+        (LimitOptions, "max_torque", "--max-torque"),
+    ],
+)
+@given(value=NOT_POSITIVE)
+def test_numbers_that_must_be_positive_are_refused_otherwise(record, name, flag, value):
+    assert refused(record, **{name: value}).startswith(f"{flag} must be positive (got ")
+
+
+@pytest.mark.parametrize(
+    ("record", "changes", "words"),
+    [
+        (ExcitationOptions, {"kind": "best"}, "--excitation 'best': choose one of sines, optimal"),
+        (ExcitationOptions, {"criterion": "E"}, "--criterion 'E': choose one of A, D, cond"),
+        (ExcitationOptions, {"ends": "open"}, "--excitation-ends 'open': choose one of faded, "),
+        (ExcitationOptions, {"workers": 0}, "workers must be at least 1 (got 0)"),
+        (ExcitationOptions, {"draws": 0}, "draws must be at least 1 (got 0)"),
+        (ExcitationOptions, {"iterations": 0}, "iterations must be at least 1 (got 0)"),
+        (ExcitationOptions, {"rounds": -1}, "rounds must be at least 0 (got -1)"),
+        (LimitOptions, {"max_torque": (5.0, -1.0)}, "--max-torque must be positive (got -1)"),
+        (LimitOptions, {"clearance": -0.01}, "--clearance must be a number that is not negative"),
+        (LimitOptions, {"clearance": np.nan}, "--clearance must be a number that is not negative"),
+        (LimitOptions, {"workspace": (1.0, -1.0, 0.0, 1.0, 0.0, 1.0)}, "empty along x"),
+        (LimitOptions, {"keep_out": ((0.0, 0.0, 0.0, 1.0),)}, "normal that is not zero"),
+    ],
+)
+def test_refuses(record, changes, words):
+    assert words in refused(record, **changes)
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"criterion": "E"}, "--criterion E: choose one of A, D, cond"),
-        ({"ends": "open"}, "--excitation-ends open: choose one of faded, periodic"),
-        ({"torques": "all"}, "--torques all"),
-        ({"duration": 0.0}, "--duration must be positive"),
-        ({"sample_rate": -1.0}, "--sample-rate must be positive"),
-        ({"time_budget": 0.0}, "--excitation-time-budget must be positive"),
-        ({"base_frequency": 0.0}, "--base-frequency must be positive"),
-        ({"max_acceleration": -2.0}, "--max-acceleration must be positive"),
-        ({"noise_torque": (0.1, 0.0)}, "--noise-torque must be positive"),
-        ({"noise_torque": ()}, "--noise-torque needs at least one number"),
-        ({"max_torque": (-1.0,)}, "--max-torque must be positive"),
-        ({"clearance": -0.01}, "--clearance must not be negative"),
-        ({"clearance": float("nan")}, "--clearance must not be negative"),
         ({"harmonics": 0}, "--harmonics 0 is too few"),
+        ({"harmonics": 2, "ends": "periodic"}, "--harmonics 2 is too few"),
         ({"ends": "periodic", "base_frequency": 0.1}, "whole number of periods"),
-        ({"workers": 0}, "workers must be at least 1"),
-        ({"draws": 0}, "draws must be at least 1"),
     ],
 )
-def test_refuses(changes, words):
-    with pytest.raises(InputError, match=words) as caught:
-        ExcitationOptions(**changes)
-    assert "\n" not in str(caught.value)
+def test_a_basis_that_cannot_be_is_refused_with_the_option_that_is_in_the_way(changes, words):
+    with pytest.raises(InputError, match=words):
+        ExcitationOptions(**changes).basis(15.0)
 
 
 @given(st.floats(1.0, 600.0), st.sampled_from(["faded", "periodic"]))
 def test_default_band_ends_at_the_top_frequency(duration, ends):
-    basis = ExcitationOptions(duration=duration, ends=ends).basis()
+    basis = ExcitationOptions(ends=ends).basis(duration)
+    assert (basis.duration, basis.base_frequency_hz) == (duration, 1.0 / duration)
     assert basis.harmonics >= 3
     if basis.harmonics > 3:
         assert basis.top_frequency_hz <= TOP_FREQUENCY_HZ * (1.0 + 1e-9)
@@ -53,6 +86,15 @@ def test_a_longer_budget_improves_more_starts():
     assert ExcitationOptions(time_budget=20.0).n_starts == 2
     assert ExcitationOptions(time_budget=300.0).n_starts == 10
     assert ExcitationOptions(time_budget=300.0, starts=3).n_starts == 3
+
+
+def test_the_workspace_and_the_planes_are_made_of_the_numbers():
+    limits = LimitOptions(
+        workspace=(-1.0, 1.0, -2.0, 2.0, 0.0, 3.0), keep_out=((0.0, 0.0, 2.0, 1.0),)
+    )
+    assert limits.box == Box((-1, -2, 0), (1, 2, 3))
+    assert limits.planes == (Plane((0.0, 0.0, 1.0), 0.5),)
+    assert (LimitOptions().box, LimitOptions().planes) == (None, ())
 
 
 def test_box_and_plane_from_numbers():
@@ -73,10 +115,3 @@ def test_box_and_plane_from_numbers():
 def test_refuses_boxes_and_planes(make, words):
     with pytest.raises(InputError, match=words):
         make()
-
-
-def test_one_number_serves_all_joints():
-    assert per_joint((0.3,), 3, "--noise-torque").tolist() == [0.3, 0.3, 0.3]
-    assert per_joint((1.0, 2.0), 2, "--noise-torque").tolist() == [1.0, 2.0]
-    with pytest.raises(InputError, match="--noise-torque takes one number, or one for each of"):
-        per_joint((1.0, 2.0), 3, "--noise-torque")

@@ -61,8 +61,8 @@ def test_the_centre_of_mass_is_that_of_monte_carlo_to_first_order():
 
 def test_twice_the_noise_is_twice_the_deviation():
     plan = a_plan(arms.THREE)
-    quiet = predict(problem(arms.THREE, noise_torque=(0.1,)), plan, 500.0)
-    loud = predict(problem(arms.THREE, noise_torque=(0.2,)), plan, 500.0)
+    quiet = predict(problem(arms.THREE, noise_torque=0.1), plan, 500.0)
+    loud = predict(problem(arms.THREE, noise_torque=0.2), plan, 500.0)
     assert np.allclose(loud.deviation, 2.0 * quiet.deviation, rtol=1e-9)
     assert loud.condition_number == pytest.approx(quiet.condition_number)
 
@@ -73,7 +73,7 @@ def test_four_times_the_rate_is_half_the_deviation():
     assert np.allclose(slow.deviation / fast.deviation, 2.0, rtol=1e-3)
 
 
-def test_an_unloved_joint_leaves_the_motion_blind_but_the_arm_able():
+def test_an_arm_at_rest_shows_nothing_of_what_it_could():
     some = problem(arms.THREE)
     still = FourierTrajectory(a_plan(arms.THREE).basis, some.rest, np.zeros((3, 9)))
     promised = predict(some, still, 500.0)
@@ -102,7 +102,7 @@ def test_a_designed_arm_has_nothing_unseen():
 
 
 def test_loose_parameters_come_with_what_would_help():
-    some = problem(arms.SEVEN, noise_torque=(300.0,))
+    some = problem(arms.SEVEN, noise_torque=300.0)
     promised = predict(some, a_plan(arms.SEVEN), 500.0)
     assert len(promised.loose) > 0
     text = "\n".join(prediction_lines(promised, some.sigma))

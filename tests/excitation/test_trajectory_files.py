@@ -75,9 +75,19 @@ def test_samples_are_the_motion_to_the_last_bit(tmp_path):
 def test_an_arm_with_other_joints_is_refused(tmp_path):
     save_trajectory(tmp_path / "plan.json", sines(0), NAMES)
     saved = load_trajectory(tmp_path / "plan.json")
-    saved.require_fits(("a", "b", "c"))
-    with pytest.raises(InputError, match=r"made for 3 joints .*this arm has 2 \(a, b\)"):
-        saved.require_fits(("a", "b"))
+    saved.require_fits(NAMES)
+    for others in (("a", "b", "c"), ("elbow", "base", "wrist"), NAMES[:2], (*NAMES, "hand")):
+        with pytest.raises(InputError, match="made for the 3 joints base, elbow, wrist") as caught:
+            saved.require_fits(others)
+        assert f"this arm has the {len(others)} joints {', '.join(others)}" in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+
+def test_the_model_it_was_made_for_is_kept(tmp_path):
+    save_trajectory(tmp_path / "plan.json", sines(0), NAMES, "abc")
+    assert load_trajectory(tmp_path / "plan.json").sha256 == "abc"
+    save_trajectory(tmp_path / "plan.json", sines(0), NAMES)
+    assert load_trajectory(tmp_path / "plan.json").sha256 == ""
 
 
 def changed(**changes):
@@ -111,6 +121,10 @@ def changed(**changes):
         (changed(center=["x", 0, 0]), "not a usable trajectory"),
         (changed(fade=9.0), "does not fit twice"),
         (changed(speed=3.0), "--speed must be above 0"),
+        (changed(joints=["base", "elbow"]), "a trajectory of 3 joints names 2: base, elbow"),
+        (changed(joints=None), "lacks the entry 'joints'"),
+        (changed(center=[0.0, float("nan"), 0.0]), "center"),
+        ("[" * 100_000, "is not JSON"),
     ],
 )
 def test_refuses_in_one_line(tmp_path, text, words):

@@ -6,20 +6,27 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.gravity import gravity, with_gravity
 from robot_sysid.errors import InputError, SysidError
-from robot_sysid.estimation.least_squares import EstimatorOptions
+from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.estimation.uncertainty import OTHER_LINKS
-from robot_sysid.identify import fit as measured_module
-from robot_sysid.identify.fit import MeasuredOptions, identify_measured, validate_on
-from robot_sysid.records import Status
+from robot_sysid.identify import fit as fit_module
+from robot_sysid.identify.fit import fit_measured, validate_on
+from robot_sysid.records import Motion, Status
 from robot_sysid.records.progress import Silent
-from robot_sysid.signals.process import SignalOptions
-from tests.support.measured_logs import SIGNALS, guessed, log_of, plan_of, true_arm, true_values
-
-AUTO = EstimatorOptions(consistency="auto")
+from tests.support import arms
+from tests.support.measured_logs import (
+    CUTOFF,
+    JOINT,
+    guessed,
+    log_of,
+    plan_of,
+    true_arm,
+    true_values,
+)
 
 
 @pytest.fixture(scope="module")
@@ -38,8 +45,8 @@ def noisy(plant):
 
 
 def fit_of(robot, log, **options):
-    chosen = {"signals": SIGNALS, "estimator": AUTO, **options}
-    return identify_measured(robot, log, MeasuredOptions(**chosen), Silent())
+    chosen = EstimationOptions(**{"cutoff": CUTOFF, **options})
+    return fit_measured(robot, [log], chosen, Silent())
 
 
 def relative_errors(fit, plant):
@@ -87,6 +94,87 @@ def test_terminal_torques_keep_what_they_cannot_see(plant, robot, noisy):
     assert not np.isfinite(fit.estimate.standard_errors[0])
 
 
+def test_friction_and_offsets_of_all_joints_do_not_count_as_seen_of_the_link():
+    """All axes parallel to gravity: of the link only m, hx, hy and Izz show, whatever the rest."""
+    upright = arms.robot_of(arms.serial_arm((arms.Z, arms.Z, arms.Z), joint=JOINT))
+    log = log_of(upright, noise_torque=1e-3, encoder_resolution=1e-6)
+    fit = fit_of(upright, log)
+    seen = fit.estimate.identifiability
+    assert (seen.rank, seen.n_parameters) == (4 + 2, 12)
+    assert np.flatnonzero(seen.identified[:10]).tolist() == [0, 1, 2, 9]
+    assert len(seen.unidentifiable) == 6
+    assert fit.estimate.status is Status.PARTLY_FROM_MODEL
+    unseen = ~np.array(seen.identified[:10])
+    assert not np.any(np.isfinite(fit.estimate.standard_errors[:10][unseen]))
+    prior = upright.prior.theta[unseen]
+    np.testing.assert_allclose(fit.estimate.values[:10][unseen], prior, rtol=0.0, atol=1e-12)
+
+
+# ---- several logs
+
+
+def together(robot, logs, **options):
+    chosen = EstimationOptions(**{"cutoff": CUTOFF, **options})
+    return fit_measured(robot, logs, chosen, Silent())
+
+
+def test_a_log_given_twice_says_the_same_with_smaller_errors(robot, noisy):
+    once, twice = (
+        together(robot, [noisy] * n, validate=0.0, method="ols").estimate for n in (1, 2)
+    )
+    np.testing.assert_allclose(twice.values, once.values, rtol=0.0, atol=1e-9)
+    assert all(twice.samples[joint] == 2 * once.samples[joint] for joint in once.samples)
+    ratio = twice.standard_errors / once.standard_errors
+    np.testing.assert_allclose(ratio, np.sqrt(0.5), rtol=0.1)
+
+
+def test_what_one_log_does_not_show_another_may(plant, robot):
+    """Each moves two joints of three; friction of the third shows in the other log."""
+    logs = [
+        log_of(plant, plan_of(plant, k).scaled(np.array(still)), k, noise_torque=0.02)
+        for k, still in ((1, [0.0, 1.0, 1.0]), (2, [1.0, 1.0, 0.0]))
+    ]
+    alone = [together(robot, [log]).estimate for log in logs]
+    both = together(robot, logs).estimate
+    assert [e.error("coulomb[joint0]") == np.inf for e in (*alone, both)] == [True, False, False]
+    assert [e.error("coulomb[joint2]") == np.inf for e in (*alone, both)] == [False, True, False]
+    error = np.abs(both.values - true_values(plant, both.names))
+    assert np.mean(error < 3.0 * both.standard_errors) > 0.9
+
+
+def test_all_logs_pass_the_lowest_cutoff_that_one_of_them_asks_for(plant, robot):
+    quiet = log_of(plant, encoder_resolution=1e-5)
+    loud = log_of(plant, plan_of(plant, 2), 2, encoder_resolution=3e-3)
+    each = [together(robot, [log], cutoff=None).cutoff for log in (quiet, loud)]
+    assert each[1] < 0.8 * each[0]
+    for logs in ([quiet, loud], [loud, quiet]):
+        assert together(robot, logs, cutoff=None).cutoff == each[1]
+
+
+def test_the_end_of_each_log_is_held_out(plant, robot, noisy):
+    other = log_of(plant, plan_of(plant, 7), 7, noise_torque=0.1, encoder_resolution=1e-4)
+    logs = [noisy, other]
+    before = together(robot, logs)
+    assert before.validation.source == "the last 20 % of each log"
+    assert before.validation.rmse < 2.0 * before.estimate.rmse
+    for k in range(2):
+        spoiled = list(logs)
+        end = np.arange(len(logs[k]))[:, None] > 0.9 * len(logs[k])
+        spoiled[k] = replace(logs[k], tau=np.where(end, 99.0, logs[k].tau))
+        after = together(robot, spoiled)
+        np.testing.assert_array_equal(before.estimate.values, after.estimate.values)
+        assert after.validation.rmse > 10.0 * before.validation.rmse
+
+
+def test_logs_share_their_delay(plant, robot):
+    logs = [
+        log_of(plant, plan_of(plant, k), k, torque_delay=0.004, encoder_resolution=2e-5)
+        for k in (2, 7)
+    ]
+    fit = together(robot, logs, cutoff=None, delay="auto")
+    assert abs(fit.alignment.delay - 0.004) < 1e-4
+
+
 # ---- delay and tilt
 
 
@@ -98,9 +186,9 @@ def test_terminal_torques_keep_what_they_cannot_see(plant, robot, noisy):
 def test_delay_and_tilt_are_found_together(plant, delay, degrees, direction, seed):
     """To 0.1 ms and 0.02 degrees, encoder step 2e-5 rad."""
     turn = np.radians(degrees) * np.array([np.cos(direction), np.sin(direction), 0.0])
-    askew = with_gravity(plant, spatial.rotation_from_vector(turn) @ gravity(plant))
+    askew = with_gravity(plant, Rotation.from_rotvec(turn).apply(gravity(plant)))
     log = log_of(askew, plan_of(plant, seed), torque_delay=delay, encoder_resolution=2e-5)
-    fit = fit_of(guessed(plant), log, estimate_delay=True, estimate_tilt=True)
+    fit = fit_of(guessed(plant), log, delay="auto", tilt="auto")
     assert abs(fit.alignment.delay - delay) < 1e-4
     assert np.degrees(fit.alignment.tilt_from(gravity(askew))) < 0.02
 
@@ -108,7 +196,7 @@ def test_delay_and_tilt_are_found_together(plant, delay, degrees, direction, see
 def test_an_unknown_delay_would_spoil_the_result(plant, robot):
     log = log_of(plant, torque_delay=0.02, encoder_resolution=1e-4)
     ignored = relative_errors(fit_of(robot, log), plant)[:10]
-    found = relative_errors(fit_of(robot, log, estimate_delay=True), plant)[:10]
+    found = relative_errors(fit_of(robot, log, delay="auto"), plant)[:10]
     assert np.max(ignored) > 5.0 * np.max(found)
 
 
@@ -120,23 +208,21 @@ def test_what_is_not_asked_for_is_not_estimated(robot, noisy):
 
 def test_every_method_can_look_for_a_delay(robot, noisy):
     for method in ("ols", "robust"):
-        fit = fit_of(robot, noisy, method=method, estimate_delay=True)
+        fit = fit_of(robot, noisy, method=method, delay="auto")
         assert abs(fit.alignment.delay) < 5.0 * fit.estimate.error("delay") + 1e-4
 
 
 def test_a_search_that_does_not_settle_ends_with_a_remedy(robot, noisy, monkeypatch):
-    monkeypatch.setattr(measured_module, "_MOST_ROUNDS", 1)
+    monkeypatch.setattr(fit_module, "_MOST_ROUNDS", 1)
     with pytest.raises(SysidError, match="delay and tilt_1 and tilt_2 do not settle within 1 "):
-        fit_of(robot, noisy, estimate_delay=True, estimate_tilt=True)
+        fit_of(robot, noisy, delay="auto", tilt="auto")
 
 
 def test_a_delay_lowers_the_cutoff_that_the_data_alone_would_give(plant, robot):
     log = log_of(plant, noise_torque=0.02)
-    free, delayed = (
-        fit_of(robot, log, signals=SignalOptions(), estimate_delay=delay) for delay in (False, True)
-    )
-    assert free.cutoff > measured_module.DELAY_CUTOFF == delayed.cutoff
-    given = fit_of(robot, log, signals=SignalOptions(cutoff=12.0), estimate_delay=True)
+    free, delayed = (fit_of(robot, log, cutoff=None, delay=delay) for delay in ("off", "auto"))
+    assert free.cutoff > fit_module.DELAY_CUTOFF == delayed.cutoff
+    given = fit_of(robot, log, cutoff=12.0, delay="auto")
     assert given.cutoff == 12.0
 
 
@@ -152,14 +238,14 @@ def test_the_held_out_part_is_not_fitted(robot, noisy):
 
 
 def test_nothing_is_held_out_on_request(robot, noisy):
-    fit = fit_of(robot, noisy, held_out=0.0)
+    fit = fit_of(robot, noisy, validate=0.0)
     assert fit.validation is None
     assert sum(fit.estimate.samples.values()) > sum(fit_of(robot, noisy).estimate.samples.values())
 
 
 def test_another_log_is_predicted_down_to_its_noise(plant, robot, noisy):
-    options = MeasuredOptions(signals=SIGNALS, estimator=AUTO)
-    fit = identify_measured(robot, noisy, options, Silent())
+    options = EstimationOptions(cutoff=CUTOFF)
+    fit = fit_measured(robot, [noisy], options, Silent())
     other = log_of(plant, plan_of(plant, 7), 7, noise_torque=0.1, encoder_resolution=1e-4)
     found = validate_on(robot, other, options, fit, "other.csv")
     assert found.source == "other.csv"
@@ -169,11 +255,11 @@ def test_another_log_is_predicted_down_to_its_noise(plant, robot, noisy):
 
 
 def test_a_found_delay_holds_for_the_validation_log_too(plant, robot):
-    options = MeasuredOptions(signals=SIGNALS, estimator=AUTO, estimate_delay=True)
+    options = EstimationOptions(cutoff=CUTOFF, delay="auto")
     logs = [
         log_of(plant, plan_of(plant, k), k, torque_delay=0.02, noise_torque=0.02) for k in (1, 7)
     ]
-    fit = identify_measured(robot, logs[0], options, Silent())
+    fit = fit_measured(robot, logs[:1], options, Silent())
     assert validate_on(robot, logs[1], options, fit, "x").rmse < 1.5 * fit.estimate.rmse
 
 
@@ -185,7 +271,7 @@ def test_no_result_is_an_impossible_body(plant, robot):
     impossible = 0
     for seed in range(10):
         log = log_of(plant, plan_of(plant, seed, 6.0), seed, noise_torque=3.0)
-        plain = fit_of(robot, log, estimator=EstimatorOptions(consistency="off"))
+        plain = fit_of(robot, log, consistency="off")
         impossible += plain.estimate.status is Status.INCONSISTENT
         assert fit_of(robot, log).estimate.inertial.is_consistent
     assert impossible > 0
@@ -211,10 +297,51 @@ def test_a_still_joint_costs_only_its_own_friction(plant, robot):
     assert any("only 0 % of the rows of joint joint0" in note for note in fit.notes)
 
 
+class Drift:
+    """A plan on which one joint never turns back."""
+
+    def __init__(self, plan, joint):
+        self._plan, self._joint = plan, joint
+        self.duration, self.n_joints = plan.duration, plan.n_joints
+
+    def evaluate(self, time):
+        motion = self._plan.evaluate(time)
+        q, qd, qdd = (np.array(part) for part in (motion.q, motion.qd, motion.qdd))
+        speed = 1.2 * np.max(np.abs(self._plan.evaluate(np.linspace(0.0, 10.0, 999)).qd))
+        q[:, self._joint] += speed * time
+        qd[:, self._joint] += speed
+        return Motion(motion.time, q, qd, qdd)
+
+
+def test_a_joint_that_moves_one_way_only_is_named_and_no_other(plant, robot):
+    """Its Coulomb friction looks like an offset."""
+    words = "Coulomb friction and offset can only be told apart"
+    both = log_of(plant, noise_torque=0.02, encoder_resolution=1e-5)
+    assert not any(words in note for note in fit_of(robot, both).notes)
+    drift = log_of(plant, Drift(plan_of(plant), 1), noise_torque=0.02, encoder_resolution=1e-5)
+    (said,) = [note for note in fit_of(robot, drift).notes if words in note]
+    assert said.startswith("joint1 moves faster than")
+    (again,) = [
+        note
+        for note in fit_measured(
+            robot, [both, drift], EstimationOptions(cutoff=CUTOFF), Silent()
+        ).notes
+        if words in note
+    ]
+    assert again == said
+
+
+def test_a_joint_without_an_offset_to_tell_apart_may_move_one_way(plant, robot):
+    log = log_of(plant, Drift(plan_of(plant), 1), noise_torque=0.02, encoder_resolution=1e-5)
+    for friction in ("coulomb-viscous", "viscous-offset"):
+        notes = fit_of(robot, log, friction_model=friction).notes
+        assert not any("told apart" in note for note in notes)
+
+
 def test_sensitivity_to_the_other_links_is_what_heavier_links_do(plant, robot):
     """The plant's other links made 1 % heavier, in another log of the same motion."""
     plan = plan_of(plant)
-    plain = {"method": "ols", "estimator": EstimatorOptions(consistency="off")}
+    plain = {"method": "ols", "consistency": "off"}
     before = fit_of(robot, log_of(plant, plan), **plain)
     after = fit_of(robot, log_of(heavier_links(plant), plan), **plain)
     moved = (after.estimate.values - before.estimate.values)[:10]
@@ -235,6 +362,6 @@ def heavier_links(plant):
 
 @pytest.mark.parametrize("friction", ["none", "coulomb-viscous-offset-armature", "auto"])
 def test_every_friction_choice_runs(robot, noisy, friction):
-    fit = fit_of(robot, noisy, friction=friction)
+    fit = fit_of(robot, noisy, friction_model=friction)
     assert fit.friction.name == friction or friction == "auto"
     assert (friction == "auto") == any("chosen by cross-validation" in n for n in fit.notes)

@@ -10,7 +10,7 @@ import pytest
 from robot_sysid.dynamics.friction import PRESETS, friction_model
 from robot_sysid.identify.friction_selection import choose_friction, friction_per_joint
 from robot_sysid.signals.process import process
-from tests.support.measured_logs import DEFAULT, SIGNALS, guessed, log_of, plan_of, true_arm
+from tests.support.measured_logs import CUTOFF, DEFAULT, guessed, log_of, plan_of, true_arm
 
 
 @pytest.fixture(scope="module")
@@ -23,9 +23,9 @@ def chosen(plant, more=lambda motion: 0.0, torques="chain", noise=0.02):
     plan = plan_of(plant)
     log = log_of(plant, plan, noise_torque=noise)
     log = replace(log, tau=log.tau + more(plan.evaluate(log.time)))
-    signals = process(log, SIGNALS, plant.joint_names)
-    whole = slice(0, len(signals.thinned_time()))
-    return choose_friction(guessed(plant), torques, signals, whole)
+    signals = process(log, plant.joint_names, CUTOFF)
+    whole = np.ones(len(signals.decimated_time()), dtype=bool)
+    return choose_friction(guessed(plant), torques, [signals], whole)
 
 
 def test_chain_torques_need_friction_in_every_joint_terminal_torque_in_one(plant):
@@ -63,7 +63,9 @@ def test_the_choice_is_made_for_the_last_joint_alone_too(plant):
 def test_rows_outside_the_fitted_part_do_not_decide(plant):
     log = log_of(plant, noise_torque=0.02)
     spoiled = np.where(np.arange(len(log))[:, None] > 0.7 * len(log), 1e3, log.tau)
-    signals = process(replace(log, tau=spoiled), SIGNALS, plant.joint_names)
-    part = slice(0, int(0.6 * len(signals.thinned_time())))
-    model, _ = choose_friction(guessed(plant), "chain", signals, part)
+    signals = process(replace(log, tau=spoiled), plant.joint_names, CUTOFF)
+    rows = len(signals.decimated_time())
+    model, _ = choose_friction(
+        guessed(plant), "chain", [signals], np.arange(rows) < int(0.6 * rows)
+    )
     assert model == friction_model("coulomb-viscous")

@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.information import combined
 from robot_sysid.identify import samples as samples_module
-from robot_sysid.identify.samples import ThinnedSamples, thin_equations
-from robot_sysid.signals.process import SignalOptions, process
+from robot_sysid.identify.samples import DecimatedSamples, decimated_equations, joined
+from robot_sysid.signals.process import process
 from tests.support.arms import SEEDS
 from tests.support.measured_logs import (
-    SIGNALS,
+    CUTOFF,
     equations_of,
     guessed,
     log_of,
@@ -31,7 +31,7 @@ def plant():
 
 @pytest.fixture(scope="module")
 def signals(plant):
-    return process(log_of(plant), SIGNALS, plant.joint_names)
+    return process(log_of(plant), plant.joint_names, CUTOFF)
 
 
 def random_samples(seed, count=40):
@@ -39,7 +39,7 @@ def random_samples(seed, count=40):
     rng = np.random.default_rng(seed)
     tau = rng.normal(size=(2, count))
     tau[rng.random((2, count)) < 0.3] = np.nan
-    return ThinnedSamples(
+    return DecimatedSamples(
         names=("a", "b", "c", "d", "e"),
         joints=("one", "two"),
         columns=(np.array([0, 1, 2]), np.array([0, 1, 3, 4])),
@@ -53,7 +53,7 @@ def random_samples(seed, count=40):
 def test_the_truth_solves_the_filtered_equations(plant, signals):
     """Whatever the guess is: other values of the terminal link and no friction at all."""
     equations = equations_of(guessed(plant))
-    samples = thin_equations(equations, signals)
+    samples = decimated_equations(equations, signals)
     truth = true_values(plant, samples.names)
     for rows, tau, columns in zip(samples.rows, samples.tau, samples.columns):
         used = np.isfinite(tau)
@@ -65,29 +65,29 @@ def test_the_truth_solves_the_filtered_equations(plant, signals):
 
 @pytest.mark.parametrize("chunk", [7, 100, 5000])
 def test_the_chunk_size_changes_nothing(plant, signals, chunk, monkeypatch):
-    whole = thin_equations(equations_of(plant), signals)
+    whole = decimated_equations(equations_of(plant), signals)
     monkeypatch.setattr(samples_module, "_CHUNK", chunk)
-    parts = thin_equations(equations_of(plant), signals)
+    parts = decimated_equations(equations_of(plant), signals)
     for one, other in zip((*whole.rows, *whole.tau), (*parts.rows, *parts.tau)):
         np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-12)
 
 
-def test_rows_stand_at_the_thinned_instants_and_masked_ones_stay_in_place(plant, signals):
-    samples = thin_equations(equations_of(plant), signals)
-    np.testing.assert_array_equal(samples.time, signals.thinned_time())
+def test_rows_stand_at_the_decimated_instants_and_masked_ones_stay_in_place(plant, signals):
+    samples = decimated_equations(equations_of(plant), signals)
+    np.testing.assert_array_equal(samples.time, signals.decimated_time())
     for tau, usable in zip(samples.tau, signals.usable().T):
         np.testing.assert_array_equal(np.isfinite(tau), usable)
 
 
 def test_terminal_torques_give_one_joints_equations(plant, signals):
-    samples = thin_equations(equations_of(plant, "terminal"), signals)
+    samples = decimated_equations(equations_of(plant, "terminal"), signals)
     assert samples.joints == (plant.terminal_joint,)
     assert len(samples.names) == 13
 
 
 def test_shared_columns_pass_the_same_low_pass(plant, signals):
     equations = equations_of(plant, shared=("late",))
-    samples = thin_equations(
+    samples = decimated_equations(
         equations, signals, lambda motion, place: signals.tau[place][:, :, None]
     )
     for rows, measured in zip(samples.rows, samples.measured):
@@ -97,12 +97,12 @@ def test_shared_columns_pass_the_same_low_pass(plant, signals):
 def test_a_log_without_motion_is_refused_with_the_remedy(plant, signals):
     still = replace(signals, deadband=np.full(3, 1e3))
     with pytest.raises(InputError, match="faster than its velocity deadband; record a motion, or"):
-        thin_equations(equations_of(plant), still)
+        decimated_equations(equations_of(plant), still)
 
 
 def test_a_zero_deadband_uses_every_row(plant):
-    signals = process(log_of(plant), SignalOptions(cutoff=8.0, velocity_deadband=0.0))
-    samples = thin_equations(equations_of(plant), signals)
+    signals = process(log_of(plant), cutoff=CUTOFF, deadband=0.0)
+    samples = decimated_equations(equations_of(plant), signals)
     assert all(np.all(np.isfinite(tau)) for tau in samples.tau)
 
 
@@ -150,3 +150,16 @@ def test_squared_torque_counts_only_what_is_used(seed):
         for measured, tau in zip(samples.measured, samples.tau)
     ]
     np.testing.assert_allclose(samples.squared_torque(), expected, rtol=1e-12)
+
+
+@given(SEEDS)
+def test_logs_joined_hold_the_information_of_both(seed):
+    first, second = random_samples(seed, 40), random_samples(seed + 1, 25)
+    both = joined([first, second])
+    assert len(both) == 65 and (both.names, both.joints) == (first.names, first.joints)
+    x = np.random.default_rng(seed + 2).normal(size=5)
+    apart = sum(s.information().squared_residuals(x) for s in (first, second))
+    np.testing.assert_allclose(both.information().squared_residuals(x), apart, rtol=1e-10)
+    squared = first.squared_torque() + second.squared_torque()
+    np.testing.assert_allclose(both.squared_torque(), squared, rtol=1e-12)
+    np.testing.assert_array_equal(both.time, np.concatenate((first.time, second.time)))

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError
-from robot_sysid.mjcf.write_back import Leeway, plan_write_back, possible_body
+from robot_sysid.mjcf.write_back import Tolerance, plan_write_back, possible_body
 from robot_sysid.records import SubtreeBody
+from tests.support.arms import random_rotation
 from tests.support.model_files import random_theta
 
 seeds = st.integers(0, 2**32 - 1)
@@ -28,7 +29,7 @@ def test_the_terminal_body_takes_the_difference(seed):
     bodies = [body(3, random_theta(rng)), body(4, tool), body(5, finger, welded=False)]
     plan = plan_write_back(link + tool + finger, bodies)
     np.testing.assert_allclose(plan.theta, link, rtol=0, atol=1e-14)
-    assert plan.folded == () and plan.note is None
+    assert plan.lumped == () and plan.note is None
 
 
 @given(seed=seeds)
@@ -39,10 +40,10 @@ def test_a_massless_terminal_body_takes_the_whole_rigid_group(seed):
     bodies = [body(3, NOTHING), body(4, tool), body(5, finger, False), body(6, NOTHING)]
     plan = plan_write_back(tool + finger + noise, bodies)
     np.testing.assert_allclose(plan.theta, tool + noise, rtol=0, atol=1e-14)
-    assert [b.name for b in plan.folded] == ["b4"]
+    assert [b.name for b in plan.lumped] == ["b4"]
     assert plan.note is not None and "'b3'" in plan.note and "'b4' weigh nothing" in plan.note
     heavier = plan_write_back(tool + finger + load, bodies)
-    assert heavier.folded == () and spatial.is_consistent(heavier.theta)
+    assert heavier.lumped == () and spatial.is_consistent(heavier.theta)
 
 
 @given(seed=seeds)
@@ -70,7 +71,7 @@ def test_an_impossible_link_alone_says_so():
 @given(seed=seeds, flatness=st.floats(-1e-11, 1e-11))
 def test_a_body_on_the_edge_is_moved_inside_by_less_than_anyone_sees(seed, flatness):
     rng = np.random.default_rng(seed)
-    axes = spatial.rotation_from_quaternion(rng.normal(size=4))
+    axes = random_rotation(rng)
     second = axes @ np.diag([2e-3, 1e-3, flatness * 3e-3]) @ axes.T
     com = rng.normal(size=3) * 0.1
     theta = spatial.theta_from_com(1.5, com, np.trace(second) * np.eye(3) - second)
@@ -104,7 +105,7 @@ def rod(rng, mass=1.0):
 @given(seed=seeds, bound=st.floats(1e-9, 1e-4))
 def test_moments_below_the_files_bound_are_raised_where_they_are_not_known_better(seed, bound):
     identified = rod(np.random.default_rng(seed))
-    plan = plan_write_back(identified, [body(1, NOTHING)], Leeway(bound, 2.0 * bound))
+    plan = plan_write_back(identified, [body(1, NOTHING)], Tolerance(bound, 2.0 * bound))
     smallest = np.linalg.eigvalsh(spatial.com_from_theta(plan.theta)[2])[0]
     # Rounding of an inertia about an origin metres away, which is of the order of ten.
     np.testing.assert_allclose(smallest, bound, rtol=0, atol=1e-13)
@@ -115,7 +116,7 @@ def test_moments_below_the_files_bound_are_raised_where_they_are_not_known_bette
 @given(seed=seeds)
 def test_moments_that_are_known_better_are_left_for_the_compiler_check_to_refuse(seed):
     identified = rod(np.random.default_rng(seed))
-    plan = plan_write_back(identified, [body(1, NOTHING)], Leeway(1e-4, 1e-5))
+    plan = plan_write_back(identified, [body(1, NOTHING)], Tolerance(1e-4, 1e-5))
     assert plan.note is None
     np.testing.assert_allclose(plan.theta, identified, rtol=0, atol=1e-11)
 
@@ -125,7 +126,7 @@ def test_a_small_body_below_a_rod_is_kept_where_the_moments_allow(seed):
     """A compiler gives massless frames 1e-6 kg m^2; the rod minus that is impossible by as much."""
     rng = np.random.default_rng(seed)
     identified, frame = rod(rng), spatial.theta_from_com(1e-6, np.zeros(3), 1e-6 * np.eye(3))
-    plan = plan_write_back(identified, [body(1, NOTHING), body(2, frame)], Leeway(0.0, 1e-3))
-    assert plan.folded == () and spatial.is_consistent(plan.theta)
+    plan = plan_write_back(identified, [body(1, NOTHING), body(2, frame)], Tolerance(0.0, 1e-3))
+    assert plan.lumped == () and spatial.is_consistent(plan.theta)
     np.testing.assert_allclose(plan.theta + frame, plan.written(identified), rtol=0, atol=1e-13)
-    assert 1e-7 < plan.raised < 1e-3
+    assert 1e-7 < plan.inflated < 1e-3

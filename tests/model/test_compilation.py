@@ -222,9 +222,10 @@ def test_a_turned_inertia_is_restored_with_all_that_follows(seed):
     rng = np.random.default_rng(seed)
     theta = random_theta(rng)
     good, bad = compiled(theta), compiled(theta)
-    turn = spatial.rotation_from_quaternion(np.append(1.0, 1e-4 * rng.normal(size=3)))
-    axes = turn @ spatial.rotation_from_quaternion(bad.body_iquat[1])
-    bad.body_iquat[1] = spatial.quaternion_from_rotation(axes)
+    turn = np.append(1.0, 1e-4 * rng.normal(size=3))
+    turned = np.empty(4)
+    mujoco.mju_mulQuat(turned, turn / np.linalg.norm(turn), bad.body_iquat[1])
+    bad.body_iquat[1] = turned
     restore_exact_inertias(bad, {"b": spatial.com_from_theta(theta)})
     np.testing.assert_allclose(body_theta(bad, 1), theta, rtol=0, atol=1e-15)
     np.testing.assert_allclose(bad.dof_M0, good.dof_M0, rtol=1e-11)

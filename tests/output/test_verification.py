@@ -11,8 +11,8 @@ from hypothesis import given, settings
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError
-from robot_sysid.export import updated_model_text
 from robot_sysid.mjcf.inertial import mjcf_inertial
+from robot_sysid.mjcf.updated_model import updated_model_text
 from robot_sysid.mjcf.write_back import WriteBack, plan_write_back
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.model.inertia import subtree_bodies
@@ -28,7 +28,7 @@ from robot_sysid.output.verification import (
 )
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Motion
-from robot_sysid.simulator import inverse_torque
+from robot_sysid.simulator import ArmTorque
 from tests.support import arms
 from tests.support.model_files import ARM, random_theta, write_files
 
@@ -50,6 +50,27 @@ def model(text=FULL):
 def compare(before: str, after: str):
     original = model()
     require_same_model(original, model(FULL.replace(before, after)), {original.body("link2").id})
+
+
+def with_servo(bias):
+    """The model with an actuator whose force is affine in length and speed."""
+    servo = f'<general joint="j2" biastype="affine" gainprm="10" biasprm="{bias}"/></actuator>'
+    return model(FULL.replace("</actuator>", servo))
+
+
+@pytest.mark.parametrize("bias", ["1 -10 0", "0 -11 0"])
+def test_an_actuators_own_force_and_stiffness_may_not_change(bias):
+    require_same_model(with_servo("0 -10 0"), with_servo("0 -10 0"), set())
+    with pytest.raises(ExportError, match="differs from the original in actuator_biasprm"):
+        require_same_model(with_servo("0 -10 0"), with_servo(bias), set())
+
+
+@pytest.mark.skipif(not RATIO, reason="this MuJoCo knows no damping ratios")
+def test_a_damping_that_follows_from_the_inertia_may_change():
+    heavier = model(FULL.replace('mass="1.5"', 'mass="9.5"'))
+    damping = [m.actuator_biasprm[0, 2] for m in (model(), heavier)]
+    assert damping[1] < damping[0] < 0.0
+    require_same_model(model(), heavier, {heavier.body("link2").id})
 
 
 def test_a_model_is_the_same_as_itself():
@@ -179,7 +200,7 @@ def test_any_possible_link_moves_as_predicted_once_written_and_loaded(arm, theta
 def test_the_prediction_for_the_models_own_link_is_its_inverse_dynamics(seed):
     robot = arms.robot_of(arms.SEVEN)
     motion = some_motion(seed, 7)
-    rigid = inverse_torque(robot)(motion) - robot.friction.torque(motion.qd)
+    rigid = ArmTorque(robot)(motion) - robot.friction.torque(motion.qd)
     predicted = predicted_torque(robot, robot.prior.theta, motion)
     assert np.max(np.abs(predicted - rigid)) < 1e-11 * np.max(np.abs(rigid))
 

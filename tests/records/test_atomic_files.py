@@ -2,14 +2,30 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import shutil
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import atomic_files as files
-from robot_sysid.records.atomic_files import require_writable, whole_file, whole_files, write_whole
+from robot_sysid.records.atomic_files import (
+    LOCK_NAME,
+    only_run_in,
+    require_writable,
+    whole_file,
+    whole_files,
+    write_whole,
+)
+from robot_sysid.records.interrupts import STOPPING
+from tests.support import watched_writing
+from tests.support.places import ROOT
+from tests.support.watched_writing import LAST, NAMES, NEW, OLD, watch, write_new, write_old
 
 
 def everything_in(folder: Path) -> dict[str, str]:
@@ -90,3 +106,164 @@ def test_a_working_folder_that_is_gone_is_one_line(tmp_path, monkeypatch):
     gone.rmdir()
     with pytest.raises(InputError, match="current folder no longer exists"):
         require_writable(Path("out"))
+
+
+@pytest.fixture
+def old_set(tmp_path):
+    write_old(tmp_path)
+    return tmp_path
+
+
+def instants(monkeypatch, folder):
+    """Return how many instants there are in a commit, and leave the old set."""
+    with monkeypatch.context() as patch:
+        seen = watch(lambda count: None, patch.setattr)
+        write_new(folder)
+    write_old(folder)
+    return seen[0]
+
+
+def assert_whole(folder):
+    """Every file is there, old or new, and the last one is new only where all are."""
+    found = {name: (folder / name).read_text() for name in NAMES}
+    assert set(found.values()) <= {"old", "new"}
+    assert found == NEW or found[LAST] == "old"
+
+
+def no_links(*_):
+    raise OSError(errno.EPERM, "Operation not permitted")
+
+
+@pytest.mark.parametrize("links", [True, False])
+def test_at_every_instant_of_a_replacement_every_file_is_whole(old_set, monkeypatch, links):
+    if not links:
+        monkeypatch.setattr(os, "link", no_links)
+    watched = watch(lambda _: assert_whole(old_set), monkeypatch.setattr)
+    write_new(old_set)
+    assert watched[0] >= 3 * len(NAMES)
+    assert everything_in(old_set) == NEW
+
+
+def test_an_error_at_any_instant_leaves_the_whole_old_set_or_the_whole_new_one(
+    old_set, monkeypatch
+):
+    before_the_last_is_renamed = 4 * len(NAMES) - 1
+    for instant in range(1, instants(monkeypatch, old_set) + 1):
+
+        def interrupt(count, instant=instant):
+            if count == instant:
+                raise KeyboardInterrupt
+
+        with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+            watch(interrupt, patch.setattr)
+            write_new(old_set)
+        found = everything_in(old_set)
+        named = {name: found.pop(name) for name in NAMES}
+        assert named in (OLD, NEW)
+        assert named == OLD or instant > before_the_last_is_renamed
+        # A second name that was given at that very instant may be left, nothing else.
+        for name in found:
+            assert name.endswith(".old")
+            (old_set / name).unlink()
+        write_old(old_set)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals cannot be held back")
+@pytest.mark.parametrize("number", STOPPING)
+def test_a_signal_at_any_instant_waits_for_the_whole_new_set(old_set, monkeypatch, number):
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    usual = signal.signal(number, stop)
+    try:
+        for instant in range(1, instants(monkeypatch, old_set) + 1):
+
+            def send(count, instant=instant):
+                if count == instant:
+                    os.kill(os.getpid(), number)
+
+            with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+                watch(send, patch.setattr)
+                write_new(old_set)
+            assert everything_in(old_set) == NEW
+            write_old(old_set)
+    finally:
+        signal.signal(number, usual)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no SIGKILL here")
+def test_a_process_that_is_killed_leaves_whole_files_and_the_old_set(old_set, monkeypatch):
+    processes, script = {}, [sys.executable, "-m", watched_writing.__name__]
+    for instant in range(1, instants(monkeypatch, old_set) + 1, 2):
+        folder = old_set.parent / "killed" / str(instant)
+        shutil.copytree(old_set, folder)
+        processes[folder] = subprocess.Popen([*script, str(folder), str(instant)], cwd=ROOT)
+    for folder, process in processes.items():
+        assert process.wait() == -signal.SIGKILL
+        assert_whole(folder)
+        found = everything_in(folder)
+        all_new = {name: found[name] for name in NAMES} == NEW
+        # Until the last file is new, the old ones are still there, some under a second name.
+        for name in NAMES:
+            assert all_new or "old" in [text for n, text in found.items() if name in n]
+
+
+def test_only_one_run_at_a_time_has_a_folder(tmp_path):
+    folder = tmp_path / "new" / "out"
+    with only_run_in(folder):
+        assert folder.is_dir()
+        with pytest.raises(InputError) as caught, only_run_in(folder):
+            raise AssertionError("two at once")
+        assert "another run is writing to" in str(caught.value) and "\n" not in str(caught.value)
+        (folder / "result").write_text("")
+    assert everything_in(folder) == {"result": ""}
+    with only_run_in(folder):
+        pass
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no SIGKILL here")
+def test_a_run_that_was_killed_does_not_keep_the_folder(tmp_path):
+    code = (
+        "import os, signal; from pathlib import Path\n"
+        "from robot_sysid.records.atomic_files import only_run_in\n"
+        "with only_run_in(Path('out')): os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    killed = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=False)
+    assert killed.returncode == -signal.SIGKILL
+    with only_run_in(tmp_path / "out"):
+        pass
+    assert everything_in(tmp_path / "out") == {}
+
+
+def test_a_run_that_fails_leaves_no_folder(tmp_path):
+    with pytest.raises(ZeroDivisionError), only_run_in(tmp_path / "new" / "out"):
+        raise ZeroDivisionError
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_lock_that_was_removed_while_it_was_taken_does_not_count(tmp_path, monkeypatch):
+    take, taken = files._take_lock, []
+
+    def take_late(handle, folder):
+        """The other run ends between opening the file and locking it."""
+        if not taken:
+            (folder / LOCK_NAME).unlink()
+        taken.append(handle)
+        take(handle, folder)
+
+    monkeypatch.setattr(files, "_take_lock", take_late)
+    with only_run_in(tmp_path):
+        assert len(taken) == 2
+        assert os.path.samestat(os.fstat(taken[-1]), os.stat(tmp_path / LOCK_NAME))
+
+
+@pytest.mark.skipif(os.name == "nt", reason="another kind of lock")
+def test_a_file_system_without_locks_is_no_obstacle(tmp_path, monkeypatch):
+    import fcntl
+
+    def unsupported(*_):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", unsupported)
+    with only_run_in(tmp_path):
+        pass

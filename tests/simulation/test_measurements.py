@@ -7,8 +7,8 @@ import pytest
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Measurement
-from robot_sysid.simulation.measurements import PlantOptions, simulate_plant
-from robot_sysid.simulation.sensors import SensorOptions
+from robot_sysid.simulation.measurements import PlantSimulation
+from robot_sysid.simulation.sensors import SimulatedArmOptions
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import motion_chunks
 from tests.support import arms
@@ -43,8 +43,8 @@ def joined(chunks):
 
 def run(plant, plan, simulation, **sensors):
     """One simulation with these sensors."""
-    options = PlantOptions(simulation, RATE, SensorOptions(**sensors))
-    return simulate_plant(plant, plan, options, np.random.default_rng(5))
+    options = SimulatedArmOptions(simulation=simulation, **sensors)
+    return PlantSimulation(plant, plan, options, RATE, np.random.default_rng(5))
 
 
 def test_inverse_with_perfect_sensors_is_the_models_own_simulation(plant, plan):
@@ -85,16 +85,20 @@ def test_notes_of_the_inverse_simulation_are_empty(plant, plan):
     assert measurements.notes() == ()
 
 
-def test_options_are_checked_by_name():
-    with pytest.raises(InputError, match="--simulation 'both' is unknown; choose one of inverse"):
-        PlantOptions(simulation="both")
+def test_what_was_asked_for_is_checked_by_name(plant, plan):
+    with pytest.raises(InputError, match="--simulation 'both': choose one of inverse, forward"):
+        SimulatedArmOptions(simulation="both")
     with pytest.raises(InputError, match="--sample-rate must be positive"):
-        PlantOptions(sample_rate=0.0)
+        PlantSimulation(plant, plan, SimulatedArmOptions(), 0.0, np.random.default_rng(0))
 
 
 def test_noise_levels_and_trajectory_must_fit_the_plant(plant, plan):
-    with pytest.raises(InputError, match="--noise-torque has 2 values for 3 joints"):
+    with pytest.raises(
+        InputError, match="--noise-torque takes one number, or one for each of the 3 joints"
+    ):
         run(plant, plan, "inverse", noise_torque=(0.1, 0.2))
+    with pytest.raises(InputError, match="--noise-position takes one number, or one for each"):
+        run(plant, plan, "inverse", noise_position=(0.1, 0.2))
     other = robot_of(arms.SEVEN)
     with pytest.raises(InputError, match="moves 3 joints, the plant has 7"):
         run(other, plan, "inverse")

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Measurement
-from robot_sysid.simulation.sensors import SensorOptions, Sensors, parse_levels, quantised
+from robot_sysid.simulation.sensors import Sensors, SimulatedArmOptions, quantised
 from tests.support.arms import SEEDS
 
 RATE = 1000.0
@@ -33,7 +33,7 @@ def cut(measurement, lengths):
 
 def read(measurements, seed=0, **options):
     """All readings as one measurement."""
-    sensors = Sensors(SensorOptions(**options), RATE, np.random.default_rng(seed))
+    sensors = Sensors(SimulatedArmOptions(**options), RATE, np.random.default_rng(seed))
     chunks = list(sensors.read(measurements))
     joined = [
         None if getattr(chunks[0], n) is None else np.concatenate([getattr(c, n) for c in chunks])
@@ -52,7 +52,7 @@ def same(first, second):
 def test_perfect_sensors_change_nothing():
     exact = smooth()
     seen = read([exact])
-    assert SensorOptions().exact
+    assert SimulatedArmOptions().exact_positions
     assert same(seen, exact) and np.array_equal(seen.qdd, exact.qdd)
 
 
@@ -63,14 +63,13 @@ def test_readings_do_not_depend_on_how_the_stream_is_cut(lengths, seed):
         "noise_position": 1e-3,
         "encoder_resolution": 1e-4,
         "torque_delay": 0.0034,
-        "noise_velocity": 0.01,
     }
     exact = smooth()
     assert same(read([exact], seed, **spoil), read(cut(exact, lengths), seed, **spoil))
 
 
 def test_the_same_sensors_give_the_same_readings_twice():
-    sensors = Sensors(SensorOptions(noise_torque=0.1), RATE, np.random.default_rng(3))
+    sensors = Sensors(SimulatedArmOptions(noise_torque=0.1), RATE, np.random.default_rng(3))
     first, second = (next(sensors.read([smooth()])) for _ in range(2))
     assert same(first, second)
 
@@ -78,11 +77,10 @@ def test_the_same_sensors_give_the_same_readings_twice():
 def test_noise_has_the_standard_deviation_asked_for_joint_by_joint():
     exact = smooth(60_000)
     levels = np.array([0.1, 0.5, 2.0])
-    seen = read([exact], noise_torque=tuple(levels), noise_position=0.02, noise_velocity=0.3)
+    seen = read([exact], noise_torque=tuple(levels), noise_position=0.02)
     # 60 000 draws: the spread of an estimated deviation is 0.3 %; 1.5 % is five times that.
     np.testing.assert_allclose(np.std(seen.tau - exact.tau, axis=0), levels, rtol=0.015)
     np.testing.assert_allclose(np.std(seen.q - exact.q, axis=0), 0.02, rtol=0.015)
-    np.testing.assert_allclose(np.std(seen.qd - exact.qd, axis=0), 0.3, rtol=0.015)
 
 
 def test_torque_and_position_noise_are_independent():
@@ -111,11 +109,6 @@ def test_spoiled_torques_leave_the_motion_exact():
     exact = smooth()
     seen = read([exact], noise_torque=0.1, torque_delay=0.01)
     assert np.array_equal(seen.qdd, exact.qdd) and np.array_equal(seen.qd, exact.qd)
-
-
-def test_a_velocity_sensor_reports_velocities_beside_spoiled_positions():
-    seen = read([smooth()], encoder_resolution=1e-3, noise_velocity=0.01)
-    assert seen.qd is not None and seen.qdd is None
 
 
 @given(st.floats(0.0, 0.05))
@@ -147,23 +140,8 @@ def test_a_delay_of_whole_samples_is_exact(periods):
         ({"encoder_resolution": -1e-4}, "--encoder-resolution"),
         ({"torque_delay": -0.001}, "--torque-delay"),
         ({"torque_delay": 5.0}, "--torque-delay"),
-        ({"noise_velocity": -1.0}, "noise_velocity"),
     ],
 )
 def test_impossible_sensors_are_refused_by_the_option_name(spoil, option):
     with pytest.raises(InputError, match=option):
-        SensorOptions(**spoil)
-
-
-def test_a_list_of_levels_must_fit_the_joints():
-    joints = ("a", "b", "c")
-    SensorOptions(noise_torque=(1.0, 2.0, 3.0)).require_joints(joints)
-    with pytest.raises(InputError, match=r"--noise-torque has 2 values for 3 joints.*a, b, c"):
-        SensorOptions(noise_torque=(1.0, 2.0)).require_joints(joints)
-
-
-def test_levels_are_read_from_text():
-    assert parse_levels("0.3", "--noise-torque") == 0.3
-    assert parse_levels("0.3, 0.1", "--noise-torque") == (0.3, 0.1)
-    with pytest.raises(InputError, match="--noise-torque 'much' is neither"):
-        parse_levels("much", "--noise-torque")
+        SimulatedArmOptions(**spoil)

@@ -7,7 +7,7 @@ import pytest
 
 from robot_sysid.errors import SimulationError
 from robot_sysid.records import Motion
-from robot_sysid.simulation.stepper import MujocoPlant
+from robot_sysid.simulation.stepper import ArmStepper
 from robot_sysid.simulator import simulate_inverse
 from tests.support import arms
 
@@ -21,25 +21,25 @@ HINGE = (
 
 def one_hinge(g=0.0, x=0.0, fc=0.0, fv=0.0, timestep=1e-3):
     robot = arms.robot_of(HINGE.format(g=g, x=x, fc=fc, fv=fv))
-    return MujocoPlant(robot, timestep=timestep)
+    return ArmStepper(robot, timestep=timestep)
 
 
-def run(plant, torque, seconds, damping=0.0):
-    n = plant.n_joints
-    for _ in range(round(seconds / plant.timestep)):
-        acted = plant.step(np.full(n, float(torque)), np.full(n, float(damping)))
+def run(arm, torque, seconds, damping=0.0):
+    n = arm.n_joints
+    for _ in range(round(seconds / arm.timestep)):
+        acted = arm.step(np.full(n, float(torque)), np.full(n, float(damping)))
     return acted
 
 
 def inverse_error(robot, timestep, seconds=0.2):
     """Largest difference between what acted and the inverse dynamics of the motion [N m]."""
-    plant, rows = MujocoPlant(robot, timestep=timestep), []
-    phase = np.arange(plant.n_joints) / plant.n_joints
+    arm, rows = ArmStepper(robot, timestep=timestep), []
+    phase = np.arange(arm.n_joints) / arm.n_joints
     for k in range(round(seconds / timestep)):
         torque = 3.0 * np.sin(2 * np.pi * (3 * k * timestep + phase))
-        before = plant.qd
-        acted = plant.step(torque, np.full(plant.n_joints, 2.0))
-        rows.append((plant.q, plant.qd, (plant.qd - before) / timestep, acted))
+        before = arm.qd
+        acted = arm.step(torque, np.full(arm.n_joints, 2.0))
+        rows.append((arm.q, arm.qd, (arm.qd - before) / timestep, acted))
     q, qd, qdd, acted = (np.array(x) for x in zip(*rows))
     (inverse,) = simulate_inverse(robot, [Motion(timestep * np.arange(len(q)), q, qd, qdd)])
     # Where a joint sticks, Coulomb's law does not tell the friction.
@@ -56,67 +56,67 @@ def test_its_torques_are_those_of_inverse_dynamics_to_first_order(name):
 
 
 def test_dry_friction_holds_until_its_limit_and_then_resists_with_it():
-    plant = one_hinge(fc=0.4)
-    run(plant, 0.39, 0.5)
-    assert plant.qd[0] == 0.0 and plant.q[0] == 0.0
-    run(plant, 0.6, 0.1)
-    assert plant.qd[0] == pytest.approx((0.6 - 0.4) / 0.01 * 0.1, rel=1e-9)
+    arm = one_hinge(fc=0.4)
+    run(arm, 0.39, 0.5)
+    assert arm.qd[0] == 0.0 and arm.q[0] == 0.0
+    run(arm, 0.6, 0.1)
+    assert arm.qd[0] == pytest.approx((0.6 - 0.4) / 0.01 * 0.1, rel=1e-9)
 
 
 def test_dry_friction_stops_a_coasting_joint_for_good():
-    plant = one_hinge(fc=0.4)
-    run(plant, 1.0, 0.05)
-    moving = plant.qd[0]
-    run(plant, 0.0, moving * 0.01 / 0.4 + 0.01)
-    assert plant.qd[0] == 0.0
-    stopped = plant.q[0]
-    run(plant, 0.0, 0.2)
-    assert plant.q[0] == stopped
+    arm = one_hinge(fc=0.4)
+    run(arm, 1.0, 0.05)
+    moving = arm.qd[0]
+    run(arm, 0.0, moving * 0.01 / 0.4 + 0.01)
+    assert arm.qd[0] == 0.0
+    stopped = arm.q[0]
+    run(arm, 0.0, 0.2)
+    assert arm.q[0] == stopped
 
 
 def test_constant_speed_takes_coulomb_plus_viscous_friction():
-    plant = one_hinge(fc=0.4, fv=0.1)
-    acted = run(plant, 0.9, 3.0)
-    assert plant.qd[0] == pytest.approx((0.9 - 0.4) / 0.1, rel=1e-6)
-    assert acted[0] == pytest.approx(0.4 + 0.1 * plant.qd[0], rel=1e-6)
+    arm = one_hinge(fc=0.4, fv=0.1)
+    acted = run(arm, 0.9, 3.0)
+    assert arm.qd[0] == pytest.approx((0.9 - 0.4) / 0.1, rel=1e-6)
+    assert acted[0] == pytest.approx(0.4 + 0.1 * arm.qd[0], rel=1e-6)
 
 
 @pytest.mark.parametrize("damping", [0.0, 5.0, 1e3, 1e6])
 def test_any_damping_is_stable(damping):
-    plant = one_hinge(g=-9.81, x=0.1, fc=0.01)
-    run(plant, 0.0, 0.5, damping)
-    speed = np.abs(plant.qd[0])
+    arm = one_hinge(g=-9.81, x=0.1, fc=0.01)
+    run(arm, 0.0, 0.5, damping)
+    speed = np.abs(arm.qd[0])
     assert speed < 30.0
     if damping:
         assert speed <= 2.0 * 9.81 * 0.1 / damping * 1.001
 
 
 def test_a_pendulum_keeps_its_energy_to_first_order():
-    plant = one_hinge(g=-9.81, x=0.1)
-    start = 2.0 * 9.81 * 0.1 * np.sin(plant.q[0])
-    run(plant, 0.0, 2.0)
+    arm = one_hinge(g=-9.81, x=0.1)
+    start = 2.0 * 9.81 * 0.1 * np.sin(arm.q[0])
+    run(arm, 0.0, 2.0)
     # About -y the centre of mass goes down for positive q.
-    energy = 0.5 * 0.03 * plant.qd[0] ** 2 - 2.0 * 9.81 * 0.1 * np.sin(plant.q[0])
+    energy = 0.5 * 0.03 * arm.qd[0] ** 2 - 2.0 * 9.81 * 0.1 * np.sin(arm.q[0])
     assert energy - start == pytest.approx(0.0, abs=0.05)
 
 
 def test_joints_outside_the_chain_stay_where_they_are():
     robot = arms.robot_of(arms.HOME_KEYFRAME)
-    plant = MujocoPlant(robot)
-    run(plant, 0.5, 0.1)
+    arm = ArmStepper(robot)
+    run(arm, 0.5, 0.1)
     others = np.setdiff1d(np.arange(robot.mj_model.nq), robot.qpos_index)
     assert len(others) == 2
-    np.testing.assert_array_equal(plant._data.qpos[others], robot.reference_qpos[others])
+    np.testing.assert_array_equal(arm._data.qpos[others], robot.reference_qpos[others])
 
 
 def test_it_starts_where_it_is_told(three_joint_arm):
     q = np.array([0.1, -0.2, 0.3])
-    plant = MujocoPlant(three_joint_arm, q)
-    np.testing.assert_array_equal(plant.q, q)
-    np.testing.assert_array_equal(plant.qd, 0.0)
+    arm = ArmStepper(three_joint_arm, q)
+    np.testing.assert_array_equal(arm.q, q)
+    np.testing.assert_array_equal(arm.qd, 0.0)
 
 
 def test_a_state_that_is_not_finite_is_said():
-    plant = one_hinge()
+    arm = one_hinge()
     with pytest.raises(SimulationError, match="diverged"):
-        plant.step(np.array([np.nan]), np.zeros(1))
+        arm.step(np.array([np.nan]), np.zeros(1))

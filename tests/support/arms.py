@@ -11,6 +11,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.model.compilation import CompiledModel
@@ -236,7 +237,7 @@ def random_motion(rng, joints, samples, speed=2.0):
 
 def random_rotation(rng):
     """(3, 3) rotation matrix."""
-    return spatial.rotation_from_quaternion(rng.normal(size=4))
+    return Rotation.from_quat(np.roll(rng.normal(size=4), -1)).as_matrix()
 
 
 SEEDS = st.integers(0, 2**32 - 1)

@@ -20,7 +20,7 @@ from robot_sysid.model.inertia import composite_theta
 from robot_sysid.records import InertialParameters, JointFriction, Measurement
 from robot_sysid.signals.process import process
 from robot_sysid.simulation.closed_loop import ClosedLoop
-from robot_sysid.simulator import inverse_torque
+from robot_sysid.simulator import ArmTorque
 from robot_sysid.solver import identify_parameters
 from robot_sysid.trajectory import generate_excitation_trajectory
 
@@ -52,7 +52,7 @@ def plant_from(robot, armature=0.1, coulomb=0.4, viscous=0.1, payload=1.4, time_
 def excitation(robot, seed=1, duration=15.0):
     """A random trajectory within the robot's limits."""
     rng = np.random.default_rng(seed)
-    return generate_excitation_trajectory(robot, rng, duration, inverse_torque(robot))[0]
+    return generate_excitation_trajectory(robot, rng, duration, ArmTorque(robot))[0]
 
 
 def recorded(loop):
@@ -82,16 +82,16 @@ def identified(robot, log, deadband, terms=TERMS):
     return identify_parameters(rows_of_joint.result(), equations.prior)
 
 
-def identified_from_log(robot, log, options, terms=TERMS):
-    """The same from positions and torques by way of low-pass, derivatives and thinning."""
-    signals = process(log, options, robot.joint_names)
+def identified_from_log(robot, log, deadband, terms=TERMS):
+    """The same from positions and torques by way of low-pass, derivatives and decimation."""
+    signals = process(log, robot.joint_names, deadband=deadband)
     equations = Equations(robot, "chain", (FrictionModel(terms),) * robot.n_joints)
     rows_of_joint = InformationAccumulator(equations.names, equations.joints, equations.columns)
     motion = Measurement(signals.time, signals.q, signals.qd, signals.tau, signals.qdd)
     usable = signals.usable()
     for index, (rows, tau) in enumerate(equations.rows(motion)):
-        thinned = signals.thinner().push(np.column_stack((rows, tau)))[usable[:, index]]
-        rows_of_joint.add(index, thinned[:, :-1], thinned[:, -1])
+        decimated = signals.decimator().push(np.column_stack((rows, tau)))[usable[:, index]]
+        rows_of_joint.add(index, decimated[:, :-1], decimated[:, -1])
     return identify_parameters(rows_of_joint.result(), equations.prior)
 
 

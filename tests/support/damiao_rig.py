@@ -4,26 +4,31 @@ from __future__ import annotations
 
 import numpy as np
 
-from robot_sysid.damiao.bus.clock import SimulatedClock
 from robot_sysid.damiao.bus.link import GuardedLink
 from robot_sysid.damiao.play.player import StopRequest
 from robot_sysid.damiao.play.preflight import Permissions
-from robot_sysid.damiao.play.recorder import read_recording
-from robot_sysid.damiao.play.run import (
-    Audience,
-    RecordingChoice,
-    look,
-    make_plan,
-    perform,
-)
-from robot_sysid.damiao.play.settings import PlaySettings, default_gains
+from robot_sysid.damiao.play.recorder import RecordingOptions
+from robot_sysid.damiao.play.run import Plan, inspect, run
+from robot_sysid.damiao.play.settings import PlaySettings
 from robot_sysid.damiao.protocol.bus_load import BusTiming
+from robot_sysid.damiao.protocol.frames import (
+    DISABLE,
+    ENABLE,
+    READ,
+    REFRESH,
+    REGISTER_ID,
+    is_special,
+)
 from robot_sysid.damiao.protocol.joints import damiao_joints
+from robot_sysid.damiao.protocol.motors import MOTORS
 from robot_sysid.damiao.protocol.registers import DISABLED
 from robot_sysid.damiao.simulated.arm import SimulatedArm
 from robot_sysid.damiao.simulated.motor import simulated_motor
 from robot_sysid.damiao.simulated.simulated_link import SimulatedLink
 from robot_sysid.damiao.trajectory.csv_file import export_damiao_trajectory, read_damiao_trajectory
+from tests.support.clocks import ScriptedClock
+from tests.support.links import RememberingLink
+from tests.support.recordings import read_recording
 
 INERTIA, GRAVITY = 0.1, 2.0
 
@@ -57,6 +62,24 @@ def swing(n_joints=3, duration=2.0, rate=250.0, amplitude=0.4):
     return time, q, qd, INERTIA * qdd + GRAVITY * np.sin(q)
 
 
+def two_motor_arm(watchdog=0.1):
+    """Two pendulums with their motors."""
+    motors = [simulated_motor(MOTORS["DM4340"], i, i + 16, watchdog) for i in (1, 2)]
+    return SimulatedArm(Pendulums(2), motors)
+
+
+def trajectory_file(folder, motion):
+    """A motion as a trajectory file for motors of one type, read back."""
+    path = folder / "t.csv"
+    export_damiao_trajectory([motion], ["DM4340"] * motion[1].shape[1], path)
+    return read_damiao_trajectory(path)
+
+
+def only_asks(frames):
+    """Whether none of these frames can move a motor or change what it holds."""
+    return all(f.id == REGISTER_ID and f.data[2] in (READ, REFRESH) for f in frames)
+
+
 class Rig:
     """Builds an arm, plays a swing on it, and keeps what happened."""
 
@@ -72,50 +95,53 @@ class Rig:
         start=None,
         allowed=None,
         watchdog=0.1,
-        half_step=True,
         motion=None,
+        name="measured",
         **settings,
     ):
-        self.folder, self.half_step = folder, half_step
         types = [motor_type] * n_joints
         joints = damiao_joints(types, n_joints)
         path = folder / "damiao_trajectory.csv"
         export_damiao_trajectory([motion or swing(n_joints)], types, path)
         self.motors = [simulated_motor(j.spec, j.can_id, j.master_id, watchdog) for j in joints]
-        plant = Pendulums(n_joints, start)
-        self.arm = SimulatedArm(plant, [*self.motors, *extra_motors], faults)
-        self.clock = SimulatedClock()
+        mechanism = Pendulums(n_joints, start)
+        self.arm = SimulatedArm(mechanism, [*self.motors, *extra_motors], faults)
+        self.clock = ScriptedClock()
         self.bus = SimulatedLink(self.clock, self.arm, timing, echo)
-        fd = bool(timing and timing.fd)
-        self.link = GuardedLink(self.bus, self.clock.now, fd, self._observe)
-        kp, kd = default_gains([j.spec for j in joints])
-        kp, kd = settings.pop("kp", kp), settings.pop("kd", kd)
-        self.settings = PlaySettings(
-            kp, kd, **{"ramp_time": 0.3, "approach_time": 0.3, "rest_time": 0.1, **settings}
+        self.wire = RememberingLink(self.bus, self.clock)
+        self.link = GuardedLink(self.wire, self.clock.now, bool(timing and timing.fd))
+        self.record_path = folder / f"{name}.csv"
+        self.plan = Plan(
+            read_damiao_trajectory(path),
+            PlaySettings(**{"ramp_time": 0.3, "approach_time": 0.3, "rest_time": 0.1, **settings}),
+            timing or BusTiming(),
+            allowed or Permissions(),
+            RecordingOptions(self.record_path),
         )
-        self.plan = make_plan(
-            read_damiao_trajectory(path), self.settings, timing or BusTiming(),
-            allowed or Permissions(), half_step,
-        )  # fmt: skip
         self.stop = StopRequest()
         self.hooks = {}
-        self.phases, self.phase_times, self.playing = [], [], False
-        self.frames, self.play_frames = [], []
+        self.phase_times, self.first_played, self.last_played = [], None, None
         self.error = self.report = None
 
     @property
-    def record_path(self):
-        return self.folder / "measured.csv"
+    def phases(self):
+        """What the run said that it was doing."""
+        return [sentence for sentence, _ in self.phase_times]
 
-    def _observe(self, frame, sent):
-        self.frames.append((frame, sent))
-        if self.playing and not sent:
-            self.play_frames.append(frame)
+    @property
+    def play_frames(self):
+        """What arrived while the trajectory itself was played."""
+        if self.first_played is None:
+            return []
+        frames = self.wire.frames[self.first_played : self.last_played]
+        return [frame for frame, sent in frames if not sent]
 
     def _phase(self, sentence):
-        self.phases.append(sentence)
+        if sentence.startswith("playing"):
+            self.first_played = len(self.wire.frames)
+        elif self.first_played is not None and self.last_played is None:
+            self.last_played = len(self.wire.frames)
         self.phase_times.append((sentence, self.clock.now()))
-        self.playing = sentence.startswith("playing")
         for words, hook in self.hooks.items():
             if sentence.startswith(words):
                 hook(self)
@@ -129,20 +155,15 @@ class Rig:
         self.hooks[phase] = hang
         return self
 
-    def look(self):
-        return look(self.link, self.clock, self.plan)
-
     def run(self, settle=0.5):
-        """Look, play, record; keep error or report; then let the arm be for a while."""
-        inspection, self.findings = self.look()
+        """Inspect, play, record; keep error or report; then let the arm be for a while."""
+        inspection, self.checks = inspect(self.link, self.clock, self.plan)
         try:
-            self.report = perform(
-                self.link, self.clock, self.plan, inspection, self.stop,
-                RecordingChoice(self.record_path), Audience(self._phase),
-            )  # fmt: skip
+            self.report = run(
+                self.link, self.clock, self.plan, inspection, self.stop, on_phase=self._phase
+            )
         except Exception as error:
             self.error = error
-        self.playing = False
         self.disabled_at = self.clock.now()
         self.arm.advance(self.clock.now() + settle)
         return self
@@ -155,9 +176,9 @@ class Rig:
         return [motor.status for motor in self.arm.motors]
 
     def assert_never_moved(self):
-        """No motor was ever enabled or commanded, and none was written to."""
+        """No motor was ever enabled, commanded or written to."""
         assert self.states() == self.states_before
-        assert all(motor.commands_seen == 0 for motor in self.arm.motors)
+        assert only_asks(self.wire.sent)
 
     def assert_stopped(self, cause, states=None):
         """The run ended with this cause, all motors in these states, nothing harmful was sent."""
@@ -167,7 +188,13 @@ class Rig:
         for joint, code in (states or {}).items():
             expected[joint] = code
         assert self.states() == expected
-        assert not any(m.was_zeroed or m.was_stored for m in self.arm.motors)
+        self.assert_harmless()
+
+    def assert_harmless(self):
+        """Nothing was sent that stores something in a motor or clears an error."""
+        special = [frame.data[7] for frame in self.wire.sent if is_special(frame.data)]
+        assert set(special) <= {ENABLE, DISABLE}
+        assert only_asks(frame for frame in self.wire.sent if frame.id == REGISTER_ID)
 
     def assert_nothing_lost(self):
         """Every reply that arrived while the trajectory played is in the recording."""

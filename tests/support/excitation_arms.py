@@ -7,8 +7,9 @@ from functools import cache
 import numpy as np
 
 from robot_sysid.excitation.optimise import Design
-from robot_sysid.excitation.options import ExcitationOptions
-from robot_sysid.excitation.problem import build_problem
+from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
+from robot_sysid.excitation.problem import DEFAULT_NOISE_TORQUE, build_problem
+from robot_sysid.trajectory import TrajectoryOptions
 from tests.support import arms
 from tests.support.arms import LINK, TIP, X, Y, Z, hinge, link, world
 
@@ -36,7 +37,9 @@ TOUCHING_AT_REST = tube_arm((Z, Y, X, Y), POST, joint='range="-2.5 2.5"', pos="0
 )
 SLIDING = arms.SLIDE_IN_CHAIN
 
-SMALL = {"duration": 6.0, "harmonics": 4, "draws": 6, "starts": 1, "rounds": 1, "iterations": 8}
+DURATION = 6.0
+SMALL = {"harmonics": 4, "draws": 6, "starts": 1, "rounds": 1, "iterations": 8, "workers": 1}
+TOP_FREQUENCY_HZ = ExcitationOptions(harmonics=4).basis(DURATION).top_frequency_hz
 
 
 @cache
@@ -51,14 +54,18 @@ def options(**changes):
 
 
 @cache
-def problem(xml, **changes):
-    """ExcitationProblem of an XML string."""
-    return build_problem(robot(xml), options(**changes))
+def problem(
+    xml, torques="chain", noise_torque=DEFAULT_NOISE_TORQUE, top=TOP_FREQUENCY_HZ, **limits
+):
+    """ExcitationProblem of an XML string; further arguments are those of ``LimitOptions``."""
+    return build_problem(robot(xml), LimitOptions(**limits), torques, noise_torque, top)
 
 
-def design(xml, **changes):
+def design(xml, torques="chain", duration=DURATION, **changes):
     """Design of an XML string."""
-    return Design(problem(xml, **changes), options(**changes))
+    chosen, motion = options(**changes), TrajectoryOptions(duration=duration)
+    some = problem(xml, torques, top=chosen.basis(duration).top_frequency_hz)
+    return Design(some, chosen, motion)
 
 
 def random_x(some_design, seed, size=0.3):

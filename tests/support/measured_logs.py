@@ -10,16 +10,15 @@ from robot_sysid.dynamics.equations import Equations
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_model
 from robot_sysid.logs.reader import join_measurements
 from robot_sysid.records import InertialParameters
-from robot_sysid.signals.process import SignalOptions
-from robot_sysid.simulation.measurements import PlantOptions, simulate_plant
-from robot_sysid.simulation.sensors import SensorOptions
-from robot_sysid.simulator import inverse_torque
+from robot_sysid.simulation.measurements import PlantSimulation
+from robot_sysid.simulation.sensors import SimulatedArmOptions
+from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import generate_excitation_trajectory
 from tests.support import arms
 
 RATE, DURATION = 200.0, 10.0
 JOINT = 'range="-2 2" frictionloss=".3" damping=".2" armature=".05"'
-SIGNALS = SignalOptions(cutoff=8.0)
+CUTOFF = 8.0
 DEFAULT = friction_model(DEFAULT_MEASURED)
 
 
@@ -41,15 +40,15 @@ def guessed(robot, scale=0.6):
 def plan_of(robot, seed=1, duration=DURATION):
     """A random trajectory on which every joint moves widely."""
     rng = np.random.default_rng(seed)
-    plan = generate_excitation_trajectory(robot, rng, duration, inverse_torque(robot))[0]
+    plan = generate_excitation_trajectory(robot, rng, duration, ArmTorque(robot))[0]
     return plan.scaled(np.array([3.0, 3.0, 1.0]))
 
 
 def log_of(plant, plan=None, seed=1, simulation="inverse", rate=RATE, **sensors):
     """What the sensors of an arm report along a trajectory."""
-    options = PlantOptions(simulation, rate, SensorOptions(**sensors))
-    run = simulate_plant(plant, plan or plan_of(plant), options, np.random.default_rng(seed))
-    return join_measurements(run)
+    options = SimulatedArmOptions(simulation=simulation, **sensors)
+    rng = np.random.default_rng(seed)
+    return join_measurements(PlantSimulation(plant, plan or plan_of(plant), options, rate, rng))
 
 
 def equations_of(robot, torques="chain", shared=()):

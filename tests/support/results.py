@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,10 +10,12 @@ import numpy as np
 
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES, theta_from_com
 from robot_sysid.records import (
+    DataOrigin,
     Estimate,
     Identifiability,
     Identification,
     InertialParameters,
+    Source,
     Status,
     Validation,
 )
@@ -56,15 +59,16 @@ def found(result: Estimate | None = None, **changes) -> Identification:
         "prior": InertialParameters(0.5 * THETA),
         "estimate": result or estimate(),
         "torques": "chain",
-        "friction": True,
-        "seed": None,
-        "duration": 15.0,
-        "sample_rate": 1000.0,
+        "data": DataOrigin(Source.LOG, "arm.csv", 15.0, 1000.0),
         "versions": {},
-        "source": "log arm.csv",
         "friction_model": "coulomb-viscous",
     }
     return Identification(**{**fields, **changes})
+
+
+def own_simulation() -> DataOrigin:
+    """Data that a simulation of the model itself made."""
+    return DataOrigin(Source.ITSELF, "", 15.0, 1000.0, 1)
 
 
 def with_value(name: str, value: float, error: float) -> Estimate:
@@ -74,7 +78,7 @@ def with_value(name: str, value: float, error: float) -> Estimate:
     return estimate(values=values, standard_errors=errors)
 
 
-def blind_to_mass() -> Estimate:
+def without_mass() -> Estimate:
     """The mass does not show in the data."""
     errors = np.array(estimate().standard_errors)
     errors[0] = np.inf
@@ -84,7 +88,7 @@ def blind_to_mass() -> Estimate:
         estimate().identifiability,
         rank=11,
         identified=(False,) + (True,) * (len(NAMES) - 1),
-        blind=("mass",),
+        unidentifiable=("mass",),
     )
     return estimate(
         identifiability=seen,
@@ -97,3 +101,10 @@ def blind_to_mass() -> Estimate:
 def validation_of(rmse: float) -> Validation:
     """A validation with this error."""
     return Validation("other.csv", 100, rmse, 0.02, {"j5": rmse, "j6": rmse}, {"j5": 0.02})
+
+
+def theta_in(path: Path) -> np.ndarray:
+    """The ten parameters (10,) that a params.json holds."""
+    content = json.loads(path.read_text(encoding="utf-8"))
+    six = [content["inertia_tensor"][name] for name in PARAMETER_NAMES[4:]]
+    return np.array([content["mass"], *content["center_of_mass_moment"], *six])

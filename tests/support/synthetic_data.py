@@ -58,6 +58,12 @@ def random_body(rng, spread=1.0):
     return spatial.theta_from_pseudo_inertia(factor @ factor.T + 1e-6 * np.eye(4) * spread)
 
 
+def body_divergence(theta, prior):
+    """d(J(theta) || J(prior)) >= 0, zero only where they are the same body."""
+    ratio = np.linalg.solve(spatial.pseudo_inertia(prior), spatial.pseudo_inertia(theta))
+    return float(np.trace(ratio) - np.linalg.slogdet(ratio)[1] - 4.0)
+
+
 def arm_equations(rng, joints=3, count=60):
     """[(rows (count, 12), columns (12,))] and names of an arm whose joints point everywhere."""
     names = list(spatial.PARAMETER_NAMES)
@@ -79,6 +85,40 @@ def information_of(equations, names, truth, noise=0.0, rng=None):
         error = noise * rng.normal(size=len(rows)) if rng is not None else 0.0
         accumulator.add(j, rows, rows @ truth[columns] + error)
     return accumulator.result()
+
+
+class Samples:
+    """An arm's equations with given torques, readable several times, in chunks."""
+
+    def __init__(self, equations, torques, size=17):
+        self.equations, self.torques, self.size = equations, torques, size
+
+    def __iter__(self):
+        for j, (rows, _) in enumerate(self.equations):
+            for start in range(0, len(rows), self.size):
+                part = slice(start, start + self.size)
+                yield j, rows[part], self.torques[j][part]
+
+    def information(self, names):
+        """What is left of them after one pass."""
+        joints = [f"joint{j}" for j in range(len(self.equations))]
+        accumulator = InformationAccumulator(names, joints, [c for _, c in self.equations])
+        for index, rows, tau in self:
+            keep = np.isfinite(tau)
+            accumulator.add(index, rows[keep], tau[keep])
+        return accumulator.result()
+
+
+def noisy_samples(seed, noises=(0.1, 0.1, 0.1), count=200):
+    """(Samples of a three-joint arm, names, truth, generator), noise [N m] per joint."""
+    rng = np.random.default_rng(seed)
+    equations, names = arm_equations(rng, joints=3, count=count)
+    truth = np.concatenate((random_body(rng), rng.uniform(0.1, 1.0, 6)))
+    torques = [
+        rows @ truth[columns] + noise * rng.normal(size=len(rows))
+        for (rows, columns), noise in zip(equations, noises)
+    ]
+    return Samples(equations, torques), names, truth, rng
 
 
 def terminal_information(rng, truth, axis=Z, offset=ORIGIN, count=80):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 from typing import Any
 
 from robot_sysid.damiao.bus.clock import Clock
@@ -10,6 +11,7 @@ from robot_sysid.damiao.bus.link import LinkError
 from robot_sysid.damiao.protocol.bus_load import BusTiming
 from robot_sysid.damiao.protocol.frames import Frame
 from robot_sysid.errors import InputError
+from robot_sysid.records.options import check_options, option
 
 # Adapters on this computer only: nothing here may put motor commands on a network.
 INTERFACES = (
@@ -25,6 +27,23 @@ INTERFACES = (
     "seeedstudio",
     "virtual",
 )
+
+
+@dataclass(frozen=True)
+class BusAddress:
+    """Where the bus is."""
+
+    interface: str = option(
+        "socketcan", "kind of adapter: " + ", ".join(INTERFACES), choices=INTERFACES, metavar="NAME"
+    )
+    channel: str | None = option(
+        None, "what the adapter calls the bus, for instance can0 or /dev/ttyACM0"
+    )
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+
 _REPORTS_OWN_FRAMES = ("socketcan", "virtual")
 _SEND_TIMEOUT = 0.01
 _PLAUSIBLE_AGE = 1.0
@@ -101,24 +120,21 @@ class BusLink:
         return self._clock.now() - (age if 0.0 <= age < _PLAUSIBLE_AGE else 0.0)
 
 
-def open_bus(interface: str, channel: str | None, timing: BusTiming, clock: Clock) -> BusLink:
+def open_bus(address: BusAddress, timing: BusTiming, clock: Clock) -> BusLink:
     """Open a CAN bus.
 
     Args:
-        interface: one of ``INTERFACES``.
-        channel: what the interface calls it, for instance can0 or /dev/ttyACM0.
+        address: adapter and channel.
         timing: bit rates (socketcan takes them from ``ip link``).
         clock: for time stamps.
 
     Raises:
         InputError: python-can is missing, or the bus cannot be opened.
     """
-    can = import_can()
-    if interface not in INTERFACES:
-        raise InputError(f"unknown --interface {interface!r}; valid: {', '.join(INTERFACES)}")
+    can, interface = import_can(), address.interface
     try:
         bus = can.Bus(
-            channel=channel,
+            channel=address.channel,
             interface=interface,
             ignore_config=True,
             **_bus_options(can, interface, timing),
@@ -126,7 +142,7 @@ def open_bus(interface: str, channel: str | None, timing: BusTiming, clock: Cloc
     except Exception as error:
         # Each adapter's driver raises what it likes.
         reason = " ".join(str(error).split())
-        raise InputError(f"cannot open {interface} channel {channel}: {reason}") from error
+        raise InputError(f"cannot open {interface} channel {address.channel}: {reason}") from error
     return BusLink(bus, clock)
 
 

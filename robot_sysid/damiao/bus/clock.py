@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import heapq
-import itertools
 import time
-from collections.abc import Callable
 from typing import Protocol
 
 
@@ -34,29 +31,15 @@ class SystemClock:
 
 
 class SimulatedClock:
-    """A clock that moves only when someone sleeps; callbacks can be hung on moments."""
+    """A clock that moves only when someone sleeps."""
 
-    def __init__(self, start: float = 0.0) -> None:
-        self._now = start
-        self._order = itertools.count()
-        self._callbacks: list[tuple[float, int, Callable[[], None]]] = []
+    def __init__(self) -> None:
+        self._now = 0.0
 
     def now(self) -> float:
         """Return the simulated time [s]."""
         return self._now
 
     def sleep_until(self, moment: float) -> None:
-        """Move to ``moment`` [s], running the callbacks that fall due on the way."""
-        while self._callbacks and self._callbacks[0][0] <= moment:
-            due, _, callback = heapq.heappop(self._callbacks)
-            self._now = max(self._now, due)
-            callback()
+        """Move to ``moment`` [s], unless it has passed."""
         self._now = max(self._now, moment)
-
-    def at(self, moment: float, callback: Callable[[], None]) -> None:
-        """Call ``callback`` when the clock reaches ``moment`` [s]."""
-        heapq.heappush(self._callbacks, (moment, next(self._order), callback))
-
-    def stall(self, duration: float) -> None:
-        """Let ``duration`` [s] pass without anybody having slept: a computer that was busy."""
-        self._now += duration

@@ -1,8 +1,8 @@
-"""Looking at the motors on a bus without any effect on them: who is there, registers, state."""
+"""Inspecting the motors on a bus without any effect on them: who is there, registers, state."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,44 +49,36 @@ class InspectedMotor:
 
 @dataclass(frozen=True)
 class Inspection:
-    """What a look at the bus found.
+    """What the motors on a bus said.
 
     Attributes:
         motors: those that answered, by CAN id.
-        chatter: frames seen before anything was asked; motors only speak when spoken to.
+        unsolicited: frames seen before anything was asked; motors only speak when spoken to.
         error_frames: error frames seen while asking.
     """
 
     motors: Mapping[int, InspectedMotor]
-    chatter: int
+    unsolicited: int
     error_frames: int
 
 
-def inspect_bus(
-    link: GuardedLink,
-    clock: Clock,
-    ids: Iterable[int] = ALL_IDS,
-    on_motor: Callable[[int], None] | None = None,
-) -> Inspection:
+def inspect_bus(link: GuardedLink, clock: Clock, ids: Iterable[int] = ALL_IDS) -> Inspection:
     """Ask every id for its registers and state; enables nothing.
 
     Args:
         link: the bus.
         clock: for timeouts.
         ids: CAN ids to ask.
-        on_motor: called with each id before it is asked.
     """
-    chatter = _listen(link, clock)
+    unsolicited = _listen(link, clock)
     client = RegisterClient(link, clock, timeout=_ASK_TIMEOUT)
     motors = {}
     for can_id in ids:
-        if on_motor:
-            on_motor(can_id)
         answers = client.read_all(can_id, ESC_ID)
         if answers:
             reply_ids = tuple(answer.reply_id for answer in answers)
             motors[can_id] = _inspect_motor(client, can_id, reply_ids)
-    return Inspection(motors, chatter, client.error_frames)
+    return Inspection(motors, unsolicited, client.error_frames)
 
 
 def _listen(link: GuardedLink, clock: Clock) -> int:

@@ -33,18 +33,14 @@ class GuardedLink:
         link: the bus.
         now: returns the time that a sent frame is shown with [s].
         fd: send CAN-FD frames.
-        observer: called with every frame sent or received.
+
+    Attributes:
+        observer: called with every frame sent or received, and whether it was sent.
     """
 
-    def __init__(
-        self,
-        link: Link,
-        now: Callable[[], float],
-        fd: bool = False,
-        observer: Callable[[Frame, bool], None] | None = None,
-    ) -> None:
+    def __init__(self, link: Link, now: Callable[[], float], fd: bool = False) -> None:
         self._link, self._now, self._fd = link, now, fd
-        self.observer = observer
+        self.observer: Callable[[Frame, bool], None] | None = None
 
     def send(self, frame: Frame) -> None:
         """Send a frame that is not harmful."""
@@ -67,7 +63,3 @@ class GuardedLink:
         while self.receive(self._now()) is not None:
             dropped += 1
         return dropped
-
-    def close(self) -> None:
-        """Release the bus."""
-        self._link.close()

@@ -29,6 +29,9 @@ from robot_sysid.damiao.protocol.registers import (
 )
 from robot_sysid.errors import HardwareAbort
 
+# How often a question is asked.
+_TRIES = 3
+
 
 class RegisterReply(NamedTuple):
     """A register's value and the id it was answered on."""
@@ -44,19 +47,15 @@ class RegisterClient:
         link: the bus.
         clock: for timeouts.
         timeout: how long an answer may take [s].
-        tries: how often to ask.
     """
 
-    def __init__(
-        self, link: GuardedLink, clock: Clock, timeout: float = 0.02, tries: int = 3
-    ) -> None:
-        self._link, self._clock = link, clock
-        self._timeout, self._tries = timeout, tries
+    def __init__(self, link: GuardedLink, clock: Clock, timeout: float = 0.02) -> None:
+        self._link, self._clock, self._timeout = link, clock, timeout
         self.error_frames = 0
 
     def read(self, can_id: int, register: int) -> RegisterReply | None:
         """Return a register's value, or None where the motor does not answer."""
-        for _ in range(self._tries):
+        for _ in range(_TRIES):
             replies = self._ask(read_frame(can_id, register), first_only=True)
             if replies:
                 return replies[0]
@@ -73,7 +72,7 @@ class RegisterClient:
         """
         raw = bytes_from_value(register, value)
         name = REGISTERS[register].name
-        for _ in range(self._tries):
+        for _ in range(_TRIES):
             replies = self._ask(write_frame(can_id, register, raw), first_only=True)
             if replies and bytes_from_value(register, replies[0].value) == raw:
                 return
@@ -85,7 +84,7 @@ class RegisterClient:
 
     def refresh(self, can_id: int, master_id: int) -> Frame | None:
         """Return a feedback frame without any effect on the motor, or None."""
-        for _ in range(self._tries):
+        for _ in range(_TRIES):
             self._link.drain()
             self._link.send(refresh_frame(can_id))
             until = self._clock.now() + self._timeout

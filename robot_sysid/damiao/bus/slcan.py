@@ -1,4 +1,4 @@
-"""A pseudo-terminal that looks like a serial CAN adapter, for a simulated arm to sit behind.
+"""A pseudo-terminal that acts as a serial CAN adapter, for a simulated arm to sit behind.
 
 Whoever opens its device (python-can's slcan interface, for instance) talks to this process; nothing
 leaves the computer. Needs a Unix system.

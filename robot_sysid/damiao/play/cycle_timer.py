@@ -10,7 +10,7 @@ from robot_sysid.damiao.bus.clock import Clock
 from robot_sysid.errors import HardwareAbort
 
 
-class Metronome:
+class CycleTimer:
     """Hands out cycle deadlines.
 
     Args:

@@ -17,7 +17,7 @@ from typing import Protocol
 import numpy as np
 
 from robot_sysid.damiao.bus.clock import Clock
-from robot_sysid.damiao.play.cycle_timer import Metronome
+from robot_sysid.damiao.play.cycle_timer import CycleTimer
 from robot_sysid.damiao.play.sampler import (
     Reference,
     ReferenceFunction,
@@ -31,6 +31,7 @@ from robot_sysid.damiao.play.supervision import Supervisor, VelocityScalingCheck
 from robot_sysid.damiao.protocol.codec import MitCommand, Scaling
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
+from robot_sysid.records.interrupts import STOPPING
 
 # The torque that carries the arm is there early in the ramp, before the arm has sunk.
 _LIFT_SHARE = 0.2
@@ -59,7 +60,6 @@ class PlayReport:
         lateness_p50, lateness_p99: how late cycles started [s].
         missed: (n,) unanswered commands.
         worst_tracking: (n,) largest distance from the path [rad].
-        velocity_slope: (n,) position change per integrated velocity; 1 where nothing moved.
     """
 
     cycles: int
@@ -68,7 +68,6 @@ class PlayReport:
     lateness_p99: float
     missed: Array
     worst_tracking: Array
-    velocity_slope: Array
 
 
 class Player:
@@ -99,7 +98,8 @@ class Player:
         self._on_phase, self._on_progress = on_phase, on_progress
         self._supervisor = Supervisor(session.joints, settings)
         self._scaling_check = VelocityScalingCheck(session.scaling.steps[1])
-        self._metronome = Metronome(clock, settings.period, settings.max_lateness)
+        self._timer = CycleTimer(clock, settings.period, settings.max_lateness)
+        self._kp, self._kd = np.array(settings.kp), np.array(settings.kd)
         self._gain = 0.0
         self._reference: Reference | None = None
         self._command: MitCommand | None = None
@@ -133,7 +133,7 @@ class Player:
         start = self._session.enable()
         here = Reference(start, np.zeros_like(start), first.torque)
         way, way_time = approach(start, first, settings.approach_speed, settings.approach_time)
-        self._metronome = Metronome(self._clock, settings.period, settings.max_lateness)
+        self._timer = CycleTimer(self._clock, settings.period, settings.max_lateness)
         self._announce("raising the gains")
         self._phase(hold(here), settings.ramp_time, ramp=True)
         self._announce(f"moving to the first point ({way_time:.1f} s)")
@@ -151,11 +151,11 @@ class Player:
         ramp: bool = False,
         record: bool = False,
     ) -> None:
-        origin = self._metronome.next_deadline
+        origin = self._timer.next_deadline
         # Half a period of slack keeps the last sample in spite of rounding.
         end = origin + duration + 0.5 * self._settings.period
-        while self._metronome.next_deadline < end:
-            deadline = self._metronome.wait()
+        while self._timer.next_deadline < end:
+            deadline = self._timer.wait()
             time = min(deadline - origin, duration)
             self._gain = time / duration if ramp else 1.0
             wanted = reference(time)
@@ -212,12 +212,11 @@ class Player:
             )
 
     def _command_for(self, reference: Reference) -> MitCommand:
-        settings = self._settings
         return MitCommand(
             reference.position,
             reference.velocity,
-            self._gain * settings.kp,
-            settings.kd,
+            self._gain * self._kp,
+            self._kd,
             min(self._gain / _LIFT_SHARE, 1.0) * reference.torque,
         )
 
@@ -249,9 +248,9 @@ class Player:
         )
 
     def _stop_phase(self, reference: ReferenceFunction, duration: float, wishes: int) -> None:
-        origin = self._metronome.next_deadline
-        while self._metronome.next_deadline <= origin + duration:
-            deadline = self._metronome.wait(lenient=True)
+        origin = self._timer.next_deadline
+        while self._timer.next_deadline <= origin + duration:
+            deadline = self._timer.wait(lenient=True)
             if not self._supervisor.any_alive or self._stop.count > wishes:
                 return
             # A motor that does not answer may still obey, so only failed ones are left out.
@@ -270,12 +269,11 @@ class Player:
     def _report(self) -> PlayReport:
         return PlayReport(
             self._played,
-            self._metronome.skipped,
-            self._metronome.lateness(50.0),
-            self._metronome.lateness(99.0),
+            self._timer.skipped,
+            self._timer.lateness(50.0),
+            self._timer.lateness(99.0),
             self._supervisor.total_missed,
             self._supervisor.worst_tracking,
-            self._scaling_check.slopes()[0],
         )
 
 
@@ -315,13 +313,12 @@ class StopRequest:
     @contextlib.contextmanager
     def on_signals(self) -> Iterator[None]:
         """Turn interrupt, terminate and hang-up signals into wishes inside the block."""
-        names = [n for n in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, n)]
-        before = {n: signal.signal(getattr(signal, n), self._handle) for n in names}
+        before = {number: signal.signal(number, self._handle) for number in STOPPING}
         try:
             yield
         finally:
-            for name, handler in before.items():
-                signal.signal(getattr(signal, name), handler)
+            for number, handler in before.items():
+                signal.signal(number, handler)
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
         self(f"stopped by {signal.Signals(number).name}")

@@ -1,6 +1,6 @@
 """The list that is gone through before an arm may move.
 
-Every point yields findings: ``ok``, ``note`` (worth knowing) or ``stop`` (nothing is played before
+Every point yields a check: ``ok``, ``note`` (worth knowing) or ``stop`` (nothing is played before
 it is put right), each with what was found and what to do.
 """
 
@@ -32,6 +32,7 @@ from robot_sysid.damiao.protocol.registers import (
 )
 from robot_sysid.damiao.trajectory.clamping import rating_warnings
 from robot_sysid.damiao.trajectory.csv_file import TrajectoryScan
+from robot_sysid.records.options import check_options, option, positive
 
 OK, NOTE, STOP = "ok", "note", "stop"
 _REST_SPEED = 0.05
@@ -40,7 +41,7 @@ _LONG_WATCHDOG = 0.5
 
 
 @dataclass(frozen=True)
-class Finding:
+class Check:
     """One point of the list.
 
     Attributes:
@@ -54,86 +55,93 @@ class Finding:
 
 @dataclass(frozen=True)
 class Permissions:
-    """What the user allowed on purpose.
+    """What the user allowed on purpose."""
 
-    Attributes:
-        register_limits: use PMAX, VMAX, TMAX from the registers where they differ from the type's.
-        bus_load: load the bus above the limit.
-        watchdog: time that the watchdogs are set to for the run [s], or None to leave them alone.
-    """
+    register_limits: bool = option(
+        False,
+        "use the motors' own PMAX, VMAX, TMAX where they differ from the motor type's",
+        flag="--accept-register-limits",
+    )
+    bus_load: bool = option(False, "go above 70 % bus load", flag="--force-bus-load")
+    watchdog: float | None = option(
+        None,
+        "set the motors' watchdogs for this run; nothing is stored in them",
+        flag="--set-watchdog",
+        unit="s",
+        metavar="S",
+        check=positive,
+        usual="as they are",
+    )
 
-    register_limits: bool = False
-    bus_load: bool = False
-    watchdog: float | None = None
+    def __post_init__(self) -> None:
+        check_options(self)
 
 
-def judge_plan(
+def plan_checks(
     scan: TrajectoryScan,
     joints: Sequence[DamiaoJoint],
     settings: PlaySettings,
     timing: BusTiming,
     allowed: Permissions,
-) -> list[Finding]:
+) -> list[Check]:
     """Return what can be said without a bus: ids, limits, ends at rest, bus load."""
-    findings = [
+    checks = [
         *_ids([j.can_id for j in joints], [j.master_id for j in joints]),
         *_ends(scan, settings),
         *_ratings(scan, joints, settings),
         *_load(len(joints), settings, timing, allowed),
     ]
     limits = [joint.spec.limits for joint in joints]
-    return findings + list(_within_limits(scan, joints, limits, settings, "its type's"))
+    return checks + list(_within_limits(scan, joints, limits, settings, "its type's"))
 
 
-def judge_bus(
+def bus_checks(
     inspection: Inspection,
     scan: TrajectoryScan,
     joints: Sequence[DamiaoJoint],
     settings: PlaySettings,
     allowed: Permissions,
-) -> list[Finding]:
+) -> list[Check]:
     """Return what the motors on the bus say to the plan."""
-    findings = [*_quiet(inspection), *_strangers(inspection, joints)]
+    checks = [*_quiet(inspection), *_unexpected_motors(inspection, joints)]
     present = [(j, m) for m in joints if (j := inspection.motors.get(m.can_id))]
     missing = [joint.can_id for joint in joints if joint.can_id not in inspection.motors]
     for can_id in missing:
-        findings.append(
-            Finding(STOP, f"motor {can_id} does not answer; check power, wiring, its id, bit rate")
+        checks.append(
+            Check(STOP, f"motor {can_id} does not answer; check power, wiring, its id, bit rate")
         )
     for motor, joint in present:
-        findings += judge_motor(motor, joint, settings, allowed)
+        checks += motor_checks(motor, joint, settings, allowed)
     if missing or any(motor.limits is None for motor, _ in present):
-        return findings
+        return checks
     limits = [motor.limits or (0.0, 0.0, 0.0) for motor, _ in present]
-    findings += _within_limits(scan, joints, limits, settings, "its registers'")
-    return findings + list(_near_start([m for m, _ in present], scan, settings))
+    checks += _within_limits(scan, joints, limits, settings, "its registers'")
+    return checks + list(_near_start([m for m, _ in present], scan, settings))
 
 
-def general_findings(inspection: Inspection) -> list[Finding]:
+def general_checks(inspection: Inspection, settings: PlaySettings) -> list[Check]:
     """Return what motors say on their own, without a trajectory to compare them with."""
-    findings = [*_quiet(inspection), *_strangers(inspection, ())]
+    checks = [*_quiet(inspection), *_unexpected_motors(inspection, ())]
     for motor in inspection.motors.values():
         name = f"motor {motor.can_id}"
         if len(motor.reply_ids) > 1:
             text = f"{len(motor.reply_ids)} motors answer to CAN id {motor.can_id}"
-            findings.append(Finding(STOP, text))
+            checks.append(Check(STOP, text))
         lacking = _lacking(name, motor)
-        calm = PlaySettings(np.ones(1), np.ones(1))
-        nothing_allowed = Permissions()
-        findings += lacking or [
+        checks += lacking or [
             *_mode(name, motor),
-            *_watchdog(name, motor, calm, nothing_allowed),
-            *_state(name, motor, calm),
+            *_watchdog(name, motor, settings, Permissions()),
+            *_state(name, motor, settings),
         ]
-    return findings
+    return checks
 
 
-def judge_motor(
+def motor_checks(
     motor: InspectedMotor,
     joint: DamiaoJoint,
     settings: PlaySettings,
     allowed: Permissions,
-) -> list[Finding]:
+) -> list[Check]:
     """Return what one motor's answers say: ids, mode, scaling, watchdog, state."""
     name = f"motor {motor.can_id}"
     return _lacking(name, motor) or [
@@ -145,62 +153,62 @@ def judge_motor(
     ]
 
 
-def stops(findings: Sequence[Finding]) -> list[str]:
-    """Return the texts of the findings that forbid to play."""
-    return [finding.text for finding in findings if finding.severity == STOP]
+def stops(checks: Sequence[Check]) -> list[str]:
+    """Return the texts of the checks that forbid to play."""
+    return [check.text for check in checks if check.severity == STOP]
 
 
-def _lacking(name: str, motor: InspectedMotor) -> list[Finding]:
+def _lacking(name: str, motor: InspectedMotor) -> list[Check]:
     lacking = [REGISTERS[n].name for n in REQUIRED if n not in motor.registers]
     text = f"{name} does not answer for {', '.join(lacking)}; try again"
-    return [Finding(STOP, text)] if lacking else []
+    return [Check(STOP, text)] if lacking else []
 
 
-def _ids(can_ids: Sequence[int], master_ids: Sequence[int]) -> Iterator[Finding]:
+def _ids(can_ids: Sequence[int], master_ids: Sequence[int]) -> Iterator[Check]:
     problems = list(id_problems(can_ids, master_ids))
     for problem in problems:
-        yield Finding(STOP, problem)
+        yield Check(STOP, problem)
     if not problems:
-        yield Finding(OK, f"ids are unique: {', '.join(map(str, can_ids))}")
+        yield Check(OK, f"ids are unique: {', '.join(map(str, can_ids))}")
     if 0 in master_ids:
-        yield Finding(NOTE, "a master id of 0 is a poor choice; set it to CAN id + 0x10")
+        yield Check(NOTE, "a master id of 0 is a poor choice; set it to CAN id + 0x10")
 
 
-def _ends(scan: TrajectoryScan, settings: PlaySettings) -> Iterator[Finding]:
+def _ends(scan: TrajectoryScan, settings: PlaySettings) -> Iterator[Check]:
     worst = float(np.max(scan.end_velocity)) * settings.speed
     if worst > _REST_SPEED:
-        yield Finding(
+        yield Check(
             STOP,
             f"the trajectory starts or ends at {worst:.2f} rad/s; it has to start and end at rest",
         )
     else:
-        yield Finding(OK, f"starts and ends at rest, {scan.duration / settings.speed:.1f} s")
+        yield Check(OK, f"starts and ends at rest, {scan.duration / settings.speed:.1f} s")
 
 
 def _ratings(
     scan: TrajectoryScan, joints: Sequence[DamiaoJoint], settings: PlaySettings
-) -> Iterator[Finding]:
+) -> Iterator[Check]:
     for j, joint in enumerate(joints):
         spec, torque = joint.spec, scan.peak_torque[j]
         velocity = scan.peak_velocity[j] * settings.speed
         beyond = spec.peak_torque is not None and torque > spec.peak_torque
         for text in rating_warnings(j, spec, velocity, torque):
-            yield Finding(STOP if beyond and "peak torque" in text else NOTE, text)
+            yield Check(STOP if beyond and "peak torque" in text else NOTE, text)
         if spec.note:
-            yield Finding(NOTE, f"joint {j}, {spec.name}: {spec.note}")
+            yield Check(NOTE, f"joint {j}, {spec.name}: {spec.note}")
 
 
 def _load(
     n_motors: int, settings: PlaySettings, timing: BusTiming, allowed: Permissions
-) -> Iterator[Finding]:
-    load = bus_load(n_motors, settings.rate, timing)
+) -> Iterator[Check]:
+    load = bus_load(n_motors, 1.0 / settings.period, timing)
     text = f"{n_motors} motors at {settings.rate:g} Hz load {timing.name} to {100 * load:.0f} %"
     if load <= settings.max_bus_load:
-        yield Finding(OK, text)
+        yield Check(OK, text)
         return
     handy = suggested_rate(n_motors, timing)
     text += f", limit {100 * settings.max_bus_load:.0f} %; use --rate {handy:g}"
-    yield Finding(NOTE if allowed.bus_load else STOP, text + " (or --force-bus-load)")
+    yield Check(NOTE if allowed.bus_load else STOP, text + " (or --force-bus-load)")
 
 
 def _within_limits(
@@ -209,7 +217,7 @@ def _within_limits(
     limits: Sequence[tuple[float, float, float]],
     settings: PlaySettings,
     whose: str,
-) -> Iterator[Finding]:
+) -> Iterator[Check]:
     asked = (
         ("position", "rad", scan.peak_position),
         ("velocity", "rad/s", scan.peak_velocity * settings.speed),
@@ -221,122 +229,122 @@ def _within_limits(
         for (what, unit, peaks), top in zip(asked, (*limit, limit[1])):
             if peaks[j] > top * (1.0 + 1e-6):
                 fine = False
-                yield Finding(
+                yield Check(
                     STOP,
                     f"joint {j}: {what} {peaks[j]:.4g} {unit} is beyond {whose} limit {top:g} "
                     f"(motor {joint.can_id}); export a smaller trajectory",
                 )
     if fine:
-        yield Finding(OK, f"the trajectory stays within {whose} limits")
+        yield Check(OK, f"the trajectory stays within {whose} limits")
 
 
-def _quiet(inspection: Inspection) -> Iterator[Finding]:
-    if inspection.chatter:
-        yield Finding(
+def _quiet(inspection: Inspection) -> Iterator[Check]:
+    if inspection.unsolicited:
+        yield Check(
             STOP,
-            f"{inspection.chatter} frames came without being asked for: another program is "
+            f"{inspection.unsolicited} frames came without being asked for: another program is "
             "talking to these motors; end it first",
         )
     if inspection.error_frames:
-        yield Finding(
+        yield Check(
             NOTE,
             f"{inspection.error_frames} error frames: two motors may share an id, or a motor is "
             "set to CAN-FD (use --fd) or to another bit rate",
         )
 
 
-def _strangers(inspection: Inspection, joints: Sequence[DamiaoJoint]) -> Iterator[Finding]:
+def _unexpected_motors(inspection: Inspection, joints: Sequence[DamiaoJoint]) -> Iterator[Check]:
     known = {joint.can_id for joint in joints}
     found = list(inspection.motors.values())
     others = [motor.can_id for motor in found if motor.can_id not in known]
     if others and known:
         listed = ", ".join(map(str, others))
-        yield Finding(NOTE, f"motors on the bus that are not in the trajectory: {listed}")
+        yield Check(NOTE, f"motors on the bus that are not in the trajectory: {listed}")
     yield from (
-        Finding(STOP, problem)
+        Check(STOP, problem)
         for problem in id_problems([m.can_id for m in found], [m.master_id for m in found])
     )
 
 
-def _identity(name: str, motor: InspectedMotor, joint: DamiaoJoint) -> Iterator[Finding]:
+def _identity(name: str, motor: InspectedMotor, joint: DamiaoJoint) -> Iterator[Check]:
     if len(motor.reply_ids) > 1:
-        yield Finding(STOP, f"{len(motor.reply_ids)} motors answer to CAN id {motor.can_id}")
+        yield Check(STOP, f"{len(motor.reply_ids)} motors answer to CAN id {motor.can_id}")
     if int(motor.registers[ESC_ID]) != joint.can_id:
         found = int(motor.registers[ESC_ID])
-        yield Finding(STOP, f"{name} says that its CAN id is {found}; power-cycle it")
+        yield Check(STOP, f"{name} says that its CAN id is {found}; power-cycle it")
     stored = int(motor.registers[MST_ID])
     if stored != joint.master_id or set(motor.reply_ids) != {joint.master_id}:
         answers = ", ".join(f"{i:#x}" for i in sorted(set(motor.reply_ids)))
-        yield Finding(
+        yield Check(
             STOP,
             f"{name} answers on {answers} (MST_ID {stored:#x}) but the trajectory expects "
             f"{joint.master_id:#x}; set MST_ID, or export with --master-id",
         )
 
 
-def _mode(name: str, motor: InspectedMotor) -> Iterator[Finding]:
+def _mode(name: str, motor: InspectedMotor) -> Iterator[Check]:
     mode = int(motor.registers[CTRL_MODE])
     if mode != MIT_MODE:
         said = MODES.get(mode, "unknown")
-        yield Finding(STOP, f"{name} is in mode {mode} ({said}); set CTRL_MODE to 1 (MIT)")
+        yield Check(STOP, f"{name} is in mode {mode} ({said}); set CTRL_MODE to 1 (MIT)")
 
 
 def _scaling(
     name: str, motor: InspectedMotor, joint: DamiaoJoint, allowed: Permissions
-) -> Iterator[Finding]:
+) -> Iterator[Check]:
     found = motor.limits or (0.0, 0.0, 0.0)
     if min(found) <= 0.0:
-        yield Finding(STOP, f"{name} has PMAX, VMAX, TMAX {_three(found)}: not usable")
+        yield Check(STOP, f"{name} has PMAX, VMAX, TMAX {_three(found)}: not usable")
     elif not limits_agree(joint.spec.limits, found):
         text = (
             f"{name} has PMAX, VMAX, TMAX {_three(found)} but a {joint.motor_type} has "
             f"{_three(joint.spec.limits)}"
         )
         if allowed.register_limits:
-            yield Finding(NOTE, f"{text}: the motor's own values are used")
+            yield Check(NOTE, f"{text}: the motor's own values are used")
         else:
-            yield Finding(STOP, f"{text}; if the motor is right, give --accept-register-limits")
+            yield Check(STOP, f"{text}; if the motor is right, give --accept-register-limits")
     else:
-        yield Finding(OK, f"{name} is scaled as a {joint.motor_type}: {_three(found)}")
+        yield Check(OK, f"{name} is scaled as a {joint.motor_type}: {_three(found)}")
 
 
 def _watchdog(
     name: str, motor: InspectedMotor, settings: PlaySettings, allowed: Permissions
-) -> Iterator[Finding]:
+) -> Iterator[Check]:
     stored = motor.registers[TIMEOUT] * TIMEOUT_UNIT
     timeout = stored if allowed.watchdog is None else allowed.watchdog
     if timeout == 0.0:
         text = f"{name} has no watchdog: it would go on for ever if this program died"
-        yield Finding(STOP, f"{text}; give --set-watchdog 0.1 or set TIMEOUT")
+        yield Check(STOP, f"{text}; give --set-watchdog 0.1 or set TIMEOUT")
     elif timeout < _LEAST_WATCHDOG_CYCLES * settings.period:
         text = f"{name}'s watchdog of {1e3 * timeout:g} ms is too short for {settings.rate:g} Hz"
-        yield Finding(STOP, f"{text}; give --set-watchdog 0.1")
+        yield Check(STOP, f"{text}; give --set-watchdog 0.1")
     elif timeout > _LONG_WATCHDOG:
         text = f"{name}'s watchdog of {1e3 * timeout:g} ms is long; --set-watchdog 0.1 is better"
-        yield Finding(NOTE, text)
+        yield Check(NOTE, text)
     else:
-        yield Finding(OK, f"{name}'s watchdog stops it after {1e3 * timeout:g} ms")
+        yield Check(OK, f"{name}'s watchdog stops it after {1e3 * timeout:g} ms")
 
 
-def _state(name: str, motor: InspectedMotor, settings: PlaySettings) -> Iterator[Finding]:
+def _state(name: str, motor: InspectedMotor, settings: PlaySettings) -> Iterator[Check]:
     if motor.feedback is None:
-        yield Finding(STOP, f"{name} does not tell its state; its firmware may be too old")
+        yield Check(STOP, f"{name} does not tell its state; its firmware may be too old")
         return
     code = int(motor.feedback.status[0])
     if code == ENABLED:
-        yield Finding(STOP, f"{name} is enabled already; end the program that uses it")
+        yield Check(STOP, f"{name} is enabled already; end the program that uses it")
     elif code != DISABLED:
         text = f"{name} reports {describe(code)}; find the cause, then clear it or power-cycle"
-        yield Finding(STOP, text)
+        yield Check(STOP, text)
     hot = int(max(motor.feedback.temperature_mos[0], motor.feedback.temperature_rotor[0]))
     if hot > settings.start_temperature:
         text = f"{name} is at {hot} deg C, above {settings.start_temperature:g}; let it cool down"
-        yield Finding(STOP, text)
+        yield Check(STOP, text)
 
 
 def _near_start(
     motors: Sequence[InspectedMotor], scan: TrajectoryScan, settings: PlaySettings
-) -> Iterator[Finding]:
+) -> Iterator[Check]:
     for j, motor in enumerate(motors):
         if motor.feedback is None:
             continue
@@ -345,7 +353,7 @@ def _near_start(
             turn = ""
             if abs(abs(here - first) - 2.0 * np.pi) < settings.start_tolerance:
                 turn = "; a whole turn apart: the motor lost its turn count when it was off"
-            yield Finding(
+            yield Check(
                 STOP,
                 f"joint {j} is at {here:.3f} rad but the trajectory starts at {first:.3f}, more "
                 f"than {settings.start_tolerance:g} away; move it there by hand{turn}",

@@ -8,7 +8,6 @@ joint that did not answer are empty.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +23,7 @@ from robot_sysid.damiao.protocol.registers import text_of
 from robot_sysid.damiao.trajectory.csv_file import trajectory_columns
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
+from robot_sysid.records.options import option
 
 _EXTRA = (
     *("time", "cmd_pos", "cmd_vel", "cmd_tau", "cmd_step"),
@@ -37,8 +37,37 @@ class FrameLog(Protocol):
     def flush(self) -> None:
         """Write what has come so far."""
 
-    def close(self) -> None:
-        """Finish the file."""
+
+@dataclass(frozen=True)
+class RecordingOptions:
+    """What is recorded, and where."""
+
+    record: Path | None = option(None, "write the measurement CSV", metavar="FILE")
+    raw_log: Path | None = option(
+        None,
+        "write every frame, format by suffix: .log .asc .blf .trc",
+        metavar="FILE",
+        usual="beside --record",
+    )
+    overwrite: bool = option(False, "replace existing recordings")
+    no_half_step: bool = option(
+        False, "add no half quantisation step to measured values (motors drop the fraction)"
+    )
+    no_centring: bool = option(
+        False, "record torques as measured at the end of each cycle, not centred on its step"
+    )
+
+    @property
+    def frames(self) -> Path | None:
+        """Where every frame is written, or None."""
+        beside = None if self.record is None else self.record.with_suffix(".log")
+        return self.raw_log or beside
+
+    def require_free(self) -> None:
+        """Raise InputError where a file is there that must not be replaced."""
+        for path in (self.record, self.frames):
+            if path is not None and path.exists() and not self.overwrite:
+                raise InputError(f"{path} exists; choose another --record file or give --overwrite")
 
 
 @dataclass(frozen=True)
@@ -49,22 +78,20 @@ class RecordingHead:
         joints: the motors, base to terminal.
         registers: per joint, register number to value; these are what the codec used.
         settings: of the run.
-        half_step: whether half a quantisation step was added to the measured values.
+        options: how measured values are treated, see ``torque_step`` for the centring.
         source: the trajectory file.
-        centred: whether torques are centred on the step of the command, see ``torque_step``.
     """
 
     joints: Sequence[DamiaoJoint]
     registers: Sequence[Mapping[int, float]]
     settings: PlaySettings
-    half_step: bool
+    options: RecordingOptions
     source: str
-    centred: bool = True
 
     def lines(self) -> list[str]:
         """Return the comment lines without their mark."""
         run = self.settings
-        lines = ["robot-sysid-damiao recording", f"trajectory={self.source}"]
+        lines = ["robot-sysid motors recording", f"trajectory={self.source}"]
         for joint in self.joints:
             lines.append(
                 f"motor_type={joint.motor_type},can_id={joint.can_id},mode={joint.mode},"
@@ -76,13 +103,14 @@ class RecordingHead:
         lines.append(f"rate_hz={run.rate:g},speed={run.speed:g}")
         lines.append("kp=" + " ".join(f"{x:g}" for x in run.kp))
         lines.append("kd=" + " ".join(f"{x:g}" for x in run.kd))
-        added = "added to" if self.half_step else "not added to"
+        half_step, centred = not self.options.no_half_step, not self.options.no_centring
+        added = "added to" if half_step else "not added to"
         lines.append(
-            f"half_step={int(self.half_step)}: half a quantisation step {added} measured position, "
+            f"half_step={int(half_step)}: half a quantisation step {added} measured position, "
             "velocity and torque, because motors drop the fraction"
         )
-        halved = "with half of jN_cmd_step added" if self.centred else "as measured"
-        lines.append(f"centred={int(self.centred)}: jN_tau is the torque {halved}")
+        halved = "with half of jN_cmd_step added" if centred else "as measured"
+        lines.append(f"centred={int(centred)}: jN_tau is the torque {halved}")
         lines.append(
             "jN_cmd_step is the torque step that the command answered by this sample then made"
         )
@@ -98,23 +126,15 @@ class MeasurementRecorder:
     A context manager; the file's last line says how the run ended.
 
     Args:
-        path: the file; must not exist unless ``overwrite``.
+        path: the file; must not exist unless it may be overwritten.
         head: what to write above the rows.
-        frames: also flushed and closed, if given.
-        overwrite: replace an existing file.
+        frames: flushed with every row, if given.
     """
 
-    def __init__(
-        self,
-        path: str | os.PathLike[str],
-        head: RecordingHead,
-        frames: FrameLog | None = None,
-        overwrite: bool = False,
-    ) -> None:
-        self._frames, self._centred = frames, head.centred
-        self.rows = 0
+    def __init__(self, path: Path, head: RecordingHead, frames: FrameLog | None = None) -> None:
+        self._frames, self._centred = frames, not head.options.no_centring
         try:
-            self._file = open(path, "w" if overwrite else "x", encoding="utf-8")  # noqa: SIM115
+            self._file = open(path, "w" if head.options.overwrite else "x", encoding="utf-8")  # noqa: SIM115
         except FileExistsError:
             raise InputError(
                 f"{path} exists; choose another --record file or give --overwrite"
@@ -135,8 +155,6 @@ class MeasurementRecorder:
         ending = "completed" if error is None else f"stopped: {error}".replace("\n", " ")
         self._file.write(f"# end: {ending}\n")
         self._file.close()
-        if self._frames:
-            self._frames.close()
 
     def write(self, time: float, origin: float, replies: Replies, acted: MitCommand) -> None:
         """Write one cycle.
@@ -159,7 +177,6 @@ class MeasurementRecorder:
             cells += _numbers([column[j] for column in columns])
             cells += [str(code[j]) if answered else "" for code in state]
         self._file.write(",".join(cells) + "\n")
-        self.rows += 1
 
     def end_cycle(self) -> None:
         """Hand everything to the operating system, which keeps it even if this process dies."""
@@ -168,54 +185,13 @@ class MeasurementRecorder:
             self._frames.flush()
 
 
-@dataclass(frozen=True)
-class Recording:
-    """A recording read back.
-
-    Attributes:
-        head: the comment lines above the rows, without their mark.
-        ending: how the run ended.
-        columns: title to (N,) values; NaN where a joint did not answer.
-    """
-
-    head: tuple[str, ...]
-    ending: str
-    columns: Mapping[str, Array]
-
-    def joint_values(self, what: str) -> Array:
-        """Return (N, n) values of, for instance, "pos" or "cmd_tau"."""
-        names = [name for name in self.columns if name.partition("_")[2] == what]
-        return np.stack([self.columns[name] for name in names], axis=1)
-
-
-def read_recording(path: str | os.PathLike[str]) -> Recording:
-    """Read a recording, complete or cut short.
-
-    Raises:
-        InputError: the file cannot be read or has no column line.
-    """
-    try:
-        lines = Path(path).read_text(encoding="utf-8").splitlines()
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror}") from None
-    rows = [line for line in lines if line and not line.startswith("#")]
-    if not rows or not rows[0].startswith("time,"):
-        raise InputError(f"{path} is not a recording of robot-sysid-damiao: no column line")
-    head = [line[2:] for line in lines[: lines.index(rows[0])]]
-    ending = lines[-1][len("# end: ") :] if lines[-1].startswith("# end: ") else "cut short"
-    table = np.array([[float(c or "nan") for c in row.split(",")] for row in rows[1:]])
-    titles = rows[0].split(",")
-    table = table.reshape(-1, len(titles))
-    return Recording(tuple(head), ending, dict(zip(titles, table.T)))
-
-
 def torque_step(replies: Replies, acted: MitCommand) -> Array:
     """Return the torque step (n,) that the command just sent makes in each motor [N m].
 
     A motor samples its torque at the very end of a command's time, when the joint has used up what
     the command asked for; then the next command steps it up again. Over many cycles the samples are
     therefore too low by half a step on average, by kp qd / (2 rate) for a steadily moving joint,
-    which looks like negative viscous friction. Adding half the step, which is known exactly because
+    which passes for negative viscous friction. Adding half the step, which is known exactly because
     position and velocity do not jump, gives the mean of the two sides.
     """
     command = replies.command or acted

@@ -1,19 +1,19 @@
-"""A whole run on a bus: look, judge, and, if everything is in order, play and record."""
+"""A whole run on a bus: inspect, check, and, if everything is in order, play and record."""
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, field
 
+from robot_sysid.damiao.bus.can_log import RawFrameLog
 from robot_sysid.damiao.bus.clock import Clock
-from robot_sysid.damiao.bus.inspection import ALL_IDS, Inspection, inspect_bus
+from robot_sysid.damiao.bus.inspection import Inspection, inspect_bus
 from robot_sysid.damiao.bus.link import GuardedLink
 from robot_sysid.damiao.bus.register_client import RegisterClient, watchdogs_set_to
 from robot_sysid.damiao.play.player import Player, PlayReport, StopRequest
-from robot_sysid.damiao.play.preflight import Finding, Permissions, judge_bus, judge_plan, stops
-from robot_sysid.damiao.play.recorder import FrameLog, MeasurementRecorder, RecordingHead
+from robot_sysid.damiao.play.preflight import Check, Permissions, bus_checks, plan_checks, stops
+from robot_sysid.damiao.play.recorder import MeasurementRecorder, RecordingHead, RecordingOptions
 from robot_sysid.damiao.play.sampler import TrajectorySampler
 from robot_sysid.damiao.play.session import MotorSession
 from robot_sysid.damiao.play.settings import PlaySettings
@@ -30,121 +30,110 @@ class Plan:
 
     Attributes:
         trajectory: the file.
-        scan: its extremes.
-        settings: gains and limits.
+        settings: gains and limits; what was left open is chosen for these motors and this bus.
         timing: bit rates of the bus.
         allowed: what the user allowed on purpose.
-        half_step: add half a quantisation step to measured values.
-        centred: centre recorded torques on the steps of the commands.
+        recording: what is recorded.
+        scan: the trajectory's extremes.
     """
 
     trajectory: DamiaoTrajectory
-    scan: TrajectoryScan
-    settings: PlaySettings
-    timing: BusTiming
-    allowed: Permissions
-    half_step: bool = True
-    centred: bool = True
+    settings: PlaySettings = PlaySettings()
+    timing: BusTiming = BusTiming()
+    allowed: Permissions = Permissions()
+    recording: RecordingOptions = RecordingOptions()
+    scan: TrajectoryScan = field(init=False)
 
-    def judge(self) -> list[Finding]:
-        """Return the findings that need no bus."""
-        return judge_plan(
-            self.scan, self.trajectory.joints, self.settings, self.timing, self.allowed
-        )
+    def __post_init__(self) -> None:
+        specs = [joint.spec for joint in self.trajectory.joints]
+        object.__setattr__(self, "settings", self.settings.for_motors(specs, self.timing))
+        object.__setattr__(self, "scan", scan_trajectory(self.trajectory))
 
+    @property
+    def duration(self) -> float:
+        """How long playing takes [s]."""
+        return self.scan.duration / self.settings.speed
 
-@dataclass(frozen=True)
-class RecordingChoice:
-    """Where to record.
+    def checks(self) -> list[Check]:
+        """Return the checks that need no bus."""
+        joints = self.trajectory.joints
+        return plan_checks(self.scan, joints, self.settings, self.timing, self.allowed)
 
-    Attributes:
-        path: measurement CSV.
-        frames: raw frame log, already open.
-        overwrite: replace an existing measurement file.
-    """
-
-    path: Path
-    frames: FrameLog | None = None
-    overwrite: bool = False
+    def bus_checks(self, inspection: Inspection) -> list[Check]:
+        """Return what the motors on the bus say to the plan."""
+        joints = self.trajectory.joints
+        return bus_checks(inspection, self.scan, joints, self.settings, self.allowed)
 
 
-@dataclass(frozen=True)
-class Audience:
-    """Who wants to hear about a run; each may be None.
-
-    Attributes:
-        phase: gets a sentence when a phase begins.
-        progress: gets the time played so far [s].
-    """
-
-    phase: Callable[[str], None] | None = None
-    progress: Callable[[float], None] | None = None
-
-
-def make_plan(
-    trajectory: DamiaoTrajectory,
-    settings: PlaySettings,
-    timing: BusTiming | None = None,
-    allowed: Permissions | None = None,
-    half_step: bool = True,
-    centred: bool = True,
-) -> Plan:
-    """Read a trajectory once and return the plan to play it."""
-    scan = scan_trajectory(trajectory)
-    return Plan(
-        trajectory,
-        scan,
-        settings,
-        timing or BusTiming(),
-        allowed or Permissions(),
-        half_step,
-        centred,
-    )
-
-
-def look(link: GuardedLink, clock: Clock, plan: Plan) -> tuple[Inspection, list[Finding]]:
+def inspect(link: GuardedLink, clock: Clock, plan: Plan) -> tuple[Inspection, list[Check]]:
     """Inspect the bus and return what it says to the plan; moves and enables nothing."""
-    inspection = inspect_bus(link, clock, ALL_IDS)
-    joints = plan.trajectory.joints
-    return inspection, judge_bus(inspection, plan.scan, joints, plan.settings, plan.allowed)
+    inspection = inspect_bus(link, clock)
+    return inspection, plan.bus_checks(inspection)
 
 
-def perform(
+def run(
     link: GuardedLink,
     clock: Clock,
     plan: Plan,
     inspection: Inspection,
     stop: StopRequest,
-    recording: RecordingChoice | None = None,
-    audience: Audience | None = None,
+    channel: str = "can0",
+    on_phase: Callable[[str], None] | None = None,
+    on_progress: Callable[[float], None] | None = None,
 ) -> PlayReport:
     """Play the plan on inspected motors.
 
+    Args:
+        link: the bus.
+        clock: for the deadlines.
+        plan: what to play.
+        inspection: what the motors said.
+        stop: polled in every cycle.
+        channel: name of the bus in the log of frames.
+        on_phase: gets a sentence when a phase begins.
+        on_progress: gets the time played so far [s].
+
     Raises:
-        HardwareAbort: the pre-flight list forbids it, or the run was stopped; says why.
+        HardwareAbort: a check forbids it, or the run was stopped; says why.
+        InputError: a recording exists already or cannot be written.
     """
-    findings = plan.judge()
-    joints, settings = plan.trajectory.joints, plan.settings
-    findings += judge_bus(inspection, plan.scan, joints, settings, plan.allowed)
-    forbidden = stops(findings)
+    forbidden = stops(plan.checks() + plan.bus_checks(inspection))
     if forbidden:
         raise HardwareAbort(f"not played: {forbidden[0]}")
+    plan.recording.require_free()
+    joints, settings = plan.trajectory.joints, plan.settings
     motors = [inspection.motors[joint.can_id] for joint in joints]
     scaling = Scaling.from_limits(motor.limits or (0.0, 0.0, 0.0) for motor in motors)
     timeouts = {motor.can_id: motor.registers[TIMEOUT] for motor in motors}
-    client = RegisterClient(link, clock)
-    hears = audience or Audience()
+    half_step = not plan.recording.no_half_step
     with contextlib.ExitStack() as stack:
+        frames = _frame_log(stack, link, clock, plan.recording, channel)
         recorder = None
-        if recording:
+        if plan.recording.record:
             registers = [motor.registers for motor in motors]
             source = plan.trajectory.path.name
-            head = RecordingHead(joints, registers, settings, plan.half_step, source, plan.centred)
-            recorder = stack.enter_context(
-                MeasurementRecorder(recording.path, head, recording.frames, recording.overwrite)
-            )
+            head = RecordingHead(joints, registers, settings, plan.recording, source)
+            recorder = MeasurementRecorder(plan.recording.record, head, frames)
+            stack.enter_context(recorder)
+        client = RegisterClient(link, clock)
         stack.enter_context(watchdogs_set_to(client, timeouts, plan.allowed.watchdog))
-        session = stack.enter_context(MotorSession(link, clock, joints, scaling, plan.half_step))
-        player = Player(session, clock, settings, stop, recorder, hears.phase, hears.progress)
-        sampler = TrajectorySampler(plan.trajectory, settings.speed)
-        return player.play(sampler, plan.scan.duration / settings.speed)
+        session = stack.enter_context(MotorSession(link, clock, joints, scaling, half_step))
+        player = Player(session, clock, settings, stop, recorder, on_phase, on_progress)
+        return player.play(TrajectorySampler(plan.trajectory, settings.speed), plan.duration)
+
+
+def _frame_log(
+    stack: contextlib.ExitStack,
+    link: GuardedLink,
+    clock: Clock,
+    options: RecordingOptions,
+    channel: str,
+) -> RawFrameLog | None:
+    """Let every frame be written, where that was asked for, until the stack unwinds."""
+    if options.frames is None:
+        return None
+    log = RawFrameLog(options.frames, clock, channel, options.overwrite)
+    stack.callback(log.close)
+    stack.callback(setattr, link, "observer", link.observer)
+    link.observer = log
+    return log

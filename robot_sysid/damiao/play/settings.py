@@ -3,88 +3,139 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from robot_sysid.damiao.protocol.bus_load import BusTiming, default_rate
 from robot_sysid.damiao.protocol.codec import KD_MAX, KP_MAX
 from robot_sysid.damiao.protocol.motors import MotorSpec
-from robot_sysid.errors import InputError
-from robot_sysid.records import Array
+from robot_sysid.records.options import (
+    check_options,
+    not_negative,
+    option,
+    per_joint,
+    positive,
+    speed_factor,
+)
+
+_START_TEMPERATURE = 60.0
+
+
+def _milliseconds(text: str) -> float:
+    """Return seconds from a number of milliseconds."""
+    return 1e-3 * float(text)
+
+
+def _stiffness(value: float) -> str | None:
+    return None if 0.0 <= value <= KP_MAX else f"must be from 0 to {KP_MAX:g} N m/rad"
+
+
+def _damping(value: float) -> str | None:
+    return None if 0.0 < value <= KD_MAX else f"must be above 0 and at most {KD_MAX:g} N m s/rad"
 
 
 @dataclass(frozen=True)
 class PlaySettings:
     """Gains, speeds and limits of a run.
 
+    ``for_motors`` fills in what was left open: kp, kd and rate.
+
     Attributes:
-        kp, kd: (n,) gains [N m/rad, N m s/rad]; kd > 0.
-        rate: control cycles per second [Hz].
-        speed: 1 plays as recorded, less plays slower.
         ramp_time: how long the gains take to rise [s]; short, because meanwhile the arm sinks under
             whatever load the feed-forward torque does not know.
         approach_time: least duration of the way to the first point [s].
-        approach_speed: highest joint speed on the way to the first point [rad/s].
         rest_time: how long the arm is held still before and after moving [s].
-        start_tolerance: how far a joint may be from the first point [rad].
-        max_tracking_error: [rad].
-        start_temperature, max_temperature: before and while playing [deg C].
-        max_missed: unanswered commands in a row that stop the run.
-        max_lateness: lateness of a cycle that stops the run [s].
         deceleration: of a controlled stop [rad/s^2].
         max_bus_load: share of the bus.
     """
 
-    kp: Array
-    kd: Array
-    rate: float = 250.0
-    speed: float = 1.0
+    kp: tuple[float, ...] = option(
+        (),
+        "stiffness, one for all or one per joint",
+        unit="N·m/rad",
+        metavar="KP",
+        check=_stiffness,
+        several=True,
+        usual="by motor type",
+    )
+    kd: tuple[float, ...] = option(
+        (),
+        "damping, one for all or one per joint",
+        unit="N·m·s/rad",
+        metavar="KD",
+        check=_damping,
+        several=True,
+        usual="a twentieth of the usual kp",
+    )
+    rate: float | None = option(
+        None,
+        "control cycles per second",
+        unit="Hz",
+        metavar="HZ",
+        check=positive,
+        usual="250, with --fd 500, less where the bus is full",
+    )
+    speed: float = option(
+        1.0, "1 plays as exported, 0.3 slower", metavar="FACTOR", check=speed_factor
+    )
+    approach_speed: float = option(
+        0.2, "joint speed on the way to the first point", unit="rad/s", metavar="V", check=positive
+    )
+    start_tolerance: float = option(
+        0.5,
+        "how far a joint may be from the first point",
+        unit="rad",
+        metavar="ANGLE",
+        check=not_negative,
+    )
+    max_tracking_error: float = option(
+        0.2, "how far a joint may leave its path", unit="rad", metavar="ANGLE", check=not_negative
+    )
+    max_temperature: float = option(
+        80.0, "of power stage and winding", unit="°C", metavar="T", check=not_negative
+    )
+    max_missed: int = option(
+        3, "unanswered commands in a row that stop the run", metavar="N", check=positive
+    )
+    max_lateness: float = option(
+        0.02,
+        "how late a control cycle may be",
+        flag="--max-lateness-ms",
+        unit="ms",
+        metavar="MS",
+        parse=_milliseconds,
+        check=not_negative,
+        usual="20",
+    )
     ramp_time: float = 0.3
     approach_time: float = 1.0
-    approach_speed: float = 0.2
     rest_time: float = 0.5
-    start_tolerance: float = 0.5
-    max_tracking_error: float = 0.2
-    start_temperature: float = 60.0
-    max_temperature: float = 80.0
-    max_missed: int = 3
-    max_lateness: float = 0.02
     deceleration: float = 10.0
     max_bus_load: float = 0.7
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not np.all(np.isfinite(value)) or np.any(np.asarray(value) < 0.0):
-                raise InputError(f"--{name.replace('_', '-')} must be a positive number")
-        if np.any(self.kd <= 0.0) or np.any(self.kd > KD_MAX):
-            raise InputError(f"--kd must be above 0 and at most {KD_MAX:g} N m s/rad")
-        if np.any(self.kp > KP_MAX):
-            raise InputError(f"--kp must be at most {KP_MAX:g} N m/rad")
-        if not 0.0 < self.speed <= 1.0:
-            raise InputError("--speed must be above 0 and at most 1")
-        if min(self.rate, self.approach_speed, self.deceleration, self.max_missed) <= 0.0:
-            raise InputError("--rate, --approach-speed and --max-missed must be above 0")
+        check_options(self)
+
+    def for_motors(self, specs: Sequence[MotorSpec], timing: BusTiming) -> PlaySettings:
+        """Return the settings with gains per joint and a rate that suit these motors and this bus.
+
+        Where nothing else was asked for, a quarter of a radian asks for rated torque.
+        """
+        n = len(specs)
+        rated = np.array([s.rated_torque or 0.3 * s.torque_limit for s in specs])
+        usual = np.minimum(4.0 * rated, KP_MAX)
+        kp = per_joint(self.kp, n, "--kp") if self.kp else usual
+        kd = per_joint(self.kd, n, "--kd") if self.kd else np.clip(0.05 * usual, 0.05, KD_MAX)
+        return replace(self, kp=tuple(kp), kd=tuple(kd), rate=self.rate or default_rate(n, timing))
 
     @property
     def period(self) -> float:
-        """Length of a control cycle [s]."""
+        """Length of a control cycle [s]; the rate has to be known."""
+        assert self.rate is not None
         return 1.0 / self.rate
 
-
-def default_gains(specs: Sequence[MotorSpec]) -> tuple[Array, Array]:
-    """Return (kp, kd) that suit each motor type: a quarter of a radian asks for rated torque."""
-    rated = np.array([s.rated_torque or 0.3 * s.torque_limit for s in specs])
-    kp = np.minimum(4.0 * rated, KP_MAX)
-    return kp, np.clip(0.05 * kp, 0.05, KD_MAX)
-
-
-def per_joint(values: Sequence[float] | None, default: Array, option: str) -> Array:
-    """Return one value per joint from none (defaults), one (for all) or n given ones."""
-    if not values:
-        return default
-    if len(values) not in (1, len(default)):
-        raise InputError(
-            f"{option} was given {len(values)} values but there are {len(default)} joints: "
-            "give one for all or one per joint"
-        )
-    return np.full(len(default), values[0]) if len(values) == 1 else np.array(values, dtype=float)
+    @property
+    def start_temperature(self) -> float:
+        """How warm a motor may be before playing [deg C]."""
+        return min(_START_TEMPERATURE, self.max_temperature)

@@ -78,25 +78,25 @@ class Supervisor:
 
 _WINDOW = 0.2
 _LEAST_WINDOWS = 10
+# How far the slope may be from 1.
+_SLOPE_TOLERANCE = 0.03
 
 
 class VelocityScalingCheck:
     """Tells whether the velocity channel integrates to the position channel.
 
     Both are scaled by numbers stored in the motor. If VMAX is wrong, every velocity is wrong by the
-    same factor and nothing else looks odd. So the slope of position change against integrated
+    same factor and nothing else seems odd. So the slope of position change against integrated
     velocity, over short windows, has to be 1. How well it can be known depends on the scatter and
     on the steps of the velocity channel: an error of up to half a step, the same all through a
     window, is allowed for.
 
     Args:
         velocity_step: (n,) one quantisation step of each joint's velocity [rad/s].
-        tolerance: how far the slope may be from 1.
     """
 
-    def __init__(self, velocity_step: Array, tolerance: float = 0.03) -> None:
+    def __init__(self, velocity_step: Array) -> None:
         n_joints = len(velocity_step)
-        self._tolerance = tolerance
         self._rounding = 0.5 * velocity_step * _WINDOW
         self._last: tuple[Array, Array, Array] | None = None
         self._begin = np.zeros((2, n_joints))
@@ -156,4 +156,4 @@ class VelocityScalingCheck:
         slope, doubt = self.slopes()
         excess = np.abs(slope - 1.0) - doubt
         j = int(np.argmax(excess))
-        return (j, float(slope[j])) if excess[j] > self._tolerance else None
+        return (j, float(slope[j])) if excess[j] > _SLOPE_TOLERANCE else None

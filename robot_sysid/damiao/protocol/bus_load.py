@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from robot_sysid.records.options import check_options, option, positive
+
 PLANNING_LIMIT = 0.70
 _FRAMES_PER_CYCLE = 2
 _CLASSIC_BITS = 111 + 24
@@ -20,17 +22,23 @@ _CLASSIC_RATE_HZ, _FD_RATE_HZ = 250.0, 500.0
 
 @dataclass(frozen=True)
 class BusTiming:
-    """Bit rates of a bus.
+    """Bit rates of a bus."""
 
-    Attributes:
-        fd: whether frames are CAN-FD.
-        bitrate: nominal bit rate [bit/s].
-        data_bitrate: bit rate of the data part of FD frames [bit/s].
-    """
+    fd: bool = option(False, "use CAN-FD frames")
+    bitrate: float = option(
+        1e6, "nominal bit rate", unit="bit/s", metavar="RATE", check=positive, usual="1000000"
+    )
+    data_bitrate: float = option(
+        5e6,
+        "bit rate of the data part of CAN-FD frames",
+        unit="bit/s",
+        metavar="RATE",
+        check=positive,
+        usual="5000000",
+    )
 
-    fd: bool = False
-    bitrate: float = 1e6
-    data_bitrate: float = 5e6
+    def __post_init__(self) -> None:
+        check_options(self)
 
     @property
     def frame_time(self) -> float:
@@ -50,9 +58,9 @@ def bus_load(n_motors: int, rate: float, timing: BusTiming) -> float:
     return n_motors * _FRAMES_PER_CYCLE * timing.frame_time * rate
 
 
-def highest_rate(n_motors: int, timing: BusTiming, limit: float = PLANNING_LIMIT) -> float:
-    """Return the highest cycle rate [Hz] that keeps the bus load at or below ``limit``."""
-    return limit / (n_motors * _FRAMES_PER_CYCLE * timing.frame_time)
+def highest_rate(n_motors: int, timing: BusTiming) -> float:
+    """Return the highest cycle rate [Hz] that keeps the bus load at or below 70 %."""
+    return PLANNING_LIMIT / (n_motors * _FRAMES_PER_CYCLE * timing.frame_time)
 
 
 def default_rate(n_motors: int, timing: BusTiming) -> float:

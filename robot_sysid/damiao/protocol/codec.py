@@ -70,9 +70,6 @@ class Scaling:
         table = np.array(list(limits), dtype=float).reshape(-1, 3)
         return cls(table[:, 0], table[:, 1], table[:, 2])
 
-    def __len__(self) -> int:
-        return len(self.position)
-
     @property
     def steps(self) -> tuple[Array, Array, Array]:
         """One quantisation step (n,) of position [rad], velocity [rad/s] and torque [N m]."""
@@ -114,7 +111,7 @@ class Feedback:
 
     Attributes:
         can_id: (..., n) low four bits of the motor's CAN id.
-        status: (..., n) status code, see ``status.describe``.
+        status: (..., n) status code, see ``registers.describe``.
         position, velocity, torque: (..., n) [rad, rad/s, N m].
         temperature_mos, temperature_rotor: (..., n) of the power stage and the winding [deg C].
     """

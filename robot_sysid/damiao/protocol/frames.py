@@ -7,8 +7,8 @@ from typing import NamedTuple
 from robot_sysid.errors import SysidError
 
 REGISTER_ID = 0x7FF
-READ, WRITE, REFRESH, STORE = 0x33, 0x55, 0xCC, 0xAA
-ENABLE, DISABLE, SET_ZERO, CLEAR_ERROR = 0xFC, 0xFD, 0xFE, 0xFB
+READ, WRITE, REFRESH = 0x33, 0x55, 0xCC
+ENABLE, DISABLE, CLEAR_ERROR = 0xFC, 0xFD, 0xFB
 _SPECIAL = b"\xff" * 7
 
 
@@ -65,8 +65,8 @@ def is_special(data: bytes) -> bool:
 def refuse_harmful(frame: Frame) -> None:
     """Raise SysidError for a frame this tool never sends.
 
-    That is: storing a new zero position, clearing an error (an operator has to look first), any
-    other special frame but enable and disable, and storing registers to flash.
+    That is: storing a new zero position, clearing an error (an operator has to find its cause
+    first), any other special frame but enable and disable, and storing registers to flash.
     """
     if frame.id == REGISTER_ID:
         harmful = len(frame.data) < 4 or frame.data[2] not in (READ, WRITE, REFRESH)

@@ -44,16 +44,16 @@ def damiao_joints(
     Args:
         motor_types: one type name per joint, base to terminal.
         n_joints: number of joints of the chain.
-        can_ids: 1 to 15 each; None counts from 1.
-        master_ids: reply ids; None means CAN id + 0x10.
+        can_ids: 1 to 15 each; none counts from 1.
+        master_ids: reply ids; none means CAN id + 0x10.
 
     Raises:
         InputError: wrong number of types or ids, unknown type, or ids that would not work
             together on one bus.
     """
     specs = motor_specs(motor_types, n_joints)
-    ids = list(range(1, n_joints + 1)) if can_ids is None else list(can_ids)
-    replies = [i + MASTER_ID_OFFSET for i in ids] if master_ids is None else list(master_ids)
+    ids = list(range(1, n_joints + 1)) if not can_ids else list(can_ids)
+    replies = [i + MASTER_ID_OFFSET for i in ids] if not master_ids else list(master_ids)
     for option, values in (("--can-id", ids), ("--master-id", replies)):
         if len(values) != n_joints:
             raise InputError(
@@ -69,7 +69,7 @@ def damiao_joints(
 def id_problems(can_ids: Sequence[int], master_ids: Sequence[int]) -> Iterator[str]:
     """Yield a sentence for each way in which these ids cannot share one bus.
 
-    A motor looks at the low eight bits of every frame's id, replies of other motors included, and
+    A motor compares the low eight bits of every frame's id, replies of other motors included, and
     a reply carries only the low four bits of the sender's id.
     """
     for i in can_ids:

@@ -15,6 +15,7 @@ from math import pi
 from robot_sysid.errors import InputError
 
 _RPM = 2.0 * pi / 60.0
+_AGREEMENT = 1e-3
 
 
 @dataclass(frozen=True)
@@ -146,20 +147,15 @@ def motor_specs(names: Sequence[str], n_joints: int) -> tuple[MotorSpec, ...]:
     return specs
 
 
-def matching_types(limits: tuple[float, float, float], tolerance: float = 1e-3) -> tuple[str, ...]:
-    """Return the names of the types whose (PMAX, VMAX, TMAX) equal ``limits`` within a tolerance.
+def matching_types(limits: tuple[float, float, float]) -> tuple[str, ...]:
+    """Return the names of the types whose (PMAX, VMAX, TMAX) agree with ``limits``.
 
     Args:
         limits: values read from registers 21 to 23 [rad, rad/s, N m].
-        tolerance: relative.
     """
-    return tuple(spec.name for spec in _SPECS if limits_agree(spec.limits, limits, tolerance))
+    return tuple(spec.name for spec in _SPECS if limits_agree(spec.limits, limits))
 
 
-def limits_agree(
-    expected: tuple[float, float, float],
-    found: tuple[float, float, float],
-    tolerance: float = 1e-3,
-) -> bool:
-    """Tell whether two (PMAX, VMAX, TMAX) agree within a relative tolerance."""
-    return all(abs(a - b) <= tolerance * abs(a) for a, b in zip(expected, found))
+def limits_agree(expected: tuple[float, float, float], found: tuple[float, float, float]) -> bool:
+    """Tell whether two (PMAX, VMAX, TMAX) agree to a tenth of a percent."""
+    return all(abs(a - b) <= _AGREEMENT * abs(a) for a, b in zip(expected, found))

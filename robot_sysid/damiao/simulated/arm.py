@@ -21,29 +21,27 @@ class SimulatedArm:
     """An arm whose joints are driven by simulated motors.
 
     Torque of an enabled motor: kp (p - q) + kd (v - qd) + t, limited to what it can deliver. A
-    disabled motor brakes with its shorted windings, so a loaded arm sinks.
+    disabled motor brakes with its shorted windings, so a loaded arm sinks; but until a motor is
+    enabled for the first time the arm rests on something.
 
     Args:
-        plant: the mechanism.
-        motors: one per joint, base to terminal; more than the plant has joints are on the bus but
+        mechanism: what they move.
+        motors: one per joint, base to terminal; more than it has joints are on the bus but
             move nothing.
         faults: what goes wrong, and when.
-        parked: the arm rests on something until a motor is enabled for the first time; else it
-            sinks from the beginning.
     """
 
     def __init__(
         self,
-        plant: Plant,
+        mechanism: Mechanism,
         motors: Sequence[SimulatedMotor],
         faults: Sequence[Fault] = (),
-        parked: bool = True,
     ) -> None:
-        if len(motors) < plant.n_joints:
-            raise InputError(f"{plant.n_joints} joints need as many motors, got {len(motors)}")
+        if len(motors) < mechanism.n_joints:
+            raise InputError(f"{mechanism.n_joints} joints need as many motors, got {len(motors)}")
         if any(not 0 <= fault.joint < len(motors) for fault in faults):
             raise InputError(f"faults name joints 0 to {len(motors) - 1}")
-        self.plant, self.motors, self._parked = plant, list(motors), parked
+        self.mechanism, self.motors = mechanism, list(motors)
         self.time = 0.0
         self._by_low_id: dict[int, list[SimulatedMotor]] = {}
         for motor in self.motors:
@@ -55,15 +53,15 @@ class SimulatedArm:
 
     def advance(self, until: float) -> None:
         """Let physics run up to ``until`` [s]."""
-        if self._parked:
+        if self._enabled_at is None:
             self.time = max(self.time, until)
-        while self.time + self.plant.timestep <= until:
-            self.time += self.plant.timestep
+        while self.time + self.mechanism.timestep <= until:
+            self.time += self.mechanism.timestep
             self._watch()
             # The position half a step ahead stands for the whole step to second order.
-            ahead = self.plant.q + 0.5 * self.plant.timestep * self.plant.qd
+            ahead = self.mechanism.q + 0.5 * self.mechanism.timestep * self.mechanism.qd
             torque, damping = self._law(ahead)
-            self.plant.step(torque, np.where(self._jammed, _JAM, damping))
+            self.mechanism.step(torque, np.where(self._jammed, _JAM, damping))
 
     def skip_to(self, time: float) -> None:
         """Set the clock without letting physics run: for a computer that fell behind."""
@@ -82,7 +80,6 @@ class SimulatedArm:
                 answers += self._overheard(answer, motor, time)
         if self._enabled_at is None and any(motor.driving for motor in self.motors):
             self._enabled_at = time
-            self._parked = False
         return answers
 
     def _overheard(self, answer: Frame, sender: SimulatedMotor, time: float) -> list[Frame]:
@@ -109,7 +106,7 @@ class SimulatedArm:
             self._changed = True
 
     def _gather(self) -> None:
-        motors = self.motors[: self.plant.n_joints]
+        motors = self.motors[: self.mechanism.n_joints]
         table = np.array([(m.p, m.v, m.kp, m.kd, m.t, m.brake, m.peak_torque) for m in motors])
         driving = np.array([m.driving for m in motors])
         self._p, self._v, self._kp, kd, t, brake, self._peak = table.T
@@ -125,21 +122,21 @@ class SimulatedArm:
         if self._changed:
             self._gather()
         torque = self._kp * (self._p - q) + self._offset
-        total = torque - self._kd * self.plant.qd
+        total = torque - self._kd * self.mechanism.qd
         saturated = self._limited & (np.abs(total) > self._peak)
         limit = np.clip(total, -self._peak, self._peak)
         return np.where(saturated, limit, torque), np.where(saturated, 0.0, self._kd)
 
     def _read_sensors(self) -> None:
-        q, qd = self.plant.q, self.plant.qd
+        q, qd = self.mechanism.q, self.mechanism.qd
         torque, damping = self._law(q)
-        for j, motor in enumerate(self.motors[: self.plant.n_joints]):
+        for j, motor in enumerate(self.motors[: self.mechanism.n_joints]):
             motor.position, motor.velocity = float(q[j]), float(qd[j])
             # The motor knows the current it drives, not what its shorted windings do.
             motor.torque = float(torque[j] - damping[j] * qd[j]) if motor.driving else 0.0
 
 
-class Plant(Protocol):
+class Mechanism(Protocol):
     """A mechanism with n joints that is moved by joint torques."""
 
     @property

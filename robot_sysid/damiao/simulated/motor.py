@@ -68,8 +68,6 @@ class SimulatedMotor:
         loses_replies: it obeys but its answers do not arrive.
         velocity_factor: factor on the velocity it reports.
         write_echo: operation byte of its answer to a write.
-        was_zeroed, was_stored: whether a harmful frame ever reached it.
-        commands_seen: MIT commands it has obeyed.
     """
 
     registers: dict[int, float]
@@ -92,9 +90,6 @@ class SimulatedMotor:
     loses_replies: bool = False
     velocity_factor: float = 1.0
     write_echo: int = WRITE
-    was_zeroed: bool = False
-    was_stored: bool = False
-    commands_seen: int = 0
     _scaling: tuple[tuple[float, float, float], Scaling] | None = field(default=None, repr=False)
 
     @property
@@ -160,10 +155,8 @@ class SimulatedMotor:
         self.p, self.v = float(command.position[0]), float(command.velocity[0])
         self.kp, self.kd = float(command.kp[0]), float(command.kd[0])
         self.t = float(command.torque[0])
-        self.commands_seen += 1
 
     def _special(self, code: int) -> None:
-        self.was_zeroed |= code not in (ENABLE, DISABLE, CLEAR_ERROR)
         if is_fault(self.status) and code != CLEAR_ERROR:
             return
         if code == ENABLE:
@@ -178,10 +171,7 @@ class SimulatedMotor:
         operation, number = data[2], data[3]
         if operation == REFRESH:
             return self._feedback()
-        if operation not in (READ, WRITE):
-            self.was_stored = True
-            return None
-        if number not in self.registers:
+        if operation not in (READ, WRITE) or number not in self.registers:
             return None
         if operation == WRITE and number in _WRITABLE:
             self.registers[number] = value_from_bytes(number, data[4:8])

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-import sys
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 from robot_sysid.damiao.bus.clock import Clock
 from robot_sysid.damiao.bus.link import Link
@@ -13,7 +10,6 @@ from robot_sysid.damiao.protocol.frames import Frame
 from robot_sysid.damiao.simulated.arm import SimulatedArm
 
 _TICK = 1e-3
-_SWITCH_INTERVAL = 2e-4
 _MOST_BEHIND = 0.1
 
 
@@ -38,23 +34,3 @@ def serve(arm: SimulatedArm, link: Link, clock: Clock, running: Callable[[], boo
 def _answer(arm: SimulatedArm, link: Link, frame: Frame, now: float) -> None:
     for reply in arm.handle(frame, now):
         link.send(reply)
-
-
-@contextlib.contextmanager
-def served_in_background(arm: SimulatedArm, link: Link, clock: Clock) -> Iterator[None]:
-    """Serve the arm in a thread for as long as the block runs, then close its link."""
-    leave = threading.Event()
-    # Python hands over between busy threads every 5 ms by default: longer than a control cycle.
-    interval = sys.getswitchinterval()
-    sys.setswitchinterval(_SWITCH_INTERVAL)
-    thread = threading.Thread(
-        target=serve, args=(arm, link, clock, lambda: not leave.is_set()), daemon=True
-    )
-    thread.start()
-    try:
-        yield
-    finally:
-        leave.set()
-        thread.join()
-        sys.setswitchinterval(interval)
-        link.close()

@@ -39,13 +39,11 @@ class SimulatedLink:
         self._order = itertools.count()
         self._echoes: list[tuple[float, int, Frame]] = []
         self._replies: list[tuple[float, int, int, Frame]] = []
-        self.sent: list[Frame] = []
 
     def send(self, frame: Frame) -> None:
         """Put a frame on the bus; the arm gets it when its last bit is through."""
         end = max(self.clock.now(), self._free_at) + self._timing.frame_time
         self._free_at = end
-        self.sent.append(frame._replace(time=end))
         if self._echo:
             entry = end, next(self._order), frame._replace(time=end, echo=True)
             heapq.heappush(self._echoes, entry)

@@ -45,13 +45,11 @@ class DamiaoExportReport:
     """What the export did.
 
     Attributes:
-        n_samples: rows written.
         joints: the motors, base to terminal.
         clamped_percent: (n,) share of samples per joint with a clamped value [%].
         warnings: one sentence each.
     """
 
-    n_samples: int
     joints: tuple[DamiaoJoint, ...]
     clamped_percent: Array
     warnings: tuple[str, ...] = ()
@@ -132,7 +130,7 @@ def export_damiao_trajectory(
             file.write(_rows(chunk, tally, decimals))
     rates = _rate_warnings(first[0], len(joints))
     warnings = (*tally.warnings(supply), *rates)
-    return DamiaoExportReport(tally.samples, joints, tally.clamped_percent, warnings)
+    return DamiaoExportReport(joints, tally.clamped_percent, warnings)
 
 
 def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
@@ -287,7 +285,6 @@ class TrajectoryScan:
     """What a trajectory asks of the motors.
 
     Attributes:
-        samples: number of rows.
         duration: from first to last row [s].
         first: (n,) first position [rad].
         end_velocity: (n,) larger of the speeds at the first and the last row [rad/s].
@@ -295,7 +292,6 @@ class TrajectoryScan:
         peak_step: (n,) largest position change per time between two rows [rad/s].
     """
 
-    samples: int
     duration: float
     first: Array
     end_velocity: Array
@@ -330,4 +326,4 @@ def scan_trajectory(trajectory: DamiaoTrajectory) -> TrajectoryScan:
         raise InputError(f"{trajectory.path} needs at least two rows to be played")
     (start, first, first_speed), (stop, _, last_speed) = ends
     end_velocity = np.maximum(np.abs(first_speed), np.abs(last_speed))
-    return TrajectoryScan(samples, stop - start, first, end_velocity, *peaks)
+    return TrajectoryScan(stop - start, first, end_velocity, *peaks)

@@ -1,61 +1,120 @@
-"""The same arm behind python-can: virtual bus, serial adapter on a pseudo-terminal, frame log."""
+"""The same arm behind python-can."""
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
+import time
 
 import can
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.bus.can_bus import INTERFACES, BusLink, open_bus
-from robot_sysid.damiao.bus.can_log import RawFrameLog
+from robot_sysid.damiao.bus.can_bus import INTERFACES, BusAddress, BusLink, open_bus
 from robot_sysid.damiao.bus.clock import SimulatedClock, SystemClock
 from robot_sysid.damiao.bus.inspection import inspect_bus
 from robot_sysid.damiao.bus.link import GuardedLink, LinkError
-from robot_sysid.damiao.bus.slcan import SlcanTerminal, frame_from_line, line_from_frame
 from robot_sysid.damiao.protocol.bus_load import BusTiming
 from robot_sysid.damiao.protocol.frames import Frame
-from robot_sysid.damiao.protocol.motors import MOTORS
-from robot_sysid.damiao.simulated.arm import SimulatedArm
-from robot_sysid.damiao.simulated.motor import simulated_motor
-from robot_sysid.damiao.simulated.server import served_in_background
 from robot_sysid.errors import InputError
-from tests.support.damiao_rig import Pendulums
+from tests.support.damiao_rig import two_motor_arm
+from tests.support.links import served_in_background
 
-FRAMES = st.builds(
-    lambda identifier, data, fd: Frame(identifier, data, fd=fd),
-    st.integers(0, 0x7FF),
-    st.binary(max_size=8),
-    st.booleans(),
-)
+WALL = 1.7e9
 
 
-def two_motor_arm():
-    motors = [simulated_motor(MOTORS["DM4340"], i, i + 16) for i in (1, 2)]
-    return SimulatedArm(Pendulums(2), motors)
+def virtual(channel):
+    return BusAddress("virtual", channel)
 
 
-@given(FRAMES)
-def test_frames_survive_the_serial_text(frame):
-    assert frame_from_line(line_from_frame(frame)) == frame
+class ArmBus:
+    """What BusLink needs of a python-can bus, with a simulated arm on it, in simulated time."""
+
+    def __init__(self, clock, arm=None):
+        self._clock, self._arm = clock, arm
+        self.waiting = []
+
+    def send(self, message, timeout):
+        frame = Frame(message.arbitration_id, bytes(message.data), fd=message.is_fd)
+        for reply in self._arm.handle(frame, self._clock.now()):
+            self.waiting.append(self.message(reply.id, reply.data))
+
+    def message(self, identifier=1, data=b"", age=0.0, **rest):
+        stamp = WALL + self._clock.now() - age
+        rest = {"is_extended_id": False, **rest}
+        return can.Message(timestamp=stamp, arbitration_id=identifier, data=data, **rest)
+
+    def recv(self, timeout):
+        if self.waiting:
+            return self.waiting.pop(0)
+        self._clock.sleep_until(self._clock.now() + timeout)
+        return None
 
 
-@pytest.mark.parametrize(
-    "line", ["", "O", "S8", "C", "t", "t12", "t0013", "t001zz", "t0019" + 18 * "0", "x"]
-)
-def test_lines_that_are_no_frames_give_none(line):
-    assert frame_from_line(line) is None
+@pytest.fixture
+def clock(monkeypatch):
+    """A simulated clock that the wall clock follows."""
+    simulated = SimulatedClock()
+    monkeypatch.setattr(time, "time", lambda: WALL + simulated.now())
+    return simulated
 
 
+def test_an_arm_behind_pythons_messages_answers(clock):
+    link = GuardedLink(BusLink(ArmBus(clock, two_motor_arm()), clock), clock.now)
+    found = inspect_bus(link, clock, (1, 2, 3))
+    assert sorted(found.motors) == [1, 2]
+    assert found.motors[1].limits == (12.5, 10.0, 28.0)
+    assert found.motors[2].feedback.temperature_rotor[0] == 29
+
+
+@pytest.mark.parametrize("age", [0.0, 1e-4, 0.3, 0.999])
+def test_stamps_are_in_our_clock(clock, age):
+    bus = ArmBus(clock)
+    clock.sleep_until(5.0)
+    bus.waiting = [bus.message(age=age)]
+    # The wall clock counts in quarters of a microsecond.
+    assert BusLink(bus, clock).receive(6.0).time == pytest.approx(5.0 - age, abs=1e-6)
+
+
+@pytest.mark.parametrize("age", [-0.1, 1.5, WALL])
+def test_stamps_of_another_clock_are_not_believed(clock, age):
+    bus = ArmBus(clock)
+    clock.sleep_until(5.0)
+    bus.waiting = [bus.message(age=age)]
+    assert BusLink(bus, clock).receive(6.0).time == 5.0
+
+
+def test_extended_frames_are_passed_over_and_echoes_marked(clock):
+    bus = ArmBus(clock)
+    bus.waiting = [
+        bus.message(7, is_extended_id=True),
+        bus.message(1, is_rx=False),
+        bus.message(2, is_error_frame=True),
+        bus.message(3),
+    ]
+    link = BusLink(bus, clock)
+    frames = [link.receive(1.0) for _ in range(3)]
+    assert [(f.id, f.echo, f.error) for f in frames] == [
+        (1, True, False),
+        (2, False, True),
+        (3, False, False),
+    ]
+    assert link.receive(1.0) is None and clock.now() == 1.0
+
+
+@given(wait=st.floats(0.0, 10.0))
+def test_receiving_on_a_silent_bus_ends_in_time(wait):
+    clock = SimulatedClock()
+    assert BusLink(ArmBus(clock), clock).receive(wait) is None
+    assert clock.now() == wait
+
+
+@pytest.mark.realtime
 @pytest.mark.parametrize("fd", [False, True])
 def test_an_arm_on_the_virtual_bus_answers(fd):
     clock, timing = SystemClock(), BusTiming(fd=fd)
-    near, far = (open_bus("virtual", f"test-{fd}", timing, clock) for _ in range(2))
+    near, far = (open_bus(virtual(f"test-{fd}"), timing, clock) for _ in range(2))
     try:
         with served_in_background(two_motor_arm(), far, clock):
             found = inspect_bus(GuardedLink(near, clock.now, fd), clock, (1, 2, 3))
@@ -65,25 +124,10 @@ def test_an_arm_on_the_virtual_bus_answers(fd):
     assert found.motors[1].limits == (12.5, 10.0, 28.0)
 
 
-@pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals")
-def test_an_arm_behind_a_serial_adapter_answers_pythons_slcan():
-    pytest.importorskip("serial")
-    clock = SystemClock()
-    far = SlcanTerminal(clock)
-    with served_in_background(two_motor_arm(), far, clock):
-        bus = can.Bus(interface="slcan", channel=far.device, bitrate=1000000, sleep_after_open=0)
-        near = BusLink(bus, clock)
-        try:
-            found = inspect_bus(GuardedLink(near, clock.now), clock, (1, 2, 3))
-        finally:
-            near.close()
-    assert sorted(found.motors) == [1, 2]
-    assert found.motors[2].feedback.temperature_rotor[0] == 29
-
-
+@pytest.mark.realtime
 def test_stamps_of_the_virtual_bus_are_in_our_clock_and_sent_frames_come_back():
     clock = SystemClock()
-    near, far = (open_bus("virtual", "stamps", BusTiming(), clock) for _ in range(2))
+    near, far = (open_bus(virtual("stamps"), BusTiming(), clock) for _ in range(2))
     try:
         before = clock.now()
         near.send(Frame(0x123, b"abc"))
@@ -97,9 +141,9 @@ def test_stamps_of_the_virtual_bus_are_in_our_clock_and_sent_frames_come_back():
     assert before - 1e-3 <= seen.time <= after + 1e-3
 
 
-def test_receiving_ends_in_time():
+def test_receiving_on_the_virtual_bus_waits_and_ends():
     clock = SystemClock()
-    link = open_bus("virtual", "silence", BusTiming(), clock)
+    link = open_bus(virtual("silence"), BusTiming(), clock)
     try:
         start = clock.now()
         assert link.receive(start + 0.02) is None
@@ -111,7 +155,7 @@ def test_receiving_ends_in_time():
 
 def test_a_bus_that_breaks_raises_our_error():
     clock = SystemClock()
-    link = open_bus("virtual", "broken", BusTiming(), clock)
+    link = open_bus(virtual("broken"), BusTiming(), clock)
     link.close()
     with pytest.raises(LinkError, match="does not take frames"):
         link.send(Frame(1, b""))
@@ -124,15 +168,15 @@ def test_a_bus_that_breaks_raises_our_error():
 @pytest.mark.parametrize(
     ("interface", "channel", "words"),
     [
-        ("telepathy", "x", "unknown --interface 'telepathy'; valid: socketcan, slcan"),
-        ("udp_multicast", "239.0.0.1", "unknown --interface"),
+        ("telepathy", "x", "--interface 'telepathy': choose one of socketcan, slcan"),
+        ("udp_multicast", "239.0.0.1", "--interface 'udp_multicast': choose one of"),
         ("socketcan", "no-such-bus", "cannot open socketcan channel no-such-bus"),
         ("slcan", "/dev/no-such-tty", "cannot open slcan channel /dev/no-such-tty"),
     ],
 )
 def test_a_bus_that_cannot_be_opened_is_said(interface, channel, words):
     with pytest.raises(InputError, match=words):
-        open_bus(interface, channel, BusTiming(), SystemClock())
+        open_bus(BusAddress(interface, channel), BusTiming(), SystemClock())
 
 
 def test_no_interface_reaches_a_network():
@@ -140,54 +184,16 @@ def test_no_interface_reaches_a_network():
     assert set(INTERFACES) <= set(can.VALID_INTERFACES)
 
 
-@given(st.lists(st.tuples(FRAMES, st.booleans()), min_size=1, max_size=20))
-def test_the_frame_log_is_lossless(tmp_path_factory, frames):
-    path = tmp_path_factory.mktemp("raw") / "measured.log"
-    clock = SimulatedClock()
-    log = RawFrameLog(path, clock)
-    for k, (frame, sent) in enumerate(frames):
-        log(frame._replace(time=0.001 * k), sent)
-    log.flush()
-    with can.LogReader(path) as reader:
-        messages = list(reader)
-    log.close()
-    assert len(messages) == len(frames)
-    for message, (frame, sent) in zip(messages, frames):
-        assert message.arbitration_id == frame.id and bytes(message.data) == frame.data
-        assert message.is_fd == frame.fd and message.is_rx == (not sent)
-    stamps = np.array([message.timestamp for message in messages])
-    np.testing.assert_allclose(np.diff(stamps), 0.001, atol=2e-6)
-
-
-def test_frames_are_logged_in_the_order_of_their_time(tmp_path):
-    clock = SimulatedClock()
-    log = RawFrameLog(tmp_path / "measured.log", clock)
-    for stamp in (0.3, 0.1, 0.2):
-        log(Frame(round(10 * stamp), b"", stamp), False)
-    log.close()
-    with can.LogReader(tmp_path / "measured.log") as reader:
-        assert [message.arbitration_id for message in reader] == [1, 2, 3]
-
-
-@pytest.mark.parametrize(
-    ("name", "words"), [("x.unknown", "cannot log frames"), ("there.log", "exists")]
-)
-def test_a_frame_log_that_cannot_be_made_is_said(tmp_path, name, words):
-    (tmp_path / "there.log").write_text("precious")
-    with pytest.raises(InputError, match=words):
-        RawFrameLog(tmp_path / name, SystemClock())
-
-
-def test_everything_but_the_bus_works_without_python_can(tmp_path):
+def test_everything_but_the_bus_works_without_python_can():
     """With python-can out of reach, all modules import, and opening a bus says what to install."""
     script = """
 import pkgutil, sys
 sys.modules["can"] = None
 import robot_sysid.damiao
-for module in pkgutil.iter_modules(robot_sysid.damiao.__path__):
-    __import__("robot_sysid.damiao." + module.name)
-from robot_sysid.damiao_cli import main
-sys.exit(main(["check", "--channel", "can0"]))
+for module in pkgutil.walk_packages(robot_sysid.damiao.__path__, "robot_sysid.damiao."):
+    __import__(module.name)
+from robot_sysid.cli import main
+sys.exit(main(["motors", "check", "--channel", "can0"]))
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert done.returncode == 2

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import csv
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.play.recorder import MeasurementRecorder, RecordingHead, read_recording
+from robot_sysid.damiao.play.recorder import (
+    MeasurementRecorder,
+    RecordingHead,
+    RecordingOptions,
+)
 from robot_sysid.damiao.play.session import Replies
 from robot_sysid.damiao.play.settings import PlaySettings
 from robot_sysid.damiao.protocol.codec import (
@@ -24,14 +29,15 @@ from robot_sysid.damiao.protocol.motors import MOTORS
 from robot_sysid.damiao.simulated.motor import simulated_motor
 from robot_sysid.errors import InputError
 from robot_sysid.logs.reader import read_measurements
+from tests.support.recordings import read_recording
 
 
-def head_for(types):
+def head_for(types, **options):
     joints = damiao_joints(types, len(types))
     registers = [simulated_motor(j.spec, j.can_id, j.master_id).registers for j in joints]
     registers = [{k: v for k, v in r.items() if k in (7, 8, 9, 10, 21, 22, 23)} for r in registers]
-    one = np.ones(len(types))
-    return RecordingHead(joints, registers, PlaySettings(20 * one, one), True, "swing.csv")
+    settings = PlaySettings(kp=(20.0,) * len(types), kd=(1.0,) * len(types), rate=250.0)
+    return RecordingHead(joints, registers, settings, RecordingOptions(**options), "swing.csv")
 
 
 @st.composite
@@ -160,10 +166,67 @@ def test_a_file_that_cannot_be_made_is_said(tmp_path, name, words):
         MeasurementRecorder(tmp_path / name, head_for(["DM4340"]))
 
 
-def test_files_that_are_no_recordings_are_refused(tmp_path):
-    path = tmp_path / "x.csv"
-    path.write_text("a,b\n1,2\n")
-    with pytest.raises(InputError, match="not a recording"):
-        read_recording(path)
-    with pytest.raises(InputError, match="cannot read"):
-        read_recording(tmp_path / "nothing.csv")
+def test_a_file_that_may_be_overwritten_is(tmp_path):
+    path = tmp_path / "there.csv"
+    path.write_text("precious")
+    with MeasurementRecorder(path, head_for(["DM4340"], overwrite=True)):
+        pass
+    assert read_recording(path).ending == "completed"
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ({}, None),
+        ({"record": Path("a/m.csv")}, Path("a/m.log")),
+        ({"raw_log": Path("r.asc")}, Path("r.asc")),
+        ({"record": Path("a/m.csv"), "raw_log": Path("r.asc")}, Path("r.asc")),
+    ],
+)
+def test_frames_are_written_beside_the_recording_or_where_that_was_asked_for(options, expected):
+    assert RecordingOptions(**options).frames == expected
+
+
+@pytest.mark.parametrize("there", ["m.csv", "m.log"])
+def test_nothing_that_is_there_counts_as_free(tmp_path, there):
+    (tmp_path / there).write_text("precious")
+    with pytest.raises(InputError, match=f"{there} exists; .* --overwrite"):
+        RecordingOptions(record=tmp_path / "m.csv").require_free()
+    RecordingOptions(record=tmp_path / "m.csv", overwrite=True).require_free()
+    RecordingOptions(record=tmp_path / "other.csv").require_free()
+
+
+# --- centring -----------------------------------------------------------------------------------
+
+VALUES = st.floats(-10.0, 10.0)
+COMMANDS = st.builds(
+    lambda *values: MitCommand(*(np.array([value]) for value in values)),
+    *(VALUES, VALUES, st.floats(0.0, 100.0), st.floats(0.0, 5.0), VALUES),
+)
+
+
+@settings(max_examples=100, deadline=None)
+@given(acted=COMMANDS, sent=COMMANDS, q=VALUES, qd=VALUES)
+def test_a_centred_torque_is_the_mean_of_both_sides_of_the_step(
+    acted, sent, q, qd, tmp_path_factory
+):
+    """A motor samples at the end of one command; the next one steps its torque at that moment."""
+    q, qd, code = np.array([q]), np.array([qd]), np.array([1])
+    before, after = (command.motor_torque(q, qd) for command in (acted, sent))
+    feedback = Feedback(code, code, q, qd, before, code, code)
+    replies = Replies(code > 0, np.zeros(1), feedback, sent)
+    recorded = {}
+    for no_centring in (False, True):
+        path = tmp_path_factory.mktemp("rec") / "measured.csv"
+        head = head_for(["DM4340"], no_centring=no_centring)
+        with MeasurementRecorder(path, head) as recorder:
+            recorder.write(0.0, 0.0, replies, acted)
+        recorded[no_centring] = {k: v[0] for k, v in read_recording(path).columns.items()}
+    # Six decimals are printed.
+    digits = 1e-6
+    assert abs(recorded[False]["j0_tau"] - 0.5 * (before + after)[0]) < digits
+    assert abs(recorded[True]["j0_tau"] - before[0]) < digits
+    for columns in recorded.values():
+        assert abs(columns["j0_cmd_step"] - (after - before)[0]) < digits
+    taken_back = recorded[False]["j0_tau"] - 0.5 * recorded[False]["j0_cmd_step"]
+    assert abs(taken_back - recorded[True]["j0_tau"]) < 3 * digits

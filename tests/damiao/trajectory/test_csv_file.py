@@ -12,8 +12,13 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from robot_sysid.damiao.protocol.motors import MOTORS
-from robot_sysid.damiao.trajectory.csv_file import export_damiao_trajectory, read_damiao_trajectory
+from robot_sysid.damiao.trajectory.csv_file import (
+    export_damiao_trajectory,
+    read_damiao_trajectory,
+    scan_trajectory,
+)
 from robot_sysid.errors import InputError
+from tests.support.damiao_rig import trajectory_file
 
 
 def motion(samples=5, joints=2, dt=0.001, scale=1.0):
@@ -47,7 +52,6 @@ def test_the_file_looks_as_specified():
         "0.001,0.0012,0.3100,0.0500,0.0008,0.2200,0.0300\n"
         "0.002,0.0024,0.3150,0.0510,0.0016,0.2250,0.0305\n"
     )
-    assert report.n_samples == 3
     np.testing.assert_array_equal(report.clamped_percent, [0.0, 0.0])
 
 
@@ -238,3 +242,36 @@ def test_windows_line_ends_and_blank_lines_are_fine(tmp_path):
     path = tmp_path / "t.csv"
     path.write_bytes((GOOD + "0,0,0,0\n\n1,1,1,1\n\n").replace("\n", "\r\n").encode("utf-8-sig"))
     np.testing.assert_array_equal(reread(path)[0], [0.0, 1.0])
+
+
+# --- scan ---------------------------------------------------------------------------------------
+
+
+@given(rows=st.integers(2, 30), seed=st.integers(0, 1000))
+def test_a_scan_finds_the_extremes(rows, seed, tmp_path_factory):
+    rng = np.random.default_rng(seed)
+    q, qd, tau = np.round(rng.uniform(-5, 5, (3, rows, 2)), 4)
+    scan = scan_trajectory(
+        trajectory_file(tmp_path_factory.mktemp("scan"), (0.01 * np.arange(rows), q, qd, tau))
+    )
+    assert scan.duration == pytest.approx(0.01 * (rows - 1))
+    np.testing.assert_allclose(scan.first, q[0])
+    np.testing.assert_allclose(scan.peak_position, np.abs(q).max(axis=0))
+    np.testing.assert_allclose(scan.peak_velocity, np.abs(qd).max(axis=0))
+    np.testing.assert_allclose(scan.peak_torque, np.abs(tau).max(axis=0))
+    np.testing.assert_allclose(scan.peak_step, np.abs(np.diff(q, axis=0)).max(axis=0) / 0.01)
+    np.testing.assert_allclose(scan.end_velocity, np.maximum(np.abs(qd[0]), np.abs(qd[-1])))
+
+
+def test_a_scan_sees_jumps_between_its_pieces(tmp_path):
+    rows = 4097
+    q = np.zeros((rows, 1))
+    q[4096] = 0.5
+    scan = scan_trajectory(trajectory_file(tmp_path, (0.01 * np.arange(rows), q, 0 * q, 0 * q)))
+    assert scan.peak_step[0] == pytest.approx(50.0)
+
+
+def test_one_row_cannot_be_played(tmp_path):
+    one = np.zeros((1, 1))
+    with pytest.raises(InputError, match="at least two rows"):
+        scan_trajectory(trajectory_file(tmp_path, (np.zeros(1), one, one, one)))

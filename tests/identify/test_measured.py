@@ -14,7 +14,7 @@ from robot_sysid.dynamics import spatial
 from tests.support import arms
 from tests.support.measured_logs import JOINT
 
-QUICK = ("--duration", "8", "--sample-rate", "200", "--seed", "1", "--cutoff", "8")
+MOTION = ("--duration", "8", "--sample-rate", "200", "--seed", "1")
 SENSORS = ("--noise-torque", "0.05", "--encoder-resolution", "1e-4")
 XML = arms.serial_arm((arms.Z, arms.Y, arms.X), joint=JOINT)
 HEAVIER = XML.replace('mass=".8"', 'mass="1.1"')
@@ -61,7 +61,10 @@ def arm_command(folder):
     def run(*options):
         output = folder / f"out{next(count)}"
         out, err = io.StringIO(), io.StringIO()
-        arguments = [str(folder / "guess.xml"), *QUICK, "--output-dir", str(output)]
+        # A log brings its own motion.
+        motion = () if "--measurements" in options else MOTION
+        arguments = [str(folder / "guess.xml"), *motion, "--cutoff", "8"]
+        arguments += ["--output-dir", str(output)]
         there = [str(folder / o) if o.endswith(".xml") else o for o in options]
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
             code = main([*arguments, *there])
@@ -310,6 +313,23 @@ def test_every_option_runs_on_a_log(log, arm_command, options):
     result = arm_command("--measurements", str(log[0]), *options)
     assert result.code == 0, result.err
     assert result.params["valid"]["physically_consistent"]
+
+
+def test_several_logs_are_one_result(log, folder, arm_command):
+    path, first = log
+    other = folder / "another.csv"
+    made = ("--plant-model", "plant.xml", *SENSORS, "--seed", "6", "--save-measurements")
+    arm_command(*made, str(other))
+    result = arm_command("--measurements", str(path), "--measurements", str(other))
+    assert result.code == 0, result.err
+    assert result.params["source"] == f"log {path}, {other}"
+    assert result.params["duration"] == pytest.approx(16.0, abs=1e-6)
+    assert result.params["sample_rate"] == pytest.approx(200.0, rel=1e-9)
+    assert result.params["validation"][0]["source"] == "the last 20 % of each log"
+    assert f"note: {path.name}: log columns" in result.err
+    assert f"note: {other.name}: log columns" in result.err
+    errors = (run["standard_errors"]["m"] for run in (result.params, first))
+    assert next(errors) < next(errors)
 
 
 def test_the_models_own_simulation_names_the_two_ways_to_real_data(arm_command):

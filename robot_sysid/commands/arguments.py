@@ -1,0 +1,188 @@
+"""Command-line parsers made from option records, and records made from what was parsed."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Callable, NoReturn
+
+from robot_sysid import __version__
+from robot_sysid.commands.console import print_line
+from robot_sysid.errors import EXIT_CODES, InputError
+from robot_sysid.records.options import Option, default_of, option, options_of, record_from
+
+PROGRAM = "robot-sysid"
+
+
+@dataclass(frozen=True)
+class ConsoleOptions:
+    """How much is printed."""
+
+    verbose: bool = option(False, "say more", short="-v")
+    quiet: bool = option(False, "print errors only")
+    debug: bool = option(False, "show the traceback of an error")
+
+    def __post_init__(self) -> None:
+        if self.verbose and self.quiet:
+            raise InputError("--verbose and --quiet exclude each other; choose one")
+
+
+class Parser(argparse.ArgumentParser):
+    """Argument parser that reports a usage error as one line and shows an example first.
+
+    Args:
+        command: its words after the program's name, "" for the program itself.
+        example: one or more lines to type.
+        main: keys of the options that its help shows; None shows all. The rest work as well.
+        rest: further arguments of ``ArgumentParser``.
+    """
+
+    def __init__(
+        self, command: str, example: str, main: Collection[str] | None = None, **rest: Any
+    ) -> None:
+        super().__init__(
+            prog=f"{PROGRAM} {command}".strip(),
+            formatter_class=_Formatter,
+            allow_abbrev=False,
+            add_help=False,
+            **rest,
+        )
+        self._example, self._main = example, main
+
+    def format_help(self) -> str:
+        """Return the example, then the usage and all options."""
+        return f"example: {self._example}\n\n{super().format_help()}"
+
+    def error(self, message: str) -> NoReturn:
+        """Raise InputError instead of printing the usage."""
+        raise InputError(f"{message} ({self.prog} --help-all lists all options)")
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        print_line(message.rstrip("\n"), file or sys.stdout)
+
+    def add(
+        self,
+        title: str,
+        *records: Any,
+        only: Collection[str] = (),
+        leave_out: Collection[str] = (),
+        usual: Mapping[str, Any] | None = None,
+    ) -> Any:
+        """Add the options of some records as one group and return it.
+
+        Args:
+            title: of the group.
+            records: option records' classes.
+            only: keys of the options to add; empty adds all.
+            leave_out: keys of options not to add.
+            usual: key to the default that this command has in place of the record's.
+        """
+        group = self.add_argument_group(title)
+        for record in records:
+            for name, each in options_of(record).items():
+                if each.key not in leave_out and (not only or each.key in only):
+                    default = (usual or {}).get(each.key, default_of(record, name))
+                    _add(group, each, default, self._hides(each))
+        return group
+
+    def _hides(self, each: Option) -> bool:
+        return self._main is not None and each.key not in self._main
+
+    def add_console(self) -> None:
+        """Add what every command has."""
+        group = self.add_argument_group("console")
+        for each in options_of(ConsoleOptions).values():
+            _add(group, each, False, self._hides(each))
+        version = f"{PROGRAM} {__version__}"
+        group.add_argument("--version", action="version", version=version, help="print the version")
+        group.add_argument("-h", "--help", action="help", help="print the main options")
+        group.add_argument("--help-all", action="help", help="print all options")
+
+
+class _Formatter(argparse.HelpFormatter):
+    """Help on wide lines: an option and what it does stand beside each other."""
+
+    def __init__(self, prog: str) -> None:
+        super().__init__(prog, max_help_position=34, width=100)
+
+    def _format_usage(self, usage: Any, actions: Any, groups: Any, prefix: Any) -> str:
+        positional = [action for action in actions if not action.option_strings]
+        words = [self._metavar_formatter(a, a.dest)(1)[0] for a in positional]
+        return f"usage: {' '.join([str(self._prog), *words])} [options]\n\n"
+
+
+def exit_codes(*codes: int) -> str:
+    """Return what some exit codes mean, for the end of a help text."""
+    return "Exit codes: " + ", ".join(f"{code} {EXIT_CODES[code]}" for code in codes) + "."
+
+
+def described(each: Option, default: Any) -> str:
+    """Return an option's help with unit and default."""
+    unit = f" [{each.unit}]" if each.unit else ""
+    usual = default_text(each, default)
+    return f"{each.help}{unit}" + (f" (default: {usual})" if usual else "")
+
+
+def default_text(each: Option, default: Any) -> str:
+    """Return a default as a user would type it, or in words; "" where there is none."""
+    if each.usual:
+        return each.usual
+    if default is None or isinstance(default, (bool, tuple)):
+        return ""
+    return f"{default:g}" if isinstance(default, float) else str(default)
+
+
+def _add(group: Any, each: Option, default: Any, hidden: bool = False) -> None:
+    text = argparse.SUPPRESS if hidden else described(each, default).replace("%", "%%")
+    short = (each.short,) if each.short else ()
+    if isinstance(default, bool):
+        action = {"action": "store_true", "default": argparse.SUPPRESS}
+        group.add_argument(*short, each.flag, help=text, **action)
+        return
+    words: dict[str, Any] = {"help": text, "default": argparse.SUPPRESS, "dest": each.key}
+    if each.choices:
+        words["choices"] = each.choices
+        words["metavar"] = each.metavar or "{" + ",".join(each.choices) + "}"
+    else:
+        words["metavar"] = each.metavar or each.key.upper()
+        words["type"] = _typed(each.parse or str)
+    if isinstance(each.metavar, tuple):
+        words["nargs"] = len(each.metavar)
+    elif each.several:
+        words["nargs"] = "+"
+    if each.repeats:
+        words["action"] = "append"
+    group.add_argument(*short, each.flag, required=each.required, **words)
+
+
+def _typed(parse: Callable[[str], Any]) -> Callable[[str], Any]:
+    """Return a parse function whose complaints argparse can name the option in."""
+
+    def typed(text: str) -> Any:
+        try:
+            return parse(text)
+        except InputError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
+
+    typed.__name__ = getattr(parse, "__name__", "value")
+    return typed
+
+
+def values_of(options: argparse.Namespace) -> dict[str, Any]:
+    """Return what was given, lists as tuples."""
+    return {key: _frozen(value) for key, value in vars(options).items()}
+
+
+def _frozen(value: Any) -> Any:
+    return tuple(_frozen(item) for item in value) if isinstance(value, list) else value
+
+
+def parsed(parser: Parser, arguments: Sequence[str]) -> tuple[dict[str, Any], ConsoleOptions]:
+    """Return (what was given, how much to print)."""
+    values = values_of(parser.parse_args(arguments))
+    console = record_from(ConsoleOptions, values)
+    for name in options_of(ConsoleOptions):
+        values.pop(name, None)
+    return values, console

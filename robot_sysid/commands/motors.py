@@ -1,0 +1,373 @@
+"""``robot-sysid motors check|play|simulate``: inspect Damiao motors, play on them, or rehearse."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from robot_sysid.commands.arguments import PROGRAM, Parser, exit_codes, parsed
+from robot_sysid.commands.console import Console
+from robot_sysid.config import ModelOptions
+from robot_sysid.damiao.bus.can_bus import BusAddress, open_bus
+from robot_sysid.damiao.bus.clock import Clock, SimulatedClock, SystemClock
+from robot_sysid.damiao.bus.inspection import inspect_bus
+from robot_sysid.damiao.bus.link import GuardedLink, Link
+from robot_sysid.damiao.bus.slcan import SlcanTerminal
+from robot_sysid.damiao.play.player import StopRequest
+from robot_sysid.damiao.play.preflight import Check, Permissions, general_checks, stops
+from robot_sysid.damiao.play.recorder import RecordingOptions
+from robot_sysid.damiao.play.run import Plan, inspect, run
+from robot_sysid.damiao.play.settings import PlaySettings
+from robot_sysid.damiao.protocol.bus_load import BusTiming, default_rate
+from robot_sysid.damiao.report_lines import check_lines, load_line, motor_table, run_lines
+from robot_sysid.damiao.simulated.arm import SimulatedArm
+from robot_sysid.damiao.simulated.faults import FAULT_KINDS, parse_fault
+from robot_sysid.damiao.simulated.motor import DEFAULT_WATCHDOG, simulated_motor
+from robot_sysid.damiao.simulated.server import serve
+from robot_sysid.damiao.simulated.simulated_link import SimulatedLink
+from robot_sysid.damiao.trajectory.csv_file import read_damiao_trajectory
+from robot_sysid.errors import HardwareAbort, InputError
+from robot_sysid.records.options import check_options, given_options, option, positive, record_from
+
+INTERRUPTED = "interrupted; no motor is enabled"
+# Coarse enough for an ordinary computer to keep up with.
+_REAL_TIME_STEP = 1e-3
+
+
+@dataclass(frozen=True)
+class PlayChoices:
+    """What ``motors play`` does beside playing."""
+
+    dry_run: bool = option(
+        False, "stop after the checks; without --channel only those that need no bus"
+    )
+    yes: bool = option(False, "do not ask for confirmation", short="-y")
+
+
+@dataclass(frozen=True)
+class SimulatedMotorOptions:
+    """What ``motors simulate`` puts on the bus, and for how long."""
+
+    play: bool = option(False, "play the trajectory at once, in simulated time, without a bus")
+    lifetime: float | None = option(
+        None,
+        "end after this time",
+        flag="--for",
+        unit="s",
+        metavar="S",
+        check=positive,
+        usual="Ctrl-C",
+    )
+    watchdog: float = option(
+        DEFAULT_WATCHDOG, "of the simulated motors", unit="s", metavar="S", check=positive
+    )
+    fault: tuple[str, ...] = option(
+        (),
+        "let something go wrong, S seconds after the motors were enabled; may be repeated. Kinds: "
+        + ", ".join(FAULT_KINDS),
+        metavar="KIND:JOINT[=VALUE][@S]",
+        repeats=True,
+    )
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+
+class _Run:
+    """One command line of ``motors``, as records.
+
+    Args:
+        values: what was given.
+        console: where to print.
+    """
+
+    def __init__(self, values: Mapping[str, Any], console: Console) -> None:
+        self.values, self.console = values, console
+        self.address = record_from(BusAddress, values)
+        self.timing = record_from(BusTiming, values)
+        self.settings = record_from(PlaySettings, values)
+        self.allowed = record_from(Permissions, values)
+        self.recording = record_from(RecordingOptions, values)
+
+    def plan(self) -> Plan:
+        """Return the trajectory and how to play it."""
+        trajectory = read_damiao_trajectory(self.values["trajectory"])
+        return Plan(trajectory, self.settings, self.timing, self.allowed, self.recording)
+
+    def checks(self, plan: Plan) -> list[Check]:
+        """Return the checks that need no bus, those of a model of the arm included."""
+        path = self.values.get("model")
+        if path is None:
+            for given in given_options(record_from(ModelOptions, self.values)):
+                raise InputError(f"{given.flag} is about a model; add --model")
+            return plan.checks()
+        # Imported here so that playing on real motors does not wait for MuJoCo.
+        from robot_sysid.damiao.play.model_check import model_checks
+
+        robot = self.robot(path)
+        return [*plan.checks(), *model_checks(plan.trajectory, plan.settings.speed, robot)]
+
+    def robot(self, path: Path) -> Any:
+        """Return the arm of a model file."""
+        from robot_sysid.parser import load_robot_model
+
+        chosen = record_from(ModelOptions, self.values)
+        return load_robot_model(path, chosen.mesh_dir, chosen.joint, float("inf"))
+
+    @contextlib.contextmanager
+    def bus(self, clock: Clock) -> Iterator[GuardedLink]:
+        """Open the bus for as long as the block runs."""
+        link = open_bus(self.address, self.timing, clock)
+        try:
+            yield GuardedLink(link, clock.now, self.timing.fd)
+        finally:
+            link.close()
+
+
+def check(asked: _Run) -> int:
+    """Inspect the motors; return 0 where a trajectory could be played."""
+    clock, console = SystemClock(), asked.console
+    if asked.address.channel is None:
+        raise InputError("check needs --channel, for instance --channel can0")
+    plan = asked.plan() if asked.values.get("trajectory") else None
+    if plan is None and asked.values.get("model"):
+        raise InputError("--model needs a TRAJECTORY to check")
+    checks = asked.checks(plan) if plan else []
+    with asked.bus(clock) as link:
+        inspection = inspect_bus(link, clock)
+    motors = len(inspection.motors)
+    if not motors:
+        console.lines([*check_lines(checks), "no motor answers: check power, wiring and bit rate"])
+        return 1
+    rate = asked.settings.rate or default_rate(motors, asked.timing)
+    settings = plan.settings if plan else PlaySettings(rate=rate)
+    checks += plan.bus_checks(inspection) if plan else general_checks(inspection, settings)
+    console.lines(motor_table(inspection, plan.trajectory.joints if plan else ()))
+    console.lines(["", load_line(motors, rate, asked.timing), *check_lines(checks)])
+    to_change = len(stops(checks))
+    console.lines(["", f"{to_change} to change before playing" if to_change else "ready to play"])
+    return 1 if to_change else 0
+
+
+def play(asked: _Run) -> int:
+    """Play a trajectory on the motors."""
+    choices, plan = record_from(PlayChoices, asked.values), asked.plan()
+    checks = asked.checks(plan)
+    if asked.address.channel is not None:
+        clock = SystemClock()
+        with asked.bus(clock) as link:
+            return _play_on(link, clock, plan, checks, choices, asked)
+    if not choices.dry_run:
+        raise InputError("play needs --channel, for instance --channel can0 (or --dry-run)")
+    asked.console.lines(check_lines(checks))
+    return _verdict(checks, asked.console)
+
+
+def simulate(asked: _Run) -> int:
+    """Put a simulated arm on a bus, or play on it at once."""
+    options, plan = record_from(SimulatedMotorOptions, asked.values), asked.plan()
+    checks = asked.checks(plan)
+    if options.play:
+        arm, clock = _simulated_arm(asked, plan, options), SimulatedClock()
+        bus = SimulatedLink(clock, arm, asked.timing, echo=True)
+        link = GuardedLink(bus, clock.now, asked.timing.fd)
+        return _play_on(link, clock, plan, checks, PlayChoices(yes=True), asked)
+    forbidden = stops(checks)
+    if forbidden:
+        raise HardwareAbort(f"not rehearsed: {forbidden[0]}")
+    return _serve(_simulated_arm(asked, plan, options, _REAL_TIME_STEP), asked, options)
+
+
+_COMMANDS: Mapping[str, tuple[Callable[[_Run], int], str, str]] = {
+    "check": (
+        check,
+        "damiao_trajectory.csv --channel can0",
+        "Ask every id from 1 to 15, print what the motors say, and tell what has to change before "
+        "a trajectory can be played. Enables no motor and writes nothing.",
+    ),
+    "play": (
+        play,
+        "damiao_trajectory.csv --channel can0 --speed 0.3 --record measured.csv",
+        "Go through all checks, ask for confirmation, enable the motors, move slowly to the first "
+        "point, play, come to rest, and disable. A disabled arm sinks: support it or park it where "
+        "it cannot fall.",
+    ),
+    "simulate": (
+        simulate,
+        "damiao_trajectory.csv --model arm.xml --play --record measured.csv",
+        "Simulate the arm of a model with Damiao motors. Without --play it sits behind a "
+        "pseudo-terminal that acts as a serial CAN adapter, or on the bus of --interface and "
+        "--channel; the line to give to 'play' is printed.",
+    ),
+}
+_MAIN = (
+    *("interface", "channel", "fd", "speed", "rate", "kp", "kd", "max_tracking_error"),
+    *("record", "dry_run", "yes", "play", "fault"),
+)
+_MAIN_ON_MOTORS = (*_MAIN, "accept_register_limits", "set_watchdog")
+
+
+def build_parser(command: str, full: bool = True) -> Parser:
+    """Return the parser of a subcommand; without ``full``, its help shows the main options only."""
+    _, example, description = _COMMANDS[command]
+    main_options = _MAIN if command == "simulate" else _MAIN_ON_MOTORS
+    parser = Parser(
+        f"motors {command}",
+        f"{PROGRAM} motors {command} {example}",
+        description=description,
+        epilog=exit_codes(0, 1, 2, 3, 130),
+        main=None if full else main_options,
+    )
+    nargs = "?" if command == "check" else None
+    help_file = "damiao_trajectory.csv"
+    parser.add_argument("trajectory", metavar="TRAJECTORY", type=Path, help=help_file, nargs=nargs)
+    group = parser.add("arm", ModelOptions)
+    help_model = "MJCF or URDF of the arm; the trajectory is checked against its limits"
+    required = command == "simulate"
+    group.add_argument("--model", metavar="MODEL", type=Path, required=required, help=help_model)
+    parser.add("bus", BusAddress, BusTiming)
+    if command == "simulate":
+        parser.add("simulated motors", SimulatedMotorOptions)
+    parser.add("motion and limits", PlaySettings)
+    parser.add("what to allow", Permissions)
+    if command != "check":
+        parser.add("recording", RecordingOptions)
+    if command == "play":
+        parser.add("asking", PlayChoices)
+    parser.add_console()
+    return parser
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the command and return its exit code."""
+    name = arguments[0] if arguments else "--help"
+    if name not in _COMMANDS:
+        _overview().parse_args(arguments or ["--help"])
+        raise InputError(f"unknown command {name!r}; valid: {', '.join(_COMMANDS)}")
+    parser = build_parser(name, "--help-all" in arguments)
+    values, options = parsed(parser, arguments[1:])
+    return _COMMANDS[name][0](_Run(values, Console(options.quiet, options.verbose)))
+
+
+def _overview() -> Parser:
+    parser = Parser(
+        "motors",
+        f"{PROGRAM} motors check --channel can0",
+        description="Inspect Damiao motors, play a trajectory on them and record it, or rehearse "
+        "all that with a simulated arm. Each command has its own --help.",
+        epilog=exit_codes(0, 1, 2, 3, 130),
+    )
+    parser.add_argument("command", metavar="|".join(_COMMANDS), help="what to do")
+    parser.add_console()
+    return parser
+
+
+def _play_on(
+    link: GuardedLink,
+    clock: Clock,
+    plan: Plan,
+    checks: Sequence[Check],
+    choices: PlayChoices,
+    asked: _Run,
+) -> int:
+    console = asked.console
+    inspection, more = inspect(link, clock, plan)
+    checks = [*checks, *more]
+    console.lines([*motor_table(inspection, plan.trajectory.joints), *check_lines(checks)])
+    if choices.dry_run:
+        return _verdict(checks, console)
+    forbidden = stops(checks)
+    if forbidden:
+        raise HardwareAbort(f"not played: {forbidden[0]}")
+    plan.recording.require_free()
+    if not choices.yes:
+        _ask_for_confirmation()
+        # The arm may have moved or been touched in the meantime.
+        inspection, _ = inspect(link, clock, plan)
+
+    def tell(time: float) -> None:
+        console.advance("Playing", time, plan.duration, "")
+
+    stop, channel = StopRequest(), asked.address.channel or "simulated"
+    with stop.on_signals():
+        report = run(link, clock, plan, inspection, stop, channel, console.stage, tell)
+    console.lines(run_lines(report))
+    if plan.recording.record:
+        console.stage(f"recorded to {plan.recording.record}")
+    console.stage("all motors are disabled")
+    return 0
+
+
+def _simulated_arm(
+    asked: _Run, plan: Plan, options: SimulatedMotorOptions, timestep: float | None = None
+) -> SimulatedArm:
+    from robot_sysid.simulation.stepper import DEFAULT_TIMESTEP, ArmStepper
+
+    joints = plan.trajectory.joints
+    motors = [simulated_motor(j.spec, j.can_id, j.master_id, options.watchdog) for j in joints]
+    robot = asked.robot(asked.values["model"])
+    mechanism = ArmStepper(robot, plan.scan.first, timestep or DEFAULT_TIMESTEP)
+    return SimulatedArm(mechanism, motors, [parse_fault(text) for text in options.fault])
+
+
+def _serve(arm: SimulatedArm, asked: _Run, options: SimulatedMotorOptions) -> int:
+    clock, stop = SystemClock(), StopRequest()
+    link = _simulated_end(asked, clock)
+    ends = clock.now() + (options.lifetime or float("inf"))
+    try:
+        with stop.on_signals():
+            left_out = serve(arm, link, clock, lambda: not stop.count and clock.now() < ends)
+    finally:
+        link.close()
+    if left_out > 0.0:
+        asked.console.stage(f"this computer was too slow by {left_out:.1f} s in all")
+    return 0
+
+
+def _simulated_end(asked: _Run, clock: Clock) -> Link:
+    """Open the simulated arm's end of the bus and say how to reach it."""
+    address = asked.address
+    if address.channel is None:
+        if "interface" in asked.values:
+            raise InputError("--interface needs --channel")
+        terminal = SlcanTerminal(clock)
+        link: Link = terminal
+        reach = f"--interface slcan --channel {terminal.device}"
+    else:
+        link = open_bus(address, asked.timing, clock)
+        reach = f"--interface {address.interface} --channel {address.channel}"
+    fd = " --fd" if asked.timing.fd else ""
+    asked.console.lines(
+        [
+            "the simulated arm is parked at the first point until its motors are enabled; Ctrl-C "
+            "ends it. To play on it, in another terminal:",
+            f"{PROGRAM} motors play {asked.values['trajectory']} {reach}{fd} --record measured.csv",
+        ]
+    )
+    return link
+
+
+def _ask_for_confirmation() -> None:
+    if not sys.stdin.isatty():
+        raise InputError("nobody can confirm: standard input is no terminal; give --yes")
+    Console().stage(
+        "The arm will move. Keep clear of it, keep the emergency stop at hand, and remember that "
+        "it sinks when it is disabled."
+    )
+    answer = ""
+    with contextlib.suppress(EOFError):
+        answer = input("Type yes to play: ")
+    if answer.strip().lower() != "yes":
+        raise InputError("not confirmed; nothing was moved")
+
+
+def _verdict(checks: Sequence[Check], console: Console) -> int:
+    forbidden = stops(checks)
+    if forbidden:
+        raise HardwareAbort(f"would not be played: {forbidden[0]}")
+    console.stage("nothing speaks against playing (dry run: nothing was enabled)")
+    return 0

@@ -1,0 +1,99 @@
+"""``robot-sysid MODEL``: identify the terminal link of one arm, with every option there is."""
+
+from __future__ import annotations
+
+import contextlib
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from robot_sysid.commands.arguments import ConsoleOptions, Parser, exit_codes, parsed
+from robot_sysid.commands.console import Console
+from robot_sysid.config import ModelOptions, MotorOptions, OutputOptions, config_from
+from robot_sysid.errors import SysidError
+from robot_sysid.estimation.options import EstimationOptions
+from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
+from robot_sysid.logs.reader import LogOptions
+from robot_sysid.simulation.sensors import SimulatedArmOptions
+from robot_sysid.trajectory import TrajectoryOptions
+
+EXAMPLE = "robot-sysid examples/kinova/model/kinova_fullinertia_guess.xml"
+INTERRUPTED = "interrupted; no unfinished file is left"
+MAIN = (
+    *("mesh_dir", "duration", "sample_rate", "no_friction", "output_dir", "export_damiao"),
+    *("motor_type", "seed", "joint", "torques", "measurements", "plan_only", "verbose", "quiet"),
+)
+GROUPS = (
+    ("model and output", (ModelOptions, OutputOptions)),
+    ("trajectory", (TrajectoryOptions,)),
+    ("excitation", (ExcitationOptions,)),
+    ("limits", (LimitOptions,)),
+    ("measurements", (LogOptions,)),
+    ("simulated plant", (SimulatedArmOptions,)),
+    ("estimation", (EstimationOptions,)),
+    ("Damiao motors", (MotorOptions,)),
+)
+"""All options, in the groups of the full help."""
+
+
+def build_parser(full: bool = True) -> Parser:
+    """Return the parser; without ``full``, one whose help shows the main options only."""
+    parser = Parser(
+        "",
+        EXAMPLE,
+        description="Identify mass, centre of mass, inertia and friction of a robot arm's terminal "
+        "link, and write a corrected model.",
+        epilog="Commands: robot-sysid plan MODEL, robot-sysid identify MODEL LOG, robot-sysid "
+        "motors check|play|simulate; each has its own --help. A model file that is called like a "
+        f"command is reached as ./plan. {exit_codes(0, 1, 2, 130)}",
+        main=None if full else MAIN,
+    )
+    add_model(parser)
+    for title, records in GROUPS:
+        parser.add(title, *records)
+    parser.add_console()
+    return parser
+
+
+def add_model(parser: Parser) -> None:
+    """Add the model file."""
+    parser.add_argument("path", metavar="MODEL", type=Path, help="MuJoCo XML (MJCF) or URDF file")
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the command and return its exit code."""
+    return identify(*parsed(build_parser("--help-all" in arguments), arguments))
+
+
+def identify(values: Mapping[str, Any], options: ConsoleOptions) -> int:
+    """Run the pipeline and return the exit code.
+
+    Args:
+        values: what was given, by the options' keys.
+        options: how much to print.
+    """
+    config = config_from(**values)
+    console = Console(options.quiet, options.verbose)
+    # Imported here so that --help and usage errors do not wait for MuJoCo.
+    from robot_sysid.pipeline import run
+
+    with _warnings_as_notes(console, options.debug):
+        outcome = run(config, console)
+    console.lines(outcome.report_lines(options.verbose))
+    if outcome.failure:
+        raise SysidError(outcome.failure)
+    return 0
+
+
+@contextlib.contextmanager
+def _warnings_as_notes(console: Console, debug: bool) -> Iterator[None]:
+    """Turn warnings of Python libraries into notes; --debug shows where they come from."""
+
+    def show(message: Any, *_: Any, **__: Any) -> None:
+        console.note(f"numerical warning: {message}; check the result (--debug says where)")
+
+    with warnings.catch_warnings():
+        if not debug:
+            warnings.showwarning = show
+        yield

@@ -1,0 +1,116 @@
+"""Does a motor trajectory stay within what a model of the arm can do?
+
+Between two rows position, velocity and torque change in a straight line, as the player sends them;
+so each row is compared with the model's own joint ranges, speeds and torques, and the straight ways
+between the rows with its bodies. How fast a joint moves is also told by its positions, whatever the
+velocity column says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from robot_sysid.damiao.play.preflight import OK, STOP, Check
+from robot_sysid.damiao.trajectory.csv_file import DamiaoTrajectory
+from robot_sysid.errors import InputError
+from robot_sysid.excitation.limit_check import first_contact
+from robot_sysid.excitation.options import LimitOptions
+from robot_sysid.excitation.problem import build_problem
+from robot_sysid.records import Array, Motion, RobotModel
+
+# Relative; for limits and trajectories that came out of the same numbers.
+_ROUNDING = 1e-9
+# Two positions with four decimals are this far apart from what was meant at most [rad or m].
+_PRINTED = 1e-4
+
+
+class SampledTrajectory:
+    """A motor trajectory as a motion plan, at a share of its speed.
+
+    Args:
+        trajectory: the file; all its rows are held in memory.
+        speed: 0 < speed <= 1.
+
+    Attributes:
+        time: (N,) of the rows, from zero [s].
+        q, qd, tau: (N, n) rows [rad, rad/s, N m].
+        slope: (N - 1, n) velocity between the rows [rad/s].
+    """
+
+    def __init__(self, trajectory: DamiaoTrajectory, speed: float = 1.0) -> None:
+        time, self.q, qd, self.tau = (np.concatenate(x) for x in zip(*trajectory.chunks()))
+        self.time, self.qd = (time - time[0]) / speed, speed * qd
+        self.slope = np.diff(self.q, axis=0) / np.diff(self.time)[:, None]
+        self.duration, self.n_joints = float(self.time[-1]), trajectory.n_joints
+
+    @property
+    def joint_speed(self) -> Array:
+        """Speed (N, n) at each row, or up to the next one if the positions show more [rad/s]."""
+        shown = np.abs(self.slope) - _PRINTED / np.diff(self.time)[:, None]
+        return np.maximum(np.abs(self.qd), np.vstack([shown, np.zeros(self.n_joints)]))
+
+    def evaluate(self, time: Array) -> Motion:
+        """Return the motion at times (N,) [s]; the acceleration is left at zero."""
+        q = np.stack([np.interp(time, self.time, column) for column in self.q.T], axis=1)
+        between = np.searchsorted(self.time, time, side="right") - 1
+        qd = self.slope[np.clip(between, 0, len(self.slope) - 1)]
+        return Motion(time, q, qd, np.zeros_like(q))
+
+
+def model_checks(trajectory: DamiaoTrajectory, speed: float, robot: RobotModel) -> Iterator[Check]:
+    """Yield what a model of the arm says to a motor trajectory.
+
+    Args:
+        trajectory: the file, one joint per joint of the model's chain.
+        speed: share of its speed at which it is played.
+        robot: the arm; loaded without a speed limit, so that only its own holds.
+
+    Raises:
+        InputError: the trajectory is for another number of joints.
+    """
+    if robot.n_joints != trajectory.n_joints:
+        raise InputError(
+            f"{trajectory.path} has {trajectory.n_joints} joints but the chain of {robot.path} has "
+            f"{robot.n_joints}: {', '.join(robot.joint_names)}"
+        )
+    motion = SampledTrajectory(trajectory, speed)
+    excesses = [*_joint_excesses(robot, motion), *_contact(robot, motion)]
+    for excess in excesses:
+        yield Check(STOP, f"{excess}; export a smaller trajectory for this arm")
+    if not excesses:
+        yield Check(OK, f"the trajectory stays within the limits of {robot.path.name}")
+
+
+def _joint_excesses(robot: RobotModel, motion: SampledTrajectory) -> Iterator[str]:
+    """Yield a sentence for each joint and limit, where it is exceeded most."""
+    own = robot.limits
+    compared = (
+        ("position", 1.0, motion.q, own.upper),
+        ("position", -1.0, motion.q, own.lower),
+        ("velocity", 1.0, motion.joint_speed, own.velocity),
+        ("torque", 1.0, np.abs(motion.tau), own.torque),
+    )
+    for what, sign, values, limits in compared:
+        for j, row in enumerate(np.argmax(sign * values, axis=0)):
+            value, limit = values[row, j], limits[j]
+            if sign * value > sign * limit + _ROUNDING * max(abs(limit), 1.0):
+                yield (
+                    f"joint {robot.joint_names[j]}: {what} {value:.4g} {_unit(what, robot, j)} is "
+                    f"beyond the model's limit {limit:g}, at {motion.time[row]:.2f} s"
+                )
+
+
+def _unit(what: str, robot: RobotModel, joint: int) -> str:
+    length, force = ("m", "N") if robot.is_slide[joint] else ("rad", "N m")
+    return {"position": length, "velocity": f"{length}/s", "torque": force}[what]
+
+
+def _contact(robot: RobotModel, motion: SampledTrajectory) -> Iterator[str]:
+    """Yield a sentence about the first contact on the way, if there is one."""
+    problem = build_problem(robot, LimitOptions(clearance=0.0))
+    when = first_contact(problem, motion)
+    if when is not None:
+        touching = problem.obstacles.closest(motion.evaluate(np.array([when])).q[0]).label
+        yield f"the model's {touching} touch at {when:.2f} s"

@@ -1,0 +1,125 @@
+"""How parameters are estimated: the estimators by name, and what else a user may choose."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_model
+from robot_sysid.errors import InputError
+from robot_sysid.estimation.least_squares import WeightedEquations, ordinary, weighted
+from robot_sysid.estimation.robust import huber
+from robot_sysid.records import TORQUE_CHOICES, Array, SampleSource, SquareRootInformation
+from robot_sysid.records.options import (
+    PerJoint,
+    check_options,
+    levels,
+    not_negative,
+    option,
+    positive,
+    share,
+)
+
+Estimator = Callable[[SquareRootInformation, Array, "SampleSource | None"], WeightedEquations]
+
+ESTIMATORS: Mapping[str, Estimator] = {"ols": ordinary, "wls": weighted, "robust": huber}
+"""Name to estimator; a new one is one more entry here."""
+CHOSEN = "auto"
+"""Friction model that is chosen from the data."""
+
+
+@dataclass(frozen=True)
+class EstimationOptions:
+    """How parameters are estimated from torques."""
+
+    torques: str = option(
+        "chain",
+        "use the torques of all joints that carry the link, or of the last joint only",
+        choices=TORQUE_CHOICES,
+    )
+    no_friction: bool = option(
+        False, "leave friction out and identify the 10 inertial parameters only", needs="estimate"
+    )
+    method: str | None = option(
+        None,
+        "least squares: plain, weighted by each joint's noise, or robust against outliers",
+        choices=tuple(ESTIMATORS),
+        usual="wls for measured data, else ols",
+        needs="estimate",
+    )
+    consistency: str = option(
+        "auto",
+        "whether the result has to be a possible rigid body: where needed, always, never",
+        choices=("auto", "enforce", "off"),
+        needs="estimate",
+    )
+    prior: str = option(
+        "none",
+        "pull the result towards the model's own body",
+        choices=("none", "entropic"),
+        needs="estimate",
+    )
+    prior_weight: float = option(1.0, "how strongly", metavar="W", check=positive, needs="prior")
+    friction_model: str | None = option(
+        None,
+        "friction terms of every joint, such as coulomb-viscous-offset, or auto",
+        metavar="TERMS",
+        usual=f"{DEFAULT_MEASURED} for measured data",
+        needs="measured",
+    )
+    cutoff: float | None = option(
+        None,
+        "cut-off of the low-pass that all signals go through",
+        unit="Hz",
+        metavar="HZ",
+        check=positive,
+        usual="from the data",
+        needs="measured",
+    )
+    velocity_deadband: PerJoint | None = option(
+        None,
+        "leave out rows with moments in which a joint is slower than this, one number or one per "
+        "joint",
+        unit="rad/s",
+        metavar="V",
+        parse=levels,
+        check=not_negative,
+        usual="0.5 % of its peak speed",
+        needs="measured",
+    )
+    delay: str = option(
+        "off",
+        "estimate how much the torque lags behind the position",
+        choices=("off", "auto"),
+        needs="measured",
+    )
+    tilt: str = option(
+        "off",
+        "estimate how much the base is tilted against gravity",
+        choices=("off", "auto"),
+        needs="measured",
+    )
+    validate: float = option(
+        0.2,
+        "share at the end of the log that is not fitted, but tests the result",
+        metavar="FRACTION",
+        check=share,
+        needs="measured",
+    )
+
+    def __post_init__(self) -> None:
+        check_options(self)
+        if self.no_friction and self.friction_model is not None:
+            raise InputError("--friction-model and --no-friction exclude each other")
+        if self.friction_model not in (None, CHOSEN):
+            friction_model(str(self.friction_model))
+
+    @property
+    def measured_friction(self) -> str:
+        """Name of the friction model of measured data."""
+        return "none" if self.no_friction else self.friction_model or DEFAULT_MEASURED
+
+    @property
+    def entropic_weight(self) -> float:
+        """Weight of the divergence from the model's body; 0 without a prior."""
+        return self.prior_weight if self.prior == "entropic" else 0.0

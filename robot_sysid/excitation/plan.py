@@ -1,0 +1,203 @@
+"""Which trajectory the arm moves along: random, designed, or one from a file; and its limits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
+from robot_sysid.model.contacts import CHECK_RATE_HZ, find_new_contacts
+from robot_sysid.records import Motion, MotionPlan, RobotModel
+from robot_sysid.records.options import PerJoint, given_options
+from robot_sysid.records.progress import Progress
+from robot_sysid.simulator import ArmTorque
+from robot_sysid.trajectory import (
+    CHUNK,
+    TrajectoryOptions,
+    generate_excitation_trajectory,
+    motion_chunks,
+    require_countable,
+    sample_count,
+)
+
+if TYPE_CHECKING:
+    from robot_sysid.excitation.limit_check import LimitCheck
+    from robot_sysid.excitation.problem import ExcitationProblem
+    from robot_sysid.excitation.search import SearchState
+
+
+@dataclass(frozen=True)
+class MotionRequest:
+    """What motion is asked for, and what for.
+
+    Attributes:
+        trajectory, excitation, limits: the user's options.
+        torques: "chain" or "terminal": which torques will be used.
+        noise_torque: torque noise that is expected [N m]; zero for the usual.
+        played: whether something will play the motion.
+    """
+
+    trajectory: TrajectoryOptions
+    excitation: ExcitationOptions
+    limits: LimitOptions
+    torques: str = "chain"
+    noise_torque: PerJoint = 0.0
+    played: bool = False
+
+    @property
+    def is_checked(self) -> bool:
+        """Whether the motion has to keep all limits: it is played or kept, or limits were given."""
+        plan, asked = self.trajectory, {given.key for given in given_options(self.limits)}
+        kept = plan.plan_only or plan.save is not None or plan.file is not None
+        return self.played or kept or self.is_designed or bool(asked - {"max_velocity"})
+
+    @property
+    def is_designed(self) -> bool:
+        """Whether a trajectory is to be designed."""
+        return self.excitation.kind == "optimal"
+
+
+@dataclass(frozen=True)
+class CheckedPlan:
+    """A trajectory, and whether it keeps all limits.
+
+    Attributes:
+        plan: the trajectory.
+        problem: the arm and the limits it was checked against; None where nothing plays it.
+        check: what the check found, or None.
+    """
+
+    plan: MotionPlan
+    problem: ExcitationProblem | None = None
+    check: LimitCheck | None = None
+
+    @property
+    def failure(self) -> str | None:
+        """Why the trajectory must not be run, or None."""
+        return None if self.check is None else self.check.failure
+
+
+def make_plan(
+    request: MotionRequest, robot: RobotModel, seed: int, progress: Progress
+) -> CheckedPlan:
+    """Return the trajectory of a run, checked where anything depends on its limits."""
+    options = request.trajectory
+    plan = _new_plan(request, robot, seed, progress)
+    if options.speed != 1.0:
+        from robot_sysid.excitation.trajectory_files import at_speed
+
+        plan = at_speed(plan, options.speed)
+    require_countable(plan.duration, options.sample_rate, "--sample-rate")
+    if not request.is_checked:
+        for contact in find_new_contacts(robot, _counted(plan, progress)):
+            progress.note(f"{contact} along this trajectory; do not play it on the arm")
+        return CheckedPlan(plan)
+    from robot_sysid.excitation.limit_check import check_limits
+
+    problem = _problem(request, robot)
+    for note in () if request.is_designed else problem.notes:
+        progress.note(note)
+    return CheckedPlan(plan, problem, check_limits(problem, plan, options.sample_rate))
+
+
+def _new_plan(
+    request: MotionRequest, robot: RobotModel, seed: int, progress: Progress
+) -> MotionPlan:
+    options = request.trajectory
+    if options.file is not None:
+        progress.stage(f"Loading excitation trajectory from {options.file}...")
+        return _loaded(request, robot, progress)
+    what = "Designing" if request.is_designed else "Generating"
+    rate = f"{options.sample_rate:g} Hz"
+    progress.stage(f"{what} excitation trajectory ({options.duration:.1f}s, {rate})...")
+    if options.seed is None:
+        progress.stage(f"Random seed: {seed} (--seed {seed} repeats this run)")
+    make = _designed if request.is_designed else _random
+    return make(request, robot, np.random.default_rng(seed), progress)
+
+
+def _loaded(request: MotionRequest, robot: RobotModel, progress: Progress) -> MotionPlan:
+    from robot_sysid.excitation.trajectory_files import load_trajectory
+
+    assert request.trajectory.file is not None
+    saved = load_trajectory(request.trajectory.file)
+    saved.require_fits(robot.joint_names)
+    if saved.sha256 not in ("", robot.sha256):
+        progress.note(
+            f"{request.trajectory.file} was made for another model file; it is checked against "
+            f"the limits of {robot.path}"
+        )
+    return saved.plan
+
+
+def _random(
+    request: MotionRequest, robot: RobotModel, rng: np.random.Generator, progress: Progress
+) -> MotionPlan:
+    rate = request.trajectory.sample_rate
+    # Ends on a sample, so that the last one is at rest.
+    duration = (sample_count(request.trajectory.duration, rate) - 1) / rate
+    arm = _with_torque_limits(request, robot) if request.is_checked else robot
+    plan, notes = generate_excitation_trajectory(arm, rng, duration, ArmTorque(robot))
+    for note in notes:
+        progress.note(note)
+    if not request.is_checked:
+        return plan
+    from robot_sysid.excitation.limit_check import scaled_to_limits
+
+    smaller, factor = scaled_to_limits(_problem(request, robot), plan, rate)
+    if factor < 1.0:
+        progress.note(f"motion scaled to {100.0 * factor:.3g} % to keep all limits and clearances")
+    return smaller
+
+
+def _with_torque_limits(request: MotionRequest, robot: RobotModel) -> RobotModel:
+    from robot_sysid.excitation.problem import torque_limits
+
+    torque = torque_limits(robot, request.limits)
+    return replace(robot, limits=replace(robot.limits, torque=torque))
+
+
+def _designed(
+    request: MotionRequest, robot: RobotModel, rng: np.random.Generator, progress: Progress
+) -> MotionPlan:
+    from robot_sysid.excitation.optimise import Design
+    from robot_sysid.excitation.search import design_excitation
+
+    problem = _problem(request, robot)
+    design = Design(problem, request.excitation, request.trajectory)
+
+    def tell(state: SearchState) -> None:
+        text = f"{state.best} {state.objective:.3g}"
+        progress.advance("Designing the trajectory", state.done, state.total, text)
+
+    result = design_excitation(design, rng, tell)
+    for note in result.notes:
+        progress.note(note)
+    gain = result.start_objective / result.objective
+    progress.detail(
+        f"Criterion {result.criterion}: {result.objective:.4g}, {gain:.2f} times better than the "
+        f"best of {result.n_feasible} feasible random trajectories"
+    )
+    return result.trajectory
+
+
+def _problem(request: MotionRequest, robot: RobotModel) -> ExcitationProblem:
+    """Return the arm with all limits; of a new motion, its band limits the accelerations too."""
+    from robot_sysid.excitation.problem import DEFAULT_NOISE_TORQUE, build_problem
+
+    is_new, basis = request.trajectory.file is None, request.excitation.basis
+    band = basis(request.trajectory.duration).top_frequency_hz if is_new else None
+    noise = request.noise_torque if np.all(request.noise_torque) else DEFAULT_NOISE_TORQUE
+    return build_problem(robot, request.limits, request.torques, noise, band)
+
+
+def _counted(plan: MotionPlan, progress: Progress) -> Iterator[Motion]:
+    """Yield the motion that is checked for contacts, and tell how far it is."""
+    total = math.ceil(sample_count(plan.duration, CHECK_RATE_HZ) / CHUNK)
+    for done, motion in enumerate(motion_chunks(plan, CHECK_RATE_HZ), start=1):
+        yield motion
+        progress.advance("Looking for contacts", done, total, "")

@@ -1,0 +1,198 @@
+"""Identifying from measured data: a simulated arm that plays the real one, or logs of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from robot_sysid.dynamics.gravity import gravity
+from robot_sysid.estimation.options import EstimationOptions
+from robot_sysid.identify.fit import MeasuredFit, fit_measured, validate_on
+from robot_sysid.identify.simulated import Analysis, SimulatedRun, describe
+from robot_sysid.logs.reader import (
+    LogOptions,
+    MeasurementLog,
+    join_measurements,
+    read_measurements,
+    write_measurement_csv,
+)
+from robot_sysid.records import DataOrigin, Measurement, RobotModel, Source, Validation
+from robot_sysid.records.options import per_joint
+from robot_sysid.records.progress import Progress
+from robot_sysid.simulation.loading import load_plant
+from robot_sysid.simulation.measurements import PlantSimulation
+from robot_sysid.simulation.sensors import SimulatedArmOptions
+
+_NOISE_STREAM = 1
+
+
+@dataclass(frozen=True)
+class MeasuredData:
+    """What was measured.
+
+    Attributes:
+        logs: whole logs.
+        origin: where they come from.
+        notes: one sentence each.
+        least_deadband: (n,) speeds below which a joint's friction is surely not Coulomb's
+            [rad/s]; empty where nothing is known.
+    """
+
+    logs: tuple[Measurement, ...]
+    origin: DataOrigin
+    notes: tuple[str, ...] = ()
+    least_deadband: tuple[float, ...] = ()
+
+
+def identify_simulated_arm(
+    robot: RobotModel,
+    arm: SimulatedArmOptions,
+    mesh_dir: Path | None,
+    run: SimulatedRun,
+    options: EstimationOptions,
+    progress: Progress,
+) -> Analysis:
+    """Let another model play the real arm, and identify from what its sensors say."""
+    assert arm.plant_model is not None
+    _require_fitting(robot, options)
+    plant = load_plant(robot, arm.plant_model, mesh_dir)
+    progress.stage(f"Running MuJoCo simulation of {arm.plant_model}...")
+    rng = np.random.default_rng([run.seed, _NOISE_STREAM])
+    simulation = PlantSimulation(plant, run.plan, arm, run.sample_rate, rng)
+    chunks = progress.track(iter(simulation), "Collecting measurements", run.n_chunks)
+    measurement = join_measurements(chunks)
+    least, ramp = _past_the_ramp(options, simulation)
+    if run.save is not None:
+        write_measurement_csv(run.save, robot.joint_names, [measurement], ramp)
+    band = options.velocity_deadband
+    advice = simulation.notes((least or None) if band is None else band)
+    origin = run.origin(Source.SIMULATED_ARM, f"{arm.plant_model}, {arm.simulation}")
+    data = MeasuredData((measurement,), origin, plant.notes + advice + ramp, least)
+    return _identify(robot, data, options, (), progress)
+
+
+def identify_logs(
+    robot: RobotModel,
+    options: LogOptions,
+    save: Path | None,
+    estimation: EstimationOptions,
+    progress: Progress,
+) -> Analysis:
+    """Identify from one log of the real arm, or from several together.
+
+    Args:
+        robot: the arm.
+        options: which logs, and what their columns are.
+        save: file for the measurements of a single log, or None.
+        estimation: how.
+        progress: where to tell how far it is.
+    """
+    _require_fitting(robot, estimation)
+    logs = []
+    for path in options.measurements:
+        progress.stage(f"Reading measurements from {path}...")
+        logs.append(_read_log(robot, options, path))
+    if save is not None:
+        write_measurement_csv(save, robot.joint_names, logs[0].chunks())
+    measured = tuple(log.load() for log in logs)
+    tests = []
+    if options.validation_measurements is not None:
+        tests.append(_read_log(robot, options, options.validation_measurements))
+        for note in tests[0].notes:
+            progress.note(f"validation log: {note}")
+    data = MeasuredData(measured, _origin(logs), _log_notes(logs))
+    return _identify(robot, data, estimation, tests, progress)
+
+
+def _require_fitting(robot: RobotModel, options: EstimationOptions) -> None:
+    """Refuse a list that does not fit the joints before any work."""
+    if options.velocity_deadband is not None:
+        per_joint(options.velocity_deadband, robot.n_joints, "--velocity-deadband")
+
+
+def _read_log(robot: RobotModel, options: LogOptions, path: Path) -> MeasurementLog:
+    """Open a log of this arm with the columns and units that were declared."""
+    slides = robot.is_slide.tolist()
+    names, limits = robot.joint_names, robot.limits
+    return read_measurements(path, names, limits, options.columns, options.units, slides)
+
+
+def _origin(logs: Sequence[MeasurementLog]) -> DataOrigin:
+    duration = sum(log.duration for log in logs)
+    rate = sum(log.n_samples - 1 for log in logs) / duration
+    return DataOrigin(Source.LOG, ", ".join(str(log.path) for log in logs), duration, rate)
+
+
+def _log_notes(logs: Sequence[MeasurementLog]) -> tuple[str, ...]:
+    if len(logs) == 1:
+        return logs[0].notes
+    return tuple(f"{log.path.name}: {note}" for log in logs for note in log.notes)
+
+
+def _identify(
+    robot: RobotModel,
+    data: MeasuredData,
+    options: EstimationOptions,
+    tests: Sequence[MeasurementLog],
+    progress: Progress,
+) -> Analysis:
+    """Identify from measured data, wherever it came from."""
+    for note in data.notes:
+        progress.note(note)
+    fit = fit_measured(robot, data.logs, options, progress, data.least_deadband)
+    others = [validate_on(robot, log.load(), options, fit, str(log.path)) for log in tests]
+    for note in fit.notes:
+        progress.note(note)
+    own = () if fit.validation is None else (fit.validation,)
+    validation: tuple[Validation, ...] = (*own, *others)
+    aligned = _alignment(robot, options, fit)
+    found = describe(
+        robot,
+        fit.estimate,
+        options.torques,
+        data.origin,
+        data.notes + fit.notes,
+        validation=validation,
+        friction_model=fit.friction.name,
+        cutoff=fit.cutoff,
+        sensitivity=fit.sensitivity,
+        **aligned,
+    )
+    return Analysis(found, fit.checkpoints)
+
+
+def _alignment(
+    robot: RobotModel, options: EstimationOptions, fit: MeasuredFit
+) -> dict[str, object]:
+    """Return what was estimated of delay and tilt, as fields of ``Identification``."""
+    found: dict[str, object] = {}
+    if options.delay == "auto":
+        found["delay"] = fit.alignment.delay
+    if options.tilt == "auto":
+        found["tilt"] = fit.alignment.tilt_from(gravity(robot))
+        found["gravity"] = fit.alignment.gravity
+    return found
+
+
+def _past_the_ramp(
+    options: EstimationOptions, simulation: PlantSimulation
+) -> tuple[tuple[float, ...], tuple[str, ...]]:
+    """Return what must be left out of MuJoCo's dry friction, a ramp near standstill.
+
+    Returns:
+        (speeds (n,) below which it is incomplete, a sentence on them); both empty where there is
+        nothing to leave out.
+    """
+    # A little above the ramp, so that three digits say all.
+    speeds = tuple(float(f"{1.005 * speed:.3g}") for speed in simulation.least_deadband())
+    if not any(speeds) or options.velocity_deadband is not None:
+        return (), ()
+    listed = ",".join(f"{speed:g}" for speed in speeds)
+    note = (
+        "MuJoCo's dry friction builds up over a range of speeds; moments in which a joint is still "
+        f"in that range are left out. With the saved log --velocity-deadband {listed} does the same"
+    )
+    return speeds, (note,)

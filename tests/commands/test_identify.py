@@ -1,0 +1,67 @@
+"""``robot-sysid identify MODEL LOG...``: from logs, and nothing else."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from robot_sysid.commands import identify as module
+from robot_sysid.commands.arguments import ConsoleOptions
+from robot_sysid.config import config_from
+from robot_sysid.records.options import options_of
+from tests.support import arms, option_samples
+
+TAKEN = {
+    action.dest
+    for action in module.build_parser()._actions
+    if action.option_strings and action.dest not in {"help", "version", "help_all"}
+} - {each.key for each in options_of(ConsoleOptions).values()}
+SAMPLES = [sample for sample in option_samples.samples() if sample.option.key in TAKEN]
+LOGS = (Path("a.csv"), Path("b.csv"))
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """Function: the configuration that a command line asks for, without running it."""
+    monkeypatch.setattr(module, "identify", lambda values, options: config_from(**values))
+    return lambda *arguments: module.main([*map(str, arguments)])
+
+
+def test_it_takes_what_logs_need_and_nothing_of_a_motion():
+    assert {sample.option.key for sample in SAMPLES} == TAKEN
+    assert {sample.option.needs for sample in SAMPLES} == {
+        "",
+        "log",
+        "measured",
+        "estimate",
+        "prior",
+    }
+
+
+def test_the_logs_stand_after_the_model(asked):
+    for logs in (LOGS[:1], LOGS):
+        assert asked("arm.xml", *logs) == config_from("arm.xml", measurements=logs)
+
+
+@pytest.mark.parametrize("sample", SAMPLES, ids=str)
+def test_every_option_reaches_its_record(sample, asked):
+    there = ["--prior", "entropic"] if sample.option.needs == "prior" else []
+    config = asked("arm.xml", "a.csv", *there, *sample.words)
+    assert getattr(getattr(config, sample.record), sample.field) == sample.value
+    assert config.log.measurements == LOGS[:1]
+
+
+def test_without_a_log_it_says_so(command, arm_file):
+    message = command.refused("identify", arm_file(arms.THREE))
+    assert "the following arguments are required: LOG" in message
+
+
+def test_it_does_what_the_option_of_the_main_command_does(command, arm_file):
+    path = arm_file(arms.SEVEN)
+    short = ("--duration", "3", "--sample-rate", "200", "--seed", "1")
+    command.run(path, "--plant-model", path, *short, "--save-measurements", "log.csv")
+    plain = command.run("identify", path, "log.csv")
+    same = command.run(path, "--measurements", "log.csv")
+    assert plain == same
+    assert "Mass: 0.800 kg" in plain.out

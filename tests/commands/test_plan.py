@@ -1,0 +1,110 @@
+"""``robot-sysid plan MODEL``: makes, checks and writes a trajectory, and stops there."""
+
+from __future__ import annotations
+
+import pytest
+
+from robot_sysid.commands import plan as module
+from robot_sysid.commands.arguments import ConsoleOptions
+from robot_sysid.config import config_from
+from robot_sysid.excitation.trajectory_files import load_trajectory
+from robot_sysid.records.options import options_of
+from robot_sysid.trajectory import SineTrajectory
+from tests.support import arms, option_samples
+from tests.support.command_line import files_in
+from tests.support.option_samples import MOTORS
+
+SINES = ("--excitation", "sines", "--duration", "3", "--sample-rate", "100", "--seed", "1")
+MOTOR = ("--motor-type", "DM10010")
+TAKEN = {
+    action.dest
+    for action in module.build_parser()._actions
+    if action.dest not in {"help", "version", "help_all", "path"}
+} - {each.key for each in options_of(ConsoleOptions).values()}
+SAMPLES = [sample for sample in option_samples.samples() if sample.option.key in TAKEN]
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """Function: the configuration that a command line asks for, without running it."""
+    monkeypatch.setattr(module, "identify", lambda values, options: config_from(**values))
+    return lambda *arguments: module.main([*map(str, arguments)])
+
+
+def test_it_takes_what_a_trajectory_needs_and_nothing_of_an_estimate():
+    assert {sample.option.key for sample in SAMPLES} == TAKEN
+    needs = {sample.option.needs for sample in SAMPLES}
+    assert needs == {"", "motion", "new motion", "design", "plant or plan", "motors"}
+    assert not {"measurements", "method", "plant_model", "cutoff", "plan_only"} & TAKEN
+
+
+def test_it_designs_a_trajectory_unless_there_is_one(asked):
+    assert asked("arm.xml") == config_from("arm.xml", plan_only=True, excitation="optimal")
+    saved = asked("arm.xml", "--trajectory", "p.json")
+    assert saved == config_from("arm.xml", plan_only=True, trajectory=saved.trajectory.file)
+    assert asked("arm.xml", "--excitation", "sines").excitation.kind == "sines"
+
+
+@pytest.mark.parametrize("sample", SAMPLES, ids=str)
+def test_every_option_reaches_its_record(sample, asked):
+    motors = {"motors": MOTORS}.get(sample.option.needs, {})
+    motors = MOTORS if sample.option.key == "export_damiao" else motors
+    there = option_samples.typed({k: v for k, v in motors.items() if k != sample.option.key})
+    config = asked("arm.xml", *there, *sample.words)
+    assert getattr(getattr(config, sample.record), sample.field) == sample.value
+
+
+def test_it_writes_the_trajectory_and_says_what_it_promises(command, arm_file):
+    path = arm_file(arms.THREE)
+    printed = command.run("plan", path, *SINES)
+    assert sorted(files_in(path.parent)) == [
+        *("arm.xml", "sysid_output", "sysid_output/trajectory.csv"),
+        "sysid_output/trajectory.json",
+    ]
+    assert "Predicted standard deviations (301 samples, noise 0.3 N·m):" in printed.out
+    assert "Peaks (share of limit):" in printed.out
+    saved = load_trajectory(path.parent / "sysid_output" / "trajectory.json")
+    assert isinstance(saved.plan, SineTrajectory)
+    assert saved.joint_names == ("joint0", "joint1", "joint2")
+
+
+def test_a_designed_trajectory_can_be_saved_checked_slowed_and_exported(command, arm_file):
+    path = arm_file(arms.THREE)
+    save = ("--save-trajectory", "plan.json", "--excitation-time-budget", "0.05")
+    printed = command.run("plan", path, *SINES[2:], *save)
+    assert "Designing excitation trajectory (3.0s, 100 Hz)..." in printed.out
+    again = command.run("plan", path, "--trajectory", "plan.json", "--sample-rate", "100")
+    # Only the limit on accelerations differs: a design has one of its own.
+    promise = printed.out[printed.out.index("Predicted") : printed.out.index("Peaks")]
+    assert promise in again.out
+    command.run("plan", path, "--trajectory", "plan.json", "--speed", "0.5", *export(3))
+    rows = (path.parent / "sysid_output" / "damiao_trajectory.csv").read_text().splitlines()
+    assert rows[-1].startswith("6.0")
+
+
+def export(joints):
+    return ("--export-damiao", *(MOTOR * joints), "--sample-rate", "100")
+
+
+def test_what_breaks_a_limit_is_explained_and_leaves_no_file(command, arm_file):
+    path = arm_file(arms.THREE.replace("<option ", '<option gravity="9.81 0 0" '))
+    weak = ("--max-torque", "0.5", *export(3))
+    message = command.refused("plan", path, *SINES, *weak, code=1)
+    assert message.endswith("; nothing was written")
+    assert "NOT KEPT: torque limit of joint" in command.run("plan", path, *SINES, *weak, code=1).out
+
+
+def test_a_motor_file_that_cannot_be_made_leaves_no_trajectory(command, arm_file, monkeypatch):
+    def fail(*_):
+        raise OSError(28, "No space left on device")
+
+    path = arm_file(arms.THREE)
+    monkeypatch.setattr("robot_sysid.damiao.trajectory.csv_file.export_damiao_trajectory", fail)
+    before = files_in(path.parent)
+    command.run("plan", path, *SINES, *export(3), code=1)
+    assert files_in(path.parent) == before
+
+
+def test_an_option_of_another_command_is_refused(command, arm_file):
+    message = command.refused("plan", arm_file(arms.THREE), "--measurements", "log.csv")
+    assert "unrecognized arguments: --measurements log.csv (robot-sysid plan --help-all" in message

@@ -1,0 +1,110 @@
+"""What limits a result is said in words where its figures say it, and only there."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_sysid.dynamics.spatial import PARAMETER_NAMES, characteristic_length, parameter_scale
+from robot_sysid.estimation.uncertainty import OTHER_LINKS, TORQUE_SCALE
+from robot_sysid.output.limitations import COLOURED, SURE, WORSE, limitations
+from tests.support.results import (
+    NAMES,
+    estimate,
+    found,
+    own_simulation,
+    validation_of,
+    with_value,
+    without_mass,
+)
+
+
+def only(identification):
+    (sentence,) = limitations(identification)
+    return sentence
+
+
+def test_a_result_without_fault_has_no_limits():
+    assert limitations(found(validation=(validation_of(0.03),))) == ()
+
+
+def test_what_is_not_visible_is_told_once():
+    assert only(found(without_mass())) == (
+        "not visible in these torques, kept from the model: mass"
+    )
+
+
+@given(st.sampled_from(PARAMETER_NAMES), st.floats(0.01, 10.0))
+def test_a_weak_parameter_is_named_with_its_error(name, share):
+    """Errors of 0.01 to 10 times what a body of 2 kg and this size has; 10 % is the limit."""
+    values = estimate().values
+    scale = parameter_scale(2.0, characteristic_length(values[:10]))
+    k = PARAMETER_NAMES.index(name)
+    said = limitations(found(with_value(name, values[k], share * scale[k])))
+    assert bool(said) == (share > 0.1)
+    assert not said or f"{name} (±{100.0 * share:.0f} %)" in said[0]
+
+
+def test_a_prior_that_outweighs_the_data_is_told():
+    share = np.ones(len(NAMES))
+    share[[4, 9]] = 0.3, 0.49
+    assert "more model than data in Ixx, Izz" in only(found(estimate(data_share=share)))
+
+
+def test_hidden_errors_are_told_in_kilograms_and_millimetres():
+    move = dict.fromkeys(NAMES, 0.0) | {"m": 0.04, "hz": 0.04 * 0.1 + 2.0 * 0.003}
+    said = only(found(sensitivity={OTHER_LINKS: move, TORQUE_SCALE: move}))
+    assert said.count("the mass moves by 0.04 kg (2 %) and the centre of mass by 3") == 2
+    assert "if the other links take 1 % more torque than the model says" in said
+    assert "if each joint's torque scale is off by 1 %" in said
+
+
+def test_a_hidden_error_beyond_the_mass_has_no_centre_of_mass():
+    move = dict.fromkeys(NAMES, 0.0) | {"m": -3.0}
+    said = only(found(sensitivity={OTHER_LINKS: move}))
+    assert said.endswith("the mass moves by 3 kg")
+
+
+def test_terminal_torques_do_not_care_for_the_other_links():
+    assert limitations(found(sensitivity={OTHER_LINKS: dict.fromkeys(NAMES, 0.0)})) == ()
+
+
+@given(st.sampled_from(["coulomb", "viscous"]), st.floats(-1.0, 1.0), st.floats(0.01, 1.0))
+def test_friction_that_drives_is_told_where_it_is_sure(term, value, error):
+    said = limitations(found(with_value(f"{term}[j5]", value, error)))
+    assert bool(said) == (value < -SURE * error)
+    assert not said or f"{term} {value:.2g} of j5" in said[0]
+
+
+def test_a_square_root_term_may_bend_either_way():
+    result = with_value("viscous[j5]", -1.0, 0.01)
+    assert limitations(found(result, friction_model="coulomb-viscous-sqrt")) == ()
+    assert limitations(found(result, data=own_simulation())) == ()
+
+
+@given(st.floats(0.01, 1.0))
+def test_slow_residuals_are_told(share):
+    result = estimate(effective_samples={"j5": 200.0 * share, "j6": 200.0})
+    said = limitations(found(result))
+    assert bool(said) == (result.independent_share["j5"] < COLOURED)
+    assert not said or "residuals of j5 are correlated in time" in said[0]
+
+
+@given(st.floats(0.5, 5.0))
+def test_a_prediction_worse_than_the_fit_is_told(factor):
+    said = limitations(found(validation=(validation_of(0.03), validation_of(0.03 * factor))))
+    assert bool(said) == (0.03 * factor > WORSE * 0.03)
+    assert not said or f"torques of other.csv are predicted {factor:.1f} times worse" in said[0]
+
+
+def test_a_result_moved_to_a_possible_body_is_told():
+    assert "was no possible rigid body" in only(found(estimate(constrained=True)))
+
+
+@pytest.mark.parametrize("kind", ["own simulation", "no errors"])
+def test_results_without_errors_are_no_problem(kind):
+    result = estimate(standard_errors=None, data_share=None, effective_samples={})
+    more = {"data": own_simulation()} if kind == "own simulation" else {}
+    assert limitations(found(result, **more)) == ()

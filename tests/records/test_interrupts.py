@@ -1,0 +1,84 @@
+"""Requests to stop wait for the end of a block, whichever thread they reach."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+
+import pytest
+
+from robot_sysid.records.interrupts import STOPPING, held_back
+
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals cannot be sent to oneself")
+
+
+@pytest.fixture
+def other_thread():
+    """A thread that takes the signals which the main thread masks."""
+    done = threading.Event()
+    thread = threading.Thread(target=done.wait)
+    thread.start()
+    yield
+    done.set()
+    thread.join()
+
+
+@pytest.fixture
+def stops():
+    """What reached the handlers, each of which stops the main thread."""
+    seen = []
+
+    def stop(number, frame):
+        seen.append(number)
+        raise KeyboardInterrupt
+
+    usual = {number: signal.signal(number, stop) for number in STOPPING}
+    yield seen
+    for number, handler in usual.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.parametrize("threads", ["one thread", "two threads"])
+@pytest.mark.parametrize("number", STOPPING)
+def test_a_signal_waits_for_the_end_of_the_block(number, threads, stops, request):
+    if threads == "two threads":
+        request.getfixturevalue("other_thread")
+    reached = []
+    with pytest.raises(KeyboardInterrupt):
+        with held_back():
+            os.kill(os.getpid(), number)
+            for k in range(1000):
+                reached.append(k)
+        reached.append("after")
+    assert reached == list(range(1000))
+    assert stops == [number]
+
+
+def test_without_a_signal_nothing_happens(stops):
+    handlers = [signal.getsignal(number) for number in STOPPING]
+    with held_back():
+        pass
+    assert stops == []
+    assert [signal.getsignal(number) for number in STOPPING] == handlers
+
+
+def test_an_error_in_the_block_is_not_lost(stops):
+    with pytest.raises(ZeroDivisionError), held_back():
+        raise ZeroDivisionError
+
+
+def test_another_thread_may_hold_signals_back_as_well(stops):
+    failed = []
+
+    def work():
+        try:
+            with held_back():
+                pass
+        except BaseException as error:
+            failed.append(error)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert failed == []

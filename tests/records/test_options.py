@@ -1,0 +1,144 @@
+"""Options as fields of records: what is said once is known everywhere."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_sysid.errors import InputError
+from robot_sysid.records.options import (
+    PerJoint,
+    check_options,
+    default_of,
+    folder,
+    given_options,
+    levels,
+    not_negative,
+    option,
+    options_of,
+    per_joint,
+    positive,
+    record_from,
+    share,
+    speed_factor,
+    whole_number,
+)
+
+
+@dataclass(frozen=True)
+class Oven:
+    """A record with an option of each kind."""
+
+    NEEDS: ClassVar[str] = "power"
+    name: str = "unnamed"
+    heat: float = option(180.0, "how hot", unit="°C", check=positive)
+    fan_speed: int | None = option(None, "turns per second", flag="--fan", needs="fan")
+    trays: tuple[float, ...] = option((), "heights", check=positive, repeats=True)
+    recipe: Path | None = option(None, "file")
+    mode: str = option("top", "where from", choices=("top", "bottom"))
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+
+def test_flags_and_keys_follow_the_fields_or_what_is_said():
+    found = options_of(Oven)
+    assert list(found) == ["heat", "fan_speed", "trays", "recipe", "mode"]
+    assert [each.flag for each in found.values()] == [
+        *("--heat", "--fan", "--trays", "--recipe", "--mode"),
+    ]
+    assert found["fan_speed"].key == "fan"
+    assert option(None, "", flag="--no-such-thing").metadata["option"].key == "no_such_thing"
+
+
+def test_an_option_needs_what_its_record_needs_unless_it_says_otherwise():
+    assert {name: each.needs for name, each in options_of(Oven).items()} == {
+        **dict.fromkeys(("heat", "trays", "recipe", "mode"), "power"),
+        "fan_speed": "fan",
+    }
+
+
+def test_text_becomes_what_the_annotation_names():
+    parsers = [options_of(Oven)[name].parse for name in ("heat", "fan_speed", "trays", "recipe")]
+    assert parsers == [float, int, float, Path]
+
+
+def test_defaults_and_what_is_given():
+    oven = Oven(heat=200.0, recipe=Path("bread.txt"))
+    assert (default_of(oven, "heat"), default_of(Oven, "trays")) == (180.0, ())
+    assert [each.flag for each in given_options(oven)] == ["--heat", "--recipe"]
+    assert list(given_options(Oven(name="big"))) == []
+
+
+def test_a_record_is_made_from_the_keys_of_its_options():
+    made = record_from(Oven, {"fan": 3, "heat": 90.0, "unrelated": 1})
+    assert made == Oven(heat=90.0, fan_speed=3)
+    assert record_from(Oven, {}) == Oven()
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"heat": 0.0}, "--heat must be positive (got 0)"),
+        ({"heat": np.nan}, "--heat must be positive (got nan)"),
+        ({"trays": (0.1, -0.2)}, "--trays must be positive (got -0.2)"),
+        ({"mode": "side"}, "--mode 'side': choose one of top, bottom"),
+    ],
+)
+def test_a_value_that_cannot_be_used_is_refused_in_the_name_of_its_option(values, message):
+    with pytest.raises(InputError) as caught:
+        Oven(**values)
+    assert str(caught.value) == message
+
+
+NUMBERS = st.one_of(st.floats(), st.sampled_from([0.0, 1.0, -1.0, np.inf, np.nan]))
+
+
+@given(NUMBERS)
+def test_checks_accept_exactly_their_range(value):
+    finite = bool(np.isfinite(value))
+    assert (positive(value) is None) == (finite and value > 0.0)
+    assert (not_negative(value) is None) == (finite and value >= 0.0)
+    assert (speed_factor(value) is None) == (0.0 < value <= 1.0)
+    assert (share(value) is None) == (0.0 <= value < 1.0)
+
+
+@given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=7))
+def test_levels_read_what_was_written(numbers):
+    written: PerJoint = levels(",".join(map(repr, numbers)))
+    assert written == (numbers[0] if len(numbers) == 1 else tuple(numbers))
+
+
+def test_one_number_serves_all_joints():
+    assert per_joint(0.3, 3, "--noise-torque").tolist() == [0.3, 0.3, 0.3]
+    assert per_joint((0.3,), 3, "--noise-torque").tolist() == [0.3, 0.3, 0.3]
+    assert per_joint((1.0, 2.0), 2, "--noise-torque").tolist() == [1.0, 2.0]
+    for wrong in ((1.0, 2.0), ()):
+        with pytest.raises(InputError, match="--noise-torque takes one number, or one for each of"):
+            per_joint(wrong, 3, "--noise-torque")
+
+
+@pytest.mark.parametrize(
+    ("read", "text", "words"),
+    [
+        (levels, "loud", "neither a number nor a list like"),
+        (levels, "0.1,", "neither a number nor a list like"),
+        (folder, "", "the folder's name is empty"),
+        (whole_number, "1.5", "is not a whole number; write 3 or 0x03"),
+        (whole_number, "", "is not a whole number"),
+    ],
+)
+def test_text_that_means_nothing_is_refused(read, text, words):
+    with pytest.raises(InputError, match=words):
+        read(text)
+
+
+def test_whole_numbers_in_decimal_and_hexadecimal():
+    assert [whole_number(text) for text in ("17", "0x11", "-1")] == [17, 17, -1]
+    assert folder("here") == Path("here")

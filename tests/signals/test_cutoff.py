@@ -1,0 +1,131 @@
+"""The cut-off that the data asks for: noise read off the spectrum, steps not taken for motion."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from robot_sysid.errors import InputError
+from robot_sysid.records import Measurement
+from robot_sysid.signals.cutoff import choose_cutoff, encoder_steps
+from robot_sysid.signals.process import process
+from tests.support.swing import FREQUENCIES, Swing, seconds
+
+
+@settings(max_examples=100)
+@given(st.integers(0, 2**32), st.sampled_from([200.0, 1000.0]), st.floats(-4.5, -3.0))
+def test_the_noise_of_the_encoder_is_read_off_the_data(seed, rate, magnitude):
+    sigma = 10.0**magnitude
+    rng = np.random.default_rng(seed)
+    q = Swing(seed).q(seconds(10.0, rate))
+    choice = choose_cutoff(q + sigma * rng.normal(size=q.shape), rate)
+    np.testing.assert_allclose(choice.position_noise, sigma, rtol=0.12)
+    assert 1.4 < choice.cutoff < 25.0
+
+
+def test_quantisation_counts_as_its_own_noise():
+    resolution, time = 1e-4, seconds(15.0, 1000.0)
+    choice = choose_cutoff(Swing().measured(time, resolution).q, 1000.0)
+    np.testing.assert_allclose(choice.position_noise, resolution / np.sqrt(12.0), rtol=0.12)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.integers(0, 2**32), st.floats(0.1, 10.0), st.floats(1.5, 30.0))
+def test_the_cutoff_ignores_the_unit_and_falls_with_the_noise(seed, scale, factor):
+    rng = np.random.default_rng(seed)
+    q = Swing(seed).q(seconds(8.0, 50.0))
+    noise = 1e-4 * rng.normal(size=q.shape)
+    first = choose_cutoff(q + noise, 50.0).cutoff
+    assert choose_cutoff(scale * (q + noise), 50.0).cutoff == pytest.approx(first, rel=1e-9)
+    assert choose_cutoff(q + factor * noise, 50.0).cutoff <= first * 1.13
+
+
+def test_a_fast_small_motion_beside_a_slow_large_one_is_kept():
+    time = seconds(15.0, 1000.0)
+    noise = 1e-5 * np.random.default_rng(0).normal(size=time.shape)
+    q = 0.5 * np.sin(0.2 * np.pi * time) + 0.01 * np.sin(10.0 * np.pi * time) + noise
+    assert choose_cutoff(q[:, None], 1000.0).cutoff > 12.5
+
+
+SCALES = [(1.0, 0.03, 0.01), (0.1, 0.03, 0.01), (0.3, 0.1, 0.003), (0.03, 0.03, 0.03)]
+# The fastest sine has 0.59 Hz, seen with a resolution of about a quarter of a hertz.
+HIGHEST = 15.0 * 1.1
+
+
+def read(q, resolution):
+    """What an encoder says."""
+    return np.round(q / resolution) * resolution
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.integers(0, 2**32), st.sampled_from([1e-5, 1e-4, 1e-3]), st.sampled_from(SCALES))
+@example(14107, 1e-3, SCALES[0])
+@example(130, 1e-3, SCALES[0])
+@example(146, 1e-3, SCALES[0])
+@example(299, 1e-3, SCALES[0])
+def test_steps_of_a_coarse_encoder_are_not_taken_for_motion(seed, resolution, scale):
+    """A joint that creeps over few steps has a spectrum of its own, far above any motion."""
+    q = Swing(seed).q(seconds(15.0, 1000.0)) * scale
+    assert choose_cutoff(read(q, resolution), 1000.0).cutoff < HIGHEST
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**32), st.sampled_from(SCALES), st.floats(0.05, 0.4))
+def test_interpolated_steps_are_not_taken_for_motion_either(seed, scale, jitter):
+    """Splines through uneven samples round a staircase off, and it is still none."""
+    even, rate = seconds(15.0, 500.0), 500.0
+    time = even + jitter * np.random.default_rng(seed).uniform(-1.0, 1.0, len(even)) / rate
+    log = Swing(seed).measured(time)
+    signals = process(replace(log, q=read(log.q * scale, 1e-3)))
+    assert "uneven time stamps" in signals.notes[0]
+    assert signals.cutoff < HIGHEST
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_reading_that_is_repeated_until_the_next_one_is_no_step(seed):
+    """Own time stamps tell when a joint was read; without them it seems to stand still."""
+    rng, time = np.random.default_rng(seed), seconds(15.0, 500.0)
+    drawn = np.where(rng.random((len(time), 3)) < 0.4, time[:, None], 0.0)
+    stamps = np.maximum.accumulate(drawn)
+    slow, fast = Swing(seed), Swing(seed + 1, 8.0 * FREQUENCIES)
+    q = np.column_stack([(slow.q(s) + 1e-3 * fast.q(s))[:, j] for j, s in enumerate(stamps.T)])
+    log = Measurement(time, q, None, q + 1.0, joint_time=stamps)
+    # The fastest motion that can be told from the stale readings has 0.59 Hz.
+    assert 10.0 < process(log).cutoff < HIGHEST
+    assert process(replace(log, joint_time=None)).cutoff < 5.0
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.integers(0, 2**32), st.floats(1e-4, 1e-2), st.sampled_from([0.003, 0.01, 0.03]))
+def test_steps_are_all_that_is_rough_about_a_creeping_joint(seed, resolution, scale):
+    """What is left of a reading stays within a step of the truth, and bends little."""
+    q = scale * Swing(seed).q(seconds(15.0, 1000.0))
+    reading = read(q, resolution)
+    steps = encoder_steps(reading)
+    assert np.max(np.abs(steps)) <= 0.5 * resolution * (1.0 + 1e-9)
+    assert np.max(np.abs(reading - steps - q)) <= resolution * (1.0 + 1e-9)
+    rough, left = (np.sum(np.diff(part, 2, axis=0) ** 2) for part in (reading, reading - steps))
+    assert left < 0.03 * rough or rough == 0.0
+
+
+def test_what_is_not_read_in_steps_has_none():
+    """Neither a fine encoder nor a joint that stands still for a while."""
+    time = seconds(15.0, 1000.0)
+    q = Swing().q(time)
+    assert not np.any(encoder_steps(q))
+    assert not np.any(encoder_steps(q + 1e-5 * np.random.default_rng(0).normal(size=q.shape)))
+    assert not np.any(encoder_steps(read(q, 1e-8)))
+    still = np.where(time[:, None] < 5.0, q[5000], q)
+    paused = np.where(np.abs(time[:, None] - 7.0) < 1.0, q[6000], q)
+    standing = np.full_like(q, 0.3)
+    for motion in (still, paused, standing):
+        assert not np.any(encoder_steps(motion))
+
+
+def test_a_stretch_too_short_for_a_spectrum_is_refused():
+    with pytest.raises(InputError, match="--cutoff HZ"):
+        choose_cutoff(np.zeros((20, 2)), 200.0)

@@ -1,0 +1,40 @@
+"""Derivatives exact for polynomials, shifts exact for band-limited signals."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robot_sysid.signals.differences import REACH, advanced, first_derivative, second_derivative
+from tests.support.swing import Swing, seconds
+
+
+@settings(max_examples=100)
+@given(st.lists(st.floats(-1.0, 1.0), min_size=9, max_size=9))
+def test_derivatives_are_exact_for_polynomials_of_order_eight(coefficients):
+    polynomial = np.polynomial.Polynomial(coefficients)
+    time = seconds(2.0, 20.0) - 1.0
+    inner = time[REACH:-REACH]
+    for function, order in ((first_derivative, 1), (second_derivative, 2)):
+        expected = polynomial.deriv(order)(inner)
+        np.testing.assert_allclose(function(polynomial(time), 20.0), expected, atol=2e-9)
+
+
+@settings(max_examples=100)
+@given(st.floats(-40.0, 40.0), st.integers(0, 1000))
+def test_a_shift_evaluates_the_signal_at_later_instants(samples, seed):
+    swing, rate = Swing(seed, np.array([1.0, 7.0, 23.0])), 100.0
+    time = seconds(6.0, rate)
+    shifted, first = advanced(swing.q(time), samples)
+    expected = swing.q(time[first : first + len(shifted)] + samples / rate)
+    np.testing.assert_allclose(shifted, expected, rtol=0.0, atol=2e-5)
+
+
+@settings(max_examples=100)
+@given(st.integers(-50, 50), st.integers(0, 2**32))
+def test_whole_samples_are_shifted_without_loss(samples, seed):
+    noise = np.random.default_rng(seed).normal(size=300)
+    shifted, first = advanced(noise, float(samples))
+    start = first + samples
+    np.testing.assert_allclose(shifted, noise[start : start + len(shifted)], atol=1e-14)

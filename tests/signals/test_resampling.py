@@ -1,0 +1,83 @@
+"""Samples are put on a uniform grid where they belong, and holes are known as holes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robot_sysid.errors import InputError
+from robot_sysid.records import Measurement
+from robot_sysid.signals.resampling import is_even, resampled
+from tests.support.swing import Swing, seconds
+
+
+def test_an_even_log_is_taken_as_it_is():
+    log = Swing().measured(5.0 + seconds(3.0, 200.0))
+    uniform = resampled(log)
+    np.testing.assert_array_equal(uniform.q, log.q)
+    assert (uniform.start, uniform.notes, np.max(uniform.gap)) == (5.0, (), 0.0)
+    assert abs(uniform.rate - 200.0) < 1e-9
+
+
+def test_time_stamps_rounded_to_milliseconds_are_still_even():
+    assert is_even(np.round(seconds(3.0, 333.0), 3))
+    assert not is_even(seconds(3.0, 333.0) + 1e-3 * np.sin(np.arange(1000)))
+
+
+@settings(max_examples=100)
+@given(st.integers(0, 2**32), st.floats(0.05, 0.4))
+def test_uneven_samples_are_put_where_they_belong(seed, jitter):
+    rng = np.random.default_rng(seed)
+    swing, rate = Swing(seed), 200.0
+    even = seconds(4.0, rate)
+    time = even + rng.uniform(-jitter, jitter, len(even)) / rate
+    uniform = resampled(swing.measured(time))
+    grid = uniform.start + np.arange(len(uniform.q)) / uniform.rate
+    np.testing.assert_allclose(uniform.q, swing.q(grid), rtol=0.0, atol=1e-7)
+    np.testing.assert_allclose(uniform.tau, swing.tau(grid), rtol=0.0, atol=1e-6)
+
+
+def test_each_joint_is_read_at_its_own_time():
+    swing, rate = Swing(), 250.0
+    time = seconds(4.0, rate)
+    own = time[:, None] + np.array([0.2e-3, 0.9e-3, 1.8e-3])
+    q = np.column_stack([swing.q(own[:, j])[:, j] for j in range(3)])
+    tau = np.column_stack([swing.tau(own[:, j])[:, j] for j in range(3)])
+    uniform = resampled(Measurement(time, q, None, tau, joint_time=own))
+    grid = uniform.start + np.arange(len(uniform.q)) / uniform.rate
+    np.testing.assert_allclose(uniform.q, swing.q(grid), rtol=0.0, atol=1e-7)
+    np.testing.assert_allclose(uniform.tau, swing.tau(grid), rtol=0.0, atol=1e-6)
+    assert "own time stamps" in uniform.notes[0]
+
+
+@settings(max_examples=100)
+@given(st.integers(0, 2**32), st.integers(1, 40))
+def test_a_hole_is_one_from_the_first_missing_sample_on(seed, missing):
+    """Its length stands at every instant that is bridged, and nowhere else."""
+    rng, rate = np.random.default_rng(seed), 200.0
+    even = seconds(4.0, rate)
+    first = int(rng.integers(50, 700))
+    keep = np.ones(len(even), dtype=bool)
+    keep[first : first + missing] = False
+    uniform = resampled(Swing().measured(even[keep]))
+    expected = np.where(keep, 0.0, (missing + 1) / rate)
+    np.testing.assert_allclose(uniform.gap, expected, rtol=0.0, atol=1e-9)
+
+
+@settings(max_examples=100)
+@given(st.integers(0, 2**32))
+def test_samples_that_come_early_and_late_leave_no_hole(seed):
+    """Up to 1.7 periods apart."""
+    rng, rate = np.random.default_rng(seed), 200.0
+    even = seconds(4.0, rate)
+    time = even + rng.uniform(-0.35, 0.35, len(even)) / rate
+    uniform = resampled(Swing().measured(time))
+    assert np.max(np.diff(time)) > 1.5 / rate
+    np.testing.assert_array_equal(uniform.gap, 0.0)
+
+
+def test_too_few_samples_are_refused():
+    with pytest.raises(InputError, match="only 7 samples"):
+        resampled(Swing().measured(np.arange(7.0)))

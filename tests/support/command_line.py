@@ -1,0 +1,45 @@
+"""Running the command in this process, and telling that it refused in one line and left nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from robot_sysid.cli import main
+
+
+def files_in(folder: Path) -> dict[str, bytes]:
+    """Everything in a folder by relative path, folders with an empty content."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes() if path.is_file() else b""
+        for path in sorted(folder.rglob("*"))
+    }
+
+
+class CommandLine:
+    """The command in a folder.
+
+    Args:
+        folder: the working folder, which the test has changed to.
+        capsys: pytest's capture.
+    """
+
+    def __init__(self, folder: Path, capsys) -> None:
+        self._folder, self._capsys = folder, capsys
+
+    def run(self, *arguments, code: int = 0):
+        """Run and return what was printed (out, err); the exit code has to be ``code``."""
+        self._capsys.readouterr()
+        found = main([str(word) for word in arguments])
+        printed = self._capsys.readouterr()
+        assert found == code, printed.err
+        return printed
+
+    def refused(self, *arguments, code: int = 2) -> str:
+        """Return the one line of error of a run that must change nothing on disk."""
+        before = files_in(self._folder)
+        printed = self.run(*arguments, code=code)
+        assert files_in(self._folder) == before
+        errors = [line for line in printed.err.splitlines() if not line.startswith("note: ")]
+        assert len(errors) == 1, printed.err
+        assert errors[0].startswith("robot-sysid: error: ")
+        return errors[0]

@@ -1,0 +1,83 @@
+"""The option tables of README.md, made from the records that the command line is made from.
+
+    python -m tests.support.option_tables
+
+writes them anew. A table stands between ``<!-- options: NAME -->`` and ``<!-- end -->``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+from robot_sysid.commands import motors, run
+from robot_sysid.commands.arguments import ConsoleOptions, default_text
+from robot_sysid.damiao.bus.can_bus import BusAddress
+from robot_sysid.damiao.play.preflight import Permissions
+from robot_sysid.damiao.play.recorder import RecordingOptions
+from robot_sysid.damiao.play.settings import PlaySettings
+from robot_sysid.damiao.protocol.bus_load import BusTiming
+from robot_sysid.records.options import Option, default_of, options_of
+from tests.support.places import ROOT
+
+README = ROOT / "README.md"
+TABLES: Mapping[str, tuple[type, ...]] = {
+    **dict(run.GROUPS),
+    "console": (ConsoleOptions,),
+    "motors: bus": (BusAddress, BusTiming),
+    "motors: motion and limits": (PlaySettings,),
+    "motors: what to allow": (Permissions,),
+    "motors: recording": (RecordingOptions,),
+    "motors: play and simulate": (motors.PlayChoices, motors.SimulatedMotorOptions),
+}
+"""Name of a table to the records whose options it lists."""
+_PLACE = re.compile(r"(<!-- options: (.*?) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
+
+
+def table(records: tuple[type, ...]) -> str:
+    """Return the table of some records' options."""
+    rows = ["| Option | Default | Meaning |", "| --- | --- | --- |"]
+    for record in records:
+        for name, option in options_of(record).items():
+            cells = (_typed(option, default_of(record, name)), _default(option, record, name))
+            rows.append(f"| {' | '.join((*cells, _meaning(option)))} |".replace("|  |", "| |"))
+    return "\n".join(rows) + "\n"
+
+
+def _typed(option: Option, default: object) -> str:
+    choices = "{" + ",".join(option.choices) + "}" if option.choices else ""
+    metavar = option.metavar or choices or option.key.upper()
+    words = metavar if isinstance(metavar, str) else " ".join(metavar)
+    words = "" if isinstance(default, bool) else words
+    short = f", `{option.short}`" if option.short else ""
+    return f"`{f'{option.flag} {words}'.strip()}`{short}"
+
+
+def _default(option: Option, record: type, name: str) -> str:
+    text = default_text(option, default_of(record, name))
+    return f"`{text}`" if text and not option.usual else text
+
+
+def _meaning(option: Option) -> str:
+    text = option.help[0].upper() + option.help[1:]
+    return (f"{text} [{option.unit}]" if option.unit else text).replace("|", "\\|")
+
+
+def with_tables(text: str) -> str:
+    """Return a page with all its tables as the records say; an unknown name is a KeyError."""
+    return _PLACE.sub(lambda found: found[1] + table(TABLES[found[2]]) + found[4], text)
+
+
+def tables_in(text: str) -> list[str]:
+    """Return the names of the tables of a page, in their order."""
+    return [found[2] for found in _PLACE.finditer(text)]
+
+
+def main(path: Path = README) -> None:
+    """Write the tables of a page anew."""
+    path.write_text(with_tables(path.read_text(encoding="utf-8")), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

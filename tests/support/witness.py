@@ -1,0 +1,98 @@
+"""What a motion does to an arm, by MuJoCo alone: tests hold the package's own limits against it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from robot_sysid.trajectory import motion_chunks
+
+
+@dataclass(frozen=True)
+class Peaks:
+    """Extremes of a motion.
+
+    Attributes:
+        lowest, highest: (n,) positions.
+        velocity, acceleration, torque: (n,) largest absolute values.
+    """
+
+    lowest: np.ndarray
+    highest: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    torque: np.ndarray
+
+
+def peaks(robot, plan, rate=500.0):
+    """Extremes of a plan, torques by MuJoCo's inverse dynamics with Coulomb's law on top."""
+    motions = list(motion_chunks(plan, rate))
+    q, qd, qdd = (np.vstack([getattr(m, name) for m in motions]) for name in ("q", "qd", "qdd"))
+    torque = np.max([np.abs(one) for one in _torques(robot, q, qd, qdd)], axis=0)
+    largest = (np.max(np.abs(value), axis=0) for value in (qd, qdd))
+    return Peaks(np.min(q, axis=0), np.max(q, axis=0), *largest, torque)
+
+
+def _torques(robot, q, qd, qdd):
+    model = robot.mj_model
+    data, flags = mujoco.MjData(model), model.opt.disableflags
+    for name in ("CONTACT", "LIMIT", "EQUALITY", "FRICTIONLOSS", "ACTUATION"):
+        model.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}"))
+    try:
+        for row in zip(q, qd, qdd):
+            data.qpos[:] = robot.reference_qpos
+            for target, index, value in zip(
+                (data.qpos, data.qvel, data.qacc),
+                (robot.qpos_index, robot.dof_index, robot.dof_index),
+                row,
+            ):
+                target[index] = value
+            mujoco.mj_inverse(model, data)
+            yield data.qfrc_inverse[robot.dof_index] + robot.friction.coulomb * np.sign(row[1])
+    finally:
+        model.opt.disableflags = flags
+
+
+def distance_to_plane(robot, plan, plane, first_body, rate=500.0):
+    """Least distance of the capsules of a body and all it carries from N x = OFFSET, on its side.
+
+    Args:
+        robot: an arm whose solid parts are capsules.
+        plan: its motion.
+        plane: (nx, ny, nz, offset).
+        first_body: name of the body.
+        rate: samples per second.
+    """
+    model = robot.mj_model
+    data, parts = mujoco.MjData(model), _capsules(model, model.body(first_body).id)
+    length = np.linalg.norm(plane[:3])
+    normal, offset = np.array(plane[:3]) / length, plane[3] / length
+    least = np.inf
+    for motion in motion_chunks(plan, rate):
+        for q in motion.q:
+            data.qpos[:] = robot.reference_qpos
+            data.qpos[robot.qpos_index] = q
+            mujoco.mj_kinematics(model, data)
+            for geom in parts:
+                radius, half = model.geom_size[geom, :2]
+                axis = half * data.geom_xmat[geom].reshape(3, 3)[:, 2]
+                ends = data.geom_xpos[geom] + np.array([axis, -axis])
+                least = min(least, np.min(ends @ normal) - radius - offset)
+    return float(least)
+
+
+def _capsules(model, body):
+    carried = [b for b in range(model.nbody) if body in _ancestors(model, b)]
+    parts = [g for g in range(model.ngeom) if model.geom_bodyid[g] in carried]
+    assert all(model.geom_type[g] == mujoco.mjtGeom.mjGEOM_CAPSULE for g in parts)
+    return parts
+
+
+def _ancestors(model, body):
+    found = [body]
+    while body:
+        body = int(model.body_parentid[body])
+        found.append(body)
+    return found

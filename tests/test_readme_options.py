@@ -1,0 +1,87 @@
+"""The README's option tables say what the records say: every option, its default, its meaning."""
+
+from __future__ import annotations
+
+import argparse
+
+import pytest
+
+from robot_sysid.commands import identify, motors, plan, run
+from robot_sysid.commands.arguments import ConsoleOptions
+from robot_sysid.excitation.problem import DEFAULT_NOISE_TORQUE
+from robot_sysid.records.options import options_of
+from tests.support import option_tables
+from tests.support.option_tables import TABLES
+
+README = option_tables.README.read_text(encoding="utf-8")
+MOTORS = {name: motors.build_parser(name) for name in ("check", "play", "simulate")}
+CONSOLE = {"--help", "-h", "--help-all", "--version"}
+LISTED = {name: option_tables.table(records) for name, records in TABLES.items()}
+
+
+def flags(parser: argparse.ArgumentParser) -> set[str]:
+    """Return the options of a command, those that every command has left out."""
+    common = CONSOLE | {o.flag for o in options_of(ConsoleOptions).values()} | {"-v"}
+    return {name for action in parser._actions for name in action.option_strings} - common
+
+
+def group(*names: str) -> set[str]:
+    """Return the options of some groups."""
+    records = [record for name in names for record in TABLES[name]]
+    return {each.flag for record in records for each in options_of(record).values()}
+
+
+def test_the_tables_are_what_the_generator_writes():
+    """``python -m tests.support.option_tables`` brings them up to date."""
+    assert option_tables.with_tables(README) == README
+
+
+def test_every_table_is_there_once():
+    assert sorted(option_tables.tables_in(README)) == sorted(TABLES)
+
+
+@pytest.mark.parametrize("name", MOTORS)
+def test_every_option_of_motors_is_in_a_table_or_named_beside_it(name):
+    of_motors = [title for title in TABLES if title.startswith("motors: ")]
+    known = group(*of_motors) | {"-y"}
+    beside = {"--model", "--mesh-dir", "--joint"}
+    assert flags(MOTORS[name]) <= known | beside
+    assert all(f"`{flag}" in README for flag in beside)
+
+
+def test_what_is_said_to_belong_to_one_command_of_motors_does():
+    choices = {each.flag for each in options_of(motors.PlayChoices).values()}
+    simulated = {each.flag for each in options_of(motors.SimulatedMotorOptions).values()}
+    recording = group("motors: recording")
+    for name, parser in MOTORS.items():
+        assert (choices <= flags(parser)) == (name == "play")
+        assert (simulated <= flags(parser)) == (name == "simulate")
+        assert (recording <= flags(parser)) == (name != "check")
+
+
+def test_the_groups_of_the_main_command_are_all_there_is():
+    assert flags(run.build_parser()) == group(*(title for title, _ in run.GROUPS))
+
+
+def test_plan_takes_the_groups_it_is_said_to_take():
+    said = ("model and output", "trajectory", "excitation", "limits", "Damiao motors")
+    expected = group(*said) - {"--plan-only"} | {"--torques", "--noise-torque"}
+    assert flags(plan.build_parser()) == expected
+
+
+def test_identify_takes_the_groups_it_is_said_to_take():
+    said = ("model and output", "measurements", "estimation")
+    assert flags(identify.build_parser()) == group(*said) - {"--measurements"}
+
+
+def test_the_noise_of_a_plan_is_what_the_page_says():
+    assert f"without `--noise-torque` is judged for {DEFAULT_NOISE_TORQUE:g} N·m." in README
+
+
+def test_a_row_has_option_default_and_meaning():
+    assert "| `--duration DURATION` | `15` | Length; longer" in LISTED["trajectory"]
+    assert "| `--verbose`, `-v` | | Say more |" in LISTED["console"]
+    assert "| `--columns FILE` | recognised | File that says" in LISTED["measurements"]
+    assert "| `--keep-out NX NY NZ OFFSET` | | Plane that" in LISTED["limits"]
+    for name, rows in LISTED.items():
+        assert all(row.count("|") - row.count("\\|") == 4 for row in rows.splitlines()), name
