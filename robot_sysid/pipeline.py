@@ -170,7 +170,7 @@ def _request(config: SysidConfig) -> MotionRequest:
 
 def _remedy(config: SysidConfig) -> str:
     if config.trajectory.file is not None:
-        return "design one for this arm with --excitation optimal, or slow it down with --speed"
+        return "relax that limit, slow the motion down with --speed, or design one for this arm"
     return "relax that limit, try another --seed, or use --excitation optimal"
 
 

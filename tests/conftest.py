@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,12 @@ def pytest_configure(config):
     """Let --benchmark-enable and --benchmark-only count, though benchmarks are off by default."""
     wanted = config.getoption("benchmark_enable") or config.getoption("benchmark_only")
     config.option.benchmark_skip = config.getoption("benchmark_skip") and not wanted
+
+
+def pytest_collection_finish(session):
+    """Let the garbage collector pass over what stays: players of motions collect before each."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture

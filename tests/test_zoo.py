@@ -82,9 +82,8 @@ QUICK = [("kuka_iiwa_14/iiwa14.xml", None), ("so101/so101_new_calib.urdf", "grip
 
 def slow_unless_quick(choices):
     """Parametrisation in which all but a few models need ``-m slow``."""
-    quick = {model for model, _ in QUICK} | {"ufactory_xarm7/xarm7.xml", "aloha/aloha.xml"}
     return [
-        choice if choice[0] in quick else pytest.param(*choice, marks=pytest.mark.slow)
+        choice if choice[0] == "kuka_iiwa_14/iiwa14.xml" else pytest.param(*choice, marks=pytest.mark.slow)
         for choice in choices
     ]
 

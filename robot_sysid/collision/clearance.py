@@ -109,6 +109,11 @@ class Clearance:
             budget=np.array([near.budget for near in nearest]),
         )
 
+    def slack_at(self, q: Array) -> tuple[float, Array]:
+        """Return value and budget of the slack at one configuration q (n,)."""
+        near = self._nearest_at(q)
+        return near.slack, near.budget
+
     def closest(self, q: Array) -> Closest:
         """Return the tightest distance at one configuration q (n,)."""
         near = self._nearest_at(q)

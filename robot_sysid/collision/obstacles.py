@@ -118,6 +118,9 @@ class Obstacles(Protocol):
     def slack(self, q: Array) -> Slack:
         """Return the slack at positions q (N, n)."""
 
+    def slack_at(self, q: Array) -> tuple[float, Array]:
+        """Return value and budget (P,) at one configuration q (n,), which is faster."""
+
     def closest(self, q: Array) -> Closest:
         """Return the tightest distance at one configuration q (n,)."""
 
@@ -138,6 +141,10 @@ class NoObstacles:
         """Return the horizon everywhere."""
         full = np.full(len(q), self.horizon)
         return Slack(full, np.zeros_like(q), full[:, None])
+
+    def slack_at(self, q: Array) -> tuple[float, Array]:
+        """Return the horizon."""
+        return self.horizon, np.full(1, self.horizon)
 
     def closest(self, q: Array) -> Closest:
         """Return that nothing is near."""

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -19,24 +18,18 @@ from robot_sysid.collision.obstacles import Closest
 from robot_sysid.excitation.constraints import LIMIT_NAMES, ROUNDING
 from robot_sysid.excitation.problem import ExcitationProblem
 from robot_sysid.records import Array, Motion, MotionPlan
-from robot_sysid.trajectory import motion_chunks
+from robot_sysid.trajectory import SineTrajectory, motion_chunks
 
 LEAST_RATE_HZ = 1000.0
 CLEARANCE_RESOLUTION = 1e-3
 """How exactly the reported clearance is that of the tightest moment [m]."""
-REPAIRS = (1.0, 0.999, 0.998, 0.996, 0.992, 0.985, 0.97, 0.94, 0.9, 0.8, 0.6, 0.4, 0.2, 0.1)
-"""Factors tried until a motion obeys everything."""
-SMALLER = (0.05, 0.02, 0.01)
-"""Further factors for a motion that nobody designed."""
+SMALLEST = 2.0**-9
+"""Share of a random motion below which it is not made smaller any more."""
+BISECTIONS = 4
+RESERVE = 1e-4
+"""Share of speed and acceleration limits that is left for peaks between samples."""
 FINEST_RATE_HZ = 4000.0
 """How densely clearance is tested where it is tight."""
-
-
-class Scalable(MotionPlan, Protocol):
-    """A motion that can be made smaller as a whole."""
-
-    def scaled(self, factor: float) -> MotionPlan:
-        """Return the motion with all departures from its middle times ``factor``."""
 
 
 @dataclass(frozen=True)
@@ -134,27 +127,45 @@ def check_limits(
 
 
 def scaled_to_limits(
-    problem: ExcitationProblem, plan: Scalable, sample_rate: float
-) -> tuple[MotionPlan, float]:
-    """Return the largest tried multiple of a motion that keeps all limits, and its factor.
+    problem: ExcitationProblem, plan: SineTrajectory, sample_rate: float
+) -> tuple[SineTrajectory, Array]:
+    """Return a motion made small enough to keep all limits, and each joint's factor (n,).
 
-    Where even the smallest breaks one, the smallest is returned.
+    Speed and acceleration are proportional to a joint's own motion, so they get a factor per
+    joint; torque and clearance get a common one, found by halving and then bisection. Where even
+    the smallest motion breaks a limit, that one is returned.
 
     Args:
         problem, sample_rate: as in ``check_limits``.
-        plan: a motion that can be made smaller.
+        plan: random sinusoids.
     """
-    for factor in (*REPAIRS, *SMALLER):
-        smaller = plan if factor == 1.0 else plan.scaled(factor)
-        if check_limits(problem, smaller, sample_rate).holds:
-            break
-    return smaller, factor
+    rate = max(LEAST_RATE_HZ, sample_rate)
+    share = np.max(_joint_peaks(problem, plan, rate).share[1:3], axis=0)
+    factors = np.minimum(1.0, (1.0 - RESERVE) / np.maximum(share, RESERVE))
+    if keeps_limits(problem, plan.scaled(factors), rate):
+        return plan.scaled(factors), factors
+    high, low = 1.0, 0.5
+    while low > SMALLEST and not keeps_limits(problem, plan.scaled(low * factors), rate):
+        high, low = low, 0.5 * low
+    for _ in range(BISECTIONS):
+        middle = np.sqrt(low * high)
+        fits = keeps_limits(problem, plan.scaled(middle * factors), rate)
+        low, high = (middle, high) if fits else (low, middle)
+    return plan.scaled(low * factors), low * factors
 
 
-def joint_share(problem: ExcitationProblem, plan: MotionPlan) -> tuple[float, Array]:
-    """Return the largest share of any joint limit, and when limits are exceeded most [s]."""
+def keeps_limits(
+    problem: ExcitationProblem, plan: MotionPlan, sample_rate: float = LEAST_RATE_HZ
+) -> bool:
+    """Tell whether the whole motion keeps every limit, sampled at ``sample_rate`` [Hz]."""
+    share = _joint_peaks(problem, plan, sample_rate).share
+    return bool(np.max(share) <= 1.0 + ROUNDING) and first_contact(problem, plan) is None
+
+
+def excess_times(problem: ExcitationProblem, plan: MotionPlan) -> Array:
+    """Return when each joint limit that is not kept is exceeded most [s]."""
     peaks = _joint_peaks(problem, plan, LEAST_RATE_HZ)
-    return float(np.max(peaks.share)), peaks.time[peaks.share > 1.0 + ROUNDING]
+    return peaks.time[peaks.share > 1.0 + ROUNDING]
 
 
 def first_contact(problem: ExcitationProblem, plan: MotionPlan) -> float | None:
@@ -225,13 +236,13 @@ def _tightest(
         path = _path(motion, obstacles.rates)
         at = _used_up(path, budget)
         while at < len(path) and best >= stop_below:
-            here = obstacles.slack(motion.q[at : at + 1])
+            slack, room = obstacles.slack_at(motion.q[at])
             tests += 1
-            if here.value[0] < best:
-                best, when, at_q = float(here.value[0]), float(motion.time[at]), motion.q[at]
+            if slack < best:
+                best, when, at_q = slack, float(motion.time[at]), motion.q[at]
             # What can neither be negative nor lower than the lowest need not be looked at.
             floor = best - resolution if best < 0.0 else max(0.0, best - resolution)
-            budget = path[at] + np.maximum(0.0, here.budget[0] - floor)
+            budget = path[at] + np.maximum(0.0, room - floor)
             at = max(at + 1, _used_up(path, budget))
         budget = budget - path[-1]
     return obstacles.closest(at_q), when, tests

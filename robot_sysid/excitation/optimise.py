@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robot_sysid.excitation.constraints import ROUNDING, ConstraintCache, MotionConstraints
+from robot_sysid.excitation.constraints import ConstraintCache, MotionConstraints
 from robot_sysid.excitation.fourier import FourierBasis, FourierTrajectory
 from robot_sysid.excitation.information import (
     CRITERIA,
@@ -26,7 +26,7 @@ from robot_sysid.excitation.information import (
     PredictedInformation,
     RowSettings,
 )
-from robot_sysid.excitation.limit_check import REPAIRS, first_contact, joint_share, tight_times
+from robot_sysid.excitation.limit_check import excess_times, keeps_limits, tight_times
 from robot_sysid.excitation.options import ExcitationOptions
 from robot_sysid.excitation.problem import ExcitationProblem
 from robot_sysid.records import Array
@@ -108,8 +108,7 @@ def _minimise(objective: PenalisedDesign, x: Array, iterations: int) -> Array:
 def _with_extra_times(design: Design, candidate: Candidate) -> Candidate:
     """Return the candidate with the times at which the whole motion exceeds a limit."""
     plan = design.trajectory(candidate.x)
-    _, over = joint_share(design.problem, plan)
-    found = np.concatenate((over, tight_times(design.problem, plan)))
+    found = np.concatenate((excess_times(design.problem, plan), tight_times(design.problem, plan)))
     known = np.round(candidate.extra_times, 3)
     new = np.setdiff1d(np.round(found, 3), known)[: MOST_EXTRA_TIMES - len(known)]
     none = np.zeros((len(new), candidate.multipliers.shape[1]))
@@ -127,18 +126,13 @@ def _checked(design: Design, candidate: Candidate) -> Candidate:
         score = design.criterion_of(x)
         if not score < candidate.feasible_score:
             break
-        if obeys_everything(design, x):
+        if keeps_limits(design.problem, design.trajectory(x)):
             return replace(candidate, feasible_x=x, feasible_score=score)
     return candidate
 
 
-def obeys_everything(design: Design, x: Array) -> bool:
-    """Tell whether the whole motion keeps every limit."""
-    plan = design.trajectory(x)
-    share, _ = joint_share(design.problem, plan)
-    return share <= 1.0 + ROUNDING and first_contact(design.problem, plan) is None
-
-
+REPAIRS = (1.0, 0.999, 0.998, 0.996, 0.992, 0.985, 0.97, 0.94, 0.9, 0.8, 0.6, 0.4, 0.2, 0.1)
+"""Factors tried until a motion keeps all limits."""
 GRID_PER_CYCLE = 25
 """Grid points per period of the highest frequency; see docs/excitation.md for why."""
 FEWEST_GRID_POINTS = 60

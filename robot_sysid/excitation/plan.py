@@ -148,9 +148,12 @@ def _random(
         return plan
     from robot_sysid.excitation.limit_check import scaled_to_limits
 
-    smaller, factor = scaled_to_limits(_problem(request, robot), plan, rate)
-    if factor < 1.0:
-        progress.note(f"motion scaled to {100.0 * factor:.3g} % to keep all limits and clearances")
+    smaller, factors = scaled_to_limits(_problem(request, robot), plan, rate)
+    if np.min(factors) < 1.0:
+        share, joint = 100.0 * np.min(factors), robot.joint_names[int(np.argmin(factors))]
+        progress.note(
+            f"motion scaled down to keep all limits and clearances, most at {joint}: {share:.3g} %"
+        )
     return smaller
 
 

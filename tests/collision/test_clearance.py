@@ -98,6 +98,9 @@ def test_no_move_uses_up_more_slack_than_its_bound(seed):
     both = found.slack(np.vstack((start, end)))
     moved = found.rates @ np.abs(end - start)
     assert both.value[1] >= np.min(both.budget[0] - moved) - 1e-6
+    value, budget = found.slack_at(start)
+    assert value == both.value[0]
+    np.testing.assert_array_equal(budget, both.budget[0])
 
 
 def test_bounds_of_a_slide_hold_too():

@@ -114,7 +114,10 @@ RATE = ("--sample-rate", "100")
 
 @pytest.mark.parametrize("case", BROKEN)
 def test_a_trajectory_file_beyond_a_limit_is_refused(case, command, arm, plan):
-    words = ("must not be run: it breaks ", "design one for this arm with --excitation optimal")
+    words = (
+        "must not be run: it breaks ",
+        "relax that limit, slow the motion down with --speed, or",
+    )
     message = command.refused(arm, "--trajectory", plan, *RATE, *BROKEN[case])
     assert all(word in message for word in words)
     exported = command.refused(

@@ -12,11 +12,14 @@ from hypothesis import strategies as st
 from robot_sysid.excitation.fourier import FourierBasis, FourierTrajectory
 from robot_sysid.excitation.limit_check import (
     CLEARANCE_RESOLUTION,
+    RESERVE,
     check_limits,
     first_contact,
-    joint_share,
+    keeps_limits,
+    scaled_to_limits,
     tight_times,
 )
+from robot_sysid.trajectory import generate_excitation_trajectory
 from tests.support import arms
 from tests.support.arms import SEEDS
 from tests.support.excitation_arms import TUBES_AND_POST, problem, robot
@@ -47,7 +50,7 @@ def test_peaks_are_those_of_the_samples(seed, size):
         and np.all(np.abs(motion.qd) <= limits.velocity)
         and np.all(np.abs(motion.qdd) <= limits.acceleration)
     )
-    assert check.holds == kept == (joint_share(some, plan)[0] <= 1.0)
+    assert check.holds == kept == keeps_limits(some, plan)
 
 
 @given(SEEDS, st.floats(0.02, 0.2))
@@ -81,6 +84,10 @@ class ThinWall:
 
         value = np.minimum(np.abs(q[:, 0] - 0.2) - 1e-3, self.horizon)
         return Slack(value, np.zeros_like(q), value[:, None])
+
+    def slack_at(self, q):
+        found = self.slack(q[None])
+        return float(found.value[0]), found.budget[0]
 
     def closest(self, q):
         from robot_sysid.collision.obstacles import Closest
@@ -140,3 +147,22 @@ def test_the_failure_counts_the_limits_and_names_the_worst():
     count, worst = len(several.excesses), several.excesses[0]
     assert count > 1
     assert several.failure.endswith(f"it breaks {count} limits, first the {worst}")
+
+
+@given(SEEDS, st.floats(0.1, 2.0), st.floats(0.3, 5.0))
+@settings(max_examples=100)
+def test_a_joint_that_keeps_its_speeds_stays_as_it_is_the_others_just_keep_theirs(seed, v, a):
+    """Without torque limits and obstacles nothing couples the joints."""
+    some, free = problem(arms.THREE), np.full(3, np.inf)
+    limits = dataclasses.replace(
+        some.limits, velocity=np.full(3, v), acceleration=np.full(3, a), torque=free
+    )
+    some = dataclasses.replace(some, limits=limits)
+    plan, _ = generate_excitation_trajectory(robot(arms.THREE), np.random.default_rng(seed), 1.0)
+    smaller, factors = scaled_to_limits(some, plan, 0.0)
+    before, after = check_limits(some, plan), check_limits(some, smaller)
+    share = np.maximum(before.velocity / v, before.acceleration / a)
+    np.testing.assert_allclose(factors, np.minimum(1.0, (1.0 - RESERVE) / share), rtol=1e-9)
+    kept = np.maximum(after.velocity / v, after.acceleration / a)
+    np.testing.assert_allclose(kept, np.minimum(1.0 - RESERVE, share), rtol=1e-9)
+    assert keeps_limits(some, smaller)

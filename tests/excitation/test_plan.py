@@ -135,7 +135,7 @@ def test_without_the_limit_the_motion_goes_beyond_it(case):
 def test_a_motion_that_was_made_smaller_is_noted():
     listener = Listener()
     planned(TUBES, listener=listener, limits=LIMITS["acceleration"])
-    assert any(note.startswith("motion scaled to ") for note in listener.notes)
+    assert any(note.startswith("motion scaled down to ") for note in listener.notes)
 
 
 @pytest.mark.parametrize("case", sorted({*LIMITS} - {"velocity"}))

@@ -23,7 +23,9 @@ def test_the_noise_of_the_encoder_is_read_off_the_data(seed, rate, magnitude):
     rng = np.random.default_rng(seed)
     q = Swing(seed).q(seconds(10.0, rate))
     choice = choose_cutoff(q + sigma * rng.normal(size=q.shape), rate)
-    np.testing.assert_allclose(choice.position_noise, sigma, rtol=0.12)
+    # Over 1500 seeds it scatters by 1.31 / sqrt(N) and is 0.4 % too high; six of the former.
+    tolerance = 0.005 + 6.0 * 1.31 / np.sqrt(len(q))
+    np.testing.assert_allclose(choice.position_noise, sigma, rtol=tolerance)
     assert 1.4 < choice.cutoff < 25.0
 
 
