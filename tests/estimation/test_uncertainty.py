@@ -153,6 +153,7 @@ def test_standard_errors_follow_the_unit_of_torque(seed, power):
     np.testing.assert_allclose(errors[1][known], factor * errors[0][known], rtol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("memory", [0.0, 0.1])
 def test_intervals_cover_under_white_and_under_slow_noise(memory):
     """30 arms times 31 parameters: 95 % would give 883 of 930; white intervals fail at 0.1 s."""

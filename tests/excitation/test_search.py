@@ -64,6 +64,7 @@ def assert_at_rest(result):
     assert np.max(np.abs(ends.q - ends.q[0])) < 1e-9
 
 
+@pytest.mark.slow
 @given(st.sampled_from(ARMS), SEEDS, st.sampled_from(["faded", "periodic"]))
 @settings(max_examples=8)
 def test_limits_hold_for_any_seed(xml, seed, ends):
@@ -94,12 +95,14 @@ def test_same_seed_same_trajectory_other_seed_another():
     assert not np.array_equal(one.trajectory.coefficients, other.trajectory.coefficients)
 
 
+@pytest.mark.slow
 def test_the_number_of_workers_does_not_matter():
     alone, together = (search(arms.THREE, 1, workers=w, starts=2) for w in (1, 2))
     assert np.array_equal(alone.trajectory.coefficients, together.trajectory.coefficients)
     assert alone.objective == together.objective
 
 
+@pytest.mark.slow
 def test_more_rounds_are_never_worse():
     values = [search(TUBES_AND_POST, 2, rounds=r).objective for r in (0, 1, 3)]
     assert values[0] >= values[1] >= values[2]
