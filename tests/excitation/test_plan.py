@@ -167,7 +167,7 @@ def test_a_trajectory_edited_to_leave_a_joints_range_fails(tmp_path):
     )
 
 
-def test_a_trajectory_made_elsewhere_does_not_hit_the_surroundings(tmp_path):
+def test_a_trajectory_made_elsewhere_does_not_hit_what_stands_in_the_model(tmp_path):
     path = tmp_path / "plan.json"
     plan = planned(TUBES).plan.scaled((8.0, 4.0, 1.0, 1.0))
     save_trajectory(path, plan, robot(TUBES).joint_names)
