@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Mapping
+import os
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, ClassVar
@@ -22,6 +22,7 @@ from robot_sysid.records.options import (
     record_from,
     whole_number,
 )
+from robot_sysid.records.results import DAMIAO_NAME, MODEL_NAMES, PARAMS_NAME, PLAN_NAME
 from robot_sysid.simulation.sensors import SimulatedArmOptions
 from robot_sysid.trajectory import TrajectoryOptions, require_countable
 
@@ -154,6 +155,12 @@ class SysidConfig:
         """Whether the data comes from a log or a plant instead of the model itself."""
         return bool(self.log.measurements) or self.arm.plant_model is not None
 
+    @property
+    def plan_file(self) -> Path | None:
+        """Where the trajectory is written, or None."""
+        usual = self.output.output_dir / PLAN_NAME if self.trajectory.plan_only else None
+        return self.trajectory.save or usual
+
     def _check_pairs(self) -> None:
         """Refuse options that exclude each other."""
         log, plan = bool(self.log.measurements), self.trajectory
@@ -180,20 +187,27 @@ class SysidConfig:
 
     def _check_files(self) -> None:
         """Refuse to write a file over one that is read, or two files into one place."""
-        log, plan = self.log, self.trajectory
+        log = self.log
         read = (self.model.path, self.arm.plant_model, *log.measurements)
-        read = (*read, log.validation_measurements, log.columns, plan.file)
-        taken = {_place(path): "a file that is read" for path in read if path is not None}
-        written = [("--save-measurements", self.arm.save_measurements)]
-        if plan.save is not None:
-            written.append(("--save-trajectory", plan.save))
-            written.append(("the CSV file beside --save-trajectory", plan.save.with_suffix(".csv")))
-        for what, path in written:
-            if path is not None and _place(path) in taken:
-                there = taken[_place(path)]
+        read = (*read, log.validation_measurements, log.columns, self.trajectory.file)
+        taken = {os.path.realpath(path): "a file that is read" for path in read if path is not None}
+        for what, path in self._written():
+            place = os.path.realpath(path)
+            if place in taken:
+                there = taken[place]
                 raise InputError(f"{what} would overwrite {there}: {path}; choose another name")
-            if path is not None:
-                taken[_place(path)] = f"what {what} writes"
+            taken[place] = f"what {what} writes"
+
+    def _written(self) -> Iterator[tuple[str, Path]]:
+        """Yield the files that a run writes, each with the option that names it."""
+        if self.arm.save_measurements is not None:
+            yield "--save-measurements", self.arm.save_measurements
+        if self.plan_file is not None:
+            yield "--save-trajectory", self.plan_file
+            yield "the CSV file beside --save-trajectory", self.plan_file.with_suffix(".csv")
+        names = [] if self.trajectory.plan_only else [PARAMS_NAME, *MODEL_NAMES.values()]
+        names += [DAMIAO_NAME] if self.motors.export_damiao else []
+        yield from (("--output-dir", self.output.output_dir / name) for name in names)
 
     def _what_there_is(self) -> Mapping[str, bool]:
         """Return which of the ``NEEDS`` are met."""
@@ -212,13 +226,6 @@ class SysidConfig:
             "prior": self.estimation.prior != "none",
             "motors": self.motors.export_damiao,
         }
-
-
-def _place(path: Path) -> Path:
-    """Return where a path leads, links followed; the path itself where nobody can tell."""
-    with contextlib.suppress(OSError, RuntimeError, ValueError):
-        return path.resolve()
-    return path
 
 
 def config_from(path: Path, **values: Any) -> SysidConfig:

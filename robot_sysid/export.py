@@ -23,6 +23,7 @@ from robot_sysid.output.verification import (
 )
 from robot_sysid.records import Estimate, Identification, Motion, RobotModel
 from robot_sysid.records.atomic_files import WholeFiles, whole_files, write_whole
+from robot_sysid.records.results import DAMIAO_NAME, MODEL_NAMES, PARAMS_NAME
 
 if TYPE_CHECKING:
     from robot_sysid.damiao.trajectory.csv_file import DamiaoExportReport
@@ -32,12 +33,8 @@ __all__ = [
     "Written",
     "export_params_json",
     "export_updated_xml",
-    "updated_model_name",
     "write_results",
 ]
-
-PARAMS_NAME = "params.json"
-DAMIAO_NAME = "damiao_trajectory.csv"
 
 MotorFile = Callable[[TextIO], "DamiaoExportReport"]
 """Writes the motor trajectory into an open file."""
@@ -58,11 +55,6 @@ class Written:
     notes: tuple[str, ...]
     damiao: DamiaoExportReport | None
     failure: str | None = None
-
-
-def updated_model_name(robot: RobotModel) -> str:
-    """Return the name of the written model: a URDF stays one."""
-    return "updated_model.urdf" if robot.kind == "urdf" else "updated_model.xml"
 
 
 def export_updated_xml(
@@ -110,7 +102,7 @@ def write_results(
     with whole_files() as files:
         if identification.estimate.status.is_trustworthy:
             # Its place is taken last: what the other files say then holds for it.
-            path = files.reserve_last(folder / updated_model_name(robot))
+            path = files.reserve_last(folder / MODEL_NAMES[robot.kind])
             try:
                 notes = _write_model(files, path, robot, identification, checkpoints, mesh_dir)
                 names.append(path.name)

@@ -11,38 +11,25 @@ from typing import TYPE_CHECKING, TextIO
 from robot_sysid.config import SysidConfig
 from robot_sysid.errors import InputError
 from robot_sysid.excitation.plan import CheckedPlan, MotionRequest, make_plan
-from robot_sysid.export import (
-    DAMIAO_NAME,
-    MotorFile,
-    updated_model_name,
-    write_motor_file,
-    write_results,
-)
+from robot_sysid.export import MotorFile, write_motor_file, write_results
 from robot_sysid.identify.simulated import Analysis, SimulatedRun, identify_itself
 from robot_sysid.model.compilation import captured_warnings
 from robot_sysid.output.summary import clamping_lines, detail_lines, folder_text, result_lines
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Array, Identification, MotionPlan, RobotModel
+from robot_sysid.records import Identification, MotionPlan, RobotModel
 from robot_sysid.records.atomic_files import (
     WholeFiles,
     only_run_in,
     require_writable,
     whole_files,
 )
-from robot_sysid.records.progress import Progress, Silent
+from robot_sysid.records.progress import Progress
+from robot_sysid.records.results import DAMIAO_NAME, MODEL_NAMES
 from robot_sysid.simulator import ArmTorque
-from robot_sysid.trajectory import (
-    motion_chunks,
-    require_countable,
-)
+from robot_sysid.trajectory import motion_chunks, require_countable
 
 if TYPE_CHECKING:
-    from robot_sysid.damiao.trajectory.csv_file import DamiaoExportReport
-
-PLAN_NAME = "trajectory.json"
-
-Command = tuple[Array, Array, Array, Array]
-"""A chunk of time (N,), q, qd and feed-forward tau (N, n) [s, rad, rad/s, N m]."""
+    from robot_sysid.damiao.trajectory.csv_file import DamiaoExportReport, MotionChunk
 
 
 @dataclass(frozen=True)
@@ -113,7 +100,7 @@ def run(config: SysidConfig, progress: Progress | None = None) -> Outcome | Plan
     Raises:
         SysidError: with the exit code that fits, see ``errors``.
     """
-    progress = progress or Silent()
+    progress = progress or Progress()
     require_writable(config.output.output_dir)
     with captured_warnings() as warnings, only_run_in(config.output.output_dir):
         outcome = _run(config, progress)
@@ -174,27 +161,21 @@ def _remedy(config: SysidConfig) -> str:
     return "relax that limit, try another --seed, or use --excitation optimal"
 
 
-def plan_files(config: SysidConfig) -> tuple[Path, ...]:
-    """Return where a run writes its trajectory: coefficients and samples, or nothing."""
-    path = config.trajectory.save
-    if path is None and config.trajectory.plan_only:
-        path = config.output.output_dir / PLAN_NAME
-    return () if path is None else (path, path.with_suffix(".csv"))
-
-
 def save_plan(
     files: WholeFiles, config: SysidConfig, robot: RobotModel, plan: MotionPlan
 ) -> tuple[Path, ...]:
     """Write the drafts of the trajectory where it was asked for; returns where it will be."""
-    paths = plan_files(config)
-    if paths:
-        from robot_sysid.excitation.trajectory_files import save_samples, save_trajectory
+    path = config.plan_file
+    if path is None:
+        return ()
+    from robot_sysid.excitation.trajectory_files import save_samples, save_trajectory
 
-        with files.open(paths[0]) as file:
-            save_trajectory(file, plan, robot.joint_names, robot.sha256)
-        with files.open(paths[1]) as file:
-            save_samples(file, plan, robot.joint_names, config.trajectory.sample_rate)
-    return paths
+    samples = path.with_suffix(".csv")
+    with files.open(path) as file:
+        save_trajectory(file, plan, robot.joint_names, robot.sha256)
+    with files.open(samples) as file:
+        save_samples(file, plan, robot.joint_names, config.trajectory.sample_rate)
+    return path, samples
 
 
 def _plan_outcome(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> PlanOutcome:
@@ -243,7 +224,7 @@ def _write(
     written = write_results(robot, found, checkpoints, folder, mesh_dir, motor_file)
     for note in written.notes:
         progress.note(note)
-    stale = folder / updated_model_name(robot)
+    stale = folder / MODEL_NAMES[robot.kind]
     if stale not in written.files and stale.exists():
         progress.note(f"{stale} is from an earlier run; this run wrote no model")
     return Outcome(found, folder, written.files, written.damiao, written.failure)
@@ -266,7 +247,7 @@ def _motor_file(config: SysidConfig, robot: RobotModel, plan: MotionPlan) -> Mot
     return write
 
 
-def commands(robot: RobotModel, plan: MotionPlan, rate: float) -> Iterator[Command]:
+def commands(robot: RobotModel, plan: MotionPlan, rate: float) -> Iterator[MotionChunk]:
     """Yield the motion with the torque it takes at a rate [Hz], for playing it on motors."""
     torque = ArmTorque(robot)
     for motion in motion_chunks(plan, rate):

@@ -107,3 +107,9 @@ def joint_regressor(motion: BodyMotion, joints: Sequence[int]) -> Array:
     for row, joint in zip(rows, joints):
         row[...] = np.einsum("ik,ijk->jk", jacobian[joint], wrench).T
     return rows
+
+
+def joint_torque(motion: BodyMotion, theta: Array) -> Array:
+    """Return tau_rest + Y theta (N, n) [N m], without friction, for a terminal link theta (10,)."""
+    rows = joint_regressor(motion, range(motion.tau_rest.shape[1]))
+    return motion.tau_rest + (rows @ theta).T

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Callable, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, JointLimits, Motion, MotionPlan, RobotModel, checked_array
@@ -155,8 +154,7 @@ class SineTrajectory:
 
     def scaled(self, factor: Array | float) -> SineTrajectory:
         """Return the trajectory with each joint's amplitudes times ``factor`` (n,) or a number."""
-        factors = np.broadcast_to(np.asarray(factor, dtype=float), (self.n_joints,))
-        return replace(self, amplitude=self.amplitude * factors[:, None])
+        return replace(self, amplitude=self.amplitude * np.reshape(factor, (-1, 1)))
 
     def evaluate(self, time: Array) -> Motion:
         """Return position, velocity and acceleration at times (N,) [s], by the product rule."""
@@ -193,11 +191,11 @@ def window(time: Array, duration: float, fade: float) -> tuple[Array, Array, Arr
     return w, np.where(rising, dw, -dw), ddw
 
 
-def sample_times(duration: float, sample_rate: float, chunk: int = CHUNK) -> Iterator[Array]:
+def sample_times(duration: float, sample_rate: float) -> Iterator[Array]:
     """Yield the sample times k / rate from 0 to the duration, both included, in chunks [s]."""
     count = sample_count(duration, sample_rate)
-    for first in range(0, count, chunk):
-        time = np.arange(first, min(first + chunk, count)) / sample_rate
+    for first in range(0, count, CHUNK):
+        time = np.arange(first, min(first + CHUNK, count)) / sample_rate
         yield np.minimum(time, duration)
 
 
@@ -241,14 +239,14 @@ def _center_and_reach(robot: RobotModel) -> tuple[Array, Array]:
     """Return where each joint rests and how far it may go from there (n,), (n,)."""
     lower, upper = robot.limits.lower, robot.limits.upper
     limited = np.isfinite(lower) & np.isfinite(upper)
-    assumed = np.array([UNLIMITED_RANGE[bool(slide)] for slide in robot.is_slide])
+    assumed = np.where(robot.is_slide, UNLIMITED_RANGE[True], UNLIMITED_RANGE[False])
     span = np.where(limited, upper - lower, assumed)
     share = np.full(robot.n_joints, OTHER_SHARE)
     share[-1] = TERMINAL_SHARE
     reach = 0.5 * span * share
     center = robot.reference.copy()
-    middle = 0.5 * (lower[-1] + upper[-1]) if limited[-1] else center[-1]
-    center[-1] = middle
+    if limited[-1]:
+        center[-1] = 0.5 * (lower[-1] + upper[-1])
     margin = POSITION_MARGIN * span
     return np.clip(center, lower + reach + margin, upper - reach - margin), reach
 
@@ -303,37 +301,29 @@ def _fit_torque(
     """
     if torque is None or not np.any(np.isfinite(robot.limits.torque)):
         return trajectory, ()
-    excess = _TorqueExcess(trajectory, robot.limits.torque, torque)
-    hopeless = excess.per_joint(_SMALLEST_FACTOR) > 1.0
+    allowed = TORQUE_MARGIN * robot.limits.torque
+
+    def excess(factor: float) -> Array:
+        return _peak(trajectory.scaled(factor), _TORQUE_CHECK_HZ, torque) / allowed
+
+    hopeless = excess(_SMALLEST_FACTOR) > 1.0
     notes = tuple(
         f"even the smallest motion takes more than the torque limit of {robot.limits.torque[j]:g} "
         f"at joint {robot.joint_names[j]}; this motion does not keep it"
         for j in np.flatnonzero(hopeless)
     )
-    factor = excess.largest_factor(~hopeless)
+    factor = _largest_factor(lambda factor: not np.any(excess(factor)[~hopeless] > 1.0))
     if factor < 1.0:
         notes += (f"motion scaled to {100.0 * factor:.2g} % to stay within the torque limits",)
     return trajectory.scaled(factor), notes
 
 
-class _TorqueExcess:
-    """Peak torque over allowed torque as a function of how much the motion is scaled."""
-
-    def __init__(self, trajectory: SineTrajectory, limit: Array, torque: TorqueFunction) -> None:
-        self._trajectory, self._limit, self._torque = trajectory, limit, torque
-
-    def per_joint(self, factor: float) -> Array:
-        """Return (n,) peak torque divided by the allowed torque."""
-        scaled = self._trajectory.scaled(factor)
-        return _peak(scaled, _TORQUE_CHECK_HZ, self._torque) / (TORQUE_MARGIN * self._limit)
-
-    def largest_factor(self, counted: NDArray[np.bool_]) -> float:
-        """Return the largest factor in (0, 1] that keeps the counted joints within limits."""
-        if not np.any(self.per_joint(1.0)[counted] > 1.0):
-            return 1.0
-        low, high = np.log2(_SMALLEST_FACTOR), 0.0
-        for _ in range(12):
-            middle = 0.5 * (low + high)
-            fits = not np.any(self.per_joint(2.0**middle)[counted] > 1.0)
-            low, high = (middle, high) if fits else (low, middle)
-        return float(2.0**low)
+def _largest_factor(fits: Callable[[float], bool]) -> float:
+    """Return the largest factor in (0, 1] that fits."""
+    if fits(1.0):
+        return 1.0
+    low, high = np.log2(_SMALLEST_FACTOR), 0.0
+    for _ in range(12):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if fits(2.0**middle) else (low, middle)
+    return float(2.0**low)

@@ -59,7 +59,7 @@ def exported(source, label, composite, target, mesh_dir=None, original=None):
     original = original or compile_model(source, mesh_dir).mj_model
     body = mujoco.mj_name2id(original, int(mujoco.mjtObj.mjOBJ_BODY), label)
     body = int(label[1:]) if label.startswith("#") else body
-    plan = plan_write_back(composite, subtree_bodies(original, None, body))
+    plan = plan_write_back(composite, subtree_bodies(original, original.qpos0, body))
     principal = not reads_fullinertia_exactly(plan.theta)
     export_updated_xml(source, label, plan, 1.23e-4, target, mesh_dir, principal)
     return plan, verify_written_model(original, target, body, plan).mj_model, body
@@ -78,12 +78,12 @@ def arm_files(tmp_path_factory):
 def test_the_compiled_composite_is_the_identified_one(arm_files, suffix, label, seed):
     rng = np.random.default_rng(seed)
     source, original = arm_files[suffix]
-    before = composite_theta(original, None, original.body(label).id)
+    before = composite_theta(original, original.qpos0, original.body(label).id)
     theta = before + random_theta(rng, 10.0 ** rng.uniform(-2, 1))
     target = source.parent / "out" / f"updated{suffix}"
     _, mj_model, body = exported(source, label, theta, target, original=original)
     scale = spatial.parameter_scale(theta[0], spatial.characteristic_length(theta))
-    assert np.max(np.abs(composite_theta(mj_model, None, body) - theta) / scale) < 1e-12
+    assert np.max(np.abs(composite_theta(mj_model, mj_model.qpos0, body) - theta) / scale) < 1e-12
 
 
 def test_only_the_inertial_and_the_comment_change(tmp_path):
@@ -136,14 +136,16 @@ MASSLESS = ARM.replace(
 def test_a_group_can_be_lumped_into_the_terminal_body(tmp_path, name, text, label):
     source = write_files(tmp_path, {name: text})
     original = compile_model(source).mj_model
-    before = composite_theta(original, None, original.body(label).id)
-    tool = subtree_bodies(original, None, original.body(label).id)[1].theta
+    before = composite_theta(original, original.qpos0, original.body(label).id)
+    tool = subtree_bodies(original, original.qpos0, original.body(label).id)[1].theta
     # A little less than the tool, with the mass of the terminal link gone.
     composite = before - 0.5 * tool if name == "m.xml" else 0.5 * tool
     plan, mj_model, body = exported(source, label, composite, tmp_path / "out" / name)
     assert [b.name for b in plan.lumped] == ["tool"]
     assert mj_model.body("tool").mass == 0.0
-    np.testing.assert_allclose(composite_theta(mj_model, None, body), composite, atol=1e-12)
+    np.testing.assert_allclose(
+        composite_theta(mj_model, mj_model.qpos0, body), composite, atol=1e-12
+    )
     assert "'tool' weigh nothing" in (tmp_path / "out" / name).read_text()
 
 
@@ -217,7 +219,7 @@ def test_the_whole_way_from_an_identification(tmp_path, robot):
     assert [path.name for path in written.files] == ["updated_model.xml", "params.json"]
     assert (written.notes, written.damiao, written.failure) == ((), None, None)
     model = compile_model(written.files[0]).mj_model
-    found = composite_theta(model, None, robot.body_id)
+    found = composite_theta(model, model.qpos0, robot.body_id)
     np.testing.assert_allclose(found, theta, rtol=0.0, atol=1e-12)
     assert "RMSE 0.000100 Nm" in written.files[0].read_text()
     np.testing.assert_array_equal(theta_in(written.files[1]), theta)
@@ -300,7 +302,7 @@ MODELS = [
 def test_public_models_keep_everything_but_the_inertia(tmp_path, path):
     original = compile_model(path).mj_model
     label = terminal_label(original)
-    theta = composite_theta(original, None, original.body(label).id) + 0.2 * THETA
+    theta = composite_theta(original, original.qpos0, original.body(label).id) + 0.2 * THETA
     first, second = tmp_path / "a" / path.name, tmp_path / "b" / "c" / path.name
     exported(path, label, theta, first)
     exported(first, label, theta, second)

@@ -13,12 +13,12 @@ from robot_sysid.errors import InputError
 from robot_sysid.excitation.trajectory_files import load_trajectory
 from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline import run
-from robot_sysid.records.progress import Silent
+from robot_sysid.records.progress import Progress
 from tests.support import arms
 from tests.support.results import theta_in
 
 
-class Listener(Silent):
+class Listener(Progress):
     def __init__(self):
         self.stages, self.notes = [], []
 

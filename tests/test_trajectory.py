@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robot_sysid import trajectory
 from robot_sysid.errors import InputError
 from robot_sysid.records import JointLimits
 from robot_sysid.simulator import ArmTorque
@@ -149,7 +150,9 @@ def test_same_seed_same_trajectory_and_another_seed_another_one(seed):
 
 @given(st.floats(0.01, 100.0), st.floats(1.0, 1000.0), st.integers(1, 500))
 def test_samples_are_the_same_however_they_are_cut(duration, rate, chunk):
-    times = np.concatenate(list(sample_times(duration, rate, chunk)))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(trajectory, "CHUNK", chunk)
+        times = np.concatenate(list(sample_times(duration, rate)))
     assert len(times) == sample_count(duration, rate)
     np.testing.assert_array_equal(times, np.concatenate(list(sample_times(duration, rate))))
     assert times[0] == 0.0

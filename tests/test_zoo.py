@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.equations import Equations, friction_of_terminal_joint
+from robot_sysid.dynamics.equations import TERMINAL_FRICTION, Equations, friction_per_joint
 from robot_sysid.dynamics.kinematics import ArmDynamics, ChainKinematics
 from robot_sysid.errors import AmbiguousJointError, ModelError
 from robot_sysid.estimation.options import EstimationOptions
@@ -83,7 +83,9 @@ QUICK = [("kuka_iiwa_14/iiwa14.xml", None), ("so101/so101_new_calib.urdf", "grip
 def slow_unless_quick(choices):
     """Parametrisation in which all but a few models need ``-m slow``."""
     return [
-        choice if choice[0] == "kuka_iiwa_14/iiwa14.xml" else pytest.param(*choice, marks=pytest.mark.slow)
+        choice
+        if choice[0] == "kuka_iiwa_14/iiwa14.xml"
+        else pytest.param(*choice, marks=pytest.mark.slow)
         for choice in choices
     ]
 
@@ -110,7 +112,7 @@ def excitation(robot, duration=15.0):
 def identify(robot, plant=None):
     """Default options and seed 0; the plant is the model itself unless another is given."""
     options, motion = EstimationOptions(), TrajectoryOptions()
-    terms = friction_of_terminal_joint(robot, not options.no_friction)
+    terms = friction_per_joint(robot, "terminal", TERMINAL_FRICTION)
     equations = Equations(robot, options.torques, terms)
     motions = motion_chunks(excitation(robot, motion.duration), motion.sample_rate)
     information = collect_sysid_data(equations, simulate_inverse(plant or robot, motions))
@@ -203,7 +205,8 @@ def test_a_short_chain_identifies_some_and_keeps_the_models_values_of_the_rest(m
 @pytest.mark.parametrize(("model", "joint"), QUICK)
 def test_the_last_joint_alone_keeps_what_it_cannot_see(model, joint):
     robot = load(model, joint)
-    equations = Equations(robot, "terminal", friction_of_terminal_joint(robot, True))
+    terms = friction_per_joint(robot, "terminal", TERMINAL_FRICTION)
+    equations = Equations(robot, "terminal", terms)
     motions = motion_chunks(excitation(robot, 5.0), 200.0)
     information = collect_sysid_data(equations, simulate_inverse(robot, motions))
     estimate = identify_parameters(information, equations.prior)

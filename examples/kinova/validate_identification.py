@@ -21,7 +21,7 @@ from robot_sysid.dynamics.equations import (
     NO_FRICTION,
     TERMINAL_FRICTION,
     Equations,
-    friction_of_terminal_joint,
+    friction_per_joint,
 )
 from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.estimation.information import InformationAccumulator
@@ -65,7 +65,7 @@ def identify(
     friction: Sequence[FrictionModel] | None = None,
 ) -> Estimate:
     """Identify ``robot``'s terminal link from torques that ``plant`` produces along a plan."""
-    terms = friction_of_terminal_joint(robot, True) if friction is None else friction
+    terms = friction or friction_per_joint(robot, "terminal", TERMINAL_FRICTION)
     equations = Equations(robot, torques, terms)
     measurements = simulate_inverse(plant, motion_chunks(plan, SAMPLE_RATE))
     return identify_parameters(collect_sysid_data(equations, measurements), equations.prior)

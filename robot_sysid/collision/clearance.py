@@ -49,13 +49,18 @@ class _Nearest:
 
 
 class Clearance:
-    """Distances of one arm; fulfils ``design_problem.Obstacles``.
+    """Distances of one arm: what it must not touch, itself included.
 
     Args:
         robot: the arm.
         rest: (n,) configuration in which the motion starts.
         clearance: distance to keep between bodies that are apart at rest [m].
         half_spaces: further space that is forbidden.
+
+    Attributes:
+        horizon: largest slack that is told apart [m]; what is farther away counts as this far.
+        rates: approach bounds (P, n): pairs of row p approach at rates[p] @ abs(qd) [m/s] at most.
+        close_at_rest: names of body pairs that are apart at rest but nearer than the clearance.
     """
 
     horizon = HORIZON
@@ -69,19 +74,18 @@ class Clearance:
         self._data = mujoco.MjData(self._model)
         self._data.qpos[:] = robot.reference_qpos
         self._joints = self._model.dof_jntid[robot.dof_index]
-        self._half_spaces = tuple(half_spaces)
         self._required = np.full((self._model.nbody, self._model.nbody), clearance)
         self._place(rest)
         self._bounds = ApproachBounds(robot, self._data)
         self.rates = self._bounds.rates
         self._learn_pairs(robot.reference, rest)
-        self._close_at_rest = self._name_close_pairs(clearance)
+        self.close_at_rest = self._name_close_pairs(clearance)
         self._settle_neighbours(rest)
         drop_pairs(self._model, self._bounds.part, np.isneginf(self._required))
         self._place(rest)
         self._planes = [
             (space, shape, _required_at(self._height(space, shape), space.clearance))
-            for space in self._half_spaces
+            for space in half_spaces
             for shape in geom_shapes(robot.mj_model, space.bodies)
         ]
 
@@ -132,10 +136,6 @@ class Clearance:
             if height <= 0.0:
                 found.append((space, self._label(shape.body), -height))
         return found
-
-    def close_at_rest(self) -> tuple[str, ...]:
-        """Return names of body pairs that are apart at rest but nearer than the clearance."""
-        return self._close_at_rest
 
     def _name_close_pairs(self, clearance: float) -> tuple[str, ...]:
         near = np.argwhere(np.triu((self._required < clearance) & np.isfinite(self._required)))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -20,8 +19,8 @@ class Box:
         lower, upper: opposite corners (x, y, z) [m]; infinite where a side is open.
     """
 
-    lower: tuple[float, float, float]
-    upper: tuple[float, float, float]
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
 
     def __post_init__(self) -> None:
         if len(self.lower) != 3 or len(self.upper) != 3:
@@ -58,14 +57,6 @@ class Plane:
         object.__setattr__(self, "offset", float(self.offset) / length)
 
 
-def box_from(values: tuple[float, ...]) -> Box:
-    """Return the box of six numbers XMIN XMAX YMIN YMAX ZMIN ZMAX [m]."""
-    if len(values) != 6:
-        raise InputError("--workspace takes six numbers: XMIN XMAX YMIN YMAX ZMIN ZMAX")
-    low, high = values[0::2], values[1::2]
-    return Box((low[0], low[1], low[2]), (high[0], high[1], high[2]))
-
-
 def plane_from(values: tuple[float, ...]) -> Plane:
     """Return the plane of four numbers NX NY NZ OFFSET (OFFSET in multiples of the normal)."""
     if len(values) != 4:
@@ -93,9 +84,9 @@ class Slack:
     """How much room N configurations have.
 
     Attributes:
-        value: (N,) smallest slack [m], at most the obstacles' horizon.
+        value: (N,) smallest slack [m], at most the horizon.
         gradient: (N, n) with respect to the joint positions.
-        budget: (N, P) smallest slack among the pairs of each row of ``Obstacles.rates`` [m];
+        budget: (N, P) smallest slack among the pairs of each row of ``Clearance.rates`` [m];
             infinite where a row has no pair within the horizon.
     """
 
@@ -104,29 +95,8 @@ class Slack:
     budget: Array
 
 
-class Obstacles(Protocol):
-    """What the arm must not touch, itself included."""
-
-    @property
-    def horizon(self) -> float:
-        """Largest slack that is told apart [m]; what is farther away counts as this far."""
-
-    @property
-    def rates(self) -> Array:
-        """Approach bounds (P, n): pairs of row p approach at rates[p] @ abs(qd) [m/s] at most."""
-
-    def slack(self, q: Array) -> Slack:
-        """Return the slack at positions q (N, n)."""
-
-    def slack_at(self, q: Array) -> tuple[float, Array]:
-        """Return value and budget (P,) at one configuration q (n,), which is faster."""
-
-    def closest(self, q: Array) -> Closest:
-        """Return the tightest distance at one configuration q (n,)."""
-
-
 class NoObstacles:
-    """Empty space, for an arm whose model has no collision geometry.
+    """Empty space, for an arm whose model has no collision geometry; see ``Clearance``.
 
     Args:
         joints: number of joints n.

@@ -84,17 +84,13 @@ class Parser(argparse.ArgumentParser):
             for name, each in options_of(record).items():
                 if each.key not in leave_out and (not only or each.key in only):
                     default = (usual or {}).get(each.key, default_of(record, name))
-                    _add(group, each, default, self._hides(each))
+                    hidden = self._main is not None and each.key not in self._main
+                    _add(group, each, default, hidden)
         return group
-
-    def _hides(self, each: Option) -> bool:
-        return self._main is not None and each.key not in self._main
 
     def add_console(self) -> None:
         """Add what every command has."""
-        group = self.add_argument_group("console")
-        for each in options_of(ConsoleOptions).values():
-            _add(group, each, False, self._hides(each))
+        group = self.add("console", ConsoleOptions)
         version = f"{PROGRAM} {__version__}"
         group.add_argument("--version", action="version", version=version, help="print the version")
         group.add_argument("-h", "--help", action="help", help="print the main options")
@@ -134,14 +130,13 @@ def default_text(each: Option, default: Any) -> str:
     return f"{default:g}" if isinstance(default, float) else str(default)
 
 
-def _add(group: Any, each: Option, default: Any, hidden: bool = False) -> None:
+def _add(group: Any, each: Option, default: Any, hidden: bool) -> None:
     text = argparse.SUPPRESS if hidden else described(each, default).replace("%", "%%")
-    short = (each.short,) if each.short else ()
-    if isinstance(default, bool):
-        action = {"action": "store_true", "default": argparse.SUPPRESS}
-        group.add_argument(*short, each.flag, help=text, **action)
-        return
+    flags = [each.short, each.flag] if each.short else [each.flag]
     words: dict[str, Any] = {"help": text, "default": argparse.SUPPRESS, "dest": each.key}
+    if isinstance(default, bool):
+        group.add_argument(*flags, action="store_true", **words)
+        return
     if each.choices:
         words["choices"] = each.choices
         words["metavar"] = each.metavar or "{" + ",".join(each.choices) + "}"
@@ -154,7 +149,7 @@ def _add(group: Any, each: Option, default: Any, hidden: bool = False) -> None:
         words["nargs"] = "+"
     if each.repeats:
         words["action"] = "append"
-    group.add_argument(*short, each.flag, required=each.required, **words)
+    group.add_argument(*flags, **words)
 
 
 def _typed(parse: Callable[[str], Any]) -> Callable[[str], Any]:
@@ -170,18 +165,14 @@ def _typed(parse: Callable[[str], Any]) -> Callable[[str], Any]:
     return typed
 
 
-def values_of(options: argparse.Namespace) -> dict[str, Any]:
-    """Return what was given, lists as tuples."""
-    return {key: _frozen(value) for key, value in vars(options).items()}
-
-
 def _frozen(value: Any) -> Any:
     return tuple(_frozen(item) for item in value) if isinstance(value, list) else value
 
 
 def parsed(parser: Parser, arguments: Sequence[str]) -> tuple[dict[str, Any], ConsoleOptions]:
-    """Return (what was given, how much to print)."""
-    values = values_of(parser.parse_args(arguments))
+    """Return (what was given, lists as tuples; how much to print)."""
+    given = vars(parser.parse_args(arguments))
+    values = {key: _frozen(value) for key, value in given.items()}
     console = record_from(ConsoleOptions, values)
     for name in options_of(ConsoleOptions):
         values.pop(name, None)

@@ -8,9 +8,10 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 from robot_sysid.errors import InputError
+from robot_sysid.records.progress import Progress
 
 
-class Console:
+class Console(Progress):
     """Progress and results on standard output, notes on standard error.
 
     Args:

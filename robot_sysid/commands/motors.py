@@ -18,9 +18,15 @@ from robot_sysid.damiao.bus.inspection import inspect_bus
 from robot_sysid.damiao.bus.link import GuardedLink, Link
 from robot_sysid.damiao.bus.slcan import SlcanTerminal
 from robot_sysid.damiao.play.player import StopRequest
-from robot_sysid.damiao.play.preflight import Check, Permissions, general_checks, stops
+from robot_sysid.damiao.play.preflight import (
+    Check,
+    Permissions,
+    general_checks,
+    require_no_stop,
+    stops,
+)
 from robot_sysid.damiao.play.recorder import RecordingOptions
-from robot_sysid.damiao.play.run import Plan, inspect, run
+from robot_sysid.damiao.play.run import Plan, run
 from robot_sysid.damiao.play.settings import PlaySettings
 from robot_sysid.damiao.protocol.bus_load import BusTiming, default_rate
 from robot_sysid.damiao.report_lines import check_lines, load_line, motor_table, run_lines
@@ -30,7 +36,7 @@ from robot_sysid.damiao.simulated.motor import DEFAULT_WATCHDOG, simulated_motor
 from robot_sysid.damiao.simulated.server import serve
 from robot_sysid.damiao.simulated.simulated_link import SimulatedLink
 from robot_sysid.damiao.trajectory.csv_file import read_damiao_trajectory
-from robot_sysid.errors import HardwareAbort, InputError
+from robot_sysid.errors import InputError
 from robot_sysid.records.options import check_options, given_options, option, positive, record_from
 
 INTERRUPTED = "interrupted; no motor is enabled"
@@ -121,11 +127,8 @@ class _Run:
     @contextlib.contextmanager
     def bus(self, clock: Clock) -> Iterator[GuardedLink]:
         """Open the bus for as long as the block runs."""
-        link = open_bus(self.address, self.timing, clock)
-        try:
+        with contextlib.closing(open_bus(self.address, self.timing, clock)) as link:
             yield GuardedLink(link, clock.now, self.timing.fd)
-        finally:
-            link.close()
 
 
 def check(asked: _Run) -> int:
@@ -176,9 +179,7 @@ def simulate(asked: _Run) -> int:
         bus = SimulatedLink(clock, arm, asked.timing, echo=True)
         link = GuardedLink(bus, clock.now, asked.timing.fd)
         return _play_on(link, clock, plan, checks, PlayChoices(yes=True), asked)
-    forbidden = stops(checks)
-    if forbidden:
-        raise HardwareAbort(f"not rehearsed: {forbidden[0]}")
+    require_no_stop(checks, "not rehearsed")
     return _serve(_simulated_arm(asked, plan, options, _REAL_TIME_STEP), asked, options)
 
 
@@ -275,19 +276,18 @@ def _play_on(
     asked: _Run,
 ) -> int:
     console = asked.console
-    inspection, more = inspect(link, clock, plan)
-    checks = [*checks, *more]
+    inspection = inspect_bus(link, clock)
+    checks = [*checks, *plan.bus_checks(inspection)]
     console.lines([*motor_table(inspection, plan.trajectory.joints), *check_lines(checks)])
     if choices.dry_run:
         return _verdict(checks, console)
-    forbidden = stops(checks)
-    if forbidden:
-        raise HardwareAbort(f"not played: {forbidden[0]}")
-    plan.recording.require_free()
+    require_no_stop(checks, "not played")
+    read = (plan.trajectory.path, asked.values.get("model"))
+    plan.recording.require_free(*filter(None, read))
     if not choices.yes:
         _ask_for_confirmation()
         # The arm may have moved or been touched in the meantime.
-        inspection, _ = inspect(link, clock, plan)
+        inspection = inspect_bus(link, clock)
 
     def tell(time: float) -> None:
         console.advance("Playing", time, plan.duration, "")
@@ -316,13 +316,9 @@ def _simulated_arm(
 
 def _serve(arm: SimulatedArm, asked: _Run, options: SimulatedMotorOptions) -> int:
     clock, stop = SystemClock(), StopRequest()
-    link = _simulated_end(asked, clock)
-    ends = clock.now() + (options.lifetime or float("inf"))
-    try:
-        with stop.on_signals():
-            left_out = serve(arm, link, clock, lambda: not stop.count and clock.now() < ends)
-    finally:
-        link.close()
+    with contextlib.closing(_simulated_end(asked, clock)) as link, stop.on_signals():
+        ends = clock.now() + (options.lifetime or float("inf"))
+        left_out = serve(arm, link, clock, lambda: not stop.count and clock.now() < ends)
     if left_out > 0.0:
         asked.console.stage(f"this computer was too slow by {left_out:.1f} s in all")
     return 0
@@ -366,8 +362,6 @@ def _ask_for_confirmation() -> None:
 
 
 def _verdict(checks: Sequence[Check], console: Console) -> int:
-    forbidden = stops(checks)
-    if forbidden:
-        raise HardwareAbort(f"would not be played: {forbidden[0]}")
+    require_no_stop(checks, "would not be played")
     console.stage("nothing speaks against playing (dry run: nothing was enabled)")
     return 0

@@ -10,17 +10,19 @@ from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.dynamics.kinematics import ChainKinematics
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
-from robot_sysid.records import TORQUE_CHOICES, Array, Measurement, RobotModel
+from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.regressor import joint_regressor
 
 TERMINAL_FRICTION = FrictionModel(("coulomb", "viscous"))
 NO_FRICTION = FrictionModel(())
 
 
-def friction_of_terminal_joint(robot: RobotModel, identify: bool) -> tuple[FrictionModel, ...]:
-    """Return the friction terms to estimate per chain joint: those of the last joint, or none."""
-    last = TERMINAL_FRICTION if identify else NO_FRICTION
-    return (NO_FRICTION,) * (robot.n_joints - 1) + (last,)
+def friction_per_joint(
+    robot: RobotModel, torques: str, model: FrictionModel
+) -> tuple[FrictionModel, ...]:
+    """Return the friction terms of each chain joint: all of them, or the last one's only."""
+    others = model if torques == "chain" else NO_FRICTION
+    return (others,) * (robot.n_joints - 1) + (model,)
 
 
 class Equations:
@@ -42,10 +44,10 @@ class Equations:
         friction: Sequence[FrictionModel],
         shared: Sequence[str] = (),
     ) -> None:
-        if torques not in TORQUE_CHOICES:
-            raise InputError(f"unknown torques {torques!r}; choose one of {TORQUE_CHOICES}")
         self._robot = robot
         self._friction = tuple(friction)
+        self._friction_known = np.array([not model.terms for model in friction])
+        self._armature_sought = np.array(["armature" in model.terms for model in friction])
         self._kinematics = ChainKinematics(robot)
         last = robot.n_joints - 1
         self.rows_of = tuple(range(robot.n_joints)) if torques == "chain" else (last,)
@@ -84,7 +86,10 @@ class Equations:
             )
         qd, qdd = measurement.qd, measurement.qdd
         motion = self._kinematics.evaluate(measurement.q, qd, qdd)
-        known = motion.tau_rest + self._known_friction(qd) - self._estimated_armature(qdd)
+        known = motion.tau_rest + np.where(
+            self._friction_known, self._robot.friction.torque(qd), 0.0
+        )
+        known -= np.where(self._armature_sought, self._kinematics.armature * qdd, 0.0)
         inertial = joint_regressor(motion, self.rows_of)
         for block, j in zip(inertial, self.rows_of):
             # What the gear carries, by the model: the measured torque has friction in it already.
@@ -92,13 +97,3 @@ class Equations:
             own = self._friction[j].columns(qd[:, j], qdd[:, j], load)
             common = () if shared is None else (shared[:, j],)
             yield np.hstack((block, own, *common)), measurement.tau[:, j] - known[:, j]
-
-    def _known_friction(self, qd: Array) -> Array:
-        """Return the model's friction (N, n) of the joints whose friction is not estimated."""
-        estimated = np.array([bool(model.terms) for model in self._friction])
-        return np.where(estimated, 0.0, self._robot.friction.torque(qd))
-
-    def _estimated_armature(self, qdd: Array) -> Array:
-        """Return the model's armature torque (N, n) of the joints whose armature is estimated."""
-        estimated = np.array(["armature" in model.terms for model in self._friction])
-        return np.where(estimated, self._kinematics.armature * qdd, 0.0)

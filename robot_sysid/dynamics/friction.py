@@ -28,58 +28,24 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 
-# Stribeck velocities of geared joints lie between 0.01 and 0.3 rad/s at the output.
-DEFAULT_STRIBECK_VELOCITY = 0.1
+# Stribeck velocities vs of geared joints lie between 0.01 and 0.3 rad/s at the output.
+_STRIBECK_VELOCITY = 0.1
 
-
-@dataclass(frozen=True)
-class JointSignals:
-    """What the terms of one joint may depend on.
-
-    Attributes:
-        qd: (N,) velocity [rad/s].
-        qdd: (N,) acceleration [rad/s^2], where known.
-        load: (N,) torque the gear transmits [N m], where known.
-        stribeck_velocity: vs [rad/s].
-    """
-
-    qd: Array
-    qdd: Array | None
-    load: Array | None
-    stribeck_velocity: float
-
-
-def _armature(signals: JointSignals) -> Array:
-    if signals.qdd is None:
-        raise InputError("the friction term 'armature' needs joint accelerations, none were given")
-    return np.asarray(signals.qdd, dtype=float)
-
-
-def _load(signals: JointSignals) -> Array:
-    if signals.load is None:
-        raise InputError("the friction term 'load' needs the torque each gear carries, none given")
-    return np.sign(signals.qd) * np.abs(signals.load)
-
-
-def _stribeck(signals: JointSignals) -> Array:
-    return np.sign(signals.qd) * np.exp(-((signals.qd / signals.stribeck_velocity) ** 2))
-
-
-TERMS: Mapping[str, Callable[[JointSignals], Array]] = {
-    "coulomb": lambda s: np.sign(s.qd),
-    "viscous": lambda s: np.asarray(s.qd, dtype=float),
-    "offset": lambda s: np.ones_like(s.qd, dtype=float),
-    "armature": _armature,
-    "sqrt": lambda s: np.sign(s.qd) * np.sqrt(np.abs(s.qd)),
-    "stribeck": _stribeck,
-    "load": _load,
+TERMS: Mapping[str, Callable[[Array, Array, Array], Array]] = {
+    "coulomb": lambda qd, qdd, load: np.sign(qd),
+    "viscous": lambda qd, qdd, load: qd,
+    "offset": lambda qd, qdd, load: np.ones_like(qd),
+    "armature": lambda qd, qdd, load: qdd,
+    "sqrt": lambda qd, qdd, load: np.sign(qd) * np.sqrt(np.abs(qd)),
+    "stribeck": lambda qd, qdd, load: np.sign(qd) * np.exp(-((qd / _STRIBECK_VELOCITY) ** 2)),
+    "load": lambda qd, qdd, load: np.sign(qd) * np.abs(load),
 }
-"""Term name to the function that makes its column; a new term is one more line here."""
+"""Term name to the function that makes its column, see ``FrictionModel.columns``; a new term is one
+more line here."""
 
 PRESETS = (
     "none",
@@ -103,21 +69,14 @@ class FrictionModel:
     """Which friction terms a joint has.
 
     Attributes:
-        terms: term names, in the order of the columns.
-        stribeck_velocity: vs of the term "stribeck" [rad/s].
+        terms: names of ``TERMS``, in the order of the columns.
     """
 
     terms: tuple[str, ...]
-    stribeck_velocity: float = DEFAULT_STRIBECK_VELOCITY
 
     def __post_init__(self) -> None:
-        unknown = [term for term in self.terms if term not in TERMS]
-        if unknown:
-            raise InputError(f"unknown friction term {unknown[0]!r}; valid: {', '.join(TERMS)}")
         if len(set(self.terms)) != len(self.terms):
             raise InputError(f"friction terms {list(self.terms)} name a term twice; use each once")
-        if not self.stribeck_velocity > 0.0 or not np.isfinite(self.stribeck_velocity):
-            raise InputError(f"Stribeck velocity must be positive, got {self.stribeck_velocity}")
 
     @property
     def name(self) -> str:
@@ -138,46 +97,36 @@ class FrictionModel:
         """Return the parameter name of each column, for instance ``coulomb[joint6]``."""
         return tuple(f"{term}[{joint}]" for term in self.terms)
 
-    def columns(
-        self, qd: Array, qdd: Array | None = None, load: Array | None = None
-    ) -> NDArray[np.float64]:
+    def columns(self, qd: Array, qdd: Array, load: Array) -> Array:
         """Return the regressor columns (N, k) of one joint.
 
         Args:
             qd: (N,) velocity [rad/s].
-            qdd: (N,) acceleration [rad/s^2]; needed by "armature".
-            load: (N,) torque the joint's gear transmits [N m]; needed by "load".
-
-        Raises:
-            InputError: a term needs a signal that was not given.
+            qdd: (N,) acceleration [rad/s^2].
+            load: (N,) torque the joint's gear transmits [N m].
         """
-        velocity = np.asarray(qd, dtype=float)
-        signals = JointSignals(velocity, qdd, load, self.stribeck_velocity)
-        columns = np.empty((len(velocity), len(self.terms)))
+        columns = np.empty((len(qd), len(self.terms)))
         for index, term in enumerate(self.terms):
-            columns[:, index] = TERMS[term](signals)
+            columns[:, index] = TERMS[term](qd, qdd, load)
         return columns
 
 
-def friction_model(
-    name: str, stribeck_velocity: float = DEFAULT_STRIBECK_VELOCITY
-) -> FrictionModel:
+def friction_model(name: str) -> FrictionModel:
     """Return the friction model with this name.
 
     Args:
         name: "none", or terms joined by "-" or "+"; a leading "+" adds to the default for
             measured data, so "+sqrt" is "coulomb-viscous-offset-sqrt".
-        stribeck_velocity: vs of the term "stribeck" [rad/s].
 
     Raises:
         InputError: a term is unknown; lists the valid terms and presets.
     """
     full = DEFAULT_MEASURED + name if name.startswith("+") else name
-    terms = tuple(() if full == "none" else re.split(r"[-+]", full))
+    terms = () if full == "none" else tuple(re.split(r"[-+]", full))
     unknown = [term for term in terms if term not in TERMS]
     if unknown:
         raise InputError(
             f"unknown friction term {unknown[0]!r} in {name!r}; join any of {', '.join(TERMS)} "
             f"with '-', or use one of: {', '.join(PRESETS)}"
         )
-    return FrictionModel(terms, stribeck_velocity)
+    return FrictionModel(terms)

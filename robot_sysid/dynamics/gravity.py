@@ -15,7 +15,7 @@ import numpy as np
 from robot_sysid.dynamics.kinematics import ChainKinematics
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, RobotModel
-from robot_sysid.regressor import joint_regressor
+from robot_sysid.regressor import joint_torque
 
 TILT_NAMES = ("tilt_1", "tilt_2")
 
@@ -64,7 +64,6 @@ class TiltColumns:
 
     def __init__(self, robot: RobotModel, theta: Array) -> None:
         self._theta = theta
-        self._joints = range(robot.n_joints)
         here = gravity(robot)
         changes = [np.cross(axis, here) for axis in tilt_axes(here)]
         arms = [with_gravity(robot, vector) for vector in (np.zeros(3), *changes)]
@@ -73,9 +72,6 @@ class TiltColumns:
     def evaluate(self, q: Array) -> Array:
         """Return (N, n, 2) torque per radian of tilt at positions q (N, n) [N m/rad]."""
         still = np.zeros_like(q)
-        weightless, *tilted = (self._resting_torque(k, q, still) for k in self._kinematics)
+        motions = (kinematics.evaluate(q, still, still) for kinematics in self._kinematics)
+        weightless, *tilted = (joint_torque(motion, self._theta) for motion in motions)
         return np.stack([torque - weightless for torque in tilted], axis=-1)
-
-    def _resting_torque(self, kinematics: ChainKinematics, q: Array, still: Array) -> Array:
-        motion = kinematics.evaluate(q, still, still)
-        return motion.tau_rest + (joint_regressor(motion, self._joints) @ self._theta).T

@@ -138,62 +138,45 @@ class ChainKinematics:
 
     def evaluate(self, q: Array, qd: Array, qdd: Array) -> BodyMotion:
         """Return the body motion for chain motions (N, n)."""
-        samples, dofs = len(q), self._model.nv
-        position_jacobian = np.zeros((samples, 3, dofs))
-        rotation_jacobian = np.zeros((samples, 3, dofs))
-        rotation = np.empty((samples, 9))
-        acceleration = np.empty((samples, 6))
-        rest = np.empty((samples, dofs))
-        self._sweep(
-            (q, qd, qdd), position_jacobian, rotation_jacobian, rotation, acceleration, rest
-        )
-        jacobian = self._body_jacobian(position_jacobian, rotation_jacobian, rotation)
+        jacobians, rotation, acceleration, rest = self._sweep(q, qd, qdd)
+        to_body = rotation.reshape(-1, 1, 3, 3).swapaxes(2, 3)
+        jacobian = (to_body @ jacobians).reshape(len(q), 6, self._robot.n_joints)
         velocity = np.einsum("kij,kj->ki", jacobian, qd)
         # MuJoCo's linear acceleration is the classical one minus gravity; the spatial one lacks
         # the omega x v of the moving body frame.
         acceleration[:, 3:] -= np.cross(velocity[:, :3], velocity[:, 3:])
-        tau_rest = rest[:, self._robot.dof_index] + self._beyond_rigid_bodies(q, qd, qdd)
-        return BodyMotion(velocity, acceleration, jacobian, tau_rest)
+        if self._full is None:
+            beyond = self.armature * qdd
+        else:
+            beyond = self._full.beyond_rigid_bodies(q, qd, qdd)
+        return BodyMotion(velocity, acceleration, jacobian, rest + beyond)
 
-    def _sweep(
-        self,
-        motion: tuple[Array, Array, Array],
-        position_jacobian: Array,
-        rotation_jacobian: Array,
-        rotation: Array,
-        acceleration: Array,
-        rest: Array,
-    ) -> None:
-        """Fill the outputs sample by sample: the minimal sequence of MuJoCo calls."""
+    def _sweep(self, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array, Array, Array]:
+        """Go through the samples with the minimal sequence of MuJoCo calls.
+
+        Returns:
+            (Jacobians (N, 2, 3, n) of the body's rotation and position in the world, its rotation
+            (N, 9), its acceleration (N, 6) as MuJoCo has it, torques without the link (N, n)).
+        """
         model, data, body = self._model, self._data, self._robot.body_id
         qpos, qvel, qacc, xmat = data.qpos, data.qvel, data.qacc, data.xmat
         at_q, at_v = self._chain
         frame = int(mujoco.mjtObj.mjOBJ_XBODY)
-        for k, (q, qd, qdd) in enumerate(zip(*motion)):
-            qpos[at_q], qvel[at_v], qacc[at_v] = q, qd, qdd
+        jacobians = np.zeros((len(q), 2, 3, model.nv))
+        rotation, acceleration = np.empty((len(q), 9)), np.empty((len(q), 6))
+        rest = np.empty((len(q), model.nv))
+        for k in range(len(q)):
+            qpos[at_q], qvel[at_v], qacc[at_v] = q[k], qd[k], qdd[k]
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)
             mujoco.mj_comVel(model, data)
             mujoco.mj_rne(model, data, 1, rest[k])
             mujoco.mj_rnePostConstraint(model, data)
             mujoco.mj_objectAcceleration(model, data, frame, body, acceleration[k], 1)
-            mujoco.mj_jacBody(model, data, position_jacobian[k], rotation_jacobian[k], body)
+            mujoco.mj_jacBody(model, data, jacobians[k, 1], jacobians[k, 0], body)
             rotation[k] = xmat[body]
-
-    def _body_jacobian(self, position: Array, rotational: Array, rotation: Array) -> Array:
-        """Return (N, 6, n) [angular; linear] in body coordinates from world-frame Jacobians."""
-        to_body = rotation.reshape(-1, 3, 3).transpose(0, 2, 1)
-        at_v = self._robot.dof_index
-        jacobian = np.empty((len(rotation), 6, len(at_v)))
-        np.matmul(to_body, rotational[:, :, at_v], out=jacobian[:, :3])
-        np.matmul(to_body, position[:, :, at_v], out=jacobian[:, 3:])
-        return jacobian
-
-    def _beyond_rigid_bodies(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """Return armature, spring, tendon and actuator torques (N, n) of the full model."""
-        if self._full is None:
-            return self.armature * qdd
-        return self._full.beyond_rigid_bodies(q, qd, qdd)
+        chain = self._robot.dof_index
+        return jacobians[..., chain], rotation, acceleration, rest[:, chain]
 
 
 def _as_slice(index: Any) -> Any:

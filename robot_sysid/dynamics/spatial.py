@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 PARAMETER_NAMES = ("m", "hx", "hy", "hz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
-_UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-_MUJOCO_UPPER = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+# Where the entries of a symmetric matrix stand in [xx, xy, xz, yy, yz, zz].
+_OF_SIX = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 
 
 def cross(a: Array, b: Array) -> Array:
@@ -26,20 +26,17 @@ def cross(a: Array, b: Array) -> Array:
 
 def symmetric_from_six(six: Array) -> Array:
     """Return the (3, 3) symmetric matrix of [xx, xy, xz, yy, yz, zz]."""
-    matrix = np.empty((3, 3))
-    for value, (i, j) in zip(six, _UPPER):
-        matrix[i, j] = matrix[j, i] = value
-    return matrix
+    return np.asarray(six, dtype=float)[_OF_SIX]
 
 
 def six_from_symmetric(matrix: Array) -> Array:
     """Return [xx, xy, xz, yy, yz, zz] of a (3, 3) symmetric matrix."""
-    return np.array([matrix[i, j] for i, j in _UPPER])
+    return matrix[np.triu_indices(3)]
 
 
 def fullinertia_from_symmetric(matrix: Array) -> Array:
     """Return MuJoCo's order [xx, yy, zz, xy, xz, yz] of a (3, 3) symmetric matrix."""
-    return np.array([matrix[i, j] for i, j in _MUJOCO_UPPER])
+    return np.concatenate((np.diag(matrix), matrix[np.triu_indices(3, 1)]))
 
 
 def theta_from_com(mass: float, com: Array, inertia_com: Array) -> Array:
@@ -80,8 +77,7 @@ def pseudo_inertia(theta: Array) -> Array:
     "Linear matrix inequalities for physically consistent inertial parameter identification",
     2018, eq. 17).
     """
-    theta = np.asarray(theta, dtype=float)
-    return np.einsum("...k,kij->...ij", theta, _PSEUDO_BASIS)
+    return np.einsum("...k,kij->...ij", np.asarray(theta, dtype=float), _PSEUDO_BASIS)
 
 
 def theta_from_pseudo_inertia(matrix: Array) -> Array:
@@ -91,19 +87,11 @@ def theta_from_pseudo_inertia(matrix: Array) -> Array:
     return np.concatenate(([matrix[3, 3]], matrix[:3, 3], six_from_symmetric(inertia)))
 
 
-def pseudo_inertia_basis() -> Array:
-    """Return the (10, 4, 4) matrices B_k with J(theta) = sum_k theta_k B_k."""
-    return _PSEUDO_BASIS.copy()
-
-
-def smallest_pseudo_eigenvalue(theta: Array) -> float:
-    """Return the smallest eigenvalue of J(theta): positive for a physically possible body."""
-    return float(np.linalg.eigvalsh(pseudo_inertia(theta))[0])
-
-
 def is_consistent(theta: Array) -> bool:
     """Tell whether theta can belong to a rigid body of positive mass (J positive definite)."""
-    return bool(np.all(np.isfinite(theta))) and smallest_pseudo_eigenvalue(theta) > 0.0
+    if not np.all(np.isfinite(theta)):
+        return False
+    return bool(np.linalg.eigvalsh(pseudo_inertia(theta))[0] > 0.0)
 
 
 def parameter_scale(mass: float, length: float) -> Array:
@@ -121,13 +109,13 @@ def characteristic_length(theta: Array) -> float:
 
 def _build_pseudo_basis() -> Array:
     basis = np.zeros((10, 4, 4))
-    for k in range(10):
-        unit = np.eye(10)[k]
+    for matrix, unit in zip(basis, np.eye(10)):
         inertia = symmetric_from_six(unit[4:])
-        basis[k, :3, :3] = 0.5 * np.trace(inertia) * np.eye(3) - inertia
-        basis[k, :3, 3] = basis[k, 3, :3] = unit[1:4]
-        basis[k, 3, 3] = unit[0]
+        matrix[:3, :3] = 0.5 * np.trace(inertia) * np.eye(3) - inertia
+        matrix[:3, 3] = matrix[3, :3] = unit[1:4]
+        matrix[3, 3] = unit[0]
     return basis
 
 
+# B_k (10, 4, 4) with J(theta) = sum_k theta_k B_k.
 _PSEUDO_BASIS = _build_pseudo_basis()

@@ -8,7 +8,7 @@ fitted to their autocovariance. The variance of the score Y^T e is then sum_i c_
 
     Q_i = sum_(t, s) y_t exp(-|t - s| / T_i) y_s^T,
 
-which first-order recursive filters collect in constant memory. Slow rows and slow noise add up,
+which first-order recursive filters collect in one pass. Slow rows and slow noise add up,
 fast ones average out; white noise gives sigma^2 Y^T Y.
 """
 
@@ -88,78 +88,6 @@ class JointResiduals:
         return self.count * float(np.sum(kernels)) / spread if spread > 0.0 else float(self.count)
 
 
-class ResidualAccumulator:
-    """Collects one joint's sums over lags and kernels, chunk by chunk.
-
-    Args:
-        columns: which parameters the joint's rows contain.
-        root: (k, r) with w^2 C = root root^T.
-        expected: number of samples to come; lags and time constants stay below a tenth of it.
-    """
-
-    def __init__(self, columns: NDArray[np.int64], root: Array, expected: int) -> None:
-        self._columns, self._root = columns, root
-        lags = int(np.clip(expected // 10, 1, _MAX_LAG))
-        powers = np.arange(max(int(np.log2(max(lags / 2.0, 1.0))) + 1, 1))
-        self._decay = np.exp(-1.0 / 2.0**powers)
-        size = len(columns)
-        self._state = np.zeros((len(self._decay), 1, size))
-        self._cross = np.zeros((len(self._decay), size, size))
-        self._normal = np.zeros((size, size))
-        self._products, self._pairs, self._hats = (_LaggedSum(lags) for _ in range(3))
-
-    def add(self, rows: Array, residual: Array) -> None:
-        """Add rows (N, k) and residuals (N,); NaN where a sample is left out."""
-        if len(residual) == 0:
-            return
-        kept = np.isfinite(residual)
-        rows = np.where(kept[:, None], rows, 0.0)
-        self._products.add(np.where(kept, residual, 0.0)[:, None])
-        self._pairs.add(kept.astype(float)[:, None])
-        self._hats.add(rows @ self._root)
-        self._add_kernels(rows)
-
-    def _add_kernels(self, rows: Array) -> None:
-        """Update Q_i with the filter u_t = a (u_(t-1) + y_(t-1)), a = exp(-1 / T_i)."""
-        from scipy.signal import lfilter
-
-        self._normal += rows.T @ rows
-        for i, decay in enumerate(self._decay):
-            past, self._state[i] = lfilter(
-                [0.0, decay], [1.0, -decay], rows, axis=0, zi=self._state[i]
-            )
-            self._cross[i] += rows.T @ past
-
-    def result(self) -> JointResiduals:
-        """Return what has been collected."""
-        symmetric = self._normal + self._cross + self._cross.transpose(0, 2, 1)
-        pairs = np.maximum(self._pairs.total, 1.0)
-        return JointResiduals(
-            columns=self._columns,
-            count=int(round(self._pairs.total[0])),
-            decay=self._decay,
-            sums=np.concatenate((self._normal[None], symmetric)),
-            lags=np.arange(len(pairs)),
-            products=self._products.total / pairs,
-            hats=self._hats.total / pairs,
-        )
-
-
-class _LaggedSum:
-    """sum_t s_t . s_(t+l) for l = 0 .. lags of a vector signal that comes in chunks."""
-
-    def __init__(self, lags: int) -> None:
-        self.total = np.zeros(lags + 1)
-        self._tail: Array | None = None
-
-    def add(self, signal: Array) -> None:
-        lags = len(self.total) - 1
-        tail = signal[:0] if self._tail is None else self._tail
-        joined = np.concatenate((tail, signal))
-        self.total += _lagged(joined, lags) - _lagged(tail, lags)
-        self._tail = joined[-lags:]
-
-
 def collect_residuals(
     information: SquareRootInformation,
     samples: SampleSource,
@@ -178,21 +106,53 @@ def collect_residuals(
         root: (p, r) with C = root root^T.
         weights: (joints,) of the fit [1/(N m)].
     """
-    joints = information.joints
-    found = [
-        ResidualAccumulator(joint.columns, weight * root[joint.columns], joint.n_samples)
-        for joint, weight in zip(joints, weights)
-    ]
-    inside, total = np.zeros(len(joints)), np.zeros(len(joints))
+    results = []
     for index, rows, tau in samples:
-        residual = tau - rows @ values[joints[index].columns]
-        inside[index] += np.count_nonzero(np.abs(residual) <= clip[index])
-        total[index] += np.count_nonzero(np.isfinite(residual))
-        found[index].add(rows, np.clip(residual, -clip[index], clip[index]))
-    # Cut residuals carry less of each error into the estimate: psi(r) / mean psi' (Huber 1964).
-    shares = np.maximum(inside, 1.0) / np.maximum(total, 1.0)
-    results = [accumulator.result() for accumulator in found]
-    return [replace(r, products=r.products / share**2) for r, share in zip(results, shares)]
+        columns, largest = information.joints[index].columns, clip[index]
+        residual = tau - rows @ values[columns]
+        cut = np.clip(residual, -largest, largest)
+        found = joint_residuals(columns, weights[index] * root[columns], rows, cut)
+        # Cut residuals carry less of each error into the estimate: psi(r) / mean psi' (Huber 1964).
+        inside = int(np.count_nonzero(np.abs(residual) <= largest))
+        share = max(inside, 1) / max(found.count, 1)
+        results.append(replace(found, products=found.products / share**2))
+    return results
+
+
+def joint_residuals(
+    columns: NDArray[np.int64], root: Array, rows: Array, residual: Array
+) -> JointResiduals:
+    """Return one joint's sums over lags and kernels.
+
+    Lags and time constants stay below a tenth of the number of samples.
+
+    Args:
+        columns: which parameters the joint's rows contain.
+        root: (k, r) with w^2 C = root root^T.
+        rows: (N, k) its equations.
+        residual: (N,) [N m]; NaN where a sample is left out.
+    """
+    from scipy.signal import lfilter
+
+    kept = np.isfinite(residual)
+    count = int(np.count_nonzero(kept))
+    rows, residual = np.where(kept[:, None], rows, 0.0), np.where(kept, residual, 0.0)
+    lags = int(np.clip(count // 10, 1, _MAX_LAG))
+    powers = np.arange(max(int(np.log2(max(lags / 2.0, 1.0))) + 1, 1))
+    decay = np.exp(-1.0 / 2.0**powers)
+    normal = rows.T @ rows
+    # rows^T u with the filter u_t = a (u_(t-1) + y_(t-1)), a = exp(-1 / T_i): half of Q_i - Q_0.
+    cross = [rows.T @ lfilter([0.0, a], [1.0, -a], rows, axis=0) for a in decay]
+    pairs = np.maximum(_lagged(kept.astype(float)[:, None], lags), 1.0)
+    return JointResiduals(
+        columns=columns,
+        count=count,
+        decay=decay,
+        sums=np.array([normal, *(normal + half + half.T for half in cross)]),
+        lags=np.arange(lags + 1),
+        products=_lagged(residual[:, None], lags) / pairs,
+        hats=_lagged(rows @ root, lags) / pairs,
+    )
 
 
 def _simplest_fit(shapes: Array, seen: Array, count: int) -> Array:

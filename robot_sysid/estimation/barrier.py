@@ -89,12 +89,17 @@ def minimise(
     try:
         return _follow(problem, start, target)
     except np.linalg.LinAlgError as error:
-        raise _not_converged() from error
+        raise SysidError(
+            "the physically consistent fit did not converge; check the units of the torques and "
+            "of the model's inertias, or use --consistency off or a larger --prior-weight"
+        ) from error
 
 
 def _follow(problem: MatrixProblem, w: Array, target: Callable[[Array], float]) -> Array:
-    dual, tie = _first_dual(problem, w, target(w))
-    dual_root = np.linalg.cholesky(dual)
+    dual = problem.balance(w)
+    tie = max(2.0 * float(np.max(np.abs(np.linalg.eigvalsh(dual)))), target(w))
+    # The tie puts the dual matrix well inside the cone.
+    dual_root = np.linalg.cholesky(dual + tie * np.eye(len(dual)))
     arrivals = 0
     for _ in range(_MAX_STEPS):
         scaling = _Scaling(problem, w, dual_root)
@@ -107,21 +112,7 @@ def _follow(problem: MatrixProblem, w: Array, target: Callable[[Array], float]) 
             return w
         dual_root = scaling.moved_dual_root(step.length * step.dual)
         tie = tie + step.length * (step.tie - tie)
-    raise _not_converged()
-
-
-def _not_converged() -> SysidError:
-    return SysidError(
-        "the physically consistent fit did not converge; check the units of the torques and of "
-        "the model's inertias, or use --consistency off or a larger --prior-weight"
-    )
-
-
-def _first_dual(problem: MatrixProblem, start: Array, goal: float) -> tuple[Array, float]:
-    """Return (Z (s, s), tie) that balance the slope at ``start``, Z well inside the cone."""
-    dual = problem.balance(start)
-    tie = max(2.0 * float(np.max(np.abs(np.linalg.eigvalsh(dual)))), goal)
-    return dual + tie * np.eye(len(dual)), tie
+    raise np.linalg.LinAlgError(f"not at the minimum after {_MAX_STEPS} steps")
 
 
 class _Scaling:

@@ -25,6 +25,7 @@ from robot_sysid.estimation.identifiability import (
     column_scale,
     visible_space,
 )
+from robot_sysid.estimation.least_squares import least_correction
 from robot_sysid.records import Array
 
 INTERIOR_MARGIN = 1e-9
@@ -54,9 +55,9 @@ def consistent_least_squares(
         The plain least-squares solution where weight is 0 and that one is already consistent.
         A prior body that is impossible itself is replaced by a possible one nearby.
     """
-    plain = prior + visible_space(matrix).solve(right - matrix @ prior)
+    plain = least_correction(matrix, right, prior)
     rounded = lifted_body(plain[:N_INERTIAL], prior[:N_INERTIAL], _ROUNDNESS)
-    if weight == 0.0 and _is_inside(plain[:N_INERTIAL], rounded):
+    if weight == 0.0 and spatial.is_consistent(plain[:N_INERTIAL] - INTERIOR_MARGIN * rounded):
         return plain
     base = np.array(prior, dtype=float)
     base[:N_INERTIAL] = lifted_body(prior[:N_INERTIAL], prior[:N_INERTIAL], _PRIOR_FLOOR)
@@ -120,10 +121,6 @@ def _eliminate_nuisances(matrix: Array, right: Array, prior: Array) -> _Reduced:
     return _Reduced(
         space, deviation - onto @ (onto.T @ deviation), nuisance, inertial, deviation, prior
     )
-
-
-def _is_inside(theta: Array, rounded: Array) -> bool:
-    return spatial.is_consistent(theta - INTERIOR_MARGIN * rounded)
 
 
 def _search(reduced: _Reduced, start: Array, weight: float) -> Array:

@@ -17,7 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.information import combined
+from robot_sysid.estimation.information import combined, joint_rmse, sample_counts
+from robot_sysid.estimation.least_squares import noise_floor
 from robot_sysid.records import Array, SquareRootInformation, Validation
 
 
@@ -39,25 +40,37 @@ def validate(
     Raises:
         InputError: the information holds no samples.
     """
-    counts = np.array([joint.n_samples for joint in information.joints], dtype=float)
+    counts = sample_counts(information)
+    if not np.any(counts):
+        raise InputError(f"no usable torque samples to validate on in {source}")
     names = [joint.joint for joint in information.joints]
     wrong = information.squared_residuals(values)
-    return _validation(source, names, wrong, squared_torque, counts)
+    relative = [_ratio(*squares) for squares in zip(wrong, squared_torque)]
+    return Validation(
+        source=source,
+        n_samples=int(np.max(counts)),
+        rmse=float(np.sqrt(np.sum(wrong) / np.sum(counts))),
+        relative_error=_ratio(np.sum(wrong), np.sum(squared_torque)),
+        rmse_per_joint=dict(zip(names, joint_rmse(information, values).tolist())),
+        relative_error_per_joint=dict(zip(names, relative)),
+    )
 
 
-def hold_out(n_rows: int, fraction: float, gap: int = 0) -> tuple[slice, slice]:
+def _ratio(wrong: float, total: float) -> float | None:
+    return float(np.sqrt(wrong / total)) if total > 0.0 else None
+
+
+def hold_out(n_rows: int, fraction: float, gap: int) -> tuple[slice, slice]:
     """Split consecutive rows into a first part to fit and a last part to validate on.
 
     Args:
         n_rows: number of rows.
-        fraction: part of them that is held out; zero holds out nothing.
+        fraction: part of them that is held out, at least 0 and below 1.
         gap: rows left out between the parts, because filtering lets neighbours share samples.
 
     Raises:
-        InputError: the fraction is not in [0, 1), or one part is left without rows.
+        InputError: one part is left without rows.
     """
-    if not 0.0 <= fraction < 1.0:
-        raise InputError(f"--validate must be at least 0 and less than 1, got {fraction}")
     if fraction == 0.0:
         return slice(0, n_rows), slice(n_rows, n_rows)
     held = math.ceil(fraction * n_rows)
@@ -74,33 +87,12 @@ def blocks(n_rows: int, count: int) -> tuple[slice, ...]:
     """Cut consecutive rows into ``count`` blocks of nearly equal length.
 
     Raises:
-        InputError: there are fewer than two blocks, or fewer rows than blocks.
+        InputError: there are fewer rows than blocks.
     """
-    if count < 2 or n_rows < count:
-        raise InputError(f"{n_rows} rows cannot be cut into {count} blocks; two at least")
+    if n_rows < count:
+        raise InputError(f"{n_rows} rows cannot be cut into {count} blocks; record longer")
     edges = [round(k * n_rows / count) for k in range(count + 1)]
     return tuple(slice(start, stop) for start, stop in zip(edges, edges[1:]))
-
-
-def _validation(
-    source: str, names: Sequence[str], wrong: Array, total: Array, count: Array
-) -> Validation:
-    if not np.any(count):
-        raise InputError(f"no usable torque samples to validate on in {source}")
-    rmse = np.sqrt(wrong / np.maximum(count, 1))
-    relative = [_ratio(w, t) for w, t in zip(wrong, total)]
-    return Validation(
-        source,
-        int(np.max(count)),
-        float(np.sqrt(np.sum(wrong) / np.sum(count))),
-        _ratio(np.sum(wrong), np.sum(total)),
-        dict(zip(names, map(float, rmse))),
-        dict(zip(names, relative)),
-    )
-
-
-def _ratio(wrong: float, total: float) -> float | None:
-    return float(np.sqrt(wrong / total)) if total > 0.0 else None
 
 
 Solve = Callable[[SquareRootInformation], Array]
@@ -112,18 +104,11 @@ class ModelChoice:
 
     Attributes:
         name: the chosen candidate.
-        best: the candidate with the smallest held-out error.
         rmse: candidate to root mean square error on the held-out blocks, all joints [N m].
-        score: candidate to mean squared held-out error, each joint's divided by its noise
-            variance, so that joints with large torques do not decide alone.
-        excess: candidate to (mean, standard error) of its score above the best one's.
     """
 
     name: str
-    best: str
     rmse: Mapping[str, float]
-    score: Mapping[str, float]
-    excess: Mapping[str, tuple[float, float]]
 
     @property
     def note(self) -> str:
@@ -137,31 +122,28 @@ def choose_model(
 ) -> ModelChoice:
     """Choose a model by predicting each block of data from the others.
 
+    Each joint's squared error is divided by its noise variance, so that joints with large torques
+    do not decide alone.
+
     Args:
         candidates: model name to its information per block; the same blocks and joints for all.
             From one pass with the columns of all models, ``information.restricted`` makes them.
         solve: returns the estimate (p,) for the information of the blocks that are fitted.
-
-    Raises:
-        InputError: there is no candidate, or fewer than two blocks.
     """
-    if not candidates or min(len(parts) for parts in candidates.values()) < 2:
-        raise InputError("cross-validation needs a candidate and at least two blocks of data")
     richest = max(candidates, key=lambda name: len(candidates[name][0].names))
     whole = combined(candidates[richest])
-    counts = np.array([[joint.n_samples for joint in part.joints] for part in candidates[richest]])
+    counts = np.array([sample_counts(part) for part in candidates[richest]])
     noise = whole.squared_residuals(solve(whole)) / np.maximum(counts.sum(axis=0), 1)
-    noise = np.maximum(noise, 1e-18 * _mean_square(whole))
+    noise = np.maximum(noise, noise_floor(whole) ** 2)
     squared = {name: _held_out(parts, solve) for name, parts in candidates.items()}
     usable = np.maximum(counts.sum(axis=1), 1)
     folds = {name: np.sum(s / noise, axis=1) / usable for name, s in squared.items()}
     score = {name: float(np.mean(values)) for name, values in folds.items()}
     best = min(score, key=lambda name: score[name])
-    excess = {name: _excess(values, folds[best]) for name, values in folds.items()}
-    close = [name for name, (mean, error) in excess.items() if mean <= error]
+    close = [name for name, values in folds.items() if _is_close(values, folds[best])]
     simplest = min(close, key=lambda name: (len(candidates[name][0].names), score[name]))
     rmse = {name: float(np.sqrt(s.sum() / counts.sum())) for name, s in squared.items()}
-    return ModelChoice(simplest, best, rmse, score, excess)
+    return ModelChoice(simplest, rmse)
 
 
 def _held_out(parts: Sequence[SquareRootInformation], solve: Solve) -> Array:
@@ -173,12 +155,7 @@ def _held_out(parts: Sequence[SquareRootInformation], solve: Solve) -> Array:
     return np.array(errors)
 
 
-def _excess(values: Array, reference: Array) -> tuple[float, float]:
-    difference = values - reference
-    error = np.std(difference, ddof=1) / np.sqrt(len(difference))
-    return float(np.mean(difference)), float(error)
-
-
-def _mean_square(information: SquareRootInformation) -> float:
-    squared = sum(float(np.sum(joint.triangle[:, -1] ** 2)) for joint in information.joints)
-    return squared / max(information.n_samples, 1) or 1.0
+def _is_close(values: Array, best: Array) -> bool:
+    """Tell whether errors per block are at most one standard error above the best model's."""
+    excess = values - best
+    return bool(np.mean(excess) <= np.std(excess, ddof=1) / np.sqrt(len(excess)))

@@ -55,11 +55,6 @@ class VisibleSpace:
         return len(self.singular)
 
     @property
-    def condition_number(self) -> float:
-        """Largest over smallest visible singular value; infinite where nothing is visible."""
-        return float(self.singular[0] / self.singular[-1]) if self.rank else float("inf")
-
-    @property
     def identified(self) -> tuple[bool, ...]:
         """Per parameter, whether no invisible direction contains it."""
         hidden = np.linalg.norm(self.null, axis=1)
@@ -74,6 +69,11 @@ class VisibleSpace:
         """Return G (p, r) with G G^T = pseudo-inverse of A^T A in parameter units."""
         return self.scale[:, None] * self.right / self.singular
 
+    def inverse(self) -> Array:
+        """Return (p, p) the pseudo-inverse of A^T A in parameter units."""
+        root = self.inverse_root()
+        return root @ root.T
+
 
 def visible_space(matrix: Array, scale: Array | None = None, inertial: bool = True) -> VisibleSpace:
     """Decompose a stacked regressor (M, p) into what it can and cannot see.
@@ -84,7 +84,7 @@ def visible_space(matrix: Array, scale: Array | None = None, inertial: bool = Tr
             remains of another one whose scaling decides what is small; the cut is absolute then.
         inertial: whether the first ten columns are those of the inertial parameters.
     """
-    reference = None if scale is None else 1.0
+    is_absolute = scale is not None
     if scale is None:
         scale, zero = column_scale(matrix, inertial)
     else:
@@ -92,7 +92,8 @@ def visible_space(matrix: Array, scale: Array | None = None, inertial: bool = Tr
     scaled = np.where(zero, 0.0, matrix * scale)
     missing = max(matrix.shape[1] - len(matrix), 0)
     left, singular, right = np.linalg.svd(np.pad(scaled, ((0, missing), (0, 0))), False)
-    rank = _count_visible(singular, reference)
+    largest = 1.0 if is_absolute else np.max(singular, initial=0.0)
+    rank = int(np.count_nonzero(singular > RELATIVE_CUT * largest))
     left = left[: len(matrix), :rank]
     return VisibleSpace(scale, left, singular[:rank], right[:rank].T, right[rank:].T, zero)
 
@@ -112,19 +113,7 @@ def column_scale(matrix: Array, inertial: bool = True) -> tuple[Array, np.ndarra
     return 1.0 / np.where(zero, 1.0, length), zero
 
 
-def scaled_condition(matrix: Array, space: VisibleSpace) -> float:
-    """Return the condition number of the visible part with columns of unit length."""
-    if not space.rank:
-        return float("inf")
-    length = np.linalg.norm(matrix, axis=0)
-    unit = np.where(space.zero, 0.0, matrix / np.where(space.zero, 1.0, length))
-    singular = np.linalg.svd(unit, compute_uv=False)
-    return float(singular[0] / singular[space.rank - 1])
-
-
-def analyse_identifiability(
-    information: SquareRootInformation, terminal_joint: str | None = None
-) -> Identifiability:
+def analyse_identifiability(information: SquareRootInformation) -> Identifiability:
     """Tell what the data can see of the terminal link and of its joint's friction.
 
     The rank counts the ten inertial parameters and the terminal joint's Coulomb and viscous
@@ -133,35 +122,28 @@ def analyse_identifiability(
 
     Args:
         information: square-root information; the last joint is the terminal one.
-        terminal_joint: name of the terminal joint, if it is not the last.
     """
     matrix, _ = information.stacked()
     space = visible_space(matrix)
-    interest = parameters_of_interest(information, terminal_joint)
-    raw = np.linalg.svd(np.where(space.zero, 0.0, matrix), compute_uv=False)
-    condition = float(raw[0] / raw[space.rank - 1]) if space.rank else float("inf")
+    joint = information.joints[-1].joint
+    interest = np.isin(information.names, [f"coulomb[{joint}]", f"viscous[{joint}]"])
+    interest[:N_INERTIAL] = True
+    shown = np.where(space.zero, 0.0, matrix)
+    length = np.where(space.zero, 1.0, np.linalg.norm(matrix, axis=0))
     return Identifiability(
         rank=space.rank - _nuisance_rank(matrix, space, interest),
         n_parameters=int(np.count_nonzero(interest)),
-        condition_number=condition,
-        scaled_condition_number=scaled_condition(matrix, space),
+        condition_number=_condition(shown, space.rank),
+        scaled_condition_number=_condition(shown / length, space.rank),
         identified=space.identified,
         unidentifiable=describe(space.null, space.scale, information.names),
     )
 
 
-def parameters_of_interest(
-    information: SquareRootInformation, terminal_joint: str | None = None
-) -> np.ndarray:
-    """Return (p,) booleans: the ten inertial parameters and the terminal joint's friction."""
-    joint = terminal_joint or information.joints[-1].joint
-    wanted = {f"coulomb[{joint}]", f"viscous[{joint}]"}
-    return np.array([k < N_INERTIAL or n in wanted for k, n in enumerate(information.names)])
-
-
-def _count_visible(singular: Array, reference: float | None) -> int:
-    largest = np.max(singular, initial=0.0) if reference is None else reference
-    return int(np.count_nonzero(singular > RELATIVE_CUT * largest))
+def _condition(matrix: Array, rank: int) -> float:
+    """Return largest over smallest visible singular value; infinite where nothing is visible."""
+    singular = np.linalg.svd(matrix, compute_uv=False)
+    return float(singular[0] / singular[rank - 1]) if rank else float("inf")
 
 
 def _nuisance_rank(matrix: Array, space: VisibleSpace, interest: np.ndarray) -> int:

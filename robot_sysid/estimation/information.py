@@ -14,7 +14,6 @@ from functools import reduce
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.errors import InputError
 from robot_sysid.records import Array, JointInformation, SquareRootInformation
 
 
@@ -69,20 +68,23 @@ def update_triangle(triangle: Array, rows: Array) -> Array:
     return np.asarray(np.linalg.qr(stacked, mode="r"), dtype=np.float64)
 
 
+def sample_counts(information: SquareRootInformation) -> Array:
+    """Return (joints,) how many equations there are of each joint."""
+    return np.array([joint.n_samples for joint in information.joints], dtype=float)
+
+
+def joint_rmse(information: SquareRootInformation, values: Array) -> Array:
+    """Return (joints,) root mean square residuals at values (p,) [N m]."""
+    squared = information.squared_residuals(values)
+    return np.sqrt(squared / np.maximum(sample_counts(information), 1.0))
+
+
 def combined(parts: Sequence[SquareRootInformation]) -> SquareRootInformation:
     """Return the information of all parts' data together.
 
     Args:
         parts: at least one, all with the same parameters and joints.
-
-    Raises:
-        InputError: they differ in their parameters, joints or columns.
     """
-    first = parts[0]
-    shape = [(j.joint, tuple(j.columns)) for j in first.joints]
-    for part in parts:
-        if part.names != first.names or [(j.joint, tuple(j.columns)) for j in part.joints] != shape:
-            raise InputError("only information about the same parameters and joints can be added")
     joints = tuple(
         JointInformation(
             same[0].joint,
@@ -92,7 +94,7 @@ def combined(parts: Sequence[SquareRootInformation]) -> SquareRootInformation:
         )
         for same in zip(*(part.joints for part in parts))
     )
-    return SquareRootInformation(first.names, joints)
+    return SquareRootInformation(parts[0].names, joints)
 
 
 def restricted(information: SquareRootInformation, names: Sequence[str]) -> SquareRootInformation:
@@ -101,20 +103,13 @@ def restricted(information: SquareRootInformation, names: Sequence[str]) -> Squa
     Args:
         information: the data.
         names: which parameters stay, in any order; their order in the information is kept.
-
-    Raises:
-        InputError: a name is not in the information.
     """
-    unknown = [name for name in names if name not in information.names]
-    if unknown:
-        raise InputError(f"no parameter {unknown[0]!r}; there are {', '.join(information.names)}")
-    kept = [index for index, name in enumerate(information.names) if name in set(names)]
-    new_index = {old: new for new, old in enumerate(kept)}
+    kept = np.flatnonzero(np.isin(information.names, names))
     joints = []
     for joint in information.joints:
         stay = np.isin(joint.columns, kept)
         triangle = joint.triangle[:, np.append(stay, True)]
-        columns = np.array([new_index[int(old)] for old in joint.columns[stay]], dtype=np.int64)
+        columns = np.searchsorted(kept, joint.columns[stay])
         smaller = update_triangle(triangle[:0], triangle)
         joints.append(JointInformation(joint.joint, columns, smaller, joint.n_samples))
     return SquareRootInformation(tuple(information.names[i] for i in kept), tuple(joints))

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from robot_sysid.estimation.identifiability import visible_space
+from robot_sysid.estimation.information import sample_counts
 from robot_sysid.records import Array, SampleSource, SquareRootInformation
 
 MOST_ROUNDS = 30
@@ -17,9 +17,7 @@ _NOISE_FLOOR = 1e-9
 
 
 def ordinary(
-    information: SquareRootInformation,
-    prior: Array,
-    samples: SampleSource | None = None,
+    information: SquareRootInformation, prior: Array, samples: SampleSource | None = None
 ) -> WeightedEquations:
     """Weigh all joints alike; the common noise comes from all residuals together."""
     ones = np.ones(len(information.joints))
@@ -32,23 +30,25 @@ def ordinary(
 def least_squares(
     information: SquareRootInformation, prior: Array, weights: Array | None = None
 ) -> Array:
+    """Return ``least_correction`` for data, weights (joints,) [1/(N m)] or None for all alike."""
+    return least_correction(*information.stacked(weights), prior)
+
+
+def least_correction(matrix: Array, right: Array, prior: Array) -> Array:
     """Return x = prior + argmin_d ||A d - (b - A prior)||, of minimum norm in scaled columns.
 
     Whatever A cannot see keeps the prior's value, because d has no part there.
 
     Args:
-        information: the data, A and b.
+        matrix: (M, p) A.
+        right: (M,) b.
         prior: (p,) values to stay at where the data shows nothing.
-        weights: (joints,) weight of each joint's equations [1/(N m)]; None weighs all alike.
     """
-    matrix, right = information.stacked(weights)
     return prior + visible_space(matrix).solve(right - matrix @ prior)
 
 
 def weighted(
-    information: SquareRootInformation,
-    prior: Array,
-    samples: SampleSource | None = None,
+    information: SquareRootInformation, prior: Array, samples: SampleSource | None = None
 ) -> WeightedEquations:
     """Find noise and estimate in turns until the noise settles.
 
@@ -108,16 +108,8 @@ def joint_noise(information: SquareRootInformation, values: Array, weights: Arra
         weights: (joints,) weights it was found with.
     """
     squared = information.squared_residuals(values)
-    counts = np.array([joint.n_samples for joint in information.joints], dtype=float)
-    freedom = np.maximum(counts - leverage(information, weights), 1.0)
+    freedom = np.maximum(sample_counts(information) - leverage(information, weights), 1.0)
     return np.maximum(np.sqrt(squared / freedom), noise_floor(information))
-
-
-def left_in(samples: SampleSource) -> Iterator[tuple[int, Array, Array]]:
-    """Yield the chunks of a pass without the samples that are left out."""
-    for index, rows, tau in samples:
-        keep = np.isfinite(tau)
-        yield (index, rows, tau) if np.all(keep) else (index, rows[keep], tau[keep])
 
 
 def leverage(information: SquareRootInformation, weights: Array) -> Array:

@@ -2,8 +2,7 @@
 
 Minimises sum rho(r / sigma_j) with rho quadratic up to a threshold k and linear beyond, by
 iteratively reweighted least squares with weights min(1, k sigma_j / |r|) (Huber, "Robust estimation
-of a location parameter", 1964; Holland, Welsch 1977). sigma_j is 1.4826 times the median of |r|,
-read off a histogram, so that memory does not grow with the number of samples.
+of a location parameter", 1964; Holland, Welsch 1977). sigma_j is 1.4826 times the median of |r|.
 """
 
 from __future__ import annotations
@@ -11,12 +10,11 @@ from __future__ import annotations
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.information import InformationAccumulator
+from robot_sysid.estimation.information import InformationAccumulator, joint_rmse
 from robot_sysid.estimation.least_squares import (
     MOST_ROUNDS,
     WeightedEquations,
     least_squares,
-    left_in,
     noise_floor,
     weighted,
 )
@@ -32,19 +30,17 @@ _DECADES = 8
 
 
 def huber(
-    information: SquareRootInformation,
-    prior: Array,
-    samples: SampleSource | None = None,
+    information: SquareRootInformation, prior: Array, samples: SampleSource | None = None
 ) -> WeightedEquations:
     """Down-weight outliers.
 
     Args:
         information: all samples, unweighted.
         prior: (p,) the model's values.
-        samples: the same equations sample by sample, readable several times.
+        samples: the same equations sample by sample.
 
     Raises:
-        InputError: no samples, or samples that can be read only once.
+        InputError: no samples.
     """
     if samples is None:
         raise InputError("the method 'robust' needs the samples themselves; use 'ols' or 'wls'")
@@ -71,43 +67,28 @@ def _reweigh(
     accumulator = InformationAccumulator(
         information.names, [j.joint for j in joints], [j.columns for j in joints]
     )
-    rms = np.sqrt(information.squared_residuals(values) / np.maximum(_counts(information), 1.0))
-    floor = noise_floor(information)
-    medians = [_StreamingMedian(max(scale, floor)) for scale in rms]
-    for index, rows, tau in left_in(samples):
-        residual = tau - rows @ values[joints[index].columns]
-        medians[index].add(np.abs(residual))
-        root = np.sqrt(np.minimum(1.0, clip[index] / np.maximum(np.abs(residual), floor)))
+    rms, floor = joint_rmse(information, values), noise_floor(information)
+    noise = np.zeros(len(joints))
+    for index, rows, tau in samples:
+        used = np.isfinite(tau)
+        rows, tau = rows[used], tau[used]
+        size = np.abs(tau - rows @ values[joints[index].columns])
+        noise[index] = _MEDIAN_TO_SIGMA * _binned_median(size, max(rms[index], floor))
+        root = np.sqrt(np.minimum(1.0, clip[index] / np.maximum(size, floor)))
         accumulator.add(index, root[:, None] * rows, root * tau)
-    result = accumulator.result()
-    if result.n_samples != information.n_samples:
-        raise InputError(
-            f"the samples gave {result.n_samples} equations, not {information.n_samples} as "
-            "before; they must be readable several times and stay the same"
-        )
-    noise = np.array([_MEDIAN_TO_SIGMA * median.value for median in medians])
-    return result, np.maximum(noise, floor)
+    return accumulator.result(), np.maximum(noise, floor)
 
 
-def _counts(information: SquareRootInformation) -> Array:
-    return np.array([joint.n_samples for joint in information.joints], dtype=float)
+def _binned_median(numbers: Array, scale: float) -> float:
+    """Return the median of positive numbers to within a logarithmic bin, 1.2 % wide.
 
-
-class _StreamingMedian:
-    """Median of positive numbers from a histogram with logarithmic bins, 1.2 % wide."""
-
-    def __init__(self, scale: float) -> None:
-        half = _DECADES * _BINS_PER_DECADE // 2
-        self._edges = scale * 10.0 ** (np.arange(-half, half + 1) / _BINS_PER_DECADE)
-        self._counts = np.zeros(len(self._edges) + 1, dtype=np.int64)
-
-    def add(self, numbers: Array) -> None:
-        where = np.searchsorted(self._edges, numbers)
-        self._counts += np.bincount(where, minlength=len(self._counts))
-
-    @property
-    def value(self) -> float:
-        """The median, to within a bin."""
-        below = np.cumsum(self._counts)
-        k = int(np.searchsorted(below, 0.5 * below[-1]))
-        return float(self._edges[min(k, len(self._edges) - 1)])
+    Args:
+        numbers: (N,) of any size.
+        scale: near the middle of the bins.
+    """
+    half = _DECADES * _BINS_PER_DECADE // 2
+    edges = scale * 10.0 ** (np.arange(-half, half + 1) / _BINS_PER_DECADE)
+    counts = np.bincount(np.searchsorted(edges, numbers), minlength=len(edges) + 1)
+    below = np.cumsum(counts)
+    k = int(np.searchsorted(below, 0.5 * below[-1]))
+    return float(edges[min(k, len(edges) - 1)])

@@ -62,7 +62,7 @@ def prior_curvature(theta: Array, weight: float, size: int) -> Array:
     if weight > 0.0:
         safe = lifted_body(theta, theta, _SAFE_FLOOR)
         inverse = np.linalg.inv(spatial.pseudo_inertia(safe))
-        product = inverse @ spatial.pseudo_inertia_basis()
+        product = inverse @ spatial.pseudo_inertia(np.eye(N_INERTIAL))
         block = np.einsum("kij,lji->kl", product, product)
         curvature[:N_INERTIAL, :N_INERTIAL] = 0.5 * weight * block
     return curvature
@@ -83,36 +83,36 @@ def white_uncertainty(
     for joint, weight, sigma in zip(information.joints, weights, noise):
         rows = joint.triangle[:, :-1]
         score[np.ix_(joint.columns, joint.columns)] += weight**4 * sigma**2 * rows.T @ rows
-    return _uncertainty(information, weights, score, prior)
+    return _uncertainty(joint_space(information, weights, prior), score, prior)
 
 
 def coloured_uncertainty(
-    information: SquareRootInformation,
-    weights: Array,
-    residuals: Sequence[JointResiduals],
-    prior: Array,
+    space: VisibleSpace, weights: Array, residuals: Sequence[JointResiduals], prior: Array
 ) -> tuple[Uncertainty, list[float]]:
     """Return the uncertainty under noise that is correlated in time.
 
     Args:
-        information, weights, prior: as in ``white_uncertainty``.
+        space: what data and prior see together.
+        weights, prior: as in ``white_uncertainty``.
         residuals: what a pass over the samples left.
 
     Returns:
         (uncertainty, effective number of samples of each joint).
     """
-    inverse = _inverse(information, weights, prior)[0]
-    score = np.zeros_like(prior)
+    inverse, score = space.inverse(), np.zeros_like(prior)
     for _ in range(_ROUNDS):
         kernels = _fit_kernels(residuals, weights, inverse, score)
         score = _score(residuals, weights, kernels, len(prior))
     effective = [joint.effective_samples(c) for joint, c in zip(residuals, kernels)]
-    return _uncertainty(information, weights, score, prior), effective
+    return _uncertainty(space, score, prior), effective
 
 
-def inverse_root(information: SquareRootInformation, weights: Array, prior: Array) -> Array:
-    """Return G (p, r) with C = G G^T = (Y^T W Y + P)^-1."""
-    return _joint_space(information, weights, prior).inverse_root()
+def joint_space(information: SquareRootInformation, weights: Array, prior: Array) -> VisibleSpace:
+    """Return what data and prior see together; its inverse is C. Arguments as above."""
+    values, vectors = np.linalg.eigh(prior)
+    strong = values > 1e-14 * max(float(values[-1]), 0.0)
+    rows = np.sqrt(np.where(strong, values, 0.0))[:, None] * vectors.T
+    return visible_space(np.vstack((information.stacked(weights)[0], rows)))
 
 
 def _score(
@@ -144,27 +144,8 @@ def _fit_kernels(
     return found
 
 
-def _joint_space(information: SquareRootInformation, weights: Array, prior: Array) -> VisibleSpace:
-    """Return what data and prior see together."""
-    values, vectors = np.linalg.eigh(prior)
-    strong = values > 1e-14 * max(float(values[-1]), 0.0)
-    rows = np.sqrt(np.where(strong, values, 0.0))[:, None] * vectors.T
-    return visible_space(np.vstack((information.stacked(weights)[0], rows)))
-
-
-def _inverse(
-    information: SquareRootInformation, weights: Array, prior: Array
-) -> tuple[Array, VisibleSpace]:
-    """Return (C (p, p), what data and prior see together)."""
-    space = _joint_space(information, weights, prior)
-    root = space.inverse_root()
-    return root @ root.T, space
-
-
-def _uncertainty(
-    information: SquareRootInformation, weights: Array, score: Array, prior: Array
-) -> Uncertainty:
-    inverse, space = _inverse(information, weights, prior)
+def _uncertainty(space: VisibleSpace, score: Array, prior: Array) -> Uncertainty:
+    inverse = space.inverse()
     covariance = inverse @ (score + prior) @ inverse
     covariance = 0.5 * (covariance + covariance.T)
     spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))

@@ -51,24 +51,17 @@ class MotionConstraints:
 
     def __init__(self, problem: ExcitationProblem, share: float, extra_slack: float) -> None:
         self._problem, self._extra = problem, extra_slack
-        limits = problem.limits
-        self._center = 0.5 * (limits.lower + limits.upper)
-        self._half = (
-            share * 0.5 * (limits.upper - limits.lower),
-            share * limits.velocity,
-            share * limits.acceleration,
-            share * limits.torque,
-        )
+        self._center, self._allowed = problem.limits.center, share * problem.limits.largest
         self._nearby = _SlackMemory(problem)
 
     def evaluate(self, motion: tuple[Array, Array, Array]) -> ConstraintCache:
         """Return all constraints of a motion (q, qd, qdd), each (N, n)."""
         q, qd, qdd = motion
         torque = np.zeros_like(q)
-        if np.any(np.isfinite(self._half[3])):
+        if np.any(np.isfinite(self._allowed[3])):
             torque = self._torque(*motion)
         signals = (q - self._center, qd, qdd, torque)
-        shares = [np.abs(signal) / half - 1.0 for signal, half in zip(signals, self._half)]
+        shares = [np.abs(signal) / allowed - 1.0 for signal, allowed in zip(signals, self._allowed)]
         slack, gradient = self._nearby.slack(q)
         towards = (self._extra - slack) / OBSTACLE_LENGTH
         return ConstraintCache(np.hstack((*shares, towards[:, None])), motion, torque, gradient)
@@ -79,8 +72,8 @@ class MotionConstraints:
         q, qd, qdd = cache.motion
         signals = (q - self._center, qd, qdd, cache.torque)
         adjoints = [
-            weight[:, i * n : (i + 1) * n] * np.sign(signal) / half
-            for i, (signal, half) in enumerate(zip(signals, self._half))
+            weight[:, i * n : (i + 1) * n] * np.sign(signal) / allowed
+            for i, (signal, allowed) in enumerate(zip(signals, self._allowed))
         ]
         adjoints[0] = adjoints[0] - weight[:, -1:] * cache.slack_gradient / OBSTACLE_LENGTH
         from_torque = self._torque_vjp(cache, adjoints[3])

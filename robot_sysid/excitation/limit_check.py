@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_sysid.collision.obstacles import Closest
-from robot_sysid.excitation.constraints import LIMIT_NAMES, ROUNDING
+from robot_sysid.excitation.constraints import LIMIT_NAMES, OBSTACLE_LENGTH, ROUNDING
 from robot_sysid.excitation.problem import ExcitationProblem
 from robot_sysid.records import Array, Motion, MotionPlan
 from robot_sysid.trajectory import SineTrajectory, motion_chunks
@@ -60,7 +60,6 @@ class LimitCheck:
         closest: the tightest distance, to a millimetre.
         closest_time: when [s].
         excesses: limits that are not kept; none for a trajectory that may be run.
-        n_collision_tests: how many configurations were tested.
     """
 
     lowest: Array
@@ -71,7 +70,6 @@ class LimitCheck:
     closest: Closest
     closest_time: float
     excesses: tuple[Excess, ...]
-    n_collision_tests: int
 
     @property
     def holds(self) -> bool:
@@ -108,10 +106,11 @@ def check_limits(
         sample_rate: at which it will be run [Hz]; at least 1 kHz is checked.
     """
     peaks = _joint_peaks(problem, plan, max(LEAST_RATE_HZ, sample_rate))
-    closest, when, tests = _tightest(problem, plan, CLEARANCE_RESOLUTION)
-    excesses = [*_joint_excesses(problem, peaks)]
+    closest, when = _tightest(problem, plan, CLEARANCE_RESOLUTION)
+    excesses = list(_joint_excesses(problem, peaks))
     if closest.slack < 0.0:
-        excesses.append(Excess(f"clearance of {closest.label}", _clearance_share(closest), when))
+        share = 1.0 - closest.slack / OBSTACLE_LENGTH
+        excesses.append(Excess(f"clearance of {closest.label}", share, when))
     lowest, highest, velocity, acceleration, torque = peaks.extremes
     return LimitCheck(
         lowest,
@@ -122,7 +121,6 @@ def check_limits(
         closest,
         when,
         tuple(sorted(excesses, key=lambda excess: -excess.share)),
-        tests,
     )
 
 
@@ -170,13 +168,13 @@ def excess_times(problem: ExcitationProblem, plan: MotionPlan) -> Array:
 
 def first_contact(problem: ExcitationProblem, plan: MotionPlan) -> float | None:
     """Return the first time at which a clearance is not kept [s], or None."""
-    closest, when, _ = _tightest(problem, plan, np.inf, stop_below=0.0)
+    closest, when = _tightest(problem, plan, np.inf, stop_below=0.0)
     return when if closest.slack < 0.0 else None
 
 
-def tight_times(problem: ExcitationProblem, plan: MotionPlan, rate: float = 100.0) -> Array:
-    """Return times [s] at which the slack has a local minimum below zero."""
-    motion = plan.evaluate(np.arange(0.0, plan.duration, 1.0 / rate))
+def tight_times(problem: ExcitationProblem, plan: MotionPlan) -> Array:
+    """Return times [s] at which the slack, sampled at 100 Hz, has a local minimum below zero."""
+    motion = plan.evaluate(np.arange(0.0, plan.duration, 0.01))
     slack = problem.obstacles.slack(motion.q).value
     padded = np.pad(slack, 1, constant_values=np.inf)
     lowest = (slack <= padded[:-2]) & (slack < padded[2:]) & (slack < 0.0)
@@ -184,22 +182,13 @@ def tight_times(problem: ExcitationProblem, plan: MotionPlan, rate: float = 100.
 
 
 def _joint_peaks(problem: ExcitationProblem, plan: MotionPlan, rate: float) -> _Peaks:
-    limits, n = problem.limits, problem.n_joints
-    center = 0.5 * (limits.lower + limits.upper)
-    half = np.stack(
-        (
-            0.5 * (limits.upper - limits.lower),
-            limits.velocity,
-            limits.acceleration,
-            limits.torque,
-        )
-    )
+    center, allowed, n = problem.limits.center, problem.limits.largest, problem.n_joints
     share, time = np.zeros((4, n)), np.zeros((4, n))
     extremes = np.vstack((np.full(n, np.inf), np.full(n, -np.inf), np.zeros((3, n))))
     for motion in motion_chunks(plan, rate):
         torque = problem.torque(motion)
         signals = np.stack((motion.q - center, motion.qd, motion.qdd, torque))
-        here = np.abs(signals) / half[:, None, :]
+        here = np.abs(signals) / allowed[:, None, :]
         where = np.argmax(here, axis=1)
         largest = np.take_along_axis(here, where[:, None, :], axis=1)[:, 0]
         time = np.where(largest > share, motion.time[where], time)
@@ -217,27 +206,22 @@ def _joint_excesses(problem: ExcitationProblem, peaks: _Peaks) -> Iterator[Exces
         yield Excess(limit, float(peaks.share[i, j]), float(peaks.time[i, j]))
 
 
-def _clearance_share(closest: Closest) -> float:
-    return 1.0 - closest.slack / 0.05
-
-
 def _tightest(
     problem: ExcitationProblem, plan: MotionPlan, resolution: float, stop_below: float = -np.inf
-) -> tuple[Closest, float, int]:
-    """Return the tightest configuration, its time [s], and the number of tests it took.
+) -> tuple[Closest, float]:
+    """Return the tightest configuration and its time [s].
 
     Nowhere is the slack negative without being found, nor smaller than that of the configuration
     returned by more than the resolution [m]. An end at ``stop_below`` saves the rest of the tests.
     """
     obstacles = problem.obstacles
-    best, when, at_q, tests = np.inf, 0.0, plan.evaluate(np.zeros(1)).q[0], 0
+    best, when, at_q = np.inf, 0.0, plan.evaluate(np.zeros(1)).q[0]
     budget = np.full(len(obstacles.rates), -np.inf)
     for motion in motion_chunks(plan, FINEST_RATE_HZ):
         path = _path(motion, obstacles.rates)
         at = _used_up(path, budget)
         while at < len(path) and best >= stop_below:
             slack, room = obstacles.slack_at(motion.q[at])
-            tests += 1
             if slack < best:
                 best, when, at_q = slack, float(motion.time[at]), motion.q[at]
             # What can neither be negative nor lower than the lowest need not be looked at.
@@ -245,7 +229,7 @@ def _tightest(
             budget = path[at] + np.maximum(0.0, room - floor)
             at = max(at + 1, _used_up(path, budget))
         budget = budget - path[-1]
-    return obstacles.closest(at_q), when, tests
+    return obstacles.closest(at_q), when
 
 
 def _used_up(path: Array, budget: Array) -> int:

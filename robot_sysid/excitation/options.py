@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from robot_sysid.collision.obstacles import Box, Plane, box_from, plane_from
+from robot_sysid.collision.obstacles import Box, Plane, plane_from
 from robot_sysid.errors import InputError
 from robot_sysid.excitation.fourier import FourierBasis
 from robot_sysid.excitation.information import CRITERIA
@@ -87,7 +87,7 @@ class LimitOptions:
     @property
     def box(self) -> Box | None:
         """The workspace."""
-        return None if self.workspace is None else box_from(self.workspace)
+        return None if self.workspace is None else Box(self.workspace[0::2], self.workspace[1::2])
 
     @property
     def planes(self) -> tuple[Plane, ...]:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from robot_sysid.collision.clearance import Clearance
 from robot_sysid.collision.halfspaces import HalfSpace, box_half_spaces, plane_half_space
-from robot_sysid.collision.obstacles import NoObstacles, Obstacles
+from robot_sysid.collision.obstacles import NoObstacles
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.kinematics import ChainKinematics, subtree
 from robot_sysid.dynamics.screws import ScrewChain
@@ -18,12 +17,15 @@ from robot_sysid.excitation.options import TOP_FREQUENCY_HZ, LimitOptions
 from robot_sysid.records import Array, Motion, RobotModel, checked_array
 from robot_sysid.records.options import PerJoint, per_joint
 from robot_sysid.simulator import ArmTorque
-from robot_sysid.trajectory import POSITION_MARGIN, TORQUE_MARGIN, UNLIMITED_RANGE
+from robot_sysid.trajectory import (
+    POSITION_MARGIN,
+    TORQUE_MARGIN,
+    UNLIMITED_RANGE,
+    TorqueFunction,
+)
 
 DEFAULT_NOISE_TORQUE = 0.3
 """Torque noise that a plan predicts errors for where none is given [N m]."""
-
-TorqueFunction = Callable[[Motion], Array]
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,17 @@ class MotionLimits:
             if not np.all(getattr(self, name) > 0.0):
                 raise InputError(f"{name} limits must be positive")
 
+    @property
+    def center(self) -> Array:
+        """Middle of the position limits (n,) [rad or m]."""
+        return 0.5 * (self.lower + self.upper)
+
+    @property
+    def largest(self) -> Array:
+        """Largest distance from the center, speed, acceleration and torque (4, n)."""
+        span = 0.5 * (self.upper - self.lower)
+        return np.stack((span, self.velocity, self.acceleration, self.torque))
+
 
 @dataclass(frozen=True)
 class ExcitationProblem:
@@ -74,7 +87,7 @@ class ExcitationProblem:
     chain: ScrewChain
     prior: Array
     torque: TorqueFunction
-    obstacles: Obstacles
+    obstacles: Clearance | NoObstacles
     rows: tuple[int, ...]
     sigma: Array
     notes: tuple[str, ...] = ()
@@ -151,7 +164,7 @@ def screw_chain(robot: RobotModel) -> ScrewChain:
 def _position_limits(robot: RobotModel) -> tuple[Array, Array]:
     """Return position limits with the margin taken off; an assumed range where there are none."""
     lower, upper = robot.limits.lower, robot.limits.upper
-    assumed = np.array([0.5 * UNLIMITED_RANGE[bool(slide)] for slide in robot.is_slide])
+    assumed = 0.5 * np.where(robot.is_slide, UNLIMITED_RANGE[True], UNLIMITED_RANGE[False])
     lower = np.where(np.isfinite(lower), lower, np.minimum(robot.reference, upper) - assumed)
     upper = np.where(np.isfinite(upper), upper, np.maximum(robot.reference, lower) + assumed)
     margin = POSITION_MARGIN * (upper - lower)
@@ -230,7 +243,7 @@ def _moved_rest_note(robot: RobotModel, rest: Array) -> tuple[str, ...]:
 
 def _obstacles(
     robot: RobotModel, options: LimitOptions, rest: Array
-) -> tuple[Obstacles, tuple[str, ...]]:
+) -> tuple[Clearance | NoObstacles, tuple[str, ...]]:
     model = robot.mj_model
     spaces = _half_spaces(robot, options)
     solid = bool(np.any(model.geom_contype | model.geom_conaffinity)) or model.npair > 0
@@ -239,7 +252,7 @@ def _obstacles(
         return NoObstacles(robot.n_joints), (note,)
     clearance = Clearance(robot, rest, options.clearance, spaces)
     _require_inside(clearance)
-    near = clearance.close_at_rest()
+    near = clearance.close_at_rest
     if not near:
         return clearance, ()
     note = (

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics.equations import Equations
+from robot_sysid.dynamics.equations import Equations, friction_per_joint
 from robot_sysid.dynamics.friction import FrictionModel, friction_model
 from robot_sysid.dynamics.gravity import TILT_NAMES, TiltColumns, gravity, turned, with_gravity
 from robot_sysid.errors import SysidError
 from robot_sysid.estimation.cross_validation import hold_out, validate
 from robot_sysid.estimation.options import CHOSEN, EstimationOptions
 from robot_sysid.estimation.uncertainty import sensitivity
-from robot_sysid.identify.friction_selection import choose_friction, friction_per_joint
+from robot_sysid.identify.friction_selection import choose_friction
 from robot_sysid.identify.samples import (
     DecimatedSamples,
     SharedColumns,
@@ -270,9 +270,7 @@ def _align(
     for _ in range(_MOST_ROUNDS):
         samples, prior = _samples(robot, options, friction, signals, alignment, theta)
         rows = _chosen(samples, fitted)
-        estimate = identify_parameters(
-            rows.information(), prior, method, options, rows, rows.joints[-1]
-        )
+        estimate = identify_parameters(rows.information(), prior, method, options, rows)
         moved = alignment.moved(estimate)
         if _is_settled(alignment, moved):
             return estimate, moved, samples

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics.equations import NO_FRICTION, Equations
+from robot_sysid.dynamics.equations import Equations, friction_per_joint
 from robot_sysid.dynamics.friction import PRESETS, TERMS, FrictionModel, friction_model
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation.cross_validation import ModelChoice, blocks, choose_model
-from robot_sysid.estimation.information import restricted
+from robot_sysid.estimation.information import joint_rmse, restricted
 from robot_sysid.estimation.least_squares import least_squares
 from robot_sysid.identify.samples import DecimatedSamples, decimated_equations, joined
 from robot_sysid.records import Array, RobotModel, SquareRootInformation
@@ -19,14 +19,6 @@ from robot_sysid.signals.process import ProcessedSignals
 
 BLOCKS = 5
 """Into how many stretches of time a log is cut for cross-validation."""
-
-
-def friction_per_joint(
-    robot: RobotModel, torques: str, model: FrictionModel
-) -> tuple[FrictionModel, ...]:
-    """Return the friction terms of each chain joint: all of them, or the last one's only."""
-    first = model if torques == "chain" else NO_FRICTION
-    return (first,) * (robot.n_joints - 1) + (model,)
 
 
 def choose_friction(
@@ -75,7 +67,6 @@ def _solve(information: SquareRootInformation) -> Array:
     """Return least squares with each joint weighed by its own noise."""
     nothing = np.zeros(len(information.names))
     values = least_squares(information, nothing)
-    counts = np.array([max(joint.n_samples, 1) for joint in information.joints])
-    noise = np.sqrt(information.squared_residuals(values) / counts)
+    noise = joint_rmse(information, values)
     floor = 1e-9 * float(np.max(noise, initial=0.0)) or 1.0
     return least_squares(information, nothing, 1.0 / np.maximum(noise, floor))

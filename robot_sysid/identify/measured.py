@@ -96,8 +96,8 @@ def identify_logs(
         progress.stage(f"Reading measurements from {path}...")
         logs.append(_read_log(robot, options, path))
     if save is not None:
-        write_measurement_csv(save, robot.joint_names, logs[0].chunks())
-    measured = tuple(log.load() for log in logs)
+        write_measurement_csv(save, robot.joint_names, [logs[0].samples])
+    measured = tuple(log.samples for log in logs)
     tests = []
     if options.validation_measurements is not None:
         tests.append(_read_log(robot, options, options.validation_measurements))
@@ -122,7 +122,7 @@ def _read_log(robot: RobotModel, options: LogOptions, path: Path) -> Measurement
 
 def _origin(logs: Sequence[MeasurementLog]) -> DataOrigin:
     duration = sum(log.duration for log in logs)
-    rate = sum(log.n_samples - 1 for log in logs) / duration
+    rate = sum(len(log.samples) - 1 for log in logs) / duration
     return DataOrigin(Source.LOG, ", ".join(str(log.path) for log in logs), duration, rate)
 
 
@@ -143,7 +143,7 @@ def _identify(
     for note in data.notes:
         progress.note(note)
     fit = fit_measured(robot, data.logs, options, progress, data.least_deadband)
-    others = [validate_on(robot, log.load(), options, fit, str(log.path)) for log in tests]
+    others = [validate_on(robot, log.samples, options, fit, str(log.path)) for log in tests]
     for note in fit.notes:
         progress.note(note)
     own = () if fit.validation is None else (fit.validation,)

@@ -12,7 +12,12 @@ from typing import Any
 import numpy as np
 
 from robot_sysid import __version__
-from robot_sysid.dynamics.equations import Equations, friction_of_terminal_joint
+from robot_sysid.dynamics.equations import (
+    NO_FRICTION,
+    TERMINAL_FRICTION,
+    Equations,
+    friction_per_joint,
+)
 from robot_sysid.dynamics.kinematics import MUJOCO_VERSION
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.records import (
@@ -82,7 +87,8 @@ def identify_itself(
 ) -> Analysis:
     """Simulate the model along the trajectory and identify it, in constant memory."""
     progress.stage("Running MuJoCo simulation...")
-    friction = friction_of_terminal_joint(robot, not options.no_friction)
+    model = NO_FRICTION if options.no_friction else TERMINAL_FRICTION
+    friction = friction_per_joint(robot, "terminal", model)
     equations = Equations(robot, options.torques, friction)
     tracked = progress.track(_simulated(robot, run), "Collecting regressor data", run.n_chunks)
     information = collect_sysid_data(equations, tracked)

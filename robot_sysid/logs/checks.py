@@ -1,54 +1,48 @@
 """Finding what is wrong with a log before anything is estimated from it.
 
-Each check sees the rows once, chunk by chunk, keeps a few sums and ends in notes (the run goes on)
-or in an InputError (the numbers could not mean what they seem to). Both name lines and a remedy.
+Each check looks at the usable rows and ends in notes (the run goes on) or in an InputError (the
+numbers could not mean what they seem to). Both name lines and a remedy.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.motion_checks import Angles, Jumps, Limits, Rest, Torque, Velocity
-from robot_sysid.logs.rows import LogChunk, Repairs
-from robot_sysid.logs.timing import Check, Clock, JointTime, LogContext, Timing
+from robot_sysid.logs.motion_checks import (
+    limit_notes,
+    require_no_jumps,
+    require_radians,
+    require_torque,
+    rest_notes,
+    velocity_notes,
+)
+from robot_sysid.logs.rows import LogRows, listed
+from robot_sysid.logs.timing import LogContext, clock_notes, require_one_clock
 from robot_sysid.records import Array
 
 
-def check_log(
-    chunks: Iterable[LogChunk], context: LogContext, repairs: Repairs
-) -> tuple[Timing, tuple[str, ...]]:
-    """Run every check over the rows of a log.
-
-    Args:
-        chunks: iterable of LogChunk, in order.
-        context: what is known about the log.
-        repairs: what reading had to leave out or mend; complete once ``chunks`` is used up.
-
-    Returns:
-        Timing, and one sentence for each thing worth knowing.
+def check_log(rows: LogRows, context: LogContext) -> tuple[str, ...]:
+    """Run every check over the rows of a log and return one sentence for what is worth knowing.
 
     Raises:
         InputError: the log cannot be used as it is.
     """
-    clock = Clock()
-    checks: tuple[Check, ...] = (
-        clock, Angles(), Jumps(), Rest(), Limits(context), Torque(), Velocity(clock),
-        JointTime(),
-    )  # fmt: skip
-    previous: LogChunk | None = None
-    for chunk in chunks:
-        seen = chunk if previous is None else _joined(previous, chunk)
-        for check in checks:
-            check.update(seen)
-        previous = chunk.rows(slice(-1, None))
-    timing = clock.timing(context)
-    notes = _repair_notes(context, repairs)
-    for check in checks:
-        notes += check.finish(context, timing)
-    return timing, tuple(notes)
+    if len(rows.lines) < 10:
+        raise InputError(
+            f"{context.name} has only {len(rows.lines)} usable rows; an excitation of several "
+            "seconds is needed"
+        )
+    notes = [*_repair_notes(rows, context), *clock_notes(rows, context)]
+    require_radians(rows, context)
+    require_no_jumps(rows, context)
+    notes += [*rest_notes(rows, context), *limit_notes(rows, context)]
+    require_torque(rows, context)
+    notes += velocity_notes(rows, context)
+    require_one_clock(rows, context)
+    return tuple(notes)
 
 
 def sign_check(
@@ -85,33 +79,24 @@ def sign_check(
     return tuple(notes)
 
 
-def _joined(previous: LogChunk, chunk: LogChunk) -> LogChunk:
-    def both(name: str) -> Array | None:
-        value = getattr(chunk, name)
-        return None if value is None else np.concatenate((getattr(previous, name), value))
-
-    names = ("q", "tau", "qd", "qdd", "joint_time")
-    lines = np.concatenate((previous.lines, chunk.lines))
-    return LogChunk(lines, np.concatenate((previous.time, chunk.time)), *map(both, names))  # type: ignore[arg-type]
-
-
-def _repair_notes(context: LogContext, repairs: Repairs) -> list[str]:
-    usable = max(1, repairs.rows)
-    if repairs.missing.count > 0.05 * usable:
+def _repair_notes(rows: LogRows, context: LogContext) -> Iterator[str]:
+    if len(rows.missing) > 0.05 * rows.n_read:
         raise InputError(
-            f"{context.name}: {repairs.missing.count} of {repairs.rows} rows have empty or NaN "
-            f"cells ({repairs.missing}); mend the recording, or keep a broken column out with "
+            f"{context.name}: {len(rows.missing)} of {rows.n_read} rows have empty or NaN "
+            f"cells ({listed(rows.missing)}); mend the recording, or keep a broken column out with "
             "--columns FILE"
         )
-    if repairs.repeated.count > 0.05 * usable:
+    if len(rows.repeated) > 0.05 * rows.n_read:
         raise InputError(
-            f"{context.name}: {repairs.repeated.count} of {repairs.rows} rows repeat the time "
-            f"stamp before them ({repairs.repeated}); write the time with more digits"
+            f"{context.name}: {len(rows.repeated)} of {rows.n_read} rows repeat the time "
+            f"stamp before them ({listed(rows.repeated)}); write the time with more digits"
         )
     said = (
-        (repairs.missing, "left out {count} rows with empty or NaN cells ({lines})"),
-        (repairs.repeated, "left out {count} rows that repeat a time stamp ({lines})"),
-        (repairs.cut_off, "left out the last row, which is cut off ({lines})"),
-        (repairs.wrapped, "unwrapped positions that jump by a full turn ({lines})"),
+        (rows.missing, "left out {count} rows with empty or NaN cells ({lines})"),
+        (rows.repeated, "left out {count} rows that repeat a time stamp ({lines})"),
+        (rows.cut_off, "left out the last row, which is cut off ({lines})"),
+        (rows.wrapped, "unwrapped positions that jump by a full turn ({lines})"),
     )
-    return [text.format(count=r.count, lines=r) for r, text in said if r.count]
+    for lines, text in said:
+        if len(lines):
+            yield text.format(count=len(lines), lines=listed(lines))

@@ -44,7 +44,7 @@ _NEUTRAL = _words(
 )
 _JOINED = {("q", "dot"): "qd", ("q", "ddot"): "qdd", ("dot", "q"): "qd", ("ddot", "q"): "qdd"}
 
-_UNITS = {
+UNITS = {
     "time": {"s": 1.0, "sec": 1.0, "secs": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3}
     | {"msec": 1e-3, "millis": 1e-3, "us": 1e-6, "usec": 1e-6, "µs": 1e-6, "micros": 1e-6}
     | {"ns": 1e-9, "nsec": 1e-9, "nanos": 1e-9},
@@ -57,6 +57,7 @@ _UNITS = {
     | {"deg": math.pi / 180, "rad": 1.0, "°s2": math.pi / 180, "ms2": 1.0},
     "torque": {"nm": 1.0, "mnm": 1e-3, "ncm": 1e-2, "knm": 1e3, "n": 1.0},
 }
+"""Quantity to squeezed unit to what turns a value into SI."""
 _UNIT_WORDS = _words(
     "s sec secs second seconds ms msec millis us usec µs micros ns nsec nanos rad rads radians deg "
     "degs degree degrees ° dps rpm mm nm mnm ncm knm s2"
@@ -102,16 +103,6 @@ def read_title(text: str) -> Title:
     units = [word for word in words if word in _UNIT_WORDS]
     words = [word for word in words if word not in _UNIT_WORDS]
     return Title(text, tuple(_join(words)), numbers, unit or "".join(units))
-
-
-def unit_factor(kind: str, unit: str) -> float | None:
-    """Return what turns a value in this unit into SI, or None where the unit is unknown."""
-    return _UNITS[kind].get(unit)
-
-
-def name_pieces(name: str) -> tuple[str, ...]:
-    """Return a joint's name cut like a title, to find it inside one."""
-    return tuple(_pieces(name))
 
 
 def without_written_name(title: Title, name: str) -> Title | None:
@@ -240,14 +231,14 @@ def _by_name(titles: Sequence[Title], joint_names: Sequence[str]) -> Found:
 def _aliases(joint_names: Sequence[str]) -> list[tuple[int, str]]:
     """Return (joint, spelling), longest first; a part all joints share may be left out."""
     full = list(enumerate(joint_names))
-    pieces = [name_pieces(name) for name in joint_names]
+    pieces = [_pieces(name) for name in joint_names]
     shared_start = _shared(pieces)
     shared_end = _shared([p[::-1] for p in pieces])
     short = [" ".join(p[shared_start : len(p) - shared_end]) for p in pieces]
     # A bare number is left to counting, where the base (0 or 1) is checked.
     if len(set(short)) == len(short) > 1 and not any(s.isdigit() or not s for s in short):
         full += list(enumerate(short))
-    return sorted(full, key=lambda pair: -len(name_pieces(pair[1])))
+    return sorted(full, key=lambda pair: -len(_pieces(pair[1])))
 
 
 def _shared(pieces: Sequence[Sequence[str]]) -> int:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 from robot_sysid.errors import InputError
@@ -101,10 +102,8 @@ def read_dialect(path: Path) -> LogDialect:
 
 def split_line(line: str, separator: str) -> list[str]:
     """Return the cells of a line, without quotes and surrounding blanks."""
-    if separator == " ":
-        cells = next(csv.reader([" ".join(line.split())], delimiter=" "), [])
-    else:
-        cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
+    single = " ".join(line.split()) if separator == " " else line
+    cells = next(csv.reader([single], delimiter=separator, skipinitialspace=True), [])
     return [cell.strip() for cell in cells]
 
 
@@ -133,10 +132,10 @@ def _content_lines(path: Path, encoding: str) -> Iterator[tuple[int, str]]:
 def _beginning(path: Path, encoding: str) -> tuple[list[str], list[tuple[int, str]]]:
     """Return the comment lines above the data and the first two content lines."""
     content = _content_lines(path, encoding)
-    lines = [line for line, _ in zip(content, range(2))]
+    lines = list(islice(content, 2))
     last = lines[0][0] if lines else 0
     with path.open(encoding=encoding, errors="replace") as stream:
-        above = [line.strip() for line, _ in zip(stream, range(last - 1))]
+        above = [line.strip() for line in islice(stream, max(0, last - 1))]
     return [line for line in above if line], lines
 
 

@@ -2,15 +2,15 @@
 
 A log is a text table with a row per sample: time, and position and torque of every chain joint;
 velocity, acceleration and other columns as they come (see ``columns``, ``column_map`` and
-``column_file`` for how columns are found, ``checks`` for what is checked). It is read and checked
-in chunks; ``MeasurementLog.load`` then holds all of it in memory, which the fit needs.
+``column_file`` for how columns are found, ``checks`` for what is checked). It is held in memory as
+a whole, which the fit needs.
 """
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -21,13 +21,11 @@ from robot_sysid.logs.checks import check_log
 from robot_sysid.logs.column_file import ColumnChoices, Units, parse_units, read_columns_file
 from robot_sysid.logs.column_map import ColumnMap, recognise_columns
 from robot_sysid.logs.dialect import SEPARATOR_NAMES, LogDialect, read_dialect
-from robot_sysid.logs.rows import LogRows, Repairs
+from robot_sysid.logs.rows import read_rows
 from robot_sysid.logs.timing import LogContext
 from robot_sysid.records import JointLimits, Measurement
 from robot_sysid.records.atomic_files import whole_file
 from robot_sysid.records.options import check_options, option
-
-_CHUNK = 10_000
 
 
 @dataclass(frozen=True)
@@ -58,35 +56,24 @@ class LogOptions:
 
 @dataclass(frozen=True)
 class MeasurementLog:
-    """A checked log; its samples are read from the file whenever they are asked for.
+    """A checked log.
 
     Attributes:
         path: the file.
-        joint_names: the n chain joints, base to terminal.
         columns: which column was taken for what.
-        n_samples: number of usable rows.
-        sample_rate: usual number of samples per second [Hz].
-        duration: from the first to the last sample [s].
+        samples: the usable rows.
         notes: one sentence each: which columns were used, what was mended, what looks odd.
     """
 
     path: Path
-    joint_names: tuple[str, ...]
     columns: ColumnMap
-    n_samples: int
-    sample_rate: float
-    duration: float
+    samples: Measurement
     notes: tuple[str, ...]
-    _rows: LogRows = field(repr=False)
 
-    def chunks(self, size: int = _CHUNK) -> Iterator[Measurement]:
-        """Yield the samples in order, at most ``size`` at a time; can be called again and again."""
-        for chunk in self._rows.chunks(size):
-            yield Measurement(chunk.time, chunk.q, chunk.qd, chunk.tau, chunk.qdd, chunk.joint_time)
-
-    def load(self) -> Measurement:
-        """Return the whole log at once."""
-        return join_measurements(self.chunks())
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last sample [s]."""
+        return float(self.samples.time[-1] - self.samples.time[0])
 
 
 def join_measurements(chunks: Iterable[Measurement]) -> Measurement:
@@ -121,27 +108,17 @@ def read_measurements(
     Raises:
         InputError: the log cannot be read, is ambiguous or cannot be what it seems to be.
     """
-    path = Path(path)
+    path, slides = Path(path), list(is_slide) or [False] * len(joint_names)
     dialect = read_dialect(path)
     choices = read_columns_file(Path(columns), joint_names) if columns else ColumnChoices()
-    declared = _declared_units(units, choices)
-    found = recognise_columns(
-        _titles(dialect, choices), joint_names, choices, declared, dialect.first_row, is_slide
-    )
-    rows, repairs = LogRows(dialect, found, is_slide), Repairs()
-    slides = np.array(list(is_slide) or [False] * len(joint_names))
-    context = LogContext(str(path), tuple(joint_names), limits, slides, found.angle_declared)
-    timing, notes = check_log(rows.chunks(_CHUNK, repairs), context, repairs)
-    return MeasurementLog(
-        path,
-        tuple(joint_names),
-        found,
-        timing.n_samples,
-        _tidy_rate(1.0 / timing.period),
-        timing.end - timing.start,
-        (_layout(dialect), *found.describe(), *notes),
-        rows,
-    )
+    choices = replace(choices, units=_declared_units(units, choices))
+    titles = _titles(dialect, choices)
+    found = recognise_columns(titles, joint_names, choices, dialect.first_row, slides)
+    rows = read_rows(dialect, found, slides)
+    declared = found.angle_declared
+    context = LogContext(str(path), tuple(joint_names), limits, np.array(slides), declared)
+    notes = (_layout(dialect), *found.describe(), *check_log(rows, context))
+    return MeasurementLog(path, found, rows.samples, notes)
 
 
 def write_measurement_csv(
@@ -180,8 +157,8 @@ def _write_chunks(
             quantities = _written_quantities(chunk)
             write_row(["time", *(f"{j}_{name}" for name, _ in quantities for j in joint_names)])
         values = [getattr(chunk, attribute) for _, attribute in quantities]
-        for row in np.column_stack((chunk.time, *values)).tolist():
-            write_row(map(repr, row))
+        for row in np.column_stack((chunk.time, *values)):
+            write_row(map(repr, row.tolist()))
     if not quantities:
         raise InputError("there are no samples to write")
 
@@ -205,11 +182,6 @@ def _titles(dialect: LogDialect, choices: ColumnChoices) -> tuple[str, ...]:
 def _declared_units(units: str | None, choices: ColumnChoices) -> Units:
     given = parse_units(units) if units else Units()
     return Units(given.angle or choices.units.angle, given.time or choices.units.time)
-
-
-def _tidy_rate(rate: float) -> float:
-    # Rounded time stamps leave 499.9999998 Hz where 500 was meant.
-    return float(round(rate)) if abs(rate - round(rate)) < 1e-6 * rate else rate
 
 
 def _layout(dialect: LogDialect) -> str:

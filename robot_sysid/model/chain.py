@@ -11,6 +11,7 @@ motor torque is measured at them and no trajectory should drive them; so they st
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -86,11 +87,7 @@ def chain_to(mj_model: Any, joint: int) -> tuple[int, ...]:
     Raises:
         ModelError: there is a ball or free joint among them.
     """
-    chain: list[int] = []
-    at: int | None = joint
-    while at is not None:
-        chain.insert(0, at)
-        at = parent_joint(mj_model, at)
+    chain = tuple(_towards_world(mj_model, joint))[::-1]
     for member in chain:
         if not is_hinge_or_slide(mj_model, member):
             kind = mujoco.mjtJoint(int(mj_model.jnt_type[member])).name[len("mjJNT_") :].lower()
@@ -99,24 +96,30 @@ def chain_to(mj_model: Any, joint: int) -> tuple[int, ...]:
                 f"{joint_label(mj_model, joint)}; only hinge and slide joints can be identified, "
                 "so weld it or replace it in the model"
             )
-    return tuple(chain)
+    return chain
+
+
+def _towards_world(mj_model: Any, joint: int | None) -> Iterator[int]:
+    """Yield a joint and all between it and the world."""
+    while joint is not None:
+        yield joint
+        joint = parent_joint(mj_model, joint)
 
 
 def serial_runs(mj_model: Any) -> list[SerialRun]:
     """Return all maximal serial runs of hinge and slide joints."""
-    parents = {joint: parent_joint(mj_model, joint) for joint in range(mj_model.njnt)}
+    parents = [parent_joint(mj_model, joint) for joint in range(mj_model.njnt)]
     children: dict[int | None, list[int]] = {}
-    for joint, parent in parents.items():
+    for joint, parent in enumerate(parents):
         children.setdefault(parent, []).append(joint)
     runs = []
-    for joint in range(mj_model.njnt):
-        parent = parents[joint]
+    for joint, parent in enumerate(parents):
         if not is_hinge_or_slide(mj_model, joint) or _continues(mj_model, parent, children):
             continue
         run = [joint]
         while _continues(mj_model, run[-1], children):
             run.append(children[run[-1]][0])
-        runs.append(SerialRun(tuple(run), _ancestors(parents, joint)))
+        runs.append(SerialRun(tuple(run), frozenset(_towards_world(mj_model, parent))))
     return runs
 
 
@@ -126,15 +129,6 @@ def _continues(mj_model: Any, joint: int | None, children: dict[int | None, list
         return False
     following = children.get(joint, [])
     return len(following) == 1 and is_hinge_or_slide(mj_model, following[0])
-
-
-def _ancestors(parents: dict[int, int | None], joint: int) -> frozenset[int]:
-    found: set[int] = set()
-    at = parents[joint]
-    while at is not None:
-        found.add(at)
-        at = parents[at]
-    return frozenset(found)
 
 
 def find_terminal_joint(mj_model: Any) -> int:

@@ -100,8 +100,8 @@ def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
 
 
 def _check_mesh_dir(mesh_dir: Path | None) -> None:
-    if mesh_dir is not None and not Path(mesh_dir).is_dir():
-        fault = "is not a folder" if Path(mesh_dir).exists() else "does not exist"
+    if mesh_dir is not None and not mesh_dir.is_dir():
+        fault = "is not a folder" if mesh_dir.exists() else "does not exist"
         raise ModelError(f"mesh folder {mesh_dir} {fault}; check --mesh-dir")
 
 
@@ -118,14 +118,14 @@ def _compile_mjcf(document: ModelDocument, mesh_dir: Path | None) -> Any:
 
 
 def _compile_urdf(document: ModelDocument, mesh_dir: Path | None) -> tuple[Any, tuple[str, ...]]:
-    text, notes = _urdf_text(document, mesh_dir, with_minimum=False)
-    try:
-        mj_model = mujoco.MjModel.from_xml_string(text)
-    except _FAILURES as error:
-        if "mjMINVAL" not in str(error):
-            raise ModelError(_one_line(document, error)) from None
-        text, notes = _urdf_text(document, mesh_dir, with_minimum=True)
-        mj_model = _compile_text(document, text)
+    for with_minimum in (False, True):
+        text, notes = _urdf_text(document, mesh_dir, with_minimum)
+        try:
+            mj_model = mujoco.MjModel.from_xml_string(text)
+            break
+        except _FAILURES as error:
+            if with_minimum or "mjMINVAL" not in str(error):
+                raise ModelError(_one_line(document, error)) from None
     restore_exact_inertias(mj_model, link_inertias(document))
     return mj_model, notes
 
@@ -138,13 +138,6 @@ def _urdf_text(
     except (ValueError, TypeError) as error:
         raise ModelError(f"{document.path}: a number cannot be read: {error}") from None
     return text.decode(), notes
-
-
-def _compile_text(document: ModelDocument, text: str) -> Any:
-    try:
-        return mujoco.MjModel.from_xml_string(text)
-    except _FAILURES as error:
-        raise ModelError(_one_line(document, error)) from None
 
 
 def _one_line(document: ModelDocument, error: BaseException) -> str:

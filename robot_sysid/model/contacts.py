@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import mujoco
@@ -15,23 +15,6 @@ from robot_sysid.records import Array, Motion, RobotModel
 
 CHECK_RATE_HZ = 40.0
 """How often a trajectory is checked; at 2 rad/s and 0.5 m that is every 25 mm."""
-
-
-@dataclass(frozen=True)
-class NewContact:
-    """Two bodies that touch along the trajectory but not at rest.
-
-    Attributes:
-        time: when they first touch [s].
-        bodies: their names.
-    """
-
-    time: float
-    bodies: tuple[str, str]
-
-    def __str__(self) -> str:
-        first, second = self.bodies
-        return f"{first} and {second} touch at {self.time:.2f} s"
 
 
 class ContactFinder:
@@ -46,8 +29,8 @@ class ContactFinder:
         self._model: Any = robot.mj_model
         self._data = mujoco.MjData(self._model)
         self._data.qpos[:] = robot.reference_qpos
-        first = int(self._model.jnt_bodyid[_first_chain_joint(robot)])
-        self._moving = set(subtree(self._model, first))
+        first_joint = self._model.dof_jntid[robot.dof_index[0]]
+        self._moving = set(subtree(self._model, int(self._model.jnt_bodyid[first_joint])))
         self._at_rest = self._touching()
 
     def new_pairs(self, q: Array) -> set[tuple[int, int]]:
@@ -65,19 +48,16 @@ class ContactFinder:
         return {pair for pair in pairs if not self._moving.isdisjoint(pair)}
 
 
-def _first_chain_joint(robot: RobotModel) -> int:
-    return int(robot.mj_model.dof_jntid[robot.dof_index[0]])
-
-
-def find_new_contacts(robot: RobotModel, motions: Iterable[Motion]) -> tuple[NewContact, ...]:
-    """Return the first time each new pair of bodies touches along a motion."""
+def find_new_contacts(robot: RobotModel, motions: Iterable[Motion]) -> tuple[str, ...]:
+    """Return in words when each new pair of bodies touches for the first time along a motion."""
     finder = ContactFinder(robot)
     first_time: dict[tuple[int, int], float] = {}
     for motion in motions:
         for time, q in zip(motion.time, motion.q):
             for pair in finder.new_pairs(q):
                 first_time.setdefault(pair, float(time))
+    name = partial(body_label, robot.mj_model)
     return tuple(
-        NewContact(time, (body_label(robot.mj_model, a), body_label(robot.mj_model, b)))
-        for (a, b), time in first_time.items()
+        f"{name(first)} and {name(second)} touch at {time:.2f} s"
+        for (first, second), time in first_time.items()
     )

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.kinematics import subtree
 from robot_sysid.model.chain import body_label
 from robot_sysid.records import Array, SubtreeBody
 
@@ -26,34 +27,31 @@ def inertia_about_com(mj_model: Any, body_id: int) -> Array:
     return axes @ np.diag(mj_model.body_inertia[body_id]) @ axes.T
 
 
-def subtree_bodies(mj_model: Any, qpos: Array | None, body_id: int) -> tuple[SubtreeBody, ...]:
+def subtree_bodies(mj_model: Any, qpos: Array, body_id: int) -> tuple[SubtreeBody, ...]:
     """Return a body and everything below it, expressed in that body's frame.
 
     Args:
         mj_model: compiled model.
-        qpos: (nq,) configuration; None takes the model's ``qpos0``.
+        qpos: (nq,) configuration.
         body_id: top of the subtree.
     """
     data = mujoco.MjData(mj_model)
-    if qpos is not None:
-        data.qpos[:] = qpos
+    data.qpos[:] = qpos
     mujoco.mj_kinematics(mj_model, data)
     top_rotation = data.xmat[body_id].reshape(3, 3)
     bodies: dict[int, SubtreeBody] = {}
-    for i in range(body_id, mj_model.nbody):
-        parent = int(mj_model.body_parentid[i])
-        if i != body_id and parent not in bodies:
-            continue
+    for i in subtree(mj_model, body_id):
         rotation = top_rotation.T @ data.xmat[i].reshape(3, 3)
         translation = top_rotation.T @ (data.xpos[i] - data.xpos[body_id])
         own = body_theta(mj_model, i)
         theta = own if i == body_id else spatial.transform_theta(own, rotation, translation)
-        welded = i == body_id or (bodies[parent].welded and mj_model.body_jntnum[i] == 0)
+        parent = bodies.get(int(mj_model.body_parentid[i]))
+        welded = parent is None or (parent.welded and mj_model.body_jntnum[i] == 0)
         bodies[i] = SubtreeBody(i, body_label(mj_model, i), theta, bool(welded))
     return tuple(bodies.values())
 
 
-def composite_theta(mj_model: Any, qpos: Array | None, body_id: int) -> Array:
+def composite_theta(mj_model: Any, qpos: Array, body_id: int) -> Array:
     """Return theta (10,) of a body together with everything below it, held at ``qpos``.
 
     Expressed in the body's own frame, inertia about its origin.

@@ -18,7 +18,7 @@ def joint_limits(
     mj_model: Any,
     joints: tuple[int, ...],
     max_velocity: float,
-    stated: Sequence[float | None] = (),
+    stated: Sequence[float | None],
 ) -> JointLimits:
     """Return the limits of some joints.
 
@@ -32,20 +32,18 @@ def joint_limits(
     limited = mj_model.jnt_limited[index].astype(bool)
     slide = mj_model.jnt_type[index] == int(mujoco.mjtJoint.mjJNT_SLIDE)
     usual = np.where(slide, min(DEFAULT_SLIDE_VELOCITY, max_velocity), max_velocity)
-    own = np.array(stated, dtype=float)
     return JointLimits(
         lower=np.where(limited, mj_model.jnt_range[index, 0], -np.inf),
         upper=np.where(limited, mj_model.jnt_range[index, 1], np.inf),
-        velocity=np.fmin(usual, own) if len(own) else usual,
+        velocity=np.fmin(usual, np.array(stated, dtype=float)),
         torque=np.array([_torque_limit(mj_model, joint) for joint in joints]),
     )
 
 
 def _torque_limit(mj_model: Any, joint: int) -> float:
     """Return the symmetric torque limit of a joint; infinite where the model names none."""
-    own = np.inf
-    if mj_model.jnt_actfrclimited[joint]:
-        own = _symmetric(mj_model.jnt_actfrcrange[joint])
+    limited = mj_model.jnt_actfrclimited[joint]
+    own = _symmetric(mj_model.jnt_actfrcrange[joint]) if limited else np.inf
     return min(own, _actuator_limit(mj_model, joint))
 
 

@@ -23,7 +23,7 @@ from robot_sysid.model.chain import body_label
 from robot_sysid.model.compilation import CompiledModel, captured_warnings, compile_model
 from robot_sysid.model.inertia import body_theta
 from robot_sysid.records import Array, Motion, RobotModel
-from robot_sysid.regressor import joint_regressor
+from robot_sysid.regressor import joint_torque
 
 TOLERANCE = 1e-9
 """Largest relative deviation of the compiled inertia from what was asked for."""
@@ -218,18 +218,12 @@ TORQUE_TOLERANCE = 1e-9
 """Largest deviation of a written model's torque, relative to the joint's largest torque."""
 
 
-def predicted_torque(robot: RobotModel, theta: Array, motion: Motion) -> Array:
-    """Return tau_rest + Y theta (N, n) [N m], without friction."""
-    body = ChainKinematics(robot).evaluate(motion.q, motion.qd, motion.qdd)
-    rows = joint_regressor(body, range(robot.n_joints))
-    return body.tau_rest + (rows @ theta).T
-
-
 def torque_deviation(
     robot: RobotModel, theta: Array, written_model: Any, motion: Motion
 ) -> tuple[float, str]:
     """Return the largest relative torque deviation of a written model, and at which joint."""
-    predicted = predicted_torque(robot, theta, motion)
+    body = ChainKinematics(robot).evaluate(motion.q, motion.qd, motion.qdd)
+    predicted = joint_torque(body, theta)
     actual = ArmDynamics(robot, written_model).torque(motion.q, motion.qd, motion.qdd)
     peak = np.max(np.abs(predicted), axis=0)
     # A joint that carries next to nothing is judged by what its neighbours carry.
@@ -241,8 +235,8 @@ def torque_deviation(
 
 def require_reproduction(
     robot: RobotModel, theta: Array, written_model: Any, motion: Motion, path: Path
-) -> float:
-    """Return the deviation, or raise ExportError where the written model moves differently.
+) -> None:
+    """Raise ExportError where the written model moves differently than was identified.
 
     Args:
         robot: the arm as it was loaded.
@@ -257,4 +251,3 @@ def require_reproduction(
             f"{path.name} does not reproduce the identified torques: joint {joint} is off by "
             f"{deviation:.1e} relative (allowed {TORQUE_TOLERANCE:.0e}); no model was written"
         )
-    return deviation

@@ -39,11 +39,6 @@ class InertialParameters:
         return self.theta[1:4]
 
     @property
-    def inertia_origin(self) -> Array:
-        """Rotational inertia about the body origin (3, 3) [kg m^2]."""
-        return spatial.symmetric_from_six(self.theta[4:])
-
-    @property
     def com(self) -> Array:
         """Centre of mass (3,) in the body frame [m]."""
         return spatial.com_from_theta(self.theta)[1]

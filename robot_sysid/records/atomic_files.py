@@ -73,7 +73,8 @@ def require_writable(folder: Path) -> None:
         whole = folder.absolute()
     except FileNotFoundError:
         raise InputError("the current folder no longer exists; change to another one") from None
-    existing = next(f for f in (whole, *whole.parents) if f.exists())
+    # Path.exists fails where a folder above cannot be entered, or a name is too long.
+    existing = next(f for f in (whole, *whole.parents) if os.path.exists(f))
     if not existing.is_dir():
         raise InputError(f"cannot write to {folder}: {existing} is not a folder; choose another")
     if not os.access(existing, os.W_OK | os.X_OK):
@@ -167,7 +168,7 @@ class WholeFiles:
         Raises:
             InputError: the folder cannot be written to, or ``path`` is a folder.
         """
-        if path.is_dir():
+        if os.path.isdir(path):
             raise InputError(f"cannot write {path}: it is a folder; choose another name")
         draft = path.with_name(f".{path.stem}-{secrets.token_hex(4)}{path.suffix}")
         try:
@@ -237,7 +238,7 @@ class WholeFiles:
 
     def create_folder(self, folder: Path) -> None:
         """Create a folder and those above it; ``discard`` removes them if they stay empty."""
-        missing = [f for f in (folder, *folder.parents) if not f.exists()]
+        missing = [f for f in (folder, *folder.parents) if not os.path.exists(f)]
         for new in reversed(missing):
             new.mkdir(exist_ok=True)
             self._created_folders.append(new)

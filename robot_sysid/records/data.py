@@ -165,9 +165,9 @@ class SquareRootInformation:
 class SampleSource(Protocol):
     """The equations behind an information, sample by sample, for methods that need several passes.
 
-    Each iteration starts again at the first sample and yields chunks (joint number, rows (N, k),
-    tau (N,)) in the order of time per joint. tau is NaN where a sample is left out of the fit; such
-    a row stays in its place so that time lags keep their meaning.
+    Each iteration yields (joint number, rows (N, k), tau (N,)) of every joint, in the order of
+    time. tau is NaN where a sample is left out of the fit; such a row stays in its place so that
+    time lags keep their meaning.
     """
 
     def __iter__(self) -> Iterator[tuple[int, Array, Array]]:

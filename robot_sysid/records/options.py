@@ -41,7 +41,6 @@ class Option:
         usual: what stands in the place of a default that is found later.
         repeats: whether it is given once per value.
         several: whether several values follow it.
-        required: whether it has to be given.
         short: a second way to type it, or "".
     """
 
@@ -56,7 +55,6 @@ class Option:
     usual: str = ""
     repeats: bool = False
     several: bool = False
-    required: bool = False
     short: str = ""
 
     @property
@@ -150,13 +148,6 @@ def speed_factor(value: float) -> str | None:
 def share(value: float) -> str | None:
     """Complain unless a number is at least 0 and below 1."""
     return None if 0.0 <= value < 1.0 else f"must be at least 0 and below 1 (got {value:g})"
-
-
-def require_positive(value: float, option: str) -> None:
-    """Raise InputError unless a number is positive and finite."""
-    complaint = positive(value)
-    if complaint:
-        raise InputError(f"{option} {complaint}")
 
 
 def per_joint(values: PerJoint, joints: int, option: str) -> NDArray[np.float64]:

@@ -14,6 +14,10 @@ from robot_sysid.records.arrays import Array, checked_array
 
 DELAY_NAME = "delay"
 """Name of the parameter by which torque lags position."""
+MODEL_NAMES = {"mjcf": "updated_model.xml", "urdf": "updated_model.urdf"}
+"""Kind of model file to the name of the written model: a URDF stays one."""
+PARAMS_NAME, PLAN_NAME, DAMIAO_NAME = "params.json", "trajectory.json", "damiao_trajectory.csv"
+"""The other files in the output folder."""
 
 
 class Status(Enum):

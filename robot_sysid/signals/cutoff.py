@@ -52,25 +52,22 @@ class CutoffChoice:
     Attributes:
         cutoff: [Hz].
         position_noise: (n,) standard deviation of the white noise seen in each position [rad].
-        relative_error: expected root mean square error of acceleration, as a part of the
-            acceleration's own.
         reason: one sentence.
     """
 
     cutoff: float
     position_noise: Array
-    relative_error: float
     reason: str
 
 
-def choose_cutoff(q: Array, rate: float, steps: Array | None = None) -> CutoffChoice:
+def choose_cutoff(q: Array, rate: float, steps: Array) -> CutoffChoice:
     """Choose one cut-off for all joints.
 
     Args:
         q: (N, n) positions on a uniform grid [rad].
         rate: sample rate [Hz].
-        steps: (N, n) the part of q that comes from the steps of encoders [rad]; None takes it from
-            q, which has to be as it was read then.
+        steps: (N, n) the part of q that comes from the steps of encoders [rad], see
+            ``encoder_steps``.
 
     Raises:
         InputError: the log is too short to have a spectrum.
@@ -84,7 +81,7 @@ def choose_cutoff(q: Array, rate: float, steps: Array | None = None) -> CutoffCh
     frequency, power, shape = _acceleration_spectrum(q, rate, length)
     level = _noise_level(frequency, power, shape, rate)
     noise = level * shape[:, None]
-    stairs = _acceleration_spectrum(encoder_steps(q) if steps is None else steps, rate, length)[1]
+    stairs = _acceleration_spectrum(steps, rate, length)[1]
     motion = _motion(frequency, power, np.maximum(noise, stairs))
     noise = np.maximum(noise, np.where(motion > 0.0, 0.0, power))
     candidates = _candidates(len(q), rate)
@@ -95,13 +92,12 @@ def choose_cutoff(q: Array, rate: float, steps: Array | None = None) -> CutoffCh
     fit = np.flatnonzero(errors <= max(_HARMLESS, _NEARLY_BEST * errors.min()))
     best = candidates[fit[-1]]
     sigma = np.sqrt(level * rate / 2.0)
-    relative = float(np.sqrt(errors[fit[-1]]))
     reason = (
         f"cut-off {best:.3g} Hz chosen from the data: position noise "
         f"{sigma.min():.2g} to {sigma.max():.2g} rad, expected error of the acceleration "
-        f"{100 * relative:.2g} %"
+        f"{100 * np.sqrt(errors[fit[-1]]):.2g} %"
     )
-    return CutoffChoice(float(best), sigma, relative, reason)
+    return CutoffChoice(float(best), sigma, reason)
 
 
 def encoder_steps(q: Array) -> Array:
@@ -156,22 +152,20 @@ def _motion(frequency: Array, power: Array, noise: Array) -> Array:
     pooled = np.sum(power, axis=1)
     if not np.any(motion):
         return motion
-    slow = _within(frequency, motion, _MOSTLY)
+    slow = _speed_index(frequency, motion)
     last = slow + int(np.argmin(_smooth(pooled)[slow : max(slow + 1, int(0.9 * len(pooled)))]))
     return np.where(np.arange(len(frequency))[:, None] <= last, motion, 0.0)
 
 
-def _within(frequency: Array, motion: Array, share: float) -> int:
-    """Return below which frequency index this share of the squared speed is."""
+def _speed_index(frequency: Array, motion: Array) -> int:
+    """Return below which frequency index most of the squared speed is."""
     speed = np.cumsum(np.sum(motion, axis=1) / frequency**2)
-    return int(np.searchsorted(speed, share * speed[-1]))
+    return int(np.searchsorted(speed, _MOSTLY * speed[-1]))
 
 
 def _speed_band(frequency: Array, motion: Array) -> float:
     """Return the highest frequency that the arm moves at [Hz]; all where it does not move."""
-    return float(
-        frequency[_within(frequency, motion, _MOSTLY)] if np.any(motion) else frequency[-1]
-    )
+    return float(frequency[_speed_index(frequency, motion) if np.any(motion) else -1])
 
 
 def _smooth(power: Array) -> Array:

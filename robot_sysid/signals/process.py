@@ -163,7 +163,8 @@ def process(
     lost = low_pass.half_width + REACH
     qd = first_derivative(q, uniform.rate)
     if deadband is None:
-        band = np.maximum(_usual_deadband(qd), np.asarray(least_deadband or 0.0))
+        usual = USUAL_DEADBAND * np.max(np.abs(qd), axis=0)
+        band = np.maximum(np.maximum(usual, _LEAST_DEADBAND), np.asarray(least_deadband or 0.0))
     else:
         band = per_joint(deadband, qd.shape[1], "--velocity-deadband")
     signals = ProcessedSignals(
@@ -239,10 +240,6 @@ def _check_length(n_samples: int, low_pass: LowPass) -> None:
             f"{low_pass.cutoff:.3g} Hz, which needs {needed / low_pass.rate:.3g} s; record longer "
             "or give a higher --cutoff"
         )
-
-
-def _usual_deadband(qd: Array) -> Array:
-    return np.maximum(USUAL_DEADBAND * np.max(np.abs(qd), axis=0), _LEAST_DEADBAND)
 
 
 def _bridged(uniform: UniformSignals, low_pass: LowPass) -> NDArray[np.bool_]:

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Measurement
 
+GAP_STEPS = 1.75
+"""A step so many times the usual one has lost at least one sample."""
 # Clocks are rarely better than this part of a sampling period.
 _REGULAR = 0.01
 
@@ -54,13 +56,13 @@ def resampled(measurement: Measurement) -> UniformSignals:
         gap = np.zeros(len(time))
         exact = (len(time) - 1) / float(time[-1] - time[0])
         return UniformSignals(float(time[0]), exact, measurement.q, measurement.tau, gap, ())
-    return _interpolated(measurement, usual_rate(time))
+    return _interpolated(measurement, 1.0 / usual_period(time))
 
 
-def usual_rate(time: Array) -> float:
-    """Return samples per second, holes left out."""
+def usual_period(time: Array) -> float:
+    """Return the mean step between time stamps (N,), holes left out [s]."""
     step = np.diff(time)
-    return float(1.0 / np.mean(step[step <= 1.75 * np.median(step)]))
+    return float(np.mean(step[step <= GAP_STEPS * np.median(step)]))
 
 
 def is_even(time: Array) -> bool:
@@ -81,6 +83,8 @@ def _last_digit(time: Array) -> float:
 
 
 def _interpolated(measurement: Measurement, rate: float) -> UniformSignals:
+    from scipy.interpolate import CubicSpline
+
     time = measurement.time
     own = measurement.joint_time
     first = float(time[0] if own is None else max(time[0], own[0].max()))
@@ -93,7 +97,7 @@ def _interpolated(measurement: Measurement, rate: float) -> UniformSignals:
         stamps = time if own is None else own[:, joint]
         fresh = is_fresh(stamps)
         both = np.column_stack((measurement.q[:, joint], measurement.tau[:, joint]))
-        q[:, joint], tau[:, joint] = _spline(stamps[fresh], both[fresh], grid).T
+        q[:, joint], tau[:, joint] = CubicSpline(stamps[fresh], both[fresh])(grid).T
     said = "each joint at its own time stamps" if own is not None else "uneven time stamps"
     note = f"resampled to a uniform {rate:.6g} Hz ({said}, cubic splines)"
     return UniformSignals(first, rate, q, tau, _gaps(time, grid, rate), (note,))
@@ -104,15 +108,9 @@ def is_fresh(stamps: Array) -> NDArray[np.bool_]:
     return np.concatenate(([True], np.diff(stamps) > 0.0))
 
 
-def _spline(time: Array, values: Array, grid: Array) -> Array:
-    from scipy.interpolate import CubicSpline
-
-    return CubicSpline(time, values)(grid)
-
-
 def _gaps(time: Array, grid: Array, rate: float) -> Array:
     step = np.diff(time)
-    index: NDArray[np.intp] = np.clip(np.searchsorted(time, grid) - 1, 0, len(step) - 1)
-    length = step[index]
-    on_sample = np.abs(grid - time[np.clip(index + 1, 0, len(time) - 1)]) < 1e-3 / rate
-    return np.where((length > 1.75 / rate) & ~on_sample, length, 0.0)
+    index = np.clip(np.searchsorted(time, grid) - 1, 0, len(step) - 1)
+    nearest = np.minimum(np.abs(grid - time[index]), np.abs(grid - time[index + 1]))
+    bridged = (step[index] > GAP_STEPS / rate) & (nearest >= 1e-3 / rate)
+    return np.where(bridged, step[index], 0.0)

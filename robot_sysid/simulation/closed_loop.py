@@ -53,7 +53,6 @@ class ClosedLoop:
             whole number makes a sample period.
         ramp_use: how much of the plant's dry friction the motion showed.
         limited: (n,) control periods in which the torque limit cut the command off.
-        worst_error: (n,) largest position error [rad or m].
     """
 
     def __init__(self, plant: RobotModel, plan: MotionPlan, sample_rate: float) -> None:
@@ -69,10 +68,8 @@ class ClosedLoop:
             self._reset()
 
     def _reset(self) -> None:
-        joints = self._plant.n_joints
         self.ramp_use = RampUse(self._plant.joint_names, self._arm.ramp)
-        self.limited = np.zeros(joints, dtype=np.int64)
-        self.worst_error = np.zeros(joints)
+        self.limited = np.zeros(self._plant.n_joints, dtype=np.int64)
         self._ticks = 0
         self._held: Array | None = None
         start = self._plan.evaluate(np.zeros(1))
@@ -139,7 +136,6 @@ class ClosedLoop:
         limited = np.clip(tau, -self._plant.limits.torque, self._plant.limits.torque)
         self._ticks += 1
         self.limited += limited != tau
-        self.worst_error = np.maximum(self.worst_error, np.abs(error))
         return limited
 
     def _read(self, tau: Array) -> tuple[Array, ...]:

@@ -74,8 +74,7 @@ class ForwardPlant:
         self.substeps = self._substeps(period, configurations)
         self.model.opt.timestep = period / self.substeps
         self._has_friction = self.model.dof_frictionloss[plant.dof_index] > 0.0
-        self._rows = self._friction_rows()
-        self.ramp = self._friction_ramp()
+        self._rows, self.ramp = self._read_friction()
 
     def reset(self, q: Array, qd: Array) -> None:
         """Forget the past and put the chain at positions and velocities (n,)."""
@@ -135,30 +134,25 @@ class ForwardPlant:
             tau[k] = data.qfrc_inverse[at_v]
         return tau
 
-    def _friction_rows(self) -> NDArray[np.int64]:
-        """Return which constraint rows are the chain's dry friction; they never change."""
-        data = mujoco.MjData(self.model)
-        data.qpos[:] = self._plant.reference_qpos
-        mujoco.mj_forward(self.model, data)
-        kind = int(mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF)
-        row_of = {int(data.efc_id[r]): r for r in np.flatnonzero(data.efc_type == kind)}
-        dofs = self._plant.dof_index[self._has_friction]
-        return np.array([row_of[int(dof)] for dof in dofs], dtype=np.int64)
+    def _read_friction(self) -> tuple[NDArray[np.int64], FrictionRamp]:
+        """Return which constraint rows are dry friction, they never change, and the ramps.
 
-    def _friction_ramp(self) -> FrictionRamp:
-        """Return the ramps, read off MuJoCo's own constraint at unit velocities."""
-        data = mujoco.MjData(self.model)
-        data.qpos[:] = self._plant.reference_qpos
-        data.qvel[self._plant.dof_index] = 1.0
-        mujoco.mj_forward(self.model, data)
+        The ramps are read off MuJoCo's own constraint at unit velocities.
+        """
+        self.reset(self._plant.reference, np.ones(self._plant.n_joints))
+        kind = int(mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF)
+        found = np.flatnonzero(self.data.efc_type == kind)
+        row_of = {int(self.data.efc_id[row]): row for row in found}
+        dofs = self._plant.dof_index[self._has_friction]
+        rows = np.array([row_of[int(dof)] for dof in dofs], dtype=np.int64)
         inertia, rate = np.zeros(self._plant.n_joints), np.zeros(self._plant.n_joints)
-        inertia[self._has_friction] = data.efc_D[self._rows]
-        rate[self._has_friction] = -data.efc_aref[self._rows]
+        inertia[self._has_friction] = self.data.efc_D[rows]
+        rate[self._has_friction] = -self.data.efc_aref[rows]
         coulomb = self.model.dof_frictionloss[self._plant.dof_index]
-        return FrictionRamp(coulomb, inertia, rate)
+        return rows, FrictionRamp(coulomb, inertia, rate)
 
     def _substeps(self, period: float, configurations: Array) -> int:
-        rate, joint = fastest_decay(self._plant, self.model, configurations)
+        rate, joint = self._fastest_decay(configurations)
         substeps = max(1, math.ceil(period * rate / STIFFEST_STEP))
         if period / substeps < SHORTEST_STEP:
             raise SimulationError(
@@ -168,70 +162,38 @@ class ForwardPlant:
             )
         return substeps
 
+    def _fastest_decay(self, configurations: Array) -> tuple[float, int]:
+        """Return the fastest rate [1/s] at which damping stops the chain, and the joint it stops.
 
-def fastest_decay(plant: RobotModel, model: Any, configurations: Array) -> tuple[float, int]:
-    """Return the fastest rate [1/s] at which damping stops the chain, and the joint it stops.
+        It is the largest eigenvalue of M^-1 B over the configurations (K, n), M the mass matrix
+        and B the damping; the joint is the one that moves most in its eigenvector.
+        """
+        units = np.eye(self._plant.n_joints)
+        at_rest = self._passive(np.zeros_like(units[0]))
+        damping = np.column_stack([at_rest - self._passive(unit) for unit in units])
+        rates = []
+        for q in configurations:
+            self.reset(q, np.zeros_like(q))
+            mass = np.column_stack([self.times_mass(unit) for unit in units])
+            self._require_positive(mass)
+            values, vectors = np.linalg.eig(np.linalg.solve(mass, damping))
+            fastest = int(np.argmax(values.real))
+            joint = int(np.argmax(np.abs(vectors[:, fastest])))
+            rates.append((float(values.real[fastest]), joint))
+        return max(rates)
 
-    Args:
-        plant: the arm.
-        model: its compiled model to be stepped.
-        configurations: (K, n) chain positions to look at.
+    def _passive(self, qd: Array) -> Array:
+        """Return the torques (n,) of springs and dampers at rest position and velocities (n,)."""
+        self.reset(self._plant.reference, qd)
+        return np.array(self.data.qfrc_passive[self._plant.dof_index])
 
-    Returns:
-        (rate, joint): largest eigenvalue of M^-1 B over the configurations, M the mass matrix and
-        B the damping, and the joint that moves most in its eigenvector.
-
-    Raises:
-        SimulationError: M is not positive definite.
-    """
-    data = mujoco.MjData(model)
-    data.qpos[:] = plant.reference_qpos
-    damping = _damping(plant, model, data)
-    rates = []
-    for q in configurations:
-        data.qpos[plant.qpos_index] = q
-        mujoco.mj_forward(model, data)
-        mass = _mass(plant, model, data)
-        _require_positive(plant, mass)
-        values, vectors = np.linalg.eig(np.linalg.solve(mass, damping))
-        fastest = int(np.argmax(values.real))
-        joint = int(np.argmax(np.abs(vectors[:, fastest])))
-        rates.append((float(values.real[fastest]), joint))
-    return max(rates)
-
-
-def _require_positive(plant: RobotModel, mass: Array) -> None:
-    """Raise SimulationError unless every motion of the chain has a positive kinetic energy."""
-    values, vectors = np.linalg.eigh(0.5 * (mass + mass.T))
-    if not values[0] > 0.0:
-        joint = plant.joint_names[int(np.argmax(np.abs(vectors[:, 0])))]
-        raise SimulationError(
-            f"the plant cannot move: a motion of joint {joint} has no positive kinetic energy, so "
-            "a link it carries has an impossible mass or inertia; check the plant model's "
-            "<inertial> elements"
-        )
-
-
-def _damping(plant: RobotModel, model: Any, data: Any) -> Array:
-    """Return the (n, n) damping at rest, joint damping and that of tendons and actuators."""
-    mujoco.mj_forward(model, data)
-    at_rest = data.qfrc_passive[plant.dof_index]
-    damping = np.empty((plant.n_joints, plant.n_joints))
-    for j, dof in enumerate(plant.dof_index):
-        data.qvel[dof] = 1.0
-        mujoco.mj_forward(model, data)
-        damping[:, j] = at_rest - data.qfrc_passive[plant.dof_index]
-        data.qvel[dof] = 0.0
-    return damping
-
-
-def _mass(plant: RobotModel, model: Any, data: Any) -> Array:
-    """Return the chain's (n, n) mass matrix at the present configuration."""
-    mass = np.empty((plant.n_joints, plant.n_joints))
-    product, unit = np.empty(model.nv), np.zeros(model.nv)
-    for j, dof in enumerate(plant.dof_index):
-        unit[dof] = 1.0
-        mujoco.mj_mulM(model, data, product, unit)
-        unit[dof] = 0.0
-        mass[:, j] = product[plant.dof_index]
-    return mass
+    def _require_positive(self, mass: Array) -> None:
+        """Raise SimulationError unless every motion of the chain has a positive kinetic energy."""
+        values, vectors = np.linalg.eigh(0.5 * (mass + mass.T))
+        if not values[0] > 0.0:
+            joint = self._plant.joint_names[int(np.argmax(np.abs(vectors[:, 0])))]
+            raise SimulationError(
+                f"the plant cannot move: a motion of joint {joint} has no positive kinetic energy, "
+                "so a link it carries has an impossible mass or inertia; check the plant model's "
+                "<inertial> elements"
+            )

@@ -4,8 +4,7 @@ MuJoCo's ``frictionloss`` is not Coulomb's law but a ramp in velocity and accele
 the Coulomb level: torque = clip(D (qdd + b qd), -fc, +fc). D and b follow from the constraint
 settings and the inertia the joint had when the model was compiled. On a joint without armature the
 ramp can be so wide that a slow motion never leaves it; the torque is then viscous friction D b and
-inertia D, and no data can give fc. ``RampUse`` counts how often each joint was past its ramp, from
-the friction torques a simulation saw or from those the formula gives for a log.
+inertia D, and no data can give fc. ``RampUse`` counts how often each joint was past its ramp.
 """
 
 from __future__ import annotations
@@ -49,10 +48,6 @@ class FrictionRamp:
         """Viscous friction that each ramp looks like from within, D b (n,) [N m s/rad]."""
         return self.inertia * self.rate
 
-    def torque(self, qd: Array, qdd: Array) -> Array:
-        """Return the dry friction torques (N, n) that resist a motion (N, n) [N m]."""
-        return np.clip(self.inertia * (qdd + self.rate * qd), -self.coulomb, self.coulomb)
-
 
 class RampUse:
     """Counts, joint by joint, the samples whose dry friction has its full size.
@@ -74,8 +69,7 @@ class RampUse:
 
         Args:
             qd: (N, n) velocities.
-            dry: (N, n) resisting dry friction torques, as a simulation saw them or as
-                ``FrictionRamp.torque`` gives them for a log.
+            dry: (N, n) resisting dry friction torques [N m].
         """
         full = dry * np.sign(qd) >= (1.0 - _FULL) * self._ramp.coulomb
         speed = np.abs(qd)

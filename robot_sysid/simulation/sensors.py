@@ -23,7 +23,6 @@ from robot_sysid.records.options import (
     levels,
     not_negative,
     option,
-    require_positive,
 )
 
 LONGEST_DELAY = 1.0
@@ -107,33 +106,27 @@ class Sensors:
         sample_rate: of the measurements, evenly spaced [Hz].
         rng: source of randomness. Each channel gets a generator of its own from it, so that the
             readings do not depend on how the stream is cut into chunks.
-
-    Raises:
-        InputError: the sample rate is not positive.
     """
 
     def __init__(
         self, options: SimulatedArmOptions, sample_rate: float, rng: np.random.Generator
     ) -> None:
-        require_positive(sample_rate, "--sample-rate")
-        self._options = options
-        self._sample_rate = sample_rate
+        self._options, self._sample_rate = options, sample_rate
         self._seeds = rng.integers(2**63, size=(2, 4))
 
     def read(self, measurements: Iterable[Measurement]) -> Iterator[Measurement]:
         """Yield what the sensors report; the same stream gives the same readings each time."""
+        options = self._options
         torque, position = (np.random.default_rng(seed) for seed in self._seeds)
-        delay = TorqueDelay(self._options.torque_delay * self._sample_rate)
+        delay = TorqueDelay(options.torque_delay * self._sample_rate)
         for exact in measurements:
-            tau = _noisy(delay.apply(exact.tau), self._options.noise_torque, torque)
+            tau = _noisy(delay.apply(exact.tau), options.noise_torque, torque)
             spoiled = replace(exact, tau=tau)
-            if not self._options.exact_positions:
-                spoiled = replace(spoiled, q=self._position(exact.q, position), qd=None, qdd=None)
+            if not options.exact_positions:
+                q = _noisy(exact.q, options.noise_position, position)
+                q = quantised(q, options.encoder_resolution)
+                spoiled = replace(spoiled, q=q, qd=None, qdd=None)
             yield spoiled
-
-    def _position(self, q: Array, rng: np.random.Generator) -> Array:
-        noisy = _noisy(q, self._options.noise_position, rng)
-        return quantised(noisy, self._options.encoder_resolution)
 
 
 def _noisy(values: Array, sigma: PerJoint, rng: np.random.Generator) -> Array:

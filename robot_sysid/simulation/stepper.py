@@ -30,42 +30,27 @@ class ArmStepper:
         robot: the arm.
         q: (n,) where it starts, at rest; the reference configuration if not given.
         timestep: length of a step [s].
+
+    Attributes:
+        n_joints: number of joints n.
+        q, qd: (n,) positions and velocities [rad, rad/s].
+        timestep: as given.
     """
 
     def __init__(
         self, robot: RobotModel, q: Array | None = None, timestep: float = DEFAULT_TIMESTEP
     ) -> None:
-        self._robot, self._timestep = robot, timestep
+        self._robot, self.n_joints, self.timestep = robot, robot.n_joints, timestep
         self._model = forward_copy(robot)
         self._model.dof_damping[:] = 0.0
         self._data = mujoco.MjData(self._model)
         self._data.qpos[:] = robot.reference_qpos
         self._coulomb, self._viscous = robot.friction.coulomb, robot.friction.viscous
-        self._q = np.array(robot.reference if q is None else q, dtype=float)
-        self._qd = np.zeros(robot.n_joints)
+        self.q: Array = np.array(robot.reference if q is None else q, dtype=float)
+        self.qd: Array = np.zeros(robot.n_joints)
         self._units = np.zeros((robot.n_joints, self._model.nv))
         self._units[np.arange(robot.n_joints), robot.dof_index] = 1.0
         self._columns = np.empty_like(self._units)
-
-    @property
-    def n_joints(self) -> int:
-        """Number of joints n."""
-        return self._robot.n_joints
-
-    @property
-    def timestep(self) -> float:
-        """Length of one step [s]."""
-        return self._timestep
-
-    @property
-    def q(self) -> Array:
-        """Joint positions (n,) [rad or m]."""
-        return self._q
-
-    @property
-    def qd(self) -> Array:
-        """Joint velocities (n,) [rad/s or m/s]."""
-        return self._qd
 
     def step(self, torque: Array, damping: Array) -> Array:
         """Advance one step under ``torque - damping qd`` and return what acted (n,) [N m].
@@ -78,20 +63,20 @@ class ArmStepper:
             SimulationError: the state is not finite any more.
         """
         mobility, bias = self._dynamics()
-        h = self._timestep
+        h = self.timestep
         matrix = np.eye(self.n_joints) + h * mobility * (damping + self._viscous)
-        free = self._qd + h * mobility @ (torque - bias)
-        self._qd = self._with_dry_friction(matrix, free, h * mobility)
-        self._q = self._q + h * self._qd
-        if not np.all(np.isfinite(self._q)):
+        free = self.qd + h * mobility @ (torque - bias)
+        self.qd = self._with_dry_friction(matrix, free, h * mobility)
+        self.q = self.q + h * self.qd
+        if not np.all(np.isfinite(self.q)):
             raise SimulationError("the simulated arm diverged; lower the gains or the torques")
-        return np.asarray(torque - damping * self._qd)
+        return np.asarray(torque - damping * self.qd)
 
     def _dynamics(self) -> tuple[Array, Array]:
         """Return the inverse mass matrix (n, n) and the bias torque (n,) of the chain."""
         data, dofs = self._data, self._robot.dof_index
-        data.qpos[self._robot.qpos_index] = self._q
-        data.qvel[dofs] = self._qd
+        data.qpos[self._robot.qpos_index] = self.q
+        data.qvel[dofs] = self.qd
         mujoco.mj_fwdPosition(self._model, data)
         mujoco.mj_fwdVelocity(self._model, data)
         mujoco.mj_solveM(self._model, data, self._columns, self._units)
@@ -106,7 +91,7 @@ class ArmStepper:
         """
         fc, rubs = self._coulomb, self._coulomb > 0.0
         unhindered = np.linalg.solve(matrix, free)
-        direction = np.where(self._qd != 0.0, np.sign(self._qd), np.sign(unhindered))
+        direction = np.where(self.qd != 0.0, np.sign(self.qd), np.sign(unhindered))
         stuck = np.zeros(len(fc), dtype=bool)
         velocity = np.asarray(unhindered)
         for _ in range(2 * len(fc) + 1):

@@ -16,7 +16,7 @@ from robot_sysid.dynamics.gravity import TILT_NAMES, gravity, with_gravity
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.identify.fit import fit_measured
 from robot_sysid.logs.reader import join_measurements
-from robot_sysid.records.progress import Silent
+from robot_sysid.records.progress import Progress
 from robot_sysid.simulation.measurements import PlantSimulation
 from robot_sysid.simulation.sensors import SimulatedArmOptions
 from tests.benchmarks.example_study import NoiseStudy, designed_plan, random_plan
@@ -52,7 +52,7 @@ def found(study, plan, pair, noise, step, seed):
     sensors = SimulatedArmOptions(noise_torque=noise, encoder_resolution=step, torque_delay=delay)
     plant, rng = with_gravity(study.plant, down), np.random.default_rng(seed)
     log = join_measurements(PlantSimulation(plant, plan, sensors, RATE, rng))
-    fit = fit_measured(study.robot, [log], OPTIONS, Silent())
+    fit = fit_measured(study.robot, [log], OPTIONS, Progress())
     both = [fit.estimate.error(name) for name in TILT_NAMES]
     return (
         1e3 * (fit.alignment.delay - delay),

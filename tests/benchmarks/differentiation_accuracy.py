@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import butter, savgol_filter, sosfiltfilt
 
-from robot_sysid.signals.cutoff import choose_cutoff
+from robot_sysid.signals.cutoff import choose_cutoff, encoder_steps
 from robot_sysid.signals.differences import second_derivative
 from robot_sysid.signals.low_pass import design_low_pass
 
@@ -59,7 +59,8 @@ def main() -> None:
         for resolution in (0.0, 1e-4):
             time, q, exact = motion(rate, np.random.default_rng(0))
             seen = np.round(q / resolution) * resolution if resolution else q
-            cutoff = choose_cutoff(seen[:, None], rate).cutoff if resolution else 10.0
+            steps = encoder_steps(seen[:, None])
+            cutoff = choose_cutoff(seen[:, None], rate, steps).cutoff if resolution else 10.0
             inner = (time > EDGE) & (time < DURATION - EDGE)
             print(f"{rate:g} Hz, encoder {resolution:g} rad, cut-off {cutoff:.1f} Hz")
             for name, values in estimates(seen, rate, cutoff).items():

@@ -19,7 +19,7 @@ from robot_sysid.estimation.options import CHOSEN, EstimationOptions
 from robot_sysid.identify.fit import fit_measured, validate_on
 from robot_sysid.logs.reader import read_measurements
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records.progress import Silent
+from robot_sysid.records.progress import Progress
 from tests.support.places import DATA
 
 AUTO = EstimationOptions(friction_model=CHOSEN)
@@ -45,7 +45,7 @@ def kuka(folder: Path) -> None:
     for cutoff in (None, 8.0):
         options = replace(AUTO, validate=0.0, cutoff=cutoff)
         for fitted, tested, published in KUKA_PAIRS:
-            fit = fit_measured(robot, [logs[fitted]], options, Silent())
+            fit = fit_measured(robot, [logs[fitted]], options, Progress())
             test = validate_on(robot, logs[tested], options, fit, str(tested))
             error = f"{100 * test.relative_error:5.2f} %, {test.rmse:.3f} N m"
             how = f"cut-off {fit.cutoff:.2g} Hz, {fit.friction.name}"
@@ -60,7 +60,7 @@ def tx40(folder: Path) -> None:
         "TX40: whole-arm fits reach 5.2 % on the fitted motion and 4.7 to 6.1 % on held-out folds"
     )
     for friction in ("coulomb-viscous-offset", "coulomb-viscous-offset-armature-sqrt", "auto"):
-        fit = fit_measured(robot, [log], replace(AUTO, friction_model=friction), Silent())
+        fit = fit_measured(robot, [log], replace(AUTO, friction_model=friction), Progress())
         estimate, test = fit.estimate, fit.validation
         print(
             f"  {friction}: fitted {estimate.rmse:.2f} N m, last 20 % {test.rmse:.2f} N m "
@@ -71,7 +71,7 @@ def tx40(folder: Path) -> None:
 def read(robot, path: Path):
     """The whole log."""
     slides = robot.is_slide.tolist()
-    return read_measurements(path, robot.joint_names, robot.limits, is_slide=slides).load()
+    return read_measurements(path, robot.joint_names, robot.limits, is_slide=slides).samples
 
 
 if __name__ == "__main__":

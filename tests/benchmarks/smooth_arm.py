@@ -78,24 +78,16 @@ class SmoothArm:
         ]
 
 
-class Chunks:
-    """The equations of an arm, readable several times, in chunks per joint."""
-
-    def __init__(self, arm, torques, size=1000):
-        self.arm, self.torques, self.size = arm, torques, size
-
-    def __iter__(self):
-        for start in range(0, self.arm.count, self.size):
-            part = slice(start, start + self.size)
-            for j, rows in enumerate(self.arm.rows):
-                yield j, rows[part], self.torques[j][part]
+def samples_of(arm, torques):
+    """The equations of an arm, readable several times."""
+    return [(j, rows, torques[j]) for j, rows in enumerate(arm.rows)]
 
 
-def information_of_chunks(arm, chunks):
+def information_of_samples(arm, samples):
     from robot_sysid.estimation.information import InformationAccumulator
 
     joints = [f"joint{j}" for j in range(N_JOINTS)]
     accumulator = InformationAccumulator(arm.names, joints, arm.columns)
-    for index, rows, tau in chunks:
+    for index, rows, tau in samples:
         accumulator.add(index, rows, tau)
     return accumulator.result()

@@ -12,7 +12,7 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.solver import identify_parameters
 from tests.benchmarks.example_study import noise_study
-from tests.benchmarks.smooth_arm import Chunks, SmoothArm, information_of_chunks
+from tests.benchmarks.smooth_arm import SmoothArm, information_of_samples, samples_of
 
 DRAWS = 200
 
@@ -21,8 +21,8 @@ def draw(seed, memory, rate=100.0):
     rng = np.random.default_rng(seed)
     arm = SmoothArm(rng, rate)
     sigma = rng.uniform(0.1, 0.5, 7)
-    chunks = Chunks(arm, arm.torques(arm.noise(rng, sigma, memory)))
-    return arm, sigma, chunks, information_of_chunks(arm, chunks)
+    samples = samples_of(arm, arm.torques(arm.noise(rng, sigma, memory)))
+    return arm, sigma, samples, information_of_samples(arm, samples)
 
 
 @pytest.mark.slow
@@ -31,8 +31,8 @@ def draw(seed, memory, rate=100.0):
 def test_intervals_cover(method, memory):
     hits, naive = [], []
     for seed in range(DRAWS):
-        arm, _, chunks, information = draw(seed, memory)
-        estimate = identify_parameters(information, np.zeros(31), method, samples=chunks)
+        arm, _, samples, information = draw(seed, memory)
+        estimate = identify_parameters(information, np.zeros(31), method, samples=samples)
         error = np.abs(estimate.values - arm.truth)
         hits.append(error < 1.96 * estimate.standard_errors)
         if method != "robust":
@@ -58,8 +58,8 @@ def test_weighted_estimates_reach_the_cramer_rao_bound():
     sigma = np.array([0.5, 0.5, 0.3, 0.3, 0.1, 0.1, 0.1])
     for seed in range(DRAWS):
         rng = np.random.default_rng(1000 + seed)
-        chunks = Chunks(base, base.torques(base.noise(rng, sigma, 0.0)))
-        information = information_of_chunks(base, chunks)
+        samples = samples_of(base, base.torques(base.noise(rng, sigma, 0.0)))
+        information = information_of_samples(base, samples)
         for method in names:
             errors[method].append(
                 identify_parameters(information, np.zeros(31), method).values - base.truth

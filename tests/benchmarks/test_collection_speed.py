@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from robot_sysid.dynamics.equations import Equations, friction_of_terminal_joint
+from robot_sysid.dynamics.equations import TERMINAL_FRICTION, Equations, friction_per_joint
 from robot_sysid.parser import load_robot_model
 from robot_sysid.regressor import wrench_regressor
 from robot_sysid.simulator import collect_sysid_data, simulate_inverse
@@ -37,7 +37,7 @@ def recorded_arm(request):
 
 
 def collect(robot, measurements):
-    equations = Equations(robot, "chain", friction_of_terminal_joint(robot, True))
+    equations = Equations(robot, "chain", friction_per_joint(robot, "terminal", TERMINAL_FRICTION))
     return collect_sysid_data(equations, measurements)
 
 

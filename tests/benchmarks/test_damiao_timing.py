@@ -13,11 +13,12 @@ import pytest
 
 from robot_sysid.damiao.bus.can_bus import BusAddress, open_bus
 from robot_sysid.damiao.bus.clock import SystemClock
+from robot_sysid.damiao.bus.inspection import inspect_bus
 from robot_sysid.damiao.bus.link import GuardedLink
 from robot_sysid.damiao.play.player import StopRequest
 from robot_sysid.damiao.play.preflight import Permissions
 from robot_sysid.damiao.play.recorder import RecordingOptions
-from robot_sysid.damiao.play.run import Plan, inspect, run
+from robot_sysid.damiao.play.run import Plan, run
 from robot_sysid.damiao.play.settings import PlaySettings
 from robot_sysid.damiao.protocol.bus_load import BusTiming
 from robot_sysid.damiao.protocol.codec import MitCommand, Scaling, decode_feedback, encode_mit
@@ -69,8 +70,8 @@ def arm_and_plan(folder, rate: float) -> tuple[SimulatedArm, Plan]:
 
 
 def play(link: GuardedLink, clock: SystemClock, plan: Plan):
-    inspection, _ = inspect(link, clock, plan)
-    return run(link, clock, plan, inspection, StopRequest())
+    inspection, silent = inspect_bus(link, clock), lambda _: None
+    return run(link, clock, plan, inspection, StopRequest(), "can0", silent, silent)
 
 
 def tell(benchmark, report, rate: float) -> None:

@@ -147,7 +147,7 @@ def test_a_pair_nearer_than_the_clearance_keeps_half_its_distance_at_rest():
     closest = found.closest(np.zeros(2))
     assert closest.distance == pytest.approx(0.004, abs=1e-6)
     assert closest.slack == pytest.approx(KEPT_SHARE * 0.004, abs=1e-6)
-    assert len(found.close_at_rest()) == 1
+    assert len(found.close_at_rest) == 1
 
 
 def test_neighbours_that_cannot_come_nearer_need_no_test():

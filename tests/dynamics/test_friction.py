@@ -36,9 +36,9 @@ def test_terms_with_a_sign_brake_the_motion(qd, qdd, load):
 
 
 @settings(max_examples=100)
-@given(VELOCITIES, st.floats(0.0, 5.0), st.floats(0.0, 5.0))
-def test_coulomb_viscous_equals_the_record_the_simulation_uses(qd, coulomb, viscous):
-    columns = friction_model("coulomb-viscous").columns(qd)
+@given(VELOCITIES, SIGNALS, st.floats(0.0, 5.0), st.floats(0.0, 5.0))
+def test_coulomb_viscous_equals_the_record_the_simulation_uses(qd, other, coulomb, viscous):
+    columns = friction_model("coulomb-viscous").columns(qd, other, other)
     expected = JointFriction(np.array([coulomb]), np.array([viscous])).torque(qd[:, None])[:, 0]
     np.testing.assert_allclose(columns @ [coulomb, viscous], expected, rtol=1e-15)
 
@@ -75,11 +75,6 @@ def test_square_root_frees_the_sign_of_the_viscous_term():
     assert friction_model("coulomb-viscous-sqrt").non_negative == (True, False, False)
 
 
-def test_stribeck_velocity_reaches_the_column():
-    slow = friction_model("stribeck", stribeck_velocity=0.5).columns(np.array([0.5]))
-    np.testing.assert_allclose(slow, [[np.exp(-1.0)]], rtol=1e-15)
-
-
 @pytest.mark.parametrize("name", ["colomb-viscous", "", "coulomb--viscous", "+", "auto"])
 def test_an_unknown_name_lists_the_valid_ones(name):
     with pytest.raises(InputError, match="coulomb, viscous, offset, armature, sqrt, stribeck"):
@@ -89,15 +84,3 @@ def test_an_unknown_name_lists_the_valid_ones(name):
 def test_a_term_named_twice_is_refused():
     with pytest.raises(InputError, match="twice"):
         friction_model("coulomb-coulomb")
-
-
-@pytest.mark.parametrize("velocity", [0.0, -1.0, np.nan, np.inf])
-def test_a_stribeck_velocity_that_is_not_positive_is_refused(velocity):
-    with pytest.raises(InputError, match="must be positive"):
-        FrictionModel(("stribeck",), velocity)
-
-
-@pytest.mark.parametrize(("term", "what"), [("armature", "accelerations"), ("load", "torque")])
-def test_a_missing_signal_is_named(term, what):
-    with pytest.raises(InputError, match=what):
-        FrictionModel((term,)).columns(np.ones(3))

@@ -77,7 +77,8 @@ def test_rest_plus_link_covers_what_newer_releases_add(name):
         pytest.skip("this MuJoCo does not know the attribute")
     rng = np.random.default_rng(0)
     for _ in range(20):
-        theta = composite_theta(robot.mj_model, None, robot.body_id) * rng.uniform(0.5, 2.0)
+        own = composite_theta(robot.mj_model, robot.mj_model.qpos0, robot.body_id)
+        theta = own * rng.uniform(0.5, 2.0)
         assert_reproduces(robot, theta, random_motion(rng, robot.n_joints, SAMPLES))
     assert not has_only_armature(analysis_copy(robot.mj_model))
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_sysid.estimation.autocorrelation import ResidualAccumulator, collect_residuals
+from robot_sysid.estimation.autocorrelation import collect_residuals, joint_residuals
 from robot_sysid.estimation.information import InformationAccumulator
 from robot_sysid.estimation.robust import THRESHOLD
 from tests.benchmarks.smooth_arm import remembering_noise
@@ -15,13 +15,9 @@ from tests.benchmarks.smooth_arm import remembering_noise
 SEEDS = st.integers(0, 2**32 - 1)
 
 
-def collected(rows, residual, cuts=(), expected=None):
-    accumulator = ResidualAccumulator(
-        np.arange(rows.shape[1]), 0.1 * np.eye(rows.shape[1]), expected or len(rows)
-    )
-    for part in np.split(np.arange(len(rows)), sorted(cuts)):
-        accumulator.add(rows[part], residual[part])
-    return accumulator.result()
+def collected(rows, residual):
+    width = rows.shape[1]
+    return joint_residuals(np.arange(width), 0.1 * np.eye(width), rows, residual)
 
 
 @settings(max_examples=100, deadline=None)
@@ -36,23 +32,12 @@ def test_kernel_sums_are_those_of_the_dense_kernels(seed):
         np.testing.assert_allclose(total, rows.T @ decay**lag @ rows, rtol=0.0, atol=1e-10)
 
 
-@settings(max_examples=100, deadline=None)
-@given(SEEDS, st.lists(st.integers(0, 200), max_size=5))
-def test_chunks_do_not_matter(seed, cuts):
-    rng = np.random.default_rng(seed)
-    rows, residual = rng.normal(size=(200, 3)), rng.normal(size=200)
-    residual[rng.random(200) < 0.1] = np.nan
-    once, parts = collected(rows, residual), collected(rows, residual, cuts)
-    for name in ("sums", "products", "hats"):
-        np.testing.assert_allclose(getattr(parts, name), getattr(once, name), rtol=0.0, atol=1e-10)
-    assert parts.count == once.count == np.count_nonzero(np.isfinite(residual))
-
-
 def test_lagged_products_are_means_over_the_pairs_that_exist():
     rng = np.random.default_rng(0)
     residual = rng.normal(size=60)
     residual[[5, 6, 30]] = np.nan
     found = collected(np.ones((60, 1)), residual)
+    assert found.count == 57
     for lag, product in zip(found.lags, found.products):
         pairs = residual[: 60 - lag] * residual[lag:]
         assert product == pytest.approx(np.nanmean(pairs), abs=1e-12)

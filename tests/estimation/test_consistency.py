@@ -170,7 +170,7 @@ def test_a_newton_step_from_the_entropic_optimum_gains_nothing(seed, power):
     matrix, right, prior = noisy_problem(seed)
     weight = 10.0**power
     values = consistent_least_squares(matrix, right, prior, weight=weight)
-    basis = spatial.pseudo_inertia_basis()
+    basis = spatial.pseudo_inertia(np.eye(10))
     inverse = np.linalg.inv(spatial.pseudo_inertia(values[:10]))
     pull = np.linalg.inv(spatial.pseudo_inertia(prior[:10])) - inverse
     slope, curve = 2.0 * matrix.T @ (matrix @ values - right), 2.0 * matrix.T @ matrix

@@ -92,12 +92,6 @@ def test_holding_out_nothing_fits_everything():
     assert hold_out(10, 0.0, gap=5) == (slice(0, 10), slice(10, 10))
 
 
-@pytest.mark.parametrize("fraction", [-0.1, 1.0, 1.5, np.nan])
-def test_a_fraction_out_of_range_is_refused(fraction):
-    with pytest.raises(InputError, match="--validate must be"):
-        hold_out(100, fraction)
-
-
 def test_a_split_without_rows_to_fit_is_refused():
     with pytest.raises(InputError, match="cannot be split"):
         hold_out(5, 0.5, gap=3)
@@ -112,10 +106,9 @@ def test_blocks_cover_all_rows_once_and_evenly(count, n_rows):
     assert max(lengths) - min(lengths) <= 1
 
 
-@pytest.mark.parametrize(("n_rows", "count"), [(10, 1), (3, 5)])
-def test_too_few_rows_for_blocks_are_refused(n_rows, count):
-    with pytest.raises(InputError, match="cannot be cut"):
-        blocks(n_rows, count)
+def test_too_few_rows_for_blocks_are_refused():
+    with pytest.raises(InputError, match="3 rows cannot be cut into 5 blocks; record longer"):
+        blocks(3, 5)
 
 
 FULL = friction_model("coulomb-viscous-offset-sqrt-stribeck")
@@ -138,9 +131,9 @@ def data(seed: int, true: str, noise: float, n: int = 500) -> list[SquareRootInf
     qd = np.cos(np.outer(time, omega) + phase) @ [0.4, 0.7, 0.3]
     qdd = -np.sin(np.outer(time, omega) + phase) @ ([0.4, 0.7, 0.3] * omega)
     model = friction_model(true)
-    tau = 0.3 * qdd + model.columns(qd) @ rng.uniform(0.5, 1.5, len(model.terms))
+    tau = 0.3 * qdd + model.columns(qd, qdd, qdd) @ rng.uniform(0.5, 1.5, len(model.terms))
     tau += noise * rng.normal(size=n)
-    rows = np.column_stack((qdd, FULL.columns(qd)))
+    rows = np.column_stack((qdd, FULL.columns(qd, qdd, qdd)))
     return [information(rows[part], tau[part]) for part in blocks(n, 5)]
 
 
@@ -183,10 +176,10 @@ def test_the_true_model_is_usually_chosen_exactly():
 def test_the_choice_does_not_depend_on_the_unit_of_torque(seed, scale):
     parts = data(seed, "coulomb-viscous", 0.1)
     scaled = [_scaled(part, scale) for part in parts]
-    first = choose_model(candidates(parts), least_squares)
-    assert choose_model(candidates(scaled), least_squares).score == pytest.approx(
-        first.score, rel=1e-6
-    )
+    first, other = (choose_model(candidates(each), least_squares) for each in (parts, scaled))
+    assert other.name == first.name
+    expected = {name: scale * rmse for name, rmse in first.rmse.items()}
+    assert other.rmse == pytest.approx(expected, rel=1e-6)
 
 
 def _scaled(part: SquareRootInformation, scale: float) -> SquareRootInformation:
@@ -215,18 +208,3 @@ def test_combined_and_restricted_information_equal_a_fit_to_the_samples(seed):
     residual = small.squared_residuals(expected[0])
     np.testing.assert_allclose(residual, expected[1], rtol=1e-10)
     assert small.n_samples == 80
-
-
-def test_unknown_parameters_and_unlike_parts_are_refused():
-    parts = data(0, "viscous", 0.1)
-    with pytest.raises(InputError, match=r"no parameter 'mass'; there are inertia, coulomb\[j\]"):
-        restricted(parts[0], ["mass"])
-    with pytest.raises(InputError, match="same parameters and joints"):
-        combined([parts[0], restricted(parts[1], ["inertia"])])
-
-
-def test_one_block_or_no_candidate_is_refused():
-    with pytest.raises(InputError, match="at least two blocks"):
-        choose_model({"a": data(0, "viscous", 0.1)[:1]}, least_squares)
-    with pytest.raises(InputError, match="needs a candidate"):
-        choose_model({}, least_squares)

@@ -19,7 +19,7 @@ from robot_sysid.estimation.uncertainty import (
     white_uncertainty,
 )
 from robot_sysid.solver import identify_parameters
-from tests.benchmarks.smooth_arm import Chunks, SmoothArm, information_of_chunks
+from tests.benchmarks.smooth_arm import SmoothArm, information_of_samples, samples_of
 from tests.identify.test_samples import random_samples
 from tests.support.arms import SEEDS
 from tests.support.synthetic_data import (
@@ -126,9 +126,9 @@ def test_an_entropic_prior_is_felt_in_values_shares_and_errors():
 def test_nothing_to_explain_leaves_no_nan(duration):
     rng = np.random.default_rng(2)
     arm = SmoothArm(rng, rate=100.0, duration=duration)
-    chunks = Chunks(arm, arm.torques(np.zeros((arm.count, 7))))
-    information = information_of_chunks(arm, chunks)
-    estimate = identify_parameters(information, arm.truth, "wls", samples=chunks)
+    samples = samples_of(arm, arm.torques(np.zeros((arm.count, 7))))
+    information = information_of_samples(arm, samples)
+    estimate = identify_parameters(information, arm.truth, "wls", samples=samples)
     assert np.all(np.isfinite(estimate.covariance))
     assert not np.any(np.isnan(estimate.standard_errors))
     assert not np.any(np.isnan(estimate.relative_errors))
@@ -145,10 +145,10 @@ def test_standard_errors_follow_the_unit_of_torque(seed, power):
         arm = SmoothArm(rng, rate=20.0, duration=5.0)
         noise = arm.noise(rng, 0.2, 0.1)
         torques = [scale * tau for tau in arm.torques(noise)]
-        chunks = Chunks(arm, torques)
-        information = information_of_chunks(arm, chunks)
+        samples = samples_of(arm, torques)
+        information = information_of_samples(arm, samples)
         prior = scale * np.ones(31)
-        errors.append(identify_parameters(information, prior, samples=chunks).standard_errors)
+        errors.append(identify_parameters(information, prior, samples=samples).standard_errors)
     known = np.isfinite(errors[0])
     np.testing.assert_allclose(errors[1][known], factor * errors[0][known], rtol=1e-5)
 
@@ -161,9 +161,9 @@ def test_intervals_cover_under_white_and_under_slow_noise(memory):
     for seed in range(30):
         rng = np.random.default_rng(seed)
         arm = SmoothArm(rng, rate=100.0)
-        chunks = Chunks(arm, arm.torques(arm.noise(rng, rng.uniform(0.1, 0.5, 7), memory)))
-        information = information_of_chunks(arm, chunks)
-        aware = identify_parameters(information, np.zeros(31), "wls", samples=chunks)
+        samples = samples_of(arm, arm.torques(arm.noise(rng, rng.uniform(0.1, 0.5, 7), memory)))
+        information = information_of_samples(arm, samples)
+        aware = identify_parameters(information, np.zeros(31), "wls", samples=samples)
         white = identify_parameters(information, np.zeros(31), "wls")
         error = np.abs(aware.values - arm.truth)
         hits.append(error < 1.96 * aware.standard_errors)

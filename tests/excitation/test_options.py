@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.collision.obstacles import Box, Plane, box_from, plane_from
+from robot_sysid.collision.obstacles import Box, Plane
 from robot_sysid.errors import InputError
 from robot_sysid.excitation.options import TOP_FREQUENCY_HZ, ExcitationOptions, LimitOptions
 
@@ -97,19 +97,14 @@ def test_the_workspace_and_the_planes_are_made_of_the_numbers():
     assert (LimitOptions().box, LimitOptions().planes) == (None, ())
 
 
-def test_box_and_plane_from_numbers():
-    assert box_from((-1, 1, -2, 2, 0, 3)) == Box((-1, -2, 0), (1, 2, 3))
-    assert plane_from((0, 0, 2, 1)) == Plane((0.0, 0.0, 1.0), 0.5)
-
-
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: box_from((1, 2, 3)), "six numbers"),
-        (lambda: box_from((1, -1, 0, 1, 0, 1)), "empty along x"),
-        (lambda: plane_from((1, 2, 3)), "four numbers"),
-        (lambda: plane_from((0, 0, 0, 1)), "normal that is not zero"),
-        (lambda: plane_from((0, 0, 1, float("inf"))), "normal that is not zero"),
+        (lambda: LimitOptions(workspace=(1, 2, 3)), "six numbers"),
+        (lambda: LimitOptions(workspace=(1, -1, 0, 1, 0, 1)), "empty along x"),
+        (lambda: LimitOptions(keep_out=((1, 2, 3),)), "four numbers"),
+        (lambda: LimitOptions(keep_out=((0, 0, 0, 1),)), "normal that is not zero"),
+        (lambda: LimitOptions(keep_out=((0, 0, 1, float("inf")),)), "normal that is not zero"),
     ],
 )
 def test_refuses_boxes_and_planes(make, words):

@@ -12,14 +12,14 @@ from robot_sysid.errors import InputError
 from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
 from robot_sysid.excitation.plan import MotionRequest, make_plan
 from robot_sysid.excitation.trajectory_files import save_trajectory
-from robot_sysid.records.progress import Silent
+from robot_sysid.records.progress import Progress
 from robot_sysid.trajectory import TrajectoryOptions
 from tests.support import arms, witness
 from tests.support.arms import SEEDS
 from tests.support.excitation_arms import TUBES, TUBES_AND_POST, options, robot
 
 
-class Listener(Silent):
+class Listener(Progress):
     def __init__(self):
         self.steps, self.notes = [], []
 

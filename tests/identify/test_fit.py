@@ -16,7 +16,7 @@ from robot_sysid.estimation.uncertainty import OTHER_LINKS
 from robot_sysid.identify import fit as fit_module
 from robot_sysid.identify.fit import fit_measured, validate_on
 from robot_sysid.records import Motion, Status
-from robot_sysid.records.progress import Silent
+from robot_sysid.records.progress import Progress
 from tests.support import arms
 from tests.support.measured_logs import (
     CUTOFF,
@@ -46,7 +46,7 @@ def noisy(plant):
 
 def fit_of(robot, log, **options):
     chosen = EstimationOptions(**{"cutoff": CUTOFF, **options})
-    return fit_measured(robot, [log], chosen, Silent())
+    return fit_measured(robot, [log], chosen, Progress())
 
 
 def relative_errors(fit, plant):
@@ -115,7 +115,7 @@ def test_friction_and_offsets_of_all_joints_do_not_count_as_seen_of_the_link():
 
 def together(robot, logs, **options):
     chosen = EstimationOptions(**{"cutoff": CUTOFF, **options})
-    return fit_measured(robot, logs, chosen, Silent())
+    return fit_measured(robot, logs, chosen, Progress())
 
 
 def test_a_log_given_twice_says_the_same_with_smaller_errors(robot, noisy):
@@ -245,7 +245,7 @@ def test_nothing_is_held_out_on_request(robot, noisy):
 
 def test_another_log_is_predicted_down_to_its_noise(plant, robot, noisy):
     options = EstimationOptions(cutoff=CUTOFF)
-    fit = fit_measured(robot, [noisy], options, Silent())
+    fit = fit_measured(robot, [noisy], options, Progress())
     other = log_of(plant, plan_of(plant, 7), 7, noise_torque=0.1, encoder_resolution=1e-4)
     found = validate_on(robot, other, options, fit, "other.csv")
     assert found.source == "other.csv"
@@ -259,7 +259,7 @@ def test_a_found_delay_holds_for_the_validation_log_too(plant, robot):
     logs = [
         log_of(plant, plan_of(plant, k), k, torque_delay=0.02, noise_torque=0.02) for k in (1, 7)
     ]
-    fit = fit_measured(robot, logs[:1], options, Silent())
+    fit = fit_measured(robot, logs[:1], options, Progress())
     assert validate_on(robot, logs[1], options, fit, "x").rmse < 1.5 * fit.estimate.rmse
 
 
@@ -324,7 +324,7 @@ def test_a_joint_that_moves_one_way_only_is_named_and_no_other(plant, robot):
     (again,) = [
         note
         for note in fit_measured(
-            robot, [both, drift], EstimationOptions(cutoff=CUTOFF), Silent()
+            robot, [both, drift], EstimationOptions(cutoff=CUTOFF), Progress()
         ).notes
         if words in note
     ]

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from robot_sysid.dynamics.friction import PRESETS, friction_model
-from robot_sysid.identify.friction_selection import choose_friction, friction_per_joint
+from robot_sysid.identify.friction_selection import choose_friction
 from robot_sysid.signals.process import process
-from tests.support.measured_logs import CUTOFF, DEFAULT, guessed, log_of, plan_of, true_arm
+from tests.support.measured_logs import CUTOFF, guessed, log_of, plan_of, true_arm
 
 
 @pytest.fixture(scope="module")
@@ -26,12 +26,6 @@ def chosen(plant, more=lambda motion: 0.0, torques="chain", noise=0.02):
     signals = process(log, plant.joint_names, CUTOFF)
     whole = np.ones(len(signals.decimated_time()), dtype=bool)
     return choose_friction(guessed(plant), torques, [signals], whole)
-
-
-def test_chain_torques_need_friction_in_every_joint_terminal_torque_in_one(plant):
-    assert [m.name for m in friction_per_joint(plant, "chain", DEFAULT)] == [DEFAULT.name] * 3
-    names = [m.name for m in friction_per_joint(plant, "terminal", DEFAULT)]
-    assert names == ["none", "none", DEFAULT.name]
 
 
 def test_coulomb_and_viscous_friction_are_enough_where_there_is_nothing_else(plant):

@@ -13,13 +13,13 @@ from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.identify.simulated import ITSELF, SimulatedRun, identify_itself, versions
 from robot_sysid.logs.reader import read_measurements
 from robot_sysid.records import Source, Status
-from robot_sysid.records.progress import Silent
+from robot_sysid.records.progress import Progress
 from robot_sysid.trajectory import CHUNK
 from tests.support import arms
 from tests.support.measured_logs import plan_of, true_arm
 
 
-class Listener(Silent):
+class Listener(Progress):
     """Remembers what it is told."""
 
     def __init__(self):
@@ -48,7 +48,7 @@ def run_of(robot, duration=4.0, rate=200.0, **more):
 @pytest.mark.parametrize("friction", [True, False])
 def test_the_models_own_values_come_back(robot, torques, friction):
     options = EstimationOptions(torques=torques, no_friction=not friction)
-    found = identify_itself(robot, run_of(robot), options, Silent()).identification
+    found = identify_itself(robot, run_of(robot), options, Progress()).identification
     estimate = found.estimate
     np.testing.assert_allclose(estimate.values[:10], robot.prior.theta, rtol=0.0, atol=1e-10)
     assert (estimate.value("coulomb[joint2]") is not None) == friction
@@ -84,8 +84,8 @@ def test_progress_counts_the_chunks_that_come(robot):
 def test_measurements_are_written_where_asked_for(robot, tmp_path):
     path = tmp_path / "log.csv"
     run = run_of(robot, save=path)
-    identify_itself(robot, run, EstimationOptions(), Silent())
-    log = read_measurements(path, robot.joint_names).load()
+    identify_itself(robot, run, EstimationOptions(), Progress())
+    log = read_measurements(path, robot.joint_names).samples
     np.testing.assert_allclose(log.q, run.plan.evaluate(log.time).q, rtol=0.0, atol=1e-12)
     assert len(log) == 801
 
@@ -100,5 +100,5 @@ def test_a_slide_says_so():
     robot = arms.robot_of(
         arms.serial_arm((arms.Z, arms.Y, arms.X), joint='type="slide" range="-1 1"')
     )
-    found = identify_itself(robot, run_of(robot), EstimationOptions(), Silent()).identification
+    found = identify_itself(robot, run_of(robot), EstimationOptions(), Progress()).identification
     assert found.is_slide

@@ -18,8 +18,11 @@ JOINTS = ("joint0", "joint1", "joint2")
 UR = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
 
 
-def recognise(titles: str, joints=JOINTS, **known) -> ColumnMap:
-    return recognise_columns(titles.split(","), joints, **known)
+def recognise(
+    titles: str, joints=JOINTS, chosen=None, first_row=(), is_slide=(False,) * 3
+) -> ColumnMap:
+    chosen = chosen or ColumnChoices()
+    return recognise_columns(titles.split(","), joints, chosen, first_row, is_slide)
 
 
 def where(found: ColumnMap) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -73,7 +76,7 @@ def test_the_order_of_the_columns_does_not_matter(order, base, form):
     kinds = [(kind, joint) for kind in ("q", "tau") for joint in range(3)]
     titles = ["t"] + [form.format(kind, joint + base) for kind, joint in kinds]
     shuffled = [titles[i] for i in order]
-    found = recognise_columns(shuffled, ("base", "elbow", "wrist"))
+    found = recognise(",".join(shuffled), ("base", "elbow", "wrist"))
     assert [s.title for s in found.position + found.torque] == titles[1:]
     assert found.time is not None and found.time.title == "t"
 
@@ -94,7 +97,7 @@ def test_recordings_with_commands_status_and_temperature_use_what_was_measured()
     parts = ["time", "pos", "vel", "tau", "cmd_pos", "cmd_vel", "cmd_tau", "status"]
     parts += ["temp_mos", "temp_rotor"]
     titles = ["time"] + [f"joint{j}_{part}" for j in range(3) for part in parts]
-    found = recognise_columns(titles, JOINTS)
+    found = recognise(",".join(titles))
     assert where(found) == ((2, 12, 22), (4, 14, 24))
     assert found.velocity is not None and found.joint_time is not None
     assert [s.index for s in found.joint_time] == [1, 11, 21]
@@ -105,7 +108,7 @@ def test_the_columns_of_a_damiao_recording_are_known():
     extra = ("time", "cmd_pos", "cmd_vel", "cmd_tau", "status", "temp_mos", "temp_rotor")
     titles = ["time", *trajectory_columns(3)]
     titles += [f"j{j}_{what}" for j in range(3) for what in extra]
-    found = recognise_columns(titles, ("joint1", "joint2", "joint3"))
+    found = recognise(",".join(titles), ("joint1", "joint2", "joint3"))
     taken = found.position + found.torque + (found.velocity or ()) + (found.joint_time or ())
     expected = [f"j{j}_{what}" for what in ("pos", "tau", "vel", "time") for j in range(3)]
     assert [source.title for source in taken] == expected
@@ -137,9 +140,8 @@ def test_units_in_titles_become_factors():
 
 
 def test_declared_degrees_leave_slides_alone():
-    found = recognise(
-        "t,q1,q2,q3,tau1,tau2,tau3", units=Units("deg", "us"), is_slide=(False, True, False)
-    )
+    chosen = ColumnChoices(units=Units("deg", "us"))
+    found = recognise("t,q1,q2,q3,tau1,tau2,tau3", JOINTS, chosen, is_slide=(False, True, False))
     assert [s.factor for s in found.position] == [math.pi / 180, 1.0, math.pi / 180]
     assert found.time is not None and found.time.factor == 1e-6
 
@@ -170,7 +172,7 @@ def test_what_is_missing_or_ambiguous_is_said(titles, words):
 
 def test_a_title_that_contradicts_the_declared_unit_is_refused():
     with pytest.raises(InputError, match=r"q1 \[rad\].*contradicts"):
-        recognise("t,q1 [rad],q2,q3,tau1,tau2,tau3", units=Units("deg", None))
+        recognise("t,q1 [rad],q2,q3,tau1,tau2,tau3", chosen=ColumnChoices(units=Units("deg")))
 
 
 def test_every_decision_is_described():
@@ -196,7 +198,7 @@ BOTH_FORMS = [
 
 @pytest.mark.parametrize("text", BOTH_FORMS)
 def test_a_columns_file_names_flips_and_scales(tmp_path, text):
-    found = recognise("X,Y,Z,A,B,C,Zeit", choices=choices(tmp_path, text))
+    found = recognise("X,Y,Z,A,B,C,Zeit", chosen=choices(tmp_path, text))
     assert where(found) == ((3, 4, 5), (0, 1, 2))
     assert [s.factor for s in found.torque] == [-1.0, 0.5, 1.0]
     assert found.position[0].factor == math.pi / 180
@@ -205,13 +207,13 @@ def test_a_columns_file_names_flips_and_scales(tmp_path, text):
 
 def test_a_columns_file_decides_between_candidates(tmp_path):
     picked = choices(tmp_path, "torque = torque_1, tau2, tau3\n")
-    found = recognise("time,q1,q2,q3,tau1,tau2,tau3,torque_1", choices=picked)
+    found = recognise("time,q1,q2,q3,tau1,tau2,tau3,torque_1", chosen=picked)
     assert where(found)[1] == (7, 5, 6)
 
 
 def test_a_columns_file_counts_columns_and_keeps_quantities_out(tmp_path):
     text = "rate = 100\nposition = #1, #2, #3\ntorque = #4, #5, #6\nvelocity = none\n"
-    found = recognise("q1,q2,q3,qd1,qd2,qd3", choices=choices(tmp_path, text))
+    found = recognise("q1,q2,q3,qd1,qd2,qd3", chosen=choices(tmp_path, text))
     assert where(found) == ((0, 1, 2), (3, 4, 5))
     assert found.velocity is None and found.time is None and found.rate == 100.0
 
@@ -237,7 +239,7 @@ def test_a_bad_columns_file_says_what_is_wrong(tmp_path, text, words):
 def test_a_columns_file_that_names_no_column_lists_the_columns(tmp_path):
     with pytest.raises(InputError, match="no single column 'B'.*time, q1"):
         recognise(
-            "time,q1,q2,q3,tau1,tau2,tau3", choices=choices(tmp_path, "torque = B, tau2, tau3")
+            "time,q1,q2,q3,tau1,tau2,tau3", chosen=choices(tmp_path, "torque = B, tau2, tau3")
         )
 
 

@@ -1,8 +1,7 @@
-"""Logs are read as they are written, in chunks, and written back without losing a digit."""
+"""Logs are read as they are written, and written back without losing a digit."""
 
 from __future__ import annotations
 
-import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
+from robot_sysid.logs import rows
 from robot_sysid.logs.reader import read_measurements, write_measurement_csv
 from robot_sysid.records import Measurement
 from tests.support.log_files import JOINTS, TITLES, motion, table, write
@@ -51,7 +51,7 @@ def test_what_is_written_reads_back_to_the_last_bit(tmp_path, seed, optional, da
     cuts = sorted(data.draw(st.sets(st.integers(1, len(time) - 1), max_size=3)))
     chunks = [part(written, a, b) for a, b in zip([0, *cuts], [*cuts, len(time)])]
     write_measurement_csv(tmp_path / "log.csv", JOINTS, chunks, ["two\nlines", "more"])
-    assert_same(written, read_measurements(tmp_path / "log.csv", JOINTS).load())
+    assert_same(written, read_measurements(tmp_path / "log.csv", JOINTS).samples)
 
 
 @settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -61,7 +61,7 @@ def test_any_joint_names_survive_the_round_trip(tmp_path, names):
     picked = [0, 1, 2, 0][: len(names)]
     written = Measurement(full.time, full.q[:, picked], None, full.tau[:, picked])
     write_measurement_csv(tmp_path / "log.csv", names, [written])
-    assert_same(written, read_measurements(tmp_path / "log.csv", names).load())
+    assert_same(written, read_measurements(tmp_path / "log.csv", names).samples)
 
 
 def part(data: Measurement, start: int, stop: int) -> Measurement:
@@ -71,23 +71,25 @@ def part(data: Measurement, start: int, stop: int) -> Measurement:
 
 @settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.integers(1, 500))
-def test_the_chunk_size_changes_nothing(tmp_path, size):
+def test_the_size_of_the_batches_changes_nothing(tmp_path, size):
     path = tmp_path / "log.csv"
     if not path.exists():
         write(path, wrapped_and_holed())
-    log = read_measurements(path, JOINTS)
-    chunks = list(log.chunks(size))
-    assert max(len(chunk) for chunk in chunks) <= size
-    joined = {n: np.concatenate([getattr(c, n) for c in chunks]) for n in ("time", "q", "tau")}
-    assert_same(log.load(), Measurement(qd=None, **joined))
-    assert sum(len(chunk) for chunk in log.chunks(size)) == log.n_samples
+        path.write_text(path.read_text()[:-40])
+    whole = read_measurements(path, JOINTS)
+    assert "cut off (line 401)" in " ".join(whole.notes)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rows, "_BATCH", size)
+        pieces = read_measurements(path, JOINTS)
+    assert_same(whole.samples, pieces.samples)
+    assert whole.notes == pieces.notes
 
 
 def wrapped_and_holed() -> np.ndarray:
-    rows = table(motion())
-    rows[:, 1] = np.angle(np.exp(1j * (rows[:, 1] * 4.0)))
-    rows[[17, 203], 4] = np.nan
-    return rows
+    cells = table(motion())
+    cells[:, 1] = np.angle(np.exp(1j * (cells[:, 1] * 4.0)))
+    cells[[17, 203], 4] = np.nan
+    return cells
 
 
 @pytest.mark.parametrize(
@@ -102,8 +104,7 @@ def test_every_layout_reads_the_same(tmp_path, style):
     text = path.read_text()
     path.write_bytes(restyled(text, style))
     log = read_measurements(path, JOINTS)
-    assert_same(replace(data, qd=None), log.load())
-    assert log.sample_rate == 200.0
+    assert_same(replace(data, qd=None), log.samples)
 
 
 def restyled(text: str, style: str) -> bytes:
@@ -131,7 +132,7 @@ def test_degrees_and_milliseconds_are_converted_when_declared(tmp_path):
     rows[:, 0] *= 1e3
     rows[:, 1:4] = np.degrees(rows[:, 1:4])
     log = read_measurements(write(tmp_path / "log.csv", rows), JOINTS, units="deg,ms")
-    assert_same(replace(data, qd=None), log.load(), tolerance=1e-14)
+    assert_same(replace(data, qd=None), log.samples, tolerance=1e-14)
 
 
 def test_a_log_without_titles_needs_a_columns_file(tmp_path):
@@ -141,7 +142,7 @@ def test_a_log_without_titles_needs_a_columns_file(tmp_path):
         read_measurements(path, JOINTS)
     columns = tmp_path / "columns.txt"
     columns.write_text("time = #1\nposition = #2, #3, #4\ntorque = #5, #6, #7\n")
-    assert_same(replace(data, qd=None), read_measurements(path, JOINTS, columns=columns).load())
+    assert_same(replace(data, qd=None), read_measurements(path, JOINTS, columns=columns).samples)
 
 
 def test_a_declared_rate_stands_in_for_time(tmp_path):
@@ -150,7 +151,7 @@ def test_a_declared_rate_stands_in_for_time(tmp_path):
     columns = tmp_path / "columns.txt"
     columns.write_text("rate = 200\n")
     log = read_measurements(path, JOINTS, columns=columns)
-    np.testing.assert_allclose(log.load().time, data.time, rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(log.samples.time, data.time, rtol=0.0, atol=1e-15)
 
 
 def test_text_columns_that_are_not_used_do_not_matter(tmp_path):
@@ -158,7 +159,7 @@ def test_text_columns_that_are_not_used_do_not_matter(tmp_path):
     rows = [[*row, "ok, fine" if k % 2 else "nan"] for k, row in enumerate(table(data).tolist())]
     quoted = [[*row[:-1], f'"{row[-1]}"'] for row in rows]
     log = read_measurements(write(tmp_path / "l.csv", quoted, (*TITLES, "status")), JOINTS)
-    assert_same(replace(data, qd=None), log.load())
+    assert_same(replace(data, qd=None), log.samples)
     assert any("not used: status" in note for note in log.notes)
 
 
@@ -200,28 +201,15 @@ def test_a_failed_write_leaves_nothing_behind(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_memory_does_not_grow_with_the_log(tmp_path):
-    """Twice as many rows, the same peak within a tenth."""
-    peaks = []
-    for n in (40_000, 80_000):
-        path = write(tmp_path / "long.csv", np.round(table(motion(n, 1000.0)), 6))
-        tracemalloc.start()
-        for _ in read_measurements(path, JOINTS).chunks(2_000):
-            pass
-        peaks.append(tracemalloc.get_traced_memory()[1])
-        tracemalloc.stop()
-    assert peaks[1] < 1.1 * peaks[0]
-
-
 @pytest.mark.parametrize(
-    ("name", "n_joints", "rows", "rate"),
-    [("tx40/tx40_500Hz.csv", 6, 4450, 500.0), ("kuka_lwr4/lwr4_hw3_200Hz.csv", 7, 5026, 200.0)],
+    ("name", "n_joints", "count", "duration"),
+    [("tx40/tx40_500Hz.csv", 6, 4450, 8.898), ("kuka_lwr4/lwr4_hw3_200Hz.csv", 7, 5026, 25.125)],
 )
-def test_logs_of_real_arms(tmp_path, name, n_joints, rows, rate):
+def test_logs_of_real_arms(tmp_path, name, n_joints, count, duration):
     if not (DATA / name).exists():
         pytest.skip("the logs of real arms are not here")
     joints = [f"joint_{k}" for k in range(n_joints)]
     log = read_measurements(DATA / name, joints)
-    assert (log.n_samples, log.sample_rate) == (rows, rate)
-    write_measurement_csv(tmp_path / "copy.csv", joints, log.chunks())
-    assert_same(log.load(), read_measurements(tmp_path / "copy.csv", joints).load())
+    assert (len(log.samples), log.duration) == (count, duration)
+    write_measurement_csv(tmp_path / "copy.csv", joints, [log.samples])
+    assert_same(log.samples, read_measurements(tmp_path / "copy.csv", joints).samples)

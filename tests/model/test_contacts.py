@@ -37,9 +37,7 @@ def test_free_motion_touches_nothing():
 
 def test_first_touch_of_a_pair_is_told_once_with_time_and_names():
     (contact,) = contacts(arm_with_tip(WALL), [0.0, 0.3, 1.5, 0.0, 1.5])
-    assert contact.time == 2.0
-    assert set(contact.bodies) == {"wall", "tip"}
-    assert str(contact).endswith("touch at 2.00 s")
+    assert contact == "tip and wall touch at 2.00 s"
 
 
 def test_chunks_do_not_matter():
@@ -74,7 +72,7 @@ def test_links_of_the_arm_touching_each_other_are_found():
         base + link(hinge("bend", Y), link(hinge("end", Y), BALL, "tip"), "upper", pos="0 0 .5")
     )
     (contact,) = contacts(folded, [0.0, 2.2])
-    assert set(contact.bodies) == {"base", "tip"}
+    assert contact == "base and tip touch at 1.00 s"
 
 
 def test_a_near_miss_inside_the_contact_margin_is_no_touch():
@@ -86,7 +84,7 @@ def test_a_near_miss_inside_the_contact_margin_is_no_touch():
 
 def test_nameless_bodies_are_told_by_number():
     (contact,) = contacts(arm_with_tip(WALL.replace('name="wall"', "")), [0.0, 1.5])
-    assert any(name.startswith("#") for name in contact.bodies)
+    assert contact == "tip and #3 touch at 1.00 s"
 
 
 @pytest.mark.parametrize("name", arms.MODELS)

@@ -67,7 +67,7 @@ def test_a_hinge_feels_the_composite_inertia(q):
 
 
 def test_the_subtree_knows_what_is_welded():
-    bodies = subtree_bodies(MODEL, None, LINK2)
+    bodies = subtree_bodies(MODEL, MODEL.qpos0, LINK2)
     assert [(b.name, b.welded) for b in bodies] == [
         ("link2", True),
         ("tool", True),
@@ -75,7 +75,7 @@ def test_the_subtree_knows_what_is_welded():
     ]
     np.testing.assert_array_equal(bodies[0].theta, body_theta(MODEL, LINK2))
     total = np.sum([b.theta for b in bodies], axis=0)
-    np.testing.assert_allclose(total, composite_theta(MODEL, None, LINK2), rtol=1e-15)
+    np.testing.assert_allclose(total, composite_theta(MODEL, MODEL.qpos0, LINK2), rtol=1e-15)
 
 
 def test_what_is_fixed_to_a_finger_is_not_welded_to_the_link():
@@ -84,12 +84,13 @@ def test_what_is_fixed_to_a_finger_is_not_welded_to_the_link():
     pad = f'<body name="pad">{inertial}<body name="screw">{inertial}</body></body>'
     finger = '<body name="finger" pos="0 0.05 0.1">'
     model = mujoco.MjModel.from_xml_string(ARM.replace(finger, finger + pad))
-    bodies = subtree_bodies(model, None, model.body("link2").id)
+    bodies = subtree_bodies(model, model.qpos0, model.body("link2").id)
     welded = {b.name: b.welded for b in bodies}
     assert welded == {"link2": True, "tool": True, "finger": False, "pad": False, "screw": False}
 
 
 def test_a_nameless_body_is_called_by_its_number():
     text = "<mujoco><worldbody><body/><body><geom size='1'/></body></worldbody></mujoco>"
-    bodies = subtree_bodies(mujoco.MjModel.from_xml_string(text), None, 2)
+    model = mujoco.MjModel.from_xml_string(text)
+    bodies = subtree_bodies(model, model.qpos0, 2)
     assert [body.name for body in bodies] == ["#2"]

@@ -9,13 +9,13 @@ from robot_sysid.model.limits import DEFAULT_SLIDE_VELOCITY, joint_limits
 from tests.support.arms import X, Y, Z, compile_xml, serial_arm
 
 ALL = (0, 1, 2)
+UNSTATED = (None, None, None)
 
 
 def limits_of(joint='range="-1 2"', actuators="", max_velocity=2.0, extra=""):
     drive = f"<actuator>{actuators}</actuator>" if actuators else ""
-    return joint_limits(
-        compile_xml(serial_arm((Z, Y, X), joint=joint, extra=extra + drive)), ALL, max_velocity
-    )
+    model = compile_xml(serial_arm((Z, Y, X), joint=joint, extra=extra + drive))
+    return joint_limits(model, ALL, max_velocity, UNSTATED)
 
 
 def torque_of(actuators, joint="", extra=""):
@@ -43,9 +43,8 @@ def test_a_range_that_is_switched_off_is_no_limit():
 def test_degrees_and_default_classes_arrive_in_radians():
     xml = serial_arm((Z, Y, X), joint="").replace('angle="radian"', 'angle="degree"')
     default = '<default><joint range="-90 180"/></default>'
-    limits = joint_limits(
-        compile_xml(xml.replace("<worldbody>", default + "<worldbody>")), ALL, 2.0
-    )
+    model = compile_xml(xml.replace("<worldbody>", default + "<worldbody>"))
+    limits = joint_limits(model, ALL, 2.0, UNSTATED)
     np.testing.assert_allclose(limits.lower, [-np.pi / 2] * 3)
     np.testing.assert_allclose(limits.upper, [np.pi] * 3)
 

@@ -191,7 +191,7 @@ def test_the_cutoff_of_real_logs_is_sensible(name, n_joints, lowest, highest):
     """Published identifications of these arms used 60 and 8 Hz."""
     if not (DATA / name).exists():
         pytest.skip("the logs of real arms are not here")
-    log = read_measurements(DATA / name, [f"joint_{k}" for k in range(n_joints)])
-    signals = process(log.load(), log.joint_names)
+    joints = [f"joint_{k}" for k in range(n_joints)]
+    signals = process(read_measurements(DATA / name, joints).samples, joints)
     assert lowest < signals.cutoff < highest
     assert np.all(np.isfinite(signals.qdd))

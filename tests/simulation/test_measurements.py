@@ -85,11 +85,9 @@ def test_notes_of_the_inverse_simulation_are_empty(plant, plan):
     assert measurements.notes() == ()
 
 
-def test_what_was_asked_for_is_checked_by_name(plant, plan):
+def test_what_was_asked_for_is_checked_by_name():
     with pytest.raises(InputError, match="--simulation 'both': choose one of inverse, forward"):
         SimulatedArmOptions(simulation="both")
-    with pytest.raises(InputError, match="--sample-rate must be positive"):
-        PlantSimulation(plant, plan, SimulatedArmOptions(), 0.0, np.random.default_rng(0))
 
 
 def test_noise_levels_and_trajectory_must_fit_the_plant(plant, plan):

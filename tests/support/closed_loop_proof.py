@@ -55,6 +55,11 @@ def excitation(robot, seed=1, duration=15.0):
     return generate_excitation_trajectory(robot, rng, duration, ArmTorque(robot))[0]
 
 
+def ramp_torque(ramp, qd, qdd):
+    """The dry friction torques (N, n) that MuJoCo's ramps oppose to a motion (N, n)."""
+    return np.clip(ramp.inertia * (qdd + ramp.rate * qd), -ramp.coulomb, ramp.coulomb)
+
+
 def recorded(loop):
     """(log of the whole run as one measurement)."""
     chunks = list(loop.run())

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from robot_sysid.damiao.bus.inspection import inspect_bus
 from robot_sysid.damiao.bus.link import GuardedLink
 from robot_sysid.damiao.play.player import StopRequest
 from robot_sysid.damiao.play.preflight import Permissions
 from robot_sysid.damiao.play.recorder import RecordingOptions
-from robot_sysid.damiao.play.run import Plan, inspect, run
+from robot_sysid.damiao.play.run import Plan, run
 from robot_sysid.damiao.play.settings import PlaySettings
 from robot_sysid.damiao.protocol.bus_load import BusTiming
 from robot_sysid.damiao.protocol.frames import (
@@ -31,6 +32,7 @@ from tests.support.links import RememberingLink
 from tests.support.recordings import read_recording
 
 INERTIA, GRAVITY = 0.1, 2.0
+CLASSIC = BusTiming()
 
 
 class Pendulums:
@@ -89,7 +91,7 @@ class Rig:
         n_joints=3,
         motor_type="DM4340",
         faults=(),
-        timing=None,
+        timing=CLASSIC,
         echo=False,
         extra_motors=(),
         start=None,
@@ -109,12 +111,12 @@ class Rig:
         self.clock = ScriptedClock()
         self.bus = SimulatedLink(self.clock, self.arm, timing, echo)
         self.wire = RememberingLink(self.bus, self.clock)
-        self.link = GuardedLink(self.wire, self.clock.now, bool(timing and timing.fd))
+        self.link = GuardedLink(self.wire, self.clock.now, timing.fd)
         self.record_path = folder / f"{name}.csv"
         self.plan = Plan(
             read_damiao_trajectory(path),
             PlaySettings(**{"ramp_time": 0.3, "approach_time": 0.3, "rest_time": 0.1, **settings}),
-            timing or BusTiming(),
+            timing,
             allowed or Permissions(),
             RecordingOptions(self.record_path),
         )
@@ -157,11 +159,11 @@ class Rig:
 
     def run(self, settle=0.5):
         """Inspect, play, record; keep error or report; then let the arm be for a while."""
-        inspection, self.checks = inspect(self.link, self.clock, self.plan)
+        inspection = inspect_bus(self.link, self.clock)
+        self.checks = self.plan.bus_checks(inspection)
+        told = "can0", self._phase, lambda time: None
         try:
-            self.report = run(
-                self.link, self.clock, self.plan, inspection, self.stop, on_phase=self._phase
-            )
+            self.report = run(self.link, self.clock, self.plan, inspection, self.stop, *told)
         except Exception as error:
             self.error = error
         self.disabled_at = self.clock.now()

@@ -7,6 +7,7 @@ import numpy as np
 from robot_sysid.damiao.bus.link import GuardedLink
 from robot_sysid.damiao.bus.register_client import RegisterClient
 from robot_sysid.damiao.play.session import MotorSession
+from robot_sysid.damiao.protocol.bus_load import BusTiming
 from robot_sysid.damiao.protocol.codec import MitCommand, Scaling
 from robot_sysid.damiao.protocol.joints import damiao_joints
 from robot_sysid.damiao.protocol.motors import MOTORS
@@ -27,7 +28,8 @@ class Bench:
         self.motors = [simulated_motor(SPEC, i + 1, i + 17) for i in range(n)]
         self.clock = ScriptedClock()
         self.arm = SimulatedArm(Pendulums(n), self.motors)
-        self.bus = RememberingLink(SimulatedLink(self.clock, self.arm, echo=echo), self.clock)
+        bus = SimulatedLink(self.clock, self.arm, BusTiming(), echo)
+        self.bus = RememberingLink(bus, self.clock)
         self.link = GuardedLink(self.bus, self.clock.now)
         self.client = RegisterClient(self.link, self.clock)
         self.session = MotorSession(
@@ -35,6 +37,7 @@ class Bench:
             self.clock,
             damiao_joints(["DM4340"] * n, n),
             Scaling.from_limits([SPEC.limits] * n),
+            half_step=True,
         )
 
     def command(self, q=0.0, kp=20.0):

@@ -88,16 +88,14 @@ def information_of(equations, names, truth, noise=0.0, rng=None):
 
 
 class Samples:
-    """An arm's equations with given torques, readable several times, in chunks."""
+    """An arm's equations with given torques, readable several times."""
 
-    def __init__(self, equations, torques, size=17):
-        self.equations, self.torques, self.size = equations, torques, size
+    def __init__(self, equations, torques):
+        self.equations, self.torques = equations, torques
 
     def __iter__(self):
         for j, (rows, _) in enumerate(self.equations):
-            for start in range(0, len(rows), self.size):
-                part = slice(start, start + self.size)
-                yield j, rows[part], self.torques[j][part]
+            yield j, rows, self.torques[j]
 
     def information(self, names):
         """What is left of them after one pass."""

@@ -61,13 +61,21 @@ def import_can() -> Any:
     return can
 
 
-class BusLink:
-    """Wraps a python-can bus as a link whose time stamps are in our clock.
+def message_of(can: Any, frame: Frame, **rest: Any) -> Any:
+    """Return a frame as a python-can message; ``rest`` are further attributes of the message."""
+    return can.Message(
+        arbitration_id=frame.id,
+        data=frame.data,
+        is_extended_id=False,
+        is_error_frame=frame.error,
+        is_fd=frame.fd,
+        bitrate_switch=frame.fd,
+        **rest,
+    )
 
-    Args:
-        bus: an open python-can bus.
-        clock: the clock that ``until`` and frame times are in.
-    """
+
+class BusLink:
+    """Wraps an open python-can bus as a link whose time stamps are in ``clock``'s time."""
 
     def __init__(self, bus: Any, clock: Clock) -> None:
         self._can = import_can()
@@ -75,15 +83,8 @@ class BusLink:
 
     def send(self, frame: Frame) -> None:
         """Send a frame, or raise LinkError."""
-        message = self._can.Message(
-            arbitration_id=frame.id,
-            data=frame.data,
-            is_extended_id=False,
-            is_fd=frame.fd,
-            bitrate_switch=frame.fd,
-        )
         try:
-            self._bus.send(message, timeout=_SEND_TIMEOUT)
+            self._bus.send(message_of(self._can, frame), timeout=_SEND_TIMEOUT)
         except (self._can.CanError, OSError) as error:
             raise LinkError(f"the CAN bus does not take frames: {error}") from error
 
@@ -105,32 +106,21 @@ class BusLink:
         self._bus.shutdown()
 
     def _frame(self, message: Any) -> Frame:
+        age = time.time() - message.timestamp
+        # Where the adapter has another clock, a frame counts as just come.
+        age = age if 0.0 <= age < _PLAUSIBLE_AGE else 0.0
         return Frame(
             message.arbitration_id,
             bytes(message.data),
-            self._stamp(message.timestamp),
+            self._clock.now() - age,
             message.is_fd,
             message.is_error_frame,
             not message.is_rx,
         )
 
-    def _stamp(self, stamp: float) -> float:
-        """Return a message's time in our clock; now, where the adapter's clock is another one."""
-        age = time.time() - stamp
-        return self._clock.now() - (age if 0.0 <= age < _PLAUSIBLE_AGE else 0.0)
-
 
 def open_bus(address: BusAddress, timing: BusTiming, clock: Clock) -> BusLink:
-    """Open a CAN bus.
-
-    Args:
-        address: adapter and channel.
-        timing: bit rates (socketcan takes them from ``ip link``).
-        clock: for time stamps.
-
-    Raises:
-        InputError: python-can is missing, or the bus cannot be opened.
-    """
+    """Open a CAN bus or raise InputError; socketcan takes its bit rates from ``ip link``."""
     can, interface = import_can(), address.interface
     try:
         bus = can.Bus(

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from robot_sysid.damiao.bus.register_client import RegisterClient
 from robot_sysid.damiao.protocol.codec import Feedback, Scaling, decode_feedback
 from robot_sysid.damiao.protocol.registers import ESC_ID, LOGGED, MST_ID, PMAX, TMAX, VMAX
 
-ALL_IDS = range(1, 16)
+_ALL_IDS = range(1, 16)
 _LISTEN = 0.05
 _ASK_TIMEOUT = 0.03
 
@@ -33,6 +33,11 @@ class InspectedMotor:
     reply_ids: tuple[int, ...]
     registers: Mapping[int, float]
     feedback: Feedback | None
+
+    @property
+    def name(self) -> str:
+        """How messages call it."""
+        return f"motor {self.can_id}"
 
     @property
     def master_id(self) -> int:
@@ -62,18 +67,12 @@ class Inspection:
     error_frames: int
 
 
-def inspect_bus(link: GuardedLink, clock: Clock, ids: Iterable[int] = ALL_IDS) -> Inspection:
-    """Ask every id for its registers and state; enables nothing.
-
-    Args:
-        link: the bus.
-        clock: for timeouts.
-        ids: CAN ids to ask.
-    """
+def inspect_bus(link: GuardedLink, clock: Clock) -> Inspection:
+    """Ask every id for its registers and state; enables nothing."""
     unsolicited = _listen(link, clock)
     client = RegisterClient(link, clock, timeout=_ASK_TIMEOUT)
     motors = {}
-    for can_id in ids:
+    for can_id in _ALL_IDS:
         answers = client.read_all(can_id, ESC_ID)
         if answers:
             reply_ids = tuple(answer.reply_id for answer in answers)
@@ -91,15 +90,11 @@ def _listen(link: GuardedLink, clock: Clock) -> int:
 def _inspect_motor(
     client: RegisterClient, can_id: int, reply_ids: tuple[int, ...]
 ) -> InspectedMotor:
-    registers = {}
-    for number in LOGGED:
-        reply = client.read(can_id, number)
-        if reply is not None:
-            registers[number] = reply.value
+    replies = {number: client.read(can_id, number) for number in LOGGED}
+    registers = {number: reply.value for number, reply in replies.items() if reply is not None}
     motor = InspectedMotor(can_id, reply_ids, registers, None)
     frame = client.refresh(can_id, reply_ids[0])
     if frame is None or motor.limits is None or min(motor.limits) <= 0.0:
         return motor
     raw = np.frombuffer(frame.data, dtype=np.uint8)[None]
-    feedback = decode_feedback(raw, Scaling.from_limits([motor.limits]))
-    return InspectedMotor(can_id, reply_ids, registers, feedback)
+    return replace(motor, feedback=decode_feedback(raw, Scaling.from_limits([motor.limits])))

@@ -41,13 +41,7 @@ class RegisterReply(NamedTuple):
 
 
 class RegisterClient:
-    """Talks about registers over a link.
-
-    Args:
-        link: the bus.
-        clock: for timeouts.
-        timeout: how long an answer may take [s].
-    """
+    """Talks about registers over a link; an answer may take ``timeout`` [s]."""
 
     def __init__(self, link: GuardedLink, clock: Clock, timeout: float = 0.02) -> None:
         self._link, self._clock, self._timeout = link, clock, timeout
@@ -56,14 +50,14 @@ class RegisterClient:
     def read(self, can_id: int, register: int) -> RegisterReply | None:
         """Return a register's value, or None where the motor does not answer."""
         for _ in range(_TRIES):
-            replies = self._ask(read_frame(can_id, register), first_only=True)
-            if replies:
-                return replies[0]
+            reply = next(self._replies(read_frame(can_id, register)), None)
+            if reply is not None:
+                return reply
         return None
 
     def read_all(self, can_id: int, register: int) -> list[RegisterReply]:
         """Return every answer to one request: more than one means that motors share an id."""
-        return self._ask(read_frame(can_id, register), first_only=False)
+        return list(self._replies(read_frame(can_id, register)))
 
     def write(self, can_id: int, register: int, value: float) -> None:
         """Write a register (lost at power-off), or raise HardwareAbort.
@@ -73,45 +67,38 @@ class RegisterClient:
         raw = bytes_from_value(register, value)
         name = REGISTERS[register].name
         for _ in range(_TRIES):
-            replies = self._ask(write_frame(can_id, register, raw), first_only=True)
-            if replies and bytes_from_value(register, replies[0].value) == raw:
+            reply = next(self._replies(write_frame(can_id, register, raw)), None)
+            if reply is not None and bytes_from_value(register, reply.value) == raw:
                 return
-            if replies:
+            if reply is not None:
                 raise HardwareAbort(
-                    f"motor {can_id} refused {name} = {value:g} and keeps {replies[0].value:g}"
+                    f"motor {can_id} refused {name} = {value:g} and keeps {reply.value:g}"
                 )
         raise HardwareAbort(f"motor {can_id} did not answer to writing {name}")
 
     def refresh(self, can_id: int, master_id: int) -> Frame | None:
         """Return a feedback frame without any effect on the motor, or None."""
         for _ in range(_TRIES):
-            self._link.drain()
-            self._link.send(refresh_frame(can_id))
-            until = self._clock.now() + self._timeout
-            while (frame := self._receive(until)) is not None:
+            for frame in self._frames_after(refresh_frame(can_id)):
                 if frame.id == master_id and frame.data[0] & 0xF == can_id & 0xF:
                     return frame
         return None
 
-    def _ask(self, request: Frame, first_only: bool) -> list[RegisterReply]:
+    def _replies(self, request: Frame) -> Iterator[RegisterReply]:
+        for frame in self._frames_after(request):
+            if _answers(frame, request):
+                value = value_from_bytes(request.data[3], frame.data[4:8])
+                yield RegisterReply(value, frame.id)
+
+    def _frames_after(self, request: Frame) -> Iterator[Frame]:
+        """Send a request and yield what motors say until the timeout."""
         self._link.drain()
         self._link.send(request)
         until = self._clock.now() + self._timeout
-        replies: list[RegisterReply] = []
-        while (frame := self._receive(until)) is not None:
-            if _answers(frame, request):
-                value = value_from_bytes(request.data[3], frame.data[4:8])
-                replies.append(RegisterReply(value, frame.id))
-                if first_only:
-                    break
-        return replies
-
-    def _receive(self, until: float) -> Frame | None:
         while (frame := self._link.receive(until)) is not None:
             self.error_frames += frame.error
             if not frame.error and not frame.echo and len(frame.data) == 8:
-                return frame
-        return None
+                yield frame
 
 
 def _answers(frame: Frame, request: Frame) -> bool:
@@ -126,7 +113,7 @@ def _answers(frame: Frame, request: Frame) -> bool:
 
 @contextlib.contextmanager
 def watchdogs_set_to(
-    client: RegisterClient, before: Mapping[int, float], seconds: float | None
+    client: RegisterClient, before: Mapping[int, float], seconds: float
 ) -> Iterator[None]:
     """Write the watchdog register of each motor, and its old value when the block ends.
 
@@ -135,11 +122,8 @@ def watchdogs_set_to(
     Args:
         client: talks to the motors.
         before: CAN id to the value of the register now.
-        seconds: watchdog time [s]; None leaves them alone.
+        seconds: watchdog time [s].
     """
-    if seconds is None:
-        yield
-        return
     try:
         for can_id in before:
             client.write(can_id, TIMEOUT, float(round(seconds / TIMEOUT_UNIT)))

@@ -10,7 +10,6 @@ the adapter up.
 
 from __future__ import annotations
 
-import contextlib
 import os
 import select
 
@@ -53,9 +52,7 @@ class SlcanTerminal:
 
     def send(self, frame: Frame) -> None:
         """Write a frame; one that nobody reads is dropped, as on a bus."""
-        # A full buffer means that nobody has the terminal open.
-        with contextlib.suppress(BlockingIOError):
-            self._write(line_from_frame(frame).encode() + END)
+        self._write(line_from_frame(frame).encode() + END)
 
     def close(self) -> None:
         """Close the terminal."""
@@ -75,19 +72,18 @@ class SlcanTerminal:
         try:
             os.write(self._near, data)
         except BlockingIOError:
-            raise
+            return  # a full buffer: nobody has the terminal open
         except OSError as error:
             raise LinkError(f"the pseudo-terminal is closed: {error.strerror}") from error
 
 
 END = b"\r"
-_CLASSIC, _FD = ("t",), ("d", "b")
 
 
 def frame_from_line(line: str) -> Frame | None:
     """Return the frame that a line stands for, or None where it is a set-up command or broken."""
     kind = line[:1]
-    if kind not in _CLASSIC + _FD:
+    if kind not in ("t", "d", "b"):
         return None
     try:
         length = int(line[4], 16)
@@ -97,7 +93,7 @@ def frame_from_line(line: str) -> Frame | None:
         return None
     if length > 8 or len(data) != length:
         return None
-    return Frame(identifier, data, fd=kind in _FD)
+    return Frame(identifier, data, fd=kind != "t")
 
 
 def line_from_frame(frame: Frame) -> str:

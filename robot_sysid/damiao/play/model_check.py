@@ -39,7 +39,7 @@ class SampledTrajectory:
         slope: (N - 1, n) velocity between the rows [rad/s].
     """
 
-    def __init__(self, trajectory: DamiaoTrajectory, speed: float = 1.0) -> None:
+    def __init__(self, trajectory: DamiaoTrajectory, speed: float) -> None:
         time, self.q, qd, self.tau = (np.concatenate(x) for x in zip(*trajectory.chunks()))
         self.time, self.qd = (time - time[0]) / speed, speed * qd
         self.slope = np.diff(self.q, axis=0) / np.diff(self.time)[:, None]

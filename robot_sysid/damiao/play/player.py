@@ -12,12 +12,12 @@ import signal
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from types import FrameType
-from typing import Protocol
 
 import numpy as np
 
 from robot_sysid.damiao.bus.clock import Clock
 from robot_sysid.damiao.play.cycle_timer import CycleTimer
+from robot_sysid.damiao.play.recorder import MeasurementRecorder
 from robot_sysid.damiao.play.sampler import (
     Reference,
     ReferenceFunction,
@@ -38,16 +38,6 @@ _LIFT_SHARE = 0.2
 _REPLY_SHARE = 0.9
 _LEAST_REPLY_SHARE = 0.3
 _SCALING_CHECK_CYCLES = 50
-
-
-class CycleRecorder(Protocol):
-    """Who keeps what was measured."""
-
-    def write(self, time: float, origin: float, replies: Replies, command: MitCommand) -> None:
-        """Keep one cycle: replies, and the command that was in force when they were sampled."""
-
-    def end_cycle(self) -> None:
-        """Make sure that nothing of this cycle can be lost."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +68,7 @@ class Player:
         clock: for the deadlines.
         settings: gains and limits.
         stop: polled in every cycle.
-        recorder: gets every cycle of the trajectory itself.
+        recorder: gets every cycle of the trajectory itself; None keeps nothing.
         on_phase: called with a sentence when a new phase begins.
         on_progress: called with the time played so far [s].
     """
@@ -89,16 +79,16 @@ class Player:
         clock: Clock,
         settings: PlaySettings,
         stop: StopRequest,
-        recorder: CycleRecorder | None = None,
-        on_phase: Callable[[str], None] | None = None,
-        on_progress: Callable[[float], None] | None = None,
+        recorder: MeasurementRecorder | None,
+        on_phase: Callable[[str], None],
+        on_progress: Callable[[float], None],
     ) -> None:
         self._session, self._clock, self._settings = session, clock, settings
         self._stop, self._recorder = stop, recorder
-        self._on_phase, self._on_progress = on_phase, on_progress
+        self._announce, self._on_progress = on_phase, on_progress
         self._supervisor = Supervisor(session.joints, settings)
         self._scaling_check = VelocityScalingCheck(session.scaling.steps[1])
-        self._timer = CycleTimer(clock, settings.period, settings.max_lateness)
+        self._timer: CycleTimer
         self._kp, self._kd = np.array(settings.kp), np.array(settings.kd)
         self._gain = 0.0
         self._reference: Reference | None = None
@@ -185,8 +175,7 @@ class Player:
         if self._recorder:
             self._recorder.write(time, origin, replies, acted)
             self._recorder.end_cycle()
-        if self._on_progress:
-            self._on_progress(time)
+        self._on_progress(time)
 
     def _keep_partial(self, time: float, origin: float, record: bool) -> None:
         """Record what an exchange had collected when it was cut short."""
@@ -230,8 +219,10 @@ class Player:
         if self._reference is None:
             return
         wishes = self._stop.count
+        # The terminal may be gone; the arm has to brake all the same.
         with contextlib.suppress(Exception):
             self._announce("stopping")
+        with contextlib.suppress(Exception):
             start = self._stop_start(self._reference)
             braking, duration = come_to_rest(start, self._settings.deceleration)
             rest = hold(braking(duration))
@@ -260,11 +251,9 @@ class Player:
             replies = self._session.exchange(command, self._reply_deadline(deadline), driving)
             self._supervisor.update(replies)
             if self._recorder:
-                self._recorder.end_cycle()
-
-    def _announce(self, sentence: str) -> None:
-        if self._on_phase:
-            self._on_phase(sentence)
+                # A disk that is full must not keep the arm from braking.
+                with contextlib.suppress(OSError):
+                    self._recorder.end_cycle()
 
     def _report(self) -> PlayReport:
         return PlayReport(

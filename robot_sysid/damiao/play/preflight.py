@@ -13,7 +13,12 @@ import numpy as np
 
 from robot_sysid.damiao.bus.inspection import InspectedMotor, Inspection
 from robot_sysid.damiao.play.settings import PlaySettings
-from robot_sysid.damiao.protocol.bus_load import BusTiming, bus_load, suggested_rate
+from robot_sysid.damiao.protocol.bus_load import (
+    PLANNING_LIMIT,
+    BusTiming,
+    bus_load,
+    suggested_rate,
+)
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, id_problems
 from robot_sysid.damiao.protocol.motors import limits_agree
 from robot_sysid.damiao.protocol.registers import (
@@ -32,6 +37,7 @@ from robot_sysid.damiao.protocol.registers import (
 )
 from robot_sysid.damiao.trajectory.clamping import rating_warnings
 from robot_sysid.damiao.trajectory.csv_file import TrajectoryScan
+from robot_sysid.errors import HardwareAbort
 from robot_sysid.records.options import check_options, option, positive
 
 OK, NOTE, STOP = "ok", "note", "stop"
@@ -104,53 +110,37 @@ def bus_checks(
 ) -> list[Check]:
     """Return what the motors on the bus say to the plan."""
     checks = [*_quiet(inspection), *_unexpected_motors(inspection, joints)]
-    present = [(j, m) for m in joints if (j := inspection.motors.get(m.can_id))]
-    missing = [joint.can_id for joint in joints if joint.can_id not in inspection.motors]
-    for can_id in missing:
-        checks.append(
-            Check(STOP, f"motor {can_id} does not answer; check power, wiring, its id, bit rate")
-        )
+    present = [(inspection.motors[j.can_id], j) for j in joints if j.can_id in inspection.motors]
+    for joint in joints:
+        if joint.can_id not in inspection.motors:
+            text = f"motor {joint.can_id} does not answer; check power, wiring, its id, bit rate"
+            checks.append(Check(STOP, text))
     for motor, joint in present:
-        checks += motor_checks(motor, joint, settings, allowed)
-    if missing or any(motor.limits is None for motor, _ in present):
+        checks += _lacking(motor) or [
+            *_identity(motor, joint),
+            *_mode(motor),
+            *_scaling(motor, joint, allowed),
+            *_watchdog(motor, settings, allowed),
+            *_state(motor, settings),
+        ]
+    limits = [motor.limits for motor, _ in present if motor.limits]
+    if len(limits) < len(joints):
         return checks
-    limits = [motor.limits or (0.0, 0.0, 0.0) for motor, _ in present]
     checks += _within_limits(scan, joints, limits, settings, "its registers'")
-    return checks + list(_near_start([m for m, _ in present], scan, settings))
+    return checks + list(_near_start([motor for motor, _ in present], scan, settings))
 
 
 def general_checks(inspection: Inspection, settings: PlaySettings) -> list[Check]:
     """Return what motors say on their own, without a trajectory to compare them with."""
     checks = [*_quiet(inspection), *_unexpected_motors(inspection, ())]
     for motor in inspection.motors.values():
-        name = f"motor {motor.can_id}"
-        if len(motor.reply_ids) > 1:
-            text = f"{len(motor.reply_ids)} motors answer to CAN id {motor.can_id}"
-            checks.append(Check(STOP, text))
-        lacking = _lacking(name, motor)
-        checks += lacking or [
-            *_mode(name, motor),
-            *_watchdog(name, motor, settings, Permissions()),
-            *_state(name, motor, settings),
+        checks += _shared_id(motor)
+        checks += _lacking(motor) or [
+            *_mode(motor),
+            *_watchdog(motor, settings, Permissions()),
+            *_state(motor, settings),
         ]
     return checks
-
-
-def motor_checks(
-    motor: InspectedMotor,
-    joint: DamiaoJoint,
-    settings: PlaySettings,
-    allowed: Permissions,
-) -> list[Check]:
-    """Return what one motor's answers say: ids, mode, scaling, watchdog, state."""
-    name = f"motor {motor.can_id}"
-    return _lacking(name, motor) or [
-        *_identity(name, motor, joint),
-        *_mode(name, motor),
-        *_scaling(name, motor, joint, allowed),
-        *_watchdog(name, motor, settings, allowed),
-        *_state(name, motor, settings),
-    ]
 
 
 def stops(checks: Sequence[Check]) -> list[str]:
@@ -158,9 +148,15 @@ def stops(checks: Sequence[Check]) -> list[str]:
     return [check.text for check in checks if check.severity == STOP]
 
 
-def _lacking(name: str, motor: InspectedMotor) -> list[Check]:
+def require_no_stop(checks: Sequence[Check], words: str) -> None:
+    """Raise HardwareAbort with the first check that forbids to play, after some words."""
+    for text in stops(checks):
+        raise HardwareAbort(f"{words}: {text}")
+
+
+def _lacking(motor: InspectedMotor) -> list[Check]:
     lacking = [REGISTERS[n].name for n in REQUIRED if n not in motor.registers]
-    text = f"{name} does not answer for {', '.join(lacking)}; try again"
+    text = f"{motor.name} does not answer for {', '.join(lacking)}; try again"
     return [Check(STOP, text)] if lacking else []
 
 
@@ -203,11 +199,11 @@ def _load(
 ) -> Iterator[Check]:
     load = bus_load(n_motors, 1.0 / settings.period, timing)
     text = f"{n_motors} motors at {settings.rate:g} Hz load {timing.name} to {100 * load:.0f} %"
-    if load <= settings.max_bus_load:
+    if load <= PLANNING_LIMIT:
         yield Check(OK, text)
         return
     handy = suggested_rate(n_motors, timing)
-    text += f", limit {100 * settings.max_bus_load:.0f} %; use --rate {handy:g}"
+    text += f", limit {100 * PLANNING_LIMIT:.0f} %; use --rate {handy:g}"
     yield Check(NOTE if allowed.bus_load else STOP, text + " (or --force-bus-load)")
 
 
@@ -266,33 +262,35 @@ def _unexpected_motors(inspection: Inspection, joints: Sequence[DamiaoJoint]) ->
     )
 
 
-def _identity(name: str, motor: InspectedMotor, joint: DamiaoJoint) -> Iterator[Check]:
+def _shared_id(motor: InspectedMotor) -> Iterator[Check]:
     if len(motor.reply_ids) > 1:
         yield Check(STOP, f"{len(motor.reply_ids)} motors answer to CAN id {motor.can_id}")
-    if int(motor.registers[ESC_ID]) != joint.can_id:
-        found = int(motor.registers[ESC_ID])
-        yield Check(STOP, f"{name} says that its CAN id is {found}; power-cycle it")
+
+
+def _identity(motor: InspectedMotor, joint: DamiaoJoint) -> Iterator[Check]:
+    yield from _shared_id(motor)
+    found = int(motor.registers[ESC_ID])
+    if found != joint.can_id:
+        yield Check(STOP, f"{motor.name} says that its CAN id is {found}; power-cycle it")
     stored = int(motor.registers[MST_ID])
     if stored != joint.master_id or set(motor.reply_ids) != {joint.master_id}:
         answers = ", ".join(f"{i:#x}" for i in sorted(set(motor.reply_ids)))
         yield Check(
             STOP,
-            f"{name} answers on {answers} (MST_ID {stored:#x}) but the trajectory expects "
+            f"{motor.name} answers on {answers} (MST_ID {stored:#x}) but the trajectory expects "
             f"{joint.master_id:#x}; set MST_ID, or export with --master-id",
         )
 
 
-def _mode(name: str, motor: InspectedMotor) -> Iterator[Check]:
+def _mode(motor: InspectedMotor) -> Iterator[Check]:
     mode = int(motor.registers[CTRL_MODE])
     if mode != MIT_MODE:
         said = MODES.get(mode, "unknown")
-        yield Check(STOP, f"{name} is in mode {mode} ({said}); set CTRL_MODE to 1 (MIT)")
+        yield Check(STOP, f"{motor.name} is in mode {mode} ({said}); set CTRL_MODE to 1 (MIT)")
 
 
-def _scaling(
-    name: str, motor: InspectedMotor, joint: DamiaoJoint, allowed: Permissions
-) -> Iterator[Check]:
-    found = motor.limits or (0.0, 0.0, 0.0)
+def _scaling(motor: InspectedMotor, joint: DamiaoJoint, allowed: Permissions) -> Iterator[Check]:
+    name, found = motor.name, motor.limits or (0.0, 0.0, 0.0)
     if min(found) <= 0.0:
         yield Check(STOP, f"{name} has PMAX, VMAX, TMAX {_three(found)}: not usable")
     elif not limits_agree(joint.spec.limits, found):
@@ -309,9 +307,9 @@ def _scaling(
 
 
 def _watchdog(
-    name: str, motor: InspectedMotor, settings: PlaySettings, allowed: Permissions
+    motor: InspectedMotor, settings: PlaySettings, allowed: Permissions
 ) -> Iterator[Check]:
-    stored = motor.registers[TIMEOUT] * TIMEOUT_UNIT
+    name, stored = motor.name, motor.registers[TIMEOUT] * TIMEOUT_UNIT
     timeout = stored if allowed.watchdog is None else allowed.watchdog
     if timeout == 0.0:
         text = f"{name} has no watchdog: it would go on for ever if this program died"
@@ -326,7 +324,8 @@ def _watchdog(
         yield Check(OK, f"{name}'s watchdog stops it after {1e3 * timeout:g} ms")
 
 
-def _state(name: str, motor: InspectedMotor, settings: PlaySettings) -> Iterator[Check]:
+def _state(motor: InspectedMotor, settings: PlaySettings) -> Iterator[Check]:
+    name = motor.name
     if motor.feedback is None:
         yield Check(STOP, f"{name} does not tell its state; its firmware may be too old")
         return

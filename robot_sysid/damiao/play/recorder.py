@@ -8,13 +8,15 @@ joint that did not answer are empty.
 
 from __future__ import annotations
 
+import contextlib
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
+from robot_sysid.damiao.bus.can_log import RawFrameLog
 from robot_sysid.damiao.play.session import Replies
 from robot_sysid.damiao.play.settings import PlaySettings
 from robot_sysid.damiao.protocol.codec import MitCommand
@@ -29,13 +31,6 @@ _EXTRA = (
     *("time", "cmd_pos", "cmd_vel", "cmd_tau", "cmd_step"),
     *("status", "temp_mos", "temp_rotor"),
 )
-
-
-class FrameLog(Protocol):
-    """Who keeps the raw frames."""
-
-    def flush(self) -> None:
-        """Write what has come so far."""
 
 
 @dataclass(frozen=True)
@@ -63,11 +58,19 @@ class RecordingOptions:
         beside = None if self.record is None else self.record.with_suffix(".log")
         return self.raw_log or beside
 
-    def require_free(self) -> None:
-        """Raise InputError where a file is there that must not be replaced."""
-        for path in (self.record, self.frames):
-            if path is not None and path.exists() and not self.overwrite:
+    def require_free(self, *read: Path) -> None:
+        """Raise InputError where a file is there that must not be replaced.
+
+        Args:
+            read: files that the run reads; they stay even with --overwrite.
+        """
+        taken = {os.path.realpath(path) for path in read}
+        for path in filter(None, (self.record, self.frames)):
+            if os.path.realpath(path) in taken:
+                raise InputError(f"{path} is needed for something else; choose another name")
+            if os.path.exists(path) and not self.overwrite:
                 raise InputError(f"{path} exists; choose another --record file or give --overwrite")
+            taken.add(os.path.realpath(path))
 
 
 @dataclass(frozen=True)
@@ -94,7 +97,7 @@ class RecordingHead:
         lines = ["robot-sysid motors recording", f"trajectory={self.source}"]
         for joint in self.joints:
             lines.append(
-                f"motor_type={joint.motor_type},can_id={joint.can_id},mode={joint.mode},"
+                f"motor_type={joint.motor_type},can_id={joint.can_id},mode=MIT,"
                 f"master_id={joint.master_id}"
             )
         for j, values in enumerate(self.registers):
@@ -131,30 +134,26 @@ class MeasurementRecorder:
         frames: flushed with every row, if given.
     """
 
-    def __init__(self, path: Path, head: RecordingHead, frames: FrameLog | None = None) -> None:
+    def __init__(self, path: Path, head: RecordingHead, frames: RawFrameLog | None = None) -> None:
         self._frames, self._centred = frames, not head.options.no_centring
-        try:
-            self._file = open(path, "w" if head.options.overwrite else "x", encoding="utf-8")  # noqa: SIM115
-        except FileExistsError:
-            raise InputError(
-                f"{path} exists; choose another --record file or give --overwrite"
-            ) from None
-        except OSError as error:
-            raise InputError(f"cannot write {path}: {error.strerror}") from None
         columns = ["time", *trajectory_columns(len(head.joints))]
         columns += [f"j{j}_{what}" for j in range(len(head.joints)) for what in _EXTRA]
-        for line in head.lines():
-            self._file.write(f"# {line}\n")
-        self._file.write(",".join(columns) + "\n")
-        self._file.flush()
+        comments = [f"# {line}\n" for line in head.lines()]
+        try:
+            self._file = open(path, "w" if head.options.overwrite else "x", encoding="utf-8")  # noqa: SIM115
+            self._file.writelines([*comments, ",".join(columns) + "\n"])
+            self._file.flush()
+        except OSError as error:
+            raise InputError(f"cannot write {path}: {error.strerror}") from None
 
     def __enter__(self) -> MeasurementRecorder:
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         ending = "completed" if error is None else f"stopped: {error}".replace("\n", " ")
-        self._file.write(f"# end: {ending}\n")
-        self._file.close()
+        # A disk that is full by now must not hide why the run ended.
+        with contextlib.suppress(OSError), self._file:
+            self._file.write(f"# end: {ending}\n")
 
     def write(self, time: float, origin: float, replies: Replies, acted: MitCommand) -> None:
         """Write one cycle.

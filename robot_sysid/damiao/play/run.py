@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from robot_sysid.damiao.bus.can_log import RawFrameLog
 from robot_sysid.damiao.bus.clock import Clock
-from robot_sysid.damiao.bus.inspection import Inspection, inspect_bus
+from robot_sysid.damiao.bus.inspection import Inspection
 from robot_sysid.damiao.bus.link import GuardedLink
 from robot_sysid.damiao.bus.register_client import RegisterClient, watchdogs_set_to
 from robot_sysid.damiao.play.player import Player, PlayReport, StopRequest
-from robot_sysid.damiao.play.preflight import Check, Permissions, bus_checks, plan_checks, stops
+from robot_sysid.damiao.play.preflight import (
+    Check,
+    Permissions,
+    bus_checks,
+    plan_checks,
+    require_no_stop,
+)
 from robot_sysid.damiao.play.recorder import MeasurementRecorder, RecordingHead, RecordingOptions
 from robot_sysid.damiao.play.sampler import TrajectorySampler
 from robot_sysid.damiao.play.session import MotorSession
@@ -21,7 +28,6 @@ from robot_sysid.damiao.protocol.bus_load import BusTiming
 from robot_sysid.damiao.protocol.codec import Scaling
 from robot_sysid.damiao.protocol.registers import TIMEOUT
 from robot_sysid.damiao.trajectory.csv_file import DamiaoTrajectory, TrajectoryScan, scan_trajectory
-from robot_sysid.errors import HardwareAbort
 
 
 @dataclass(frozen=True)
@@ -65,21 +71,15 @@ class Plan:
         return bus_checks(inspection, self.scan, joints, self.settings, self.allowed)
 
 
-def inspect(link: GuardedLink, clock: Clock, plan: Plan) -> tuple[Inspection, list[Check]]:
-    """Inspect the bus and return what it says to the plan; moves and enables nothing."""
-    inspection = inspect_bus(link, clock)
-    return inspection, plan.bus_checks(inspection)
-
-
 def run(
     link: GuardedLink,
     clock: Clock,
     plan: Plan,
     inspection: Inspection,
     stop: StopRequest,
-    channel: str = "can0",
-    on_phase: Callable[[str], None] | None = None,
-    on_progress: Callable[[float], None] | None = None,
+    channel: str,
+    on_phase: Callable[[str], None],
+    on_progress: Callable[[float], None],
 ) -> PlayReport:
     """Play the plan on inspected motors.
 
@@ -97,17 +97,15 @@ def run(
         HardwareAbort: a check forbids it, or the run was stopped; says why.
         InputError: a recording exists already or cannot be written.
     """
-    forbidden = stops(plan.checks() + plan.bus_checks(inspection))
-    if forbidden:
-        raise HardwareAbort(f"not played: {forbidden[0]}")
-    plan.recording.require_free()
+    require_no_stop(plan.checks() + plan.bus_checks(inspection), "not played")
+    plan.recording.require_free(plan.trajectory.path)
     joints, settings = plan.trajectory.joints, plan.settings
     motors = [inspection.motors[joint.can_id] for joint in joints]
     scaling = Scaling.from_limits(motor.limits or (0.0, 0.0, 0.0) for motor in motors)
     timeouts = {motor.can_id: motor.registers[TIMEOUT] for motor in motors}
     half_step = not plan.recording.no_half_step
     with contextlib.ExitStack() as stack:
-        frames = _frame_log(stack, link, clock, plan.recording, channel)
+        frames = stack.enter_context(_frame_log(link, clock, plan.recording.frames, channel))
         recorder = None
         if plan.recording.record:
             registers = [motor.registers for motor in motors]
@@ -115,25 +113,25 @@ def run(
             head = RecordingHead(joints, registers, settings, plan.recording, source)
             recorder = MeasurementRecorder(plan.recording.record, head, frames)
             stack.enter_context(recorder)
-        client = RegisterClient(link, clock)
-        stack.enter_context(watchdogs_set_to(client, timeouts, plan.allowed.watchdog))
+        if plan.allowed.watchdog is not None:
+            client = RegisterClient(link, clock)
+            stack.enter_context(watchdogs_set_to(client, timeouts, plan.allowed.watchdog))
         session = stack.enter_context(MotorSession(link, clock, joints, scaling, half_step))
         player = Player(session, clock, settings, stop, recorder, on_phase, on_progress)
         return player.play(TrajectorySampler(plan.trajectory, settings.speed), plan.duration)
 
 
+@contextlib.contextmanager
 def _frame_log(
-    stack: contextlib.ExitStack,
-    link: GuardedLink,
-    clock: Clock,
-    options: RecordingOptions,
-    channel: str,
-) -> RawFrameLog | None:
-    """Let every frame be written, where that was asked for, until the stack unwinds."""
-    if options.frames is None:
-        return None
-    log = RawFrameLog(options.frames, clock, channel, options.overwrite)
-    stack.callback(log.close)
-    stack.callback(setattr, link, "observer", link.observer)
-    link.observer = log
-    return log
+    link: GuardedLink, clock: Clock, path: Path | None, channel: str
+) -> Iterator[RawFrameLog | None]:
+    """Write every frame of the block to a file, where there is one."""
+    if path is None:
+        yield None
+        return
+    log = link.observer = RawFrameLog(path, clock, channel)
+    try:
+        yield log
+    finally:
+        link.observer = None
+        log.close()

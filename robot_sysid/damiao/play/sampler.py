@@ -37,10 +37,10 @@ class TrajectorySampler:
         speed: 0 < speed <= 1.
     """
 
-    def __init__(self, trajectory: DamiaoTrajectory, speed: float = 1.0) -> None:
-        self._chunks = trajectory.chunks(_ROWS)
+    def __init__(self, trajectory: DamiaoTrajectory, speed: float) -> None:
         self._speed = speed
-        self._table = np.hstack([np.reshape(c, (len(c), -1)) for c in next(self._chunks)])
+        self._tables = (np.column_stack(chunk) for chunk in trajectory.chunks(_ROWS))
+        self._table = next(self._tables)
         self._start = float(self._table[0, 0])
 
     def __call__(self, time: float) -> Reference:
@@ -48,16 +48,13 @@ class TrajectorySampler:
         moment = self._start + time * self._speed
         while moment > self._table[-1, 0] and self._read_on():
             pass
-        n = (self._table.shape[1] - 1) // 3
-        row = _interpolate(self._table, moment)
-        velocity = row[1 + n : 1 + 2 * n] * self._speed
-        return Reference(row[1 : 1 + n], velocity, row[1 + 2 * n :])
+        position, velocity, torque = np.split(_interpolate(self._table, moment)[1:], 3)
+        return Reference(position, velocity * self._speed, torque)
 
     def _read_on(self) -> bool:
-        chunk = next(self._chunks, None)
-        if chunk is None:
+        rows = next(self._tables, None)
+        if rows is None:
             return False
-        rows = np.hstack([np.reshape(c, (len(c), -1)) for c in chunk])
         self._table = np.vstack([self._table[-1:], rows])
         return True
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from types import TracebackType
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,10 +77,10 @@ class MotorSession:
         clock: Clock,
         joints: Sequence[DamiaoJoint],
         scaling: Scaling,
-        half_step: bool = True,
+        half_step: bool,
     ) -> None:
         self._link, self._clock = link, clock
-        self.joints, self.scaling, self.half_step = tuple(joints), scaling, half_step
+        self.joints, self.scaling, self._half_step = tuple(joints), scaling, half_step
         self._armed = False
         self.last_replies: Replies | None = None
         self._by_reply = {joint.master_id: j for j, joint in enumerate(joints)}
@@ -94,12 +94,7 @@ class MotorSession:
     def __enter__(self) -> MotorSession:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if not self._armed:
             return
         unconfirmed = self.disable()
@@ -161,7 +156,9 @@ class MotorSession:
             if repeat:
                 self._clock.sleep_until(self._clock.now() + _DISABLE_SPACING)
             for joint in self.joints:
-                self._try_to_disable(joint)
+                # The next of the five attempts, and the confirmation, tell whether it worked.
+                with contextlib.suppress(LinkError):
+                    self._link.send(disable_frame(joint.can_id))
         stopped = self._confirmed()
         self._armed = not np.all(stopped)
         return tuple(joint.can_id for joint, ok in zip(self.joints, stopped) if not ok)
@@ -179,13 +176,6 @@ class MotorSession:
             except LinkError:
                 self._clock.sleep_until(self._clock.now() + _DISABLE_SPACING)
         return stopped
-
-    def _try_to_disable(self, joint: DamiaoJoint) -> None:
-        # The next of the five attempts, and the confirmation, tell whether it worked.
-        try:
-            self._link.send(disable_frame(joint.can_id))
-        except LinkError:
-            return
 
     def _enable_one(self, j: int, joint: DamiaoJoint) -> Feedback:
         only = np.arange(self.n_joints) == j
@@ -208,7 +198,7 @@ class MotorSession:
             while missing and (frame := self._link.receive(until)) is not None:
                 missing -= self._take(frame, wanted, raw, received, sent)
         finally:
-            self.last_replies = replace(self._replies(raw, received, sent), command=command)
+            self.last_replies = self._replies(raw, received, sent, command)
         return self.last_replies
 
     def _take(
@@ -235,11 +225,13 @@ class MotorSession:
             return None
         return j
 
-    def _replies(self, raw: Bytes, received: Array, sent: Array) -> Replies:
+    def _replies(
+        self, raw: Bytes, received: Array, sent: Array, command: MitCommand | None
+    ) -> Replies:
         answered = np.isfinite(received)
-        feedback = decode_feedback(raw, self.scaling, self.half_step)
+        feedback = decode_feedback(raw, self.scaling, self._half_step)
         for values in (feedback.position, feedback.velocity, feedback.torque):
             values[~answered] = np.nan
         feedback.status[~answered] = NO_STATUS
         stamped = answered & np.isfinite(sent)
-        return Replies(answered, np.where(stamped, sent, received), feedback)
+        return Replies(answered, np.where(stamped, sent, received), feedback, command)

@@ -22,7 +22,7 @@ from robot_sysid.records.options import (
 _START_TEMPERATURE = 60.0
 
 
-def _milliseconds(text: str) -> float:
+def milliseconds(text: str) -> float:
     """Return seconds from a number of milliseconds."""
     return 1e-3 * float(text)
 
@@ -47,7 +47,6 @@ class PlaySettings:
         approach_time: least duration of the way to the first point [s].
         rest_time: how long the arm is held still before and after moving [s].
         deceleration: of a controlled stop [rad/s^2].
-        max_bus_load: share of the bus.
     """
 
     kp: tuple[float, ...] = option(
@@ -104,7 +103,7 @@ class PlaySettings:
         flag="--max-lateness-ms",
         unit="ms",
         metavar="MS",
-        parse=_milliseconds,
+        parse=milliseconds,
         check=not_negative,
         usual="20",
     )
@@ -112,7 +111,6 @@ class PlaySettings:
     approach_time: float = 1.0
     rest_time: float = 0.5
     deceleration: float = 10.0
-    max_bus_load: float = 0.7
 
     def __post_init__(self) -> None:
         check_options(self)

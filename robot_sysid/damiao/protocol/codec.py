@@ -53,12 +53,9 @@ class Scaling:
 
     def __post_init__(self) -> None:
         for name in ("position", "velocity", "torque"):
-            value = np.atleast_1d(np.asarray(getattr(self, name), dtype=float))
-            if value.ndim != 1 or not np.all(np.isfinite(value)) or np.any(value <= 0.0):
+            value = getattr(self, name)
+            if not np.all(np.isfinite(value) & (value > 0.0)):
                 raise InputError(f"{name} scaling must be positive numbers, got {value.tolist()}")
-            object.__setattr__(self, name, value)
-        if not len(self.position) == len(self.velocity) == len(self.torque):
-            raise InputError("position, velocity and torque scaling must cover the same joints")
         gains = np.full_like(self.position, KP_MAX), np.full_like(self.position, KD_MAX)
         high = np.stack([self.position, self.velocity, *gains, self.torque])
         object.__setattr__(self, "_high", high)

@@ -13,19 +13,11 @@ MASTER_ID_OFFSET = 0x10
 
 @dataclass(frozen=True)
 class DamiaoJoint:
-    """Which motor drives a joint.
-
-    Attributes:
-        motor_type: name of the type.
-        can_id: id the motor listens to.
-        master_id: id the motor answers on.
-        mode: control mode; only "MIT" is played.
-    """
+    """Which motor drives a joint: its type, the id it listens to and the id it answers on."""
 
     motor_type: str
     can_id: int
     master_id: int
-    mode: str = "MIT"
 
     @property
     def spec(self) -> MotorSpec:

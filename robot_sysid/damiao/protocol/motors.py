@@ -109,8 +109,7 @@ _SPECS = (
     ),
     MotorSpec("DMG6220", 12.5, 45.0, 10.0, 1.3, 2.7, 24.0, (), 1.0),
 )
-
-MOTORS: dict[str, MotorSpec] = {spec.name: spec for spec in _SPECS}
+MOTORS = {spec.name: spec for spec in _SPECS}
 
 
 def motor_spec(name: str) -> MotorSpec:
@@ -148,11 +147,7 @@ def motor_specs(names: Sequence[str], n_joints: int) -> tuple[MotorSpec, ...]:
 
 
 def matching_types(limits: tuple[float, float, float]) -> tuple[str, ...]:
-    """Return the names of the types whose (PMAX, VMAX, TMAX) agree with ``limits``.
-
-    Args:
-        limits: values read from registers 21 to 23 [rad, rad/s, N m].
-    """
+    """Return the names of the types whose (PMAX, VMAX, TMAX) [rad, rad/s, N m] agree."""
     return tuple(spec.name for spec in _SPECS if limits_agree(spec.limits, limits))
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import struct
 from typing import NamedTuple
 
+from robot_sysid.errors import InputError
+
 MST_ID, ESC_ID, TIMEOUT, CTRL_MODE = 7, 8, 9, 10
 GR, PMAX, VMAX, TMAX, CAN_BR = 20, 21, 22, 23, 35
 
@@ -62,10 +64,12 @@ def value_from_bytes(number: int, raw: bytes) -> float:
 
 
 def bytes_from_value(number: int, value: float) -> bytes:
-    """Return the four little-endian bytes of a register's value."""
-    if REGISTERS[number].integer:
-        return struct.pack("<I", int(value))
-    return struct.pack("<f", value)
+    """Return the four little-endian bytes of a register's value, or raise InputError."""
+    register = REGISTERS[number]
+    try:
+        return struct.pack("<I", int(value)) if register.integer else struct.pack("<f", value)
+    except (struct.error, OverflowError, ValueError):
+        raise InputError(f"{register.name} = {value:g} does not fit into its register") from None
 
 
 def text_of(number: int, value: float) -> str:

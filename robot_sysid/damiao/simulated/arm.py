@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from robot_sysid.damiao.simulated.faults import Fault
 from robot_sysid.damiao.simulated.motor import SimulatedMotor
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
+
+if TYPE_CHECKING:
+    from robot_sysid.simulation.stepper import ArmStepper
 
 # Damping that holds a blocked joint [N m s/rad].
 _JAM = 1e6
@@ -33,12 +36,10 @@ class SimulatedArm:
 
     def __init__(
         self,
-        mechanism: Mechanism,
+        mechanism: ArmStepper,
         motors: Sequence[SimulatedMotor],
         faults: Sequence[Fault] = (),
     ) -> None:
-        if len(motors) < mechanism.n_joints:
-            raise InputError(f"{mechanism.n_joints} joints need as many motors, got {len(motors)}")
         if any(not 0 <= fault.joint < len(motors) for fault in faults):
             raise InputError(f"faults name joints 0 to {len(motors) - 1}")
         self.mechanism, self.motors = mechanism, list(motors)
@@ -109,10 +110,10 @@ class SimulatedArm:
         motors = self.motors[: self.mechanism.n_joints]
         table = np.array([(m.p, m.v, m.kp, m.kd, m.t, m.brake, m.peak_torque) for m in motors])
         driving = np.array([m.driving for m in motors])
-        self._p, self._v, self._kp, kd, t, brake, self._peak = table.T
+        self._p, v, kp, kd, t, brake, self._peak = table.T
         self._kd = np.where(driving, kd, brake)
-        self._offset = np.where(driving, kd * self._v + t, 0.0)
-        self._kp = np.where(driving, self._kp, 0.0)
+        self._offset = np.where(driving, kd * v + t, 0.0)
+        self._kp = np.where(driving, kp, 0.0)
         self._limited = driving
         self._jammed = np.array([m.jammed for m in motors])
         self._changed = False
@@ -134,34 +135,3 @@ class SimulatedArm:
             motor.position, motor.velocity = float(q[j]), float(qd[j])
             # The motor knows the current it drives, not what its shorted windings do.
             motor.torque = float(torque[j] - damping[j] * qd[j]) if motor.driving else 0.0
-
-
-class Mechanism(Protocol):
-    """A mechanism with n joints that is moved by joint torques."""
-
-    @property
-    def n_joints(self) -> int:
-        """Number of joints n."""
-
-    @property
-    def timestep(self) -> float:
-        """Length of one step [s]."""
-
-    @property
-    def q(self) -> Array:
-        """Joint positions (n,) [rad]."""
-
-    @property
-    def qd(self) -> Array:
-        """Joint velocities (n,) [rad/s]."""
-
-    def step(self, torque: Array, damping: Array) -> Array:
-        """Advance one step under the joint torque ``torque - damping qd``.
-
-        Args:
-            torque: (n,) [N m].
-            damping: (n,) [N m s/rad], taken at the end of the step, so that any value is stable.
-
-        Returns:
-            the joint torque (n,) that acted during the step [N m].
-        """

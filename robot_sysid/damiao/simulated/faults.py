@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -78,7 +79,10 @@ def parse_fault(text: str) -> Fault:
     rest, _, value = rest.partition("=")
     kind, _, joint = rest.partition(":")
     try:
-        return Fault(kind, int(joint), float(value or 1.0), float(after or 0.0))
+        amount, delay = float(value or 1.0), float(after or 0.0)
+        if not math.isfinite(amount + delay):
+            raise ValueError
+        return Fault(kind, int(joint), amount, delay)
     except ValueError:
         raise InputError(
             f"a fault is written KIND:JOINT[=VALUE][@SECONDS], got {text!r}; "

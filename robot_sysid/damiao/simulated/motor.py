@@ -207,10 +207,6 @@ def simulated_motor(
         MST_ID: float(master_id), ESC_ID: float(can_id), CTRL_MODE: float(MIT_MODE),
         TIMEOUT: float(round(watchdog / TIMEOUT_UNIT)),
     }  # fmt: skip
-    registers.update(zip((PMAX, VMAX, TMAX), map(_as_float32, spec.limits)))
+    registers.update(zip((PMAX, VMAX, TMAX), np.array(spec.limits, np.float32).tolist()))
     # Shorted windings brake strongly: a full peak torque sinks at about 2 rad/s.
     return SimulatedMotor(registers, peak, brake=0.5 * peak)
-
-
-def _as_float32(value: float) -> float:
-    return float(np.float32(value))

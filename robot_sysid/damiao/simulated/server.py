@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 from robot_sysid.damiao.bus.clock import Clock
 from robot_sysid.damiao.bus.link import Link
-from robot_sysid.damiao.protocol.frames import Frame
 from robot_sysid.damiao.simulated.arm import SimulatedArm
 
 _TICK = 1e-3
@@ -27,10 +26,6 @@ def serve(arm: SimulatedArm, link: Link, clock: Clock, running: Callable[[], boo
             arm.skip_to(now)
         arm.advance(now)
         if frame is not None and not frame.echo:
-            _answer(arm, link, frame, now)
+            for reply in arm.handle(frame, now):
+                link.send(reply)
     return left_out
-
-
-def _answer(arm: SimulatedArm, link: Link, frame: Frame, now: float) -> None:
-    for reply in arm.handle(frame, now):
-        link.send(reply)

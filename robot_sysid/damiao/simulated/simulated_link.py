@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 import itertools
+from collections import deque
 
 from robot_sysid.damiao.bus.clock import SimulatedClock
 from robot_sysid.damiao.protocol.bus_load import BusTiming
@@ -29,15 +30,15 @@ class SimulatedLink:
         self,
         clock: SimulatedClock,
         arm: SimulatedArm,
-        timing: BusTiming | None = None,
+        timing: BusTiming,
         echo: bool = False,
     ) -> None:
         self.clock, self.arm = clock, arm
-        self._timing = timing or BusTiming()
-        self._echo = echo
+        self._timing, self._echo = timing, echo
         self._free_at = 0.0
         self._order = itertools.count()
-        self._echoes: list[tuple[float, int, Frame]] = []
+        # In the order of their times, as the bus carries one frame after the other.
+        self._echoes: deque[Frame] = deque()
         self._replies: list[tuple[float, int, int, Frame]] = []
 
     def send(self, frame: Frame) -> None:
@@ -45,18 +46,16 @@ class SimulatedLink:
         end = max(self.clock.now(), self._free_at) + self._timing.frame_time
         self._free_at = end
         if self._echo:
-            entry = end, next(self._order), frame._replace(time=end, echo=True)
-            heapq.heappush(self._echoes, entry)
+            self._echoes.append(frame._replace(time=end, echo=True))
         for reply in self.arm.handle(frame, end):
             ready = end + _TURNAROUND
             heapq.heappush(self._replies, (ready, reply.id, next(self._order), reply))
 
     def receive(self, until: float) -> Frame | None:
         """Return the next frame that is through by ``until`` [s], or None at that time."""
-        if self._echoes and self._echoes[0][0] <= until:
-            arrival, _, frame = heapq.heappop(self._echoes)
-            self.clock.sleep_until(arrival)
-            return frame
+        if self._echoes and self._echoes[0].time <= until:
+            self.clock.sleep_until(self._echoes[0].time)
+            return self._echoes.popleft()
         if self._replies:
             arrival = max(self._replies[0][0], self._free_at) + self._timing.frame_time
             if arrival <= until:

@@ -16,7 +16,7 @@ import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import TextIO
 
@@ -38,6 +38,7 @@ from robot_sysid.records.atomic_files import whole_file
 _PAIR = re.compile(r"\s*([a-z_]+)\s*=\s*([^,\s]+)\s*")
 
 MotionChunk = tuple[Array, Array, Array, Array]
+"""Time (N,), position, velocity, feed-forward torque (N, n) [s, rad, rad/s, N m]."""
 
 
 @dataclass(frozen=True)
@@ -75,17 +76,11 @@ class DamiaoTrajectory:
         return len(self.joints)
 
     def chunks(self, rows: int = 4096) -> Iterator[MotionChunk]:
-        """Yield (time (N,), q (N, n), qd (N, n), tau (N, n)) with at most ``rows`` rows each.
-
-        Raises:
-            InputError: a row is not numbers, has the wrong length, or time does not increase.
-        """
-        last = -np.inf
+        """Yield the rows, at most ``rows`` at a time; raise InputError at one that is malformed."""
+        last, line = -np.inf, self.first_data_line
         with _opened(self.path) as file:
-            line = self.first_data_line
-            for _ in range(line):
-                next(file)
-            while text := list(islice(file, rows)):
+            lines = islice(file, line, None)
+            while text := list(islice(lines, rows)):
                 table = _table(text, self.path, line, 1 + 3 * self.n_joints)
                 if len(table):
                     _check_time(table[:, 0], last, self.path, line)
@@ -108,10 +103,9 @@ def export_damiao_trajectory(
     only once everything is written.
 
     Args:
-        motion_chunks: (time (N,), q (N, n), qd (N, n), tau (N, n)) [s, rad, rad/s, N m].
-        motor_types: one type name per joint, base to terminal.
+        motion_chunks: the motion, see ``MotionChunk``.
+        motor_types, can_ids, master_ids: see ``damiao_joints``.
         path_or_file: where to write.
-        can_ids, master_ids: see ``damiao_joints``.
         supply: voltage that the no-load speeds are compared at [V]; None takes each type's own.
 
     Raises:
@@ -123,13 +117,13 @@ def export_damiao_trajectory(
         raise InputError("the trajectory to export has no samples")
     joints = damiao_joints(motor_types, np.shape(first[1])[1], can_ids, master_ids)
     tally = ClampTally(tuple(joint.spec for joint in joints))
+    # Milliseconds where all moments are on their grid.
+    decimals = 3 if np.all(np.abs(first[0] - np.round(first[0], 3)) < 1e-9) else 6
     with whole_file(path_or_file) as file:
         file.write(_head(joints))
-        decimals = _time_decimals(first[0])
-        for chunk in _chained(first, chunks):
+        for chunk in chain([first], chunks):
             file.write(_rows(chunk, tally, decimals))
-    rates = _rate_warnings(first[0], len(joints))
-    warnings = (*tally.warnings(supply), *rates)
+    warnings = (*tally.warnings(supply), *_rate_warnings(first[0], len(joints)))
     return DamiaoExportReport(joints, tally.clamped_percent, warnings)
 
 
@@ -151,15 +145,10 @@ def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
     raise InputError(f"{path} has no column line; it is not a Damiao trajectory")
 
 
-def _chained(first: MotionChunk, rest: Iterator[MotionChunk]) -> Iterator[MotionChunk]:
-    yield first
-    yield from rest
-
-
 def _head(joints: Sequence[DamiaoJoint]) -> str:
     lines = []
     for joint in joints:
-        line = f"# motor_type={joint.motor_type},can_id={joint.can_id},mode={joint.mode}"
+        line = f"# motor_type={joint.motor_type},can_id={joint.can_id},mode=MIT"
         if joint.master_id != joint.can_id + MASTER_ID_OFFSET:
             line += f",master_id={joint.master_id}"
         lines.append(line)
@@ -190,11 +179,6 @@ def _rows(chunk: MotionChunk, tally: ClampTally, decimals: int) -> str:
     return (row * len(time)) % tuple(table.ravel())
 
 
-def _time_decimals(time: Array) -> int:
-    on_the_grid = np.all(np.abs(time - np.round(time, 3)) < 1e-9)
-    return 3 if on_the_grid else 6
-
-
 def _rate_warnings(time: Array, n_joints: int) -> Iterator[str]:
     if len(time) < 2:
         return
@@ -202,8 +186,7 @@ def _rate_warnings(time: Array, n_joints: int) -> Iterator[str]:
     classic, fast = BusTiming(), BusTiming(fd=True)
     load = bus_load(n_joints, rate, classic)
     if load > PLANNING_LIMIT:
-        fits = suggested_rate(n_joints, classic)
-        fits_fd = suggested_rate(n_joints, fast)
+        fits, fits_fd = suggested_rate(n_joints, classic), suggested_rate(n_joints, fast)
         yield (
             f"{rate:g} Hz would fill {100 * load:.0f} % of a classic CAN bus "
             f"({100 * bus_load(n_joints, rate, fast):.0f} % of CAN-FD): play the file at "
@@ -225,7 +208,7 @@ def _parse_joint(line: str, path: Path, number: int) -> DamiaoJoint:
         ) from None
     if mode != "MIT":
         raise InputError(f"{path}, line {number}: mode {mode!r} cannot be played, only MIT")
-    return DamiaoJoint(motor_type, can_id, master_id, mode)
+    return DamiaoJoint(motor_type, can_id, master_id)
 
 
 def _check_columns(line: str, n_joints: int, path: Path, number: int) -> None:
@@ -308,22 +291,16 @@ def scan_trajectory(trajectory: DamiaoTrajectory) -> TrajectoryScan:
         InputError: a row is malformed, or there are fewer than two.
     """
     peaks = np.zeros((4, trajectory.n_joints))
-    samples, ends = 0, []
-    last: tuple[Array, Array] | None = None
+    samples, last_time, last_q = 0, np.empty(0), np.empty((0, trajectory.n_joints))
     for time, q, qd, tau in trajectory.chunks():
-        if last is None:
-            ends = [(time[0], q[0], qd[0])]
-        else:
-            time_before, q_before = last
-            peaks[3] = np.maximum(peaks[3], np.abs(q[0] - q_before) / (time[0] - time_before))
-        steps = np.abs(np.diff(q, axis=0)) / np.diff(time)[:, None]
-        largest = [np.abs(x).max(axis=0) for x in (q, qd, tau)]
-        peaks = np.maximum(peaks, [*largest, steps.max(axis=0, initial=0.0)])
+        if samples == 0:
+            start, first, first_speed = time[0], q[0], qd[0]
+        steps = np.diff(q, axis=0, prepend=last_q) / np.diff(time, prepend=last_time)[:, None]
+        largest = [np.abs(x).max(axis=0, initial=0.0) for x in (q, qd, tau, steps)]
+        peaks = np.maximum(peaks, largest)
         samples += len(time)
-        last = time[-1], q[-1]
-        ends[1:] = [(time[-1], q[-1], qd[-1])]
+        last_time, last_q, last_speed = time[-1:], q[-1:], qd[-1]
     if samples < 2:
         raise InputError(f"{trajectory.path} needs at least two rows to be played")
-    (start, first, first_speed), (stop, _, last_speed) = ends
     end_velocity = np.maximum(np.abs(first_speed), np.abs(last_speed))
-    return TrajectoryScan(stop - start, first, end_velocity, *peaks)
+    return TrajectoryScan(last_time[0] - start, first, end_velocity, *peaks)

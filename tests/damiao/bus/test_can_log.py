@@ -19,7 +19,7 @@ from tests.support.can_frames import FRAMES
 def test_the_frame_log_is_lossless(tmp_path_factory, frames):
     path = tmp_path_factory.mktemp("raw") / "measured.log"
     clock = SimulatedClock()
-    log = RawFrameLog(path, clock)
+    log = RawFrameLog(path, clock, "can0")
     for k, (frame, sent) in enumerate(frames):
         log(frame._replace(time=0.001 * k), sent)
     log.flush()
@@ -36,7 +36,7 @@ def test_the_frame_log_is_lossless(tmp_path_factory, frames):
 
 def test_frames_are_logged_in_the_order_of_their_time(tmp_path):
     clock = SimulatedClock()
-    log = RawFrameLog(tmp_path / "measured.log", clock)
+    log = RawFrameLog(tmp_path / "measured.log", clock, "can0")
     for stamp in (0.3, 0.1, 0.2):
         log(Frame(round(10 * stamp), b"", stamp), False)
     log.close()
@@ -45,9 +45,8 @@ def test_frames_are_logged_in_the_order_of_their_time(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "words"), [("x.unknown", "cannot log frames"), ("there.log", "exists")]
+    ("name", "words"), [("x.unknown", "cannot log frames"), ("no/folder.log", "cannot write")]
 )
 def test_a_frame_log_that_cannot_be_made_is_said(tmp_path, name, words):
-    (tmp_path / "there.log").write_text("precious")
     with pytest.raises(InputError, match=words):
-        RawFrameLog(tmp_path / name, SimulatedClock())
+        RawFrameLog(tmp_path / name, SimulatedClock(), "can0")

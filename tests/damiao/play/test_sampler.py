@@ -32,7 +32,7 @@ def test_the_sampler_interpolates_and_scales_velocity_with_speed(tmp_path, speed
 
 def test_the_sampler_holds_the_end(tmp_path):
     time, q, qd, tau = swing(2)
-    sampler = TrajectorySampler(trajectory_file(tmp_path, (time, q, qd, tau)))
+    sampler = TrajectorySampler(trajectory_file(tmp_path, (time, q, qd, tau)), 1.0)
     np.testing.assert_allclose(sampler(5.0).position, q[-1], atol=6e-5)
 
 

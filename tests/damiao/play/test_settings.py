@@ -10,7 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.damiao.play.settings import PlaySettings
-from robot_sysid.damiao.protocol.bus_load import BusTiming, bus_load, default_rate
+from robot_sysid.damiao.protocol.bus_load import (
+    PLANNING_LIMIT,
+    BusTiming,
+    bus_load,
+    default_rate,
+)
 from robot_sysid.damiao.protocol.codec import KD_MAX, KP_MAX, MitCommand, Scaling, encode_mit
 from robot_sysid.damiao.protocol.motors import MOTORS
 from robot_sysid.errors import InputError
@@ -31,7 +36,7 @@ def test_what_is_left_open_suits_motors_and_bus(specs, timing):
         assert kd == pytest.approx(min(max(kp / 20.0, 0.05), KD_MAX), rel=1e-12)
     assert len(chosen.kp) == len(chosen.kd) == len(specs)
     assert chosen.rate == default_rate(len(specs), timing)
-    assert bus_load(len(specs), chosen.rate, timing) <= chosen.max_bus_load
+    assert bus_load(len(specs), chosen.rate, timing) <= PLANNING_LIMIT
     assert chosen.period == 1.0 / chosen.rate
 
 

@@ -100,9 +100,9 @@ def test_ids_are_written_read_and_default_to_an_offset_of_sixteen(tmp_path):
     assert lines[0] == "# motor_type=DM4340,can_id=5,mode=MIT"
     assert lines[1] == "# motor_type=DM4310,can_id=3,mode=MIT,master_id=51"
     joints = read_damiao_trajectory(path).joints
-    assert [(j.motor_type, j.can_id, j.master_id, j.mode) for j in joints] == [
-        ("DM4340", 5, 0x15, "MIT"),
-        ("DM4310", 3, 0x33, "MIT"),
+    assert [(j.motor_type, j.can_id, j.master_id) for j in joints] == [
+        ("DM4340", 5, 0x15),
+        ("DM4310", 3, 0x33),
     ]
 
 
