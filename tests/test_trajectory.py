@@ -79,6 +79,7 @@ def test_every_joint_moves_and_uses_what_it_may(robot, seed, duration):
     assert np.all(full | (speed > 0.95))
 
 
+@pytest.mark.slow
 @given(limited_arms(torque=True), SEEDS, DURATIONS)
 def test_torque_limits_hold_unless_the_smallest_motion_breaks_them(robot, seed, duration):
     torque = ArmTorque(robot)

@@ -135,6 +135,7 @@ def test_nothing_to_explain_leaves_no_nan(duration):
     assert all(np.isfinite(list(estimate.effective_samples.values())))
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @given(SEEDS, st.floats(-2, 2))
 def test_standard_errors_follow_the_unit_of_torque(seed, power):

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from robot_sysid.excitation.fourier import FourierBasis, FourierTrajectory
@@ -53,6 +53,19 @@ def test_peaks_are_those_of_the_samples(seed, size):
     assert check.holds == kept == keeps_limits(some, plan)
 
 
+@given(st.floats(-1.0, 1.0), st.floats(0.1, 1.0), st.floats(-2.0, 2.0))
+@settings(max_examples=100)
+def test_position_limits_need_not_lie_around_zero(middle, reach, place):
+    assume(abs(abs(place - middle) - reach) > 1e-6)
+    some = problem(arms.THREE)
+    lower, upper = np.full(3, middle - reach), np.full(3, middle + reach)
+    limits = dataclasses.replace(some.limits, lower=lower, upper=upper)
+    some = dataclasses.replace(some, limits=limits)
+    resting = FourierTrajectory(BRIEF, np.full(3, place), np.zeros((3, 7)))
+    assert keeps_limits(some, resting) == (abs(place - middle) <= reach)
+
+
+@pytest.mark.slow
 @given(SEEDS, st.floats(0.02, 0.2))
 @settings(max_examples=100)
 def test_clearance_is_that_of_testing_often(seed, size):
@@ -152,6 +165,7 @@ def test_the_failure_counts_the_limits_and_names_the_worst():
     assert several.failure.endswith(f"it breaks {count} limits, first the {worst}")
 
 
+@pytest.mark.slow
 @given(SEEDS, st.floats(0.1, 2.0), st.floats(0.3, 5.0))
 @settings(max_examples=100)
 def test_a_joint_that_keeps_its_speeds_stays_as_it_is_the_others_just_keep_theirs(seed, v, a):

@@ -31,6 +31,7 @@ def best_draw(some, seed=0):
     return min(draw_trajectories(some, seed, range(6)), key=lambda d: d.score)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("xml", "ends"),
     [

@@ -209,6 +209,7 @@ def test_declared_radians_are_believed(tmp_path):
     with pytest.raises(InputError, match="look like degrees"):
         read(tmp_path, rows)
     assert len(read(tmp_path, rows, units="rad").samples) == 400
+    assert len(read(tmp_path, rows, is_slide=(True, False, False)).samples) == 400
 
 
 def test_positions_outside_the_limits_are_said(tmp_path):
@@ -248,6 +249,13 @@ def test_a_velocity_column_that_does_not_fit_is_said(tmp_path, factor, words):
     said = odd(read(tmp_path, rows, (*TITLES, "qd1", "qd2", "qd3")))
     assert words in said if words else said == ""
     assert factor == 1.0 or "velocity column of joint elbow" in said
+
+
+def test_a_gap_says_nothing_about_a_velocity_column(tmp_path):
+    data = motion()
+    rows = np.delete(np.column_stack((data.time, data.q, data.tau, data.qd)), slice(100, 240), 0)
+    said = odd(read(tmp_path, rows, (*TITLES, "qd1", "qd2", "qd3")))
+    assert "samples are missing" in said and "velocity" not in said
 
 
 def own_times(shift: float) -> tuple[np.ndarray, tuple[str, ...]]:

@@ -85,6 +85,15 @@ def test_the_size_of_the_batches_changes_nothing(tmp_path, size):
     assert whole.notes == pieces.notes
 
 
+@pytest.mark.parametrize("size", [5, 9, 10, 11, 400])
+def test_only_the_last_row_of_the_file_may_be_cut_off(tmp_path, monkeypatch, size):
+    short = [row[:5] if k == 9 else row for k, row in enumerate(table(motion()).tolist())]
+    path = write(tmp_path / "log.csv", short)
+    monkeypatch.setattr(rows, "_BATCH", size)
+    with pytest.raises(InputError, match="line 11: 5 cells instead of 7"):
+        read_measurements(path, JOINTS)
+
+
 def wrapped_and_holed() -> np.ndarray:
     cells = table(motion())
     cells[:, 1] = np.angle(np.exp(1j * (cells[:, 1] * 4.0)))

@@ -27,6 +27,7 @@ def root_mean_square(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @given(st.integers(0, 2**32), st.sampled_from([200.0, 400.0]))
 def test_motion_of_a_quantised_log_is_recovered(seed, rate):
@@ -50,6 +51,7 @@ def test_rows_and_masks_have_the_same_length_and_times():
     np.testing.assert_allclose(rows, true, rtol=0.0, atol=1e-3)
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @given(st.floats(0.0, 2.0), st.integers(0, 1000))
 def test_rows_that_mix_in_too_many_slow_samples_are_masked_and_only_those(deadband, seed):

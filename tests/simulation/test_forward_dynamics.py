@@ -107,6 +107,15 @@ def test_steps_are_short_enough_for_the_plants_damping(damping):
     assert plant.state()[1][0] == pytest.approx(expected, rel=0.0, abs=1.0 / 120.0)
 
 
+def test_a_loaded_spring_is_not_taken_for_damping():
+    joint = 'damping="0.5" stiffness="{}" springref="-90"'
+    loaded, plain = (
+        forward(robot_of(arms.serial_arm((arms.Z, arms.Y), joint=joint.format(stiffness))))
+        for stiffness in (1000.0, 0.0)
+    )
+    assert loaded.substeps == plain.substeps
+
+
 def test_a_plant_too_stiff_to_simulate_is_refused_by_joint():
     robot = robot_of(arms.serial_arm((arms.Z, arms.Y), joint='damping=".1"'))
     model = copy.copy(robot.mj_model)
