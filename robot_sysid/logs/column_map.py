@@ -129,20 +129,25 @@ class _Columns:
         explicit = self._chosen.columns.get(kind, {})
         if set(explicit.values()) == {"none"}:
             return None
-        sources = []
-        for joint, name in enumerate(self._joints):
-            candidates = found.get((kind, joint), [])
-            if name in explicit:
-                sources.append(self._source(kind, joint, *self._lookup(explicit[name])))
-            elif len(candidates) > 1:
-                raise two_candidates(kind, name, [self._texts[index] for index in candidates])
-            elif candidates:
-                sources.append(self._source(kind, joint, candidates[0], 1.0))
+        columns = [
+            self._column(kind, name, found.get((kind, joint), []))
+            for joint, name in enumerate(self._joints)
+        ]
+        sources = [self._source(kind, joint, *c) for joint, c in enumerate(columns) if c]
         if len(sources) == len(self._joints):
             return tuple(sources)
         if explicit or kind in ("position", "torque"):
             raise self._incomplete(kind)
         return None
+
+    def _column(self, kind: str, joint: str, candidates: Sequence[int]) -> tuple[int, float] | None:
+        """Return (column, factor) of one quantity of one joint, or None where there is none."""
+        stated = self._chosen.columns.get(kind, {}).get(joint)
+        if stated is not None:
+            return self._lookup(stated)
+        if len(candidates) > 1:
+            raise two_candidates(kind, joint, [self._texts[index] for index in candidates])
+        return (candidates[0], 1.0) if candidates else None
 
     def time(self) -> Source | None:
         """Return the time column, or None where a rate stands in for it."""
