@@ -297,7 +297,7 @@ def test_old_results_are_replaced_all_together_or_not_at_all(
         def stop():
             if how == "KeyboardInterrupt":
                 raise KeyboardInterrupt
-            os.kill(os.getpid(), getattr(signal, how))
+            signal.raise_signal(getattr(signal, how))
 
         def interrupted(source, target, instant=instant, count=count, stop=stop):
             rename = next(count)
@@ -334,7 +334,7 @@ def test_a_signal_at_work_leaves_the_old_results_and_no_drafts(
     both_sets, command, arm, monkeypatch
 ):
     def stop(*_, **__):
-        os.kill(os.getpid(), signal.SIGTERM)
+        signal.raise_signal(signal.SIGTERM)
 
     monkeypatch.setattr("robot_sysid.export.require_reproduction", stop)
     command.run(arm, *SHORT, *EXPORT, *SECOND, code=130)

@@ -180,7 +180,7 @@ def test_a_signal_at_any_instant_waits_for_the_whole_new_set(old_set, monkeypatc
 
             def send(count, instant=instant):
                 if count == instant:
-                    os.kill(os.getpid(), number)
+                    signal.raise_signal(number)
 
             with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
                 watch(send, patch.setattr)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import threading
 
 import pytest
@@ -15,13 +16,24 @@ pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals cannot be sent 
 
 @pytest.fixture
 def other_thread():
-    """A thread that takes the signals which the main thread masks."""
+    """A thread that takes a signal which the main thread masks; calling it waits until it has."""
     done = threading.Event()
     thread = threading.Thread(target=done.wait)
     thread.start()
-    yield
+    taken, tells = socket.socketpair()
+    tells.setblocking(False)
+    usual = signal.set_wakeup_fd(tells.fileno())
+
+    def take(number):
+        signal.pthread_kill(thread.ident, number)
+        assert taken.recv(1) == bytes([number])
+
+    yield take
+    signal.set_wakeup_fd(usual)
     done.set()
     thread.join()
+    taken.close()
+    tells.close()
 
 
 @pytest.fixture
@@ -41,13 +53,12 @@ def stops():
 
 @pytest.mark.parametrize("threads", ["one thread", "two threads"])
 @pytest.mark.parametrize("number", STOPPING)
-def test_a_signal_waits_for_the_end_of_the_block(number, threads, stops, request):
-    if threads == "two threads":
-        request.getfixturevalue("other_thread")
+def test_a_signal_waits_for_the_end_of_the_block(number, threads, stops, other_thread):
+    send = signal.raise_signal if threads == "one thread" else other_thread
     reached = []
     with pytest.raises(KeyboardInterrupt):
         with held_back():
-            os.kill(os.getpid(), number)
+            send(number)
             for k in range(1000):
                 reached.append(k)
         reached.append("after")
