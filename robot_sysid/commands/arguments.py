@@ -169,9 +169,16 @@ def _frozen(value: Any) -> Any:
     return tuple(_frozen(item) for item in value) if isinstance(value, list) else value
 
 
-def parsed(parser: Parser, arguments: Sequence[str]) -> tuple[dict[str, Any], ConsoleOptions]:
-    """Return (what was given, lists as tuples; how much to print)."""
-    given = vars(parser.parse_args(arguments))
+def parsed(
+    build_parser: Callable[[bool], Parser], arguments: Sequence[str]
+) -> tuple[dict[str, Any], ConsoleOptions]:
+    """Return (what was given, lists as tuples; how much to print).
+
+    Args:
+        build_parser: makes the parser; told whether its help shows all options.
+        arguments: the command line, without the command.
+    """
+    given = vars(build_parser("--help-all" in arguments).parse_args(arguments))
     values = {key: _frozen(value) for key, value in given.items()}
     console = record_from(ConsoleOptions, values)
     for name in options_of(ConsoleOptions):

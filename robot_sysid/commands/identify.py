@@ -42,4 +42,4 @@ def build_parser(full: bool = True) -> Parser:
 
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
-    return identify(*parsed(build_parser("--help-all" in arguments), arguments))
+    return identify(*parsed(build_parser, arguments))

@@ -6,6 +6,7 @@ import contextlib
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -106,22 +107,21 @@ class _Run:
 
     def checks(self, plan: Plan) -> list[Check]:
         """Return the checks that need no bus, those of a model of the arm included."""
-        path = self.values.get("model")
-        if path is None:
+        if self.values.get("model") is None:
             for given in given_options(record_from(ModelOptions, self.values)):
                 raise InputError(f"{given.flag} is about a model; add --model")
             return plan.checks()
         # Imported here so that playing on real motors does not wait for MuJoCo.
         from robot_sysid.damiao.play.model_check import model_checks
 
-        robot = self.robot(path)
-        return [*plan.checks(), *model_checks(plan.trajectory, plan.settings.speed, robot)]
+        return [*plan.checks(), *model_checks(plan.trajectory, plan.settings.speed, self.robot)]
 
-    def robot(self, path: Path) -> Any:
-        """Return the arm of a model file."""
+    @cached_property
+    def robot(self) -> Any:
+        """The arm of the model file."""
         from robot_sysid.parser import load_robot_model
 
-        chosen = record_from(ModelOptions, self.values)
+        chosen, path = record_from(ModelOptions, self.values), self.values["model"]
         return load_robot_model(path, chosen.mesh_dir, chosen.joint, float("inf"))
 
     @contextlib.contextmanager
@@ -249,8 +249,7 @@ def main(arguments: Sequence[str]) -> int:
     if name not in _COMMANDS:
         _overview().parse_args(arguments or ["--help"])
         raise InputError(f"unknown command {name!r}; valid: {', '.join(_COMMANDS)}")
-    parser = build_parser(name, "--help-all" in arguments)
-    values, options = parsed(parser, arguments[1:])
+    values, options = parsed(partial(build_parser, name), arguments[1:])
     return _COMMANDS[name][0](_Run(values, Console(options.quiet, options.verbose)))
 
 
@@ -309,8 +308,7 @@ def _simulated_arm(
 
     joints = plan.trajectory.joints
     motors = [simulated_motor(j.spec, j.can_id, j.master_id, options.watchdog) for j in joints]
-    robot = asked.robot(asked.values["model"])
-    mechanism = ArmStepper(robot, plan.scan.first, timestep or DEFAULT_TIMESTEP)
+    mechanism = ArmStepper(asked.robot, plan.scan.first, timestep or DEFAULT_TIMESTEP)
     return SimulatedArm(mechanism, motors, [parse_fault(text) for text in options.fault])
 
 

@@ -50,6 +50,6 @@ def build_parser(full: bool = True) -> Parser:
 
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
-    values, options = parsed(build_parser("--help-all" in arguments), arguments)
+    values, options = parsed(build_parser, arguments)
     usual = {} if "trajectory" in values else USUAL
     return identify({**usual, **values, "plan_only": True}, options)

@@ -63,7 +63,7 @@ def add_model(parser: Parser) -> None:
 
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
-    return identify(*parsed(build_parser("--help-all" in arguments), arguments))
+    return identify(*parsed(build_parser, arguments))
 
 
 def identify(values: Mapping[str, Any], options: ConsoleOptions) -> int:

@@ -67,8 +67,8 @@ class CheckedPlan:
 
     Attributes:
         plan: the trajectory.
-        problem: the arm and the limits it was checked against; None where nothing plays it.
-        check: what the check found, or None.
+        problem: the arm and the limits it has to keep; None where nothing plays it.
+        check: what the check found; None where there was none.
     """
 
     plan: MotionPlan
@@ -86,27 +86,28 @@ def make_plan(
 ) -> CheckedPlan:
     """Return the trajectory of a run, checked where anything depends on its limits."""
     options = request.trajectory
-    plan = _new_plan(request, robot, seed, progress)
+    made = _new_plan(request, robot, seed, progress)
     if options.speed != 1.0:
         from robot_sysid.excitation.trajectory_files import at_speed
 
-        plan = at_speed(plan, options.speed)
-    require_countable(plan.duration, options.sample_rate, "--sample-rate")
-    if not request.is_checked:
-        for contact in find_new_contacts(robot, _counted(plan, progress)):
+        made = CheckedPlan(at_speed(made.plan, options.speed), made.problem)
+    require_countable(made.plan.duration, options.sample_rate, "--sample-rate")
+    if made.problem is None:
+        for contact in find_new_contacts(robot, _counted(made.plan, progress)):
             progress.note(f"{contact} along this trajectory; do not play it on the arm")
-        return CheckedPlan(plan)
+        return made
     from robot_sysid.excitation.limit_check import check_limits
 
-    problem = _problem(request, robot)
-    for note in () if request.is_designed else problem.notes:
+    for note in () if request.is_designed else made.problem.notes:
         progress.note(note)
-    return CheckedPlan(plan, problem, check_limits(problem, plan, options.sample_rate))
+    check = made.check or check_limits(made.problem, made.plan, options.sample_rate)
+    return replace(made, check=check)
 
 
 def _new_plan(
     request: MotionRequest, robot: RobotModel, seed: int, progress: Progress
-) -> MotionPlan:
+) -> CheckedPlan:
+    """Return the trajectory with the limits it has to keep; checked where making it took that."""
     options = request.trajectory
     if options.file is not None:
         progress.stage(f"Loading excitation trajectory from {options.file}...")
@@ -120,7 +121,7 @@ def _new_plan(
     return make(request, robot, np.random.default_rng(seed), progress)
 
 
-def _loaded(request: MotionRequest, robot: RobotModel, progress: Progress) -> MotionPlan:
+def _loaded(request: MotionRequest, robot: RobotModel, progress: Progress) -> CheckedPlan:
     from robot_sysid.excitation.trajectory_files import load_trajectory
 
     assert request.trajectory.file is not None
@@ -131,12 +132,12 @@ def _loaded(request: MotionRequest, robot: RobotModel, progress: Progress) -> Mo
             f"{request.trajectory.file} was made for another model file; it is checked against "
             f"the limits of {robot.path}"
         )
-    return saved.plan
+    return CheckedPlan(saved.plan, _problem(request, robot))
 
 
 def _random(
     request: MotionRequest, robot: RobotModel, rng: np.random.Generator, progress: Progress
-) -> MotionPlan:
+) -> CheckedPlan:
     rate = request.trajectory.sample_rate
     # Ends on a sample, so that the last one is at rest.
     duration = (sample_count(request.trajectory.duration, rate) - 1) / rate
@@ -145,16 +146,17 @@ def _random(
     for note in notes:
         progress.note(note)
     if not request.is_checked:
-        return plan
+        return CheckedPlan(plan)
     from robot_sysid.excitation.limit_check import scaled_to_limits
 
-    smaller, factors = scaled_to_limits(_problem(request, robot), plan, rate)
+    problem = _problem(request, robot)
+    smaller, factors = scaled_to_limits(problem, plan, rate)
     if np.min(factors) < 1.0:
         share, joint = 100.0 * np.min(factors), robot.joint_names[int(np.argmin(factors))]
         progress.note(
             f"motion scaled down to keep all limits and clearances, most at {joint}: {share:.3g} %"
         )
-    return smaller
+    return CheckedPlan(smaller, problem)
 
 
 def _with_torque_limits(request: MotionRequest, robot: RobotModel) -> RobotModel:
@@ -166,7 +168,7 @@ def _with_torque_limits(request: MotionRequest, robot: RobotModel) -> RobotModel
 
 def _designed(
     request: MotionRequest, robot: RobotModel, rng: np.random.Generator, progress: Progress
-) -> MotionPlan:
+) -> CheckedPlan:
     from robot_sysid.excitation.optimise import Design
     from robot_sysid.excitation.search import design_excitation
 
@@ -185,7 +187,7 @@ def _designed(
         f"Criterion {result.criterion}: {result.objective:.4g}, {gain:.2f} times better than the "
         f"best of {result.n_feasible} feasible random trajectories"
     )
-    return result.trajectory
+    return CheckedPlan(result.trajectory, problem, result.limit_check)
 
 
 def _problem(request: MotionRequest, robot: RobotModel) -> ExcitationProblem:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -42,9 +42,9 @@ def export_params_json(
 
 def params_json_text(identification: Identification, notes: tuple[str, ...] = ()) -> str:
     """Return the text of params.json; arguments as in ``export_params_json``."""
+    found = replace(identification, notes=identification.notes + notes)
     parts = (_result, _quality, _uncertainty, _measured, _origin)
-    content = {key: value for part in parts for key, value in part(identification).items()}
-    content["notes"] = identification.notes + notes
+    content = {key: value for part in parts for key, value in part(found).items()}
     return json.dumps(_strict(content), indent=2, allow_nan=False) + "\n"
 
 
@@ -98,7 +98,7 @@ def _quality(identification: Identification) -> dict[str, Any]:
         "rmse_per_joint": dict(estimate.rmse_per_joint),
         "condition_number_scaled": seen.scaled_condition_number,
         "prior": inertial_entries(identification.prior),
-        "notes": (),
+        "notes": identification.notes,
     }
 
 

@@ -41,7 +41,7 @@ def parser(main=None, **rest):
 
 
 def values(*arguments):
-    return parsed(parser(), arguments)[0]
+    return parsed(lambda full: parser(), arguments)[0]
 
 
 def help_of(made, capsys, flag="--help"):
@@ -87,10 +87,10 @@ def test_what_cannot_be_read_is_one_line_that_names_the_option(arguments, words)
 
 
 def test_console_options_are_apart_and_exclude_each_other():
-    given, console = parsed(parser(), ["-v", "--debug"])
+    given, console = parsed(lambda full: parser(), ["-v", "--debug"])
     assert (given, console) == ({}, ConsoleOptions(verbose=True, debug=True))
     with pytest.raises(InputError, match="--verbose and --quiet exclude each other"):
-        parsed(parser(), ["--quiet", "--verbose"])
+        parsed(lambda full: parser(), ["--quiet", "--verbose"])
 
 
 def test_help_begins_with_an_example_and_shows_all_options(capsys):
@@ -108,7 +108,7 @@ def test_a_short_help_shows_the_main_options_and_the_rest_still_works(capsys):
     text = help_of(short, capsys)
     assert "--heat" in text and "--quiet" in text
     assert "--tray" not in text and "--debug" not in text
-    assert parsed(short, ["--tray", "3"])[0] == {"tray": (3,)}
+    assert parsed(lambda full: short, ["--tray", "3"])[0] == {"tray": (3,)}
 
 
 def test_a_command_takes_some_options_of_a_record_with_defaults_of_its_own(capsys):

@@ -12,6 +12,7 @@ import can
 import numpy as np
 import pytest
 
+from robot_sysid import parser
 from robot_sysid.cli import main
 from robot_sysid.commands import motors as command
 from robot_sysid.damiao.bus.can_bus import BusAddress, open_bus
@@ -382,6 +383,13 @@ def frames_of(path):
         messages = list(reader)
     start = messages[0].timestamp
     return [(m.timestamp - start, m.arbitration_id, bytes(m.data), m.is_rx) for m in messages]
+
+
+def test_a_rehearsal_reads_its_model_once(capsys, trajectory, model, monkeypatch):
+    read, load = [], parser.load_robot_model
+    monkeypatch.setattr(parser, "load_robot_model", lambda *a: read.append(a) or load(*a))
+    run(capsys, "simulate", trajectory, "--model", model, "--play")
+    assert len(read) == 1
 
 
 def test_a_rehearsal_is_exactly_repeatable(capsys, trajectory, model, tmp_path):

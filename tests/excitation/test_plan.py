@@ -9,6 +9,8 @@ import pytest
 from hypothesis import given, settings
 
 from robot_sysid.errors import InputError
+from robot_sysid.excitation import problem
+from robot_sysid.excitation.limit_check import check_limits
 from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
 from robot_sysid.excitation.plan import MotionRequest, make_plan
 from robot_sysid.excitation.trajectory_files import save_trajectory
@@ -71,6 +73,25 @@ def test_what_is_played_kept_or_bound_by_a_limit_is_checked(case):
     found = planned(arms.THREE, **CHECKED[case])
     assert found.check is not None
     assert found.check.holds and found.failure is None
+
+
+@pytest.mark.parametrize("speed", [1.0, 0.5])
+@pytest.mark.parametrize("case", ["designed", "plan only"])
+def test_the_check_is_that_of_the_motion_that_comes_out(case, speed):
+    request = CHECKED[case]
+    motion = {**request.get("trajectory", {}), "speed": speed}
+    found = planned(arms.THREE, **{**request, "trajectory": motion})
+    fresh = check_limits(found.problem, found.plan, 200.0)
+    np.testing.assert_array_equal(found.check.velocity, fresh.velocity)
+    np.testing.assert_array_equal(found.check.highest, fresh.highest)
+
+
+@pytest.mark.parametrize("case", ["designed", "plan only"])
+def test_the_limits_of_an_arm_are_collected_once(case, monkeypatch):
+    built, build = [], problem.build_problem
+    monkeypatch.setattr(problem, "build_problem", lambda *a: built.append(a) or build(*a))
+    planned(arms.THREE, **CHECKED[case])
+    assert len(built) == 1
 
 
 def test_what_nobody_plays_is_not():
