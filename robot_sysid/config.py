@@ -13,7 +13,7 @@ from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
 from robot_sysid.logs.reader import LogOptions
 from robot_sysid.records.options import (
-    check_options,
+    OptionRecord,
     folder,
     given_options,
     option,
@@ -28,7 +28,7 @@ from robot_sysid.trajectory import TrajectoryOptions, require_countable
 
 
 @dataclass(frozen=True)
-class ModelOptions:
+class ModelOptions(OptionRecord):
     """Which arm, and which of its joints is the terminal one.
 
     Attributes:
@@ -41,7 +41,7 @@ class ModelOptions:
 
 
 @dataclass(frozen=True)
-class OutputOptions:
+class OutputOptions(OptionRecord):
     """Where results go."""
 
     output_dir: Path = option(
@@ -50,7 +50,7 @@ class OutputOptions:
 
 
 @dataclass(frozen=True)
-class MotorOptions:
+class MotorOptions(OptionRecord):
     """The trajectory as a file for Damiao motors."""
 
     NEEDS: ClassVar[str] = "motors"
@@ -97,7 +97,7 @@ class MotorOptions:
     )
 
     def __post_init__(self) -> None:
-        check_options(self)
+        super().__post_init__()
         if self.export_damiao and not self.motor_type:
             raise InputError(
                 "--export-damiao requires at least one --motor-type, one per joint of the chain"

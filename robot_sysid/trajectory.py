@@ -17,7 +17,7 @@ import numpy as np
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, JointLimits, Motion, MotionPlan, RobotModel, checked_array
 from robot_sysid.records.options import (
-    check_options,
+    OptionRecord,
     not_negative,
     option,
     positive,
@@ -48,7 +48,7 @@ MOST_SAMPLES = 1e9
 
 
 @dataclass(frozen=True)
-class TrajectoryOptions:
+class TrajectoryOptions(OptionRecord):
     """Which trajectory the arm moves along, and how finely it is sampled."""
 
     NEEDS: ClassVar[str] = "motion"
@@ -91,7 +91,7 @@ class TrajectoryOptions:
     plan_only: bool = option(False, "make, check and write the trajectory, then stop")
 
     def __post_init__(self) -> None:
-        check_options(self)
+        super().__post_init__()
         if self.duration * self.sample_rate < 1.0:
             raise InputError(
                 "--duration times --sample-rate gives less than two samples; raise one of them"

@@ -11,13 +11,20 @@ from typing import Any, Callable, NoReturn
 from robot_sysid import __version__
 from robot_sysid.commands.console import print_line
 from robot_sysid.errors import EXIT_CODES, InputError
-from robot_sysid.records.options import Option, default_of, option, options_of, record_from
+from robot_sysid.records.options import (
+    Option,
+    OptionRecord,
+    default_of,
+    option,
+    options_of,
+    record_from,
+)
 
 PROGRAM = "robot-sysid"
 
 
 @dataclass(frozen=True)
-class ConsoleOptions:
+class ConsoleOptions(OptionRecord):
     """How much is printed."""
 
     verbose: bool = option(False, "say more", short="-v")
@@ -25,6 +32,7 @@ class ConsoleOptions:
     debug: bool = option(False, "show the traceback of an error")
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.verbose and self.quiet:
             raise InputError("--verbose and --quiet exclude each other; choose one")
 

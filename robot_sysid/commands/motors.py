@@ -38,7 +38,7 @@ from robot_sysid.damiao.simulated.server import serve
 from robot_sysid.damiao.simulated.simulated_link import SimulatedLink
 from robot_sysid.damiao.trajectory.csv_file import read_damiao_trajectory
 from robot_sysid.errors import InputError
-from robot_sysid.records.options import check_options, given_options, option, positive, record_from
+from robot_sysid.records.options import OptionRecord, given_options, option, positive, record_from
 
 INTERRUPTED = "interrupted; no motor is enabled"
 # Coarse enough for an ordinary computer to keep up with.
@@ -46,7 +46,7 @@ _REAL_TIME_STEP = 1e-3
 
 
 @dataclass(frozen=True)
-class PlayChoices:
+class PlayChoices(OptionRecord):
     """What ``motors play`` does beside playing."""
 
     dry_run: bool = option(
@@ -56,7 +56,7 @@ class PlayChoices:
 
 
 @dataclass(frozen=True)
-class SimulatedMotorOptions:
+class SimulatedMotorOptions(OptionRecord):
     """What ``motors simulate`` puts on the bus, and for how long."""
 
     play: bool = option(False, "play the trajectory at once, in simulated time, without a bus")
@@ -79,9 +79,6 @@ class SimulatedMotorOptions:
         metavar="KIND:JOINT[=VALUE][@S]",
         repeats=True,
     )
-
-    def __post_init__(self) -> None:
-        check_options(self)
 
 
 class _Run:

@@ -11,8 +11,8 @@ from robot_sysid.estimation.least_squares import WeightedEquations, ordinary, we
 from robot_sysid.estimation.robust import huber
 from robot_sysid.records import TORQUE_CHOICES, Array, SampleSource, SquareRootInformation
 from robot_sysid.records.options import (
+    OptionRecord,
     PerJoint,
-    check_options,
     levels,
     not_negative,
     option,
@@ -29,7 +29,7 @@ CHOSEN = "auto"
 
 
 @dataclass(frozen=True)
-class EstimationOptions:
+class EstimationOptions(OptionRecord):
     """How parameters are estimated from torques."""
 
     torques: str = option(
@@ -108,7 +108,7 @@ class EstimationOptions:
     )
 
     def __post_init__(self) -> None:
-        check_options(self)
+        super().__post_init__()
         if self.no_friction and self.friction_model is not None:
             raise InputError("--friction-model and --no-friction exclude each other")
         if self.friction_model not in (None, CHOSEN):

@@ -13,8 +13,8 @@ from robot_sysid.errors import InputError
 from robot_sysid.excitation.fourier import FourierBasis
 from robot_sysid.excitation.information import CRITERIA
 from robot_sysid.records.options import (
+    OptionRecord,
     PerJoint,
-    check_options,
     levels,
     not_negative,
     option,
@@ -31,7 +31,7 @@ FEWEST_HARMONICS = 3
 
 
 @dataclass(frozen=True)
-class LimitOptions:
+class LimitOptions(OptionRecord):
     """What every motion has to obey beside the model's own limits."""
 
     NEEDS: ClassVar[str] = "motion"
@@ -80,7 +80,7 @@ class LimitOptions:
     )
 
     def __post_init__(self) -> None:
-        check_options(self)
+        super().__post_init__()
         # Refused here, before any work, where the numbers make no box or plane.
         _ = self.box, self.planes
 
@@ -96,7 +96,7 @@ class LimitOptions:
 
 
 @dataclass(frozen=True)
-class ExcitationOptions:
+class ExcitationOptions(OptionRecord):
     """How a trajectory is found.
 
     Attributes:
@@ -160,7 +160,7 @@ class ExcitationOptions:
     workers: int | None = None
 
     def __post_init__(self) -> None:
-        check_options(self)
+        super().__post_init__()
         least = {"draws": 1, "rounds": 0, "iterations": 1, "workers": 1}
         for name, value in least.items():
             chosen = getattr(self, name)

@@ -25,11 +25,11 @@ from robot_sysid.logs.rows import read_rows
 from robot_sysid.logs.timing import LogContext
 from robot_sysid.records import JointLimits, Measurement
 from robot_sysid.records.atomic_files import whole_file
-from robot_sysid.records.options import check_options, option
+from robot_sysid.records.options import OptionRecord, option
 
 
 @dataclass(frozen=True)
-class LogOptions:
+class LogOptions(OptionRecord):
     """Which logs of the real arm, and what their columns are."""
 
     NEEDS: ClassVar[str] = "log"
@@ -49,9 +49,6 @@ class LogOptions:
     validation_measurements: Path | None = option(
         None, "another log that only tests the result", metavar="LOG.csv"
     )
-
-    def __post_init__(self) -> None:
-        check_options(self)
 
 
 @dataclass(frozen=True)

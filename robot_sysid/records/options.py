@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Optional, TypeVar, Union
+from typing import Any, ClassVar, Optional, TypeVar, Union
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +63,30 @@ class Option:
         return self.flag.lstrip("-").replace("-", "_")
 
 
+@dataclass(frozen=True)
+class OptionRecord:
+    """What the records of options have in common: each checks the values of its options.
+
+    Attributes:
+        NEEDS: what all its options need that say nothing else.
+    """
+
+    NEEDS: ClassVar[str] = ""
+
+    def __post_init__(self) -> None:
+        """Raise InputError naming the first option whose value cannot be used."""
+        for name, each in options_of(self).items():
+            value = getattr(self, name)
+            if value is None:
+                continue
+            if each.choices and value not in each.choices:
+                raise InputError(f"{each.flag} {value!r}: choose one of {', '.join(each.choices)}")
+            for single in value if isinstance(value, tuple) else (value,):
+                complaint = each.check(single) if each.check else None
+                if complaint:
+                    raise InputError(f"{each.flag} {complaint}")
+
+
 def option(default: Any, help: str, flag: str = "", **rest: Any) -> Any:
     """Return a dataclass field that is an option of the command line.
 
@@ -82,7 +106,7 @@ def options_of(record: Any) -> Mapping[str, Option]:
         if "option" in each.metadata:
             stated: Option = each.metadata["option"]
             flag = stated.flag or "--" + each.name.replace("_", "-")
-            needs = stated.needs or getattr(record, "NEEDS", "")
+            needs = stated.needs or record.NEEDS
             parse = stated.parse or _type_named_in(str(each.type))
             found[each.name] = replace(stated, flag=flag, needs=needs, parse=parse)
     return found
@@ -107,20 +131,6 @@ def given_options(record: Any) -> Iterator[Option]:
     for name, each in options_of(record).items():
         if getattr(record, name) != default_of(record, name):
             yield each
-
-
-def check_options(record: Any) -> None:
-    """Raise InputError naming the first option of a record whose value cannot be used."""
-    for name, each in options_of(record).items():
-        value = getattr(record, name)
-        if value is None:
-            continue
-        if each.choices and value not in each.choices:
-            raise InputError(f"{each.flag} {value!r}: choose one of {', '.join(each.choices)}")
-        for single in value if isinstance(value, tuple) else (value,):
-            complaint = each.check(single) if each.check else None
-            if complaint:
-                raise InputError(f"{each.flag} {complaint}")
 
 
 def record_from(record: type[Record], values: Mapping[str, Any]) -> Record:

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from robot_sysid.records import Array, Measurement
 from robot_sysid.records.options import (
+    OptionRecord,
     PerJoint,
-    check_options,
     levels,
     not_negative,
     option,
@@ -38,7 +38,7 @@ def _plausible_delay(value: float) -> str | None:
 
 
 @dataclass(frozen=True)
-class SimulatedArmOptions:
+class SimulatedArmOptions(OptionRecord):
     """The model that plays the real arm, how it is moved, and how good its sensors are.
 
     Attributes:
@@ -88,9 +88,6 @@ class SimulatedArmOptions:
         metavar="FILE",
         needs="estimate",
     )
-
-    def __post_init__(self) -> None:
-        check_options(self)
 
     @property
     def exact_positions(self) -> bool:

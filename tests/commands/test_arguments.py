@@ -17,11 +17,17 @@ from robot_sysid.commands.arguments import (
     parsed,
 )
 from robot_sysid.errors import EXIT_CODES, InputError
-from robot_sysid.records.options import default_of, option, options_of, whole_number
+from robot_sysid.records.options import (
+    OptionRecord,
+    default_of,
+    option,
+    options_of,
+    whole_number,
+)
 
 
 @dataclass(frozen=True)
-class Oven:
+class Oven(OptionRecord):
     """A record with an option of each kind."""
 
     fan: bool = option(False, "blow")

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
 from robot_sysid.records.options import (
+    OptionRecord,
     PerJoint,
-    check_options,
     default_of,
     folder,
     given_options,
@@ -32,7 +32,7 @@ from robot_sysid.records.options import (
 
 
 @dataclass(frozen=True)
-class Oven:
+class Oven(OptionRecord):
     """A record with an option of each kind."""
 
     NEEDS: ClassVar[str] = "power"
@@ -42,9 +42,6 @@ class Oven:
     trays: tuple[float, ...] = option((), "heights", check=positive, repeats=True)
     recipe: Path | None = option(None, "file")
     mode: str = option("top", "where from", choices=("top", "bottom"))
-
-    def __post_init__(self) -> None:
-        check_options(self)
 
 
 def test_flags_and_keys_follow_the_fields_or_what_is_said():

@@ -11,7 +11,7 @@ from robot_sysid.damiao.bus.link import LinkError
 from robot_sysid.damiao.protocol.bus_load import BusTiming
 from robot_sysid.damiao.protocol.frames import Frame
 from robot_sysid.errors import InputError
-from robot_sysid.records.options import check_options, option
+from robot_sysid.records.options import OptionRecord, option
 
 # Adapters on this computer only: nothing here may put motor commands on a network.
 INTERFACES = (
@@ -30,7 +30,7 @@ INTERFACES = (
 
 
 @dataclass(frozen=True)
-class BusAddress:
+class BusAddress(OptionRecord):
     """Where the bus is."""
 
     interface: str = option(
@@ -39,9 +39,6 @@ class BusAddress:
     channel: str | None = option(
         None, "what the adapter calls the bus, for instance can0 or /dev/ttyACM0"
     )
-
-    def __post_init__(self) -> None:
-        check_options(self)
 
 
 _REPORTS_OWN_FRAMES = ("socketcan", "virtual")

@@ -38,7 +38,7 @@ from robot_sysid.damiao.protocol.registers import (
 from robot_sysid.damiao.trajectory.clamping import rating_warnings
 from robot_sysid.damiao.trajectory.csv_file import TrajectoryScan
 from robot_sysid.errors import HardwareAbort
-from robot_sysid.records.options import check_options, option, positive
+from robot_sysid.records.options import OptionRecord, option, positive
 
 OK, NOTE, STOP = "ok", "note", "stop"
 _REST_SPEED = 0.05
@@ -60,7 +60,7 @@ class Check:
 
 
 @dataclass(frozen=True)
-class Permissions:
+class Permissions(OptionRecord):
     """What the user allowed on purpose."""
 
     register_limits: bool = option(
@@ -78,9 +78,6 @@ class Permissions:
         check=positive,
         usual="as they are",
     )
-
-    def __post_init__(self) -> None:
-        check_options(self)
 
 
 def plan_checks(

@@ -25,7 +25,7 @@ from robot_sysid.damiao.protocol.registers import text_of
 from robot_sysid.damiao.trajectory.csv_file import trajectory_columns
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
-from robot_sysid.records.options import option
+from robot_sysid.records.options import OptionRecord, option
 
 _EXTRA = (
     *("time", "cmd_pos", "cmd_vel", "cmd_tau", "cmd_step"),
@@ -34,7 +34,7 @@ _EXTRA = (
 
 
 @dataclass(frozen=True)
-class RecordingOptions:
+class RecordingOptions(OptionRecord):
     """What is recorded, and where."""
 
     record: Path | None = option(None, "write the measurement CSV", metavar="FILE")

@@ -11,7 +11,7 @@ from robot_sysid.damiao.protocol.bus_load import BusTiming, default_rate
 from robot_sysid.damiao.protocol.codec import KD_MAX, KP_MAX
 from robot_sysid.damiao.protocol.motors import MotorSpec
 from robot_sysid.records.options import (
-    check_options,
+    OptionRecord,
     not_negative,
     option,
     per_joint,
@@ -36,7 +36,7 @@ def _damping(value: float) -> str | None:
 
 
 @dataclass(frozen=True)
-class PlaySettings:
+class PlaySettings(OptionRecord):
     """Gains, speeds and limits of a run.
 
     ``for_motors`` fills in what was left open: kp, kd and rate.
@@ -111,9 +111,6 @@ class PlaySettings:
     approach_time: float = 1.0
     rest_time: float = 0.5
     deceleration: float = 10.0
-
-    def __post_init__(self) -> None:
-        check_options(self)
 
     def for_motors(self, specs: Sequence[MotorSpec], timing: BusTiming) -> PlaySettings:
         """Return the settings with gains per joint and a rate that suit these motors and this bus.

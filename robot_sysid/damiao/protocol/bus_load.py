@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from robot_sysid.records.options import check_options, option, positive
+from robot_sysid.records.options import OptionRecord, option, positive
 
 PLANNING_LIMIT = 0.70
 _FRAMES_PER_CYCLE = 2
@@ -21,7 +21,7 @@ _CLASSIC_RATE_HZ, _FD_RATE_HZ = 250.0, 500.0
 
 
 @dataclass(frozen=True)
-class BusTiming:
+class BusTiming(OptionRecord):
     """Bit rates of a bus."""
 
     fd: bool = option(False, "use CAN-FD frames")
@@ -36,9 +36,6 @@ class BusTiming:
         check=positive,
         usual="5000000",
     )
-
-    def __post_init__(self) -> None:
-        check_options(self)
 
     @property
     def frame_time(self) -> float:
