@@ -12,9 +12,9 @@ import traceback
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from robot_sysid.commands.console import print_line, tolerant_output
+from robot_sysid.commands.streams import print_line, tolerant_output
 from robot_sysid.errors import INTERRUPTED, InputError, SysidError
-from robot_sysid.records.interrupts import STOPPING
+from robot_sysid.interrupts import STOPPING
 
 COMMANDS = ("plan", "identify", "motors")
 """Subcommands, each a module of its name; any other first word is a model file."""

@@ -43,7 +43,7 @@ LAYERS = (
     ("records",),
     # The conversions that the records themselves need.
     ("dynamics.spatial",),
-    ("errors",),
+    ("errors", "interrupts"),
     # Nothing but the version.
     ("",),
 )

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Callable, NoReturn
 
 from robot_sysid import __version__
-from robot_sysid.commands.console import print_line
+from robot_sysid.commands.streams import print_line
 from robot_sysid.errors import EXIT_CODES, InputError
 from robot_sysid.records.options import (
     Option,

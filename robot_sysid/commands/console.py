@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-from robot_sysid.errors import InputError
+from robot_sysid.commands.streams import print_line
 from robot_sysid.records.progress import Progress
 
 
@@ -74,43 +73,3 @@ class Console(Progress):
         """Print a sentence that only --verbose shows."""
         if self._verbose and not self._quiet:
             print_line(message, sys.stdout)
-
-
-def print_line(message: str, stream: Any) -> None:
-    """Print a line; a reader that has gone away (``| head``) does not stop the run."""
-    try:
-        stream.write(f"{message}\n")
-        stream.flush()
-    except BrokenPipeError:
-        _silence(stream)
-    except OSError as error:
-        _silence(stream)
-        raise InputError(f"cannot print: {error.strerror}; send the output elsewhere") from None
-
-
-def _silence(stream: Any) -> None:
-    """Send what is still to be printed, and what waits in the buffer, to nowhere."""
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, stream.fileno())
-    os.close(nowhere)
-
-
-def tolerant_output() -> None:
-    """Never fail on a terminal that cannot show a middle dot, or where there is no terminal."""
-    sys.stdin = sys.stdin or _nowhere("r")
-    sys.stdout = sys.stdout or _nowhere()
-    sys.stderr = sys.stderr or _nowhere()
-    for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="replace")
-
-
-def _nowhere(mode: str = "w") -> Any:
-    """Return a stream that swallows all and gives nothing, in place of one that was closed.
-
-    A closed stream's number would go to the next file that is opened; and a process that a library
-    starts (old versions of GLFW's loader do) has to find an open one.
-    """
-    stream = open(os.devnull, mode)  # noqa: SIM115
-    os.set_inheritable(stream.fileno(), True)
-    return stream

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TextIO
 
 from robot_sysid.errors import InputError
-from robot_sysid.records.interrupts import held_back
+from robot_sysid.interrupts import held_back
 
 LOCK_NAME = ".robot-sysid.lock"
 

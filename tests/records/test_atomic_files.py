@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from robot_sysid.errors import InputError
+from robot_sysid.interrupts import STOPPING
 from robot_sysid.records import atomic_files as files
 from robot_sysid.records.atomic_files import (
     LOCK_NAME,
@@ -22,7 +23,6 @@ from robot_sysid.records.atomic_files import (
     whole_files,
     write_whole,
 )
-from robot_sysid.records.interrupts import STOPPING
 from tests.support import watched_writing
 from tests.support.places import ROOT
 from tests.support.watched_writing import LAST, NAMES, NEW, OLD, watch, write_new, write_old

@@ -30,8 +30,8 @@ from robot_sysid.damiao.play.settings import PlaySettings
 from robot_sysid.damiao.play.supervision import Supervisor, VelocityScalingCheck
 from robot_sysid.damiao.protocol.codec import MitCommand, Scaling
 from robot_sysid.errors import HardwareAbort
+from robot_sysid.interrupts import STOPPING
 from robot_sysid.records import Array
-from robot_sysid.records.interrupts import STOPPING
 
 # The torque that carries the arm is there early in the ramp, before the arm has sunk.
 _LIFT_SHARE = 0.2

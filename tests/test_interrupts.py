@@ -9,7 +9,7 @@ import threading
 
 import pytest
 
-from robot_sysid.records.interrupts import STOPPING, held_back
+from robot_sysid.interrupts import STOPPING, held_back
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals cannot be sent to oneself")
 
