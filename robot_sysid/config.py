@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
-from robot_sysid.logs.reader import LogOptions
+from robot_sysid.logs.options import LogOptions
 from robot_sysid.records.options import (
     OptionRecord,
     folder,

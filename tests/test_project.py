@@ -165,6 +165,7 @@ def test_a_run_starts_without_what_it_does_not_need(tmp_path):
         "import sys; from robot_sysid.cli import main; "
         f"code = main([{str(ROOT / EXAMPLE)!r}, '--duration', '1', '--quiet']); "
         "slow = {'scipy', 'matplotlib', 'can', 'cvxpy', 'robot_sysid.identify.fit', "
+        "'robot_sysid.logs.reader', "
         "'robot_sysid.damiao', 'robot_sysid.excitation.search'} & set(sys.modules); "
         "sys.exit(code or (sorted(slow)[0] if slow else 0))"
     )

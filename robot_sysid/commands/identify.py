@@ -9,7 +9,7 @@ from robot_sysid.commands.arguments import Parser, exit_codes, parsed
 from robot_sysid.commands.run import INTERRUPTED, add_model, identify
 from robot_sysid.config import ModelOptions, OutputOptions
 from robot_sysid.estimation.options import EstimationOptions
-from robot_sysid.logs.reader import LogOptions
+from robot_sysid.logs.options import LogOptions
 
 __all__ = ["INTERRUPTED", "build_parser", "main"]
 

@@ -14,7 +14,7 @@ from robot_sysid.config import ModelOptions, MotorOptions, OutputOptions, config
 from robot_sysid.errors import SysidError
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
-from robot_sysid.logs.reader import LogOptions
+from robot_sysid.logs.options import LogOptions
 from robot_sysid.simulation.sensors import SimulatedArmOptions
 from robot_sysid.trajectory import TrajectoryOptions
 

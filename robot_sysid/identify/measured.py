@@ -12,8 +12,8 @@ from robot_sysid.dynamics.gravity import gravity
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.identify.fit import MeasuredFit, fit_measured, validate_on
 from robot_sysid.identify.simulated import Analysis, SimulatedRun, describe
+from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.reader import (
-    LogOptions,
     MeasurementLog,
     join_measurements,
     read_measurements,

@@ -12,7 +12,6 @@ import csv
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 
@@ -25,30 +24,6 @@ from robot_sysid.logs.rows import read_rows
 from robot_sysid.logs.timing import LogContext
 from robot_sysid.records import JointLimits, Measurement
 from robot_sysid.records.atomic_files import whole_file
-from robot_sysid.records.options import OptionRecord, option
-
-
-@dataclass(frozen=True)
-class LogOptions(OptionRecord):
-    """Which logs of the real arm, and what their columns are."""
-
-    NEEDS: ClassVar[str] = "log"
-    measurements: tuple[Path, ...] = option(
-        (),
-        "identify from this log of the real arm; may be repeated",
-        metavar="LOG.csv",
-        repeats=True,
-        needs="estimate",
-    )
-    columns: Path | None = option(
-        None, "file that says which column is what", metavar="FILE", usual="recognised"
-    )
-    units: str | None = option(
-        None, "units of the log, such as deg or deg,ms", metavar="UNITS", usual="SI"
-    )
-    validation_measurements: Path | None = option(
-        None, "another log that only tests the result", metavar="LOG.csv"
-    )
 
 
 @dataclass(frozen=True)

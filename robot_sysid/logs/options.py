@@ -1,0 +1,32 @@
+"""Which logs are read: apart from the reader, which a run without logs does not wait for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+from robot_sysid.records.options import OptionRecord, option
+
+
+@dataclass(frozen=True)
+class LogOptions(OptionRecord):
+    """Which logs of the real arm, and what their columns are."""
+
+    NEEDS: ClassVar[str] = "log"
+    measurements: tuple[Path, ...] = option(
+        (),
+        "identify from this log of the real arm; may be repeated",
+        metavar="LOG.csv",
+        repeats=True,
+        needs="estimate",
+    )
+    columns: Path | None = option(
+        None, "file that says which column is what", metavar="FILE", usual="recognised"
+    )
+    units: str | None = option(
+        None, "units of the log, such as deg or deg,ms", metavar="UNITS", usual="SI"
+    )
+    validation_measurements: Path | None = option(
+        None, "another log that only tests the result", metavar="LOG.csv"
+    )
