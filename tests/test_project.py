@@ -160,7 +160,7 @@ def test_continuous_integration_runs_the_oldest_python_we_promise():
 
 
 def test_a_run_starts_without_what_it_does_not_need(tmp_path):
-    """scipy takes longer to import than the whole identification; so do our rooms for logs."""
+    """scipy takes longer to import than the whole identification; so do the readers of logs."""
     code = (
         "import sys; from robot_sysid.cli import main; "
         f"code = main([{str(ROOT / EXAMPLE)!r}, '--duration', '1', '--quiet']); "

@@ -7,25 +7,12 @@ from pathlib import Path
 import pytest
 
 from robot_sysid.commands import identify as module
-from robot_sysid.commands.arguments import ConsoleOptions
 from robot_sysid.config import config_from
-from robot_sysid.records.options import options_of
 from tests.support import arms, option_samples
 
-TAKEN = {
-    action.dest
-    for action in module.build_parser()._actions
-    if action.option_strings and action.dest not in {"help", "version", "help_all"}
-} - {each.key for each in options_of(ConsoleOptions).values()}
+TAKEN = option_samples.keys_of(module.build_parser())
 SAMPLES = [sample for sample in option_samples.samples() if sample.option.key in TAKEN]
 LOGS = (Path("a.csv"), Path("b.csv"))
-
-
-@pytest.fixture
-def asked(monkeypatch):
-    """Function: the configuration that a command line asks for, without running it."""
-    monkeypatch.setattr(module, "identify", lambda values, options: config_from(**values))
-    return lambda *arguments: module.main([*map(str, arguments)])
 
 
 def test_it_takes_what_logs_need_and_nothing_of_a_motion():

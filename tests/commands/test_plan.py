@@ -5,10 +5,8 @@ from __future__ import annotations
 import pytest
 
 from robot_sysid.commands import plan as module
-from robot_sysid.commands.arguments import ConsoleOptions
 from robot_sysid.config import config_from
 from robot_sysid.excitation.trajectory_files import load_trajectory
-from robot_sysid.records.options import options_of
 from robot_sysid.trajectory import SineTrajectory
 from tests.support import arms, option_samples
 from tests.support.command_line import files_in
@@ -16,19 +14,8 @@ from tests.support.option_samples import MOTORS
 
 SINES = ("--excitation", "sines", "--duration", "3", "--sample-rate", "100", "--seed", "1")
 MOTOR = ("--motor-type", "DM10010")
-TAKEN = {
-    action.dest
-    for action in module.build_parser()._actions
-    if action.dest not in {"help", "version", "help_all", "path"}
-} - {each.key for each in options_of(ConsoleOptions).values()}
+TAKEN = option_samples.keys_of(module.build_parser())
 SAMPLES = [sample for sample in option_samples.samples() if sample.option.key in TAKEN]
-
-
-@pytest.fixture
-def asked(monkeypatch):
-    """Function: the configuration that a command line asks for, without running it."""
-    monkeypatch.setattr(module, "identify", lambda values, options: config_from(**values))
-    return lambda *arguments: module.main([*map(str, arguments)])
 
 
 def test_it_takes_what_a_trajectory_needs_and_nothing_of_an_estimate():

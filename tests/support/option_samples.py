@@ -6,11 +6,13 @@ with these, so that a new option is tested from the day it is there.
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from robot_sysid.commands.arguments import ConsoleOptions
 from robot_sysid.config import ModelOptions, SysidConfig
 from robot_sysid.records.options import Option, default_of, options_of
 
@@ -124,3 +126,10 @@ def _value(option: Option, default: Any) -> Any:
     value = option.parse(text)
     assert value != default, option.flag
     return (value,) if option.repeats or option.several else value
+
+
+def keys_of(parser: argparse.ArgumentParser) -> set[str]:
+    """Return the keys of the options that a parser takes, the console's left out."""
+    taken = {action.dest for action in parser._actions if action.option_strings}
+    console = {each.key for each in options_of(ConsoleOptions).values()}
+    return taken - console - {"help", "version", "help_all"}
