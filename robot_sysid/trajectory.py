@@ -213,7 +213,7 @@ def motion_chunks(plan: MotionPlan, sample_rate: float) -> Iterator[Motion]:
 def generate_excitation_trajectory(
     robot: RobotModel,
     rng: np.random.Generator,
-    duration: float = 15.0,
+    duration: float = TrajectoryOptions.duration,
     torque: TorqueFunction | None = None,
 ) -> tuple[SineTrajectory, tuple[str, ...]]:
     """Draw a random trajectory that moves the terminal joint widely and the others a little.
