@@ -80,7 +80,8 @@ def test_steps_of_a_coarse_encoder_are_not_taken_for_motion(seed, resolution, sc
     assert chosen(read(q, resolution), 1000.0).cutoff < HIGHEST
 
 
-@settings(max_examples=30, deadline=None)
+@pytest.mark.slow
+@settings(max_examples=100, deadline=None)
 @given(st.integers(0, 2**32), st.sampled_from(SCALES), st.floats(0.05, 0.4))
 def test_interpolated_steps_are_not_taken_for_motion_either(seed, scale, jitter):
     """Splines through uneven samples round a staircase off, and it is still none."""
