@@ -245,6 +245,7 @@ def test_estimate_does_not_depend_on_the_order_of_joints(seed):
     np.testing.assert_allclose(estimate.values, truth, rtol=0.0, atol=1e-9)
 
 
+@pytest.mark.slow
 @given(st.sampled_from(["three", "shared bodies", "armature", "springs"]), SEEDS, st.floats(-3, 3))
 def test_torques_times_k_give_theta_times_k(name, seed, exponent):
     """An arm k times as heavy needs k times the torque and has k times the parameters."""

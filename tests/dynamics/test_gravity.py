@@ -33,6 +33,7 @@ def test_turning_keeps_the_strength_and_turns_by_the_angle(seed, first, second):
     np.testing.assert_allclose(sine, np.sin(np.hypot(first, second)), rtol=0.0, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["shared bodies", "springs", "tendon spring"])
 @given(seed=SEEDS)
 def test_columns_are_the_derivative_of_mujocos_torque(name, seed):

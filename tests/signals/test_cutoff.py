@@ -40,6 +40,7 @@ def test_quantisation_counts_as_its_own_noise():
     np.testing.assert_allclose(choice.position_noise, resolution / np.sqrt(12.0), rtol=0.12)
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @given(st.integers(0, 2**32), st.floats(0.1, 10.0), st.floats(1.5, 30.0))
 def test_the_cutoff_ignores_the_unit_and_falls_with_the_noise(seed, scale, factor):
