@@ -190,6 +190,8 @@ class SysidConfig:
         log = self.log
         read = (self.model.path, self.arm.plant_model, *log.measurements)
         read = (*read, log.validation_measurements, log.columns, self.trajectory.file)
+        factors = (log.torque_scale, log.torque_constants)
+        read = (*read, *(path for path in factors if isinstance(path, Path)))
         taken = {os.path.realpath(path): "a file that is read" for path in read if path is not None}
         for what, path in self._written():
             place = os.path.realpath(path)

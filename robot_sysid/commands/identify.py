@@ -14,8 +14,18 @@ from robot_sysid.logs.options import LogOptions
 __all__ = ["INTERRUPTED", "build_parser", "main"]
 
 MAIN = (
-    *("mesh_dir", "joint", "output_dir", "columns", "units", "delay", "cutoff", "validate"),
-    *("validation_measurements", "method", "torques", "friction_model", "tilt"),
+    *(
+        "mesh_dir",
+        "joint",
+        "output_dir",
+        "columns",
+        "units",
+        "torque_scale",
+        "delay",
+        "cutoff",
+        "validate",
+    ),
+    *("validate", "validation_measurements", "method", "torques", "friction_model", "tilt"),
 )
 
 

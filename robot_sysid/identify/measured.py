@@ -17,6 +17,7 @@ from robot_sysid.logs.reader import (
     MeasurementLog,
     join_measurements,
     read_measurements,
+    torque_factor,
     write_measurement_csv,
 )
 from robot_sysid.records import DataOrigin, Measurement, RobotModel, Source, Validation
@@ -117,7 +118,8 @@ def _read_log(robot: RobotModel, options: LogOptions, path: Path) -> Measurement
     """Open a log of this arm with the columns and units that were declared."""
     slides = robot.is_slide.tolist()
     names, limits = robot.joint_names, robot.limits
-    return read_measurements(path, names, limits, options.columns, options.units, slides)
+    factor = torque_factor(options, names)
+    return read_measurements(path, names, limits, options.columns, options.units, slides, factor)
 
 
 def _origin(logs: Sequence[MeasurementLog]) -> DataOrigin:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.column_file import ColumnChoices, scaled_title
@@ -24,6 +24,7 @@ from robot_sysid.logs.columns import (
     read_title,
     two_candidates,
 )
+from robot_sysid.records import Array
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,11 @@ class ColumnMap:
     joint_time: tuple[Source, ...] | None
     unused: tuple[str, ...]
     angle_declared: bool
+
+    def with_torque_factor(self, factor: Array) -> ColumnMap:
+        """Return the map with each joint's torque multiplied by a factor (n,)."""
+        scaled = zip(self.torque, factor.tolist())
+        return replace(self, torque=tuple(replace(s, factor=k * s.factor) for s, k in scaled))
 
     def describe(self) -> tuple[str, ...]:
         """Return one sentence each about what was taken for what."""

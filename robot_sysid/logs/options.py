@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from robot_sysid.records.options import OptionRecord, option
+from robot_sysid.records.torque_scale import Factors, factors_in, usable_factor
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,22 @@ class LogOptions(OptionRecord):
     )
     units: str | None = option(
         None, "units of the log, such as deg or deg,ms", metavar="UNITS", usual="SI"
+    )
+    torque_scale: Factors | None = option(
+        None,
+        "divide torques by this: a number, one per joint, or a file",
+        metavar="SCALE",
+        parse=factors_in,
+        check=usable_factor,
+    )
+    torque_constants: Factors | None = option(
+        None,
+        "the log holds motor currents: torque at the joint per ampere, gear included; a number, "
+        "one per joint, or a file",
+        unit="N·m/A",
+        metavar="K",
+        parse=factors_in,
+        check=usable_factor,
     )
     validation_measurements: Path | None = option(
         None, "another log that only tests the result", metavar="LOG.csv"

@@ -20,10 +20,12 @@ from robot_sysid.logs.checks import check_log
 from robot_sysid.logs.column_file import ColumnChoices, Units, parse_units, read_columns_file
 from robot_sysid.logs.column_map import ColumnMap, recognise_columns
 from robot_sysid.logs.dialect import SEPARATOR_NAMES, LogDialect, read_dialect
+from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.rows import read_rows
 from robot_sysid.logs.timing import LogContext
-from robot_sysid.records import JointLimits, Measurement
+from robot_sysid.records import Array, JointLimits, Measurement
 from robot_sysid.records.atomic_files import whole_file
+from robot_sysid.records.torque_scale import CONSTANTS, SCALE, joint_factors
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,7 @@ def read_measurements(
     columns: Path | None = None,
     units: str | None = None,
     is_slide: Sequence[bool] = (),
+    torque_factor: Array | None = None,
 ) -> MeasurementLog:
     """Recognise, check and open a log.
 
@@ -76,6 +79,8 @@ def read_measurements(
         columns: a columns file (``--columns``), or None.
         units: declared units such as "deg" or "deg,ms"; None goes by the titles, else rad and s.
         is_slide: (n,) whether a joint is a slide, whose positions are metres.
+        torque_factor: (n,) what turns a torque column into N m, see ``torque_factor``; None for
+            columns that hold N m.
 
     Raises:
         InputError: the log cannot be read, is ambiguous or cannot be what it seems to be.
@@ -86,11 +91,29 @@ def read_measurements(
     choices = replace(choices, units=_declared_units(units, choices))
     titles = _titles(dialect, choices)
     found = recognise_columns(titles, joint_names, choices, dialect.first_row, slides)
+    if torque_factor is not None:
+        found = found.with_torque_factor(torque_factor)
     rows = read_rows(dialect, found, slides)
     declared = found.angle_declared
     context = LogContext(str(path), tuple(joint_names), limits, np.array(slides), declared)
     notes = (_layout(dialect), *found.describe(), *check_log(rows, context))
     return MeasurementLog(path, found, rows.samples, notes)
+
+
+def torque_factor(options: LogOptions, joint_names: Sequence[str]) -> Array | None:
+    """Return (n,) what the options multiply torque columns with; None for nothing.
+
+    Raises:
+        InputError: there are not as many numbers as joints, or a file does not fit.
+    """
+    if options.torque_scale is None and options.torque_constants is None:
+        return None
+    factor = np.ones(len(joint_names))
+    if options.torque_constants is not None:
+        factor *= joint_factors(options.torque_constants, joint_names, CONSTANTS)
+    if options.torque_scale is not None:
+        factor /= joint_factors(options.torque_scale, joint_names, SCALE)
+    return factor
 
 
 def write_measurement_csv(

@@ -1,0 +1,112 @@
+"""What a joint's torque column has to be divided by (or multiplied with) to be N m at the joint.
+
+A scale says how much too large the column reads: tau = column / scale. A torque constant turns
+motor current into torque: tau = constant * current, at the joint, so with the gear in it. Both are
+one number for all joints, one per joint, or a file::
+
+    {"version": 1, "torque_scale": {"joint1": 1.31, "joint2": 1.27}}
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Union
+
+import numpy as np
+
+from robot_sysid.errors import InputError
+from robot_sysid.records.arrays import Array
+from robot_sysid.records.atomic_files import write_whole
+from robot_sysid.records.options import PerJoint, levels, per_joint
+
+VERSION = 1
+SCALE, CONSTANTS = "torque_scale", "torque_constants"
+"""Names of the two tables that a file may hold."""
+Factors = Union[PerJoint, Path]
+"""One number for all joints, one per joint, or the file that lists them by name."""
+
+
+def factors_in(text: str) -> Factors:
+    """Return the numbers in a text, or the file that it names."""
+    try:
+        return levels(text)
+    except InputError:
+        if not Path(text).is_file():
+            raise InputError(
+                f"{text!r} is neither a number, nor a list like 1.3,1.2,1.3, nor a file"
+            ) from None
+        return Path(text)
+
+
+def usable_factor(value: float | Path) -> str | None:
+    """Complain unless a value is a file or a positive number."""
+    if isinstance(value, Path) or (value > 0.0 and math.isfinite(value)):
+        return None
+    return f"must be positive (got {value:g}); turn a sign round in the columns file"
+
+
+def joint_factors(given: Factors, joint_names: Sequence[str], table: str) -> Array:
+    """Return one factor per joint (n,).
+
+    Args:
+        given: numbers or a file.
+        joint_names: the n chain joints.
+        table: ``SCALE`` or ``CONSTANTS``: which table of a file, and the name of the option.
+
+    Raises:
+        InputError: their number does not fit, or the file cannot be used.
+    """
+    if not isinstance(given, Path):
+        return per_joint(given, len(joint_names), "--" + table.replace("_", "-"))
+    values = read_factors(given, table)
+    missing = [name for name in joint_names if name not in values]
+    if missing:
+        raise InputError(
+            f"{given} has no {table} of joint {missing[0]}; it lists {', '.join(values) or 'none'}"
+        )
+    return np.array([values[name] for name in joint_names])
+
+
+def read_factors(path: Path, table: str = SCALE) -> Mapping[str, float]:
+    """Return joint name to factor of one table of a file.
+
+    Raises:
+        InputError: the file cannot be read, has another form or a factor that cannot be used.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot read the torque factors in {path}: {error}") from None
+    form = f'{{"version": {VERSION}, "{table}": {{"JOINT": 1.3, ...}}}}'
+    if not isinstance(content, dict) or not isinstance(content.get(table), dict):
+        raise InputError(f"{path} holds no {table}; its form is {form}")
+    if content.get("version") != VERSION:
+        raise InputError(
+            f"{path} has version {content.get('version')!r}, this program reads {VERSION}: {form}"
+        )
+    return {str(joint): _factor(path, joint, v) for joint, v in content[table].items()}
+
+
+def write_torque_scale(path: Path, scale: Mapping[str, float]) -> None:
+    """Write a file that ``--torque-scale`` reads.
+
+    Args:
+        path: where to; the file appears whole or not at all.
+        scale: joint name to how much too large its torque column reads.
+
+    Raises:
+        InputError: a scale is no positive number, or the file cannot be written.
+    """
+    checked = {joint: _factor(path, joint, value) for joint, value in scale.items()}
+    write_whole(path, json.dumps({"version": VERSION, SCALE: checked}, indent=2) + "\n")
+
+
+def _factor(path: Path, joint: str, value: object) -> float:
+    number = float(value) if isinstance(value, (int, float)) else math.nan
+    complaint = usable_factor(number)
+    if complaint:
+        raise InputError(f"{path}: the factor of joint {joint} {complaint}")
+    return number

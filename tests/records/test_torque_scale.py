@@ -1,0 +1,79 @@
+"""Torque factors as they are typed and as files."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from robot_sysid.errors import InputError
+from robot_sysid.records.torque_scale import (
+    CONSTANTS,
+    SCALE,
+    factors_in,
+    joint_factors,
+    read_factors,
+    usable_factor,
+    write_torque_scale,
+)
+
+JOINTS = ("base", "elbow", "wrist")
+
+
+@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.dictionaries(st.text(min_size=1), st.floats(1e-6, 1e6), max_size=8))
+def test_a_written_scale_reads_back_to_the_last_bit(tmp_path, scale):
+    path = tmp_path / "scale.json"
+    write_torque_scale(path, scale)
+    assert read_factors(path) == scale
+
+
+@settings(max_examples=100)
+@given(st.lists(st.floats(1e-3, 1e3), min_size=3, max_size=3))
+def test_what_is_typed_is_what_is_used(values):
+    typed = factors_in(",".join(map(repr, values)))
+    np.testing.assert_array_equal(joint_factors(typed, JOINTS, SCALE), values)
+    one = joint_factors(factors_in(repr(values[0])), JOINTS, SCALE)
+    np.testing.assert_array_equal(one, [values[0]] * 3)
+
+
+def test_a_file_is_read_by_joint_names(tmp_path):
+    path = tmp_path / "k.json"
+    table = {"wrist": 3.0, "base": 1.0, "elbow": 2.0, "gripper": 9.0}
+    path.write_text(json.dumps({"version": 1, CONSTANTS: table}))
+    np.testing.assert_array_equal(
+        joint_factors(factors_in(str(path)), JOINTS, CONSTANTS), [1.0, 2.0, 3.0]
+    )
+    with pytest.raises(InputError, match="holds no torque_scale"):
+        joint_factors(path, JOINTS, SCALE)
+    with pytest.raises(InputError, match="no torque_constants of joint hand; it lists wrist"):
+        joint_factors(path, ("hand",), CONSTANTS)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("{", "cannot read"),
+        ("[]", "holds no torque_scale"),
+        ('{"torque_scale": {"a": 1}}', "version None"),
+        ('{"version": 1, "torque_scale": {"a": 0}}', "joint a must be positive"),
+        ('{"version": 1, "torque_scale": {"a": NaN}}', "joint a must be positive"),
+        ('{"version": 1, "torque_scale": {"a": "x"}}', "joint a must be positive"),
+    ],
+)
+def test_a_broken_file_says_what_is_wrong(tmp_path, text, said):
+    path = tmp_path / "scale.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match=said):
+        read_factors(path)
+
+
+def test_wrong_words_are_refused():
+    with pytest.raises(InputError, match="neither a number"):
+        factors_in("nofile.json")
+    with pytest.raises(InputError, match="--torque-scale takes one number, or one for each of"):
+        joint_factors((1.0, 2.0), JOINTS, SCALE)
+    assert usable_factor(-1.0) and usable_factor(0.0) and not usable_factor(1.3)
