@@ -20,6 +20,7 @@ from robot_sysid.model.chain import (
 from robot_sysid.model.compilation import CompiledModel, compile_model
 from robot_sysid.model.inertia import composite_theta
 from robot_sysid.model.limits import joint_limits
+from robot_sysid.model.links import arm_links
 from robot_sysid.records import Array, InertialParameters, JointFriction, RobotModel
 
 DEFAULT_MAX_VELOCITY = 2.0
@@ -79,6 +80,7 @@ def robot_from_compiled(
         limits=joint_limits(mj_model, chain, max_velocity, speeds),
         prior=_prior(mj_model, qpos, body),
         friction=JointFriction(mj_model.dof_frictionloss[dofs], mj_model.dof_damping[dofs]),
+        links=arm_links(mj_model, qpos, chain),
         notes=compiled.notes + _base_note(mj_model, whole, chain) + _chain_notes(mj_model, chain),
     )
 

@@ -1,13 +1,19 @@
-"""The linear equations of every joint: regressor, friction and known torques of a chunk."""
+"""The linear equations of every joint: regressor, friction and known torques of a chunk.
+
+The parameters are the terminal link's ten, each joint's friction terms, then, where they are
+sought, the ten of other links (``link_names``), then what all joints share.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.dynamics.kinematics import ChainKinematics
+from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Measurement, RobotModel
@@ -15,6 +21,7 @@ from robot_sysid.regressor import joint_regressor
 
 TERMINAL_FRICTION = FrictionModel(("coulomb", "viscous"))
 NO_FRICTION = FrictionModel(())
+N_INERTIAL = len(PARAMETER_NAMES)
 
 
 def friction_per_joint(
@@ -23,6 +30,16 @@ def friction_per_joint(
     """Return the friction terms of each chain joint: all of them, or the last one's only."""
     others = model if torques == "chain" else NO_FRICTION
     return (others,) * (robot.n_joints - 1) + (model,)
+
+
+def link_names(robot: RobotModel, link: int) -> tuple[str, ...]:
+    """Return the names of another link's ten parameters, for instance ``m(forearm)``."""
+    return tuple(f"{name}({robot.links[link].body_name})" for name in PARAMETER_NAMES)
+
+
+def other_links(robot: RobotModel) -> tuple[int, ...]:
+    """Return the numbers of all links but the terminal one that have a mass."""
+    return tuple(i for i, link in enumerate(robot.links[:-1]) if link.has_mass)
 
 
 class Equations:
@@ -35,6 +52,10 @@ class Equations:
             own friction is taken as known.
         shared: names of further parameters that enter every joint's equations; whoever asks for
             rows brings their columns.
+        links: numbers of other links whose parameters are sought too; the model's are known of the
+            rest.
+        values: (p,) what is known so far of all parameters, which makes the load that gears carry;
+            None takes the model's.
     """
 
     def __init__(
@@ -43,22 +64,35 @@ class Equations:
         torques: str,
         friction: Sequence[FrictionModel],
         shared: Sequence[str] = (),
+        links: Sequence[int] = (),
+        values: Array | None = None,
     ) -> None:
         self._robot = robot
         self._friction = tuple(friction)
         self._friction_known = np.array([not model.terms for model in friction])
         self._armature_sought = np.array(["armature" in model.terms for model in friction])
         self._kinematics = ChainKinematics(robot)
+        self._links, self._others = tuple(links), LinkDynamics(robot) if links else None
         last = robot.n_joints - 1
         self.rows_of = tuple(range(robot.n_joints)) if torques == "chain" else (last,)
-        names = [self._friction[j].parameter_names(robot.joint_names[j]) for j in self.rows_of]
-        own = tuple(name for joint in names for name in joint)
-        self.names = PARAMETER_NAMES + own + tuple(shared)
         self.joints = tuple(robot.joint_names[j] for j in self.rows_of)
-        self.columns = tuple(
-            np.array([self.names.index(n) for n in (*PARAMETER_NAMES, *joint, *shared)])
-            for joint in names
-        )
+        self.shared = tuple(shared)
+        own = [name for j in self.rows_of for name in self._friction_names(j)]
+        others = [name for link in self._links for name in link_names(robot, link)]
+        self.names = (*PARAMETER_NAMES, *own, *others, *self.shared)
+        self.columns = tuple(self._columns_of(j) for j in self.rows_of)
+        self._values = self.prior if values is None else values
+
+    def _friction_names(self, joint: int) -> tuple[str, ...]:
+        return self._friction[joint].parameter_names(self._robot.joint_names[joint])
+
+    def _columns_of(self, joint: int) -> NDArray[np.int64]:
+        """Return which parameters (k,) a joint's equations contain."""
+        beyond = [link for link in self._links if link >= joint]
+        others = [name for link in beyond for name in link_names(self._robot, link)]
+        place = {name: index for index, name in enumerate(self.names)}
+        own = self._friction_names(joint)
+        return np.array([place[n] for n in (*PARAMETER_NAMES, *own, *others, *self.shared)])
 
     @property
     def prior(self) -> Array:
@@ -69,6 +103,8 @@ class Equations:
             values[f"coulomb[{joint}]"] = self._robot.friction.coulomb[j]
             values[f"viscous[{joint}]"] = self._robot.friction.viscous[j]
             values[f"armature[{joint}]"] = self._kinematics.armature[j]
+        for link in self._links:
+            values.update(zip(link_names(self._robot, link), self._robot.links[link].theta))
         return np.array([float(values.get(name, 0.0)) for name in self.names])
 
     def rows(
@@ -91,9 +127,30 @@ class Equations:
         )
         known -= np.where(self._armature_sought, self._kinematics.armature * qdd, 0.0)
         inertial = joint_regressor(motion, self.rows_of)
+        others, prior, found = self._other_columns(measurement), *self._of_links()
+        known -= others @ prior
+        # What the gear carries, by what is known: the measured torque has friction in it already.
+        load = motion.tau_rest + others @ (found - prior)
         for block, j in zip(inertial, self.rows_of):
-            # What the gear carries, by the model: the measured torque has friction in it already.
-            load = motion.tau_rest[:, j] + block @ self._robot.prior.theta
-            own = self._friction[j].columns(qd[:, j], qdd[:, j], load)
+            carried = load[:, j] + block @ self._values[:N_INERTIAL]
+            own = self._friction[j].columns(qd[:, j], qdd[:, j], carried)
+            beyond = others[:, j, self._first_column(j) :]
             common = () if shared is None else (shared[:, j],)
-            yield np.hstack((block, own, *common)), measurement.tau[:, j] - known[:, j]
+            yield np.hstack((block, own, beyond, *common)), measurement.tau[:, j] - known[:, j]
+
+    def _other_columns(self, measurement: Measurement) -> Array:
+        """Return the columns (N, n, 10 links) of the other links that are sought."""
+        if self._others is None:
+            return np.zeros((*measurement.q.shape, 0))
+        assert measurement.qd is not None and measurement.qdd is not None
+        motion = self._others.motion(measurement.q, measurement.qd, measurement.qdd)
+        return motion.columns(self._links)
+
+    def _of_links(self) -> tuple[Array, Array]:
+        """Return the other links' parameters: the model's, and what is known of them so far."""
+        names = [name for link in self._links for name in link_names(self._robot, link)]
+        places = [self.names.index(name) for name in names]
+        return self.prior[places], self._values[places]
+
+    def _first_column(self, joint: int) -> int:
+        return N_INERTIAL * sum(link < joint for link in self._links)

@@ -12,10 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.dynamics.kinematics import ChainKinematics
+from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, RobotModel
-from robot_sysid.regressor import joint_torque
 
 TILT_NAMES = ("tilt_1", "tilt_2")
 
@@ -59,19 +58,17 @@ class TiltColumns:
 
     Args:
         robot: the arm, with the gravity around which to linearise.
-        theta: (10,) current estimate of the terminal link.
+        thetas: (n, 10) what is known so far of the links, see ``RobotModel.links``.
     """
 
-    def __init__(self, robot: RobotModel, theta: Array) -> None:
-        self._theta = theta
+    def __init__(self, robot: RobotModel, thetas: Array) -> None:
         here = gravity(robot)
         changes = [np.cross(axis, here) for axis in tilt_axes(here)]
-        arms = [with_gravity(robot, vector) for vector in (np.zeros(3), *changes)]
-        self._kinematics = [ChainKinematics(arm) for arm in arms]
+        self._arms = [LinkDynamics(with_gravity(robot, change)) for change in changes]
+        self._thetas = thetas
 
     def evaluate(self, q: Array) -> Array:
         """Return (N, n, 2) torque per radian of tilt at positions q (N, n) [N m/rad]."""
         still = np.zeros_like(q)
-        motions = (kinematics.evaluate(q, still, still) for kinematics in self._kinematics)
-        weightless, *tilted = (joint_torque(motion, self._theta) for motion in motions)
-        return np.stack([torque - weightless for torque in tilted], axis=-1)
+        torques = [arm.motion(q, still, still).torque(self._thetas) for arm in self._arms]
+        return np.stack(torques, axis=-1)

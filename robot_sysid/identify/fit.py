@@ -320,7 +320,7 @@ def _shared_columns(
     if not shared_names(options):
         return None
     late = delay_columns(signals)[:, :, None] if options.delay == "auto" else None
-    tilted = TiltColumns(arm, theta) if options.tilt == "auto" else None
+    tilted = TiltColumns(arm, _thetas(arm, theta)) if options.tilt == "auto" else None
 
     def columns(motion: Motion, place: slice) -> Array:
         parts = [] if late is None else [late[place]]
@@ -328,3 +328,8 @@ def _shared_columns(
         return np.concatenate(parts, axis=-1)
 
     return columns
+
+
+def _thetas(robot: RobotModel, terminal: Array) -> Array:
+    """Return (n, 10) the model's links with another terminal one (10,)."""
+    return np.array([*(link.theta for link in robot.links[:-1]), terminal])

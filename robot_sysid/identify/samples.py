@@ -62,6 +62,21 @@ class DecimatedSamples:
         """Return the samples with those left out for which ``used`` (K,) is false."""
         return replace(self, tau=tuple(np.where(used, tau, np.nan) for tau in self.tau))
 
+    def with_columns(self, names: Sequence[str], blocks: Sequence[Array]) -> DecimatedSamples:
+        """Return the samples with further parameters in all joints' equations.
+
+        Args:
+            names: (s,) of the parameters.
+            blocks: per joint (K, s).
+        """
+        new = len(self.names) + np.arange(len(names))
+        return replace(
+            self,
+            names=(*self.names, *names),
+            columns=tuple(np.concatenate((own, new)) for own in self.columns),
+            rows=tuple(np.hstack((rows, block)) for rows, block in zip(self.rows, blocks)),
+        )
+
     def deviation(self, prior: Array) -> DecimatedSamples:
         """Return the equations for the deviation from ``prior`` (p,)."""
         right = [

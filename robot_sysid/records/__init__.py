@@ -6,6 +6,7 @@ Legend of shapes: N samples, n chain joints (base to terminal), p parameters.
 from __future__ import annotations
 
 from robot_sysid.records.arm import (
+    ArmLink,
     InertialParameters,
     JointFriction,
     JointLimits,
@@ -40,6 +41,7 @@ from robot_sysid.records.results import (
 __all__ = [
     "DELAY_NAME",
     "TORQUE_CHOICES",
+    "ArmLink",
     "Array",
     "BodyMotion",
     "DataOrigin",

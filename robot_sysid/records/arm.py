@@ -81,6 +81,39 @@ class SubtreeBody:
 
 
 @dataclass(frozen=True)
+class ArmLink:
+    """What one chain joint moves: a body with all that hangs on it up to the next chain joint.
+
+    Attributes:
+        body_id: MuJoCo body id.
+        body_name: its name ("#7" for a nameless body with id 7).
+        screw: (6,) twist [omega, v] of the body per unit of joint speed, in the body's frame.
+        rotation, translation: (3, 3), (3,) the body's frame in that of the link before it (the
+            world for the first) at the reference configuration [m].
+        theta: (10,) inertial parameters in the body's frame, as the model has them; zero where a
+            later chain joint moves the same body.
+    """
+
+    body_id: int
+    body_name: str
+    screw: Array
+    rotation: Array
+    translation: Array
+    theta: Array
+
+    def __post_init__(self) -> None:
+        shapes = {"screw": (6,), "rotation": (3, 3), "translation": (3,), "theta": (10,)}
+        for name, shape in shapes.items():
+            label = f"{name} of {self.body_name}"
+            object.__setattr__(self, name, checked_array(getattr(self, name), shape, label))
+
+    @property
+    def has_mass(self) -> bool:
+        """Whether there is anything to identify about it."""
+        return bool(np.any(self.theta))
+
+
+@dataclass(frozen=True)
 class JointLimits:
     """What each chain joint may do; infinite where there is no limit.
 
@@ -142,6 +175,7 @@ class RobotModel:
         prior: composite terminal link (terminal body and all below it at the reference
             configuration), in the terminal body's frame.
         friction: the model's friction of the chain joints.
+        links: what each chain joint moves, base to terminal; the last one is ``prior``.
         sha256: hash of the files that make the model.
         kind: "mjcf" or "urdf".
         notes: what the reader of the file had to assume, one sentence each.
@@ -159,6 +193,7 @@ class RobotModel:
     limits: JointLimits
     prior: InertialParameters
     friction: JointFriction
+    links: tuple[ArmLink, ...]
     sha256: str = ""
     kind: str = "mjcf"
     notes: tuple[str, ...] = ()

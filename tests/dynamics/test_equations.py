@@ -17,6 +17,7 @@ from robot_sysid.dynamics.equations import (
     TERMINAL_FRICTION,
     Equations,
     friction_per_joint,
+    other_links,
 )
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.identifiability import VisibleSpace, visible_space
@@ -283,3 +284,18 @@ def test_a_measurement_without_derivatives_is_refused(missing):
     equations = Equations(SEVEN, "chain", friction_per_joint(SEVEN, "terminal", TERMINAL_FRICTION))
     with pytest.raises(InputError, match="differentiate it first"):
         collect_sysid_data(equations, [replace(WHOLE, **{missing: None})])
+
+
+@pytest.mark.parametrize(
+    "name", ["seven", "slide in chain", "shared bodies", "springs", "armature"]
+)
+def test_the_other_links_own_values_explain_the_models_torque(name):
+    """With all links sought, the model's own parameters leave nothing, whatever link is wrong."""
+    robot = ARMS[name]
+    friction = friction_per_joint(robot, "terminal", TERMINAL_FRICTION)
+    equations = Equations(robot, "chain", friction, links=other_links(robot))
+    for measurement in measure(robot, 3):
+        for (rows, tau), columns in zip(equations.rows(measurement), equations.columns):
+            size = 1e-9 * (np.max(np.abs(measurement.tau)) + 1.0)
+            explained = rows @ equations.prior[columns]
+            np.testing.assert_allclose(explained, tau, rtol=0.0, atol=size)

@@ -1,0 +1,132 @@
+"""Motion and torque of all links at once, in numpy on whole chunks: recursive Newton-Euler.
+
+With T_i the pose of link i in link i-1 and S_i the screw of its joint in its own frame (Lynch and
+Park, "Modern Robotics", 2017, eq. 8.50 to 8.53, A_0 = [0, -g]):
+
+    V_i = Ad(T_i^-1) V_{i-1} + S_i qd_i,
+    A_i = Ad(T_i^-1) A_{i-1} + ad(V_i) S_i qd_i + S_i qdd_i,
+    J_ij = Ad(T_i^-1) J_{i-1,j},   J_ii = S_i,
+    tau_j = sum_{i >= j} J_ij^T Y6(V_i, A_i) theta_i.
+
+Arrays are component first: (6, N) holds N samples of a twist [omega, v].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from robot_sysid.dynamics.screws import bracket, exponential
+from robot_sysid.dynamics.spatial import PARAMETER_NAMES, cross, symmetric_from_six
+from robot_sysid.records import Array, RobotModel
+from robot_sysid.regressor import wrench_regressor
+
+N_PARAMETERS = len(PARAMETER_NAMES)
+
+
+@dataclass(frozen=True)
+class LinksMotion:
+    """Motion of all links over N samples.
+
+    Attributes:
+        velocity, acceleration: per link (6, N), each in the link's own frame; the acceleration is
+            the spatial one minus gravity.
+        jacobian: per link, the twist (6, N) per unit speed of each joint up to its own.
+    """
+
+    velocity: tuple[Array, ...]
+    acceleration: tuple[Array, ...]
+    jacobian: tuple[tuple[Array, ...], ...]
+
+    def columns(self, links: Sequence[int]) -> Array:
+        """Return the joint torque regressor (N, n, 10 len(links)) of some links [N m]."""
+        samples = self.velocity[0].shape[1]
+        columns = np.zeros((samples, len(self.velocity), N_PARAMETERS * len(links)))
+        for place, link in enumerate(links):
+            wrench = wrench_regressor(self.velocity[link].T, self.acceleration[link].T)
+            block = columns[:, :, N_PARAMETERS * place : N_PARAMETERS * (place + 1)]
+            for joint, twist in enumerate(self.jacobian[link]):
+                block[:, joint] = np.einsum("in,ikn->nk", twist, wrench)
+        return columns
+
+    def torque(self, thetas: Array) -> Array:
+        """Return the joint torque (N, n) [N m] of links theta (n, 10), rigid bodies only."""
+        samples = self.velocity[0].shape[1]
+        tau = np.zeros((samples, len(thetas)))
+        for link, theta in enumerate(thetas):
+            if not np.any(theta):
+                continue
+            wrench = _wrench(theta, self.velocity[link], self.acceleration[link])
+            for joint, twist in enumerate(self.jacobian[link]):
+                tau[:, joint] += np.sum(twist * wrench, axis=0)
+        return tau
+
+
+class LinkDynamics:
+    """Recursive Newton-Euler of one arm.
+
+    Args:
+        robot: the arm.
+    """
+
+    def __init__(self, robot: RobotModel) -> None:
+        self._links, self._home = robot.links, robot.reference
+        options = robot.mj_model.opt
+        weightless = options.disableflags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+        self._gravity = np.zeros(3) if weightless else np.array(options.gravity)
+
+    def motion(self, q: Array, qd: Array, qdd: Array) -> LinksMotion:
+        """Return the motion of all links for chain motions (N, n) [rad, rad/s, rad/s^2]."""
+        samples = len(q)
+        velocity = np.zeros((6, samples))
+        acceleration = np.zeros((6, samples))
+        acceleration[3:] = -self._gravity[:, None]
+        jacobian: tuple[Array, ...] = ()
+        moves = []
+        for i, link in enumerate(self._links):
+            rotation, place = exponential(link.screw, q[:, i] - self._home[i])
+            step = _Step(
+                np.einsum("ab,bcn->acn", link.rotation, rotation),
+                link.translation[:, None] + link.rotation @ place,
+            )
+            screw = np.repeat(link.screw[:, None], samples, axis=1)
+            turning = screw * qd[:, i]
+            velocity = step.into(velocity) + turning
+            acceleration = step.into(acceleration) + bracket(velocity, turning) + screw * qdd[:, i]
+            jacobian = (*(step.into(twist) for twist in jacobian), screw)
+            moves.append((velocity, acceleration, jacobian))
+        velocities, accelerations, jacobians = zip(*moves)
+        return LinksMotion(velocities, accelerations, jacobians)
+
+
+@dataclass(frozen=True)
+class _Step:
+    """Pose of a link in the one before it: rotation (3, 3, N), translation (3, N)."""
+
+    rotation: Array
+    translation: Array
+
+    def into(self, twist: Array) -> Array:
+        """Return Ad(T^-1) of a twist (6, N)."""
+        omega = np.einsum("abn,an->bn", self.rotation, twist[:3])
+        shifted = twist[3:] + cross(twist[:3], self.translation)
+        return np.concatenate((omega, np.einsum("abn,an->bn", self.rotation, shifted)))
+
+
+def _wrench(theta: Array, velocity: Array, acceleration: Array) -> Array:
+    """Return G A - ad(V)^T G V (6, N)."""
+    momentum = _spatial_inertia(theta) @ velocity
+    force = _spatial_inertia(theta) @ acceleration
+    force[:3] += cross(velocity[:3], momentum[:3]) + cross(velocity[3:], momentum[3:])
+    force[3:] += cross(velocity[:3], momentum[3:])
+    return force
+
+
+def _spatial_inertia(theta: Array) -> Array:
+    """Return G = [[I, [h]x], [-[h]x, m 1]] (6, 6)."""
+    x, y, z = theta[1:4]
+    hat = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.block([[symmetric_from_six(theta[4:]), hat], [-hat, theta[0] * np.eye(3)]])

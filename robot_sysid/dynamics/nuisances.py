@@ -1,0 +1,69 @@
+"""What a real arm does not tell of itself, as columns in the joints' equations.
+
+A torque sensor that reads (1 + s) times the torque, an encoder whose zero is off by z, a base that
+is tilted by two angles: to first order each adds its column times an unknown. Their size is known
+beforehand, which makes them a prior (``estimation.nuisances``).
+
+=============  ===================================  ==================================
+parameter      column in joint j's equation         unit
+=============  ===================================  ==================================
+scale[joint]   torque of the joint's own gear       1
+zero[joint]    -d tau_j / d q_joint                 N m/rad
+tilt angles    torque at rest, gravity turned       N m/rad
+=============  ===================================  ==================================
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from robot_sysid.dynamics.gravity import TiltColumns
+from robot_sysid.dynamics.newton_euler import LinkDynamics
+from robot_sysid.records import Array, Motion, RobotModel
+
+_STEP = 1e-5
+
+
+def scale_names(robot: RobotModel) -> tuple[str, ...]:
+    """Return the names of the joints' torque scales."""
+    return tuple(f"scale[{joint}]" for joint in robot.joint_names)
+
+
+def zero_names(robot: RobotModel) -> tuple[str, ...]:
+    """Return the names of the joints' encoder zeros."""
+    return tuple(f"zero[{joint}]" for joint in robot.joint_names)
+
+
+class NuisanceColumns:
+    """Columns of torque scales, encoder zeros and tilt.
+
+    Args:
+        robot: the arm.
+        thetas: (n, 10) what is known so far of the links, see ``RobotModel.links``.
+    """
+
+    def __init__(self, robot: RobotModel, thetas: Array) -> None:
+        self._robot, self._thetas = robot, thetas
+        self._dynamics = LinkDynamics(robot)
+
+    def scale(self, motion: Motion) -> Array:
+        """Return (K, n, n) the torque of each joint's gear, in its own equation alone [N m]."""
+        return self._torque(motion)[:, :, None] * np.eye(self._robot.n_joints)
+
+    def zero(self, motion: Motion) -> Array:
+        """Return (K, n, n) torque per radian that a joint's reading is too large [N m/rad]."""
+        columns = []
+        for shift in _STEP * np.eye(self._robot.n_joints):
+            above = self._torque(replace(motion, q=motion.q + shift))
+            below = self._torque(replace(motion, q=motion.q - shift))
+            columns.append((below - above) / (2.0 * _STEP))
+        return np.stack(columns, axis=-1)
+
+    def tilt(self, motion: Motion) -> Array:
+        """Return (K, n, 2) torque per radian of tilt, see ``gravity.TiltColumns`` [N m/rad]."""
+        return TiltColumns(self._robot, self._thetas).evaluate(motion.q)
+
+    def _torque(self, motion: Motion) -> Array:
+        return self._dynamics.motion(motion.q, motion.qd, motion.qdd).torque(self._thetas)

@@ -1,0 +1,53 @@
+"""Laws of the motion of all links: MuJoCo's inverse dynamics, by a formula of our own."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+from robot_sysid.dynamics.kinematics import ArmDynamics, ChainKinematics
+from robot_sysid.dynamics.newton_euler import LinkDynamics
+from tests.support import arms
+from tests.support.arms import SEEDS, random_chain, random_motion, robot_of
+
+SAMPLES = 4
+
+
+def beyond_rigid_bodies(robot, motion):
+    """Torque of armature, springs and tendons (N, n)."""
+    return ArmDynamics(robot).beyond_rigid_bodies(*motion)
+
+
+def assert_equals_mujoco(robot, motion):
+    thetas = np.array([link.theta for link in robot.links])
+    links = LinkDynamics(robot).motion(*motion)
+    actual = ArmDynamics(robot).torque(*motion) - beyond_rigid_bodies(robot, motion)
+    allowed = 1e-11 * np.max(np.abs(actual)) + 1e-13
+    np.testing.assert_allclose(links.torque(thetas), actual, rtol=0.0, atol=allowed)
+    columns = links.columns(range(robot.n_joints)) @ thetas.ravel()
+    np.testing.assert_allclose(columns, actual, rtol=0.0, atol=allowed)
+
+
+@given(random_chain(), SEEDS)
+@settings(max_examples=100)
+def test_links_and_columns_give_mujocos_torque_on_any_chain(xml, seed):
+    robot = robot_of(xml)
+    motion = random_motion(np.random.default_rng(seed), robot.n_joints, SAMPLES)
+    assert_equals_mujoco(robot, motion)
+
+
+@pytest.mark.parametrize("name", sorted(arms.MODELS))
+def test_links_give_mujocos_torque_on_odd_arms(name):
+    robot = robot_of(arms.MODELS[name])
+    motion = random_motion(np.random.default_rng(0), robot.n_joints, SAMPLES)
+    assert_equals_mujoco(robot, motion)
+
+
+def test_the_last_link_moves_like_the_terminal_body():
+    robot = robot_of(arms.SEVEN)
+    motion = random_motion(np.random.default_rng(1), robot.n_joints, SAMPLES)
+    links, body = LinkDynamics(robot).motion(*motion), ChainKinematics(robot).evaluate(*motion)
+    np.testing.assert_allclose(links.velocity[-1].T, body.velocity, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(links.acceleration[-1].T, body.acceleration, rtol=0.0, atol=1e-11)
+    np.testing.assert_allclose(robot.links[-1].theta, robot.prior.theta, rtol=0.0, atol=1e-15)
