@@ -38,6 +38,12 @@ class ModelOptions(OptionRecord):
     path: Path = Path()
     mesh_dir: Path | None = option(None, "folder of the mesh files", usual="what the model says")
     joint: str | None = option(None, "terminal joint", metavar="NAME", usual="found automatically")
+    keyframe: str | None = option(
+        None,
+        "keyframe in which the arm is at rest, where motions start",
+        metavar="NAME",
+        usual="home, or the only one",
+    )
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from robot_sysid.errors import ModelError
+from robot_sysid.errors import InputError, ModelError
 from robot_sysid.model.chain import (
     arm_without_base,
     body_label,
@@ -32,6 +32,7 @@ def load_robot_model(
     mesh_dir: Path | None = None,
     joint: str | None = None,
     max_velocity: float = DEFAULT_MAX_VELOCITY,
+    keyframe: str | None = None,
 ) -> RobotModel:
     """Load an MJCF or URDF file and find the arm in it.
 
@@ -40,13 +41,15 @@ def load_robot_model(
         mesh_dir: folder of its meshes; default what the file says.
         joint: name of the terminal joint; default found automatically.
         max_velocity: speed limit of hinge joints [rad/s].
+        keyframe: name of the one that is the arm at rest; default see ``rest_keyframe``.
 
     Raises:
         ModelError: the file cannot be used; says why.
         AmbiguousJointError: several joints could be the terminal one.
+        InputError: there is no such keyframe; lists those there are.
     """
     compiled = compile_model(Path(path), mesh_dir)
-    return robot_from_compiled(compiled, Path(path), joint, max_velocity)
+    return robot_from_compiled(compiled, Path(path), joint, max_velocity, keyframe)
 
 
 def robot_from_compiled(
@@ -54,6 +57,7 @@ def robot_from_compiled(
     path: Path,
     joint: str | None,
     max_velocity: float = DEFAULT_MAX_VELOCITY,
+    keyframe: str | None = None,
 ) -> RobotModel:
     """Return the arm in a compiled model; arguments and errors as in ``load_robot_model``."""
     mj_model = compiled.mj_model
@@ -61,7 +65,8 @@ def robot_from_compiled(
     whole = chain_to(mj_model, terminal)
     chain = arm_without_base(mj_model, whole)
     body = int(mj_model.jnt_bodyid[terminal])
-    qpos = reference_configuration(mj_model)
+    rest = rest_keyframe(mj_model, keyframe)
+    qpos = reference_configuration(mj_model, rest)
     dofs = mj_model.jnt_dofadr[list(chain)].astype(np.int64)
     names = tuple(joint_label(mj_model, j) for j in chain)
     speeds = [compiled.velocity_limits.get(name) for name in names]
@@ -81,15 +86,52 @@ def robot_from_compiled(
         prior=_prior(mj_model, qpos, body),
         friction=JointFriction(mj_model.dof_frictionloss[dofs], mj_model.dof_damping[dofs]),
         links=arm_links(mj_model, qpos, chain),
-        notes=compiled.notes + _base_note(mj_model, whole, chain) + _chain_notes(mj_model, chain),
+        notes=(
+            *compiled.notes,
+            *_keyframe_note(mj_model, rest),
+            *_base_note(mj_model, whole, chain),
+            *_chain_notes(mj_model, chain),
+        ),
     )
 
 
-def reference_configuration(mj_model: Any) -> Array:
-    """Return the (nq,) configuration at rest: keyframe "home" if there is one, else qpos0."""
-    home = mujoco.mj_name2id(mj_model, int(mujoco.mjtObj.mjOBJ_KEY), "home")
-    source = mj_model.key_qpos[home] if home >= 0 else mj_model.qpos0
+def rest_keyframe(mj_model: Any, name: str | None = None) -> int | None:
+    """Return which keyframe is the arm at rest; None where the model does not say.
+
+    The one that is asked for; else "home"; else the only one there is.
+
+    Raises:
+        InputError: none is called that; lists those there are.
+    """
+    names = _keyframe_names(mj_model)
+    if name is None:
+        usual = [index for index, each in enumerate(names) if each == "home"]
+        return usual[0] if usual else 0 if len(names) == 1 else None
+    if name not in names:
+        there = ", ".join(names) or "none"
+        raise InputError(f"--keyframe {name}: no such keyframe; the model has {there}")
+    return names.index(name)
+
+
+def reference_configuration(mj_model: Any, keyframe: int | None) -> Array:
+    """Return the (nq,) configuration at rest: of a keyframe, else the joints' own reference."""
+    source = mj_model.qpos0 if keyframe is None else mj_model.key_qpos[keyframe]
     return np.array(source, dtype=float)
+
+
+def _keyframe_names(mj_model: Any) -> list[str]:
+    """Return all keyframes' names, "#1" for a nameless one."""
+    return [mj_model.key(index).name or f"#{index}" for index in range(mj_model.nkey)]
+
+
+def _keyframe_note(mj_model: Any, chosen: int | None) -> tuple[str, ...]:
+    """Say which keyframes were passed over where none is called home."""
+    if chosen is not None or mj_model.nkey == 0:
+        return ()
+    return (
+        "the model has several keyframes and none is called home, so the arm starts with all "
+        f"joints at their zero; --keyframe chooses one of {', '.join(_keyframe_names(mj_model))}",
+    )
 
 
 def _prior(mj_model: Any, qpos: Array, body: int) -> InertialParameters:

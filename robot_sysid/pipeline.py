@@ -134,7 +134,8 @@ def load(config: SysidConfig, progress: Progress) -> RobotModel:
     """Load the model and find its terminal joint."""
     model = config.model
     progress.stage(f"Loading robot model from {model.path}...")
-    robot = load_robot_model(model.path, model.mesh_dir, model.joint, config.limits.max_velocity)
+    speed = config.limits.max_velocity
+    robot = load_robot_model(model.path, model.mesh_dir, model.joint, speed, model.keyframe)
     if config.motors.export_damiao:
         from robot_sysid.damiao.protocol.joints import damiao_joints
 

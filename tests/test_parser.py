@@ -10,7 +10,7 @@ from hypothesis import given
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.kinematics import subtree
 from robot_sysid.errors import AmbiguousJointError, InputError, ModelError
-from robot_sysid.parser import load_robot_model, reference_configuration
+from robot_sysid.parser import load_robot_model, reference_configuration, rest_keyframe
 from tests.support import arms
 from tests.support.arms import (
     SEEDS,
@@ -106,13 +106,36 @@ def free_subtree():
     return world(f"<body><freejoint/>{flange}</body>")
 
 
-def test_reference_is_the_home_keyframe_or_the_joints_own():
-    model = compile_xml(arms.HOME_KEYFRAME)
-    np.testing.assert_allclose(reference_configuration(model), [0.1, 0.2, 0.3, 0.4, 0.03, 0.01])
-    other = arms.HOME_KEYFRAME.replace('name="home"', 'name="stand"')
-    np.testing.assert_array_equal(reference_configuration(compile_xml(other)), np.zeros(6))
-    ref = serial_arm((Z, Y, X), joint='range="-1 1" ref=".3"')
-    np.testing.assert_allclose(reference_configuration(compile_xml(ref)), 0.3)
+ONE_KEYFRAME = arms.HOME_KEYFRAME.replace('<key name="other" qpos="0 0 0 0 0 0"/>', "")
+NO_HOME = arms.HOME_KEYFRAME.replace('name="home"', 'name="stand"').replace('name="other"', "")
+
+
+@pytest.mark.parametrize(
+    "xml", [arms.HOME_KEYFRAME, ONE_KEYFRAME, ONE_KEYFRAME.replace("home", "neutral_pose")]
+)
+def test_at_rest_the_arm_is_in_the_home_keyframe_or_in_the_only_one(xml):
+    model = compile_xml(xml)
+    pose = [0.1, 0.2, 0.3, 0.4, 0.03, 0.01]
+    np.testing.assert_allclose(reference_configuration(model, rest_keyframe(model)), pose)
+
+
+def test_without_keyframes_the_arm_is_at_its_joints_own_reference():
+    model = compile_xml(serial_arm((Z, Y, X), joint='range="-1 1" ref=".3"'))
+    np.testing.assert_allclose(reference_configuration(model, rest_keyframe(model)), 0.3)
+
+
+def test_of_several_keyframes_without_home_none_is_taken_unless_asked_for():
+    robot = robot_of(NO_HOME)
+    np.testing.assert_array_equal(robot.reference, np.zeros(4))
+    assert any("--keyframe chooses one of #0, stand" in note for note in robot.notes)
+    np.testing.assert_allclose(robot_of(NO_HOME, keyframe="stand").reference[:2], [0.1, 0.2])
+    assert not any("keyframe" in note for note in robot_of(NO_HOME, keyframe="#0").notes)
+
+
+@pytest.mark.parametrize(("xml", "there"), [(NO_HOME, "#0, stand"), (arms.THREE, "none")])
+def test_a_keyframe_that_is_not_there_is_refused(xml, there):
+    with pytest.raises(InputError, match=f"no such keyframe; the model has {there}"):
+        robot_of(xml, keyframe="home")
 
 
 def test_a_weightless_link_is_refused():

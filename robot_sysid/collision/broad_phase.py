@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.dynamics.kinematics import subtree
+from robot_sysid.model.contacts import parts_of
 from robot_sysid.records import Array, RobotModel
 
 MOST_GROUPS = 31
@@ -77,15 +77,12 @@ _UNLIMITED_TRAVEL = 1.0
 class ApproachBounds:
     """Approach bounds between the parts of one arm.
 
-    Bodies between two chain joints form one part: part 0 is what no chain joint moves, part l what
-    is moved by the first l joints.
-
     Args:
         robot: the arm.
         data: MuJoCo data of it, positions computed.
 
     Attributes:
-        part: (nbody,) part of each body.
+        part: (nbody,) part of each body, see ``model.contacts.parts_of``.
         rates: (P, n) row ``row(a, b)`` bounds the approach of parts a and b [m/s] as rates @ |qd|;
             the last row holds for all pairs.
     """
@@ -93,7 +90,7 @@ class ApproachBounds:
     def __init__(self, robot: RobotModel, data: Any) -> None:
         self._n = robot.n_joints
         joints = robot.mj_model.dof_jntid[robot.dof_index]
-        self.part = _parts(robot.mj_model, joints)
+        self.part = parts_of(robot)
         self._reach = _reach(robot, data, joints, self.part)
         pairs = [self._rate(a, b) for a in range(self._n + 1) for b in range(self._n + 1)]
         self.rates = np.vstack((pairs, np.max(pairs, axis=0)))
@@ -107,13 +104,6 @@ class ApproachBounds:
         rate = np.zeros(self._n)
         rate[low:high] = self._reach[low:high, high]
         return rate
-
-
-def _parts(mj_model: Any, joints: Array) -> Any:
-    part = np.zeros(mj_model.nbody, dtype=np.int64)
-    for joint in joints:
-        part[subtree(mj_model, int(mj_model.jnt_bodyid[joint]))] += 1
-    return part
 
 
 def _reach(robot: RobotModel, data: Any, joints: Array, part: Any) -> Array:

@@ -4,8 +4,10 @@ MuJoCo finds every pair of geoms nearer than a margin, with distance, point and 
 are tested against the extreme point of each geom. The gradient of a distance is the relative
 velocity of the two nearest points along the normal, per unit joint rate.
 
-Pairs of bodies that touch at rest stay in touch by design of the model (neighbouring links) and are
-ignored. A pair that is apart at rest but nearer than the clearance must keep half that distance.
+Links next to each other that overlap at rest do so by design of the model and are ignored. Any
+other pair that touches at rest may never get deeper, and one that is deep inside each other there
+is a collision. A pair that is apart at rest but nearer than the clearance must keep half that
+distance.
 """
 
 from __future__ import annotations
@@ -20,15 +22,23 @@ import numpy as np
 
 from robot_sysid.collision.broad_phase import ApproachBounds, drop_pairs
 from robot_sysid.collision.halfspaces import GeomShape, HalfSpace, geom_shapes
-from robot_sysid.collision.obstacles import Closest, Slack
+from robot_sysid.collision.obstacles import Closest, RestPairs, Slack
 from robot_sysid.dynamics.spatial import cross
 from robot_sysid.model.chain import body_label
+from robot_sysid.model.contacts import neighbours
 from robot_sysid.records import Array, RobotModel
 
 HORIZON = 0.05
 """How much farther than the clearance a pair is still seen [m]."""
 KEPT_SHARE = 0.5
 """Share of its distance at rest that a pair nearer than the clearance must keep."""
+DEEPEST_TOUCH = 1e-3
+"""How deep two bodies may be inside each other at rest to count as touching, as parked arms do [m].
+
+Deeper they collide, and no motion may start there.
+"""
+_TOUCH_ROOM = 1e-4
+"""How much deeper than at rest a touching pair may get: how well depths are known [m]."""
 _NEIGHBOUR_POSTURES = 181
 """How many positions of a joint are looked at to see whether its neighbours are harmless."""
 
@@ -60,7 +70,7 @@ class Clearance:
     Attributes:
         horizon: largest slack that is told apart [m]; what is farther away counts as this far.
         rates: approach bounds (P, n): pairs of row p approach at rates[p] @ abs(qd) [m/s] at most.
-        close_at_rest: names of body pairs that are apart at rest but nearer than the clearance.
+        at_rest: what is near or touches in the starting configuration.
     """
 
     horizon = HORIZON
@@ -78,13 +88,12 @@ class Clearance:
         self._place(rest)
         self._bounds = ApproachBounds(robot, self._data)
         self.rates = self._bounds.rates
-        self._learn_pairs(robot.reference, rest)
-        self.close_at_rest = self._name_close_pairs(clearance)
+        self.at_rest = self._learn_pairs(clearance)
         self._settle_neighbours(rest)
         drop_pairs(self._model, self._bounds.part, np.isneginf(self._required))
         self._place(rest)
         self._planes = [
-            (space, shape, _required_at(self._height(space, shape), space.clearance))
+            (space, shape, _kept(self._height(space, shape), space.clearance))
             for space in half_spaces
             for shape in geom_shapes(robot.mj_model, space.bodies)
         ]
@@ -137,10 +146,6 @@ class Clearance:
                 found.append((space, self._label(shape.body), -height))
         return found
 
-    def _name_close_pairs(self, clearance: float) -> tuple[str, ...]:
-        near = np.argwhere(np.triu((self._required < clearance) & np.isfinite(self._required)))
-        return tuple(f"{self._label(a)} and {self._label(b)}" for a, b in near)
-
     def _place(self, q: Array) -> None:
         self._data.qpos[self._robot.qpos_index] = q
         mujoco.mj_kinematics(self._model, self._data)
@@ -157,19 +162,32 @@ class Clearance:
         index = np.flatnonzero(np.all(geoms >= 0, axis=1))
         return contact.dist[index], self._model.geom_bodyid[geoms[index]], index
 
-    def _learn_pairs(self, *rests: Array) -> None:
-        """Settle the distance each pair has to keep, from what it has at rest.
+    def _learn_pairs(self, clearance: float) -> RestPairs:
+        """Settle the distance each pair has to keep, from what it has at rest, where the arm is.
 
         Bodies of one part do not move against each other.
         """
-        part = self._bounds.part
+        part, next_to = self._bounds.part, neighbours(self._model)
         self._required[part[:, None] == part] = -np.inf
-        for rest in rests:
-            self._place(rest)
-            distance, bodies, _ = self._contact_bodies()
-            for apart, (a, b) in zip(distance, bodies):
-                kept = min(self._required[a, b], _required_at(apart, np.inf))
-                self._required[a, b] = self._required[b, a] = kept
+        found: dict[str, list[str]] = {kind: [] for kind in ("ignored", "deep", "touching", "near")}
+        for (a, b), distance in self._distances().items():
+            if part[a] == part[b]:
+                continue
+            kind, required = _settled(distance, clearance, bool(next_to[a, b]))
+            self._required[a, b] = self._required[b, a] = required
+            apart = "apart" if distance > 0.0 else "deep"
+            if kind:
+                pair = f"{self._label(a)} and {self._label(b)}"
+                found[kind].append(f"{pair} ({1e3 * abs(distance):.2g} mm {apart})")
+        return RestPairs(**{kind: tuple(names) for kind, names in found.items()})
+
+    def _distances(self) -> dict[tuple[int, int], float]:
+        """Return the distance of each pair of bodies that is near where the arm is [m]."""
+        least: dict[tuple[int, int], float] = {}
+        for distance, bodies in zip(*self._contact_bodies()[:2]):
+            a, b = sorted(int(body) for body in bodies)
+            least[a, b] = min(least.get((a, b), np.inf), float(distance))
+        return least
 
     def _settle_neighbours(self, rest: Array) -> None:
         """Drop pairs with one joint between them that keep their distance over all its range.
@@ -265,6 +283,17 @@ def _range(robot: RobotModel) -> tuple[Array, Array]:
     )
 
 
-def _required_at(distance: float, clearance: float) -> float:
-    """Return the distance to keep for a pair with this distance at rest [m]."""
-    return -np.inf if distance <= 0.0 else min(clearance, KEPT_SHARE * distance)
+def _settled(distance: float, clearance: float, are_neighbours: bool) -> tuple[str, float]:
+    """Return what a pair with this distance at rest is called, and the distance it has to keep."""
+    if distance > 0.0:
+        return ("near" if KEPT_SHARE * distance < clearance else ""), _kept(distance, clearance)
+    if are_neighbours:
+        return "ignored", -np.inf
+    if distance < -DEEPEST_TOUCH:
+        return "deep", clearance
+    return "touching", distance - _TOUCH_ROOM
+
+
+def _kept(distance: float, clearance: float) -> float:
+    """Return the distance to keep for what is this far away at rest [m]."""
+    return min(clearance, max(0.0, KEPT_SHARE * distance))

@@ -95,6 +95,23 @@ class Slack:
     budget: Array
 
 
+@dataclass(frozen=True)
+class RestPairs:
+    """Pairs of bodies that need words, each with its distance where the motion starts.
+
+    Attributes:
+        ignored: neighbours inside each other, which are not looked at.
+        deep: others inside each other: collisions.
+        touching: others that touch; they never get deeper.
+        near: apart, but so near that they keep half that distance instead of the clearance.
+    """
+
+    ignored: tuple[str, ...] = ()
+    deep: tuple[str, ...] = ()
+    touching: tuple[str, ...] = ()
+    near: tuple[str, ...] = ()
+
+
 class NoObstacles:
     """Empty space, for an arm whose model has no collision geometry; see ``Clearance``.
 
@@ -103,6 +120,7 @@ class NoObstacles:
     """
 
     horizon = 1.0
+    at_rest = RestPairs()
 
     def __init__(self, joints: int) -> None:
         self.rates = np.zeros((1, joints))

@@ -119,7 +119,8 @@ class _Run:
         from robot_sysid.parser import load_robot_model
 
         chosen, path = record_from(ModelOptions, self.values), self.values["model"]
-        return load_robot_model(path, chosen.mesh_dir, chosen.joint, float("inf"))
+        choice = chosen.mesh_dir, chosen.joint, float("inf"), chosen.keyframe
+        return load_robot_model(path, *choice)
 
     @contextlib.contextmanager
     def bus(self, clock: Clock) -> Iterator[GuardedLink]:

@@ -17,6 +17,7 @@ from robot_sysid.records.progress import Progress
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import (
     CHUNK,
+    TORQUE_MARGIN,
     TrajectoryOptions,
     generate_excitation_trajectory,
     motion_chunks,
@@ -141,15 +142,15 @@ def _random(
     rate = request.trajectory.sample_rate
     # Ends on a sample, so that the last one is at rest.
     duration = (sample_count(request.trajectory.duration, rate) - 1) / rate
-    arm = _with_torque_limits(request, robot) if request.is_checked else robot
+    problem = _problem(request, robot) if request.is_checked else None
+    arm = robot if problem is None else _with_torque_limits(robot, problem)
     plan, notes = generate_excitation_trajectory(arm, rng, duration, ArmTorque(robot))
     for note in notes:
         progress.note(note)
-    if not request.is_checked:
+    if problem is None:
         return CheckedPlan(plan)
     from robot_sysid.excitation.limit_check import scaled_to_limits
 
-    problem = _problem(request, robot)
     smaller, factors = scaled_to_limits(problem, plan, rate)
     if np.min(factors) < 1.0:
         share, joint = 100.0 * np.min(factors), robot.joint_names[int(np.argmin(factors))]
@@ -159,10 +160,8 @@ def _random(
     return CheckedPlan(smaller, problem)
 
 
-def _with_torque_limits(request: MotionRequest, robot: RobotModel) -> RobotModel:
-    from robot_sysid.excitation.problem import torque_limits
-
-    torque = torque_limits(robot, request.limits)
+def _with_torque_limits(robot: RobotModel, problem: ExcitationProblem) -> RobotModel:
+    torque = problem.limits.torque / TORQUE_MARGIN
     return replace(robot, limits=replace(robot.limits, torque=torque))
 
 
@@ -192,12 +191,15 @@ def _designed(
 
 def _problem(request: MotionRequest, robot: RobotModel) -> ExcitationProblem:
     """Return the arm with all limits; of a new motion, its band limits the accelerations too."""
-    from robot_sysid.excitation.problem import DEFAULT_NOISE_TORQUE, build_problem
+    from robot_sysid.excitation.problem import DEFAULT_NOISE_TORQUE, build_problem, require_start
 
     is_new, basis = request.trajectory.file is None, request.excitation.basis
     band = basis(request.trajectory.duration).top_frequency_hz if is_new else None
     noise = request.noise_torque if np.all(request.noise_torque) else DEFAULT_NOISE_TORQUE
-    return build_problem(robot, request.limits, request.torques, noise, band)
+    problem = build_problem(robot, request.limits, request.torques, noise, band)
+    if is_new:
+        require_start(problem)
+    return problem
 
 
 def _counted(plan: MotionPlan, progress: Progress) -> Iterator[Motion]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from robot_sysid.collision.clearance import Clearance
 from robot_sysid.collision.halfspaces import HalfSpace, box_half_spaces, plane_half_space
-from robot_sysid.collision.obstacles import NoObstacles
+from robot_sysid.collision.obstacles import NoObstacles, RestPairs
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.kinematics import ChainKinematics, subtree
 from robot_sysid.dynamics.screws import ScrewChain
@@ -177,7 +178,7 @@ def _limits(
     position: tuple[Array, Array],
     top_frequency_hz: float | None,
 ) -> tuple[MotionLimits, tuple[str, ...]]:
-    allowed = torque_limits(robot, options)
+    allowed = _torque_limits(robot, options)
     ignored = ", ".join(options.ignore_torque_limit)
     notes = (f"the torque limit of {ignored} is not obeyed, as asked",) if ignored else ()
     top = np.inf if top_frequency_hz is None else top_frequency_hz
@@ -193,7 +194,7 @@ def _limits(
     return limits, notes
 
 
-def torque_limits(robot: RobotModel, options: LimitOptions) -> Array:
+def _torque_limits(robot: RobotModel, options: LimitOptions) -> Array:
     """Return the torque limits (n,), the model's own and those asked for; infinite without one.
 
     Raises:
@@ -211,8 +212,19 @@ def torque_limits(robot: RobotModel, options: LimitOptions) -> Array:
     return np.where(ignored, np.inf, both)
 
 
-def require_holding(problem: ExcitationProblem) -> None:
-    """Raise InputError where holding still at rest takes more than a torque limit allows."""
+def require_start(problem: ExcitationProblem) -> None:
+    """Raise InputError where no motion may start: in a collision, or too heavy to hold."""
+    collisions = problem.obstacles.at_rest.deep
+    if collisions:
+        raise InputError(
+            f"no trajectory may start in a collision: at rest, {'; '.join(collisions)}; choose "
+            "another start with --keyframe or in the model, or write <exclude body1= body2=> "
+            "under its <contact> if these parts cannot meet"
+        )
+    _require_holding(problem)
+
+
+def _require_holding(problem: ExcitationProblem) -> None:
     still = np.zeros((1, problem.n_joints))
     rest = Motion(np.zeros(1), problem.rest[None], still, still)
     holding = np.abs(problem.torque(rest)[0])
@@ -220,12 +232,13 @@ def require_holding(problem: ExcitationProblem) -> None:
     worst = int(np.argmax(excess))
     if excess[worst] < 1.0:
         return
-    name = problem.joint_names[worst]
+    name, turns = problem.joint_names[worst], np.any(problem.chain.screws[:3, worst])
+    held = f"{holding[worst]:.3g} {'N·m' if turns else 'N'}"
     raise InputError(
-        f"no trajectory is feasible: holding still takes {holding[worst]:.3g} at joint {name}, "
+        f"no trajectory is feasible: holding still takes {held} at joint {name}, "
         f"more than {100.0 * TORQUE_MARGIN:.0f} % of its torque limit of "
-        f"{problem.limits.torque[worst] / TORQUE_MARGIN:g}; change the model's reference "
-        f"configuration, or give --ignore-torque-limit {name} if the joint can carry it"
+        f"{problem.limits.torque[worst] / TORQUE_MARGIN:g}; choose another start with --keyframe "
+        f"or in the model, or give --ignore-torque-limit {name} if the joint can carry it"
     )
 
 
@@ -252,14 +265,18 @@ def _obstacles(
         return NoObstacles(robot.n_joints), (note,)
     clearance = Clearance(robot, rest, options.clearance, spaces)
     _require_inside(clearance)
-    near = clearance.close_at_rest
-    if not near:
-        return clearance, ()
-    note = (
-        f"nearer than --clearance {options.clearance:g} m already at rest: {'; '.join(near)}; "
-        "these pairs keep half their distance at rest"
-    )
-    return clearance, (note,)
+    return clearance, tuple(_rest_notes(clearance.at_rest))
+
+
+def _rest_notes(pairs: RestPairs) -> Iterator[str]:
+    if pairs.ignored:
+        listed = "; ".join(pairs.ignored)
+        yield f"links next to each other that overlap at rest are not looked at: {listed}"
+    if pairs.touching:
+        yield f"touching already at rest, and never to get deeper: {'; '.join(pairs.touching)}"
+    if pairs.near:
+        listed = "; ".join(pairs.near)
+        yield f"so near at rest that they keep half that distance, not --clearance: {listed}"
 
 
 def _half_spaces(robot: RobotModel, options: LimitOptions) -> tuple[HalfSpace, ...]:

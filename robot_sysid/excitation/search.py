@@ -20,7 +20,6 @@ from robot_sysid.excitation.constraints import LIMIT_NAMES, ROUNDING, MotionCons
 from robot_sysid.excitation.fourier import FourierTrajectory
 from robot_sysid.excitation.limit_check import LimitCheck, check_limits
 from robot_sysid.excitation.optimise import Candidate, Design, first_candidate, improve
-from robot_sysid.excitation.problem import require_holding
 from robot_sysid.excitation.workers import WorkerPool
 from robot_sysid.records import Array
 
@@ -97,11 +96,9 @@ def design_excitation(
         clock: gives the time [s].
 
     Raises:
-        InputError: holding still breaks a torque limit, or no drawn trajectory obeys all limits;
-            names the one that is in the way.
+        InputError: no drawn trajectory obeys all limits; names the one that is in the way.
         KeyboardInterrupt: interrupted before there was any trajectory.
     """
-    require_holding(design.problem)
     search = _Search(design, int(rng.integers(2**62)), progress, clock)
     try:
         search.run()

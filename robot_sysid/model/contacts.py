@@ -1,4 +1,8 @@
-"""Contacts that a trajectory makes and that are not there at rest, found by MuJoCo."""
+"""Which bodies of an arm touch, at rest and along a trajectory, found by MuJoCo.
+
+Links next to each other often overlap in a model: one carries the other, and what a model leaves
+out of their joint's housing does not matter. Any other two bodies that touch are a collision.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +12,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.dynamics.kinematics import subtree
 from robot_sysid.model.chain import body_label
@@ -15,6 +20,33 @@ from robot_sysid.records import Array, Motion, RobotModel
 
 CHECK_RATE_HZ = 40.0
 """How often a trajectory is checked; at 2 rad/s and 0.5 m that is every 25 mm."""
+
+
+def parts_of(robot: RobotModel) -> NDArray[np.int64]:
+    """Return the part (nbody,) each body belongs to; bodies of one part keep their distances.
+
+    Part 0 is what no chain joint moves, part l what is moved by the first l of them.
+    """
+    model = robot.mj_model
+    part = np.zeros(model.nbody, dtype=np.int64)
+    for joint in model.dof_jntid[robot.dof_index]:
+        part[subtree(model, int(model.jnt_bodyid[joint]))] += 1
+    return part
+
+
+def neighbours(mj_model: Any) -> NDArray[np.bool_]:
+    """Return (nbody, nbody) booleans: which bodies are next to each other in the tree.
+
+    Bodies welded together count as one. What stands still is next to a link only if it carries it:
+    the arm's base does, a table in the same world does not.
+    """
+    weld = mj_model.body_weldid
+    carrier = weld[mj_model.body_parentid[weld]]
+    carries = (weld[:, None] == carrier) & (weld[:, None] != weld)
+    for body in np.flatnonzero(weld == 0):
+        below = np.isin(np.arange(mj_model.nbody), subtree(mj_model, int(body)))
+        carries[body] &= below & (body != 0)
+    return np.asarray(carries | carries.T)
 
 
 class ContactFinder:
@@ -29,9 +61,13 @@ class ContactFinder:
         self._model: Any = robot.mj_model
         self._data = mujoco.MjData(self._model)
         self._data.qpos[:] = robot.reference_qpos
-        first_joint = self._model.dof_jntid[robot.dof_index[0]]
-        self._moving = set(subtree(self._model, int(self._model.jnt_bodyid[first_joint])))
+        self._part = parts_of(robot)
         self._at_rest = self._touching()
+
+    def collisions_at_rest(self) -> set[tuple[int, int]]:
+        """Return pairs of body ids that touch at rest though neither carries the other."""
+        next_to = neighbours(self._model)
+        return {pair for pair in self._at_rest if not next_to[pair]}
 
     def new_pairs(self, q: Array) -> set[tuple[int, int]]:
         """Return pairs of body ids that touch at chain positions q (n,) but not at rest."""
@@ -45,11 +81,11 @@ class ContactFinder:
         geoms = self._data.contact.geom[self._data.contact.dist <= 0.0]
         bodies = np.sort(self._model.geom_bodyid[geoms[np.all(geoms >= 0, axis=1)]], axis=1)
         pairs = {(int(a), int(b)) for a, b in bodies}
-        return {pair for pair in pairs if not self._moving.isdisjoint(pair)}
+        return {(a, b) for a, b in pairs if self._part[a] != self._part[b]}
 
 
 def find_new_contacts(robot: RobotModel, motions: Iterable[Motion]) -> tuple[str, ...]:
-    """Return in words when each new pair of bodies touches for the first time along a motion."""
+    """Return in words which bodies collide at rest, and when others first do along a motion."""
     finder = ContactFinder(robot)
     first_time: dict[tuple[int, int], float] = {}
     for motion in motions:
@@ -57,7 +93,8 @@ def find_new_contacts(robot: RobotModel, motions: Iterable[Motion]) -> tuple[str
             for pair in finder.new_pairs(q):
                 first_time.setdefault(pair, float(time))
     name = partial(body_label, robot.mj_model)
-    return tuple(
-        f"{name(first)} and {name(second)} touch at {time:.2f} s"
-        for (first, second), time in first_time.items()
+    resting = [f"{name(a)} and {name(b)} touch at rest" for a, b in finder.collisions_at_rest()]
+    return (
+        *sorted(resting),
+        *(f"{name(a)} and {name(b)} touch at {time:.2f} s" for (a, b), time in first_time.items()),
     )

@@ -120,7 +120,7 @@ def test_bounds_of_a_slide_hold_too():
         assert both.value[1] >= np.min(both.budget[0] - found.rates @ np.abs(step)) - 1e-6
 
 
-def test_bodies_that_touch_at_rest_are_ignored():
+def test_links_next_to_each_other_that_overlap_at_rest_are_ignored_and_listed():
     found, arm = clearance_of(TOUCHING_AT_REST), robot(TOUCHING_AT_REST)
     assert arm.mj_model.ngeom > 4
     assert found.slack(arm.reference[None]).value[0] > 0.0
@@ -147,7 +147,30 @@ def test_a_pair_nearer_than_the_clearance_keeps_half_its_distance_at_rest():
     closest = found.closest(np.zeros(2))
     assert closest.distance == pytest.approx(0.004, abs=1e-6)
     assert closest.slack == pytest.approx(KEPT_SHARE * 0.004, abs=1e-6)
-    assert len(found.close_at_rest) == 1
+    assert found.at_rest.near == ("#1 and ball (4 mm apart)",)
+
+
+def test_what_only_grazes_at_rest_never_gets_deeper():
+    """A table 0.5 mm too high is not a reason to go through it."""
+    found = clearance_of(near_at_rest(-0.0005))
+    assert found.at_rest.touching == ("#1 and ball (0.5 mm deep)",)
+    assert found.slack(np.zeros((1, 2))).value[0] == pytest.approx(1e-4, abs=1e-6)
+    away, deeper = found.slack(np.array([[-0.02, 0.0], [0.001, 0.0]])).value
+    assert away > 0.0 > deeper
+
+
+def test_bodies_deep_inside_each_other_at_rest_are_a_collision():
+    found = clearance_of(near_at_rest(-0.005))
+    assert found.at_rest.deep == ("#1 and ball (5 mm deep)",)
+    assert found.slack(np.zeros((1, 2))).value[0] == pytest.approx(-KEEP - 0.005, abs=1e-6)
+
+
+def test_a_gap_is_no_smaller_for_where_the_arm_merely_could_be():
+    """Only where the motion starts excuses a pair from the clearance."""
+    arm = robot(near_at_rest(0.004))
+    started = Clearance(arm, np.array([-0.3, 0.0]), KEEP, ())
+    assert started.at_rest.near == ()
+    assert started.closest(np.zeros(2)).slack == pytest.approx(0.004 - KEEP, abs=1e-6)
 
 
 def test_neighbours_that_cannot_come_nearer_need_no_test():

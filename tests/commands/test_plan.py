@@ -75,10 +75,26 @@ def export(joints):
 
 def test_what_breaks_a_limit_is_explained_and_leaves_no_file(command, arm_file):
     path = arm_file(arms.THREE.replace("<option ", '<option gravity="9.81 0 0" '))
-    weak = ("--max-torque", "0.5", *export(3))
-    message = command.refused("plan", path, *SINES, *weak, code=1)
+    command.run("plan", path, *SINES, "--save-trajectory", "plan.json")
+    weak = ("--trajectory", "plan.json", "--max-torque", "0.5", *export(3))
+    message = command.refused("plan", path, *weak, code=1)
     assert message.endswith("; nothing was written")
-    assert "NOT KEPT: torque limit of joint" in command.run("plan", path, *SINES, *weak, code=1).out
+    assert "NOT KEPT: torque limit of joint" in command.run("plan", path, *weak, code=1).out
+    assert not (path.parent / "sysid_output").exists()
+
+
+@pytest.mark.parametrize("kind", ["sines", "optimal"])
+def test_a_joint_too_weak_to_hold_the_arm_is_refused_unless_a_flag_names_it(
+    kind, command, arm_file
+):
+    """A limit that the motion cannot keep is never left out unsaid."""
+    path = arm_file(arms.THREE.replace("<option ", '<option gravity="9.81 0 0" '))
+    quick = ("--excitation", kind, *SINES[2:], "--max-torque", "100,0.5,100")
+    quick += ("--excitation-time-budget", "0.05") if kind == "optimal" else ()
+    message = command.refused("plan", path, *quick)
+    assert "holding still takes 3.61 N·m at joint joint1, more than 95 % of its torque" in message
+    printed = command.run("plan", path, *quick, "--ignore-torque-limit", "joint1")
+    assert "the torque limit of joint1 is not obeyed, as asked" in printed.err
 
 
 def test_a_motor_file_that_cannot_be_made_leaves_no_trajectory(command, arm_file, monkeypatch):

@@ -172,7 +172,7 @@ def test_plans_do_not_pass_from_one_public_arm_to_another(command):
 
 def test_the_example_arm_is_not_asked_for_more_torque_than_allowed(command):
     weak = ("--max-torque", "1", *motor_types(7))
-    assert "torque limit of joint joint1" in command.refused(GUESS, *SHORT, *weak)
+    assert "holding still takes 10.9 N·m at joint joint1" in command.refused(GUESS, *SHORT, *weak)
 
 
 @pytest.mark.parametrize("case", sorted({*BROKEN} - {"torque"}))

@@ -161,12 +161,6 @@ def test_where_nothing_is_feasible_the_limit_is_named():
     assert "\n" not in str(caught.value)
 
 
-def test_a_motor_too_weak_to_hold_the_arm_is_said_before_the_search():
-    some = replace(weak(TUBES, 1e-3), rest=np.array([0.0, 0.7, 0.2, 0.0]))
-    with pytest.raises(InputError, match="no trajectory is feasible: holding still takes"):
-        search_of(some, time_budget=1e6, draws=10**9)
-
-
 def test_the_floor_of_the_model_is_not_touched():
     result = search(TUBES_ON_FLOOR, 0, rounds=2, iterations=20)
     assert_obeys(TUBES_ON_FLOOR, result, problem(TUBES_ON_FLOOR))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robot_sysid.model.contacts import ContactFinder, find_new_contacts
+from robot_sysid.model.contacts import ContactFinder, find_new_contacts, neighbours
 from robot_sysid.records import Motion
 from tests.support import arms
 from tests.support.arms import Y, Z, hinge, link, robot_of, world
@@ -50,10 +50,46 @@ def test_chunks_do_not_matter():
     assert find_new_contacts(robot, parts) == find_new_contacts(robot, [whole])
 
 
-def test_what_touches_at_rest_is_taken_for_granted():
-    resting = '<body name="stand" pos=".4 0 .42"><geom size=".05"/></body>'
-    robot = robot_of(arm_with_tip(resting))
-    assert find_new_contacts(robot, [sweep([0.0, 0.05, -0.05])]) == ()
+def test_what_touches_at_rest_is_told_once_and_is_no_news_later():
+    stand = '<body name="stand" pos=".4 0 .42"><geom size=".05"/></body>'
+    found = contacts(arm_with_tip(stand), [0.0, 0.05, -0.05])
+    assert found == ("tip and stand touch at rest",)
+
+
+def names_of_neighbours(xml):
+    model = robot_of(xml).mj_model
+    label = [model.body(k).name for k in range(model.nbody)]
+    return {(label[a], label[b]) for a, b in np.argwhere(np.triu(neighbours(model)))}
+
+
+def test_neighbours_are_what_carries_and_what_is_carried():
+    camera = '<body name="camera"><geom size=".01"/></body>'
+    arm = link(
+        hinge("turn", Z),
+        link(hinge("bend", Y), camera, "tip", pos=".4 0 0")
+        + camera[:-7].replace("camera", "lamp")
+        + "</body>",
+        "upper",
+        pos="0 0 .5",
+    )
+    base = f'<body name="base"><geom size=".1"/><body name="cover"/>{arm}</body>'
+    beside = '<body name="table"><geom size=".1"/></body>'
+    assert names_of_neighbours(world(base + beside)) == {
+        ("base", "upper"),
+        ("base", "lamp"),
+        ("upper", "tip"),
+        ("upper", "camera"),
+        ("tip", "lamp"),
+        ("camera", "lamp"),
+    }
+
+
+def test_links_that_carry_each_other_may_overlap():
+    thick = arm_with_tip().replace('name="upper" pos="0 0 .5"', 'name="upper" pos="0 0 .1"')
+    base = f'<body name="base"><geom size=".2"/>{thick.split("<worldbody>")[1].split("</worl")[0]}'
+    assert contacts(world(base.replace(BALL, BALL + '<geom size=".5"/>') + "</body>"), [0.0]) == (
+        "base and tip touch at rest",
+    )
 
 
 def test_things_that_touch_each_other_beside_the_arm_are_no_news():

@@ -208,11 +208,11 @@ def compile_xml(xml):
     return mujoco.MjModel.from_xml_string(xml)
 
 
-def robot_of(xml, joint=None, max_velocity=2.0):
+def robot_of(xml, joint=None, max_velocity=2.0, keyframe=None):
     """RobotModel of an XML string or a compiled model."""
     mj_model = compile_xml(xml) if isinstance(xml, str) else xml
     compiled = CompiledModel(mj_model, (), "", "mjcf")
-    return robot_from_compiled(compiled, Path("inline.xml"), joint, max_velocity)
+    return robot_from_compiled(compiled, Path("inline.xml"), joint, max_velocity, keyframe)
 
 
 def write_body(mj_model, body, theta):
