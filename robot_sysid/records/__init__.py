@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from robot_sysid.records.arm import (
     ArmLink,
+    Flange,
     InertialParameters,
     JointFriction,
     JointLimits,
@@ -46,6 +47,7 @@ __all__ = [
     "BodyMotion",
     "DataOrigin",
     "Estimate",
+    "Flange",
     "Identifiability",
     "Identification",
     "InertialParameters",

@@ -114,6 +114,48 @@ class ArmLink:
 
 
 @dataclass(frozen=True)
+class Flange:
+    """A frame fixed to the terminal body, in which a payload is stated.
+
+    Attributes:
+        name: of the site or body, or the numbers it was given by.
+        rotation: (3, 3) its axes in the terminal body's frame.
+        translation: (3,) its origin in the terminal body's frame [m].
+        terminal: name of the terminal body.
+        carrier: MuJoCo id of the body it belongs to.
+        note: how it was chosen, where nobody named it.
+    """
+
+    name: str
+    rotation: Array
+    translation: Array
+    terminal: str = "terminal body"
+    carrier: int = 0
+    note: str | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rotation", checked_array(self.rotation, (3, 3), "rotation"))
+        object.__setattr__(self, "translation", checked_array(self.translation, (3,), "flange"))
+        square = self.rotation @ self.rotation.T
+        if not np.allclose(square, np.eye(3)) or np.linalg.det(self.rotation) < 0.0:
+            raise InputError(f"the axes of flange {self.name} are not a right-handed frame")
+
+    def to_flange(self, theta: Array) -> Array:
+        """Return theta (10,) in this frame from theta in the terminal body's frame."""
+        back = self.rotation.T
+        return spatial.transform_theta(theta, back, -back @ self.translation)
+
+    def from_flange(self, theta: Array) -> Array:
+        """Return theta (10,) in the terminal body's frame from theta in this frame."""
+        return spatial.transform_theta(theta, self.rotation, self.translation)
+
+    def covariance_to_flange(self, covariance: Array) -> Array:
+        """Return the covariance (10, 10) of theta in this frame from that in the terminal's."""
+        change = np.stack([self.to_flange(unit) for unit in np.eye(10)], axis=1)
+        return np.asarray(change @ covariance @ change.T)
+
+
+@dataclass(frozen=True)
 class JointLimits:
     """What each chain joint may do; infinite where there is no limit.
 

@@ -1,0 +1,171 @@
+"""The flange: whatever names it, it is where MuJoCo puts it, and never something that moves."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.errors import InputError, ModelError
+from robot_sysid.model.flange import find_flange
+from robot_sysid.records import Flange
+from tests.support.arms import SEEDS, X, Y, Z, random_rotation, robot_of, serial_arm
+from tests.support.model_files import random_theta
+
+TIP = (
+    '<site name="attachment_site" pos=".01 -.02 .1" quat="1 .2 -.3 .4"/>'
+    '<site name="pinch" pos="0 0 .2"/>'
+    '<body name="hand" pos="0 .01 .12" euler=".1 .2 .3"><geom size=".02" mass=".1"/>'
+    '<site name="palm" pos=".03 0 0" euler="0 .5 0"/>'
+    '<body name="jaw"><joint name="grip" type="slide"/><geom size=".01" mass=".02"/>'
+    '<site name="nail"/></body></body>'
+)
+ARM = serial_arm((Z, Y, X), tip=TIP)
+ROBOT = robot_of(ARM, joint="joint2")
+
+
+def world_pose(robot, kind, name, seed=0):
+    """(rotation, origin) of a site or body relative to the terminal body, in some configuration."""
+    data = mujoco.MjData(robot.mj_model)
+    data.qpos[:] = np.random.default_rng(seed).uniform(-1.0, 1.0, robot.mj_model.nq)
+    mujoco.mj_kinematics(robot.mj_model, data)
+    place = getattr(data, kind)(name)
+    axes = data.xmat[robot.body_id].reshape(3, 3)
+    return axes.T @ place.xmat.reshape(3, 3), axes.T @ (place.xpos - data.xpos[robot.body_id])
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"), [("site", "attachment_site"), ("site", "palm"), ("body", "hand")]
+)
+@pytest.mark.parametrize("seed", range(3))
+def test_a_named_flange_is_where_mujoco_puts_it_whatever_the_joints_do(kind, name, seed):
+    flange = find_flange(ROBOT, name)
+    rotation, translation = world_pose(ROBOT, kind, name, seed)
+    np.testing.assert_allclose(flange.rotation, rotation, rtol=0.0, atol=1e-14)
+    np.testing.assert_allclose(flange.translation, translation, rtol=0.0, atol=1e-14)
+    assert (flange.name, flange.terminal, flange.note) == (f"{kind} '{name}'", "link2", None)
+
+
+def test_the_body_that_carries_it_is_known():
+    carriers = {name: find_flange(ROBOT, name).carrier for name in ("attachment_site", "palm")}
+    expected = {"attachment_site": ROBOT.body_id, "palm": ROBOT.mj_model.body("hand").id}
+    assert carriers == expected
+
+
+@given(SEEDS)
+def test_numbers_are_metres_and_degrees_about_fixed_axes(seed):
+    rng = np.random.default_rng(seed)
+    place, angles = rng.uniform(-1.0, 1.0, 3), rng.uniform(-180.0, 180.0, 3)
+    flange = find_flange(ROBOT, ", ".join(str(value) for value in (*place, *angles)))
+    (sr, sp, sy), (cr, cp, cy) = np.sin(np.radians(angles)), np.cos(np.radians(angles))
+    about_z = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
+    about_y = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
+    np.testing.assert_allclose(flange.rotation, about_z @ about_y @ about_x, rtol=0.0, atol=1e-14)
+    np.testing.assert_array_equal(flange.translation, place)
+    assert flange.carrier == ROBOT.body_id
+
+
+@pytest.mark.parametrize(
+    ("site", "taken"),
+    [
+        ("attachment_site", "site 'attachment_site'"),
+        ("left/attachment", "site 'left/attachment'"),
+        ("tool_flange", "site 'tool_flange'"),
+        ("arm_flange_link", "site 'arm_flange_link'"),
+        ("tool0", "site 'tool0'"),
+        ("ee", "site 'ee'"),
+        ("end_effector", "site 'end_effector'"),
+        ("pinch_site", "body 'link2'"),
+        ("tcp", "body 'link2'"),
+        ("knee", "body 'link2'"),
+        ("flangeless", "body 'link2'"),
+    ],
+)
+def test_what_is_called_like_a_flange_is_taken_and_said(site, taken):
+    flange = find_flange(robot_of(serial_arm((Z, Y, X), tip=f'<site name="{site}"/>')))
+    assert flange.name == taken
+    words = "because of its name" if taken.startswith("site") else "--flange names another one"
+    assert words in flange.note
+
+
+def test_a_site_and_a_body_of_one_place_are_one_flange():
+    twice = '<body name="flange" pos="0 0 .1"><site name="flange_site"/></body>'
+    flange = find_flange(robot_of(serial_arm((Z, Y, X), tip=twice)))
+    assert flange.name == "site 'flange_site'"
+    np.testing.assert_allclose(flange.translation, [0.0, 0.0, 0.1], rtol=0.0, atol=1e-15)
+
+
+def test_two_places_that_could_be_the_flange_are_asked_for():
+    tip = '<site name="a_flange"/><site name="b_flange" pos="0 0 .1"/>'
+    with pytest.raises(ModelError, match="site 'a_flange', site 'b_flange' could each be") as error:
+        find_flange(robot_of(serial_arm((Z, Y, X), tip=tip)))
+    assert "--flange NAME" in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["jaw", "nail", "link1", "world"])
+def test_what_moves_against_the_terminal_body_is_refused(name):
+    with pytest.raises(ModelError, match=f"'{name}' moves against the terminal body") as error:
+        find_flange(ROBOT, name)
+    assert "site 'palm'" in str(error.value) and "nail'," not in str(error.value)
+
+
+def test_an_unknown_name_lists_the_valid_ones():
+    with pytest.raises(ModelError, match="--flange tool7: no such site or body") as error:
+        find_flange(ROBOT, "tool7")
+    listed = "site 'attachment_site', site 'pinch', site 'palm', body 'link2', body 'hand'"
+    assert listed in str(error.value)
+
+
+@pytest.mark.parametrize("text", ["1,2", "0,0,0,0", "a,b,c", "0,0,nan", "0,0,inf", "0,,0", ","])
+def test_numbers_that_are_none_say_what_is_wanted(text):
+    with pytest.raises(ModelError, match="x,y,z in metres or x,y,z,roll,pitch,yaw"):
+        find_flange(ROBOT, text)
+
+
+def test_millimetres_are_noticed():
+    with pytest.raises(ModelError, match="metres, not millimetres"):
+        find_flange(ROBOT, "0,0,107")
+
+
+def some_flange(rng):
+    return Flange("somewhere", random_rotation(rng), rng.normal(size=3))
+
+
+@given(SEEDS)
+def test_there_and_back_is_the_same_body(seed):
+    rng = np.random.default_rng(seed)
+    flange, theta = some_flange(rng), random_theta(rng)
+    back = flange.from_flange(flange.to_flange(theta))
+    np.testing.assert_allclose(back, theta, rtol=0.0, atol=1e-13)
+
+
+@given(SEEDS)
+def test_a_point_stays_where_it_is(seed):
+    rng = np.random.default_rng(seed)
+    flange, point = some_flange(rng), rng.normal(size=3)
+    theta = spatial.theta_from_com(2.0, point, np.zeros((3, 3)))
+    mass, com, inertia = spatial.com_from_theta(flange.to_flange(theta))
+    assert mass == pytest.approx(2.0)
+    moved = flange.translation + flange.rotation @ com
+    np.testing.assert_allclose(moved, point, rtol=0.0, atol=1e-13)
+    np.testing.assert_allclose(inertia, 0.0, rtol=0.0, atol=1e-12)
+
+
+@given(SEEDS, st.integers(0, 9))
+def test_the_covariance_moves_like_the_parameters(seed, k):
+    rng = np.random.default_rng(seed)
+    flange, step = some_flange(rng), rng.normal(size=10)
+    found = flange.covariance_to_flange(np.outer(step, step))
+    moved = flange.to_flange(step)
+    np.testing.assert_allclose(found, np.outer(moved, moved), rtol=0.0, atol=1e-10)
+    assert found[k, k] >= 0.0
+
+
+@pytest.mark.parametrize("rotation", [np.diag([1.0, 1.0, -1.0]), 2.0 * np.eye(3)])
+def test_axes_that_are_no_frame_are_refused(rotation):
+    with pytest.raises(InputError, match="not a right-handed frame"):
+        Flange("mirror", rotation, np.zeros(3))
