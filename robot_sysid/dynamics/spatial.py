@@ -7,11 +7,15 @@ about the CENTRE OF MASS in the order xx yy zz xy xz yz. ``(..., 10)`` arrays ma
 
 from __future__ import annotations
 
+from itertools import permutations, product
+
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+_LOCKED = 1e-8
+"""Cosine of the pitch below which roll and yaw turn about one axis."""
 PARAMETER_NAMES = ("m", "hx", "hy", "hz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 # Where the entries of a symmetric matrix stand in [xx, xy, xz, yy, yz, zz].
 _OF_SIX = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
@@ -55,6 +59,43 @@ def com_from_theta(theta: Array) -> tuple[float, Array, Array]:
     com = h / mass if mass != 0.0 else np.zeros(3)
     steiner = mass * (com @ com * np.eye(3) - np.outer(com, com))
     return mass, com, symmetric_from_six(theta[4:10]) - steiner
+
+
+def principal_axes(inertia: Array) -> tuple[Array, Array]:
+    """Return (principal moments (3,), their axes (3, 3) as columns, right-handed).
+
+    Of the 24 ways to order and sign them, the one that turns the frame's own axes least.
+    """
+    moments, axes = np.linalg.eigh(inertia)
+    ways = [
+        (list(order), axes[:, order] * np.array(signs))
+        for order in permutations(range(3))
+        for signs in product((1.0, -1.0), repeat=3)
+    ]
+    proper = [way for way in ways if np.linalg.det(way[1]) > 0.0]
+    order, nearest = max(proper, key=lambda way: float(np.trace(way[1])))
+    return moments[order], nearest
+
+
+def roll_pitch_yaw(rotation: Array) -> Array:
+    """Return angles (3,) about the fixed axes x, y, z [rad]: R = Rz(yaw) Ry(pitch) Rx(roll).
+
+    Where pitch is a right angle, only the sum or difference of the others counts: roll is zero.
+    """
+    cosine = float(np.hypot(rotation[0, 0], rotation[1, 0]))
+    pitch = np.arctan2(-rotation[2, 0], cosine)
+    if cosine < _LOCKED:
+        return np.array([0.0, pitch, np.arctan2(-rotation[0, 1], rotation[1, 1])])
+    roll = np.arctan2(rotation[2, 1], rotation[2, 2])
+    return np.array([roll, pitch, np.arctan2(rotation[1, 0], rotation[0, 0])])
+
+
+def quaternion(rotation: Array) -> Array:
+    """Return the unit quaternion (4,) w x y z of a rotation, w not negative."""
+    from scipy.spatial.transform import Rotation
+
+    x, y, z, w = Rotation.from_matrix(rotation).as_quat()
+    return np.array([w, x, y, z]) * (-1.0 if w < 0.0 else 1.0)
 
 
 def transform_theta(theta: Array, rotation: Array, translation: Array) -> Array:

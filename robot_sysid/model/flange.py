@@ -113,12 +113,12 @@ def _likely(robot: RobotModel, frames: tuple[_Frame, ...]) -> tuple[_Frame, str]
         found = [frame for frame in others if pattern.fullmatch(frame.name)]
         if found and not all(frame.is_at(found[0]) for frame in found):
             listed = ", ".join(frame.words for frame in found)
-            raise ModelError(f"{listed} could each be the flange; choose one with --flange NAME")
+            raise ModelError(f"{listed} could each be the flange; choose one by its name")
         if found:
             return found[0], f"{found[0].words} was taken for the flange, because of its name"
     return terminal, (
         f"no site or body that is fixed to body '{robot.body_name}' is called like a flange, so "
-        "the frame of that body is taken; --flange names another one"
+        "the frame of that body is taken; another one can be named"
     )
 
 
@@ -131,13 +131,13 @@ def _from_numbers(robot: RobotModel, text: str) -> Flange:
         numbers = []
     if len(numbers) not in (3, 6) or not np.all(np.isfinite(numbers)):
         raise ModelError(
-            f"--flange {text}: neither a name nor numbers; wanted are x,y,z in metres or "
+            f"flange {text}: neither a name nor numbers; wanted are x,y,z in metres or "
             "x,y,z,roll,pitch,yaw with degrees, in the terminal body's frame"
         )
     translation = np.array(numbers[:3])
     if np.max(np.abs(translation)) > REACH:
         raise ModelError(
-            f"--flange {text}: more than {REACH:g} m away from body '{robot.body_name}'; the "
+            f"flange {text}: more than {REACH:g} m away from body '{robot.body_name}'; the "
             "numbers are metres, not millimetres"
         )
     # Rz(yaw) Ry(pitch) Rx(roll), as in a URDF.
@@ -152,7 +152,7 @@ def _unknown(robot: RobotModel, name: str, frames: tuple[_Frame, ...]) -> str:
     if name in bodies or name in _sites(mj_model):
         kind = "body" if name in bodies else "site"
         return (
-            f"--flange {name}: {kind} '{name}' moves against the terminal body, or stands before "
+            f"flange {name}: {kind} '{name}' moves against the terminal body, or stands before "
             f"it, so it is no flange; {known}; or give x,y,z in metres"
         )
-    return f"--flange {name}: no such site or body; {known}; or give x,y,z in metres"
+    return f"flange {name}: no such site or body; {known}; or give x,y,z in metres"

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from robot_sysid.dynamics import spatial
 from tests.support.arms import random_rotation
@@ -164,3 +165,42 @@ def test_the_scale_of_a_body_follows_its_units(seed, mass_power, length_power):
     units = spatial.parameter_scale(10.0**mass_power, 10.0**length_power)
     one, other = (spatial.characteristic_length(t) for t in (theta, units * theta))
     assert other == pytest.approx(10.0**length_power * one, rel=1e-12)
+
+
+def turns(rng, kind):
+    """A rotation anywhere, at right angles, or so near a right pitch that roll and yaw mix."""
+    if kind == "any":
+        return random_rotation(rng)
+    if kind == "right angles":
+        return Rotation.from_euler("ZYX", 90.0 * rng.integers(-2, 3, 3), degrees=True).as_matrix()
+    tilt = rng.choice([-1.0, 1.0]) * (0.5 * np.pi - 10.0 ** rng.uniform(-12.0, -5.0))
+    return Rotation.from_euler("ZYX", [rng.uniform(-3, 3), tilt, rng.uniform(-3, 3)]).as_matrix()
+
+
+KINDS = st.sampled_from(["any", "right angles", "nearly locked"])
+
+
+@given(SEEDS, KINDS)
+def test_angles_and_quaternions_turn_back_into_the_rotation(seed, kind):
+    rotation = turns(np.random.default_rng(seed), kind)
+    roll, pitch, yaw = spatial.roll_pitch_yaw(rotation)
+    back = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
+    np.testing.assert_allclose(back, rotation, rtol=0.0, atol=3e-8)
+    w, *xyz = spatial.quaternion(rotation)
+    np.testing.assert_allclose(
+        Rotation.from_quat([*xyz, w]).as_matrix(), rotation, rtol=0.0, atol=1e-14
+    )
+    assert w >= 0.0
+
+
+@given(SEEDS, st.sampled_from([1.0, 1e-6, 1e-12, 0.0]))
+def test_principal_axes_give_the_inertia_back_and_turn_least(seed, spread):
+    rng = np.random.default_rng(seed)
+    axes = random_rotation(rng)
+    inertia = axes @ np.diag(1.0 + spread * rng.uniform(0.0, 1.0, 3)) @ axes.T
+    moments, found = spatial.principal_axes(inertia)
+    np.testing.assert_allclose(found @ np.diag(moments) @ found.T, inertia, rtol=0.0, atol=1e-14)
+    np.testing.assert_allclose(found.T @ found, np.eye(3), rtol=0.0, atol=1e-14)
+    assert np.linalg.det(found) > 0.0
+    # No frame is further than 62.8 degrees from the nearest of its 24 turns.
+    assert np.trace(found) >= 1.0 + 2.0 * np.cos(np.radians(62.8))
