@@ -7,21 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
-import numpy as np
-
 from robot_sysid.errors import ExportError
-from robot_sysid.mjcf.compiler_settings import bound_inertia
-from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.updated_model import updated_model_text
-from robot_sysid.mjcf.write_back import EXACT, Tolerance, WriteBack, plan_write_back
-from robot_sysid.model.inertia import subtree_bodies
+from robot_sysid.mjcf.write_back import WriteBack
+from robot_sysid.output.model_writing import ModelTarget, write_link
 from robot_sysid.output.params_json import export_params_json, params_json_text
-from robot_sysid.output.verification import (
-    reads_fullinertia_exactly,
-    require_reproduction,
-    verify_written_model,
-)
-from robot_sysid.records import Estimate, Identification, Motion, RobotModel
+from robot_sysid.records import Identification, Motion, RobotModel
 from robot_sysid.records.atomic_files import WholeFiles, whole_files, write_whole
 from robot_sysid.records.results import DAMIAO_NAME, MODEL_NAMES, PARAMS_NAME
 
@@ -133,28 +124,6 @@ def _write_model(
 ) -> tuple[str, ...]:
     """Write the updated model, compile it again and compare; returns notes."""
     estimate = identification.estimate
-    theta = estimate.inertial.theta
-    bodies = subtree_bodies(robot.mj_model, robot.reference_qpos, robot.body_id)
-    plan = plan_write_back(theta, bodies, _tolerance(robot, estimate))
-    text = updated_model_text(
-        robot.path,
-        robot.body_name,
-        plan,
-        estimate.rmse,
-        path.absolute().parent,
-        mesh_dir,
-        principal=not reads_fullinertia_exactly(plan.theta),
-    )
-    draft = files.write(path, text)
-    compiled = verify_written_model(robot.mj_model, draft, robot.body_id, plan)
-    require_reproduction(robot, plan.written(theta), compiled.mj_model, checkpoints, path)
-    return (plan.note,) if plan.note else ()
-
-
-def _tolerance(robot: RobotModel, estimate: Estimate) -> Tolerance:
-    """Return how far moments may be inflated: within their standard errors."""
-    if estimate.standard_errors is None:
-        return EXACT
-    errors = [estimate.standard_errors[estimate.names.index(n)] for n in ("Ixx", "Iyy", "Izz")]
-    finite = [float(error) for error in errors if np.isfinite(error)]
-    return Tolerance(bound_inertia(read_document(robot.path)), min(finite, default=0.0))
+    target = ModelTarget(files, path, checkpoints, estimate.rmse, mesh_dir)
+    errors = None if estimate.standard_errors is None else estimate.standard_errors[:10]
+    return write_link(robot, estimate.inertial, target, errors)

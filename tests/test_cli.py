@@ -254,7 +254,7 @@ def test_debug_shows_the_traceback(arm, capsys):
 
 
 def test_an_interrupt_leaves_no_file(arm, capsys, monkeypatch):
-    import robot_sysid.export as results
+    import robot_sysid.output.model_writing as results
 
     def interrupt(*_args, **_kwargs):
         raise KeyboardInterrupt
@@ -336,7 +336,7 @@ def test_a_signal_at_work_leaves_the_old_results_and_no_drafts(
     def stop(*_, **__):
         signal.raise_signal(signal.SIGTERM)
 
-    monkeypatch.setattr("robot_sysid.export.require_reproduction", stop)
+    monkeypatch.setattr("robot_sysid.output.model_writing.require_reproduction", stop)
     command.run(arm, *SHORT, *EXPORT, *SECOND, code=130)
     assert files_in(arm.parent / "sysid_output") == both_sets[0]
 

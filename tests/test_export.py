@@ -62,7 +62,7 @@ def exported(source, label, composite, target, mesh_dir=None, original=None):
     plan = plan_write_back(composite, subtree_bodies(original, original.qpos0, body))
     principal = not reads_fullinertia_exactly(plan.theta)
     export_updated_xml(source, label, plan, 1.23e-4, target, mesh_dir, principal)
-    return plan, verify_written_model(original, target, body, plan).mj_model, body
+    return plan, verify_written_model(original, target, {body: plan}).mj_model, body
 
 
 @pytest.fixture(scope="module")
@@ -119,7 +119,7 @@ def test_the_input_file_may_be_overwritten(tmp_path):
     source = write_files(tmp_path, {"m.xml": ARM})
     original = compile_model(source).mj_model
     export_updated_xml(source, "link2", WriteBack(THETA), 0.0, source, principal=True)
-    verify_written_model(original, source, original.body("link2").id, WriteBack(THETA))
+    verify_written_model(original, source, {original.body("link2").id: WriteBack(THETA)})
 
 
 MASSLESS = ARM.replace(

@@ -16,8 +16,13 @@ from robot_sysid.dynamics.equations import TERMINAL_FRICTION, Equations, frictio
 from robot_sysid.dynamics.kinematics import ArmDynamics, ChainKinematics
 from robot_sysid.errors import AmbiguousJointError, ModelError
 from robot_sysid.estimation.options import EstimationOptions
+from robot_sysid.mjcf.changes import JointChange
+from robot_sysid.model.flange import find_flange
 from robot_sysid.model.inertia import body_theta, composite_theta
+from robot_sysid.output.model_writing import ModelTarget, write_links, write_payload
 from robot_sysid.parser import load_robot_model
+from robot_sysid.records import InertialParameters, Motion
+from robot_sysid.records.atomic_files import whole_files
 from robot_sysid.regressor import joint_regressor
 from robot_sysid.simulator import ArmTorque, collect_sysid_data, simulate_inverse
 from robot_sysid.solver import identify_parameters
@@ -27,6 +32,7 @@ from robot_sysid.trajectory import (
     motion_chunks,
 )
 from tests.support import arms
+from tests.support.model_files import random_theta
 from tests.support.places import MODELS
 
 pytestmark = pytest.mark.skipif(not MODELS.is_dir(), reason="the public models are not here")
@@ -212,3 +218,28 @@ def test_the_last_joint_alone_keeps_what_it_cannot_see(model, joint):
     estimate = identify_parameters(information, equations.prior)
     assert estimate.identifiability.rank <= 9
     np.testing.assert_allclose(estimate.values, equations.prior, rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("model", "joint"),
+    [
+        ("franka_panda/scene.xml", None),
+        ("aloha/aloha.xml", "left/wrist_rotate"),
+        ("franka_fr3/FrankaFR3_7DoF.urdf", None),
+    ],
+)
+def test_a_payload_and_all_links_are_written_into_public_models(tmp_path, model, joint):
+    """Each written model is compiled, compared and moved by the writing itself."""
+    robot, rng = load(model, joint), np.random.default_rng(0)
+    q, qd, qdd = arms.random_motion(rng, robot.n_joints, 5)
+    payload = InertialParameters(random_theta(rng, 1.0))
+    thetas = np.array([link.theta + random_theta(rng, 0.5) for link in robot.links])
+    changes = [JointChange(name, 0.1, 0.2, 0.3) for name in robot.joint_names]
+    with whole_files() as files:
+        path = tmp_path / f"updated{robot.path.suffix}"
+        target = ModelTarget(files, path, Motion(np.arange(5.0), q, qd, qdd), 0.0)
+        write_payload(robot, payload, find_flange(robot), target)
+        write_payload(robot, payload, find_flange(robot), target, as_body="my payload")
+        write_links(robot, thetas, target, changes)
+    assert path.is_file()

@@ -35,11 +35,21 @@ def bound_inertia(document: ModelDocument) -> float:
     return float(setting(document, "boundinertia") or 0.0)
 
 
-def check_settings(document: ModelDocument, body: Node, theta: Array) -> None:
-    """Raise ExportError where the compiler would change what is written into ``body``."""
+def check_settings(
+    document: ModelDocument, body: Node, theta: Array, gets_child: bool = False
+) -> None:
+    """Raise ExportError where the compiler would change what is written.
+
+    Args:
+        document: the model.
+        body: what is written into.
+        theta: (10,) what is written.
+        gets_child: whether it goes into a new body that is welded to ``body``.
+    """
     if float(setting(document, "settotalmass") or 0.0) > 0.0:
         _refuse(document, "settotalmass", "rescales the mass of every body; remove it")
-    if setting(document, "fusestatic") == "true" and document.kind == "mjcf" and _has_welded(body):
+    is_fused = setting(document, "fusestatic") == "true" and document.kind == "mjcf"
+    if is_fused and (gets_child or _has_welded(body)):
         _refuse(document, "fusestatic", "merges bodies with the identified one; set it to false")
     mass, _, inertia = spatial.com_from_theta(theta)
     smallest = float(np.linalg.eigvalsh(inertia)[0])

@@ -50,7 +50,7 @@ def urdf_inertial_about_com(mass: float, com: Array, inertia: Array) -> str:
     """Return URDF for a mass, centre of mass (3,) and inertia about it (3, 3) in link axes."""
     names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
     six = spatial.six_from_symmetric(inertia)
-    moments = " ".join(f'{name}="{_number(value)}"' for name, value in zip(names, six))
+    moments = " ".join(f'{name}="{number(value)}"' for name, value in zip(names, six))
     return (
         f'<inertial><origin xyz="{numbers(com)}" rpy="0 0 0"/><mass value="{float(mass)!r}"/>'
         f"<inertia {moments}/></inertial>"
@@ -59,10 +59,11 @@ def urdf_inertial_about_com(mass: float, com: Array, inertia: Array) -> str:
 
 def numbers(values: Array) -> str:
     """Return numbers with all their digits, separated by spaces."""
-    return " ".join(_number(value) for value in values)
+    return " ".join(number(value) for value in values)
 
 
-def _number(value: float) -> str:
+def number(value: float) -> str:
+    """Return a number with all its digits."""
     # Also turns -0.0 into 0.0; MuJoCo 3.3 refuses to read denormal numbers.
     return repr(float(value)) if abs(value) >= _SMALLEST_NORMAL else "0.0"
 
@@ -87,17 +88,23 @@ def inertial_edit(body: Node, inertial: str) -> tuple[Node, Edit]:
 def comment_edit(body: Node, label: str, rmse: float, addition: str | None) -> Edit:
     """Return the edit that puts the comment before a body, in place of an older one."""
     text, start = body.file.text, body.file.span(body.element).start
-    figure = f"{rmse:.6f}" if rmse == 0.0 or rmse >= 1e-6 else f"{rmse:.3g}"
-    words = f"System ID: body '{label}' identified with RMSE {figure} Nm"
-    words += f"; {addition}" if addition else ""
-    comment = f"<!-- {words.replace('--', '- -')} -->".encode()
+    comment = comment_text(label, rmse, addition).encode()
     old = _OLD_COMMENT.search(text[:start])
     # What follows the comment repeats the body's own indentation.
     between = markup.line_break(text) + markup.indentation(text, start)
     return Edit(old.start() if old else start, start, comment + between)
 
 
-_MULTIPLIERS = ("replicate", "attach", "composite", "flexcomp")
+def comment_text(label: str, rmse: float, addition: str | None) -> str:
+    """Return the comment that says what was identified about a body."""
+    figure = f"{rmse:.6f}" if rmse == 0.0 or rmse >= 1e-6 else f"{rmse:.3g}"
+    words = f"System ID: body '{label}' identified with RMSE {figure} Nm"
+    words += f"; {addition}" if addition else ""
+    return f"<!-- {words.replace('--', '- -')} -->"
+
+
+MULTIPLIERS = ("replicate", "attach", "composite", "flexcomp")
+"""Elements that make bodies which are not written out."""
 
 
 def find_body(document: ModelDocument, label: str) -> Node:
@@ -125,17 +132,17 @@ def find_body(document: ModelDocument, label: str) -> Node:
 
 
 def _by_number(document: ModelDocument, label: str) -> Node:
-    number = re.fullmatch(r"#(\d+)", label)
-    if number is None or document.kind == "urdf":
+    wanted = re.fullmatch(r"#(\d+)", label)
+    if wanted is None or document.kind == "urdf":
         raise ExportError(
             f"{document.path}: body '{label}' is not written out in the file (it comes from an "
             "attached or generated part); identify the attached model file by itself, or write "
             "the body out"
         )
     # MuJoCo numbers bodies depth first, and <frame> adds none.
-    left = int(number.group(1))
+    left = int(wanted.group(1))
     for node in _bodies_and_multipliers(document):
-        if node.tag in _MULTIPLIERS:
+        if node.tag in MULTIPLIERS:
             raise ExportError(
                 f"{document.path}: cannot count up to the nameless body {label} past a "
                 f"<{node.tag}>; give the body a name"
@@ -149,7 +156,7 @@ def _by_number(document: ModelDocument, label: str) -> Node:
 def _bodies_and_multipliers(document: ModelDocument) -> Iterator[Node]:
     for section in document.root.children():
         if section.tag == "worldbody":
-            yield from (n for n in section.walk() if n.tag in ("body", *_MULTIPLIERS))
+            yield from (n for n in section.walk() if n.tag in ("body", *MULTIPLIERS))
 
 
 def _replicates(document: ModelDocument) -> Iterator[Node]:

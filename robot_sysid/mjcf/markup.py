@@ -14,6 +14,7 @@ from xml.sax.saxutils import quoteattr
 
 _START_TAG = re.compile(rb"""<[^\s/>]+(?:[^>"']|"[^"]*"|'[^']*')*>""")
 _ATTRIBUTE = re.compile(rb"""([^\s=/<>"']+)(\s*=\s*)("[^"]*"|'[^']*')""")
+_TAG_NAME = re.compile(rb"<([^\s/>]+)")
 _COMMENT = re.compile(rb"<!--(.*?)-->", re.DOTALL)
 
 
@@ -103,6 +104,20 @@ def remove_attribute(text: bytes, span: Span, name: str) -> Edit | None:
     while text[start - 1 : start].isspace():
         start -= 1
     return Edit(start, found.end(), b"")
+
+
+def append_child(text: bytes, span: Span, child: str) -> Edit:
+    """Return the edit that puts lines of text last into an element, indented one step deeper."""
+    indent = line_break(text) + indentation(text, span.start)
+    lines = b"".join(indent + b"  " + line.encode() for line in child.split("\n"))
+    if span.is_empty_tag:
+        opened = text[span.start : span.end - 2].rstrip() + b">"
+        name = _TAG_NAME.match(opened)
+        assert name is not None
+        closed = indent + b"</" + name.group(1) + b">"
+        return Edit(span.start, span.end, opened + lines + closed)
+    end = len(text[span.inner_start : span.inner_end].rstrip()) + span.inner_start
+    return Edit(end, end, lines + (indent if end == span.inner_end else b""))
 
 
 def _attribute(text: bytes, span: Span, name: str) -> re.Match[bytes] | None:

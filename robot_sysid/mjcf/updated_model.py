@@ -1,14 +1,15 @@
-"""A model file's own text with the terminal body's ``<inertial>`` replaced.
+"""A model file's own text with other inertias, joint numbers, and a new body where one is wanted.
 
 Comments, order and white space stay; paths are rewritten so that it loads from its new folder.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 from robot_sysid.mjcf import markup
+from robot_sysid.mjcf.changes import BodyChange, ModelChange
 from robot_sysid.mjcf.compiler_settings import check_settings, inertia_from_geometry_edits
 from robot_sysid.mjcf.documents import ModelDocument, Node, read_document
 from robot_sysid.mjcf.inertial import (
@@ -18,9 +19,11 @@ from robot_sysid.mjcf.inertial import (
     mjcf_inertial,
     urdf_inertial,
 )
+from robot_sysid.mjcf.joints import joint_edits
 from robot_sysid.mjcf.markup import Edit
 from robot_sysid.mjcf.relocation import relocated_text
 from robot_sysid.mjcf.urdf import minimum_inertia_edits, relocated_urdf
+from robot_sysid.mjcf.welded import welded_edit
 from robot_sysid.mjcf.write_back import WriteBack
 from robot_sysid.records import Array
 
@@ -34,56 +37,91 @@ def updated_model_text(
     mesh_dir: Path | None = None,
     principal: bool = False,
 ) -> bytes:
-    """Return the text of a model file with the terminal body's inertia replaced.
-
-    Of an MJCF with includes, the included files that lead to a changed body, and those that
-    contain paths, take the place of their ``<include>``; the others stay included.
+    """Return the text of a model file with one body's inertia replaced.
 
     Args:
         source: the model file.
         body: name of the terminal body, or "#7" for the nameless body with id 7.
         plan: what to write.
         rmse: of the identification [N m], for the comment.
+        folder, mesh_dir, principal: as in ``changed_model_text``.
+
+    Raises:
+        ExportError: as there.
+    """
+    change = ModelChange((BodyChange(body, 0, plan),), rmse)
+    return changed_model_text(source, change, folder, mesh_dir, principal)
+
+
+def changed_model_text(
+    source: Path,
+    change: ModelChange,
+    folder: Path,
+    mesh_dir: Path | None = None,
+    principal: bool = False,
+) -> bytes:
+    """Return the text of a model file with a change made.
+
+    Of an MJCF with includes, the included files that lead to something changed, and those that
+    contain paths, take the place of their ``<include>``; the others stay included.
+
+    Args:
+        source: the model file.
+        change: what to write.
         folder: where the text will live.
         mesh_dir: the user's mesh folder, if any.
         principal: see ``inertial.mjcf_inertial``.
 
     Raises:
-        ExportError: the body is not written out in the file, or a setting of the file changes
-            inertias when it is compiled.
+        ExportError: a body or joint is not written out in the file, a name is taken, or a setting
+            of the file changes inertias when it is compiled.
     """
     document = read_document(source)
-    terminal = find_body(document, body)
-    check_settings(document, terminal, plan.theta)
-    lumped = [find_body(document, other.name) for other in plan.lumped]
-    edits = [(terminal, comment_edit(terminal, body, rmse, plan.note))]
+    edits, written = [], []
+    for body in change.bodies:
+        found = find_body(document, body.label)
+        check_settings(document, found, body.plan.theta)
+        lumped = [find_body(document, other.name) for other in body.plan.lumped]
+        edits.append((found, comment_edit(found, body.label, change.rmse, body.comment)))
+        edits += _inertials(document, found, body.plan.theta, lumped, principal)
+        written += [found, *lumped]
+    for joint in change.joints:
+        edits += joint_edits(document, joint)
+    if change.welded is not None:
+        carrier = find_body(document, change.welded.carrier)
+        check_settings(document, carrier, change.welded.theta, gets_child=True)
+        edits.append(welded_edit(document, change.welded, change.rmse, principal))
     if document.kind == "urdf":
-        edits += _urdf_edits(document, terminal, lumped, plan.theta)
+        edits += _minimum_edits(document, written)
         return relocated_urdf(document, folder, mesh_dir, [edit for _, edit in edits])
-    edits += _mjcf_edits(terminal, lumped, plan.theta, principal)
-    edits += inertia_from_geometry_edits(document, [terminal, *lumped])
+    edits += inertia_from_geometry_edits(document, written)
     by_file = _by_file(edits)
     return relocated_text(document, folder, mesh_dir, by_file, by_file.keys())
 
 
-def _mjcf_edits(
-    terminal: Node, lumped: Sequence[Node], theta: Array, principal: bool
-) -> list[tuple[Node, Edit]]:
-    empty = mjcf_inertial(0.0 * theta)
-    written = [inertial_edit(terminal, mjcf_inertial(theta, principal))]
-    return written + [inertial_edit(body, empty) for body in lumped]
+def _inertials(
+    document: ModelDocument, body: Node, theta: Array, lumped: Collection[Node], principal: bool
+) -> Iterator[tuple[Node, Edit]]:
+    """Yield the edits that give a body theta (10,) and the lumped ones nothing."""
+
+    def text(parameters: Array) -> str:
+        if document.kind == "urdf":
+            return urdf_inertial(parameters)
+        return mjcf_inertial(parameters, principal)
+
+    yield inertial_edit(body, text(theta))
+    for other in lumped:
+        yield inertial_edit(other, text(0.0 * theta))
 
 
-def _urdf_edits(
-    document: ModelDocument, terminal: Node, lumped: Sequence[Node], theta: Array
-) -> list[tuple[Node, Edit]]:
-    empty = urdf_inertial(0.0 * theta)
-    written = [inertial_edit(terminal, urdf_inertial(theta))]
-    written += [inertial_edit(body, empty) for body in lumped]
-    changed = {body.get("name") for body in (terminal, *lumped)}
-    # What was added to get the model compiled stays in it: MuJoCo has to load it by itself.
-    minimum = minimum_inertia_edits(document)
-    return written + [(document.root, edit) for name, edit in minimum if name not in changed]
+def _minimum_edits(
+    document: ModelDocument, written: Collection[Node]
+) -> Iterator[tuple[Node, Edit]]:
+    """Yield what was added to get a URDF compiled: MuJoCo has to load the text by itself."""
+    changed = {body.get("name") for body in written}
+    for name, edit in minimum_inertia_edits(document):
+        if name not in changed:
+            yield document.root, edit
 
 
 def _by_file(edits: Collection[tuple[Node, Edit]]) -> dict[Path, list[markup.Edit]]:

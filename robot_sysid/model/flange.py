@@ -23,6 +23,7 @@ _LIKELY = tuple(
     re.compile(rf"(?:.*[/_.:-])?(?:{words})(?:[_-](?:site|frame|link))?", re.IGNORECASE)
     for words in ("attachment", "(?:tool_?)?flange", "tool0", "eef?|end_?effector")
 )
+_DOUBT = "; an end effector's frame may also be the tip of the tool: check"
 REACH = 3.0
 """Distance of a flange from its link beyond which the numbers must be millimetres [m]."""
 
@@ -72,6 +73,16 @@ def find_flange(robot: RobotModel, text: str | None = None) -> Flange:
     raise ModelError(_unknown(robot, wanted, frames))
 
 
+def place_in_carrier(robot: RobotModel, flange: Flange) -> tuple[Array, Array]:
+    """Return (rotation (3, 3), translation (3,)) of a flange in the frame of its carrier [m]."""
+    frames = (f for f in _fixed_frames(robot) if f.kind == "body" and f.carrier == flange.carrier)
+    carrier = next(frames)
+    turned = carrier.rotation.T @ flange.rotation
+    moved = carrier.rotation.T @ (flange.translation - carrier.translation)
+    # What is left of a distance after adding and subtracting it is no distance.
+    return np.round(turned, 15), np.round(moved, 15)
+
+
 def _flange(robot: RobotModel, frame: _Frame) -> Flange:
     return Flange(frame.words, frame.rotation, frame.translation, robot.body_name, frame.carrier)
 
@@ -111,11 +122,16 @@ def _likely(robot: RobotModel, frames: tuple[_Frame, ...]) -> tuple[_Frame, str]
     others = [frame for frame in frames if frame is not terminal]
     for pattern in _LIKELY:
         found = [frame for frame in others if pattern.fullmatch(frame.name)]
+        sites = [frame for frame in found if frame.kind == "site"]
+        found = sites or found
         if found and not all(frame.is_at(found[0]) for frame in found):
             listed = ", ".join(frame.words for frame in found)
             raise ModelError(f"{listed} could each be the flange; choose one by its name")
         if found:
-            return found[0], f"{found[0].words} was taken for the flange, because of its name"
+            doubt = _DOUBT if pattern is _LIKELY[-1] else ""
+            return found[
+                0
+            ], f"{found[0].words} was taken for the flange, because of its name{doubt}"
     return terminal, (
         f"no site or body that is fixed to body '{robot.body_name}' is called like a flange, so "
         "the frame of that body is taken; another one can be named"

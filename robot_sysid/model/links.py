@@ -11,7 +11,7 @@ import numpy as np
 from robot_sysid.dynamics.kinematics import subtree
 from robot_sysid.model.chain import body_label
 from robot_sysid.model.inertia import subtree_bodies
-from robot_sysid.records import ArmLink, Array
+from robot_sysid.records import ArmLink, Array, SubtreeBody
 
 
 def arm_links(mj_model: Any, qpos: Array, chain: Sequence[int]) -> tuple[ArmLink, ...]:
@@ -56,10 +56,25 @@ def _screw(mj_model: Any, data: Any, joint: int, rotation: Array) -> Array:
     return np.concatenate((rotation.T @ turn[:, dof], rotation.T @ slide[:, dof]))
 
 
+def link_bodies(
+    mj_model: Any, qpos: Array, body: int, later: Sequence[int]
+) -> tuple[SubtreeBody, ...]:
+    """Return the bodies that make a link, the link's own body first; none where ``later`` has it.
+
+    Args:
+        mj_model: compiled model.
+        qpos: (nq,) configuration.
+        body: the body that the link's joint moves.
+        later: the bodies that later chain joints move.
+    """
+    if body in later:
+        return ()
+    carried = set(subtree(mj_model, later[0])) if later else set()
+    bodies = subtree_bodies(mj_model, qpos, body)
+    return tuple(part for part in bodies if part.body_id not in carried)
+
+
 def _own_theta(mj_model: Any, qpos: Array, body: int, later: Sequence[int]) -> Array:
     """Return theta (10,) of a link without what later chain joints move, in its body's frame."""
-    if body in later:
-        return np.zeros(10)
-    carried = set(subtree(mj_model, later[0])) if later else set()
-    own = [b.theta for b in subtree_bodies(mj_model, qpos, body) if b.body_id not in carried]
-    return np.asarray(np.sum(own, axis=0))
+    own = [part.theta for part in link_bodies(mj_model, qpos, body, later)]
+    return np.asarray(np.sum(own, axis=0)) if own else np.zeros(10)

@@ -7,7 +7,7 @@ predicts, torque by torque.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +16,12 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.kinematics import ArmDynamics, ChainKinematics
+from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.errors import ExportError, InputError
+from robot_sysid.mjcf.changes import JOINT_NUMBERS, JointChange
 from robot_sysid.mjcf.inertial import mjcf_inertial
 from robot_sysid.mjcf.write_back import WriteBack
-from robot_sysid.model.chain import body_label
+from robot_sysid.model.chain import body_label, joint_label
 from robot_sysid.model.compilation import CompiledModel, captured_warnings, compile_model
 from robot_sysid.model.inertia import body_theta
 from robot_sysid.records import Array, Motion, RobotModel
@@ -39,8 +41,9 @@ _WRITTEN = {
     # Whether body frame and inertial frame coincide.
     "body_sameframe",
 }
+_WRITTEN_JOINT = {f"dof_{name}" for name in JOINT_NUMBERS}
 # What MuJoCo computes from masses and inertias when it compiles.
-_DERIVED = {
+DERIVED = {
     "body_subtreemass",
     "body_invweight0",
     "dof_M0",
@@ -72,7 +75,7 @@ _DERIVED = {
     "stat.meansize",
 }
 # Where asset files are, and the sizes that follow from the length of these names.
-_PATHS = {
+PATHS = {
     "paths",
     "npaths",
     "nbuffer",
@@ -90,44 +93,77 @@ _NUMBERS = (int, float, bytes, np.ndarray)
 
 
 def verify_written_model(
-    original: Any, written: Path, body_id: int, plan: WriteBack
+    original: Any,
+    written: Path,
+    bodies: Mapping[int, WriteBack],
+    joints: Sequence[JointChange] = (),
 ) -> CompiledModel:
     """Compile a written model, compare it with the original and return it.
 
     Args:
         original: the compiled input model.
         written: the file that was written.
-        body_id: MuJoCo id of the terminal body.
-        plan: what was to be written.
+        bodies: MuJoCo body id to what was to be written into that body.
+        joints: what was to be written into joints.
 
     Raises:
-        ExportError: it does not load, something else changed, or the inertia is not what was asked
+        ExportError: it does not load, something else changed, or a number is not what was asked
             for; names the field.
     """
-    try:
-        compiled = compile_model(written)
-    except InputError as error:
-        raise ExportError(f"the written model cannot be loaded: {error}") from None
-    changed = {body_id, *(body.body_id for body in plan.lumped)}
-    require_same_model(original, compiled.mj_model, changed)
-    require_theta(compiled.mj_model, body_id, plan.theta, plan.theta)
-    for body in plan.lumped:
-        require_theta(compiled.mj_model, body.body_id, np.zeros(10), plan.theta)
+    compiled = compiled_again(written)
+    lumped = {body.body_id for plan in bodies.values() for body in plan.lumped}
+    dofs = {change: _dof(original, change) for change in joints}
+    require_same_model(original, compiled.mj_model, {*bodies, *lumped}, dofs.values())
+    for body, plan in bodies.items():
+        require_theta(compiled.mj_model, body, plan.theta, plan.theta)
+        for other in plan.lumped:
+            require_theta(compiled.mj_model, other.body_id, np.zeros(10), plan.theta)
+    for change, dof in dofs.items():
+        _require_numbers(original, compiled.mj_model, change, dof)
     return compiled
 
 
-def require_same_model(original: Any, other: Any, changed: Collection[int]) -> None:
+def compiled_again(written: Path) -> CompiledModel:
+    """Return a written model as it loads; ExportError where it does not."""
+    try:
+        return compile_model(written)
+    except InputError as error:
+        raise ExportError(f"the written model cannot be loaded: {error}") from None
+
+
+def _dof(mj_model: Any, change: JointChange) -> int:
+    labels = [joint_label(mj_model, joint) for joint in range(mj_model.njnt)]
+    return int(mj_model.jnt_dofadr[labels.index(change.label)])
+
+
+def _require_numbers(original: Any, written: Any, change: JointChange, dof: int) -> None:
+    """Raise ExportError unless a joint has its new numbers, and its old ones beside them."""
+    for name in JOINT_NUMBERS:
+        asked = change.numbers.get(name, float(getattr(original, f"dof_{name}")[dof]))
+        found = float(getattr(written, f"dof_{name}")[dof])
+        if abs(found - asked) > TOLERANCE * abs(asked):
+            raise ExportError(
+                f"in the written model, joint '{change.label}' has {name} {found:.9g} instead of "
+                f"{asked:.9g}; {_ADVICE.get(f'dof_{name}', 'no model was written')}"
+            )
+
+
+def require_same_model(
+    original: Any, other: Any, changed: Collection[int], dofs: Collection[int] = ()
+) -> None:
     """Raise ExportError naming the first compiled field that differs and may not.
 
     Args:
         original, other: compiled models.
         changed: ids of the bodies whose inertia may differ.
+        dofs: the degrees of freedom whose armature, damping and friction may differ.
     """
-    theirs = dict(_fields(other))
-    for name, value in _fields(original):
-        if name in _DERIVED or name in _PATHS:
+    theirs = dict(compiled_fields(other))
+    rows = {**dict.fromkeys(_WRITTEN, changed), **dict.fromkeys(_WRITTEN_JOINT, dofs)}
+    for name, value in compiled_fields(original):
+        if name in DERIVED or name in PATHS:
             continue
-        if name not in theirs or not _same(name, value, theirs[name], changed):
+        if name not in theirs or not _same(name, value, theirs[name], rows.get(name, ())):
             raise ExportError(
                 f"the written model differs from the original in {name}, which should not have "
                 f"changed; {_ADVICE.get(name, 'no model was written')}"
@@ -180,7 +216,7 @@ def reads_fullinertia_exactly(theta: Array) -> bool:
     return True
 
 
-def _fields(mj_model: Any) -> Iterator[tuple[str, Any]]:
+def compiled_fields(mj_model: Any) -> Iterator[tuple[str, Any]]:
     """Yield every number and array of a compiled model with its name, options included."""
     yield from _numbers(mj_model, "")
     yield from _numbers(mj_model.opt, "opt.")
@@ -205,7 +241,7 @@ def _same(name: str, ours: Any, theirs: Any, changed: Collection[int]) -> bool:
         return bool(ours == theirs)
     if ours.shape != theirs.shape:
         return False
-    if name in _WRITTEN:
+    if changed:
         keep = [i for i in range(len(ours)) if i not in changed]
         ours, theirs = ours[keep], theirs[keep]
     if name == "actuator_biasprm":
@@ -223,14 +259,7 @@ def torque_deviation(
 ) -> tuple[float, str]:
     """Return the largest relative torque deviation of a written model, and at which joint."""
     body = ChainKinematics(robot).evaluate(motion.q, motion.qd, motion.qdd)
-    predicted = joint_torque(body, theta)
-    actual = ArmDynamics(robot, written_model).torque(motion.q, motion.qd, motion.qdd)
-    peak = np.max(np.abs(predicted), axis=0)
-    # A joint that carries next to nothing is judged by what its neighbours carry.
-    scale = np.maximum(peak, 1e-3 * np.max(peak, initial=0.0))
-    relative = np.max(np.abs(actual - predicted), axis=0) / np.where(scale > 0.0, scale, 1.0)
-    worst = int(np.argmax(relative))
-    return float(relative[worst]), robot.joint_names[worst]
+    return _deviation(robot, joint_torque(body, theta), written_model, motion)
 
 
 def require_reproduction(
@@ -245,7 +274,43 @@ def require_reproduction(
         motion: where to compare.
         path: the written file, for the message.
     """
-    deviation, joint = torque_deviation(robot, theta, written_model, motion)
+    _require_small(*torque_deviation(robot, theta, written_model, motion), path)
+
+
+def require_links_reproduction(
+    robot: RobotModel, thetas: Array, written_model: Any, motion: Motion, path: Path
+) -> None:
+    """Raise ExportError where a model with all links written moves differently than identified.
+
+    Args:
+        robot: the arm as it was loaded.
+        thetas: (n, 10) links that were identified, in their bodies' frames.
+        written_model: compiled model of the written file.
+        motion: where to compare.
+        path: the written file, for the message.
+    """
+    links = LinkDynamics(robot).motion(motion.q, motion.qd, motion.qdd)
+    # What is no rigid body (springs, armature) is the original's, but for the written armature.
+    beyond = ArmDynamics(robot).beyond_rigid_bodies(motion.q, motion.qd, motion.qdd)
+    both = (written_model.dof_armature, robot.mj_model.dof_armature)
+    written, before = (values[robot.dof_index] for values in both)
+    predicted = links.torque(thetas) + beyond + (written - before) * motion.qdd
+    _require_small(*_deviation(robot, predicted, written_model, motion), path)
+
+
+def _deviation(
+    robot: RobotModel, predicted: Array, written_model: Any, motion: Motion
+) -> tuple[float, str]:
+    actual = ArmDynamics(robot, written_model).torque(motion.q, motion.qd, motion.qdd)
+    peak = np.max(np.abs(predicted), axis=0)
+    # A joint that carries next to nothing is judged by what its neighbours carry.
+    scale = np.maximum(peak, 1e-3 * np.max(peak, initial=0.0))
+    relative = np.max(np.abs(actual - predicted), axis=0) / np.where(scale > 0.0, scale, 1.0)
+    worst = int(np.argmax(relative))
+    return float(relative[worst]), robot.joint_names[worst]
+
+
+def _require_small(deviation: float, joint: str, path: Path) -> None:
     if not deviation <= TORQUE_TOLERANCE:
         raise ExportError(
             f"{path.name} does not reproduce the identified torques: joint {joint} is off by "

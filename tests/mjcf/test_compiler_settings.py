@@ -45,7 +45,7 @@ def test_a_value_at_its_bound_but_for_rounding_is_written(tmp_path):
     source, target = arm(tmp_path, "boundinertia='1e-6'"), tmp_path / "out" / "m.xml"
     original = mujoco.MjModel.from_xml_path(str(source))
     export_updated_xml(source, "link2", WriteBack(theta), 0.0, target)
-    verify_written_model(original, target, original.body("link2").id, WriteBack(theta))
+    verify_written_model(original, target, {original.body("link2").id: WriteBack(theta)})
 
 
 def test_fusestatic_does_not_matter_to_a_body_without_welded_children(tmp_path):
@@ -80,4 +80,4 @@ def test_the_written_value_survives_and_the_other_bodies_stay(tmp_path, compiler
     original = mujoco.MjModel.from_xml_path(str(source))
     target, plan = tmp_path / "out" / "m.xml", WriteBack(THETA)
     export_updated_xml(source, "link2", plan, 0.0, target, principal=True)
-    verify_written_model(original, target, original.body("link2").id, plan)
+    verify_written_model(original, target, {original.body("link2").id: plan})

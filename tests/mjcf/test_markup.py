@@ -7,6 +7,7 @@ from lxml import etree
 
 from robot_sysid.mjcf.markup import (
     Edit,
+    append_child,
     apply_edits,
     element_spans,
     indentation,
@@ -73,3 +74,21 @@ def test_edits_of_a_part_and_overlaps():
 def test_indentation_is_white_space_only():
     assert indentation(b"a\n  <b/>", 4) == b"  "
     assert indentation(b"a\n x <b/>", 5) == b""
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (b"<r>\n  <a x='1'/>\n</r>", b"<r>\n  <a x='1'>\n    <n>\n    </n>\n  </a>\n</r>"),
+        (
+            b"<r>\n  <a>\n    <b/>\n  </a></r>",
+            b"<r>\n  <a>\n    <b/>\n    <n>\n    </n>\n  </a></r>",
+        ),
+        (b"<r>\n  <a><b/></a></r>", b"<r>\n  <a><b/>\n    <n>\n    </n>\n  </a></r>"),
+        (b"<r>\r\n  <a></a></r>", b"<r>\r\n  <a>\r\n    <n>\r\n    </n>\r\n  </a></r>"),
+        (b"<r><!-- 1 -- 2 --><a/></r>", b"<r><!-- 1 -- 2 --><a>\n  <n>\n  </n>\n</a></r>"),
+    ],
+)
+def test_a_child_is_put_last_and_one_step_deeper(text, expected):
+    span = element_spans(text)[1]
+    assert apply_edits(text, [append_child(text, span, "<n>\n</n>")]) == expected

@@ -99,6 +99,20 @@ def test_a_site_and_a_body_of_one_place_are_one_flange():
     np.testing.assert_allclose(flange.translation, [0.0, 0.0, 0.1], rtol=0.0, atol=1e-15)
 
 
+def test_a_site_counts_more_than_a_body_that_is_called_the_same():
+    turned = '<body name="attachment"><site name="attachment_site" quat="1 0 0 1"/></body>'
+    flange = find_flange(robot_of(serial_arm((Z, Y, X), tip=turned)))
+    assert flange.name == "site 'attachment_site'" and abs(flange.rotation[1, 0] - 1.0) < 1e-12
+
+
+def test_a_frame_that_may_be_the_tools_tip_is_taken_with_a_doubt():
+    notes = [
+        find_flange(robot_of(serial_arm((Z, Y, X), tip=f'<site name="{name}"/>'))).note
+        for name in ("ee_site", "flange")
+    ]
+    assert "may also be the tip of the tool" in notes[0] and "tip" not in notes[1]
+
+
 def test_two_places_that_could_be_the_flange_are_asked_for():
     tip = '<site name="a_flange"/><site name="b_flange" pos="0 0 .1"/>'
     with pytest.raises(ModelError, match="site 'a_flange', site 'b_flange' could each be") as error:

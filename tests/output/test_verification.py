@@ -144,10 +144,10 @@ def test_a_file_that_does_not_load_or_was_tampered_with_is_refused(tmp_path):
     original = mujoco.MjModel.from_xml_path(str(source))
     body = original.body("link2").id
     with pytest.raises(ExportError, match="'link2' has an inertia that is off"):
-        verify_written_model(original, source, body, WriteBack(THETA))
+        verify_written_model(original, source, {body: WriteBack(THETA)})
     source.write_text(FULL.replace('axis="1 0 0"', 'axis="0 0 0"'))
     with pytest.raises(ExportError, match="the written model cannot be loaded: MuJoCo cannot"):
-        verify_written_model(original, source, body, WriteBack(THETA))
+        verify_written_model(original, source, {body: WriteBack(THETA)})
 
 
 def test_whether_mujoco_finds_axes_accurately_is_measured():
@@ -191,7 +191,7 @@ def test_any_possible_link_moves_as_predicted_once_written_and_loaded(arm, theta
     )
     written = arm.path.with_name("written.xml")
     written.write_bytes(text)
-    model = verify_written_model(arm.mj_model, written, arm.body_id, plan).mj_model
+    model = verify_written_model(arm.mj_model, written, {arm.body_id: plan}).mj_model
     deviation, _ = torque_deviation(arm, plan.theta, model, some_motion(seed, 3))
     assert deviation <= TORQUE_TOLERANCE
 

@@ -1,0 +1,110 @@
+"""The joints of a model file, and the edits that give them other numbers."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from robot_sysid.errors import ExportError
+from robot_sysid.mjcf import markup
+from robot_sysid.mjcf.changes import JointChange
+from robot_sysid.mjcf.documents import ModelDocument, Node
+from robot_sysid.mjcf.inertial import MULTIPLIERS, number
+from robot_sysid.mjcf.markup import Edit
+
+_IN_URDF = {"damping": "damping", "frictionloss": "friction"}
+_TAGS = ("joint", "freejoint")
+
+
+def joint_edits(document: ModelDocument, change: JointChange) -> Iterator[tuple[Node, Edit]]:
+    """Yield the edits that give a joint its new numbers.
+
+    Raises:
+        ExportError: the joint is not written out in the file, or a URDF cannot hold the number.
+    """
+    node = find_joint(document, change.label)
+    if document.kind == "urdf":
+        yield from _urdf_edits(document, node, change)
+        return
+    for name, value in change.numbers.items():
+        span = node.file.span(node.element)
+        yield node, markup.set_attribute(node.file.text, span, name, number(value))
+
+
+def _urdf_edits(
+    document: ModelDocument, node: Node, change: JointChange
+) -> Iterator[tuple[Node, Edit]]:
+    if change.armature is not None:
+        raise ExportError(
+            f"{document.path}: a URDF cannot hold the rotor inertia of joint '{change.label}'; "
+            "convert the model to MJCF first"
+        )
+    values = {_IN_URDF[name]: number(value) for name, value in change.numbers.items()}
+    text, span = node.file.text, node.file.span(node.element)
+    old = next((child for child in node.children() if child.tag == "dynamics"), None)
+    if old is not None:
+        place = old.file.span(old.element)
+        for name, value in values.items():
+            yield old, markup.set_attribute(text, place, name, value)
+    elif values:
+        attributes = "".join(f' {name}="{value}"' for name, value in values.items())
+        yield node, markup.append_child(text, span, f"<dynamics{attributes}/>")
+
+
+def find_joint(document: ModelDocument, label: str) -> Node:
+    """Return the ``<joint>`` of a compiled joint.
+
+    Args:
+        document: the model.
+        label: the joint's name, or "#3" for the nameless joint with MuJoCo id 3.
+
+    Raises:
+        ExportError: it is not written out in the file, or a <replicate> repeats it.
+    """
+    joints = list(_joints(document))
+    named = [node for node in joints if node.get("name") == label]
+    by_number = re.fullmatch(r"#(\d+)", label)
+    if len(named) > 1:
+        raise ExportError(f"{document.path}: joint '{label}' stands in the file {len(named)} times")
+    if not named and by_number and document.kind == "mjcf" and not _multipliers(document):
+        named = joints[int(by_number.group(1)) :][:1]
+    repeated = [n for n in _multipliers(document) if named and _inside(n, named[0])]
+    if not named or repeated:
+        raise ExportError(
+            f"{document.path}: joint '{label}' is not written out in the file (it comes from an "
+            "attached, repeated or generated part); write it out, with a name"
+        )
+    return named[0]
+
+
+def _joints(document: ModelDocument) -> Iterator[Node]:
+    """Yield the joints in the order in which MuJoCo numbers them: those of a body before those of
+    the bodies in it."""
+    if document.kind == "urdf":
+        yield from (node for node in document.root.children() if node.tag == "joint")
+        return
+    for section in document.root.children():
+        if section.tag == "worldbody":
+            yield from _of_body(section)
+
+
+def _of_body(body: Node) -> Iterator[Node]:
+    inside = list(_without_frames(body))
+    yield from (node for node in inside if node.tag in _TAGS)
+    for child in inside:
+        if child.tag in ("body", *MULTIPLIERS):
+            yield from _of_body(child)
+
+
+def _without_frames(body: Node) -> Iterator[Node]:
+    """Yield a body's children, those of a ``<frame>`` in its place."""
+    for child in body.children():
+        yield from _without_frames(child) if child.tag == "frame" else (child,)
+
+
+def _multipliers(document: ModelDocument) -> list[Node]:
+    return [node for node in document.walk() if node.tag in MULTIPLIERS]
+
+
+def _inside(outer: Node, inner: Node) -> bool:
+    return any(node.element is inner.element for node in outer.walk())

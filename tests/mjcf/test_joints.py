@@ -1,0 +1,118 @@
+"""The joint that MuJoCo numbers k is the one that is changed, whatever the file's order."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from robot_sysid.errors import ExportError
+from robot_sysid.mjcf.changes import JointChange
+from robot_sysid.mjcf.documents import read_document
+from robot_sysid.mjcf.joints import find_joint, joint_edits
+from robot_sysid.mjcf.markup import apply_edits
+from tests.support.model_files import (
+    INERTIAL,
+    urdf_inertial,
+    urdf_joint,
+    urdf_link,
+    urdf_robot,
+    write_files,
+)
+
+# A child body before the joint of its parent, frames, a free joint, joints elsewhere in the file.
+MIXED = f"""<mujoco>
+  <default><joint damping="0.5" armature="0.01"/></default>
+  <worldbody>
+    <body><freejoint/>{INERTIAL}</body>
+    <body>
+      <body>
+        <frame pos="0 0 1"><joint type="slide"/><frame><joint axis="0 1 0"/></frame></frame>
+        {INERTIAL}
+      </body>
+      <joint axis="1 0 0"
+             frictionloss="0.3"/>
+      {INERTIAL}
+      <body><joint name="last" axis="0 1 1"/>{INERTIAL}</body>
+    </body>
+  </worldbody>
+  <equality><joint joint1="last"/></equality>
+  <tendon><fixed><joint joint="last" coef="1"/></fixed></tendon>
+</mujoco>
+"""
+
+
+def changed(document, *changes):
+    edits = [edit for change in changes for _, edit in joint_edits(document, change)]
+    return apply_edits(document.main.text, edits).decode()
+
+
+@pytest.mark.parametrize("joint", [1, 2, 3, 4])
+def test_a_joint_is_found_by_its_number(tmp_path, joint):
+    document = read_document(write_files(tmp_path, {"m.xml": MIXED}))
+    label = "last" if joint == 4 else f"#{joint}"
+    text = changed(document, JointChange(label, 1.25, 2.5, 3.75))
+    before, after = (mujoco.MjModel.from_xml_string(xml) for xml in (MIXED, text))
+    dof = before.jnt_dofadr[joint]
+    for field, value in (("armature", 1.25), ("damping", 2.5), ("frictionloss", 3.75)):
+        expected = getattr(before, f"dof_{field}").copy()
+        expected[dof] = value
+        np.testing.assert_array_equal(getattr(after, f"dof_{field}"), expected)
+
+
+def test_every_digit_is_written(tmp_path):
+    document = read_document(write_files(tmp_path, {"m.xml": MIXED}))
+    text = changed(document, JointChange("last", damping=np.float64(0.1) + 0.2))
+    assert 'damping="0.30000000000000004"' in text
+
+
+def test_nothing_is_written_where_nothing_is_new(tmp_path):
+    document = read_document(write_files(tmp_path, {"m.xml": MIXED}))
+    assert changed(document, JointChange("last")) == MIXED
+
+
+@pytest.mark.parametrize("label", ["first", "#9", "#x", ""])
+def test_a_joint_that_is_not_there_is_refused(tmp_path, label):
+    document = read_document(write_files(tmp_path, {"m.xml": MIXED}))
+    with pytest.raises(ExportError, match="is not written out in the file"):
+        find_joint(document, label)
+
+
+@pytest.mark.parametrize("label", ["last", "#1"])
+def test_a_joint_that_is_repeated_or_past_a_repetition_is_refused(tmp_path, label):
+    text = MIXED.replace("<body>\n      <body>", '<replicate count="2"><body>\n      <body>')
+    text = text.replace("</body>\n  </worldbody>", "</body></replicate>\n  </worldbody>")
+    document = read_document(write_files(tmp_path, {"m.xml": text}))
+    with pytest.raises(ExportError, match="attached, repeated or generated part"):
+        find_joint(document, label)
+
+
+def test_a_name_that_stands_twice_is_refused(tmp_path):
+    text = MIXED.replace('<joint type="slide"', '<joint name="last" type="slide"')
+    document = read_document(write_files(tmp_path, {"m.xml": text}))
+    with pytest.raises(ExportError, match="stands in the file 2 times"):
+        find_joint(document, "last")
+
+
+URDF = urdf_robot(
+    urdf_link("base"),
+    urdf_link("l1", urdf_inertial()),
+    urdf_link("l2", urdf_inertial()),
+    urdf_joint("base", "l1"),
+    urdf_joint("l1", "l2").replace("</joint>", '<dynamics damping="0.7" friction="0.2"/></joint>'),
+)
+
+
+def test_a_urdf_gets_its_dynamics_element(tmp_path):
+    document = read_document(write_files(tmp_path, {"m.urdf": URDF}))
+    changes = [JointChange("base_l1", damping=1.5, frictionloss=0.5), JointChange("l1_l2", None, 3)]
+    model = mujoco.MjModel.from_xml_string(changed(document, *changes))
+    np.testing.assert_array_equal(model.dof_damping, [1.5, 3.0])
+    np.testing.assert_array_equal(model.dof_frictionloss, [0.5, 0.2])
+    assert changed(document, JointChange("base_l1")) == URDF
+
+
+def test_a_urdf_cannot_hold_rotor_inertia(tmp_path):
+    document = read_document(write_files(tmp_path, {"m.urdf": URDF}))
+    with pytest.raises(ExportError, match="cannot hold the rotor inertia of joint 'l1_l2'"):
+        list(joint_edits(document, JointChange("l1_l2", armature=0.1)))
