@@ -44,7 +44,8 @@ class LimitOptions(OptionRecord):
         unit="rad/s²",
         metavar="A",
         check=positive,
-        usual="none; for a design, what full speed at its top frequency needs",
+        usual="none; for a new motion, what full speed at 0.6 Hz needs, or at its top frequency "
+        "if lower",
     )
     max_torque: PerJoint | None = option(
         None,

@@ -126,7 +126,8 @@ def build_problem(
         torques: "chain" or "terminal": which joint torques will be used.
         noise_torque: standard deviation of the torque noise [N m], one number or one per joint.
         top_frequency_hz: where no acceleration limit is given, the one that full speed at this
-            frequency needs [Hz]; None leaves accelerations free.
+            frequency needs [Hz], or at that of the usual band where this is higher: a motion with
+            faster harmonics shall not shake the arm harder. None leaves accelerations free.
 
     Raises:
         InputError: the arm breaks a limit already at rest; says which.
@@ -181,7 +182,7 @@ def _limits(
     allowed = _torque_limits(robot, options)
     ignored = ", ".join(options.ignore_torque_limit)
     notes = (f"the torque limit of {ignored} is not obeyed, as asked",) if ignored else ()
-    top = np.inf if top_frequency_hz is None else top_frequency_hz
+    top = np.inf if top_frequency_hz is None else min(top_frequency_hz, TOP_FREQUENCY_HZ)
     natural = 2.0 * np.pi * top * robot.limits.velocity
     asked = options.max_acceleration
     limits = MotionLimits(

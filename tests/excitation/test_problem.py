@@ -10,7 +10,7 @@ import pytest
 from robot_sysid.collision.clearance import Clearance
 from robot_sysid.collision.obstacles import NoObstacles
 from robot_sysid.errors import InputError
-from robot_sysid.excitation.options import LimitOptions
+from robot_sysid.excitation.options import TOP_FREQUENCY_HZ, LimitOptions
 from robot_sysid.excitation.problem import build_problem, require_start
 from robot_sysid.records import JointLimits, Motion
 from robot_sysid.simulator import ArmTorque
@@ -28,12 +28,18 @@ def built(arm, *arguments, **changes):
 
 
 def test_limits_are_those_of_the_model_less_margins():
-    some = built(replace(robot_of(arms.THREE), limits=limits(torque=100.0)), "chain", 0.3, 0.7)
+    some = built(replace(robot_of(arms.THREE), limits=limits(torque=100.0)), "chain", 0.3, 0.5)
     assert np.allclose(some.limits.lower, -2.0 + 0.02 * 4.0)
     assert np.allclose(some.limits.upper, 2.0 - 0.02 * 4.0)
     assert np.allclose(some.limits.velocity, 1.0)
     assert np.allclose(some.limits.torque, 95.0)
-    assert np.allclose(some.limits.acceleration, 2.0 * np.pi * 0.7)
+    assert np.allclose(some.limits.acceleration, 2.0 * np.pi * 0.5)
+
+
+@pytest.mark.parametrize("top", [0.6, 5.0, 15.0])
+def test_faster_harmonics_do_not_raise_the_acceleration_limit(top):
+    some = built(replace(robot_of(arms.THREE), limits=limits()), "chain", 0.3, top)
+    assert np.allclose(some.limits.acceleration, 2.0 * np.pi * TOP_FREQUENCY_HZ)
 
 
 def test_asked_limits_tighten_those_of_the_model():
