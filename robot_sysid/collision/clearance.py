@@ -21,7 +21,7 @@ import mujoco
 import numpy as np
 
 from robot_sysid.collision.broad_phase import ApproachBounds, drop_pairs
-from robot_sysid.collision.halfspaces import GeomShape, HalfSpace, geom_shapes
+from robot_sysid.collision.halfspaces import HalfSpace, HalfSpaces
 from robot_sysid.collision.obstacles import Closest, RestPairs, Slack
 from robot_sysid.dynamics.spatial import cross
 from robot_sysid.model.chain import body_label
@@ -92,11 +92,11 @@ class Clearance:
         self._settle_neighbours(rest)
         drop_pairs(self._model, self._bounds.part, np.isneginf(self._required))
         self._place(rest)
-        self._planes = [
-            (space, shape, _kept(self._height(space, shape), space.clearance))
-            for space in half_spaces
-            for shape in geom_shapes(robot.mj_model, space.bodies)
-        ]
+        self._spaces = HalfSpaces(robot.mj_model, half_spaces) if half_spaces else None
+        if self._spaces is not None:
+            for shape, height, _ in self._spaces.heights(self._data):
+                kept = np.maximum(0.0, KEPT_SHARE * height)
+                self._spaces.required[shape] = np.minimum(self._spaces.required[shape], kept)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Travel to another process as what it was made from: MuJoCo data is made anew there."""
@@ -139,12 +139,13 @@ class Clearance:
     def half_spaces_left_at_rest(self) -> list[tuple[HalfSpace, str, float]]:
         """Return (half-space, body, how far outside [m]) of what is outside already at rest."""
         self._place(self._arguments[1])
-        found = []
-        for space, shape, _ in self._planes:
-            height = self._height(space, shape)
-            if height <= 0.0:
-                found.append((space, self._label(shape.body), -height))
-        return found
+        if self._spaces is None:
+            return []
+        return [
+            (self._spaces.spaces[k], self._label(self._spaces.body[shape]), -float(height[k]))
+            for shape, height, _ in self._spaces.heights(self._data)
+            for k in np.flatnonzero((height <= 0.0) & np.isfinite(self._spaces.required[shape]))
+        ]
 
     def _place(self, q: Array) -> None:
         self._data.qpos[self._robot.qpos_index] = q
@@ -219,15 +220,7 @@ class Clearance:
         )
         near.budget[-1] = self.horizon
         self._add_contacts(near)
-        for space, shape, required in self._planes:
-            lowest = self._lowest(space, shape)
-            height = float(space.normal @ lowest) - space.offset
-            row = self._bounds.row(0, self._bounds.part[shape.body])
-            near.budget[row] = min(near.budget[row], height - required)
-            if height - required < near.slack:
-                near.slack, near.distance = height - required, height
-                near.normal, near.point, near.bodies = space.normal, lowest, (0, shape.body)
-                near.space = space
+        self._add_half_spaces(near)
         return near
 
     def _add_contacts(self, near: _Nearest) -> None:
@@ -244,17 +237,18 @@ class Clearance:
             near.normal, near.point = contact.frame[:3].copy(), contact.pos.copy()
             near.bodies = (int(bodies[tightest, 0]), int(bodies[tightest, 1]))
 
-    def _height(self, space: HalfSpace, shape: GeomShape) -> float:
-        """Return how far the lowest point of a geom is above a half-space's boundary [m]."""
-        return float(space.normal @ self._lowest(space, shape)) - space.offset
-
-    def _lowest(self, space: HalfSpace, shape: GeomShape) -> Array:
-        """Return the point (3,) of a geom that is farthest against a half-space's normal."""
-        if shape.geom < 0:
-            return self._data.xpos[shape.body].copy()
-        rotation = self._data.geom_xmat[shape.geom].reshape(3, 3)
-        local = shape.extreme_point(-rotation.T @ space.normal)
-        return self._data.geom_xpos[shape.geom] + rotation @ local
+    def _add_half_spaces(self, near: _Nearest) -> None:
+        if self._spaces is None:
+            return
+        for shape, height, lowest in self._spaces.heights(self._data, self.horizon):
+            body = int(self._spaces.body[shape])
+            slack = height - self._spaces.required[shape]
+            row, k = self._bounds.row(0, self._bounds.part[body]), int(np.argmin(slack))
+            near.budget[row] = min(near.budget[row], slack[k])
+            if slack[k] < near.slack:
+                near.slack, near.distance = float(slack[k]), float(height[k])
+                near.space, near.point = self._spaces.spaces[k], lowest[k]
+                near.normal, near.bodies = near.space.normal, (0, body)
 
     def _label(self, body: int) -> str:
         return body_label(self._model, int(body))

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_sysid.collision.obstacles import Closest
-from robot_sysid.excitation.constraints import LIMIT_NAMES, OBSTACLE_LENGTH, ROUNDING
+from robot_sysid.excitation.design.constraints import LIMIT_NAMES, OBSTACLE_LENGTH, ROUNDING
 from robot_sysid.excitation.problem import ExcitationProblem
 from robot_sysid.records import Array, Motion, MotionPlan
 from robot_sysid.trajectory import SineTrajectory, motion_chunks

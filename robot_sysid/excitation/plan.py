@@ -26,9 +26,9 @@ from robot_sysid.trajectory import (
 )
 
 if TYPE_CHECKING:
+    from robot_sysid.excitation.design.search import SearchState
     from robot_sysid.excitation.limit_check import LimitCheck
     from robot_sysid.excitation.problem import ExcitationProblem
-    from robot_sysid.excitation.search import SearchState
 
 
 @dataclass(frozen=True)
@@ -168,8 +168,8 @@ def _with_torque_limits(robot: RobotModel, problem: ExcitationProblem) -> RobotM
 def _designed(
     request: MotionRequest, robot: RobotModel, rng: np.random.Generator, progress: Progress
 ) -> CheckedPlan:
-    from robot_sysid.excitation.optimise import Design
-    from robot_sysid.excitation.search import design_excitation
+    from robot_sysid.excitation.design.optimise import Design
+    from robot_sysid.excitation.design.search import design_excitation
 
     problem = _problem(request, robot)
     design = Design(problem, request.excitation, request.trajectory)

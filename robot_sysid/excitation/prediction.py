@@ -9,9 +9,9 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.identifiability import describe
+from robot_sysid.excitation.design.optimise import visible_coordinates
 from robot_sysid.excitation.information import InformationCache, PredictedInformation, RowSettings
 from robot_sysid.excitation.limit_check import LimitCheck, check_limits
-from robot_sysid.excitation.optimise import visible_coordinates
 from robot_sysid.excitation.problem import ExcitationProblem
 from robot_sysid.records import Array, MotionPlan
 from robot_sysid.trajectory import motion_chunks

@@ -7,11 +7,11 @@ from functools import cache
 import numpy as np
 import pytest
 
+from robot_sysid.excitation.design.optimise import Design, PenalisedDesign, first_candidate, improve
+from robot_sysid.excitation.design.search import draw_trajectories
 from robot_sysid.excitation.limit_check import check_limits
-from robot_sysid.excitation.optimise import Design, PenalisedDesign, first_candidate, improve
 from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
 from robot_sysid.excitation.problem import build_problem
-from robot_sysid.excitation.search import draw_trajectories
 from robot_sysid.parser import load_robot_model
 from robot_sysid.trajectory import TrajectoryOptions
 from tests.support.places import GUESS

@@ -7,9 +7,9 @@ import pytest
 
 from robot_sysid.dynamics.equations import Equations
 from robot_sysid.dynamics.friction import FrictionModel
+from robot_sysid.excitation.design.search import draw_trajectories
 from robot_sysid.excitation.fourier import FourierTrajectory
 from robot_sysid.excitation.prediction import predict, prediction_lines
-from robot_sysid.excitation.search import draw_trajectories
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 from tests.support import arms

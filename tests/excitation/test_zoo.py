@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robot_sysid.excitation.optimise import Design
+from robot_sysid.excitation.design.optimise import Design
+from robot_sysid.excitation.design.search import design_excitation
 from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
 from robot_sysid.excitation.problem import build_problem
-from robot_sysid.excitation.search import design_excitation
 from robot_sysid.model.contacts import find_new_contacts
 from robot_sysid.parser import load_robot_model
 from robot_sysid.simulator import ArmTorque

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from robot_sysid.excitation.optimise import Design
+from robot_sysid.excitation.design.optimise import Design
 from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
 from robot_sysid.excitation.problem import DEFAULT_NOISE_TORQUE, build_problem
 from robot_sysid.trajectory import TrajectoryOptions

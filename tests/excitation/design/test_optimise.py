@@ -7,15 +7,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_sysid.excitation.information import CRITERIA, PredictedInformation, RowSettings
-from robot_sysid.excitation.limit_check import check_limits, keeps_limits
-from robot_sysid.excitation.optimise import (
+from robot_sysid.excitation.design.optimise import (
     GRID_PER_CYCLE,
     PenalisedDesign,
     first_candidate,
     improve,
 )
-from robot_sysid.excitation.search import draw_trajectories
+from robot_sysid.excitation.design.search import draw_trajectories
+from robot_sysid.excitation.information import CRITERIA, PredictedInformation, RowSettings
+from robot_sysid.excitation.limit_check import check_limits, keeps_limits
 from tests.support import arms
 from tests.support.arms import SEEDS
 from tests.support.excitation_arms import (

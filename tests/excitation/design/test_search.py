@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
-from robot_sysid.excitation.constraints import ROUNDING, MotionConstraints
-from robot_sysid.excitation.optimise import Design
-from robot_sysid.excitation.search import design_excitation, draw_trajectories
+from robot_sysid.excitation.design.constraints import ROUNDING, MotionConstraints
+from robot_sysid.excitation.design.optimise import Design
+from robot_sysid.excitation.design.search import design_excitation, draw_trajectories
 from robot_sysid.model.contacts import find_new_contacts
 from robot_sysid.trajectory import TrajectoryOptions, motion_chunks
 from tests.support import arms

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robot_sysid.excitation.constraints import ConstraintCache, MotionConstraints
+from robot_sysid.excitation.design.constraints import ConstraintCache, MotionConstraints
 from robot_sysid.excitation.fourier import FourierBasis, FourierTrajectory
 from robot_sysid.excitation.information import (
     CRITERIA,

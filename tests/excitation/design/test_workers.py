@@ -7,7 +7,7 @@ from functools import partial
 
 import pytest
 
-from robot_sysid.excitation.workers import WorkerPool
+from robot_sysid.excitation.design.workers import WorkerPool
 
 
 def add(shared, number):

@@ -16,11 +16,11 @@ from functools import partial
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.excitation.constraints import LIMIT_NAMES, ROUNDING, MotionConstraints
+from robot_sysid.excitation.design.constraints import LIMIT_NAMES, ROUNDING, MotionConstraints
+from robot_sysid.excitation.design.optimise import Candidate, Design, first_candidate, improve
+from robot_sysid.excitation.design.workers import WorkerPool
 from robot_sysid.excitation.fourier import FourierTrajectory
 from robot_sysid.excitation.limit_check import LimitCheck, check_limits
-from robot_sysid.excitation.optimise import Candidate, Design, first_candidate, improve
-from robot_sysid.excitation.workers import WorkerPool
 from robot_sysid.records import Array
 
 DRAWS_PER_JOB = 20

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from robot_sysid.excitation.constraints import MotionConstraints
+from robot_sysid.excitation.design.constraints import MotionConstraints
 from tests.support import arms
 from tests.support.arms import SEEDS
 from tests.support.excitation_arms import TUBES_AND_POST, problem, slope
