@@ -22,16 +22,15 @@ from robot_sysid.model.inertia import composite_theta
 from robot_sysid.model.limits import joint_limits
 from robot_sysid.model.links import arm_links
 from robot_sysid.records import Array, InertialParameters, JointFriction, RobotModel
-
-DEFAULT_MAX_VELOCITY = 2.0
-"""Speed limit of hinge joints [rad/s]."""
+from robot_sysid.records.arm import DEFAULT_MAX_VELOCITY
+from robot_sysid.records.options import PerJoint
 
 
 def load_robot_model(
     path: Path,
     mesh_dir: Path | None = None,
     joint: str | None = None,
-    max_velocity: float = DEFAULT_MAX_VELOCITY,
+    max_velocity: PerJoint = DEFAULT_MAX_VELOCITY,
     keyframe: str | None = None,
 ) -> RobotModel:
     """Load an MJCF or URDF file and find the arm in it.
@@ -40,7 +39,7 @@ def load_robot_model(
         path: model file.
         mesh_dir: folder of its meshes; default what the file says.
         joint: name of the terminal joint; default found automatically.
-        max_velocity: speed limit of hinge joints [rad/s].
+        max_velocity: speed limit of hinge joints, one number or one per joint [rad/s].
         keyframe: name of the one that is the arm at rest; default see ``rest_keyframe``.
 
     Raises:
@@ -56,7 +55,7 @@ def robot_from_compiled(
     compiled: CompiledModel,
     path: Path,
     joint: str | None,
-    max_velocity: float = DEFAULT_MAX_VELOCITY,
+    max_velocity: PerJoint = DEFAULT_MAX_VELOCITY,
     keyframe: str | None = None,
 ) -> RobotModel:
     """Return the arm in a compiled model; arguments and errors as in ``load_robot_model``."""

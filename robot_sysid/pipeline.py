@@ -180,12 +180,12 @@ def save_plan(
 
 
 def _plan_outcome(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> PlanOutcome:
-    from robot_sysid.excitation.prediction import predict, prediction_lines
+    from robot_sysid.excitation.plan_report import plan_lines
+    from robot_sysid.excitation.prediction import predict
 
-    assert checked.problem is not None
-    rate = config.trajectory.sample_rate
-    prediction = predict(checked.problem, checked.plan, rate, checked.check)
-    lines = tuple(prediction_lines(prediction, checked.problem.sigma))
+    assert checked.problem is not None and checked.check is not None
+    prediction = predict(checked.problem, checked.plan, config.trajectory.sample_rate)
+    lines = tuple(plan_lines(checked.problem, checked.plan, checked.check, prediction))
     if checked.failure:
         return PlanOutcome(lines, f"{checked.failure}; nothing was written")
     motor_file = _motor_file(config, robot, checked.plan)

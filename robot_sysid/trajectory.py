@@ -210,6 +210,19 @@ def motion_chunks(plan: MotionPlan, sample_rate: float) -> Iterator[Motion]:
         yield plan.evaluate(time)
 
 
+def spread_motion(plan: MotionPlan, most: int, rate: float = 200.0) -> Motion:
+    """Return the motion at instants spread over it: ``rate`` [Hz], or ``most`` where that is fewer.
+
+    Where they are few they follow the golden ratio, which no period of the motion can fall in step
+    with.
+    """
+    count = sample_count(plan.duration, rate)
+    if count <= most:
+        return plan.evaluate(np.minimum(np.arange(count) / rate, plan.duration))
+    golden = 0.5 * (np.sqrt(5.0) - 1.0)
+    return plan.evaluate(np.sort(plan.duration * np.mod(golden * np.arange(most), 1.0)))
+
+
 def generate_excitation_trajectory(
     robot: RobotModel,
     rng: np.random.Generator,

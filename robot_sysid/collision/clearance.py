@@ -39,8 +39,8 @@ Deeper they collide, and no motion may start there.
 """
 _TOUCH_ROOM = 1e-4
 """How much deeper than at rest a touching pair may get: how well depths are known [m]."""
-_NEIGHBOUR_POSTURES = 181
-"""How many positions of a joint are looked at to see whether its neighbours are harmless."""
+_NEIGHBOUR_POSTURES, _FINER = 181, 41
+"""How many positions of a joint tell whether its neighbours are harmless; more where nearest."""
 
 
 @dataclass
@@ -71,6 +71,8 @@ class Clearance:
         horizon: largest slack that is told apart [m]; what is farther away counts as this far.
         rates: approach bounds (P, n): pairs of row p approach at rates[p] @ abs(qd) [m/s] at most.
         at_rest: what is near or touches in the starting configuration.
+        neighbours: the least distance of links next to each other that keep theirs whatever the
+            arm does, and so are not looked at any more.
     """
 
     horizon = HORIZON
@@ -89,7 +91,7 @@ class Clearance:
         self._bounds = ApproachBounds(robot, self._data)
         self.rates = self._bounds.rates
         self.at_rest = self._learn_pairs(clearance)
-        self._settle_neighbours(rest)
+        self.neighbours = self._settle_neighbours(rest)
         drop_pairs(self._model, self._bounds.part, np.isneginf(self._required))
         self._place(rest)
         self._spaces = HalfSpaces(robot.mj_model, half_spaces) if half_spaces else None
@@ -135,6 +137,14 @@ class Clearance:
         if near.space is not None:
             label = f"{second} and {near.space.label}"
         return Closest(near.slack, near.distance, label)
+
+    @property
+    def distances(self) -> Clearance:
+        """The same arm, with each slack the whole distance of a pair, and without half-spaces."""
+        other = copy.copy(self)
+        other._required = np.where(np.isneginf(self._required), -np.inf, 0.0)
+        other._spaces = None
+        return other
 
     def half_spaces_left_at_rest(self) -> list[tuple[HalfSpace, str, float]]:
         """Return (half-space, body, how far outside [m]) of what is outside already at rest."""
@@ -190,24 +200,40 @@ class Clearance:
             least[a, b] = min(least.get((a, b), np.inf), float(distance))
         return least
 
-    def _settle_neighbours(self, rest: Array) -> None:
+    def _settle_neighbours(self, rest: Array) -> Closest:
         """Drop pairs with one joint between them that keep their distance over all its range.
 
         Links next to each other are always near; knowing beforehand that this is harmless saves
-        most collision tests.
+        most collision tests. Returns the least distance of those dropped.
         """
         least = np.full_like(self._required, np.inf)
         for joint, (low, high) in enumerate(zip(*_range(self._robot))):
-            q = rest.copy()
-            for q[joint] in np.linspace(low, high, _NEIGHBOUR_POSTURES):
-                self._place(q)
-                distance, bodies, _ = self._contact_bodies()
-                part = np.sort(self._bounds.part[bodies], axis=1)
-                ours = (part[:, 0] == joint) & (part[:, 1] == joint + 1)
-                first, second = np.sort(bodies[ours], axis=1).T
-                np.minimum.at(least, (first, second), distance[ours])
-        harmless = np.isfinite(least) & (least >= self._required)
+            nearest = self._sweep(rest, joint, np.linspace(low, high, _NEIGHBOUR_POSTURES), least)
+            about = (high - low) / _NEIGHBOUR_POSTURES * np.linspace(-1.0, 1.0, _FINER)
+            self._sweep(rest, joint, np.clip(nearest + about, low, high), least)
+        harmless = np.isfinite(least) & (least >= self._required) & np.isfinite(self._required)
+        first, second = divmod(int(np.argmin(np.where(harmless, least, np.inf))), len(least))
+        apart = float(np.min(least[harmless], initial=np.inf))
+        label = f"{self._label(first)} and {self._label(second)}" if np.any(harmless) else ""
         self._required[harmless | harmless.T] = -np.inf
+        return Closest(min(apart, self.horizon), apart, label)
+
+    def _sweep(self, rest: Array, joint: int, positions: Array, least: Array) -> float:
+        """Note the least distances (nbody, nbody) of pairs with just this joint between them.
+
+        Returns the position in which one of them is nearest.
+        """
+        q, nearest, at = rest.copy(), np.inf, float(rest[joint])
+        for q[joint] in positions:
+            self._place(q)
+            distance, bodies, _ = self._contact_bodies()
+            part = np.sort(self._bounds.part[bodies], axis=1)
+            ours = (part[:, 0] == joint) & (part[:, 1] == joint + 1)
+            first, second = np.sort(bodies[ours], axis=1).T
+            np.minimum.at(least, (first, second), distance[ours])
+            here = float(np.min(distance[ours], initial=np.inf))
+            nearest, at = (here, float(q[joint])) if here < nearest else (nearest, at)
+        return at
 
     def _nearest_at(self, q: Array) -> _Nearest:
         """Return what is nearest, among contacts and half-spaces, at one configuration."""

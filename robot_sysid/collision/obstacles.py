@@ -121,6 +121,7 @@ class NoObstacles:
 
     horizon = 1.0
     at_rest = RestPairs()
+    neighbours = Closest(horizon, math.inf, "")
 
     def __init__(self, joints: int) -> None:
         self.rates = np.zeros((1, joints))
@@ -133,6 +134,11 @@ class NoObstacles:
     def slack_at(self, q: Array) -> tuple[float, Array]:
         """Return the horizon."""
         return self.horizon, np.full(1, self.horizon)
+
+    @property
+    def distances(self) -> NoObstacles:
+        """Itself."""
+        return self
 
     def closest(self, q: Array) -> Closest:
         """Return that nothing is near."""

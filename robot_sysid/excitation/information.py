@@ -57,7 +57,7 @@ class PredictedInformation:
     def evaluate(self, q: Array, qd: Array, qdd: Array) -> InformationCache:
         """Return the information of one sample per row of q, qd, qdd (N, n)."""
         motion = self._chain.evaluate(q, qd, qdd)
-        wrench = _wrench(motion.velocity, motion.acceleration)
+        wrench = body_wrench(motion.velocity, motion.acceleration)
         jacobian = motion.jacobian[:, self._joints]
         rows = np.einsum("ijn,ikn->jnk", jacobian, wrench, optimize=True)
         rows = rows @ self._settings.coordinates / self._settings.sigma[:, None, None]
@@ -158,7 +158,7 @@ def _coefficients() -> tuple[Array, Array]:
     return linear, 0.5 * (both - alone[:, :, None] - alone[:, None, :])
 
 
-def _wrench(velocity: Array, acceleration: Array) -> Array:
+def body_wrench(velocity: Array, acceleration: Array) -> Array:
     """Return Y6 (6, 10, N) for twists and accelerations (6, N)."""
     linear, quadratic = _coefficients()
     products = (velocity[:, None] * velocity[None, :]).reshape(36, -1)

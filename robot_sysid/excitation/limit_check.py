@@ -14,15 +14,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot_sysid.collision.obstacles import Closest
-from robot_sysid.excitation.design.constraints import LIMIT_NAMES, OBSTACLE_LENGTH, ROUNDING
-from robot_sysid.excitation.problem import ExcitationProblem
+from robot_sysid.collision.clearance import Clearance
+from robot_sysid.collision.obstacles import Closest, NoObstacles
+from robot_sysid.excitation.problem import (
+    LIMIT_NAMES,
+    OBSTACLE_LENGTH,
+    ROUNDING,
+    ExcitationProblem,
+)
 from robot_sysid.records import Array, Motion, MotionPlan
 from robot_sysid.trajectory import SineTrajectory, motion_chunks
 
 LEAST_RATE_HZ = 1000.0
 CLEARANCE_RESOLUTION = 1e-3
 """How exactly the reported clearance is that of the tightest moment [m]."""
+DISTANCE_RESOLUTION = 1e-4
+"""How exactly the smallest distance is known [m]."""
 SMALLEST = 2.0**-9
 """Share of a random motion below which it is not made smaller any more."""
 BISECTIONS = 4
@@ -57,8 +64,12 @@ class LimitCheck:
     Attributes:
         lowest, highest: (n,) positions [rad].
         velocity, acceleration, torque: (n,) largest absolute values.
-        closest: the tightest distance, to a millimetre.
+        tool_speed: largest speed of the tool's fastest point [m/s].
+        tool_time: when [s].
+        closest: the pair with the least room left above what it has to keep, to a millimetre.
         closest_time: when [s].
+        nearest: the pair that comes nearest, whatever it has to keep, to a tenth of a millimetre.
+        nearest_time: when [s].
         excesses: limits that are not kept; none for a trajectory that may be run.
     """
 
@@ -67,8 +78,12 @@ class LimitCheck:
     velocity: Array
     acceleration: Array
     torque: Array
+    tool_speed: float
+    tool_time: float
     closest: Closest
     closest_time: float
+    nearest: Closest
+    nearest_time: float
     excesses: tuple[Excess, ...]
 
     @property
@@ -88,11 +103,21 @@ class LimitCheck:
 
 @dataclass(frozen=True)
 class _Peaks:
-    """Largest share of each limit (4, n), when it is reached (4, n), and extremes (5, n)."""
+    """Largest share of each limit (4, n), when it is reached (4, n), and extremes (5, n).
+
+    The same of the tool's speed: its largest value and when.
+    """
 
     share: Array
     time: Array
     extremes: Array
+    tool_speed: float = 0.0
+    tool_time: float = 0.0
+
+    def keep(self, problem: ExcitationProblem) -> bool:
+        """Tell whether every limit but clearances is kept."""
+        fast = self.tool_speed > problem.limits.tool_speed * (1.0 + ROUNDING)
+        return bool(np.max(self.share) <= 1.0 + ROUNDING) and not fast
 
 
 def check_limits(
@@ -105,9 +130,10 @@ def check_limits(
         plan: the trajectory.
         sample_rate: at which it will be run [Hz]; at least 1 kHz is checked.
     """
-    peaks = _joint_peaks(problem, plan, max(LEAST_RATE_HZ, sample_rate))
-    closest, when = _tightest(problem, plan, CLEARANCE_RESOLUTION)
-    excesses = list(_joint_excesses(problem, peaks))
+    peaks = _peaks(problem, plan, max(LEAST_RATE_HZ, sample_rate), with_tool=True)
+    closest, when = _tightest(problem.obstacles, plan, CLEARANCE_RESOLUTION)
+    nearest, at = _tightest(problem.obstacles.distances, plan, DISTANCE_RESOLUTION)
+    excesses = list(_excesses(problem, peaks))
     if closest.slack < 0.0:
         share = 1.0 - closest.slack / OBSTACLE_LENGTH
         excesses.append(Excess(f"clearance of {closest.label}", share, when))
@@ -118,8 +144,12 @@ def check_limits(
         velocity,
         acceleration,
         torque,
+        peaks.tool_speed,
+        peaks.tool_time,
         closest,
         when,
+        nearest,
+        at,
         tuple(sorted(excesses, key=lambda excess: -excess.share)),
     )
 
@@ -138,7 +168,7 @@ def scaled_to_limits(
         plan: random sinusoids.
     """
     rate = max(LEAST_RATE_HZ, sample_rate)
-    share = np.max(_joint_peaks(problem, plan, rate).share[1:3], axis=0)
+    share = np.max(_peaks(problem, plan, rate).share[1:3], axis=0)
     factors = np.minimum(1.0, (1.0 - RESERVE) / np.maximum(share, RESERVE))
     if keeps_limits(problem, plan.scaled(factors), rate):
         return plan.scaled(factors), factors
@@ -156,19 +186,19 @@ def keeps_limits(
     problem: ExcitationProblem, plan: MotionPlan, sample_rate: float = LEAST_RATE_HZ
 ) -> bool:
     """Tell whether the whole motion keeps every limit, sampled at ``sample_rate`` [Hz]."""
-    share = _joint_peaks(problem, plan, sample_rate).share
-    return bool(np.max(share) <= 1.0 + ROUNDING) and first_contact(problem, plan) is None
+    peaks = _peaks(problem, plan, sample_rate)
+    return peaks.keep(problem) and first_contact(problem, plan) is None
 
 
 def excess_times(problem: ExcitationProblem, plan: MotionPlan) -> Array:
-    """Return when each joint limit that is not kept is exceeded most [s]."""
-    peaks = _joint_peaks(problem, plan, LEAST_RATE_HZ)
-    return peaks.time[peaks.share > 1.0 + ROUNDING]
+    """Return when each limit that is not kept, clearances apart, is exceeded most [s]."""
+    peaks = _peaks(problem, plan, LEAST_RATE_HZ)
+    return np.array([excess.time for excess in _excesses(problem, peaks)])
 
 
 def first_contact(problem: ExcitationProblem, plan: MotionPlan) -> float | None:
     """Return the first time at which a clearance is not kept [s], or None."""
-    closest, when = _tightest(problem, plan, np.inf, stop_below=0.0)
+    closest, when = _tightest(problem.obstacles, plan, np.inf, stop_below=0.0)
     return when if closest.slack < 0.0 else None
 
 
@@ -181,9 +211,13 @@ def tight_times(problem: ExcitationProblem, plan: MotionPlan) -> Array:
     return motion.time[lowest]
 
 
-def _joint_peaks(problem: ExcitationProblem, plan: MotionPlan, rate: float) -> _Peaks:
+def _peaks(
+    problem: ExcitationProblem, plan: MotionPlan, rate: float, with_tool: bool = False
+) -> _Peaks:
+    """Return the peaks at a rate [Hz]; the tool's speed where it has a limit, or on demand."""
     center, allowed, n = problem.limits.center, problem.limits.largest, problem.n_joints
-    share, time = np.zeros((4, n)), np.zeros((4, n))
+    with_tool = with_tool or np.isfinite(problem.limits.tool_speed)
+    share, time, fastest, when = np.zeros((4, n)), np.zeros((4, n)), 0.0, 0.0
     extremes = np.vstack((np.full(n, np.inf), np.full(n, -np.inf), np.zeros((3, n))))
     for motion in motion_chunks(plan, rate):
         torque = problem.torque(motion)
@@ -197,24 +231,37 @@ def _joint_peaks(problem: ExcitationProblem, plan: MotionPlan, rate: float) -> _
         extremes[0] = np.minimum(extremes[0], np.min(motion.q, axis=0))
         extremes[1] = np.maximum(extremes[1], np.max(motion.q, axis=0))
         extremes[2:] = np.maximum(extremes[2:], peaks)
-    return _Peaks(share, time, extremes)
+        speed = _tool_speed(problem, motion) if with_tool else np.zeros(1)
+        if np.max(speed) > fastest:
+            fastest, when = float(np.max(speed)), float(motion.time[np.argmax(speed)])
+    return _Peaks(share, time, extremes, fastest, when)
 
 
-def _joint_excesses(problem: ExcitationProblem, peaks: _Peaks) -> Iterator[Excess]:
+def _tool_speed(problem: ExcitationProblem, motion: Motion) -> Array:
+    body = problem.chain.evaluate(motion.q, motion.qd, motion.qdd)
+    return problem.tool.speed(body.velocity)
+
+
+def _excesses(problem: ExcitationProblem, peaks: _Peaks) -> Iterator[Excess]:
     for i, j in np.argwhere(peaks.share > 1.0 + ROUNDING):
         limit = f"{LIMIT_NAMES[i]} limit of joint {problem.joint_names[j]}"
         yield Excess(limit, float(peaks.share[i, j]), float(peaks.time[i, j]))
+    share = peaks.tool_speed / problem.limits.tool_speed
+    if share > 1.0 + ROUNDING:
+        yield Excess("speed limit of the tool", share, peaks.tool_time)
 
 
 def _tightest(
-    problem: ExcitationProblem, plan: MotionPlan, resolution: float, stop_below: float = -np.inf
+    obstacles: Clearance | NoObstacles,
+    plan: MotionPlan,
+    resolution: float,
+    stop_below: float = -np.inf,
 ) -> tuple[Closest, float]:
     """Return the tightest configuration and its time [s].
 
     Nowhere is the slack negative without being found, nor smaller than that of the configuration
     returned by more than the resolution [m]. An end at ``stop_below`` saves the rest of the tests.
     """
-    obstacles = problem.obstacles
     best, when, at_q = np.inf, 0.0, plan.evaluate(np.zeros(1)).q[0]
     budget = np.full(len(obstacles.rates), -np.inf)
     for motion in motion_chunks(plan, FINEST_RATE_HZ):

@@ -12,6 +12,7 @@ from robot_sysid.collision.obstacles import Box, Plane, plane_from
 from robot_sysid.errors import InputError
 from robot_sysid.excitation.fourier import FourierBasis
 from robot_sysid.excitation.information import CRITERIA
+from robot_sysid.records.arm import DEFAULT_MAX_VELOCITY
 from robot_sysid.records.options import (
     OptionRecord,
     PerJoint,
@@ -35,8 +36,13 @@ class LimitOptions(OptionRecord):
     """What every motion has to obey beside the model's own limits."""
 
     NEEDS: ClassVar[str] = "motion"
-    max_velocity: float = option(
-        2.0, "speed limit of hinge joints", unit="rad/s", metavar="V", check=positive
+    max_velocity: PerJoint = option(
+        DEFAULT_MAX_VELOCITY,
+        "speed limit of hinge joints, one number or one per joint",
+        unit="rad/s",
+        metavar="V",
+        parse=levels,
+        check=positive,
     )
     max_acceleration: float | None = option(
         None,
@@ -58,6 +64,21 @@ class LimitOptions(OptionRecord):
     )
     ignore_torque_limit: tuple[str, ...] = option(
         (), "joint whose torque limit is not obeyed; may be repeated", metavar="JOINT", repeats=True
+    )
+    payload_reserve: float = option(
+        0.0,
+        "leave torque for an unknown load up to this mass at the tip of the tool",
+        unit="kg",
+        metavar="KG",
+        check=not_negative,
+    )
+    max_tool_speed: float | None = option(
+        None,
+        "speed limit of the tool's fastest point",
+        unit="m/s",
+        metavar="V",
+        check=positive,
+        usual="none",
     )
     workspace: tuple[float, ...] | None = option(
         None,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +10,6 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.identifiability import describe
 from robot_sysid.excitation.design.optimise import visible_coordinates
 from robot_sysid.excitation.information import InformationCache, PredictedInformation, RowSettings
-from robot_sysid.excitation.limit_check import LimitCheck, check_limits
 from robot_sysid.excitation.problem import ExcitationProblem
 from robot_sysid.records import Array, MotionPlan
 from robot_sysid.trajectory import motion_chunks
@@ -31,9 +29,6 @@ class Prediction:
     """What a trajectory promises.
 
     Attributes:
-        joint_names: of the chain.
-        limit_check: peaks against limits.
-        limits: (3, n) velocity, acceleration and torque limits.
         n_samples: samples per joint the prediction is for.
         covariance: (10, 10) of theta; infinite on the diagonal where this motion does not show it.
         size: (10,) magnitude each parameter is compared with: its own value in the model, for a
@@ -45,9 +40,6 @@ class Prediction:
         unseen: what this motion does not show though another one would, in words.
     """
 
-    joint_names: tuple[str, ...]
-    limit_check: LimitCheck
-    limits: Array
     n_samples: int
     covariance: Array
     size: Array
@@ -74,28 +66,18 @@ class Prediction:
         return tuple(k for k in range(10) if np.isfinite(share[k]) and share[k] > LOOSE_SHARE)
 
 
-def predict(
-    problem: ExcitationProblem,
-    plan: MotionPlan,
-    sample_rate: float,
-    limit_check: LimitCheck | None = None,
-) -> Prediction:
+def predict(problem: ExcitationProblem, plan: MotionPlan, sample_rate: float) -> Prediction:
     """Predict what least squares will make of a trajectory, with friction and offset of each joint.
 
     Args:
         problem: the arm, its limits, and the torque noise.
         plan: the trajectory.
         sample_rate: at which torque will be measured, with independent noise in each sample [Hz].
-        limit_check: of this trajectory, where it was made already.
     """
     n_samples = max(1, int(np.floor(plan.duration * sample_rate)) + 1)
     covariance, unseen_space, condition = _inverted(problem, _forward(problem, plan, n_samples))
     possible = visible_coordinates(problem) / problem.scale[:, None]
-    limits = problem.limits
     return Prediction(
-        joint_names=problem.joint_names,
-        limit_check=limit_check or check_limits(problem, plan, sample_rate),
-        limits=np.stack((limits.velocity, limits.acceleration, limits.torque)),
         n_samples=n_samples,
         covariance=covariance,
         size=parameter_sizes(problem),
@@ -185,90 +167,3 @@ def _words(problem: ExcitationProblem, space: Array) -> tuple[str, ...]:
     if space.shape[1] == 0:
         return ()
     return describe(space, problem.scale, spatial.PARAMETER_NAMES)
-
-
-def prediction_lines(prediction: Prediction, sigma: Array) -> Iterator[str]:
-    """Yield the lines ``--plan-only`` prints.
-
-    Args:
-        prediction: of the trajectory.
-        sigma: (rows,) torque noise it was made for [N m].
-    """
-    noise = ", ".join(f"{value:g}" for value in np.unique(sigma))
-    yield f"Predicted standard deviations ({prediction.n_samples} samples, noise {noise} N·m):"
-    yield from _parameter_lines(prediction)
-    yield (
-        f"Condition number: {prediction.condition_number:.1f} "
-        f"({prediction.scaled_condition_number:.1f} with columns of unit length)"
-    )
-    yield "Peaks (share of limit):"
-    yield from _joint_lines(prediction)
-    yield _clearance_line(prediction.limit_check)
-    yield from _excess_lines(prediction.limit_check)
-    yield from _advice_lines(prediction)
-
-
-def _parameter_lines(prediction: Prediction) -> Iterator[str]:
-    units = ("kg", *["kg·m"] * 3, *["kg·m²"] * 6)
-    rows = zip(spatial.PARAMETER_NAMES, prediction.deviation, prediction.share, units)
-    for name, deviation, share, unit in rows:
-        if np.isfinite(deviation):
-            yield f"  {name:3s} {deviation:9.2e} {unit:6s} {100.0 * share:8.3g} %"
-        else:
-            yield f"  {name:3s} not identified"
-    if np.isfinite(prediction.com_deviation):
-        yield f"  centre of mass {1000.0 * prediction.com_deviation:.3g} mm"
-
-
-def _joint_lines(prediction: Prediction) -> Iterator[str]:
-    check = prediction.limit_check
-    peaks = np.stack((check.velocity, check.acceleration, check.torque))
-    width = max(len(name) for name in prediction.joint_names)
-    for j, name in enumerate(prediction.joint_names):
-        parts = [
-            f"{label} {peak:6.2f}{_share_text(peak, limit)}"
-            for label, peak, limit in zip(
-                ("velocity", "acceleration", "torque"), peaks[:, j], prediction.limits[:, j]
-            )
-        ]
-        reach = f"{check.lowest[j]:+.2f} to {check.highest[j]:+.2f}"
-        yield f"  {name:{width}s}  position {reach}  {'  '.join(parts)}"
-
-
-def _share_text(peak: float, limit: float) -> str:
-    return f" ({100.0 * peak / limit:3.0f} %)" if np.isfinite(limit) else " (no limit)"
-
-
-def _clearance_line(check: LimitCheck) -> str:
-    if not np.isfinite(check.closest.distance):
-        return "Clearance: nothing comes near"
-    return (
-        f"Clearance: {1000.0 * check.closest.distance:.1f} mm between {check.closest.label} "
-        f"at {check.closest_time:.2f} s"
-    )
-
-
-def _excess_lines(check: LimitCheck) -> Iterator[str]:
-    for excess in check.excesses:
-        yield f"NOT KEPT: {excess}"
-
-
-def _advice_lines(prediction: Prediction) -> Iterator[str]:
-    """Say what stays unknown, and what would show it."""
-    for what in prediction.never:
-        yield (
-            f"No motion of these joints shows {what}: use --torques chain if only the last joint "
-            "is used now, or mount the base at another angle"
-        )
-    for what in prediction.unseen:
-        yield (
-            f"This motion does not show {what}: move more joints (--excitation optimal does), or "
-            "make it longer"
-        )
-    for k in prediction.loose:
-        factor = (prediction.share[k] / LOOSE_SHARE) ** 2
-        yield (
-            f"{spatial.PARAMETER_NAMES[k]} stays loose ({100.0 * prediction.share[k]:.0f} %): "
-            f"{100.0 * LOOSE_SHARE:.0f} % would take {factor:.1f} times the duration, or faster "
-            "motion (higher speed limits, --harmonics)"
-        )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,21 +10,30 @@ import numpy as np
 from robot_sysid.collision.clearance import Clearance
 from robot_sysid.collision.halfspaces import HalfSpace, box_half_spaces, plane_half_space
 from robot_sysid.collision.obstacles import NoObstacles, RestPairs
+from robot_sysid.collision.swept import outermost_points
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.kinematics import ChainKinematics, subtree
 from robot_sysid.dynamics.screws import ScrewChain
 from robot_sysid.errors import InputError
 from robot_sysid.excitation.options import TOP_FREQUENCY_HZ, LimitOptions
+from robot_sysid.excitation.tool import LoadedTorque, Tool
+from robot_sysid.model.limits import DEFAULT_SLIDE_VELOCITY
 from robot_sysid.records import Array, Motion, RobotModel, checked_array
+from robot_sysid.records.arm import DEFAULT_MAX_VELOCITY
 from robot_sysid.records.options import PerJoint, per_joint
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import (
     POSITION_MARGIN,
     TORQUE_MARGIN,
     UNLIMITED_RANGE,
-    TorqueFunction,
 )
 
+LIMIT_NAMES = ("position", "velocity", "acceleration", "torque")
+"""The families of joint limits, in the order of their columns."""
+OBSTACLE_LENGTH = 0.05
+"""A slack of minus this length [m] counts as much as exceeding a limit by 100 %."""
+ROUNDING = 1e-9
+"""Share of a limit by which rounding may exceed it: the motion may start exactly at one."""
 DEFAULT_NOISE_TORQUE = 0.3
 """Torque noise that a plan predicts errors for where none is given [N m]."""
 
@@ -38,6 +47,7 @@ class MotionLimits:
         velocity: (n,) [rad/s or m/s].
         acceleration: (n,) [rad/s^2 or m/s^2].
         torque: (n,) [N m or N]; infinite where there is none.
+        tool_speed: of the tool's fastest point [m/s]; infinite where there is none.
     """
 
     lower: Array
@@ -45,6 +55,7 @@ class MotionLimits:
     velocity: Array
     acceleration: Array
     torque: Array
+    tool_speed: float = np.inf
 
     def __post_init__(self) -> None:
         if not np.all((self.lower < self.upper) & np.isfinite(self.upper - self.lower)):
@@ -70,27 +81,33 @@ class ExcitationProblem:
     """One arm, ready for the search.
 
     Attributes:
+        robot: the arm.
         joint_names: the n chain joints.
         rest: (n,) where the motion starts and ends [rad].
         limits: what it must obey.
         chain: the arm's screws.
         prior: (10,) the terminal link's parameters in the model; sets the physical scale.
-        torque: joint torques (N, n) along a motion, friction included.
+        tool: the outermost points of the terminal link and all it carries.
+        torque: joint torques (N, n) along a motion that limits hold for, friction included.
         obstacles: what must not be touched.
         rows: chain joints whose torque will be used.
         sigma: (len(rows),) standard deviation of their noise [N m].
+        origins: per family of limits where each joint's comes from, see ``limit_origins``.
         notes: what the reader should know about these limits.
     """
 
+    robot: RobotModel
     joint_names: tuple[str, ...]
     rest: Array
     limits: MotionLimits
     chain: ScrewChain
     prior: Array
-    torque: TorqueFunction
+    tool: Tool
+    torque: LoadedTorque
     obstacles: Clearance | NoObstacles
     rows: tuple[int, ...]
     sigma: Array
+    origins: Mapping[str, tuple[str, ...]]
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -134,7 +151,7 @@ def build_problem(
     """
     lower, upper = _position_limits(robot)
     rest = np.clip(robot.reference, lower, upper)
-    torque = ArmTorque(robot)
+    chain, tool = screw_chain(robot), Tool(*outermost_points(robot))
     motion_limits, notes = _limits(robot, limits, (lower, upper), top_frequency_hz)
     if not np.array_equal(rest, robot.reference):
         notes += _moved_rest_note(robot, rest)
@@ -142,15 +159,18 @@ def build_problem(
     rows = tuple(range(robot.n_joints)) if torques == "chain" else (robot.n_joints - 1,)
     sigma = per_joint(noise_torque, robot.n_joints, "--noise-torque")[list(rows)]
     return ExcitationProblem(
+        robot=robot,
         joint_names=robot.joint_names,
         rest=rest,
         limits=motion_limits,
-        chain=screw_chain(robot),
+        chain=chain,
         prior=robot.prior.theta,
-        torque=torque,
+        tool=tool,
+        torque=LoadedTorque(ArmTorque(robot), chain, tool.tip, limits.payload_reserve),
         obstacles=obstacles,
         rows=rows,
         sigma=sigma,
+        origins=limit_origins(robot, limits, motion_limits),
         notes=notes + more,
     )
 
@@ -191,8 +211,36 @@ def _limits(
         velocity=robot.limits.velocity,
         acceleration=natural if asked is None else np.where(robot.is_slide, natural, asked),
         torque=TORQUE_MARGIN * allowed,
+        tool_speed=np.inf if options.max_tool_speed is None else options.max_tool_speed,
     )
     return limits, notes
+
+
+MODEL, ASKED, ASSUMED, NONE = "the model", "the options", "an assumption", "nothing"
+"""Where a limit may come from."""
+
+
+def limit_origins(
+    robot: RobotModel, options: LimitOptions, limits: MotionLimits
+) -> Mapping[str, tuple[str, ...]]:
+    """Return for each family in ``LIMIT_NAMES`` where the limit of each joint comes from."""
+    own, joints = robot.limits, robot.n_joints
+    ranged = np.isfinite(own.lower) & np.isfinite(own.upper)
+    asked = per_joint(options.max_velocity, joints, "--max-velocity")
+    usual = np.where(robot.is_slide, np.minimum(DEFAULT_SLIDE_VELOCITY, asked), asked)
+    by_default = robot.is_slide | (asked == DEFAULT_MAX_VELOCITY)
+    speed = np.where(own.velocity < usual, MODEL, np.where(by_default, ASSUMED, ASKED))
+    shaken = ASSUMED if options.max_acceleration is None else ASKED
+    shaken_by = np.where(robot.is_slide, ASSUMED, shaken)
+    free = ~np.isfinite(limits.torque)
+    strong = limits.torque >= TORQUE_MARGIN * own.torque
+    found = {
+        "position": np.where(ranged, MODEL, ASSUMED),
+        "velocity": speed,
+        "acceleration": np.where(np.isfinite(limits.acceleration), shaken_by, NONE),
+        "torque": np.where(free, NONE, np.where(strong, MODEL, ASKED)),
+    }
+    return {name: tuple(str(each) for each in found[name]) for name in LIMIT_NAMES}
 
 
 def _torque_limits(robot: RobotModel, options: LimitOptions) -> Array:

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from robot_sysid.records import Array, JointLimits
+from robot_sysid.records.options import PerJoint, per_joint
 
 DEFAULT_SLIDE_VELOCITY = 0.25
 """Speed limit of slide joints [m/s]."""
@@ -17,7 +18,7 @@ DEFAULT_SLIDE_VELOCITY = 0.25
 def joint_limits(
     mj_model: Any,
     joints: tuple[int, ...],
-    max_velocity: float,
+    max_velocity: PerJoint,
     stated: Sequence[float | None],
 ) -> JointLimits:
     """Return the limits of some joints.
@@ -25,13 +26,15 @@ def joint_limits(
     Args:
         mj_model: compiled model.
         joints: joint ids.
-        max_velocity: speed limit of hinge joints [rad/s]; slide joints use their own default.
+        max_velocity: speed limit of hinge joints, one number or one per joint [rad/s]; slide
+            joints use their own default.
         stated: speed limit of each joint that its model file states; None where it has none.
     """
     index = np.array(joints)
     limited = mj_model.jnt_limited[index].astype(bool)
     slide = mj_model.jnt_type[index] == int(mujoco.mjtJoint.mjJNT_SLIDE)
-    usual = np.where(slide, min(DEFAULT_SLIDE_VELOCITY, max_velocity), max_velocity)
+    asked = per_joint(max_velocity, len(joints), "--max-velocity")
+    usual = np.where(slide, np.minimum(DEFAULT_SLIDE_VELOCITY, asked), asked)
     return JointLimits(
         lower=np.where(limited, mj_model.jnt_range[index, 0], -np.inf),
         upper=np.where(limited, mj_model.jnt_range[index, 1], np.inf),

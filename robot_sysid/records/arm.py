@@ -13,6 +13,9 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.errors import InputError
 from robot_sysid.records.arrays import Array, checked_array
 
+DEFAULT_MAX_VELOCITY = 2.0
+"""Speed limit of hinge joints where nobody says one [rad/s]."""
+
 
 @dataclass(frozen=True)
 class InertialParameters:

@@ -134,7 +134,7 @@ def test_a_trajectory_file_within_its_limits_is_used(command, arm, plan):
 
 def test_a_trajectory_file_edited_to_leave_a_joints_range_is_refused(command, arm, plan):
     content = json.loads(plan.read_text())
-    content["amplitude"][-1] = [6.0 * value for value in content["amplitude"][-1]]
+    content["amplitude"][-1] = [12.0 * value for value in content["amplitude"][-1]]
     plan.write_text(json.dumps(content))
     wide = ("--max-velocity", "1000")
     message = command.refused(arm, "--trajectory", plan, *RATE, *wide, *motor_types(JOINTS))

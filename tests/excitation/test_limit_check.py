@@ -94,6 +94,7 @@ class ThinWall:
 
     horizon = 0.1
     rates = np.array([[1.0, 0.0, 0.0]])
+    distances = property(lambda self: self)
 
     def slack(self, q):
         from robot_sysid.collision.obstacles import Slack

@@ -83,6 +83,67 @@ def distance_to_plane(robot, plan, plane, first_body, rate=500.0):
     return float(least)
 
 
+def fastest_point(robot, plan, body, rate=500.0):
+    """Largest speed of any point of a body that is a capsule, by differences of its surface.
+
+    Args:
+        robot, plan, rate: as above.
+        body: name.
+    """
+    model = robot.mj_model
+    data, (geom,) = mujoco.MjData(model), _capsules(model, model.body(body).id)
+    angles = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    ball = [
+        [np.cos(a) * np.sin(b), np.sin(a) * np.sin(b), np.cos(b)]
+        for a in angles
+        for b in np.linspace(0.0, np.pi, 13)
+    ]
+    radius, half = model.geom_size[geom, :2]
+    surface = np.vstack([radius * np.array(ball) + [0.0, 0.0, s * half] for s in (-1.0, 1.0)])
+    before, fastest = None, 0.0
+    for motion in motion_chunks(plan, rate):
+        for q in motion.q:
+            data.qpos[robot.qpos_index] = q
+            mujoco.mj_kinematics(model, data)
+            here = data.geom_xpos[geom] + surface @ data.geom_xmat[geom].reshape(3, 3).T
+            if before is not None:
+                fastest = max(fastest, rate * np.max(np.linalg.norm(here - before, axis=1)))
+            before = here
+    return float(fastest)
+
+
+def nearest(robot, plan, rate=500.0):
+    """Smallest distance of any two geoms that collide and move against each other, by MuJoCo.
+
+    Bodies with one joint between them are left out.
+    """
+    model, least = robot.mj_model, np.inf
+    data, joints = mujoco.MjData(model), [_joints_above(model, b) for b in range(model.nbody)]
+    pairs = [
+        (a, b)
+        for a in range(model.ngeom)
+        for b in range(a)
+        if _collide(model, a, b)
+        and len(joints[model.geom_bodyid[a]] ^ joints[model.geom_bodyid[b]]) > 1
+    ]
+    for motion in motion_chunks(plan, rate):
+        for q in motion.q:
+            data.qpos[robot.qpos_index] = q
+            mujoco.mj_kinematics(model, data)
+            apart = (mujoco.mj_geomDistance(model, data, a, b, 1.0, None) for a, b in pairs)
+            least = min(least, *apart)
+    return float(least)
+
+
+def _collide(model, a, b):
+    masks = model.geom_contype, model.geom_conaffinity
+    return bool(masks[0][a] & masks[1][b] | masks[0][b] & masks[1][a])
+
+
+def _joints_above(model, body):
+    return frozenset(j for j in range(model.njnt) if model.jnt_bodyid[j] in _ancestors(model, body))
+
+
 def _capsules(model, body):
     carried = [b for b in range(model.nbody) if body in _ancestors(model, b)]
     parts = [g for g in range(model.ngeom) if model.geom_bodyid[g] in carried]

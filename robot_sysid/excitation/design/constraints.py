@@ -1,7 +1,8 @@
 """The constraints of an excitation as numbers g <= 0 on a time grid, with gradients.
 
-Five families in the columns of one array (N, 4 n + 1): position, velocity, acceleration and torque
-of each joint as share of its limit minus one, and the slack towards obstacles over a length.
+Six families in the columns of one array (N, 4 n + 2): position, velocity, acceleration and torque
+of each joint and the speed of the tool as share of the limit minus one, and the slack towards
+obstacles over a length.
 """
 
 from __future__ import annotations
@@ -10,15 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot_sysid.excitation.problem import ExcitationProblem
+from robot_sysid.dynamics.screws import ChainMotion
+from robot_sysid.excitation.problem import OBSTACLE_LENGTH, ExcitationProblem
 from robot_sysid.records import Array, Motion
 
-OBSTACLE_LENGTH = 0.05
-"""A slack of minus this length [m] counts as much as exceeding a limit by 100 %."""
-LIMIT_NAMES = ("position", "velocity", "acceleration", "torque")
-"""The families of joint limits, in the order of their columns."""
-ROUNDING = 1e-9
-"""Share of a limit by which rounding may exceed it: the motion may start exactly at one."""
 _TORQUE_STEP = 1e-6
 
 
@@ -27,16 +23,23 @@ class ConstraintCache:
     """Constraint values of a motion, and what their gradient needs.
 
     Attributes:
-        value: (N, 4 n + 1) g; fulfilled where <= 0.
+        value: (N, 4 n + 2) g; fulfilled where <= 0.
         motion: (q, qd, qdd), each (N, n).
         torque: (N, n) [N m].
         slack_gradient: (N, n) of the slack with respect to q.
+        tool: motion of the terminal body; None where its speed has no limit.
     """
 
     value: Array
     motion: tuple[Array, Array, Array]
     torque: Array
     slack_gradient: Array
+    tool: ChainMotion | None = None
+
+
+def constraint_count(joints: int) -> int:
+    """Return the number of columns for so many joints."""
+    return 4 * joints + 2
 
 
 class MotionConstraints:
@@ -52,6 +55,7 @@ class MotionConstraints:
     def __init__(self, problem: ExcitationProblem, share: float, extra_slack: float) -> None:
         self._problem, self._extra = problem, extra_slack
         self._center, self._allowed = problem.limits.center, share * problem.limits.largest
+        self._tool_speed = share * problem.limits.tool_speed
         self._nearby = _SlackMemory(problem)
 
     def evaluate(self, motion: tuple[Array, Array, Array]) -> ConstraintCache:
@@ -63,8 +67,13 @@ class MotionConstraints:
         signals = (q - self._center, qd, qdd, torque)
         shares = [np.abs(signal) / allowed - 1.0 for signal, allowed in zip(signals, self._allowed)]
         slack, gradient = self._nearby.slack(q)
+        fast, tool = -np.ones(len(q)), None
+        if np.isfinite(self._tool_speed):
+            tool = self._problem.chain.evaluate(*motion)
+            fast = self._problem.tool.speed(tool.velocity) / self._tool_speed - 1.0
         towards = (self._extra - slack) / OBSTACLE_LENGTH
-        return ConstraintCache(np.hstack((*shares, towards[:, None])), motion, torque, gradient)
+        value = np.hstack((*shares, fast[:, None], towards[:, None]))
+        return ConstraintCache(value, motion, torque, gradient, tool)
 
     def vjp(self, cache: ConstraintCache, weight: Array) -> tuple[Array, Array, Array]:
         """Return the gradient (N, n) of sum(weight * g) with respect to q, qd and qdd."""
@@ -76,9 +85,14 @@ class MotionConstraints:
             for i, (signal, allowed) in enumerate(zip(signals, self._allowed))
         ]
         adjoints[0] = adjoints[0] - weight[:, -1:] * cache.slack_gradient / OBSTACLE_LENGTH
-        from_torque = self._torque_vjp(cache, adjoints[3])
-        position, velocity, acceleration = (a + b for a, b in zip(adjoints, from_torque))
-        return position, velocity, acceleration
+        parts = zip(adjoints, self._torque_vjp(cache, adjoints[3]))
+        position, velocity, acceleration = (a + b for a, b in parts)
+        if cache.tool is None or not np.any(weight[:, -2]):
+            return position, velocity, acceleration
+        twist, none = cache.tool.velocity, np.zeros_like(cache.tool.jacobian)
+        adjoint = self._problem.tool.speed_vjp(twist, weight[:, -2] / self._tool_speed)
+        from_tool = cache.tool.vjp(none, adjoint, np.zeros_like(twist))
+        return position + from_tool[0], velocity + from_tool[1], acceleration + from_tool[2]
 
     def _torque(self, q: Array, qd: Array, qdd: Array) -> Array:
         return self._problem.torque(Motion(np.arange(float(len(q))), q, qd, qdd))

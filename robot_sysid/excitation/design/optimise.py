@@ -18,7 +18,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robot_sysid.excitation.design.constraints import ConstraintCache, MotionConstraints
+from robot_sysid.excitation.design.constraints import (
+    ConstraintCache,
+    MotionConstraints,
+    constraint_count,
+)
 from robot_sysid.excitation.fourier import FourierBasis, FourierTrajectory
 from robot_sysid.excitation.information import (
     CRITERIA,
@@ -48,7 +52,7 @@ class Candidate:
     Attributes:
         number: which start it came from.
         x: (n, M) free coefficients, possibly beyond a limit.
-        multipliers: (N + E, 4 n + 1).
+        multipliers: (N + E, 4 n + 2).
         extra_times: (E,) [s].
         weight: of the penalty.
         rounds: how many are done.
@@ -68,8 +72,7 @@ class Candidate:
 
 def first_candidate(design: Design, number: int, x: Array) -> Candidate:
     """Return a candidate at free coefficients x (n, M), checked against all limits."""
-    width = 4 * design.problem.n_joints + 1
-    none = np.zeros((len(design.grid), width))
+    none = np.zeros((len(design.grid), constraint_count(design.problem.n_joints)))
     start = Candidate(number, x, none, np.zeros(0), FIRST_WEIGHT, 0, None, np.inf)
     return _checked(design, start)
 
@@ -221,7 +224,7 @@ class PenalisedDesign:
     Args:
         design: the problem.
         extra_times: (E,) times at which constraints hold beside those of the grid [s].
-        multipliers: (N + E, 4 n + 1), non-negative.
+        multipliers: (N + E, 4 n + 2), non-negative.
         weight: of the quadratic penalty.
     """
 

@@ -16,11 +16,12 @@ from functools import partial
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.excitation.design.constraints import LIMIT_NAMES, ROUNDING, MotionConstraints
+from robot_sysid.excitation.design.constraints import MotionConstraints
 from robot_sysid.excitation.design.optimise import Candidate, Design, first_candidate, improve
 from robot_sysid.excitation.design.workers import WorkerPool
 from robot_sysid.excitation.fourier import FourierTrajectory
 from robot_sysid.excitation.limit_check import LimitCheck, check_limits
+from robot_sysid.excitation.problem import LIMIT_NAMES, ROUNDING
 from robot_sysid.records import Array
 
 DRAWS_PER_JOB = 20
@@ -330,7 +331,7 @@ class _Checks:
         self._all = MotionConstraints(design.problem, share=1.0, extra_slack=0.0)
 
     def worst(self, motion: Functions) -> tuple[Array, Array]:
-        """Return constraint values (k, 4 n + 1), of all points if the few are feasible, and q."""
+        """Return constraint values (k, 4 n + 2), of all points if the few are feasible, and q."""
         q, qd, qdd = (signal[::FEW] for signal in motion)
         value = self._few.evaluate((q, qd, qdd)).value
         if np.max(value) > ROUNDING:
@@ -355,4 +356,6 @@ def _obstacle(design: Design, value: Array, q: Array) -> str:
     kind, joint = divmod(int(column), design.problem.n_joints)
     if kind < len(LIMIT_NAMES):
         return f"{LIMIT_NAMES[kind]} limit of joint {design.problem.joint_names[joint]}"
+    if column == value.shape[1] - 2:
+        return "speed limit of the tool"
     return f"clearance of {design.problem.obstacles.closest(q[sample]).label}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from robot_sysid.excitation.design.constraints import MotionConstraints
 from tests.support import arms
@@ -25,13 +26,16 @@ STRONG_MOTORS = arms.DRY_FRICTION.replace(
 def columns(joints):
     """Names of the constraint families by column."""
     names = ("position", "velocity", "acceleration", "torque")
-    return [name for name in names for _ in range(joints)] + ["clearance"]
+    return [name for name in names for _ in range(joints)] + ["tool speed", "clearance"]
 
 
-@given(SEEDS)
+LIMITED = ({}, {"max_tool_speed": 0.7}, {"payload_reserve": 2.0})
+
+
+@given(st.sampled_from(LIMITED), SEEDS)
 @settings(max_examples=100)
-def test_gradient_equals_differences(seed):
-    constraints = MotionConstraints(problem(STRONG_MOTORS), 0.99, 0.0)
+def test_gradient_equals_differences(limits, seed):
+    constraints = MotionConstraints(problem(STRONG_MOTORS, **limits), 0.99, 0.0)
     rng = np.random.default_rng(seed)
     motion, direction = rng.normal(size=(2, 3, 3, 3))
     cache = constraints.evaluate(motion)
@@ -61,6 +65,7 @@ def test_values_are_shares_of_the_limits_minus_one():
     assert np.allclose(value[:, names == "velocity"], 0.0)
     assert np.allclose(value[:, names == "acceleration"], -0.5)
     assert np.all(value[:, names == "torque"] == -1.0)
+    assert np.all(value[:, names == "tool speed"] == -1.0)
 
 
 def test_gradient_of_the_clearance_equals_differences():

@@ -82,7 +82,7 @@ def test_gradient_equals_differences(criterion, ends, seed):
     some = design(arms.THREE, criterion=criterion, ends=ends)
     rng = np.random.default_rng(seed)
     extra = rng.uniform(0.0, 6.0, size=3)
-    multipliers = rng.uniform(size=(len(some.grid) + 3, 13))
+    multipliers = rng.uniform(size=(len(some.grid) + 3, 14))
     objective = PenalisedDesign(some, extra, multipliers, 10.0)
     x, direction = random_x(some, seed), random_x(some, seed + 1, 1.0)
     exact = np.sum(objective.evaluate(x).gradient * direction)
@@ -93,14 +93,14 @@ def test_gradient_equals_differences(criterion, ends, seed):
 def test_without_multipliers_and_excess_the_objective_is_the_criterion():
     some = design(arms.THREE)
     draw = min(draw_trajectories(some, 0, range(5)), key=lambda d: d.score)
-    none = np.zeros((len(some.grid), 13))
+    none = np.zeros((len(some.grid), 14))
     evaluation = PenalisedDesign(some, np.zeros(0), none, 10.0).evaluate(0.9 * draw.x)
     assert evaluation.value == evaluation.criterion == some.criterion_of(0.9 * draw.x)
 
 
 def test_multipliers_grow_where_limits_are_exceeded_and_nowhere_else():
     some = design(arms.THREE)
-    none = np.zeros((len(some.grid), 13))
+    none = np.zeros((len(some.grid), 14))
     objective = PenalisedDesign(some, np.zeros(0), none, 10.0)
     value = objective.evaluate(random_x(some, 0, 2.0)).constraints.value
     multipliers = objective.updated_multipliers(value)

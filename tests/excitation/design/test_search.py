@@ -11,9 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
-from robot_sysid.excitation.design.constraints import ROUNDING, MotionConstraints
+from robot_sysid.excitation.design.constraints import MotionConstraints
 from robot_sysid.excitation.design.optimise import Design
 from robot_sysid.excitation.design.search import design_excitation, draw_trajectories
+from robot_sysid.excitation.problem import ROUNDING
 from robot_sysid.model.contacts import find_new_contacts
 from robot_sysid.trajectory import TrajectoryOptions, motion_chunks
 from tests.support import arms
@@ -173,6 +174,20 @@ def test_a_tighter_speed_limit_is_kept(speed):
     result = search_of(slow)
     assert np.all(result.limit_check.velocity <= speed * (1.0 + ROUNDING))
     assert np.max(result.limit_check.velocity) > 0.3 * speed
+
+
+def test_the_tool_is_as_slow_as_asked_for_and_hardly_slower():
+    result = search_of(problem(TUBES, max_tool_speed=0.3), iterations=20, rounds=2)
+    assert result.limit_check.holds
+    assert 0.2 < result.limit_check.tool_speed <= 0.3 * (1.0 + ROUNDING)
+
+
+def test_a_load_within_the_reserve_breaks_no_torque_limit():
+    some, loaded = (problem(TUBES, max_torque=25.0, payload_reserve=kg) for kg in (0.0, 1.5))
+    result = search_of(loaded)
+    motion = result.trajectory.evaluate(np.arange(600) / 100.0)
+    torque = some.torque(motion) + 1.5 * some.torque.per_kilogram(motion)
+    assert np.max(np.abs(torque)) <= 0.95 * 25.0 * (1.0 + ROUNDING)
 
 
 def test_terminal_torques_optimise_what_they_can_show():
