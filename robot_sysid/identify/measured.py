@@ -14,10 +14,10 @@ from robot_sysid.identify.fit import MeasuredFit, fit_measured, validate_on
 from robot_sysid.identify.simulated import Analysis, SimulatedRun, describe
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.reader import (
+    LogJoints,
     MeasurementLog,
     join_measurements,
-    read_measurements,
-    torque_factor,
+    read_log,
     write_measurement_csv,
 )
 from robot_sysid.records import DataOrigin, Measurement, RobotModel, Source, Validation
@@ -95,13 +95,13 @@ def identify_logs(
     logs = []
     for path in options.measurements:
         progress.stage(f"Reading measurements from {path}...")
-        logs.append(_read_log(robot, options, path))
+        logs.append(_read_log(robot, options, path, progress))
     if save is not None:
         write_measurement_csv(save, robot.joint_names, [logs[0].samples])
-    measured = tuple(log.samples for log in logs)
+    measured = tuple(piece for log in logs for piece in log.pieces)
     tests = []
     if options.validation_measurements is not None:
-        tests.append(_read_log(robot, options, options.validation_measurements))
+        tests.append(_read_log(robot, options, options.validation_measurements, progress))
         for note in tests[0].notes:
             progress.note(f"validation log: {note}")
     data = MeasuredData(measured, _origin(logs), _log_notes(logs))
@@ -114,12 +114,12 @@ def _require_fitting(robot: RobotModel, options: EstimationOptions) -> None:
         per_joint(options.velocity_deadband, robot.n_joints, "--velocity-deadband")
 
 
-def _read_log(robot: RobotModel, options: LogOptions, path: Path) -> MeasurementLog:
+def _read_log(
+    robot: RobotModel, options: LogOptions, path: Path, progress: Progress
+) -> MeasurementLog:
     """Open a log of this arm with the columns and units that were declared."""
-    slides = robot.is_slide.tolist()
-    names, limits = robot.joint_names, robot.limits
-    factor = torque_factor(options, names)
-    return read_measurements(path, names, limits, options.columns, options.units, slides, factor)
+    joints = LogJoints(robot.joint_names, robot.limits, tuple(robot.is_slide.tolist()))
+    return read_log(path, joints, options, progress)
 
 
 def _origin(logs: Sequence[MeasurementLog]) -> DataOrigin:

@@ -19,9 +19,12 @@ from robot_sysid.logs.motion_checks import (
     rest_notes,
     velocity_notes,
 )
-from robot_sysid.logs.rows import LogRows, listed
+from robot_sysid.logs.rows import LogRows
 from robot_sysid.logs.timing import LogContext, clock_notes, require_one_clock
 from robot_sysid.records import Array
+
+LARGEST_GARBAGE = 0.01
+"""Share of rows that are no rows of numbers beyond which a log is refused."""
 
 
 def check_log(rows: LogRows, context: LogContext) -> tuple[str, ...]:
@@ -30,6 +33,11 @@ def check_log(rows: LogRows, context: LogContext) -> tuple[str, ...]:
     Raises:
         InputError: the log cannot be used as it is.
     """
+    if not rows.n_read and rows.foreign:
+        raise InputError(
+            f"{context.name}: none of its {rows.foreign} rows holds a position and a torque of "
+            f"{', '.join(context.joint_names)}"
+        )
     if len(rows.lines) < 10:
         raise InputError(
             f"{context.name} has only {len(rows.lines)} usable rows; an excitation of several "
@@ -83,15 +91,29 @@ def _repair_notes(rows: LogRows, context: LogContext) -> Iterator[str]:
     if len(rows.missing) > 0.05 * rows.n_read:
         raise InputError(
             f"{context.name}: {len(rows.missing)} of {rows.n_read} rows have empty or NaN "
-            f"cells ({listed(rows.missing)}); mend the recording, or keep a broken column out with "
-            "--columns FILE"
+            f"cells ({rows.listed(rows.missing)}); mend the recording, or keep a broken column out "
+            "with --columns FILE"
         )
     if len(rows.repeated) > 0.05 * rows.n_read:
         raise InputError(
             f"{context.name}: {len(rows.repeated)} of {rows.n_read} rows repeat the time "
-            f"stamp before them ({listed(rows.repeated)}); write the time with more digits"
+            f"stamp before them ({rows.listed(rows.repeated)}); write the time with more digits"
+        )
+    if len(rows.unreadable) > LARGEST_GARBAGE * rows.n_read:
+        raise InputError(
+            f"{context.name}: {len(rows.unreadable)} of {rows.n_read} rows are no rows of numbers "
+            f"({rows.complaint or rows.listed(rows.unreadable)}), more than "
+            f"{100.0 * LARGEST_GARBAGE:g} %; mend the recording"
+        )
+    if rows.foreign:
+        yield f"left out {rows.foreign} rows that hold nothing of this arm"
+    if rows.thinned > 1:
+        yield (
+            f"a long log: every {rows.thinned} rows were low-passed and made one, which leaves "
+            f"{len(rows.lines)}"
         )
     said = (
+        (rows.unreadable, "left out {count} rows that are no rows of numbers ({lines})"),
         (rows.missing, "left out {count} rows with empty or NaN cells ({lines})"),
         (rows.repeated, "left out {count} rows that repeat a time stamp ({lines})"),
         (rows.cut_off, "left out the last row, which is cut off ({lines})"),
@@ -99,4 +121,4 @@ def _repair_notes(rows: LogRows, context: LogContext) -> Iterator[str]:
     )
     for lines, text in said:
         if len(lines):
-            yield text.format(count=len(lines), lines=listed(lines))
+            yield text.format(count=len(lines), lines=rows.listed(lines))

@@ -19,6 +19,7 @@ from robot_sysid.logs.columns import (
     UNITS,
     Found,
     Title,
+    currents_as_torque,
     joint_kind,
     match_joints,
     read_title,
@@ -59,6 +60,15 @@ class ColumnMap:
     unused: tuple[str, ...]
     angle_declared: bool
 
+    def groups(self) -> tuple[tuple[Source, ...] | None, ...]:
+        """Return the columns of each quantity: position, torque, then what there may be."""
+        return (*(self.position, self.torque, self.velocity, self.acceleration, self.joint_time),)
+
+    def sources(self) -> list[Source]:
+        """Return all columns: time, where there is one, and the groups."""
+        time = [self.time] if self.time else []
+        return time + [source for group in self.groups() for source in group or ()]
+
     def with_torque_factor(self, factor: Array) -> ColumnMap:
         """Return the map with each joint's torque multiplied by a factor (n,)."""
         scaled = zip(self.torque, factor.tolist())
@@ -82,6 +92,7 @@ def recognise_columns(
     chosen: ColumnChoices,
     first_row: Sequence[str],
     is_slide: Sequence[bool],
+    currents: bool = False,
 ) -> ColumnMap:
     """Find out what each column is.
 
@@ -91,16 +102,19 @@ def recognise_columns(
         chosen: what was declared; it outranks the titles.
         first_row: the first row of data (it may hold joint names, as ROS logs do).
         is_slide: (n,) whether a joint is a slide, whose positions are never angles.
+        currents: whether columns of motor current stand in for torque, where there are any.
 
     Raises:
         InputError: a quantity is missing, has two candidates, or contradicts the declared units.
     """
     parsed = [read_title(title) for title in titles]
+    if currents:
+        parsed = currents_as_torque(parsed, len(joint_names))
     # What the file names in full need not be recognised, and cannot be ambiguous.
     settled = {k for k, c in chosen.columns.items() if len(c) == len(joint_names)}
     readable = [t if joint_kind(t) not in settled else read_title("") for t in parsed]
     found = match_joints(readable, joint_names, first_row)
-    columns = _Columns(parsed, joint_names, chosen, is_slide)
+    columns = _Columns(titles, parsed, joint_names, chosen, is_slide)
     sources = {kind: columns.of_joints(kind, found) for kind in QUANTITIES}
     time = columns.time()
     used = {s.index for group in sources.values() if group for s in group}
@@ -121,6 +135,7 @@ class _Columns:
 
     def __init__(
         self,
+        texts: Sequence[str],
         titles: Sequence[Title],
         joint_names: Sequence[str],
         chosen: ColumnChoices,
@@ -128,7 +143,7 @@ class _Columns:
     ) -> None:
         self._titles, self._joints, self._chosen = titles, joint_names, chosen
         self._is_slide = is_slide
-        self._texts = [title.text for title in titles]
+        self._texts = list(texts)
 
     def of_joints(self, kind: str, found: Found) -> tuple[Source, ...] | None:
         """Return one source per joint, or None where an optional quantity is not there for all."""
@@ -179,6 +194,9 @@ class _Columns:
         found = f"{len(candidates)} ({', '.join(candidates)})" if candidates else "none"
         commanded = [title.text for title in self._titles if title.commanded]
         hint = f"; commanded columns are not measurements: {commanded[0]}, ..." if commanded else ""
+        currents = [title.text for title in self._titles if title.is_current]
+        if kind == "torque" and currents:
+            hint += f"; {currents[0]}, ... are motor currents: give --torque-constants to use them"
         return InputError(
             f"the log needs one {kind} column for each of the {len(self._joints)} chain joints "
             f"({', '.join(self._joints)}), found {found}{hint}; {REMEDY}. Columns: "
@@ -209,7 +227,7 @@ class _Columns:
                 "declare what the column holds, or drop --units"
             )
         unit = written if written is not None else declared if declared is not None else 1.0
-        return Source(index, title.text, factor * unit)
+        return Source(index, self._texts[index], factor * unit)
 
     def _written(self, kind: str, title: Title) -> float | None:
         if not title.unit:

@@ -40,8 +40,10 @@ _COMMANDED = _words(
 _NEUTRAL = _words(
     "j jnt joint joints axis ax a m motor motors dof arm robot field state states js jointstate "
     "jointstates header meas measured measurement act actual fb feedback msr present current "
-    "sensor data values value"
+    "sensor data values value currents"
 )
+_CURRENT = frozenset({"current", "currents"})
+_BRACKETED_AMPERES = re.compile(r"[\[(]\s*(A|amps?|amperes?)\s*[\])]", re.IGNORECASE)
 _JOINED = {("q", "dot"): "qd", ("q", "ddot"): "qdd", ("dot", "q"): "qd", ("ddot", "q"): "qdd"}
 
 UNITS = {
@@ -92,6 +94,31 @@ class Title:
         kinds = {KIND_OF_WORD[word] for word in self.words if word in KIND_OF_WORD}
         foreign = [w for w in self.words if w not in KIND_OF_WORD and w not in _NEUTRAL]
         return kinds.pop() if len(kinds) == 1 and not foreign else None
+
+    @property
+    def is_current(self) -> bool:
+        """Whether it is a motor's current: the word, and none for another quantity."""
+        other = any(word in KIND_OF_WORD for word in self.words)
+        return bool(_CURRENT & set(self.words)) and not other and not self.commanded
+
+
+def currents_as_torque(titles: Sequence[Title], joints: int) -> list[Title]:
+    """Return the titles with currents called torque and torques called something else.
+
+    Unchanged where there are fewer currents than joints: then the torque columns hold them.
+    """
+    if sum(title.is_current for title in titles) < joints:
+        return list(titles)
+    return [_as_torque(title) for title in titles]
+
+
+def _as_torque(title: Title) -> Title:
+    """Return a current as torque, without its unit, and a torque as what is not used."""
+    if title.is_current:
+        text = re.sub(r"currents?", "torque", _BRACKETED_AMPERES.sub("", title.text), flags=re.I)
+        return read_title(text)
+    is_torque = any(KIND_OF_WORD.get(word) == "torque" for word in title.words)
+    return read_title(f"{title.text} unused") if is_torque else title
 
 
 def read_title(text: str) -> Title:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.rows import LogRows, listed
+from robot_sysid.logs.rows import LogRows
 from robot_sysid.logs.timing import LogContext
 from robot_sysid.records import Array
 from robot_sysid.signals.resampling import GAP_STEPS
@@ -56,8 +56,8 @@ def require_no_jumps(rows: LogRows, context: LogContext) -> None:
         joint = context.joint_names[np.argwhere(jump)[0, 1]]
         raise InputError(
             f"{context.name}: the position of joint {joint} jumps at "
-            f"{listed(rows.lines[1:][np.any(jump, axis=1)])}; delete the bad rows, or cut the log "
-            "there"
+            f"{rows.listed(rows.lines[1:][np.any(jump, axis=1)])}; delete the bad rows, or cut the "
+            "log there"
         )
 
 
@@ -79,11 +79,11 @@ def rest_notes(rows: LogRows, context: LogContext) -> Iterator[str]:
     first = int(np.argmax(_away(q, q[0])))
     before = time[first] - time[0]
     if before > long:
-        yield f"the arm stands still up to line {rows.lines[first]} ({before:.2f} s)"
+        yield f"the arm stands still up to {rows.word} {rows.lines[first]} ({before:.2f} s)"
     last = len(q) - int(np.argmax(_away(q, q[-1])[::-1]))
     after = time[-1] - time[last]
     if after > long:
-        yield f"the arm stands still from line {rows.lines[last]} on ({after:.2f} s)"
+        yield f"the arm stands still from {rows.word} {rows.lines[last]} on ({after:.2f} s)"
 
 
 def _away(q: Array, posture: Array) -> NDArray[np.bool_]:
@@ -105,8 +105,8 @@ def limit_notes(rows: LogRows, context: LogContext) -> Iterator[str]:
         if excess > _LIMIT_MARGIN
     ]
     yield (
-        f"positions leave the model's joint limits: {', '.join(outside)} rad ({listed(lines)}); "
-        "check zero positions, signs, units and the order of the columns"
+        f"positions leave the model's joint limits: {', '.join(outside)} rad "
+        f"({rows.listed(lines)}); check zero positions, signs, units and the order of the columns"
     )
 
 

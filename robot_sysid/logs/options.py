@@ -44,6 +44,16 @@ class LogOptions(OptionRecord):
         parse=factors_in,
         check=usable_factor,
     )
+    topic: str | None = option(
+        None, "topic of a ROS bag, where several fit", metavar="TOPIC", usual="found"
+    )
+    episode: tuple[int, ...] = option(
+        (),
+        "episode of a LeRobot data set; may be repeated",
+        metavar="N",
+        repeats=True,
+        usual="all",
+    )
     validation_measurements: Path | None = option(
         None, "another log that only tests the result", metavar="LOG.csv"
     )

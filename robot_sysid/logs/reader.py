@@ -1,9 +1,9 @@
-"""Log files of real arms to Measurement records, and back.
+"""Logs of real arms to Measurement records, and back.
 
-A log is a text table with a row per sample: time, and position and torque of every chain joint;
-velocity, acceleration and other columns as they come (see ``columns``, ``column_map`` and
-``column_file`` for how columns are found, ``checks`` for what is checked). It is held in memory as
-a whole, which the fit needs.
+A log is a table with a row per sample: time, and position and torque of every chain joint;
+velocity, acceleration and other columns as they come (see ``formats`` for what kind of file it
+may be, ``columns``, ``column_map`` and ``column_file`` for how columns are found, ``checks`` for
+what is checked). It is read in blocks; what is left of it after ``thinning`` is held in memory.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import csv
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,12 +20,16 @@ from robot_sysid.errors import InputError
 from robot_sysid.logs.checks import check_log
 from robot_sysid.logs.column_file import ColumnChoices, Units, parse_units, read_columns_file
 from robot_sysid.logs.column_map import ColumnMap, recognise_columns
-from robot_sysid.logs.dialect import SEPARATOR_NAMES, LogDialect, read_dialect
+from robot_sysid.logs.formats.known_text import merged
+from robot_sysid.logs.formats.recognise import open_table
+from robot_sysid.logs.formats.table import LogTable
 from robot_sysid.logs.options import LogOptions
+from robot_sysid.logs.pieces import piece_note, pieces_of
 from robot_sysid.logs.rows import read_rows
 from robot_sysid.logs.timing import LogContext
 from robot_sysid.records import Array, JointLimits, Measurement
 from robot_sysid.records.atomic_files import whole_file
+from robot_sysid.records.progress import Progress
 from robot_sysid.records.torque_scale import CONSTANTS, SCALE, joint_factors
 
 
@@ -36,12 +41,14 @@ class MeasurementLog:
         path: the file.
         columns: which column was taken for what.
         samples: the usable rows.
+        pieces: the samples between the gaps, those that are long enough.
         notes: one sentence each: which columns were used, what was mended, what looks odd.
     """
 
     path: Path
     columns: ColumnMap
     samples: Measurement
+    pieces: tuple[Measurement, ...]
     notes: tuple[str, ...]
 
     @property
@@ -61,43 +68,80 @@ def join_measurements(chunks: Iterable[Measurement]) -> Measurement:
     return Measurement(**joined)  # type: ignore[arg-type]
 
 
+@dataclass(frozen=True)
+class LogJoints:
+    """The joints that a log is about.
+
+    Attributes:
+        names: the n chain joints, base to terminal.
+        limits: what they may do; None checks no limits.
+        is_slide: (n,) whether a joint is a slide, whose positions are metres; empty for none.
+    """
+
+    names: tuple[str, ...]
+    limits: JointLimits | None = None
+    is_slide: tuple[bool, ...] = ()
+
+    @property
+    def slides(self) -> list[bool]:
+        """Whether each joint is a slide (n,)."""
+        return list(self.is_slide) or [False] * len(self.names)
+
+
+def read_log(
+    path: Path, joints: LogJoints, options: LogOptions, progress: Progress | None = None
+) -> MeasurementLog:
+    """Recognise, check and open a log.
+
+    Args:
+        path: the log, a file or a folder.
+        joints: what it is about.
+        options: what was said of it.
+        progress: where to tell how far it is.
+
+    Raises:
+        InputError: the log cannot be read, is ambiguous or cannot be what it seems to be.
+    """
+    path, names, slides = Path(path), joints.names, joints.slides
+    table = open_table(path, names, options)
+    choices = read_columns_file(Path(options.columns), names) if options.columns else None
+    own = choices or ColumnChoices()
+    own = merged(replace(own, units=_declared_units(options.units, own)), table.choices)
+    _require_titles(table, choices is not None)
+    currents = options.torque_constants is not None
+    found = recognise_columns(table.titles, names, own, table.first_row, slides, currents)
+    factor = torque_factor(options, names)
+    if factor is not None:
+        found = found.with_torque_factor(factor)
+    rows = read_rows(table, found, slides, progress)
+    declared = found.angle_declared
+    context = LogContext(str(path), names, joints.limits, np.array(slides), declared)
+    checked = check_log(rows, context)
+    pieces = pieces_of(rows.samples)
+    notes = (f"log layout: {table.layout}", *found.describe(), *checked)
+    return MeasurementLog(
+        path, found, rows.samples, pieces, (*notes, *piece_note(rows.samples, pieces))
+    )
+
+
 def read_measurements(
     path: Path,
     joint_names: Sequence[str],
     limits: JointLimits | None = None,
-    columns: Path | None = None,
-    units: str | None = None,
     is_slide: Sequence[bool] = (),
-    torque_factor: Array | None = None,
+    **options: Any,
 ) -> MeasurementLog:
-    """Recognise, check and open a log.
+    """Recognise, check and open a log, see ``read_log``.
 
     Args:
         path: the log.
         joint_names: the n chain joints, base to terminal.
         limits: what the joints may do; None checks no limits.
-        columns: a columns file (``--columns``), or None.
-        units: declared units such as "deg" or "deg,ms"; None goes by the titles, else rad and s.
-        is_slide: (n,) whether a joint is a slide, whose positions are metres.
-        torque_factor: (n,) what turns a torque column into N m, see ``torque_factor``; None for
-            columns that hold N m.
-
-    Raises:
-        InputError: the log cannot be read, is ambiguous or cannot be what it seems to be.
+        is_slide: (n,) whether a joint is a slide.
+        options: fields of ``LogOptions``, such as columns or units.
     """
-    path, slides = Path(path), list(is_slide) or [False] * len(joint_names)
-    dialect = read_dialect(path)
-    choices = read_columns_file(Path(columns), joint_names) if columns else ColumnChoices()
-    choices = replace(choices, units=_declared_units(units, choices))
-    titles = _titles(dialect, choices)
-    found = recognise_columns(titles, joint_names, choices, dialect.first_row, slides)
-    if torque_factor is not None:
-        found = found.with_torque_factor(torque_factor)
-    rows = read_rows(dialect, found, slides)
-    declared = found.angle_declared
-    context = LogContext(str(path), tuple(joint_names), limits, np.array(slides), declared)
-    notes = (_layout(dialect), *found.describe(), *check_log(rows, context))
-    return MeasurementLog(path, found, rows.samples, notes)
+    joints = LogJoints(tuple(joint_names), limits, tuple(is_slide))
+    return read_log(path, joints, LogOptions(**options))
 
 
 def torque_factor(options: LogOptions, joint_names: Sequence[str]) -> Array | None:
@@ -164,12 +208,11 @@ def _written_quantities(chunk: Measurement) -> tuple[tuple[str, str], ...]:
     return tuple(pair for pair in quantities if getattr(chunk, pair[1]) is not None)
 
 
-def _titles(dialect: LogDialect, choices: ColumnChoices) -> tuple[str, ...]:
-    numbered = tuple(f"#{k + 1}" for k in range(dialect.width))
-    if dialect.header or choices.columns:
-        return dialect.header or numbered
+def _require_titles(table: LogTable, has_columns_file: bool) -> None:
+    if has_columns_file or table.titles[:1] != ("#1",):
+        return
     raise InputError(
-        f"{dialect.path} has no column titles; say which of its {dialect.width} columns is what "
+        f"{table.path} has no column titles; say which of its {len(table.titles)} columns is what "
         "with --columns FILE, for instance 'time = #1' and 'position = #2, #3, ...'"
     )
 
@@ -177,10 +220,3 @@ def _titles(dialect: LogDialect, choices: ColumnChoices) -> tuple[str, ...]:
 def _declared_units(units: str | None, choices: ColumnChoices) -> Units:
     given = parse_units(units) if units else Units()
     return Units(given.angle or choices.units.angle, given.time or choices.units.time)
-
-
-def _layout(dialect: LogDialect) -> str:
-    separator = SEPARATOR_NAMES[dialect.separator]
-    decimal = ", decimal comma" if dialect.decimal_comma else ""
-    commented = "" if dialect.header_line or not dialect.header else ", titles in a comment line"
-    return f"log layout: {dialect.width} columns separated by {separator}{decimal}{commented}"

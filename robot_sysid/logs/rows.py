@@ -1,33 +1,34 @@
 """The rows of a log as numbers, with what had to be left out or mended.
 
-Rows with an empty or NaN cell and rows that repeat the previous time stamp are left out, a jump by
-a full turn is unwrapped; the lines of each are kept. What cannot be mended (text in a number
-column, a row of another length, time running backwards) is an error with its line number.
+Rows with an empty or NaN cell, rows that are no row of numbers at all and rows that repeat the
+previous time stamp are left out, a jump by a full turn is unwrapped; the lines of each are kept.
+What cannot be mended (time running backwards) is an error with its line number. The rows pass by in
+blocks; a log that is longer than any identification needs is low-passed and thinned on the way.
 """
 
 from __future__ import annotations
 
+import time as clock
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import islice
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.column_map import ColumnMap, Source
-from robot_sysid.logs.dialect import LogDialect
+from robot_sysid.logs.column_map import ColumnMap
+from robot_sysid.logs.formats.table import NO_LINES, Block, Lines, LogTable
+from robot_sysid.logs.thinning import Thinning
 from robot_sysid.records import Array, Measurement
-
-Lines = NDArray[np.int64]
-"""File line numbers, counted from 1."""
+from robot_sysid.records.progress import Progress
 
 _TURN = 2.0 * np.pi
 # A wrap differs from a full turn only by the motion within one sample.
 _WRAP_TOLERANCE = 0.5
-# The text of so many rows is in memory at a time.
-_BATCH = 10_000
+_ABSURD = 1e7
+"""No joint position, speed or torque is beyond this in SI units; a cell that is was not written."""
+APART = 10.0
+"""Recordings with clocks of their own are put so far apart [s]."""
 
 
 @dataclass(frozen=True)
@@ -35,12 +36,17 @@ class LogRows:
     """The usable rows of a log; row i stands in file line ``lines[i]``.
 
     Attributes:
-        lines: (N,) file lines.
+        lines: (N,) file lines; of thinned rows, those in whose middle a row is.
         samples: what stands there, in SI units.
-        n_read: number of rows in the file, except one that is cut off.
+        n_read: number of rows in the file, except one that is cut off and those of other joints.
         missing, repeated: lines left out for an empty cell or for the time stamp before them.
+        unreadable: lines left out because they hold no row of numbers, or none that can be true.
         wrapped: lines at which a position was unwrapped.
         cut_off: the last line, where it is incomplete; else nothing.
+        complaint: what is wrong with the first of the unreadable lines.
+        foreign: number of rows that hold nothing of this arm.
+        thinned: how many rows were made one.
+        word: what rows are called.
     """
 
     lines: Lines
@@ -48,140 +54,171 @@ class LogRows:
     n_read: int
     missing: Lines
     repeated: Lines
+    unreadable: Lines
     wrapped: Lines
     cut_off: Lines
+    complaint: str = ""
+    foreign: int = 0
+    thinned: int = 1
+    word: str = "line"
+
+    def listed(self, lines: Lines) -> str:
+        """Return lines in words: the first few and how many more."""
+        first = ", ".join(str(line) for line in lines[:3])
+        more = f" and {len(lines) - 3} more" if len(lines) > 3 else ""
+        return f"{self.word}{'s' if len(lines) > 1 else ''} {first}{more}"
 
 
-def listed(lines: Lines) -> str:
-    """Return lines in words: the first few and how many more."""
-    first = ", ".join(str(line) for line in lines[:3])
-    more = f" and {len(lines) - 3} more" if len(lines) > 3 else ""
-    return f"line{'s' if len(lines) > 1 else ''} {first}{more}"
-
-
-def read_rows(dialect: LogDialect, columns: ColumnMap, is_slide: Sequence[bool]) -> LogRows:
+def read_rows(
+    table: LogTable,
+    columns: ColumnMap,
+    is_slide: Sequence[bool],
+    progress: Progress | None = None,
+) -> LogRows:
     """Read all rows of a log.
 
     Args:
-        dialect: the file's layout.
+        table: the log.
         columns: what each column is.
         is_slide: (n,) whether a joint is a slide, which has no full turn.
+        progress: where to tell how far it is.
 
     Raises:
-        InputError: a row cannot be read, or time runs backwards.
+        InputError: time runs backwards, or nothing is left.
     """
-    optional = (columns.velocity, columns.acceleration, columns.joint_time)
-    groups = (columns.position, columns.torque, *optional)
-    sources = [columns.time] if columns.time else []
-    sources += [source for group in groups for source in group or ()]
-    lines, cut_off, table = _numbers(dialect, sources)
-    n_read = len(table)
-    table *= [source.factor for source in sources]
-    if columns.time is None:
-        table = np.column_stack((np.arange(n_read) / float(columns.rate or 1.0), table))
-    finite = np.all(np.isfinite(table), axis=1)
-    missing, lines, table = lines[~finite], lines[finite], table[finite]
-    later = _later(dialect.path, lines, table[:, 0])
-    repeated, lines, table = lines[~later], lines[later], table[later]
-    ends = np.cumsum([1, *(len(group or ()) for group in groups)])
-    time, *parts = np.split(table, ends[:-1], axis=1)
+    cleaner = _Cleaner(table, columns, is_slide)
+    thinning, kept = None, []
+    blocks = table.blocks([source.index for source in columns.sources()])
+    for block in _followed(blocks, table, progress or Progress()):
+        rows = cleaner.clean(block)
+        if thinning is None and len(rows) > 1:
+            thinning = Thinning.of(rows[:, 1], cleaner.n_read / max(block.done, 1e-9))
+        kept.append(rows if thinning is None else thinning.push(rows))
+    cells = np.concatenate(kept) if kept else np.empty((0, 2 + len(columns.sources())))
+    kept.clear()
+    lines, samples = _samples(columns, cells)
+    every = 1 if thinning is None else thinning.every
+    left_out = {kind: _joined(parts) for kind, parts in cleaner.found.items()}
+    rest = {"foreign": cleaner.foreign, "thinned": every, "word": table.word}
+    rest["complaint"] = cleaner.complaint
+    return LogRows(lines, samples, cleaner.n_read, **left_out, **rest)  # type: ignore[arg-type]
+
+
+def _followed(blocks: Iterator[Block], table: LogTable, progress: Progress) -> Iterator[Block]:
+    """Pass blocks through and tell how far the reading is."""
+    label, start, rows, total = f"Reading {table.path.name}", clock.monotonic(), 0, 0.0
+    for block in blocks:
+        yield block
+        rows += len(block.lines)
+        total = total or rows / max(block.done, 1e-9)
+        speed = rows / max(clock.monotonic() - start, 1e-9)
+        done = min(block.done, 0.999) * total
+        progress.advance(label, done, total, f"{speed:,.0f} rows per second")
+    progress.advance(label, total, total, "")
+
+
+def _joined(parts: Sequence[Lines]) -> Lines:
+    return np.concatenate(parts) if parts else NO_LINES
+
+
+def _samples(columns: ColumnMap, cells: Array) -> tuple[Lines, Measurement]:
+    """Return (lines, samples) of cleaned rows (N, 2 + C): line, time, then the columns' groups."""
+    ends = np.cumsum([1, 1, *(len(group or ()) for group in columns.groups())])
+    lines, time, *parts = np.split(cells, ends[:-1], axis=1)
     q, tau, *others = (np.ascontiguousarray(part) for part in parts)
     qd, qdd, stamps = (values if values.shape[1] else None for values in others)
-    turns = _turns(q) * ~np.array(is_slide)
-    wrapped = lines[np.any(turns != 0.0, axis=1)]
-    q = q - _TURN * np.cumsum(turns, axis=0)
-    samples = Measurement(time[:, 0].copy(), q, qd, tau, qdd, stamps)
-    return LogRows(lines, samples, n_read, missing, repeated, wrapped, cut_off)
+    numbers = np.round(lines[:, 0]).astype(np.int64)
+    return numbers, Measurement(time[:, 0].copy(), q, qd, tau, qdd, stamps)
 
 
-def _later(path: Path, lines: Lines, time: Array) -> NDArray[np.bool_]:
-    """Return (N,) whether each row is later than the one before, or raise InputError."""
-    step = np.diff(time, prepend=time[:1] - 1.0)
-    if np.any(step < 0.0):
-        at = int(np.argmax(step < 0.0))
-        raise InputError(
-            f"{path}: time runs backwards at line {lines[at]}, by {-step[at]:.6g} s; sort the "
-            "log, or cut it where a second recording begins"
-        )
-    return step > 0.0
+class _Cleaner:
+    """Leaves out and mends rows, block by block.
 
-
-def _turns(q: Array) -> Array:
-    """Return by how many full turns each position (N, n) jumps."""
-    step = np.diff(q, axis=0, prepend=q[:1])
-    turns = np.round(step / _TURN)
-    return np.where(np.abs(step - turns * _TURN) > _WRAP_TOLERANCE, 0.0, turns)
-
-
-def _numbers(dialect: LogDialect, sources: Sequence[Source]) -> tuple[Lines, Lines, Array]:
-    """Return the lines of all rows (R,), that of a last row which is cut off, and cells (R, S)."""
-    rows = dialect.data_lines()
-    lines: list[int] = []
-    cut_off: list[int] = []
-    tables = []
-    while batch := list(islice(rows, _BATCH)):
-        table = _fast(dialect, sources, [text for _, text in batch])
-        if table is None:
-            table = _careful(dialect, sources, batch, rows)
-        tables.append(table)
-        lines += [line for line, _ in batch[: len(table)]]
-        cut_off += [line for line, _ in batch[len(table) :]]
-    return np.array(lines, np.int64), np.array(cut_off, np.int64), np.concatenate(tables)
-
-
-def _fast(dialect: LogDialect, sources: Sequence[Source], texts: list[str]) -> Array | None:
-    """Parse rows with numpy; None where a row needs a closer look."""
-    blank = dialect.separator == " "
-    if dialect.quoted or not all(
-        len(text.split()) == dialect.width
-        if blank
-        else text.count(dialect.separator) == dialect.width - 1
-        for text in texts
-    ):
-        return None
-    if dialect.decimal_comma:
-        texts = [text.replace(",", ".") for text in texts]
-    try:
-        return np.loadtxt(
-            texts,
-            delimiter=None if blank else dialect.separator,
-            usecols=[source.index for source in sources],
-            comments=None,
-            ndmin=2,
-        )
-    except ValueError:
-        return None
-
-
-def _careful(
-    dialect: LogDialect,
-    sources: Sequence[Source],
-    batch: list[tuple[int, str]],
-    rest: Iterator[tuple[int, str]],
-) -> Array:
-    """Parse rows cell by cell, so that an error names the line and the column.
-
-    A last row of the file that is cut off is left out.
+    Args:
+        table: the log.
+        columns: what each column is.
+        is_slide: (n,) whether a joint is a slide.
     """
-    table = []
-    for line, text in batch:
-        cells = dialect.split(text)
-        if len(cells) < dialect.width and line == batch[-1][0] and next(rest, None) is None:
-            break
-        if len(cells) != dialect.width:
+
+    KINDS = ("missing", "repeated", "unreadable", "wrapped", "cut_off")
+
+    def __init__(self, table: LogTable, columns: ColumnMap, is_slide: Sequence[bool]) -> None:
+        self._name, self._word = table.path, table.word
+        self._columns, self._turning = columns, ~np.array(is_slide)
+        self._factors = np.array([source.factor for source in columns.sources()])
+        self._n = len(columns.position)
+        self._piece, self._offset = 0, 0.0
+        self._last: Array | None = None
+        self._turns = np.zeros(self._n)
+        self.n_read, self.foreign, self.complaint = 0, 0, ""
+        self.found: dict[str, list[Lines]] = {kind: [] for kind in self.KINDS}
+
+    def clean(self, block: Block) -> Array:
+        """Return the usable rows (R, 2 + C) of a block: line, time, then the wanted columns."""
+        self._note("cut_off", block.cut_off)
+        self.complaint = self.complaint or block.complaint
+        lines, cells = block.lines, block.cells * self._factors
+        if self._columns.time is None:
+            count = self.n_read + self.foreign + np.arange(len(cells))
+            cells = np.column_stack((count / float(self._columns.rate or 1.0), cells))
+        lines, cells = self._numbers(block, lines, cells)
+        if not len(cells):
+            return np.empty((0, cells.shape[1] + 1))
+        self._new_piece(block.piece, cells)
+        cells[:, 0] += self._offset
+        later = self._later(lines, cells[:, 0])
+        self._note("repeated", lines[~later])
+        lines, cells = lines[later], cells[later]
+        if len(cells):
+            self._unwrap(lines, cells)
+        return np.column_stack((lines, cells))
+
+    def _numbers(self, block: Block, lines: Lines, cells: Array) -> tuple[Lines, Array]:
+        """Return the rows with a number that can be true in every cell."""
+        noise = np.isin(lines, block.unreadable)
+        noise |= np.any(np.abs(cells[:, 1 : 1 + 2 * self._n]) > _ABSURD, axis=1)
+        empty = np.isnan(cells[:, 1 : 1 + 2 * self._n]).all(axis=1) & ~noise
+        self.foreign += int(np.count_nonzero(empty))
+        self.n_read += int(np.count_nonzero(~empty))
+        finite = np.isfinite(cells).all(axis=1)
+        self._note("unreadable", lines[noise])
+        self._note("missing", lines[~finite & ~noise & ~empty])
+        usable = finite & ~noise
+        return lines[usable], cells[usable]
+
+    def _new_piece(self, piece: int, cells: Array) -> None:
+        """Put a piece with a clock of its own behind the one before."""
+        if piece == self._piece:
+            return
+        self._piece, self._turns = piece, np.zeros(self._n)
+        if self._last is not None and self._columns.time is not None:
+            self._offset = float(self._last[0] + APART - cells[0, 0])
+        self._last = None
+
+    def _later(self, lines: Lines, time: Array) -> NDArray[np.bool_]:
+        """Return (R,) whether each row is later than the one before, or raise InputError."""
+        before = time[0] - 1.0 if self._last is None else self._last[0]
+        step = np.diff(time, prepend=before)
+        if np.any(step < 0.0):
+            at = int(np.argmax(step < 0.0))
             raise InputError(
-                f"{dialect.path} line {line}: {len(cells)} cells instead of {dialect.width}; "
-                "mend or delete the line"
+                f"{self._name}: time runs backwards at {self._word} {lines[at]}, by "
+                f"{-step[at]:.6g} s; sort the log, or cut it where a second recording begins"
             )
-        table.append([_cell(dialect, cells[s.index], s.title, line) for s in sources])
-    return np.array(table).reshape(len(table), len(sources))
+        return step > 0.0
 
+    def _unwrap(self, lines: Lines, cells: Array) -> None:
+        """Take full turns out of the positions, in place."""
+        q = cells[:, 1 : 1 + self._n]
+        before = q[:1] if self._last is None else self._last[None, 1:]
+        step = np.diff(q, axis=0, prepend=before)
+        turns = np.round(step / _TURN) * self._turning
+        turns[np.abs(step - turns * _TURN) > _WRAP_TOLERANCE] = 0.0
+        self._note("wrapped", lines[np.any(turns != 0.0, axis=1)])
+        self._last = cells[-1, : 1 + self._n].copy()
+        q -= _TURN * (self._turns + np.cumsum(turns, axis=0))
+        self._turns = self._turns + turns.sum(axis=0)
 
-def _cell(dialect: LogDialect, cell: str, title: str, line: int) -> float:
-    try:
-        return dialect.number(cell)
-    except ValueError:
-        raise InputError(
-            f"{dialect.path} line {line}, column {title!r}: {cell!r} is not a number; "
-            "mend or delete the line"
-        ) from None
+    def _note(self, kind: str, lines: Lines) -> None:
+        if len(lines):
+            self.found[kind].append(lines)

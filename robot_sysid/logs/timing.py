@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.rows import LogRows, listed
+from robot_sysid.logs.rows import LogRows
 from robot_sysid.records import JointLimits
 from robot_sysid.signals.resampling import GAP_STEPS, usual_period
 
@@ -57,11 +57,11 @@ def clock_notes(rows: LogRows, context: LogContext) -> Iterator[str]:
     if len(late) > 0.1 * len(rows.lines):
         yield (
             f"the samples are unevenly spaced: {len(late)} steps are longer than "
-            f"{GAP_STEPS} times the usual {1e3 * period:.3g} ms ({listed(late)})"
+            f"{GAP_STEPS} times the usual {1e3 * period:.3g} ms ({rows.listed(late)})"
         )
     elif len(late):
         yield (
-            f"samples are missing before {listed(late)}; the longest gap is "
+            f"samples are missing before {rows.listed(late)}; the longest gap is "
             f"{1e3 * np.max(step):.4g} ms where {1e3 * period:.4g} ms is usual"
         )
 
@@ -75,7 +75,7 @@ def require_one_clock(rows: LogRows, context: LogContext) -> None:
     backwards = rows.lines[1:][np.any(np.diff(stamps, axis=0) < 0.0, axis=1)]
     if len(backwards):
         raise InputError(
-            f"{context.name}: a joint's own time stamp runs backwards at {listed(backwards)}; "
+            f"{context.name}: a joint's own time stamp runs backwards at {rows.listed(backwards)}; "
             f"{remedy}"
         )
     apart = np.max(np.abs(stamps - rows.samples.time[:, None]))

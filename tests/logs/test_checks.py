@@ -17,6 +17,8 @@ from tests.support.log_files import JOINTS, TITLES, limits, motion, table, write
 
 # Titles stand in line 1, so row k stands in line k + 2.
 FIRST = 2
+# Rows in which something is put that is no row of numbers.
+RUBBISH = (9, 20, 31, 42, 53)
 
 
 def read(tmp_path, rows, titles=TITLES, **known) -> MeasurementLog:
@@ -36,12 +38,17 @@ def test_a_good_log_draws_no_remark(tmp_path):
 
 
 # Each fault changes the table and is an error that says the words.
-def text_cell(rows):
-    return [[*r[:2], "oops", *r[3:]] if k == 9 else r for k, r in enumerate(rows.tolist())]
+def text_cells(rows):
+    return [[*r[:2], "oops", *r[3:]] if k in RUBBISH else r for k, r in enumerate(rows.tolist())]
 
 
-def short_row(rows):
-    return [r[:5] if k == 9 else r for k, r in enumerate(rows.tolist())]
+def short_rows(rows):
+    return [r[:5] if k in RUBBISH else r for k, r in enumerate(rows.tolist())]
+
+
+def absurd_cells(rows):
+    rows[list(RUBBISH), 4] = 1e30
+    return rows
 
 
 def backwards(rows):
@@ -105,8 +112,9 @@ def stuck_torque(rows):
 
 
 ERRORS: list[tuple[Callable, list[str]]] = [
-    (text_cell, ["line 11", "'q2'", "'oops' is not a number"]),
-    (short_row, ["line 11", "5 cells instead of 7"]),
+    (text_cells, ["5 of 400 rows", "line 11, column 'q2': 'oops' is not a number", "1 %"]),
+    (short_rows, ["5 of 400 rows", "line 11: 5 cells instead of 7"]),
+    (absurd_cells, ["5 of 400 rows", "lines 11, 22, 33 and 2 more"]),
     (backwards, ["log.csv: ", "line 23", "backwards", "0.005 s"]),
     (many_holes, ["40 of 400 rows", "lines 2, 12, 22 and 37 more"]),
     (coarse_time, ["repeat the time stamp", "more digits"]),
@@ -150,6 +158,34 @@ def test_rows_with_holes_are_left_out_and_counted(tmp_path, holes, written):
     assert f"left out {len(holes)} rows with empty or NaN cells (line" in odd(log)
     assert f" {first}" in odd(log)
     assert "longest gap" in odd(log)
+
+
+NOISE = st.binary(min_size=1, max_size=60).filter(lambda b: not set(b) & set(b"\r\n"))
+
+
+@pytest.mark.slow
+@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.sets(st.integers(1, 398), min_size=1, max_size=4), st.tuples(*[NOISE] * 4))
+def test_noise_between_rows_is_left_out_and_counted(tmp_path, places, noise):
+    """Lines of a serial port's rubbish, which have no reason to be text, stand between the rows."""
+    data = motion()
+    path = write(tmp_path / "log.csv", table(data))
+    lines = path.read_bytes().splitlines()
+    for place, text in zip(sorted(places, reverse=True), noise):
+        lines.insert(place + 1, b"\x1b" + text)
+    path.write_bytes(b"\n".join(lines) + b"\n")
+    log = read_measurements(path, JOINTS)
+    np.testing.assert_array_equal(log.samples.q, data.q)
+    assert f"left out {len(places)} rows that are no rows of numbers" in odd(log)
+
+
+@pytest.mark.parametrize("cell", ["1e30", "1e308", "x" * 200_000, "-1e8"])
+def test_a_cell_that_cannot_be_true_is_left_out(tmp_path, cell):
+    rows = table(motion()).tolist()
+    rows[50][5] = cell
+    log = read(tmp_path, rows)
+    assert len(log.samples) == 399 and np.max(np.abs(log.samples.tau)) < 10.0
+    assert "left out 1 rows that are no rows of numbers (line 52)" in odd(log)
 
 
 def test_a_repeated_time_stamp_is_left_out_and_counted(tmp_path):

@@ -20,8 +20,7 @@ def test_torque_is_divided_by_scale_and_multiplied_with_constants(tmp_path, scal
     path = tmp_path / "log.csv"
     if not path.exists():
         write(path, table(motion(20)))
-    factor = torque_factor(LogOptions(torque_scale=scale, torque_constants=constants), JOINTS)
-    log = read_measurements(path, JOINTS, torque_factor=factor)
+    log = read_measurements(path, JOINTS, torque_scale=scale, torque_constants=constants)
     expected = motion(20).tau * constants / np.array(scale)
     np.testing.assert_allclose(log.samples.tau, expected, rtol=1e-14)
     np.testing.assert_array_equal(log.samples.q, motion(20).q)
@@ -30,8 +29,7 @@ def test_torque_is_divided_by_scale_and_multiplied_with_constants(tmp_path, scal
 def test_without_options_there_is_no_factor_and_with_one_it_is_said(tmp_path):
     assert torque_factor(LogOptions(), JOINTS) is None
     path = write(tmp_path / "log.csv", table(motion(20)))
-    factor = torque_factor(LogOptions(torque_scale=2.0), JOINTS)
-    notes = " ".join(read_measurements(path, JOINTS, torque_factor=factor).notes)
+    notes = " ".join(read_measurements(path, JOINTS, torque_scale=2.0).notes)
     assert "'tau1', 'tau2', 'tau3' (each x 0.5)" in notes
 
 

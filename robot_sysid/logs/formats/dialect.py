@@ -1,23 +1,32 @@
 """How a text log is laid out: separator, decimal mark, comments, header; and its rows as cells.
 
-Understood without being told: comma, semicolon, tab or blanks between cells, a decimal comma where
-the separator is not one, comment lines (``#`` or ``%``), a byte-order mark, Windows line ends,
-quoted cells, and a header that is itself the last comment line (as ``numpy.savetxt`` writes it).
+Understood without being told: comma, semicolon, tab, bar or blanks between cells, a decimal comma
+where the separator is not one, comment lines (``#`` or ``%``), a byte-order mark, Windows line
+ends, quoted cells, and a header that is itself the last comment line (as ``numpy.savetxt`` writes
+it).
 """
 
 from __future__ import annotations
 
 import csv
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from io import TextIOWrapper
 from itertools import islice
 from pathlib import Path
+from typing import TextIO
 
 from robot_sysid.errors import InputError
 
 _COMMENT_MARKS = ("#", "%")
 _MISSING = frozenset({"", "nan", "null", "none", "na", "n/a", "-nan", "-", "missing"})
-SEPARATOR_NAMES = {",": "comma", ";": "semicolon", "\t": "tab", " ": "blanks"}
+SEPARATOR_NAMES = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar", " ": "blanks"}
+LONGEST_LINE = 100_000
+"""Characters of a line beyond which it is no row of a table."""
+# Share of zero bytes at the beginning of a file that makes it no text.
+_BINARY = 0.1
+# Lines between two looks at how much of the file was read.
+_COUNTED = 1000
 
 
 @dataclass(frozen=True)
@@ -43,10 +52,16 @@ class LogDialect:
     header_line: int
     first_row: tuple[str, ...]
     quoted: bool
+    _read: list[float] = field(default_factory=lambda: [0.0], repr=False, compare=False)
 
-    def split(self, line: str) -> list[str]:
-        """Return the cells of one line, without quotes, blanks or a trailing separator."""
+    def split(self, line: str) -> list[str] | None:
+        """Return the cells of one line, without quotes, blanks or a trailing separator.
+
+        None where the line is no text of a table.
+        """
         cells = split_line(line, self.separator)
+        if cells is None:
+            return None
         return cells[:-1] if len(cells) == self.width + 1 and cells[-1] == "" else cells
 
     @property
@@ -56,9 +71,13 @@ class LogDialect:
 
     def data_lines(self) -> Iterator[tuple[int, str]]:
         """Yield (file line number, text) of each row of data."""
-        for number, line in _content_lines(self.path, self.encoding):
+        for number, line in _content_lines(self.path, self.encoding, self._read):
             if number != self.header_line:
                 yield number, line
+
+    def share_read(self) -> float:
+        """Return how much of the file ``data_lines`` has read so far."""
+        return self._read[0]
 
     def number(self, cell: str) -> float:
         """Return the value of a cell, NaN where it is empty or marked missing.
@@ -83,7 +102,7 @@ def read_dialect(path: Path) -> LogDialect:
     if not lines:
         raise InputError(f"{path} holds no rows of data; check that the recording was written")
     separator = _separator(lines[0][1])
-    cells = tuple(split_line(lines[0][1], separator))
+    cells = _cells(path, lines[0][1], separator)
     if not _mostly_numbers(cells):
         header_line, header = lines[0][0], _without_last_gap(cells)
         if len(lines) < 2:
@@ -94,17 +113,27 @@ def read_dialect(path: Path) -> LogDialect:
         header_line, header, first = 0, _commented_header(comments, width), lines[0][1]
     decimal_comma = separator != "," and "," in first
     quoted = '"' in first
-    first_row = _without_last_gap(tuple(split_line(first, separator)))
+    first_row = _without_last_gap(_cells(path, first, separator))
     return LogDialect(
         path, encoding, separator, decimal_comma, header, header_line, first_row, quoted
     )
 
 
-def split_line(line: str, separator: str) -> list[str]:
-    """Return the cells of a line, without quotes and surrounding blanks."""
+def split_line(line: str, separator: str) -> list[str] | None:
+    """Return the cells of a line, without quotes and surrounding blanks; None for no text."""
     single = " ".join(line.split()) if separator == " " else line
-    cells = next(csv.reader([single], delimiter=separator, skipinitialspace=True), [])
+    try:
+        cells = next(csv.reader([single], delimiter=separator, skipinitialspace=True), [])
+    except csv.Error:
+        return None
     return [cell.strip() for cell in cells]
+
+
+def _cells(path: Path, line: str, separator: str) -> tuple[str, ...]:
+    cells = split_line(line, separator)
+    if cells is None:
+        raise InputError(f"{path} does not begin with a table of text; export the log as CSV")
+    return tuple(cells)
 
 
 def _encoding(path: Path) -> str:
@@ -115,28 +144,57 @@ def _encoding(path: Path) -> str:
         raise InputError(f"cannot read the log {path}: {error.strerror or error}") from error
     if start[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return "utf-16"
-    if b"\0" in start:
+    if start.count(b"\0") > _BINARY * len(start):
         raise InputError(f"{path} is not a text file; export the log as CSV")
     return "utf-8-sig"
 
 
-def _content_lines(path: Path, encoding: str) -> Iterator[tuple[int, str]]:
+def _content_lines(
+    path: Path, encoding: str, read: list[float] | None = None
+) -> Iterator[tuple[int, str]]:
+    """Yield (file line number, text) of lines that are neither empty nor comments.
+
+    Args:
+        path: the file.
+        encoding: its encoding.
+        read: its first entry becomes the share of the file that was read.
+    """
+    size = max(1, path.stat().st_size)
     # Titles may hold a degree sign in any encoding; numbers never do, so replacing is harmless.
-    with path.open(encoding=encoding, errors="replace") as stream:
-        for number, line in enumerate(stream, start=1):
+    with path.open("rb") as binary, TextIOWrapper(binary, encoding, errors="replace") as stream:
+        for number, line in enumerate(_lines(stream), start=1):
+            if read is not None and number % _COUNTED == 1:
+                read[0] = binary.tell() / size
             text = line.strip("\r\n")
             if text and not text.isspace() and not text.lstrip().startswith(_COMMENT_MARKS):
                 yield number, text
+    if read is not None:
+        read[0] = 1.0
+
+
+def _lines(stream: TextIO) -> Iterator[str]:
+    """Yield the lines of a file; of one that no table has, the beginning."""
+    while line := stream.readline(LONGEST_LINE):
+        rest = line
+        while len(rest) == LONGEST_LINE and not rest.endswith("\n"):
+            rest = stream.readline(LONGEST_LINE)
+        yield line
 
 
 def _beginning(path: Path, encoding: str) -> tuple[list[str], list[tuple[int, str]]]:
     """Return the comment lines above the data and the first two content lines."""
     content = _content_lines(path, encoding)
-    lines = list(islice(content, 2))
+    lines = list(islice((pair for pair in content if _is_text(pair[1])), 2))
     last = lines[0][0] if lines else 0
     with path.open(encoding=encoding, errors="replace") as stream:
         above = [line.strip() for line in islice(stream, max(0, last - 1))]
     return [line for line in above if line], lines
+
+
+def _is_text(line: str) -> bool:
+    """Return whether a line is short enough for a table and without a serial line's noise."""
+    plain = not any(mark < " " and mark != "\t" for mark in line) and "\ufffd" not in line[80:]
+    return len(line) < LONGEST_LINE and plain
 
 
 def _commented_header(comments: list[str], width: int) -> tuple[str, ...]:
@@ -144,14 +202,14 @@ def _commented_header(comments: list[str], width: int) -> tuple[str, ...]:
         return ()
     text = comments[-1].lstrip("#% ")
     for separator in dict.fromkeys((_separator(text), " ")):
-        cells = _without_last_gap(tuple(split_line(text, separator)))
+        cells = _without_last_gap(tuple(split_line(text, separator) or ()))
         if len(cells) == width and not _mostly_numbers(cells):
             return cells
     return ()
 
 
 def _separator(line: str) -> str:
-    return next((mark for mark in (";", "\t", ",") if mark in line), " ")
+    return next((mark for mark in (";", "\t", "|", ",") if mark in line), " ")
 
 
 def _without_last_gap(cells: tuple[str, ...]) -> tuple[str, ...]:

@@ -1,0 +1,1 @@
+"""The forms that recordings come in, each read into titled columns of numbers."""

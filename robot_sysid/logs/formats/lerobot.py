@@ -1,0 +1,114 @@
+"""LeRobot data sets: a folder with meta/info.json and Parquet files, one piece per episode."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from robot_sysid.errors import InputError
+from robot_sysid.logs.formats.extras import as_input_errors, library
+from robot_sysid.logs.formats.joint_titles import renamed
+from robot_sysid.logs.formats.table import ArrayTable
+from robot_sysid.records import Array
+
+WHAT = "a LeRobot data set"
+STATE = "observation.state"
+# What a name in a feature ends in, and the title that says quantity and unit.
+_ENDINGS = {
+    "pos": "position [deg]",
+    "vel": "velocity [deg/s]",
+    "torque": "torque [Nm]",
+    "effort": "torque [Nm]",
+    "current": "current",
+}
+# Features of their own, whose names are joints.
+_FEATURES = {"observation.velocity": "velocity", "observation.effort": "torque"}
+
+
+def is_lerobot(path: Path) -> bool:
+    """Return whether a folder is a LeRobot data set."""
+    return (path / "meta" / "info.json").is_file()
+
+
+def lerobot_table(
+    path: Path, joint_names: Sequence[str], episodes: Sequence[int] = ()
+) -> ArrayTable:
+    """Return the episodes of a data set.
+
+    Args:
+        path: its folder.
+        joint_names: the n chain joints.
+        episodes: which ones; empty takes all.
+
+    Raises:
+        InputError: it cannot be read, has no torque or not these episodes.
+    """
+    info = _info(path)
+    features = info.get("features", {})
+    titles = {name: _titles(features, name, joint_names) for name in (STATE, *_FEATURES)}
+    if not any("torque" in t or "current" in t for names in titles.values() for t in names):
+        raise InputError(
+            f"{path} holds no torque ({STATE}: {', '.join(titles[STATE]) or 'nothing'}); record it "
+            "too: for OpenArm use_velocity_and_torque=true of the robot's configuration, for other "
+            "robots an observation whose names end in .torque"
+        )
+    present = [name for name in titles if titles[name]]
+    columns = ["timestamp", "episode_index", *present]
+    frames = _frames(path, columns)
+    found = sorted(set(frames["episode_index"].astype(int).tolist()))
+    missing = sorted(set(episodes) - set(found))
+    if missing:
+        raise InputError(f"{path} has no episode {missing[0]}; it has {found[0]} to {found[-1]}")
+    cells = np.column_stack([frames["timestamp"], *(frames[name] for name in present)])
+    wanted = list(episodes) or found
+    pieces = tuple(cells[frames["episode_index"] == episode] for episode in wanted)
+    version, fps = info.get("codebase_version", "?"), float(info.get("fps", np.nan))
+    layout = f"LeRobot data set {version} at {fps:g} Hz, {len(pieces)} episodes"
+    flat = tuple(title for name in present for title in titles[name])
+    return ArrayTable(path, layout, ("timestamp [s]", *flat), pieces)
+
+
+def _info(path: Path) -> Mapping[str, Any]:
+    with as_input_errors(path / "meta" / "info.json", WHAT):
+        content = json.loads((path / "meta" / "info.json").read_text(encoding="utf-8"))
+    return content if isinstance(content, dict) else {}
+
+
+def _titles(features: Mapping[str, Any], name: str, joint_names: Sequence[str]) -> list[str]:
+    """Return the titles of a feature's columns; nothing where it is not there."""
+    names = features.get(name, {}).get("names") or []
+    if isinstance(names, Mapping):
+        names = [each for group in names.values() for each in group]
+    pairs = [str(each).rpartition(".") for each in names]
+    stems = [stem if ending in _ENDINGS else str(n) for (stem, _, ending), n in zip(pairs, names)]
+    plain = _FEATURES.get(name, "position")
+    ends = [_ENDINGS.get(ending, plain) for _, _, ending in pairs]
+    known = dict(zip(dict.fromkeys(stems), renamed(list(dict.fromkeys(stems)), joint_names)))
+    return [f"{known[stem]} {end}" for stem, end in zip(stems, ends)]
+
+
+def _frames(path: Path, columns: Sequence[str]) -> Mapping[str, Array]:
+    """Return the columns of all files, lists as (N, k)."""
+    parquet = library("pyarrow.parquet", "lerobot", WHAT)
+    files = sorted((path / "data").rglob("*.parquet"))
+    if not files:
+        raise InputError(f"{path} has no Parquet files in data/; download the data set whole")
+    parts: list[dict[str, Array]] = []
+    for file in files:
+        with as_input_errors(file, WHAT):
+            read = parquet.read_table(file, columns=list(columns))
+            parts.append({name: _array(read.column(name)) for name in columns})
+    return {name: np.concatenate([part[name] for part in parts]) for name in columns}
+
+
+def _array(column: Any) -> Array:
+    """Return a column (N,), or (N, k) of one with lists."""
+    combined = column.combine_chunks()
+    is_list = "list" in str(combined.type)
+    flat = combined.flatten() if is_list else combined
+    values = np.asarray(flat.to_numpy(zero_copy_only=False), float)
+    return values.reshape(len(combined), -1) if is_list else values

@@ -1,0 +1,291 @@
+"""The same motion in every form that recordings come in, each written by the form's own library."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from robot_sysid.records import Measurement
+from tests.support.log_files import JOINTS
+
+DYNAMIC = "control_msgs/msg/DynamicJointState"
+FRANKA = "franka_msgs/msg/FrankaRobotState"
+STATE = "sensor_msgs/msg/JointState"
+_DEFINITIONS = {
+    "control_msgs/msg/InterfaceValue": "string[] interface_names\nfloat64[] values\n",
+    DYNAMIC: "std_msgs/Header header\nstring[] joint_names\n"
+    "control_msgs/InterfaceValue[] interface_values\n",
+    # The fields of the real message that stand before and behind the one that is read.
+    FRANKA: "std_msgs/Header header\nsensor_msgs/JointState measured_joint_state\n"
+    "sensor_msgs/JointState desired_joint_state\nfloat64 time\n",
+}
+
+
+def typestore(ros1: bool = False):
+    """The message types of a ROS release and those that tests need."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    for name, text in _DEFINITIONS.items():
+        store.register(get_types_from_msg(text, name))
+    return store
+
+
+def header(types, time: float):
+    stamp = types["builtin_interfaces/msg/Time"](int(time), round(1e9 * (time - int(time))))
+    kind = types["std_msgs/msg/Header"]
+    return kind(0, stamp, "base") if "seq" in kind.__annotations__ else kind(stamp, "base")
+
+
+def joint_state(types, time, names, q, qd, tau):
+    """A JointState; ``None`` leaves a list empty."""
+    lists = [np.asarray([] if v is None else v, float) for v in (q, qd, tau)]
+    return types[STATE](header(types, time), list(names), *lists)
+
+
+def shuffled_states(types, data: Measurement, names=JOINTS):
+    """The arm's messages, in an order that changes, with a gripper's between them."""
+    rng = np.random.default_rng(1)
+    for time, q, qd, tau in zip(data.time, data.q, data.qd, data.tau):
+        order = rng.permutation(len(names))
+        listed = [names[k] for k in order]
+        yield joint_state(types, time, listed, q[order], qd[order], tau[order])
+        yield joint_state(types, time, ["finger"], [0.01], [0.0], [1.0])
+
+
+def write_bag2(path: Path, topics, store, storage="SQLITE3", compression="") -> Path:
+    """A ROS 2 bag; ``topics`` are (name, type, messages), ``compression`` is by zstd."""
+    import rosbags.rosbag2 as rosbag2
+
+    plugins = getattr(rosbag2, "StoragePlugin", None)
+    if plugins is None and (compression or storage != "SQLITE3"):
+        pytest.skip("the last rosbags for Python 3.9 writes plain .db3 only")
+    options = {"version": 9, "storage_plugin": plugins[storage]} if plugins else {}
+    writer = rosbag2.Writer(path, **options)
+    if compression:
+        mode, form = rosbag2.CompressionMode[compression], rosbag2.CompressionFormat.ZSTD
+        writer.set_compression(mode, form)
+    with writer:
+        for topic, kind, messages in topics:
+            connection = writer.add_connection(topic, kind, typestore=store)
+            for count, message in enumerate(messages):
+                raw = store.serialize_cdr(message, kind)
+                writer.write(connection, 10**9 + count * 10**6, raw)
+    return path
+
+
+def write_bag1(path: Path, topics, store, compression=None) -> Path:
+    """A ROS 1 bag."""
+    from rosbags.rosbag1 import Writer
+
+    writer = Writer(path)
+    if compression:
+        writer.set_compression(Writer.CompressionFormat[compression])
+    with writer:
+        for topic, kind, messages in topics:
+            connection = writer.add_connection(topic, kind, typestore=store)
+            for count, message in enumerate(messages):
+                raw = store.serialize_ros1(message, kind)
+                writer.write(connection, 10**9 + count * 10**6, raw)
+    return path
+
+
+def rosbag2(storage: str, zstd: str = "") -> Callable[[Path, Measurement], Path]:
+    """Writer of a folder with JointState; ``zstd`` is FILE, MESSAGE or STORAGE."""
+
+    def write(folder: Path, data: Measurement) -> Path:
+        store = typestore()
+        topics = [("/joint_states", STATE, shuffled_states(store.types, data))]
+        return write_bag2(folder / "bag", topics, store, storage, zstd)
+
+    return write
+
+
+def single_mcap(folder: Path, data: Measurement) -> Path:
+    """The .mcap file alone, without its folder's metadata."""
+    bag = rosbag2("MCAP")(folder, data)
+    (file,) = bag.glob("*.mcap")
+    return file.rename(folder / "alone.mcap")
+
+
+def rosbag1(compression: str = "") -> Callable[[Path, Measurement], Path]:
+    def write(folder: Path, data: Measurement) -> Path:
+        store = typestore(ros1=True)
+        topics = [("/joint_states", STATE, shuffled_states(store.types, data))]
+        return write_bag1(folder / "log.bag", topics, store, compression)
+
+    return write
+
+
+def dynamic_joint_state(folder: Path, data: Measurement) -> Path:
+    """DynamicJointState with the interfaces in another order for every joint."""
+    store = typestore()
+    value = store.types["control_msgs/msg/InterfaceValue"]
+
+    def messages():
+        for time, q, qd, tau in zip(data.time, data.q, data.qd, data.tau):
+            rows = [{"position": a, "velocity": b, "effort": c} for a, b, c in zip(q, qd, tau)]
+            orders = [sorted(rows[0]), sorted(rows[0], reverse=True), ["effort", *sorted(rows[0])]]
+            values = [
+                value(list(dict.fromkeys(order)), np.array([row[k] for k in dict.fromkeys(order)]))
+                for row, order in zip(rows, orders)
+            ]
+            yield store.types[DYNAMIC](header(store.types, time), list(JOINTS), values)
+
+    return write_bag2(folder / "bag", [("/dynamic_joint_states", DYNAMIC, messages())], store)
+
+
+def franka_state(folder: Path, data: Measurement) -> Path:
+    """FrankaRobotState in an MCAP, with its definition in the file."""
+    store = typestore()
+    types = store.types
+
+    def messages():
+        for time, q, qd, tau in zip(data.time, data.q, data.qd, data.tau):
+            measured = joint_state(types, time, [f"fr3_{j}" for j in JOINTS], q, qd, tau)
+            desired = joint_state(types, time, JOINTS, -q, -qd, -tau)
+            yield types[FRANKA](header(types, time), measured, desired, time)
+
+    topics = [("/franka_robot_state_broadcaster/robot_state", FRANKA, messages())]
+    return write_bag2(folder / "bag", topics, store, "MCAP")
+
+
+def lerobot(version: str, episodes: int = 1) -> Callable[[Path, Measurement], Path]:
+    """A data set in degrees; several episodes repeat the motion."""
+
+    def write(folder: Path, data: Measurement) -> Path:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        root = folder / "set"
+        (root / "meta").mkdir(parents=True)
+        (root / "data" / "chunk-000").mkdir(parents=True)
+        names = [f"{j}.{end}" for j in JOINTS for end in ("pos", "vel", "torque")]
+        angles = np.degrees(np.stack((data.q, data.qd), axis=2))
+        state = np.concatenate((angles, data.tau[:, :, None]), axis=2).reshape(len(data), -1)
+        feature = {"dtype": "float64", "shape": [len(names)], "names": names}
+        info = {"codebase_version": version, "fps": 200, "features": {"observation.state": feature}}
+        (root / "meta" / "info.json").write_text(json.dumps(info))
+
+        def frames(episode: int):
+            return pa.table(
+                {
+                    "observation.state": pa.array(state.tolist(), pa.list_(pa.float64())),
+                    "timestamp": data.time - data.time[0],
+                    "episode_index": np.full(len(data), episode),
+                    "frame_index": np.arange(len(data)),
+                }
+            )
+
+        if version.startswith("v2"):
+            for k in range(episodes):
+                pq.write_table(frames(k), root / f"data/chunk-000/episode_{k:06d}.parquet")
+        else:
+            whole = pa.concat_tables([frames(k) for k in range(episodes)])
+            pq.write_table(whole, root / "data/chunk-000/file-000.parquet")
+        return root
+
+    return write
+
+
+def robomimic(folder: Path, data: Measurement) -> Path:
+    """One demonstration with joint torques and time."""
+    import h5py
+
+    path = folder / "demo.hdf5"
+    with h5py.File(path, "w") as file:
+        obs = file.create_group("data/demo_0/obs")
+        obs["robot0_joint_pos"], obs["robot0_joint_vel"] = data.q, data.qd
+        obs["robot0_joint_torque"], obs["time"] = data.tau, data.time
+        obs["agentview_image"] = np.zeros((len(data), 2, 2, 3), np.uint8)
+    return path
+
+
+def npz(folder: Path, data: Measurement) -> Path:
+    path = folder / "log.npz"
+    np.savez(path, time=data.time, q=data.q, qd=data.qd, tau=data.tau, note="text is no column")
+    return path
+
+
+def libfranka(folder: Path, data: Measurement) -> Path:
+    """The columns of logToCSV."""
+    path = folder / "franka.csv"
+    n = range(data.q.shape[1])
+    groups = ("state.q", "state.q_d", "state.dq", "state.dq_d", "state.tau_J")
+    groups += ("state.tau_ext_hat_filtered", "cmd.q_d", "cmd.tau_J_d")
+    titles = ["time", "success_rate", *(f"{g}[{k}]" for g in groups for k in n)]
+    zero = np.zeros_like(data.q)
+    parts = (data.q, zero, data.qd, zero, data.tau, zero, zero, zero)
+    rows = np.column_stack((1e3 * data.time, np.ones(len(data)), *parts))
+    path.write_text("\n".join([",".join(titles), *(_row(r, ",") for r in rows)]) + "\n")
+    return path
+
+
+def rtde(folder: Path, data: Measurement, torque: str = "actual_current_as_torque") -> Path:
+    """What record.py writes: blanks between cells."""
+    path = folder / "rtde.csv"
+    n = range(data.q.shape[1])
+    groups = ("actual_q", "actual_qd", torque, "target_moment")
+    titles = ["timestamp", *(f"{g}_{k}" for g in groups for k in n)]
+    rows = np.column_stack((data.time, data.q, data.qd, data.tau, -data.tau))
+    path.write_text("\n".join([" ".join(titles), *(_row(r, " ") for r in rows)]) + "\n")
+    return path
+
+
+def plotjuggler(folder: Path, data: Measurement) -> Path:
+    """One column per series; rows of another topic leave the arm's cells empty."""
+    path = folder / "plot.csv"
+    words = ("position", "velocity", "effort")
+    titles = ["__time", "/battery/voltage"]
+    titles += [f"/joint_states/{joint}/{word}" for joint in JOINTS for word in words]
+    lines = [",".join(titles)]
+    for time, *values in zip(data.time, data.q, data.qd, data.tau):
+        cells = [repr(float(v)) for v in np.column_stack(values).ravel()]
+        lines.append(",".join([repr(float(time)), "", *cells]))
+        lines.append(",".join([repr(float(time) + 0.002), "24.1", *[""] * len(cells)]))
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def sage(folder: Path, data: Measurement) -> Path:
+    """state_motor.csv of a real robot, in microseconds, and its list of joints."""
+    path = folder / "state_motor.csv"
+    order = [2, 0, 1]
+    (folder / "joint_list.txt").write_text("\n".join(JOINTS[k] for k in order) + "\n")
+    lines = ["type,timestamp,positions,velocities,torques,temperatures,currents"]
+    for time, *values in zip(data.time, data.q, data.qd, data.tau):
+        lists = [f'"{[float(v[k]) for k in order]}"' for v in values]
+        lines.append(",".join(["StateMotor", repr(float(1e6 * time)), *lists, '"[]"', '"[]"']))
+        lines.append('Control,0,"[0, 0, 0]","[]","[]","[]","[]"')
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def _row(values, separator: str) -> str:
+    return separator.join(repr(float(value)) for value in values)
+
+
+FORMS: dict[str, Callable[[Path, Measurement], Path]] = {
+    "ROS 2 db3": rosbag2("SQLITE3"),
+    "ROS 2 db3, zstd file": rosbag2("SQLITE3", "FILE"),
+    "ROS 2 db3, zstd message": rosbag2("SQLITE3", "MESSAGE"),
+    "ROS 2 mcap": rosbag2("MCAP"),
+    "ROS 2 mcap, zstd": rosbag2("MCAP", "STORAGE"),
+    "single mcap": single_mcap,
+    "ROS 1 bag": rosbag1(),
+    "ROS 1 bag, lz4": rosbag1("LZ4"),
+    "DynamicJointState": dynamic_joint_state,
+    "FrankaRobotState": franka_state,
+    "LeRobot v2": lerobot("v2.1"),
+    "LeRobot v3": lerobot("v3.0"),
+    "robomimic": robomimic,
+    "npz": npz,
+    "libfranka": libfranka,
+    "RTDE": rtde,
+    "PlotJuggler": plotjuggler,
+    "SAGE": sage,
+}
