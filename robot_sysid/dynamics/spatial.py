@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_LOCKED = 1e-8
+_LOCKED = 1e-14
 """Cosine of the pitch below which roll and yaw turn about one axis."""
 PARAMETER_NAMES = ("m", "hx", "hy", "hz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 # Where the entries of a symmetric matrix stand in [xx, xy, xz, yy, yz, zz].
@@ -80,14 +80,17 @@ def principal_axes(inertia: Array) -> tuple[Array, Array]:
 def roll_pitch_yaw(rotation: Array) -> Array:
     """Return angles (3,) about the fixed axes x, y, z [rad]: R = Rz(yaw) Ry(pitch) Rx(roll).
 
-    Where pitch is a right angle, only the sum or difference of the others counts: roll is zero.
+    Where pitch is a right angle, only the sum or difference of the others counts: yaw is zero.
     """
     cosine = float(np.hypot(rotation[0, 0], rotation[1, 0]))
-    pitch = np.arctan2(-rotation[2, 0], cosine)
-    if cosine < _LOCKED:
-        return np.array([0.0, pitch, np.arctan2(-rotation[0, 1], rotation[1, 1])])
-    roll = np.arctan2(rotation[2, 1], rotation[2, 2])
-    return np.array([roll, pitch, np.arctan2(rotation[1, 0], rotation[0, 0])])
+    locked = cosine < _LOCKED
+    yaw = 0.0 if locked else np.arctan2(rotation[1, 0], rotation[0, 0])
+    # Near a right angle yaw is mostly rounding; the roll that fits this yaw makes up for it.
+    s, c = np.sin(yaw), np.cos(yaw)
+    roll = np.arctan2(
+        s * rotation[0, 2] - c * rotation[1, 2], c * rotation[1, 1] - s * rotation[0, 1]
+    )
+    return np.array([roll, np.arctan2(-rotation[2, 0], cosine), yaw])
 
 
 def quaternion(rotation: Array) -> Array:

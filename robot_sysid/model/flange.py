@@ -132,9 +132,10 @@ def _likely(robot: RobotModel, frames: tuple[_Frame, ...]) -> tuple[_Frame, str]
             return found[
                 0
             ], f"{found[0].words} was taken for the flange, because of its name{doubt}"
+    listed = ", ".join(frame.words for frame in others) or "none"
     return terminal, (
         f"no site or body that is fixed to body '{robot.body_name}' is called like a flange, so "
-        "the frame of that body is taken; another one can be named"
+        f"the frame of that body is taken; others that can be named: {listed}"
     )
 
 

@@ -115,6 +115,8 @@ def _load(payload: InertialParameters) -> Load:
     moments, axes = spatial.principal_axes(inertia)
     # Rounding of an inertia about a distant origin hides a small one about the centre of mass.
     rounding = _ROUNDING * abs(mass) * float(com @ com)
+    if np.max(np.abs(moments)) <= rounding:
+        inertia, moments, axes = np.zeros((3, 3)), np.zeros(3), np.eye(3)
     slack = _EDGE * float(np.sum(np.abs(moments))) + rounding
     beyond = max(-float(np.min(moments)), float(2.0 * np.max(moments) - np.sum(moments)))
     if mass <= 0.0 or beyond > slack:
@@ -154,6 +156,8 @@ def _plain_card(load: Load, flange: Flange, errors: Mapping[str, float] | None) 
         "flange: where that is another one, make the cards again for it."
     )
     notes = ((flange.note,) if flange.note else ()) + _error_notes(errors)
+    if not np.any(load.six):
+        notes += ("The inertia is zero: every card states a point mass.",)
     return Card("payload", "Payload", explanation, values, "\n".join(text), notes)
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.mjcf.inertial import mjcf_inertial, numbers, urdf_inertial
+from robot_sysid.mjcf.inertial import mjcf_inertial, numbers, urdf_inertial_about_com
 from robot_sysid.records import Array
 
 DIGITS = 9
@@ -199,13 +199,15 @@ def _urdf(load: Load) -> _Filled:
         "origin": load.com.tolist(),
         **dict(zip(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), six)),
     }
-    return values, urdf_inertial(load.theta)
+    return values, urdf_inertial_about_com(load.mass, load.com, load.inertia)
 
 
 def _mjcf(load: Load) -> _Filled:
     six = spatial.fullinertia_from_symmetric(load.inertia).tolist()
     values = {"mass": load.mass, "pos": load.com.tolist(), "fullinertia": six}
-    return values, mjcf_inertial(load.theta)
+    if np.any(load.inertia):
+        return values, mjcf_inertial(load.theta)
+    return values, f'<inertial pos="{numbers(load.com)}" mass="{load.mass!r}" diaginertia="0 0 0"/>'
 
 
 def _pinocchio(load: Load) -> _Filled:

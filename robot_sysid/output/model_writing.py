@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.changes import BodyChange, JointChange, ModelChange, WeldedBody
 from robot_sysid.mjcf.compiler_settings import bound_inertia
 from robot_sysid.mjcf.documents import read_document
@@ -120,7 +121,7 @@ def write_links(
         robot: the arm as loaded.
         thetas: (n, 10) links as in ``robot.links``: the body of each chain joint with all that
             hangs on it apart from what a later chain joint moves, in that body's frame. Rows of
-            links without mass are not written.
+            links without mass are zero.
         target: where to.
         joints: new armature, damping and friction of chain joints.
         errors: (n, 10) standard errors of ``thetas``, see ``write_payload``.
@@ -136,9 +137,13 @@ def write_links(
     changes, held = [], np.array(thetas, dtype=float)
     for k, link in enumerate(robot.links):
         parts = link_bodies(robot.mj_model, robot.reference_qpos, link.body_id, bodies[k + 1 :])
-        if not parts or not link.has_mass:
-            held[k] = link.theta
+        if not link.has_mass and not np.any(thetas[k]):
             continue
+        if not parts:
+            raise ExportError(
+                f"joint {robot.joint_names[k]} moves no link of its own, because a later joint "
+                f"moves body '{link.body_name}' too; its parameters belong to that joint's link"
+            )
         tolerance = moment_tolerance(robot, None if errors is None else errors[k])
         plan = plan_write_back(thetas[k], parts, tolerance)
         held[k] = plan.written(thetas[k])

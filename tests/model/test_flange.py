@@ -88,7 +88,7 @@ def test_numbers_are_metres_and_degrees_about_fixed_axes(seed):
 def test_what_is_called_like_a_flange_is_taken_and_said(site, taken):
     flange = find_flange(robot_of(serial_arm((Z, Y, X), tip=f'<site name="{site}"/>')))
     assert flange.name == taken
-    words = "because of its name" if taken.startswith("site") else "another one can be named"
+    words = "because of its name" if taken.startswith("site") else "others that can be named"
     assert words in flange.note
 
 

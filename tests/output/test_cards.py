@@ -131,7 +131,7 @@ def read_urdf(text):
 
 def read_mjcf(text):
     element = etree.fromstring(text)
-    six = floats(element.get("fullinertia"))
+    six = floats(element.get("fullinertia") or element.get("diaginertia") + " 0 0 0")
     return float(element.get("mass")), floats(element.get("pos")), symmetric(*six)
 
 
@@ -282,6 +282,15 @@ def test_how_the_flange_was_chosen_stands_in_the_card():
     flange = Flange("body 'link7'", np.eye(3), np.zeros(3), "link7", note="nothing looks like one")
     cards = cards_of(theta_of(1.0, np.zeros(3), np.eye(3)), flange=flange)
     assert "nothing looks like one" in cards["payload"].notes
+
+
+@given(SEEDS)
+def test_a_point_mass_has_clean_zeros_and_says_so(seed):
+    theta = theta_of(*random_body(np.random.default_rng(seed), "point"))
+    cards = cards_of(theta)
+    assert cards["ur_set_target_payload"].values["inertia"] == [0.0] * 6
+    assert 'diaginertia="0 0 0"' in cards["mjcf_inertial"].text
+    assert "every card states a point mass" in cards["payload"].notes[-1]
 
 
 def test_what_a_ur_controller_refuses_is_said():

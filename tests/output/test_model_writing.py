@@ -201,15 +201,30 @@ def test_an_impossible_payload_is_refused(robots):
 
 
 def test_a_compiler_that_would_fuse_the_body_is_refused_by_name(tmp_path):
-    text = MJCF.replace("<worldbody>", '<compiler fusestatic="true"/><worldbody>')
-    text = text.replace('<body name="tool"', '<body name="tool"')
-    robot = load_robot_model(write_files(tmp_path, {"arm.xml": text}), joint="j2")
+    text = arms.THREE.replace("<compiler ", '<compiler fusestatic="true" ')
+    robot = load_robot_model(write_files(tmp_path, {"arm.xml": text}))
     with (
         pytest.raises(ExportError, match="compiler setting fusestatic"),
         target_of(robot) as target,
     ):
-        flange = find_flange(robot, "0,0,0.1")
-        write_payload(robot, some_payload(np.random.default_rng(0)), flange, target, as_body="load")
+        payload = some_payload(np.random.default_rng(0))
+        write_payload(robot, payload, find_flange(robot), target, as_body="load")
+
+
+def test_a_body_that_comes_with_something_else_is_refused(robots, monkeypatch):
+    robot, text = robots["xml"], model_writing.changed_model_text
+
+    def with_a_site(source, change, *rest):
+        written = text(source, change, *rest)
+        return written.replace(b"<inertial", b"<site/><inertial") if change.welded else written
+
+    monkeypatch.setattr(model_writing, "changed_model_text", with_a_site)
+    with (
+        pytest.raises(ExportError, match="new body 'load' changes nsite"),
+        target_of(robot) as target,
+    ):
+        payload = some_payload(np.random.default_rng(0))
+        write_payload(robot, payload, find_flange(robot), target, as_body="load")
 
 
 INCLUDING = {
@@ -309,6 +324,31 @@ def test_a_joint_of_another_name_than_in_the_file_is_refused(robots):
             target,
             [JointChange("j9", damping=0.25)],
         )
+
+
+def test_a_link_is_not_written_where_a_later_joint_moves_its_body(tmp_path):
+    robot = load_robot_model(write_files(tmp_path, {"arm.xml": arms.SHARED_BODIES}))
+    thetas = new_links(robot, np.random.default_rng(0))
+    thetas[0] = thetas[2]
+    with (
+        pytest.raises(ExportError, match="joint yaw moves no link of its own"),
+        target_of(robot) as target,
+    ):
+        write_links(robot, thetas, target)
+
+
+RIGHT_ANGLES = [
+    f"0,0,0.1,{r},{p},{y}" for r in (0, 90) for p in (90, -90, 89.99979) for y in (0, 7)
+]
+
+
+@pytest.mark.parametrize("place", RIGHT_ANGLES)
+def test_a_urdf_can_hold_a_flange_at_a_right_angle(robots, place):
+    """Where roll and yaw turn about one axis, or nearly so."""
+    robot = robots["urdf"]
+    with target_of(robot) as target:
+        payload = some_payload(np.random.default_rng(0))
+        write_payload(robot, payload, find_flange(robot, place), target, as_body="load")
 
 
 def test_a_springdamper_is_stronger_than_a_damping_and_says_so(tmp_path):
