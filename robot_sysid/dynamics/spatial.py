@@ -67,14 +67,10 @@ def principal_axes(inertia: Array) -> tuple[Array, Array]:
     Of the 24 ways to order and sign them, the one that turns the frame's own axes least.
     """
     moments, axes = np.linalg.eigh(inertia)
-    ways = [
-        (list(order), axes[:, order] * np.array(signs))
-        for order in permutations(range(3))
-        for signs in product((1.0, -1.0), repeat=3)
-    ]
-    proper = [way for way in ways if np.linalg.det(way[1]) > 0.0]
-    order, nearest = max(proper, key=lambda way: float(np.trace(way[1])))
-    return moments[order], nearest
+    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    ways = axes @ _TURNS
+    best = int(np.argmax(np.trace(ways, axis1=1, axis2=2)))
+    return np.abs(_TURNS[best]).T @ moments, ways[best]
 
 
 def roll_pitch_yaw(rotation: Array) -> Array:
@@ -161,5 +157,14 @@ def _build_pseudo_basis() -> Array:
     return basis
 
 
+# The 24 turns (24, 3, 3) that put coordinate axes on coordinate axes.
+_TURNS = np.array(
+    [
+        np.eye(3)[:, order] * signs
+        for order in permutations(range(3))
+        for signs in product((1.0, -1.0), repeat=3)
+        if np.linalg.det(np.eye(3)[:, order] * signs) > 0.0
+    ]
+)
 # B_k (10, 4, 4) with J(theta) = sum_k theta_k B_k.
 _PSEUDO_BASIS = _build_pseudo_basis()
