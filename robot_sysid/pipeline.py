@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
+import numpy as np
+
 from robot_sysid.config import SysidConfig
 from robot_sysid.errors import InputError
 from robot_sysid.excitation.plan import CheckedPlan, MotionRequest, make_plan
@@ -30,6 +32,9 @@ from robot_sysid.trajectory import motion_chunks, require_countable
 
 if TYPE_CHECKING:
     from robot_sysid.damiao.trajectory.csv_file import DamiaoExportReport, MotionChunk
+
+# Speed at which dry friction has turned round by three quarters [rad/s].
+_SMOOTH_REVERSAL = 0.03
 
 
 @dataclass(frozen=True)
@@ -243,13 +248,19 @@ def _motor_file(config: SysidConfig, robot: RobotModel, plan: MotionPlan) -> Mot
 
     def write(file: TextIO) -> DamiaoExportReport:
         motion, ids = commands(robot, plan, rate), (motors.can_id, motors.master_id)
-        return export_damiao_trajectory(motion, motors.motor_type, file, *ids, motors.supply)
+        return export_damiao_trajectory(
+            motion, motors.motor_type, file, *ids, motors.supply, robot.joint_names
+        )
 
     return write
 
 
 def commands(robot: RobotModel, plan: MotionPlan, rate: float) -> Iterator[MotionChunk]:
-    """Yield the motion with the torque it takes at a rate [Hz], for playing it on motors."""
+    """Yield the motion with the torque it takes at a rate [Hz], for playing it on motors.
+
+    Dry friction turns round smoothly: its step at each reversal would be a blow to the arm.
+    """
     torque = ArmTorque(robot)
     for motion in motion_chunks(plan, rate):
-        yield motion.time, motion.q, motion.qd, torque(motion)
+        turned = np.tanh(motion.qd / _SMOOTH_REVERSAL) - np.sign(motion.qd)
+        yield motion.time, motion.q, motion.qd, torque(motion) + robot.friction.coulomb * turned

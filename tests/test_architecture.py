@@ -27,6 +27,7 @@ LAYERS = (
     ("export",),
     ("output", "report"),
     ("damiao",),
+    ("damiao.run",),
     ("damiao.play", "damiao.simulated"),
     ("damiao.bus",),
     ("damiao.trajectory",),

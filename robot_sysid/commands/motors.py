@@ -18,19 +18,19 @@ from robot_sysid.damiao.bus.clock import Clock, SimulatedClock, SystemClock
 from robot_sysid.damiao.bus.inspection import inspect_bus
 from robot_sysid.damiao.bus.link import GuardedLink, Link
 from robot_sysid.damiao.bus.slcan import SlcanTerminal
-from robot_sysid.damiao.play.player import StopRequest
-from robot_sysid.damiao.play.preflight import (
+from robot_sysid.damiao.play.recorder import RecordingOptions
+from robot_sysid.damiao.play.settings import PlaySettings
+from robot_sysid.damiao.play.stop_request import StopRequest
+from robot_sysid.damiao.protocol.bus_load import BusTiming, default_rate
+from robot_sysid.damiao.report_lines import check_lines, load_line, motor_table, run_lines
+from robot_sysid.damiao.run.plan import Plan, run
+from robot_sysid.damiao.run.preflight import (
     Check,
     Permissions,
     general_checks,
     require_no_stop,
     stops,
 )
-from robot_sysid.damiao.play.recorder import RecordingOptions
-from robot_sysid.damiao.play.run import Plan, run
-from robot_sysid.damiao.play.settings import PlaySettings
-from robot_sysid.damiao.protocol.bus_load import BusTiming, default_rate
-from robot_sysid.damiao.report_lines import check_lines, load_line, motor_table, run_lines
 from robot_sysid.damiao.simulated.arm import SimulatedArm
 from robot_sysid.damiao.simulated.faults import FAULT_KINDS, parse_fault
 from robot_sysid.damiao.simulated.motor import DEFAULT_WATCHDOG, simulated_motor
@@ -109,7 +109,7 @@ class _Run:
                 raise InputError(f"{given.flag} is about a model; add --model")
             return plan.checks()
         # Imported here so that playing on real motors does not wait for MuJoCo.
-        from robot_sysid.damiao.play.model_check import model_checks
+        from robot_sysid.damiao.run.model_check import model_checks
 
         return [*plan.checks(), *model_checks(plan.trajectory, plan.settings.speed, self.robot)]
 
@@ -126,7 +126,8 @@ class _Run:
     def bus(self, clock: Clock) -> Iterator[GuardedLink]:
         """Open the bus for as long as the block runs."""
         with contextlib.closing(open_bus(self.address, self.timing, clock)) as link:
-            yield GuardedLink(link, clock.now, self.timing.fd)
+            channels = (self.address.channel or "",)
+            yield GuardedLink(link, clock.now, self.timing.fd, channels)
 
 
 def check(asked: _Run) -> int:
@@ -175,7 +176,7 @@ def simulate(asked: _Run) -> int:
     if options.play:
         arm, clock = _simulated_arm(asked, plan, options), SimulatedClock()
         bus = SimulatedLink(clock, arm, asked.timing, echo=True)
-        link = GuardedLink(bus, clock.now, asked.timing.fd)
+        link = GuardedLink(bus, clock.now, asked.timing.fd, ("simulated",))
         return _play_on(link, clock, plan, checks, PlayChoices(yes=True), asked)
     require_no_stop(checks, "not rehearsed")
     return _serve(_simulated_arm(asked, plan, options, _REAL_TIME_STEP), asked, options)
@@ -289,9 +290,9 @@ def _play_on(
     def tell(time: float) -> None:
         console.advance("Playing", time, plan.duration, "")
 
-    stop, channel = StopRequest(), asked.address.channel or "simulated"
+    stop = StopRequest()
     with stop.on_signals():
-        report = run(link, clock, plan, inspection, stop, channel, console.stage, tell)
+        report = run(link, clock, plan, inspection, stop, console.stage, tell)
     console.lines(run_lines(report))
     if plan.recording.record:
         console.stage(f"recorded to {plan.recording.record}")

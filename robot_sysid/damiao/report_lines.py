@@ -8,7 +8,6 @@ import numpy as np
 
 from robot_sysid.damiao.bus.inspection import InspectedMotor, Inspection
 from robot_sysid.damiao.play.player import PlayReport
-from robot_sysid.damiao.play.preflight import Check
 from robot_sysid.damiao.protocol.bus_load import BusTiming, bus_load
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.protocol.motors import limits_agree, matching_types
@@ -20,6 +19,7 @@ from robot_sysid.damiao.protocol.registers import (
     TIMEOUT_UNIT,
     describe,
 )
+from robot_sysid.damiao.run.preflight import Check
 
 _HEADINGS: tuple[str, ...] = (
     *("id", "reply", "mode", "PMAX", "VMAX", "TMAX", "type", "watchdog", "gear", "degC", "state"),
@@ -29,10 +29,10 @@ _MARKS = {"ok": "ok  ", "note": "note", "stop": "STOP"}
 
 def motor_table(inspection: Inspection, joints: Sequence[DamiaoJoint] = ()) -> Iterator[str]:
     """Yield a table of the motors found; ``joints`` names the types to compare with."""
-    types = {joint.can_id: joint for joint in joints}
+    types = {joint.address: joint for joint in joints}
     rows = [_HEADINGS]
-    for can_id, motor in sorted(inspection.motors.items()):
-        rows.append(_row(motor, types.get(can_id)))
+    for address, motor in sorted(inspection.motors.items()):
+        rows.append(_row(motor, types.get(address)))
     widths = [max(map(len, column)) for column in zip(*rows)]
     for row in rows:
         yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip()
@@ -69,7 +69,7 @@ def _row(motor: InspectedMotor, joint: DamiaoJoint | None) -> tuple[str, ...]:
     replies = "/".join(f"{i:#x}" for i in sorted(set(motor.reply_ids)))
     feedback = motor.feedback
     return (
-        str(motor.can_id),
+        f"{motor.can_id}{' ' + motor.channel if motor.channel else ''}",
         replies if len(motor.reply_ids) == 1 else f"{replies} (x{len(motor.reply_ids)})",
         MODES.get(mode, "?"),
         *(f"{value:g}" for value in limits or (np.nan,) * 3),

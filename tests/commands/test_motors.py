@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import signal
 import subprocess
 import sys
+import time
 
 import can
 import numpy as np
@@ -18,7 +20,7 @@ from robot_sysid.commands import motors as command
 from robot_sysid.damiao.bus.can_bus import BusAddress, open_bus
 from robot_sysid.damiao.bus.clock import SystemClock
 from robot_sysid.damiao.protocol.bus_load import BusTiming
-from robot_sysid.damiao.protocol.frames import enable_frame
+from robot_sysid.damiao.protocol.frames import Address, enable_frame
 from robot_sysid.damiao.protocol.registers import DISABLED, TIMEOUT
 from robot_sysid.damiao.simulated.faults import Fault
 from robot_sysid.damiao.simulated.simulated_link import SimulatedLink
@@ -158,7 +160,7 @@ def test_frames_can_be_logged_without_a_recording(capsys, bus, trajectory, tmp_p
         logged = [(m.arbitration_id, bytes(m.data)) for m in reader if not m.is_rx]
     # The log begins after the inspections, with the first thing that is done to a motor.
     sent = [(frame.id, frame.data) for frame in bus.wire.sent]
-    assert logged == sent[-len(logged) :] and logged[0] == enable_frame(1)[:2]
+    assert logged == sent[-len(logged) :] and logged[0] == enable_frame(Address(0, 1))[:2]
 
 
 def test_dry_run_enables_nothing(capsys, bus, trajectory):
@@ -242,15 +244,17 @@ def test_interrupting_while_it_moves_comes_to_rest_and_disables(capsys, bus, tra
         (["check"], "check needs --channel"),
         (["play", "T"], "play needs --channel"),
         (["play", *CAN0], "the following arguments are required: TRAJECTORY"),
-        (["play", "T", *CAN0, "--kd", "0"], "--kd must be above 0"),
-        (["play", "T", *CAN0, "--kd", "6"], "--kd must be above 0 and at most 5"),
+        (["play", "T", *CAN0, "--kd", "0"], "--kd must be at least 0.0012"),
+        (["play", "T", *CAN0, "--kd", "6"], "--kd must be at least 0.0012 and at most 5"),
         (["play", "T", *CAN0, "--kp", "501"], "--kp must be from 0 to 500"),
         (["play", "T", *CAN0, "--kp", "1", "2", "3"], "--kp takes one number, or one for each of"),
         (["play", "T", *CAN0, "--speed", "1.5"], "--speed must be above 0 and at most 1"),
         (["play", "T", *CAN0, "--speed", "0"], "--speed must be above 0"),
         (["play", "T", *CAN0, "--rate", "0"], "--rate must be positive"),
         (["play", "T", *CAN0, "--rate", "nan"], "--rate must be positive"),
-        (["play", "T", *CAN0, "--set-watchdog", "0"], "--set-watchdog must be positive"),
+        (["play", "T", *CAN0, "--set-watchdog", "0"], "--set-watchdog must be above 0 and at most"),
+        (["play", "T", *CAN0, "--set-watchdog", "100"], "--set-watchdog must be above 0"),
+        (["play", "T", *CAN0, "--set-watchdog", "1e9"], "--set-watchdog must be above 0"),
         (["play", "T", *CAN0, "--bitrate", "0"], "--bitrate must be positive"),
         (["play", "missing.csv", *CAN0], "cannot read missing.csv"),
         (["check", *CAN0, "--interface", "udp_multicast"], "invalid choice: 'udp_multicast'"),
@@ -411,7 +415,7 @@ def test_a_rehearsal_with_a_fault(capsys, no_real_time, trajectory, model, tmp_p
     record = tmp_path / "measured.csv"
     arguments = ("--model", model, "--play", "--fault", "status:1=10@1.9", "--record", record)
     code, _, err = run(capsys, "simulate", trajectory, *arguments)
-    assert code == 3 and "motor 2 (joint 1) reports status A: over-current" in err
+    assert code == 3 and "motor 2 reports status A: over-current" in err
     assert read_recording(record).ending.startswith("stopped: motor 2")
 
 
@@ -494,3 +498,74 @@ def test_two_processes_over_a_pseudo_terminal(trajectory, model, tmp_path):
         assert server.wait(timeout=20) == 0
         server.stdout.close()
         server.stderr.close()
+
+
+@contextlib.contextmanager
+def simulator(trajectory, model, *options):
+    """A simulated arm in a process of its own; yields the device to reach it at."""
+    program = [sys.executable, "-m", "robot_sysid", "motors", "simulate"]
+    server = subprocess.Popen(
+        [*program, trajectory, "--model", model, "--watchdog", "2", *options],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        device = None
+        while device is None:
+            match = re.search(r"--channel (\S+)", server.stdout.readline())
+            device = match and match.group(1)
+        yield device
+    finally:
+        server.send_signal(signal.SIGINT)
+        server.wait(timeout=20)
+        server.stdout.close()
+        server.stderr.close()
+
+
+def small_files_only():
+    import resource
+
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))
+
+
+@pytest.mark.realtime
+@pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals")
+@pytest.mark.parametrize("trouble", ["output closed", "disk full", "output held"])
+def test_nothing_that_prints_or_records_stands_in_the_way_of_braking(model, tmp_path, trouble):
+    """The frames themselves show that each motor braked before it was disabled."""
+    trajectory = written(tmp_path, swing(2, duration=6.0, amplitude=0.4))
+    record, frames = tmp_path / "measured.csv", tmp_path / "frames.log"
+    with simulator(trajectory, model) as device:
+        play = subprocess.Popen(
+            [
+                sys.executable, "-m", "robot_sysid", "motors", "play", trajectory, "--yes",
+                "--interface", "slcan", "--channel", device, *SLOWLY, "--record", record,
+                "--raw-log", frames,
+            ],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            preexec_fn=small_files_only if trouble == "disk full" else None,
+        )  # fmt: skip
+        try:
+            for line in play.stdout:
+                if line.startswith(b"playing"):
+                    break
+            if trouble == "output closed":
+                play.stdout.close()
+            if trouble != "disk full":
+                time.sleep(1.5)
+                play.send_signal(signal.SIGTERM)
+            _, err = play.communicate(timeout=30) if trouble != "output closed" else (
+                None, play.stderr.read())  # fmt: skip
+            assert play.wait(timeout=30) == 3
+        finally:
+            play.kill()
+            play.stderr.close()
+    said = b"cannot record: File too large" if trouble == "disk full" else b"stopped by SIGTERM"
+    assert said in err
+    if trouble != "disk full":
+        with can.LogReader(frames) as reader:
+            sent = [(m.timestamp, bytes(m.data)) for m in reader if not m.is_rx]
+        first_disable = next(t for t, data in sent if data == b"\xff" * 7 + b"\xfd")
+        last = [t for t, data in sent if t < first_disable][-1]
+        assert last - first_disable < 0.1
+        assert read_recording(record).ending.startswith("stopped: stopped by SIGTERM")

@@ -6,11 +6,9 @@ import numpy as np
 
 from robot_sysid.damiao.bus.inspection import inspect_bus
 from robot_sysid.damiao.bus.link import GuardedLink
-from robot_sysid.damiao.play.player import StopRequest
-from robot_sysid.damiao.play.preflight import Permissions
 from robot_sysid.damiao.play.recorder import RecordingOptions
-from robot_sysid.damiao.play.run import Plan, run
 from robot_sysid.damiao.play.settings import PlaySettings
+from robot_sysid.damiao.play.stop_request import StopRequest
 from robot_sysid.damiao.protocol.bus_load import BusTiming
 from robot_sysid.damiao.protocol.frames import (
     DISABLE,
@@ -23,6 +21,8 @@ from robot_sysid.damiao.protocol.frames import (
 from robot_sysid.damiao.protocol.joints import damiao_joints
 from robot_sysid.damiao.protocol.motors import MOTORS
 from robot_sysid.damiao.protocol.registers import DISABLED
+from robot_sysid.damiao.run.plan import Plan, run
+from robot_sysid.damiao.run.preflight import Permissions
 from robot_sysid.damiao.simulated.arm import SimulatedArm
 from robot_sysid.damiao.simulated.motor import simulated_motor
 from robot_sysid.damiao.simulated.simulated_link import SimulatedLink
@@ -99,6 +99,8 @@ class Rig:
         watchdog=0.1,
         motion=None,
         name="measured",
+        adapter=lambda: 0.0,
+        console=lambda sentence: None,
         **settings,
     ):
         types = [motor_type] * n_joints
@@ -109,7 +111,8 @@ class Rig:
         mechanism = Pendulums(n_joints, start)
         self.arm = SimulatedArm(mechanism, [*self.motors, *extra_motors], faults)
         self.clock = ScriptedClock()
-        self.bus = SimulatedLink(self.clock, self.arm, timing, echo)
+        self.bus = SimulatedLink(self.clock, self.arm, timing, echo, adapter)
+        self.console = console
         self.wire = RememberingLink(self.bus, self.clock)
         self.link = GuardedLink(self.wire, self.clock.now, timing.fd)
         self.record_path = folder / f"{name}.csv"
@@ -147,6 +150,7 @@ class Rig:
         for words, hook in self.hooks.items():
             if sentence.startswith(words):
                 hook(self)
+        self.console(sentence)
 
     def during(self, phase, after, action):
         """Call action(rig) some seconds after a phase has begun."""
@@ -161,8 +165,9 @@ class Rig:
         """Inspect, play, record; keep error or report; then let the arm be for a while."""
         inspection = inspect_bus(self.link, self.clock)
         self.checks = self.plan.bus_checks(inspection)
-        told = "can0", self._phase, lambda time: None
+        told = self._phase, lambda time: None
         try:
+            self.plan.recording.require_free()
             self.report = run(self.link, self.clock, self.plan, inspection, self.stop, *told)
         except Exception as error:
             self.error = error

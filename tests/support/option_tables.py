@@ -14,10 +14,10 @@ from pathlib import Path
 from robot_sysid.commands import motors, run
 from robot_sysid.commands.arguments import ConsoleOptions, default_text
 from robot_sysid.damiao.bus.can_bus import BusAddress
-from robot_sysid.damiao.play.preflight import Permissions
 from robot_sysid.damiao.play.recorder import RecordingOptions
 from robot_sysid.damiao.play.settings import PlaySettings
 from robot_sysid.damiao.protocol.bus_load import BusTiming
+from robot_sysid.damiao.run.preflight import Permissions
 from robot_sysid.records.options import Option, default_of, options_of
 from tests.support.places import ROOT
 

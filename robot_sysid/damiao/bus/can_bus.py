@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import time
 from dataclasses import dataclass
 from typing import Any
@@ -43,6 +45,16 @@ class BusAddress(OptionRecord):
 
 _REPORTS_OWN_FRAMES = ("socketcan", "virtual")
 _SEND_TIMEOUT = 0.01
+# A queue that is full for longer than this is not going to empty within a control cycle.
+_FULL_PATIENCE, _FULL_PAUSE = 1.5e-3, 2e-4
+_FULL = (
+    "the CAN bus takes no more frames because nobody acknowledges them: check the motors' power, "
+    "the wiring and the termination (60 ohm between the two wires)"
+)
+_GARBLED = (
+    "the adapter sent a line that is no CAN frame; check its cable and that nothing else reads "
+    "from its port"
+)
 _PLAUSIBLE_AGE = 1.0
 _FD_CLOCK = 80_000_000
 
@@ -80,10 +92,17 @@ class BusLink:
 
     def send(self, frame: Frame) -> None:
         """Send a frame, or raise LinkError."""
-        try:
-            self._bus.send(message_of(self._can, frame), timeout=_SEND_TIMEOUT)
-        except (self._can.CanError, OSError) as error:
-            raise LinkError(f"the CAN bus does not take frames: {error}") from error
+        message, patience = message_of(self._can, frame), self._clock.now() + _FULL_PATIENCE
+        while True:
+            try:
+                return self._bus.send(message, timeout=_SEND_TIMEOUT)
+            except Exception as error:
+                # Whatever a driver raises: the caller has to go on with the other motors.
+                if not _is_full(error):
+                    raise LinkError(f"the CAN bus does not take frames: {_said(error)}") from error
+                if self._clock.now() >= patience:
+                    raise LinkError(_FULL) from error
+            self._clock.sleep_until(self._clock.now() + _FULL_PAUSE)
 
     def receive(self, until: float) -> Frame | None:
         """Return the next standard frame, or None at ``until`` [s]."""
@@ -91,16 +110,19 @@ class BusLink:
             left = max(until - self._clock.now(), 0.0)
             try:
                 message = self._bus.recv(left)
-            except (self._can.CanError, OSError, ValueError) as error:
-                raise LinkError(f"the CAN bus cannot be read: {error}") from error
+            except (ValueError, IndexError) as error:
+                raise LinkError(f"{_GARBLED} ({_said(error)})") from error
+            except Exception as error:
+                raise LinkError(f"the CAN bus cannot be read: {_said(error)}") from error
             if message is None and self._clock.now() >= until:
                 return None
             if message is not None and not message.is_extended_id:
                 return self._frame(message)
 
     def close(self) -> None:
-        """Release the adapter."""
-        self._bus.shutdown()
+        """Release the adapter; one that has been unplugged is gone anyway."""
+        with contextlib.suppress(Exception):
+            self._bus.shutdown()
 
     def _frame(self, message: Any) -> Frame:
         age = time.time() - message.timestamp
@@ -114,6 +136,16 @@ class BusLink:
             message.is_error_frame,
             not message.is_rx,
         )
+
+
+def _is_full(error: Exception) -> bool:
+    """Tell whether the transmit queue is full, which passes, or stays so if nobody listens."""
+    codes = getattr(error, "error_code", None), getattr(error, "errno", None)
+    return errno.ENOBUFS in codes
+
+
+def _said(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
 
 
 def open_bus(address: BusAddress, timing: BusTiming, clock: Clock) -> BusLink:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +23,10 @@ class RawFrameLog:
     Args:
         path: the file.
         clock: the clock that frame times are in.
-        channel: name of the bus in the log.
+        channels: names of the buses in the log.
     """
 
-    def __init__(self, path: Path, clock: Clock, channel: str) -> None:
+    def __init__(self, path: Path, clock: Clock, channels: Sequence[str]) -> None:
         self._can = import_can()
         try:
             self._writer: Any = self._can.Logger(str(path))
@@ -33,28 +34,30 @@ class RawFrameLog:
             raise InputError(f"cannot log frames to {path}: {error}") from None
         except OSError as error:
             raise InputError(f"cannot write {path}: {error.strerror}") from None
-        self._channel = channel
+        self._channels = tuple(channels)
         self._offset = time.time() - clock.now()
         self._waiting: list[tuple[Frame, bool]] = []
 
     def __call__(self, frame: Frame, sent: bool) -> None:
-        """Take a frame; it is written with the next flush."""
+        """Take a frame."""
         self._waiting.append((frame, sent))
 
-    def flush(self) -> None:
-        """Write what has come since the last flush, in order of time."""
-        for frame, sent in sorted(self._waiting, key=lambda entry: entry[0].time):
-            stamp = frame.time + self._offset
-            rest = {"timestamp": stamp, "is_rx": not sent, "channel": self._channel}
+    def taken(self) -> list[tuple[Frame, bool]]:
+        """Return the frames that came since the last call, for ``write``."""
+        taken, self._waiting = self._waiting, []
+        return taken
+
+    def write(self, frames: list[tuple[Frame, bool]]) -> None:
+        """Write frames in order of time; may be called from another thread than the rest."""
+        for frame, sent in sorted(frames, key=lambda entry: entry[0].time):
+            stamp, channel = frame.time + self._offset, self._channels[frame.bus]
+            rest = {"timestamp": stamp, "is_rx": not sent, "channel": channel}
             self._writer.on_message_received(message_of(self._can, frame, **rest))
-        self._waiting.clear()
         file: Any = getattr(self._writer, "file", None)
         if file is not None:
             file.flush()
 
     def close(self) -> None:
-        """Write the rest, if there is room for it, and finish the file."""
-        with contextlib.suppress(OSError):
-            self.flush()
-        with contextlib.suppress(OSError):
+        """Finish the file, if there is room for it."""
+        with contextlib.suppress(Exception):
             self._writer.stop()

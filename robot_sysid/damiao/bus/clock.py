@@ -7,7 +7,13 @@ from typing import Protocol
 
 
 class Clock(Protocol):
-    """A clock that never runs backwards."""
+    """A clock that never runs backwards.
+
+    Attributes:
+        live: whether time passes by itself, also while this program waits for something.
+    """
+
+    live: bool
 
     def now(self) -> float:
         """Return the time [s]; only differences mean anything."""
@@ -18,6 +24,8 @@ class Clock(Protocol):
 
 class SystemClock:
     """The computer's monotonic clock."""
+
+    live = True
 
     def now(self) -> float:
         """Return the monotonic time [s]."""
@@ -32,6 +40,8 @@ class SystemClock:
 
 class SimulatedClock:
     """A clock that moves only when someone sleeps."""
+
+    live = False
 
     def __init__(self) -> None:
         self._now = 0.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from robot_sysid.damiao.protocol.frames import Frame, refuse_harmful
@@ -33,13 +33,21 @@ class GuardedLink:
         link: the bus.
         now: returns the time that a sent frame is shown with [s].
         fd: send CAN-FD frames.
+        channels: names of the buses behind the link.
 
     Attributes:
-        observer: called with every frame sent or received, and whether it was sent.
+        channels: as given.
+        observer: called with every frame sent or received, and whether it was sent; must not raise.
     """
 
-    def __init__(self, link: Link, now: Callable[[], float], fd: bool = False) -> None:
-        self._link, self._now, self._fd = link, now, fd
+    def __init__(
+        self,
+        link: Link,
+        now: Callable[[], float],
+        fd: bool = False,
+        channels: Sequence[str] = ("",),
+    ) -> None:
+        self._link, self._now, self._fd, self.channels = link, now, fd, tuple(channels)
         self.observer: Callable[[Frame, bool], None] | None = None
 
     def send(self, frame: Frame) -> None:

@@ -7,7 +7,7 @@ outstanding: a reply repeats its motor's id, an operation and the register's num
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from robot_sysid.damiao.bus.clock import Clock
@@ -15,6 +15,7 @@ from robot_sysid.damiao.bus.link import GuardedLink
 from robot_sysid.damiao.protocol.frames import (
     READ,
     WRITE,
+    Address,
     Frame,
     read_frame,
     refresh_frame,
@@ -31,6 +32,8 @@ from robot_sysid.errors import HardwareAbort
 
 # How often a question is asked.
 _TRIES = 3
+# Answers that take longer are of no use to a control loop [s].
+_LONGEST_CYCLE = 0.1
 
 
 class RegisterReply(NamedTuple):
@@ -47,19 +50,23 @@ class RegisterClient:
         self._link, self._clock, self._timeout = link, clock, timeout
         self.error_frames = 0
 
-    def read(self, can_id: int, register: int) -> RegisterReply | None:
+    def read(self, motor: Address, register: int) -> RegisterReply | None:
         """Return a register's value, or None where the motor does not answer."""
         for _ in range(_TRIES):
-            reply = next(self._replies(read_frame(can_id, register)), None)
+            reply = next(self._replies(read_frame(motor, register)), None)
             if reply is not None:
                 return reply
         return None
 
-    def read_all(self, can_id: int, register: int) -> list[RegisterReply]:
+    def read_all(self, motor: Address, register: int) -> list[RegisterReply]:
         """Return every answer to one request: more than one means that motors share an id."""
-        return list(self._replies(read_frame(can_id, register)))
+        for _ in range(_TRIES):
+            replies = list(self._replies(read_frame(motor, register)))
+            if replies:
+                return replies
+        return []
 
-    def write(self, can_id: int, register: int, value: float) -> None:
+    def write(self, motor: Address, register: int, value: float) -> None:
         """Write a register (lost at power-off), or raise HardwareAbort.
 
         A motor refuses a value by answering with the old one, so the answer is compared.
@@ -67,22 +74,41 @@ class RegisterClient:
         raw = bytes_from_value(register, value)
         name = REGISTERS[register].name
         for _ in range(_TRIES):
-            reply = next(self._replies(write_frame(can_id, register, raw)), None)
+            reply = next(self._replies(write_frame(motor, register, raw)), None)
             if reply is not None and bytes_from_value(register, reply.value) == raw:
                 return
             if reply is not None:
                 raise HardwareAbort(
-                    f"motor {can_id} refused {name} = {value:g} and keeps {reply.value:g}"
+                    f"motor {motor.can_id} refused {name} = {value:g} and keeps {reply.value:g}"
                 )
-        raise HardwareAbort(f"motor {can_id} did not answer to writing {name}")
+        raise HardwareAbort(f"motor {motor.can_id} did not answer to writing {name}")
 
-    def refresh(self, can_id: int, master_id: int) -> Frame | None:
+    def refresh(self, motor: Address, master_id: int) -> Frame | None:
         """Return a feedback frame without any effect on the motor, or None."""
         for _ in range(_TRIES):
-            for frame in self._frames_after(refresh_frame(can_id)):
-                if frame.id == master_id and frame.data[0] & 0xF == can_id & 0xF:
+            for frame in self._frames_after(refresh_frame(motor)):
+                if frame.id == master_id and frame.data[0] & 0xF == motor.can_id & 0xF:
                     return frame
         return None
+
+    def seconds_to_refresh(self, motors: Sequence[tuple[Address, int]]) -> float | None:
+        """Ask motors one right after the other for their state, as a control cycle does.
+
+        Args:
+            motors: where they are, with the ids they answer on.
+
+        Returns:
+            Time until the last answer [s]; None where one did not come.
+        """
+        self._link.drain()
+        start = self._clock.now()
+        for motor, _ in motors:
+            self._link.send(refresh_frame(motor))
+        missing = {(motor.bus, reply_id) for motor, reply_id in motors}
+        while missing and (frame := self._link.receive(start + _LONGEST_CYCLE)) is not None:
+            if not frame.echo and not frame.error:
+                missing.discard((frame.bus, frame.id))
+        return None if missing else self._clock.now() - start
 
     def _replies(self, request: Frame) -> Iterator[RegisterReply]:
         for frame in self._frames_after(request):
@@ -97,7 +123,8 @@ class RegisterClient:
         until = self._clock.now() + self._timeout
         while (frame := self._link.receive(until)) is not None:
             self.error_frames += frame.error
-            if not frame.error and not frame.echo and len(frame.data) == 8:
+            sound = not frame.error and not frame.echo and len(frame.data) == 8
+            if sound and frame.bus == request.bus:
                 yield frame
 
 
@@ -113,23 +140,28 @@ def _answers(frame: Frame, request: Frame) -> bool:
 
 @contextlib.contextmanager
 def watchdogs_set_to(
-    client: RegisterClient, before: Mapping[int, float], seconds: float
+    client: RegisterClient,
+    before: Mapping[Address, float],
+    seconds: float,
+    is_off: Callable[[Address], bool],
 ) -> Iterator[None]:
     """Write the watchdog register of each motor, and its old value when the block ends.
 
-    Nothing is stored to flash: after a power cycle the motors have their own values again.
+    A motor that may still be running keeps the new value: without a watchdog it would go on for
+    ever. Nothing is stored to flash: after a power cycle the motors have their own values again.
 
     Args:
         client: talks to the motors.
-        before: CAN id to the value of the register now.
+        before: value of the register now, by motor.
         seconds: watchdog time [s].
+        is_off: tells, at the end, whether a motor is surely disabled.
     """
     try:
-        for can_id in before:
-            client.write(can_id, TIMEOUT, float(round(seconds / TIMEOUT_UNIT)))
+        for address in before:
+            client.write(address, TIMEOUT, float(round(seconds / TIMEOUT_UNIT)))
         yield
     finally:
-        for can_id, value in before.items():
+        for address in filter(is_off, before):
             # A motor that does not answer any more keeps the safer value until power-off.
             with contextlib.suppress(HardwareAbort):
-                client.write(can_id, TIMEOUT, value)
+                client.write(address, TIMEOUT, before[address])

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import contextlib
 import gc
-import signal
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from types import FrameType
+from typing import NamedTuple
 
 import numpy as np
 
 from robot_sysid.damiao.bus.clock import Clock
+from robot_sysid.damiao.play.aside import words_of
 from robot_sysid.damiao.play.cycle_timer import CycleTimer
 from robot_sysid.damiao.play.recorder import MeasurementRecorder
 from robot_sysid.damiao.play.sampler import (
@@ -25,12 +26,13 @@ from robot_sysid.damiao.play.sampler import (
     come_to_rest,
     hold,
 )
+from robot_sysid.damiao.play.scaling_checks import TorqueScalingCheck, VelocityScalingCheck
 from robot_sysid.damiao.play.session import MotorSession, Replies
 from robot_sysid.damiao.play.settings import PlaySettings
-from robot_sysid.damiao.play.supervision import Supervisor, VelocityScalingCheck
-from robot_sysid.damiao.protocol.codec import MitCommand, Scaling
+from robot_sysid.damiao.play.stop_request import StopRequest
+from robot_sysid.damiao.play.supervision import Supervisor
+from robot_sysid.damiao.protocol.codec import MitCommand
 from robot_sysid.errors import HardwareAbort
-from robot_sysid.interrupts import STOPPING
 from robot_sysid.records import Array
 
 # The torque that carries the arm is there early in the ramp, before the arm has sunk.
@@ -38,6 +40,12 @@ _LIFT_SHARE = 0.2
 _REPLY_SHARE = 0.9
 _LEAST_REPLY_SHARE = 0.3
 _SCALING_CHECK_CYCLES = 50
+_PROGRESS_INTERVAL = 0.1
+# A busy thread gives way after this long [s]; Python's own default is more than a control cycle.
+_SWITCH_INTERVAL = 2e-4
+# Nothing heard for longer than this while braking: the watchdogs have stopped the motors, or the
+# bus is gone [s].
+_DEAF = 0.15
 
 
 @dataclass(frozen=True)
@@ -60,6 +68,18 @@ class PlayReport:
     worst_tracking: Array
 
 
+class Told(NamedTuple):
+    """Who is told how a run goes; neither may raise or wait.
+
+    Attributes:
+        on_phase: called with a sentence when a new phase begins.
+        on_progress: called with the time played so far [s].
+    """
+
+    on_phase: Callable[[str], None]
+    on_progress: Callable[[float], None]
+
+
 class Player:
     """Plays references through a session.
 
@@ -69,8 +89,7 @@ class Player:
         settings: gains and limits.
         stop: polled in every cycle.
         recorder: gets every cycle of the trajectory itself; None keeps nothing.
-        on_phase: called with a sentence when a new phase begins.
-        on_progress: called with the time played so far [s].
+        told: who is told how it goes.
     """
 
     def __init__(
@@ -80,21 +99,24 @@ class Player:
         settings: PlaySettings,
         stop: StopRequest,
         recorder: MeasurementRecorder | None,
-        on_phase: Callable[[str], None],
-        on_progress: Callable[[float], None],
+        told: Told,
     ) -> None:
         self._session, self._clock, self._settings = session, clock, settings
         self._stop, self._recorder = stop, recorder
-        self._announce, self._on_progress = on_phase, on_progress
-        self._supervisor = Supervisor(session.joints, settings)
-        self._scaling_check = VelocityScalingCheck(session.scaling.steps[1])
+        self._announce, self._on_progress = told
+        _, velocity_step, torque_step = session.steps
+        self._supervisor = Supervisor(session.joints, settings, velocity_step)
+        self._velocity_check = VelocityScalingCheck(velocity_step)
+        self._torque_check = TorqueScalingCheck(torque_step, session.peak_torque)
         self._timer: CycleTimer
         self._kp, self._kd = np.array(settings.kp), np.array(settings.kd)
         self._gain = 0.0
         self._reference: Reference | None = None
         self._command: MitCommand | None = None
-        self._measured = np.full(session.n_joints, np.nan)
+        self._measured = np.full((2, session.n_joints), np.nan)
+        self._heard_at = 0.0
         self._cycles = self._played = 0
+        self._told_at = -np.inf
 
     def play(self, trajectory: ReferenceFunction, duration: float) -> PlayReport:
         """Enable the motors, play ``trajectory`` and come to rest; disabling is the session's job.
@@ -113,7 +135,7 @@ class Player:
                 self._stop_gently()
                 if isinstance(error, HardwareAbort):
                     raise
-                raise HardwareAbort(f"{type(error).__name__}: {error}") from error
+                raise HardwareAbort(f"{type(error).__name__}: {words_of(error)}") from error
         return self._report()
 
     def _run_phases(self, trajectory: ReferenceFunction, duration: float) -> None:
@@ -149,8 +171,7 @@ class Player:
             time = min(deadline - origin, duration)
             self._gain = time / duration if ramp else 1.0
             wanted = reference(time)
-            if self._stop.count:
-                raise HardwareAbort(self._stop.reason)
+            self._stop_if_asked()
             try:
                 replies, acted = self._cycle(wanted, deadline)
             except BaseException:
@@ -160,22 +181,36 @@ class Player:
                 self._keep(time, origin, replies, acted)
             self._check(replies, acted)
 
+    def _stop_if_asked(self) -> None:
+        if self._stop.count:
+            raise HardwareAbort(self._stop.reason)
+        failure = self._recorder.failure if self._recorder else None
+        if failure is not None:
+            raise HardwareAbort(f"cannot record: {words_of(failure)}")
+
     def _cycle(self, reference: Reference, deadline: float) -> tuple[Replies, MitCommand]:
         """Exchange one command; return the replies and the command they were sampled under."""
         before, command = self._command, self._command_for(reference)
         replies = self._session.exchange(command, self._reply_deadline(deadline))
         self._supervisor.update(replies)
         self._reference, self._command = reference, replies.command
-        position = replies.feedback.position
-        self._measured = np.where(replies.answered, position, self._measured)
+        self._note(replies)
         return replies, before or command
+
+    def _note(self, replies: Replies) -> None:
+        now = np.stack([replies.feedback.position, replies.feedback.velocity])
+        self._measured = np.where(replies.answered, now, self._measured)
+        if np.any(replies.answered):
+            self._heard_at = self._clock.now()
 
     def _keep(self, time: float, origin: float, replies: Replies, acted: MitCommand) -> None:
         self._played += 1
         if self._recorder:
             self._recorder.write(time, origin, replies, acted)
             self._recorder.end_cycle()
-        self._on_progress(time)
+        if time - self._told_at >= _PROGRESS_INTERVAL:
+            self._told_at = time
+            self._on_progress(time)
 
     def _keep_partial(self, time: float, origin: float, record: bool) -> None:
         """Record what an exchange had collected when it was cut short."""
@@ -184,21 +219,31 @@ class Player:
             self._keep(time, origin, partial, self._command)
 
     def _check(self, replies: Replies, acted: MitCommand) -> None:
-        self._supervisor.check(replies, acted.position)
+        self._supervisor.check(replies, acted)
         feedback = replies.feedback
-        self._scaling_check.add(replies.time, feedback.position, feedback.velocity)
+        self._velocity_check.add(replies.time, feedback.position, feedback.velocity)
+        told = acted.motor_torque(feedback.position, feedback.velocity)
+        self._torque_check.add(told, feedback.torque, feedback.velocity)
         self._cycles += 1
         if self._cycles % _SCALING_CHECK_CYCLES == 0:
             self._check_scaling()
 
     def _check_scaling(self) -> None:
-        found = self._scaling_check.worst()
-        if found:
-            j, slope = found
-            raise HardwareAbort(
-                f"motor {self._session.joints[j].can_id} (joint {j}) moves {slope:.3f} times as "
-                "far as its velocity says: its VMAX register does not describe its velocities"
-            )
+        for found, words in (
+            (
+                self._torque_check.worst(),
+                "reports {:.2f} times the torque that it was told to make: its TMAX register does "
+                "not describe its torques, or its torque ratio is another",
+            ),
+            (
+                self._velocity_check.worst(),
+                "moves {:.3f} times as far as its velocity says: its VMAX register does not "
+                "describe its velocities",
+            ),
+        ):
+            if found:
+                j, factor = found
+                raise HardwareAbort(f"{self._session.joints[j].label} {words.format(factor)}")
 
     def _command_for(self, reference: Reference) -> MitCommand:
         return MitCommand(
@@ -215,45 +260,59 @@ class Player:
         return max(deadline + _REPLY_SHARE * period, least)
 
     def _stop_gently(self) -> None:
-        """Brake and hold the motors that still answer; gives up on any trouble or second wish."""
+        """Brake and hold the motors that still answer, whatever else goes wrong meanwhile."""
         if self._reference is None:
             return
-        wishes = self._stop.count
-        # The terminal may be gone; the arm has to brake all the same.
-        with contextlib.suppress(Exception):
-            self._announce("stopping")
+        self._announce("stopping")
+        self._heard_at = self._clock.now()
         with contextlib.suppress(Exception):
             start = self._stop_start(self._reference)
             braking, duration = come_to_rest(start, self._settings.deceleration)
             rest = hold(braking(duration))
             for reference, length in ((braking, duration), (rest, self._settings.rest_time)):
-                self._stop_phase(reference, length, wishes)
+                self._stop_phase(reference, length)
 
     def _stop_start(self, reference: Reference) -> Reference:
-        """Return where braking begins; a joint far off its path stops where it is."""
-        away = np.abs(self._measured - reference.position) > self._settings.max_tracking_error
+        """Return where braking begins.
+
+        A joint that is far from where it should be, or from how fast it should be, brakes from
+        where it is; the torque that was fed forward to it has just proved wrong.
+        """
+        settings, (q, qd) = self._settings, self._measured
+        away = np.abs(q - reference.position) > settings.max_tracking_error
+        fast = np.abs(qd - reference.velocity) > settings.max_speed_error
         return Reference(
-            np.where(away, self._measured, reference.position),
+            np.where(away | fast, q, reference.position),
             np.where(away, 0.0, reference.velocity),
-            reference.torque,
+            np.where(away | fast, 0.0, reference.torque),
         )
 
-    def _stop_phase(self, reference: ReferenceFunction, duration: float, wishes: int) -> None:
+    def _stop_phase(self, reference: ReferenceFunction, duration: float) -> None:
         origin = self._timer.next_deadline
         while self._timer.next_deadline <= origin + duration:
             deadline = self._timer.wait(lenient=True)
-            if not self._supervisor.any_alive or self._stop.count > wishes:
+            if self._hopeless or self._stop.insisted:
                 return
-            # A motor that does not answer may still obey, so only failed ones are left out.
-            driving = ~self._supervisor.failed
-            inside = _within(reference(deadline - origin), self._session.scaling)
-            command = self._command_for(inside)
-            replies = self._session.exchange(command, self._reply_deadline(deadline), driving)
-            self._supervisor.update(replies)
-            if self._recorder:
-                # A disk that is full must not keep the arm from braking.
-                with contextlib.suppress(OSError):
-                    self._recorder.end_cycle()
+            # A bus that fails now may work again in the next cycle.
+            with contextlib.suppress(Exception):
+                self._stop_cycle(reference(deadline - origin), deadline)
+
+    @property
+    def _hopeless(self) -> bool:
+        """Whether nothing that is sent has an effect any more."""
+        silent = self._clock.now() - self._heard_at > _DEAF
+        return bool(np.all(self._supervisor.failed)) or silent
+
+    def _stop_cycle(self, wanted: Reference, deadline: float) -> None:
+        # A motor that does not answer may still obey, so only failed ones are left out.
+        driving = ~self._supervisor.failed
+        command = self._command_for(Reference(*self._session.clipped(*wanted)))
+        until = self._reply_deadline(deadline)
+        replies = self._session.exchange(command, until, driving, regardless=True)
+        self._supervisor.update(replies)
+        self._note(replies)
+        if self._recorder:
+            self._recorder.end_cycle()
 
     def _report(self) -> PlayReport:
         return PlayReport(
@@ -266,48 +325,16 @@ class Player:
         )
 
 
-def _within(reference: Reference, scaling: Scaling) -> Reference:
-    limits = scaling.position, scaling.velocity, scaling.torque
-    return Reference(*(np.clip(x, -limit, limit) for x, limit in zip(reference, limits)))
-
-
 @contextlib.contextmanager
 def _undisturbed() -> Iterator[None]:
-    """Keep the garbage collector from pausing a control cycle."""
-    was_on = gc.isenabled()
+    """Keep the garbage collector, and what happens aside, from pausing a control cycle."""
+    was_on, interval = gc.isenabled(), sys.getswitchinterval()
     gc.collect()
     gc.disable()
+    sys.setswitchinterval(_SWITCH_INTERVAL)
     try:
         yield
     finally:
+        sys.setswitchinterval(interval)
         if was_on:
             gc.enable()
-
-
-class StopRequest:
-    """Remembers whether somebody wants the run to end, and how often they asked.
-
-    The first wish brings the arm to rest before it is disabled; a second one disables it at once.
-    """
-
-    def __init__(self) -> None:
-        self.count = 0
-        self.reason = ""
-
-    def __call__(self, reason: str) -> None:
-        """Ask for a stop."""
-        self.count += 1
-        self.reason = self.reason or reason
-
-    @contextlib.contextmanager
-    def on_signals(self) -> Iterator[None]:
-        """Turn interrupt, terminate and hang-up signals into wishes inside the block."""
-        before = {number: signal.signal(number, self._handle) for number in STOPPING}
-        try:
-            yield
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
-
-    def _handle(self, number: int, frame: FrameType | None) -> None:
-        self(f"stopped by {signal.Signals(number).name}")

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from robot_sysid.damiao.bus.can_log import RawFrameLog
+from robot_sysid.damiao.play.aside import Aside
 from robot_sysid.damiao.play.session import Replies
 from robot_sysid.damiao.play.settings import PlaySettings
 from robot_sysid.damiao.protocol.codec import MitCommand
@@ -124,20 +125,25 @@ class RecordingHead:
 
 
 class MeasurementRecorder:
-    """Writes a run to a new CSV file, each row at once.
+    """Writes a run to a new CSV file, each row at once but aside of the control loop.
 
-    A context manager; the file's last line says how the run ended.
+    A context manager; the file's last line says how the run ended. Only opening raises: what goes
+    wrong later is kept in ``failure``, and the arm is brought to rest first.
 
     Args:
         path: the file; must not exist unless it may be overwritten.
         head: what to write above the rows.
-        frames: flushed with every row, if given.
+        aside: does the writing.
+        frames: written with every row, if given.
     """
 
-    def __init__(self, path: Path, head: RecordingHead, frames: RawFrameLog | None = None) -> None:
-        self._frames, self._centred = frames, not head.options.no_centring
-        columns = ["time", *trajectory_columns(len(head.joints))]
-        columns += [f"j{j}_{what}" for j in range(len(head.joints)) for what in _EXTRA]
+    def __init__(
+        self, path: Path, head: RecordingHead, aside: Aside, frames: RawFrameLog | None = None
+    ) -> None:
+        self._aside, self._frames = aside, frames
+        self._centred, self._n = not head.options.no_centring, len(head.joints)
+        columns = ["time", *trajectory_columns(self._n)]
+        columns += [f"j{j}_{what}" for j in range(self._n) for what in _EXTRA]
         comments = [f"# {line}\n" for line in head.lines()]
         try:
             self._file = open(path, "w" if head.options.overwrite else "x", encoding="utf-8")  # noqa: SIM115
@@ -146,14 +152,23 @@ class MeasurementRecorder:
         except OSError as error:
             raise InputError(f"cannot write {path}: {error.strerror}") from None
 
+    @property
+    def failure(self) -> BaseException | None:
+        """Why the recording is not complete, or None."""
+        return self._aside.failure
+
     def __enter__(self) -> MeasurementRecorder:
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         ending = "completed" if error is None else f"stopped: {error}".replace("\n", " ")
-        # A disk that is full by now must not hide why the run ended.
-        with contextlib.suppress(OSError), self._file:
-            self._file.write(f"# end: {ending}\n")
+        self.end_cycle()
+        self._aside(lambda: self._file.write(f"# end: {ending}\n"))
+        self._aside(self._file.close)
+        self._aside.finish()
+        if self.failure is not None:
+            with contextlib.suppress(OSError):
+                self._file.close()
 
     def write(self, time: float, origin: float, replies: Replies, acted: MitCommand) -> None:
         """Write one cycle.
@@ -164,24 +179,28 @@ class MeasurementRecorder:
             replies: what the joints answered.
             acted: the command in force when they were sampled.
         """
+        self._aside(lambda: self._file.write(self._row(time, origin, replies, acted)))
+
+    def end_cycle(self) -> None:
+        """Hand everything to the operating system, which keeps it even if this process dies."""
+        self._aside(self._file.flush)
+        if self._frames:
+            log, frames = self._frames, self._frames.taken()
+            self._aside(lambda: log.write(frames))
+
+    def _row(self, time: float, origin: float, replies: Replies, acted: MitCommand) -> str:
         measured = replies.feedback
         step = torque_step(replies, acted)
         torque = measured.torque + 0.5 * step if self._centred else measured.torque
         cells = [f"{time:.6f}"]
-        for values in zip(measured.position, measured.velocity, torque):
+        for values in list(zip(measured.position, measured.velocity, torque))[: self._n]:
             cells += _numbers(values)
         columns = (replies.time - origin, acted.position, acted.velocity, acted.torque, step)
         state = (measured.status, measured.temperature_mos, measured.temperature_rotor)
-        for j, answered in enumerate(replies.answered):
+        for j, answered in enumerate(replies.answered[: self._n]):
             cells += _numbers([column[j] for column in columns])
             cells += [str(code[j]) if answered else "" for code in state]
-        self._file.write(",".join(cells) + "\n")
-
-    def end_cycle(self) -> None:
-        """Hand everything to the operating system, which keeps it even if this process dies."""
-        self._file.flush()
-        if self._frames:
-            self._frames.flush()
+        return ",".join(cells) + "\n"
 
 
 def torque_step(replies: Replies, acted: MitCommand) -> Array:

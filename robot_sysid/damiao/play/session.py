@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.damiao.bus.clock import Clock
-from robot_sysid.damiao.bus.link import GuardedLink, LinkError
+from robot_sysid.damiao.bus.link import GuardedLink
+from robot_sysid.damiao.play.outstanding import Outstanding
 from robot_sysid.damiao.protocol.codec import (
     Bytes,
     Feedback,
@@ -20,7 +21,14 @@ from robot_sysid.damiao.protocol.codec import (
     decode_mit,
     encode_mit,
 )
-from robot_sysid.damiao.protocol.frames import Frame, disable_frame, enable_frame
+from robot_sysid.damiao.protocol.frames import (
+    Address,
+    Frame,
+    command_frame,
+    disable_frame,
+    enable_frame,
+)
+from robot_sysid.damiao.protocol.joint_space import JointSpace
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.protocol.registers import DISABLED, ENABLED, describe
 from robot_sysid.errors import HardwareAbort
@@ -45,13 +53,20 @@ class Replies:
             on the bus where the adapter reports that, else when the reply arrived. NaN where the
             joint did not answer.
         feedback: all joints; status -1 and NaN values where a joint did not answer.
-        command: what was sent, as the motors read it; None where it was no MIT command.
+        command: what each joint is under now, as the motors read it; None where none was sent.
+        asked: (n,) which joints were sent something; None means all.
     """
 
     answered: NDArray[np.bool_]
     time: Array
     feedback: Feedback
     command: MitCommand | None = None
+    asked: NDArray[np.bool_] | None = None
+
+    @property
+    def unanswered(self) -> NDArray[np.bool_]:
+        """(n,) which joints were asked and did not answer."""
+        return ~self.answered if self.asked is None else self.asked & ~self.answered
 
 
 class MotorSession:
@@ -59,6 +74,8 @@ class MotorSession:
 
     A context manager: however the block is left, every motor that could be enabled is told five
     times to disable, and has to confirm it. Before ``enable`` nothing is sent on the way out.
+
+    Commands and measurements are in joint space, see ``joint_space``.
 
     Args:
         link: the bus.
@@ -69,6 +86,8 @@ class MotorSession:
 
     Attributes:
         last_replies: what the last exchange collected, also where it was cut short by an error.
+        unconfirmed: positions of the motors that could be enabled and have not said that they are
+            off.
     """
 
     def __init__(
@@ -81,29 +100,50 @@ class MotorSession:
     ) -> None:
         self._link, self._clock = link, clock
         self.joints, self.scaling, self._half_step = tuple(joints), scaling, half_step
-        self._armed = False
+        self.space = JointSpace.of(joints)
+        self.unconfirmed: tuple[int, ...] = ()
         self.last_replies: Replies | None = None
-        self._by_reply = {joint.master_id: j for j, joint in enumerate(joints)}
-        self._by_command = {joint.can_id: j for j, joint in enumerate(joints)}
+        self._command: MitCommand | None = None
+        self._outstanding = Outstanding(self.n_joints)
+        self._regardless = True
+        self._by_reply = {(joint.bus, joint.master_id): j for j, joint in enumerate(joints)}
+        self._by_command = {joint.address: j for j, joint in enumerate(joints)}
 
     @property
     def n_joints(self) -> int:
         """Number of joints n."""
         return len(self.joints)
 
+    @property
+    def steps(self) -> tuple[Array, Array, Array]:
+        """One quantisation step (n,) of what joints measure [rad, rad/s, N m]."""
+        position, velocity, torque = self.scaling.steps
+        return position, velocity, torque * self.space.ratio
+
+    @property
+    def peak_torque(self) -> Array:
+        """What each joint's motor delivers at most (n,) [N m]."""
+        specs = [joint.spec for joint in self.joints]
+        peaks = [spec.peak_torque or spec.torque_limit for spec in specs]
+        # A frame cannot say more than the scale's end either.
+        return np.asarray(np.minimum(peaks, self.scaling.torque) * self.space.ratio)
+
+    def clipped(self, q: Array, qd: Array, tau: Array) -> tuple[Array, ...]:
+        """Return the nearest values (n,) that the joints' frames carry [rad, rad/s, N m]."""
+        return self.space.clipped(q, qd, tau, self.scaling)
+
     def __enter__(self) -> MotorSession:
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        if not self._armed:
+        if not self.unconfirmed:
             return
-        unconfirmed = self.disable()
-        if unconfirmed:
-            motors = ", ".join(str(can_id) for can_id in unconfirmed)
+        self.disable()
+        if self.unconfirmed:
+            motors = ", ".join(self.joints[j].label for j in self.unconfirmed)
             cause = f"{error}; " if error is not None else ""
             raise HardwareAbort(
-                f"{cause}no confirmation that these motors are disabled: CAN id {motors}. "
-                "Cut their power"
+                f"{cause}no confirmation that these motors are disabled: {motors}. Cut their power"
             ) from error
 
     def enable(self) -> Array:
@@ -112,76 +152,102 @@ class MotorSession:
         Raises:
             HardwareAbort: a motor did not enable; names it.
         """
-        self._armed = True
+        self.unconfirmed = tuple(range(self.n_joints))
         position = np.empty(self.n_joints)
         for j, joint in enumerate(self.joints):
             feedback = self._enable_one(j, joint)
             status = int(feedback.status[j])
             if status != ENABLED:
                 said = "no answer" if status == NO_STATUS else describe(status)
-                raise HardwareAbort(f"motor {joint.can_id} (joint {j}) did not enable: {said}")
+                raise HardwareAbort(f"{joint.label} did not enable: {said}")
             position[j] = feedback.position[j]
         return position
 
     def exchange(
-        self, command: MitCommand, until: float, joints: NDArray[np.bool_] | None = None
+        self,
+        command: MitCommand,
+        until: float,
+        joints: NDArray[np.bool_] | None = None,
+        regardless: bool = False,
     ) -> Replies:
         """Command joints and collect their replies.
 
-        The reply to a command is the state before that command acted.
+        The reply to a command is the state before that command acted. An answer carries no number,
+        so one that comes late would pass for the answer to the next command; see ``Outstanding``.
 
         Args:
             command: for all n joints.
             until: when to stop waiting for replies [s].
             joints: (n,) which ones to command; None means all.
+            regardless: command them also where answers are missing, as braking has to.
 
         Raises:
             InputError: a value does not fit into its frame; nothing is sent then.
             LinkError: the bus does not work.
         """
-        self.last_replies = None
-        frames = encode_mit(command, self.scaling)
+        self.last_replies, self._regardless = None, regardless
+        frames = encode_mit(self.space.to_motors(command), self.scaling)
         wanted = np.ones(self.n_joints, bool) if joints is None else joints
-        self._link.drain()
-        for j in np.flatnonzero(wanted):
-            self._link.send(Frame(self.joints[j].can_id, frames[j].tobytes()))
-        return self._collect(wanted, until, decode_mit(frames, self.scaling))
+        self._take_late_ones()
+        told = wanted if regardless else self._outstanding.may_be_told(wanted)
+        self._command = self._in_force(decode_mit(frames, self.scaling), told)
+        for j in np.flatnonzero(told):
+            self._link.send(command_frame(self.joints[j].address, frames[j].tobytes()))
+        return self._collect(told, until, self._command)
 
-    def disable(self) -> tuple[int, ...]:
-        """Disable every motor; return the CAN ids that did not confirm it.
+    def _in_force(self, motor: MitCommand, told: NDArray[np.bool_]) -> MitCommand:
+        """Return what each joint is under once the joints ``told`` have their new command."""
+        new, old = self.space.from_motors(motor), self._command
+        if old is None:
+            return new
+        fields = ("position", "velocity", "kp", "kd", "torque")
+        return MitCommand(*(np.where(told, getattr(new, f), getattr(old, f)) for f in fields))
 
-        A bus that fails does not stop the other motors from being told.
+    def _take_late_ones(self) -> None:
+        """Drop what has arrived since the last exchange, but know whose answer it was."""
+        while (frame := self._link.receive(self._clock.now())) is not None:
+            j = self._sender(frame)
+            if j is not None:
+                self._outstanding.heard(j)
+
+    def disable(self) -> None:
+        """Disable every motor; ``unconfirmed`` tells which ones did not confirm it.
+
+        Nothing that goes wrong with one motor, or with the bus, keeps the others from being told.
         """
+        self._regardless = True
         for repeat in range(_DISABLE_REPEATS):
             if repeat:
                 self._clock.sleep_until(self._clock.now() + _DISABLE_SPACING)
             for joint in self.joints:
-                # The next of the five attempts, and the confirmation, tell whether it worked.
-                with contextlib.suppress(LinkError):
-                    self._link.send(disable_frame(joint.can_id))
-        stopped = self._confirmed()
-        self._armed = not np.all(stopped)
-        return tuple(joint.can_id for joint, ok in zip(self.joints, stopped) if not ok)
+                self._tell_off(joint)
+        self._confirm()
 
-    def _confirmed(self) -> NDArray[np.bool_]:
-        stopped = np.zeros(self.n_joints, bool)
+    def _tell_off(self, joint: DamiaoJoint) -> None:
+        # The next of the five attempts, and the confirmation, tell whether it worked.
+        with contextlib.suppress(Exception):
+            self._link.send(disable_frame(joint.address))
+
+    def _confirm(self) -> None:
+        running = np.ones(self.n_joints, bool)
         patience = self._clock.now() + _CONFIRM_PATIENCE
-        while not np.all(stopped) and self._clock.now() < patience:
+        while np.any(running) and self._clock.now() < patience:
             try:
                 self._link.drain()
-                for j in np.flatnonzero(~stopped):
-                    self._link.send(disable_frame(self.joints[j].can_id))
-                replies = self._collect(~stopped, self._clock.now() + _CONFIRM_TIMEOUT)
-                stopped |= replies.answered & (replies.feedback.status != ENABLED)
-            except LinkError:
+                for j in np.flatnonzero(running):
+                    self._tell_off(self.joints[j])
+                replies = self._collect(running, self._clock.now() + _CONFIRM_TIMEOUT)
+                running &= ~replies.answered | (replies.feedback.status == ENABLED)
+            except Exception:
+                # Whatever a driver raises: it may recover, and the other motors still listen.
                 self._clock.sleep_until(self._clock.now() + _DISABLE_SPACING)
-        return stopped
+            self.unconfirmed = tuple(np.flatnonzero(running).tolist())
 
     def _enable_one(self, j: int, joint: DamiaoJoint) -> Feedback:
         only = np.arange(self.n_joints) == j
         for _ in range(_ENABLE_TRIES):
             self._link.drain()
-            self._link.send(enable_frame(joint.can_id))
+            self._link.send(enable_frame(joint.address))
             replies = self._collect(only, self._clock.now() + _CONFIRM_TIMEOUT)
             if replies.feedback.status[j] not in (NO_STATUS, DISABLED):
                 break
@@ -198,7 +264,7 @@ class MotorSession:
             while missing and (frame := self._link.receive(until)) is not None:
                 missing -= self._take(frame, wanted, raw, received, sent)
         finally:
-            self.last_replies = self._replies(raw, received, sent, command)
+            self.last_replies = self._replies(wanted, raw, received, sent, command)
         return self.last_replies
 
     def _take(
@@ -206,11 +272,14 @@ class MotorSession:
     ) -> bool:
         """File a frame where it belongs; return whether it is an answer that was missing."""
         if frame.echo:
-            if frame.id in self._by_command:
-                sent[self._by_command[frame.id]] = frame.time
+            if (address := Address(frame.bus, frame.id)) in self._by_command:
+                sent[self._by_command[address]] = frame.time
             return False
         j = self._sender(frame)
-        if j is None or not wanted[j] or np.isfinite(received[j]):
+        if j is None:
+            return False
+        timely = self._outstanding.heard(j)
+        if not wanted[j] or np.isfinite(received[j]) or not (timely or self._regardless):
             return False
         raw[j] = np.frombuffer(frame.data, dtype=np.uint8)
         received[j] = frame.time
@@ -218,20 +287,26 @@ class MotorSession:
 
     def _sender(self, frame: Frame) -> int | None:
         """Return the joint whose feedback a frame is, or None."""
-        if frame.error or len(frame.data) != 8:
+        if frame.error or frame.echo or len(frame.data) != 8:
             return None
-        j = self._by_reply.get(frame.id)
+        j = self._by_reply.get((frame.bus, frame.id))
         if j is None or frame.data[0] & 0xF != self.joints[j].can_id & 0xF:
             return None
         return j
 
     def _replies(
-        self, raw: Bytes, received: Array, sent: Array, command: MitCommand | None
+        self,
+        asked: NDArray[np.bool_],
+        raw: Bytes,
+        received: Array,
+        sent: Array,
+        command: MitCommand | None,
     ) -> Replies:
         answered = np.isfinite(received)
-        feedback = decode_feedback(raw, self.scaling, self._half_step)
+        feedback = self.space.measured(decode_feedback(raw, self.scaling, self._half_step))
         for values in (feedback.position, feedback.velocity, feedback.torque):
             values[~answered] = np.nan
         feedback.status[~answered] = NO_STATUS
         stamped = answered & np.isfinite(sent)
-        return Replies(answered, np.where(stamped, sent, received), feedback, command)
+        stamps = np.where(stamped, sent, received)
+        return Replies(answered, stamps, feedback, command, asked)

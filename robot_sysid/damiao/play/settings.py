@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from robot_sysid.damiao.protocol.bus_load import BusTiming, default_rate
-from robot_sysid.damiao.protocol.codec import KD_MAX, KP_MAX
+from robot_sysid.damiao.protocol.codec import KD_MAX, KD_STEP, KP_MAX
 from robot_sysid.damiao.protocol.motors import MotorSpec
 from robot_sysid.records.options import (
     OptionRecord,
@@ -20,6 +20,10 @@ from robot_sysid.records.options import (
 )
 
 _START_TEMPERATURE = 60.0
+# Stiffness per rated torque [1/rad], and damping per stiffness [s]: between what makers of arms
+# with these motors use for the strong (240 and 5 at 9 N m) and for the weak ones (10 and 1.5 at 3).
+_STIFFNESS, _DAMPING, _LEAST_DAMPING = 20.0, 0.025, 0.05
+_PUSH = 2.0 / 3.0
 
 
 def milliseconds(text: str) -> float:
@@ -32,7 +36,9 @@ def _stiffness(value: float) -> str | None:
 
 
 def _damping(value: float) -> str | None:
-    return None if 0.0 < value <= KD_MAX else f"must be above 0 and at most {KD_MAX:g} N m s/rad"
+    # Below half a step a frame carries no damping at all, and the motor would ring.
+    fits = 0.5 * KD_STEP < value <= KD_MAX
+    return None if fits else f"must be at least {KD_STEP:.2g} and at most {KD_MAX:g} N m s/rad"
 
 
 @dataclass(frozen=True)
@@ -65,7 +71,7 @@ class PlaySettings(OptionRecord):
         metavar="KD",
         check=_damping,
         several=True,
-        usual="a twentieth of the usual kp",
+        usual="by motor type",
     )
     rate: float | None = option(
         None,
@@ -91,6 +97,22 @@ class PlaySettings(OptionRecord):
     max_tracking_error: float = option(
         0.2, "how far a joint may leave its path", unit="rad", metavar="ANGLE", check=not_negative
     )
+    max_speed_error: float = option(
+        1.0,
+        "how much a joint may be faster or slower than commanded",
+        unit="rad/s",
+        metavar="V",
+        check=positive,
+    )
+    max_torque_error: tuple[float, ...] = option(
+        (),
+        "how far a joint's torque may be from the trajectory's, one for all or one per joint",
+        unit="N·m",
+        metavar="TAU",
+        check=positive,
+        several=True,
+        usual="two thirds of the motor's peak torque",
+    )
     max_temperature: float = option(
         80.0, "of power stage and winding", unit="°C", metavar="T", check=not_negative
     )
@@ -115,14 +137,25 @@ class PlaySettings(OptionRecord):
     def for_motors(self, specs: Sequence[MotorSpec], timing: BusTiming) -> PlaySettings:
         """Return the settings with gains per joint and a rate that suit these motors and this bus.
 
-        Where nothing else was asked for, a quarter of a radian asks for rated torque.
+        Where nothing else was asked for, a twentieth of a radian asks for rated torque: an arm
+        whose model is a third of that off sags by a degree. Damping is what such stiffness takes
+        at the motors that carry arms of this kind.
         """
         n = len(specs)
         rated = np.array([s.rated_torque or 0.3 * s.torque_limit for s in specs])
-        usual = np.minimum(4.0 * rated, KP_MAX)
-        kp = per_joint(self.kp, n, "--kp") if self.kp else usual
-        kd = per_joint(self.kd, n, "--kd") if self.kd else np.clip(0.05 * usual, 0.05, KD_MAX)
-        return replace(self, kp=tuple(kp), kd=tuple(kd), rate=self.rate or default_rate(n, timing))
+        peak = np.array([s.peak_torque or s.torque_limit for s in specs])
+        usual = np.minimum(_STIFFNESS * rated, KP_MAX)
+        damping = np.clip(_DAMPING * usual, _LEAST_DAMPING, KD_MAX)
+        push = self.max_torque_error
+        return replace(
+            self,
+            kp=tuple(per_joint(self.kp, n, "--kp") if self.kp else usual),
+            kd=tuple(per_joint(self.kd, n, "--kd") if self.kd else damping),
+            max_torque_error=tuple(
+                per_joint(push, n, "--max-torque-error") if push else _PUSH * peak
+            ),
+            rate=self.rate or default_rate(n, timing),
+        )
 
     @property
     def period(self) -> float:

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from robot_sysid.records.options import OptionRecord, option, positive
 
 PLANNING_LIMIT = 0.70
+HANDY_RATES = (1000.0, 500.0, 250.0, 200.0, 125.0, 100.0, 50.0, 40.0, 25.0, 20.0, 10.0)
+"""Cycle rates to propose [Hz], highest first."""
 _FRAMES_PER_CYCLE = 2
 _CLASSIC_BITS = 111 + 24
 _FD_NOMINAL_BITS = 30 + 4
@@ -70,5 +72,4 @@ def default_rate(n_motors: int, timing: BusTiming) -> float:
 def suggested_rate(n_motors: int, timing: BusTiming) -> float:
     """Return the highest handy rate [Hz] that the bus can carry for n motors."""
     top = highest_rate(n_motors, timing)
-    handy = (1000.0, 500.0, 250.0, 200.0, 125.0, 100.0, 50.0, 40.0, 25.0, 20.0, 10.0)
-    return next((rate for rate in handy if rate <= top), top)
+    return next((rate for rate in HANDY_RATES if rate <= top), top)

@@ -26,6 +26,8 @@ KP_MAX = 500.0
 KD_MAX = 5.0
 _POSITION_FULL = 0xFFFF
 _TWELVE_FULL = 0xFFF
+KD_STEP = KD_MAX / _TWELVE_FULL
+"""The least damping that a frame can carry [N m s/rad]."""
 # A register holds float32: 12.566 comes back as 12.5659999..., which must not refuse 12.566.
 _FLOAT32_SLACK = 1e-6
 _FIELDS = ("position", "velocity", "kp", "kd", "torque")
@@ -127,24 +129,26 @@ def encode_mit(command: MitCommand, scaling: Scaling) -> Bytes:
 
     Raises:
         InputError: a value is not finite or outside its range (nothing is clamped), kp > 0 without
-            kd > 0 (the motor would oscillate), or a frame's first seven bytes would all be 0xFF
-            (the motor would take it for enable, disable, zero or clear).
+            kd > 0 in its frame (the motor would oscillate), or a frame's first seven bytes would
+            all be 0xFF (the motor would take it for enable, disable, zero or clear).
     """
     fields = (command.position, command.velocity, command.kp, command.kd, command.torque)
     values = np.array(np.broadcast_arrays(*fields), dtype=float)
-    unstable = (values[2] > 0.0) & ~(values[3] > 0.0)
-    if np.any(unstable):
-        raise InputError(f"kp > 0 needs kd > 0 at joint {_first_joint(unstable)}")
     _refuse_outside(values, scaling)
     # floor(x + 1/2): numpy's rint rounds halves to even, which differs in the last bit.
     p, v, kp, kd, t = _codes(values, scaling, slice(None), 0.5)
+    unstable = (values[2] > 0.0) & (kd == 0)
+    if np.any(unstable):
+        raise InputError(
+            f"kp > 0 needs kd of at least {KD_STEP:.2g} {_place(unstable)}: less is sent as 0"
+        )
     frames = _pack(
         p.shape, p >> 8, p, v >> 4, (v << 4) | (kp >> 8), kp, kd >> 4, (kd << 4) | (t >> 8), t
     )
     special = np.all(frames[..., :7] == 0xFF, axis=-1)
     if np.any(special):
         raise InputError(
-            f"the command of joint {_first_joint(special)} has every field at its maximum and "
+            f"the command {_place(special)} has every field at its maximum and "
             "would read as a special frame; lower its gains or torque"
         )
     return frames
@@ -219,8 +223,7 @@ def _refuse_outside(values: Array, scaling: Scaling) -> None:
         where = np.argwhere(outside)[0]
         bad, limit = values[tuple(where)], np.broadcast_to(high, values.shape)[tuple(where)]
         raise InputError(
-            f"{_FIELDS[where[0]]} {bad:g} of joint {where[-1]} is outside its range, "
-            f"limit {limit:g}"
+            f"{_FIELDS[where[0]]} {bad:g} {_place(outside)} is outside its range, limit {limit:g}"
         )
 
 
@@ -242,5 +245,6 @@ def _pack(shape: tuple[int, ...], *columns: Any) -> Bytes:
     return frames
 
 
-def _first_joint(mask: Any) -> int:
-    return int(np.argwhere(np.atleast_1d(mask))[0][-1])
+def _place(mask: Any) -> str:
+    """Say which of the motors, base to terminal, is the first in a mask."""
+    return f"of motor number {int(np.argwhere(np.atleast_1d(mask))[0][-1]) + 1}"

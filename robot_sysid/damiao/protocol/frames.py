@@ -22,6 +22,7 @@ class Frame(NamedTuple):
         fd: whether it is a CAN-FD frame.
         error: whether it is an error frame, which carries no data.
         echo: whether it is one of our own, reported back when it was on the bus.
+        bus: number of the bus it is on, from 0.
     """
 
     id: int
@@ -30,31 +31,49 @@ class Frame(NamedTuple):
     fd: bool = False
     error: bool = False
     echo: bool = False
+    bus: int = 0
 
 
-def enable_frame(can_id: int) -> Frame:
+class Address(NamedTuple):
+    """Where a motor is: number of its bus, from 0, and the id it listens to."""
+
+    bus: int
+    can_id: int
+
+
+def enable_frame(motor: Address) -> Frame:
     """Return the frame that enables a motor in MIT mode."""
-    return Frame(can_id, _SPECIAL + bytes([ENABLE]))
+    return command_frame(motor, _SPECIAL + bytes([ENABLE]))
 
 
-def disable_frame(can_id: int) -> Frame:
+def disable_frame(motor: Address) -> Frame:
     """Return the frame that disables a motor in MIT mode."""
-    return Frame(can_id, _SPECIAL + bytes([DISABLE]))
+    return command_frame(motor, _SPECIAL + bytes([DISABLE]))
 
 
-def refresh_frame(can_id: int) -> Frame:
+def command_frame(motor: Address, data: bytes) -> Frame:
+    """Return the frame that carries eight bytes to a motor in MIT mode."""
+    return Frame(motor.can_id, data, bus=motor.bus)
+
+
+def refresh_frame(motor: Address) -> Frame:
     """Return the request for one feedback frame without any effect on the motor."""
-    return Frame(REGISTER_ID, bytes([can_id & 0xFF, can_id >> 8, REFRESH, 0, 0, 0, 0, 0]))
+    return _request(motor, REFRESH, 0)
 
 
-def read_frame(can_id: int, register: int) -> Frame:
+def read_frame(motor: Address, register: int) -> Frame:
     """Return the request for a register's value."""
-    return Frame(REGISTER_ID, bytes([can_id & 0xFF, can_id >> 8, READ, register, 0, 0, 0, 0]))
+    return _request(motor, READ, register)
 
 
-def write_frame(can_id: int, register: int, value: bytes) -> Frame:
+def write_frame(motor: Address, register: int, value: bytes) -> Frame:
     """Return the request that writes four bytes to a register; lost at power-off."""
-    return Frame(REGISTER_ID, bytes([can_id & 0xFF, can_id >> 8, WRITE, register]) + value)
+    return _request(motor, WRITE, register, value)
+
+
+def _request(motor: Address, operation: int, register: int, value: bytes = bytes(4)) -> Frame:
+    head = bytes([motor.can_id & 0xFF, motor.can_id >> 8, operation, register])
+    return Frame(REGISTER_ID, head + value, bus=motor.bus)
 
 
 def is_special(data: bytes) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from robot_sysid.damiao.protocol.frames import Address
 from robot_sysid.damiao.protocol.motors import MotorSpec, motor_spec, motor_specs
 from robot_sysid.errors import InputError
 
@@ -13,11 +14,40 @@ MASTER_ID_OFFSET = 0x10
 
 @dataclass(frozen=True)
 class DamiaoJoint:
-    """Which motor drives a joint: its type, the id it listens to and the id it answers on."""
+    """Which motor drives a joint, and how it is mounted; see ``joint_space``.
+
+    Attributes:
+        motor_type: its type.
+        can_id: the id it listens to.
+        master_id: the id it answers on.
+        name: the joint's name in the model, or "".
+        bus: number of the bus it is on, from 0.
+        channel: name of that bus where there are several, or "".
+        direction: +1, or -1 where the motor turns the other way than the joint.
+        offset: motor position where the joint is at zero [rad].
+        torque_ratio: joint torque per torque that the motor believes in.
+    """
 
     motor_type: str
     can_id: int
     master_id: int
+    name: str = ""
+    bus: int = 0
+    channel: str = ""
+    direction: int = 1
+    offset: float = 0.0
+    torque_ratio: float = 1.0
+
+    @property
+    def address(self) -> Address:
+        """Where its motor is."""
+        return Address(self.bus, self.can_id)
+
+    @property
+    def label(self) -> str:
+        """How messages call it."""
+        place = f" on {self.channel}" if self.channel else ""
+        return f"motor {self.can_id}{place}" + (f" (joint {self.name})" if self.name else "")
 
     @property
     def spec(self) -> MotorSpec:
@@ -30,6 +60,7 @@ def damiao_joints(
     n_joints: int,
     can_ids: Sequence[int] | None = None,
     master_ids: Sequence[int] | None = None,
+    names: Sequence[str] = (),
 ) -> tuple[DamiaoJoint, ...]:
     """Return one checked DamiaoJoint per joint.
 
@@ -38,6 +69,7 @@ def damiao_joints(
         n_joints: number of joints of the chain.
         can_ids: 1 to 15 each; none counts from 1.
         master_ids: reply ids; none means CAN id + 0x10.
+        names: of the joints in the model; none leaves them without. Blanks become underscores.
 
     Raises:
         InputError: wrong number of types or ids, unknown type, or ids that would not work
@@ -55,7 +87,8 @@ def damiao_joints(
     problem = next(id_problems(ids, replies), None)
     if problem:
         raise InputError(problem)
-    return tuple(DamiaoJoint(s.name, i, m) for s, i, m in zip(specs, ids, replies))
+    called = ["_".join(name.split()) for name in names] or [""] * n_joints
+    return tuple(DamiaoJoint(s.name, i, m, n) for s, i, m, n in zip(specs, ids, replies, called))
 
 
 def id_problems(can_ids: Sequence[int], master_ids: Sequence[int]) -> Iterator[str]:

@@ -33,6 +33,8 @@ _KINDS: Mapping[str, Callable[[SimulatedMotor, float], None]] = {
     "temperature-mos": _set("temperature_mos"),
     "temperature-rotor": _set("temperature_rotor"),
     "velocity-factor": _set("velocity_factor"),
+    "torque-factor": _set("torque_factor"),
+    "slip": _set("slip"),
     "peak-torque": _set("peak_torque"),
     "tmax": _set_register(TMAX),
     "vmax": _set_register(VMAX),

@@ -66,7 +66,8 @@ class SimulatedMotor:
         jammed: its joint is blocked.
         silent: it hears nothing and says nothing.
         loses_replies: it obeys but its answers do not arrive.
-        velocity_factor: factor on the velocity it reports.
+        velocity_factor, torque_factor: factors on the velocity and the torque it reports.
+        slip: angle by which the position it reports is off [rad].
         write_echo: operation byte of its answer to a write.
     """
 
@@ -89,6 +90,8 @@ class SimulatedMotor:
     silent: bool = False
     loses_replies: bool = False
     velocity_factor: float = 1.0
+    torque_factor: float = 1.0
+    slip: float = 0.0
     write_echo: int = WRITE
     _scaling: tuple[tuple[float, float, float], Scaling] | None = field(default=None, repr=False)
 
@@ -183,9 +186,9 @@ class SimulatedMotor:
         state = Feedback(
             np.array([self.can_id]),
             np.array([self.status]),
-            one * self.position,
+            one * (self.position + self.slip),
             one * self.velocity * self.velocity_factor,
-            one * self.torque,
+            one * self.torque * self.torque_factor,
             np.array([self.temperature_mos]),
             np.array([self.temperature_rotor]),
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import heapq
 import itertools
 from collections import deque
+from collections.abc import Callable
 
 from robot_sysid.damiao.bus.clock import SimulatedClock
 from robot_sysid.damiao.protocol.bus_load import BusTiming
@@ -24,6 +25,8 @@ class SimulatedLink:
         arm: who answers.
         timing: bit rates; a classic host sees an error frame where a motor answers in CAN-FD.
         echo: report each sent frame back when it was on the bus, as SocketCAN does.
+        adapter: how long the adapter takes to hand an answer over [s], asked for each one; answers
+            never overtake one another.
     """
 
     def __init__(
@@ -32,9 +35,11 @@ class SimulatedLink:
         arm: SimulatedArm,
         timing: BusTiming,
         echo: bool = False,
+        adapter: Callable[[], float] = lambda: 0.0,
     ) -> None:
         self.clock, self.arm = clock, arm
-        self._timing, self._echo = timing, echo
+        self._timing, self._echo, self.adapter = timing, echo, adapter
+        self._handed_over: deque[Frame] = deque()
         self._free_at = 0.0
         self._order = itertools.count()
         # In the order of their times, as the bus carries one frame after the other.
@@ -53,20 +58,27 @@ class SimulatedLink:
 
     def receive(self, until: float) -> Frame | None:
         """Return the next frame that is through by ``until`` [s], or None at that time."""
-        if self._echoes and self._echoes[0].time <= until:
-            self.clock.sleep_until(self._echoes[0].time)
-            return self._echoes.popleft()
-        if self._replies:
-            arrival = max(self._replies[0][0], self._free_at) + self._timing.frame_time
-            if arrival <= until:
-                return self._deliver(arrival)
-        self.clock.sleep_until(until)
-        return None
+        while (answer := self._next_answer(until)) is not None:
+            last = self._handed_over[-1].time if self._handed_over else 0.0
+            ready = max(answer.time + self.adapter(), last)
+            self._handed_over.append(answer._replace(time=ready))
+        queues = [queue for queue in (self._echoes, self._handed_over) if queue]
+        first = min(queues, key=lambda queue: queue[0].time, default=None)
+        if first is None or first[0].time > until:
+            self.clock.sleep_until(until)
+            return None
+        self.clock.sleep_until(first[0].time)
+        return first.popleft()
 
-    def _deliver(self, arrival: float) -> Frame:
+    def _next_answer(self, until: float) -> Frame | None:
+        """Take the next answer that is through on the wire by ``until`` [s]."""
+        if not self._replies:
+            return None
+        arrival = max(self._replies[0][0], self._free_at) + self._timing.frame_time
+        if arrival > until:
+            return None
         reply = heapq.heappop(self._replies)[-1]
         self._free_at = arrival
-        self.clock.sleep_until(arrival)
         unreadable = reply.fd and not self._timing.fd
         return reply._replace(
             time=arrival, error=unreadable, data=b"" if unreadable else reply.data

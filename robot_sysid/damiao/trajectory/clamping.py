@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.protocol.motors import MotorSpec
 from robot_sysid.records import Array
 
@@ -18,26 +19,26 @@ class ClampTally:
     """Clamps chunks to the motors' limits and counts what it changed.
 
     Attributes:
-        specs: one motor type per joint.
+        joints: the motors, base to terminal.
         samples: rows seen so far.
         clamped: (n,) rows in which at least one value of the joint was changed.
         peak_velocity, peak_torque: (n,) largest magnitudes before clamping [rad/s, N m].
     """
 
-    specs: tuple[MotorSpec, ...]
+    joints: tuple[DamiaoJoint, ...]
     samples: int = 0
     clamped: Array = field(init=False)
     peak_velocity: Array = field(init=False)
     peak_torque: Array = field(init=False)
 
     def __post_init__(self) -> None:
-        self.clamped = np.zeros(len(self.specs))
-        self.peak_velocity = np.zeros(len(self.specs))
-        self.peak_torque = np.zeros(len(self.specs))
+        self.clamped = np.zeros(len(self.joints))
+        self.peak_velocity = np.zeros(len(self.joints))
+        self.peak_torque = np.zeros(len(self.joints))
 
     def clamp(self, q: Array, qd: Array, tau: Array) -> tuple[Array, Array, Array]:
         """Return the chunk within the motors' limits, counting what had to change."""
-        limits = np.array([spec.limits for spec in self.specs]).T
+        limits = np.array([joint.spec.limits for joint in self.joints]).T
         self.peak_velocity = np.maximum(self.peak_velocity, np.abs(qd).max(axis=0))
         self.peak_torque = np.maximum(self.peak_torque, np.abs(tau).max(axis=0))
         inside = [np.clip(x, -limit, limit) for x, limit in zip((q, qd, tau), limits)]
@@ -57,45 +58,46 @@ class ClampTally:
         Args:
             supply: voltage that no-load speeds are taken at [V]; None takes each type's own.
         """
-        for j, spec in enumerate(self.specs):
+        for j, joint in enumerate(self.joints):
             if self.clamped[j]:
                 yield (
-                    f"joint {j}: {self.clamped_percent[j]:.2f} % of the samples were clamped to "
-                    f"the limits of a {spec.name}; use a stronger motor or a slower trajectory"
+                    f"{joint.label}: {self.clamped_percent[j]:.2f} % of the samples were clamped "
+                    f"to the limits of a {joint.motor_type}; use a stronger motor or a slower "
+                    "trajectory"
                 )
-            yield from rating_warnings(j, spec, self.peak_velocity[j], self.peak_torque[j], supply)
+            yield from rating_warnings(joint, self.peak_velocity[j], self.peak_torque[j], supply)
 
 
 def rating_warnings(
-    joint: int, spec: MotorSpec, velocity: float, torque: float, supply: float | None = None
+    joint: DamiaoJoint, velocity: float, torque: float, supply: float | None = None
 ) -> Iterator[str]:
     """Yield a sentence for each rating of a motor that a peak velocity or torque exceeds.
 
     Args:
-        joint: joint number for the message.
-        spec: the motor.
+        joint: the motor.
         velocity, torque: largest magnitudes asked for [rad/s, N m].
         supply: supply voltage [V]; None takes the type's own.
     """
-    yield from _torque_warnings(joint, spec, torque)
+    spec = joint.spec
+    yield from _torque_warnings(joint.label, spec, torque)
     top = spec.no_load_speed(supply)
     if top is not None and velocity > top:
         volts = spec.supply if supply is None else supply
         yield (
-            f"joint {joint}: {velocity:.2f} rad/s ({velocity * _RPM_PER_RAD_S:.0f} rpm) exceeds "
+            f"{joint.label}: {velocity:.2f} rad/s ({velocity * _RPM_PER_RAD_S:.0f} rpm) exceeds "
             f"the no-load speed of a {spec.name} at {volts:g} V, {top:.2f} rad/s; "
             "it cannot follow"
         )
 
 
-def _torque_warnings(joint: int, spec: MotorSpec, torque: float) -> Iterator[str]:
+def _torque_warnings(label: str, spec: MotorSpec, torque: float) -> Iterator[str]:
     for limit, name, remedy in (
         (spec.peak_torque, "peak", "it cannot follow"),
         (spec.rated_torque, "rated", "fine for a moment, too hot for long"),
     ):
         if limit is not None and torque > limit:
             yield (
-                f"joint {joint}: {torque:.2f} N m exceeds the {name} torque of a {spec.name}, "
+                f"{label}: {torque:.2f} N m exceeds the {name} torque of a {spec.name}, "
                 f"{limit:g} N m; {remedy}"
             )
             return

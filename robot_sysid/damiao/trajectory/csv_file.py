@@ -31,6 +31,7 @@ from robot_sysid.damiao.protocol.bus_load import (
 from robot_sysid.damiao.protocol.joints import MASTER_ID_OFFSET, DamiaoJoint, damiao_joints
 from robot_sysid.damiao.protocol.motors import motor_spec
 from robot_sysid.damiao.trajectory.clamping import ClampTally
+from robot_sysid.damiao.trajectory.velocity_column import Mismatch, VelocityColumns
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 from robot_sysid.records.atomic_files import whole_file
@@ -96,6 +97,7 @@ def export_damiao_trajectory(
     can_ids: Sequence[int] | None = None,
     master_ids: Sequence[int] | None = None,
     supply: float | None = None,
+    joint_names: Sequence[str] = (),
 ) -> DamiaoExportReport:
     """Write a trajectory for Damiao motors, clamped to what their frames can carry.
 
@@ -107,6 +109,7 @@ def export_damiao_trajectory(
         motor_types, can_ids, master_ids: see ``damiao_joints``.
         path_or_file: where to write.
         supply: voltage that the no-load speeds are compared at [V]; None takes each type's own.
+        joint_names: of the joints in the model, for the warnings.
 
     Raises:
         InputError: motor types or ids do not fit, no samples, or values that are not finite.
@@ -115,8 +118,8 @@ def export_damiao_trajectory(
     first = next(chunks, None)
     if first is None or len(first[0]) == 0:
         raise InputError("the trajectory to export has no samples")
-    joints = damiao_joints(motor_types, np.shape(first[1])[1], can_ids, master_ids)
-    tally = ClampTally(tuple(joint.spec for joint in joints))
+    joints = damiao_joints(motor_types, np.shape(first[1])[1], can_ids, master_ids, joint_names)
+    tally = ClampTally(joints)
     # Milliseconds where all moments are on their grid.
     decimals = 3 if np.all(np.abs(first[0] - np.round(first[0], 3)) < 1e-9) else 6
     with whole_file(path_or_file) as file:
@@ -163,7 +166,7 @@ def trajectory_columns(n_joints: int) -> list[str]:
 
 def _rows(chunk: MotionChunk, tally: ClampTally, decimals: int) -> str:
     time, q, qd, tau = (np.asarray(x, dtype=float) for x in chunk)
-    n = len(tally.specs)
+    n = len(tally.joints)
     if time.ndim != 1 or not q.shape == qd.shape == tau.shape == (len(time), n):
         raise InputError(f"motion chunks must be (N,), (N, {n}), (N, {n}), (N, {n}) arrays")
     if not all(np.all(np.isfinite(x)) for x in (time, q, qd, tau)):
@@ -271,17 +274,21 @@ class TrajectoryScan:
         duration: from first to last row [s].
         first: (n,) first position [rad].
         end_velocity: (n,) larger of the speeds at the first and the last row [rad/s].
-        peak_position, peak_velocity, peak_torque: (n,) largest magnitudes.
+        lowest, highest: (n,) extreme positions [rad].
+        peak_velocity, peak_torque: (n,) largest magnitudes.
         peak_step: (n,) largest position change per time between two rows [rad/s].
+        mismatch: where the velocity column does not say how the positions change, or None.
     """
 
     duration: float
     first: Array
     end_velocity: Array
-    peak_position: Array
+    lowest: Array
+    highest: Array
     peak_velocity: Array
     peak_torque: Array
     peak_step: Array
+    mismatch: Mismatch | None = None
 
 
 def scan_trajectory(trajectory: DamiaoTrajectory) -> TrajectoryScan:
@@ -290,17 +297,28 @@ def scan_trajectory(trajectory: DamiaoTrajectory) -> TrajectoryScan:
     Raises:
         InputError: a row is malformed, or there are fewer than two.
     """
-    peaks = np.zeros((4, trajectory.n_joints))
+    peaks, lowest, highest = np.zeros((3, trajectory.n_joints)), np.inf, -np.inf
+    columns = VelocityColumns(trajectory.first_data_line + 1)
     samples, last_time, last_q = 0, np.empty(0), np.empty((0, trajectory.n_joints))
     for time, q, qd, tau in trajectory.chunks():
         if samples == 0:
             start, first, first_speed = time[0], q[0], qd[0]
         steps = np.diff(q, axis=0, prepend=last_q) / np.diff(time, prepend=last_time)[:, None]
-        largest = [np.abs(x).max(axis=0, initial=0.0) for x in (q, qd, tau, steps)]
+        largest = [np.abs(x).max(axis=0, initial=0.0) for x in (qd, tau, steps)]
         peaks = np.maximum(peaks, largest)
+        lowest, highest = np.minimum(lowest, q.min(axis=0)), np.maximum(highest, q.max(axis=0))
+        columns.add(time, q, qd)
         samples += len(time)
         last_time, last_q, last_speed = time[-1:], q[-1:], qd[-1]
     if samples < 2:
         raise InputError(f"{trajectory.path} needs at least two rows to be played")
     end_velocity = np.maximum(np.abs(first_speed), np.abs(last_speed))
-    return TrajectoryScan(last_time[0] - start, first, end_velocity, *peaks)
+    return TrajectoryScan(
+        last_time[0] - start,
+        first,
+        end_velocity,
+        np.asarray(lowest),
+        np.asarray(highest),
+        *(peaks[0], peaks[1], peaks[2]),
+        mismatch=columns.mismatch,
+    )

@@ -63,9 +63,9 @@ def clock(monkeypatch):
 def test_an_arm_behind_pythons_messages_answers(clock):
     link = GuardedLink(BusLink(ArmBus(clock, two_motor_arm()), clock), clock.now)
     found = inspect_bus(link, clock)
-    assert sorted(found.motors) == [1, 2]
-    assert found.motors[1].limits == (12.5, 10.0, 28.0)
-    assert found.motors[2].feedback.temperature_rotor[0] == 29
+    assert sorted(found.motors) == [(0, 1), (0, 2)]
+    assert found.motors[0, 1].limits == (12.5, 10.0, 28.0)
+    assert found.motors[0, 2].feedback.temperature_rotor[0] == 29
 
 
 @pytest.mark.parametrize("age", [0.0, 1e-4, 0.3, 0.999])
@@ -120,8 +120,8 @@ def test_an_arm_on_the_virtual_bus_answers(fd):
             found = inspect_bus(GuardedLink(near, clock.now, fd), clock)
     finally:
         near.close()
-    assert sorted(found.motors) == [1, 2]
-    assert found.motors[1].limits == (12.5, 10.0, 28.0)
+    assert sorted(found.motors) == [(0, 1), (0, 2)]
+    assert found.motors[0, 1].limits == (12.5, 10.0, 28.0)
 
 
 @pytest.mark.realtime

@@ -19,10 +19,10 @@ from tests.support.can_frames import FRAMES
 def test_the_frame_log_is_lossless(tmp_path_factory, frames):
     path = tmp_path_factory.mktemp("raw") / "measured.log"
     clock = SimulatedClock()
-    log = RawFrameLog(path, clock, "can0")
+    log = RawFrameLog(path, clock, ["can0"])
     for k, (frame, sent) in enumerate(frames):
         log(frame._replace(time=0.001 * k), sent)
-    log.flush()
+    log.write(log.taken())
     with can.LogReader(path) as reader:
         messages = list(reader)
     log.close()
@@ -36,9 +36,10 @@ def test_the_frame_log_is_lossless(tmp_path_factory, frames):
 
 def test_frames_are_logged_in_the_order_of_their_time(tmp_path):
     clock = SimulatedClock()
-    log = RawFrameLog(tmp_path / "measured.log", clock, "can0")
+    log = RawFrameLog(tmp_path / "measured.log", clock, ["can0"])
     for stamp in (0.3, 0.1, 0.2):
         log(Frame(round(10 * stamp), b"", stamp), False)
+    log.write(log.taken())
     log.close()
     with can.LogReader(tmp_path / "measured.log") as reader:
         assert [message.arbitration_id for message in reader] == [1, 2, 3]
@@ -49,4 +50,4 @@ def test_frames_are_logged_in_the_order_of_their_time(tmp_path):
 )
 def test_a_frame_log_that_cannot_be_made_is_said(tmp_path, name, words):
     with pytest.raises(InputError, match=words):
-        RawFrameLog(tmp_path / name, SimulatedClock(), "can0")
+        RawFrameLog(tmp_path / name, SimulatedClock(), ["can0"])

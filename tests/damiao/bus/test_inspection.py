@@ -13,10 +13,10 @@ def test_inspection_reads_everything_and_changes_nothing():
     bench = Bench()
     before = [dict(m.registers) for m in bench.motors]
     found = inspect_bus(bench.link, bench.clock)
-    assert sorted(found.motors) == [1, 2]
-    assert set(found.motors[1].registers) == set(reg.LOGGED)
-    assert found.motors[2].limits == (12.5, 10.0, 28.0)
-    assert found.motors[2].feedback.temperature_mos[0] == 31
+    assert sorted(found.motors) == [(0, 1), (0, 2)]
+    assert set(found.motors[0, 1].registers) == set(reg.LOGGED)
+    assert found.motors[0, 2].limits == (12.5, 10.0, 28.0)
+    assert found.motors[0, 2].feedback.temperature_mos[0] == 31
     assert [m.registers for m in bench.motors] == before
     assert [m.status for m in bench.motors] == [DISABLED] * 2
     assert {frame.id for frame in bench.bus.sent} == {REGISTER_ID}

@@ -5,15 +5,15 @@ from __future__ import annotations
 import pytest
 
 from robot_sysid.damiao.protocol import registers as reg
-from robot_sysid.damiao.protocol.frames import Frame
+from robot_sysid.damiao.protocol.frames import Address, Frame
 from robot_sysid.errors import HardwareAbort
 from tests.support.motor_bench import Bench
 
 
 def test_registers_are_read_and_written():
     bench = Bench()
-    assert bench.client.read(2, reg.PMAX) == (12.5, 18)
-    bench.client.write(2, reg.TIMEOUT, 4000.0)
+    assert bench.client.read(Address(0, 2), reg.PMAX) == (12.5, 18)
+    bench.client.write(Address(0, 2), reg.TIMEOUT, 4000.0)
     assert bench.motors[1].registers[reg.TIMEOUT] == 4000.0
 
 
@@ -21,21 +21,21 @@ def test_registers_are_read_and_written():
 def test_a_write_may_be_echoed_with_either_opcode(opcode):
     bench = Bench()
     bench.motors[0].write_echo = opcode
-    bench.client.write(1, reg.TIMEOUT, 4000.0)
+    bench.client.write(Address(0, 1), reg.TIMEOUT, 4000.0)
     assert bench.motors[0].registers[reg.TIMEOUT] == 4000.0
 
 
 def test_a_refused_write_is_noticed():
     bench = Bench()
     with pytest.raises(HardwareAbort, match="motor 1 refused OC_Value = 0.5 and keeps 0.8"):
-        bench.client.write(1, 3, 0.5)
+        bench.client.write(Address(0, 1), 3, 0.5)
 
 
 def test_a_motor_that_is_not_there_does_not_answer():
     bench = Bench()
-    assert bench.client.read(9, reg.PMAX) is None
+    assert bench.client.read(Address(0, 9), reg.PMAX) is None
     with pytest.raises(HardwareAbort, match="motor 9 did not answer to writing TIMEOUT"):
-        bench.client.write(9, reg.TIMEOUT, 1.0)
+        bench.client.write(Address(0, 9), reg.TIMEOUT, 1.0)
 
 
 def test_feedback_is_not_taken_for_a_register_reply():
@@ -48,4 +48,4 @@ def test_feedback_is_not_taken_for_a_register_reply():
         return [feedback, *ours(frame, time)]
 
     bench.arm.handle = with_feedback_first
-    assert bench.client.read(1, reg.PMAX).value == 12.5
+    assert bench.client.read(Address(0, 1), reg.PMAX).value == 12.5

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from robot_sysid.damiao.play.aside import Aside
 from robot_sysid.damiao.play.recorder import (
     MeasurementRecorder,
     RecordingHead,
@@ -63,7 +64,7 @@ def test_every_frame_can_be_told_back_from_the_recording(data, tmp_path_factory)
     n, scaling = len(types), Scaling.from_limits(MOTORS[t].limits for t in types)
     rows = data.draw(cycles(n))
     path = tmp_path_factory.mktemp("rec") / "measured.csv"
-    with MeasurementRecorder(path, head_for(types)) as recorder:
+    with MeasurementRecorder(path, head_for(types), Aside(threaded=False)) as recorder:
         for time, raw, answered, command, stamp in rows:
             feedback = decode_feedback(raw, scaling, half_step=True)
             for values in (feedback.position, feedback.velocity, feedback.torque):
@@ -99,7 +100,7 @@ def test_every_frame_can_be_told_back_from_the_recording(data, tmp_path_factory)
 def write_two_rows(path, gap=False):
     n, one = 2, np.ones(2)
     codes = np.ones(n, dtype=int)
-    with MeasurementRecorder(path, head_for(["DM4340"] * n)) as recorder:
+    with MeasurementRecorder(path, head_for(["DM4340"] * n), Aside(threaded=False)) as recorder:
         for k in range(40):
             answered = np.array([True, not (gap and k == 1)])
             q = np.where(answered, 0.1 * np.sin(0.3 * k) * one, np.nan)
@@ -139,7 +140,7 @@ def test_the_head_tells_motors_registers_and_gains(tmp_path):
 
 def test_rows_are_in_the_file_before_the_run_ends(tmp_path):
     path = tmp_path / "measured.csv"
-    recorder = MeasurementRecorder(path, head_for(["DM4340"]))
+    recorder = MeasurementRecorder(path, head_for(["DM4340"]), Aside(threaded=False))
     one = np.ones(1)
     feedback = Feedback(one, one, one, one, one, one, one)
     recorder.write(0.0, 0.0, Replies(one > 0, one, feedback), MitCommand(*[one] * 5))
@@ -152,7 +153,10 @@ def test_rows_are_in_the_file_before_the_run_ends(tmp_path):
 
 def test_an_error_is_written_at_the_end(tmp_path):
     path = tmp_path / "measured.csv"
-    with pytest.raises(RuntimeError), MeasurementRecorder(path, head_for(["DM4340"])):
+    with (
+        pytest.raises(RuntimeError),
+        MeasurementRecorder(path, head_for(["DM4340"]), Aside(threaded=False)),
+    ):
         raise RuntimeError("two\nlines")
     assert read_recording(path).ending == "stopped: two lines"
 
@@ -163,13 +167,13 @@ def test_an_error_is_written_at_the_end(tmp_path):
 def test_a_file_that_cannot_be_made_is_said(tmp_path, name, words):
     (tmp_path / "there.csv").write_text("precious")
     with pytest.raises(InputError, match=words):
-        MeasurementRecorder(tmp_path / name, head_for(["DM4340"]))
+        MeasurementRecorder(tmp_path / name, head_for(["DM4340"]), Aside(threaded=False))
 
 
 def test_a_file_that_may_be_overwritten_is(tmp_path):
     path = tmp_path / "there.csv"
     path.write_text("precious")
-    with MeasurementRecorder(path, head_for(["DM4340"], overwrite=True)):
+    with MeasurementRecorder(path, head_for(["DM4340"], overwrite=True), Aside(threaded=False)):
         pass
     assert read_recording(path).ending == "completed"
 
@@ -219,7 +223,7 @@ def test_a_centred_torque_is_the_mean_of_both_sides_of_the_step(
     for no_centring in (False, True):
         path = tmp_path_factory.mktemp("rec") / "measured.csv"
         head = head_for(["DM4340"], no_centring=no_centring)
-        with MeasurementRecorder(path, head) as recorder:
+        with MeasurementRecorder(path, head, Aside(threaded=False)) as recorder:
             recorder.write(0.0, 0.0, replies, acted)
         recorded[no_centring] = {k: v[0] for k, v in read_recording(path).columns.items()}
     # Six decimals are printed.

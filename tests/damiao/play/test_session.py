@@ -99,5 +99,5 @@ def test_a_watchdog_trip_needs_more_than_enabling():
     bench.clock.sleep_until(bench.clock.now() + 0.2)
     bench.arm.advance(bench.clock.now())
     assert [m.status for m in bench.motors] == [LOST_COMMUNICATION] * 2
-    with pytest.raises(HardwareAbort, match="motor 1 .* did not enable: status D"):
+    with pytest.raises(HardwareAbort, match="motor 1 did not enable: status D"):
         bench.session.enable()

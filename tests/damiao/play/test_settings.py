@@ -31,9 +31,9 @@ RATES = st.floats(1.0, 1000.0)
 def test_what_is_left_open_suits_motors_and_bus(specs, timing):
     chosen = PlaySettings().for_motors(specs, timing)
     for spec, kp, kd in zip(specs, chosen.kp, chosen.kd):
-        # A quarter of a radian asks for rated torque, where a frame can carry that stiffness.
-        assert kp == min(4.0 * spec.rated_torque, KP_MAX)
-        assert kd == pytest.approx(min(max(kp / 20.0, 0.05), KD_MAX), rel=1e-12)
+        # A twentieth of a radian asks for rated torque, where a frame can carry that stiffness.
+        assert kp == min(20.0 * spec.rated_torque, KP_MAX)
+        assert kd == pytest.approx(min(max(kp / 40.0, 0.05), KD_MAX), rel=1e-12)
     assert len(chosen.kp) == len(chosen.kd) == len(specs)
     assert chosen.rate == default_rate(len(specs), timing)
     assert bus_load(len(specs), chosen.rate, timing) <= PLANNING_LIMIT
@@ -75,7 +75,8 @@ def test_choosing_again_changes_nothing_and_nothing_else_is_touched(
     )
     chosen = asked.for_motors(specs, timing)
     assert chosen.for_motors(specs, timing) == chosen
-    others = {each.name for each in fields(PlaySettings)} - {"kp", "kd", "rate"}
+    chosen_ones = {"kp", "kd", "rate", "max_torque_error"}
+    others = {each.name for each in fields(PlaySettings)} - chosen_ones
     assert all(getattr(chosen, name) == getattr(asked, name) for name in others)
 
 
@@ -99,7 +100,8 @@ def test_settings_that_are_no_sensible_numbers_are_refused(name, bad):
 
 @pytest.mark.parametrize(
     ("name", "bad"),
-    [("kp", x) for x in (-1.0, 500.1, np.nan)] + [("kd", x) for x in (0.0, -1.0, 5.1, np.nan)],
+    [("kp", x) for x in (-1.0, 500.1, np.nan)]
+    + [("kd", x) for x in (0.0, 5e-4, -1.0, 5.1, np.nan)],
 )
 def test_gains_that_a_frame_cannot_carry_are_refused(name, bad):
     with pytest.raises(InputError, match=rf"^--{name} must be"):

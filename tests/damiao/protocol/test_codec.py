@@ -133,7 +133,7 @@ def test_out_of_range_is_refused_and_the_limit_itself_is_not(name, field, sign):
     values[field] = low if sign < 0 else high
     encode_mit(command(*values.values()), scaling)
     values[field] += sign * 1e-5 * high
-    with pytest.raises(InputError, match=rf"{field} .* of joint 0 is outside its range"):
+    with pytest.raises(InputError, match=rf"{field} .* of motor number 1 is outside its range"):
         encode_mit(command(*values.values()), scaling)
 
 
@@ -155,7 +155,7 @@ def test_a_command_that_looks_like_a_special_frame_is_refused(torque_share):
 
 
 def test_stiffness_without_damping_is_refused():
-    with pytest.raises(InputError, match="kp > 0 needs kd > 0 at joint 0"):
+    with pytest.raises(InputError, match="kp > 0 needs kd of at least 0.0012 of motor number 1"):
         encode_mit(command(0, 0, 10, 0, 0), scaling_of("DM4340"))
 
 
@@ -186,7 +186,7 @@ def test_encoding_a_whole_trajectory_at_once_keeps_its_shape():
 def test_the_message_names_the_joint_that_is_out_of_range():
     q = np.array([0.0, 0.0, 13.0])
     one = np.ones(3)
-    with pytest.raises(InputError, match=r"position 13 of joint 2 .* limit 12.5"):
+    with pytest.raises(InputError, match=r"position 13 of motor number 3 .* limit 12.5"):
         encode_mit(MitCommand(q, 0 * one, one, one, 0 * one), scaling_of(*["DM4340"] * 3))
 
 

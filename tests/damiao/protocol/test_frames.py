@@ -6,6 +6,7 @@ import pytest
 
 from robot_sysid.damiao.protocol.frames import (
     REGISTER_ID,
+    Address,
     Frame,
     disable_frame,
     enable_frame,
@@ -17,6 +18,7 @@ from robot_sysid.damiao.protocol.frames import (
 from robot_sysid.errors import SysidError
 
 # Typed from the maker's protocol description.
+MOTOR = Address(0, 1)
 ENABLE, DISABLE, SET_ZERO, CLEAR_ERROR, STORE = 0xFC, 0xFD, 0xFE, 0xFB, 0xAA
 
 
@@ -33,7 +35,12 @@ def test_harmful_register_operations_are_refused(operation):
 
 
 def test_what_is_needed_is_not_refused():
-    frames = [enable_frame(1), disable_frame(1), read_frame(1, 7), refresh_frame(1)]
-    for frame in [*frames, write_frame(1, 9, bytes(4)), Frame(1, bytes(8))]:
+    frames = [
+        enable_frame(MOTOR),
+        disable_frame(MOTOR),
+        read_frame(MOTOR, 7),
+        refresh_frame(MOTOR),
+    ]
+    for frame in [*frames, write_frame(MOTOR, 9, bytes(4)), Frame(1, bytes(8))]:
         refuse_harmful(frame)
-    assert enable_frame(1).data[7] == ENABLE and disable_frame(1).data[7] == DISABLE
+    assert enable_frame(MOTOR).data[7] == ENABLE and disable_frame(MOTOR).data[7] == DISABLE

@@ -5,7 +5,13 @@ from __future__ import annotations
 import pytest
 
 from robot_sysid.damiao.bus.clock import SimulatedClock
-from robot_sysid.damiao.protocol.frames import Frame, disable_frame, enable_frame, refresh_frame
+from robot_sysid.damiao.protocol.frames import (
+    Address,
+    Frame,
+    disable_frame,
+    enable_frame,
+    refresh_frame,
+)
 from robot_sysid.damiao.simulated.server import serve
 from tests.support.damiao_rig import two_motor_arm
 
@@ -35,7 +41,12 @@ def served(clock, far, arm, seconds):
 
 def test_each_frame_is_answered_when_it_comes():
     clock, arm = SimulatedClock(), two_motor_arm()
-    far = FarEnd(clock, (0.1, refresh_frame(1)), (0.2, refresh_frame(2)), (0.3, refresh_frame(3)))
+    far = FarEnd(
+        clock,
+        (0.1, refresh_frame(Address(0, 1))),
+        (0.2, refresh_frame(Address(0, 2))),
+        (0.3, refresh_frame(Address(0, 3))),
+    )
     assert served(clock, far, arm, 1.0) == 0.0
     assert far.answers == [(0.1, 17), (0.2, 18)]
     assert arm.time == pytest.approx(1.0, abs=2e-3)
@@ -43,14 +54,14 @@ def test_each_frame_is_answered_when_it_comes():
 
 def test_an_echo_is_no_question():
     clock, arm = SimulatedClock(), two_motor_arm()
-    far = FarEnd(clock, (0.1, enable_frame(1)._replace(echo=True)))
+    far = FarEnd(clock, (0.1, enable_frame(Address(0, 1))._replace(echo=True)))
     served(clock, far, arm, 1.0)
     assert far.answers == [] and not arm.motors[0].driving
 
 
 def test_watchdogs_expire_while_nobody_talks():
     clock, arm = SimulatedClock(), two_motor_arm(watchdog=0.1)
-    far = FarEnd(clock, (0.1, enable_frame(1)), (0.3, disable_frame(2)))
+    far = FarEnd(clock, (0.1, enable_frame(Address(0, 1))), (0.3, disable_frame(Address(0, 2))))
     served(clock, far, arm, 0.15)
     assert arm.motors[0].driving
     served(clock, far, arm, 0.3)
@@ -59,7 +70,7 @@ def test_watchdogs_expire_while_nobody_talks():
 
 def test_a_computer_that_falls_behind_leaves_time_out_instead_of_catching_up():
     clock, arm = SimulatedClock(), two_motor_arm()
-    far = FarEnd(clock, (0.1, enable_frame(1)), (0.11, Frame(99, bytes(8))))
+    far = FarEnd(clock, (0.1, enable_frame(Address(0, 1))), (0.11, Frame(99, bytes(8))))
     ordinary, steps = far.receive, []
     arm.mechanism.step, step = lambda *law: steps.append(0) or step(*law), arm.mechanism.step
 

@@ -129,7 +129,7 @@ def test_clamping_is_counted_per_joint_and_reported():
     tau[:25, 1] = 40.0
     report, _ = exported([(time, q, qd, tau)], ["DM4340"] * 2)
     np.testing.assert_allclose(report.clamped_percent, [0.0, 25.0])
-    assert any("joint 1: 25.00 % of the samples were clamped" in w for w in report.warnings)
+    assert any("motor 2: 25.00 % of the samples were clamped" in w for w in report.warnings)
 
 
 def test_ratings_are_compared_at_the_given_supply():
@@ -256,7 +256,8 @@ def test_a_scan_finds_the_extremes(rows, seed, tmp_path_factory):
     )
     assert scan.duration == pytest.approx(0.01 * (rows - 1))
     np.testing.assert_allclose(scan.first, q[0])
-    np.testing.assert_allclose(scan.peak_position, np.abs(q).max(axis=0))
+    np.testing.assert_allclose(scan.lowest, q.min(axis=0))
+    np.testing.assert_allclose(scan.highest, q.max(axis=0))
     np.testing.assert_allclose(scan.peak_velocity, np.abs(qd).max(axis=0))
     np.testing.assert_allclose(scan.peak_torque, np.abs(tau).max(axis=0))
     np.testing.assert_allclose(scan.peak_step, np.abs(np.diff(q, axis=0)).max(axis=0) / 0.01)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robot_sysid.damiao.play.supervision import VelocityScalingCheck
+from robot_sysid.damiao.play.scaling_checks import VelocityScalingCheck
 
 
 def slopes(factor, seconds=6.0, noise=0.0, seed=0):

@@ -6,7 +6,7 @@ import signal
 
 import pytest
 
-from robot_sysid.damiao.play.player import StopRequest
+from robot_sysid.damiao.play.stop_request import StopRequest
 
 SIGNALS = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 

@@ -9,23 +9,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.play.preflight import NOTE, OK, STOP, Permissions, plan_checks, stops
 from robot_sysid.damiao.play.settings import PlaySettings
 from robot_sysid.damiao.protocol.bus_load import BusTiming, bus_load
 from robot_sysid.damiao.protocol.joints import damiao_joints
 from robot_sysid.damiao.protocol.motors import MOTORS
+from robot_sysid.damiao.run.preflight import NOTE, OK, STOP, Permissions, plan_checks, stops
 from robot_sysid.damiao.trajectory.csv_file import TrajectoryScan
 
 # Beside the limit, so that rounding does not decide.
 SHARES = st.floats(0.0, 0.999) | st.floats(1.001, 4.0)
 WHAT = ("position", "velocity", "torque", "position step")
-PEAKS = ("peak_position", "peak_velocity", "peak_torque", "peak_step")
+PEAKS = ("highest", "peak_velocity", "peak_torque", "peak_step")
 COUNTS_WITH_SPEED = (False, True, False, True)
 
 
 def scan_of(n, **peaks):
     """A trajectory that asks for nothing but these peaks."""
-    names = ("first", "end_velocity", *PEAKS)
+    names = ("first", "end_velocity", "lowest", *PEAKS)
     return TrajectoryScan(5.0, **{name: peaks.get(name, np.zeros(n)) for name in names})
 
 
@@ -38,9 +38,9 @@ def checks_of(scan, types, allowed=None, timing=None, **settings):
 
 def beyond(checks):
     """(joint, what) of each limit that is said to be exceeded."""
-    found = [re.match(r"joint (\d+): ([a-z ]+?) [\d.e+]+ \S+", text) for text in stops(checks)]
+    found = [re.match(r"motor (\d+): ([a-z ]+?) [\d.e+]+ \S+", text) for text in stops(checks)]
     limits = [m for m, text in zip(found, stops(checks)) if "is beyond its type's limit" in text]
-    return {(int(match[1]), match[2]) for match in limits}
+    return {(int(match[1]) - 1, match[2]) for match in limits}
 
 
 @given(

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from robot_sysid.damiao.play.preflight import OK, STOP, Check
+from robot_sysid.damiao.run.preflight import OK, STOP, Check
 from robot_sysid.damiao.trajectory.csv_file import DamiaoTrajectory
 from robot_sysid.errors import InputError
 from robot_sysid.excitation.limit_check import first_contact

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.play.model_check import model_checks
-from robot_sysid.damiao.play.preflight import OK, STOP
+from robot_sysid.damiao.run.model_check import model_checks
+from robot_sysid.damiao.run.preflight import OK, STOP
 from robot_sysid.damiao.trajectory.csv_file import export_damiao_trajectory, read_damiao_trajectory
 from robot_sysid.errors import InputError
 from robot_sysid.records import JointLimits

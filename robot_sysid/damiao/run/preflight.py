@@ -12,13 +12,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_sysid.damiao.bus.inspection import InspectedMotor, Inspection
+from robot_sysid.damiao.play.outstanding import PAUSE
 from robot_sysid.damiao.play.settings import PlaySettings
 from robot_sysid.damiao.protocol.bus_load import (
+    HANDY_RATES,
     PLANNING_LIMIT,
     BusTiming,
     bus_load,
     suggested_rate,
 )
+from robot_sysid.damiao.protocol.frames import Address
+from robot_sysid.damiao.protocol.joint_space import JointSpace
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, id_problems
 from robot_sysid.damiao.protocol.motors import limits_agree
 from robot_sysid.damiao.protocol.registers import (
@@ -38,12 +42,16 @@ from robot_sysid.damiao.protocol.registers import (
 from robot_sysid.damiao.trajectory.clamping import rating_warnings
 from robot_sysid.damiao.trajectory.csv_file import TrajectoryScan
 from robot_sysid.errors import HardwareAbort
-from robot_sysid.records.options import OptionRecord, option, positive
+from robot_sysid.records.options import OptionRecord, option
 
 OK, NOTE, STOP = "ok", "note", "stop"
 _REST_SPEED = 0.05
-_LEAST_WATCHDOG_CYCLES = 3
-_LONG_WATCHDOG = 0.5
+# A motor whose answer is missing gets no command for some cycles.
+_LEAST_WATCHDOG_CYCLES = 2 + 2 * PAUSE
+_LONG_WATCHDOG, _NO_WATCHDOG = 0.5, 5.0
+_LONGEST_SET_WATCHDOG = 1.0
+# Share of a control cycle within which all answers have to be there.
+_ANSWER_SHARE = 0.9
 
 
 @dataclass(frozen=True)
@@ -57,6 +65,11 @@ class Check:
 
     severity: str
     text: str
+
+
+def _watchdog_time(value: float) -> str | None:
+    fits = 0.0 < value <= _LONGEST_SET_WATCHDOG
+    return None if fits else f"must be above 0 and at most {_LONGEST_SET_WATCHDOG:g} s"
 
 
 @dataclass(frozen=True)
@@ -75,7 +88,7 @@ class Permissions(OptionRecord):
         flag="--set-watchdog",
         unit="s",
         metavar="S",
-        check=positive,
+        check=_watchdog_time,
         usual="as they are",
     )
 
@@ -89,10 +102,11 @@ def plan_checks(
 ) -> list[Check]:
     """Return what can be said without a bus: ids, limits, ends at rest, bus load."""
     checks = [
-        *_ids([j.can_id for j in joints], [j.master_id for j in joints]),
+        *_ids(joints),
         *_ends(scan, settings),
+        *_columns(scan, joints),
         *_ratings(scan, joints, settings),
-        *_load(len(joints), settings, timing, allowed),
+        *_load(joints, settings, timing, allowed),
     ]
     limits = [joint.spec.limits for joint in joints]
     return checks + list(_within_limits(scan, joints, limits, settings, "its type's"))
@@ -107,10 +121,10 @@ def bus_checks(
 ) -> list[Check]:
     """Return what the motors on the bus say to the plan."""
     checks = [*_quiet(inspection), *_unexpected_motors(inspection, joints)]
-    present = [(inspection.motors[j.can_id], j) for j in joints if j.can_id in inspection.motors]
+    present = [(inspection.motors[j.address], j) for j in joints if j.address in inspection.motors]
     for joint in joints:
-        if joint.can_id not in inspection.motors:
-            text = f"motor {joint.can_id} does not answer; check power, wiring, its id, bit rate"
+        if joint.address not in inspection.motors:
+            text = f"{joint.label} does not answer; check power, wiring, its id, bit rate"
             checks.append(Check(STOP, text))
     for motor, joint in present:
         checks += _lacking(motor) or [
@@ -124,7 +138,8 @@ def bus_checks(
     if len(limits) < len(joints):
         return checks
     checks += _within_limits(scan, joints, limits, settings, "its registers'")
-    return checks + list(_near_start([motor for motor, _ in present], scan, settings))
+    checks += _in_time(inspection, settings)
+    return checks + list(_near_start([motor for motor, _ in present], joints, scan, settings))
 
 
 def general_checks(inspection: Inspection, settings: PlaySettings) -> list[Check]:
@@ -157,14 +172,21 @@ def _lacking(motor: InspectedMotor) -> list[Check]:
     return [Check(STOP, text)] if lacking else []
 
 
-def _ids(can_ids: Sequence[int], master_ids: Sequence[int]) -> Iterator[Check]:
-    problems = list(id_problems(can_ids, master_ids))
-    for problem in problems:
-        yield Check(STOP, problem)
+def _ids(joints: Sequence[DamiaoJoint]) -> Iterator[Check]:
+    ids = [(j.address, j.master_id) for j in joints]
+    problems = list(_id_problems(ids))
+    yield from (Check(STOP, problem) for problem in problems)
     if not problems:
-        yield Check(OK, f"ids are unique: {', '.join(map(str, can_ids))}")
-    if 0 in master_ids:
+        yield Check(OK, f"ids are unique: {', '.join(str(j.can_id) for j in joints)}")
+    if any(joint.master_id == 0 for joint in joints):
         yield Check(NOTE, "a master id of 0 is a poor choice; set it to CAN id + 0x10")
+
+
+def _id_problems(motors: Sequence[tuple[Address, int]]) -> Iterator[str]:
+    """Yield why motors, as addresses and master ids, cannot share the buses they are on."""
+    for bus in sorted({address.bus for address, _ in motors}):
+        on_it = [(address.can_id, master) for address, master in motors if address.bus == bus]
+        yield from id_problems(*zip(*on_it))
 
 
 def _ends(scan: TrajectoryScan, settings: PlaySettings) -> Iterator[Check]:
@@ -178,22 +200,37 @@ def _ends(scan: TrajectoryScan, settings: PlaySettings) -> Iterator[Check]:
         yield Check(OK, f"starts and ends at rest, {scan.duration / settings.speed:.1f} s")
 
 
+def _columns(scan: TrajectoryScan, joints: Sequence[DamiaoJoint]) -> Iterator[Check]:
+    found = scan.mismatch
+    if found is None:
+        yield Check(OK, "velocities and positions agree")
+        return
+    yield Check(
+        STOP,
+        f"line {found.line}: velocity {found.stated:.4g} rad/s of "
+        f"{joints[found.joint].label}, but the positions change by {found.shown:.4g} rad/s; export "
+        "the file again, with at least four decimals",
+    )
+
+
 def _ratings(
     scan: TrajectoryScan, joints: Sequence[DamiaoJoint], settings: PlaySettings
 ) -> Iterator[Check]:
     for j, joint in enumerate(joints):
-        spec, torque = joint.spec, scan.peak_torque[j]
+        spec, torque = joint.spec, scan.peak_torque[j] / joint.torque_ratio
         velocity = scan.peak_velocity[j] * settings.speed
         beyond = spec.peak_torque is not None and torque > spec.peak_torque
-        for text in rating_warnings(j, spec, velocity, torque):
+        for text in rating_warnings(joint, velocity, torque):
             yield Check(STOP if beyond and "peak torque" in text else NOTE, text)
         if spec.note:
-            yield Check(NOTE, f"joint {j}, {spec.name}: {spec.note}")
+            yield Check(NOTE, f"{joint.label}, {spec.name}: {spec.note}")
 
 
 def _load(
-    n_motors: int, settings: PlaySettings, timing: BusTiming, allowed: Permissions
+    joints: Sequence[DamiaoJoint], settings: PlaySettings, timing: BusTiming, allowed: Permissions
 ) -> Iterator[Check]:
+    buses = [joint.bus for joint in joints]
+    n_motors = max(buses.count(bus) for bus in buses)
     load = bus_load(n_motors, 1.0 / settings.period, timing)
     text = f"{n_motors} motors at {settings.rate:g} Hz load {timing.name} to {100 * load:.0f} %"
     if load <= PLANNING_LIMIT:
@@ -211,21 +248,22 @@ def _within_limits(
     settings: PlaySettings,
     whose: str,
 ) -> Iterator[Check]:
+    space, fine = JointSpace.of(joints), True
+    ends = space.motor_position(scan.lowest), space.motor_position(scan.highest)
     asked = (
-        ("position", "rad", scan.peak_position),
+        ("position", "rad", np.max(np.abs(ends), axis=0)),
         ("velocity", "rad/s", scan.peak_velocity * settings.speed),
-        ("torque", "N m", scan.peak_torque),
+        ("torque", "N m", np.abs(space.motor_torque(scan.peak_torque))),
         ("position step", "rad/s", scan.peak_step * settings.speed),
     )
-    fine = True
     for j, (joint, limit) in enumerate(zip(joints, limits)):
         for (what, unit, peaks), top in zip(asked, (*limit, limit[1])):
             if peaks[j] > top * (1.0 + 1e-6):
                 fine = False
                 yield Check(
                     STOP,
-                    f"joint {j}: {what} {peaks[j]:.4g} {unit} is beyond {whose} limit {top:g} "
-                    f"(motor {joint.can_id}); export a smaller trajectory",
+                    f"{joint.label}: {what} {peaks[j]:.4g} {unit} is beyond {whose} limit {top:g}; "
+                    "export a smaller trajectory",
                 )
     if fine:
         yield Check(OK, f"the trajectory stays within {whose} limits")
@@ -247,21 +285,19 @@ def _quiet(inspection: Inspection) -> Iterator[Check]:
 
 
 def _unexpected_motors(inspection: Inspection, joints: Sequence[DamiaoJoint]) -> Iterator[Check]:
-    known = {joint.can_id for joint in joints}
+    known = {joint.address for joint in joints}
     found = list(inspection.motors.values())
-    others = [motor.can_id for motor in found if motor.can_id not in known]
+    others = [motor.name for motor in found if motor.address not in known]
     if others and known:
-        listed = ", ".join(map(str, others))
+        listed = ", ".join(others)
         yield Check(NOTE, f"motors on the bus that are not in the trajectory: {listed}")
-    yield from (
-        Check(STOP, problem)
-        for problem in id_problems([m.can_id for m in found], [m.master_id for m in found])
-    )
+    ids = [(motor.address, motor.master_id) for motor in found]
+    yield from (Check(STOP, problem) for problem in _id_problems(ids))
 
 
 def _shared_id(motor: InspectedMotor) -> Iterator[Check]:
     if len(motor.reply_ids) > 1:
-        yield Check(STOP, f"{len(motor.reply_ids)} motors answer to CAN id {motor.can_id}")
+        yield Check(STOP, f"{len(motor.reply_ids)} motors answer to the id of {motor.name}")
 
 
 def _identity(motor: InspectedMotor, joint: DamiaoJoint) -> Iterator[Check]:
@@ -311,6 +347,9 @@ def _watchdog(
     if timeout == 0.0:
         text = f"{name} has no watchdog: it would go on for ever if this program died"
         yield Check(STOP, f"{text}; give --set-watchdog 0.1 or set TIMEOUT")
+    elif timeout > _NO_WATCHDOG:
+        text = f"{name}'s watchdog of {timeout:g} s is none: the arm would go on that long"
+        yield Check(STOP, f"{text}; give --set-watchdog 0.1 or set TIMEOUT")
     elif timeout < _LEAST_WATCHDOG_CYCLES * settings.period:
         text = f"{name}'s watchdog of {1e3 * timeout:g} ms is too short for {settings.rate:g} Hz"
         yield Check(STOP, f"{text}; give --set-watchdog 0.1")
@@ -338,21 +377,40 @@ def _state(motor: InspectedMotor, settings: PlaySettings) -> Iterator[Check]:
         yield Check(STOP, text)
 
 
+def _in_time(inspection: Inspection, settings: PlaySettings) -> Iterator[Check]:
+    """Compare how long answers take with how long a control cycle can wait for them."""
+    if inspection.round_trip is None:
+        return
+    took, waits = inspection.round_trip, _ANSWER_SHARE * settings.period
+    text = f"all motors have answered after {1e3 * took:.1f} ms"
+    if took <= waits:
+        yield Check(OK, f"{text}, in time for {settings.rate:g} Hz")
+        return
+    fits = next((rate for rate in HANDY_RATES if rate * took <= _ANSWER_SHARE), HANDY_RATES[-1])
+    yield Check(
+        STOP,
+        f"{text}, too late for {settings.rate:g} Hz: commands and samples would be mixed up; use "
+        f"--rate {fits:g} or a faster adapter",
+    )
+
+
 def _near_start(
-    motors: Sequence[InspectedMotor], scan: TrajectoryScan, settings: PlaySettings
+    motors: Sequence[InspectedMotor],
+    joints: Sequence[DamiaoJoint],
+    scan: TrajectoryScan,
+    settings: PlaySettings,
 ) -> Iterator[Check]:
-    for j, motor in enumerate(motors):
-        if motor.feedback is None:
-            continue
-        here, first = float(motor.feedback.position[0]), float(scan.first[j])
+    found = [m.feedback.position[0] if m.feedback else np.nan for m in motors]
+    places = JointSpace.of(joints).joint_position(np.array(found))
+    for joint, here, first in zip(joints, places, scan.first):
         if abs(here - first) > settings.start_tolerance:
             turn = ""
             if abs(abs(here - first) - 2.0 * np.pi) < settings.start_tolerance:
                 turn = "; a whole turn apart: the motor lost its turn count when it was off"
             yield Check(
                 STOP,
-                f"joint {j} is at {here:.3f} rad but the trajectory starts at {first:.3f}, more "
-                f"than {settings.start_tolerance:g} away; move it there by hand{turn}",
+                f"{joint.label} is at {here:.3f} rad but the trajectory starts at {first:.3f}, "
+                f"more than {settings.start_tolerance:g} away; move it there by hand{turn}",
             )
 
 

@@ -1,0 +1,1 @@
+"""A whole run: what is checked before, the plan, and who is called in which order."""
