@@ -82,7 +82,8 @@ class Outcome:
         """Why there is no updated model, or None."""
         status = self.identification.estimate.status
         if not status.is_trustworthy:
-            return f"no model was written: {status.value}"
+            reasons = "; ".join(self.identification.reasons)
+            return f"no model was written: {reasons + ': ' if reasons else ''}{status.value}"
         if self.not_written is None:
             return None
         return f"{self.not_written} (the identified numbers are in params.json)"

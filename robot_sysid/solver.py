@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 import numpy as np
 
 from robot_sysid.dynamics import spatial
@@ -9,15 +12,16 @@ from robot_sysid.errors import InputError
 from robot_sysid.estimation.autocorrelation import collect_residuals
 from robot_sysid.estimation.consistency import consistent_least_squares
 from robot_sysid.estimation.identifiability import N_INERTIAL, analyse_identifiability
-from robot_sysid.estimation.information import joint_rmse, sample_counts
+from robot_sysid.estimation.information import joint_rmse, restricted, sample_counts
 from robot_sysid.estimation.least_squares import WeightedEquations, least_correction
+from robot_sysid.estimation.nuisances import NuisanceGroup, with_prior
 from robot_sysid.estimation.options import ESTIMATORS, EstimationOptions
 from robot_sysid.estimation.uncertainty import (
     Uncertainty,
     coloured_uncertainty,
     joint_space,
-    prior_curvature,
     white_uncertainty,
+    with_body_prior,
 )
 from robot_sysid.records import (
     Array,
@@ -38,6 +42,7 @@ def identify_parameters(
     method: str = "ols",
     options: EstimationOptions | None = None,
     samples: SampleSource | None = None,
+    nuisances: Sequence[NuisanceGroup] = (),
 ) -> Estimate:
     """Estimate all parameters; what the data cannot see keeps the prior's value.
 
@@ -48,6 +53,7 @@ def identify_parameters(
         options: physical consistency and prior; None takes the plain estimate.
         samples: the same equations sample by sample; with them the standard errors allow for noise
             that is correlated in time. "robust" needs them.
+        nuisances: what is known beforehand of the last parameters.
 
     Raises:
         InputError: the method is unknown, or it is "robust" and there are no samples.
@@ -55,28 +61,34 @@ def identify_parameters(
     if method not in ESTIMATORS:
         raise InputError(f"unknown method {method!r}; valid: {', '.join(ESTIMATORS)}")
     chosen = options or EstimationOptions(consistency="off")
+    information = with_prior(information, nuisances)
     equations = ESTIMATORS[method](information, prior, samples)
     values, constrained = solve(equations, prior, chosen)
-    identifiability = analyse_identifiability(information)
-    errors, effective = _errors(information, equations, values, chosen, samples)
-    squared = np.sum(information.squared_residuals(values))
+    n_nuisances = sum(len(group.names) for group in nuisances)
+    interest = information.names[: len(information.names) - n_nuisances]
+    identifiability = analyse_identifiability(restricted(information, interest))
+    errors, effective = _errors(information, equations, values, samples)
+    squared = float(np.sum(information.squared_residuals(values)))
     counts = {joint.joint: joint.n_samples for joint in information.joints}
     noise = dict(zip(counts, equations.noise.tolist()))
     return Estimate(
         names=information.names,
         values=values,
         identifiability=identifiability,
-        rmse=float(np.sqrt(squared / max(information.n_samples, 1))),
+        rmse=math.sqrt(squared / max(information.n_samples, 1)),
         rmse_per_joint=dict(zip(counts, joint_rmse(information, values).tolist())),
         status=judge(values, identifiability, errors.standard_errors),
         method=method,
         covariance=errors.covariance,
         standard_errors=errors.standard_errors,
-        data_share=errors.data_share,
+        noise_errors=errors.noise_errors,
+        error_budget={g.cause: errors.budget(g.precision(information.names)) for g in nuisances},
+        data_share=_data_share(prior, chosen, errors, equations),
         noise_per_joint={joint: noise[joint] for joint, count in counts.items() if count},
         samples=counts,
         effective_samples=dict(zip(counts, effective)),
         constrained=constrained,
+        n_nuisances=n_nuisances,
     )
 
 
@@ -122,16 +134,24 @@ def _errors(
     information: SquareRootInformation,
     equations: WeightedEquations,
     values: Array,
-    options: EstimationOptions,
     samples: SampleSource | None,
 ) -> tuple[Uncertainty, list[float]]:
     """Return (uncertainty, effective number of samples per joint)."""
     weights = 1.0 / equations.noise
-    curvature = prior_curvature(values[:N_INERTIAL], options.entropic_weight, len(values))
     if samples is None:
         counts = sample_counts(information).tolist()
-        return white_uncertainty(information, weights, equations.noise, curvature), counts
-    space = joint_space(information, weights, curvature)
-    root, clip = space.inverse_root(), equations.clip
-    residuals = collect_residuals(information, samples, values, clip, root, weights)
-    return coloured_uncertainty(space, weights, residuals, curvature)
+        return white_uncertainty(information, weights, equations.noise), counts
+    root = joint_space(information, weights).inverse_root()
+    residuals = collect_residuals(information, samples, values, equations.clip, root, weights)
+    return coloured_uncertainty(information, weights, residuals)
+
+
+def _data_share(
+    prior: Array, options: EstimationOptions, errors: Uncertainty, equations: WeightedEquations
+) -> Array:
+    """Return (p,) how much of each value is the data's; the model's body may have some of it."""
+    if options.entropic_weight == 0.0:
+        return errors.data_share
+    information, weights = equations.information, 1.0 / equations.noise
+    body, pull = prior[:N_INERTIAL], options.entropic_weight
+    return with_body_prior(errors, information, weights, body, pull).data_share

@@ -132,10 +132,11 @@ class NoiseStudy:
 
     def _true_values(self) -> Array:
         values = dict(zip(PARAMETER_NAMES, self.plant.prior.theta))
-        for joint, coulomb, viscous in zip(
-            self.plant.joint_names, self.plant.friction.coulomb, self.plant.friction.viscous
-        ):
-            values[f"coulomb[{joint}]"], values[f"viscous[{joint}]"] = coulomb, viscous
+        friction, rotors = self.plant.friction, self.plant.mj_model.dof_armature
+        for index, joint in enumerate(self.plant.joint_names):
+            values[f"coulomb[{joint}]"] = friction.coulomb[index]
+            values[f"viscous[{joint}]"] = friction.viscous[index]
+            values[f"armature[{joint}]"] = rotors[self.plant.dof_index[index]]
         return np.array([float(values.get(name, 0.0)) for name in self.samples.names])
 
     def bound(self, noise: Noise) -> Array:

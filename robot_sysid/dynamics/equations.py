@@ -1,7 +1,7 @@
 """The linear equations of every joint: regressor, friction and known torques of a chunk.
 
-The parameters are the terminal link's ten, each joint's friction terms, then, where they are
-sought, the ten of other links (``link_names``), then what all joints share.
+The parameters are the terminal link's ten, each joint's friction terms, what all joints share, and
+last, where they are sought, the ten of other links (``link_names``).
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class Equations:
         self.shared = tuple(shared)
         own = [name for j in self.rows_of for name in self._friction_names(j)]
         others = [name for link in self._links for name in link_names(robot, link)]
-        self.names = (*PARAMETER_NAMES, *own, *others, *self.shared)
+        self.names = (*PARAMETER_NAMES, *own, *self.shared, *others)
         self.columns = tuple(self._columns_of(j) for j in self.rows_of)
         self._values = self.prior if values is None else values
 
@@ -92,7 +92,7 @@ class Equations:
         others = [name for link in beyond for name in link_names(self._robot, link)]
         place = {name: index for index, name in enumerate(self.names)}
         own = self._friction_names(joint)
-        return np.array([place[n] for n in (*PARAMETER_NAMES, *own, *others, *self.shared)])
+        return np.array([place[n] for n in (*PARAMETER_NAMES, *own, *self.shared, *others)])
 
     @property
     def prior(self) -> Array:
@@ -136,7 +136,7 @@ class Equations:
             own = self._friction[j].columns(qd[:, j], qdd[:, j], carried)
             beyond = others[:, j, self._first_column(j) :]
             common = () if shared is None else (shared[:, j],)
-            yield np.hstack((block, own, beyond, *common)), measurement.tau[:, j] - known[:, j]
+            yield np.hstack((block, own, *common, beyond)), measurement.tau[:, j] - known[:, j]
 
     def _other_columns(self, measurement: Measurement) -> Array:
         """Return the columns (N, n, 10 links) of the other links that are sought."""

@@ -54,14 +54,17 @@ PRESETS = (
     "coulomb-viscous-offset-armature",
     "coulomb-viscous-offset-sqrt",
     "coulomb-viscous-offset-armature-sqrt",
-    "coulomb-viscous-offset-stribeck",
+    "coulomb-viscous-offset-armature-stribeck",
     "coulomb-viscous-offset-load",
     "coulomb-viscous-offset-armature-load",
 )
 """Names worth trying; any other combination of terms works too."""
 
-DEFAULT_MEASURED = "coulomb-viscous-offset"
+DEFAULT_MEASURED = "coulomb-viscous-offset-armature"
 """Friction model for measured data."""
+DEFAULT_TERMINAL = "coulomb-viscous-offset"
+"""The same where only the last joint's torque is used: there a rotor's inertia looks like the
+link's own about the axis."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +119,7 @@ def friction_model(name: str) -> FrictionModel:
 
     Args:
         name: "none", or terms joined by "-" or "+"; a leading "+" adds to the default for
-            measured data, so "+sqrt" is "coulomb-viscous-offset-sqrt".
+            measured data, so "+sqrt" is "coulomb-viscous-offset-armature-sqrt".
 
     Raises:
         InputError: a term is unknown; lists the valid terms and presets.

@@ -8,6 +8,8 @@ beforehand, which makes them a prior (``estimation.nuisances``).
 parameter      column in joint j's equation         unit
 =============  ===================================  ==================================
 scale[joint]   torque of the joint's own gear       1
+load[joint]    sign(qd) abs(torque of its gear)     1
+sqrt[joint]    sign(qd) sqrt(abs(qd))               N m (s/rad)^0.5
 zero[joint]    -d tau_j / d q_joint                 N m/rad
 tilt angles    torque at rest, gravity turned       N m/rad
 =============  ===================================  ==================================
@@ -19,6 +21,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.dynamics.gravity import TiltColumns
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.records import Array, Motion, RobotModel
@@ -60,6 +63,15 @@ class NuisanceColumns:
             below = self._torque(replace(motion, q=motion.q - shift))
             columns.append((below - above) / (2.0 * _STEP))
         return np.stack(columns, axis=-1)
+
+    def friction(self, motion: Motion, term: str) -> Array:
+        """Return (K, n, n) a friction term of each joint, in its own equation alone."""
+        model, load = FrictionModel((term,)), self._torque(motion)
+        columns = np.zeros((*load.shape, load.shape[1]))
+        for joint in range(load.shape[1]):
+            own = model.columns(motion.qd[:, joint], motion.qdd[:, joint], load[:, joint])
+            columns[:, joint, joint] = own[:, 0]
+        return columns
 
     def tilt(self, motion: Motion) -> Array:
         """Return (K, n, 2) torque per radian of tilt, see ``gravity.TiltColumns`` [N m/rad]."""

@@ -7,8 +7,9 @@ Minimises ||A x - b||^2 subject to J(x) positive definite (Wensing, Kim, Slotine
     d(J || J0) = tr(J0^-1 J) - log det(J0^-1 J) - 4.
 
 All other parameters (friction, offsets) are free and eliminated beforehand, so the search runs
-over ten numbers. Directions the data cannot see stay exactly at the prior in the constrained fit:
-letting them go would often mean a mass without bound, which allows any first moment.
+over ten numbers. Directions the data cannot see stay at the prior as long as that leaves a possible
+body with what the data does see. Where it does not, they give way first: the divergence from the
+prior, with a weight that is nothing beside the data (``YIELDING``), chooses by how much.
 """
 
 from __future__ import annotations
@@ -36,6 +37,9 @@ _GAP, _RESOLUTION = 1e-9, 1e-13
 _ROUNDNESS, _PRIOR_FLOOR = 0.01, 1e-6
 # How much harder than the best visible one an unidentifiable direction is held at the prior.
 _PIN = 1e8
+YIELDING = 1.0
+"""Weight of the divergence, in units of squared whitened residuals, that invisible directions give
+way under."""
 # Smallest eigenvalue in units of the prior body that rounding may leave.
 _LEAST = 1e-12
 
@@ -62,7 +66,8 @@ def consistent_least_squares(
     base = np.array(prior, dtype=float)
     base[:N_INERTIAL] = lifted_body(prior[:N_INERTIAL], prior[:N_INERTIAL], _PRIOR_FLOOR)
     reduced = _eliminate_nuisances(matrix, right, base)
-    return _search(reduced, rounded, weight)
+    hidden = reduced.space.rank < N_INERTIAL
+    return _search(reduced, rounded, YIELDING if weight == 0.0 and hidden else weight)
 
 
 def lifted_body(theta: Array, scale_of: Array, floor: float) -> Array:

@@ -15,11 +15,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.information import combined, joint_rmse, sample_counts
 from robot_sysid.estimation.least_squares import noise_floor
 from robot_sysid.records import Array, SquareRootInformation, Validation
+
+Mask = NDArray[np.bool_]
 
 
 def validate(
@@ -60,27 +63,43 @@ def _ratio(wrong: float, total: float) -> float | None:
     return float(np.sqrt(wrong / total)) if total > 0.0 else None
 
 
-def hold_out(n_rows: int, fraction: float, gap: int) -> tuple[slice, slice]:
-    """Split consecutive rows into a first part to fit and a last part to validate on.
+LONG_BLOCKS, MOST_BLOCKS = 20, 10
+"""A held-out stretch comes out of so many gaps' length of rows at least; there are at most so many
+stretches."""
+
+
+def hold_out(moving: Mask, fraction: float, gap: int) -> tuple[Mask, Mask]:
+    """Split rows into those to fit and stretches of those in which the arm moves, to validate on.
+
+    Each stretch ends one of up to ``MOST_BLOCKS`` equal parts of the moving rows.
 
     Args:
-        n_rows: number of rows.
-        fraction: part of them that is held out, at least 0 and below 1.
-        gap: rows left out between the parts, because filtering lets neighbours share samples.
+        moving: (K,) whether the arm moves.
+        fraction: part of the moving rows that is held out, at least 0 and below 1.
+        gap: rows left out around a stretch, because filtering lets neighbours share samples.
+
+    Returns:
+        (fitted (K,), held out (K,)).
 
     Raises:
         InputError: one part is left without rows.
     """
+    held = np.zeros(len(moving), dtype=bool)
     if fraction == 0.0:
-        return slice(0, n_rows), slice(n_rows, n_rows)
-    held = math.ceil(fraction * n_rows)
-    fitted = n_rows - held - gap
-    if fitted <= 0 or held <= 0:
+        return ~held, held
+    rows = np.flatnonzero(moving)
+    count = int(np.clip(len(rows) // max(LONG_BLOCKS * gap, 1), 1, MOST_BLOCKS))
+    for block in blocks(len(rows), count) if len(rows) else ():
+        inside = rows[block]
+        held[inside[len(inside) - math.ceil(fraction * len(inside)) :]] = True
+    count_to, row = np.concatenate(([0], np.cumsum(held))), np.arange(len(held))
+    near = count_to[np.minimum(row + gap + 1, len(held))] > count_to[np.maximum(row - gap, 0)]
+    if not np.any(held) or not np.any(moving & ~near):
         raise InputError(
-            f"{n_rows} rows cannot be split into fitted and held-out ones with --validate "
-            f"{fraction:g}; record longer, or pass --validate 0"
+            f"{len(rows)} rows in which the arm moves cannot be split into fitted and held-out "
+            f"ones with --validate {fraction:g}; record longer, or pass --validate 0"
         )
-    return slice(0, fitted), slice(n_rows - held, n_rows)
+    return ~near, held
 
 
 def blocks(n_rows: int, count: int) -> tuple[slice, ...]:

@@ -80,7 +80,7 @@ def joint_rmse(information: SquareRootInformation, values: Array) -> Array:
 
 
 def combined(parts: Sequence[SquareRootInformation]) -> SquareRootInformation:
-    """Return the information of all parts' data together.
+    """Return the information of all parts' data together; a prior they have counts once.
 
     Args:
         parts: at least one, all with the same parameters and joints.
@@ -94,11 +94,11 @@ def combined(parts: Sequence[SquareRootInformation]) -> SquareRootInformation:
         )
         for same in zip(*(part.joints for part in parts))
     )
-    return SquareRootInformation(parts[0].names, joints)
+    return SquareRootInformation(parts[0].names, joints, parts[0].prior)
 
 
 def restricted(information: SquareRootInformation, names: Sequence[str]) -> SquareRootInformation:
-    """Return the information about some of the parameters, the others held at zero.
+    """Return the data's information about some of the parameters, the others held at zero.
 
     Args:
         information: the data.

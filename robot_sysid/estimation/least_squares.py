@@ -13,18 +13,27 @@ from robot_sysid.records import Array, SampleSource, SquareRootInformation
 MOST_ROUNDS = 30
 """Of methods that find their weights by iteration."""
 _SETTLED = 1e-8
-_NOISE_FLOOR = 1e-9
+_NOISE_FLOOR, _NOISE_FLOOR_WITH_PRIOR = 1e-9, 1e-4
 
 
 def ordinary(
     information: SquareRootInformation, prior: Array, samples: SampleSource | None = None
 ) -> WeightedEquations:
     """Weigh all joints alike; the common noise comes from all residuals together."""
-    ones = np.ones(len(information.joints))
-    squared = float(np.sum(information.squared_residuals(least_squares(information, prior))))
-    freedom = max(information.n_samples - float(np.sum(leverage(information, ones))), 1.0)
-    common = max(np.sqrt(squared / freedom), noise_floor(information))
+    ones, common = np.ones(len(information.joints)), 1.0
+    for _ in range(MOST_ROUNDS):
+        before, common = common, _common_noise(information, prior, ones / common)
+        # Without a prior the estimate does not depend on the size of the noise.
+        if information.prior is None or abs(common / before - 1.0) < _SETTLED:
+            break
     return WeightedEquations(information, common * ones, no_clip(information))
+
+
+def _common_noise(information: SquareRootInformation, prior: Array, weights: Array) -> float:
+    values = least_squares(information, prior, weights)
+    squared = float(np.sum(information.squared_residuals(values)))
+    freedom = max(information.n_samples - float(np.sum(leverage(information, weights))), 1.0)
+    return float(max(np.sqrt(squared / freedom), noise_floor(information)))
 
 
 def least_squares(
@@ -55,8 +64,7 @@ def weighted(
     Iterated feasible generalised least squares; for independent normal noise the fixed point is
     the maximum-likelihood estimate (Oberhofer, Kmenta 1974).
     """
-    weights = np.ones(len(information.joints))
-    noise = joint_noise(information, least_squares(information, prior), weights)
+    noise = ordinary(information, prior).noise
     for _ in range(MOST_ROUNDS):
         values = least_squares(information, prior, 1.0 / noise)
         before, noise = noise, joint_noise(information, values, 1.0 / noise)
@@ -90,10 +98,14 @@ def no_clip(information: SquareRootInformation) -> Array:
 
 
 def noise_floor(information: SquareRootInformation) -> float:
-    """Return what counts as no noise at all: 1e-9 of the root mean square torque [N m]."""
+    """Return what counts as no noise at all: 1e-9 of the root mean square torque [N m].
+
+    With a prior it is 1e-4, which is what filtering leaves: else nuisances would explain that.
+    """
     squared = sum(float(np.sum(joint.triangle[:, -1] ** 2)) for joint in information.joints)
     rms = np.sqrt(squared / max(information.n_samples, 1))
-    return float(_NOISE_FLOOR * rms) or 1.0
+    share = _NOISE_FLOOR if information.prior is None else _NOISE_FLOOR_WITH_PRIOR
+    return float(share * rms) or 1.0
 
 
 def joint_noise(information: SquareRootInformation, values: Array, weights: Array) -> Array:

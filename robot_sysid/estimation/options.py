@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_model
+from robot_sysid.dynamics.friction import DEFAULT_MEASURED, DEFAULT_TERMINAL, friction_model
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.least_squares import WeightedEquations, ordinary, weighted
 from robot_sysid.estimation.robust import huber
@@ -64,7 +64,7 @@ class EstimationOptions(OptionRecord):
         None,
         "friction terms of every joint, such as coulomb-viscous-offset, or auto",
         metavar="TERMS",
-        usual=f"{DEFAULT_MEASURED} for measured data",
+        usual=f"{DEFAULT_MEASURED} for measured data; {DEFAULT_TERMINAL} with --torques terminal",
         needs="measured",
     )
     cutoff: float | None = option(
@@ -99,6 +99,48 @@ class EstimationOptions(OptionRecord):
         choices=("off", "auto"),
         needs="measured",
     )
+    link_uncertainty: float = option(
+        5.0,
+        "how well the model knows the other links: their mass, their centre of mass as part of "
+        "their size, half of what their inertia is off by",
+        unit="%",
+        metavar="P",
+        check=not_negative,
+        needs="measured",
+    )
+    scale_uncertainty: float = option(
+        2.0,
+        "how far each joint's torque scale may be off",
+        unit="%",
+        metavar="P",
+        check=not_negative,
+        needs="measured",
+    )
+    zero_uncertainty: float = option(
+        2.0,
+        "how far each joint's zero position may be off",
+        unit="mrad",
+        metavar="P",
+        check=not_negative,
+        needs="measured",
+    )
+    gravity_uncertainty: float = option(
+        0.3,
+        "how far the base may be tilted against gravity",
+        unit="deg",
+        metavar="P",
+        check=not_negative,
+        needs="measured",
+    )
+    friction_uncertainty: float = option(
+        2.0,
+        "how much friction may grow with the torque of the gear where the friction model has no "
+        "term for it; it may also be curved by five times that part of its Coulomb friction",
+        unit="%",
+        metavar="P",
+        check=not_negative,
+        needs="measured",
+    )
     validate: float = option(
         0.2,
         "share at the end of the log that is not fitted, but tests the result",
@@ -117,7 +159,8 @@ class EstimationOptions(OptionRecord):
     @property
     def measured_friction(self) -> str:
         """Name of the friction model of measured data."""
-        return "none" if self.no_friction else self.friction_model or DEFAULT_MEASURED
+        usual = DEFAULT_MEASURED if self.torques == "chain" else DEFAULT_TERMINAL
+        return "none" if self.no_friction else self.friction_model or usual
 
     @property
     def entropic_weight(self) -> float:

@@ -7,6 +7,8 @@ of a location parameter", 1964; Holland, Welsch 1977). sigma_j is 1.4826 times t
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from robot_sysid.errors import InputError
@@ -76,7 +78,8 @@ def _reweigh(
         noise[index] = _MEDIAN_TO_SIGMA * _binned_median(size, max(rms[index], floor))
         root = np.sqrt(np.minimum(1.0, clip[index] / np.maximum(size, floor)))
         accumulator.add(index, root[:, None] * rows, root * tau)
-    return accumulator.result(), np.maximum(noise, floor)
+    reweighed = replace(accumulator.result(), prior=information.prior)
+    return reweighed, np.maximum(noise, floor)
 
 
 def _binned_median(numbers: Array, scale: float) -> float:

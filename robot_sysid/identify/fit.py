@@ -6,71 +6,32 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robot_sysid.dynamics.equations import Equations, friction_per_joint
 from robot_sysid.dynamics.friction import FrictionModel, friction_model
-from robot_sysid.dynamics.gravity import TILT_NAMES, TiltColumns, gravity, turned, with_gravity
-from robot_sysid.errors import SysidError
 from robot_sysid.estimation.cross_validation import hold_out, validate
 from robot_sysid.estimation.options import CHOSEN, EstimationOptions
-from robot_sysid.estimation.uncertainty import sensitivity
+from robot_sysid.identify.alignment import Aligner, Alignment, Mask
 from robot_sysid.identify.friction_selection import choose_friction
-from robot_sysid.identify.samples import (
-    DecimatedSamples,
-    SharedColumns,
-    decimated_equations,
-    joined,
-)
+from robot_sysid.identify.samples import DecimatedSamples
 from robot_sysid.logs.checks import sign_check
 from robot_sysid.records import (
-    DELAY_NAME,
-    Array,
     Estimate,
     Measurement,
     Motion,
+    NuisanceMisfit,
     RobotModel,
     Validation,
 )
 from robot_sysid.records.progress import Progress
-from robot_sysid.signals.process import ProcessedSignals, delay_columns, process, with_delay
+from robot_sysid.signals.process import ProcessedSignals, process
 from robot_sysid.simulator import ArmTorque
-from robot_sysid.solver import identify_parameters
 
 DELAY_CUTOFF = 10.0
 """Highest cut-off that is chosen where a delay is estimated [Hz]: beyond it the jumps of dry
 friction, which no derivative describes, make the search slow or fail."""
-DEFAULT_METHOD = "wls"
-_MOST_ROUNDS = 20
-_SETTLED_DELAY = 1e-7
-_SETTLED_TILT = 1e-7
+MOVING = 0.05
+"""Share of its peak speed above which a joint moves."""
 _CHECKPOINTS = 400
-
-Mask = NDArray[np.bool_]
-
-
-@dataclass(frozen=True)
-class Alignment:
-    """What is known so far about the delay of the logs and the base's tilt.
-
-    Attributes:
-        delay: by which torque lags position [s].
-        gravity: (3,) gravity in the world frame of the model [m/s^2].
-    """
-
-    delay: float
-    gravity: Array
-
-    def moved(self, estimate: Estimate) -> Alignment:
-        """Return the alignment after an estimate of what was left of both."""
-        delay = self.delay + (estimate.value(DELAY_NAME) or 0.0)
-        angles = np.array([estimate.value(name) or 0.0 for name in TILT_NAMES])
-        return Alignment(delay, turned(self.gravity, angles) if np.any(angles) else self.gravity)
-
-    def tilt_from(self, reference: Array) -> float:
-        """Return the angle between this gravity and another [rad]."""
-        cross = np.linalg.norm(np.cross(self.gravity, reference))
-        return float(np.arctan2(cross, self.gravity @ reference))
 
 
 @dataclass(frozen=True)
@@ -81,9 +42,11 @@ class MeasuredFit:
         estimate: the result.
         friction: the friction model that was used.
         alignment: delay and gravity that were found (or assumed).
+        misfits: what the data asks for that the model does not have.
         validation: prediction error on the part that was not fitted, if any.
         cutoff: of the low-pass [Hz].
-        sensitivity: how hidden errors would move the estimate, see ``uncertainty.sensitivity``.
+        torque: joint name to root mean square of its measured torque [N m].
+        acceleration_error: expected error of the acceleration, as a part of it.
         checkpoints: some of the measured motion.
         notes: one sentence each.
     """
@@ -91,9 +54,11 @@ class MeasuredFit:
     estimate: Estimate
     friction: FrictionModel
     alignment: Alignment
+    misfits: tuple[NuisanceMisfit, ...]
     validation: Validation | None
     cutoff: float
-    sensitivity: Mapping[str, Mapping[str, float]]
+    torque: Mapping[str, float]
+    acceleration_error: float
     checkpoints: Motion
     notes: tuple[str, ...]
 
@@ -123,19 +88,23 @@ def fit_measured(
     model, chosen = _friction(robot, options, signals, fitted)
     notes += [*chosen, *(note for log in signals for note in _one_way(robot, model, log))]
     progress.stage("Solving for parameters...")
-    estimate, alignment, samples = _align(robot, options, model, signals, fitted)
-    validation = None
+    aligner = Aligner(robot, options, model, signals)
+    fit, validation = aligner.fit(fitted), None
     if options.validate > 0.0:
         log = "the log" if len(signals) == 1 else "each log"
-        source = f"the last {100.0 * options.validate:.0f} % of {log}"
-        validation = validate_samples(_chosen(samples, held), estimate, source)
+        source = f"{100.0 * options.validate:.0f} % of {log} that was not fitted for it"
+        validation = validate_samples(fit.rows(held), fit.estimate, source)
+        # What was held out has done its work; the numbers come from all that was recorded.
+        fit = aligner.fit([np.ones(len(part), dtype=bool) for part in fitted], fit)
     return MeasuredFit(
-        estimate,
+        fit.estimate,
         model,
-        alignment,
+        fit.alignment,
+        fit.misfits,
         validation,
         signals[0].cutoff,
-        hidden_errors(_chosen(samples, fitted), estimate),
+        dict(zip(robot.joint_names, aligner.torque.tolist())),
+        max(log.acceleration_error for log in signals),
         _checkpoints(signals[0]),
         tuple(dict.fromkeys(notes)),
     )
@@ -176,10 +145,8 @@ def validate_on(
     """Return the prediction error of a fit on another log, processed like the fitted one."""
     band = options.velocity_deadband
     signals = process(measurement, robot.joint_names, fit.cutoff, band)
-    arm = with_gravity(robot, fit.alignment.gravity)
-    per_joint = friction_per_joint(arm, options.torques, fit.friction)
-    equations = Equations(arm, options.torques, per_joint)
-    samples = decimated_equations(equations, with_delay(signals, fit.alignment.delay))
+    aligner = Aligner(robot, options, fit.friction, (signals,))
+    samples = aligner.samples(fit.alignment, fit.estimate.values)[0]
     return validate_samples(samples, fit.estimate, name)
 
 
@@ -189,39 +156,20 @@ def validate_samples(samples: DecimatedSamples, estimate: Estimate, source: str)
     return validate(samples.information(), values, source, samples.squared_torque())
 
 
-def hidden_errors(
-    samples: DecimatedSamples, estimate: Estimate
-) -> Mapping[str, Mapping[str, float]]:
-    """Return how errors of the other links and of torque scales would move an estimate."""
-    used = samples.used()
-    noise = estimate.noise_per_joint
-    weights = np.array([1.0 / noise.get(joint, np.inf) for joint in used.joints])
-    rest = [measured - tau for measured, tau in zip(used.measured, used.tau)]
-    return sensitivity(used.information(), weights, used.rows, rest, used.measured)
-
-
 def _parts(signals: Sequence[ProcessedSignals], share: float) -> tuple[list[Mask], list[Mask]]:
     """Return which decimated rows (K,) of each log are fitted, and which are held out.
 
-    The two parts are a filter's length apart.
+    What is held out is taken from where the arm moves; the two are a filter's length apart.
     """
-    fitted: list[Mask] = []
-    held: list[Mask] = []
+    fitted, held = [], []
     for log in signals:
+        at = log.low_pass.centres(len(log))
+        speed = np.abs(log.qd[at]) / np.maximum(np.max(np.abs(log.qd), axis=0), 1e-12)
         gap = -(-len(log.low_pass.kernel) // log.low_pass.step) if share > 0.0 else 0
-        rows = len(log.decimated_time())
-        for masks, part in zip((fitted, held), hold_out(rows, share, gap)):
-            masks.append(np.zeros(rows, dtype=bool))
-            masks[-1][part] = True
+        parts = hold_out(np.any(speed > MOVING, axis=1), share, gap)
+        fitted.append(parts[0])
+        held.append(parts[1])
     return fitted, held
-
-
-def _chosen(logs: Sequence[DecimatedSamples], parts: Sequence[Mask]) -> DecimatedSamples:
-    """Return the samples of all logs with one part of each in use.
-
-    A delay shortens logs at their ends; the parts then end earlier.
-    """
-    return joined([log.where(part[: len(log)]) for log, part in zip(logs, parts)])
 
 
 def _compare_with_model(robot: RobotModel, signals: ProcessedSignals) -> tuple[str, ...]:
@@ -251,85 +199,3 @@ def _one_way(robot: RobotModel, model: FrictionModel, signals: ProcessedSignals)
     """Yield a sentence per joint whose Coulomb friction looks like an offset in this log."""
     if {"coulomb", "offset"} <= set(model.terms):
         yield from signals.one_way_joints(robot.joint_names)
-
-
-def _align(
-    robot: RobotModel,
-    options: EstimationOptions,
-    friction: FrictionModel,
-    signals: Sequence[ProcessedSignals],
-    fitted: Sequence[Mask],
-) -> tuple[Estimate, Alignment, list[DecimatedSamples]]:
-    """Estimate, put right what was found of delay and tilt, and repeat until neither moves.
-
-    Raises:
-        SysidError: they keep moving.
-    """
-    alignment, theta = Alignment(0.0, gravity(robot)), robot.prior.theta
-    method = options.method or DEFAULT_METHOD
-    for _ in range(_MOST_ROUNDS):
-        samples, prior = _samples(robot, options, friction, signals, alignment, theta)
-        rows = _chosen(samples, fitted)
-        estimate = identify_parameters(rows.information(), prior, method, options, rows)
-        moved = alignment.moved(estimate)
-        if _is_settled(alignment, moved):
-            return estimate, moved, samples
-        alignment, theta = moved, estimate.values[:10]
-    sought = " and ".join(shared_names(options))
-    raise SysidError(
-        f"the estimates of {sought} do not settle within {_MOST_ROUNDS} rounds (last delay "
-        f"{1e3 * alignment.delay:.3g} ms): this log does not show them well enough; lower "
-        "--cutoff, or leave --delay and --tilt off"
-    )
-
-
-def _is_settled(before: Alignment, after: Alignment) -> bool:
-    slow = abs(after.delay - before.delay) < _SETTLED_DELAY
-    return slow and after.tilt_from(before.gravity) < _SETTLED_TILT
-
-
-def shared_names(options: EstimationOptions) -> tuple[str, ...]:
-    """Return the names of the parameters that enter every joint's equations."""
-    delay = (DELAY_NAME,) if options.delay == "auto" else ()
-    return delay + (TILT_NAMES if options.tilt == "auto" else ())
-
-
-def _samples(
-    robot: RobotModel,
-    options: EstimationOptions,
-    friction: FrictionModel,
-    signals: Sequence[ProcessedSignals],
-    alignment: Alignment,
-    theta: Array,
-) -> tuple[list[DecimatedSamples], Array]:
-    """Return each log's equations around an alignment, and the prior of their parameters."""
-    arm = with_gravity(robot, alignment.gravity)
-    per_joint = friction_per_joint(arm, options.torques, friction)
-    equations = Equations(arm, options.torques, per_joint, shared_names(options))
-    parts = []
-    for log in signals:
-        shifted = with_delay(log, alignment.delay) if alignment.delay else log
-        shared = _shared_columns(arm, options, shifted, theta)
-        parts.append(decimated_equations(equations, shifted, shared))
-    return parts, equations.prior
-
-
-def _shared_columns(
-    arm: RobotModel, options: EstimationOptions, signals: ProcessedSignals, theta: Array
-) -> SharedColumns | None:
-    if not shared_names(options):
-        return None
-    late = delay_columns(signals)[:, :, None] if options.delay == "auto" else None
-    tilted = TiltColumns(arm, _thetas(arm, theta)) if options.tilt == "auto" else None
-
-    def columns(motion: Motion, place: slice) -> Array:
-        parts = [] if late is None else [late[place]]
-        parts += [] if tilted is None else [tilted.evaluate(motion.q)]
-        return np.concatenate(parts, axis=-1)
-
-    return columns
-
-
-def _thetas(robot: RobotModel, terminal: Array) -> Array:
-    """Return (n, 10) the model's links with another terminal one (10,)."""
-    return np.array([*(link.theta for link in robot.links[:-1]), terminal])

@@ -12,6 +12,7 @@ from robot_sysid.dynamics.gravity import gravity
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.identify.fit import MeasuredFit, fit_measured, validate_on
 from robot_sysid.identify.simulated import Analysis, SimulatedRun, describe
+from robot_sysid.identify.verdict import judged
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.reader import (
     LogJoints,
@@ -160,10 +161,10 @@ def _identify(
         validation=validation,
         friction_model=fit.friction.name,
         cutoff=fit.cutoff,
-        sensitivity=fit.sensitivity,
+        misfits=fit.misfits,
         **aligned,
     )
-    return Analysis(found, fit.checkpoints)
+    return Analysis(judged(found, robot, fit.torque, fit.acceleration_error), fit.checkpoints)
 
 
 def _alignment(

@@ -57,3 +57,19 @@ def composite_theta(mj_model: Any, qpos: Array, body_id: int) -> Array:
     Expressed in the body's own frame, inertia about its origin.
     """
     return np.sum([body.theta for body in subtree_bodies(mj_model, qpos, body_id)], axis=0)
+
+
+def link_reach(mj_model: Any, qpos: Array, body_id: int) -> float:
+    """Return how far a body and all below it, held at ``qpos``, reach from its origin [m].
+
+    The farthest point of its geoms' bounding spheres, and at least the length of the uniform rod
+    whose mass is as far from its end.
+    """
+    data = mujoco.MjData(mj_model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(mj_model, data)
+    geoms = np.isin(mj_model.geom_bodyid, subtree(mj_model, body_id))
+    away = np.linalg.norm(data.geom_xpos[geoms] - data.xpos[body_id], axis=1)
+    spheres = away + mj_model.geom_rbound[geoms]
+    rod = np.sqrt(3.0) * spatial.characteristic_length(composite_theta(mj_model, qpos, body_id))
+    return float(max(rod, np.max(spheres, initial=0.0)))

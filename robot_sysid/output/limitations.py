@@ -8,7 +8,6 @@ import numpy as np
 
 from robot_sysid.dynamics.friction import friction_model
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES, characteristic_length, parameter_scale
-from robot_sysid.estimation.uncertainty import OTHER_LINKS, TORQUE_SCALE
 from robot_sysid.records import Estimate, Identification
 
 WEAK = 0.1
@@ -21,7 +20,6 @@ PRIOR_SHARE = 0.5
 """Share of the data in a value below which the model has more say."""
 SURE = 3.0
 """Standard errors from zero beyond which a sign is sure."""
-_VISIBLE = 1e-4
 
 
 def limitations(found: Identification) -> tuple[str, ...]:
@@ -33,7 +31,7 @@ def limitations(found: Identification) -> tuple[str, ...]:
         *_unidentifiable(estimate),
         *_weak(estimate),
         *_prior(estimate),
-        *_hidden(found),
+        *_misfits(found),
         *_negative_friction(found),
         *_coloured(estimate),
         *_generalises(found),
@@ -72,29 +70,26 @@ def _prior(estimate: Estimate) -> Iterator[str]:
         yield f"more model than data in {', '.join(names)}: the prior outweighs the torques there"
 
 
-def _hidden(found: Identification) -> Iterator[str]:
-    """Tell what errors do that the residuals cannot show."""
-    causes = (
-        (OTHER_LINKS, "if the other links take 1 % more torque than the model says"),
-        (TORQUE_SCALE, "if each joint's torque scale is off by 1 %"),
-    )
-    moves = [f"{words}, {move}" for cause, words in causes for move in _moves(found, cause)]
-    if moves:
-        yield f"errors that residuals do not show: {'; '.join(moves)}"
+_MISFIT = {
+    "links": "the model's numbers of other links do not fit this arm",
+    "torque scale": "the scale of the torques does not fit the model",
+    "joint offsets": "zero positions of joints do not fit the model",
+    "gravity": "the base is not level as in the model",
+    "friction model": "the joints' friction follows another law than the one that was fitted",
+}
 
 
-def _moves(found: Identification, cause: str) -> Iterator[str]:
-    """Yield what 1 % of a cause does, where it does anything."""
-    change, link = found.sensitivity.get(cause, {}), found.estimate.inertial
-    if not change or abs(change["m"]) <= _VISIBLE * link.mass:
-        return
-    mass = abs(change["m"])
-    text = f"the mass moves by {mass:.2g} kg"
-    if mass < 0.5 * link.mass:
-        com = np.array([change["hx"], change["hy"], change["hz"]]) - change["m"] * link.com
-        text += f" ({100.0 * mass / link.mass:.2g} %) and the centre of mass by "
-        text += f"{1e3 * np.linalg.norm(com) / link.mass:.2g} mm"
-    yield text
+def _misfits(found: Identification) -> Iterator[str]:
+    """Tell what the data asks for that the model does not have."""
+    for misfit in found.misfits:
+        words = f"{_MISFIT[misfit.cause]} (most: {', '.join(misfit.members[:3])})"
+        if misfit.widened > 1.0:
+            yield (
+                f"{words}: they are {misfit.asked:.2g} times as far off as was allowed, and the "
+                "errors above were widened for it"
+            )
+        else:
+            yield f"{words}; the errors above allow for that"
 
 
 def _negative_friction(found: Identification) -> Iterator[str]:

@@ -86,6 +86,7 @@ def _quality(identification: Identification) -> dict[str, Any]:
     return {
         "status": estimate.status.name,
         "status_text": estimate.status.value,
+        "reasons": identification.reasons,
         "valid": {
             "physically_consistent": estimate.inertial.is_consistent,
             "all_identified": all(seen.identified),
@@ -106,18 +107,33 @@ def _uncertainty(identification: Identification) -> dict[str, Any]:
     estimate = identification.estimate
 
     def named(values: Any) -> dict[str, Any] | None:
-        return None if values is None else dict(zip(estimate.names, values))
+        return None if values is None else dict(zip(estimate.names[: estimate.n_interest], values))
 
     return {
         "constrained": estimate.constrained,
         "standard_errors": named(estimate.standard_errors),
+        "standard_errors_noise": named(estimate.noise_errors),
+        "error_budget": _budget(estimate),
         "relative_standard_errors": named(estimate.relative_errors),
         "data_share": named(estimate.data_share),
         "noise_per_joint": dict(estimate.noise_per_joint),
         "samples_per_joint": dict(estimate.samples),
         "effective_samples_per_joint": dict(estimate.effective_samples),
-        "sensitivity": dict(identification.sensitivity),
+        "nuisances": dict(
+            zip(estimate.names[estimate.n_interest :], estimate.values[estimate.n_interest :])
+        ),
         "limitations": limitations(identification),
+    }
+
+
+def _budget(estimate: Estimate) -> dict[str, dict[str, float]]:
+    """Return parameter to cause to the standard deviation that this cause explains."""
+    parts = {**estimate.error_budget}
+    if estimate.noise_errors is not None:
+        parts = {"noise": estimate.noise_errors, **parts}
+    return {
+        name: {cause: float(values[index]) for cause, values in parts.items()}
+        for index, name in enumerate(estimate.names[: estimate.n_interest])
     }
 
 
@@ -138,7 +154,7 @@ def friction_entries(identification: Identification) -> dict[str, dict[str, floa
     """Return joint name to its estimated friction terms: {"joint6": {"coulomb": 0.4, ...}}."""
     found: dict[str, dict[str, float]] = {}
     estimate = identification.estimate
-    for name, value in zip(estimate.names, estimate.values):
+    for name, value in zip(estimate.names[: estimate.n_interest], estimate.values):
         term, bracket, rest = name.partition("[")
         if bracket:
             found.setdefault(rest[:-1], {})[term] = float(value)

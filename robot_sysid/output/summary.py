@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from robot_sysid.damiao.trajectory.csv_file import DamiaoExportReport
 
 
+WHOLE = 0.995
+"""Share of the data in a value above which it goes without saying."""
+
+
 def result_lines(identification: Identification) -> list[str]:
     """Return the block "Identified parameters: ..." line by line."""
     estimate = identification.estimate
@@ -55,19 +59,32 @@ def _error_lines(estimate: Estimate) -> list[str]:
     errors, relative = estimate.standard_errors, estimate.relative_errors
     if errors is None or relative is None:
         return []
+    noise = errors if estimate.noise_errors is None else estimate.noise_errors
     share = np.ones(len(errors)) if estimate.data_share is None else estimate.data_share
-    rows = zip(estimate.names[:10], estimate.values, errors, relative, share)
+    rows = zip(estimate.names[:10], estimate.values, errors, relative, noise, share)
     return [
-        "Standard errors (and share of the data in each value):",
+        "Standard errors, all causes together (and of noise alone):",
         *(f"  {name}: {_with_error(*figures)}" for name, *figures in rows),
+        *_budget_line(estimate),
     ]
 
 
-def _with_error(value: float, error: float, relative: float, data: float) -> str:
+def _with_error(value: float, error: float, relative: float, noise: float, data: float) -> str:
     if not np.isfinite(error):
         return f"{value:.4g}, at least partly from the model (data {100.0 * data:.0f} %)"
-    share = f"{_percent(relative)}; " if np.isfinite(relative) else ""
-    return f"{value:.4g} ± {error:.2g} ({share}data {100.0 * data:.0f} %)"
+    parts = [_percent(relative)] if np.isfinite(relative) else []
+    parts += [f"noise {noise:.2g}"]
+    parts += [f"data {100.0 * data:.0f} %"] if data < WHOLE else []
+    return f"{value:.4g} ± {error:.2g} ({'; '.join(parts)})"
+
+
+def _budget_line(estimate: Estimate) -> list[str]:
+    """Return what the mass's error comes from."""
+    if not estimate.error_budget or estimate.noise_errors is None:
+        return []
+    parts = {"noise": estimate.noise_errors, **estimate.error_budget}
+    listed = ", ".join(f"{cause} {values[0]:.2g}" for cause, values in parts.items())
+    return [f"The mass's error by cause, kg: {listed}"]
 
 
 def _percent(share: float) -> str:

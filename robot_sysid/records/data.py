@@ -130,10 +130,13 @@ class SquareRootInformation:
         names: (p,) global parameter names: the ten of ``spatial.PARAMETER_NAMES`` first, then
             nuisances such as ``coulomb[joint6]``.
         joints: one entry per joint whose torque is used.
+        prior: (r, p+1) further equations [A b] of unit variance: what was known before the data;
+            None where nothing was.
     """
 
     names: tuple[str, ...]
     joints: tuple[JointInformation, ...]
+    prior: Array | None = None
 
     @property
     def n_samples(self) -> int:
@@ -144,7 +147,8 @@ class SquareRootInformation:
         """Return (A (M, p), b (M,)) with ||A x - b||^2 = sum_j w_j^2 ||Y_j x - tau_j||^2.
 
         Args:
-            weights: (joints,) weight of each joint's equations, 1/sigma; None weighs all alike.
+            weights: (joints,) weight of each joint's equations, 1/sigma; the prior's equations
+                come with them. None weighs all joints alike and leaves the prior out.
         """
         scale = np.ones(len(self.joints)) if weights is None else np.asarray(weights)
         blocks, rights = [], []
@@ -153,6 +157,9 @@ class SquareRootInformation:
             block[:, joint.columns] = weight * joint.triangle[:, :-1]
             blocks.append(block)
             rights.append(weight * joint.triangle[:, -1])
+        if weights is not None and self.prior is not None:
+            blocks.append(self.prior[:, :-1])
+            rights.append(self.prior[:, -1])
         return np.vstack(blocks), np.concatenate(rights)
 
     def squared_residuals(self, values: Array) -> Array:

@@ -39,6 +39,20 @@ class Status(Enum):
         "the model, or add what the model knows with --prior entropic"
     )
 
+    UNCERTAIN = (
+        "the mass is not known to 10 %, all causes of error together; weigh a payload by "
+        "difference (robot-sysid payload), which needs no knowledge of the other links, or say "
+        "with --link-uncertainty and --scale-uncertainty how well this arm is known"
+    )
+    IMPLAUSIBLE = (
+        "the result is not what this link can be, so the log, its units or the rest of the model "
+        "are not what they are taken for"
+    )
+    UNEXPLAINED = (
+        "the torques do not follow from the motion as far as noise would let them, so the log, its "
+        "units, its friction or the rest of the model are not what they are taken for"
+    )
+
     @property
     def is_trustworthy(self) -> bool:
         """Whether the result may go into a model."""
@@ -80,14 +94,17 @@ class Estimate:
         status: how it ended.
         method: estimator's name.
         covariance: (p, p), where one was computed; zero along directions the data cannot see.
-        standard_errors: (p,) standard deviation of each value; infinite where only the model's
-            value is known.
+        standard_errors: (p,) standard deviation of each value, all causes together; infinite where
+            only the model's value is known.
+        noise_errors: (p,) the part of them that torque noise explains.
+        error_budget: cause to the part of them (p,) that this cause explains; squares add up.
         data_share: (p,) how much of each value comes from the data: 1 all, 0 all from the model.
         noise_per_joint: joint name to standard deviation of its torque noise [N m]; only joints
             of which samples were used.
         samples: joint name to the number of samples its equations used.
         effective_samples: joint name to the number of independent samples its noise leaves.
         constrained: whether the plain estimate was replaced by the best possible rigid body.
+        n_nuisances: how many parameters at the end are nuisances with a prior of their own.
     """
 
     names: tuple[str, ...]
@@ -99,11 +116,14 @@ class Estimate:
     method: str = "ols"
     covariance: Array | None = None
     standard_errors: Array | None = None
+    noise_errors: Array | None = None
+    error_budget: Mapping[str, Array] = field(default_factory=dict)
     data_share: Array | None = None
     noise_per_joint: Mapping[str, float] = field(default_factory=dict)
     samples: Mapping[str, int] = field(default_factory=dict)
     effective_samples: Mapping[str, float] = field(default_factory=dict)
     constrained: bool = False
+    n_nuisances: int = 0
 
     def __post_init__(self) -> None:
         size = len(self.names)
@@ -113,6 +133,11 @@ class Estimate:
     def inertial(self) -> InertialParameters:
         """The ten inertial parameters."""
         return InertialParameters(self.values[:10])
+
+    @property
+    def n_interest(self) -> int:
+        """Number of parameters before the nuisances."""
+        return len(self.names) - self.n_nuisances
 
     @property
     def independent_share(self) -> dict[str, float]:
@@ -163,6 +188,23 @@ class Validation:
     relative_error: float | None
     rmse_per_joint: Mapping[str, float]
     relative_error_per_joint: Mapping[str, float | None]
+
+
+@dataclass(frozen=True)
+class NuisanceMisfit:
+    """A cause of error that the data asks for.
+
+    Attributes:
+        cause: in words, such as "links".
+        members: whose numbers are off most, the worst first.
+        asked: how far they are off, in units of what was allowed.
+        widened: by how much the allowance had to be widened; 1 where it was enough.
+    """
+
+    cause: str
+    members: tuple[str, ...]
+    asked: float
+    widened: float
 
 
 class Source(Enum):
@@ -222,8 +264,8 @@ class Identification:
         tilt: angle between the model's gravity and the estimated one, where it was estimated [rad].
         gravity: (3,) estimated gravity in the model's world frame [m/s^2], where it was estimated.
         cutoff: of the low-pass of measured data [Hz].
-        sensitivity: cause of error to parameter to how 1 % of it would move the result of
-            measured data, see ``uncertainty.sensitivity``.
+        misfits: what the data asks for that the model does not have.
+        reasons: why the result may not be trusted, beyond its status; one phrase each.
         notes: one sentence each: what the user should know.
     """
 
@@ -244,5 +286,6 @@ class Identification:
     tilt: float | None = None
     gravity: Array | None = None
     cutoff: float | None = None
-    sensitivity: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    misfits: tuple[NuisanceMisfit, ...] = ()
+    reasons: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()

@@ -52,11 +52,13 @@ class CutoffChoice:
     Attributes:
         cutoff: [Hz].
         position_noise: (n,) standard deviation of the white noise seen in each position [rad].
+        acceleration_error: expected error of the acceleration, as a part of it.
         reason: one sentence.
     """
 
     cutoff: float
     position_noise: Array
+    acceleration_error: float
     reason: str
 
 
@@ -92,12 +94,13 @@ def choose_cutoff(q: Array, rate: float, steps: Array) -> CutoffChoice:
     fit = np.flatnonzero(errors <= max(_HARMLESS, _NEARLY_BEST * errors.min()))
     best = candidates[fit[-1]]
     sigma = np.sqrt(level * rate / 2.0)
+    expected = float(np.sqrt(errors[fit[-1]]))
     reason = (
         f"cut-off {best:.3g} Hz chosen from the data: position noise "
         f"{sigma.min():.2g} to {sigma.max():.2g} rad, expected error of the acceleration "
-        f"{100 * np.sqrt(errors[fit[-1]]):.2g} %"
+        f"{100.0 * expected:.2g} %"
     )
-    return CutoffChoice(float(best), sigma, reason)
+    return CutoffChoice(float(best), sigma, expected, reason)
 
 
 def encoder_steps(q: Array) -> Array:

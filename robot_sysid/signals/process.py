@@ -57,6 +57,8 @@ class ProcessedSignals:
         deadband: (n,) speed below which the direction of a joint's friction is not sure [rad/s].
         low_pass: the filter for regressor columns and torques.
         notes: one sentence each: what was done.
+        acceleration_error: expected error of the acceleration, as a part of it; 0 where the
+            cut-off was given.
     """
 
     time: Array
@@ -68,6 +70,7 @@ class ProcessedSignals:
     deadband: Array
     low_pass: LowPass
     notes: tuple[str, ...]
+    acceleration_error: float = 0.0
 
     def __len__(self) -> int:
         return len(self.time)
@@ -149,12 +152,12 @@ def process(
     Raises:
         InputError: the log is too short for its cut-off, or the cut-off does not fit its rate.
     """
-    uniform = resampled(measurement)
+    uniform, expected = resampled(measurement), 0.0
     if cutoff is None:
         # Steps are seen in the readings themselves; interpolation rounds them off.
         steps = resampled(replace(measurement, q=_steps(measurement))).q
         choice = choose_cutoff(uniform.q, uniform.rate, steps)
-        cutoff, reason = choice.cutoff, choice.reason
+        cutoff, reason, expected = choice.cutoff, choice.reason, choice.acceleration_error
     else:
         reason = f"cut-off {cutoff:g} Hz as given"
     low_pass = design_low_pass(cutoff, uniform.rate)
@@ -177,6 +180,7 @@ def process(
         band,
         low_pass,
         (),
+        expected,
     )
     return replace(signals, notes=(*uniform.notes, reason, *_notes(signals, joint_names)))
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimation.consistency import consistent_least_squares, lifted_body
+from robot_sysid.estimation.consistency import YIELDING, consistent_least_squares, lifted_body
 from tests.support.synthetic_data import (
     arm_equations,
     body_divergence,
@@ -97,25 +97,23 @@ def test_units_do_not_matter(seed, mass_power, length_power, torque_power):
 
 @settings(max_examples=100, deadline=None)
 @given(SEEDS, st.floats(0.0, 30.0))
-def test_what_the_data_cannot_see_stays_exactly_at_the_prior(seed, noise):
-    matrix, right, prior = terminal_problem(seed, noise)
+def test_what_the_data_cannot_see_stays_at_the_prior_unless_that_is_impossible(seed, noise):
+    matrix, right, prior, _ = terminal_problem(seed, noise)
     values = consistent_least_squares(matrix, right, prior)
-    assert values[0] == prior[0]
-    assert values[3] == prior[3]
-    assert values[4] + values[7] == pytest.approx(prior[4] + prior[7], rel=1e-12)
     assert spatial.is_consistent(values[:10])
+    if spatial.is_consistent(least_correction(matrix, right, prior)[:10] * (1.0 - 1e-6)):
+        assert values[0] == prior[0] and values[3] == prior[3]
+        assert values[4] + values[7] == pytest.approx(prior[4] + prior[7], rel=1e-12)
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_with_unidentifiable_directions_the_objective_is_that_of_the_visible_program(seed):
-    matrix, right, prior = terminal_problem(seed, 3.0)
+@settings(max_examples=100, deadline=None)
+@given(SEEDS, st.floats(0.0, 30.0))
+def test_what_the_data_does_not_see_gives_way_before_what_it_sees(seed, noise):
+    """The truth is a possible body, so nothing visible may be bent more than towards it."""
+    matrix, right, prior, truth = terminal_problem(seed, noise)
     values = consistent_least_squares(matrix, right, prior)
-    assert not spatial.is_consistent(least_correction(matrix, right, prior)[:10])
-    unseen = np.zeros((3, 12))
-    unseen[0, 0] = unseen[1, 3] = unseen[2, 4] = unseen[2, 7] = 1.0
-    pinned = np.vstack((matrix, 1e5 * unseen))
-    reference = sdp_least_squares(pinned, np.append(right, 1e5 * unseen @ prior))
-    assert cost(matrix, right, values) == pytest.approx(reference, rel=1e-5)
+    allowed = YIELDING * body_divergence(truth[:10], prior[:10]) + 1e-6
+    assert cost(matrix, right, values) <= cost(matrix, right, truth) + 1.01 * allowed
 
 
 def terminal_problem(seed, noise):
@@ -123,7 +121,7 @@ def terminal_problem(seed, noise):
     truth = np.append(random_body(rng, 0.1), [0.4, 0.1])
     prior = np.append(random_body(rng), [0.0, 0.0])
     matrix, right = terminal_information(rng, truth).stacked()
-    return matrix, right + noise * rng.normal(size=len(right)), prior
+    return matrix, right + noise * rng.normal(size=len(right)), prior, truth
 
 
 def least_correction(matrix, right, prior):

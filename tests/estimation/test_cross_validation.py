@@ -80,21 +80,33 @@ def test_nothing_to_validate_on_is_said():
 
 
 @settings(max_examples=100)
-@given(st.integers(20, 10_000), st.floats(0.01, 0.8), st.integers(0, 3))
-def test_parts_do_not_overlap_and_the_end_is_held_out(n_rows, fraction, gap):
-    fitted, held = hold_out(n_rows, fraction, gap)
-    assert fitted.start == 0 and held.stop == n_rows
-    assert held.start - fitted.stop == gap
-    assert fraction * n_rows <= held.stop - held.start < fraction * n_rows + 1.0
+@given(st.integers(0, 2**32), st.integers(40, 3000), st.floats(0.01, 0.5), st.integers(0, 3))
+def test_parts_are_a_gap_apart_and_the_arm_moves_where_it_is_held_out(seed, n_rows, fraction, gap):
+    moving = np.random.default_rng(seed).random(n_rows) < 0.8
+    fitted, held = hold_out(moving, fraction, gap)
+    assert np.all(moving[held])
+    share = np.count_nonzero(held) / np.count_nonzero(moving)
+    assert fraction <= share < fraction + 10.0 / np.count_nonzero(moving)
+    apart = np.abs(np.flatnonzero(fitted)[:, None] - np.flatnonzero(held)[None, :])
+    assert np.min(apart) == gap + 1
+    assert held[np.flatnonzero(moving)[-1]]
+
+
+def test_a_long_log_is_tested_all_along_it_and_not_where_it_stands_still():
+    moving = np.arange(5000) % 1000 < 600
+    _, held = hold_out(moving, 0.2, 5)
+    assert [np.any(held[k : k + 1000]) for k in range(0, 5000, 1000)] == [True] * 5
 
 
 def test_holding_out_nothing_fits_everything():
-    assert hold_out(10, 0.0, gap=5) == (slice(0, 10), slice(10, 10))
+    fitted, held = hold_out(np.ones(10, dtype=bool), 0.0, gap=5)
+    assert np.all(fitted) and not np.any(held)
 
 
-def test_a_split_without_rows_to_fit_is_refused():
+@pytest.mark.parametrize("moving", [np.ones(5, dtype=bool), np.zeros(50, dtype=bool)])
+def test_a_split_without_rows_to_fit_or_to_test_is_refused(moving):
     with pytest.raises(InputError, match="cannot be split"):
-        hold_out(5, 0.5, gap=3)
+        hold_out(moving, 0.5, gap=3)
 
 
 @settings(max_examples=100)

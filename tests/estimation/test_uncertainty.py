@@ -2,25 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_sysid.estimation.least_squares import least_squares
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.estimation.uncertainty import (
-    OTHER_LINKS,
-    TORQUE_SCALE,
-    prior_curvature,
-    sensitivity,
     white_uncertainty,
+    with_body_prior,
 )
 from robot_sysid.solver import identify_parameters
 from tests.benchmarks.smooth_arm import SmoothArm, information_of_samples, samples_of
-from tests.identify.test_samples import random_samples
 from tests.support.arms import SEEDS
 from tests.support.synthetic_data import (
     arm_equations,
@@ -28,8 +21,6 @@ from tests.support.synthetic_data import (
     random_body,
     terminal_information,
 )
-
-NO_PRIOR = np.zeros((16, 16))
 
 
 def dense(equations, size):
@@ -52,7 +43,7 @@ def test_white_covariance_is_the_sandwich_of_the_dense_rows(seed):
     normal = sum(w**2 * r.T @ r for w, r in zip(weights, rows))
     score = sum(w**4 * s**2 * r.T @ r for w, s, r in zip(weights, noise, rows))
     expected = np.linalg.solve(normal, np.linalg.solve(normal, score).T)
-    found = white_uncertainty(information, weights, noise, NO_PRIOR)
+    found = white_uncertainty(information, weights, noise)
     np.testing.assert_allclose(found.covariance, expected, rtol=1e-7, atol=1e-12)
     np.testing.assert_allclose(found.standard_errors**2, np.diag(expected), rtol=1e-7)
 
@@ -66,8 +57,8 @@ def test_no_weights_beat_the_cramer_rao_bound(seed):
     noise = rng.uniform(0.1, 1.0, 3)
     fisher = sum(r.T @ r / s**2 for s, r in zip(noise, dense(equations, 16)))
     bound = np.linalg.inv(fisher)
-    best = white_uncertainty(information, 1.0 / noise, noise, NO_PRIOR).covariance
-    other = white_uncertainty(information, rng.uniform(0.5, 2.0, 3), noise, NO_PRIOR).covariance
+    best = white_uncertainty(information, 1.0 / noise, noise).covariance
+    other = white_uncertainty(information, rng.uniform(0.5, 2.0, 3), noise).covariance
     np.testing.assert_allclose(best, bound, rtol=1e-7, atol=1e-13)
     scale = np.sqrt(np.diag(bound))
     gap = np.linalg.eigvalsh((other - bound) / np.outer(scale, scale))
@@ -95,16 +86,17 @@ def test_a_stronger_prior_leaves_a_smaller_share_to_the_data(seed):
     equations, names = arm_equations(rng)
     information = information_of(equations, names, rng.normal(size=16))
     body, noise = random_body(rng), np.ones(3)
+    alone = white_uncertainty(information, noise, noise)
     shares = [
-        white_uncertainty(information, noise, noise, prior_curvature(body, w, 16)).data_share
-        for w in (1e-3, 1.0, 1e3, 1e6)
+        with_body_prior(alone, information, noise, body, pull).data_share
+        for pull in (1e-3, 1.0, 1e3, 1e6)
     ]
     for weak, strong in zip(shares, shares[1:]):
         assert np.all(strong <= weak + 1e-7)
         assert np.all((strong >= 0.0) & (weak <= 1.0))
 
 
-def test_an_entropic_prior_is_felt_in_values_shares_and_errors():
+def test_an_entropic_prior_is_felt_in_values_and_shares_but_makes_nothing_surer():
     rng = np.random.default_rng(1)
     equations, names = arm_equations(rng)
     truth = np.concatenate((random_body(rng), np.full(6, 0.3)))
@@ -119,7 +111,8 @@ def test_an_entropic_prior_is_felt_in_values_shares_and_errors():
     far, near = (np.linalg.norm(r.values[:10] - prior[:10]) for r in results)
     assert near < 0.1 * far
     assert np.mean(results[1].data_share[:10]) < 0.5 < np.mean(results[0].data_share[:10])
-    assert np.all(results[1].standard_errors[:10] < results[0].standard_errors[:10])
+    ratio = results[1].standard_errors[:10] / results[0].standard_errors[:10]
+    assert np.all(ratio > 0.99)
 
 
 @pytest.mark.parametrize("duration", [0.05, 15.0])
@@ -171,40 +164,3 @@ def test_intervals_cover_under_white_and_under_slow_noise(memory):
         naive.append(error < 1.96 * white.standard_errors)
     assert 0.91 < np.mean(hits) < 0.98
     assert (np.mean(naive) < 0.6) == (memory > 0.0)
-
-
-def refitted(samples, weights, change):
-    """How the estimate moves when ``change`` (per joint) is added to the torques."""
-    changed = replace(samples, tau=tuple(t + c for t, c in zip(samples.tau, change)))
-    zero = np.zeros(len(samples.names))
-    before, after = (least_squares(s.information(), zero, weights) for s in (samples, changed))
-    return after - before
-
-
-@given(SEEDS)
-def test_one_percent_of_the_other_links_and_of_each_scale(seed):
-    samples = random_samples(seed).used()
-    rng = np.random.default_rng(seed + 1)
-    weights = rng.uniform(0.1, 10.0, 2)
-    rest = [rng.normal(size=len(tau)) for tau in samples.tau]
-    found = sensitivity(samples.information(), weights, samples.rows, rest, samples.measured)
-    links = refitted(samples, weights, [0.01 * r for r in rest])
-    np.testing.assert_allclose(list(found[OTHER_LINKS].values()), links, rtol=1e-6, atol=1e-12)
-    first, second = samples.measured
-    one = refitted(samples, weights, [0.01 * first, 0.0 * second])
-    two = refitted(samples, weights, [0.0 * first, 0.01 * second])
-    np.testing.assert_allclose(
-        list(found[TORQUE_SCALE].values()), np.hypot(one, two), rtol=1e-6, atol=1e-12
-    )
-
-
-@given(SEEDS)
-def test_a_joint_of_no_weight_does_not_matter(seed):
-    samples = random_samples(seed).used()
-    weights = np.array([2.0, 0.0])
-    first = sensitivity(
-        samples.information(), weights, samples.rows, samples.measured, samples.measured
-    )
-    doubled = (samples.measured[0], 2.0 * samples.measured[1])
-    second = sensitivity(samples.information(), weights, samples.rows, doubled, doubled)
-    assert first == second

@@ -12,7 +12,7 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.gravity import gravity, with_gravity
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.estimation.options import EstimationOptions
-from robot_sysid.estimation.uncertainty import OTHER_LINKS
+from robot_sysid.identify import alignment as alignment_module
 from robot_sysid.identify import fit as fit_module
 from robot_sysid.identify.fit import fit_measured, validate_on
 from robot_sysid.records import Motion, Status
@@ -44,8 +44,18 @@ def noisy(plant):
     return log_of(plant, noise_torque=0.1, encoder_resolution=1e-4)
 
 
+KNOWN = {
+    "link_uncertainty": 0.0,
+    "scale_uncertainty": 0.0,
+    "zero_uncertainty": 0.0,
+    "gravity_uncertainty": 0.0,
+    "friction_uncertainty": 0.0,
+}
+"""Noise is all that is not known."""
+
+
 def fit_of(robot, log, **options):
-    chosen = EstimationOptions(**{"cutoff": CUTOFF, **options})
+    chosen = EstimationOptions(**{"cutoff": CUTOFF, **KNOWN, **options})
     return fit_measured(robot, [log], chosen, Progress())
 
 
@@ -89,7 +99,8 @@ def test_outliers_hardly_move_the_robust_estimate(plant, robot, noisy):
 
 def test_terminal_torques_keep_what_they_cannot_see(plant, robot, noisy):
     fit = fit_of(robot, noisy, torques="terminal")
-    assert fit.estimate.values[0] == pytest.approx(robot.prior.mass, rel=1e-6)
+    # The first moment that shows is not possible with the model's mass, which gives way a little.
+    assert 1.0 <= fit.estimate.values[0] / robot.prior.mass < 2.0
     assert fit.estimate.status is Status.PARTLY_FROM_MODEL
     assert not np.isfinite(fit.estimate.standard_errors[0])
 
@@ -114,7 +125,7 @@ def test_friction_and_offsets_of_all_joints_do_not_count_as_seen_of_the_link():
 
 
 def together(robot, logs, **options):
-    chosen = EstimationOptions(**{"cutoff": CUTOFF, **options})
+    chosen = EstimationOptions(**{"cutoff": CUTOFF, **KNOWN, **options})
     return fit_measured(robot, logs, chosen, Progress())
 
 
@@ -155,14 +166,13 @@ def test_the_end_of_each_log_is_held_out(plant, robot, noisy):
     other = log_of(plant, plan_of(plant, 7), 7, noise_torque=0.1, encoder_resolution=1e-4)
     logs = [noisy, other]
     before = together(robot, logs)
-    assert before.validation.source == "the last 20 % of each log"
+    assert before.validation.source == "20 % of each log that was not fitted for it"
     assert before.validation.rmse < 2.0 * before.estimate.rmse
     for k in range(2):
         spoiled = list(logs)
         end = np.arange(len(logs[k]))[:, None] > 0.9 * len(logs[k])
         spoiled[k] = replace(logs[k], tau=np.where(end, 99.0, logs[k].tau))
         after = together(robot, spoiled)
-        np.testing.assert_array_equal(before.estimate.values, after.estimate.values)
         assert after.validation.rmse > 10.0 * before.validation.rmse
 
 
@@ -213,7 +223,7 @@ def test_every_method_can_look_for_a_delay(robot, noisy):
 
 
 def test_a_search_that_does_not_settle_ends_with_a_remedy(robot, noisy, monkeypatch):
-    monkeypatch.setattr(fit_module, "_MOST_ROUNDS", 1)
+    monkeypatch.setattr(alignment_module, "_MOST_ROUNDS", 1)
     with pytest.raises(SysidError, match="delay and tilt_1 and tilt_2 do not settle within 1 "):
         fit_of(robot, noisy, delay="auto", tilt="auto")
 
@@ -229,18 +239,18 @@ def test_a_delay_lowers_the_cutoff_that_the_data_alone_would_give(plant, robot):
 # ---- validation
 
 
-def test_the_held_out_part_is_not_fitted(robot, noisy):
+def test_the_held_out_part_is_not_fitted_for_its_prediction(robot, noisy):
     spoiled = np.where(np.arange(len(noisy))[:, None] > 0.9 * len(noisy), 99.0, noisy.tau)
     before, after = fit_of(robot, noisy), fit_of(robot, replace(noisy, tau=spoiled))
-    np.testing.assert_array_equal(before.estimate.values, after.estimate.values)
     assert after.validation.rmse > 10.0 * before.validation.rmse
     assert before.validation.rmse < 2.0 * before.estimate.rmse
 
 
-def test_nothing_is_held_out_on_request(robot, noisy):
-    fit = fit_of(robot, noisy, validate=0.0)
-    assert fit.validation is None
-    assert sum(fit.estimate.samples.values()) > sum(fit_of(robot, noisy).estimate.samples.values())
+def test_nothing_is_held_out_on_request_and_the_numbers_come_from_all_rows_anyway(robot, noisy):
+    fit, held = fit_of(robot, noisy, validate=0.0), fit_of(robot, noisy)
+    assert fit.validation is None and held.validation is not None
+    assert fit.estimate.samples == held.estimate.samples
+    np.testing.assert_allclose(fit.estimate.values, held.estimate.values, rtol=1e-6, atol=1e-9)
 
 
 def test_another_log_is_predicted_down_to_its_noise(plant, robot, noisy):
@@ -336,28 +346,6 @@ def test_a_joint_without_an_offset_to_tell_apart_may_move_one_way(plant, robot):
     for friction in ("coulomb-viscous", "viscous-offset"):
         notes = fit_of(robot, log, friction_model=friction).notes
         assert not any("told apart" in note for note in notes)
-
-
-def test_sensitivity_to_the_other_links_is_what_heavier_links_do(plant, robot):
-    """The plant's other links made 1 % heavier, in another log of the same motion."""
-    plan = plan_of(plant)
-    plain = {"method": "ols", "consistency": "off"}
-    before = fit_of(robot, log_of(plant, plan), **plain)
-    after = fit_of(robot, log_of(heavier_links(plant), plan), **plain)
-    moved = (after.estimate.values - before.estimate.values)[:10]
-    stated = np.array(list(before.sensitivity[OTHER_LINKS].values()))[:10]
-    np.testing.assert_allclose(moved, stated, rtol=0.0, atol=1e-3 * np.max(np.abs(moved)))
-
-
-def heavier_links(plant):
-    import copy
-
-    model = copy.copy(plant.mj_model)
-    others = [b for b in range(model.nbody) if b != plant.body_id]
-    model.body_mass[others] *= 1.01
-    model.body_inertia[others] *= 1.01
-    model.dof_armature[:] *= 1.01
-    return replace(plant, mj_model=model)
 
 
 @pytest.mark.parametrize("friction", ["none", "coulomb-viscous-offset-armature", "auto"])

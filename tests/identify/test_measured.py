@@ -64,7 +64,7 @@ def arm_command(folder):
         # A log brings its own motion.
         motion = () if "--measurements" in options else MOTION
         arguments = [str(folder / "guess.xml"), *motion, "--cutoff", "8"]
-        arguments += ["--output-dir", str(output)]
+        arguments += ["--output-dir", str(output), "--link-uncertainty", "2"]
         there = [str(folder / o) if o.endswith(".xml") else o for o in options]
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
             code = main([*arguments, *there])
@@ -105,23 +105,32 @@ def test_the_plants_link_is_found(log):
     values = [params["mass"], *params["center_of_mass_moment"], *(six[n] for n in names[4:])]
     errors = np.array([params["standard_errors"][name] for name in names])
     assert np.all(np.abs(np.array(values) - truth) < 4.0 * errors)
-    assert params["relative_standard_errors"]["m"] < 0.05
+    assert params["relative_standard_errors"]["m"] < 0.1
 
 
 def test_params_json_holds_all_that_is_known_of_measured_data(log):
     params = log[1]
     joints = ["joint0", "joint1", "joint2"]
     for joint in joints:
-        assert set(params["friction_per_joint"][joint]) == {"coulomb", "viscous", "offset"}
+        assert set(params["friction_per_joint"][joint]) == {
+            "coulomb",
+            "viscous",
+            "offset",
+            "armature",
+        }
         assert f"offset[{joint}]" in params["standard_errors"]
         assert params["noise_per_joint"][joint] > 0.0
     assert set(params["data_share"]) == set(params["standard_errors"])
     (test,) = params["validation"]
-    assert test["source"] == "the last 20 % of the log"
+    assert test["source"] == "20 % of the log that was not fitted for it"
     assert set(test["rmse_per_joint"]) == set(test["relative_error_per_joint"]) == set(joints)
     assert params["source"].startswith("simulated plant") and params["cutoff"] == 8.0
     assert params["delay"] is None and params["tilt"] is None and params["gravity"] is None
-    assert set(params["sensitivity"]) == {"other_links_1_percent", "torque_scale_1_percent"}
+    causes = {"noise", "links", "torque scale", "joint offsets", "gravity", "friction model"}
+    for name, error in params["standard_errors"].items():
+        parts = params["error_budget"][name]
+        assert set(parts) == causes and parts["noise"] == params["standard_errors_noise"][name]
+        assert sum(part**2 for part in parts.values()) == pytest.approx(error**2, rel=1e-6)
     assert params["limitations"] and params["valid"]["trustworthy"]
 
 
@@ -325,7 +334,7 @@ def test_several_logs_are_one_result(log, folder, arm_command):
     assert result.params["source"] == f"log {path}, {other}"
     assert result.params["duration"] == pytest.approx(16.0, abs=1e-6)
     assert result.params["sample_rate"] == pytest.approx(200.0, rel=1e-9)
-    assert result.params["validation"][0]["source"] == "the last 20 % of each log"
+    assert result.params["validation"][0]["source"] == "20 % of each log that was not fitted for it"
     assert f"note: {path.name}: log columns" in result.err
     assert f"note: {other.name}: log columns" in result.err
     errors = (run["standard_errors"]["m"] for run in (result.params, first))

@@ -82,7 +82,7 @@ def test_rows_stand_at_the_decimated_instants_and_masked_ones_stay_in_place(plan
 def test_terminal_torques_give_one_joints_equations(plant, signals):
     samples = decimated_equations(equations_of(plant, "terminal"), signals)
     assert samples.joints == (plant.terminal_joint,)
-    assert len(samples.names) == 13
+    assert len(samples.names) == 14
 
 
 def test_shared_columns_pass_the_same_low_pass(plant, signals):

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES, characteristic_length, parameter_scale
-from robot_sysid.estimation.uncertainty import OTHER_LINKS, TORQUE_SCALE
 from robot_sysid.output.limitations import COLOURED, SURE, WORSE, limitations
+from robot_sysid.records import NuisanceMisfit
 from tests.support.results import (
     NAMES,
     estimate,
@@ -53,22 +55,12 @@ def test_a_prior_that_outweighs_the_data_is_told():
     assert "more model than data in Ixx, Izz" in only(found(estimate(data_share=share)))
 
 
-def test_hidden_errors_are_told_in_kilograms_and_millimetres():
-    move = dict.fromkeys(NAMES, 0.0) | {"m": 0.04, "hz": 0.04 * 0.1 + 2.0 * 0.003}
-    said = only(found(sensitivity={OTHER_LINKS: move, TORQUE_SCALE: move}))
-    assert said.count("the mass moves by 0.04 kg (2 %) and the centre of mass by 3") == 2
-    assert "if the other links take 1 % more torque than the model says" in said
-    assert "if each joint's torque scale is off by 1 %" in said
-
-
-def test_a_hidden_error_beyond_the_mass_has_no_centre_of_mass():
-    move = dict.fromkeys(NAMES, 0.0) | {"m": -3.0}
-    said = only(found(sensitivity={OTHER_LINKS: move}))
-    assert said.endswith("the mass moves by 3 kg")
-
-
-def test_terminal_torques_do_not_care_for_the_other_links():
-    assert limitations(found(sensitivity={OTHER_LINKS: dict.fromkeys(NAMES, 0.0)})) == ()
+def test_links_that_do_not_fit_are_named():
+    asked = NuisanceMisfit("links", ("elbow", "wrist"), 2.5, 1.0)
+    said = only(found(misfits=(asked,)))
+    assert "other links do not fit this arm (most: elbow, wrist)" in said and "allow for" in said
+    said = only(found(misfits=(replace(asked, widened=2.5),)))
+    assert "2.5 times as far off as was allowed" in said
 
 
 @given(st.sampled_from(["coulomb", "viscous"]), st.floats(-1.0, 1.0), st.floats(0.01, 1.0))

@@ -38,17 +38,17 @@ def test_the_block_of_measured_data_line_by_line():
         "  RMSE: 0.0300 N·m",
         "  Condition number: 50.0",
         "  Base parameters: 12",
-        "Standard errors (and share of the data in each value):",
-        "  m: 2 ± 0.002 (0.1 %; data 100 %)",
-        "  hx: 0 ± 1e-05 (data 100 %)",
-        "  hy: 0.02 ± 2e-05 (0.1 %; data 100 %)",
-        "  hz: 0.2 ± 0.0002 (0.1 %; data 100 %)",
-        "  Ixx: 0.0302 ± 3e-05 (0.1 %; data 100 %)",
-        "  Ixy: 0 ± 1e-05 (data 100 %)",
-        "  Ixz: 0 ± 1e-05 (data 100 %)",
-        "  Iyy: 0.032 ± 3.2e-05 (0.1 %; data 100 %)",
-        "  Iyz: -0.002 ± 1e-05 (0.5 %; data 100 %)",
-        "  Izz: 0.0052 ± 1e-05 (0.19 %; data 100 %)",
+        "Standard errors, all causes together (and of noise alone):",
+        "  m: 2 ± 0.002 (0.1 %; noise 0.002)",
+        "  hx: 0 ± 1e-05 (noise 1e-05)",
+        "  hy: 0.02 ± 2e-05 (0.1 %; noise 2e-05)",
+        "  hz: 0.2 ± 0.0002 (0.1 %; noise 0.0002)",
+        "  Ixx: 0.0302 ± 3e-05 (0.1 %; noise 3e-05)",
+        "  Ixy: 0 ± 1e-05 (noise 1e-05)",
+        "  Ixz: 0 ± 1e-05 (noise 1e-05)",
+        "  Iyy: 0.032 ± 3.2e-05 (0.1 %; noise 3.2e-05)",
+        "  Iyz: -0.002 ± 1e-05 (0.5 %; noise 1e-05)",
+        "  Izz: 0.0052 ± 1e-05 (0.19 %; noise 1e-05)",
         "Friction (coulomb-viscous):",
         "  j5: coulomb 0.5 ± 0.0005, viscous 0.2 ± 0.0002",
         "  j6: coulomb 0.4 ± 0.0004, viscous 0.1 ± 0.0001",
@@ -82,7 +82,7 @@ def test_friction_of_a_joint_that_stood_still_is_not_visible():
 @pytest.mark.parametrize(("error", "said"), [(0.5, "25 %"), (20.0, "1000 %"), (1.995, "100 %")])
 def test_large_errors_stay_readable(error, said):
     lines = result_lines(found(with_value("m", 2.0, error)))
-    assert f"({said}; data" in line(lines, "  m:")
+    assert f"({said}; noise" in line(lines, "  m:")
 
 
 def test_delay_and_tilt_have_errors():
