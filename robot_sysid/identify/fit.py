@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from robot_sysid.records import (
     Validation,
 )
 from robot_sysid.records.progress import Progress
-from robot_sysid.signals.process import ProcessedSignals, process
+from robot_sysid.signals.process import SLOW_SHARE_FOR_DELAY, ProcessedSignals, process
 from robot_sysid.simulator import ArmTorque
 
 DELAY_CUTOFF = 10.0
@@ -123,7 +123,10 @@ def _processed(
 
     def processed(log: Measurement, cutoff: float | None) -> ProcessedSignals:
         band = options.velocity_deadband
-        return process(log, robot.joint_names, cutoff, band, least_deadband)
+        signals = process(log, robot.joint_names, cutoff, band, least_deadband)
+        if options.delay == "auto":
+            return replace(signals, largest_slow_share=SLOW_SHARE_FOR_DELAY)
+        return signals
 
     signals = [processed(log, options.cutoff) for log in logs]
     if options.cutoff is not None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from robot_sysid.dynamics.friction import friction_model
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES, characteristic_length, parameter_scale
-from robot_sysid.records import Estimate, Identification
+from robot_sysid.records import DELAY_NAME, Estimate, Identification
 
 WEAK = 0.1
 """Standard error, relative to a body of this mass and size, above which a parameter is weak."""
@@ -32,6 +32,7 @@ def limitations(found: Identification) -> tuple[str, ...]:
         *_weak(estimate),
         *_prior(estimate),
         *_misfits(found),
+        *_early_torque(found),
         *_negative_friction(found),
         *_coloured(estimate),
         *_generalises(found),
@@ -70,6 +71,7 @@ def _prior(estimate: Estimate) -> Iterator[str]:
         yield f"more model than data in {', '.join(names)}: the prior outweighs the torques there"
 
 
+_EARLY = 2.0
 _MISFIT = {
     "links": "the model's numbers of other links do not fit this arm",
     "torque scale": "the scale of the torques does not fit the model",
@@ -90,6 +92,16 @@ def _misfits(found: Identification) -> Iterator[str]:
             )
         else:
             yield f"{words}; the errors above allow for that"
+
+
+def _early_torque(found: Identification) -> Iterator[str]:
+    """Tell of a torque that comes before the motion it belongs to, which no sensor does."""
+    error = found.estimate.error(DELAY_NAME)
+    if found.delay is not None and error is not None and found.delay < -_EARLY * error:
+        yield (
+            f"the torque seems to come {-1e3 * found.delay:.2g} ms before the motion: the positions "
+            "are late, or friction turns earlier than the speed does; trust neither"
+        )
 
 
 def _negative_friction(found: Identification) -> Iterator[str]:

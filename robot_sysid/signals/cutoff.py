@@ -33,6 +33,11 @@ _NEARLY_BEST = 1.25
 # The arm moves at frequencies that hold this share of the squared speed; the cut-off is at most so
 # many times the highest of them.
 _MOSTLY, _WIDEST = 0.99, 15.0
+# Share of rows with a new reading below which readings come slower than rows.
+_HELD, _REGULAR = 0.6, 0.5
+# An octave with less than this part of the squared speed below it is a gap; what the arm's motion
+# still has beyond ends at so many times its frequency.
+_EMPTY, _WELL_BEYOND = 1e-4, 10.0
 # A band counts as motion where it stands this far above the noise, which chance does not.
 _CLEARLY = 6.0
 # Share of an encoder's steps beside which the reading stays the same, up to which the steps are
@@ -74,6 +79,7 @@ def choose_cutoff(q: Array, rate: float, steps: Array) -> CutoffChoice:
     Raises:
         InputError: the log is too short to have a spectrum.
     """
+    q, steps, rate = _without_repeats(q, steps, rate)
     if len(q) < _SHORTEST:
         raise InputError(
             f"{len(q)} samples are too few to choose a cut-off from; record longer, or give "
@@ -101,6 +107,24 @@ def choose_cutoff(q: Array, rate: float, steps: Array) -> CutoffChoice:
         f"{100.0 * expected:.2g} %"
     )
     return CutoffChoice(float(best), sigma, expected, reason)
+
+
+def _without_repeats(q: Array, steps: Array, rate: float) -> tuple[Array, Array, float]:
+    """Return positions, steps and rate of readings that come slower than the log was written.
+
+    A reading that is held for several rows has images at multiples of its own rate, which look like
+    noise at every frequency.
+    """
+    fresh = np.concatenate(([True], np.any(np.diff(q, axis=0) != 0.0, axis=1)))
+    share, row, kept = float(np.mean(fresh)), np.arange(len(q)), np.flatnonzero(fresh)
+    if share > _HELD or len(kept) < _SHORTEST:
+        return q, steps, rate
+    waits = np.diff(kept)
+    if np.std(waits) > _REGULAR * np.mean(waits):  # an encoder that creeps from step to step
+        return q, steps, rate
+    even = np.linspace(0.0, len(q) - 1.0, len(kept))
+    slower = np.column_stack([np.interp(even, row[kept], joint[kept]) for joint in q.T])
+    return slower, np.zeros_like(slower), rate * share
 
 
 def encoder_steps(q: Array) -> Array:
@@ -156,14 +180,37 @@ def _motion(frequency: Array, power: Array, noise: Array) -> Array:
     if not np.any(motion):
         return motion
     slow = _speed_index(frequency, motion)
-    last = slow + int(np.argmin(_smooth(pooled)[slow : max(slow + 1, int(0.9 * len(pooled)))]))
+    rising = slow + int(np.argmin(_smooth(pooled)[slow : max(slow + 1, int(0.9 * len(pooled)))]))
+    gap = frequency[_first_gap(frequency, motion)]
+    last = min(rising, int(np.searchsorted(frequency, _WELL_BEYOND * gap)))
     return np.where(np.arange(len(frequency))[:, None] <= last, motion, 0.0)
 
 
 def _speed_index(frequency: Array, motion: Array) -> int:
-    """Return below which frequency index most of the squared speed is."""
-    speed = np.cumsum(np.sum(motion, axis=1) / frequency**2)
-    return int(np.searchsorted(speed, _MOSTLY * speed[-1]))
+    """Return below which frequency index most of the squared speed is, as far as the first gap."""
+    speed = _squared_speed(frequency, motion)
+    return int(np.searchsorted(speed, _MOSTLY * speed[_first_gap(frequency, motion)]))
+
+
+def _squared_speed(frequency: Array, motion: Array) -> Array:
+    """Return (F,) the squared speed up to each frequency, all joints together."""
+    return np.asarray(np.cumsum(np.sum(motion, axis=1) / frequency**2))
+
+
+def _first_gap(frequency: Array, motion: Array) -> int:
+    """Return the index of the first octave that adds next to nothing to the squared speed.
+
+    What lies beyond is not the arm's motion: repeated samples and jitter in time leave images of it
+    there, which count as speed all the same. Looked for above the frequency that holds half of the
+    squared speed in the lower half of all octaves, which is motion for sure.
+    """
+    speed = _squared_speed(frequency, motion)
+    octave = np.minimum(np.searchsorted(frequency, 2.0 * frequency), len(frequency) - 1)
+    empty = speed[octave] - speed < _EMPTY * speed
+    sure = speed[int(np.sqrt(len(speed)))]
+    empty[: int(np.searchsorted(speed, 0.5 * sure))] = False
+    empty[octave == len(frequency) - 1] = False
+    return int(np.argmax(empty)) if np.any(empty) else len(frequency) - 1
 
 
 def _speed_band(frequency: Array, motion: Array) -> float:

@@ -34,6 +34,9 @@ from robot_sysid.signals.resampling import UniformSignals, is_fresh, resampled
 
 LARGEST_SLOW_SHARE = 0.07
 """Share of the filter's weight that samples inside the deadband may have in a row that is used."""
+SLOW_SHARE_FOR_DELAY = 0.02
+"""The same where a delay is sought: dry friction that turns a little early or late at a reversal
+looks like one. In a closed loop with MuJoCo's friction 0.07 gives -2.6 ms for none, this -0.05."""
 USUAL_DEADBAND = 0.005
 """Share of its own peak speed below which a joint has hardly left stiction."""
 ENOUGH_EACH_WAY = 0.05
@@ -59,6 +62,7 @@ class ProcessedSignals:
         notes: one sentence each: what was done.
         acceleration_error: expected error of the acceleration, as a part of it; 0 where the
             cut-off was given.
+        largest_slow_share: see ``LARGEST_SLOW_SHARE``.
     """
 
     time: Array
@@ -71,6 +75,7 @@ class ProcessedSignals:
     low_pass: LowPass
     notes: tuple[str, ...]
     acceleration_error: float = 0.0
+    largest_slow_share: float = LARGEST_SLOW_SHARE
 
     def __len__(self) -> int:
         return len(self.time)
@@ -124,7 +129,7 @@ class ProcessedSignals:
     def usable(self) -> NDArray[np.bool_]:
         """Return (K, n) whether each joint's decimated row may be used."""
         centres = self.low_pass.centres(len(self))
-        moving = self.slow_share() <= LARGEST_SLOW_SHARE
+        moving = self.slow_share() <= self.largest_slow_share
         holes = np.concatenate(([0], np.cumsum(self.bridged)))
         half = self.low_pass.half_width
         whole = holes[centres + half + 1] == holes[centres - half]

@@ -138,3 +138,15 @@ def test_what_is_not_read_in_steps_has_none():
 def test_a_stretch_too_short_for_a_spectrum_is_refused():
     with pytest.raises(InputError, match="--cutoff HZ"):
         chosen(np.zeros((20, 2)), 200.0)
+
+
+@pytest.mark.parametrize("held", [4, 8])
+def test_readings_that_are_held_for_several_rows_cost_only_their_own_rate(held):
+    """A controller's log at 1 kHz of positions that come at 125 or 250 Hz."""
+    time = np.arange(15000) / 1000.0
+    q = np.column_stack([np.sin(2.0 * np.pi * f * time) for f in (0.2, 0.5, 0.9)])
+    fine = choose_cutoff(q, 1000.0, encoder_steps(q))
+    rows = q[held * (np.arange(len(q)) // held)]
+    slow = choose_cutoff(rows, 1000.0, encoder_steps(rows))
+    assert slow.acceleration_error < 1e-2
+    assert 0.5 * fine.cutoff < slow.cutoff < 1.5 * fine.cutoff
