@@ -99,8 +99,8 @@ def _early_torque(found: Identification) -> Iterator[str]:
     error = found.estimate.error(DELAY_NAME)
     if found.delay is not None and error is not None and found.delay < -_EARLY * error:
         yield (
-            f"the torque seems to come {-1e3 * found.delay:.2g} ms before the motion: the positions "
-            "are late, or friction turns earlier than the speed does; trust neither"
+            f"the torque seems to come {-1e3 * found.delay:.2g} ms before the motion: the "
+            "positions are late, or friction turns earlier than the speed does; trust neither"
         )
 
 
