@@ -14,7 +14,7 @@ import pytest
 
 import robot_sysid
 from robot_sysid.cli import main
-from robot_sysid.commands import identify, motors, plan, run
+from robot_sysid.commands import arm, identify, motors, plan, run
 from robot_sysid.regressor import derive_regressor
 from tests.support.places import ROOT
 
@@ -34,7 +34,8 @@ KINOVA_OUTPUT = re.compile(r"<!-- kinova output -->\n```text\n(.*?)```", re.DOTA
 def parsers() -> list[argparse.ArgumentParser]:
     """Return the parsers of all commands."""
     motors_parsers = [motors.build_parser(name) for name in ("check", "play", "simulate")]
-    return [run.build_parser(), plan.build_parser(), identify.build_parser(), *motors_parsers]
+    whole = [module.build_parser() for module in (run, plan, identify, arm)]
+    return [*whole, *motors_parsers]
 
 
 def options() -> set[str]:

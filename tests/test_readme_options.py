@@ -6,7 +6,7 @@ import argparse
 
 import pytest
 
-from robot_sysid.commands import identify, motors, plan, run
+from robot_sysid.commands import arm, identify, motors, plan, run
 from robot_sysid.commands.arguments import ConsoleOptions
 from robot_sysid.excitation.problem import DEFAULT_NOISE_TORQUE
 from robot_sysid.records.options import options_of
@@ -72,6 +72,11 @@ def test_plan_takes_the_groups_it_is_said_to_take():
 def test_identify_takes_the_groups_it_is_said_to_take():
     said = ("model and output", "measurements", "estimation")
     assert flags(identify.build_parser()) == group(*said) - {"--measurements"}
+
+
+def test_arm_takes_the_groups_it_is_said_to_take():
+    said = ("model and output", "measurements", "every link")
+    assert flags(arm.build_parser()) == group(*said) - {"--measurements"}
 
 
 def test_the_noise_of_a_plan_is_what_the_page_says():

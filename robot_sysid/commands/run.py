@@ -78,7 +78,7 @@ def identify(values: Mapping[str, Any], options: ConsoleOptions) -> int:
     # Imported here so that --help and usage errors do not wait for MuJoCo.
     from robot_sysid.pipeline import run
 
-    with _warnings_as_notes(console, options.debug):
+    with warnings_as_notes(console, options.debug):
         outcome = run(config, console)
     console.lines(outcome.report_lines(options.verbose))
     if outcome.failure:
@@ -87,7 +87,7 @@ def identify(values: Mapping[str, Any], options: ConsoleOptions) -> int:
 
 
 @contextlib.contextmanager
-def _warnings_as_notes(console: Console, debug: bool) -> Iterator[None]:
+def warnings_as_notes(console: Console, debug: bool) -> Iterator[None]:
     """Turn warnings of Python libraries into notes; --debug shows where they come from."""
 
     def show(message: Any, *_: Any, **__: Any) -> None:

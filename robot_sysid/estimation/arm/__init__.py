@@ -1,0 +1,1 @@
+"""Estimating all links of an arm together."""

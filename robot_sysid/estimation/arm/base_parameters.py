@@ -1,0 +1,113 @@
+"""Base parameters: the combinations of the links' parameters that joint torques can show.
+
+Of ten parameters per link many act alone in no motion; only their combinations with those of links
+further in do. A QR factorisation with column pivoting finds them (Gautier, "Numerical calculation
+of the base inertial parameters of robots", ICRA 1990): with W P = Q [R1 R2; 0 0], R1 of full rank
+r, the first r columns of W P span all, and
+
+    x_base = x_1 + R1^-1 R2 x_2.
+
+Which of them a log needs is told by backward elimination: the one with the largest relative
+standard deviation goes, the rest is fitted again, until the largest is no more than 30 times the
+smallest (Pham, Gautier, "Essential parameters of robots", CDC 1991). It is a report on the data;
+the estimate does without it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.records import Array
+
+RELATIVE_CUT = 1e-8
+"""Diagonal entries of R below this share of the largest count as zero."""
+ESSENTIAL_RATIO = 30.0
+"""How many times the smallest relative standard deviation an essential parameter may have."""
+_ROUNDING = 1e-5
+
+
+@dataclass(frozen=True)
+class BaseCombinations:
+    """Which combinations a regressor shows.
+
+    Attributes:
+        matrix: (r, p) x_base = matrix x.
+        leading: (r,) which parameter each combination is named after.
+    """
+
+    matrix: Array
+    leading: NDArray[np.int64]
+
+    @property
+    def rank(self) -> int:
+        """Number of combinations r."""
+        return len(self.leading)
+
+    def names(self, names: Sequence[str]) -> tuple[str, ...]:
+        """Return the combinations in words, with the parameters' names (p,)."""
+        return tuple(
+            _in_words(row, int(first), names) for row, first in zip(self.matrix, self.leading)
+        )
+
+
+def base_combinations(regressor: Array, scale: Array) -> BaseCombinations:
+    """Return the base parameters of a regressor.
+
+    Args:
+        regressor: (M, p) columns of the links' parameters.
+        scale: (p,) typical size of each parameter, so that units do not decide about rank.
+    """
+    from scipy.linalg import qr, solve_triangular
+
+    triangle, order = qr(regressor * scale, mode="r", pivoting=True)
+    diagonal = np.abs(np.diag(triangle))
+    rank = int(np.count_nonzero(diagonal > RELATIVE_CUT * np.max(diagonal, initial=0.0)))
+    weights = solve_triangular(triangle[:rank, :rank], triangle[:rank, rank:])
+    weights[np.abs(weights) < _ROUNDING] = 0.0
+    matrix = np.zeros((rank, len(order)))
+    first, rest = order[:rank], order[rank:]
+    matrix[np.arange(rank), first] = 1.0
+    matrix[:, rest] = scale[first][:, None] * weights / scale[rest]
+    sorting = np.argsort(first)
+    return BaseCombinations(matrix[sorting], first[sorting])
+
+
+def essential(base: Array, nuisance: Array, right: Array) -> NDArray[np.bool_]:
+    """Return (r,) which base parameters backward elimination keeps.
+
+    Args:
+        base: (M, r) whitened columns of the base parameters.
+        nuisance: (M, k) those of all other parameters, which stay.
+        right: (M,) whitened right-hand sides.
+    """
+    from scipy.linalg import qr
+
+    span, triangle, _ = qr(nuisance, mode="economic", pivoting=True)
+    size = np.abs(np.diag(triangle))
+    span = span[:, size > RELATIVE_CUT * np.max(size, initial=0.0)]
+    columns, target = base - span @ (span.T @ base), right - span @ (span.T @ right)
+    kept = np.ones(base.shape[1], dtype=bool)
+    while np.count_nonzero(kept) > 1:
+        length = np.linalg.norm(columns[:, kept], axis=0)
+        scaled = columns[:, kept] / np.where(length > 0.0, length, 1.0)
+        inverse = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
+        values = inverse @ (scaled.T @ target)
+        relative = np.sqrt(np.maximum(np.diag(inverse), 0.0)) / np.maximum(np.abs(values), 1e-300)
+        if np.max(relative) <= ESSENTIAL_RATIO * np.min(relative):
+            break
+        kept[np.flatnonzero(kept)[int(np.argmax(relative))]] = False
+    return kept
+
+
+def _in_words(row: Array, first: int, names: Sequence[str]) -> str:
+    text = names[first]
+    for index in np.flatnonzero(row).tolist():
+        weight = float(row[index])
+        if index != first:
+            size = "" if abs(abs(weight) - 1.0) < _ROUNDING else f"{abs(weight):.4g}*"
+            text += f" {'-' if weight < 0.0 else '+'} {size}{names[index]}"
+    return text

@@ -1,0 +1,1 @@
+"""Identifying every link of an arm from its logs."""
