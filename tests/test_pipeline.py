@@ -76,7 +76,7 @@ def test_params_json_is_strict(arm):
         raise AssertionError(f"{constant} is not JSON")
 
     text = run(config(arm, torques="terminal")).files[1].read_text()
-    assert json.loads(text, parse_constant=refuse)["schema_version"] == 2
+    assert json.loads(text, parse_constant=refuse)["schema_version"] == 3
 
 
 def test_a_folder_that_cannot_be_written_to_is_found_before_the_work(arm):

@@ -20,7 +20,7 @@ from robot_sysid.output.limitations import limitations
 from robot_sysid.records import Estimate, Identification, InertialParameters
 from robot_sysid.records.atomic_files import write_whole
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 _SIX = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 
 

@@ -66,7 +66,7 @@ def test_the_specified_keys_come_first_in_their_order():
     assert [key for key in content if key in specified] == specified
     assert list(content["inertia_tensor"]) == ["Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz"]
     assert (content["coulomb_friction"], content["viscous_friction"]) == (0.4, 0.1)
-    assert content["n_base_params"] == 11 and content["schema_version"] == 2
+    assert content["n_base_params"] == 11 and content["schema_version"] == 3
 
 
 def test_it_says_where_each_value_comes_from_and_what_the_run_was():
