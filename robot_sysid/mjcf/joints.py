@@ -28,7 +28,10 @@ def joint_edits(document: ModelDocument, change: JointChange) -> Iterator[tuple[
         return
     for name, value in change.numbers.items():
         span = node.file.span(node.element)
-        yield node, markup.set_attribute(node.file.text, span, name, number(value))
+        # Nonlinear damping stands behind the linear one and belongs to the model, not to the data.
+        beyond = (node.get(name) or "").split()[1:]
+        text = " ".join([number(value), *beyond])
+        yield node, markup.set_attribute(node.file.text, span, name, text)
 
 
 def _urdf_edits(

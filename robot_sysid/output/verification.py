@@ -88,7 +88,11 @@ _SPRINGDAMPER = (
     "a joint's springdamper computes it from the inertia: give that joint stiffness and damping "
     "instead to get a model"
 )
-_ADVICE = {"dof_damping": _SPRINGDAMPER, "jnt_stiffness": _SPRINGDAMPER}
+_ADVICE = {
+    "dof_damping": _SPRINGDAMPER,
+    "jnt_stiffness": _SPRINGDAMPER,
+    "dof_dampingpoly": "write a joint's nonlinear damping into the joint instead of its class",
+}
 _NUMBERS = (int, float, bytes, np.ndarray)
 
 

@@ -66,6 +66,12 @@ def test_every_digit_is_written(tmp_path):
     assert 'damping="0.30000000000000004"' in text
 
 
+def test_nonlinear_damping_behind_the_linear_one_stays(tmp_path):
+    text = MIXED.replace('name="last"', 'name="last" damping=".5 .3  .2"')
+    document = read_document(write_files(tmp_path, {"m.xml": text}))
+    assert 'damping="2.5 .3 .2"' in changed(document, JointChange("last", damping=2.5))
+
+
 def test_nothing_is_written_where_nothing_is_new(tmp_path):
     document = read_document(write_files(tmp_path, {"m.xml": MIXED}))
     assert changed(document, JointChange("last")) == MIXED
