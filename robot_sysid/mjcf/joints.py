@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator
 
@@ -20,8 +21,15 @@ def joint_edits(document: ModelDocument, change: JointChange) -> Iterator[tuple[
     """Yield the edits that give a joint its new numbers.
 
     Raises:
-        ExportError: the joint is not written out in the file, or a URDF cannot hold the number.
+        ExportError: the joint is not written out in the file, a URDF cannot hold the number, or a
+            joint with it would drive itself.
     """
+    for name, value in change.numbers.items():
+        if not 0.0 <= value < math.inf:
+            raise ExportError(
+                f"joint '{change.label}' cannot get {name} {value:.4g}: it would drive itself, or "
+                "is no number"
+            )
     node = find_joint(document, change.label)
     if document.kind == "urdf":
         yield from _urdf_edits(document, node, change)

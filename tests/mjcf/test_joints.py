@@ -72,6 +72,13 @@ def test_nonlinear_damping_behind_the_linear_one_stays(tmp_path):
     assert 'damping="2.5 .3 .2"' in changed(document, JointChange("last", damping=2.5))
 
 
+@pytest.mark.parametrize("value", [-1e-6, np.nan, np.inf])
+def test_a_joint_that_would_drive_itself_is_refused(tmp_path, value):
+    document = read_document(write_files(tmp_path, {"m.xml": MIXED}))
+    with pytest.raises(ExportError, match="joint 'last' cannot get armature"):
+        changed(document, JointChange("last", armature=value))
+
+
 def test_nothing_is_written_where_nothing_is_new(tmp_path):
     document = read_document(write_files(tmp_path, {"m.xml": MIXED}))
     assert changed(document, JointChange("last")) == MIXED
