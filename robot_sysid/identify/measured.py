@@ -10,6 +10,7 @@ import numpy as np
 
 from robot_sysid.dynamics.gravity import gravity
 from robot_sysid.estimation.options import EstimationOptions
+from robot_sysid.identify.earlier import earlier_logs
 from robot_sysid.identify.fit import MeasuredFit, fit_measured, validate_on
 from robot_sysid.identify.simulated import Analysis, SimulatedRun, describe
 from robot_sysid.identify.verdict import judged
@@ -94,7 +95,8 @@ def identify_logs(
     """
     _require_fitting(robot, estimation)
     logs = []
-    for path in options.measurements:
+    earlier = () if options.append is None else earlier_logs(options.append, robot)
+    for path in (*earlier, *options.measurements):
         progress.stage(f"Reading measurements from {path}...")
         logs.append(_read_log(robot, options, path, progress))
     if save is not None:
@@ -126,7 +128,9 @@ def _read_log(
 def _origin(logs: Sequence[MeasurementLog]) -> DataOrigin:
     duration = sum(log.duration for log in logs)
     rate = sum(len(log.samples) - 1 for log in logs) / duration
-    return DataOrigin(Source.LOG, ", ".join(str(log.path) for log in logs), duration, rate)
+    words = ", ".join(str(log.path) for log in logs)
+    files = tuple(str(log.path.absolute()) for log in logs)
+    return DataOrigin(Source.LOG, words, duration, rate, files=files)
 
 
 def _log_notes(logs: Sequence[MeasurementLog]) -> tuple[str, ...]:

@@ -22,6 +22,7 @@ class LogOptions(OptionRecord):
         repeats=True,
         needs="estimate",
     )
+    append: Path | None = option(None, "also use the logs of an earlier run", metavar="PARAMS.json")
     columns: Path | None = option(
         None, "file that says which column is what", metavar="FILE", usual="recognised"
     )

@@ -140,6 +140,7 @@ def _budget(estimate: Estimate) -> dict[str, dict[str, float]]:
 def _measured(identification: Identification) -> dict[str, Any]:
     return {
         "source": identification.data.words,
+        "logs": identification.data.files,
         "friction_model": identification.friction_model,
         "friction_per_joint": friction_entries(identification),
         "validation": [asdict(test) for test in identification.validation],

@@ -230,6 +230,7 @@ class DataOrigin:
         duration: of the data [s].
         sample_rate: [Hz].
         seed: of trajectory and simulated noise; None for a log.
+        files: whole paths of the logs.
     """
 
     source: Source
@@ -237,6 +238,7 @@ class DataOrigin:
     duration: float
     sample_rate: float
     seed: int | None = None
+    files: tuple[str, ...] = ()
 
     @property
     def words(self) -> str:

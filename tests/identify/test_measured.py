@@ -344,3 +344,33 @@ def test_several_logs_are_one_result(log, folder, arm_command):
 def test_the_models_own_simulation_names_the_two_ways_to_real_data(arm_command):
     bare = arm_command("--cutoff", "8")
     assert bare.code == 2 and "--cutoff needs --measurements or --plant-model" in bare.err
+
+
+def test_an_earlier_run_is_continued(log, folder, arm_command):
+    path, _ = log
+    other = folder / "later.csv"
+    made = ("--plant-model", "plant.xml", *SENSORS, "--seed", "8", "--save-measurements")
+    arm_command(*made, str(other))
+    arm_command("--measurements", str(path))
+    before = max(folder.glob("out*/params.json"), key=lambda p: p.stat().st_mtime_ns)
+    earlier = before.rename(folder / "earlier.json")
+    together = arm_command("--measurements", str(path), "--measurements", str(other))
+    continued = arm_command("--measurements", str(other), "--append", str(earlier))
+    assert figures(continued.params) == figures(together.params)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"logs": []}, "no identification from logs"),
+        ({"logs": ["/nowhere/log.csv"]}, "is no longer there"),
+        ({"model": {"sha256": "00"}}, "was made with another model"),
+    ],
+)
+def test_what_cannot_be_continued_is_refused(log, folder, arm_command, change, words):
+    path, _ = log
+    made = arm_command("--measurements", str(path))
+    broken = folder / "broken.json"
+    broken.write_text(json.dumps({**made.params, **change}))
+    result = arm_command("--measurements", str(path), "--append", str(broken))
+    assert result.code == 2 and words in result.err and result.params is None
