@@ -76,7 +76,7 @@ def arm_command(folder):
 
 def figures(params):
     """All numbers of a result, without where it came from."""
-    apart = ("source", "seed", "notes")
+    apart = ("source", "logs", "seed", "notes")
     return {key: value for key, value in params.items() if key not in apart}
 
 
