@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
+from robot_sysid.excitation.static.options import PoseOptions
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.records.options import (
     OptionRecord,
@@ -120,6 +121,9 @@ NEEDS = {
     "plant": "belongs to a simulated plant; add --plant-model (the model file itself will do)",
     "plant or plan": "belongs to a simulated plant or a plan; add --plant-model (the model file "
     "itself will do) or --plan-only",
+    "plan": "says what a plan is for; add --plan-only, or use robot-sysid plan",
+    "payload plan": "is about finding a payload; add --for payload",
+    "static plan": "is about resting poses; add --static",
     "prior": "is about a prior; add --prior entropic",
     "motors": "is only used together with --export-damiao; add it",
 }
@@ -139,6 +143,7 @@ class SysidConfig:
     estimation: EstimationOptions = EstimationOptions()
     output: OutputOptions = OutputOptions()
     motors: MotorOptions = MotorOptions()
+    poses: PoseOptions = PoseOptions()
 
     def __post_init__(self) -> None:
         self._check_pairs()
@@ -176,6 +181,16 @@ class SysidConfig:
                 "--trajectory",
                 "--excitation optimal",
                 plan.file is not None and self.excitation.kind == "optimal",
+            ),
+            (
+                "--static",
+                "--trajectory, --duration and --excitation optimal",
+                self.poses.static
+                and (
+                    plan.file is not None
+                    or plan.duration != TrajectoryOptions.duration
+                    or self.excitation.kind == "optimal"
+                ),
             ),
             (
                 "--consistency off",
@@ -231,6 +246,9 @@ class SysidConfig:
             "log": log,
             "plant": plant,
             "plant or plan": plant or plan_only or optimal,
+            "plan": plan_only,
+            "payload plan": self.poses.purpose == "payload",
+            "static plan": self.poses.static,
             "prior": self.estimation.prior != "none",
             "motors": self.motors.export_damiao,
         }

@@ -159,7 +159,7 @@ def _request(config: SysidConfig) -> MotionRequest:
     played = config.motors.export_damiao or config.arm.simulation == "forward"
     torques, noise = config.estimation.torques, config.arm.noise_torque
     options = config.trajectory, config.excitation, config.limits
-    return MotionRequest(*options, torques, noise, played)
+    return MotionRequest(*options, torques, noise, played, config.poses)
 
 
 def _remedy(config: SysidConfig) -> str:
@@ -186,12 +186,7 @@ def save_plan(
 
 
 def _plan_outcome(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> PlanOutcome:
-    from robot_sysid.excitation.plan_report import plan_lines
-    from robot_sysid.excitation.prediction import predict
-
-    assert checked.problem is not None and checked.check is not None
-    prediction = predict(checked.problem, checked.plan, config.trajectory.sample_rate)
-    lines = tuple(plan_lines(checked.problem, checked.plan, checked.check, prediction))
+    lines = tuple(_promise(config, robot, checked))
     if checked.failure:
         return PlanOutcome(lines, f"{checked.failure}; nothing was written")
     motor_file = _motor_file(config, robot, checked.plan)
@@ -203,6 +198,23 @@ def _plan_outcome(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) 
         report = write_motor_file(files, path, motor_file)
     damiao = tuple(clamping_lines(report, robot.joint_names))
     return PlanOutcome(lines, None, (*paths, path), damiao)
+
+
+def _promise(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> Iterator[str]:
+    """Yield what a motion promises, and what it does beside its limits."""
+    from robot_sysid.excitation.plan_report import motion_lines, plan_lines
+    from robot_sysid.excitation.prediction import predict
+    from robot_sysid.excitation.static.pose_design import pose_lines
+
+    assert checked.problem is not None and checked.check is not None
+    made = checked.problem, checked.plan, checked.check
+    if config.poses.static:
+        yield from pose_lines(robot, checked.problem, checked.plan)
+        yield from motion_lines(*made)
+    else:
+        yield from plan_lines(
+            *made, predict(checked.problem, checked.plan, config.trajectory.sample_rate)
+        )
 
 
 def _analyse(

@@ -64,7 +64,8 @@ def test_the_groups_of_the_main_command_are_all_there_is():
 
 
 def test_plan_takes_the_groups_it_is_said_to_take():
-    said = ("model and output", "trajectory", "excitation", "limits", "Damiao motors")
+    said = ("model and output", "trajectory", "excitation", "plan for a payload", "limits")
+    said = (*said, "Damiao motors")
     expected = group(*said) - {"--plan-only"} | {"--torques", "--noise-torque"}
     assert flags(plan.build_parser()) == expected
 

@@ -9,6 +9,7 @@ from robot_sysid.commands.run import INTERRUPTED, add_model, identify
 from robot_sysid.config import ModelOptions, MotorOptions, OutputOptions
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
+from robot_sysid.excitation.static.options import PoseOptions
 from robot_sysid.simulation.sensors import SimulatedArmOptions
 from robot_sysid.trajectory import TrajectoryOptions
 
@@ -37,6 +38,7 @@ def build_parser(full: bool = True) -> Parser:
     parser.add("model and output", ModelOptions, OutputOptions)
     parser.add("trajectory", TrajectoryOptions, leave_out=("plan_only",))
     parser.add("excitation", ExcitationOptions, usual=USUAL)
+    parser.add("plan for a payload", PoseOptions)
     parser.add("limits", LimitOptions)
     parser.add(
         "prediction",
@@ -51,5 +53,5 @@ def build_parser(full: bool = True) -> Parser:
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     values, options = parsed(build_parser, arguments)
-    usual = {} if "trajectory" in values else USUAL
+    usual = {} if "trajectory" in values or "static" in values else USUAL
     return identify({**usual, **values, "plan_only": True}, options)

@@ -14,6 +14,7 @@ from robot_sysid.config import ModelOptions, MotorOptions, OutputOptions, config
 from robot_sysid.errors import SysidError
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
+from robot_sysid.excitation.static.options import PoseOptions
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.simulation.sensors import SimulatedArmOptions
 from robot_sysid.trajectory import TrajectoryOptions
@@ -28,6 +29,7 @@ GROUPS = (
     ("model and output", (ModelOptions, OutputOptions)),
     ("trajectory", (TrajectoryOptions,)),
     ("excitation", (ExcitationOptions,)),
+    ("plan for a payload", (PoseOptions,)),
     ("limits", (LimitOptions,)),
     ("measurements", (LogOptions,)),
     ("simulated plant", (SimulatedArmOptions,)),

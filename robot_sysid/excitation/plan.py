@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
+from robot_sysid.excitation.static.options import PoseOptions
 from robot_sysid.model.contacts import CHECK_RATE_HZ, find_new_contacts
 from robot_sysid.records import Motion, MotionPlan, RobotModel
 from robot_sysid.records.options import PerJoint, given_options
@@ -40,6 +41,7 @@ class MotionRequest:
         torques: "chain" or "terminal": which torques will be used.
         noise_torque: torque noise that is expected [N m]; zero for the usual.
         played: whether something will play the motion.
+        poses: whether it rests in poses, and in which.
     """
 
     trajectory: TrajectoryOptions
@@ -48,6 +50,7 @@ class MotionRequest:
     torques: str = "chain"
     noise_torque: PerJoint = 0.0
     played: bool = False
+    poses: PoseOptions = PoseOptions()
 
     @property
     def is_checked(self) -> bool:
@@ -115,10 +118,14 @@ def _new_plan(
         return _loaded(request, robot, progress)
     what = "Designing" if request.is_designed else "Generating"
     rate = f"{options.sample_rate:g} Hz"
-    progress.stage(f"{what} excitation trajectory ({options.duration:.1f}s, {rate})...")
+    if request.poses.static:
+        progress.stage(f"Choosing {request.poses.poses} poses to rest in...")
+    else:
+        progress.stage(f"{what} excitation trajectory ({options.duration:.1f}s, {rate})...")
     if options.seed is None:
         progress.stage(f"Random seed: {seed} (--seed {seed} repeats this run)")
     make = _designed if request.is_designed else _random
+    make = _resting if request.poses.static else make
     return make(request, robot, np.random.default_rng(seed), progress)
 
 
@@ -158,6 +165,15 @@ def _random(
             f"motion scaled down to keep all limits and clearances, most at {joint}: {share:.3g} %"
         )
     return CheckedPlan(smaller, problem)
+
+
+def _resting(
+    request: MotionRequest, robot: RobotModel, rng: np.random.Generator, progress: Progress
+) -> CheckedPlan:
+    from robot_sysid.excitation.static.pose_design import design_poses
+
+    problem = _problem(request, robot)
+    return CheckedPlan(design_poses(robot, problem, request.poses, rng), problem)
 
 
 def _with_torque_limits(robot: RobotModel, problem: ExcitationProblem) -> RobotModel:

@@ -36,13 +36,18 @@ def plan_lines(
         f"Condition number: {prediction.condition_number:.1f} "
         f"({prediction.scaled_condition_number:.1f} with columns of unit length)"
     )
+    yield from motion_lines(problem, plan, check)
+    yield from _advice_lines(prediction)
+
+
+def motion_lines(problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck) -> Iterator[str]:
+    """Yield what a motion does beside its limits; arguments as in ``plan_lines``."""
     yield "Peaks (share of limit):"
     yield from _joint_lines(problem, check)
     yield from _origin_lines(problem)
     yield from _space_lines(problem, plan, check)
     yield from _load_lines(problem, plan)
     yield from _excess_lines(check)
-    yield from _advice_lines(prediction)
 
 
 def _parameter_lines(prediction: Prediction) -> Iterator[str]:

@@ -16,6 +16,7 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.excitation.fourier import FourierBasis, FourierTrajectory
+from robot_sysid.excitation.static.pose_trajectory import PoseTrajectory
 from robot_sysid.records import Array, Motion, MotionPlan
 from robot_sysid.records.atomic_files import whole_file
 from robot_sysid.trajectory import SineTrajectory, motion_chunks
@@ -25,6 +26,7 @@ VERSION = 1
 _ARRAYS = {
     "sines": ("center", "amplitude", "frequency_hz", "phase"),
     "fourier": ("rest", "coefficients"),
+    "poses": ("points", "moves", "dwells"),
 }
 
 
@@ -108,7 +110,7 @@ def save_trajectory(
 
     Args:
         path: file, which appears whole or not at all, or an open one.
-        plan: a sum of sinusoids, a Fourier series, or one of them slowed down.
+        plan: a sum of sinusoids, a Fourier series, poses, or one of them slowed down.
         joint_names: one per joint.
         sha256: of the model file it was made for.
 
@@ -132,6 +134,8 @@ def _described(plan: MotionPlan) -> dict[str, Any]:
         return {"kind": "sines", **numbers, **_listed_arrays(plan, "sines")}
     if isinstance(plan, FourierTrajectory):
         return {"kind": "fourier", **asdict(plan.basis), **_listed_arrays(plan, "fourier")}
+    if isinstance(plan, PoseTrajectory):
+        return {"kind": "poses", **_listed_arrays(plan, "poses")}
     raise InputError(f"a {type(plan).__name__} has no coefficients to save")
 
 
@@ -182,8 +186,10 @@ def _read(path: Path) -> Mapping[str, Any]:
     return content
 
 
-def _built(kind: str, content: Mapping[str, Any]) -> SineTrajectory | FourierTrajectory:
+def _built(kind: str, content: Mapping[str, Any]) -> MotionPlan:
     arrays = {name: np.array(content[name], dtype=float) for name in _ARRAYS[kind]}
+    if kind == "poses":
+        return PoseTrajectory(**arrays)
     if kind == "sines":
         return SineTrajectory(
             **arrays, duration=float(content["duration"]), fade=float(content["fade"])

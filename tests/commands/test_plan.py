@@ -6,11 +6,12 @@ import pytest
 
 from robot_sysid.commands import plan as module
 from robot_sysid.config import config_from
+from robot_sysid.excitation.static.pose_trajectory import PoseTrajectory
 from robot_sysid.excitation.trajectory_files import load_trajectory
 from robot_sysid.trajectory import SineTrajectory
 from tests.support import arms, option_samples
 from tests.support.command_line import files_in
-from tests.support.option_samples import MOTORS
+from tests.support.option_samples import MOTORS, PAYLOAD, STATIC
 
 SINES = ("--excitation", "sines", "--duration", "3", "--sample-rate", "100", "--seed", "1")
 MOTOR = ("--motor-type", "DM10010")
@@ -21,7 +22,9 @@ SAMPLES = [sample for sample in option_samples.samples() if sample.option.key in
 def test_it_takes_what_a_trajectory_needs_and_nothing_of_an_estimate():
     assert {sample.option.key for sample in SAMPLES} == TAKEN
     needs = {sample.option.needs for sample in SAMPLES}
-    assert needs == {"", "motion", "new motion", "design", "plant or plan", "motors"}
+    of_plans = {"plan", "payload plan", "static plan"}
+    of_motions = {"", "motion", "new motion", "design", "plant or plan", "motors"}
+    assert needs == of_motions | of_plans
     assert not {"measurements", "method", "plant_model", "cutoff", "plan_only"} & TAKEN
 
 
@@ -34,9 +37,10 @@ def test_it_designs_a_trajectory_unless_there_is_one(asked):
 
 @pytest.mark.parametrize("sample", SAMPLES, ids=str)
 def test_every_option_reaches_its_record(sample, asked):
-    motors = {"motors": MOTORS}.get(sample.option.needs, {})
-    motors = MOTORS if sample.option.key == "export_damiao" else motors
-    there = option_samples.typed({k: v for k, v in motors.items() if k != sample.option.key})
+    met = {"motors": MOTORS, "payload plan": PAYLOAD, "static plan": STATIC}
+    met = MOTORS if sample.option.key == "export_damiao" else met.get(sample.option.needs, {})
+    left_out = {sample.option.key, "plan_only"}
+    there = option_samples.typed({k: v for k, v in met.items() if k not in left_out})
     config = asked("arm.xml", *there, *sample.words)
     assert getattr(getattr(config, sample.record), sample.field) == sample.value
 
@@ -67,6 +71,19 @@ def test_a_designed_trajectory_can_be_saved_checked_slowed_and_exported(command,
     command.run("plan", path, "--trajectory", "plan.json", "--speed", "0.5", *export(3))
     rows = (path.parent / "sysid_output" / "damiao_trajectory.csv").read_text().splitlines()
     assert rows[-1].startswith("6.0")
+
+
+@pytest.mark.slow
+def test_poses_can_be_planned_saved_and_checked_again(command, arm_file):
+    path = arm_file(arms.THREE)
+    static = ("--for", "payload", "--static", "--poses", "5", "--sample-rate", "100")
+    printed = command.run("plan", path, *static, "--seed", "1")
+    assert "5 poses, each approached from both sides" in printed.out
+    assert "Peaks (share of limit):" in printed.out
+    plan = path.parent / "sysid_output" / "trajectory.json"
+    assert isinstance(load_trajectory(plan).plan, PoseTrajectory)
+    folder = ("--output-dir", "again", "--sample-rate", "100")
+    assert "Trajectory saved" in command.run("plan", path, "--trajectory", plan, *folder).out
 
 
 def export(joints):

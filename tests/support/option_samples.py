@@ -21,6 +21,8 @@ PLANT = {"plant_model": Path("truth.xml")}
 PLAN = {"plan_only": True}
 OPTIMAL = {"excitation": "optimal"}
 FILE = {"trajectory": Path("saved.json")}
+PAYLOAD = {**PLAN, "for": "payload"}
+STATIC = {**PAYLOAD, "static": True}
 MOTORS = {"export_damiao": True, "motor_type": ("DM4340",)}
 
 # Need -> options with which it is met, and options with which it is not; {} stands for none.
@@ -34,6 +36,9 @@ MET: dict[str, tuple[dict[str, Any], ...]] = {
     "log": (LOG,),
     "plant": (PLANT,),
     "plant or plan": (PLANT, PLAN, OPTIMAL),
+    "plan": (PLAN,),
+    "payload plan": (PAYLOAD,),
+    "static plan": (STATIC,),
     "prior": ({"prior": "entropic"},),
     "motors": (MOTORS,),
 }
@@ -46,6 +51,9 @@ UNMET: dict[str, tuple[dict[str, Any], ...]] = {
     "log": ({}, PLANT),
     "plant": ({}, PLAN, OPTIMAL),
     "plant or plan": ({},),
+    "plan": ({}, PLANT, LOG),
+    "payload plan": ({}, PLAN),
+    "static plan": (PLAN, PAYLOAD),
     "prior": ({},),
     "motors": ({}, PLAN),
 }

@@ -1,0 +1,1 @@
+"""Resting poses for arms that may not move fast: a payload's mass and centre of mass."""
