@@ -16,7 +16,7 @@ from robot_sysid.commands.streams import print_line, tolerant_output
 from robot_sysid.errors import INTERRUPTED, InputError, SysidError
 from robot_sysid.interrupts import STOPPING
 
-COMMANDS = ("plan", "identify", "arm", "motors")
+COMMANDS = ("plan", "identify", "arm", "payload", "motors")
 """Subcommands, each a module of its name; any other first word is a model file."""
 
 

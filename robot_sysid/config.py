@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, ClassVar
@@ -213,13 +213,7 @@ class SysidConfig:
         read = (*read, log.validation_measurements, log.columns, self.trajectory.file)
         factors = (log.torque_scale, log.torque_constants)
         read = (*read, *(path for path in factors if isinstance(path, Path)))
-        taken = {os.path.realpath(path): "a file that is read" for path in read if path is not None}
-        for what, path in self._written():
-            place = os.path.realpath(path)
-            if place in taken:
-                there = taken[place]
-                raise InputError(f"{what} would overwrite {there}: {path}; choose another name")
-            taken[place] = f"what {what} writes"
+        refuse_overwriting(read, self._written())
 
     def _written(self) -> Iterator[tuple[str, Path]]:
         """Yield the files that a run writes, each with the option that names it."""
@@ -252,6 +246,22 @@ class SysidConfig:
             "prior": self.estimation.prior != "none",
             "motors": self.motors.export_damiao,
         }
+
+
+def refuse_overwriting(read: Iterable[Path | None], written: Iterable[tuple[str, Path]]) -> None:
+    """Raise InputError where a file would be written over one that is read, or two into one place.
+
+    Args:
+        read: files that are read, where there are any.
+        written: files that are written, each with the option that names it.
+    """
+    taken = {os.path.realpath(path): "a file that is read" for path in read if path is not None}
+    for what, path in written:
+        place = os.path.realpath(path)
+        if place in taken:
+            there = taken[place]
+            raise InputError(f"{what} would overwrite {there}: {path}; choose another name")
+        taken[place] = f"what {what} writes"
 
 
 def config_from(path: Path, **values: Any) -> SysidConfig:

@@ -15,7 +15,7 @@ import pytest
 
 from robot_sysid import __version__
 from robot_sysid.cli import main
-from robot_sysid.commands import identify, plan, run
+from robot_sysid.commands import identify, payload, plan, run
 from robot_sysid.errors import SysidError
 from robot_sysid.identify.simulated import ITSELF
 from robot_sysid.records.atomic_files import only_run_in
@@ -363,6 +363,7 @@ PARSERS = {
     "": run.build_parser,
     "plan": plan.build_parser,
     "identify": identify.build_parser,
+    "payload": payload.build_parser,
 }
 
 
@@ -391,7 +392,7 @@ def test_help_is_an_example_and_the_main_options_on_one_page(name, capsys):
 @pytest.mark.parametrize("name", PARSERS)
 def test_the_main_options_are_options(name):
     shown = [a for a in PARSERS[name](False)._actions if a.help != argparse.SUPPRESS]
-    module = {"": run, "plan": plan, "identify": identify}[name]
+    module = {"": run, "plan": plan, "identify": identify, "payload": payload}[name]
     assert set(module.MAIN) <= {action.dest for action in shown}
 
 
@@ -405,7 +406,7 @@ def test_all_options_of_all_records_are_in_the_full_help(capsys):
         assert any(record in records for _, records in run.GROUPS)
 
 
-@pytest.mark.parametrize("name", ["plan", "identify"])
+@pytest.mark.parametrize("name", ["plan", "identify", "payload"])
 def test_the_full_help_of_a_command_shows_all_it_takes(name, capsys):
     text = "\n".join(help_lines([name, "--help-all"], capsys))
     for action in PARSERS[name]()._actions:

@@ -6,7 +6,7 @@ import argparse
 
 import pytest
 
-from robot_sysid.commands import arm, identify, motors, plan, run
+from robot_sysid.commands import arm, identify, motors, payload, plan, run
 from robot_sysid.commands.arguments import ConsoleOptions
 from robot_sysid.excitation.problem import DEFAULT_NOISE_TORQUE
 from robot_sysid.records.options import options_of
@@ -78,6 +78,16 @@ def test_identify_takes_the_groups_it_is_said_to_take():
 def test_arm_takes_the_groups_it_is_said_to_take():
     said = ("model and output", "measurements", "every link")
     assert flags(arm.build_parser()) == group(*said) - {"--measurements"}
+
+
+def test_payload_takes_the_groups_it_is_said_to_take():
+    whole = ("payload", "model and output", "measurements", "trajectory", "excitation", "limits")
+    of_estimation = {"--cutoff", "--velocity-deadband", "--friction-model"}
+    of_estimation |= {f"--{what}-uncertainty" for what in ("link", "scale", "zero", "gravity")}
+    left_out = {"--measurements", "--validation-measurements", "--plan-only", "--save-trajectory"}
+    left_out |= {"--plant-model", "--save-measurements"}
+    expected = group(*whole, "simulated plant") | of_estimation
+    assert flags(payload.build_parser()) == expected - left_out
 
 
 def test_the_noise_of_a_plan_is_what_the_page_says():

@@ -45,6 +45,11 @@ def params_json_text(identification: Identification, notes: tuple[str, ...] = ()
     found = replace(identification, notes=identification.notes + notes)
     parts = (_result, _quality, _uncertainty, _measured, _origin)
     content = {key: value for part in parts for key, value in part(found).items()}
+    return json_text(content)
+
+
+def json_text(content: Mapping[str, Any]) -> str:
+    """Return strict JSON: arrays as lists, numbers that are not finite as null."""
     return json.dumps(_strict(content), indent=2, allow_nan=False) + "\n"
 
 

@@ -19,6 +19,7 @@ from robot_sysid.damiao.play.settings import PlaySettings
 from robot_sysid.damiao.protocol.bus_load import BusTiming
 from robot_sysid.damiao.run.preflight import Permissions
 from robot_sysid.estimation.arm.options import ArmOptions
+from robot_sysid.identify.payload.options import PayloadOptions
 from robot_sysid.records.options import Option, default_of, options_of
 from tests.support.places import ROOT
 
@@ -27,6 +28,7 @@ TABLES: Mapping[str, tuple[type, ...]] = {
     **dict(run.GROUPS),
     "every link": (ArmOptions,),
     "console": (ConsoleOptions,),
+    "payload": (PayloadOptions,),
     "motors: bus": (BusAddress, BusTiming),
     "motors: motion and limits": (PlaySettings,),
     "motors: what to allow": (Permissions,),

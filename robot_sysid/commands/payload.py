@@ -1,0 +1,88 @@
+"""``robot-sysid payload MODEL``: a payload from logs without and with it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
+from typing import Any
+
+from robot_sysid.commands.arguments import Parser, exit_codes, parsed
+from robot_sysid.commands.console import Console
+from robot_sysid.commands.run import INTERRUPTED, add_model, warnings_as_notes
+from robot_sysid.config import ModelOptions, OutputOptions
+from robot_sysid.errors import SysidError
+from robot_sysid.estimation.options import EstimationOptions
+from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
+from robot_sysid.identify.payload.options import PayloadOptions
+from robot_sysid.logs.options import LogOptions
+from robot_sysid.payload_config import PayloadConfig
+from robot_sysid.records.options import record_from
+from robot_sysid.simulation.sensors import SimulatedArmOptions
+from robot_sysid.trajectory import TrajectoryOptions
+
+__all__ = ["INTERRUPTED", "build_parser", "main"]
+
+MAIN = (
+    *("mesh_dir", "joint", "output_dir", "empty", "loaded", "order", "flange", "as_body"),
+    *("known_mass", "save_torque_scale", "static", "empty_model", "loaded_model"),
+    *("columns", "units", "torque_scale", "scale_uncertainty"),
+)
+ESTIMATION = (
+    *("cutoff", "velocity_deadband", "friction_model", "link_uncertainty"),
+    *("scale_uncertainty", "zero_uncertainty", "gravity_uncertainty"),
+)
+NOT_PLANNED = ("plan_only", "save_trajectory")
+NOT_SIMULATED = ("plant_model", "save_measurements")
+NOT_HERE = ("measurements", "validation_measurements")
+
+
+def build_parser(full: bool = True) -> Parser:
+    """Return the parser of this command."""
+    parser = Parser(
+        "payload",
+        "robot-sysid payload arm.xml --empty a.csv d.csv --loaded b.csv c.csv --order ABBA",
+        description="Identify what is bolted to the flange from logs without and with it, and "
+        "write a model that carries it and a card for controllers.",
+        epilog=exit_codes(0, 1, 2, 130),
+        main=None if full else MAIN,
+    )
+    add_model(parser)
+    parser.add("recordings and payload", PayloadOptions)
+    parser.add("model and output", ModelOptions, OutputOptions)
+    parser.add("logs", LogOptions, leave_out=NOT_HERE)
+    parser.add("estimation", EstimationOptions, only=ESTIMATION)
+    parser.add("trajectory of a simulation", TrajectoryOptions, leave_out=NOT_PLANNED)
+    parser.add("excitation", ExcitationOptions)
+    parser.add("limits", LimitOptions)
+    parser.add(
+        "sensors of a simulation",
+        SimulatedArmOptions,
+        leave_out=("plant_model", "save_measurements"),
+    )
+    parser.add_console()
+    return parser
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the command and return its exit code."""
+    values, options = parsed(build_parser, arguments)
+    config = _config(values)
+    console = Console(options.quiet, options.verbose)
+    # Imported here so that --help and usage errors do not wait for MuJoCo.
+    from robot_sysid.payload import run
+
+    with warnings_as_notes(console, options.debug):
+        outcome = run(config, console)
+    console.lines(outcome.report_lines(options.verbose))
+    if outcome.failure:
+        raise SysidError(outcome.failure)
+    return 0
+
+
+def _config(values: Mapping[str, Any]) -> PayloadConfig:
+    """Return what was asked for, from what was given by the options' keys."""
+    model = record_from(ModelOptions, values)
+    records = {each.name: type(each.default) for each in fields(PayloadConfig)[2:]}
+    found: dict[str, Any] = {name: record_from(r, values) for name, r in records.items()}
+    options = record_from(PayloadOptions, values)
+    return PayloadConfig(replace(model, path=values["path"]), options, **found)

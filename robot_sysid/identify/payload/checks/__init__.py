@@ -1,0 +1,1 @@
+"""Whether a payload may be believed: agreement, prediction, plausibility."""

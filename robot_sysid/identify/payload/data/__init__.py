@@ -1,0 +1,1 @@
+"""Recordings with and without a payload, from the log to the rows that are fitted."""

@@ -1,0 +1,116 @@
+"""``robot-sysid payload MODEL``: from two models that play the arm to a model with the payload."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from robot_sysid.commands import payload as module
+from robot_sysid.model.compilation import compile_model
+from robot_sysid.model.inertia import composite_theta
+from robot_sysid.payload_config import PayloadConfig
+from robot_sysid.records.options import options_of
+from tests.support import arms, option_samples
+from tests.support.payload_logs import PAYLOAD
+
+JOINT = 'range="-2.5 2.5" frictionloss=".3" damping=".2" armature=".02"'
+AXES = (arms.Z, arms.Y, arms.Y, arms.X)
+TOOL = (
+    '<body name="tool"><inertial pos=".03 -.02 .08" mass="1.2" '
+    'fullinertia=".006 .007 .004 .001 .0005 -.0004"/></body>'
+)
+SIMULATED = ("--seed", "1", "--sample-rate", "100", "--noise-torque", "0.02")
+
+
+@pytest.fixture
+def models(arm_file):
+    """An arm without and with a tool."""
+    empty = arm_file(arms.serial_arm(AXES, joint=JOINT), "empty.xml")
+    loaded = arm_file(arms.serial_arm(AXES, joint=JOINT, tip=TOOL), "loaded.xml")
+    return empty, loaded
+
+
+def simulated(models, swapped=False):
+    empty, loaded = models[::-1] if swapped else models
+    return (models[0], "--empty-model", empty, "--loaded-model", loaded, *SIMULATED)
+
+
+def test_every_option_is_one_of_a_record():
+    known = {each.name for each in fields(PayloadConfig)}
+    assert {"model", "payload", "log", "estimation", "output"} <= known
+    taken = option_samples.keys_of(module.build_parser())
+    records = [type(each.default) for each in fields(PayloadConfig)[2:]]
+    records += [module.ModelOptions, module.PayloadOptions]
+    assert taken <= {option.key for r in records for option in options_of(r).values()}
+
+
+@pytest.mark.slow
+def test_a_payload_is_found_and_written_into_the_model(command, models):
+    printed = command.run("payload", *simulated(models))
+    folder = models[0].parent / "sysid_output"
+    found = json.loads((folder / "params.json").read_text())
+    assert found["status"] == "OK" and found["valid"]["trustworthy"]
+    assert found["payload"]["mass"] == pytest.approx(PAYLOAD[0], abs=0.02)
+    off = np.subtract(found["payload"]["center_of_mass"], PAYLOAD[1:4] / PAYLOAD[0])
+    assert np.max(np.abs(off)) < 0.005
+    assert set(found["payload"]["error_budget"]) >= {"noise", "torque scale", "other links"}
+    assert f"Mass: {found['payload']['mass']:.4f} ±" in printed.out
+    assert len(found["scatter"]) == 4
+    card = (folder / "payload_card.txt").read_text()
+    assert f"{found['payload']['mass']:.6g}"[:6] in card
+    written = compile_model(folder / "updated_model.xml").mj_model
+    theta = composite_theta(written, written.qpos0, written.body("link3").id)
+    assert theta[0] == pytest.approx(found["link_with_payload"]["mass"], rel=1e-9)
+
+
+@pytest.mark.slow
+def test_a_payload_can_be_a_body_of_its_own(command, models):
+    command.run("payload", *simulated(models), "--as-body", "gripper")
+    folder = models[0].parent / "sysid_output"
+    found = json.loads((folder / "params.json").read_text())
+    body = compile_model(folder / "updated_model.xml").mj_model.body("gripper")
+    assert float(body.mass[0]) == pytest.approx(found["payload"]["mass"], rel=1e-9)
+
+
+@pytest.mark.slow
+def test_swapped_recordings_are_refused_and_nothing_is_written_as_if_it_were_good(command, models):
+    printed = command.run("payload", *simulated(models, swapped=True), code=1)
+    assert "look swapped" in printed.err
+    folder = models[0].parent / "sysid_output"
+    assert sorted(path.name for path in folder.iterdir()) == ["params.json"]
+    found = json.loads((folder / "params.json").read_text())
+    assert found["status"] == "SWAPPED" and not found["valid"]["trustworthy"]
+    assert found["cards"] == {}
+
+
+@pytest.mark.slow
+def test_a_known_mass_gives_a_file_of_torque_scales(command, models):
+    given = ("--known-mass", "1.2", "--save-torque-scale", "scale.json")
+    printed = command.run("payload", *simulated(models), *given)
+    scales = json.loads((models[0].parent / "scale.json").read_text())["torque_scale"]
+    assert list(scales) == ["joint0", "joint1", "joint2", "joint3"]
+    # The third joint lifts the weight all the time.
+    assert scales["joint1"] == pytest.approx(1.0, abs=0.01)
+    assert "Torque scales by the known mass of 1.2 kg" in printed.out
+    folder = models[0].parent / "sysid_output"
+    assert not (folder / "updated_model.xml").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((), "--empty LOG"),
+        (("--empty", "a.csv"), "--loaded is missing"),
+        (("--empty", "a.csv", "--loaded", "b.csv", "--order", "AAB"), "--order AAB"),
+        (("--empty", "a.csv", "--loaded", "b.csv", "--duration", "3"), "--duration is about a sim"),
+        (("--empty-model", "a.xml", "--loaded-model", "b.xml", "--units", "deg"), "--units descr"),
+        (("--empty-model", "a", "--loaded-model", "b", "--criterion", "A"), "--excitation optimal"),
+        (("--empty", "a", "--loaded", "b", "--static", "--cutoff", "3"), "poses at rest"),
+        (("--empty", "sysid_output/params.json", "--loaded", "b"), "would overwrite"),
+    ],
+)
+def test_what_is_missing_is_said_before_any_work(command, models, arguments, words):
+    assert words in command.run("payload", models[0], *arguments, code=2).err

@@ -1,0 +1,112 @@
+"""An arm with everything that real arms have wrong at once, for proofs of the payload command.
+
+Links, torque scales, encoder zeros, a tilted base, a late torque, friction that grows with the load
+and torque noise with a memory: none of it is in the model that the identification gets.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.gravity import gravity, turned, with_gravity
+from robot_sysid.dynamics.newton_euler import LinkDynamics
+from robot_sysid.records import Measurement
+
+RATE = 200.0
+STRONG, WEAK = 1.0, 0.3
+"""Size of friction and noise in the first half of the joints and in the others."""
+
+
+@dataclass(frozen=True)
+class Imperfections:
+    """How large each of them is.
+
+    Attributes:
+        links: each link's mass, centre of mass (as part of its size) and moments are off by this.
+        scale: standard deviation of the torque scales.
+        zero: of the encoder zeros [rad].
+        tilt: of the base, in a random direction [rad].
+        lag: of the torque behind the position [s].
+        load: gear loss per load of the strong joints, give or take 30 %.
+        noise: standard deviation of the torque noise of a strong joint [N m], half of it white.
+        memory: of the other half [s].
+        step: of the encoders [rad].
+    """
+
+    links: float = 0.02
+    scale: float = 0.0
+    zero: float = 2e-3
+    tilt: float = np.radians(0.5)
+    lag: float = 2e-3
+    load: float = 0.06
+    noise: float = 0.3
+    memory: float = 0.03
+    step: float = 1e-4
+
+
+class ImperfectArm:
+    """One arm drawn at random.
+
+    Args:
+        robot: what its model says.
+        rng: source of randomness.
+        off: how much is wrong.
+        scale: (n,) torque scales; None draws them.
+    """
+
+    def __init__(self, robot, rng, off=Imperfections(), scale=None):
+        n = robot.n_joints
+        self.robot, self.off = robot, off
+        strong = np.arange(n) < n // 2 + 1
+        self.size = np.where(strong, STRONG, WEAK)
+        self.thetas = np.array([_wrong(link.theta, off.links, rng) for link in robot.links])
+        drawn = 1.0 + off.scale * rng.standard_normal(n)
+        self.scale = drawn if scale is None else scale
+        self.zero = off.zero * rng.standard_normal(n)
+        direction = rng.uniform(0.0, 2.0 * np.pi)
+        angles = off.tilt * np.array([np.cos(direction), np.sin(direction)])
+        self.dynamics = LinkDynamics(with_gravity(robot, turned(gravity(robot), angles)))
+        self.coulomb = rng.uniform(0.5, 1.5, n) * self.size
+        self.viscous = rng.uniform(0.3, 1.0, n) * self.size
+        self.load = np.where(strong, off.load * rng.uniform(0.7, 1.3, n), 0.0)
+        self.rotor = rng.uniform(0.05, 0.3, n) * self.size**2
+        self.offset = 0.3 * self.size * rng.standard_normal(n)
+
+    def log(self, plan, payload, rng):
+        """What its sensors say along a plan with a payload (10,) on the terminal body."""
+        off, time = self.off, np.arange(0.0, plan.duration, 1.0 / RATE)
+        seen = plan.evaluate(time)
+        late = plan.evaluate(np.clip(time - off.lag, 0.0, plan.duration))
+        thetas = self.thetas.copy()
+        thetas[-1] += payload
+        rigid = self.dynamics.motion(late.q, late.qd, late.qdd).torque(thetas)
+        dry = self.coulomb + self.load * np.abs(rigid)
+        friction = dry * np.sign(late.qd) + self.viscous * late.qd
+        tau = self.scale * rigid + friction + self.rotor * late.qdd + self.offset
+        q = np.round((seen.q + self.zero) / off.step) * off.step
+        return Measurement(time, q, None, tau + self._noise(tau.shape, rng))
+
+    def _noise(self, shape, rng):
+        from scipy.signal import lfilter
+
+        keep = np.exp(-1.0 / (self.off.memory * RATE))
+        drive = np.sqrt(1.0 - keep**2) * rng.standard_normal(shape)
+        slow = lfilter([1.0], [1.0, -keep], drive, axis=0)
+        fast = rng.standard_normal(shape)
+        return self.off.noise * self.size * np.sqrt(0.5) * (slow + fast)
+
+
+def _wrong(theta, share, rng):
+    """A body that is off by a share in all numbers, with random signs."""
+    if not np.any(theta):
+        return theta
+    mass, com, inertia = spatial.com_from_theta(theta)
+    size = max(spatial.characteristic_length(theta), 0.02)
+    moments, axes = np.linalg.eigh(inertia)
+    moments = moments * (1.0 + share * rng.choice([-1.0, 1.0], 3))
+    moved = com + share * size * rng.choice([-1.0, 1.0], 3)
+    heavier = mass * (1.0 + share * rng.choice([-1.0, 1.0]))
+    return spatial.theta_from_com(heavier, moved, (axes * moments) @ axes.T)
