@@ -17,8 +17,6 @@ tilt angles    torque at rest, gravity turned       N m/rad
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from robot_sysid.dynamics.friction import FrictionModel
@@ -57,12 +55,14 @@ class NuisanceColumns:
 
     def zero(self, motion: Motion) -> Array:
         """Return (K, n, n) torque per radian that a joint's reading is too large [N m/rad]."""
-        columns = []
-        for shift in _STEP * np.eye(self._robot.n_joints):
-            above = self._torque(replace(motion, q=motion.q + shift))
-            below = self._torque(replace(motion, q=motion.q - shift))
-            columns.append((below - above) / (2.0 * _STEP))
-        return np.stack(columns, axis=-1)
+        # All shifted motions at once: what a call costs hardly depends on how many samples it has.
+        steps = _STEP * np.concatenate((-np.eye(motion.q.shape[1]), np.eye(motion.q.shape[1])))
+        size = (len(steps), *motion.q.shape)
+        qd, qdd = (np.broadcast_to(v, size).reshape(-1, size[2]) for v in (motion.qd, motion.qdd))
+        q = (motion.q + steps[:, None]).reshape(qd.shape)
+        shifted = self._dynamics.motion(q, qd, qdd).torque(self._thetas).reshape(size)
+        below, above = np.split(shifted, 2)
+        return np.asarray(np.moveaxis(below - above, 0, -1) / (2.0 * _STEP))
 
     def friction(self, motion: Motion, term: str) -> Array:
         """Return (K, n, n) a friction term of each joint, in its own equation alone."""

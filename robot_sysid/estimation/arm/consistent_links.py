@@ -283,8 +283,8 @@ def _units(matrix: Array, problem: LinksProblem, origin: Array) -> Array:
     unit = np.diag(1.0 / np.where(length > 0.0, length, 1.0))
     for link in problem.links:
         root = np.linalg.cholesky(spatial.pseudo_inertia(origin[link]))
-        bodies = [spatial.theta_from_pseudo_inertia(root @ e @ root.T) for e in _BASIS]
-        unit[np.ix_(link, link)] = np.array(bodies).T
+        bodies = np.einsum("kij,bij->kb", root @ _BASIS @ root.T, _BASIS) @ _THETAS
+        unit[np.ix_(link, link)] = bodies.T
     return unit
 
 
@@ -300,3 +300,4 @@ def _orthonormal_basis() -> Array:
 
 
 _BASIS = _orthonormal_basis()
+_THETAS = np.array([spatial.theta_from_pseudo_inertia(matrix) for matrix in _BASIS])

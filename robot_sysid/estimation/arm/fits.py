@@ -155,12 +155,3 @@ def is_clearly_lower(after: Array, before: Array, share: float, errors: float) -
     error = float(np.std(gain, ddof=1)) / np.sqrt(len(gain))
     mean = float(np.mean(gain))
     return mean > share * float(np.mean(before)) and mean > errors * error
-
-
-def close_to_best(scores: Array, best: int) -> NDArray[np.bool_]:
-    """Tell which candidates' scores (m, blocks) are at most a standard error above the best's."""
-    close = np.isfinite(np.sum(scores, axis=1))
-    excess = scores[close] - scores[best]
-    spread = np.std(excess, axis=1, ddof=1) / np.sqrt(scores.shape[1])
-    close[close] = np.mean(excess, axis=1) <= spread
-    return close

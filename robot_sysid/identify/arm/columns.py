@@ -76,11 +76,18 @@ class ArmColumns:
         self.names = (*parts[0].names, *self._later)
         self.prior = np.append(prior, np.zeros(len(self._later)))
 
-    def samples(self, thetas: Array) -> list[DecimatedSamples]:
-        """Return the samples of each log, around links (n, 10)."""
+    def samples(self, thetas: Array, load: bool = True) -> list[DecimatedSamples]:
+        """Return the samples of each log, around links (n, 10).
+
+        Args:
+            thetas: what is known of the links.
+            load: whether the columns of the gears' load are needed; they are zero otherwise.
+        """
         made = []
         for part, log in zip(self._parts, self._signals):
-            columns = np.concatenate((self._load(log, thetas), self._off(log, thetas)), axis=-1)
+            joints = self._robot.n_joints
+            loads = self._load(log, thetas) if load else np.zeros((len(part), joints, joints))
+            columns = np.concatenate((loads, self._off(log, thetas)), axis=-1)
             blocks = [columns[:, joint] for joint in range(self._robot.n_joints)]
             made.append(part.with_columns(self._later, blocks))
         return made

@@ -15,7 +15,6 @@ from robot_sysid.estimation.arm.consistent_links import LinksProblem
 from robot_sysid.estimation.arm.fits import (
     Columns,
     LinkFits,
-    close_to_best,
     first_noise,
     is_clearly_lower,
 )
@@ -54,6 +53,8 @@ _FIRST_GAMMA, _ROUNDS, _SETTLED = 1.0, 3, 1e-3
 # A coupling or a further term has to lower the held-out squared error by this share, and by this
 # many standard errors.
 _CLEAR_SHARE, _CLEARLY = 0.1, 2.0
+# Squared errors of two weights of the model up to this ratio are as good as equal.
+_AS_GOOD = 1.01
 
 Mask = NDArray[np.bool_]
 
@@ -169,6 +170,7 @@ class _Search:
         )
         self._gamma = options.model_weight or _FIRST_GAMMA
         self._choices: Mapping[str, float] = {}
+        self._comparing = False
         self._thetas = np.array([link.theta for link in robot.links])
         self._values = self._columns.prior
         self._noise: Array | None = None
@@ -189,12 +191,15 @@ class _Search:
 
     def _data(self) -> LinkFits:
         """Return the data around the links as they are known now."""
-        self._samples = tuple(self._columns.samples(self._thetas))
+        self._samples = tuple(self._columns.samples(self._thetas, self._needs_load()))
         if self._used is not None:
             self._samples = tuple(s.where(m) for s, m in zip(self._samples, self._used))
         parts = _blocks(self._samples)
         noise = first_noise(parts) if self._noise is None else self._noise
         return LinkFits(parts, self._problem(), self._known(), noise)
+
+    def _needs_load(self) -> bool:
+        return self._comparing or "load" in friction_model(self._friction).terms
 
     def choose_couplings(self) -> None:
         """Let neighbours share a motor where that predicts held-out torques clearly better."""
@@ -208,7 +213,9 @@ class _Search:
             best = trials[found]
             self._couplings = (*self._couplings, offered.pop(found))
         self._columns = self._columns.with_couplings(self._couplings)
+        self._comparing = self._options.friction is None
         self.settle(1)
+        self._comparing = False
 
     def _rough_scores(self, couplings: Sequence[Coupling]) -> Array:
         kept = self._kept(couplings=couplings)
@@ -243,9 +250,8 @@ class _Search:
         if self._options.model_weight is None:
             squared = self._fits.held_out(self._kept(), GAMMAS)
             scores = self._fits.scores(squared)
-            best = int(np.argmin(np.mean(scores, axis=1)))
-            chosen = int(np.flatnonzero(close_to_best(scores, best))[0])
-            self._gamma = GAMMAS[chosen]
+            error = np.mean(scores, axis=1)
+            self._gamma = GAMMAS[int(np.flatnonzero(error <= _AS_GOOD * np.min(error))[0])]
         self.settle()
 
     def result(self) -> ArmFit:
