@@ -9,8 +9,8 @@ r, the first r columns of W P span all, and
 
 Which of them a log needs is told by backward elimination: the one with the largest relative
 standard deviation goes, the rest is fitted again, until the largest is no more than 30 times the
-smallest (Pham, Gautier, "Essential parameters of robots", CDC 1991). It is a report on the data;
-the estimate does without it.
+smallest (Pham, Gautier, "Essential parameters of robots", CDC 1991) or is below 10 %. It is a
+report on the data; the estimate does without it.
 """
 
 from __future__ import annotations
@@ -27,6 +27,8 @@ RELATIVE_CUT = 1e-8
 """Diagonal entries of R below this share of the largest count as zero."""
 ESSENTIAL_RATIO = 30.0
 """How many times the smallest relative standard deviation an essential parameter may have."""
+WELL_KNOWN = 0.1
+"""Relative standard deviation below which a parameter is essential in any case."""
 _ROUNDING = 1e-5
 
 
@@ -97,7 +99,7 @@ def essential(base: Array, nuisance: Array, right: Array) -> NDArray[np.bool_]:
         inverse = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
         values = inverse @ (scaled.T @ target)
         relative = np.sqrt(np.maximum(np.diag(inverse), 0.0)) / np.maximum(np.abs(values), 1e-300)
-        if np.max(relative) <= ESSENTIAL_RATIO * np.min(relative):
+        if np.max(relative) <= max(ESSENTIAL_RATIO * np.min(relative), WELL_KNOWN):
             break
         kept[np.flatnonzero(kept)[int(np.argmax(relative))]] = False
     return kept

@@ -38,6 +38,13 @@ def test_elimination_keeps_what_the_data_needs():
     assert not np.any(essential(base, nuisance, right)[1::2])
 
 
+def test_what_is_known_well_stays_beside_what_is_known_far_better():
+    rng = np.random.default_rng(5)
+    base = rng.normal(size=(400, 2))
+    right = base @ np.array([1000.0, 1.0]) + rng.normal(size=400)
+    assert essential(base, rng.normal(size=(400, 1)), right).tolist() == [True, True]
+
+
 def test_elimination_lets_nuisances_explain_what_they_can():
     rng = np.random.default_rng(4)
     shared = rng.normal(size=(200, 1))
