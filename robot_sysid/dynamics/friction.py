@@ -124,8 +124,10 @@ def friction_model(name: str) -> FrictionModel:
     Raises:
         InputError: a term is unknown; lists the valid terms and presets.
     """
-    full = DEFAULT_MEASURED + name if name.startswith("+") else name
-    terms = () if full == "none" else tuple(re.split(r"[-+]", full))
+    terms = () if name == "none" else tuple(re.split(r"[-+]", name.lstrip("+")))
+    if name.startswith("+"):
+        usual = tuple(DEFAULT_MEASURED.split("-"))
+        terms = usual + tuple(term for term in terms if term not in usual)
     unknown = [term for term in terms if term not in TERMS]
     if unknown:
         raise InputError(
