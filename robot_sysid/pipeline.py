@@ -33,8 +33,9 @@ from robot_sysid.trajectory import motion_chunks, require_countable
 if TYPE_CHECKING:
     from robot_sysid.damiao.trajectory.csv_file import DamiaoExportReport, MotionChunk
 
-# Speed at which dry friction has turned round by three quarters [rad/s].
-_SMOOTH_REVERSAL = 0.03
+# Speed at which dry friction has turned round by three quarters [rad/s]. Wider is gentler, but an
+# arm that sticks longer at its reversals tells less: three times this costs a millimetre more.
+_SMOOTH_REVERSAL = 0.01
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,9 @@ LAYERS = (
     ("damiao",),
     ("damiao.run",),
     ("damiao.play", "damiao.simulated"),
+    ("damiao.exchange",),
     ("damiao.bus",),
+    ("damiao.serial_adapter",),
     ("damiao.trajectory",),
     ("damiao.protocol",),
     ("excitation", "simulation", "logs"),
@@ -53,7 +55,7 @@ MAY_PRINT = {"cli", "commands"}
 LIBRARIES = {
     "mujoco": {"model", "parser", "dynamics", "simulation", "collision", "output"},
     "lxml": {"mjcf"},
-    "can": {"damiao.bus"},
+    "can": {"damiao.bus", "damiao.serial_adapter"},
     "matplotlib": {"report"},
     "jinja2": {"report"},
     "rosbags": {"logs"},

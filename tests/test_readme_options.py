@@ -44,7 +44,7 @@ def test_every_table_is_there_once():
 def test_every_option_of_motors_is_in_a_table_or_named_beside_it(name):
     of_motors = [title for title in TABLES if title.startswith("motors: ")]
     known = group(*of_motors) | {"-y"}
-    beside = {"--model", "--mesh-dir", "--joint", "--keyframe"}
+    beside = {"--model", "--joint-map", "--mesh-dir", "--joint", "--keyframe"}
     assert flags(MOTORS[name]) <= known | beside
     assert all(f"`{flag}" in README for flag in beside)
 

@@ -1,15 +1,16 @@
-"""``robot-sysid motors check|play|simulate``: inspect Damiao motors, play on them, or rehearse."""
+"""``robot-sysid motors``: inspect Damiao motors, play on them, rehearse, set them up, map them."""
 
 from __future__ import annotations
 
 import contextlib
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
+from robot_sysid.commands import motors_setup
 from robot_sysid.commands.arguments import PROGRAM, Parser, exit_codes, parsed
 from robot_sysid.commands.console import Console
 from robot_sysid.config import ModelOptions
@@ -18,12 +19,14 @@ from robot_sysid.damiao.bus.clock import Clock, SimulatedClock, SystemClock
 from robot_sysid.damiao.bus.inspection import inspect_bus
 from robot_sysid.damiao.bus.link import GuardedLink, Link
 from robot_sysid.damiao.bus.slcan import SlcanTerminal
-from robot_sysid.damiao.play.recorder import RecordingOptions
-from robot_sysid.damiao.play.settings import PlaySettings
+from robot_sysid.damiao.exchange.recorder import RecordingOptions
+from robot_sysid.damiao.exchange.settings import PlaySettings
 from robot_sysid.damiao.play.stop_request import StopRequest
 from robot_sysid.damiao.protocol.bus_load import BusTiming, default_rate
+from robot_sysid.damiao.protocol.joint_map import mapped, read_joint_map
+from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.report_lines import check_lines, load_line, motor_table, run_lines
-from robot_sysid.damiao.run.plan import Plan, run
+from robot_sysid.damiao.run.plan import Plan, PoseCheck, run
 from robot_sysid.damiao.run.preflight import (
     Check,
     Permissions,
@@ -33,12 +36,20 @@ from robot_sysid.damiao.run.preflight import (
 )
 from robot_sysid.damiao.simulated.arm import SimulatedArm
 from robot_sysid.damiao.simulated.faults import FAULT_KINDS, parse_fault
-from robot_sysid.damiao.simulated.motor import DEFAULT_WATCHDOG, simulated_motor
+from robot_sysid.damiao.simulated.motor import DEFAULT_WATCHDOG, SimulatedMotor, simulated_motor
 from robot_sysid.damiao.simulated.server import serve
 from robot_sysid.damiao.simulated.simulated_link import SimulatedLink
-from robot_sysid.damiao.trajectory.csv_file import read_damiao_trajectory
+from robot_sysid.damiao.trajectory.csv_file import DamiaoTrajectory, read_damiao_trajectory
 from robot_sysid.errors import InputError
-from robot_sysid.records.options import OptionRecord, given_options, option, positive, record_from
+from robot_sysid.records import Array
+from robot_sysid.records.options import (
+    OptionRecord,
+    given_options,
+    option,
+    options_of,
+    positive,
+    record_from,
+)
 
 INTERRUPTED = "interrupted; no motor is enabled"
 # Coarse enough for an ordinary computer to keep up with.
@@ -100,7 +111,28 @@ class _Run:
     def plan(self) -> Plan:
         """Return the trajectory and how to play it."""
         trajectory = read_damiao_trajectory(self.values["trajectory"])
-        return Plan(trajectory, self.settings, self.timing, self.allowed, self.recording)
+        trajectory = replace(trajectory, joints=self.mounted(trajectory.joints))
+        chosen = self.settings, self.timing, self.allowed, self.recording
+        return Plan(trajectory, *chosen, self.inertia(trajectory))
+
+    def inertia(self, trajectory: DamiaoTrajectory) -> Array | None:
+        """Return what each joint moves at the first point, where a model is known [kg m^2]."""
+        if self.values.get("model") is None or self.robot.n_joints != trajectory.n_joints:
+            return None
+        from robot_sysid.simulation.stepper import ArmStepper
+
+        _, q, _, _ = next(trajectory.chunks(1))
+        return ArmStepper(self.robot, q[0]).moved_inertia()
+
+    def mounted(self, joints: Sequence[DamiaoJoint]) -> tuple[DamiaoJoint, ...]:
+        """Return the trajectory's joints with what is known about how they are mounted."""
+        names = self.robot.joint_names if self.values.get("model") else ()
+        path = self.values.get("joint_map")
+        if path is not None:
+            return mapped(joints, read_joint_map(path), self.address.channel, names)
+        if len(names) != len(joints):
+            return tuple(joints)
+        return tuple(replace(joint, name=name) for joint, name in zip(joints, names))
 
     def checks(self, plan: Plan) -> list[Check]:
         """Return the checks that need no bus, those of a model of the arm included."""
@@ -112,6 +144,14 @@ class _Run:
         from robot_sysid.damiao.run.model_check import model_checks
 
         return [*plan.checks(), *model_checks(plan.trajectory, plan.settings.speed, self.robot)]
+
+    def pose_check(self, plan: Plan) -> PoseCheck | None:
+        """Return what compares the arm, held still, with the model's gravity; None without one."""
+        if self.values.get("model") is None:
+            return None
+        from robot_sysid.damiao.run.gravity_check import GravityCheck
+
+        return GravityCheck(self.robot, plan.trajectory.joints)
 
     @cached_property
     def robot(self) -> Any:
@@ -126,14 +166,13 @@ class _Run:
     def bus(self, clock: Clock) -> Iterator[GuardedLink]:
         """Open the bus for as long as the block runs."""
         with contextlib.closing(open_bus(self.address, self.timing, clock)) as link:
-            channels = (self.address.channel or "",)
-            yield GuardedLink(link, clock.now, self.timing.fd, channels)
+            yield GuardedLink(link, clock.now, self.timing.fd, self.address.channel)
 
 
 def check(asked: _Run) -> int:
     """Inspect the motors; return 0 where a trajectory could be played."""
     clock, console = SystemClock(), asked.console
-    if asked.address.channel is None:
+    if not asked.address.channel:
         raise InputError("check needs --channel, for instance --channel can0")
     plan = asked.plan() if asked.values.get("trajectory") else None
     if plan is None and asked.values.get("model"):
@@ -159,7 +198,7 @@ def play(asked: _Run) -> int:
     """Play a trajectory on the motors."""
     choices, plan = record_from(PlayChoices, asked.values), asked.plan()
     checks = asked.checks(plan)
-    if asked.address.channel is not None:
+    if asked.address.channel:
         clock = SystemClock()
         with asked.bus(clock) as link:
             return _play_on(link, clock, plan, checks, choices, asked)
@@ -176,7 +215,7 @@ def simulate(asked: _Run) -> int:
     if options.play:
         arm, clock = _simulated_arm(asked, plan, options), SimulatedClock()
         bus = SimulatedLink(clock, arm, asked.timing, echo=True)
-        link = GuardedLink(bus, clock.now, asked.timing.fd, ("simulated",))
+        link = GuardedLink(bus, clock.now, asked.timing.fd, asked.address.channel or ("simulated",))
         return _play_on(link, clock, plan, checks, PlayChoices(yes=True), asked)
     require_no_stop(checks, "not rehearsed")
     return _serve(_simulated_arm(asked, plan, options, _REAL_TIME_STEP), asked, options)
@@ -204,11 +243,30 @@ _COMMANDS: Mapping[str, tuple[Callable[[_Run], int], str, str]] = {
         "--channel; the line to give to 'play' is printed.",
     ),
 }
+_SETUP: Mapping[str, tuple[Callable[..., int], str, str]] = {
+    "setup": (
+        motors_setup.setup,
+        "--channel can0 --motor 1 --new-id 2 --new-master-id 0x12 --mit --watchdog 0.1 --store",
+        "List the motors on a bus, or change one: ids, mode, watchdog, bit rate, zero, error. "
+        "Never while it is enabled.",
+    ),
+    "monitor": (
+        motors_setup.monitor,
+        "--channel can0",
+        "Show what the motors measure, again and again. Enables nothing.",
+    ),
+    "map": (
+        motors_setup.map_joints,
+        "--channel can0 --model arm.xml --output joint_map.csv",
+        "Find out by hand which motor drives which joint of a model, which way, and where its "
+        "zero is. The arm is limp: support it, and move one joint at a time when you are asked.",
+    ),
+}
 _MAIN = (
-    *("interface", "channel", "fd", "speed", "rate", "kp", "kd", "max_tracking_error"),
+    *("interface", "channel", "fd", "speed", "rate", "kp", "park"),
     *("record", "dry_run", "yes", "play", "fault"),
 )
-_MAIN_ON_MOTORS = (*_MAIN, "accept_register_limits", "set_watchdog")
+_MAIN_ON_MOTORS = (*_MAIN, "joint_map", "accept_register_limits", "set_watchdog")
 
 
 def build_parser(command: str, full: bool = True) -> Parser:
@@ -228,6 +286,12 @@ def build_parser(command: str, full: bool = True) -> Parser:
     group = parser.add("arm", ModelOptions)
     help_model = "MJCF or URDF of the arm; the trajectory is checked against its limits"
     required = command == "simulate"
+    group.add_argument(
+        "--joint-map",
+        metavar="FILE",
+        type=Path,
+        help="how each joint's motor is mounted (see: motors map)",
+    )
     group.add_argument("--model", metavar="MODEL", type=Path, required=required, help=help_model)
     parser.add("bus", BusAddress, BusTiming)
     if command == "simulate":
@@ -242,12 +306,40 @@ def build_parser(command: str, full: bool = True) -> Parser:
     return parser
 
 
+def build_setup_parser(command: str, full: bool = True) -> Parser:
+    """Return the parser of a subcommand that plays nothing."""
+    _, example, description = _SETUP[command]
+    parser = Parser(
+        f"motors {command}",
+        f"{PROGRAM} motors {command} {example}",
+        description=description,
+        epilog=exit_codes(0, 1, 2, 3, 130),
+        main=None if full else ("interface", "channel", "fd", *_names(command)),
+    )
+    if command == "map":
+        group = parser.add("arm", ModelOptions)
+        group.add_argument("--model", metavar="MODEL", type=Path, required=True, help="of the arm")
+    parser.add("bus", BusAddress, BusTiming)
+    parser.add(command, *motors_setup.GROUPS[command])
+    parser.add_console()
+    return parser
+
+
+def _names(command: str) -> Iterator[str]:
+    for record in motors_setup.GROUPS[command]:
+        yield from options_of(record)
+
+
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     name = arguments[0] if arguments else "--help"
+    if name in _SETUP:
+        values, options = parsed(partial(build_setup_parser, name), arguments[1:])
+        asked = _Run(values, Console(options.quiet, options.verbose))
+        return _SETUP[name][0](asked, SystemClock(), open_bus)
     if name not in _COMMANDS:
         _overview().parse_args(arguments or ["--help"])
-        raise InputError(f"unknown command {name!r}; valid: {', '.join(_COMMANDS)}")
+        raise InputError(f"unknown command {name!r}; valid: {', '.join([*_COMMANDS, *_SETUP])}")
     values, options = parsed(partial(build_parser, name), arguments[1:])
     return _COMMANDS[name][0](_Run(values, Console(options.quiet, options.verbose)))
 
@@ -257,10 +349,11 @@ def _overview() -> Parser:
         "motors",
         f"{PROGRAM} motors check --channel can0",
         description="Inspect Damiao motors, play a trajectory on them and record it, or rehearse "
-        "all that with a simulated arm. Each command has its own --help.",
+        "all that with a simulated arm; set motors up, watch them, and map them to a model's "
+        "joints. Each command has its own --help.",
         epilog=exit_codes(0, 1, 2, 3, 130),
     )
-    parser.add_argument("command", metavar="|".join(_COMMANDS), help="what to do")
+    parser.add_argument("command", metavar="|".join([*_COMMANDS, *_SETUP]), help="what to do")
     parser.add_console()
     return parser
 
@@ -292,7 +385,8 @@ def _play_on(
 
     stop = StopRequest()
     with stop.on_signals():
-        report = run(link, clock, plan, inspection, stop, console.stage, tell)
+        told = console.stage, tell
+        report = run(link, clock, plan, inspection, stop, *told, asked.pose_check(plan))
     console.lines(run_lines(report))
     if plan.recording.record:
         console.stage(f"recorded to {plan.recording.record}")
@@ -306,9 +400,16 @@ def _simulated_arm(
     from robot_sysid.simulation.stepper import DEFAULT_TIMESTEP, ArmStepper
 
     joints = plan.trajectory.joints
-    motors = [simulated_motor(j.spec, j.can_id, j.master_id, options.watchdog) for j in joints]
+    motors = [_simulated_motor(joint, options.watchdog) for joint in joints]
     mechanism = ArmStepper(asked.robot, plan.scan.first, timestep or DEFAULT_TIMESTEP)
     return SimulatedArm(mechanism, motors, [parse_fault(text) for text in options.fault])
+
+
+def _simulated_motor(joint: DamiaoJoint, watchdog: float) -> SimulatedMotor:
+    motor = simulated_motor(joint.spec, joint.can_id, joint.master_id, watchdog)
+    motor.bus, motor.direction = joint.bus, joint.direction
+    motor.offset, motor.torque_ratio = joint.offset, joint.torque_ratio
+    return motor
 
 
 def _serve(arm: SimulatedArm, asked: _Run, options: SimulatedMotorOptions) -> int:
@@ -324,7 +425,7 @@ def _serve(arm: SimulatedArm, asked: _Run, options: SimulatedMotorOptions) -> in
 def _simulated_end(asked: _Run, clock: Clock) -> Link:
     """Open the simulated arm's end of the bus and say how to reach it."""
     address = asked.address
-    if address.channel is None:
+    if not address.channel:
         if "interface" in asked.values:
             raise InputError("--interface needs --channel")
         terminal = SlcanTerminal(clock)
@@ -332,8 +433,10 @@ def _simulated_end(asked: _Run, clock: Clock) -> Link:
         reach = f"--interface slcan --channel {terminal.device}"
     else:
         link = open_bus(address, asked.timing, clock)
-        reach = f"--interface {address.interface} --channel {address.channel}"
+        reach = " ".join([f"--interface {address.interface}", *_channels(address)])
     fd = " --fd" if asked.timing.fd else ""
+    if asked.values.get("joint_map"):
+        fd += f" --joint-map {asked.values['joint_map']}"
     asked.console.lines(
         [
             "the simulated arm is parked at the first point until its motors are enabled; Ctrl-C "
@@ -342,6 +445,10 @@ def _simulated_end(asked: _Run, clock: Clock) -> Link:
         ]
     )
     return link
+
+
+def _channels(address: BusAddress) -> Iterator[str]:
+    return (f"--channel {channel}" for channel in address.channel)
 
 
 def _ask_for_confirmation() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from robot_sysid.damiao.bus.inspection import InspectedMotor, Inspection
 from robot_sysid.damiao.play.player import PlayReport
 from robot_sysid.damiao.protocol.bus_load import BusTiming, bus_load
+from robot_sysid.damiao.protocol.codec import Feedback
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.protocol.motors import limits_agree, matching_types
 from robot_sysid.damiao.protocol.registers import (
@@ -33,6 +34,24 @@ def motor_table(inspection: Inspection, joints: Sequence[DamiaoJoint] = ()) -> I
     rows = [_HEADINGS]
     for address, motor in sorted(inspection.motors.items()):
         rows.append(_row(motor, types.get(address)))
+    yield from _columns(rows)
+
+
+def state_table(states: Iterable[tuple[InspectedMotor, Feedback | None]]) -> Iterator[str]:
+    """Yield a table of what motors measure."""
+    rows: list[tuple[str, ...]] = [("motor", "position", "velocity", "torque", "degC", "state")]
+    for motor, state in states:
+        if state is None:
+            rows.append((motor.name, "?", "?", "?", "?", "does not tell"))
+            continue
+        measured = state.position[0], state.velocity[0], state.torque[0]
+        heat = f"{state.temperature_mos[0]}/{state.temperature_rotor[0]}"
+        numbers = (f"{value:8.3f}" for value in measured)
+        rows.append((motor.name, *numbers, heat, describe(int(state.status[0]))))
+    yield from _columns(rows)
+
+
+def _columns(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
     widths = [max(map(len, column)) for column in zip(*rows)]
     for row in rows:
         yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip()

@@ -72,6 +72,20 @@ class ArmStepper:
             raise SimulationError("the simulated arm diverged; lower the gains or the torques")
         return np.asarray(torque - damping * self.qd)
 
+    def tip(self) -> Array:
+        """Return where the terminal link's centre of mass is (3,) [m]."""
+        self._dynamics()
+        return np.array(self._data.xipos[self._robot.body_id])
+
+    def axis(self, joint: int) -> Array:
+        """Return the direction (3,) of a chain joint's axis in the world."""
+        self._dynamics()
+        return np.array(self._data.xaxis[self._model.dof_jntid[self._robot.dof_index[joint]]])
+
+    def moved_inertia(self) -> Array:
+        """Return the inertia (n,) that each joint moves, the others being free [kg m^2]."""
+        return np.asarray(1.0 / np.diag(self._dynamics()[0]))
+
     def _dynamics(self) -> tuple[Array, Array]:
         """Return the inverse mass matrix (n, n) and the bias torque (n,) of the chain."""
         data, dofs = self._data, self._robot.dof_index

@@ -15,8 +15,8 @@ from robot_sysid.damiao.bus.can_bus import BusAddress, open_bus
 from robot_sysid.damiao.bus.clock import SystemClock
 from robot_sysid.damiao.bus.inspection import inspect_bus
 from robot_sysid.damiao.bus.link import GuardedLink
-from robot_sysid.damiao.play.recorder import RecordingOptions
-from robot_sysid.damiao.play.settings import PlaySettings
+from robot_sysid.damiao.exchange.recorder import RecordingOptions
+from robot_sysid.damiao.exchange.settings import PlaySettings
 from robot_sysid.damiao.play.stop_request import StopRequest
 from robot_sysid.damiao.protocol.bus_load import BusTiming
 from robot_sysid.damiao.protocol.codec import MitCommand, Scaling, decode_feedback, encode_mit
@@ -71,7 +71,7 @@ def arm_and_plan(folder, rate: float) -> tuple[SimulatedArm, Plan]:
 
 def play(link: GuardedLink, clock: SystemClock, plan: Plan):
     inspection, silent = inspect_bus(link, clock), lambda _: None
-    return run(link, clock, plan, inspection, StopRequest(), "can0", silent, silent)
+    return run(link, clock, plan, inspection, StopRequest(), silent, silent)
 
 
 def tell(benchmark, report, rate: float) -> None:
@@ -100,7 +100,7 @@ def test_the_player_alone(benchmark, tmp_path, rate):
 def test_over_the_virtual_bus(benchmark, tmp_path, rate):
     arm, plan = arm_and_plan(tmp_path, rate)
     clock = SystemClock()
-    address = BusAddress("virtual", f"bench{rate}")
+    address = BusAddress("virtual", (f"bench{rate}",))
     near, far = (open_bus(address, BusTiming(), clock) for _ in range(2))
     try:
         with served_in_background(arm, far, clock):

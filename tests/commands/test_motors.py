@@ -240,7 +240,7 @@ def test_interrupting_while_it_moves_comes_to_rest_and_disables(capsys, bus, tra
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["fly"], "unknown command 'fly'; valid: check, play, simulate"),
+        (["fly"], "unknown command 'fly'; valid: check, play, simulate, setup"),
         (["check"], "check needs --channel"),
         (["play", "T"], "play needs --channel"),
         (["play", *CAN0], "the following arguments are required: TRAJECTORY"),
@@ -415,7 +415,7 @@ def test_a_rehearsal_with_a_fault(capsys, no_real_time, trajectory, model, tmp_p
     record = tmp_path / "measured.csv"
     arguments = ("--model", model, "--play", "--fault", "status:1=10@1.9", "--record", record)
     code, _, err = run(capsys, "simulate", trajectory, *arguments)
-    assert code == 3 and "motor 2 reports status A: over-current" in err
+    assert code == 3 and "motor 2 (joint joint1) reports status A: over-current" in err
     assert read_recording(record).ending.startswith("stopped: motor 2")
 
 
@@ -457,8 +457,8 @@ SLOWLY = (
 
 @pytest.mark.realtime
 def test_check_and_play_over_the_virtual_bus(capsys, trajectory, tmp_path):
-    address = BusAddress("virtual", "cli")
-    arguments = ("--interface", address.interface, "--channel", address.channel)
+    address = BusAddress("virtual", ("cli",))
+    arguments = ("--interface", address.interface, "--channel", *address.channel)
     simulated, clock = two_motor_arm(watchdog=5.0), SystemClock()
     with served_in_background(simulated, open_bus(address, BusTiming(), clock), clock):
         code, out, err = run(capsys, "check", trajectory, *arguments)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from robot_sysid.damiao.bus.inspection import inspect_bus
 from robot_sysid.damiao.bus.link import GuardedLink
-from robot_sysid.damiao.play.recorder import RecordingOptions
-from robot_sysid.damiao.play.settings import PlaySettings
+from robot_sysid.damiao.exchange.recorder import RecordingOptions
+from robot_sysid.damiao.exchange.settings import PlaySettings
 from robot_sysid.damiao.play.stop_request import StopRequest
 from robot_sysid.damiao.protocol.bus_load import BusTiming
 from robot_sysid.damiao.protocol.frames import (
@@ -20,7 +22,7 @@ from robot_sysid.damiao.protocol.frames import (
 )
 from robot_sysid.damiao.protocol.joints import damiao_joints
 from robot_sysid.damiao.protocol.motors import MOTORS
-from robot_sysid.damiao.protocol.registers import DISABLED
+from robot_sysid.damiao.protocol.registers import DISABLED, ESC_ID, MST_ID
 from robot_sysid.damiao.run.plan import Plan, run
 from robot_sysid.damiao.run.preflight import Permissions
 from robot_sysid.damiao.simulated.arm import SimulatedArm
@@ -101,6 +103,7 @@ class Rig:
         name="measured",
         adapter=lambda: 0.0,
         console=lambda sentence: None,
+        pose_check=None,
         **settings,
     ):
         types = [motor_type] * n_joints
@@ -112,7 +115,7 @@ class Rig:
         self.arm = SimulatedArm(mechanism, [*self.motors, *extra_motors], faults)
         self.clock = ScriptedClock()
         self.bus = SimulatedLink(self.clock, self.arm, timing, echo, adapter)
-        self.console = console
+        self.console, self.pose_check = console, pose_check
         self.wire = RememberingLink(self.bus, self.clock)
         self.link = GuardedLink(self.wire, self.clock.now, timing.fd)
         self.record_path = folder / f"{name}.csv"
@@ -127,6 +130,19 @@ class Rig:
         self.hooks = {}
         self.phase_times, self.first_played, self.last_played = [], None, None
         self.error = self.report = None
+
+    def mount(self, j, can_id=None, master_id=None, **how):
+        """Mount a motor in another way, and let the plan know it."""
+        motor, joints = self.motors[j], list(self.plan.trajectory.joints)
+        ids = {"can_id": can_id or joints[j].can_id, "master_id": master_id or joints[j].master_id}
+        joints[j] = replace(joints[j], **ids, **how)
+        for name in ("bus", "direction", "offset", "torque_ratio"):
+            setattr(motor, name, getattr(joints[j], name))
+        motor.registers[ESC_ID], motor.registers[MST_ID] = ids["can_id"], ids["master_id"]
+        trajectory = replace(self.plan.trajectory, joints=tuple(joints))
+        self.plan = replace(self.plan, trajectory=trajectory)
+        self.arm = SimulatedArm(self.arm.mechanism, self.arm.motors)
+        self.bus.arm = self.arm
 
     @property
     def phases(self):
@@ -168,7 +184,9 @@ class Rig:
         told = self._phase, lambda time: None
         try:
             self.plan.recording.require_free()
-            self.report = run(self.link, self.clock, self.plan, inspection, self.stop, *told)
+            self.report = run(
+                self.link, self.clock, self.plan, inspection, self.stop, *told, self.pose_check
+            )
         except Exception as error:
             self.error = error
         self.disabled_at = self.clock.now()

@@ -6,7 +6,7 @@ import numpy as np
 
 from robot_sysid.damiao.bus.link import GuardedLink
 from robot_sysid.damiao.bus.register_client import RegisterClient
-from robot_sysid.damiao.play.session import MotorSession
+from robot_sysid.damiao.exchange.session import MotorSession
 from robot_sysid.damiao.protocol.bus_load import BusTiming
 from robot_sysid.damiao.protocol.codec import MitCommand, Scaling
 from robot_sysid.damiao.protocol.joints import damiao_joints

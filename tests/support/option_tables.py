@@ -11,11 +11,11 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
-from robot_sysid.commands import motors, run
+from robot_sysid.commands import motors, motors_setup, run
 from robot_sysid.commands.arguments import ConsoleOptions, default_text
 from robot_sysid.damiao.bus.can_bus import BusAddress
-from robot_sysid.damiao.play.recorder import RecordingOptions
-from robot_sysid.damiao.play.settings import PlaySettings
+from robot_sysid.damiao.exchange.recorder import RecordingOptions
+from robot_sysid.damiao.exchange.settings import PlaySettings
 from robot_sysid.damiao.protocol.bus_load import BusTiming
 from robot_sysid.damiao.run.preflight import Permissions
 from robot_sysid.estimation.arm.options import ArmOptions
@@ -33,6 +33,9 @@ TABLES: Mapping[str, tuple[type, ...]] = {
     "motors: motion and limits": (PlaySettings,),
     "motors: what to allow": (Permissions,),
     "motors: recording": (RecordingOptions,),
+    "motors: setup": motors_setup.GROUPS["setup"],
+    "motors: monitor": motors_setup.GROUPS["monitor"],
+    "motors: map": motors_setup.GROUPS["map"],
     "motors: play and simulate": (motors.PlayChoices, motors.SimulatedMotorOptions),
 }
 """Name of a table to the records whose options it lists."""

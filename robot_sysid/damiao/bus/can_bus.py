@@ -5,11 +5,13 @@ from __future__ import annotations
 import contextlib
 import errno
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from robot_sysid.damiao.bus.clock import Clock
-from robot_sysid.damiao.bus.link import LinkError
+from robot_sysid.damiao.bus.link import Link, LinkError
+from robot_sysid.damiao.bus.several import SeveralBuses
 from robot_sysid.damiao.protocol.bus_load import BusTiming
 from robot_sysid.damiao.protocol.frames import Frame
 from robot_sysid.errors import InputError
@@ -27,6 +29,7 @@ INTERFACES = (
     "canalystii",
     "cantact",
     "seeedstudio",
+    "damiao",
     "virtual",
 )
 
@@ -38,11 +41,21 @@ class BusAddress(OptionRecord):
     interface: str = option(
         "socketcan", "kind of adapter: " + ", ".join(INTERFACES), choices=INTERFACES, metavar="NAME"
     )
-    channel: str | None = option(
-        None, "what the adapter calls the bus, for instance can0 or /dev/ttyACM0"
+    channel: tuple[str, ...] = option(
+        (),
+        "the bus, for instance can0 or /dev/ttyACM0; once per bus",
+        metavar="CHANNEL",
+        repeats=True,
+    )
+    bus_option: tuple[str, ...] = option(
+        (),
+        "hand an option of the adapter's own to python-can, for instance f_clock_mhz=80",
+        metavar="NAME=VALUE",
+        repeats=True,
     )
 
 
+SERIAL_ADAPTER = "damiao"
 _REPORTS_OWN_FRAMES = ("socketcan", "virtual")
 _SEND_TIMEOUT = 0.01
 # A queue that is full for longer than this is not going to empty within a control cycle.
@@ -148,21 +161,56 @@ def _said(error: Exception) -> str:
     return " ".join(str(error).split()) or type(error).__name__
 
 
-def open_bus(address: BusAddress, timing: BusTiming, clock: Clock) -> BusLink:
-    """Open a CAN bus or raise InputError; socketcan takes its bit rates from ``ip link``."""
-    can, interface = import_can(), address.interface
+def open_bus(address: BusAddress, timing: BusTiming, clock: Clock) -> Link:
+    """Open one CAN bus or several; socketcan takes its bit rates from ``ip link``.
+
+    Raises:
+        InputError: a bus cannot be opened.
+    """
+    links: list[BusLink] = []
     try:
-        bus = can.Bus(
-            channel=address.channel,
-            interface=interface,
-            ignore_config=True,
-            **_bus_options(can, interface, timing),
-        )
+        for channel in address.channel:
+            links.append(_open_one(address, channel, timing, clock))
+    except BaseException:
+        for link in links:
+            link.close()
+        raise
+    return links[0] if len(links) == 1 else SeveralBuses(links, clock)
+
+
+def _open_one(address: BusAddress, channel: str, timing: BusTiming, clock: Clock) -> BusLink:
+    can, interface = import_can(), address.interface
+    options = {**_bus_options(can, interface, timing), **_own_options(address.bus_option)}
+    try:
+        if interface == SERIAL_ADAPTER:
+            from robot_sysid.damiao.serial_adapter.adapter_bus import DamiaoSerialBus
+
+            return BusLink(DamiaoSerialBus(channel, **options), clock)
+        bus = can.Bus(channel=channel, interface=interface, ignore_config=True, **options)
     except Exception as error:
         # Each adapter's driver raises what it likes.
         reason = " ".join(str(error).split())
-        raise InputError(f"cannot open {interface} channel {address.channel}: {reason}") from error
+        raise InputError(f"cannot open {interface} channel {channel}: {reason}") from error
     return BusLink(bus, clock)
+
+
+def _own_options(texts: Sequence[str]) -> dict[str, Any]:
+    """Return NAME=VALUE texts as options; numbers and true or false become such."""
+    options: dict[str, Any] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals or not name.isidentifier():
+            raise InputError(f"--bus-option takes NAME=VALUE, got {text!r}")
+        options[name] = _value(value)
+    return options
+
+
+def _value(text: str) -> Any:
+    known = {"true": True, "false": False}
+    for kind in (int, float):
+        with contextlib.suppress(ValueError):
+            return kind(text)
+    return known.get(text.lower(), text)
 
 
 def _bus_options(can: Any, interface: str, timing: BusTiming) -> dict[str, Any]:
@@ -173,6 +221,8 @@ def _bus_options(can: Any, interface: str, timing: BusTiming) -> dict[str, Any]:
         options["fd"] = timing.fd
     elif interface == "virtual":
         options["protocol"] = can.CanProtocol.CAN_FD if timing.fd else can.CanProtocol.CAN_20
+    elif interface == SERIAL_ADAPTER:
+        pass
     elif timing.fd:
         options["timing"] = can.BitTimingFd.from_sample_point(
             f_clock=_FD_CLOCK,

@@ -21,7 +21,7 @@ _ASK_TIMEOUT = 0.03
 _ROUNDS = 20
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class InspectedMotor:
     """What one motor said.
 
@@ -116,8 +116,13 @@ def _inspect_motor(
     replies = {number: client.read(address, number) for number in LOGGED}
     registers = {number: reply.value for number, reply in replies.items() if reply is not None}
     motor = InspectedMotor(address, reply_ids, registers, None, channel)
-    frame = client.refresh(address, reply_ids[0])
+    return replace(motor, feedback=state_of(client, motor))
+
+
+def state_of(client: RegisterClient, motor: InspectedMotor) -> Feedback | None:
+    """Ask a motor for its state, without any effect on it; None where it does not tell."""
+    frame = client.refresh(motor.address, motor.reply_ids[0])
     if frame is None or motor.limits is None or min(motor.limits) <= 0.0:
-        return motor
+        return None
     raw = np.frombuffer(frame.data, dtype=np.uint8)[None]
-    return replace(motor, feedback=decode_feedback(raw, Scaling.from_limits([motor.limits])))
+    return decode_feedback(raw, Scaling.from_limits([motor.limits]))

@@ -34,6 +34,7 @@ class GuardedLink:
         now: returns the time that a sent frame is shown with [s].
         fd: send CAN-FD frames.
         channels: names of the buses behind the link.
+        refuse: raises for frames that must not be sent.
 
     Attributes:
         channels: as given.
@@ -46,13 +47,15 @@ class GuardedLink:
         now: Callable[[], float],
         fd: bool = False,
         channels: Sequence[str] = ("",),
+        refuse: Callable[[Frame], None] = refuse_harmful,
     ) -> None:
+        self._refuse = refuse
         self._link, self._now, self._fd, self.channels = link, now, fd, tuple(channels)
         self.observer: Callable[[Frame, bool], None] | None = None
 
     def send(self, frame: Frame) -> None:
         """Send a frame that is not harmful."""
-        refuse_harmful(frame)
+        self._refuse(frame)
         frame = frame._replace(fd=self._fd)
         self._link.send(frame)
         if self.observer:

@@ -83,6 +83,10 @@ class RegisterClient:
                 )
         raise HardwareAbort(f"motor {motor.can_id} did not answer to writing {name}")
 
+    def tell(self, motor: Address, register: int, value: float) -> None:
+        """Write a register after which the motor cannot be heard any more."""
+        self._link.send(write_frame(motor, register, bytes_from_value(register, value)))
+
     def refresh(self, motor: Address, master_id: int) -> Frame | None:
         """Return a feedback frame without any effect on the motor, or None."""
         for _ in range(_TRIES):

@@ -11,14 +11,17 @@ import gc
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Union
 
 import numpy as np
 
 from robot_sysid.damiao.bus.clock import Clock
-from robot_sysid.damiao.play.aside import words_of
+from robot_sysid.damiao.exchange.aside import words_of
+from robot_sysid.damiao.exchange.recorder import MeasurementRecorder
+from robot_sysid.damiao.exchange.session import MotorSession, Replies
+from robot_sysid.damiao.exchange.settings import PlaySettings
 from robot_sysid.damiao.play.cycle_timer import CycleTimer
-from robot_sysid.damiao.play.recorder import MeasurementRecorder
+from robot_sysid.damiao.play.lowering import LONGEST, Lowering
 from robot_sysid.damiao.play.sampler import (
     Reference,
     ReferenceFunction,
@@ -27,8 +30,6 @@ from robot_sysid.damiao.play.sampler import (
     hold,
 )
 from robot_sysid.damiao.play.scaling_checks import TorqueScalingCheck, VelocityScalingCheck
-from robot_sysid.damiao.play.session import MotorSession, Replies
-from robot_sysid.damiao.play.settings import PlaySettings
 from robot_sysid.damiao.play.stop_request import StopRequest
 from robot_sysid.damiao.play.supervision import Supervisor
 from robot_sysid.damiao.protocol.codec import MitCommand
@@ -41,6 +42,7 @@ _REPLY_SHARE = 0.9
 _LEAST_REPLY_SHARE = 0.3
 _SCALING_CHECK_CYCLES = 50
 _PROGRESS_INTERVAL = 0.1
+_STILL_SAMPLES = 100
 # A busy thread gives way after this long [s]; Python's own default is more than a control cycle.
 _SWITCH_INTERVAL = 2e-4
 # Nothing heard for longer than this while braking: the watchdogs have stopped the motors, or the
@@ -68,6 +70,9 @@ class PlayReport:
     worst_tracking: Array
 
 
+Park = Union[str, Array, None]
+
+
 class Told(NamedTuple):
     """Who is told how a run goes; neither may raise or wait.
 
@@ -90,6 +95,9 @@ class Player:
         stop: polled in every cycle.
         recorder: gets every cycle of the trajectory itself; None keeps nothing.
         told: who is told how it goes.
+        park: where to leave the arm: "rest", "start", or (n,) positions [rad]; None where it ends.
+        pose_check: called with positions and torques (n,) of the arm held still where it stood and
+            at the first point; may raise HardwareAbort.
     """
 
     def __init__(
@@ -100,6 +108,8 @@ class Player:
         stop: StopRequest,
         recorder: MeasurementRecorder | None,
         told: Told,
+        park: Park = None,
+        pose_check: Callable[[Array, Array], None] | None = None,
     ) -> None:
         self._session, self._clock, self._settings = session, clock, settings
         self._stop, self._recorder = stop, recorder
@@ -117,6 +127,9 @@ class Player:
         self._heard_at = 0.0
         self._cycles = self._played = 0
         self._told_at = -np.inf
+        self._park, self._pose_check = park, pose_check
+        self._lowering: Lowering | None = None
+        self._still: list[Array] = []
 
     def play(self, trajectory: ReferenceFunction, duration: float) -> PlayReport:
         """Enable the motors, play ``trajectory`` and come to rest; disabling is the session's job.
@@ -148,13 +161,56 @@ class Player:
         self._timer = CycleTimer(self._clock, settings.period, settings.max_lateness)
         self._announce("raising the gains")
         self._phase(hold(here), settings.ramp_time, ramp=True)
+        if self._pose_check:
+            self._hold_and_compare(here)
+        held = self._mean_torque()
         self._announce(f"moving to the first point ({way_time:.1f} s)")
         self._phase(way, way_time)
-        self._phase(hold(first), settings.rest_time)
+        self._hold_and_compare(first)
         self._announce(f"playing ({duration:.1f} s)")
         self._phase(trajectory, duration, record=True)
         self._announce("coming to rest")
-        self._phase(hold(trajectory(duration)), settings.rest_time)
+        last = trajectory(duration)
+        self._phase(hold(last), settings.rest_time)
+        self._leave(last, Reference(start, np.zeros_like(start), held))
+
+    def _hold_and_compare(self, reference: Reference) -> None:
+        self._still.clear()
+        self._phase(hold(reference), self._settings.rest_time)
+        if self._pose_check and self._still:
+            self._pose_check(*np.mean(self._still[len(self._still) // 2 :], axis=0))
+
+    def _mean_torque(self) -> Array:
+        """Return what held the arm lately (n,) [N m], or the feed-forward torque of now."""
+        if self._still:
+            return np.asarray(np.mean([torque for _, torque in self._still], axis=0))
+        return self._reference.torque if self._reference else np.zeros(self._session.n_joints)
+
+    def _leave(self, last: Reference, stood: Reference) -> None:
+        """Bring the arm to where it is to be left."""
+        if self._park is None:
+            return
+        if isinstance(self._park, str) and self._park == "rest":
+            self._announce("lowering the arm")
+            self._lowering = self._lower_from(last)
+            self._phase(self._lowering, LONGEST, until=lambda: self._lowering_is_done)
+            return
+        target = stood
+        if not isinstance(self._park, str):
+            target = Reference(self._park, np.zeros_like(self._park), last.torque)
+        way, way_time = approach(
+            last.position, target, self._settings.approach_speed, 1.0, last.torque
+        )
+        self._announce(f"parking ({way_time:.1f} s)")
+        self._phase(way, way_time)
+        self._phase(hold(target), self._settings.rest_time)
+
+    def _lower_from(self, begin: Reference) -> Lowering:
+        return Lowering(begin, self._settings.approach_speed, self._session.peak_torque)
+
+    @property
+    def _lowering_is_done(self) -> bool:
+        return self._lowering is not None and self._lowering.done
 
     def _phase(
         self,
@@ -162,11 +218,12 @@ class Player:
         duration: float,
         ramp: bool = False,
         record: bool = False,
+        until: Callable[[], bool] = lambda: False,
     ) -> None:
         origin = self._timer.next_deadline
         # Half a period of slack keeps the last sample in spite of rounding.
         end = origin + duration + 0.5 * self._settings.period
-        while self._timer.next_deadline < end:
+        while self._timer.next_deadline < end and not until():
             deadline = self._timer.wait()
             time = min(deadline - origin, duration)
             self._gain = time / duration if ramp else 1.0
@@ -200,6 +257,9 @@ class Player:
     def _note(self, replies: Replies) -> None:
         now = np.stack([replies.feedback.position, replies.feedback.velocity])
         self._measured = np.where(replies.answered, now, self._measured)
+        if self._lowering is not None:
+            old, new = self._lowering.torque, replies.feedback.torque
+            self._lowering.torque = np.where(replies.answered, new, old)
         if np.any(replies.answered):
             self._heard_at = self._clock.now()
 
@@ -224,6 +284,9 @@ class Player:
         self._velocity_check.add(replies.time, feedback.position, feedback.velocity)
         told = acted.motor_torque(feedback.position, feedback.velocity)
         self._torque_check.add(told, feedback.torque, feedback.velocity)
+        if np.all(replies.answered):
+            self._still.append(np.stack([feedback.position, feedback.torque]))
+            del self._still[:-_STILL_SAMPLES]
         self._cycles += 1
         if self._cycles % _SCALING_CHECK_CYCLES == 0:
             self._check_scaling()
@@ -271,6 +334,9 @@ class Player:
             rest = hold(braking(duration))
             for reference, length in ((braking, duration), (rest, self._settings.rest_time)):
                 self._stop_phase(reference, length)
+            if self._park is not None and not self._stop.insisted:
+                self._lowering = self._lower_from(rest(0.0))
+                self._stop_phase(self._lowering, LONGEST)
 
     def _stop_start(self, reference: Reference) -> Reference:
         """Return where braking begins.
@@ -291,7 +357,7 @@ class Player:
         origin = self._timer.next_deadline
         while self._timer.next_deadline <= origin + duration:
             deadline = self._timer.wait(lenient=True)
-            if self._hopeless or self._stop.insisted:
+            if self._hopeless or self._stop.insisted or self._lowering_is_done:
                 return
             # A bus that fails now may work again in the next cycle.
             with contextlib.suppress(Exception):

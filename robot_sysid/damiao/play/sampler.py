@@ -68,7 +68,7 @@ def _interpolate(table: Array, moment: float) -> Array:
 
 
 def approach(
-    start: Array, target: Reference, speed: float, shortest: float
+    start: Array, target: Reference, speed: float, shortest: float, torque: Array | None = None
 ) -> tuple[ReferenceFunction, float]:
     """Return a motion from rest at ``start`` to rest at the target, and its duration [s].
 
@@ -79,15 +79,18 @@ def approach(
         target: where to go, with the torque to feed forward on the way.
         speed: highest joint speed [rad/s].
         shortest: least duration [s].
+        torque: (n,) fed forward at ``start``; the target's where none is given [N m].
     """
     distance = target.position - start
+    fed = target.torque if torque is None else torque
     duration = max(shortest, 1.875 * float(np.max(np.abs(distance))) / speed)
 
     def reference(time: float) -> Reference:
         s = min(max(time / duration, 0.0), 1.0)
         share = s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
         rate = 30.0 * s * s * (1.0 - s) ** 2 / duration
-        return Reference(start + share * distance, rate * distance, target.torque)
+        carried = fed + share * (target.torque - fed)
+        return Reference(start + share * distance, rate * distance, carried)
 
     return reference, duration
 

@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.damiao.play.session import NO_STATUS, Replies
-from robot_sysid.damiao.play.settings import PlaySettings
+from robot_sysid.damiao.exchange.session import NO_STATUS, Replies
+from robot_sysid.damiao.exchange.settings import PlaySettings
 from robot_sysid.damiao.protocol.codec import MitCommand
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.protocol.registers import ENABLED, describe

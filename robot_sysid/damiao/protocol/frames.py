@@ -7,8 +7,8 @@ from typing import NamedTuple
 from robot_sysid.errors import SysidError
 
 REGISTER_ID = 0x7FF
-READ, WRITE, REFRESH = 0x33, 0x55, 0xCC
-ENABLE, DISABLE, CLEAR_ERROR = 0xFC, 0xFD, 0xFB
+READ, WRITE, REFRESH, STORE = 0x33, 0x55, 0xCC, 0xAA
+ENABLE, DISABLE, CLEAR_ERROR, SET_ZERO = 0xFC, 0xFD, 0xFB, 0xFE
 _SPECIAL = b"\xff" * 7
 
 
@@ -51,6 +51,21 @@ def disable_frame(motor: Address) -> Frame:
     return command_frame(motor, _SPECIAL + bytes([DISABLE]))
 
 
+def clear_error_frame(motor: Address) -> Frame:
+    """Return the frame that clears a motor's error."""
+    return command_frame(motor, _SPECIAL + bytes([CLEAR_ERROR]))
+
+
+def set_zero_frame(motor: Address) -> Frame:
+    """Return the frame that makes where a motor stands its zero, for good."""
+    return command_frame(motor, _SPECIAL + bytes([SET_ZERO]))
+
+
+def store_frame(motor: Address) -> Frame:
+    """Return the request to keep all registers when the power goes off."""
+    return _request(motor, STORE, 1)
+
+
 def command_frame(motor: Address, data: bytes) -> Frame:
     """Return the frame that carries eight bytes to a motor in MIT mode."""
     return Frame(motor.can_id, data, bus=motor.bus)
@@ -82,7 +97,7 @@ def is_special(data: bytes) -> bool:
 
 
 def refuse_harmful(frame: Frame) -> None:
-    """Raise SysidError for a frame this tool never sends.
+    """Raise SysidError for a frame that no run ever sends.
 
     That is: storing a new zero position, clearing an error (an operator has to find its cause
     first), any other special frame but enable and disable, and storing registers to flash.
@@ -92,4 +107,11 @@ def refuse_harmful(frame: Frame) -> None:
     else:
         harmful = is_special(frame.data) and frame.data[7] not in (ENABLE, DISABLE)
     if harmful:
+        raise SysidError(f"refused to send {frame.data.hex(' ')} to {frame.id:#x}")
+
+
+def refuse_motion(frame: Frame) -> None:
+    """Raise SysidError for a frame that setting a motor up never sends: anything that drives it."""
+    on_registers = frame.id == REGISTER_ID
+    if not on_registers and not (is_special(frame.data) and frame.data[7] != ENABLE):
         raise SysidError(f"refused to send {frame.data.hex(' ')} to {frame.id:#x}")

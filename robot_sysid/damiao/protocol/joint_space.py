@@ -15,12 +15,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
 from robot_sysid.damiao.protocol.codec import Feedback, MitCommand, Scaling
-from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.records import Array
+
+
+class Mounted(Protocol):
+    """What says how a motor is mounted."""
+
+    @property
+    def direction(self) -> int:
+        """+1 or -1."""
+
+    @property
+    def offset(self) -> float:
+        """Motor position where the joint is at zero [rad]."""
+
+    @property
+    def torque_ratio(self) -> float:
+        """Joint torque per torque that the motor believes in."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +54,7 @@ class JointSpace:
     ratio: Array
 
     @classmethod
-    def of(cls, joints: Sequence[DamiaoJoint]) -> JointSpace:
+    def of(cls, joints: Sequence[Mounted]) -> JointSpace:
         """Return how the motors of these joints are mounted."""
         rows = [(joint.direction, joint.offset, joint.torque_ratio) for joint in joints]
         return cls(*np.array(rows, dtype=float).reshape(-1, 3).T)

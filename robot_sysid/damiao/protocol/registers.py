@@ -18,6 +18,15 @@ FD_BITRATE_CODES_ABOVE = 4
 """Bit-rate codes above this one make the motor answer in CAN-FD."""
 
 
+BIT_RATES = dict(
+    zip(
+        (125000, 200000, 250000, 500000, 10**6, 2 * 10**6, 2500000, 3200000, 4 * 10**6, 5 * 10**6),
+        range(10),
+    )
+)
+"""Bit rate [bit/s] to the code of register can_br; codes above 4 make the motor speak CAN-FD."""
+
+
 class Register(NamedTuple):
     """One register: number, name, and whether it holds an unsigned integer or a float."""
 

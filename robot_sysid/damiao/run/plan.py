@@ -4,35 +4,52 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+
+import numpy as np
 
 from robot_sysid.damiao.bus.can_log import RawFrameLog
 from robot_sysid.damiao.bus.clock import Clock
 from robot_sysid.damiao.bus.inspection import InspectedMotor, Inspection
 from robot_sysid.damiao.bus.link import GuardedLink
 from robot_sysid.damiao.bus.register_client import RegisterClient, watchdogs_set_to
-from robot_sysid.damiao.play.aside import Aside, words_of
-from robot_sysid.damiao.play.player import Player, PlayReport, Told
-from robot_sysid.damiao.play.recorder import MeasurementRecorder, RecordingHead, RecordingOptions
+from robot_sysid.damiao.exchange.aside import Aside, words_of
+from robot_sysid.damiao.exchange.recorder import (
+    MeasurementRecorder,
+    RecordingHead,
+    RecordingOptions,
+)
+from robot_sysid.damiao.exchange.session import MotorSession
+from robot_sysid.damiao.exchange.settings import PlaySettings
+from robot_sysid.damiao.play.player import Park, Player, PlayReport, Told
 from robot_sysid.damiao.play.sampler import TrajectorySampler
-from robot_sysid.damiao.play.session import MotorSession
-from robot_sysid.damiao.play.settings import PlaySettings
 from robot_sysid.damiao.play.stop_request import StopRequest
 from robot_sysid.damiao.protocol.bus_load import BusTiming
 from robot_sysid.damiao.protocol.codec import Scaling
 from robot_sysid.damiao.protocol.frames import Address
+from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.protocol.registers import TIMEOUT
+from robot_sysid.damiao.run.others import (
+    alongside,
+    held_joint,
+    other_motors,
+    with_held,
+)
 from robot_sysid.damiao.run.preflight import (
     Check,
     Permissions,
     bus_checks,
+    other_checks,
     plan_checks,
     require_no_stop,
 )
 from robot_sysid.damiao.trajectory.csv_file import DamiaoTrajectory, TrajectoryScan, scan_trajectory
-from robot_sysid.errors import SysidError
+from robot_sysid.errors import InputError, SysidError
+from robot_sysid.records import Array
+
+PoseCheck = Callable[[Array, Array], None]
 
 
 @dataclass(frozen=True)
@@ -45,6 +62,7 @@ class Plan:
         timing: bit rates of the bus.
         allowed: what the user allowed on purpose.
         recording: what is recorded.
+        inertia: (n,) that each joint moves, where a model is known [kg m^2].
         scan: the trajectory's extremes.
     """
 
@@ -53,11 +71,14 @@ class Plan:
     timing: BusTiming = BusTiming()
     allowed: Permissions = Permissions()
     recording: RecordingOptions = RecordingOptions()
+    inertia: Array | None = None
     scan: TrajectoryScan = field(init=False)
 
     def __post_init__(self) -> None:
         specs = [joint.spec for joint in self.trajectory.joints]
-        object.__setattr__(self, "settings", self.settings.for_motors(specs, self.timing))
+        object.__setattr__(
+            self, "settings", self.settings.for_motors(specs, self.timing, self.inertia)
+        )
         object.__setattr__(self, "scan", scan_trajectory(self.trajectory))
 
     @property
@@ -68,12 +89,46 @@ class Plan:
     def checks(self) -> list[Check]:
         """Return the checks that need no bus."""
         joints = self.trajectory.joints
-        return plan_checks(self.scan, joints, self.settings, self.timing, self.allowed)
+        asked = self.settings, self.timing, self.allowed
+        return plan_checks(self.scan, joints, *asked, self.inertia)
 
     def bus_checks(self, inspection: Inspection) -> list[Check]:
         """Return what the motors on the bus say to the plan."""
         joints = self.trajectory.joints
-        return bus_checks(inspection, self.scan, joints, self.settings, self.allowed)
+        checks = bus_checks(inspection, self.scan, joints, self.settings, self.allowed)
+        others = other_motors(inspection, joints)
+        return checks + other_checks(others, self.settings, self.allowed)
+
+    def held(self, inspection: Inspection) -> tuple[DamiaoJoint, ...]:
+        """Return the motors outside the trajectory that are to be held where they are."""
+        if self.settings.others != "hold":
+            return ()
+        found = other_motors(inspection, self.trajectory.joints)
+        return tuple(filter(None, (held_joint(motor) for motor in found)))
+
+    def park(self, held: Array) -> Park:
+        """Return where to leave the arm; ``held`` are the positions of motors beside it [rad].
+
+        Raises:
+            InputError: the file of a pose is none.
+        """
+        where = self.settings.park
+        if where is None or where in ("rest", "start"):
+            return where
+        return np.concatenate([read_pose(Path(where), self.trajectory.n_joints), held])
+
+
+def read_pose(path: Path, n: int) -> Array:
+    """Return the n joint positions in a file with one line of numbers, or raise InputError."""
+    try:
+        pose = np.array([float(cell) for cell in path.read_text(encoding="utf-8").split(",")])
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"--park takes rest, start or a file with a line of {n} positions; {path}: {error}"
+        ) from None
+    if pose.shape != (n,) or not np.all(np.isfinite(pose)):
+        raise InputError(f"{path} has to hold {n} positions in one line, separated by commas")
+    return np.asarray(pose)
 
 
 def run(
@@ -84,6 +139,7 @@ def run(
     stop: StopRequest,
     on_phase: Callable[[str], None],
     on_progress: Callable[[float], None],
+    pose_check: PoseCheck | None = None,
 ) -> PlayReport:
     """Play the plan on inspected motors.
 
@@ -95,6 +151,7 @@ def run(
         stop: polled in every cycle.
         on_phase: gets a sentence when a phase begins.
         on_progress: gets the time played so far [s].
+        pose_check: gets positions and torques of the arm (n,) held still in two poses.
 
     Raises:
         HardwareAbort: a check forbids it, or the run was stopped; says why.
@@ -102,10 +159,13 @@ def run(
         SysidError: the run went well, but recording or telling about it did not.
     """
     require_no_stop(plan.checks() + plan.bus_checks(inspection), "not played")
-    joints = plan.trajectory.joints
+    held = plan.held(inspection)
+    joints = (*plan.trajectory.joints, *held)
     motors = [inspection.motors[joint.address] for joint in joints]
     scaling = Scaling.from_limits(motor.limits or (0.0, 0.0, 0.0) for motor in motors)
+    places = np.array([_position(inspection.motors[joint.address]) for joint in held])
     session = MotorSession(link, clock, joints, scaling, not plan.recording.no_half_step)
+    settings, park = with_held(plan.settings, held, plan.timing), plan.park(places)
     console, written = Aside(clock.live), Aside(clock.live)
     told = Told(
         lambda text: console(partial(on_phase, text)),
@@ -117,13 +177,24 @@ def run(
             if plan.allowed.watchdog is not None:
                 stack.enter_context(_watchdogs(link, clock, session, motors, plan.allowed.watchdog))
             stack.enter_context(session)
-            player = Player(session, clock, plan.settings, stop, recorder, told)
-            sampler = TrajectorySampler(plan.trajectory, plan.settings.speed)
-            report = player.play(sampler, plan.duration)
+            check = pose_check and _of_the_arm(pose_check, plan.trajectory.n_joints)
+            player = Player(session, clock, settings, stop, recorder, told, park, check)
+            sampler = TrajectorySampler(plan.trajectory, settings.speed)
+            report = player.play(alongside(sampler, places), plan.duration)
     finally:
         console.finish()
     _require_told(console, written)
-    return report
+    n = plan.trajectory.n_joints
+    return replace(report, missed=report.missed[:n], worst_tracking=report.worst_tracking[:n])
+
+
+def _position(motor: InspectedMotor) -> float:
+    return float(motor.feedback.position[0]) if motor.feedback else np.nan
+
+
+def _of_the_arm(check: PoseCheck, n: int) -> PoseCheck:
+    """Return a check that sees the first n joints only."""
+    return lambda q, tau: check(q[:n], tau[:n])
 
 
 def _require_told(console: Aside, written: Aside) -> None:
@@ -164,7 +235,7 @@ def _recorder(
         if plan.recording.record is None:
             yield None
             return
-        registers = [motor.registers for motor in motors]
+        registers = [motor.registers for motor in motors[: plan.trajectory.n_joints]]
         source = plan.trajectory.path.name
         joints, settings = plan.trajectory.joints, plan.settings
         head = RecordingHead(joints, registers, settings, plan.recording, source)

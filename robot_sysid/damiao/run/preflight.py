@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_sysid.damiao.bus.inspection import InspectedMotor, Inspection
-from robot_sysid.damiao.play.outstanding import PAUSE
-from robot_sysid.damiao.play.settings import PlaySettings
+from robot_sysid.damiao.exchange.outstanding import PAUSE
+from robot_sysid.damiao.exchange.settings import PlaySettings
 from robot_sysid.damiao.protocol.bus_load import (
     HANDY_RATES,
     PLANNING_LIMIT,
@@ -21,10 +21,11 @@ from robot_sysid.damiao.protocol.bus_load import (
     bus_load,
     suggested_rate,
 )
+from robot_sysid.damiao.protocol.codec import Scaling
 from robot_sysid.damiao.protocol.frames import Address
 from robot_sysid.damiao.protocol.joint_space import JointSpace
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, id_problems
-from robot_sysid.damiao.protocol.motors import limits_agree
+from robot_sysid.damiao.protocol.motors import limits_agree, matching_types
 from robot_sysid.damiao.protocol.registers import (
     CTRL_MODE,
     DISABLED,
@@ -42,6 +43,7 @@ from robot_sysid.damiao.protocol.registers import (
 from robot_sysid.damiao.trajectory.clamping import rating_warnings
 from robot_sysid.damiao.trajectory.csv_file import TrajectoryScan
 from robot_sysid.errors import HardwareAbort
+from robot_sysid.records import Array
 from robot_sysid.records.options import OptionRecord, option
 
 OK, NOTE, STOP = "ok", "note", "stop"
@@ -52,6 +54,8 @@ _LONG_WATCHDOG, _NO_WATCHDOG = 0.5, 5.0
 _LONGEST_SET_WATCHDOG = 1.0
 # Share of a control cycle within which all answers have to be there.
 _ANSWER_SHARE = 0.9
+# Speed that one step of torque may give a joint within a cycle [rad/s].
+_SHAKEN = 0.3
 
 
 @dataclass(frozen=True)
@@ -99,14 +103,25 @@ def plan_checks(
     settings: PlaySettings,
     timing: BusTiming,
     allowed: Permissions,
+    inertia: Array | None = None,
 ) -> list[Check]:
-    """Return what can be said without a bus: ids, limits, ends at rest, bus load."""
+    """Return what can be said without a bus: ids, limits, ends at rest, bus load.
+
+    Args:
+        scan: the trajectory's extremes.
+        joints: the motors.
+        settings: with gains and rate.
+        timing: the bus.
+        allowed: what the user allowed on purpose.
+        inertia: (n,) that each joint moves, where a model is known [kg m^2].
+    """
     checks = [
         *_ids(joints),
         *_ends(scan, settings),
         *_columns(scan, joints),
         *_ratings(scan, joints, settings),
         *_load(joints, settings, timing, allowed),
+        *_light(joints, settings, inertia),
     ]
     limits = [joint.spec.limits for joint in joints]
     return checks + list(_within_limits(scan, joints, limits, settings, "its type's"))
@@ -120,7 +135,7 @@ def bus_checks(
     allowed: Permissions,
 ) -> list[Check]:
     """Return what the motors on the bus say to the plan."""
-    checks = [*_quiet(inspection), *_unexpected_motors(inspection, joints)]
+    checks = [*_quiet(inspection), *_ids_on_the_bus(inspection)]
     present = [(inspection.motors[j.address], j) for j in joints if j.address in inspection.motors]
     for joint in joints:
         if joint.address not in inspection.motors:
@@ -142,9 +157,32 @@ def bus_checks(
     return checks + list(_near_start([motor for motor, _ in present], joints, scan, settings))
 
 
+def other_checks(
+    others: Sequence[InspectedMotor], settings: PlaySettings, allowed: Permissions
+) -> list[Check]:
+    """Return what is said about motors that no joint of the trajectory has."""
+    if not others:
+        return []
+    names = ", ".join(motor.name for motor in others)
+    if settings.others == "limp":
+        text = f"not in the trajectory and left limp: {names} (--others hold holds them)"
+        return [Check(NOTE, text)]
+    checks = [Check(NOTE, f"not in the trajectory and held where they are: {names}")]
+    for motor in others:
+        checks += _lacking(motor) or [
+            *_mode(motor),
+            *_watchdog(motor, settings, allowed),
+            *_state(motor, settings),
+        ]
+        if motor.limits is None or not matching_types(motor.limits):
+            text = f"{motor.name} is of no known type and cannot be held; use --others limp"
+            checks.append(Check(STOP, text))
+    return checks
+
+
 def general_checks(inspection: Inspection, settings: PlaySettings) -> list[Check]:
     """Return what motors say on their own, without a trajectory to compare them with."""
-    checks = [*_quiet(inspection), *_unexpected_motors(inspection, ())]
+    checks = [*_quiet(inspection), *_ids_on_the_bus(inspection)]
     for motor in inspection.motors.values():
         checks += _shared_id(motor)
         checks += _lacking(motor) or [
@@ -241,6 +279,22 @@ def _load(
     yield Check(NOTE if allowed.bus_load else STOP, text + " (or --force-bus-load)")
 
 
+def _light(
+    joints: Sequence[DamiaoJoint], settings: PlaySettings, inertia: Array | None
+) -> Iterator[Check]:
+    """Yield which joints one step of their motor's torque throws about within a cycle."""
+    scaling = Scaling.from_limits(joint.spec.limits for joint in joints)
+    steps = scaling.steps[2]
+    for joint, step, moved in zip(joints, steps, [] if inertia is None else inertia):
+        if step * settings.period / moved > _SHAKEN:
+            yield Check(
+                NOTE,
+                f"{joint.label} moves only {moved:.2g} kg m^2 in the model, and a step of a "
+                f"{joint.motor_type}'s torque is {step:.2g} N m: it will shake; give the model the "
+                "rotor's inertia (armature), or the joint a smaller motor",
+            )
+
+
 def _within_limits(
     scan: TrajectoryScan,
     joints: Sequence[DamiaoJoint],
@@ -284,13 +338,8 @@ def _quiet(inspection: Inspection) -> Iterator[Check]:
         )
 
 
-def _unexpected_motors(inspection: Inspection, joints: Sequence[DamiaoJoint]) -> Iterator[Check]:
-    known = {joint.address for joint in joints}
+def _ids_on_the_bus(inspection: Inspection) -> Iterator[Check]:
     found = list(inspection.motors.values())
-    others = [motor.name for motor in found if motor.address not in known]
-    if others and known:
-        listed = ", ".join(others)
-        yield Check(NOTE, f"motors on the bus that are not in the trajectory: {listed}")
     ids = [(motor.address, motor.master_id) for motor in found]
     yield from (Check(STOP, problem) for problem in _id_problems(ids))
 

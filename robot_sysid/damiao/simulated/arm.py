@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from robot_sysid.damiao.protocol.codec import MitCommand
 from robot_sysid.damiao.protocol.frames import REGISTER_ID, Frame
+from robot_sysid.damiao.protocol.joint_space import JointSpace
 from robot_sysid.damiao.simulated.faults import Fault
 from robot_sysid.damiao.simulated.motor import SimulatedMotor
 from robot_sysid.errors import InputError
@@ -43,6 +45,7 @@ class SimulatedArm:
         if any(not 0 <= fault.joint < len(motors) for fault in faults):
             raise InputError(f"faults name joints 0 to {len(motors) - 1}")
         self.mechanism, self.motors = mechanism, list(motors)
+        self._space = JointSpace.of(self.motors[: mechanism.n_joints])
         self.time = 0.0
         self._by_low_id: dict[int, list[SimulatedMotor]] = {}
         for motor in self.motors:
@@ -110,7 +113,16 @@ class SimulatedArm:
         motors = self.motors[: self.mechanism.n_joints]
         table = np.array([(m.p, m.v, m.kp, m.kd, m.t, m.brake, m.peak_torque) for m in motors])
         driving = np.array([m.driving for m in motors])
-        self._p, v, kp, kd, t, brake, self._peak = table.T
+        *told, brake, peak = table.T
+        joints = self._space.from_motors(MitCommand(*told))
+        self._p, v, kp, kd, t = (
+            joints.position,
+            joints.velocity,
+            joints.kp,
+            joints.kd,
+            joints.torque,
+        )
+        self._peak = peak * self._space.ratio
         self._kd = np.where(driving, kd, brake)
         self._offset = np.where(driving, kd * v + t, 0.0)
         self._kp = np.where(driving, kp, 0.0)
@@ -131,7 +143,10 @@ class SimulatedArm:
     def _read_sensors(self) -> None:
         q, qd = self.mechanism.q, self.mechanism.qd
         torque, damping = self._law(q)
+        positions = self._space.motor_position(q)
+        # The motor knows the current it drives, not what its shorted windings do.
+        torques = self._space.motor_torque(torque - damping * qd)
         for j, motor in enumerate(self.motors[: self.mechanism.n_joints]):
-            motor.position, motor.velocity = float(q[j]), float(qd[j])
-            # The motor knows the current it drives, not what its shorted windings do.
-            motor.torque = float(torque[j] - damping[j] * qd[j]) if motor.driving else 0.0
+            motor.position = float(positions[j])
+            motor.velocity = float(motor.direction * qd[j])
+            motor.torque = float(torques[j]) if motor.driving else 0.0

@@ -20,6 +20,8 @@ from robot_sysid.damiao.protocol.frames import (
     READ,
     REFRESH,
     REGISTER_ID,
+    SET_ZERO,
+    STORE,
     WRITE,
     Frame,
     is_special,
@@ -46,7 +48,7 @@ from robot_sysid.damiao.protocol.registers import (
     value_from_bytes,
 )
 
-_WRITABLE = (MST_ID, TIMEOUT, CTRL_MODE, PMAX, VMAX, TMAX)
+_WRITABLE = (MST_ID, ESC_ID, TIMEOUT, CTRL_MODE, PMAX, VMAX, TMAX, CAN_BR)
 DEFAULT_WATCHDOG = 0.1
 
 
@@ -69,6 +71,9 @@ class SimulatedMotor:
         velocity_factor, torque_factor: factors on the velocity and the torque it reports.
         slip: angle by which the position it reports is off [rad].
         write_echo: operation byte of its answer to a write.
+        stored: registers that it keeps when the power goes off.
+        bus: number of the bus it is on.
+        direction, offset, torque_ratio: how it is mounted, see ``protocol.joint_space``.
     """
 
     registers: dict[int, float]
@@ -93,6 +98,11 @@ class SimulatedMotor:
     torque_factor: float = 1.0
     slip: float = 0.0
     write_echo: int = WRITE
+    stored: dict[int, float] = field(default_factory=dict)
+    bus: int = 0
+    direction: int = 1
+    offset: float = 0.0
+    torque_ratio: float = 1.0
     _scaling: tuple[tuple[float, float, float], Scaling] | None = field(default=None, repr=False)
 
     @property
@@ -128,7 +138,7 @@ class SimulatedMotor:
 
     def handle(self, frame: Frame, time: float) -> Frame | None:
         """Take a frame from the bus and return the answer, if there is one."""
-        if self.silent or len(frame.data) < 4:
+        if self.silent or len(frame.data) < 4 or frame.bus != self.bus:
             return None
         if frame.id == REGISTER_ID:
             data = self._register_answer(frame.data)
@@ -139,7 +149,7 @@ class SimulatedMotor:
         if data is None or self.loses_replies:
             return None
         fd = self.registers[CAN_BR] > FD_BITRATE_CODES_ABOVE
-        return Frame(int(self.registers[MST_ID]), data, fd=fd)
+        return Frame(int(self.registers[MST_ID]), data, fd=fd, bus=self.bus)
 
     def _command_answer(self, data: bytes, time: float) -> bytes:
         self.fed_at = time
@@ -164,6 +174,8 @@ class SimulatedMotor:
             return
         if code == ENABLE:
             self.status = ENABLED
+        elif code == SET_ZERO and not self.driving:
+            self.slip -= self.position + self.slip
         elif code in (DISABLE, CLEAR_ERROR):
             self.status = DISABLED
             self._forget_command()
@@ -174,6 +186,9 @@ class SimulatedMotor:
         operation, number = data[2], data[3]
         if operation == REFRESH:
             return self._feedback()
+        if operation == STORE and not self.driving:
+            self.stored = dict(self.registers)
+            return data
         if operation not in (READ, WRITE) or number not in self.registers:
             return None
         if operation == WRITE and number in _WRITABLE:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 import itertools
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Callable
 
 from robot_sysid.damiao.bus.clock import SimulatedClock
@@ -40,7 +40,7 @@ class SimulatedLink:
         self.clock, self.arm = clock, arm
         self._timing, self._echo, self.adapter = timing, echo, adapter
         self._handed_over: deque[Frame] = deque()
-        self._free_at = 0.0
+        self._free_at: defaultdict[int, float] = defaultdict(float)
         self._order = itertools.count()
         # In the order of their times, as the bus carries one frame after the other.
         self._echoes: deque[Frame] = deque()
@@ -48,8 +48,8 @@ class SimulatedLink:
 
     def send(self, frame: Frame) -> None:
         """Put a frame on the bus; the arm gets it when its last bit is through."""
-        end = max(self.clock.now(), self._free_at) + self._timing.frame_time
-        self._free_at = end
+        end = max(self.clock.now(), self._free_at[frame.bus]) + self._timing.frame_time
+        self._free_at[frame.bus] = end
         if self._echo:
             self._echoes.append(frame._replace(time=end, echo=True))
         for reply in self.arm.handle(frame, end):
@@ -74,11 +74,12 @@ class SimulatedLink:
         """Take the next answer that is through on the wire by ``until`` [s]."""
         if not self._replies:
             return None
-        arrival = max(self._replies[0][0], self._free_at) + self._timing.frame_time
+        bus = self._replies[0][-1].bus
+        arrival = max(self._replies[0][0], self._free_at[bus]) + self._timing.frame_time
         if arrival > until:
             return None
         reply = heapq.heappop(self._replies)[-1]
-        self._free_at = arrival
+        self._free_at[bus] = arrival
         unreadable = reply.fd and not self._timing.fd
         return reply._replace(
             time=arrival, error=unreadable, data=b"" if unreadable else reply.data

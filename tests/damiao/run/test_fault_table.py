@@ -17,7 +17,7 @@ import pytest
 
 from robot_sysid.damiao.bus.can_bus import BusLink
 from robot_sysid.damiao.bus.link import LinkError
-from robot_sysid.damiao.play.session import MotorSession
+from robot_sysid.damiao.exchange.session import MotorSession
 from robot_sysid.damiao.protocol import registers as reg
 from robot_sysid.damiao.run.preflight import Permissions
 from robot_sysid.damiao.simulated.faults import Fault
@@ -161,9 +161,19 @@ def states(rig):
     return "".join(f"{motor.status:X}" for motor in rig.motors)
 
 
-@pytest.mark.parametrize("line", TABLE, ids=lambda line: line.fault)
+# Those that take another way through the code than all others run with every change.
+QUICK = ("terminal closed", "disk full", "driver raises, for good", "motor dies")
+
+
+def lines(table):
+    for line in table:
+        slow = () if line.fault in QUICK else pytest.mark.slow
+        yield pytest.param(line, id=line.fault, marks=slow)
+
+
+@pytest.mark.parametrize("line", list(lines(TABLE)))
 def test_while_it_plays(tmp_path, line, monkeypatch):
-    from robot_sysid.damiao.play import recorder
+    from robot_sysid.damiao.exchange import recorder
 
     rig = Rig(tmp_path, 2, **{"motion": swing(2, duration=1.0), **(line.options or {})})
     began, seen = [], []
@@ -241,6 +251,7 @@ def test_a_full_queue_is_tried_again_within_the_cycle(tmp_path):
     assert calls[-1] - calls[0] < 4e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_what_a_slow_adapter_delivers_is_never_paired_with_another_command(tmp_path, seed):
     """Answers begin to come 5 to 16 ms late: each one that is believed answers the last command."""

@@ -374,7 +374,7 @@ def test_an_exception_in_the_middle_stops_the_run(rig):
 
 
 def test_a_full_disk_stops_the_run(rig, monkeypatch):
-    from robot_sysid.damiao.play import recorder
+    from robot_sysid.damiao.exchange import recorder
 
     written = recorder.MeasurementRecorder.end_cycle
     calls = []

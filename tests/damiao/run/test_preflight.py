@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.play.settings import PlaySettings
+from robot_sysid.damiao.exchange.settings import PlaySettings
 from robot_sysid.damiao.protocol.bus_load import BusTiming, bus_load
 from robot_sysid.damiao.protocol.joints import damiao_joints
 from robot_sysid.damiao.protocol.motors import MOTORS
@@ -29,11 +29,11 @@ def scan_of(n, **peaks):
     return TrajectoryScan(5.0, **{name: peaks.get(name, np.zeros(n)) for name in names})
 
 
-def checks_of(scan, types, allowed=None, timing=None, **settings):
+def checks_of(scan, types, allowed=None, timing=None, inertia=None, **settings):
     joints = damiao_joints(types, len(types))
     timing = timing or BusTiming()
     chosen = PlaySettings(**settings).for_motors([joint.spec for joint in joints], timing)
-    return plan_checks(scan, joints, chosen, timing, allowed or Permissions())
+    return plan_checks(scan, joints, chosen, timing, allowed or Permissions(), inertia)
 
 
 def beyond(checks):
@@ -90,3 +90,11 @@ def test_a_torque_beyond_the_peak_is_refused_and_one_beyond_the_rating_noted(nam
 @pytest.mark.parametrize("name", [name for name, spec in MOTORS.items() if spec.note])
 def test_what_is_special_about_a_type_is_noted(name):
     assert any(MOTORS[name].note in c.text for c in checks_of(scan_of(1), [name]))
+
+
+def test_a_joint_that_its_motor_would_shake_is_noted():
+    """A DM10010 makes torque in steps of 0.1 N m: 1.6 rad/s within a cycle for a bare wrist."""
+    types, inertia = ["DM10010", "DM4310"], np.array([1.3e-4, 1.3e-4])
+    shaken = [c for c in checks_of(scan_of(2), types, inertia=inertia) if "will shake" in c.text]
+    assert [c.severity for c in shaken] == [NOTE] and shaken[0].text.startswith("motor 1 moves")
+    assert not any("shake" in c.text for c in checks_of(scan_of(2), types))

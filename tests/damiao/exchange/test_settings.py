@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.play.settings import PlaySettings
+from robot_sysid.damiao.exchange.settings import PlaySettings
 from robot_sysid.damiao.protocol.bus_load import (
     PLANNING_LIMIT,
     BusTiming,
@@ -115,3 +115,15 @@ def test_a_motor_may_start_no_warmer_than_it_may_get(top):
 
 def test_lateness_is_typed_in_milliseconds():
     assert options_of(PlaySettings)["max_lateness"].parse("20") == PlaySettings().max_lateness
+
+
+@given(specs=SPECS, timing=TIMINGS, data=st.data())
+def test_a_light_joint_is_damped_less(specs, timing, data):
+    inertia = np.array([data.draw(st.floats(1e-4, 10.0)) for _ in specs])
+    usual, chosen = (PlaySettings().for_motors(specs, timing, i) for i in (None, inertia))
+    assert chosen.kp == usual.kp
+    for i, kd, kd_usual, kp in zip(inertia, chosen.kd, usual.kd, usual.kp):
+        # Never less than 40 %: models often lack the rotors' inertia.
+        least = max(0.4 * kp / 40.0, 0.05)
+        assert kd == pytest.approx(np.clip(min(kp / 40.0, i * chosen.rate), least, KD_MAX))
+        assert kd <= kd_usual * (1.0 + 1e-12)

@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.play.aside import Aside
-from robot_sysid.damiao.play.recorder import (
+from robot_sysid.damiao.exchange.aside import Aside
+from robot_sysid.damiao.exchange.recorder import (
     MeasurementRecorder,
     RecordingHead,
     RecordingOptions,
 )
-from robot_sysid.damiao.play.session import Replies
-from robot_sysid.damiao.play.settings import PlaySettings
+from robot_sysid.damiao.exchange.session import Replies
+from robot_sysid.damiao.exchange.settings import PlaySettings
 from robot_sysid.damiao.protocol.codec import (
     Feedback,
     MitCommand,

@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from robot_sysid.damiao.play.aside import Aside, words_of
+from robot_sysid.damiao.exchange.aside import Aside, words_of
 
 
 @pytest.mark.parametrize("threaded", [False, True])

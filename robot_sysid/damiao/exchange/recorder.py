@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from robot_sysid.damiao.bus.can_log import RawFrameLog
-from robot_sysid.damiao.play.aside import Aside
-from robot_sysid.damiao.play.session import Replies
-from robot_sysid.damiao.play.settings import PlaySettings
+from robot_sysid.damiao.exchange.aside import Aside
+from robot_sysid.damiao.exchange.session import Replies
+from robot_sysid.damiao.exchange.settings import PlaySettings
 from robot_sysid.damiao.protocol.codec import MitCommand
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.protocol.registers import text_of

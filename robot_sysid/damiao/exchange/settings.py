@@ -10,6 +10,7 @@ import numpy as np
 from robot_sysid.damiao.protocol.bus_load import BusTiming, default_rate
 from robot_sysid.damiao.protocol.codec import KD_MAX, KD_STEP, KP_MAX
 from robot_sysid.damiao.protocol.motors import MotorSpec
+from robot_sysid.records import Array
 from robot_sysid.records.options import (
     OptionRecord,
     not_negative,
@@ -24,6 +25,8 @@ _START_TEMPERATURE = 60.0
 # with these motors use for the strong (240 and 5 at 9 N m) and for the weak ones (10 and 1.5 at 3).
 _STIFFNESS, _DAMPING, _LEAST_DAMPING = 20.0, 0.025, 0.05
 _PUSH = 2.0 / 3.0
+# Models often lack the rotors' inertia: never less than this share of the usual damping.
+_LEAST_SHARE = 0.4
 
 
 def milliseconds(text: str) -> float:
@@ -129,23 +132,47 @@ class PlaySettings(OptionRecord):
         check=not_negative,
         usual="20",
     )
+    park: str | None = option(
+        None,
+        "where to leave it: rest (lowered), start (where it stood), or a file of positions",
+        metavar="WHERE",
+        usual="disabled where it ends",
+    )
+    others: str = option(
+        "limp",
+        "motors on the bus that are not in the trajectory: limp or hold (where they are)",
+        choices=("limp", "hold"),
+        metavar="HOW",
+    )
     ramp_time: float = 0.3
     approach_time: float = 1.0
     rest_time: float = 0.5
     deceleration: float = 10.0
 
-    def for_motors(self, specs: Sequence[MotorSpec], timing: BusTiming) -> PlaySettings:
+    def for_motors(
+        self, specs: Sequence[MotorSpec], timing: BusTiming, inertia: Array | None = None
+    ) -> PlaySettings:
         """Return the settings with gains per joint and a rate that suit these motors and this bus.
 
         Where nothing else was asked for, a twentieth of a radian asks for rated torque: an arm
         whose model is a third of that off sags by a degree. Damping is what such stiffness takes
-        at the motors that carry arms of this kind.
+        at the motors that carry arms of this kind. Where the arm's inertia is known, a light joint
+        is damped less, so that its speed does not settle within a cycle: it would have used up the
+        torque step that is to be measured.
+
+        Args:
+            specs: the motors.
+            timing: the bus.
+            inertia: (n,) that each joint moves [kg m^2]; None where it is not known.
         """
         n = len(specs)
+        rate = self.rate or default_rate(n, timing)
+        light = np.full(n, np.inf) if inertia is None else inertia * rate
         rated = np.array([s.rated_torque or 0.3 * s.torque_limit for s in specs])
         peak = np.array([s.peak_torque or s.torque_limit for s in specs])
         usual = np.minimum(_STIFFNESS * rated, KP_MAX)
-        damping = np.clip(_DAMPING * usual, _LEAST_DAMPING, KD_MAX)
+        least = np.maximum(_LEAST_SHARE * _DAMPING * usual, _LEAST_DAMPING)
+        damping = np.clip(np.minimum(_DAMPING * usual, light), least, KD_MAX)
         push = self.max_torque_error
         return replace(
             self,
@@ -154,7 +181,7 @@ class PlaySettings(OptionRecord):
             max_torque_error=tuple(
                 per_joint(push, n, "--max-torque-error") if push else _PUSH * peak
             ),
-            rate=self.rate or default_rate(n, timing),
+            rate=rate,
         )
 
     @property

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.damiao.bus.clock import Clock
 from robot_sysid.damiao.bus.link import GuardedLink
-from robot_sysid.damiao.play.outstanding import Outstanding
+from robot_sysid.damiao.exchange.outstanding import Outstanding
 from robot_sysid.damiao.protocol.codec import (
     Bytes,
     Feedback,

@@ -1,0 +1,223 @@
+"""``robot-sysid motors setup|monitor|map``: what is done to motors before anything is played."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+from robot_sysid.commands.console import Console
+from robot_sysid.damiao.bus.can_bus import BusAddress, open_bus
+from robot_sysid.damiao.bus.clock import Clock
+from robot_sysid.damiao.bus.inspection import InspectedMotor, Inspection, inspect_bus, state_of
+from robot_sysid.damiao.bus.link import GuardedLink
+from robot_sysid.damiao.bus.register_client import RegisterClient
+from robot_sysid.damiao.protocol.bus_load import BusTiming
+from robot_sysid.damiao.protocol.frames import refuse_motion
+from robot_sysid.damiao.protocol.joint_map import write_joint_map
+from robot_sysid.damiao.protocol.registers import BIT_RATES
+from robot_sysid.damiao.report_lines import motor_table, state_table
+from robot_sysid.damiao.run.setup import MotorSetup, SetupOptions
+from robot_sysid.errors import HardwareAbort, InputError
+from robot_sysid.records.options import OptionRecord, option, positive, record_from
+
+_UP = "\x1b[{}A"
+# Where the bit rate is not ours to choose.
+_FIXED_RATE = ("socketcan", "damiao", "virtual")
+_CLASSIC_TOP = 1_000_000
+
+
+@dataclass(frozen=True)
+class FindOptions(OptionRecord):
+    """How ``motors setup`` looks for motors."""
+
+    scan: bool = option(False, "look for motors at every bit rate that the adapter can be set to")
+
+
+@dataclass(frozen=True)
+class MonitorOptions(OptionRecord):
+    """How ``motors monitor`` watches."""
+
+    lifetime: float | None = option(
+        None,
+        "end after this time",
+        flag="--for",
+        unit="s",
+        metavar="S",
+        check=positive,
+        usual="Ctrl-C",
+    )
+    interval: float = option(
+        0.2, "time between two looks", unit="s", metavar="S", check=positive, flag="--every"
+    )
+
+
+@dataclass(frozen=True)
+class MapOptions(OptionRecord):
+    """What ``motors map`` writes."""
+
+    output: Path = option(Path("joint_map.csv"), "where to write the map", metavar="FILE")
+
+
+class Asked(Protocol):
+    """A command line of ``motors``."""
+
+    values: Mapping[str, Any]
+    console: Console
+    address: BusAddress
+    timing: BusTiming
+
+    @property
+    def robot(self) -> Any:
+        """The arm of the model file."""
+
+
+Opener = Callable[[BusAddress, BusTiming, Clock], Any]
+
+
+@contextlib.contextmanager
+def _bus(
+    asked: Asked, clock: Clock, opened: Opener, timing: BusTiming | None = None
+) -> Iterator[GuardedLink]:
+    """Open the bus for setting up: what drives a motor is refused."""
+    if not asked.address.channel:
+        raise InputError("this command needs --channel, for instance --channel can0")
+    timing = timing or asked.timing
+    with contextlib.closing(opened(asked.address, timing, clock)) as link:
+        yield GuardedLink(link, clock.now, timing.fd, asked.address.channel, refuse_motion)
+
+
+def setup(asked: Asked, clock: Clock, opened: Opener = open_bus) -> int:
+    """Find motors, and change one of them."""
+    options, find = record_from(SetupOptions, asked.values), record_from(FindOptions, asked.values)
+    if options.changes and options.motor is None:
+        raise InputError("--motor says which motor to change, for instance --motor 1")
+    if find.scan:
+        return _scan(asked, clock, opened)
+    with _bus(asked, clock, opened) as link:
+        inspection = inspect_bus(link, clock)
+        asked.console.lines(motor_table(inspection))
+        if options.changes:
+            motor = _only(inspection, options)
+            for line in MotorSetup(link, clock, motor).apply(options, _sure):
+                asked.console.stage(line)
+        return 0 if inspection.motors else 1
+
+
+def _scan(asked: Asked, clock: Clock, opened: Opener) -> int:
+    if asked.address.interface in _FIXED_RATE:
+        raise InputError(
+            f"the bit rate of {asked.address.interface} is set outside of this program (ip link, "
+            "or the adapter's own tool); set one after the other there and run setup without --scan"
+        )
+    heard = 0
+    for rate in sorted((rate for rate in BIT_RATES if rate <= _CLASSIC_TOP), reverse=True):
+        with _bus(asked, clock, opened, replace(asked.timing, bitrate=float(rate))) as link:
+            inspection = inspect_bus(link, clock)
+        found = len(inspection.motors)
+        heard += found
+        asked.console.stage(f"{rate} bit/s: {found} motors")
+        asked.console.lines(motor_table(inspection) if found else [])
+    return 0 if heard else 1
+
+
+def _only(inspection: Inspection, options: SetupOptions) -> InspectedMotor:
+    """Return the motor that is meant, or raise HardwareAbort where it is not the only one."""
+    meant = [m for m in inspection.motors.values() if m.can_id == options.motor]
+    if len(meant) != 1 or len(meant[0].reply_ids) != 1:
+        raise HardwareAbort(
+            f"{len(meant)} motors answer to CAN id {options.motor}, or several share it: leave one "
+            "motor on the bus"
+        )
+    others = [m.can_id for m in inspection.motors.values() if m is not meant[0]]
+    if options.new_id in others:
+        raise InputError(f"CAN id {options.new_id} is taken by another motor on the bus")
+    if options.motor_bitrate is not None and others:
+        raise InputError("a bit rate can only be changed with one motor on the bus")
+    return meant[0]
+
+
+def _sure(question: str) -> bool:
+    if not sys.stdin.isatty():
+        raise InputError("nobody can confirm: standard input is no terminal")
+    return _answer(f"{question} Type yes: ").strip().lower() == "yes"
+
+
+def _answer(prompt: str) -> str:
+    with contextlib.suppress(EOFError):
+        return input(prompt)
+    raise InputError("standard input has ended")
+
+
+def monitor(asked: Asked, clock: Clock, opened: Opener = open_bus) -> int:
+    """Show the motors' states again and again; enables nothing."""
+    options, console = record_from(MonitorOptions, asked.values), asked.console
+    with _bus(asked, clock, opened) as link:
+        motors = list(inspect_bus(link, clock).motors.values())
+        if not motors:
+            console.stage("no motor answers: check power, wiring and bit rate")
+            return 1
+        with contextlib.suppress(KeyboardInterrupt):
+            _watch(RegisterClient(link, clock), motors, clock, options, console)
+    return 0
+
+
+def _watch(
+    client: RegisterClient,
+    motors: Sequence[InspectedMotor],
+    clock: Clock,
+    options: MonitorOptions,
+    console: Console,
+) -> None:
+    ends = clock.now() + (options.lifetime or float("inf"))
+    while True:
+        lines = list(state_table([(motor, state_of(client, motor)) for motor in motors]))
+        console.lines(lines)
+        if clock.now() + options.interval > ends:
+            return
+        clock.sleep_until(clock.now() + options.interval)
+        if sys.stdout.isatty():
+            console.stage(_UP.format(len(lines) + 1))
+
+
+def map_joints(asked: Asked, clock: Clock, opened: Opener = open_bus) -> int:
+    """Write the joint map that a person shows by moving the limp arm."""
+    from robot_sysid.damiao.run.mapping import map_by_hand, require_limp
+
+    options, robot = record_from(MapOptions, asked.values), asked.robot
+    if options.output.exists():
+        raise InputError(f"{options.output} exists; choose another --output")
+
+    def ask(words: str) -> None:
+        _answer(f"{words}; then press Enter: ")
+
+    with _bus(asked, clock, opened) as link:
+        motors = list(inspect_bus(link, clock).motors.values())
+        require_limp(motors, robot.n_joints)
+        client = RegisterClient(link, clock)
+
+        def positions() -> Mapping[Any, float]:
+            states = {motor: state_of(client, motor) for motor in motors}
+            _require_all(states.values())
+            return {m.address: float(s.position[0]) for m, s in states.items() if s}
+
+        rows = map_by_hand(robot, motors, positions, ask)
+    write_joint_map(options.output, rows)
+    asked.console.stage(f"written to {options.output}; give it to play with --joint-map")
+    return 0
+
+
+def _require_all(states: Any) -> None:
+    if any(state is None for state in states):
+        raise HardwareAbort("a motor does not answer any more; nothing was written")
+
+
+GROUPS: Mapping[str, Sequence[type]] = {
+    "setup": (FindOptions, SetupOptions),
+    "monitor": (MonitorOptions,),
+    "map": (MapOptions,),
+}
+"""Command to the records of its own options."""

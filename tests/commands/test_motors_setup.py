@@ -1,0 +1,223 @@
+"""The commands that play nothing: setup, monitor, map."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from robot_sysid.cli import main
+from robot_sysid.commands import motors as command
+from robot_sysid.damiao.protocol import registers as reg
+from robot_sysid.damiao.protocol.frames import ENABLE, REGISTER_ID, STORE, is_special
+from robot_sysid.damiao.protocol.joint_map import read_joint_map
+from robot_sysid.damiao.protocol.registers import DISABLED, ENABLED
+from robot_sysid.damiao.simulated.simulated_link import SimulatedLink
+from tests.support import arms
+from tests.support.clocks import ScriptedClock
+from tests.support.damiao_rig import only_asks, two_motor_arm
+from tests.support.links import RememberingLink
+
+CAN0 = ("--channel", "can0")
+
+
+class Bus:
+    def __init__(self):
+        self.arm, self.clock, self.wire = two_motor_arm(), ScriptedClock(), None
+        self.rates = []
+
+    def open(self, address, timing, clock):
+        self.rates.append(timing.bitrate)
+        link = SimulatedLink(self.clock, self.arm, timing, echo=True)
+        self.wire = RememberingLink(link, self.clock)
+        return self.wire
+
+    @property
+    def motors(self):
+        return self.arm.motors
+
+
+@pytest.fixture
+def bus(monkeypatch):
+    simulated = Bus()
+    monkeypatch.setattr(command, "SystemClock", lambda: simulated.clock)
+    monkeypatch.setattr(command, "open_bus", simulated.open)
+    return simulated
+
+
+@pytest.fixture
+def answers(monkeypatch):
+    """What the person at the keyboard says, one after the other; callables are called first."""
+    waiting, asked = [], []
+
+    def say(prompt):
+        asked.append(prompt)
+        answer = waiting.pop(0)
+        return answer() or "" if callable(answer) else answer
+
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
+    monkeypatch.setattr("builtins.input", say)
+    waiting_and_asked = waiting, asked
+    return waiting_and_asked
+
+
+def run(capsys, *arguments):
+    code = main(["motors", *(str(argument) for argument in arguments)])
+    out, err = capsys.readouterr()
+    assert len(err.splitlines()) <= 1, err
+    return code, out, err
+
+
+def drives_nothing(frames):
+    return not any(
+        f.id != REGISTER_ID and (not is_special(f.data) or f.data[7] == ENABLE) for f in frames
+    )
+
+
+def test_setup_alone_lists_the_motors_and_changes_nothing(capsys, bus):
+    code, out, err = run(capsys, "setup", *CAN0)
+    assert (code, err) == (0, "") and "DM4340" in out
+    assert only_asks(bus.wire.sent)
+
+
+def test_setup_changes_what_it_is_told_and_says_what_was_there(capsys, bus):
+    motor = bus.motors[0]
+    motor.registers[reg.CTRL_MODE] = 2.0
+    words = ("--motor", 1, "--new-id", 5, "--new-master-id", "0x15", "--mit", "--watchdog", "0.2")
+    code, out, err = run(capsys, "setup", *CAN0, *words, "--store")
+    assert (code, err) == (0, "")
+    assert "motor 1: CTRL_MODE=2 is now CTRL_MODE=1" in out and "ESC_ID=1 is now ESC_ID=5" in out
+    assert "MST_ID=17 is now MST_ID=21" in out and "keeps its values" in out
+    found = [motor.registers[n] for n in (reg.ESC_ID, reg.MST_ID, reg.CTRL_MODE, reg.TIMEOUT)]
+    assert found == [5.0, 21.0, 1.0, 4000.0] and motor.stored == motor.registers
+    assert bus.motors[1].stored == {} and drives_nothing(bus.wire.sent)
+
+
+def test_nothing_is_stored_unless_asked_for(capsys, bus):
+    assert run(capsys, "setup", *CAN0, "--motor", 1, "--watchdog", "0.2")[0] == 0
+    assert bus.motors[0].registers[reg.TIMEOUT] == 4000.0 and bus.motors[0].stored == {}
+    assert not any(f.id == REGISTER_ID and f.data[2] == STORE for f in bus.wire.sent)
+
+
+@pytest.mark.parametrize("change", [("--mit",), ("--set-zero",), ("--store",), ("--new-id", 3)])
+def test_an_enabled_motor_is_never_changed(capsys, bus, answers, change):
+    bus.motors[0].status = ENABLED
+    bus.motors[0].registers[reg.TIMEOUT] = 0.0
+    before = dict(bus.motors[0].registers)
+    code, _, err = run(capsys, "setup", *CAN0, "--motor", 1, *change)
+    assert code == 3 and "motor 1 is enabled" in err
+    assert bus.motors[0].registers == before and only_asks(bus.wire.sent)
+
+
+def test_a_zero_is_set_after_two_questions(capsys, bus, answers):
+    waiting, asked = answers
+    bus.arm.mechanism.q[0] = 0.4
+    waiting += ["yes", "no"]
+    code, _, err = run(capsys, "setup", *CAN0, "--motor", 1, "--set-zero")
+    assert code == 2 and "the zero is as it was" in err and only_asks(bus.wire.sent)
+    waiting += ["yes", "yes"]
+    code, out, _ = run(capsys, "setup", *CAN0, "--motor", 1, "--set-zero")
+    assert code == 0 and "motor 1: 0.4000 rad is now" in out and len(asked) == 4
+    assert bus.motors[0].slip == pytest.approx(-0.4)
+
+
+def test_an_error_is_cleared_by_name(capsys, bus):
+    bus.motors[1].status = 0xA
+    code, out, _ = run(capsys, "setup", *CAN0, "--motor", 2, "--clear-error")
+    assert code == 0 and "status A: over-current is cleared" in out
+    assert bus.motors[1].status == DISABLED
+
+
+@pytest.mark.parametrize(
+    ("words", "said", "code"),
+    [
+        (("--mit",), "--motor says which motor", 2),
+        (("--motor", 9, "--mit"), "0 motors answer to CAN id 9", 3),
+        (("--motor", 1, "--new-id", 2), "CAN id 2 is taken", 2),
+        (("--motor", 1, "--new-id", 16), "--new-id must be from 1 to 15", 2),
+        (("--motor", 1, "--motor-bitrate", 500000), "with one motor on the bus", 2),
+        (("--motor", 1, "--motor-bitrate", 300000), "--motor-bitrate must be one of 125000", 2),
+        (("--scan",), "the bit rate of socketcan is set outside", 2),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(capsys, bus, words, said, code):
+    got, _, err = run(capsys, "setup", *CAN0, *words)
+    assert got == code and said in err
+    assert bus.wire is None or only_asks(bus.wire.sent)
+
+
+def test_motors_are_looked_for_at_every_bit_rate(capsys, bus):
+    code, out, _ = run(capsys, "setup", *CAN0, "--interface", "slcan", "--scan")
+    assert code == 0 and "1000000 bit/s: 2 motors" in out
+    assert bus.rates == [1e6, 5e5, 2.5e5, 2e5, 1.25e5]
+
+
+def test_a_bit_rate_is_changed_with_one_motor_on_the_bus(capsys, bus):
+    bus.motors[1].silent = True
+    code, out, _ = run(capsys, "setup", *CAN0, "--motor", 1, "--motor-bitrate", 500000, "--store")
+    assert code == 0 and "can_br=4 is now can_br=3" in out and "not stored" in out
+    assert bus.motors[0].registers[reg.CAN_BR] == 3.0
+
+
+def test_monitor_shows_the_motors_and_enables_nothing(capsys, bus):
+    bus.arm.mechanism.q[:] = [0.25, -0.5]
+    code, out, err = run(capsys, "monitor", *CAN0, "--for", "1")
+    assert (code, err) == (0, "")
+    assert out.count("motor 1 ") == 5 and " 0.250 " in out and "-0.500" in out
+    assert only_asks(bus.wire.sent)
+
+
+def test_monitor_of_an_empty_bus(capsys, bus):
+    for motor in bus.motors:
+        motor.silent = True
+    assert run(capsys, "monitor", *CAN0)[0] == 1
+
+
+def test_a_map_is_made_by_hand(capsys, bus, answers, tmp_path, arm_file):
+    """The first joint has motor 2, mirrored; the second one motor 1."""
+    waiting, asked = answers
+    model, output = arm_file(arms.serial_arm((arms.Z, arms.Y))), tmp_path / "map.csv"
+    q = bus.arm.mechanism.q
+
+    def turned(j, way):
+        def move():
+            q[j] += way
+
+        return move
+
+    def home():
+        q[:] = [0.3, -0.1]
+
+    waiting += [turned(1, 0.05), turned(1, -0.5), turned(0, 0.4), home]
+    code, _, err = run(capsys, "map", *CAN0, "--model", model, "--output", output)
+    assert (code, err) == (0, "")
+    assert "move joint joint0 alone" in asked[0] and "no motor turned far enough" in asked[1]
+    first, second = read_joint_map(output)
+    assert (first.joint, first.can_id, first.master_id, first.direction) == ("joint0", 2, 18, -1)
+    assert (second.joint, second.can_id, second.direction) == ("joint1", 1, 1)
+    assert first.offset == pytest.approx(-0.1, abs=1e-3)
+    assert second.offset == pytest.approx(0.3, abs=1e-3)
+    assert only_asks(bus.wire.sent)
+
+
+def test_a_map_is_not_guessed(capsys, bus, answers, tmp_path, arm_file):
+    waiting, _ = answers
+    model, output = arm_file(arms.serial_arm((arms.Z, arms.Y))), tmp_path / "map.csv"
+
+    def both():
+        bus.arm.mechanism.q += 0.5
+
+    waiting += [both] * 3
+    code, _, err = run(capsys, "map", *CAN0, "--model", model, "--output", output)
+    assert code == 3 and "cannot be told which motor drives joint0" in err
+    assert not output.exists()
+
+
+def test_the_model_says_which_way_is_positive(arm_file):
+    from robot_sysid.damiao.run.mapping import positive_ways
+    from robot_sysid.parser import load_robot_model
+
+    robot = load_robot_model(arm_file(arms.serial_arm((arms.Z, arms.Y))))
+    ways = positive_ways(robot)
+    assert len(ways) == 2 and all(("towards" in way) or ("turns" in way) for way in ways)
+    # A turn about +y takes what sticks out along +x down, and what stands upright towards +x.
+    assert np.all([way.split()[-1] for way in ways])
