@@ -10,6 +10,7 @@ with the torques as they are and divided by the scales that were found.
 from __future__ import annotations
 
 import argparse
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -68,7 +69,14 @@ def main():
     given = parser.parse_args()
     for name in given.arms:
         robot = load_robot_model(given.models / MODELS[name])
-        plain, scaled, promised, off = zip(*(run(robot, seed) for seed in range(given.runs)))
+        rows = []
+        for seed in range(given.runs):
+            rows.append(run(robot, seed))
+            print(
+                f"  {name} run {seed}: {np.round(100 * np.array(rows[-1][:2]), 2)} %",
+                file=sys.stderr,
+            )
+        plain, scaled, promised, off = zip(*rows)
         print(
             f"{name}, scales 3 % off, {given.runs} arms, {given.runs * len(PAYLOADS)} payloads: "
             f"rms {100.0 * rms(plain):.2f} % as measured, {100.0 * rms(scaled):.2f} % with the "

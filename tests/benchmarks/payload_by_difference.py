@@ -92,10 +92,10 @@ def single_difference(robot, raw):
     return masses[1] - masses[0]
 
 
-def run(robot, seed, scale, different, single, wide):
+def run(robot, seed, off, different, single, wide):
     """(error of the mass, stated error, noise error, error of the centre of mass, difference)."""
     rng = np.random.default_rng([seed, 77])
-    arm = ImperfectArm(robot, rng, Imperfections(scale=scale))
+    arm = ImperfectArm(robot, rng, off)
     raw = recordings(robot, arm, rng, different, wide=wide)
     found = weighed(robot, raw)
     body = found.payload
@@ -120,6 +120,7 @@ def main():
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--scale", type=float, nargs="+", default=[0.0, 1.0], help="per cent")
     parser.add_argument("--arms", nargs="+", default=["kinova", "panda"], choices=list(MODELS))
+    parser.add_argument("--noise", type=float, default=0.3, help="of a strong joint, N m")
     parser.add_argument("--narrow", action="store_true", help="joints move little")
     parser.add_argument("--different", action="store_true", help="four trajectories, not one")
     parser.add_argument("--single", action="store_true", help="difference of two fits as well")
@@ -130,12 +131,14 @@ def main():
             rows = []
             for seed in range(given.runs):
                 choices = given.different, given.single, not given.narrow
-                rows.append(run(robot, seed, 0.01 * scale, *choices))
+                off = Imperfections(scale=0.01 * scale, noise=given.noise)
+                rows.append(run(robot, seed, off, *choices))
                 print(f"  {name} {scale:g} % run {seed}: {rows[-1][0]:+.4f} kg", file=sys.stderr)
             error, stated, noise, com, difference, trusted = np.array(rows).T
             covered = np.mean(np.abs(error) < 1.96 * stated)
             print(
-                f"{name}, torque scale {scale:g} %, {given.runs} runs: mass rms "
+                f"{name}, noise {given.noise:g} N·m, torque scale {scale:g} %, {given.runs} runs: "
+                "mass rms "
                 f"{100.0 * rms(error):.2f} % (stated {100.0 * rms(stated):.2f}, noise alone "
                 f"{100.0 * rms(noise):.2f}, 95 % covers {100.0 * covered:.0f} %), centre of mass "
                 f"{1e3 * rms(com):.1f} mm, trusted {100.0 * np.mean(trusted):.0f} %, difference of "
