@@ -16,7 +16,7 @@ from robot_sysid.commands.streams import print_line, tolerant_output
 from robot_sysid.errors import INTERRUPTED, InputError, SysidError
 from robot_sysid.interrupts import STOPPING
 
-COMMANDS = ("plan", "identify", "arm", "payload", "motors")
+COMMANDS = ("plan", "identify", "arm", "payload", "log", "motors")
 """Subcommands, each a module of its name; any other first word is a model file."""
 
 
@@ -35,6 +35,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             return int(command.main(arguments))
         except SysidError as error:
             return _report(str(error), error.exit_code, debug)
+        except MemoryError:
+            remedy = "use a shorter log or motion, or a lower rate"
+            return _report(f"the memory is not enough; {remedy}", InputError.exit_code, debug)
         except (Exception, KeyboardInterrupt) as error:
             if interrupts or isinstance(error, KeyboardInterrupt):
                 return _report(interrupted, INTERRUPTED, debug)

@@ -25,6 +25,7 @@ LAYERS = (
     ("payload_config",),
     ("config",),
     ("identify",),
+    ("checks",),
     ("export",),
     ("output", "report"),
     ("damiao",),

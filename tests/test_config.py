@@ -146,7 +146,7 @@ def test_different_files_are_accepted():
 
 def test_an_unknown_key_lists_the_known_ones():
     message = refused(sped=0.5)
-    assert message.startswith("unknown option 'sped'; valid: append, base_frequency, ")
+    assert message.startswith("unknown option 'sped'; valid: accept, append, base_frequency, ")
     assert all(sample.option.key in message for sample in SAMPLES)
 
 

@@ -11,11 +11,17 @@ from typing import Any
 
 from robot_sysid.errors import InputError
 
+# What a title or a path from a file could do to a terminal.
+_CONTROL = {code: "?" for code in (*range(32), 127, *range(128, 160)) if chr(code) not in "\n\t"}
+
 
 def print_line(message: str, stream: Any) -> None:
-    """Print a line; a reader that has gone away (``| head``) does not stop the run."""
+    """Print a line; a reader that has gone away (``| head``) does not stop the run.
+
+    Control characters are shown as "?".
+    """
     try:
-        stream.write(f"{message}\n")
+        stream.write(f"{message.translate(_CONTROL)}\n")
         stream.flush()
     except BrokenPipeError:
         _silence(stream)

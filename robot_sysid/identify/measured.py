@@ -8,7 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from robot_sysid.checks.finding import require_acceptable
+from robot_sysid.checks.run import check_against_model
 from robot_sysid.dynamics.gravity import gravity
+from robot_sysid.errors import SysidError
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.identify.earlier import earlier_logs
 from robot_sysid.identify.fit import MeasuredFit, fit_measured, validate_on
@@ -98,13 +101,14 @@ def identify_logs(
     earlier = () if options.append is None else earlier_logs(options.append, robot)
     for path in (*earlier, *options.measurements):
         progress.stage(f"Reading measurements from {path}...")
-        logs.append(_read_log(robot, options, path, progress))
+        logs.append(open_log(robot, options, path, progress))
     if save is not None:
         write_measurement_csv(save, robot.joint_names, [logs[0].samples])
+    _check(robot, options, estimation, logs, progress)
     measured = tuple(piece for log in logs for piece in log.pieces)
     tests = []
     if options.validation_measurements is not None:
-        tests.append(_read_log(robot, options, options.validation_measurements, progress))
+        tests.append(open_log(robot, options, options.validation_measurements, progress))
         for note in tests[0].notes:
             progress.note(f"validation log: {note}")
     data = MeasuredData(measured, _origin(logs), _log_notes(logs))
@@ -117,12 +121,33 @@ def _require_fitting(robot: RobotModel, options: EstimationOptions) -> None:
         per_joint(options.velocity_deadband, robot.n_joints, "--velocity-deadband")
 
 
-def _read_log(
+def open_log(
     robot: RobotModel, options: LogOptions, path: Path, progress: Progress
 ) -> MeasurementLog:
     """Open a log of this arm with the columns and units that were declared."""
     joints = LogJoints(robot.joint_names, robot.limits, tuple(robot.is_slide.tolist()))
     return read_log(path, joints, options, progress)
+
+
+def _check(
+    robot: RobotModel,
+    options: LogOptions,
+    estimation: EstimationOptions,
+    logs: Sequence[MeasurementLog],
+    progress: Progress,
+) -> None:
+    """Look at each log against the model; stop at what must not become a number."""
+    accepted = (*options.accept, *(("delay",) if estimation.delay == "auto" else ()))
+    for log in logs:
+        found = check_against_model(robot, log.pieces, estimation.cutoff)
+        for each in found:
+            progress.note(each.line())
+        try:
+            require_acceptable(str(log.path), found, accepted)
+        except SysidError:
+            for note in log.notes:
+                progress.note(note)
+            raise
 
 
 def _origin(logs: Sequence[MeasurementLog]) -> DataOrigin:

@@ -9,6 +9,24 @@ from typing import ClassVar
 from robot_sysid.records.options import OptionRecord, option
 from robot_sysid.records.torque_scale import Factors, factors_in, usable_factor
 
+CHECKS = {
+    "torque-scale": "torque in another unit, on the motor's side of the gear, or scaled",
+    "gravity": "torque without gravity, or external torque only",
+    "computed": "torque that was computed, not measured",
+    "sign": "sign of a position or torque",
+    "order": "columns of joints exchanged",
+    "angle-unit": "degrees for radians or the other way round",
+    "zero": "zero of a joint's position",
+    "model": "model of another arm, or with another tool",
+    "clock": "clock that jumps, or samples that are lost or repeated",
+    "delay": "torque delayed against position",
+    "saturated": "torque sensor at its end",
+    "held": "torque that stands still while the arm moves",
+    "contact": "contact, a collision or a moving gripper",
+    "too-little": "too few independent samples",
+}
+"""Name of every check of a log, as ``--accept`` takes it, to what it looks for."""
+
 
 @dataclass(frozen=True)
 class LogOptions(OptionRecord):
@@ -54,6 +72,13 @@ class LogOptions(OptionRecord):
         metavar="N",
         repeats=True,
         usual="all",
+    )
+    accept: tuple[str, ...] = option(
+        (),
+        "go on in spite of what this check warns of; may be repeated",
+        metavar="CHECK",
+        choices=tuple(CHECKS),
+        repeats=True,
     )
     validation_measurements: Path | None = option(
         None, "another log that only tests the result", metavar="LOG.csv"

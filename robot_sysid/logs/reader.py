@@ -24,13 +24,13 @@ from robot_sysid.logs.formats.known_text import merged
 from robot_sysid.logs.formats.recognise import open_table
 from robot_sysid.logs.formats.table import LogTable
 from robot_sysid.logs.options import LogOptions
-from robot_sysid.logs.pieces import piece_note, pieces_of
 from robot_sysid.logs.rows import read_rows
 from robot_sysid.logs.timing import LogContext
 from robot_sysid.records import Array, JointLimits, Measurement
 from robot_sysid.records.atomic_files import whole_file
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.torque_scale import CONSTANTS, SCALE, joint_factors
+from robot_sysid.signals.pieces import piece_note, pieces_of
 
 
 @dataclass(frozen=True)

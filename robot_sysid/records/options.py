@@ -79,9 +79,10 @@ class OptionRecord:
             value = getattr(self, name)
             if value is None:
                 continue
-            if each.choices and value not in each.choices:
-                raise InputError(f"{each.flag} {value!r}: choose one of {', '.join(each.choices)}")
             for single in value if isinstance(value, tuple) else (value,):
+                if each.choices and single not in each.choices:
+                    listed = ", ".join(each.choices)
+                    raise InputError(f"{each.flag} {single!r}: choose one of {listed}")
                 complaint = each.check(single) if each.check else None
                 if complaint:
                     raise InputError(f"{each.flag} {complaint}")

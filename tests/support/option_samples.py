@@ -127,7 +127,8 @@ def _value(option: Option, default: Any) -> Any:
     if isinstance(default, bool):
         return not default
     if option.choices:
-        return next(choice for choice in option.choices if choice != default)
+        choice = next(choice for choice in option.choices if choice != default)
+        return (choice,) if option.repeats else choice
     assert option.parse is not None, option.flag
     # A number that is a share, a speed, a time or a level, or a name.
     text = "7" if option.parse("7") == 7 and isinstance(option.parse("7"), int) else "0.25"

@@ -218,10 +218,11 @@ def _without_last_gap(cells: tuple[str, ...]) -> tuple[str, ...]:
 
 def _mostly_numbers(cells: tuple[str, ...]) -> bool:
     # A row of data may carry a joint's name or a frame, a header may have a title like "1".
-    return 2 * sum(_is_number(cell) for cell in cells) > len(cells)
+    return 2 * sum(is_number(cell) for cell in cells) > len(cells)
 
 
-def _is_number(cell: str) -> bool:
+def is_number(cell: str) -> bool:
+    """Return whether a cell holds a number, or is marked empty."""
     if cell.lower() in _MISSING:
         return True
     try:

@@ -1,0 +1,1 @@
+"""Looking at a log against the model before anything is estimated from it."""

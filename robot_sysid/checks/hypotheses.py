@@ -1,0 +1,149 @@
+"""Mistakes of a recording that can be undone, and whether the log fits better without them.
+
+Signs, exchanged joints, a reversed order and degrees are finite in number: each is undone on the
+low-passed samples and the fit repeated. A mistake is named where undoing it makes its joints fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from robot_sysid.checks.evidence import Evidence, Sample
+from robot_sysid.checks.finding import Finding, Level
+from robot_sysid.checks.model_fit import INDEPENDENT, Fit, ModelFit, plausible
+from robot_sysid.records import RobotModel
+
+CLEARLY = 60.0
+"""Fall of chi-squared by undoing a mistake that chance and small errors of a model do not bring."""
+LIKELY = 15.0
+"""The same where the log as it is would need an impossible terminal link."""
+WELL = 1.4
+"""Cost of a log that fits."""
+BETTER = 0.25
+"""Part of the cost that is left where a log that does not fit for other reasons fits better."""
+# One fit per mistake: fewer instants than elsewhere do.
+_EVERY = 2
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A mistake and the log without it.
+
+    Attributes:
+        name: of the finding.
+        text: what happened and what to do.
+        undone: the sample without it.
+    """
+
+    name: str
+    text: str
+    undone: Sample
+
+
+@dataclass(frozen=True)
+class Explained:
+    """A hypothesis with its fit.
+
+    Attributes:
+        hypothesis: the mistake.
+        fit: what is left without it.
+    """
+
+    hypothesis: Hypothesis
+    fit: Fit
+
+    def finding(self) -> Finding:
+        """Return it as a finding."""
+        return Finding(self.hypothesis.name, Level.REFUSE, self.hypothesis.text)
+
+
+def hypotheses(sample: Sample, robot: RobotModel) -> Iterator[Hypothesis]:
+    """Yield every mistake that is tried."""
+    names = robot.joint_names
+    yield from _angle_units(sample, robot.is_slide)
+    yield from _signs(sample, names)
+    yield from _orders(sample, names)
+
+
+def explanations(evidence: Evidence, fit: ModelFit) -> list[Explained]:
+    """Return the mistakes that explain a log, in the order of how well it fits without them.
+
+    Args:
+        evidence: the log.
+        fit: its fits.
+    """
+    sample = evidence.sample.thinned(_EVERY)
+    base = fit.fit(sample)
+    found = [Explained(h, fit.fit(h.undone)) for h in hypotheses(sample, evidence.robot)]
+    possible = plausible(fit, base)
+    convincing = [
+        e for e in found if plausible(fit, e.fit) and explains(base, e.fit, certain=possible)
+    ]
+    return sorted(convincing, key=lambda each: each.fit.cost)
+
+
+def explains(base: Fit, after: Fit, certain: bool = True) -> bool:
+    """Return whether a log fits so much better without a mistake that it was made.
+
+    Args:
+        base: the log as it is.
+        after: the log without the mistake.
+        certain: whether the log as it is has a possible terminal link; one that has none takes less
+            to be called mistaken.
+    """
+    fall = (base.cost - after.cost) * len(base.per_joint) * INDEPENDENT
+    enough = fall > (CLEARLY if certain else LIKELY)
+    return enough and (after.cost < WELL or after.cost < BETTER * base.cost)
+
+
+def _angle_units(sample: Sample, is_slide: np.ndarray) -> Iterator[Hypothesis]:
+    hinge = ~np.asarray(is_slide)
+    for factor, text in (
+        (np.pi / 180.0, "positions look like degrees; pass --units deg"),
+        (
+            180.0 / np.pi,
+            "positions look like radians that were taken for degrees; drop --units deg",
+        ),
+    ):
+        yield Hypothesis("angle-unit", text, sample.with_motion(np.where(hinge, factor, 1)))
+
+
+def _signs(sample: Sample, names: tuple[str, ...]) -> Iterator[Hypothesis]:
+    for joint, name in enumerate(names):
+        sign = np.ones(len(names))
+        sign[joint] = -1.0
+        for what, text, undone in (
+            ("torque", f"torque.{name} = -TITLE", sample.with_torque(sign)),
+            ("position", f"position.{name} = -TITLE", sample.with_motion(sign)),
+            (
+                "position and torque",
+                f"position.{name} = -TITLE and torque.{name} = -TITLE",
+                sample.with_motion(sign).with_torque(sign),
+            ),
+        ):
+            said = f"the {what} of joint {name} has the opposite sign of the model's; flip it in "
+            yield Hypothesis("sign", f"{said}the columns file: {text}", undone)
+
+
+def _orders(sample: Sample, names: tuple[str, ...]) -> Iterator[Hypothesis]:
+    plain = list(range(len(names)))
+    pairs = list(combinations(plain, 2))
+    orders = []
+    for first, second in pairs:
+        order = plain.copy()
+        order[first], order[second] = second, first
+        orders.append((order, f"joints {names[first]} and {names[second]} are exchanged"))
+    if len(names) > 2:
+        orders.append((plain[::-1], "the order of the joints is reversed"))
+    for order, said in orders:
+        for what, motion, torque in (
+            ("", order, order),
+            (" in the positions", order, plain),
+            (" in the torques", plain, order),
+        ):
+            text = f"{said}{what}; put the columns right with --columns FILE"
+            yield Hypothesis("order", text, sample.with_order(motion, torque))

@@ -1,0 +1,234 @@
+"""How well a log fits its model, once the model is allowed to be as wrong as models usually are.
+
+Minimised is
+
+    sum_j (K_e / K) sum_k ((tau_jk - Y_jk theta - friction_jk) / sigma_j)^2
+        + sum_i ((theta_i - theta_i,model) / s_i)^2
+
+over the parameters theta of ALL links and each joint's friction. The terminal link may be nearly
+anything (that is what will be identified), the other links a few per cent off; K_e is how many
+independent samples a log is taken to have. The minimum over n K_e is the cost: below one, nothing
+is wrong that could be seen in the torques.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from robot_sysid.checks.evidence import TOLERANCE, Evidence, Sample
+from robot_sysid.dynamics.gravity import with_gravity
+from robot_sysid.dynamics.kinematics import ArmDynamics, has_only_armature
+from robot_sysid.dynamics.newton_euler import LinkDynamics
+from robot_sysid.dynamics.spatial import characteristic_length, com_from_theta, parameter_scale
+from robot_sysid.records import Array, RobotModel
+
+LINK_ERROR = 0.05
+"""Standard deviation of another link's parameters as a part of a body of its mass and size."""
+PAYLOAD = 0.3
+"""Standard deviation of the terminal link's mass as a part of the whole arm's."""
+LIGHTEST, HEAVIEST = -0.03, 0.6
+"""Mass of a plausible terminal link, as a part of the whole arm's."""
+INDEPENDENT = 100
+"""Independent samples that a log is taken to have per joint."""
+N_FRICTION = 4
+# Speeds below this part of the usual one have no sure sign.
+_SLOW = 0.05
+
+
+@dataclass(frozen=True)
+class Fit:
+    """One fit.
+
+    Attributes:
+        cost: what was minimised, over the number of joints and independent samples.
+        per_joint: (n,) each joint's residuals in it.
+        residual: (K, n) torque that is not explained [N m].
+        friction_torque: (K, n) torque of Coulomb and viscous friction [N m].
+        thetas: (n, 10) the links.
+        extra: coefficients of the extra columns.
+        error: standard errors of these.
+    """
+
+    cost: float
+    per_joint: Array
+    residual: Array
+    friction_torque: Array
+    thetas: Array
+    extra: Array
+    error: Array
+
+
+class ModelFit:
+    """Fits samples of one log to the model.
+
+    Args:
+        evidence: the log.
+
+    Attributes:
+        links: (n, 10) the model's links.
+        model_torque: (K, n) what the model says of the motion as recorded, without friction.
+    """
+
+    def __init__(self, evidence: Evidence) -> None:
+        robot = evidence.robot
+        self.robot = robot
+        self._dynamics = LinkDynamics(robot)
+        self._weightless = LinkDynamics(with_gravity(robot, np.zeros(3)))
+        self._beyond = None if has_only_armature(robot.mj_model) else ArmDynamics(robot)
+        self.links = np.array([link.theta for link in robot.links])
+        self._armature = np.array(robot.mj_model.dof_armature)[robot.dof_index]
+        self._scales = _link_scales(robot)
+        self.model_torque = self.rigid(evidence.sample)
+
+    def rigid(self, sample: Sample) -> Array:
+        """Return (K, n) the model's torque without friction and armature."""
+        motion = self._dynamics.motion(sample.q, sample.qd, sample.qdd)
+        return motion.torque(self.links) + self._springs(sample)
+
+    def rest_torque(self, sample: Sample) -> Array:
+        """Return (K, n) the model's torque of all links but the terminal one."""
+        motion = self._dynamics.motion(sample.q, sample.qd, sample.qdd)
+        return motion.torque(self.links * np.array([[1.0]] * (len(self.links) - 1) + [[0.0]]))
+
+    def gravity(self, sample: Sample) -> Array:
+        """Return (K, n) the model's torque at rest."""
+        still = np.zeros_like(sample.q)
+        motion = self._dynamics.motion(sample.q, still, still)
+        return motion.torque(self.links)
+
+    def fit(
+        self,
+        sample: Sample,
+        extra: Array | None = None,
+        prior: Array | None = None,
+        weightless: bool = False,
+        known_links: bool = False,
+        links_out: bool = False,
+        no_terminal: bool = False,
+        rotor: bool = True,
+    ) -> Fit:
+        """Fit one sample.
+
+        Args:
+            sample: motion and torque.
+            extra: (K, n, e) further columns.
+            prior: (e,) standard deviations of their coefficients; None leaves them free.
+            weightless: whether the torque is taken to lack gravity.
+            known_links: whether all links but the terminal one are taken to be right.
+            links_out: whether their torque is left to the extra columns.
+            no_terminal: whether the terminal link is left out.
+            rotor: whether joints may have rotor inertia.
+        """
+        count, n = sample.q.shape
+        dynamics = self._weightless if weightless else self._dynamics
+        links = dynamics.motion(sample.q, sample.qd, sample.qdd).columns(range(n))
+        friction = _friction_columns(sample)
+        rows = np.concatenate([links, friction] + ([] if extra is None else [extra]), axis=2)
+        free = rows.shape[2] - (10 + N_FRICTION) * n
+        known = self.links * np.array([[not links_out]] * (n - 1) + [[not no_terminal]])
+        scales = self._scales * np.array([[not known_links]] * (n - 1) + [[not no_terminal]])
+        own = np.tile([1.0, 1.0, 1.0, float(rotor)], n)
+        start = np.concatenate((known.ravel(), own * self._friction_start(n), np.zeros(free)))
+        loose = np.full(free, np.inf) if prior is None else prior
+        spread = np.concatenate((scales.ravel(), own * self._friction_spread(sample), loose))
+        right = sample.tau - self._springs(sample) - rows @ start
+        weight = np.sqrt(INDEPENDENT / count) / sample.sigma
+        matrix = (rows * weight[None, :, None]).reshape(count * n, -1)
+        values, covariance = _ridge(matrix, (right * weight).ravel(), spread)
+        residual = right - rows @ values
+        per_joint = np.sum((residual * weight) ** 2, axis=0) / INDEPENDENT
+        penalty = float(np.sum((values[spread > 0.0] / spread[spread > 0.0]) ** 2))
+        found, ends = start + values, (10 * n, (10 + N_FRICTION) * n)
+        return Fit(
+            (float(np.sum(per_joint)) + penalty / INDEPENDENT) / n,
+            per_joint,
+            residual,
+            friction @ (found[ends[0] : ends[1]] * _dissipative(n)),
+            found[: ends[0]].reshape(n, 10),
+            found[ends[1] :],
+            np.sqrt(np.diag(covariance)[ends[1] :]),
+        )
+
+    def _springs(self, sample: Sample) -> Array:
+        """Return (K, n) the torque of springs, tendons and actuators."""
+        if self._beyond is None:
+            return np.zeros_like(sample.q)
+        still = np.zeros_like(sample.q)
+        return self._beyond.beyond_rigid_bodies(sample.q, sample.qd, still)
+
+    def _friction_start(self, joints: int) -> Array:
+        start = np.zeros((joints, N_FRICTION))
+        start[:, 3] = self._armature
+        return start.ravel()
+
+    def _friction_spread(self, sample: Sample) -> Array:
+        """Return (4 n,) how large friction may be: up to about what the joint carries."""
+        usual = sample.sigma / TOLERANCE
+        speed, turning = rms(sample.qd), rms(sample.qdd)
+        columns = (
+            usual,
+            usual / np.where(speed > 0.0, speed, 1.0),
+            0.5 * usual,
+            0.5 * usual / np.where(turning > 0.0, turning, 1.0),
+        )
+        return np.column_stack(columns).ravel()
+
+
+def plausible(fit: ModelFit, found: Fit, heaviest: float = HEAVIEST) -> bool:
+    """Return whether a terminal link's mass could be that of a link with a payload."""
+    share = float(found.thetas[-1, 0] / np.sum(fit.links[:, 0]))
+    return LIGHTEST < share < heaviest
+
+
+def _ridge(matrix: Array, right: Array, spread: Array) -> tuple[Array, Array]:
+    """Return (values, covariance) of least squares with independent priors around zero."""
+    scale = np.where(np.isfinite(spread), spread, 1.0)
+    scaled = matrix * scale
+    normal = scaled.T @ scaled
+    tiny = 1e-12 * float(np.trace(normal))
+    normal[np.diag_indices_from(normal)] += np.where(np.isfinite(spread), 1.0, tiny)
+    inverse = np.linalg.inv(normal)
+    values = inverse @ (scaled.T @ right)
+    return scale * values, inverse * np.outer(scale, scale)
+
+
+def _friction_columns(sample: Sample) -> Array:
+    """Return (K, n, 4 n) Coulomb, viscous, offset and armature of each joint."""
+    count, n = sample.q.shape
+    slow = _SLOW * np.max(np.abs(sample.qd), axis=0)
+    sign = np.clip(sample.qd / np.where(slow > 0.0, slow, 1.0), -1.0, 1.0)
+    own = np.stack((sign, sample.qd, np.ones_like(sign), sample.qdd), axis=2)
+    columns = np.zeros((count, n, n, N_FRICTION))
+    joints = np.arange(n)
+    columns[:, joints, joints] = own
+    return columns.reshape(count, n, -1)
+
+
+def _dissipative(joints: int) -> Array:
+    """Return (4 n,) ones at Coulomb and viscous friction, zeros at offset and armature."""
+    return np.tile([1.0, 1.0, 0.0, 0.0], joints)
+
+
+def _link_scales(robot: RobotModel) -> Array:
+    """Return (n, 10) how far each link's parameters may be off."""
+    masses = np.array([max(float(link.theta[0]), 0.0) for link in robot.links])
+    total, reach = float(np.sum(masses)), sum(np.linalg.norm(b.translation) for b in robot.links)
+    scales = []
+    for link, mass in zip(robot.links, masses):
+        length = _length(link.theta) if mass > 0.0 else 0.0
+        scales.append(LINK_ERROR * parameter_scale(mass, length) if mass > 0.0 else np.zeros(10))
+    wide = max(0.15 * float(reach), _length(robot.links[-1].theta) if masses[-1] > 0.0 else 0.0)
+    scales[-1] = parameter_scale(PAYLOAD * total, wide)
+    return np.array(scales)
+
+
+def _length(theta: Array) -> float:
+    """Return the size of a link: of its body, and of where that stands."""
+    return max(characteristic_length(theta), float(np.linalg.norm(com_from_theta(theta)[1])))
+
+
+def rms(values: Array) -> Array:
+    """Return (n,) the root mean square over samples (K, n)."""
+    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))

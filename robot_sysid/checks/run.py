@@ -1,0 +1,59 @@
+"""All checks of a log, in the order in which one finding explains another."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from robot_sysid.checks.clock import clock_findings
+from robot_sysid.checks.enough import enough_findings, slow_findings
+from robot_sysid.checks.evidence import Evidence, evidence_of
+from robot_sysid.checks.finding import Finding, Level
+from robot_sysid.checks.gravity import computed_findings, gravity_findings
+from robot_sysid.checks.hypotheses import explanations
+from robot_sysid.checks.model_fit import Fit, ModelFit
+from robot_sysid.checks.sensors import sensor_findings
+from robot_sysid.checks.shifts import delay_findings, zero_findings
+from robot_sysid.checks.torque_scale import scale_findings
+from robot_sysid.checks.unexplained import contact_findings, model_findings
+from robot_sysid.records import Measurement, RobotModel
+
+
+def check_against_model(
+    robot: RobotModel, pieces: Sequence[Measurement], cutoff: float | None = None
+) -> tuple[Finding, ...]:
+    """Return what looks wrong with a log.
+
+    Args:
+        robot: the arm.
+        pieces: the log between its gaps.
+        cutoff: of the low-pass [Hz]; None chooses it from the data.
+
+    Raises:
+        InputError: the log is too short to be looked at.
+    """
+    raw = [*clock_findings(pieces), *sensor_findings(pieces, robot.joint_names)]
+    if any(each.level is Level.REFUSE for each in raw):
+        return tuple(raw)
+    evidence = evidence_of(robot, pieces, cutoff)
+    short = [*enough_findings(evidence)]
+    if short:
+        return (*raw, *short)
+    fit = ModelFit(evidence)
+    base = fit.fit(evidence.sample)
+    return (*raw, *_of_torque(evidence, fit, base))
+
+
+def _of_torque(evidence: Evidence, fit: ModelFit, base: Fit) -> list[Finding]:
+    """Return what the torques say; the first mistake that explains them stands alone."""
+    explained = explanations(evidence, fit)
+    best = min((each.fit.cost for each in explained), default=base.cost)
+    found = [*gravity_findings(evidence, fit, best)]
+    if found or explained:
+        return found or [explained[0].finding()]
+    found = [*scale_findings(evidence, fit, base)]
+    if found:
+        return found
+    found = [*contact_findings(evidence, base), *computed_findings(evidence, fit, base)]
+    if not found:
+        found = [*delay_findings(evidence, fit, base)] or [*zero_findings(evidence, fit, base)]
+    return found or [*model_findings(evidence, fit)] or [*slow_findings(evidence)]

@@ -1,0 +1,86 @@
+"""``robot-sysid log LOG [MODEL]``: what is in a log, and what is wrong with it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from robot_sysid.commands import log as module
+from robot_sysid.logs.reader import write_measurement_csv
+from tests.support import arms, option_samples
+from tests.support.command_line import CommandLine
+from tests.support.wrong_logs import truth_of
+
+ARM = arms.serial_arm(arms.SEVEN_AXES[:4], joint='range="-2.5 2.5"')
+
+
+@pytest.fixture(scope="module")
+def truth():
+    return truth_of(arms.robot_of(ARM), 2)
+
+
+@pytest.fixture
+def command(tmp_path, monkeypatch, capsys, truth):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "arm.xml").write_text(ARM)
+    write_measurement_csv(tmp_path / "log.csv", truth.robot.joint_names, [truth.log])
+    wrong = replace(truth.log, tau=1e3 * truth.log.tau)
+    write_measurement_csv(tmp_path / "wrong.csv", truth.robot.joint_names, [wrong])
+    write_measurement_csv(tmp_path / "late.csv", truth.robot.joint_names, [late(truth.log)])
+    return CommandLine(tmp_path, capsys)
+
+
+def late(log):
+    """A channel that holds its value for two seconds."""
+    tau = log.tau.copy()
+    tau[1000:1500, 1] = tau[1000, 1]
+    return replace(log, tau=tau)
+
+
+def test_it_takes_what_is_said_of_logs_and_of_the_model():
+    expected = {s.option.key for s in option_samples.samples() if s.record in ("log", "model")}
+    assert option_samples.keys_of(module.build_parser()) == expected - set(module.LEFT_OUT)
+
+
+def test_without_a_model_it_lists_the_columns(command):
+    printed = command.run("log", "log.csv").out
+    assert "log layout: 13 columns separated by comma" in printed
+    assert "3000 lines" in printed and "joint1_torque" in printed and "(torque)" in printed
+
+
+def test_a_right_log_is_called_one(command):
+    assert (
+        "nothing that stops an identification was found"
+        in command.run("log", "log.csv", "arm.xml").out
+    )
+
+
+def test_a_wrong_log_is_refused_with_its_name_and_nothing_is_written(command):
+    said = command.refused("log", "wrong.csv", "arm.xml")
+    assert "as in mN·m" in said and "--torque-scale 1000" in said
+
+
+def test_with_the_scale_that_was_named_it_is_right(command):
+    command.run("log", "wrong.csv", "arm.xml", "--torque-scale", "1000")
+
+
+def test_a_warning_stops_unless_it_is_accepted(command):
+    said = command.refused("log", "late.csv", "arm.xml", code=1)
+    assert "stands still for 2 s" in said and "--accept held" in said
+    printed = command.run("log", "late.csv", "arm.xml", "--accept", "held", "--accept", "contact")
+    assert "warn: the torque of joint joint1 stands still" in printed.out
+
+
+def test_titles_cannot_steer_the_terminal(command, truth):
+    text = (command._folder / "log.csv").read_text()
+    (command._folder / "log.csv").write_text(text.replace("joint0_torque", "joint0_torque\x1b[2J"))
+    assert "\x1b" not in command.run("log", "log.csv").out
+
+
+def test_memory_that_is_not_enough_is_one_line(command, monkeypatch):
+    def starve(*arguments):
+        raise MemoryError
+
+    monkeypatch.setattr("robot_sysid.commands.log._checked", starve)
+    assert "the memory is not enough" in command.refused("log", "log.csv", "arm.xml")

@@ -1,0 +1,81 @@
+"""Gaps split a log; a long log is thinned behind a low-pass, whatever its blocks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robot_sysid.records import Measurement
+from robot_sysid.signals import pieces, thinning
+from robot_sysid.signals.pieces import piece_note, pieces_of
+from robot_sysid.signals.thinning import Thinning
+
+
+def log(time: np.ndarray) -> Measurement:
+    q = np.column_stack((np.sin(time), np.cos(0.7 * time)))
+    return Measurement(time, q, None, 2.0 * q)
+
+
+@settings(max_examples=100)
+@given(st.lists(st.tuples(st.floats(0.1, 12.0), st.floats(0.6, 5.0)), min_size=1, max_size=5))
+def test_pieces_are_what_lies_between_gaps(parts):
+    start, times = 0.0, []
+    for length, gap in parts:
+        times.append(start + np.arange(0.0, length, 0.01))
+        start = float(times[-1][-1]) + gap
+    whole = log(np.concatenate(times))
+    found = pieces_of(whole)
+    long = [time for time in times if time[-1] - time[0] >= pieces.SHORTEST]
+    if not long:
+        assert len(found) == 1 and found[0] is whole
+        return
+    assert [len(piece) for piece in found] == [len(time) for time in long]
+    for piece, time in zip(found, long):
+        np.testing.assert_array_equal(piece.time, time)
+    assert bool(piece_note(whole, found)) == (len(times) > 1)
+
+
+def test_a_long_log_is_cut_into_equal_parts(monkeypatch):
+    monkeypatch.setattr(pieces, "MOST_ROWS", 1000)
+    whole = log(np.arange(0.0, 25.0, 0.01))
+    found = pieces_of(whole)
+    assert [len(piece) for piece in found] == [833, 833, 834]
+    assert "its length splits the log into 3 pieces" in piece_note(whole, found)[0]
+
+
+@settings(max_examples=100)
+@given(st.lists(st.integers(1, 900), max_size=4))
+def test_thinning_does_not_depend_on_the_blocks(cuts):
+    time = np.arange(4000) / 1000.0
+    rows = np.column_stack((np.arange(4000), time, np.sin(3.0 * time)))
+    whole = Thinning(8, 1e-3).push(rows)
+    other = Thinning(8, 1e-3)
+    blocks = np.split(rows, np.cumsum(cuts))
+    np.testing.assert_allclose(
+        np.concatenate([other.push(block) for block in blocks]), whole, rtol=0, atol=1e-12
+    )
+    assert 440 < len(whole) < 500
+    np.testing.assert_allclose(whole[:, 2], np.sin(3.0 * whole[:, 1]), rtol=0, atol=1e-4)
+    assert np.allclose(np.diff(whole[:, 1]), 8e-3)
+
+
+def test_thinning_does_not_reach_over_a_gap():
+    time = np.concatenate((np.arange(2000), 5000 + np.arange(2000))) / 1000.0
+    rows = np.column_stack((np.arange(4000), time, np.where(time < 3.0, 1.0, -1.0)))
+    thinned = Thinning(8, 1e-3).push(rows)
+    np.testing.assert_allclose(np.abs(thinned[:, 2]), 1.0, atol=1e-12)
+    assert not np.any((thinned[:, 1] > 2.0) & (thinned[:, 1] < 5.0))
+
+
+def test_a_log_that_is_long_enough_is_thinned_to_what_is_needed(monkeypatch):
+    time = np.arange(1000) / 1000.0
+    assert Thinning.of(time, thinning.MOST_ROWS).every == 1
+    assert Thinning.of(time, 4.0 * thinning.MOST_ROWS).every == 4
+    assert Thinning.of(time, 1e9).every == round(1000.0 / thinning.LEAST_RATE)
+
+
+@pytest.mark.parametrize("rate", [10.0, 20.0])
+def test_a_slow_log_is_never_thinned(rate):
+    assert Thinning.of(np.arange(100) / rate, 1e9).every == 1
