@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import replace
 
 from robot_sysid.checks.clock import clock_findings
 from robot_sysid.checks.enough import enough_findings, slow_findings
 from robot_sysid.checks.evidence import Evidence, evidence_of
-from robot_sysid.checks.finding import Finding, Level
+from robot_sysid.checks.finding import Finding, Level, require_acceptable
 from robot_sysid.checks.gravity import computed_findings, gravity_findings
 from robot_sysid.checks.hypotheses import explanations
 from robot_sysid.checks.model_fit import Fit, ModelFit
@@ -15,7 +16,13 @@ from robot_sysid.checks.sensors import sensor_findings
 from robot_sysid.checks.shifts import delay_findings, zero_findings
 from robot_sysid.checks.torque_scale import scale_findings
 from robot_sysid.checks.unexplained import contact_findings, model_findings
+from robot_sysid.errors import SysidError
+from robot_sysid.logs.reader import MeasurementLog
 from robot_sysid.records import Measurement, RobotModel
+from robot_sysid.records.progress import Progress
+
+OF_LINKS = ("torque-scale", "zero", "model", "contact")
+"""Findings that other links than the model's would bring as well."""
 
 
 def check_against_model(
@@ -41,6 +48,42 @@ def check_against_model(
     fit = ModelFit(evidence)
     base = fit.fit(evidence.sample)
     return (*raw, *_of_torque(evidence, fit, base))
+
+
+def look_at(
+    robot: RobotModel,
+    log: MeasurementLog,
+    accepted: Collection[str],
+    progress: Progress,
+    cutoff: float | None = None,
+    links_known: bool = True,
+) -> None:
+    """Tell what looks wrong with a log, and stop at what must not become a number.
+
+    Args:
+        robot: the arm.
+        log: a log of it.
+        accepted: names of checks whose warnings are no reason to stop.
+        progress: where to tell it.
+        cutoff: of the low-pass [Hz]; None chooses it from the data.
+        links_known: whether the model's links are taken to be right; where they are to be found,
+            what they would bring as well is only told.
+
+    Raises:
+        InputError: a finding refuses the log.
+        SysidError: there is a warning that is not accepted.
+    """
+    found = check_against_model(robot, log.pieces, cutoff)
+    if not links_known:
+        found = tuple(replace(f, level=Level.NOTE) if f.name in OF_LINKS else f for f in found)
+    for each in found:
+        progress.note(each.line())
+    try:
+        require_acceptable(str(log.path), found, accepted)
+    except SysidError:
+        for note in log.notes:
+            progress.note(note)
+        raise
 
 
 def _of_torque(evidence: Evidence, fit: ModelFit, base: Fit) -> list[Finding]:

@@ -18,7 +18,7 @@ UNEXPLAINED = 0.3
 """Torque that is left, as a part of what is measured, beyond which the model is not of this arm."""
 LENGTH = 0.3
 """Over so long a time a burst is looked for [s]."""
-STRONG, ABOVE = 16.0, 20.0
+STRONG, ABOVE = 30.0, 20.0
 """Mean square of residual over tolerance in a burst, and how far it stands above the usual."""
 
 

@@ -8,10 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from robot_sysid.checks.finding import require_acceptable
-from robot_sysid.checks.run import check_against_model
+from robot_sysid.checks.run import look_at
 from robot_sysid.dynamics.gravity import gravity
-from robot_sysid.errors import SysidError
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.identify.earlier import earlier_logs
 from robot_sysid.identify.fit import MeasuredFit, fit_measured, validate_on
@@ -139,15 +137,7 @@ def _check(
     """Look at each log against the model; stop at what must not become a number."""
     accepted = (*options.accept, *(("delay",) if estimation.delay == "auto" else ()))
     for log in logs:
-        found = check_against_model(robot, log.pieces, estimation.cutoff)
-        for each in found:
-            progress.note(each.line())
-        try:
-            require_acceptable(str(log.path), found, accepted)
-        except SysidError:
-            for note in log.notes:
-                progress.note(note)
-            raise
+        look_at(robot, log, accepted, progress, estimation.cutoff)
 
 
 def _origin(logs: Sequence[MeasurementLog]) -> DataOrigin:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from robot_sysid.checks.run import look_at
 from robot_sysid.errors import ExportError, InputError
 from robot_sysid.estimation.arm.options import ArmOptions
 from robot_sysid.identify.arm.fit import ArmFit, fit_arm
@@ -174,7 +175,9 @@ def checkpoints(signals: ProcessedSignals) -> Motion:
 def _read(robot: RobotModel, logs: LogOptions, path: Path, progress: Progress) -> MeasurementLog:
     progress.stage(f"Reading measurements from {path}...")
     joints = LogJoints(robot.joint_names, robot.limits, tuple(robot.is_slide.tolist()))
-    return read_log(path, joints, logs, progress)
+    log = read_log(path, joints, logs, progress)
+    look_at(robot, log, logs.accept, progress, links_known=False)
+    return log
 
 
 def _origin(logs: Sequence[MeasurementLog]) -> DataOrigin:
