@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from robot_sysid.dynamics.gravity import gravity
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.identify.earlier import earlier_logs
 from robot_sysid.identify.fit import MeasuredFit, fit_measured, validate_on
+from robot_sysid.identify.per_log import compared
 from robot_sysid.identify.simulated import Analysis, SimulatedRun, describe
 from robot_sysid.identify.verdict import judged
 from robot_sysid.logs.options import LogOptions
@@ -43,12 +44,14 @@ class MeasuredData:
         notes: one sentence each.
         least_deadband: (n,) speeds below which a joint's friction is surely not Coulomb's
             [rad/s]; empty where nothing is known.
+        named: file name to the pieces of its log.
     """
 
     logs: tuple[Measurement, ...]
     origin: DataOrigin
     notes: tuple[str, ...] = ()
     least_deadband: tuple[float, ...] = ()
+    named: Mapping[str, tuple[Measurement, ...]] = field(default_factory=dict)
 
 
 def identify_simulated_arm(
@@ -109,7 +112,8 @@ def identify_logs(
         tests.append(open_log(robot, options, options.validation_measurements, progress))
         for note in tests[0].notes:
             progress.note(f"validation log: {note}")
-    data = MeasuredData(measured, _origin(logs), _log_notes(logs))
+    named = {str(log.path): log.pieces for log in logs}
+    data = MeasuredData(measured, _origin(logs), _log_notes(logs), named=named)
     return _identify(robot, data, estimation, tests, progress)
 
 
@@ -166,17 +170,18 @@ def _identify(
         progress.note(note)
     fit = fit_measured(robot, data.logs, options, progress, data.least_deadband)
     others = [validate_on(robot, log.samples, options, fit, str(log.path)) for log in tests]
-    for note in fit.notes:
+    notes, apart = compared(robot, data.named, options, fit)
+    for note in (*fit.notes, *notes):
         progress.note(note)
     own = () if fit.validation is None else (fit.validation,)
-    validation: tuple[Validation, ...] = (*own, *others)
+    validation: tuple[Validation, ...] = (*own, *others, *apart)
     aligned = _alignment(robot, options, fit)
     found = describe(
         robot,
         fit.estimate,
         options.torques,
         data.origin,
-        data.notes + fit.notes,
+        data.notes + fit.notes + notes,
         validation=validation,
         friction_model=fit.friction.name,
         cutoff=fit.cutoff,

@@ -339,6 +339,23 @@ def test_several_logs_are_one_result(log, folder, arm_command):
     assert f"note: {other.name}: log columns" in result.err
     errors = (run["standard_errors"]["m"] for run in (result.params, first))
     assert next(errors) < next(errors)
+    assert re.search(
+        r"mass of each log alone: .*log.csv [\d.]+ ± [\d.]+ kg; .*another.csv", result.err
+    )
+    assert "the logs agree: their masses scatter by" in result.err
+    apart = [
+        test for test in result.params["validation"] if "from the other logs" in test["source"]
+    ]
+    assert len(apart) == 2 and all(test["relative_error"] < 0.1 for test in apart)
+
+
+def test_logs_that_do_not_agree_are_called_so(log, folder, arm_command):
+    (folder / "lighter.xml").write_text(XML.replace('mass=".8"', 'mass=".5"'))
+    other = folder / "lighter.csv"
+    made = ("--plant-model", "lighter.xml", *SENSORS, "--seed", "7", "--save-measurements")
+    arm_command(*made, str(other))
+    result = arm_command("--measurements", str(log[0]), "--measurements", str(other))
+    assert "the logs do not agree" in result.err
 
 
 def test_the_models_own_simulation_names_the_two_ways_to_real_data(arm_command):
