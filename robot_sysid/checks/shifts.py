@@ -27,7 +27,7 @@ def zero_findings(evidence: Evidence, fit: ModelFit, base: Fit) -> Iterator[Find
     """Yield a finding per joint whose position is surely off by a constant."""
     zeros, errors, after = joint_zeros(evidence, fit)
     # How sure each zero is decides; the fit as a whole need not fall as much as for a mistake.
-    if not explains(base, after, certain=False):
+    if not explains(base, after, certain=False) or np.max(np.abs(zeros)) > _LIKELY:
         return
     for joint, name in enumerate(evidence.robot.joint_names):
         size = abs(zeros[joint])

@@ -14,6 +14,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.logs.motion_checks import (
     limit_notes,
     require_no_jumps,
+    require_no_motor_current,
     require_radians,
     require_torque,
     rest_notes,
@@ -48,6 +49,7 @@ def check_log(rows: LogRows, context: LogContext) -> tuple[str, ...]:
     require_no_jumps(rows, context)
     notes += [*rest_notes(rows, context), *limit_notes(rows, context)]
     require_torque(rows, context)
+    require_no_motor_current(rows, context)
     notes += velocity_notes(rows, context)
     require_one_clock(rows, context)
     return tuple(notes)

@@ -20,6 +20,8 @@ _JUMP = 0.5
 _AT_REST = 0.01
 _STILL = 0.002
 _LIMIT_MARGIN = 1e-3
+# What a Dynamixel motor's unit of current is [mA].
+_CURRENT_STEP = 2.69
 
 
 def require_radians(rows: LogRows, context: LogContext) -> None:
@@ -120,6 +122,16 @@ def require_torque(rows: LogRows, context: LogContext) -> None:
         raise InputError(
             f"{context.name}: the torque of joint {context.joint_names[joint]} is {what} in "
             "every row; record it, or name the right column with --columns FILE"
+        )
+
+
+def require_no_motor_current(rows: LogRows, context: LogContext) -> None:
+    """Refuse efforts that are the raw currents of Dynamixel motors, as ALOHA records them."""
+    steps = rows.samples.tau / _CURRENT_STEP
+    if np.all(np.abs(steps - np.round(steps)) < 1e-3) and np.max(np.abs(steps)) >= 1.0:
+        raise InputError(
+            f"{context.name}: all torques are multiples of {_CURRENT_STEP}: these are the motors' "
+            "currents in mA; give N·m per mA with --torque-constants"
         )
 
 

@@ -106,6 +106,11 @@ def zero_torque(rows):
     return rows
 
 
+def motor_current(rows):
+    rows[:, 4:] = 2.69 * np.round(100.0 * rows[:, 4:])
+    return rows
+
+
 def stuck_torque(rows):
     rows[:, 6] = 1.25
     return rows
@@ -126,6 +131,7 @@ ERRORS: list[tuple[Callable, list[str]]] = [
     (at_rest, ["at rest", "no joint moves"]),
     (spike, ["joint wrist", "jumps at lines 35, 36"]),
     (zero_torque, ["torque of joint elbow is zero in every row"]),
+    (motor_current, ["multiples of 2.69", "currents in mA", "--torque-constants"]),
     (stuck_torque, ["torque of joint wrist is the same (1.25 N m)"]),
 ]
 
