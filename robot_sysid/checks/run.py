@@ -10,11 +10,11 @@ from robot_sysid.checks.enough import enough_findings, slow_findings
 from robot_sysid.checks.evidence import Evidence, evidence_of
 from robot_sysid.checks.finding import Finding, Level, require_acceptable
 from robot_sysid.checks.gravity import computed_findings, gravity_findings
-from robot_sysid.checks.hypotheses import explanations
+from robot_sysid.checks.hypotheses import Explained, explanations
 from robot_sysid.checks.model_fit import Fit, ModelFit
 from robot_sysid.checks.sensors import sensor_findings
-from robot_sysid.checks.shifts import delay_findings, zero_findings
-from robot_sysid.checks.torque_scale import scale_findings
+from robot_sysid.checks.shifts import delay_findings, joint_zeros, zero_findings
+from robot_sysid.checks.torque_scale import scale_findings, torque_scales
 from robot_sysid.checks.unexplained import contact_findings, model_findings
 from robot_sysid.errors import SysidError
 from robot_sysid.logs.reader import MeasurementLog
@@ -92,7 +92,7 @@ def _of_torque(evidence: Evidence, fit: ModelFit, base: Fit) -> list[Finding]:
     best = min((each.fit.cost for each in explained), default=base.cost)
     found = [*gravity_findings(evidence, fit, best)]
     if found or explained:
-        return found or [explained[0].finding()]
+        return found or _likelier(evidence, fit, base, explained[0])
     found = [*scale_findings(evidence, fit, base)]
     if found:
         return found
@@ -100,3 +100,16 @@ def _of_torque(evidence: Evidence, fit: ModelFit, base: Fit) -> list[Finding]:
     if not found:
         found = [*delay_findings(evidence, fit, base)] or [*zero_findings(evidence, fit, base)]
     return found or [*model_findings(evidence, fit)] or [*slow_findings(evidence)]
+
+
+def _likelier(evidence: Evidence, fit: ModelFit, base: Fit, mistake: Explained) -> list[Finding]:
+    """Return a scale or zeros where they explain a log better than a mistake does, else that."""
+    scales = [*scale_findings(evidence, fit, base)]
+    if scales:
+        scale, _ = torque_scales(evidence, fit)
+        if fit.fit(evidence.sample.with_torque(1.0 / scale)).cost < mistake.fit.cost:
+            return scales
+    zeros = [*zero_findings(evidence, fit, base)]
+    if zeros and joint_zeros(evidence, fit)[2].cost < mistake.fit.cost:
+        return zeros
+    return [mistake.finding()]

@@ -27,7 +27,17 @@ def zero_findings(evidence: Evidence, fit: ModelFit, base: Fit) -> Iterator[Find
     """Yield a finding per joint whose position is surely off by a constant."""
     zeros, errors, after = joint_zeros(evidence, fit)
     # How sure each zero is decides; the fit as a whole need not fall as much as for a mistake.
-    if not explains(base, after, certain=False) or np.max(np.abs(zeros)) > _LIKELY:
+    if not explains(base, after, certain=False):
+        return
+    far = int(np.argmax(np.abs(zeros) * (np.abs(zeros) > SURE * errors)))
+    if abs(zeros[far]) > _LIKELY:
+        name = evidence.robot.joint_names[far]
+        yield Finding(
+            "model",
+            Level.REFUSE,
+            f"to fit this log, the position of joint {name} would have to be off by "
+            f"{zeros[far]:.2g} rad: is the model of this arm, with zeros in the same places?",
+        )
         return
     for joint, name in enumerate(evidence.robot.joint_names):
         size = abs(zeros[joint])

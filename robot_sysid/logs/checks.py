@@ -65,28 +65,18 @@ def sign_check(
         joint_names: the n joints.
 
     Returns:
-        One sentence per joint whose torque hardly follows the model.
-
-    Raises:
-        InputError: a joint's torque clearly has the opposite sign.
+        One sentence per joint whose torque runs against the model's. A payload can turn the torque
+        of a wrist round; whether a sign is wrong is asked by ``checks``.
     """
     product = np.sum(tau_measured * tau_model, axis=0)
     norm = np.linalg.norm(tau_measured, axis=0) * np.linalg.norm(tau_model, axis=0)
     correlation = np.divide(product, norm, out=np.zeros_like(product), where=norm > 0.0)
-    notes = []
-    for name, value in zip(joint_names, correlation):
-        if value < -0.7:
-            raise InputError(
-                f"the torque of joint {name} has the opposite sign of the model's (correlation "
-                f"{value:.2f}); flip it in the columns file: torque.{name} = -TITLE, or correct "
-                "the sign and the zero of the positions"
-            )
-        if value < -0.3:
-            notes.append(
-                f"the torque of joint {name} runs against the model's (correlation {value:.2f}); "
-                "check its sign and the order of the columns"
-            )
-    return tuple(notes)
+    return tuple(
+        f"the torque of joint {name} runs against the model's (correlation {value:.2f}); "
+        "check its sign and the order of the columns, unless the payload is heavy"
+        for name, value in zip(joint_names, correlation)
+        if value < -0.3
+    )
 
 
 def _repair_notes(rows: LogRows, context: LogContext) -> Iterator[str]:
