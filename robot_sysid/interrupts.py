@@ -23,6 +23,31 @@ def held_back(signals: tuple[signal.Signals, ...] = STOPPING) -> Iterator[None]:
 
 
 @contextlib.contextmanager
+def only_the_first() -> Iterator[None]:
+    """Let the first Ctrl-C inside through, as KeyboardInterrupt; ignore those that follow it.
+
+    Whoever is asked to stop needs a moment to save what there is; asking twice must not lose it.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(number: int, frame: Any) -> None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    before = signal.getsignal(signal.SIGINT)
+    if before is not signal.default_int_handler:  # Somebody has other plans for it.
+        yield
+        return
+    signal.signal(signal.SIGINT, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@contextlib.contextmanager
 def _masked(signals: tuple[signal.Signals, ...]) -> Iterator[None]:
     """Keep signals from this thread; Windows has no masks."""
     if not hasattr(signal, "pthread_sigmask"):

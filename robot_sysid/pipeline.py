@@ -15,6 +15,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.excitation.plan import CheckedPlan, MotionRequest, make_plan
 from robot_sysid.export import MotorFile, write_motor_file, write_results
 from robot_sysid.identify.simulated import Analysis, SimulatedRun, identify_itself
+from robot_sysid.interrupts import only_the_first
 from robot_sysid.model.compilation import captured_warnings
 from robot_sysid.output.summary import clamping_lines, detail_lines, folder_text, result_lines
 from robot_sysid.parser import load_robot_model
@@ -126,13 +127,14 @@ def _run(config: SysidConfig, progress: Progress) -> Outcome | PlanOutcome:
         return _write(config, robot, analysis, None, progress)
     chosen = config.trajectory.seed
     seed = secrets.randbelow(2**31) if chosen is None else chosen
-    checked = make_plan(_request(config), robot, seed, progress)
-    if config.trajectory.plan_only:
-        return _plan_outcome(config, robot, checked)
-    if checked.failure:
-        raise InputError(f"{checked.failure}; {_remedy(config)}")
-    with whole_files() as files:
-        save_plan(files, config, robot, checked.plan)
+    with only_the_first():
+        checked = make_plan(_request(config), robot, seed, progress)
+        if config.trajectory.plan_only:
+            return _plan_outcome(config, robot, checked)
+        if checked.failure:
+            raise InputError(f"{checked.failure}; {_remedy(config)}")
+        with whole_files() as files:
+            save_plan(files, config, robot, checked.plan)
     analysis = _analyse(config, robot, checked.plan, seed, progress)
     return _write(config, robot, analysis, _motor_file(config, robot, checked.plan), progress)
 
@@ -204,8 +206,8 @@ def _plan_outcome(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) 
 def _promise(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> Iterator[str]:
     """Yield what a motion promises, and what it does beside its limits."""
     from robot_sysid.excitation.plan_report import motion_lines, plan_lines
-    from robot_sysid.excitation.prediction import predict
     from robot_sysid.excitation.static.pose_design import pose_lines
+    from robot_sysid.identify.expected import expect
 
     assert checked.problem is not None and checked.check is not None
     made = checked.problem, checked.plan, checked.check
@@ -213,9 +215,10 @@ def _promise(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> It
         yield from pose_lines(robot, checked.problem, checked.plan)
         yield from motion_lines(*made)
     else:
-        yield from plan_lines(
-            *made, predict(checked.problem, checked.plan, config.trajectory.sample_rate)
-        )
+        rate = config.trajectory.sample_rate
+        expected = expect(checked.problem, checked.plan, rate, config.estimation)
+        promise = expected.prediction, expected.counted, expected.stated
+        yield from plan_lines(*made, *promise)
 
 
 def _analyse(

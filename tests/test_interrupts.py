@@ -9,7 +9,7 @@ import threading
 
 import pytest
 
-from robot_sysid.interrupts import STOPPING, held_back
+from robot_sysid.interrupts import STOPPING, held_back, only_the_first
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals cannot be sent to oneself")
 
@@ -93,3 +93,22 @@ def test_another_thread_may_hold_signals_back_as_well(stops):
     thread.start()
     thread.join()
     assert failed == []
+
+
+def test_only_the_first_ctrl_c_counts():
+    usual = signal.getsignal(signal.SIGINT)
+    with only_the_first():
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+        with held_back():
+            signal.raise_signal(signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is usual
+
+
+def test_handlers_of_others_stay(stops):
+    with only_the_first(), pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+    with only_the_first(), pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+    assert stops == 2 * [signal.SIGINT]

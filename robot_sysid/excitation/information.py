@@ -1,7 +1,8 @@
 """Information about the ten inertial parameters that a motion will give, and its gradient.
 
 Joint j delivers equations tau_j = Y_j theta + Z_j x_j with its own nuisances x_j: Coulomb friction,
-viscous friction and a torque offset, Z_j = [sign(qd_j), qd_j, 1]. What is left for theta after
+viscous friction, a torque offset and, where it is estimated, the inertia of its rotor, Z_j =
+[sign(qd_j), qd_j, 1, qdd_j]. What is left for theta after
 eliminating them is the Schur complement
 
     L = sum_j E_j^T E_j / sigma_j^2,   E_j = Y_j - Z_j C_j,   C_j = (Z_j^T Z_j)^-1 Z_j^T Y_j,
@@ -34,12 +35,14 @@ class RowSettings:
         sigma: (len(joints),) standard deviation of their torque noise [N m].
         smoothing: (n,) speed below which sign(qd) is rounded off to tanh [rad/s]; 0 for none.
         coordinates: (10, r) theta = coordinates @ x: scaling, and restriction to what can be seen.
+        rotors: whether the inertia of each joint's rotor is a nuisance too.
     """
 
     joints: tuple[int, ...]
     sigma: Array
     smoothing: Array
     coordinates: Array
+    rotors: bool = False
 
 
 class PredictedInformation:
@@ -61,7 +64,7 @@ class PredictedInformation:
         jacobian = motion.jacobian[:, self._joints]
         rows = np.einsum("ijn,ikn->jnk", jacobian, wrench, optimize=True)
         rows = rows @ self._settings.coordinates / self._settings.sigma[:, None, None]
-        friction, slope = self._nuisances(qd[:, self._joints].T)
+        friction, slope = self._nuisances(qd[:, self._joints].T, qdd[:, self._joints].T)
         gain = _least_squares(friction, rows)
         residual = rows - friction @ gain
         information = np.einsum("jnk,jnl->kl", residual, residual, optimize=True)
@@ -69,13 +72,14 @@ class PredictedInformation:
             self._settings, motion, wrench, friction, slope, gain, residual, information
         )
 
-    def _nuisances(self, qd: Array) -> tuple[Array, Array]:
-        """Return Z (rows, N, 3) and the derivative of its first column with respect to qd."""
+    def _nuisances(self, qd: Array, qdd: Array) -> tuple[Array, Array]:
+        """Return Z (rows, N, 3 or 4) and the derivative of its first column with respect to qd."""
         speed = self._settings.smoothing[self._joints][:, None]
         smooth = np.tanh(qd / np.where(speed > 0.0, speed, 1.0))
         sign = np.where(speed > 0.0, smooth, np.sign(qd))
         slope = np.where(speed > 0.0, (1.0 - smooth**2) / np.where(speed > 0.0, speed, 1.0), 0.0)
-        return np.stack((sign, qd, np.ones_like(qd)), axis=2), slope
+        rotors = (qdd,) if self._settings.rotors else ()
+        return np.stack((sign, qd, np.ones_like(qd), *rotors), axis=2), slope
 
 
 @dataclass(frozen=True)
@@ -86,9 +90,9 @@ class InformationCache:
         settings: which equations.
         motion: of the terminal body.
         wrench: (6, 10, N) regressor of the wrench.
-        friction: (rows, N, 3) nuisance columns Z.
+        friction: (rows, N, 3 or 4) nuisance columns Z.
         slope: (rows, N) derivative of the first of them with respect to qd.
-        gain: (rows, 3, r) C.
+        gain: (rows, 3 or 4, r) C.
         residual: (rows, N, r) E.
         information: (r, r) L.
     """
@@ -133,15 +137,17 @@ class InformationCache:
         qd_adjoint[:, joints] += (
             friction_adjoint[..., 0] * self.slope + friction_adjoint[..., 1]
         ).T
+        if self.settings.rotors:
+            qdd_adjoint[:, joints] += friction_adjoint[..., 3].T
         return q_adjoint, qd_adjoint, qdd_adjoint
 
 
 def _least_squares(friction: Array, rows: Array) -> Array:
-    """Return C (rows, 3, r) of the regression of each joint's rows on its nuisances."""
+    """Return C (rows, 3 or 4, r) of the regression of each joint's rows on its nuisances."""
     transposed = friction.transpose(0, 2, 1)
     normal = transposed @ friction
     trace = np.trace(normal, axis1=1, axis2=2)[:, None, None]
-    return np.linalg.solve(normal + _RIDGE * trace * np.eye(3), transposed @ rows)
+    return np.linalg.solve(normal + _RIDGE * trace * np.eye(normal.shape[1]), transposed @ rows)
 
 
 @lru_cache(maxsize=1)

@@ -54,7 +54,11 @@ class Excess:
     time: float
 
     def __str__(self) -> str:
-        return f"{self.limit} ({100.0 * (self.share - 1.0):.1f} % over at {self.time:.2f} s)"
+        over = 100.0 * (self.share - 1.0)
+        # Never "0.0 %": what is over by next to nothing is over all the same.
+        return (
+            f"{self.limit} ({over:{'.1f' if over >= 0.1 else '.1g'}} % over at {self.time:.2f} s)"
+        )
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,17 @@ TOP_FREQUENCY_HZ = 0.6
 FEWEST_HARMONICS = 3
 
 
+WORTH_WORKERS = 5.0
+"""Time budget from which on it pays to start other processes [s]."""
+
+
+def processors() -> int:
+    """Return how many processors this process may run on."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 @dataclass(frozen=True)
 class LimitOptions(OptionRecord):
     """What every motion has to obey beside the model's own limits."""
@@ -178,7 +189,7 @@ class ExcitationOptions(OptionRecord):
     draws: int = 300
     starts: int | None = None
     rounds: int = 8
-    iterations: int = 60
+    iterations: int = 120
     workers: int | None = None
 
     def __post_init__(self) -> None:
@@ -205,5 +216,10 @@ class ExcitationOptions(OptionRecord):
 
     @property
     def n_workers(self) -> int:
-        """Number of processes; more than there are starts would idle after the draws."""
-        return min(self.workers or os.cpu_count() or 1, max(2, self.n_starts))
+        """Number of processes; more than there are starts would idle after the draws.
+
+        A short search takes one: starting others would take longer than they help.
+        """
+        if self.workers is None and self.time_budget < WORTH_WORKERS:
+            return 1
+        return min(self.workers or processors(), max(2, self.n_starts))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from robot_sysid.errors import InputError
 from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
 from robot_sysid.excitation.static.options import PoseOptions
 from robot_sysid.model.contacts import CHECK_RATE_HZ, find_new_contacts
@@ -30,6 +31,9 @@ if TYPE_CHECKING:
     from robot_sysid.excitation.design.search import SearchState
     from robot_sysid.excitation.limit_check import LimitCheck
     from robot_sysid.excitation.problem import ExcitationProblem
+
+LONGEST_CHECKED = 86400.0
+"""Length of a motion beyond which its limits are not checked any more [s]."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +94,8 @@ def make_plan(
 ) -> CheckedPlan:
     """Return the trajectory of a run, checked where anything depends on its limits."""
     options = request.trajectory
+    if request.is_checked and options.file is None:
+        _require_checkable(options.duration / options.speed)
     made = _new_plan(request, robot, seed, progress)
     if options.speed != 1.0:
         from robot_sysid.excitation.trajectory_files import at_speed
@@ -100,12 +106,22 @@ def make_plan(
         for contact in find_new_contacts(robot, _counted(made.plan, progress)):
             progress.note(f"{contact} along this trajectory; do not play it on the arm")
         return made
+    _require_checkable(made.plan.duration)
     from robot_sysid.excitation.limit_check import check_limits
 
     for note in () if request.is_designed else made.problem.notes:
         progress.note(note)
     check = made.check or check_limits(made.problem, made.plan, options.sample_rate)
     return replace(made, check=check)
+
+
+def _require_checkable(duration: float) -> None:
+    """Raise InputError where going along the whole motion [s] would take hours."""
+    if not duration <= LONGEST_CHECKED:
+        raise InputError(
+            f"a motion of {duration:.3g} s takes too long to check against all limits; make it at "
+            f"most {LONGEST_CHECKED:g} s long"
+        )
 
 
 def _new_plan(

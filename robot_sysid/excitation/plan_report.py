@@ -11,7 +11,7 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.excitation.limit_check import DISTANCE_RESOLUTION, LimitCheck
 from robot_sysid.excitation.prediction import LOOSE_SHARE, Prediction
 from robot_sysid.excitation.problem import ASKED, ASSUMED, LIMIT_NAMES, MODEL, ExcitationProblem
-from robot_sysid.records import MotionPlan
+from robot_sysid.records import Array, MotionPlan
 from robot_sysid.trajectory import TORQUE_MARGIN, spread_motion
 
 _MOST_POSTURES = 3000
@@ -19,7 +19,12 @@ _MOST_POSTURES = 3000
 
 
 def plan_lines(
-    problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck, prediction: Prediction
+    problem: ExcitationProblem,
+    plan: MotionPlan,
+    check: LimitCheck,
+    prediction: Prediction,
+    counted: str = "",
+    stated: Array | None = None,
 ) -> Iterator[str]:
     """Yield the lines ``--plan-only`` prints.
 
@@ -28,10 +33,16 @@ def plan_lines(
         plan: the motion.
         check: of this motion.
         prediction: of this motion.
+        counted: what the prediction counts, in words.
+        stated: (10,) standard errors that an identification will state; None or empty where
+            nothing is known of them.
     """
     noise = ", ".join(f"{value:g}" for value in np.unique(problem.sigma))
     yield f"Predicted standard deviations ({prediction.n_samples} samples, noise {noise} N·m):"
+    if counted:
+        yield f"  {counted}"
     yield from _parameter_lines(prediction)
+    yield from _stated_lines(prediction, np.zeros(0) if stated is None else stated)
     yield (
         f"Condition number: {prediction.condition_number:.1f} "
         f"({prediction.scaled_condition_number:.1f} with columns of unit length)"
@@ -60,6 +71,17 @@ def _parameter_lines(prediction: Prediction) -> Iterator[str]:
             yield f"  {name:3s} not identified"
     if np.isfinite(prediction.com_deviation):
         yield f"  centre of mass {1000.0 * prediction.com_deviation:.3g} mm"
+
+
+def _stated_lines(prediction: Prediction, stated: Array) -> Iterator[str]:
+    """Say what an identification will state with all that is not known of the arm."""
+    shares = zip(spatial.PARAMETER_NAMES, stated, prediction.size)
+    known = [f"{name} {100.0 * e / size:.3g} %" for name, e, size in shares if np.isfinite(e)]
+    if known:
+        yield (
+            "An identification of one recording will state more, for errors of the model, torque "
+            f"scales, joint zeros and friction: {', '.join(known)}"
+        )
 
 
 def _joint_lines(problem: ExcitationProblem, check: LimitCheck) -> Iterator[str]:

@@ -9,13 +9,15 @@ import numpy as np
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.identifiability import describe
 from robot_sysid.excitation.design.optimise import visible_coordinates
-from robot_sysid.excitation.information import InformationCache, PredictedInformation, RowSettings
+from robot_sysid.excitation.information import PredictedInformation, RowSettings
 from robot_sysid.excitation.problem import ExcitationProblem
 from robot_sysid.records import Array, MotionPlan
-from robot_sysid.trajectory import motion_chunks
+from robot_sysid.trajectory import sample_count, spread_motion
 
 PREDICTION_RATE_HZ = 100.0
 """Sampling of the motion for the prediction: far above its band, see docs/excitation.md."""
+MOST_INSTANTS = 60_000
+"""Instants of the motion that are looked at: all of the first ten minutes, or spread over it."""
 LOOSE_SHARE = 0.2
 """A predicted standard deviation above this share of the parameter's size is called loose."""
 _INVISIBLE = 1e-10
@@ -66,16 +68,34 @@ class Prediction:
         return tuple(k for k in range(10) if np.isfinite(share[k]) and share[k] > LOOSE_SHARE)
 
 
-def predict(problem: ExcitationProblem, plan: MotionPlan, sample_rate: float) -> Prediction:
+@dataclass(frozen=True)
+class Seen:
+    """What some equations tell about the terminal link.
+
+    Attributes:
+        information: (10, 10) about theta in units of ``problem.scale``, nuisances eliminated.
+        signal: trace of it before they were: what counts as large.
+    """
+
+    information: Array
+    signal: float
+
+
+def predict(
+    problem: ExcitationProblem, plan: MotionPlan, sample_rate: float, seen: Seen | None = None
+) -> Prediction:
     """Predict what least squares will make of a trajectory, with friction and offset of each joint.
 
     Args:
         problem: the arm, its limits, and the torque noise.
         plan: the trajectory.
         sample_rate: at which torque will be measured, with independent noise in each sample [Hz].
+        seen: what the estimate will be made from; None takes all samples, the bound for any
+            unbiased estimate.
     """
-    n_samples = max(1, int(np.floor(plan.duration * sample_rate)) + 1)
-    covariance, unseen_space, condition = _inverted(problem, _forward(problem, plan, n_samples))
+    n_samples = sample_count(plan.duration, sample_rate)
+    seen = seen or _all_samples(problem, plan, n_samples)
+    covariance, unseen_space, condition = _inverted(problem, seen)
     possible = visible_coordinates(problem) / problem.scale[:, None]
     return Prediction(
         n_samples=n_samples,
@@ -101,29 +121,30 @@ def parameter_sizes(problem: ExcitationProblem) -> Array:
     return size
 
 
-def _forward(problem: ExcitationProblem, plan: MotionPlan, n_samples: int) -> InformationCache:
-    """Return the information (10, 10) about theta in units of ``problem.scale``."""
-    chunks = list(motion_chunks(plan, PREDICTION_RATE_HZ))
-    q, qd, qdd = (np.vstack([getattr(c, name) for c in chunks]) for name in ("q", "qd", "qdd"))
+def _all_samples(problem: ExcitationProblem, plan: MotionPlan, n_samples: int) -> Seen:
+    motion = spread_motion(plan, MOST_INSTANTS, PREDICTION_RATE_HZ)
     settings = RowSettings(
         joints=problem.rows,
-        sigma=problem.sigma / np.sqrt(n_samples / len(q)),
+        sigma=problem.sigma / np.sqrt(n_samples / len(motion.q)),
         smoothing=np.zeros(problem.n_joints),
         coordinates=np.diag(problem.scale),
+        rotors=problem.rotors_sought,
     )
-    return PredictedInformation(problem.chain, settings).evaluate(q, qd, qdd)
+    information = PredictedInformation(problem.chain, settings)
+    cache = information.evaluate(motion.q, motion.qd, motion.qdd)
+    return Seen(cache.information, cache.signal)
 
 
 def _inverted(
-    problem: ExcitationProblem, cache: InformationCache
+    problem: ExcitationProblem, seen_at_all: Seen
 ) -> tuple[Array, Array, tuple[float, float]]:
     """Return covariance of theta, hidden directions (scaled), and both condition numbers.
 
     A parameter that a hidden direction contains has infinite variance.
     """
-    scale, information = problem.scale, cache.information
+    scale, information = problem.scale, seen_at_all.information
     values, vectors = np.linalg.eigh(information)
-    seen = values > _INVISIBLE * cache.signal
+    seen = values > _INVISIBLE * seen_at_all.signal
     hidden = vectors[:, ~seen]
     root = vectors[:, seen] / np.sqrt(values[seen])
     covariance = np.outer(scale, scale) * (root @ root.T)

@@ -12,6 +12,7 @@ from robot_sysid.collision.halfspaces import HalfSpace, box_half_spaces, plane_h
 from robot_sysid.collision.obstacles import NoObstacles, RestPairs
 from robot_sysid.collision.swept import outermost_points
 from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.friction import DEFAULT_MEASURED
 from robot_sysid.dynamics.kinematics import ChainKinematics, subtree
 from robot_sysid.dynamics.screws import ScrewChain
 from robot_sysid.errors import InputError
@@ -120,6 +121,11 @@ class ExcitationProblem:
     def n_joints(self) -> int:
         """Number of chain joints n."""
         return len(self.joint_names)
+
+    @property
+    def rotors_sought(self) -> bool:
+        """Whether rotor inertias are estimated: not from one torque, where they are the link's."""
+        return "armature" in DEFAULT_MEASURED and len(self.rows) > 1
 
     @property
     def scale(self) -> Array:

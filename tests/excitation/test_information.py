@@ -19,19 +19,22 @@ from tests.support import arms
 from tests.support.arms import SEEDS, random_chain, random_motion, robot_of
 from tests.support.excitation_arms import slope
 
-NUISANCES = FrictionModel(("coulomb", "viscous", "offset"))
+NUISANCES = {
+    False: FrictionModel(("coulomb", "viscous", "offset")),
+    True: FrictionModel(("coulomb", "viscous", "offset", "armature")),
+}
 SAMPLES = 60
 
 
-def settings_for(n, smoothing=0.0, rows=None, coordinates=None):
+def settings_for(n, smoothing=0.0, rows=None, coordinates=None, rotors=False):
     rows = tuple(range(n)) if rows is None else rows
     eye = np.eye(10) if coordinates is None else coordinates
-    return RowSettings(rows, np.linspace(0.5, 2.0, len(rows)), np.full(n, smoothing), eye)
+    return RowSettings(rows, np.linspace(0.5, 2.0, len(rows)), np.full(n, smoothing), eye, rotors)
 
 
-def eliminated_by_hand(robot, motion, torques, sigma):
+def eliminated_by_hand(robot, motion, torques, sigma, rotors=False):
     """Information of theta from the tool's own equations, nuisances removed by least squares."""
-    equations = Equations(robot, torques, (NUISANCES,) * robot.n_joints)
+    equations = Equations(robot, torques, (NUISANCES[rotors],) * robot.n_joints)
     q, qd, qdd = motion
     data = Measurement(np.arange(float(len(q))), q, qd, np.zeros_like(q), qdd)
     total = np.zeros((10, 10))
@@ -42,24 +45,25 @@ def eliminated_by_hand(robot, motion, torques, sigma):
     return total
 
 
+@pytest.mark.parametrize("rotors", [False, True])
 @pytest.mark.parametrize("torques", ["chain", "terminal"])
 @pytest.mark.parametrize("xml", [arms.SEVEN, arms.SLIDE_IN_CHAIN, arms.SHARED_BODIES])
-def test_equals_the_schur_complement_of_the_tools_equations(xml, torques):
+def test_equals_the_schur_complement_of_the_tools_equations(xml, torques, rotors):
     robot = robot_of(xml)
     motion = random_motion(np.random.default_rng(0), robot.n_joints, SAMPLES)
     rows = None if torques == "chain" else (robot.n_joints - 1,)
-    chosen = settings_for(robot.n_joints, rows=rows)
+    chosen = settings_for(robot.n_joints, rows=rows, rotors=rotors)
     ours = PredictedInformation(screw_chain(robot), chosen).evaluate(*motion).information
-    theirs = eliminated_by_hand(robot, motion, torques, chosen.sigma)
+    theirs = eliminated_by_hand(robot, motion, torques, chosen.sigma, rotors)
     assert np.max(np.abs(ours - theirs)) < 1e-8 * np.max(np.abs(theirs))
 
 
-@given(SEEDS, st.floats(0.05, 1.0))
+@given(SEEDS, st.floats(0.05, 1.0), st.booleans())
 @settings(max_examples=100)
-def test_gradient_equals_differences(seed, smoothing):
+def test_gradient_equals_differences(seed, smoothing, rotors):
     robot, rng = robot_of(arms.THREE), np.random.default_rng(seed)
     coordinates = rng.normal(size=(10, 4))
-    chosen = settings_for(3, smoothing, coordinates=coordinates)
+    chosen = settings_for(3, smoothing, coordinates=coordinates, rotors=rotors)
     information = PredictedInformation(screw_chain(robot), chosen)
     motion, direction = rng.normal(size=(2, 3, 12, 3))
     weight = rng.normal(size=(4, 4))

@@ -13,6 +13,7 @@ from robot_sysid.excitation.fourier import FourierBasis, FourierTrajectory
 from robot_sysid.excitation.limit_check import (
     CLEARANCE_RESOLUTION,
     RESERVE,
+    Excess,
     check_limits,
     first_contact,
     keeps_limits,
@@ -137,6 +138,11 @@ def test_says_which_limit_is_exceeded_most_and_when():
     assert worst.share > 1.0
     assert all(a.share >= b.share for a, b in zip(check.excesses, check.excesses[1:]))
     assert "% over at" in str(worst)
+
+
+@pytest.mark.parametrize(("share", "words"), [(1.05, "5.0 %"), (1.00001, "0.001 %")])
+def test_no_excess_is_said_to_be_nothing(share, words):
+    assert str(Excess("speed limit", share, 1.0)) == f"speed limit ({words} over at 1.00 s)"
 
 
 def test_tight_times_are_local_minima_of_the_slack():

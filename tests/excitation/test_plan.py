@@ -233,3 +233,11 @@ def test_a_file_that_never_ends_is_refused(tmp_path, duration):
     path.write_text(text.replace("inf", "Infinity"))
     with pytest.raises(InputError, match="more than the 1e[+]09 a run can take"):
         planned(TUBES, trajectory={"file": path})
+
+
+@pytest.mark.parametrize("kind", ["sines", "optimal"])
+def test_what_takes_hours_to_check_is_refused_at_once(kind):
+    long = {"duration": 1e8, "sample_rate": 1.0, "plan_only": True}
+    excitation = options(kind=kind)
+    with pytest.raises(InputError, match="a motion of 1e[+]08 s takes too long to check"):
+        planned(TUBES, trajectory=long, excitation=excitation)

@@ -131,3 +131,13 @@ def test_the_swept_box_holds_the_arm():
     assert high >= 1.23 and low <= 0.26
     assert line.endswith("the lowest point is one of link0")
     assert not any(line.startswith("Torque left") for line in lines), "no torque is limited"
+
+
+def test_what_an_identification_will_state_is_said_where_it_is_known():
+    some, plan = problem(TUBES), sines(TUBES)
+    check, promised = check_limits(some, plan), predict(some, plan, 500.0)
+    stated = np.full(10, np.inf)
+    stated[0] = 0.02 * promised.size[0]
+    lines = list(plan_lines(some, plan, check, promised, "counted so", stated))
+    assert the(lines, "  counted so")
+    assert the(lines, "An identification of one recording will state").endswith("friction: m 2 %")

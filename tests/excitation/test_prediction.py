@@ -15,7 +15,7 @@ from robot_sysid.trajectory import motion_chunks
 from tests.support import arms
 from tests.support.excitation_arms import design, problem, robot
 
-FULL_FRICTION = FrictionModel(("coulomb", "viscous", "offset"))
+FULL_FRICTION = FrictionModel(("coulomb", "viscous", "offset", "armature"))
 
 
 def a_plan(xml, seed=0, **changes):

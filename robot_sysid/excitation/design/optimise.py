@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from robot_sysid.excitation.design.budget import UNLIMITED, Budget, OutOfTime
 from robot_sysid.excitation.design.constraints import (
     ConstraintCache,
     MotionConstraints,
@@ -36,7 +37,7 @@ from robot_sysid.excitation.problem import ExcitationProblem
 from robot_sysid.records import Array
 from robot_sysid.trajectory import TrajectoryOptions
 
-FIRST_WEIGHT = 10.0
+FIRST_WEIGHT = 1.0
 WEIGHT_GROWTH = 1.5
 PLAIN_ROUNDS = 2
 """Rounds before the weight begins to grow: the multipliers should do the work."""
@@ -77,12 +78,14 @@ def first_candidate(design: Design, number: int, x: Array) -> Candidate:
     return _checked(design, start)
 
 
-def improve(design: Design, candidate: Candidate) -> Candidate:
-    """Return the candidate after one more round."""
+def improve(design: Design, candidate: Candidate, budget: Budget = UNLIMITED) -> Candidate:
+    """Return the candidate after one more round, or after as much of it as there was time for."""
     objective = PenalisedDesign(
         design, candidate.extra_times, candidate.multipliers, candidate.weight
     )
-    x = _minimise(objective, candidate.x, design.options.iterations)
+    x, is_whole = _minimise(objective, candidate.x, design.options.iterations, budget)
+    if not is_whole:
+        return _checked(design, replace(candidate, x=x))
     multipliers = objective.updated_multipliers(objective.evaluate(x).constraints.value)
     grow = WEIGHT_GROWTH if candidate.rounds >= PLAIN_ROUNDS else 1.0
     moved = replace(
@@ -95,17 +98,29 @@ def improve(design: Design, candidate: Candidate) -> Candidate:
     return _checked(design, _with_extra_times(design, moved))
 
 
-def _minimise(objective: PenalisedDesign, x: Array, iterations: int) -> Array:
-    """Return the free coefficients after some L-BFGS iterations."""
+def _minimise(
+    objective: PenalisedDesign, x: Array, iterations: int, budget: Budget
+) -> tuple[Array, bool]:
+    """Return the free coefficients after some L-BFGS iterations, and whether there was time."""
     from scipy.optimize import minimize
 
+    reached = [x]
+
     def function(flat: Array) -> tuple[float, Array]:
+        if budget.is_over:
+            raise OutOfTime
         evaluation = objective.evaluate(flat.reshape(x.shape))
         return evaluation.value, evaluation.gradient.ravel()
 
+    def keep(flat: Array) -> None:
+        reached.append(np.array(flat).reshape(x.shape))
+
     options = {"maxiter": iterations, "maxcor": MEMORY, "maxls": 30}
-    result = minimize(function, x.ravel(), jac=True, method="L-BFGS-B", options=options)
-    return np.asarray(result.x).reshape(x.shape)
+    try:
+        minimize(function, x.ravel(), jac=True, method="L-BFGS-B", callback=keep, options=options)
+    except OutOfTime:
+        return reached[-1], False
+    return reached[-1], True
 
 
 def _with_extra_times(design: Design, candidate: Candidate) -> Candidate:
@@ -172,7 +187,11 @@ class Design:
         self.information = PredictedInformation(
             problem.chain,
             RowSettings(
-                problem.rows, problem.sigma / np.sqrt(samples), smoothing, self.coordinates
+                problem.rows,
+                problem.sigma / np.sqrt(samples),
+                smoothing,
+                self.coordinates,
+                problem.rotors_sought,
             ),
         )
 
@@ -272,7 +291,11 @@ def visible_coordinates(problem: ExcitationProblem) -> Array:
     """
     scale = np.diag(problem.scale)
     settings = RowSettings(
-        problem.rows, np.ones(len(problem.rows)), np.zeros(problem.n_joints), scale
+        problem.rows,
+        np.ones(len(problem.rows)),
+        np.zeros(problem.n_joints),
+        scale,
+        problem.rotors_sought,
     )
     rng = np.random.default_rng(0)
     q, qd, qdd = rng.normal(size=(3, 400, problem.n_joints))

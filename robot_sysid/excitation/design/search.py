@@ -16,6 +16,7 @@ from functools import partial
 import numpy as np
 
 from robot_sysid.errors import InputError
+from robot_sysid.excitation.design.budget import UNLIMITED, Budget, Clock
 from robot_sysid.excitation.design.constraints import MotionConstraints
 from robot_sysid.excitation.design.optimise import Candidate, Design, first_candidate, improve
 from robot_sysid.excitation.design.workers import WorkerPool
@@ -24,7 +25,8 @@ from robot_sysid.excitation.limit_check import LimitCheck, check_limits
 from robot_sysid.excitation.problem import LIMIT_NAMES, ROUNDING
 from robot_sysid.records import Array
 
-DRAWS_PER_JOB = 20
+DRAWS_PER_JOB = 5
+"""An interruption loses no more of them than one job holds."""
 
 
 @dataclass(frozen=True)
@@ -84,11 +86,11 @@ def design_excitation(
     design: Design,
     rng: np.random.Generator,
     progress: ProgressCallback | None = None,
-    clock: Callable[[], float] = clocks.monotonic,
+    clock: Clock = clocks.monotonic,
 ) -> ExcitationResult:
     """Search for the trajectory that makes the predicted uncertainty smallest.
 
-    Ctrl-C ends the search and keeps the best trajectory so far.
+    Ctrl-C ends the search and keeps the best trajectory so far, a random one if need be.
 
     Args:
         design: the arm, its limits, and what is wanted.
@@ -105,6 +107,7 @@ def design_excitation(
         search.run()
     except KeyboardInterrupt:
         search.stopped = "interrupted"
+        search.settle_for_a_draw()
         if search.best is None:
             raise
     return search.result()
@@ -118,11 +121,11 @@ class _Search:
         design: Design,
         seed: int,
         progress: ProgressCallback | None,
-        clock: Callable[[], float],
+        clock: Clock,
     ) -> None:
         self._design, self._options, self._seed = design, design.options, seed
-        self._progress, self._clock = progress, clock
-        self._deadline = clock() + design.options.time_budget
+        self._progress = progress
+        self._budget = Budget(clock() + design.options.time_budget, clock)
         self._draws: list[Draw] = []
         self._candidates: dict[int, Candidate] = {}
         self._done = 0
@@ -139,26 +142,55 @@ class _Search:
         with WorkerPool(self._design, self._options.n_workers) as pool:
             for draws in self._counted(pool.run(self._draw_jobs())):
                 self._draws += draws
+                if self._is_late() and self._feasible():
+                    break
             self._check_starts(pool)
             for _ in range(self._options.rounds):
-                jobs = [partial(improve, candidate=c) for c in self._candidates.values()]
+                if self._is_late():
+                    return
+                jobs = [
+                    partial(improve, candidate=c, budget=self._budget)
+                    for c in self._candidates.values()
+                ]
                 for candidate in self._counted(pool.run(jobs)):
                     self._candidates[candidate.number] = candidate
-                if self.stopped:
-                    return
+
+    def settle_for_a_draw(self) -> None:
+        """Take the best draw that keeps all limits, where nothing better was found in time."""
+        for number, draw in enumerate(self._feasible() if self.best is None else ()):
+            self._candidates[number] = first_candidate(self._design, number, draw.x)
+            if self.best is not None:
+                return
+
+    def _is_late(self) -> bool:
+        if self._budget.is_over:
+            self.stopped = "time budget"
+        return self._budget.is_over
+
+    def _feasible(self) -> list[Draw]:
+        """Return the feasible draws, best first."""
+        return sorted((d for d in self._draws if np.isfinite(d.score)), key=lambda d: d.score)
 
     def _draw_jobs(self) -> list[partial[list[Draw]]]:
         numbers = range(self._options.draws)
         return [
-            partial(draw_trajectories, seed=self._seed, numbers=numbers[k : k + DRAWS_PER_JOB])
+            partial(
+                draw_trajectories,
+                seed=self._seed,
+                numbers=numbers[k : k + DRAWS_PER_JOB],
+                budget=self._budget,
+            )
             for k in range(0, len(numbers), DRAWS_PER_JOB)
         ]
 
     def _check_starts(self, pool: WorkerPool) -> None:
         """Take the best draws as starts; without a feasible one there is no search."""
-        feasible = sorted((d for d in self._draws if np.isfinite(d.score)), key=lambda d: d.score)
+        feasible = self._feasible()
         if not feasible:
             raise InputError(_why_none(self._draws, self._design))
+        if self._is_late():
+            self.settle_for_a_draw()
+            return
         jobs = [
             partial(first_candidate, number=k, x=draw.x)
             for k, draw in enumerate(feasible[: self._options.n_starts])
@@ -168,14 +200,10 @@ class _Search:
             self._tell()
 
     def _counted(self, results: Iterator) -> Iterator:
-        """Pass results on until time is up."""
         for result in results:
             yield result
             self._done += 1
             self._tell()
-            if self._clock() > self._deadline:
-                self.stopped = "time budget"
-                return
 
     def _tell(self) -> None:
         if self._progress is None:
@@ -263,8 +291,13 @@ class Draw:
     obstacle: str
 
 
-def draw_trajectories(design: Design, seed: int, numbers: Sequence[int]) -> list[Draw]:
-    """Return draws number ``numbers``; each depends on the seed and its own number alone."""
+def draw_trajectories(
+    design: Design, seed: int, numbers: Sequence[int], budget: Budget = UNLIMITED
+) -> list[Draw]:
+    """Return draws number ``numbers``; each depends on the seed and its own number alone.
+
+    Where time is up, those up to the first feasible one.
+    """
     functions = design.functions(design.grid)
     checks = _Checks(design)
     draws = []
@@ -272,6 +305,8 @@ def draw_trajectories(design: Design, seed: int, numbers: Sequence[int]) -> list
         rng = np.random.default_rng([seed, number])
         full = _within_motion_limits(design, functions, rng)
         draws.append(_shrunk(design, functions, checks, full))
+        if budget.is_over and np.isfinite(draws[-1].score):
+            break
     return draws
 
 

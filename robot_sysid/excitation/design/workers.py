@@ -43,8 +43,10 @@ class WorkerPool:
     def __enter__(self) -> WorkerPool:
         if self._workers > 1:
             self._others = multiprocessing.active_children()
-            context = multiprocessing.get_context("spawn")
-            self._pool = ProcessPoolExecutor(self._workers, context, _receive, (self._shared,))
+            # Without room for another process, for its pipes or its semaphores there is no pool.
+            with contextlib.suppress(OSError, RuntimeError, ImportError):
+                context = multiprocessing.get_context("spawn")
+                self._pool = ProcessPoolExecutor(self._workers, context, _receive, (self._shared,))
         return self
 
     def __exit__(
@@ -53,6 +55,9 @@ class WorkerPool:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        self._close()
+
+    def _close(self) -> None:
         if self._pool is None:
             return
         ours = [p for p in multiprocessing.active_children() if p not in self._others]
@@ -60,6 +65,7 @@ class WorkerPool:
         # A job that nobody waits for any more would keep this program from ending.
         for process in ours:
             process.terminate()
+        self._pool = None
 
     def run(self, jobs: Sequence[Job]) -> Iterator[Any]:
         """Yield each job's result as soon as it is there, in any order.
@@ -77,7 +83,7 @@ class WorkerPool:
                 del left[future]
                 yield result
         except BrokenProcessPool:
-            self._pool = None
+            self._close()
             yield from (job(self._shared) for job in tuple(left.values()))
         finally:
             for future in left:

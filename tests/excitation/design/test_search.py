@@ -139,12 +139,45 @@ def test_ctrl_c_keeps_the_best_so_far(workers):
     assert result.limit_check.holds
 
 
-def test_ctrl_c_before_there_is_anything_is_an_interruption():
+def test_ctrl_c_before_there_is_anything_is_an_interruption(monkeypatch):
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("robot_sysid.excitation.design.search._shrunk", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        search(TUBES, 3)
+
+
+def test_ctrl_c_among_the_first_draws_keeps_the_best_of_them():
     def interrupt(state):
         raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt):
-        search(TUBES, 3, interrupt)
+    result = search(TUBES, 3, interrupt, draws=300)
+    assert (result.stopped, result.n_drawn) == ("interrupted", 5)
+    assert result.limit_check.holds
+    assert result.objective == pytest.approx(result.start_objective)
+
+
+class Ticking:
+    """A clock that moves by as much as it is asked."""
+
+    def __init__(self, step):
+        self.step, self.asked = step, 0
+
+    def __call__(self):
+        self.asked += 1
+        return self.step * self.asked
+
+
+@pytest.mark.parametrize(("step", "drawn"), [(1.0, 1), (0.01, 20)])
+def test_a_search_ends_in_the_middle_of_a_job(step, drawn):
+    """Time is up after the first draw, or in the first round of improvement."""
+    clock = Ticking(step)
+    long = {"draws": 20, "rounds": 50, "iterations": 1000}
+    result = search(TUBES, 3, clock=clock, time_budget=0.5, **long)
+    assert (result.stopped, result.n_drawn) == ("time budget", drawn)
+    assert result.limit_check.holds
+    assert step * clock.asked < 0.5 + 10.0 * step
 
 
 def weak(xml, torque):

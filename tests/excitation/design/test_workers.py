@@ -73,3 +73,18 @@ def test_jobs_of_workers_that_die_are_done_here():
 def test_an_error_in_a_job_is_seen(workers, capfd):
     with WorkerPool("thing", workers) as pool, pytest.raises(ValueError, match="broken thing"):
         list(pool.run([fail]))
+
+
+@pytest.mark.parametrize("error", [OSError(11, "again"), RuntimeError("no new thread")])
+@pytest.mark.parametrize("place", ["ProcessPoolExecutor", "ProcessPoolExecutor.submit"])
+def test_where_no_process_can_be_started_the_jobs_are_done_here(place, error, monkeypatch):
+    """As under ``ulimit -u``: pipes and semaphores, or threads and processes, are refused."""
+
+    def refuse(*_, **__):
+        raise error
+
+    monkeypatch.setattr(f"robot_sysid.excitation.design.workers.{place}", refuse)
+    with WorkerPool(os.getpid(), 2) as pool:
+        for _ in range(2):
+            results = list(pool.run([partial(add, number=k) for k in range(5)]))
+            assert sorted(results) == [os.getpid() + k for k in range(5)]

@@ -1,0 +1,120 @@
+"""What an identification will make of a recording of a planned motion, before there is one.
+
+The planned motion is treated like a log of it would be: its ends are cut off, all columns pass the
+low-pass, and moments in which a joint is too slow are left out. What is left is less than all
+samples could tell (``excitation.prediction``). Torque noise is all that is counted: errors of the
+model, which an identification states too, do not become smaller by moving more cleverly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from robot_sysid.dynamics.equations import Equations, friction_per_joint
+from robot_sysid.dynamics.friction import friction_model
+from robot_sysid.errors import InputError, SysidError
+from robot_sysid.estimation.options import EstimationOptions
+from robot_sysid.excitation.prediction import Prediction, Seen, predict
+from robot_sysid.excitation.problem import ExcitationProblem
+from robot_sysid.identify.fit import fit_measured
+from robot_sysid.identify.samples import DecimatedSamples, decimated_equations
+from robot_sysid.logs.reader import join_measurements
+from robot_sysid.records import Array, Measurement, MotionPlan
+from robot_sysid.records.progress import Progress
+from robot_sysid.signals.process import process
+from robot_sysid.simulator import simulate_inverse
+from robot_sysid.trajectory import motion_chunks, sample_count
+
+COUNTED = "torque noise alone, after the ends are cut off and all signals are low-passed"
+UNUSABLE = "if all samples could be used, but they cannot"
+HIGHEST_RATE_HZ = 200.0
+"""Rate at which the motion is processed: far above its band. Noise is scaled to it."""
+MOST_SAMPLES = 200_000
+"""Samples beyond which processing a motion beforehand would take too long."""
+
+
+@dataclass(frozen=True)
+class Expectation:
+    """What is to be expected of a recording of a planned motion.
+
+    Attributes:
+        prediction: from torque noise alone.
+        counted: what it counts, in words.
+        stated: (10,) the standard errors an identification will state, with all that is not known
+            of the arm; infinite where the model's value stays, empty where nothing can be said.
+    """
+
+    prediction: Prediction
+    counted: str
+    stated: Array
+
+
+def expect(
+    problem: ExcitationProblem, plan: MotionPlan, sample_rate: float, options: EstimationOptions
+) -> Expectation:
+    """Predict what an identification of a recording of a motion will deliver.
+
+    Args:
+        problem: the arm, its limits, and the torque noise.
+        plan: the motion.
+        sample_rate: at which it will be recorded, with independent noise in each sample [Hz].
+        options: how it will be identified.
+    """
+    rate = min(sample_rate, HIGHEST_RATE_HZ)
+    sigma = problem.sigma * np.sqrt(rate / sample_rate)
+    try:
+        recording = _rehearsal(problem, plan, rate, sigma)
+        prediction = predict(problem, plan, sample_rate, _seen(problem, recording, sigma, options))
+        counted = COUNTED
+    except InputError as error:
+        prediction = predict(problem, plan, sample_rate)
+        return Expectation(prediction, f"{UNUSABLE}: {error}", np.zeros(0))
+    try:
+        fit = fit_measured(problem.robot, [recording], options, Progress())
+    except SysidError:
+        return Expectation(prediction, counted, np.zeros(0))
+    errors = fit.estimate.standard_errors
+    return Expectation(prediction, counted, np.zeros(0) if errors is None else errors[:10])
+
+
+def _rehearsal(
+    problem: ExcitationProblem, plan: MotionPlan, rate: float, sigma: Array
+) -> Measurement:
+    """Return what a recording of the motion at ``rate`` [Hz] would look like, with noise [N m]."""
+    if sample_count(plan.duration, rate) > MOST_SAMPLES:
+        raise InputError(f"only motions up to {MOST_SAMPLES / rate:.0f} s are processed beforehand")
+    motions = motion_chunks(plan, rate)
+    exact = join_measurements(simulate_inverse(problem.robot, motions))
+    tau = exact.tau.copy()
+    noise = np.random.default_rng(0).normal(size=(len(tau), len(problem.rows)))
+    tau[:, list(problem.rows)] += sigma * noise
+    return replace(exact, tau=tau, qd=None, qdd=None)
+
+
+def _seen(
+    problem: ExcitationProblem, recording: Measurement, sigma: Array, options: EstimationOptions
+) -> Seen:
+    """Return the information that a recording with noise sigma holds for its identification."""
+    robot, band = problem.robot, options.velocity_deadband
+    signals = process(recording, robot.joint_names, options.cutoff, band)
+    torques = "chain" if len(problem.rows) > 1 else "terminal"
+    friction = friction_per_joint(robot, torques, friction_model(options.measured_friction))
+    samples = decimated_equations(Equations(robot, torques, friction), signals)
+    # The rows are slow: what counts of white noise that passed the filter is its density at low
+    # frequencies, which the filter leaves alone, spread over the samples each row stands for.
+    noise = sigma / np.sqrt(signals.low_pass.step)
+    return _without_friction(samples.used(), noise, problem.scale)
+
+
+def _without_friction(samples: DecimatedSamples, noise: Array, scale: Array) -> Seen:
+    """Return what equations tell about theta in units of ``scale``, friction eliminated."""
+    size = len(samples.names)
+    normal = np.zeros((size, size))
+    for columns, rows, sigma in zip(samples.columns, samples.rows, noise):
+        normal[np.ix_(columns, columns)] += rows.T @ rows / sigma**2
+    link, cross, own = normal[:10, :10], normal[:10, 10:], normal[10:, 10:]
+    units = np.outer(scale, scale)
+    left = link - cross @ np.linalg.pinv(own, rcond=1e-12, hermitian=True) @ cross.T
+    return Seen(units * left, float(np.trace(units * link)))
