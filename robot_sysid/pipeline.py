@@ -207,7 +207,7 @@ def _promise(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> It
     """Yield what a motion promises, and what it does beside its limits."""
     from robot_sysid.excitation.plan_report import motion_lines, plan_lines
     from robot_sysid.excitation.static.pose_design import pose_lines
-    from robot_sysid.identify.expected import expect
+    from robot_sysid.expected import expect
 
     assert checked.problem is not None and checked.check is not None
     made = checked.problem, checked.plan, checked.check

@@ -24,6 +24,7 @@ LAYERS = (
     ("pipeline", "payload"),
     ("payload_config",),
     ("config",),
+    ("expected",),
     ("identify",),
     ("checks",),
     ("export",),

@@ -9,7 +9,7 @@ import pytest
 
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.excitation.prediction import predict
-from robot_sysid.identify.expected import expect
+from robot_sysid.expected import expect
 from robot_sysid.identify.fit import fit_measured
 from robot_sysid.logs.reader import join_measurements
 from robot_sysid.records.progress import Progress
@@ -74,7 +74,7 @@ def test_the_promise_is_never_better_than_all_samples_allow():
     ("rate", "words"), [(4.0, "too few to choose a cut-off"), (1e9, "only motions up to")]
 )
 def test_what_cannot_be_processed_gets_the_bound_and_the_reason(rate, words, monkeypatch):
-    monkeypatch.setattr("robot_sysid.identify.expected.MOST_SAMPLES", 1999)
+    monkeypatch.setattr("robot_sysid.expected.MOST_SAMPLES", 1999)
     some = problem(arms.SEVEN)
     expected, bound = expect(some, PLAN, rate, EstimationOptions()), predict(some, PLAN, rate)
     np.testing.assert_array_equal(expected.prediction.deviation, bound.deviation)
