@@ -66,7 +66,7 @@ def test_the_result_says_what_the_data_was(robot):
     found = analysis.identification
     assert listener.notes == [ITSELF]
     data = dataclasses.astuple(found.data)
-    assert data == (Source.ITSELF, "", run.plan.duration, 200.0, 7)
+    assert data == (Source.ITSELF, "", run.plan.duration, 200.0, 7, ())
     assert not found.data.source.is_measured
     assert found.joint_names == robot.joint_names and found.friction_model is None
     assert (found.delay, found.tilt, found.cutoff, found.validation) == (None, None, None, ())

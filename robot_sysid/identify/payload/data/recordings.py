@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from robot_sysid.checks.run import look_at
 from robot_sysid.identify.payload.options import LOADED, PayloadOptions
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.reader import LogJoints, join_measurements, read_log
@@ -54,6 +55,8 @@ def read_recordings(
     for path, is_loaded in kinds:
         progress.stage(f"Reading {'loaded' if is_loaded else 'empty'} log {path}...")
         log = read_log(path, joints, logs, progress)
+        if not options.static:  # an arm at rest shows none of what is looked for
+            look_at(robot, log, logs.accept, progress, links_known=False)
         found.append(RawRecording(str(path), is_loaded, log.samples, log.pieces, notes=log.notes))
     return found
 
