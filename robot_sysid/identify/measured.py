@@ -105,13 +105,13 @@ def identify_logs(
         logs.append(open_log(robot, options, path, progress))
     if save is not None:
         write_measurement_csv(save, robot.joint_names, [logs[0].samples])
-    _check(robot, options, estimation, logs, progress)
     measured = tuple(piece for log in logs for piece in log.pieces)
     tests = []
     if options.validation_measurements is not None:
         tests.append(open_log(robot, options, options.validation_measurements, progress))
         for note in tests[0].notes:
             progress.note(f"validation log: {note}")
+    _check(robot, options, estimation, [*logs, *tests], progress)
     named = {str(log.path): log.pieces for log in logs}
     data = MeasuredData(measured, _origin(logs), _log_notes(logs), named=named)
     return _identify(robot, data, estimation, tests, progress)
