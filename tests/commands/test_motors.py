@@ -563,9 +563,8 @@ def test_nothing_that_prints_or_records_stands_in_the_way_of_braking(model, tmp_
     said = b"cannot record: File too large" if trouble == "disk full" else b"stopped by SIGTERM"
     assert said in err
     if trouble != "disk full":
-        with can.LogReader(frames) as reader:
-            sent = [(m.timestamp, bytes(m.data)) for m in reader if not m.is_rx]
-        first_disable = next(t for t, data in sent if data == b"\xff" * 7 + b"\xfd")
-        last = [t for t, data in sent if t < first_disable][-1]
-        assert last - first_disable < 0.1
-        assert read_recording(record).ending.startswith("stopped: stopped by SIGTERM")
+        recording = read_recording(record)
+        assert recording.ending.startswith("stopped: stopped by SIGTERM")
+        speed = np.abs(recording.joint_values("vel"))
+        assert np.nanmax(speed[-1]) < 0.2 * np.nanmax(speed)
+        assert frames.exists()

@@ -13,7 +13,7 @@ from robot_sysid.damiao.bus.clock import SystemClock
 from robot_sysid.damiao.bus.inspection import inspect_bus
 from robot_sysid.damiao.bus.link import GuardedLink
 from robot_sysid.damiao.bus.slcan import SlcanTerminal, frame_from_line, line_from_frame
-from robot_sysid.damiao.protocol.frames import Frame
+from robot_sysid.damiao.protocol.frames import Address, Frame
 from tests.support.can_frames import FRAMES
 from tests.support.damiao_rig import two_motor_arm
 from tests.support.links import served_in_background
@@ -74,5 +74,5 @@ def test_an_arm_behind_a_serial_adapter_answers_pythons_slcan(adapter):
     (far, near), clock = adapter, SystemClock()
     with served_in_background(two_motor_arm(), far, clock, close=False):
         found = inspect_bus(GuardedLink(near, clock.now), clock)
-    assert sorted(found.motors) == [1, 2]
-    assert found.motors[2].feedback.temperature_rotor[0] == 29
+    assert [address.can_id for address in sorted(found.motors)] == [1, 2]
+    assert found.motors[Address(0, 2)].feedback.temperature_rotor[0] == 29
