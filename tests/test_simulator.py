@@ -31,6 +31,7 @@ def simulated(robot, motion):
     return measurement
 
 
+@pytest.mark.slow
 @given(random_chain(), SEEDS)
 def test_torques_are_mass_matrix_times_acceleration_plus_bias(xml, seed):
     robot = robot_of(xml)

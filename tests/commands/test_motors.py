@@ -370,6 +370,7 @@ def test_a_model_with_other_joints_is_refused(capsys, bus, trajectory, arm_file,
 # --- simulate -----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_rehearsal_takes_no_real_time(capsys, no_real_time, trajectory, model, tmp_path):
     record = tmp_path / "measured.csv"
     arguments = ("--model", model, "--play", "--record", record)
@@ -396,6 +397,7 @@ def test_a_rehearsal_reads_its_model_once(capsys, trajectory, model, monkeypatch
     assert len(read) == 1
 
 
+@pytest.mark.slow
 def test_a_rehearsal_is_exactly_repeatable(capsys, trajectory, model, tmp_path):
     records = [tmp_path / name / "measured.csv" for name in ("first", "second")]
     for record in records:
@@ -563,8 +565,11 @@ def test_nothing_that_prints_or_records_stands_in_the_way_of_braking(model, tmp_
     said = b"cannot record: File too large" if trouble == "disk full" else b"stopped by SIGTERM"
     assert said in err
     if trouble != "disk full":
-        recording = read_recording(record)
-        assert recording.ending.startswith("stopped: stopped by SIGTERM")
-        speed = np.abs(recording.joint_values("vel"))
-        assert np.nanmax(speed[-1]) < 0.2 * np.nanmax(speed)
-        assert frames.exists()
+        assert read_recording(record).ending.startswith("stopped: stopped by SIGTERM")
+        with can.LogReader(frames) as reader:
+            sent = [bytes(m.data) for m in reader if not m.is_rx and m.arbitration_id in (1, 2)]
+        disabled = sent.index(b"\xff" * 7 + b"\xfd")
+        # The commanded speed is the twelve bits after the position's sixteen; zero is the middle.
+        speeds = [abs((data[2] << 4 | data[3] >> 4) - 2047.5) for data in sent[:disabled]]
+        commands = [v for v, data in zip(speeds, sent) if data[:7] != b"\xff" * 7]
+        assert max(commands[-2:]) < 0.1 * max(commands)

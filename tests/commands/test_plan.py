@@ -59,6 +59,7 @@ def test_it_writes_the_trajectory_and_says_what_it_promises(command, arm_file):
     assert saved.joint_names == ("joint0", "joint1", "joint2")
 
 
+@pytest.mark.slow
 def test_a_designed_trajectory_can_be_saved_checked_slowed_and_exported(command, arm_file):
     path = arm_file(arms.THREE)
     save = ("--save-trajectory", "plan.json", "--excitation-time-budget", "0.05")

@@ -156,6 +156,7 @@ def test_a_plan_for_another_model_file_of_the_same_joints_is_checked_and_noted(c
     assert "plan.json was made for another model file; it is checked against" in printed.err
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not MODELS.is_dir(), reason="the public models are not here")
 def test_plans_do_not_pass_from_one_public_arm_to_another(command):
     panda, kinova, xarm = (

@@ -32,6 +32,7 @@ def test_the_comparison_can_fail(loop, mass, shift, close):
     assert loop.compare(found) is bool(close)
 
 
+@pytest.mark.slow
 def test_a_motor_with_another_scale_is_refused_before_anything_moves(loop, tmp_path, monkeypatch):
     trajectory = loop.exported_trajectory(loop.TRUTH, tmp_path, duration=1.0)
     assert loop.other_scale_is_refused(trajectory, tmp_path / "never.csv")

@@ -222,6 +222,7 @@ def assert_same_information(one, other):
         np.testing.assert_allclose(first, second, rtol=0.0, atol=1e-12 * np.max(np.abs(first)))
 
 
+@pytest.mark.slow
 @given(st.lists(st.integers(1, len(WHOLE) - 1), max_size=8, unique=True))
 def test_information_does_not_depend_on_the_chunks(cuts):
     parts = np.split(np.arange(len(WHOLE)), sorted(cuts))
@@ -235,6 +236,7 @@ def test_information_does_not_depend_on_the_order_of_samples(seed):
     assert_same_information(normal_matrices([WHOLE]), normal_matrices([picked(WHOLE, order)]))
 
 
+@pytest.mark.slow
 @given(SEEDS)
 def test_estimate_does_not_depend_on_the_order_of_joints(seed):
     equations = Equations(SEVEN, "chain", friction_per_joint(SEVEN, "terminal", TERMINAL_FRICTION))

@@ -137,6 +137,7 @@ def pose(robot, q):
     return data.xmat[robot.body_id].reshape(3, 3).copy(), data.xpos[robot.body_id].copy()
 
 
+@pytest.mark.slow
 @given(random_chain(), SEEDS)
 def test_a_sample_needs_no_neighbours(xml, seed):
     """No finite differences: each sample alone, in any order, gives the very same numbers."""

@@ -82,6 +82,7 @@ def test_objective_is_that_of_the_semidefinite_program(seed):
     assert cost(matrix, right, values) == pytest.approx(reference, rel=1e-8)
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @given(SEEDS, st.floats(-3, 3), st.floats(-2, 2), st.floats(-3, 3))
 def test_units_do_not_matter(seed, mass_power, length_power, torque_power):

@@ -183,6 +183,7 @@ def test_the_true_model_is_usually_chosen_exactly():
     assert draws.count("coulomb-viscous") >= 85
 
 
+@pytest.mark.slow
 @settings(max_examples=100)
 @given(st.integers(0, 2**32), st.floats(0.01, 100.0))
 def test_the_choice_does_not_depend_on_the_unit_of_torque(seed, scale):

@@ -26,6 +26,7 @@ def test_noise_free_data_is_recovered_by_every_method(method):
     assert np.max(estimate.standard_errors) < 1e-6
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @given(SEEDS, st.floats(-3, 3))
 def test_wls_does_not_care_about_the_unit_of_one_joint(seed, power):
@@ -64,6 +65,7 @@ def test_leverages_sum_to_the_rank(seed):
     assert total == pytest.approx(16.0, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_noise_is_unbiased_with_few_samples():
     squares = []
     for seed in range(300):

@@ -58,6 +58,7 @@ def test_equals_the_schur_complement_of_the_tools_equations(xml, torques, rotors
     assert np.max(np.abs(ours - theirs)) < 1e-8 * np.max(np.abs(theirs))
 
 
+@pytest.mark.slow
 @given(SEEDS, st.floats(0.05, 1.0), st.booleans())
 @settings(max_examples=100)
 def test_gradient_equals_differences(seed, smoothing, rotors):

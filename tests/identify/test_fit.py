@@ -216,6 +216,7 @@ def test_what_is_not_asked_for_is_not_estimated(robot, noisy):
     assert fit.estimate.value("delay") is None and fit.estimate.value("tilt_1") is None
 
 
+@pytest.mark.slow
 def test_every_method_can_look_for_a_delay(robot, noisy):
     for method in ("ols", "robust"):
         fit = fit_of(robot, noisy, method=method, delay="auto")

@@ -99,6 +99,7 @@ def test_a_joint_scaled_beyond_its_limits_is_named_with_them(
     assert found - doubtful == expected - doubtful
 
 
+@pytest.mark.slow
 @given(
     rows=st.integers(3, 12),
     rate=RATES,
@@ -119,6 +120,7 @@ def test_every_row_counts_however_short_its_peak(arm, folder, rows, rate, speed,
     assert exceeded(model_checks(written(folder, motion), speed, robot)) == expected
 
 
+@pytest.mark.slow
 @given(speed=SPEEDS, share=SHARES, joint=st.integers(0, 2))
 def test_at_a_share_of_the_speed_velocities_count_that_much(arm, folder, speed, share, joint):
     motion = swing(3, duration=1.0)
@@ -130,6 +132,7 @@ def test_at_a_share_of_the_speed_velocities_count_that_much(arm, folder, speed, 
     assert exceeded(model_checks(written(folder, motion), speed, robot)) == expected
 
 
+@pytest.mark.slow
 @given(speed=SPEEDS, share=SHARES, rate=st.sampled_from([100.0, 250.0, 1000.0]))
 def test_what_the_positions_do_counts_also_where_the_file_states_no_velocity(
     arm, folder, speed, share, rate
@@ -143,6 +146,7 @@ def test_what_the_positions_do_counts_also_where_the_file_states_no_velocity(
     assert found == ({(joint, "velocity") for joint in JOINTS} if share > 1.0 else set())
 
 
+@pytest.mark.slow
 @given(velocity=st.floats(0.01, 3.0), rate=RATES)
 def test_printed_digits_of_positions_do_not_count_as_speed(arm, folder, velocity, rate):
     """At 1 kHz the fourth decimal of a position is 0.1 rad/s."""

@@ -90,6 +90,7 @@ def test_limits_hold_for_any_seed_and_criterion(xml, seed, ends, criterion):
     assert_at_rest(result)
 
 
+@pytest.mark.slow
 def test_same_seed_same_trajectory_other_seed_another():
     one, two, other = (search(TUBES, seed) for seed in (7, 7, 8))
     assert np.array_equal(one.trajectory.coefficients, two.trajectory.coefficients)
@@ -209,6 +210,7 @@ def test_a_tighter_speed_limit_is_kept(speed):
     assert np.max(result.limit_check.velocity) > 0.3 * speed
 
 
+@pytest.mark.slow
 def test_the_tool_is_as_slow_as_asked_for_and_hardly_slower():
     result = search_of(problem(TUBES, max_tool_speed=0.3), iterations=20, rounds=2)
     assert result.limit_check.holds
