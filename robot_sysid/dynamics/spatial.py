@@ -93,7 +93,8 @@ def quaternion(rotation: Array) -> Array:
     """Return the unit quaternion (4,) w x y z of a rotation, w not negative."""
     from scipy.spatial.transform import Rotation
 
-    x, y, z, w = Rotation.from_matrix(rotation).as_quat()
+    # SciPy before 1.14 refuses arrays that cannot be written to.
+    x, y, z, w = Rotation.from_matrix(np.array(rotation)).as_quat()
     return np.array([w, x, y, z]) * (-1.0 if w < 0.0 else 1.0)
 
 
