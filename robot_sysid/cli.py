@@ -10,13 +10,14 @@ import sys
 import threading
 import traceback
 from collections.abc import Iterator, Sequence
+from difflib import get_close_matches
 from typing import Any
 
 from robot_sysid.commands.streams import print_line, tolerant_output
 from robot_sysid.errors import INTERRUPTED, InputError, SysidError
 from robot_sysid.interrupts import STOPPING
 
-COMMANDS = ("plan", "identify", "arm", "payload", "log", "motors")
+COMMANDS = ("plan", "identify", "arm", "payload", "log", "report", "motors", "example")
 """Subcommands, each a module of its name; any other first word is a model file."""
 
 
@@ -27,9 +28,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     tolerant_output()
     _one_blas_thread()
     name = arguments.pop(0) if arguments and arguments[0] in COMMANDS else "run"
-    with _remembered_interrupts() as interrupts:
+    with _remembered_interrupts(ends=argv is None) as interrupts:
         interrupted = "interrupted"
         try:
+            if name == "run":
+                _refuse_misspelt(arguments)
             command = importlib.import_module(f"robot_sysid.commands.{name}")
             interrupted = command.INTERRUPTED
             return int(command.main(arguments))
@@ -45,12 +48,24 @@ def main(argv: Sequence[str] | None = None) -> int:
             return _report(f"{type(error).__name__}: {error} ({hint})", 1, debug)
 
 
+def _refuse_misspelt(arguments: Sequence[str]) -> None:
+    """Raise InputError where the first word looks like a subcommand and is no file."""
+    word = arguments[0] if arguments else ""
+    near = get_close_matches(word, COMMANDS, 1, 0.75)
+    if near and not os.path.exists(word):
+        raise InputError(f"there is no file and no command {word}: did you mean {near[0]}?")
+
+
 @contextlib.contextmanager
-def _remembered_interrupts() -> Iterator[list[int]]:
+def _remembered_interrupts(ends: bool = False) -> Iterator[list[int]]:
     """Turn requests to stop into KeyboardInterrupt and yield a list that gets an entry with each.
 
     A compiled module that is interrupted while it is imported turns KeyboardInterrupt into an
     ImportError; the list tells that from a real one.
+
+    Args:
+        ends: whether the process ends afterwards; a request that comes so late is not heard, where
+            Python's own way out would die of it instead of returning the exit code.
     """
     seen: list[int] = []
     usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler
@@ -69,16 +84,17 @@ def _remembered_interrupts() -> Iterator[list[int]]:
         yield seen
     finally:
         for number, handler in before.items():
-            signal.signal(number, handler)
+            signal.signal(number, signal.SIG_IGN if ends else handler)
 
 
 def _one_blas_thread() -> None:
     """Keep numpy from starting threads: the matrices are small and threads only wait for another.
 
-    Must come before numpy is imported; whoever has set the variable keeps his value.
+    Must come before numpy is imported. What is set for other programs does not count: with four
+    threads an arm of 60 joints takes fifty times as long.
     """
     for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
-        os.environ.setdefault(name, "1")
+        os.environ[name] = "1"
 
 
 def _report(message: str, code: int, debug: bool) -> int:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, ClassVar
@@ -13,6 +12,7 @@ from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
 from robot_sysid.excitation.static.options import PoseOptions
 from robot_sysid.logs.options import LogOptions
+from robot_sysid.records.atomic_files import refuse_overwriting
 from robot_sysid.records.options import (
     OptionRecord,
     folder,
@@ -54,6 +54,18 @@ class OutputOptions(OptionRecord):
     output_dir: Path = option(
         Path("sysid_output"), "folder for the results", metavar="DIR", parse=folder
     )
+    keep_friction: bool = option(
+        False, "leave the friction of the model's joints as it is", needs="friction"
+    )
+    bundle: bool = option(
+        False,
+        "also write the updated model with its meshes and textures into DIR/bundle, to send it",
+        needs="estimate",
+    )
+    report: bool = option(
+        False, "also write report.html, a page with figures of the result", needs="estimate"
+    )
+    plots: bool = option(False, "also write the report's figures as PNG and SVG", needs="estimate")
 
 
 @dataclass(frozen=True)
@@ -116,6 +128,8 @@ NEEDS = {
     "new motion": "is about a new trajectory; a log or --trajectory brings its own",
     "design": "is about a designed trajectory; add --excitation optimal",
     "estimate": "is about an estimate; --plan-only stops before it",
+    "friction": "is about identified friction; add --measurements or --plant-model, without "
+    "--no-friction",
     "measured": "needs --measurements or --plant-model",
     "log": "describes a log; add --measurements LOG.csv",
     "plant": "belongs to a simulated plant; add --plant-model (the model file itself will do)",
@@ -183,9 +197,9 @@ class SysidConfig:
                 plan.file is not None and self.excitation.kind == "optimal",
             ),
             (
-                "--static",
+                "--static" if self.poses.static else "--for friction",
                 "--trajectory, --duration and --excitation optimal",
-                self.poses.static
+                self.poses.sets_its_time
                 and (
                     plan.file is not None
                     or plan.duration != TrajectoryOptions.duration
@@ -236,6 +250,7 @@ class SysidConfig:
             "new motion": not log and self.trajectory.file is None,
             "design": optimal,
             "estimate": not plan_only,
+            "friction": self.is_measured and not plan_only and not self.estimation.no_friction,
             "measured": self.is_measured,
             "log": log,
             "plant": plant,
@@ -246,22 +261,6 @@ class SysidConfig:
             "prior": self.estimation.prior != "none",
             "motors": self.motors.export_damiao,
         }
-
-
-def refuse_overwriting(read: Iterable[Path | None], written: Iterable[tuple[str, Path]]) -> None:
-    """Raise InputError where a file would be written over one that is read, or two into one place.
-
-    Args:
-        read: files that are read, where there are any.
-        written: files that are written, each with the option that names it.
-    """
-    taken = {os.path.realpath(path): "a file that is read" for path in read if path is not None}
-    for what, path in written:
-        place = os.path.realpath(path)
-        if place in taken:
-            there = taken[place]
-            raise InputError(f"{what} would overwrite {there}: {path}; choose another name")
-        taken[place] = f"what {what} writes"
 
 
 def config_from(path: Path, **values: Any) -> SysidConfig:

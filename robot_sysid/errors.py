@@ -28,6 +28,10 @@ EXIT_CODES: Mapping[int, str] = {
 """What a process says with its exit code."""
 
 
+MOST_LISTED = 20
+"""So many candidates are named; nobody reads more in one line."""
+
+
 class SysidError(Exception):
     """Base of all errors raised on purpose; carries the process exit code."""
 
@@ -54,7 +58,9 @@ class AmbiguousJointError(ModelError):
 
     def __init__(self, reason: str, candidates: Sequence[tuple[str, str]]) -> None:
         self.candidates = tuple(candidates)
-        listed = ", ".join(f"{joint} (body {body})" for joint, body in self.candidates)
+        named = [f"{joint} (body {body})" for joint, body in self.candidates[:MOST_LISTED]]
+        more = len(self.candidates) - len(named)
+        listed = ", ".join((*named, *([f"and {more} more"] if more else [])))
         super().__init__(f"{reason}; choose one with --joint NAME. Candidates: {listed}")
 
 

@@ -12,25 +12,28 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robot_sysid.dynamics.equations import Equations, friction_per_joint
+from robot_sysid.dynamics.equations import TERMINAL_FRICTION, Equations, friction_per_joint
 from robot_sysid.dynamics.friction import friction_model
 from robot_sysid.errors import InputError, SysidError
+from robot_sysid.estimation.identifiability import analyse_identifiability
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.excitation.prediction import Prediction, Seen, predict
 from robot_sysid.excitation.problem import ExcitationProblem
 from robot_sysid.identify.fit import fit_measured
 from robot_sysid.identify.samples import DecimatedSamples, decimated_equations
 from robot_sysid.logs.reader import join_measurements
-from robot_sysid.records import Array, Measurement, MotionPlan
+from robot_sysid.records import Array, Identifiability, Measurement, MotionPlan
 from robot_sysid.records.progress import Progress
 from robot_sysid.signals.process import process
-from robot_sysid.simulator import simulate_inverse
+from robot_sysid.simulator import collect_sysid_data, simulate_inverse
 from robot_sysid.trajectory import motion_chunks, sample_count
 
 COUNTED = "torque noise alone, after the ends are cut off and all signals are low-passed"
 UNUSABLE = "if all samples could be used, but they cannot"
 HIGHEST_RATE_HZ = 200.0
 """Rate at which the motion is processed: far above its band. Noise is scaled to it."""
+MOST_SHOWN = 20_000
+"""Samples of a motion that the regressor is looked at with."""
 MOST_SAMPLES = 200_000
 """Samples beyond which processing a motion beforehand would take too long."""
 
@@ -44,11 +47,13 @@ class Expectation:
         counted: what it counts, in words.
         stated: (10,) the standard errors an identification will state, with all that is not known
             of the arm; infinite where the model's value stays, empty where nothing can be said.
+        shown: what a run of the motion will say of its regressor.
     """
 
     prediction: Prediction
     counted: str
     stated: Array
+    shown: Identifiability
 
 
 def expect(
@@ -63,6 +68,7 @@ def expect(
         options: how it will be identified.
     """
     rate = min(sample_rate, HIGHEST_RATE_HZ)
+    shown = _shown(problem, plan, rate)
     sigma = problem.sigma * np.sqrt(rate / sample_rate)
     try:
         recording = _rehearsal(problem, plan, rate, sigma)
@@ -70,13 +76,29 @@ def expect(
         counted = COUNTED
     except InputError as error:
         prediction = predict(problem, plan, sample_rate)
-        return Expectation(prediction, f"{UNUSABLE}: {error}", np.zeros(0))
+        return Expectation(prediction, f"{UNUSABLE}: {error}", np.zeros(0), shown)
     try:
         fit = fit_measured(problem.robot, [recording], options, Progress())
     except SysidError:
-        return Expectation(prediction, counted, np.zeros(0))
+        return Expectation(prediction, counted, np.zeros(0), shown)
     errors = fit.estimate.standard_errors
-    return Expectation(prediction, counted, np.zeros(0) if errors is None else errors[:10])
+    stated = np.zeros(0) if errors is None else errors[:10]
+    return Expectation(prediction, counted, stated, shown)
+
+
+def _shown(problem: ExcitationProblem, plan: MotionPlan, rate: float) -> Identifiability:
+    """Return what the model's own simulation along a motion says of the link's equations."""
+    robot, torques = problem.robot, _torques(problem)
+    friction = friction_per_joint(robot, "terminal", TERMINAL_FRICTION)
+    motions = motion_chunks(plan, min(rate, MOST_SHOWN / plan.duration))
+    simulated = simulate_inverse(robot, motions)
+    return analyse_identifiability(
+        collect_sysid_data(Equations(robot, torques, friction), simulated)
+    )
+
+
+def _torques(problem: ExcitationProblem) -> str:
+    return "chain" if len(problem.rows) > 1 else "terminal"
 
 
 def _rehearsal(
@@ -99,7 +121,7 @@ def _seen(
     """Return the information that a recording with noise sigma holds for its identification."""
     robot, band = problem.robot, options.velocity_deadband
     signals = process(recording, robot.joint_names, options.cutoff, band)
-    torques = "chain" if len(problem.rows) > 1 else "terminal"
+    torques = _torques(problem)
     friction = friction_per_joint(robot, torques, friction_model(options.measured_friction))
     samples = decimated_equations(Equations(robot, torques, friction), signals)
     # The rows are slow: what counts of white noise that passed the filter is its density at low

@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import contextlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.updated_model import updated_model_text
 from robot_sysid.mjcf.write_back import WriteBack
+from robot_sysid.model.compilation import captured_warnings
+from robot_sysid.output.joint_friction import friction_changes
 from robot_sysid.output.model_writing import ModelTarget, write_link
 from robot_sysid.output.params_json import export_params_json, params_json_text
 from robot_sysid.records import Identification, Motion, RobotModel
-from robot_sysid.records.atomic_files import WholeFiles, whole_files, write_whole
+from robot_sysid.records.atomic_files import (
+    WholeFiles,
+    only_run_in,
+    require_writable,
+    whole_files,
+    write_whole,
+)
+from robot_sysid.records.progress import Progress
 from robot_sysid.records.results import DAMIAO_NAME, MODEL_NAMES, PARAMS_NAME
 
 if TYPE_CHECKING:
@@ -22,6 +32,7 @@ if TYPE_CHECKING:
 __all__ = [
     "MotorFile",
     "Written",
+    "alone_in",
     "export_params_json",
     "export_updated_xml",
     "write_results",
@@ -48,6 +59,20 @@ class Written:
     failure: str | None = None
 
 
+@contextlib.contextmanager
+def alone_in(folder: Path, progress: Progress) -> Iterator[None]:
+    """Keep an output folder to one run, and tell at its end what MuJoCo warned of meanwhile.
+
+    Raises:
+        InputError: the folder cannot be written to, or another run has it.
+    """
+    require_writable(folder)
+    with captured_warnings() as warnings, only_run_in(folder):
+        yield
+    for warning in dict.fromkeys(warnings):
+        progress.note(f"MuJoCo warns: {warning}")
+
+
 def export_updated_xml(
     source: Path,
     body: str,
@@ -70,6 +95,8 @@ def write_results(
     folder: Path,
     mesh_dir: Path | None = None,
     motor_file: MotorFile | None = None,
+    keep_friction: bool = False,
+    refused: str | None = None,
 ) -> Written:
     """Write params.json, the updated model and, where asked for, the motor trajectory.
 
@@ -83,19 +110,24 @@ def write_results(
         folder: where to.
         mesh_dir: the user's mesh folder, if any.
         motor_file: writes the motor trajectory; None for none.
+        keep_friction: leave the friction of the model's joints as it is.
+        refused: why no model is to be written although the estimate is trustworthy, or None.
 
     Raises:
         InputError: the folder cannot be written to.
     """
     names: list[str] = []
     notes: tuple[str, ...] = ()
-    report, failure = None, None
+    report, failure = None, refused
     with whole_files() as files:
-        if identification.estimate.status.is_trustworthy:
+        if identification.estimate.status.is_trustworthy and refused is None:
             # Its place is taken last: what the other files say then holds for it.
             path = files.reserve_last(folder / MODEL_NAMES[robot.kind])
             try:
-                notes = _write_model(files, path, robot, identification, checkpoints, mesh_dir)
+                target = ModelTarget(
+                    files, path, checkpoints, identification.estimate.rmse, mesh_dir
+                )
+                notes = write_model(robot, keep_friction, identification, target)
                 names.append(path.name)
             except ExportError as error:
                 files.withdraw(path)
@@ -114,16 +146,12 @@ def write_motor_file(files: WholeFiles, path: Path, motor_file: MotorFile) -> Da
         return motor_file(file)
 
 
-def _write_model(
-    files: WholeFiles,
-    path: Path,
-    robot: RobotModel,
-    identification: Identification,
-    checkpoints: Motion,
-    mesh_dir: Path | None,
+def write_model(
+    robot: RobotModel, keep_friction: bool, identification: Identification, target: ModelTarget
 ) -> tuple[str, ...]:
     """Write the updated model, compile it again and compare; returns notes."""
     estimate = identification.estimate
-    target = ModelTarget(files, path, checkpoints, estimate.rmse, mesh_dir)
+    found = identification if not keep_friction else replace(identification, friction_model=None)
+    joints, notes = friction_changes(found, target.checkpoints)
     errors = None if estimate.standard_errors is None else estimate.standard_errors[:10]
-    return write_link(robot, estimate.inertial, target, errors)
+    return (*notes, *write_link(robot, estimate.inertial, target, errors, joints))

@@ -24,7 +24,7 @@ def held_back(signals: tuple[signal.Signals, ...] = STOPPING) -> Iterator[None]:
 
 @contextlib.contextmanager
 def only_the_first() -> Iterator[None]:
-    """Let the first Ctrl-C inside through, as KeyboardInterrupt; ignore those that follow it.
+    """Let the first Ctrl-C inside that raises anything through; ignore those that follow it.
 
     Whoever is asked to stop needs a moment to save what there is; asking twice must not lose it.
     """
@@ -32,14 +32,17 @@ def only_the_first() -> Iterator[None]:
         yield
         return
 
-    def stop(number: int, frame: Any) -> None:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        raise KeyboardInterrupt
-
     before = signal.getsignal(signal.SIGINT)
-    if before is not signal.default_int_handler:  # Somebody has other plans for it.
+    if not callable(before):  # Ignored, or whoever embeds Python sees to it.
         yield
         return
+    heard = before
+
+    def stop(number: int, frame: Any) -> None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        heard(number, frame)
+        signal.signal(signal.SIGINT, stop)  # It stopped nothing.
+
     signal.signal(signal.SIGINT, stop)
     try:
         yield

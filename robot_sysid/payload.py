@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from robot_sysid.errors import ExportError, InputError
 from robot_sysid.excitation.plan import MotionRequest, make_plan
+from robot_sysid.export import alone_in
 from robot_sysid.identify.payload.data.processing import Processed, filtered, resting
 from robot_sysid.identify.payload.data.recordings import (
     RawRecording,
@@ -18,21 +19,21 @@ from robot_sysid.identify.payload.data.recordings import (
     simulate_recordings,
 )
 from robot_sysid.identify.payload.run import identify_payload
-from robot_sysid.model.compilation import captured_warnings
 from robot_sysid.model.flange import find_flange
 from robot_sysid.output.cards import Card, card_text, load_errors, payload_cards
 from robot_sysid.output.model_writing import ModelTarget, write_payload
 from robot_sysid.output.payload_json import payload_json_text
-from robot_sysid.output.payload_summary import payload_lines
-from robot_sysid.output.summary import folder_text
+from robot_sysid.output.printed.link import folder_text
+from robot_sysid.output.printed.payload import payload_lines
 from robot_sysid.parser import load_robot_model
 from robot_sysid.payload_config import CARD_NAME, PayloadConfig
 from robot_sysid.records import Motion, RobotModel
-from robot_sysid.records.atomic_files import only_run_in, require_writable, whole_files
+from robot_sysid.records.atomic_files import whole_files
 from robot_sysid.records.payload import PayloadIdentification
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.results import MODEL_NAMES, PARAMS_NAME
 from robot_sysid.records.torque_scale import write_torque_scale
+from robot_sysid.records.traces import Traces
 
 
 @dataclass(frozen=True)
@@ -44,12 +45,14 @@ class PayloadOutcome:
         output_dir: where files went.
         files: what was written there.
         failure: why there is no model and no card, or None.
+        traces: makes what a report draws.
     """
 
     found: PayloadIdentification
     output_dir: Path
     files: tuple[Path, ...]
     failure: str | None
+    traces: Callable[[], Traces] | None = None
 
     def report_lines(self, verbose: bool) -> list[str]:
         """Return what the command line prints at the end."""
@@ -68,30 +71,34 @@ def run(config: PayloadConfig, progress: Progress | None = None) -> PayloadOutco
         SysidError: with the exit code that fits, see ``errors``.
     """
     progress = progress or Progress()
-    folder = config.output.output_dir
-    require_writable(folder)
-    with captured_warnings() as warnings, only_run_in(folder):
-        outcome = _run(config, progress)
-    for warning in dict.fromkeys(warnings):
-        progress.note(f"MuJoCo warns: {warning}")
-    return outcome
+    with alone_in(config.output.output_dir, progress):
+        return _run(config, progress)
 
 
 def _run(config: PayloadConfig, progress: Progress) -> PayloadOutcome:
-    robot = _load(config, progress)
+    robot = load(config, progress)
+    found, motion, traces = weighed(config, robot, progress)
+    return replace(written(config, robot, found, motion, progress), traces=traces)
+
+
+def weighed(
+    config: PayloadConfig, robot: RobotModel, progress: Progress
+) -> tuple[PayloadIdentification, Motion, Callable[[], Traces]]:
+    """Identify a payload and write nothing; returns (result, some of the motion, its traces)."""
     flange = find_flange(robot, config.payload.flange)
     if flange.note:
         progress.note(flange.note)
     processed, drifts = _recordings(config, robot, progress)
-    found = identify_payload(
+    found, traces = identify_payload(
         robot, processed, drifts, flange, config.payload, config.estimation, progress
     )
     for note in found.notes[len(robot.notes) :]:
         progress.note(note)
-    return _written(config, robot, found, processed.motion, progress)
+    return found, processed.motion, traces
 
 
-def _load(config: PayloadConfig, progress: Progress) -> RobotModel:
+def load(config: PayloadConfig, progress: Progress) -> RobotModel:
+    """Load the model and find its terminal joint."""
     model, speed = config.model, config.limits.max_velocity
     progress.stage(f"Loading robot model from {model.path}...")
     robot = load_robot_model(model.path, model.mesh_dir, model.joint, speed, model.keyframe)
@@ -148,7 +155,7 @@ def _simulated(config: PayloadConfig, robot: RobotModel, progress: Progress) -> 
     )
 
 
-def _written(
+def written(
     config: PayloadConfig,
     robot: RobotModel,
     found: PayloadIdentification,

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from robot_sysid.config import NEEDS, ModelOptions, OutputOptions, refuse_overwriting
+from robot_sysid.config import NEEDS, ModelOptions, OutputOptions
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
 from robot_sysid.identify.payload.options import PayloadOptions
 from robot_sysid.logs.options import LogOptions
+from robot_sysid.records.atomic_files import refuse_overwriting
 from robot_sysid.records.options import given_options
 from robot_sysid.records.results import MODEL_NAMES, PARAMS_NAME
 from robot_sysid.simulation.sensors import SimulatedArmOptions
@@ -50,6 +51,8 @@ class PayloadConfig:
     def _check_needs(self) -> None:
         """Refuse options that would have no effect."""
         from_logs = bool(self.payload.empty)
+        if self.output.bundle and self.payload.known_mass is not None:
+            raise InputError("--bundle is about a written model; --known-mass writes none")
         if from_logs:
             for record in (self.trajectory, self.excitation, self.limits, self.arm):
                 for given in given_options(record):

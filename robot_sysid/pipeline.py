@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
@@ -13,21 +14,23 @@ import numpy as np
 from robot_sysid.config import SysidConfig
 from robot_sysid.errors import InputError
 from robot_sysid.excitation.plan import CheckedPlan, MotionRequest, make_plan
-from robot_sysid.export import MotorFile, write_motor_file, write_results
+from robot_sysid.export import MotorFile, alone_in, write_model, write_motor_file, write_results
+from robot_sysid.identify.judgement.rollout.candidate import refusal
 from robot_sysid.identify.simulated import Analysis, SimulatedRun, identify_itself
 from robot_sysid.interrupts import only_the_first
-from robot_sysid.model.compilation import captured_warnings
-from robot_sysid.output.summary import clamping_lines, detail_lines, folder_text, result_lines
+from robot_sysid.output.printed.link import (
+    clamping_lines,
+    detail_lines,
+    folder_text,
+    more_lines,
+    result_lines,
+)
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Identification, MotionPlan, RobotModel
-from robot_sysid.records.atomic_files import (
-    WholeFiles,
-    only_run_in,
-    require_writable,
-    whole_files,
-)
+from robot_sysid.records.atomic_files import WholeFiles, whole_files
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.results import DAMIAO_NAME, MODEL_NAMES
+from robot_sysid.records.traces import Traces
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import motion_chunks, require_countable
 
@@ -48,12 +51,14 @@ class PlanOutcome:
         failure: why it must not be run, or None; nothing is written then.
         files: what was written.
         damiao: report lines of the Damiao export, where one was asked for.
+        checked: the trajectory itself.
     """
 
     lines: tuple[str, ...]
     failure: str | None
     files: tuple[Path, ...] = ()
     damiao: tuple[str, ...] = ()
+    checked: CheckedPlan | None = None
 
     def report_lines(self, verbose: bool) -> list[str]:
         """Return what the command line prints at the end."""
@@ -71,6 +76,7 @@ class Outcome:
         files: what was written there.
         damiao: report of the Damiao export, where one was asked for.
         not_written: why the result could not be written into the model, or None.
+        traces: makes what a report draws.
     """
 
     identification: Identification
@@ -78,6 +84,12 @@ class Outcome:
     files: tuple[Path, ...]
     damiao: DamiaoExportReport | None = None
     not_written: str | None = None
+    traces: Callable[[], Traces] | None = None
+
+    @property
+    def leaves_data(self) -> bool:
+        """Whether there is something to draw that a later run could not make again."""
+        return self.identification.data.source.is_measured
 
     @property
     def failure(self) -> str | None:
@@ -95,7 +107,8 @@ class Outcome:
         details = detail_lines(self.identification) if verbose else []
         clamping = clamping_lines(self.damiao, self.identification.joint_names)
         saved = f"Results saved to {folder_text(self.output_dir)}"
-        return [*result_lines(self.identification), *details, *clamping, saved]
+        more = more_lines(self.identification)
+        return [*result_lines(self.identification), saved, *more, *details, *clamping]
 
 
 def run(config: SysidConfig, progress: Progress | None = None) -> Outcome | PlanOutcome:
@@ -109,34 +122,44 @@ def run(config: SysidConfig, progress: Progress | None = None) -> Outcome | Plan
         SysidError: with the exit code that fits, see ``errors``.
     """
     progress = progress or Progress()
-    require_writable(config.output.output_dir)
-    with captured_warnings() as warnings, only_run_in(config.output.output_dir):
-        outcome = _run(config, progress)
-    for warning in dict.fromkeys(warnings):
-        progress.note(f"MuJoCo warns: {warning}")
-    return outcome
+    with alone_in(config.output.output_dir, progress):
+        return _run(config, progress)
 
 
 def _run(config: SysidConfig, progress: Progress) -> Outcome | PlanOutcome:
     robot = load(config, progress)
+    if config.trajectory.plan_only:
+        with only_the_first():
+            checked, _ = designed(config, robot, progress)
+            return replace(_plan_outcome(config, robot, checked), checked=checked)
+    analysis, plan = analysed(config, robot, progress)
+    motor_file = None if plan is None else _motor_file(config, robot, plan)
+    return written(config, robot, analysis, motor_file, progress)
+
+
+def designed(config: SysidConfig, robot: RobotModel, progress: Progress) -> tuple[CheckedPlan, int]:
+    """Return the motion that was asked for, checked, and the seed it was drawn with."""
+    chosen = config.trajectory.seed
+    seed = secrets.randbelow(2**31) if chosen is None else chosen
+    return make_plan(_request(config), robot, seed, progress), seed
+
+
+def analysed(
+    config: SysidConfig, robot: RobotModel, progress: Progress
+) -> tuple[Analysis, MotionPlan | None]:
+    """Identify, and write no result; returns also the motion that a simulation followed."""
     if config.log.measurements:
         from robot_sysid.identify.measured import identify_logs
 
         save, estimation = config.arm.save_measurements, config.estimation
-        analysis = identify_logs(robot, config.log, save, estimation, progress)
-        return _write(config, robot, analysis, None, progress)
-    chosen = config.trajectory.seed
-    seed = secrets.randbelow(2**31) if chosen is None else chosen
+        return identify_logs(robot, config.log, save, estimation, progress), None
     with only_the_first():
-        checked = make_plan(_request(config), robot, seed, progress)
-        if config.trajectory.plan_only:
-            return _plan_outcome(config, robot, checked)
+        checked, seed = designed(config, robot, progress)
         if checked.failure:
             raise InputError(f"{checked.failure}; {_remedy(config)}")
         with whole_files() as files:
             save_plan(files, config, robot, checked.plan)
-    analysis = _analyse(config, robot, checked.plan, seed, progress)
-    return _write(config, robot, analysis, _motor_file(config, robot, checked.plan), progress)
+    return _analyse(config, robot, checked.plan, seed, progress), checked.plan
 
 
 def load(config: SysidConfig, progress: Progress) -> RobotModel:
@@ -189,7 +212,7 @@ def save_plan(
 
 
 def _plan_outcome(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> PlanOutcome:
-    lines = tuple(_promise(config, robot, checked))
+    lines = tuple(promise(config, robot, checked))
     if checked.failure:
         return PlanOutcome(lines, f"{checked.failure}; nothing was written")
     motor_file = _motor_file(config, robot, checked.plan)
@@ -203,22 +226,25 @@ def _plan_outcome(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) 
     return PlanOutcome(lines, None, (*paths, path), damiao)
 
 
-def _promise(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> Iterator[str]:
+def promise(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> Iterator[str]:
     """Yield what a motion promises, and what it does beside its limits."""
     from robot_sysid.excitation.plan_report import motion_lines, plan_lines
     from robot_sysid.excitation.static.pose_design import pose_lines
+    from robot_sysid.excitation.static.sweeps import sweep_lines
     from robot_sysid.expected import expect
 
     assert checked.problem is not None and checked.check is not None
     made = checked.problem, checked.plan, checked.check
-    if config.poses.static:
-        yield from pose_lines(robot, checked.problem, checked.plan)
+    if config.poses.sets_its_time:
+        poses = config.poses.static
+        tell = pose_lines if poses else sweep_lines
+        yield from tell(robot, checked.problem, checked.plan)
         yield from motion_lines(*made)
     else:
         rate = config.trajectory.sample_rate
         expected = expect(checked.problem, checked.plan, rate, config.estimation)
-        promise = expected.prediction, expected.counted, expected.stated
-        yield from plan_lines(*made, *promise)
+        promise = expected.counted, expected.stated, expected.shown
+        yield from plan_lines(*made, expected.prediction, *promise)
 
 
 def _analyse(
@@ -234,7 +260,7 @@ def _analyse(
     return identify_simulated_arm(robot, arm, mesh_dir, simulated, config.estimation, progress)
 
 
-def _write(
+def written(
     config: SysidConfig,
     robot: RobotModel,
     analysis: Analysis,
@@ -244,13 +270,21 @@ def _write(
     """Write all results and pass on what writing them had to say."""
     folder, mesh_dir = config.output.output_dir, config.model.mesh_dir
     found, checkpoints = analysis.identification, analysis.checkpoints
-    written = write_results(robot, found, checkpoints, folder, mesh_dir, motor_file)
+    keep, refused = config.output.keep_friction, None
+    if config.log.verify_rollout and analysis.rollouts and found.estimate.status.is_trustworthy:
+        progress.stage("Playing the model on held-out pieces...")
+        write = partial(write_model, robot, keep)
+        found = replace(found, rollout=analysis.rollouts.test(found, checkpoints, write, mesh_dir))
+        refused = refusal(found.rollout, config.log.accept)
+    options = mesh_dir, motor_file, keep, refused
+    written = write_results(robot, found, checkpoints, folder, *options)
     for note in written.notes:
         progress.note(note)
     stale = folder / MODEL_NAMES[robot.kind]
     if stale not in written.files and stale.exists():
         progress.note(f"{stale} is from an earlier run; this run wrote no model")
-    return Outcome(found, folder, written.files, written.damiao, written.failure)
+    made = written.files, written.damiao, written.failure, analysis.traces
+    return Outcome(found, folder, *made)
 
 
 def _motor_file(config: SysidConfig, robot: RobotModel, plan: MotionPlan) -> MotorFile | None:

@@ -10,12 +10,12 @@ its linear part is the classical acceleration minus omega x v minus g, so that g
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import lru_cache
-from typing import Any, Callable
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 
+from robot_sysid.derived_regressor import PLACES, entries
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.records import Array, BodyMotion
 
@@ -61,16 +61,43 @@ def _adjoint(sp: Any, twist: Any) -> Any:
     return omega.row_join(sp.zeros(3)).col_join(v.row_join(omega))
 
 
-@lru_cache(maxsize=1)
-def _lambdified() -> tuple[Callable[..., Sequence[Any]], tuple[tuple[int, int], ...]]:
-    """Return the numeric function of Y6's non-zero entries and where these entries stand."""
+def derived_source() -> str:
+    """Return the text of ``derived_regressor.py``: the non-zero entries of Y6 as plain Python.
+
+    Importing SymPy takes longer than an identification; so the derivation is kept, and a test
+    compares it with a fresh one.
+    """
     import sympy as sp
 
     matrix, symbols = derive_regressor()
-    places = tuple((i, j) for i in range(6) for j in range(10) if matrix[i, j] != 0)
-    entries = [matrix[i, j] for i, j in places]
-    # The entries are polynomials: plain operators serve arrays too, without numpy's namespace.
-    return sp.lambdify(symbols, entries, modules="math", cse=True), places
+    places = [(i, j) for i in range(6) for j in range(10) if matrix[i, j] != 0]
+    shared, values = sp.cse([matrix[i, j] for i, j in places])
+    # The entries are polynomials: plain operators serve arrays too.
+    lines = [f"    {name} = {sp.pycode(value)}" for name, value in shared]
+    return "\n".join(
+        (
+            '"""Non-zero entries of the regressor, written by ``regressor.derived_source``."""\n',
+            "from __future__ import annotations\n\nfrom typing import Any\n\n# fmt: off",
+            f"PLACES = (\n{_filled(map(str, places), 4)}\n)",
+            '"""Row and column of each."""\n\n',
+            f"def entries(\n{_filled((f'{symbol}: Any' for symbol in symbols), 4)}",
+            ") -> tuple[Any, ...]:",
+            '    """Return their values for a twist [omega, v] and an acceleration."""',
+            *lines,
+            f"    return (\n{_filled(map(sp.pycode, values), 8)}\n    )\n",
+        )
+    )
+
+
+def _filled(items: Iterable[str], indent: int) -> str:
+    """Return items with commas in lines of at most 100 characters."""
+    import textwrap
+
+    # An item is not broken within.
+    text = " ".join(f"{item},".replace(" ", "\0") for item in items)
+    margin = " " * indent
+    lines = textwrap.fill(text, 100, initial_indent=margin, subsequent_indent=margin)
+    return lines.replace("\0", " ")
 
 
 def wrench_regressor(velocity: Array, acceleration: Array) -> Array:
@@ -83,10 +110,9 @@ def wrench_regressor(velocity: Array, acceleration: Array) -> Array:
     Returns:
         (6, 10, N) regressor of the wrench [n, f] at the body origin in body coordinates.
     """
-    function, places = _lambdified()
     regressor = np.zeros((6, len(PARAMETER_NAMES), len(velocity)))
-    values = function(*np.ascontiguousarray(velocity.T), *np.ascontiguousarray(acceleration.T))
-    for (i, j), value in zip(places, values):
+    values = entries(*np.ascontiguousarray(velocity.T), *np.ascontiguousarray(acceleration.T))
+    for (i, j), value in zip(PLACES, values):
         regressor[i, j] = value
     return regressor
 

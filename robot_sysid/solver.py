@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -43,6 +44,7 @@ def identify_parameters(
     options: EstimationOptions | None = None,
     samples: SampleSource | None = None,
     nuisances: Sequence[NuisanceGroup] = (),
+    inflation: Array | None = None,
 ) -> Estimate:
     """Estimate all parameters; what the data cannot see keeps the prior's value.
 
@@ -54,23 +56,24 @@ def identify_parameters(
         samples: the same equations sample by sample; with them the standard errors allow for noise
             that is correlated in time. "robust" needs them.
         nuisances: what is known beforehand of the last parameters.
+        inflation: (joints,) by how much less than independent samples each joint's count, see
+            ``signals.repetition``; None for no less.
 
     Raises:
         InputError: the method is unknown, or it is "robust" and there are no samples.
     """
-    if method not in ESTIMATORS:
-        raise InputError(f"unknown method {method!r}; valid: {', '.join(ESTIMATORS)}")
     chosen = options or EstimationOptions(consistency="off")
     information = with_prior(information, nuisances)
-    equations = ESTIMATORS[method](information, prior, samples)
+    fewer = np.ones(len(information.joints)) if inflation is None else inflation
+    equations = _weighed(information, prior, method, samples, fewer)
     values, constrained = solve(equations, prior, chosen)
     n_nuisances = sum(len(group.names) for group in nuisances)
     interest = information.names[: len(information.names) - n_nuisances]
     identifiability = analyse_identifiability(restricted(information, interest))
-    errors, effective = _errors(information, equations, values, samples)
+    errors, effective = _errors(information, equations, values, samples, fewer)
     squared = float(np.sum(information.squared_residuals(values)))
     counts = {joint.joint: joint.n_samples for joint in information.joints}
-    noise = dict(zip(counts, equations.noise.tolist()))
+    noise = dict(zip(counts, (equations.noise / np.sqrt(fewer)).tolist()))
     return Estimate(
         names=information.names,
         values=values,
@@ -90,6 +93,20 @@ def identify_parameters(
         constrained=constrained,
         n_nuisances=n_nuisances,
     )
+
+
+def _weighed(
+    information: SquareRootInformation,
+    prior: Array,
+    method: str,
+    samples: SampleSource | None,
+    inflation: Array,
+) -> WeightedEquations:
+    """Return what an estimator hands on, each joint's noise as it counts."""
+    if method not in ESTIMATORS:
+        raise InputError(f"unknown method {method!r}; valid: {', '.join(ESTIMATORS)}")
+    equations = ESTIMATORS[method](information, prior, samples)
+    return replace(equations, noise=equations.noise * np.sqrt(inflation))
 
 
 def solve(
@@ -135,15 +152,18 @@ def _errors(
     equations: WeightedEquations,
     values: Array,
     samples: SampleSource | None,
+    inflation: Array,
 ) -> tuple[Uncertainty, list[float]]:
     """Return (uncertainty, effective number of samples per joint)."""
     weights = 1.0 / equations.noise
     if samples is None:
-        counts = sample_counts(information).tolist()
+        counts = (sample_counts(information) / inflation).tolist()
         return white_uncertainty(information, weights, equations.noise), counts
     root = joint_space(information, weights).inverse_root()
     residuals = collect_residuals(information, samples, values, equations.clip, root, weights)
-    return coloured_uncertainty(information, weights, residuals)
+    repeated = [replace(r, products=d * r.products) for r, d in zip(residuals, inflation)]
+    found, effective = coloured_uncertainty(information, weights, repeated)
+    return found, [n / d for n, d in zip(effective, inflation.tolist())]
 
 
 def _data_share(

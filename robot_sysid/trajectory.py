@@ -159,10 +159,9 @@ class SineTrajectory:
     def evaluate(self, time: Array) -> Motion:
         """Return position, velocity and acceleration at times (N,) [s], by the product rule."""
         time = np.asarray(time, dtype=float)
-        w, dw, ddw = window(time, self.duration, self.fade)
-        s, ds, dds = self._sinusoids(time)
-        w, dw, ddw = w[:, None], dw[:, None], ddw[:, None]
-        return Motion(time, self.center + w * s, dw * s + w * ds, ddw * s + 2.0 * dw * ds + w * dds)
+        edge = window(time, self.duration, self.fade)
+        s, ds, dds = faded(edge, self._sinusoids(time))
+        return Motion(time, self.center + s, ds, dds)
 
     def _sinusoids(self, time: Array) -> tuple[Array, Array, Array]:
         """Return s, s' and s'' (N, n)."""
@@ -189,6 +188,15 @@ def window(time: Array, duration: float, fade: float) -> tuple[Array, Array, Arr
     dw = 140.0 * (x * (1.0 - x)) ** 3 / fade
     ddw = 420.0 * (x * (1.0 - x)) ** 2 * (1.0 - 2.0 * x) / fade**2
     return w, np.where(rising, dw, -dw), ddw
+
+
+def faded(
+    edge: tuple[Array, Array, Array], series: tuple[Array, Array, Array]
+) -> tuple[Array, Array, Array]:
+    """Return w s (N, M) and its derivatives; a window (N,) and series (N, M) come with theirs."""
+    w, dw, ddw = (value[:, None] for value in edge)
+    s, ds, dds = series
+    return w * s, dw * s + w * ds, ddw * s + 2.0 * dw * ds + w * dds
 
 
 def sample_times(duration: float, sample_rate: float) -> Iterator[Array]:

@@ -13,6 +13,8 @@ from tests.support import arms
 from tests.support.command_line import CommandLine
 
 settings.register_profile("laws", max_examples=100, deadline=None)
+# The same examples each time, so that a tree's verdict does not depend on luck.
+settings.register_profile("repeatable", settings.get_profile("laws"), derandomize=True)
 settings.load_profile("laws")
 
 

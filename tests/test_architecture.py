@@ -21,6 +21,7 @@ LAYERS = (
     ("__main__",),
     ("cli",),
     ("commands",),
+    ("api",),
     ("pipeline", "payload"),
     ("payload_config",),
     ("config",),
@@ -29,6 +30,7 @@ LAYERS = (
     ("checks",),
     ("export",),
     ("output", "report"),
+    ("preview",),
     ("damiao",),
     ("damiao.run",),
     ("damiao.play", "damiao.simulated"),
@@ -46,6 +48,7 @@ LAYERS = (
     ("estimation",),
     ("dynamics",),
     ("regressor",),
+    ("derived_regressor",),
     ("records",),
     # The conversions that the records themselves need.
     ("dynamics.spatial",),
@@ -55,10 +58,11 @@ LAYERS = (
 )
 MAY_PRINT = {"cli", "commands"}
 LIBRARIES = {
-    "mujoco": {"model", "parser", "dynamics", "simulation", "collision", "output"},
+    "mujoco": {"model", "parser", "dynamics", "simulation", "collision", "output", "preview"},
     "lxml": {"mjcf"},
     "can": {"damiao.bus", "damiao.serial_adapter"},
-    "matplotlib": {"report"},
+    "matplotlib": {"report", "preview", "api"},
+    "imageio": {"preview"},
     "jinja2": {"report"},
     "rosbags": {"logs"},
     "pyarrow": {"logs"},

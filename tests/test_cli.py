@@ -84,7 +84,10 @@ def test_the_example_prints_the_documented_block(tmp_path, monkeypatch, capsys):
     ]
     assert re.fullmatch(r"  Condition number: \d+\.\d", lines[13])
     assert lines[14] == "  Base parameters: 12"
-    assert lines[-1] == "Results saved to ./sysid_output/"
+    assert lines[15:17] == ["Results saved to ./sysid_output/", "Before -> after:"]
+    table = [re.split(r"  +", line.strip()) for line in lines[18:]]
+    assert table[0] == ["mass", "0.7892", "0.7892", "kg", "none"]
+    assert {row[-1] for row in table} == {"none"}
     written = {p.name for p in (tmp_path / "sysid_output").iterdir()}
     assert written >= {"params.json", "updated_model.xml"}
     assert not any(name.startswith(".") for name in written)
@@ -160,6 +163,23 @@ def test_a_path_that_is_no_model_by_its_name_is_told_what_is_expected(name, expe
     message = command.refused(name)
     assert f"model file {Path(name).absolute()} not found; check the path" in message
     assert ("Expected an XML model file" in message) == expected
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        (("arm.xml", "--measurement", "log.csv"), "--measurement: did you mean --measurements?"),
+        (("arm.xml", "--output_dir=x"), "--output_dir: did you mean --output-dir?"),
+        (("payload", "arm.xml", "--load", "b.csv"), "--load: did you mean --loaded?"),
+        (("identfy", "arm.xml", "a.csv"), "no command identfy: did you mean identify?"),
+    ],
+)
+def test_a_typing_error_is_told_what_is_near(words, meant, command):
+    assert meant in command.refused(*words)
+
+
+def test_what_is_near_nothing_gets_no_suggestion(command):
+    assert "did you mean" not in command.refused("arm.xml", "--zzz", "3")
 
 
 def test_a_directory_is_not_a_model(arm, capsys):
@@ -468,6 +488,17 @@ def test_an_interrupt_that_a_module_turns_into_another_error_is_still_one(arm, c
     assert main([str(arm)]) == 130
     assert "interrupted" in capsys.readouterr().err
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals cannot be sent to oneself")
+def test_an_interrupt_on_the_way_out_of_the_process_is_not_heard(arm):
+    code = (
+        "import atexit, signal, sys; from robot_sysid.cli import main; "
+        "atexit.register(lambda: signal.raise_signal(signal.SIGINT)); "
+        f"sys.argv = ['robot-sysid', {str(arm)!r}, '--quiet']; sys.exit(main())"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=arm.parent, capture_output=True)
+    assert (done.returncode, done.stderr) == (0, b"")
 
 
 def test_an_interrupt_while_the_command_is_loaded_is_one_line(arm, capsys, monkeypatch):

@@ -11,6 +11,7 @@ from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.excitation.prediction import predict
 from robot_sysid.expected import expect
 from robot_sysid.identify.fit import fit_measured
+from robot_sysid.identify.simulated import SimulatedRun, identify_itself
 from robot_sysid.logs.reader import join_measurements
 from robot_sysid.records.progress import Progress
 from robot_sysid.simulator import simulate_inverse
@@ -81,3 +82,16 @@ def test_what_cannot_be_processed_gets_the_bound_and_the_reason(rate, words, mon
     assert expected.counted.startswith("if all samples could be used, but ")
     assert words in expected.counted
     assert len(expected.stated) == 0
+
+
+def test_the_plans_condition_number_is_that_of_the_run():
+    """Both look at the same equations; the run sees the motion at another rate."""
+    run = identify_itself(
+        robot(arms.SEVEN), SimulatedRun(PLAN, RATE, 0), EstimationOptions(), Progress()
+    )
+    ran, shown = run.identification.estimate.identifiability, promised(KNOWN_ARM).shown
+    assert shown.condition_number == pytest.approx(ran.condition_number, rel=0.01)
+    assert shown.scaled_condition_number == pytest.approx(ran.scaled_condition_number, rel=0.01)
+    logged = delivered(EstimationOptions(), 0).identifiability
+    # The ends of a log are cut off and its slow moments left out.
+    assert logged.condition_number == pytest.approx(ran.condition_number, rel=0.2)

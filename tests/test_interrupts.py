@@ -9,6 +9,7 @@ import threading
 
 import pytest
 
+from robot_sysid.cli import _remembered_interrupts
 from robot_sysid.interrupts import STOPPING, held_back, only_the_first
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals cannot be sent to oneself")
@@ -106,9 +107,30 @@ def test_only_the_first_ctrl_c_counts():
     assert signal.getsignal(signal.SIGINT) is usual
 
 
-def test_handlers_of_others_stay(stops):
-    with only_the_first(), pytest.raises(KeyboardInterrupt):
-        signal.raise_signal(signal.SIGINT)
-    with only_the_first(), pytest.raises(KeyboardInterrupt):
-        signal.raise_signal(signal.SIGINT)
+def test_of_a_handler_that_stops_only_the_first_request_counts(stops):
+    for _ in range(2):
+        with only_the_first():
+            with pytest.raises(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
     assert stops == 2 * [signal.SIGINT]
+
+
+def test_a_handler_that_stops_nothing_hears_every_request():
+    heard = []
+    before = signal.signal(signal.SIGINT, lambda number, frame: heard.append(number))
+    try:
+        with only_the_first():
+            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert heard == 2 * [signal.SIGINT]
+
+
+def test_under_the_command_line_asking_twice_loses_nothing_either():
+    with _remembered_interrupts() as seen, only_the_first():
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+    assert seen == [signal.SIGINT]

@@ -307,3 +307,14 @@ def test_pictures_are_skipped_with_a_note_where_nothing_can_draw():
     done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=120)
     assert done.returncode == 0
     assert done.stdout.startswith("No pictures drawn")
+
+
+def test_drawing_without_matplotlib_is_one_clear_line():
+    code = (
+        "import sys; sys.modules['matplotlib'] = None; "
+        f"sys.path.insert(0, {str(EXAMPLE)!r}); "
+        "import render; sys.exit(render.main())"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.count("\n") == 1 and "pip install matplotlib" in done.stdout

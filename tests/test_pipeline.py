@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline import run
 from robot_sysid.records.progress import Progress
 from tests.support import arms
+from tests.support.places import GUESS
 from tests.support.results import theta_in
 
 
@@ -62,6 +64,33 @@ def test_measured_data_is_weighted_unless_somebody_chooses(arm):
     assert run(config(arm, plant_model=arm)).identification.estimate.method == "wls"
     chosen = run(config(arm, plant_model=arm, method="ols"))
     assert chosen.identification.estimate.method == "ols"
+
+
+@pytest.mark.parametrize("kept", [False, True])
+def test_identified_friction_goes_into_the_model_unless_it_is_kept(arm, kept):
+    """The plant's joints have half the dry friction and twice the viscous one."""
+    plant = arm.with_name("plant.xml")
+    plant.write_text(arms.SEVEN.replace('".4" damping=".1"', '".2" damping=".2"'))
+    known = {f"{cause}_uncertainty": 0.0 for cause in ("link", "scale", "zero", "gravity")}
+    outcome = run(config(arm, plant_model=plant, keep_friction=kept, **known))
+    (written,) = [path for path in outcome.files if path.suffix == ".xml"]
+    friction, own = load_robot_model(written).friction, load_robot_model(arm).friction
+    if kept:
+        np.testing.assert_array_equal(friction.coulomb, own.coulomb)
+        np.testing.assert_array_equal(friction.viscous, own.viscous)
+    else:
+        assert friction.coulomb[-1] == pytest.approx(0.2, abs=0.02)
+        assert friction.viscous[-1] == pytest.approx(0.2, abs=0.02)
+        assert "friction of " in written.read_text()
+
+
+def test_an_updated_model_moves_together_with_the_original(tmp_path):
+    home = tmp_path / "home"
+    shutil.copytree(GUESS.parent, home / "model")
+    values = {"duration": 1.0, "sample_rate": 100.0, "seed": 1, "output_dir": home / "out"}
+    run(config_from(home / "model" / GUESS.name, **values))
+    home.rename(tmp_path / "moved")
+    assert load_robot_model(tmp_path / "moved" / "out" / "updated_model.xml").n_joints == 7
 
 
 def test_a_saved_plan_knows_its_model(arm):

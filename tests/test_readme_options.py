@@ -1,4 +1,4 @@
-"""The README's option tables say what the records say: every option, its default, its meaning."""
+"""The option tables of README and docs/options.md say what the records say, option by option."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ from robot_sysid.records.options import options_of
 from tests.support import option_tables
 from tests.support.option_tables import TABLES
 
-README = option_tables.README.read_text(encoding="utf-8")
+TEXTS = [path.read_text(encoding="utf-8") for path in option_tables.PAGES]
+PAGE = TEXTS[1]
 MOTORS = {name: motors.build_parser(name) for name in ("check", "play", "simulate")}
 CONSOLE = {"--help", "-h", "--help-all", "--version"}
-LISTED = {name: option_tables.table(records) for name, records in TABLES.items()}
+LISTED = {name: option_tables.table(name) for name in TABLES}
 
 
 def flags(parser: argparse.ArgumentParser) -> set[str]:
@@ -33,11 +34,11 @@ def group(*names: str) -> set[str]:
 
 def test_the_tables_are_what_the_generator_writes():
     """``python -m tests.support.option_tables`` brings them up to date."""
-    assert option_tables.with_tables(README) == README
+    assert [option_tables.with_tables(text) for text in TEXTS] == TEXTS
 
 
 def test_every_table_is_there_once():
-    assert sorted(option_tables.tables_in(README)) == sorted(TABLES)
+    assert sorted(n for text in TEXTS for n in option_tables.tables_in(text)) == sorted(TABLES)
 
 
 @pytest.mark.parametrize("name", MOTORS)
@@ -46,7 +47,7 @@ def test_every_option_of_motors_is_in_a_table_or_named_beside_it(name):
     known = group(*of_motors) | {"-y"}
     beside = {"--model", "--joint-map", "--mesh-dir", "--joint", "--keyframe"}
     assert flags(MOTORS[name]) <= known | beside
-    assert all(f"`{flag}" in README for flag in beside)
+    assert all(f"`{flag}" in PAGE for flag in beside)
 
 
 def test_what_is_said_to_belong_to_one_command_of_motors_does():
@@ -66,7 +67,11 @@ def test_the_groups_of_the_main_command_are_all_there_is():
 def test_plan_takes_the_groups_it_is_said_to_take():
     said = ("model and output", "trajectory", "excitation", "plan for a payload", "limits")
     said = (*said, "Damiao motors")
-    expected = group(*said) - {"--plan-only"} | {"--torques", "--noise-torque"}
+    no_result = {"--plan-only", "--keep-friction", "--bundle", "--report", "--plots"}
+    expected = group(*said, "preview") - no_result | {
+        "--torques",
+        "--noise-torque",
+    }
     assert flags(plan.build_parser()) == expected
 
 
@@ -77,7 +82,7 @@ def test_identify_takes_the_groups_it_is_said_to_take():
 
 def test_arm_takes_the_groups_it_is_said_to_take():
     said = ("model and output", "measurements", "every link")
-    assert flags(arm.build_parser()) == group(*said) - {"--measurements"}
+    assert flags(arm.build_parser()) == group(*said) - {"--measurements", "--append"}
 
 
 def test_payload_takes_the_groups_it_is_said_to_take():
@@ -85,13 +90,13 @@ def test_payload_takes_the_groups_it_is_said_to_take():
     of_estimation = {"--cutoff", "--velocity-deadband", "--friction-model"}
     of_estimation |= {f"--{what}-uncertainty" for what in ("link", "scale", "zero", "gravity")}
     left_out = {"--measurements", "--validation-measurements", "--plan-only", "--save-trajectory"}
-    left_out |= {"--plant-model", "--save-measurements"}
-    expected = group(*whole, "simulated plant") | of_estimation
+    left_out |= {"--append", "--plant-model", "--save-measurements", "--verify-rollout"}
+    expected = group(*whole, "simulated plant") - {"--keep-friction"} | of_estimation
     assert flags(payload.build_parser()) == expected - left_out
 
 
 def test_the_noise_of_a_plan_is_what_the_page_says():
-    assert f"without `--noise-torque` is judged for {DEFAULT_NOISE_TORQUE:g} N·m." in README
+    assert f"without `--noise-torque` is judged for {DEFAULT_NOISE_TORQUE:g} N·m." in PAGE
 
 
 def test_a_row_has_option_default_and_meaning():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+
 import mujoco
 import numpy as np
 import pytest
@@ -9,10 +11,16 @@ import sympy as sp
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robot_sysid.derived_regressor import PLACES, entries
 from robot_sysid.dynamics import spatial
 from robot_sysid.model.inertia import body_theta
 from robot_sysid.records import BodyMotion
-from robot_sysid.regressor import derive_regressor, joint_regressor, wrench_regressor
+from robot_sysid.regressor import (
+    derive_regressor,
+    derived_source,
+    joint_regressor,
+    wrench_regressor,
+)
 from tests.support.arms import SEEDS, random_rotation, rigid_bodies
 
 PRINTED_TERMS = """
@@ -60,6 +68,23 @@ def test_all_sixty_terms_are_those_printed():
     matrix, symbols = derive_regressor()
     plain = {symbol: sp.Symbol(symbol.name) for symbol in symbols}
     assert sp.expand(matrix.subs(plain) - printed_matrix()) == sp.zeros(6, 10)
+
+
+def test_the_kept_derivation_is_a_fresh_one():
+    """``derived_source`` writes derived_regressor.py; an entry that is not kept has to be zero."""
+    matrix, symbols = derive_regressor()
+    kept = sp.zeros(6, 10)
+    for place, entry in zip(PLACES, entries(*symbols)):
+        kept[place] = entry
+    assert (kept - matrix).expand() == sp.zeros(6, 10)
+
+
+def test_the_source_that_a_derivation_writes_is_the_kept_one():
+    fresh: dict = {}
+    exec(derived_source(), fresh)
+    values = [Fraction(k, 7) for k in range(1, 13)]
+    assert fresh["PLACES"] == PLACES
+    assert fresh["entries"](*values) == entries(*values)
 
 
 def test_numeric_regressor_is_the_symbolic_one():

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_sysid.estimation.information import InformationAccumulator
+from robot_sysid.estimation.information import InformationAccumulator, combined
 from robot_sysid.records import SquareRootInformation, Status
 from robot_sysid.solver import identify_parameters
 from tests.support.synthetic_data import (
@@ -121,3 +121,20 @@ def test_rows_of_one_joint_in_any_order_give_the_same_estimate():
         accumulator.add(0, rows[order], tau[order])
         results.append(identify_parameters(accumulator.result(), np.zeros(12)).values)
     np.testing.assert_allclose(results[1], results[0], rtol=0.0, atol=1e-11)
+
+
+@settings(max_examples=100, deadline=None)
+@given(SEEDS, st.integers(2, 9))
+def test_a_log_played_again_tells_no_more_than_once(seed, count):
+    """The same numbers over and over, counted once: values and errors of a single time."""
+    once, _, _ = noisy_arm(seed)
+    prior = np.zeros(len(once.names))
+    again = combined([once] * count)
+    first = identify_parameters(once, prior, "wls")
+    found = identify_parameters(again, prior, "wls", inflation=np.full(3, float(count)))
+    np.testing.assert_allclose(found.standard_errors, first.standard_errors, rtol=0.2)
+    scale = np.abs(first.values) + first.standard_errors
+    assert np.all(np.abs(found.values - first.values) < 0.2 * scale)
+    for joint, samples in first.effective_samples.items():
+        assert found.effective_samples[joint] == pytest.approx(samples)
+        assert found.noise_per_joint[joint] == pytest.approx(first.noise_per_joint[joint], rel=0.2)

@@ -214,18 +214,22 @@ def solid_box(mass: float, centre: tuple[float, float, float], size: Array) -> A
     return spatial.theta_from_com(mass, np.array(centre), inertia)
 
 
-def gripper_with_workpiece() -> Array:
-    """Return theta (10,) in the flange frame: gripper, two fingers, and a steel block in its grip.
+def gripper() -> Array:
+    """Return theta (10,) in the flange frame: the gripper with two fingers.
 
     Each finger counts as one bar of knuckle and finger mass (0.01385 + 0.0426 kg).
     """
-    bar, block = np.array([0.02, 0.022, 0.09]), np.array([0.05, 0.03, 0.026])
+    bar = np.array([0.02, 0.022, 0.09])
     fingers = [solid_box(0.05645, (side * 0.035, 0.0, 0.115), bar) for side in (-1.0, 1.0)]
-    return theta(GRIPPER_BASE) + sum(fingers) + solid_box(0.306, (0.0, 0.0, 0.145), block)
+    return theta(GRIPPER_BASE) + sum(fingers)
 
 
-def true_link6() -> Array:
-    """Return theta (10,) of the loaded wrist link: the brakes arm's bracelet and the gripper."""
+def workpiece() -> Array:
+    """Return theta (10,) in the flange frame: the steel block in the gripper's grip."""
+    return solid_box(0.306, (0.0, 0.0, 0.145), np.array([0.05, 0.03, 0.026]))
+
+
+def true_link6(tool: Array) -> Array:
+    """Return theta (10,) of the brakes arm's bracelet with a tool, given in the flange frame."""
     bracelet = spatial.transform_theta(theta(BRAKES_BRACELET), BRACELET_TO_LINK6, np.zeros(3))
-    tool = spatial.transform_theta(gripper_with_workpiece(), np.eye(3), np.array(FLANGE))
-    return bracelet + tool
+    return bracelet + spatial.transform_theta(tool, np.eye(3), np.array(FLANGE))

@@ -1,4 +1,4 @@
-"""Write the example's models and meshes: kinova_fullinertia_guess.xml and kinova_fullinertia.xml.
+"""Write the example's meshes and models: the guess, the truth, the truth with an empty gripper.
 
 Run it after changing a number in gen3.py or a shape in links.py; it overwrites the folder model/.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import gen3
@@ -40,11 +40,15 @@ TRUTH_NOTE = (
     "The arm as it really is in this example: the published numbers of the newer arm with brakes, "
     "friction in every joint, and a gripper that holds a steel block."
 )
+EMPTY_NOTE = (
+    "The arm as it really is in this example, with nothing in its gripper: what a payload is "
+    "weighed against."
+)
 
 
 @dataclass(frozen=True)
 class Variant:
-    """What differs between the two models.
+    """What differs between the models.
 
     Attributes:
         file: file name inside the folder model/.
@@ -65,8 +69,8 @@ class Variant:
     hull: tuple[Cylinder, ...]
 
 
-def variants() -> tuple[Variant, Variant]:
-    """Return the guess and the ground truth."""
+def variants() -> tuple[Variant, Variant, Variant]:
+    """Return the guess, the ground truth, and the ground truth without the workpiece."""
     guess = Variant(
         "kinova_fullinertia_guess.xml",
         GUESS_NOTE,
@@ -80,12 +84,19 @@ def variants() -> tuple[Variant, Variant]:
         "kinova_fullinertia.xml",
         TRUTH_NOTE,
         gen3.BRAKES,
-        gen3.true_link6(),
+        gen3.true_link6(gen3.gripper() + gen3.workpiece()),
         gen3.TRUE_FRICTION,
         (("gripper", "dark"), ("fingers", "steel"), ("workpiece", "accent")),
         (((-0.03, 0, 0.115, 0.03, 0, 0.115), 0.035), ((-0.02, 0, 0.19, 0.02, 0, 0.19), 0.03)),
     )
-    return guess, truth
+    empty = replace(
+        truth,
+        file="kinova_empty_gripper.xml",
+        note=EMPTY_NOTE,
+        link6=gen3.true_link6(gen3.gripper()),
+        tool=truth.tool[:2],
+    )
+    return guess, truth, empty
 
 
 def model_xml(variant: Variant) -> str:
@@ -105,7 +116,7 @@ def model_xml(variant: Variant) -> str:
 
 
 def main() -> None:
-    """Write both models and all meshes."""
+    """Write all models and meshes."""
     (FOLDER / "meshes").mkdir(parents=True, exist_ok=True)
     for name, mesh in link_meshes().items():
         write_stl(FOLDER / "meshes" / f"{name}.stl", mesh)

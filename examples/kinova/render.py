@@ -29,6 +29,11 @@ PROBE = "import mujoco; mujoco.GLContext(64, 64).make_current()"
 
 def main() -> int:
     """Draw all pictures; returns the exit code."""
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError:
+        print("No pictures drawn: they are written by matplotlib (pip install matplotlib).")
+        return 0
     backend = find_backend()
     if backend is None:
         print("No pictures drawn: neither EGL nor OSMesa works here (Debian: libegl1 libosmesa6).")

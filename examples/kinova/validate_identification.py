@@ -104,7 +104,9 @@ def payload_by_difference(guess: RobotModel, truth: RobotModel, plan: MotionPlan
     tau_with - tau_without = Y (theta_with - theta_without) = Y theta_tool.
     """
     print("\n4. The tool alone: run with it minus run without it, all other links guessed wrong")
-    tool = spatial.transform_theta(gen3.gripper_with_workpiece(), np.eye(3), np.array(gen3.FLANGE))
+    tool = spatial.transform_theta(
+        gen3.gripper() + gen3.workpiece(), np.eye(3), np.array(gen3.FLANGE)
+    )
     bare = truth.prior.theta - tool
     unloaded = replace(truth, mj_model=with_link(truth, bare), prior=InertialParameters(bare))
     equations = Equations(guess, "chain", (NO_FRICTION,) * guess.n_joints)

@@ -10,6 +10,7 @@ from robot_sysid.checks.evidence import Evidence
 from robot_sysid.checks.finding import Finding, Level
 from robot_sysid.checks.model_fit import Fit, ModelFit, plausible, rms
 from robot_sysid.checks.torque_scale import torque_scales
+from robot_sysid.records.figures import percent
 
 SMALL = 0.6
 """Size of a torque without gravity over that of the model, at most."""
@@ -69,7 +70,7 @@ def computed_findings(evidence: Evidence, fit: ModelFit, base: Fit) -> Iterator[
             "computed",
             Level.WARN,
             "the torque follows rigid-body dynamics to "
-            f"{100.0 * float(np.max((rms(base.residual) / usual)[joints])):.2g} % and has no "
+            f"{percent(float(np.max((rms(base.residual) / usual)[joints])))} and has no "
             "friction: it was computed, or commanded, not measured; record the measured torque",
         )
 

@@ -33,7 +33,6 @@ LIGHTEST, HEAVIEST = -0.03, 0.6
 INDEPENDENT = 100
 """Independent samples that a log is taken to have per joint."""
 N_FRICTION = 4
-# Speeds below this part of the usual one have no sure sign.
 _SLOW = 0.05
 
 
@@ -46,6 +45,7 @@ class Fit:
         per_joint: (n,) each joint's residuals in it.
         residual: (K, n) torque that is not explained [N m].
         friction_torque: (K, n) torque of Coulomb and viscous friction [N m].
+        coulomb: (n,) Coulomb friction [N m].
         thetas: (n, 10) the links.
         extra: coefficients of the extra columns.
         error: standard errors of these.
@@ -55,6 +55,7 @@ class Fit:
     per_joint: Array
     residual: Array
     friction_torque: Array
+    coulomb: Array
     thetas: Array
     extra: Array
     error: Array
@@ -135,20 +136,19 @@ class ModelFit:
         spread = np.concatenate((scales.ravel(), own * self._friction_spread(sample), loose))
         right = sample.tau - self._springs(sample) - rows @ start
         weight = np.sqrt(INDEPENDENT / count) / sample.sigma
-        matrix = (rows * weight[None, :, None]).reshape(count * n, -1)
-        values, covariance = _ridge(matrix, (right * weight).ravel(), spread)
+        values, covariance = _ridge(rows, right, weight, spread)
         residual = right - rows @ values
         per_joint = np.sum((residual * weight) ** 2, axis=0) / INDEPENDENT
-        penalty = float(np.sum((values[spread > 0.0] / spread[spread > 0.0]) ** 2))
-        found, ends = start + values, (10 * n, (10 + N_FRICTION) * n)
+        thetas, of_friction, extras = np.split(start + values, (10 * n, (10 + N_FRICTION) * n))
         return Fit(
-            (float(np.sum(per_joint)) + penalty / INDEPENDENT) / n,
+            (float(np.sum(per_joint)) + _penalty(values, spread) / INDEPENDENT) / n,
             per_joint,
             residual,
-            friction @ (found[ends[0] : ends[1]] * _dissipative(n)),
-            found[: ends[0]].reshape(n, 10),
-            found[ends[1] :],
-            np.sqrt(np.diag(covariance)[ends[1] :]),
+            friction @ (of_friction * _dissipative(n)),
+            of_friction[::N_FRICTION],
+            thetas.reshape(n, 10),
+            extras,
+            np.sqrt(np.diag(covariance)[(10 + N_FRICTION) * n :]),
         )
 
     def _springs(self, sample: Sample) -> Array:
@@ -182,28 +182,50 @@ def plausible(fit: ModelFit, found: Fit, heaviest: float = HEAVIEST) -> bool:
     return LIGHTEST < share < heaviest
 
 
-def _ridge(matrix: Array, right: Array, spread: Array) -> tuple[Array, Array]:
-    """Return (values, covariance) of least squares with independent priors around zero."""
+def _ridge(rows: Array, right: Array, weight: Array, spread: Array) -> tuple[Array, Array]:
+    """Return (values, covariance) of least squares with independent priors around zero.
+
+    Args:
+        rows: (K, n, p) equations.
+        right: (K, n) their right-hand sides.
+        weight: (n,) of each joint's.
+        spread: (p,) standard deviations of the values beforehand.
+    """
     scale = np.where(np.isfinite(spread), spread, 1.0)
-    scaled = matrix * scale
+    scaled = (rows * weight[None, :, None]).reshape(-1, len(spread)) * scale
     normal = scaled.T @ scaled
     tiny = 1e-12 * float(np.trace(normal))
     normal[np.diag_indices_from(normal)] += np.where(np.isfinite(spread), 1.0, tiny)
     inverse = np.linalg.inv(normal)
-    values = inverse @ (scaled.T @ right)
+    values = inverse @ (scaled.T @ (right * weight).ravel())
     return scale * values, inverse * np.outer(scale, scale)
+
+
+def _penalty(values: Array, spread: Array) -> float:
+    """Return what the priors ask for values that are not zero."""
+    free = spread > 0.0
+    return float(np.sum((values[free] / spread[free]) ** 2))
 
 
 def _friction_columns(sample: Sample) -> Array:
     """Return (K, n, 4 n) Coulomb, viscous, offset and armature of each joint."""
     count, n = sample.q.shape
-    slow = _SLOW * np.max(np.abs(sample.qd), axis=0)
+    slow = slow_speed(sample.qd)
     sign = np.clip(sample.qd / np.where(slow > 0.0, slow, 1.0), -1.0, 1.0)
     own = np.stack((sign, sample.qd, np.ones_like(sign), sample.qdd), axis=2)
     columns = np.zeros((count, n, n, N_FRICTION))
     joints = np.arange(n)
     columns[:, joints, joints] = own
     return columns.reshape(count, n, -1)
+
+
+def slow_speed(qd: Array) -> Array:
+    """Return (n,) the speeds below which the direction of a joint's friction is not sure [rad/s].
+
+    Args:
+        qd: (K, n) speeds [rad/s].
+    """
+    return _SLOW * np.asarray(np.max(np.abs(qd), axis=0))
 
 
 def _dissipative(joints: int) -> Array:

@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 from robot_sysid.checks.clock import clock_findings
-from robot_sysid.checks.enough import enough_findings, slow_findings
+from robot_sysid.checks.enough import enough_findings, length_findings, slow_findings
 from robot_sysid.checks.evidence import Evidence, evidence_of
 from robot_sysid.checks.finding import Finding, Level, require_acceptable
 from robot_sysid.checks.gravity import computed_findings, gravity_findings
@@ -38,7 +38,8 @@ def check_against_model(
     Raises:
         InputError: the log is too short to be looked at.
     """
-    raw = [*clock_findings(pieces), *sensor_findings(pieces, robot.joint_names)]
+    raw = [*length_findings(pieces), *clock_findings(pieces)]
+    raw += sensor_findings(pieces, robot.joint_names)
     if any(each.level is Level.REFUSE for each in raw):
         return tuple(raw)
     evidence = evidence_of(robot, pieces, cutoff)

@@ -64,7 +64,8 @@ def _longest_hold(piece: Measurement, joint: int) -> float:
     for start in np.flatnonzero(np.diff(edges) >= _RUN):
         first, last = edges[start], edges[start + 1] - 1
         length = float(piece.time[last] - piece.time[first])
-        moved = np.max(np.abs(piece.q[last] - piece.q[first]))
-        if length > longest and moved > _MOVING * length:
+        # An arm that comes back to where it was has moved as well.
+        moved = np.max(np.ptp(piece.q[first : last + 1], axis=0))
+        if length > longest and moved > _MOVING * min(length, 1.0):
             longest = length
     return longest

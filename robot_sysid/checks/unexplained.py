@@ -12,7 +12,9 @@ import numpy as np
 
 from robot_sysid.checks.evidence import Evidence
 from robot_sysid.checks.finding import Finding, Level
-from robot_sysid.checks.model_fit import Fit, ModelFit, plausible
+from robot_sysid.checks.model_fit import Fit, ModelFit, plausible, slow_speed
+from robot_sysid.records import Array
+from robot_sysid.records.figures import percent
 
 UNEXPLAINED = 0.3
 """Torque that is left, as a part of what is measured, beyond which the model is not of this arm."""
@@ -43,14 +45,15 @@ def model_findings(evidence: Evidence, fit: ModelFit) -> Iterator[Finding]:
         yield Finding(
             "model",
             Level.REFUSE,
-            f"the model leaves {100.0 * left:.0f} % of the torque unexplained, whatever the "
+            f"the model leaves {percent(left)} of the torque unexplained, whatever the "
             f"terminal link is: {remedy}",
         )
 
 
 def contact_findings(evidence: Evidence, base: Fit) -> Iterator[Finding]:
     """Yield a finding at the strongest burst."""
-    squares = (base.residual / evidence.sample.sigma) ** 2
+    residual = _beyond_friction(evidence, base)
+    squares = (residual / evidence.sample.sigma) ** 2
     step = float(np.median(np.diff(evidence.time)))
     width = max(3, round(LENGTH / step))
     if len(squares) < 4 * width:
@@ -61,7 +64,7 @@ def contact_findings(evidence: Evidence, base: Fit) -> Iterator[Finding]:
         return
     part = slice(worst, worst + width)
     joint = int(np.argmax(np.mean(squares[part], axis=0)))
-    peak = float(np.max(np.abs(base.residual[part, joint])))
+    peak = float(np.max(np.abs(residual[part, joint])))
     yield Finding(
         "contact",
         Level.WARN,
@@ -69,3 +72,14 @@ def contact_findings(evidence: Evidence, base: Fit) -> Iterator[Finding]:
         f"on the arm: {peak:.3g} N m at joint {evidence.robot.joint_names[joint]} that the model "
         "does not explain; was there contact, or did a gripper move? cut it out, or record again",
     )
+
+
+def _beyond_friction(evidence: Evidence, base: Fit) -> Array:
+    """Return (K, n) residuals less what dry friction of a joint that hardly moves may account for.
+
+    An arm that creeps to its rest still has all of its dry friction, in a direction that the
+    low-passed speed does not tell.
+    """
+    speed = np.abs(evidence.sample.qd)
+    unsure = np.where(speed < slow_speed(evidence.sample.qd), 2.0 * np.abs(base.coulomb), 0.0)
+    return np.asarray(np.sign(base.residual) * np.maximum(np.abs(base.residual) - unsure, 0.0))

@@ -83,6 +83,7 @@ class Clearance:
         self._arguments = (robot, rest, clearance, tuple(half_spaces))
         self._robot = robot
         self._model = _with_margin(robot.mj_model, clearance + HORIZON)
+        self._body_of_geom = np.array(self._model.geom_bodyid)
         self._data = mujoco.MjData(self._model)
         self._data.qpos[:] = robot.reference_qpos
         self._joints = self._model.dof_jntid[robot.dof_index]
@@ -170,8 +171,10 @@ class Clearance:
         """
         contact = self._data.contact
         geoms = np.stack((contact.geom1, contact.geom2), axis=1).reshape(-1, 2)
-        index = np.flatnonzero(np.all(geoms >= 0, axis=1))
-        return contact.dist[index], self._model.geom_bodyid[geoms[index]], index
+        index = np.arange(len(geoms))
+        if np.min(geoms, initial=0) < 0:
+            index = np.flatnonzero(np.all(geoms >= 0, axis=1))
+        return contact.dist[index], self._body_of_geom[geoms[index]], index
 
     def _learn_pairs(self, clearance: float) -> RestPairs:
         """Settle the distance each pair has to keep, from what it has at rest, where the arm is.

@@ -56,6 +56,15 @@ def swept_space(robot: RobotModel, positions: Iterable[Array]) -> SweptSpace:
     return SweptSpace(-reach[3:], reach[:3], body_label(model, body))
 
 
+def has_floor(robot: RobotModel) -> bool:
+    """Tell whether the model has a level plane, or ground of any form, that the arm can touch."""
+    model = robot.mj_model
+    fixed = model.body_weldid[model.geom_bodyid] == 0
+    solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    ground = np.isin(model.geom_type, (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD))
+    return bool(np.any(fixed & solid & ground))
+
+
 def outermost_points(robot: RobotModel) -> tuple[Array, Array]:
     """Return corners (P, 3) of the terminal link and all it carries, and the radius of a ball (P,).
 

@@ -6,6 +6,7 @@ import argparse
 import sys
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from typing import Any, Callable, NoReturn
 
 from robot_sysid import __version__
@@ -66,6 +67,21 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Raise InputError instead of printing the usage."""
         raise InputError(f"{message} ({self.prog} --help-all lists all options)")
+
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse all arguments; an unknown option is told with the known one that is nearest."""
+        known, unknown = self.parse_known_args(args, namespace)
+        if unknown:
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{self._meant(unknown)}")
+        return known
+
+    def _meant(self, unknown: Sequence[str]) -> str:
+        flags = [flag for action in self._actions for flag in action.option_strings]
+        for word in unknown:
+            near = get_close_matches(word.split("=")[0], flags, 1) if word[:1] == "-" else []
+            if near:
+                return f"; {word.split('=')[0]}: did you mean {near[0]}?"
+        return ""
 
     def _print_message(self, message: str, file: Any = None) -> None:
         print_line(message.rstrip("\n"), file or sys.stdout)

@@ -62,7 +62,8 @@ class Console(Progress):
     def _new_bar(label: str, total: float, items: Iterator[Any] | None = None) -> Any:
         from tqdm import tqdm
 
-        return tqdm(items, desc=label, total=total, leave=False, delay=0.5)
+        shape = None if items is not None else "{l_bar}{bar}| [{elapsed}<{remaining}{postfix}]"
+        return tqdm(items, desc=label, total=total, leave=False, delay=0.5, bar_format=shape)
 
     def note(self, message: str) -> None:
         """Print a sentence the user should know."""

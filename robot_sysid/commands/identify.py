@@ -3,28 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 from robot_sysid.commands.arguments import Parser, exit_codes, parsed
-from robot_sysid.commands.run import INTERRUPTED, add_model, identify
-from robot_sysid.config import ModelOptions, OutputOptions
+from robot_sysid.commands.run import INTERRUPTED, add_logs, identify
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.logs.options import LogOptions
 
 __all__ = ["INTERRUPTED", "build_parser", "main"]
 
 MAIN = (
-    *(
-        "mesh_dir",
-        "joint",
-        "output_dir",
-        "columns",
-        "units",
-        "torque_scale",
-        "delay",
-        "cutoff",
-        "validate",
-    ),
+    *("mesh_dir", "joint", "output_dir", "columns", "units", "torque_scale", "delay", "cutoff"),
     *("validate", "validation_measurements", "method", "torques", "friction_model", "tilt"),
 )
 
@@ -39,11 +27,7 @@ def build_parser(full: bool = True) -> Parser:
         epilog=exit_codes(0, 1, 2, 130),
         main=None if full else MAIN,
     )
-    add_model(parser)
-    parser.add_argument(
-        "measurements", metavar="LOG", nargs="+", type=Path, help="CSV file of the real arm"
-    )
-    parser.add("model and output", ModelOptions, OutputOptions)
+    add_logs(parser)
     parser.add("logs", LogOptions, leave_out=("measurements",))
     parser.add("estimation", EstimationOptions)
     parser.add_console()

@@ -4,16 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from robot_sysid.commands.arguments import Parser, exit_codes, parsed
 from robot_sysid.commands.console import Console
+from robot_sysid.commands.plan import require_preview, show_preview
 from robot_sysid.config import ModelOptions
+from robot_sysid.errors import InputError
 from robot_sysid.logs.options import CHECKS, LogOptions
+from robot_sysid.preview.options import PreviewOptions
 from robot_sysid.records.options import record_from
+from robot_sysid.trajectory import TrajectoryOptions
+
+if TYPE_CHECKING:
+    from robot_sysid.preview.motion import Shown
+    from robot_sysid.records import Measurement, RobotModel
 
 INTERRUPTED = "interrupted; nothing was written"
-LEFT_OUT = ("measurements", "validation_measurements")
+LEFT_OUT = ("measurements", "append", "validation_measurements", "verify_rollout")
 
 
 def build_parser(full: bool = True) -> Parser:
@@ -30,6 +38,8 @@ def build_parser(full: bool = True) -> Parser:
     parser.add_argument("path", metavar="MODEL", type=Path, nargs="?", help="MJCF or URDF file")
     parser.add("model", ModelOptions)
     parser.add("log", LogOptions, leave_out=LEFT_OUT)
+    parser.add("preview", PreviewOptions)
+    parser.add("motion that the log should have followed", TrajectoryOptions, only=("trajectory",))
     parser.add_console()
     return parser
 
@@ -39,29 +49,53 @@ def main(arguments: Sequence[str]) -> int:
     values, options = parsed(build_parser, arguments)
     console = Console(options.quiet, options.verbose)
     log = record_from(LogOptions, values)
+    preview = record_from(PreviewOptions, values)
+    require_preview(preview)
+    if values.get("path") is None and (preview.view or preview.video or "trajectory" in values):
+        raise InputError("--view, --video and --trajectory need the MODEL after the log")
     if values.get("path") is None:
         from robot_sysid.logs.contents import content_lines
 
         console.lines(content_lines(values["log"], log, console))
         return 0
-    return _checked(values, log, console)
+    return _checked(values, log, preview, console)
 
 
-def _checked(values: Mapping[str, Any], options: LogOptions, console: Console) -> int:
+def _checked(
+    values: Mapping[str, Any], options: LogOptions, preview: PreviewOptions, console: Console
+) -> int:
     """Look at a log against a model."""
     from robot_sysid.checks.finding import require_acceptable
     from robot_sysid.checks.run import check_against_model
-    from robot_sysid.identify.measured import open_log
+    from robot_sysid.logs.reader import open_log
     from robot_sysid.parser import load_robot_model
 
     model = values["path"], values.get("mesh_dir"), values.get("joint")
     robot = load_robot_model(*model)
-    log = open_log(robot, options, values["log"], console)
+    log = open_log(robot, values["log"], options, console)
     console.lines(log.notes)
     rate = (len(log.samples) - 1) / log.duration
     console.stage(f"{len(log.samples)} samples in {log.duration:.4g} s, {rate:.4g} Hz on average")
     found = check_against_model(robot, log.pieces)
     console.lines(each.line() for each in found)
+    if preview.view or preview.video:
+        show_preview(robot, _shown(robot, log.samples, values.get("trajectory")), preview, console)
     require_acceptable(str(log.path), found, options.accept)
     console.stage("nothing that stops an identification was found")
     return 0
+
+
+def _shown(robot: RobotModel, samples: Measurement, trajectory: Path | None) -> Shown:
+    """Return the motion of a log, beside the one it should have followed where that is given."""
+    from robot_sysid.preview.motion import shown_log, shown_plan
+
+    if trajectory is None:
+        return shown_log(robot, samples)
+    from robot_sysid.excitation.options import LimitOptions
+    from robot_sysid.excitation.problem import DEFAULT_NOISE_TORQUE, build_problem
+    from robot_sysid.excitation.trajectory_files import load_trajectory
+
+    saved = load_trajectory(trajectory)
+    saved.require_fits(robot.joint_names)
+    problem = build_problem(robot, LimitOptions(), "chain", DEFAULT_NOISE_TORQUE, None)
+    return shown_plan(problem, saved.plan, samples)

@@ -8,9 +8,9 @@ from typing import Any
 
 from robot_sysid.commands.arguments import Parser, exit_codes, parsed
 from robot_sysid.commands.console import Console
-from robot_sysid.commands.run import INTERRUPTED, add_model, warnings_as_notes
+from robot_sysid.commands.report import require_report
+from robot_sysid.commands.run import INTERRUPTED, add_model, told, warnings_as_notes
 from robot_sysid.config import ModelOptions, OutputOptions
-from robot_sysid.errors import SysidError
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
 from robot_sysid.identify.payload.options import PayloadOptions
@@ -33,7 +33,7 @@ ESTIMATION = (
 )
 NOT_PLANNED = ("plan_only", "save_trajectory")
 NOT_SIMULATED = ("plant_model", "save_measurements")
-NOT_HERE = ("measurements", "validation_measurements")
+NOT_HERE = ("measurements", "append", "validation_measurements", "verify_rollout")
 
 
 def build_parser(full: bool = True) -> Parser:
@@ -48,7 +48,7 @@ def build_parser(full: bool = True) -> Parser:
     )
     add_model(parser)
     parser.add("recordings and payload", PayloadOptions)
-    parser.add("model and output", ModelOptions, OutputOptions)
+    parser.add("model and output", ModelOptions, OutputOptions, leave_out=("keep_friction",))
     parser.add("logs", LogOptions, leave_out=NOT_HERE)
     parser.add("estimation", EstimationOptions, only=ESTIMATION)
     parser.add("trajectory of a simulation", TrajectoryOptions, leave_out=NOT_PLANNED)
@@ -57,7 +57,7 @@ def build_parser(full: bool = True) -> Parser:
     parser.add(
         "sensors of a simulation",
         SimulatedArmOptions,
-        leave_out=("plant_model", "save_measurements"),
+        leave_out=NOT_SIMULATED,
     )
     parser.add_console()
     return parser
@@ -67,16 +67,14 @@ def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     values, options = parsed(build_parser, arguments)
     config = _config(values)
+    require_report(config.output)
     console = Console(options.quiet, options.verbose)
     # Imported here so that --help and usage errors do not wait for MuJoCo.
     from robot_sysid.payload import run
 
     with warnings_as_notes(console, options.debug):
         outcome = run(config, console)
-    console.lines(outcome.report_lines(options.verbose))
-    if outcome.failure:
-        raise SysidError(outcome.failure)
-    return 0
+    return told(outcome, console, options.verbose, config.output, config.model.mesh_dir)
 
 
 def _config(values: Mapping[str, Any]) -> PayloadConfig:

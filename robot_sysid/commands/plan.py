@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from robot_sysid.commands.arguments import Parser, exit_codes, parsed
+from robot_sysid.commands.console import Console
 from robot_sysid.commands.run import INTERRUPTED, add_model, identify
 from robot_sysid.config import ModelOptions, MotorOptions, OutputOptions
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
 from robot_sysid.excitation.static.options import PoseOptions
+from robot_sysid.preview.options import PreviewOptions
+from robot_sysid.records.options import record_from
 from robot_sysid.simulation.sensors import SimulatedArmOptions
 from robot_sysid.trajectory import TrajectoryOptions
+
+if TYPE_CHECKING:
+    from robot_sysid.pipeline import PlanOutcome
+    from robot_sysid.preview.motion import Shown
+    from robot_sysid.records import RobotModel
 
 __all__ = ["INTERRUPTED", "build_parser", "main"]
 
@@ -20,6 +29,8 @@ MAIN = (
     *("save_trajectory", "excitation", "excitation_time_budget", "max_velocity", "max_torque"),
     *("workspace", "keep_out", "export_damiao", "motor_type"),
 )
+NO_RESULT = ("keep_friction", "bundle", "report", "plots")
+"""Options about a result, which a plan is not."""
 USUAL = {"excitation": "optimal"}
 """What this command does where a user does not say otherwise."""
 
@@ -35,7 +46,7 @@ def build_parser(full: bool = True) -> Parser:
         main=None if full else MAIN,
     )
     add_model(parser)
-    parser.add("model and output", ModelOptions, OutputOptions)
+    parser.add("model and output", ModelOptions, OutputOptions, leave_out=NO_RESULT)
     parser.add("trajectory", TrajectoryOptions, leave_out=("plan_only",))
     parser.add("excitation", ExcitationOptions, usual=USUAL)
     parser.add("plan for a payload", PoseOptions)
@@ -46,6 +57,7 @@ def build_parser(full: bool = True) -> Parser:
         only=("torques", "noise_torque"),
     )
     parser.add("Damiao motors", MotorOptions)
+    parser.add("preview", PreviewOptions)
     parser.add_console()
     return parser
 
@@ -53,5 +65,47 @@ def build_parser(full: bool = True) -> Parser:
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     values, options = parsed(build_parser, arguments)
-    usual = {} if "trajectory" in values or "static" in values else USUAL
-    return identify({**usual, **values, "plan_only": True}, options)
+    rests = "static" in values or values.get("for") == "friction"
+    usual = {} if "trajectory" in values or rests else USUAL
+    wanted = record_from(PreviewOptions, values)
+    for key in ("view", "video"):
+        values.pop(key, None)
+    require_preview(wanted)
+
+    def show(outcome: PlanOutcome, console: Console) -> None:
+        checked = outcome.checked
+        if checked is not None and checked.problem is not None and (wanted.view or wanted.video):
+            from robot_sysid.preview.motion import shown_plan
+
+            shown = shown_plan(checked.problem, checked.plan)
+            show_preview(checked.problem.robot, shown, wanted, console)
+
+    return identify({**usual, **values, "plan_only": True}, options, show)
+
+
+def require_preview(wanted: PreviewOptions) -> None:
+    """Raise InputError where a preview cannot be shown; asked before a long run."""
+    if wanted.view:
+        from robot_sysid.preview.viewer import require_display
+
+        require_display()
+    if wanted.video:
+        from robot_sysid.preview.film import require_film
+
+        require_film(wanted.video)
+
+
+def show_preview(robot: RobotModel, shown: Shown, wanted: PreviewOptions, console: Console) -> None:
+    """Render and play a motion."""
+    for note in shown.notes:
+        console.note(note)
+    if wanted.video:
+        from robot_sysid.preview.film import write_film
+
+        console.stage(f"Rendering {len(shown.time)} pictures...")
+        write_film(robot, shown, wanted.video, console)
+        console.stage(f"Film: {wanted.video}")
+    if wanted.view:
+        from robot_sysid.preview.viewer import view
+
+        view(robot, shown)

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import contextlib
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from robot_sysid.commands.arguments import ConsoleOptions, Parser, exit_codes, parsed
 from robot_sysid.commands.console import Console
+from robot_sysid.commands.report import report_of, require_report
 from robot_sysid.config import ModelOptions, MotorOptions, OutputOptions, config_from
 from robot_sysid.errors import SysidError
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
 from robot_sysid.excitation.static.options import PoseOptions
 from robot_sysid.logs.options import LogOptions
+from robot_sysid.records.results import MODEL_NAMES
 from robot_sysid.simulation.sensors import SimulatedArmOptions
 from robot_sysid.trajectory import TrajectoryOptions
 
@@ -46,9 +48,9 @@ def build_parser(full: bool = True) -> Parser:
         EXAMPLE,
         description="Identify mass, centre of mass, inertia and friction of a robot arm's terminal "
         "link, and write a corrected model.",
-        epilog="Commands: robot-sysid plan MODEL, robot-sysid identify MODEL LOG, robot-sysid "
-        "motors check|play|simulate; each has its own --help. A model file that is called like a "
-        f"command is reached as ./plan. {exit_codes(0, 1, 2, 130)}",
+        epilog="Commands: robot-sysid plan, identify, payload, arm, log, report, motors and "
+        "example; each has its own --help. A model file that is called like a command is "
+        f"reached as ./plan. {exit_codes(0, 1, 2, 130)}",
         main=None if full else MAIN,
     )
     add_model(parser)
@@ -63,28 +65,84 @@ def add_model(parser: Parser) -> None:
     parser.add_argument("path", metavar="MODEL", type=Path, help="MuJoCo XML (MJCF) or URDF file")
 
 
+def add_logs(parser: Parser) -> None:
+    """Add the model file and the logs of the real arm, with what tells how to read them."""
+    add_model(parser)
+    parser.add_argument(
+        "measurements", metavar="LOG", nargs="+", type=Path, help="recording of the real arm"
+    )
+    parser.add("model and output", ModelOptions, OutputOptions)
+
+
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     return identify(*parsed(build_parser, arguments))
 
 
-def identify(values: Mapping[str, Any], options: ConsoleOptions) -> int:
+def identify(
+    values: Mapping[str, Any],
+    options: ConsoleOptions,
+    then: Callable[[Any, Console], None] | None = None,
+) -> int:
     """Run the pipeline and return the exit code.
 
     Args:
         values: what was given, by the options' keys.
         options: how much to print.
+        then: what is to be done with the outcome once it is written.
     """
     config = config_from(**values)
+    require_report(config.output)
     console = Console(options.quiet, options.verbose)
     # Imported here so that --help and usage errors do not wait for MuJoCo.
     from robot_sysid.pipeline import run
 
     with warnings_as_notes(console, options.debug):
         outcome = run(config, console)
-    console.lines(outcome.report_lines(options.verbose))
+    if then is not None:
+        then(outcome, console)
+    return told(outcome, console, options.verbose, config.output, config.model.mesh_dir)
+
+
+class Told(Protocol):
+    """What a run has to say at its end."""
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """What was written."""
+
+    @property
+    def failure(self) -> str | None:
+        """Why there is nothing to use, or None."""
+
+    def report_lines(self, verbose: bool) -> list[str]:
+        """Return what is printed."""
+
+
+def told(
+    outcome: Told,
+    console: Console,
+    verbose: bool,
+    output: OutputOptions,
+    mesh_dir: Path | None = None,
+) -> int:
+    """Print what a run has to say, write report and bundle, return the exit code 0.
+
+    Raises:
+        SysidError: there is nothing to use, or no report.
+    """
+    console.lines(outcome.report_lines(verbose))
+    failure = report_of(outcome, output, mesh_dir, console)
     if outcome.failure:
         raise SysidError(outcome.failure)
+    if output.bundle:
+        from robot_sysid.output.bundle import write_bundle
+
+        models = [path for path in outcome.files if path.name in MODEL_NAMES.values()]
+        for model in models:
+            console.stage(f"Bundle saved to {write_bundle(model, output.output_dir)}")
+    if failure:
+        raise SysidError(failure)
     return 0
 
 

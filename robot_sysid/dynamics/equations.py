@@ -82,6 +82,9 @@ class Equations:
         self.names = (*PARAMETER_NAMES, *own, *self.shared, *others)
         self.columns = tuple(self._columns_of(j) for j in self.rows_of)
         self._values = self.prior if values is None else values
+        place = {name: index for index, name in enumerate(self.names)}
+        of_links = [place[name] for name in others]
+        self._prior_links, self._known_links = self.prior[of_links], self._values[of_links]
 
     def _friction_names(self, joint: int) -> tuple[str, ...]:
         return self._friction[joint].parameter_names(self._robot.joint_names[joint])
@@ -127,10 +130,10 @@ class Equations:
         )
         known -= np.where(self._armature_sought, self._kinematics.armature * qdd, 0.0)
         inertial = joint_regressor(motion, self.rows_of)
-        others, prior, found = self._other_columns(measurement), *self._of_links()
-        known -= others @ prior
+        others = self._other_columns(measurement)
+        known -= others @ self._prior_links
         # What the gear carries, by what is known: the measured torque has friction in it already.
-        load = motion.tau_rest + others @ (found - prior)
+        load = motion.tau_rest + others @ (self._known_links - self._prior_links)
         for block, j in zip(inertial, self.rows_of):
             carried = load[:, j] + block @ self._values[:N_INERTIAL]
             own = self._friction[j].columns(qd[:, j], qdd[:, j], carried)
@@ -145,12 +148,6 @@ class Equations:
         assert measurement.qd is not None and measurement.qdd is not None
         motion = self._others.motion(measurement.q, measurement.qd, measurement.qdd)
         return motion.columns(self._links)
-
-    def _of_links(self) -> tuple[Array, Array]:
-        """Return the other links' parameters: the model's, and what is known of them so far."""
-        names = [name for link in self._links for name in link_names(self._robot, link)]
-        places = [self.names.index(name) for name in names]
-        return self.prior[places], self._values[places]
 
     def _first_column(self, joint: int) -> int:
         return N_INERTIAL * sum(link < joint for link in self._links)

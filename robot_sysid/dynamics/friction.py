@@ -13,7 +13,15 @@ armature     qdd                           kg m^2 (rotor inertia seen through th
 sqrt         sign(qd) sqrt(abs(qd))        N m (s/rad)^0.5
 stribeck     sign(qd) exp(-(qd/vs)^2)      N m (breakaway above Coulomb)
 load         sign(qd) abs(load)            1 (loss of a gear that grows with its load)
+quadratic    qd abs(qd)                    N m s^2/rad^2
+cubic        qd^3                          N m s^3/rad^3
+sigmoid      tanh(qd/vs)                   N m (Coulomb friction that turns round softly)
 ===========  ============================  ==========================================
+
+Coulomb friction that differs between the two directions, f+ forward and f- backward, is coulomb and
+offset together: f+ = coulomb + offset, f- = coulomb - offset. A moving joint cannot tell it from a
+torque sensor that reads a constant too much. Viscous, quadratic and cubic terms are the polynomial
+of a joint's ``damping="a b c"`` in MuJoCo 3.7 and later.
 
 Sources: Coulomb, viscous and Stribeck terms as in Armstrong-Helouvry, Dupont, Canudas de Wit,
 "A survey of models, analysis tools and compensation methods for the control of machines with
@@ -32,8 +40,55 @@ import numpy as np
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 
-# Stribeck velocities vs of geared joints lie between 0.01 and 0.3 rad/s at the output.
-_STRIBECK_VELOCITY = 0.1
+
+@dataclass(frozen=True)
+class BentTerm:
+    """A term whose column depends on one more number, a speed vs.
+
+    Attributes:
+        column: of velocities (...) and vs [rad/s].
+        slope: its derivative by vs, of the same arguments.
+        usual: vs where nothing is known of it [rad/s].
+        tried: speeds worth trying, ascending; vs is sought from half the first to twice the last.
+    """
+
+    column: Callable[[Array, Array], Array]
+    slope: Callable[[Array, Array], Array]
+    usual: float
+    tried: tuple[float, ...]
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Least and largest vs [rad/s]."""
+        return 0.5 * self.tried[0], 2.0 * self.tried[-1]
+
+
+def _stribeck(qd: Array, speed: Array) -> Array:
+    return np.asarray(np.sign(qd) * np.exp(-((qd / speed) ** 2)))
+
+
+# Stribeck velocities of geared joints lie between 0.01 and 0.3 rad/s at the output.
+BENT: Mapping[str, BentTerm] = {
+    "stribeck": BentTerm(
+        _stribeck,
+        lambda qd, speed: _stribeck(qd, speed) * 2.0 * qd**2 / speed**3,
+        usual=0.1,
+        tried=(0.02, 0.05, 0.1, 0.2),
+    ),
+    "sigmoid": BentTerm(
+        lambda qd, speed: np.sign(qd) * np.tanh(np.abs(qd) / speed),
+        lambda qd, speed: -qd / (speed * np.cosh(np.minimum(np.abs(qd / speed), 300.0))) ** 2,
+        usual=0.05,
+        tried=(0.01, 0.03, 0.1, 0.3),
+    ),
+}
+"""Terms that are nonlinear in one parameter; the fit of a whole arm seeks it too."""
+
+
+def _usual(term: str) -> Callable[[Array, Array, Array], Array]:
+    bent = BENT[term]
+    return lambda qd, qdd, load: bent.column(qd, np.array(bent.usual))
+
 
 TERMS: Mapping[str, Callable[[Array, Array, Array], Array]] = {
     "coulomb": lambda qd, qdd, load: np.sign(qd),
@@ -41,11 +96,14 @@ TERMS: Mapping[str, Callable[[Array, Array, Array], Array]] = {
     "offset": lambda qd, qdd, load: np.ones_like(qd),
     "armature": lambda qd, qdd, load: qdd,
     "sqrt": lambda qd, qdd, load: np.sign(qd) * np.sqrt(np.abs(qd)),
-    "stribeck": lambda qd, qdd, load: np.sign(qd) * np.exp(-((qd / _STRIBECK_VELOCITY) ** 2)),
+    "stribeck": _usual("stribeck"),
     "load": lambda qd, qdd, load: np.sign(qd) * np.abs(load),
+    "quadratic": lambda qd, qdd, load: qd * np.abs(qd),
+    "cubic": lambda qd, qdd, load: qd * qd * qd,
+    "sigmoid": _usual("sigmoid"),
 }
 """Term name to the function that makes its column, see ``FrictionModel.columns``; a new term is one
-more line here."""
+more line here. Those of ``BENT`` take their usual speed."""
 
 PRESETS = (
     "none",
@@ -57,6 +115,8 @@ PRESETS = (
     "coulomb-viscous-offset-armature-stribeck",
     "coulomb-viscous-offset-load",
     "coulomb-viscous-offset-armature-load",
+    "coulomb-viscous-offset-armature-quadratic-cubic",
+    "sigmoid-viscous-offset-armature",
 )
 """Names worth trying; any other combination of terms works too."""
 
@@ -96,6 +156,11 @@ class FrictionModel:
         free = {"offset", "sqrt"} | ({"viscous"} if "sqrt" in self.terms else set())
         return tuple(term not in free for term in self.terms)
 
+    @property
+    def bent(self) -> tuple[str, ...]:
+        """Those of its terms that are nonlinear in a speed."""
+        return tuple(term for term in self.terms if term in BENT)
+
     def parameter_names(self, joint: str) -> tuple[str, ...]:
         """Return the parameter name of each column, for instance ``coulomb[joint6]``."""
         return tuple(f"{term}[{joint}]" for term in self.terms)
@@ -112,6 +177,11 @@ class FrictionModel:
         for index, term in enumerate(self.terms):
             columns[:, index] = TERMS[term](qd, qdd, load)
         return columns
+
+
+def speed_name(term: str, joint: str) -> str:
+    """Return the name of a bent term's speed, for instance ``stribeck_speed[joint6]``."""
+    return f"{term}_speed[{joint}]"
 
 
 def friction_model(name: str) -> FrictionModel:

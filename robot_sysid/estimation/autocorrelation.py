@@ -24,6 +24,7 @@ from robot_sysid.records import Array, SampleSource, SquareRootInformation
 _MAX_LAG = 2000
 _LAG_BINS = 60
 _MOST_ABSORBED = 0.8
+_CHANNELS = 8
 
 
 @dataclass(frozen=True)
@@ -189,5 +190,9 @@ def _pooled(values: Array, bins: NDArray[np.int64]) -> Array:
 def _lagged(signal: Array, lags: int) -> Array:
     """Return sum_t s_t . s_(t+l) for l = 0 .. lags of a signal (N, r), by FFT."""
     size = 1 << int(np.ceil(np.log2(max(len(signal) + lags + 1, 2))))
-    power = np.sum(np.abs(np.fft.rfft(signal, size, axis=0)) ** 2, axis=1)
+    power = np.zeros(size // 2 + 1)
+    # A few channels at a time: all of a long log's are as large as the log.
+    for start in range(0, signal.shape[1], _CHANNELS):
+        some = np.fft.rfft(signal[:, start : start + _CHANNELS], size, axis=0)
+        power += np.sum(np.abs(some) ** 2, axis=1)
     return np.fft.irfft(power, size)[: lags + 1]

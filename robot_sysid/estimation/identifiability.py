@@ -118,7 +118,8 @@ def analyse_identifiability(information: SquareRootInformation) -> Identifiabili
 
     The rank counts the ten inertial parameters and the terminal joint's Coulomb and viscous
     friction after all other columns (nuisances) have been eliminated:
-    rank [Y_interest Y_nuisance] - rank Y_nuisance.
+    rank [Y_interest Y_nuisance] - rank Y_nuisance. The condition numbers are those of Y_interest,
+    so that they mean the same for a plan, a simulation and a log.
 
     Args:
         information: square-root information; the last joint is the terminal one.
@@ -133,16 +134,17 @@ def analyse_identifiability(information: SquareRootInformation) -> Identifiabili
     return Identifiability(
         rank=space.rank - _nuisance_rank(matrix, space, interest),
         n_parameters=int(np.count_nonzero(interest)),
-        condition_number=_condition(shown, space.rank),
-        scaled_condition_number=_condition(shown / length, space.rank),
+        condition_number=_condition(shown[:, interest]),
+        scaled_condition_number=_condition((shown / length)[:, interest]),
         identified=space.identified,
         unidentifiable=describe(space.null, space.scale, information.names),
     )
 
 
-def _condition(matrix: Array, rank: int) -> float:
+def _condition(matrix: Array) -> float:
     """Return largest over smallest visible singular value; infinite where nothing is visible."""
     singular = np.linalg.svd(matrix, compute_uv=False)
+    rank = visible_space(matrix).rank
     return float(singular[0] / singular[rank - 1]) if rank else float("inf")
 
 
@@ -191,7 +193,7 @@ def readable_basis(null: Array) -> list[Array]:
 
 def _within(null: Array, group: Sequence[int]) -> Array:
     """Return (p, e) basis of the part of the null space that lives on ``group`` alone."""
-    outside = np.setdiff1d(np.arange(len(null)), np.asarray(group))
+    outside = [k for k in range(len(null)) if k not in group]  # setdiff1d imports numpy.ma
     if len(outside) == 0 or null.shape[1] == 0:
         return null
     _, singular, right = np.linalg.svd(null[outside], full_matrices=True)

@@ -106,7 +106,7 @@ def link_factor(thetas: Sequence[Array], share: float, lengths: Sequence[float])
     common = np.zeros((10 * len(thetas), 2))
     for place, (theta, length) in enumerate(zip(thetas, lengths)):
         block = slice(10 * place, 10 * (place + 1))
-        own[block, block], moved = _own_errors(theta, share, length)
+        own[block, block], moved = own_errors(theta, share, length)
         com = spatial.com_from_theta(theta)[1]
         distance = float(np.linalg.norm(com))
         common[block, 0] = share * theta
@@ -114,7 +114,7 @@ def link_factor(thetas: Sequence[Array], share: float, lengths: Sequence[float])
     return np.linalg.cholesky(own @ own.T + common @ common.T)
 
 
-def _own_errors(theta: Array, share: float, length: float) -> tuple[Array, Array]:
+def own_errors(theta: Array, share: float, length: float) -> tuple[Array, Array]:
     """Return one link's independent errors (10, 10), and those of its centre of mass (10, 3)."""
     mass, com, inertia = spatial.com_from_theta(theta)
     size = max(ROD * spatial.characteristic_length(theta), length, LEAST_SIZE)

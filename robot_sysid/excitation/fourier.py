@@ -21,7 +21,7 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Motion, checked_array
-from robot_sysid.trajectory import window
+from robot_sysid.trajectory import faded, window
 
 END_TOLERANCE = 1e-9
 """Largest velocity and acceleration a periodic trajectory may have at its ends [rad/s, rad/s^2]."""
@@ -82,15 +82,31 @@ class FourierBasis:
     def evaluate(self, time: Array) -> tuple[Array, Array, Array]:
         """Return the functions and their first and second derivatives (N, 2 K + 1)."""
         time = np.asarray(time, dtype=float)
-        s, ds, dds = self._series(time)
+        series = self._series(time)
         if self.fade == 0.0:
-            return s, ds, dds
-        w, dw, ddw = (value[:, None] for value in window(time, self.duration, self.fade))
-        return w * s, dw * s + w * ds, ddw * s + 2.0 * dw * ds + w * dds
+            return series
+        return faded(window(time, self.duration, self.fade), series)
+
+    @property
+    def omega(self) -> Array:
+        """Angular frequencies (K,) [rad/s]."""
+        return 2.0 * np.pi * self.base_frequency_hz * self.order
+
+    def waves(self, time: Array) -> tuple[Array, Array]:
+        """Return sin(k W t) and cos(k W t) (N, K), by sums of angles: far cheaper than sines."""
+        angle, k = 2.0 * np.pi * self.base_frequency_hz * time, self.harmonics
+        sine, cosine = np.empty((2, k, len(time)))
+        sine[0], cosine[0], done = np.sin(angle), np.cos(angle), 1
+        while done < k:
+            more = min(done, k - done)
+            low, new, top = slice(0, more), slice(done, done + more), done - 1
+            sine[new] = sine[low] * cosine[top] + cosine[low] * sine[top]
+            cosine[new] = cosine[low] * cosine[top] - sine[low] * sine[top]
+            done += more
+        return sine.T, cosine.T
 
     def _series(self, time: Array) -> tuple[Array, Array, Array]:
-        omega = 2.0 * np.pi * self.base_frequency_hz * self.order
-        sine, cosine = np.sin(np.outer(time, omega)), np.cos(np.outer(time, omega))
+        omega, (sine, cosine) = self.omega, self.waves(time)
         one, zero = np.ones((len(time), 1)), np.zeros((len(time), 1))
         return (
             np.hstack((one, sine, cosine)),
@@ -164,9 +180,20 @@ class FourierTrajectory:
     def evaluate(self, time: Array) -> Motion:
         """Return position, velocity and acceleration at times (N,) [s]."""
         time = np.asarray(time, dtype=float)
-        position, velocity, acceleration = self.basis.evaluate(time)
-        c = self.coefficients.T
-        return Motion(time, self.rest + position @ c, velocity @ c, acceleration @ c)
+        n, omega = self.n_joints, self.basis.omega
+        offset, (a, b) = self.coefficients[:, 0], np.split(self.coefficients[:, 1:], 2, axis=1)
+        sine, cosine = self.basis.waves(time)
+        # Series and derivatives of all joints in one product each, before any window.
+        s, ds, dds = np.split(
+            sine @ np.vstack((a, -omega * b, -(omega**2) * a)).T
+            + cosine @ np.vstack((b, omega * a, -(omega**2) * b)).T,
+            (n, 2 * n),
+            axis=1,
+        )
+        s = offset + s
+        if self.basis.fade > 0.0:
+            s, ds, dds = faded(window(time, self.duration, self.basis.fade), (s, ds, dds))
+        return Motion(time, self.rest + s, ds, dds)
 
     def scaled(self, factor: float) -> FourierTrajectory:
         """Return the trajectory with all departures from rest times ``factor``."""

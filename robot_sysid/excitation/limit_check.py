@@ -30,6 +30,8 @@ CLEARANCE_RESOLUTION = 1e-3
 """How exactly the reported clearance is that of the tightest moment [m]."""
 DISTANCE_RESOLUTION = 1e-4
 """How exactly the smallest distance is known [m]."""
+EXACT_UP_TO, LEAST_EXACT = 15.0, 3e-3
+"""Duration up to which it is that exact [s]; less where longer, but never less than this [m]."""
 SMALLEST = 2.0**-9
 """Share of a random motion below which it is not made smaller any more."""
 BISECTIONS = 4
@@ -70,10 +72,12 @@ class LimitCheck:
         velocity, acceleration, torque: (n,) largest absolute values.
         tool_speed: largest speed of the tool's fastest point [m/s].
         tool_time: when [s].
-        closest: the pair with the least room left above what it has to keep, to a millimetre.
+        closest: the pair with the least room left above what it has to keep, to a millimetre or
+            as exactly as below.
         closest_time: when [s].
-        nearest: the pair that comes nearest, whatever it has to keep, to a tenth of a millimetre.
+        nearest: the pair that comes nearest, whatever it has to keep.
         nearest_time: when [s].
+        resolution: how exactly its distance is known: nothing comes nearer by more than this [m].
         excesses: limits that are not kept; none for a trajectory that may be run.
     """
 
@@ -88,6 +92,7 @@ class LimitCheck:
     closest_time: float
     nearest: Closest
     nearest_time: float
+    resolution: float
     excesses: tuple[Excess, ...]
 
     @property
@@ -135,8 +140,11 @@ def check_limits(
         sample_rate: at which it will be run [Hz]; at least 1 kHz is checked.
     """
     peaks = _peaks(problem, plan, max(LEAST_RATE_HZ, sample_rate), with_tool=True)
-    closest, when = _tightest(problem.obstacles, plan, CLEARANCE_RESOLUTION)
-    nearest, at = _tightest(problem.obstacles.distances, plan, DISTANCE_RESOLUTION)
+    coarser = max(1.0, plan.duration / EXACT_UP_TO) ** 2
+    resolution = min(LEAST_EXACT, coarser * DISTANCE_RESOLUTION)
+    room = min(LEAST_EXACT, coarser * CLEARANCE_RESOLUTION)
+    closest, when = _tightest(problem.obstacles, plan, room)
+    nearest, at = _tightest(problem.obstacles.distances, plan, resolution)
     excesses = list(_excesses(problem, peaks))
     if closest.slack < 0.0:
         share = 1.0 - closest.slack / OBSTACLE_LENGTH
@@ -154,6 +162,7 @@ def check_limits(
         when,
         nearest,
         at,
+        resolution,
         tuple(sorted(excesses, key=lambda excess: -excess.share)),
     )
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -20,6 +19,7 @@ from robot_sysid.records.options import (
     not_negative,
     option,
     positive,
+    processors,
 )
 
 EXCITATIONS = ("sines", "optimal")
@@ -27,19 +27,17 @@ ENDS = ("faded", "periodic")
 LONGEST_FADE = 1.5
 """Fade of a faded trajectory [s]; shorter where the trajectory is short."""
 TOP_FREQUENCY_HZ = 0.6
-"""Highest frequency where --harmonics leaves the choice to us: that of the random sinusoids."""
+"""Highest harmonic where --harmonics leaves the choice to us: that of the random sinusoids.
+
+Full speed at this frequency takes the usual acceleration limit.
+"""
 FEWEST_HARMONICS = 3
+LONGEST_PERIOD = 60.0
+"""A longer motion repeats itself, so that a search costs in proportion to its length [s]."""
 
 
 WORTH_WORKERS = 5.0
 """Time budget from which on it pays to start other processes [s]."""
-
-
-def processors() -> int:
-    """Return how many processors this process may run on."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 @dataclass(frozen=True)
@@ -176,7 +174,7 @@ class ExcitationOptions(OptionRecord):
         unit="Hz",
         metavar="F",
         check=positive,
-        usual="one period",
+        usual="one period, of at most 60 s",
         needs="design",
     )
     ends: str = option(
@@ -202,7 +200,8 @@ class ExcitationOptions(OptionRecord):
 
     def basis(self, duration: float) -> FourierBasis:
         """Return the Fourier basis of a designed trajectory of this duration [s]."""
-        base = 1.0 / duration if self.base_frequency is None else self.base_frequency
+        periods = max(1, int(np.ceil(duration / LONGEST_PERIOD)))
+        base = periods / duration if self.base_frequency is None else self.base_frequency
         reaching = int(np.floor(TOP_FREQUENCY_HZ / base + 1e-9))
         chosen = max(FEWEST_HARMONICS, reaching) if self.harmonics is None else self.harmonics
         fade = min(LONGEST_FADE, 0.25 * duration) if self.ends == "faded" else 0.0

@@ -35,6 +35,9 @@ if TYPE_CHECKING:
 LONGEST_CHECKED = 86400.0
 """Length of a motion beyond which its limits are not checked any more [s]."""
 
+NOTABLE_MEMORY = 2e8
+"""Memory from which on a search says beforehand how much it takes [bytes]."""
+
 
 @dataclass(frozen=True)
 class MotionRequest:
@@ -136,12 +139,17 @@ def _new_plan(
     rate = f"{options.sample_rate:g} Hz"
     if request.poses.static:
         progress.stage(f"Choosing {request.poses.poses} poses to rest in...")
+    elif request.poses.sets_its_time:
+        progress.stage("Looking for room to sweep each joint in...")
     else:
         progress.stage(f"{what} excitation trajectory ({options.duration:.1f}s, {rate})...")
     if options.seed is None:
         progress.stage(f"Random seed: {seed} (--seed {seed} repeats this run)")
     make = _designed if request.is_designed else _random
-    make = _resting if request.poses.static else make
+    if request.poses.sets_its_time:
+        make = _resting if request.poses.static else _sweeping
+    elif request.poses.purpose == "arm" and request.is_designed:
+        make = _for_all_links
     return make(request, robot, np.random.default_rng(seed), progress)
 
 
@@ -166,7 +174,7 @@ def _random(
     # Ends on a sample, so that the last one is at rest.
     duration = (sample_count(request.trajectory.duration, rate) - 1) / rate
     problem = _problem(request, robot) if request.is_checked else None
-    arm = robot if problem is None else _with_torque_limits(robot, problem)
+    arm = robot if problem is None else _as_limited(robot, problem)
     plan, notes = generate_excitation_trajectory(arm, rng, duration, ArmTorque(robot))
     for note in notes:
         progress.note(note)
@@ -192,9 +200,31 @@ def _resting(
     return CheckedPlan(design_poses(robot, problem, request.poses, rng), problem)
 
 
-def _with_torque_limits(robot: RobotModel, problem: ExcitationProblem) -> RobotModel:
-    torque = problem.limits.torque / TORQUE_MARGIN
-    return replace(robot, limits=replace(robot.limits, torque=torque))
+def _sweeping(
+    request: MotionRequest, robot: RobotModel, rng: np.random.Generator, progress: Progress
+) -> CheckedPlan:
+    from robot_sysid.excitation.static.sweeps import design_sweeps
+
+    problem = _problem(request, robot)
+    return CheckedPlan(design_sweeps(problem), problem)
+
+
+def _for_all_links(
+    request: MotionRequest, robot: RobotModel, rng: np.random.Generator, progress: Progress
+) -> CheckedPlan:
+    from robot_sysid.excitation.design.optimise import Design
+    from robot_sysid.excitation.design.whole_arm import design_for_arm
+
+    problem = _problem(request, robot)
+    design = Design(problem, request.excitation, request.trajectory)
+    return CheckedPlan(design_for_arm(design, rng, progress), problem)
+
+
+def _as_limited(robot: RobotModel, problem: ExcitationProblem) -> RobotModel:
+    """Return the arm with the torque limits and the start of a problem."""
+    torque, qpos = problem.limits.torque / TORQUE_MARGIN, robot.reference_qpos.copy()
+    qpos[robot.qpos_index] = problem.rest
+    return replace(robot, limits=replace(robot.limits, torque=torque), reference_qpos=qpos)
 
 
 def _designed(
@@ -205,6 +235,8 @@ def _designed(
 
     problem = _problem(request, robot)
     design = Design(problem, request.excitation, request.trajectory)
+    if design.memory > NOTABLE_MEMORY:
+        progress.note(f"the search will hold about {design.memory / 1e9:.1f} GB of memory")
 
     def tell(state: SearchState) -> None:
         text = f"{state.best} {state.objective:.3g}"
@@ -223,15 +255,14 @@ def _designed(
 
 def _problem(request: MotionRequest, robot: RobotModel) -> ExcitationProblem:
     """Return the arm with all limits; of a new motion, its band limits the accelerations too."""
-    from robot_sysid.excitation.problem import DEFAULT_NOISE_TORQUE, build_problem, require_start
+    from robot_sysid.excitation.problem import DEFAULT_NOISE_TORQUE, build_problem
+    from robot_sysid.excitation.static.start import startable
 
     is_new, basis = request.trajectory.file is None, request.excitation.basis
     band = basis(request.trajectory.duration).top_frequency_hz if is_new else None
     noise = request.noise_torque if np.all(request.noise_torque) else DEFAULT_NOISE_TORQUE
     problem = build_problem(robot, request.limits, request.torques, noise, band)
-    if is_new:
-        require_start(problem)
-    return problem
+    return startable(problem) if is_new else problem
 
 
 def _counted(plan: MotionPlan, progress: Progress) -> Iterator[Motion]:

@@ -11,9 +11,13 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.excitation.limit_check import DISTANCE_RESOLUTION, LimitCheck
 from robot_sysid.excitation.prediction import LOOSE_SHARE, Prediction
 from robot_sysid.excitation.problem import ASKED, ASSUMED, LIMIT_NAMES, MODEL, ExcitationProblem
-from robot_sysid.records import Array, MotionPlan
+from robot_sysid.excitation.static.start import contact_on_the_way
+from robot_sysid.records import Array, Identifiability, MotionPlan
+from robot_sysid.records.figures import percent
 from robot_sysid.trajectory import TORQUE_MARGIN, spread_motion
 
+_SAME_POSE = 1e-6
+"""How near to the model's pose a start counts as it [rad or m]."""
 _MOST_POSTURES = 3000
 """Postures from which the swept box is found."""
 
@@ -25,6 +29,7 @@ def plan_lines(
     prediction: Prediction,
     counted: str = "",
     stated: Array | None = None,
+    shown: Identifiability | None = None,
 ) -> Iterator[str]:
     """Yield the lines ``--plan-only`` prints.
 
@@ -36,6 +41,7 @@ def plan_lines(
         counted: what the prediction counts, in words.
         stated: (10,) standard errors that an identification will state; None or empty where
             nothing is known of them.
+        shown: what a run of this motion will say of its regressor.
     """
     noise = ", ".join(f"{value:g}" for value in np.unique(problem.sigma))
     yield f"Predicted standard deviations ({prediction.n_samples} samples, noise {noise} N·m):"
@@ -43,10 +49,9 @@ def plan_lines(
         yield f"  {counted}"
     yield from _parameter_lines(prediction)
     yield from _stated_lines(prediction, np.zeros(0) if stated is None else stated)
-    yield (
-        f"Condition number: {prediction.condition_number:.1f} "
-        f"({prediction.scaled_condition_number:.1f} with columns of unit length)"
-    )
+    if shown is not None:
+        scaled = f"({shown.scaled_condition_number:.1f} with columns of unit length)"
+        yield f"Condition number: {shown.condition_number:.1f} {scaled}"
     yield from motion_lines(problem, plan, check)
     yield from _advice_lines(prediction)
 
@@ -58,6 +63,7 @@ def motion_lines(problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck
     yield from _origin_lines(problem)
     yield from _space_lines(problem, plan, check)
     yield from _load_lines(problem, plan)
+    yield from _start_lines(problem, plan)
     yield from _excess_lines(check)
 
 
@@ -66,7 +72,7 @@ def _parameter_lines(prediction: Prediction) -> Iterator[str]:
     rows = zip(spatial.PARAMETER_NAMES, prediction.deviation, prediction.share, units)
     for name, deviation, share, unit in rows:
         if np.isfinite(deviation):
-            yield f"  {name:3s} {deviation:9.2e} {unit:6s} {100.0 * share:8.3g} %"
+            yield f"  {name:3s} {deviation:9.2e} {unit:6s} {percent(share):>10s}"
         else:
             yield f"  {name:3s} not identified"
     if np.isfinite(prediction.com_deviation):
@@ -76,7 +82,7 @@ def _parameter_lines(prediction: Prediction) -> Iterator[str]:
 def _stated_lines(prediction: Prediction, stated: Array) -> Iterator[str]:
     """Say what an identification will state with all that is not known of the arm."""
     shares = zip(spatial.PARAMETER_NAMES, stated, prediction.size)
-    known = [f"{name} {100.0 * e / size:.3g} %" for name, e, size in shares if np.isfinite(e)]
+    known = [f"{name} {percent(e / size)}" for name, e, size in shares if np.isfinite(e)]
     if known:
         yield (
             "An identification of one recording will state more, for errors of the model, torque "
@@ -137,10 +143,15 @@ def _space_lines(problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck
     lower, upper = np.floor(100.0 * swept.lower) / 100.0, np.ceil(100.0 * swept.upper) / 100.0
     sides = [f"{axis} {low:+.2f} to {high:+.2f}" for axis, low, high in zip("xyz", lower, upper)]
     yield f"Swept box: {', '.join(sides)} m; the lowest point is one of {swept.lowest}"
+    if not problem.has_floor:
+        below = max(0.0, -float(lower[2]))
+        reach = f"gets {below:.2f} m below z = 0" if below else "stays above z = 0"
+        advice = "--keep-out 0 0 1 0 keeps all parts above it"
+        yield f"The model has no floor: this motion {reach}; {advice}"
     nearest, tightest = check.nearest, check.closest
     if np.isfinite(nearest.distance):
         place = f"between {nearest.label} at {check.nearest_time:.2f} s"
-        yield f"Clearance: {_at_least(nearest.distance)} mm {place}"
+        yield f"Clearance: {_at_least(nearest.distance, check.resolution)} mm {place}"
     else:
         yield "Clearance: nothing comes near"
     if np.isfinite(tightest.distance) and tightest.label != nearest.label:
@@ -152,9 +163,9 @@ def _space_lines(problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck
         yield f"No motion brings these nearer than {apart} mm: {neighbours.label}"
 
 
-def _at_least(distance: float) -> str:
+def _at_least(distance: float, resolution: float = DISTANCE_RESOLUTION) -> str:
     """Return a distance in mm, rounded so that nothing comes nearer."""
-    return f"{np.floor(1e4 * (distance - DISTANCE_RESOLUTION) + 1e-6) / 10.0:.1f}"
+    return f"{np.floor(1e4 * (distance - resolution) + 1e-6) / 10.0:.1f}"
 
 
 def _load_lines(problem: ExcitationProblem, plan: MotionPlan) -> Iterator[str]:
@@ -167,6 +178,20 @@ def _load_lines(problem: ExcitationProblem, plan: MotionPlan) -> Iterator[str]:
     reserved = f" (--payload-reserve {kept:g} kept)" if kept > 0.0 else ""
     room = np.floor(100.0 * left) / 100.0
     yield f"Torque left: a load of {room:.2f} kg at the tool's tip, then {name} is full{reserved}"
+
+
+def _start_lines(problem: ExcitationProblem, plan: MotionPlan) -> Iterator[str]:
+    """Say where the motion starts, and what is known of the way there."""
+    start, home = plan.evaluate(np.zeros(1)).q[0], problem.robot.reference
+    pose = ", ".join(f"{name} {q:.3f}" for name, q in zip(problem.joint_names, start))
+    if np.allclose(start, home, atol=_SAME_POSE):
+        yield f"Start: the model's pose at rest, {pose}"
+    else:
+        touched = contact_on_the_way(problem, start)
+        way = "free" if touched is None else f"NOT free, by the clearance of {touched}"
+        yield f"Start: {pose}"
+        yield f"  the straight way in joint space there from the model's pose at rest is {way}"
+    yield "  the way there from where the arm stands now is no part of this motion, and not checked"
 
 
 def _excess_lines(check: LimitCheck) -> Iterator[str]:
@@ -189,7 +214,7 @@ def _advice_lines(prediction: Prediction) -> Iterator[str]:
     for k in prediction.loose:
         factor = (prediction.share[k] / LOOSE_SHARE) ** 2
         yield (
-            f"{spatial.PARAMETER_NAMES[k]} stays loose ({100.0 * prediction.share[k]:.0f} %): "
+            f"{spatial.PARAMETER_NAMES[k]} stays loose ({percent(prediction.share[k])}): "
             f"{100.0 * LOOSE_SHARE:.0f} % would take {factor:.1f} times the duration, or faster "
             "motion (higher speed limits, --harmonics)"
         )

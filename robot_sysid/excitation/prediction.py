@@ -36,8 +36,6 @@ class Prediction:
         size: (10,) magnitude each parameter is compared with: its own value in the model, for a
             first moment m L, for a product of inertia sqrt(Iii Ijj).
         com_deviation: standard deviation of the centre of mass, root of summed squares [m].
-        condition_number: of the link's equations after friction and offsets are eliminated.
-        scaled_condition_number: the same with columns of unit length.
         never: what no motion of these joints can show, in words.
         unseen: what this motion does not show though another one would, in words.
     """
@@ -46,8 +44,6 @@ class Prediction:
     covariance: Array
     size: Array
     com_deviation: float
-    condition_number: float
-    scaled_condition_number: float
     never: tuple[str, ...]
     unseen: tuple[str, ...]
 
@@ -95,15 +91,13 @@ def predict(
     """
     n_samples = sample_count(plan.duration, sample_rate)
     seen = seen or _all_samples(problem, plan, n_samples)
-    covariance, unseen_space, condition = _inverted(problem, seen)
+    covariance, unseen_space = _inverted(problem, seen)
     possible = visible_coordinates(problem) / problem.scale[:, None]
     return Prediction(
         n_samples=n_samples,
         covariance=covariance,
         size=parameter_sizes(problem),
         com_deviation=_com_deviation(problem.prior, covariance),
-        condition_number=condition[0],
-        scaled_condition_number=condition[1],
         never=_words(problem, _complement(possible)),
         unseen=_words(problem, _beyond(unseen_space, possible)),
     )
@@ -135,10 +129,8 @@ def _all_samples(problem: ExcitationProblem, plan: MotionPlan, n_samples: int) -
     return Seen(cache.information, cache.signal)
 
 
-def _inverted(
-    problem: ExcitationProblem, seen_at_all: Seen
-) -> tuple[Array, Array, tuple[float, float]]:
-    """Return covariance of theta, hidden directions (scaled), and both condition numbers.
+def _inverted(problem: ExcitationProblem, seen_at_all: Seen) -> tuple[Array, Array]:
+    """Return covariance of theta and hidden directions (scaled).
 
     A parameter that a hidden direction contains has infinite variance.
     """
@@ -149,16 +141,7 @@ def _inverted(
     root = vectors[:, seen] / np.sqrt(values[seen])
     covariance = np.outer(scale, scale) * (root @ root.T)
     covariance[np.diag_indices(10)] += np.where(np.linalg.norm(hidden, axis=1) > 1e-6, np.inf, 0.0)
-    raw = information / np.outer(scale, scale)
-    length = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
-    unit = information / np.outer(length, length)
-    return covariance, hidden, (_condition(raw), _condition(unit))
-
-
-def _condition(information: Array) -> float:
-    """Return the condition number of a regressor with this information; infinite if singular."""
-    values = np.linalg.eigvalsh(information)
-    return float(np.sqrt(values[-1] / values[0])) if values[0] > 0.0 else np.inf
+    return covariance, hidden
 
 
 def _com_deviation(prior: Array, covariance: Array) -> float:

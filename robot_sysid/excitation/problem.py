@@ -10,7 +10,7 @@ import numpy as np
 from robot_sysid.collision.clearance import Clearance
 from robot_sysid.collision.halfspaces import HalfSpace, box_half_spaces, plane_half_space
 from robot_sysid.collision.obstacles import NoObstacles, RestPairs
-from robot_sysid.collision.swept import outermost_points
+from robot_sysid.collision.swept import has_floor, outermost_points
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED
 from robot_sysid.dynamics.kinematics import ChainKinematics, subtree
@@ -19,7 +19,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.excitation.options import TOP_FREQUENCY_HZ, LimitOptions
 from robot_sysid.excitation.tool import LoadedTorque, Tool
 from robot_sysid.model.limits import DEFAULT_SLIDE_VELOCITY
-from robot_sysid.records import Array, Motion, RobotModel, checked_array
+from robot_sysid.records import Array, RobotModel, checked_array
 from robot_sysid.records.arm import DEFAULT_MAX_VELOCITY
 from robot_sysid.records.options import PerJoint, per_joint
 from robot_sysid.simulator import ArmTorque
@@ -95,6 +95,7 @@ class ExcitationProblem:
         sigma: (len(rows),) standard deviation of their noise [N m].
         origins: per family of limits where each joint's comes from, see ``limit_origins``.
         notes: what the reader should know about these limits.
+        has_floor: whether anything keeps the arm above the ground.
     """
 
     robot: RobotModel
@@ -110,6 +111,7 @@ class ExcitationProblem:
     sigma: Array
     origins: Mapping[str, tuple[str, ...]]
     notes: tuple[str, ...] = ()
+    has_floor: bool = True
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "rest", checked_array(self.rest, (self.n_joints,), "rest"))
@@ -178,6 +180,7 @@ def build_problem(
         sigma=sigma,
         origins=limit_origins(robot, limits, motion_limits),
         notes=notes + more,
+        has_floor=bool(limits.planes or limits.box) or has_floor(robot),
     )
 
 
@@ -265,36 +268,6 @@ def _torque_limits(robot: RobotModel, options: LimitOptions) -> Array:
     both = np.minimum(robot.limits.torque, per_joint(asked, robot.n_joints, "--max-torque"))
     ignored = np.isin(robot.joint_names, options.ignore_torque_limit)
     return np.where(ignored, np.inf, both)
-
-
-def require_start(problem: ExcitationProblem) -> None:
-    """Raise InputError where no motion may start: in a collision, or too heavy to hold."""
-    collisions = problem.obstacles.at_rest.deep
-    if collisions:
-        raise InputError(
-            f"no trajectory may start in a collision: at rest, {'; '.join(collisions)}; choose "
-            "another start with --keyframe or in the model, or write <exclude body1= body2=> "
-            "under its <contact> if these parts cannot meet"
-        )
-    _require_holding(problem)
-
-
-def _require_holding(problem: ExcitationProblem) -> None:
-    still = np.zeros((1, problem.n_joints))
-    rest = Motion(np.zeros(1), problem.rest[None], still, still)
-    holding = np.abs(problem.torque(rest)[0])
-    excess = holding / problem.limits.torque
-    worst = int(np.argmax(excess))
-    if excess[worst] < 1.0:
-        return
-    name, turns = problem.joint_names[worst], np.any(problem.chain.screws[:3, worst])
-    held = f"{holding[worst]:.3g} {'N·m' if turns else 'N'}"
-    raise InputError(
-        f"no trajectory is feasible: holding still takes {held} at joint {name}, "
-        f"more than {100.0 * TORQUE_MARGIN:.0f} % of its torque limit of "
-        f"{problem.limits.torque[worst] / TORQUE_MARGIN:g}; choose another start with --keyframe "
-        f"or in the model, or give --ignore-torque-limit {name} if the joint can carry it"
-    )
 
 
 def _moved_rest_note(robot: RobotModel, rest: Array) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ loading it gives back every bit. The CSV file is for other programs; it is not r
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TextIO
@@ -17,6 +17,7 @@ import numpy as np
 from robot_sysid.errors import InputError
 from robot_sysid.excitation.fourier import FourierBasis, FourierTrajectory
 from robot_sysid.excitation.static.pose_trajectory import PoseTrajectory
+from robot_sysid.excitation.static.sweep_trajectory import SweepTrajectory
 from robot_sysid.records import Array, Motion, MotionPlan
 from robot_sysid.records.atomic_files import whole_file
 from robot_sysid.trajectory import SineTrajectory, motion_chunks
@@ -27,6 +28,11 @@ _ARRAYS = {
     "sines": ("center", "amplitude", "frequency_hz", "phase"),
     "fourier": ("rest", "coefficients"),
     "poses": ("points", "moves", "dwells"),
+    "sweeps": ("points", "moves", "ramps"),
+}
+_OF_ARRAYS: Mapping[str, Callable[..., MotionPlan]] = {
+    "poses": PoseTrajectory,
+    "sweeps": SweepTrajectory,
 }
 
 
@@ -110,7 +116,7 @@ def save_trajectory(
 
     Args:
         path: file, which appears whole or not at all, or an open one.
-        plan: a sum of sinusoids, a Fourier series, poses, or one of them slowed down.
+        plan: a sum of sinusoids, a Fourier series, poses, sweeps, or one of them slowed down.
         joint_names: one per joint.
         sha256: of the model file it was made for.
 
@@ -136,6 +142,8 @@ def _described(plan: MotionPlan) -> dict[str, Any]:
         return {"kind": "fourier", **asdict(plan.basis), **_listed_arrays(plan, "fourier")}
     if isinstance(plan, PoseTrajectory):
         return {"kind": "poses", **_listed_arrays(plan, "poses")}
+    if isinstance(plan, SweepTrajectory):
+        return {"kind": "sweeps", **_listed_arrays(plan, "sweeps")}
     raise InputError(f"a {type(plan).__name__} has no coefficients to save")
 
 
@@ -188,8 +196,8 @@ def _read(path: Path) -> Mapping[str, Any]:
 
 def _built(kind: str, content: Mapping[str, Any]) -> MotionPlan:
     arrays = {name: np.array(content[name], dtype=float) for name in _ARRAYS[kind]}
-    if kind == "poses":
-        return PoseTrajectory(**arrays)
+    if kind in _OF_ARRAYS:
+        return _OF_ARRAYS[kind](**arrays)
     if kind == "sines":
         return SineTrajectory(
             **arrays, duration=float(content["duration"]), fade=float(content["fade"])

@@ -13,7 +13,7 @@ from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.dynamics.gravity import TILT_NAMES, TiltColumns, gravity, turned, with_gravity
 from robot_sysid.dynamics.nuisances import NuisanceColumns
 from robot_sysid.errors import SysidError
-from robot_sysid.estimation.nuisances import misfits, widened_groups
+from robot_sysid.estimation.nuisances import NuisanceGroup, misfits, widened_groups
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.identify.nuisances import (
     known_links,
@@ -23,10 +23,11 @@ from robot_sysid.identify.nuisances import (
 )
 from robot_sysid.identify.samples import (
     DecimatedSamples,
+    JoinedSamples,
     SharedColumns,
     decimated_equations,
-    joined,
 )
+from robot_sysid.identify.traces import traced
 from robot_sysid.records import (
     DELAY_NAME,
     Array,
@@ -35,7 +36,9 @@ from robot_sysid.records import (
     NuisanceMisfit,
     RobotModel,
 )
+from robot_sysid.records.traces import Traces
 from robot_sysid.signals.process import ProcessedSignals, delay_columns, with_delay
+from robot_sysid.signals.repetition import visits
 from robot_sysid.solver import identify_parameters
 
 DEFAULT_METHOD = "wls"
@@ -79,17 +82,24 @@ class AlignedFit:
         estimate: the result.
         alignment: delay and gravity that were found (or assumed).
         samples: the equations of each log, all rows of it.
-        misfits: what the data asks for that the model does not have.
+        nuisances: what was known of the nuisances, as wide as the data asked for.
+        noise: (joints,) noise as it counts: more than it is where the same residuals come again
+            [N m].
     """
 
     estimate: Estimate
     alignment: Alignment
     samples: tuple[DecimatedSamples, ...]
-    misfits: tuple[NuisanceMisfit, ...]
+    nuisances: tuple[NuisanceGroup, ...]
+    noise: Array
 
-    def rows(self, parts: Sequence[Mask]) -> DecimatedSamples:
+    def rows(self, parts: Sequence[Mask]) -> JoinedSamples:
         """Return the samples of all logs with one part (K,) of each in use."""
         return chosen_rows(self.samples, parts)
+
+    def misfits(self) -> tuple[NuisanceMisfit, ...]:
+        """Return what all rows ask for that the model does not have."""
+        return misfits(JoinedSamples(self.samples).information(), self.noise, self.nuisances)
 
 
 class Aligner:
@@ -119,6 +129,7 @@ class Aligner:
         tau = np.concatenate([log.tau for log in signals])
         self.torque: Array = np.sqrt(np.mean(tau**2, axis=0))
         self._groups = nuisance_groups(robot, options, friction, self.torque)
+        self._plain = self._equations(robot, None)
         self._rounds = _LOAD_ROUNDS if self._with_load else 2 if self._groups else 1
 
     def fit(self, parts: Sequence[Mask], before: AlignedFit | None = None) -> AlignedFit:
@@ -137,11 +148,11 @@ class Aligner:
             alignment, samples = before.alignment, before.samples
         for done in range(1, _MOST_ROUNDS + 1):
             samples = samples or self.samples(alignment, values)
-            estimate, asked = self._estimate(chosen_rows(samples, parts))
+            estimate, nuisances, noise = self._estimate(chosen_rows(samples, parts))
             moved = alignment.moved(estimate)
             settled = _is_settled(alignment, moved, estimate.error(DELAY_NAME) or 0.0)
             if settled and (before is not None or done >= self._rounds):
-                return AlignedFit(estimate, moved, samples, asked)
+                return AlignedFit(estimate, moved, samples, nuisances, noise)
             alignment = alignment if settled else moved
             values, samples = estimate.values, ()
         raise SysidError(
@@ -150,22 +161,35 @@ class Aligner:
             "show them well enough; lower --cutoff, or leave --delay and --tilt off"
         )
 
-    def _estimate(self, rows: DecimatedSamples) -> tuple[Estimate, tuple[NuisanceMisfit, ...]]:
-        """Return the estimate with priors as wide as the data asks for, and what it asks for."""
+    def traces(self, fit: AlignedFit) -> Traces:
+        """Return what was measured and what a fit predicts, for a report."""
+        names, estimate = fit.samples[0].names, fit.estimate
+        after = dict(zip(estimate.names, estimate.values))
+        motions = [log.decimated_motion() for log in self._logs]
+        before = dict(zip(names, self._prior(names)))
+        return traced(self._robot, fit.samples, motions, after, before)
+
+    def _estimate(self, rows: JoinedSamples) -> tuple[Estimate, tuple[NuisanceGroup, ...], Array]:
+        """Return the estimate, with priors as wide as the data asks for, these, and the noise."""
         information, groups = rows.information(), self._groups
         prior, method = self._prior(rows.names), self._options.method or DEFAULT_METHOD
+        inflation = np.ones(len(rows.joints))
         for _ in range(_WIDENING_ROUNDS):
-            estimate = identify_parameters(information, prior, method, self._options, rows, groups)
-            noise = np.array([estimate.noise_per_joint.get(j, np.inf) for j in rows.joints])
-            before, groups = groups, widened_groups(information, noise, groups)
-            if all(a.widened == b.widened for a, b in zip(before, groups)):
+            estimate = identify_parameters(
+                information, prior, method, self._options, rows, groups, inflation
+            )
+            used, counted = groups, inflation
+            inflation = self._visits.inflation(information, rows, estimate.values)
+            noise = _noise(estimate, rows) * np.sqrt(inflation)
+            groups = widened_groups(information, noise, groups)
+            widened = any(a.widened != b.widened for a, b in zip(used, groups))
+            if not widened and np.array_equal(counted, inflation):
                 break
-        return estimate, misfits(information, noise, before)
+        return estimate, used, noise
 
     def _prior(self, names: Sequence[str]) -> Array:
         """Return the model's own value of each parameter (p,); zero for what it does not know."""
-        equations = self._equations(self._robot, None)
-        known = dict(zip(equations.names, equations.prior))
+        known = dict(zip(self._plain.names, self._plain.prior))
         return np.array([known.get(name, 0.0) for name in names])
 
     def _equations(self, arm: RobotModel, values: Array | None) -> Equations:
@@ -177,13 +201,14 @@ class Aligner:
     def samples(self, alignment: Alignment, values: Array | None) -> tuple[DecimatedSamples, ...]:
         """Return each log's equations around an alignment and values (p,), None for the model's."""
         arm = with_gravity(self._robot, alignment.gravity)
-        size = len(self._equations(arm, None).names)
-        equations = self._equations(arm, None if values is None else values[:size])
-        thetas = known_links(arm, equations.names, None if values is None else values[:size])
+        known = None if values is None else values[: len(self._plain.names)]
+        equations = self._equations(arm, known)
+        thetas = known_links(arm, equations.names, known)
         columns = NuisanceColumns(arm, thetas)
         logs = [with_delay(log, alignment.delay) if alignment.delay else log for log in self._logs]
         if self._base is None or self._with_load or self._base[0] is not alignment:
             self._base = alignment, self._without_nuisances(arm, equations, thetas, logs)
+            self._visits = visits([log.decimated_motion() for log in logs])
         return tuple(
             with_nuisances(samples, columns, log, equations, self._groups)
             for samples, log in zip(self._base[1], logs)
@@ -202,18 +227,23 @@ class Aligner:
         )
 
 
+def _noise(estimate: Estimate, rows: JoinedSamples) -> Array:
+    """Return (joints,) the noise of an estimate; infinite where a joint had no samples [N m]."""
+    return np.array([estimate.noise_per_joint.get(joint, np.inf) for joint in rows.joints])
+
+
 def _is_settled(before: Alignment, after: Alignment, error: float) -> bool:
     """Tell whether neither moves by more than nothing or, the delay, a part of its error [s]."""
     slow = abs(after.delay - before.delay) < max(_SETTLED_DELAY, _SETTLED_SHARE * error)
     return slow and after.tilt_from(before.gravity) < _SETTLED_TILT
 
 
-def chosen_rows(logs: Sequence[DecimatedSamples], parts: Sequence[Mask]) -> DecimatedSamples:
+def chosen_rows(logs: Sequence[DecimatedSamples], parts: Sequence[Mask]) -> JoinedSamples:
     """Return the samples of all logs with one part (K,) of each in use.
 
     A delay shortens logs at their ends; the parts then end earlier.
     """
-    return joined([log.where(part[: len(log)]) for log, part in zip(logs, parts)])
+    return JoinedSamples(tuple(log.where(part[: len(log)]) for log, part in zip(logs, parts)))
 
 
 def shared_names(options: EstimationOptions) -> tuple[str, ...]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,8 +13,9 @@ from robot_sysid.estimation.cross_validation import hold_out, validate
 from robot_sysid.estimation.options import CHOSEN, EstimationOptions
 from robot_sysid.identify.alignment import Aligner, Alignment, Mask
 from robot_sysid.identify.friction_selection import choose_friction
-from robot_sysid.identify.samples import DecimatedSamples
-from robot_sysid.logs.checks import sign_check
+from robot_sysid.identify.judgement.signs import compared_with_model
+from robot_sysid.identify.samples import DecimatedSamples, JoinedSamples
+from robot_sysid.identify.simulated import CHECKPOINTS
 from robot_sysid.records import (
     Estimate,
     Measurement,
@@ -23,15 +25,19 @@ from robot_sysid.records import (
     Validation,
 )
 from robot_sysid.records.progress import Progress
-from robot_sysid.signals.process import SLOW_SHARE_FOR_DELAY, ProcessedSignals, process
-from robot_sysid.simulator import ArmTorque
+from robot_sysid.records.traces import Traces
+from robot_sysid.signals.process import (
+    SLOW_SHARE_FOR_DELAY,
+    ProcessedSignals,
+    process,
+    with_one_cutoff,
+)
 
 DELAY_CUTOFF = 10.0
 """Highest cut-off that is chosen where a delay is estimated [Hz]: beyond it the jumps of dry
 friction, which no derivative describes, make the search slow or fail."""
 MOVING = 0.05
 """Share of its peak speed above which a joint moves."""
-_CHECKPOINTS = 400
 
 
 @dataclass(frozen=True)
@@ -48,6 +54,7 @@ class MeasuredFit:
         torque: joint name to root mean square of its measured torque [N m].
         acceleration_error: expected error of the acceleration, as a part of it.
         checkpoints: some of the measured motion.
+        traces: makes what a report draws.
         notes: one sentence each.
     """
 
@@ -60,6 +67,7 @@ class MeasuredFit:
     torque: Mapping[str, float]
     acceleration_error: float
     checkpoints: Motion
+    traces: Callable[[], Traces]
     notes: tuple[str, ...]
 
 
@@ -83,7 +91,7 @@ def fit_measured(
         InputError: a log does not fit the arm or the options.
     """
     signals = _processed(robot, logs, options, least_deadband)
-    notes = [note for log in signals for note in (*log.notes, *_compare_with_model(robot, log))]
+    notes = [note for log in signals for note in (*log.notes, *compared_with_model(robot, log))]
     fitted, held = _parts(signals, options.validate)
     model, chosen = _friction(robot, options, signals, fitted)
     notes += [*chosen, *(note for log in signals for note in _one_way(robot, model, log))]
@@ -100,12 +108,13 @@ def fit_measured(
         fit.estimate,
         model,
         fit.alignment,
-        fit.misfits,
+        fit.misfits(),
         validation,
         signals[0].cutoff,
         dict(zip(robot.joint_names, aligner.torque.tolist())),
         max(log.acceleration_error for log in signals),
-        _checkpoints(signals[0]),
+        signals[0].motion(signals[0].spread(CHECKPOINTS)),
+        lambda: aligner.traces(fit),
         tuple(dict.fromkeys(notes)),
     )
 
@@ -121,21 +130,14 @@ def _processed(
     It is slow enough for a delay to act like a derivative where one is wanted.
     """
 
+    late = options.delay == "auto"
+
     def processed(log: Measurement, cutoff: float | None) -> ProcessedSignals:
         band = options.velocity_deadband
         signals = process(log, robot.joint_names, cutoff, band, least_deadband)
-        if options.delay == "auto":
-            return replace(signals, largest_slow_share=SLOW_SHARE_FOR_DELAY)
-        return signals
+        return replace(signals, largest_slow_share=SLOW_SHARE_FOR_DELAY) if late else signals
 
-    signals = [processed(log, options.cutoff) for log in logs]
-    if options.cutoff is not None:
-        return signals
-    lowest = min(log.cutoff for log in signals)
-    lowest = min(lowest, DELAY_CUTOFF) if options.delay == "auto" else lowest
-    return [
-        log if log.cutoff == lowest else processed(raw, lowest) for log, raw in zip(signals, logs)
-    ]
+    return with_one_cutoff(logs, processed, options.cutoff, DELAY_CUTOFF if late else math.inf)
 
 
 def validate_on(
@@ -153,7 +155,9 @@ def validate_on(
     return validate_samples(samples, fit.estimate, name)
 
 
-def validate_samples(samples: DecimatedSamples, estimate: Estimate, source: str) -> Validation:
+def validate_samples(
+    samples: DecimatedSamples | JoinedSamples, estimate: Estimate, source: str
+) -> Validation:
     """Return the prediction error on samples whose parameters the estimate contains."""
     values = np.array([estimate.value(name) or 0.0 for name in samples.names])
     return validate(samples.information(), values, source, samples.squared_torque())
@@ -166,24 +170,13 @@ def _parts(signals: Sequence[ProcessedSignals], share: float) -> tuple[list[Mask
     """
     fitted, held = [], []
     for log in signals:
-        at = log.low_pass.centres(len(log))
-        speed = np.abs(log.qd[at]) / np.maximum(np.max(np.abs(log.qd), axis=0), 1e-12)
+        fastest = np.maximum(np.max(np.abs(log.qd), axis=0), 1e-12)
+        speed = np.abs(log.decimated_motion().qd) / fastest
         gap = -(-len(log.low_pass.kernel) // log.low_pass.step) if share > 0.0 else 0
         parts = hold_out(np.any(speed > MOVING, axis=1), share, gap)
         fitted.append(parts[0])
         held.append(parts[1])
     return fitted, held
-
-
-def _compare_with_model(robot: RobotModel, signals: ProcessedSignals) -> tuple[str, ...]:
-    motion = _checkpoints(signals)
-    places = np.searchsorted(signals.time, motion.time)
-    return sign_check(signals.tau[places], ArmTorque(robot)(motion), robot.joint_names)
-
-
-def _checkpoints(signals: ProcessedSignals) -> Motion:
-    places = np.unique(np.linspace(0, len(signals) - 1, _CHECKPOINTS).astype(int))
-    return Motion(signals.time[places], signals.q[places], signals.qd[places], signals.qdd[places])
 
 
 def _friction(

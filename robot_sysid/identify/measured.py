@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,15 +13,16 @@ from robot_sysid.dynamics.gravity import gravity
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.identify.earlier import earlier_logs
 from robot_sysid.identify.fit import MeasuredFit, fit_measured, validate_on
-from robot_sysid.identify.per_log import compared
+from robot_sysid.identify.judgement.per_log import compared
+from robot_sysid.identify.judgement.rollout.link import LinkRollouts
+from robot_sysid.identify.judgement.verdict import judged
 from robot_sysid.identify.simulated import Analysis, SimulatedRun, describe
-from robot_sysid.identify.verdict import judged
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.reader import (
-    LogJoints,
     MeasurementLog,
     join_measurements,
-    read_log,
+    open_log,
+    origin_of,
     write_measurement_csv,
 )
 from robot_sysid.records import DataOrigin, Measurement, RobotModel, Source, Validation
@@ -78,7 +79,8 @@ def identify_simulated_arm(
     advice = simulation.notes((least or None) if band is None else band)
     origin = run.origin(Source.SIMULATED_ARM, f"{arm.plant_model}, {arm.simulation}")
     data = MeasuredData((measurement,), origin, plant.notes + advice + ramp, least)
-    return _identify(robot, data, options, (), progress)
+    analysis = _identify(robot, data, options, (), progress)
+    return replace(analysis, traces=lambda: replace(analysis.traces(), truth=plant.prior))
 
 
 def identify_logs(
@@ -102,33 +104,27 @@ def identify_logs(
     earlier = () if options.append is None else earlier_logs(options.append, robot)
     for path in (*earlier, *options.measurements):
         progress.stage(f"Reading measurements from {path}...")
-        logs.append(open_log(robot, options, path, progress))
+        logs.append(open_log(robot, path, options, progress))
     if save is not None:
         write_measurement_csv(save, robot.joint_names, [logs[0].samples])
     measured = tuple(piece for log in logs for piece in log.pieces)
     tests = []
     if options.validation_measurements is not None:
-        tests.append(open_log(robot, options, options.validation_measurements, progress))
+        tests.append(open_log(robot, options.validation_measurements, options, progress))
         for note in tests[0].notes:
             progress.note(f"validation log: {note}")
     _check(robot, options, estimation, [*logs, *tests], progress)
     named = {str(log.path): log.pieces for log in logs}
-    data = MeasuredData(measured, _origin(logs), _log_notes(logs), named=named)
-    return _identify(robot, data, estimation, tests, progress)
+    data = MeasuredData(measured, origin_of(logs), _log_notes(logs), named=named)
+    analysis = _identify(robot, data, estimation, tests, progress)
+    others = tuple(piece for log in tests for piece in log.pieces)
+    return replace(analysis, rollouts=LinkRollouts(robot, measured, others, estimation))
 
 
 def _require_fitting(robot: RobotModel, options: EstimationOptions) -> None:
     """Refuse a list that does not fit the joints before any work."""
     if options.velocity_deadband is not None:
         per_joint(options.velocity_deadband, robot.n_joints, "--velocity-deadband")
-
-
-def open_log(
-    robot: RobotModel, options: LogOptions, path: Path, progress: Progress
-) -> MeasurementLog:
-    """Open a log of this arm with the columns and units that were declared."""
-    joints = LogJoints(robot.joint_names, robot.limits, tuple(robot.is_slide.tolist()))
-    return read_log(path, joints, options, progress)
 
 
 def _check(
@@ -142,14 +138,6 @@ def _check(
     accepted = (*options.accept, *(("delay",) if estimation.delay == "auto" else ()))
     for log in logs:
         look_at(robot, log, accepted, progress, estimation.cutoff)
-
-
-def _origin(logs: Sequence[MeasurementLog]) -> DataOrigin:
-    duration = sum(log.duration for log in logs)
-    rate = sum(len(log.samples) - 1 for log in logs) / duration
-    words = ", ".join(str(log.path) for log in logs)
-    files = tuple(str(log.path.absolute()) for log in logs)
-    return DataOrigin(Source.LOG, words, duration, rate, files=files)
 
 
 def _log_notes(logs: Sequence[MeasurementLog]) -> tuple[str, ...]:
@@ -188,7 +176,8 @@ def _identify(
         misfits=fit.misfits,
         **aligned,
     )
-    return Analysis(judged(found, robot, fit.torque, fit.acceleration_error), fit.checkpoints)
+    final = judged(found, robot, fit.torque, fit.acceleration_error)
+    return Analysis(final, fit.checkpoints, fit.traces)
 
 
 def _alignment(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
 import numpy as np
@@ -27,7 +27,12 @@ LACKING = ("load", "sqrt")
 CURVATURE, LEAST_COULOMB = 5.0, 0.02
 """How curved friction may be, as part of its Coulomb friction and in units of what it may grow with
 the gear's torque; Coulomb friction is at least so much of the joint's usual torque."""
+OWN = (SCALES, FRICTION)
+"""Causes whose columns stand in their own joint's equation alone."""
 PER_CENT, MILLI = 0.01, 1e-3
+_CHUNK = 2048
+
+Maker = Callable[[Motion], Array]
 
 
 def sought_links(robot: RobotModel, options: EstimationOptions) -> tuple[int, ...]:
@@ -55,18 +60,18 @@ def _groups(
 ) -> Iterator[NuisanceGroup]:
     links = sought_links(robot, options)
     if links:
-        yield _link_group(robot, links, PER_CENT * options.link_uncertainty)
+        yield link_group(robot, links, PER_CENT * options.link_uncertainty)
     joints = robot.joint_names if options.torques == "chain" else robot.joint_names[-1:]
     if options.scale_uncertainty > 0.0:
         names = scale_names(robot)[-len(joints) :]
-        yield _alike(SCALES, names, joints, PER_CENT * options.scale_uncertainty)
+        yield independent(SCALES, names, joints, PER_CENT * options.scale_uncertainty)
     if options.zero_uncertainty > 0.0:
         size = MILLI * options.zero_uncertainty
-        yield _alike(ZEROS, zero_names(robot), robot.joint_names, size)
+        yield independent(ZEROS, zero_names(robot), robot.joint_names, size)
     tilted = options.gravity_uncertainty > 0.0 and options.tilt == "off"
     if tilted and np.any(gravity(robot)):
         size = float(np.radians(options.gravity_uncertainty))
-        yield _alike(TILT, GRAVITY_NAMES, ("the base", "the base"), size)
+        yield independent(TILT, GRAVITY_NAMES, ("the base", "the base"), size)
     lacking = [term for term in LACKING if friction.terms and term not in friction.terms]
     share = PER_CENT * options.friction_uncertainty
     if lacking and share > 0.0:
@@ -84,20 +89,36 @@ def _friction_group(
     return NuisanceGroup(FRICTION, names, np.zeros(len(names)), factor, members, may_widen=True)
 
 
-def _alike(cause: str, names: Sequence[str], members: Sequence[str], size: float) -> NuisanceGroup:
+def independent(
+    cause: str, names: Sequence[str], members: Sequence[str], size: float, may_widen: bool = False
+) -> NuisanceGroup:
+    """Return the prior of nuisances that are each off by the same size, on their own."""
     count = len(names)
-    return NuisanceGroup(cause, tuple(names), np.zeros(count), size * np.eye(count), tuple(members))
+    factor = size * np.eye(count)
+    return NuisanceGroup(cause, tuple(names), np.zeros(count), factor, tuple(members), may_widen)
 
 
-def _link_group(robot: RobotModel, links: Sequence[int], share: float) -> NuisanceGroup:
-    size = len(PARAMETER_NAMES)
+def link_group(
+    robot: RobotModel, links: Sequence[int], share: float, cause: str = LINKS
+) -> NuisanceGroup:
+    """Return what the model knows of some links, by their numbers; the terminal one may be there.
+
+    Args:
+        robot: the arm.
+        links: numbers of links with mass.
+        share: how far their numbers may be off, see ``estimation.nuisances.link_factor``.
+        cause: what they are called.
+    """
+    last = robot.n_joints - 1
+    ends = [*(link.translation for link in robot.links[1:]), robot.prior.com]
+    lengths = [float(np.linalg.norm(ends[link])) for link in links]
     thetas = [robot.links[link].theta for link in links]
-    lengths = [float(np.linalg.norm(robot.links[link + 1].translation)) for link in links]
-    factor = link_factor(thetas, share, lengths)
-    names = [name for link in links for name in link_names(robot, link)]
-    members = [robot.links[link].body_name for link in links for _ in range(size)]
-    mean = np.concatenate(thetas)
-    return NuisanceGroup(LINKS, tuple(names), mean, factor, tuple(members), may_widen=True)
+    names: list[str] = []
+    for link in links:
+        names += PARAMETER_NAMES if link == last else link_names(robot, link)
+    members = [robot.links[link].body_name for link in links for _ in PARAMETER_NAMES]
+    factor, mean = link_factor(thetas, share, lengths), np.concatenate(thetas)
+    return NuisanceGroup(cause, tuple(names), mean, factor, tuple(members), may_widen=True)
 
 
 def known_links(robot: RobotModel, names: Sequence[str], values: Array | None) -> Array:
@@ -131,19 +152,37 @@ def with_nuisances(
     They are taken at the instants of the decimated rows, without the low-pass: motion passes it
     unchanged, and what a nuisance's column is off by counts only beside the nuisance's own size.
     """
-    at = signals.low_pass.centres(len(signals))
-    motion = Motion(signals.time[at], signals.q[at], signals.qd[at], signals.qdd[at])
-    makers = {SCALES: columns.scale, ZEROS: columns.zero, TILT: columns.tilt}
-    makers.update({term: partial(columns.friction, term=term) for term in LACKING})
+    motion = signals.decimated_motion()
+    makers: dict[str, Maker] = {
+        SCALES: columns.scale,
+        ZEROS: columns.zero,
+        TILT: columns.tilt,
+        **{term: partial(columns.friction, term=term) for term in LACKING},
+    }
     rows = list(equations.rows_of)
     for group in groups:
         kinds = [group.cause] if group.cause in makers else _kinds(group.names)
-        blocks = [makers[kind](motion)[:, rows] for kind in kinds if kind in makers]
-        if blocks:
-            count = len(group.names) // len(blocks)
-            made = np.concatenate([block[:, :, -count:] for block in blocks], axis=-1)
-            samples = samples.with_columns(group.names, list(np.moveaxis(made, 1, 0)))
+        chosen = [makers[kind] for kind in kinds if kind in makers]
+        if not chosen:
+            continue
+        count = len(group.names) // len(chosen)
+        made = _made(chosen, motion)[:, rows, :, -count:].reshape(len(samples), len(rows), -1)
+        places = [np.arange(len(group.names))] * len(rows)
+        if group.cause in OWN:
+            places = [np.arange(row, len(group.names), count) for row in range(len(rows))]
+        blocks = [made[:, row, place] for row, place in enumerate(places)]
+        samples = samples.with_columns(group.names, blocks, places)
     return samples
+
+
+def _made(makers: Sequence[Maker], motion: Motion) -> Array:
+    """Return what makers of columns (K, n, s) make, (K, n, makers, s), a part at a time."""
+    parts = []
+    for start in range(0, len(motion.time), _CHUNK):
+        some = slice(start, start + _CHUNK)
+        part = Motion(motion.time[some], motion.q[some], motion.qd[some], motion.qdd[some])
+        parts.append(np.stack([maker(part) for maker in makers], axis=2))
+    return np.concatenate(parts)
 
 
 def _kinds(names: Sequence[str]) -> list[str]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from robot_sysid.dynamics.equations import Equations
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.information import InformationAccumulator
-from robot_sysid.records import Array, Measurement, Motion, SquareRootInformation
+from robot_sysid.records import Array, Measurement, Motion, SampleSource, SquareRootInformation
 from robot_sysid.signals.process import ProcessedSignals
 
 _CHUNK = 2048
@@ -29,7 +29,8 @@ class DecimatedSamples:
         joints: the joints that have equations.
         columns: per joint, which parameters its rows contain.
         time: (K,) [s].
-        rows: per joint (K, k).
+        blocks: per joint, what its rows (K, k) are made of side by side; kept apart, so that
+            samples that differ in their last columns alone share the others.
         tau: per joint (K,) right-hand sides [N m]; NaN where a sample is not used.
         measured: per joint (K,) the whole measured torque [N m].
     """
@@ -38,7 +39,7 @@ class DecimatedSamples:
     joints: tuple[str, ...]
     columns: tuple[NDArray[np.int64], ...]
     time: Array
-    rows: tuple[Array, ...]
+    blocks: tuple[tuple[Array, ...], ...]
     tau: tuple[Array, ...]
     measured: tuple[Array, ...]
 
@@ -47,42 +48,47 @@ class DecimatedSamples:
 
     def __iter__(self) -> Iterator[tuple[int, Array, Array]]:
         """Yield (joint number, rows, right-hand sides) of each joint."""
-        for index, (rows, tau) in enumerate(zip(self.rows, self.tau)):
-            yield index, rows, tau
+        for index, (blocks, tau) in enumerate(zip(self.blocks, self.tau)):
+            yield index, _side_by_side(blocks), tau
+
+    @property
+    def rows(self) -> tuple[Array, ...]:
+        """Per joint (K, k)."""
+        return tuple(_side_by_side(blocks) for blocks in self.blocks)
 
     def information(self) -> SquareRootInformation:
         """Return the square-root information of the samples in use."""
-        accumulator = InformationAccumulator(self.names, self.joints, self.columns)
-        for index, rows, tau in self:
-            used = np.isfinite(tau)
-            accumulator.add(index, rows[used], tau[used])
-        return accumulator.result()
+        return information_of(self, self.names, self.joints, self.columns)
 
     def where(self, used: NDArray[np.bool_]) -> DecimatedSamples:
         """Return the samples with those left out for which ``used`` (K,) is false."""
         return replace(self, tau=tuple(np.where(used, tau, np.nan) for tau in self.tau))
 
-    def with_columns(self, names: Sequence[str], blocks: Sequence[Array]) -> DecimatedSamples:
-        """Return the samples with further parameters in all joints' equations.
+    def with_columns(
+        self,
+        names: Sequence[str],
+        blocks: Sequence[Array],
+        places: Sequence[NDArray[np.int64]] | None = None,
+    ) -> DecimatedSamples:
+        """Return the samples with further parameters.
 
         Args:
             names: (s,) of the parameters.
-            blocks: per joint (K, s).
+            blocks: per joint (K, t).
+            places: per joint, which t of the parameters are in its equations; None for all s.
         """
-        new = len(self.names) + np.arange(len(names))
+        every = [np.arange(len(names))] * len(self.blocks) if places is None else places
+        new = [len(self.names) + np.asarray(place) for place in every]
         return replace(
             self,
             names=(*self.names, *names),
-            columns=tuple(np.concatenate((own, new)) for own in self.columns),
-            rows=tuple(np.hstack((rows, block)) for rows, block in zip(self.rows, blocks)),
+            columns=tuple(np.concatenate(pair) for pair in zip(self.columns, new)),
+            blocks=tuple((*own, block) for own, block in zip(self.blocks, blocks)),
         )
 
     def deviation(self, prior: Array) -> DecimatedSamples:
         """Return the equations for the deviation from ``prior`` (p,)."""
-        right = [
-            tau - rows @ prior[columns]
-            for tau, rows, columns in zip(self.tau, self.rows, self.columns)
-        ]
+        right = [tau - rows @ prior[columns] for (_, rows, tau), columns in zip(self, self.columns)]
         return replace(self, tau=tuple(right))
 
     def used(self) -> DecimatedSamples:
@@ -90,7 +96,7 @@ class DecimatedSamples:
         kept = [np.isfinite(tau) for tau in self.tau]
         return replace(
             self,
-            rows=tuple(rows[keep] for rows, keep in zip(self.rows, kept)),
+            blocks=tuple((rows[keep],) for (_, rows, _), keep in zip(self, kept)),
             tau=tuple(tau[keep] for tau, keep in zip(self.tau, kept)),
             measured=tuple(measured[keep] for measured, keep in zip(self.measured, kept)),
         )
@@ -99,6 +105,56 @@ class DecimatedSamples:
         """Return (joints,) sum of squares of the measured torque where it is used [N^2 m^2]."""
         pairs = zip(self.tau, self.measured)
         return np.array([np.sum(measured[np.isfinite(tau)] ** 2) for tau, measured in pairs])
+
+
+@dataclass(frozen=True)
+class JoinedSamples:
+    """Equations of several logs for the same parameters; only one joint's stand together in memory.
+
+    Attributes:
+        parts: the logs', at least one.
+    """
+
+    parts: tuple[DecimatedSamples, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Parameter names (p,)."""
+        return self.parts[0].names
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """The joints that have equations."""
+        return self.parts[0].joints
+
+    def __iter__(self) -> Iterator[tuple[int, Array, Array]]:
+        """Yield (joint number, rows, right-hand sides) of each joint."""
+        for same in zip(*self.parts):
+            rows, tau = (np.concatenate([each[k] for each in same]) for k in (1, 2))
+            yield same[0][0], rows, tau
+
+    def information(self) -> SquareRootInformation:
+        """Return the square-root information of the samples in use."""
+        first = self.parts[0]
+        return information_of(self, first.names, first.joints, first.columns)
+
+    def squared_torque(self) -> Array:
+        """Return (joints,) sum of squares of the measured torque where it is used [N^2 m^2]."""
+        return np.sum([part.squared_torque() for part in self.parts], axis=0)
+
+
+def information_of(
+    samples: SampleSource,
+    names: Sequence[str],
+    joints: Sequence[str],
+    columns: Sequence[NDArray[np.int64]],
+) -> SquareRootInformation:
+    """Return the square-root information of samples; those that are NaN are not used."""
+    accumulator = InformationAccumulator(names, joints, columns)
+    for index, rows, tau in samples:
+        used = np.isfinite(tau)
+        accumulator.add(index, rows[used], tau[used])
+    return accumulator.result()
 
 
 def decimated_equations(
@@ -131,7 +187,7 @@ def decimated_equations(
         equations.joints,
         equations.columns,
         signals.decimated_time(),
-        tuple(table[:, :-2] for table in tables),
+        tuple((table[:, :-2],) for table in tables),
         tuple(np.where(ok, table[:, -2], np.nan) for table, ok in zip(tables, usable.T)),
         tuple(table[:, -1] for table in tables),
     )
@@ -146,8 +202,13 @@ def joined(parts: Sequence[DecimatedSamples]) -> DecimatedSamples:
     if len(parts) == 1:
         return parts[0]
     time = np.concatenate([part.time for part in parts])
-    rows, tau, measured = stacked("rows"), stacked("tau"), stacked("measured")
-    return replace(parts[0], time=time, rows=rows, tau=tau, measured=measured)
+    blocks = tuple((rows,) for rows in stacked("rows"))
+    tau, measured = stacked("tau"), stacked("measured")
+    return replace(parts[0], time=time, blocks=blocks, tau=tau, measured=measured)
+
+
+def _side_by_side(blocks: Sequence[Array]) -> Array:
+    return blocks[0] if len(blocks) == 1 else np.hstack(blocks)
 
 
 def _require_usable(usable: NDArray[np.bool_], joints: Sequence[str]) -> None:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 import platform
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -20,6 +20,10 @@ from robot_sysid.dynamics.equations import (
 )
 from robot_sysid.dynamics.kinematics import MUJOCO_VERSION
 from robot_sysid.estimation.options import EstimationOptions
+from robot_sysid.identify.samples import DecimatedSamples
+from robot_sysid.identify.traces import traced
+from robot_sysid.model.inertia import subtree_bodies
+from robot_sysid.output.model_writing import ModelTarget
 from robot_sysid.records import (
     DataOrigin,
     Estimate,
@@ -31,16 +35,32 @@ from robot_sysid.records import (
     Source,
 )
 from robot_sysid.records.progress import Progress
+from robot_sysid.records.results import RolloutTest
+from robot_sysid.records.traces import Traces
 from robot_sysid.simulator import collect_sysid_data, simulate_inverse
 from robot_sysid.solver import identify_parameters
-from robot_sysid.trajectory import CHUNK, motion_chunks, sample_count
+from robot_sysid.trajectory import CHUNK, motion_chunks, sample_count, spread_motion
 
 CHECKPOINTS = 400
 """On how many samples of the motion a written model is compared with the prediction."""
+_DRAWN = 2000
 ITSELF = (
     "this run simulates the model itself, so it can only return the model's own values; give "
     "--measurements LOG.csv for a log of the real arm, or --plant-model for another model of it"
 )
+
+
+class RolloutSource(Protocol):
+    """What can play the model before and the one that is to be written."""
+
+    def test(
+        self,
+        found: Identification,
+        checkpoints: Motion,
+        write: Callable[[Identification, ModelTarget], object],
+        mesh_dir: Path | None,
+    ) -> RolloutTest:
+        """Return how they move beside the arm."""
 
 
 @dataclass(frozen=True)
@@ -50,10 +70,14 @@ class Analysis:
     Attributes:
         identification: the result.
         checkpoints: motion on which a written model has to reproduce the predicted torque.
+        traces: makes what a report draws.
+        rollouts: plays the model before and after beside a log; None where there is no log.
     """
 
     identification: Identification
     checkpoints: Motion
+    traces: Callable[[], Traces]
+    rollouts: RolloutSource | None = None
 
 
 @dataclass(frozen=True)
@@ -101,7 +125,28 @@ def identify_itself(
         write_measurement_csv(run.save, robot.joint_names, _simulated(robot, run))
     progress.note(ITSELF)
     found = describe(robot, estimate, options.torques, run.origin(Source.ITSELF))
-    return Analysis(found, run.plan.evaluate(np.linspace(0.0, run.plan.duration, CHECKPOINTS)))
+    checkpoints = run.plan.evaluate(np.linspace(0.0, run.plan.duration, CHECKPOINTS))
+    return Analysis(found, checkpoints, lambda: _traces(robot, equations, run, estimate))
+
+
+def _traces(
+    robot: RobotModel, equations: Equations, run: SimulatedRun, estimate: Estimate
+) -> Traces:
+    """Return what a report draws of the simulation, at some of its samples."""
+    motion = spread_motion(run.plan, _DRAWN)
+    (measurement,) = simulate_inverse(robot, [motion])
+    rows = tuple(equations.rows(measurement))
+    samples = DecimatedSamples(
+        equations.names,
+        equations.joints,
+        equations.columns,
+        motion.time,
+        tuple((block,) for block, _ in rows),
+        tuple(tau for _, tau in rows),
+        tuple(measurement.tau[:, joint] for joint in equations.rows_of),
+    )
+    after, before = (dict(zip(equations.names, v)) for v in (estimate.values, equations.prior))
+    return traced(robot, [samples], [motion], after, before)
 
 
 def _simulated(robot: RobotModel, run: SimulatedRun) -> Iterator[Measurement]:
@@ -132,7 +177,9 @@ def describe(
         joint_name=robot.terminal_joint,
         body_name=robot.body_name,
         joint_names=robot.joint_names,
-        is_slide=bool(robot.is_slide[-1]),
+        slides=robot.slides,
+        bodies=subtree_bodies(robot.mj_model, robot.reference_qpos, robot.body_id),
+        model_friction=robot.friction,
         prior=robot.prior,
         estimate=estimate,
         torques=torques,

@@ -14,7 +14,8 @@ Two forms. Lines of ``key = value``::
 or the same as JSON: ``{"time": "Zeit", "position": ["A1", "A2"], "torque": {"joint1": "M1"}}``.
 
 Keys: time, position, velocity, acceleration, torque, joint_time (a time stamp of each joint's own),
-units (rad, deg; s, ms, us, ns) and rate (samples per second, for a log without a time column).
+command (position a servo is asked for), units (rad, deg; s, ms, us, ns) and rate (samples per
+second, for a log without a time column).
 ``#3`` is the third column, for a log without titles. What the file does not name is still
 recognised by its title.
 """

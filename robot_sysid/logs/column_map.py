@@ -19,6 +19,7 @@ from robot_sysid.logs.columns import (
     UNITS,
     Found,
     Title,
+    commands_as_quantity,
     currents_as_torque,
     joint_kind,
     match_joints,
@@ -48,6 +49,7 @@ class ColumnMap:
         velocity, acceleration, joint_time: None where the log has none.
         unused: titles that were not taken for anything.
         angle_declared: whether the unit of angles was declared (option or title), not assumed.
+        commanded: whether ``torque`` holds commanded positions instead, of a log read for them.
     """
 
     time: Source | None
@@ -59,6 +61,7 @@ class ColumnMap:
     joint_time: tuple[Source, ...] | None
     unused: tuple[str, ...]
     angle_declared: bool
+    commanded: bool = False
 
     def groups(self) -> tuple[tuple[Source, ...] | None, ...]:
         """Return the columns of each quantity: position, torque, then what there may be."""
@@ -79,7 +82,8 @@ class ColumnMap:
         time = _quoted([self.time]) if self.time else f"row number at {self.rate:g} Hz"
         velocity = _quoted(self.velocity) if self.velocity else "differentiated from position"
         taken = f"log columns: time from {time}; position from {_quoted(self.position)}; velocity "
-        taken += f"{'from ' if self.velocity else ''}{velocity}; torque from {_quoted(self.torque)}"
+        taken += f"{'from ' if self.velocity else ''}{velocity}; "
+        taken += f"{'command' if self.commanded else 'torque'} from {_quoted(self.torque)}"
         for name, extra in (("acceleration", self.acceleration), ("own time", self.joint_time)):
             taken += f"; {name} from {_quoted(extra)}" if extra else ""
         unused = f"log columns not used: {', '.join(self.unused)}" if self.unused else ""
@@ -93,6 +97,7 @@ def recognise_columns(
     first_row: Sequence[str],
     is_slide: Sequence[bool],
     currents: bool = False,
+    commanded: bool = False,
 ) -> ColumnMap:
     """Find out what each column is.
 
@@ -103,6 +108,7 @@ def recognise_columns(
         first_row: the first row of data (it may hold joint names, as ROS logs do).
         is_slide: (n,) whether a joint is a slide, whose positions are never angles.
         currents: whether columns of motor current stand in for torque, where there are any.
+        commanded: whether commanded positions are wanted, and no torque.
 
     Raises:
         InputError: a quantity is missing, has two candidates, or contradicts the declared units.
@@ -110,23 +116,26 @@ def recognise_columns(
     parsed = [read_title(title) for title in titles]
     if currents:
         parsed = currents_as_torque(parsed, len(joint_names))
+    if commanded:
+        parsed = commands_as_quantity(parsed, joint_names)
     # What the file names in full need not be recognised, and cannot be ambiguous.
     settled = {k for k, c in chosen.columns.items() if len(c) == len(joint_names)}
     readable = [t if joint_kind(t) not in settled else read_title("") for t in parsed]
     found = match_joints(readable, joint_names, first_row)
-    columns = _Columns(titles, parsed, joint_names, chosen, is_slide)
-    sources = {kind: columns.of_joints(kind, found) for kind in QUANTITIES}
+    asked, other = ("command", "torque") if commanded else ("torque", "command")
+    columns = _Columns(titles, parsed, joint_names, chosen, is_slide, ("position", asked))
+    sources = {kind: columns.of_joints(kind, found) for kind in QUANTITIES if kind != other}
     time = columns.time()
     used = {s.index for group in sources.values() if group for s in group}
     used |= {time.index} if time else set()
     unused = tuple(title for index, title in enumerate(titles) if index not in used)
-    position, torque = sources["position"], sources["torque"]
+    position, torque = sources["position"], sources[asked]
     if position is None or torque is None:
-        raise InputError(f"position and torque cannot be left out; {REMEDY}")
+        raise InputError(f"position and {asked} cannot be left out; {REMEDY}")
     declared = chosen.units.angle is not None or all(parsed[s.index].unit for s in position)
     return ColumnMap(
         time, chosen.rate, position, torque, sources["velocity"], sources["acceleration"],
-        sources["joint_time"], unused, declared,
+        sources["joint_time"], unused, declared, commanded,
     )  # fmt: skip
 
 
@@ -140,9 +149,10 @@ class _Columns:
         joint_names: Sequence[str],
         chosen: ColumnChoices,
         is_slide: Sequence[bool],
+        needed: tuple[str, str],
     ) -> None:
         self._titles, self._joints, self._chosen = titles, joint_names, chosen
-        self._is_slide = is_slide
+        self._is_slide, self._needed = is_slide, needed
         self._texts = list(texts)
 
     def of_joints(self, kind: str, found: Found) -> tuple[Source, ...] | None:
@@ -157,7 +167,7 @@ class _Columns:
         sources = [self._source(kind, joint, *c) for joint, c in enumerate(columns) if c]
         if len(sources) == len(self._joints):
             return tuple(sources)
-        if explicit or kind in ("position", "torque"):
+        if explicit or kind in self._needed:
             raise self._incomplete(kind)
         return None
 
@@ -194,9 +204,13 @@ class _Columns:
         found = f"{len(candidates)} ({', '.join(candidates)})" if candidates else "none"
         commanded = [title.text for title in self._titles if title.commanded]
         hint = f"; commanded columns are not measurements: {commanded[0]}, ..." if commanded else ""
+        if kind == "command":
+            hint = " (titles such as action, command, q_des or goal_position)"
         currents = [title.text for title in self._titles if title.is_current]
         if kind == "torque" and currents:
             hint += f"; {currents[0]}, ... are motor currents: give --torque-constants to use them"
+        elif kind == "torque" and not candidates:
+            hint += "; with commanded positions, arm --torque-from position-error needs none"
         return InputError(
             f"the log needs one {kind} column for each of the {len(self._joints)} chain joints "
             f"({', '.join(self._joints)}), found {found}{hint}; {REMEDY}. Columns: "

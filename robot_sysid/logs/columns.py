@@ -29,14 +29,17 @@ _KINDS = {
     "velocity": "qd dq qdot dqdt vel velocity velocities speed speeds qvel jvel",
     "acceleration": "qdd ddq qddot acc accel acceleration accelerations qacc jacc",
     "torque": "tau taus torque torques effort efforts eff trq tq force forces",
+    "command": "commandedposition",
 }
 KIND_OF_WORD = {word: kind for kind, words in _KINDS.items() for word in words.split()}
 """Word to the quantity it stands for."""
 
 _COMMANDED = _words(
     "cmd command commanded commands des desired ref reference target setpoint sp goal planned "
-    "plan ff feedforward d"
+    "plan ff feedforward d action actions"
 )
+_NO_POSITION = _words("ff feedforward")
+"""Of these, those that no position is called by."""
 _NEUTRAL = _words(
     "j jnt joint joints axis ax a m motor motors dof arm robot field state states js jointstate "
     "jointstates header meas measured measurement act actual fb feedback msr present current "
@@ -59,6 +62,7 @@ UNITS = {
     | {"deg": math.pi / 180, "rad": 1.0, "°s2": math.pi / 180, "ms2": 1.0},
     "torque": {"nm": 1.0, "mnm": 1e-3, "ncm": 1e-2, "knm": 1e3, "n": 1.0},
 }
+UNITS["command"] = UNITS["position"]
 """Quantity to squeezed unit to what turns a value into SI."""
 _UNIT_WORDS = _words(
     "s sec secs second seconds ms msec millis us usec µs micros ns nsec nanos rad rads radians deg "
@@ -119,6 +123,45 @@ def _as_torque(title: Title) -> Title:
         return read_title(text)
     is_torque = any(KIND_OF_WORD.get(word) == "torque" for word in title.words)
     return read_title(f"{title.text} unused") if is_torque else title
+
+
+def commands_as_quantity(titles: Sequence[Title], joint_names: Sequence[str]) -> list[Title]:
+    """Return the titles with commanded positions called that, such as ``q_des[0]``, ``action 1``.
+
+    A joint's own name may hold such a word (``ref_joint_position``) and is left out of account.
+    """
+    return [_as_command(t) if _is_command(_nameless(t, joint_names)) else t for t in titles]
+
+
+def _nameless(title: Title, joint_names: Sequence[str]) -> Title:
+    readings = (without_written_name(title, n) or without_name(title, n) for n in joint_names)
+    return min((r for r in readings if r), key=lambda rest: len(rest.words), default=title)
+
+
+def _is_command(title: Title) -> bool:
+    words = {word for word in title.words if word in _COMMANDED}
+    kinds = {KIND_OF_WORD[word] for word in title.words if word in KIND_OF_WORD}
+    rest = [w for w in title.words if w not in words and w not in KIND_OF_WORD]
+    said = words - _NO_POSITION
+    # A bare d is too short to stand for a command without a position beside it.
+    plain = bool(said) and (said != {"d"} or kinds == {"position"})
+    known = all(word in _NEUTRAL for word in rest) and not _CURRENT & set(rest)
+    return plain and known and kinds <= {"position"}
+
+
+def _as_command(title: Title) -> Title:
+    """Return a commanded position under the one word that stands for it."""
+    words = re.compile(r"[A-Z]?[a-z]+|[A-Z]+")
+    said: list[str] = []
+
+    def plain(match: re.Match[str]) -> str:
+        word = match[0].lower()
+        if word in _COMMANDED and not said:
+            said.append(word)
+            return " commandedposition "
+        return "" if word in _COMMANDED or KIND_OF_WORD.get(word) == "position" else match[0]
+
+    return read_title(words.sub(plain, title.text))
 
 
 def read_title(text: str) -> Title:
@@ -190,7 +233,7 @@ def _join(words: Sequence[str]) -> list[str]:
 Found = dict[tuple[str, int], list[int]]
 """(quantity, joint number) to the columns that could be it."""
 
-QUANTITIES = ("position", "velocity", "acceleration", "torque", "joint_time")
+QUANTITIES = ("position", "velocity", "acceleration", "torque", "joint_time", "command")
 REMEDY = "name the columns with --columns FILE"
 
 

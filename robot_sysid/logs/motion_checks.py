@@ -116,7 +116,7 @@ def require_torque(rows: LogRows, context: LogContext) -> None:
     """Refuse torque columns that carry nothing."""
     tau = rows.samples.tau
     stuck = np.all(tau == tau[0], axis=0)
-    if np.any(stuck):
+    if rows.samples.command is None and np.any(stuck):
         joint = int(np.argmax(stuck))
         what = "zero" if tau[0, joint] == 0.0 else f"the same ({tau[0, joint]:.6g} N m)"
         raise InputError(

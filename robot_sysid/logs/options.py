@@ -24,13 +24,18 @@ CHECKS = {
     "held": "torque that stands still while the arm moves",
     "contact": "contact, a collision or a moving gripper",
     "too-little": "too few independent samples",
+    "rollout": "new model that does not move more like the arm than the old one",
 }
 """Name of every check of a log, as ``--accept`` takes it, to what it looks for."""
 
 
 @dataclass(frozen=True)
 class LogOptions(OptionRecord):
-    """Which logs of the real arm, and what their columns are."""
+    """Which logs of the real arm, and what their columns are.
+
+    Attributes:
+        commanded: whether commanded positions are wanted, and no torque.
+    """
 
     NEEDS: ClassVar[str] = "log"
     measurements: tuple[Path, ...] = option(
@@ -83,3 +88,9 @@ class LogOptions(OptionRecord):
     validation_measurements: Path | None = option(
         None, "another log that only tests the result", metavar="LOG.csv"
     )
+    verify_rollout: bool = option(
+        False,
+        "play the old and the new model on held-out pieces; write the new one only if it moves "
+        "more like the arm",
+    )
+    commanded: bool = False

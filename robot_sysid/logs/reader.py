@@ -22,11 +22,11 @@ from robot_sysid.logs.column_file import ColumnChoices, Units, parse_units, read
 from robot_sysid.logs.column_map import ColumnMap, recognise_columns
 from robot_sysid.logs.formats.known_text import merged
 from robot_sysid.logs.formats.recognise import open_table
-from robot_sysid.logs.formats.table import LogTable
+from robot_sysid.logs.formats.table import ArrayTable, LogTable
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.rows import read_rows
 from robot_sysid.logs.timing import LogContext
-from robot_sysid.records import Array, JointLimits, Measurement
+from robot_sysid.records import Array, DataOrigin, JointLimits, Measurement, RobotModel, Source
 from robot_sysid.records.atomic_files import whole_file
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.torque_scale import CONSTANTS, SCALE, joint_factors
@@ -51,6 +51,12 @@ class MeasurementLog:
     pieces: tuple[Measurement, ...]
     notes: tuple[str, ...]
 
+    def __fspath__(self) -> str:
+        """The path, so that a log that was read may stand where its file is expected."""
+        return str(self.path)
+
+    __str__ = __fspath__
+
     @property
     def duration(self) -> float:
         """Time from the first to the last sample [s]."""
@@ -63,7 +69,7 @@ def join_measurements(chunks: Iterable[Measurement]) -> Measurement:
     joined = {
         name: None if getattr(parts[0], name) is None
         else np.concatenate([getattr(part, name) for part in parts])
-        for name in ("time", "q", "qd", "tau", "qdd", "joint_time")
+        for name in ("time", "q", "qd", "tau", "qdd", "joint_time", "command")
     }  # fmt: skip
     return Measurement(**joined)  # type: ignore[arg-type]
 
@@ -89,12 +95,15 @@ class LogJoints:
 
 
 def read_log(
-    path: Path, joints: LogJoints, options: LogOptions, progress: Progress | None = None
+    source: Path | ArrayTable,
+    joints: LogJoints,
+    options: LogOptions,
+    progress: Progress | None = None,
 ) -> MeasurementLog:
     """Recognise, check and open a log.
 
     Args:
-        path: the log, a file or a folder.
+        source: the log, a file, a folder or arrays.
         joints: what it is about.
         options: what was said of it.
         progress: where to tell how far it is.
@@ -102,14 +111,16 @@ def read_log(
     Raises:
         InputError: the log cannot be read, is ambiguous or cannot be what it seems to be.
     """
-    path, names, slides = Path(path), joints.names, joints.slides
-    table = open_table(path, names, options)
+    path, names, slides = Path(source), joints.names, joints.slides
+    table: LogTable
+    table = source if isinstance(source, ArrayTable) else open_table(path, names, options)
     choices = read_columns_file(Path(options.columns), names) if options.columns else None
     own = choices or ColumnChoices()
     own = merged(replace(own, units=_declared_units(options.units, own)), table.choices)
     _require_titles(table, choices is not None)
     currents = options.torque_constants is not None
-    found = recognise_columns(table.titles, names, own, table.first_row, slides, currents)
+    wanted = currents, options.commanded
+    found = recognise_columns(table.titles, names, own, table.first_row, slides, *wanted)
     factor = torque_factor(options, names)
     if factor is not None:
         found = found.with_torque_factor(factor)
@@ -122,6 +133,28 @@ def read_log(
     return MeasurementLog(
         path, found, rows.samples, pieces, (*notes, *piece_note(rows.samples, pieces))
     )
+
+
+def open_log(
+    robot: RobotModel,
+    source: Path | ArrayTable | MeasurementLog,
+    options: LogOptions,
+    progress: Progress | None = None,
+) -> MeasurementLog:
+    """Recognise, check and open a log of an arm, see ``read_log``; one that is open stays so."""
+    if isinstance(source, MeasurementLog):
+        return source
+    joints = LogJoints(robot.joint_names, robot.limits, tuple(robot.is_slide.tolist()))
+    return read_log(source, joints, options, progress)
+
+
+def origin_of(logs: Sequence[MeasurementLog]) -> DataOrigin:
+    """Return where the data of some logs comes from."""
+    duration = sum(log.duration for log in logs)
+    rate = sum(len(log.samples) - 1 for log in logs) / duration
+    words = ", ".join(str(log.path) for log in logs)
+    files = tuple(str(log.path.absolute()) for log in logs)
+    return DataOrigin(Source.LOG, words, duration, rate, files=files)
 
 
 def read_measurements(

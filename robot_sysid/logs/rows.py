@@ -27,6 +27,8 @@ _TURN = 2.0 * np.pi
 _WRAP_TOLERANCE = 0.5
 _ABSURD = 1e7
 """No joint position, speed or torque is beyond this in SI units; a cell that is was not written."""
+_NO_TIME = 1e24
+"""Nor is a time, even of a clock of nanoseconds that is taken for seconds."""
 APART = 10.0
 """Recordings with clocks of their own are put so far apart [s]."""
 
@@ -106,13 +108,13 @@ def read_rows(
 
 def _followed(blocks: Iterator[Block], table: LogTable, progress: Progress) -> Iterator[Block]:
     """Pass blocks through and tell how far the reading is."""
-    label, start, rows, total = f"Reading {table.path.name}", clock.monotonic(), 0, 0.0
+    label, start, rows, total = f"Reading {table.path.name}", clock.monotonic(), 0, 0
     for block in blocks:
         yield block
         rows += len(block.lines)
-        total = total or rows / max(block.done, 1e-9)
+        total = total or round(rows / max(block.done, 1e-9))
         speed = rows / max(clock.monotonic() - start, 1e-9)
-        done = min(block.done, 0.999) * total
+        done = round(min(block.done, 0.999) * total)
         progress.advance(label, done, total, f"{speed:,.0f} rows per second")
     progress.advance(label, total, total, "")
 
@@ -128,7 +130,8 @@ def _samples(columns: ColumnMap, cells: Array) -> tuple[Lines, Measurement]:
     q, tau, *others = (np.ascontiguousarray(part) for part in parts)
     qd, qdd, stamps = (values if values.shape[1] else None for values in others)
     numbers = np.round(lines[:, 0]).astype(np.int64)
-    return numbers, Measurement(time[:, 0].copy(), q, qd, tau, qdd, stamps)
+    command, tau = (tau, tau - q) if columns.commanded else (None, tau)
+    return numbers, Measurement(time[:, 0].copy(), q, qd, tau, qdd, stamps, command)
 
 
 class _Cleaner:
@@ -177,6 +180,7 @@ class _Cleaner:
         """Return the rows with a number that can be true in every cell."""
         noise = np.isin(lines, block.unreadable)
         noise |= np.any(np.abs(cells[:, 1 : 1 + 2 * self._n]) > _ABSURD, axis=1)
+        noise |= np.abs(cells[:, 0]) > _NO_TIME
         empty = np.isnan(cells[:, 1 : 1 + 2 * self._n]).all(axis=1) & ~noise
         self.foreign += int(np.count_nonzero(empty))
         self.n_read += int(np.count_nonzero(~empty))

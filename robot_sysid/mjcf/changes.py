@@ -42,18 +42,37 @@ class JointChange:
         armature: rotor inertia seen at the joint [kg m^2 or kg]; a URDF cannot hold it.
         damping: viscous friction [N m s/rad or N s/m].
         frictionloss: Coulomb friction [N m or N].
+        polynomial: damping beyond the linear one, of qd abs(qd) and of qd^3; MuJoCo 3.7 and later.
+        words: what a comment says of the numbers; empty for their names alone.
     """
 
     label: str
     armature: float | None = None
     damping: float | None = None
     frictionloss: float | None = None
+    polynomial: tuple[float, float] | None = None
+    words: str = ""
 
     @property
     def numbers(self) -> dict[str, float]:
         """What is to be written, by its name in MJCF."""
         values = {name: getattr(self, name) for name in JOINT_NUMBERS}
         return {name: float(value) for name, value in values.items() if value is not None}
+
+
+@dataclass(frozen=True)
+class ActuatorChange:
+    """New gains for a position actuator.
+
+    Attributes:
+        actuator: its MuJoCo id, counted in the order of the file.
+        stiffness: its kp.
+        damping: its kv.
+    """
+
+    actuator: int
+    stiffness: float
+    damping: float
 
 
 @dataclass(frozen=True)
@@ -85,9 +104,11 @@ class ModelChange:
         rmse: of the identification [N m], for the comments.
         joints: new numbers of joints.
         welded: a new body, or None.
+        actuators: new gains of position actuators.
     """
 
     bodies: tuple[BodyChange, ...]
     rmse: float
     joints: tuple[JointChange, ...] = ()
     welded: WeldedBody | None = None
+    actuators: tuple[ActuatorChange, ...] = ()

@@ -21,9 +21,9 @@ from robot_sysid.mjcf import markup
 from robot_sysid.records.atomic_files import require_utf8
 
 _ENCODING = re.compile(rb"^\s*<\?xml[^>]*encoding\s*=\s*[\"']([A-Za-z0-9._-]+)[\"']")
-_ENTITY = re.compile(rb"<!DOCTYPE[^>]*<!ENTITY", re.DOTALL)
 _KINDS = {"mujoco": "mjcf", "robot": "urdf"}
 _SUFFIXES = (".xml", ".mjcf", ".urdf")
+_DEEPEST = 50
 
 
 @dataclass(frozen=True)
@@ -194,6 +194,7 @@ class _Reader:
         self.main_path = main_path
         self.files: list[SourceFile] = []
         self._seen: set[Path] = set()
+        self._depth = 0
 
     def read(self, path: Path) -> SourceFile:
         """Return the file at ``path`` with its includes."""
@@ -224,7 +225,11 @@ class _Reader:
                 f"{where}: {name} is included twice or includes itself; each file may "
                 "be included once"
             )
+        self._depth += 1
+        if self._depth > _DEEPEST:
+            raise ModelError(f"{where}: includes are nested more than {_DEEPEST} deep")
         included = self.read(path)
+        self._depth -= 1
         if next(included.root.iterchildren(etree.Element), None) is None:
             raise ModelError(f"{where}: included file {name} is empty")
         return included
@@ -246,6 +251,8 @@ def _is_utf8(raw: bytes) -> bool:
 def _read_bytes(path: Path) -> bytes:
     require_utf8(path)
     try:
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            raise InputError(f"{path} is a pipe or a device; pass a model file")
         return path.read_bytes()
     except IsADirectoryError:
         raise InputError(f"{path} is a folder; pass a model file (MJCF .xml or .urdf)") from None
@@ -272,7 +279,7 @@ def _as_utf8(raw: bytes, path: Path) -> bytes:
 
 
 def _parse(text: bytes, path: Path) -> Any:
-    if _ENTITY.search(text):
+    if text.find(b"<!ENTITY", max(0, text.find(b"<!DOCTYPE"))) >= 0 and b"<!DOCTYPE" in text:
         raise ModelError(
             f"{path} declares XML entities, which a model file does not need and which can hide an "
             "attack; remove its <!DOCTYPE ...>"

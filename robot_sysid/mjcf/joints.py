@@ -1,4 +1,4 @@
-"""The joints of a model file, and the edits that give them other numbers."""
+"""The joints of a model file and their servos, and the edits that give them other numbers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf import markup
-from robot_sysid.mjcf.changes import JointChange
+from robot_sysid.mjcf.changes import ActuatorChange, JointChange
 from robot_sysid.mjcf.documents import ModelDocument, Node
 from robot_sysid.mjcf.inertial import MULTIPLIERS, number
 from robot_sysid.mjcf.markup import Edit
@@ -24,7 +24,8 @@ def joint_edits(document: ModelDocument, change: JointChange) -> Iterator[tuple[
         ExportError: the joint is not written out in the file, a URDF cannot hold the number, or a
             joint with it would drive itself.
     """
-    for name, value in change.numbers.items():
+    further = {"nonlinear damping": min(change.polynomial)} if change.polynomial else {}
+    for name, value in {**change.numbers, **further}.items():
         if not 0.0 <= value < math.inf:
             raise ExportError(
                 f"joint '{change.label}' cannot get {name} {value:.4g}: it would drive itself, or "
@@ -36,10 +37,36 @@ def joint_edits(document: ModelDocument, change: JointChange) -> Iterator[tuple[
         return
     for name, value in change.numbers.items():
         span = node.file.span(node.element)
-        # Nonlinear damping stands behind the linear one and belongs to the model, not to the data.
+        # Nonlinear damping stands behind the linear one; where none was found the model's stays.
         beyond = (node.get(name) or "").split()[1:]
+        if name == "damping" and change.polynomial is not None:
+            beyond = [number(each) for each in change.polynomial]
         text = " ".join([number(value), *beyond])
         yield node, markup.set_attribute(node.file.text, span, name, text)
+
+
+def actuator_edits(document: ModelDocument, change: ActuatorChange) -> Iterator[tuple[Node, Edit]]:
+    """Yield the edits that give a position actuator its new gains.
+
+    Raises:
+        ExportError: it is not written out in the file as an actuator with such gains.
+    """
+    sections = [node for node in document.root.children() if node.tag == "actuator"]
+    all_of_them = [node for section in sections for node in section.children()]
+    node = all_of_them[change.actuator] if change.actuator < len(all_of_them) else None
+    kp, kv = number(change.stiffness), number(change.damping)
+    attributes = {
+        "position": {"kp": kp, "kv": kv},
+        "general": {"gainprm": kp, "biasprm": f"0 -{kp} -{kv}"},
+    }.get("" if node is None else node.tag)
+    if node is None or attributes is None:
+        raise ExportError(
+            f"{document.path}: actuator number {change.actuator} is not written out in the file as "
+            "a <position> or <general> element; write it out"
+        )
+    for name, value in attributes.items():
+        span = node.file.span(node.element)
+        yield node, markup.set_attribute(node.file.text, span, name, value)
 
 
 def _urdf_edits(

@@ -15,7 +15,6 @@ from xml.sax.saxutils import quoteattr
 _START_TAG = re.compile(rb"""<[^\s/>]+(?:[^>"']|"[^"]*"|'[^']*')*>""")
 _ATTRIBUTE = re.compile(rb"""([^\s=/<>"']+)(\s*=\s*)("[^"]*"|'[^']*')""")
 _TAG_NAME = re.compile(rb"<([^\s/>]+)")
-_COMMENT = re.compile(rb"<!--(.*?)-->", re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -52,7 +51,14 @@ def masked_comments(text: bytes) -> bytes:
 
     MuJoCo's reader accepts ``--`` inside a comment, which strict XML parsers refuse.
     """
-    return _COMMENT.sub(lambda m: b"<!--" + m.group(1).replace(b"-", b"~") + b"-->", text)
+    pieces, position = [], 0
+    while (start := text.find(b"<!--", position)) >= 0:
+        end = text.find(b"-->", start + 4)
+        if end < 0:  # a search for each further comment would take the square of the length
+            break
+        pieces += [text[position : start + 4], text[start + 4 : end].replace(b"-", b"~")]
+        position = end
+    return b"".join([*pieces, text[position:]])
 
 
 def element_spans(text: bytes) -> tuple[Span, ...]:

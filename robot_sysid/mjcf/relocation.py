@@ -55,6 +55,23 @@ def relocated_text(
     return utf8_declaration(writer.text(document.main))
 
 
+def bundled_text(document: ModelDocument, names: Mapping[Path, str]) -> bytes:
+    """Return the UTF-8 text of an MJCF document that stands alone beside copies of its assets.
+
+    Args:
+        document: the model; all that it includes is inlined.
+        names: asset file to its copy's path, relative to the text.
+    """
+    writer = _Writer(None, {file.path for file in document.files}, {})
+    for asset in find_assets(document):
+        if asset.path is not None:
+            writer.set_attributes(asset.node, {asset.attribute: names[asset.path]})
+    for node in document.root.children():
+        if node.tag == "compiler":
+            writer.set_attributes(node, dict.fromkeys(_FOLDER_ATTRIBUTES))
+    return utf8_declaration(writer.text(document.main))
+
+
 def reference(target: Path, folder: Path | None) -> str:
     """Return how a file in ``folder`` refers to ``target``: relative where that is safe."""
     if folder is None:

@@ -19,7 +19,7 @@ from robot_sysid.mjcf.inertial import (
     mjcf_inertial,
     urdf_inertial,
 )
-from robot_sysid.mjcf.joints import joint_edits
+from robot_sysid.mjcf.joints import actuator_edits, joint_edits
 from robot_sysid.mjcf.markup import Edit
 from robot_sysid.mjcf.relocation import relocated_text
 from robot_sysid.mjcf.urdf import minimum_inertia_edits, relocated_urdf
@@ -87,6 +87,8 @@ def changed_model_text(
         written += [found, *lumped]
     for joint in change.joints:
         edits += joint_edits(document, joint)
+    for actuator in change.actuators:
+        edits += actuator_edits(document, actuator)
     if change.welded is not None:
         carrier = find_body(document, change.welded.carrier)
         check_settings(document, carrier, change.welded.theta, gets_child=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import math
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -344,9 +344,18 @@ def relocated_urdf(
         mesh_dir: the user's mesh folder, if any.
         extra: further edits.
     """
+    return _with_mesh_names(document, mesh_dir, extra, lambda path: reference(path, folder))
+
+
+def _with_mesh_names(
+    document: ModelDocument,
+    mesh_dir: Path | None,
+    extra: Collection[Edit],
+    named: Callable[[Path], str],
+) -> bytes:
     file, edits, nested = document.main, list(extra), False
     for use in mesh_uses(document, mesh_dir):
-        name = use.name if use.path is None else reference(use.path, folder)
+        name = use.name if use.path is None else named(use.path)
         nested |= "/" in name
         if name != use.name:
             edits.append(markup.set_attribute(file.text, file.span(use.element), "filename", name))
@@ -355,3 +364,8 @@ def relocated_urdf(
         line = markup.line_break(file.text) + b"  "
         edits += settings_edits(document, {"strippath": "false"}, line)
     return utf8_declaration(markup.apply_edits(file.text, edits))
+
+
+def bundled_urdf(document: ModelDocument, names: Mapping[Path, str]) -> bytes:
+    """Return the text of a URDF that stands beside copies of its meshes, see ``bundled_text``."""
+    return _with_mesh_names(document, None, (), lambda path: names[path])

@@ -21,6 +21,7 @@ from robot_sysid.mjcf.assets import check_assets
 from robot_sysid.mjcf.documents import ModelDocument, read_document
 from robot_sysid.mjcf.relocation import relocated_text
 from robot_sysid.mjcf.urdf import compilable_urdf, link_inertias, velocity_limits
+from robot_sysid.model.hazards import refuse_hazards
 from robot_sysid.model.inertia import inertia_about_com
 from robot_sysid.records import Array
 
@@ -106,6 +107,7 @@ def _check_mesh_dir(mesh_dir: Path | None) -> None:
 
 
 def _compile_mjcf(document: ModelDocument, mesh_dir: Path | None) -> Any:
+    refuse_hazards(document, mesh_dir)
     try:
         if mesh_dir is None and all(file.is_utf8 for file in document.files):
             return mujoco.MjModel.from_xml_path(str(document.path))
@@ -151,8 +153,8 @@ def _one_line(document: ModelDocument, error: BaseException) -> str:
 
 
 def _check_values(mj_model: Any, document: ModelDocument) -> None:
-    for name in _MUST_BE_FINITE:
-        values = getattr(mj_model, name)
+    held = {name: getattr(mj_model, name) for name in _MUST_BE_FINITE}
+    for name, values in {**held, "gravity": mj_model.opt.gravity}.items():
         if not np.all(np.isfinite(values)):
             raise ModelError(f"{document.path} contains a value that is not a number ({name})")
         if np.any(np.abs(values) > LARGEST):

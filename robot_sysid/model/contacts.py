@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics.kinematics import subtree
+from robot_sysid.errors import ModelError
 from robot_sysid.model.chain import body_label
 from robot_sysid.records import Array, Motion, RobotModel
 
@@ -77,7 +78,13 @@ class ContactFinder:
     def _touching(self) -> set[tuple[int, int]]:
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
-        mujoco.mj_collision(self._model, self._data)
+        try:
+            mujoco.mj_collision(self._model, self._data)
+        except mujoco.FatalError:
+            raise ModelError(
+                "so many parts of the model touch each other that MuJoCo's memory does not hold "
+                'their contacts; give it more with <size memory="1G"/>, or let fewer parts collide'
+            ) from None
         geoms = self._data.contact.geom[self._data.contact.dist <= 0.0]
         bodies = np.sort(self._model.geom_bodyid[geoms[np.all(geoms >= 0, axis=1)]], axis=1)
         pairs = {(int(a), int(b)) for a, b in bodies}

@@ -9,6 +9,7 @@ import numpy as np
 from robot_sysid.dynamics.friction import friction_model
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES, characteristic_length, parameter_scale
 from robot_sysid.records import DELAY_NAME, Estimate, Identification
+from robot_sysid.records.figures import percent
 
 WEAK = 0.1
 """Standard error, relative to a body of this mass and size, above which a parameter is weak."""
@@ -55,7 +56,7 @@ def _weak(estimate: Estimate) -> Iterator[str]:
     relative = estimate.standard_errors[:10] / scale
     weak = [k for k in np.argsort(-relative) if np.isfinite(relative[k]) and relative[k] > WEAK]
     if weak:
-        listed = ", ".join(f"{PARAMETER_NAMES[k]} (±{100.0 * relative[k]:.0f} %)" for k in weak)
+        listed = ", ".join(f"{PARAMETER_NAMES[k]} (± {percent(relative[k])})" for k in weak)
         yield (
             f"weakly seen, in percent of what a body of this mass and size has: {listed}; move "
             "faster, wider or longer, or use --excitation optimal"

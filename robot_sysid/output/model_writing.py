@@ -13,7 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from robot_sysid.errors import ExportError
-from robot_sysid.mjcf.changes import BodyChange, JointChange, ModelChange, WeldedBody
+from robot_sysid.mjcf.changes import (
+    ActuatorChange,
+    BodyChange,
+    JointChange,
+    ModelChange,
+    WeldedBody,
+)
 from robot_sysid.mjcf.compiler_settings import bound_inertia
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.updated_model import changed_model_text
@@ -57,11 +63,26 @@ class ModelTarget:
 
 
 def write_link(
-    robot: RobotModel, link: InertialParameters, target: ModelTarget, errors: Array | None = None
+    robot: RobotModel,
+    link: InertialParameters,
+    target: ModelTarget,
+    errors: Array | None = None,
+    joints: Sequence[JointChange] = (),
 ) -> tuple[str, ...]:
-    """Write a model with a new composite terminal link; arguments as in ``write_payload``."""
-    change = _terminal_change(robot, link.theta, moment_tolerance(robot, errors))
-    return _write(robot, ModelChange((change,), target.rmse), target, link.theta)
+    """Write a model with a new composite terminal link; arguments as in ``write_payload``.
+
+    Args:
+        joints: new friction of chain joints; where the file cannot hold it, a note says so.
+    """
+    words = f"friction of {', '.join(change.label for change in joints)}" if joints else None
+    change = _terminal_change(robot, link.theta, moment_tolerance(robot, errors), words)
+    try:
+        return _write(robot, ModelChange((change,), target.rmse, tuple(joints)), target, link.theta)
+    except ExportError as error:
+        if not joints:
+            raise
+        notes = write_link(robot, link, target, errors)
+        return (*notes, f"the written model keeps its own friction: {error}")
 
 
 def write_payload(
@@ -153,6 +174,19 @@ def write_links(
     return notes + _write(robot, change, target, held)
 
 
+def write_joints(
+    robot: RobotModel,
+    joints: Sequence[JointChange],
+    actuators: Sequence[ActuatorChange],
+    target: ModelTarget,
+) -> tuple[str, ...]:
+    """Write a model with new numbers for its joints and servos; errors as in ``write_links``."""
+    fitting, notes = _that_fit(robot, joints)
+    change = ModelChange((), target.rmse, fitting, None, tuple(actuators))
+    thetas = np.array([link.theta for link in robot.links])
+    return notes + _write(robot, change, target, thetas)
+
+
 def moment_tolerance(robot: RobotModel, errors: Array | None) -> Tolerance:
     """Return how far moments of inertia may be inflated: within their standard errors (10,)."""
     if errors is None:
@@ -185,7 +219,7 @@ def _that_fit(
 def _joint_words(robot: RobotModel, body: int, joints: Sequence[JointChange]) -> str | None:
     """Return what is written into the joints of a body, for its comment."""
     own = [n for n, link in zip(robot.joint_names, robot.links) if link.body_id == body]
-    written = [(change.label, ", ".join(change.numbers)) for change in joints]
+    written = [(change.label, change.words or ", ".join(change.numbers)) for change in joints]
     words = [f"{what} of joint '{name}'" for name, what in written if name in own and what]
     return "; ".join(words) or None
 
@@ -234,7 +268,8 @@ def _verified(robot: RobotModel, change: ModelChange, target: ModelTarget) -> Co
 
     bodies = {body.body_id: body.plan for body in change.bodies}
     without = draft(replace(change, welded=None))
-    compiled = verify_written_model(robot.mj_model, without, bodies, change.joints)
+    new = change.joints, change.actuators
+    compiled = verify_written_model(robot.mj_model, without, bodies, *new)
     if change.welded is None:
         return compiled
     written = compiled_again(draft(change))

@@ -17,6 +17,7 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.output.limitations import limitations
+from robot_sysid.output.printed.rollout import rollout_entry
 from robot_sysid.records import Estimate, Identification, InertialParameters
 from robot_sysid.records.atomic_files import write_whole
 
@@ -178,7 +179,13 @@ def _origin(identification: Identification) -> dict[str, Any]:
         "duration": identification.data.duration,
         "sample_rate": identification.data.sample_rate,
         "versions": dict(identification.versions),
+        **_rollout(identification),
     }
+
+
+def _rollout(identification: Identification) -> dict[str, Any]:
+    test = identification.rollout
+    return {} if test is None else {"rollout": rollout_entry(test)}
 
 
 def _sources(estimate: Estimate) -> dict[str, str]:

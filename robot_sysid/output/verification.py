@@ -18,7 +18,7 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.kinematics import ArmDynamics, ChainKinematics
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.errors import ExportError, InputError
-from robot_sysid.mjcf.changes import JOINT_NUMBERS, JointChange
+from robot_sysid.mjcf.changes import JOINT_NUMBERS, ActuatorChange, JointChange
 from robot_sysid.mjcf.inertial import mjcf_inertial
 from robot_sysid.mjcf.write_back import WriteBack
 from robot_sysid.model.chain import body_label, joint_label
@@ -41,7 +41,8 @@ _WRITTEN = {
     # Whether body frame and inertial frame coincide.
     "body_sameframe",
 }
-_WRITTEN_JOINT = {f"dof_{name}" for name in JOINT_NUMBERS}
+_WRITTEN_JOINT = {f"dof_{name}" for name in (*JOINT_NUMBERS, "dampingpoly")}
+_WRITTEN_ACTUATOR = ("actuator_gainprm", "actuator_biasprm")
 # What MuJoCo computes from masses and inertias when it compiles.
 DERIVED = {
     "body_subtreemass",
@@ -101,6 +102,7 @@ def verify_written_model(
     written: Path,
     bodies: Mapping[int, WriteBack],
     joints: Sequence[JointChange] = (),
+    actuators: Sequence[ActuatorChange] = (),
 ) -> CompiledModel:
     """Compile a written model, compare it with the original and return it.
 
@@ -109,6 +111,7 @@ def verify_written_model(
         written: the file that was written.
         bodies: MuJoCo body id to what was to be written into that body.
         joints: what was to be written into joints.
+        actuators: what was to be written into position actuators.
 
     Raises:
         ExportError: it does not load, something else changed, or a number is not what was asked
@@ -117,13 +120,17 @@ def verify_written_model(
     compiled = compiled_again(written)
     lumped = {body.body_id for plan in bodies.values() for body in plan.lumped}
     dofs = {change: _dof(original, change) for change in joints}
-    require_same_model(original, compiled.mj_model, {*bodies, *lumped}, dofs.values())
+    servos = [change.actuator for change in actuators]
+    require_same_model(original, compiled.mj_model, {*bodies, *lumped}, dofs.values(), servos)
     for body, plan in bodies.items():
         require_theta(compiled.mj_model, body, plan.theta, plan.theta)
         for other in plan.lumped:
             require_theta(compiled.mj_model, other.body_id, np.zeros(10), plan.theta)
     for change, dof in dofs.items():
         _require_numbers(original, compiled.mj_model, change, dof)
+        _require_polynomial(original, compiled.mj_model, change, dof)
+    for servo in actuators:
+        _require_gains(compiled.mj_model, servo)
     return compiled
 
 
@@ -152,8 +159,37 @@ def _require_numbers(original: Any, written: Any, change: JointChange, dof: int)
             )
 
 
+def _require_polynomial(original: Any, written: Any, change: JointChange, dof: int) -> None:
+    """Raise ExportError unless a joint has its new nonlinear damping, or its old one."""
+    if not hasattr(original, "dof_dampingpoly"):
+        return
+    asked = original.dof_dampingpoly[dof] if change.polynomial is None else change.polynomial
+    found = written.dof_dampingpoly[dof]
+    if not np.allclose(found, asked, rtol=TOLERANCE, atol=0.0):
+        raise ExportError(
+            f"in the written model, joint '{change.label}' has the nonlinear damping {found} "
+            f"instead of {asked}; {_ADVICE['dof_dampingpoly']}"
+        )
+
+
+def _require_gains(written: Any, change: ActuatorChange) -> None:
+    """Raise ExportError unless a position actuator has its new gains, and nothing else."""
+    kp, kv = change.stiffness, change.damping
+    at = change.actuator
+    found = np.array([written.actuator_gainprm[at, 0], *written.actuator_biasprm[at, :3]])
+    if not np.allclose(found, [kp, 0.0, -kp, -kv], rtol=TOLERANCE, atol=0.0):
+        raise ExportError(
+            f"in the written model, actuator number {at} has gains {found.tolist()} "
+            f"instead of kp {kp:.9g} and kv {kv:.9g}; give it kp and kv of its own"
+        )
+
+
 def require_same_model(
-    original: Any, other: Any, changed: Collection[int], dofs: Collection[int] = ()
+    original: Any,
+    other: Any,
+    changed: Collection[int],
+    dofs: Collection[int] = (),
+    actuators: Collection[int] = (),
 ) -> None:
     """Raise ExportError naming the first compiled field that differs and may not.
 
@@ -161,9 +197,11 @@ def require_same_model(
         original, other: compiled models.
         changed: ids of the bodies whose inertia may differ.
         dofs: the degrees of freedom whose armature, damping and friction may differ.
+        actuators: ids of those whose gains may differ.
     """
     theirs = dict(compiled_fields(other))
     rows = {**dict.fromkeys(_WRITTEN, changed), **dict.fromkeys(_WRITTEN_JOINT, dofs)}
+    rows.update(dict.fromkeys(_WRITTEN_ACTUATOR, actuators))
     for name, value in compiled_fields(original):
         if name in DERIVED or name in PATHS:
             continue
@@ -294,11 +332,15 @@ def require_links_reproduction(
         path: the written file, for the message.
     """
     links = LinkDynamics(robot).motion(motion.q, motion.qd, motion.qdd)
-    # What is no rigid body (springs, armature) is the original's, but for the written armature.
+    # What is no rigid body (springs, armature) is the original's, but for what is written.
     beyond = ArmDynamics(robot).beyond_rigid_bodies(motion.q, motion.qd, motion.qdd)
     both = (written_model.dof_armature, robot.mj_model.dof_armature)
     written, before = (values[robot.dof_index] for values in both)
     predicted = links.torque(thetas) + beyond + (written - before) * motion.qdd
+    if hasattr(written_model, "dof_dampingpoly"):
+        both = (written_model.dof_dampingpoly, robot.mj_model.dof_dampingpoly)
+        quadratic, cubic = np.subtract(*(values[robot.dof_index] for values in both)).T
+        predicted += quadratic * motion.qd * np.abs(motion.qd) + cubic * motion.qd**3
     _require_small(*_deviation(robot, predicted, written_model, motion), path)
 
 

@@ -254,6 +254,11 @@ class RobotModel:
         return self.joint_names[-1]
 
     @property
+    def slides(self) -> tuple[str, ...]:
+        """Names of the chain joints that are slides."""
+        return tuple(name for name, slide in zip(self.joint_names, self.is_slide) if slide)
+
+    @property
     def reference(self) -> Array:
         """Chain joint positions (n,) at the reference configuration."""
         return self.reference_qpos[self.qpos_index]

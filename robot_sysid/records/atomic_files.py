@@ -11,7 +11,7 @@ import os
 import secrets
 import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TextIO
 
@@ -79,6 +79,22 @@ def require_writable(folder: Path) -> None:
         raise InputError(f"cannot write to {folder}: {existing} is not a folder; choose another")
     if not os.access(existing, os.W_OK | os.X_OK):
         raise InputError(f"cannot write to {folder}: no permission; choose another folder")
+
+
+def refuse_overwriting(read: Iterable[Path | None], written: Iterable[tuple[str, Path]]) -> None:
+    """Raise InputError where a file would be written over one that is read, or two into one place.
+
+    Args:
+        read: files that are read, where there are any.
+        written: files that are written, each with the option that names it.
+    """
+    taken = {os.path.realpath(path): "a file that is read" for path in read if path is not None}
+    for what, path in written:
+        place = os.path.realpath(path)
+        if place in taken:
+            there = taken[place]
+            raise InputError(f"{what} would overwrite {there}: {path}; choose another name")
+        taken[place] = f"what {what} writes"
 
 
 @contextlib.contextmanager
@@ -180,9 +196,19 @@ class WholeFiles:
         self._drafts[path] = draft
         return draft
 
-    def open(self, path: Path) -> TextIO:
-        """Return the draft of ``path`` as an open text file."""
-        return open(self.draft(path), "w", encoding="utf-8", newline="\n")
+    @contextlib.contextmanager
+    def open(self, path: Path) -> Iterator[TextIO]:
+        """Yield the draft of ``path`` as an open text file.
+
+        Raises:
+            InputError: it cannot be written, for instance because the disk is full.
+        """
+        draft = self.draft(path)
+        try:
+            with open(draft, "w", encoding="utf-8", newline="\n") as file:
+                yield file
+        except OSError as error:
+            raise InputError(_cannot_write(path, error)) from None
 
     def reserve_last(self, path: Path) -> Path:
         """Return ``path``, whose file will take its place after all others."""

@@ -59,10 +59,12 @@ class Measurement:
         time: (N,) [s], increasing.
         q: (N, n) positions [rad].
         qd: (N, n) velocities [rad/s], or None where only positions were measured.
-        tau: (N, n) joint torques [N m].
+        tau: (N, n) joint torques [N m]; position errors [rad] where there are commands.
         qdd: (N, n) accelerations [rad/s^2], or None where the log has none.
         joint_time: (N, n) when each joint was sampled [s], where it has time stamps of its own;
             None where ``time`` holds for all.
+        command: (N, n) positions that a servo was asked for [rad], of a log that is read for them
+            and not for torque; else None.
     """
 
     time: Array
@@ -71,11 +73,12 @@ class Measurement:
     tau: Array
     qdd: Array | None = None
     joint_time: Array | None = None
+    command: Array | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time", checked_array(self.time, (None,), "time"))
         shape = (len(self.time), np.shape(self.q)[1] if np.ndim(self.q) == 2 else None)
-        for name in ("q", "qd", "tau", "qdd", "joint_time"):
+        for name in ("q", "qd", "tau", "qdd", "joint_time", "command"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, checked_array(getattr(self, name), shape, name))
 

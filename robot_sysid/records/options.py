@@ -7,6 +7,7 @@ all come from these fields. A record's ``NEEDS`` holds for all its options that 
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
@@ -193,3 +194,10 @@ def whole_number(text: str) -> int:
         return int(text, 0)
     except ValueError:
         raise InputError(f"{text!r} is not a whole number; write 3 or 0x03") from None
+
+
+def processors() -> int:
+    """Return how many processors this process may run on."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

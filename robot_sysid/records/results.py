@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from robot_sysid.records.arm import InertialParameters
+from robot_sysid.records.arm import InertialParameters, JointFriction, SubtreeBody
 from robot_sysid.records.arrays import Array, checked_array
 
 DELAY_NAME = "delay"
@@ -67,7 +67,8 @@ class Identifiability:
         rank: number of identifiable combinations of the ten inertial and the terminal joint's
             friction parameters.
         n_parameters: how many of those parameters were asked for.
-        condition_number: of the stacked regressor; of its identifiable part where that is smaller.
+        condition_number: of the stacked regressor of those parameters; of its identifiable part
+            where that is smaller.
         scaled_condition_number: the same after scaling each column to unit length.
         identified: (p,) per parameter, whether the data alone determines it.
         unidentifiable: the combinations that do not show, in words, for instance "mass".
@@ -254,7 +255,9 @@ class Identification:
         model_path, model_sha256: which model file.
         joint_name, body_name: terminal joint and body.
         joint_names: all chain joints.
-        is_slide: whether the terminal joint is a slide, whose friction is a force.
+        slides: the chain joints that are slides, whose friction is a force.
+        bodies: what the terminal link is made of in the model, the terminal body first.
+        model_friction: the model's friction of the chain joints, where it is known.
         prior: the model's own parameters of the terminal link.
         estimate: the result.
         torques: "chain" or "terminal".
@@ -269,6 +272,7 @@ class Identification:
         misfits: what the data asks for that the model does not have.
         reasons: why the result may not be trusted, beyond its status; one phrase each.
         notes: one sentence each: what the user should know.
+        rollout: how the model before and after move beside the arm, where that was asked for.
     """
 
     model_path: Path
@@ -281,7 +285,9 @@ class Identification:
     torques: str
     data: DataOrigin
     versions: Mapping[str, str]
-    is_slide: bool = False
+    slides: tuple[str, ...] = ()
+    bodies: tuple[SubtreeBody, ...] = ()
+    model_friction: JointFriction | None = None
     validation: tuple[Validation, ...] = ()
     friction_model: str | None = None
     delay: float | None = None
@@ -291,3 +297,88 @@ class Identification:
     misfits: tuple[NuisanceMisfit, ...] = ()
     reasons: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    rollout: RolloutTest | None = None
+
+
+OPEN, CLOSED = "open loop", "closed loop"
+"""Measured torques alone; a servo that holds the model near the measured motion, or commands."""
+
+
+@dataclass(frozen=True)
+class RolloutError:
+    """Position errors over windows of one length.
+
+    Attributes:
+        loop: ``OPEN`` or ``CLOSED``.
+        horizon: length of the windows [s].
+        windows: how many were played.
+        before, after: (n,) root mean square position error of the two models [rad or m].
+        diverged: how many windows ran away (before, after); each counts with the largest error.
+    """
+
+    loop: str
+    horizon: float
+    windows: int
+    before: Array
+    after: Array
+    diverged: tuple[int, int] = (0, 0)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "before", checked_array(self.before, (None,), "before"))
+        size = (len(self.before),)
+        object.__setattr__(self, "after", checked_array(self.after, size, "after"))
+
+    @property
+    def overall(self) -> tuple[float, float]:
+        """The error of all joints together (before, after)."""
+        before, after = (float(np.sqrt(np.mean(e**2))) for e in (self.before, self.after))
+        return before, after
+
+    @property
+    def ratio(self) -> float | None:
+        """Error of all joints, after by before; None where there was none before."""
+        before, after = self.overall
+        return after / before if before > 0.0 else None
+
+
+@dataclass(frozen=True)
+class RolloutTest:
+    """The old and the new model, played on pieces of the logs that were not fitted.
+
+    Attributes:
+        joint_names: (n,) base to terminal.
+        held_out: which pieces, in words.
+        servo: what held the model in closed loop, in words.
+        errors: one per loop and horizon that could be played.
+        notes: what could not be, one sentence each.
+    """
+
+    joint_names: tuple[str, ...]
+    held_out: str
+    servo: str
+    errors: tuple[RolloutError, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def score(self) -> float | None:
+        """Geometric mean of the ratios of all loops and horizons; None where nothing was played."""
+        ratios = [error.ratio for error in self.errors]
+        known = [max(ratio, 1e-12) for ratio in ratios if ratio is not None]
+        return float(np.exp(np.mean(np.log(known)))) if known else None
+
+    @property
+    def is_better(self) -> bool:
+        """Whether the new model moves more like the arm."""
+        return self.score is not None and self.score < 1.0
+
+    @property
+    def refusal(self) -> str | None:
+        """Why the new model should not be written, or None."""
+        if self.is_better:
+            return None
+        if self.score is None:
+            return f"nothing could be played on held-out pieces ({'; '.join(self.notes)})"
+        return (
+            f"played on held-out pieces, the new model is not better than the old one (errors "
+            f"{self.score:.2f} times those before)"
+        )

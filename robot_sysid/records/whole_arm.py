@@ -8,7 +8,7 @@ from enum import Enum
 from pathlib import Path
 
 from robot_sysid.records.arrays import Array, checked_array
-from robot_sysid.records.results import DataOrigin, Validation
+from robot_sysid.records.results import DataOrigin, RolloutTest, Validation
 
 
 class ArmStatus(Enum):
@@ -64,11 +64,13 @@ class ArmEstimate:
         values, standard_errors: (p,).
         data_share: (p,) how much of each value comes from the data: 1 all, 0 all from the model.
         thetas, theta_errors: (n, 10) the links, as in ``RobotModel.links``, and their errors.
-        friction: name of the friction model of every joint.
+        friction: joint name to the name of its friction model.
         couplings: names of the combined speeds that share a motor.
         gamma: weight of the model.
         noise_per_joint: joint name to root mean square residual [N m].
         base: what the torques show.
+        two_way: joint name to Coulomb friction forward and backward, which differ by twice the
+            offset, each with its standard error [N m]; of joints with both terms.
     """
 
     names: tuple[str, ...]
@@ -77,11 +79,12 @@ class ArmEstimate:
     data_share: Array
     thetas: Array
     theta_errors: Array
-    friction: str
+    friction: Mapping[str, str]
     couplings: tuple[str, ...]
     gamma: float
     noise_per_joint: Mapping[str, float]
     base: BaseParameters
+    two_way: Mapping[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         size = (len(self.names),)
@@ -101,6 +104,61 @@ class ArmEstimate:
 
 
 @dataclass(frozen=True)
+class FrictionCurve:
+    """Friction torque over speed, without the part that grows with the gear's load.
+
+    Attributes:
+        speed, torque: (m,) the law that was found [rad/s, N m].
+        measured_speed, measured_torque, standard_error: (k,) means of the logs' rows by speed, with
+            all other torques and the load's part taken off.
+        rows: (k,) how many rows each is the mean of.
+    """
+
+    speed: Array
+    torque: Array
+    measured_speed: Array
+    measured_torque: Array
+    standard_error: Array
+    rows: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "torque", checked_array(self.torque, (len(self.speed),), "torque"))
+        size = (len(self.measured_speed),)
+        for name in ("measured_torque", "standard_error", "rows"):
+            object.__setattr__(self, name, checked_array(getattr(self, name), size, name))
+
+
+@dataclass(frozen=True)
+class HeldFriction:
+    """What a model file can hold of a joint's friction and rotor inertia.
+
+    Attributes:
+        values, errors: by term: ``armature``, ``coulomb``, ``viscous``, and ``quadratic`` and
+            ``cubic`` where the polynomial predicts held-out torques clearly better; with their
+            standard errors.
+        kept: terms whose values the data does not prove; the file's own stay.
+        missing: what the file cannot hold [N m], by name.
+        curve: friction over speed.
+        notes: one sentence each.
+    """
+
+    values: Mapping[str, float]
+    errors: Mapping[str, float]
+    kept: tuple[str, ...]
+    missing: Mapping[str, float]
+    curve: FrictionCurve
+    notes: tuple[str, ...] = field(default=())
+
+    def written(self, term: str) -> float | None:
+        """Return the value that goes into the file, None where its own stays."""
+        return None if term in self.kept else self.values.get(term)
+
+    def words(self, term: str) -> str:
+        """Return a value with its standard error, for a comment."""
+        return f"{self.values[term]:.4g} ± {self.errors[term]:.2g}"
+
+
+@dataclass(frozen=True)
 class ArmIdentification:
     """Everything that is reported and written of an identification of every link.
 
@@ -115,12 +173,13 @@ class ArmIdentification:
         held_out: error on stretches of the logs that were predicted from the others.
         model_error: relative error of the model's own links with refitted friction on the same.
         validation: error on other logs.
-        choices: friction model to its held-out error [N m].
-        model_friction: joint name to the Coulomb and viscous friction nearest to what was found,
-            and rotor inertia, which a model can hold.
+        choices: joint name to friction model to its held-out error [N m]; empty where it was given.
+        model_friction: joint name to what a model can hold of its friction and rotor inertia.
         cutoff: of the low-pass [Hz].
         versions: package name to version.
         notes: one sentence each.
+        slides: the joints that are slides, whose friction is a force.
+        rollout: how the old and the new model move beside the arm, where that was asked for.
     """
 
     model_path: Path
@@ -135,8 +194,63 @@ class ArmIdentification:
     held_out: Validation
     model_error: float
     validation: tuple[Validation, ...]
-    choices: Mapping[str, float]
-    model_friction: Mapping[str, Mapping[str, float]]
+    choices: Mapping[str, Mapping[str, float]]
+    model_friction: Mapping[str, HeldFriction]
     cutoff: float
     versions: Mapping[str, str]
     notes: tuple[str, ...] = field(default=())
+    slides: tuple[str, ...] = ()
+    rollout: RolloutTest | None = None
+
+
+@dataclass(frozen=True)
+class JointServo:
+    """What was found of one joint of an arm without torque sensors, and of its servo.
+
+    Attributes:
+        joint: its name.
+        before: number by name (gain, damping, frictionloss, armature) as the model has it; NaN
+            where it has none.
+        after, errors: what was found, with its standard error; the same and zero where the joint
+            does not move.
+        shares: how much of each comes from the data: 1 all, 0 all from the start of the search.
+        moves: whether the joint moves in the logs.
+        has_servo: whether the model has a position actuator that takes the gain.
+        at_limit: share of time in which the servo asks for more than its limit.
+    """
+
+    joint: str
+    before: Mapping[str, float]
+    after: Mapping[str, float]
+    errors: Mapping[str, float]
+    shares: Mapping[str, float]
+    moves: bool
+    has_servo: bool
+    at_limit: float
+
+
+@dataclass(frozen=True)
+class ServoIdentification:
+    """Everything that is told of an arm identified from commands and positions alone.
+
+    Attributes:
+        model_path, model_sha256: which model file.
+        joints: what was found of each chain joint.
+        delay, delay_error: by which commands act late [s].
+        position_errors: joint name to root mean square position error of the fit [rad or m].
+        data: where commands and positions came from.
+        rollout: the model before and after, played on held-out pieces.
+        versions: package name to version.
+        notes: one sentence each.
+    """
+
+    model_path: Path
+    model_sha256: str
+    joints: tuple[JointServo, ...]
+    delay: float
+    delay_error: float
+    position_errors: Mapping[str, float]
+    data: DataOrigin
+    rollout: RolloutTest
+    versions: Mapping[str, str]
+    notes: tuple[str, ...] = ()

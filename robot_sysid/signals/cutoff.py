@@ -24,6 +24,7 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
+from robot_sysid.records.figures import percent
 from robot_sysid.signals.low_pass import design_low_pass
 
 # Expected squared error of acceleration, as a part of its mean square, that is no loss yet: it
@@ -104,7 +105,7 @@ def choose_cutoff(q: Array, rate: float, steps: Array) -> CutoffChoice:
     reason = (
         f"cut-off {best:.3g} Hz chosen from the data: position noise "
         f"{sigma.min():.2g} to {sigma.max():.2g} rad, expected error of the acceleration "
-        f"{100.0 * expected:.2g} %"
+        f"{percent(expected)}"
     )
     return CutoffChoice(float(best), sigma, expected, reason)
 

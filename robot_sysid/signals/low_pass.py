@@ -23,6 +23,7 @@ from robot_sysid.records import Array, checked_array
 # rest makes up for the formulas being approximate for short kernels.
 _ATTENUATION = 90.0
 _TRANSITION = 1.2
+_LONGEST = 1e7
 HIGHEST_CUTOFF = 0.3
 """Largest cut-off, as a part of the sample rate, whose stop band still fits below Nyquist."""
 
@@ -93,7 +94,13 @@ def design_low_pass(cutoff: float, rate: float) -> LowPass:
             f"between 0 and {HIGHEST_CUTOFF * rate:g} Hz"
         )
     width = 2.0 * math.pi * _TRANSITION * cutoff / rate
-    half = math.ceil((_ATTENUATION - 8.0) / (2.285 * width) / 2.0)
+    half = (_ATTENUATION - 8.0) / (2.285 * width) / 2.0
+    if half > _LONGEST:
+        raise InputError(
+            f"cut-off {cutoff:g} Hz would average over {2.0 * half / rate:.3g} s, longer than any "
+            "log; choose a higher --cutoff"
+        )
+    half = math.ceil(half)
     kernel = firwin(2 * half + 1, cutoff, window=("kaiser", kaiser_beta(_ATTENUATION)), fs=rate)
     return LowPass(cutoff, rate, kernel, max(1, int(rate / (2.0 * cutoff))))
 

@@ -14,11 +14,13 @@ SHORTEST = 4.0
 """Piece that is too short to be worth filtering [s]."""
 MOST_ROWS = 100_000
 """Rows of a piece beyond which it is cut, so that filtering it takes little memory."""
-MOST_TIME = 2400.0
+MOST_TIME = 600.0
 """Length of a log beyond which parts of it, spread evenly, stand for the whole [s]."""
-PART_TIME = 300.0
+PART_TIME = 60.0
 """Length of these parts [s]."""
-_FIELDS = ("time", "q", "qd", "tau", "qdd", "joint_time")
+_MOVING = 0.1
+"""Share of the largest range of a joint in any part below which none moves in a part."""
+_FIELDS = ("time", "q", "qd", "tau", "qdd", "joint_time", "command")
 
 
 def longest_step(period: float) -> float:
@@ -42,7 +44,7 @@ def pieces_of(samples: Measurement) -> tuple[Measurement, ...]:
     if len(spans) == 1:
         return (samples,)
     long = [(a, b) for a, b in spans if samples.time[b - 1] - samples.time[a] >= SHORTEST]
-    return tuple(_part(samples, a, b) for a, b in _spread(samples.time, long)) or (samples,)
+    return tuple(part_of(samples, a, b) for a, b in _spread(samples, long)) or (samples,)
 
 
 def piece_note(samples: Measurement, pieces: tuple[Measurement, ...]) -> tuple[str, ...]:
@@ -66,13 +68,17 @@ def _has_gaps(time: Array) -> bool:
     return bool(np.max(step) > longest_step(float(np.median(step))))
 
 
-def _spread(time: Array, spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Return as many of the spans as ``MOST_TIME`` allows, evenly spread."""
-    total = float(sum(time[b - 1] - time[a] for a, b in spans))
-    if total <= MOST_TIME:
+def _spread(samples: Measurement, spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Return as many of the spans as ``MOST_TIME`` allows, evenly spread over those that move."""
+    time = samples.time
+    if sum(time[b - 1] - time[a] for a, b in spans) <= MOST_TIME:
         return spans
-    count = max(1, int(len(spans) * MOST_TIME / total))
-    return [spans[k] for k in np.linspace(0, len(spans) - 1, count).round().astype(int)]
+    ranges = np.array([np.ptp(samples.q[a:b], axis=0) for a, b in spans])
+    moved = np.max(ranges / np.maximum(np.max(ranges, axis=0), 1e-12), axis=1)
+    moving = [span for span, share in zip(spans, moved) if share > _MOVING]
+    total = float(sum(time[b - 1] - time[a] for a, b in moving))
+    count = max(1, int(len(moving) * min(1.0, MOST_TIME / total)))
+    return [moving[k] for k in np.linspace(0, len(moving) - 1, count).round().astype(int)]
 
 
 def _cut(start: int, stop: int, most: int) -> list[tuple[int, int]]:
@@ -82,7 +88,8 @@ def _cut(start: int, stop: int, most: int) -> list[tuple[int, int]]:
     return list(zip(edges, edges[1:]))
 
 
-def _part(samples: Measurement, start: int, stop: int) -> Measurement:
+def part_of(samples: Measurement, start: int, stop: int) -> Measurement:
+    """Return some consecutive samples of a log."""
     values: dict[str, Array | None] = {}
     for name in _FIELDS:
         whole = getattr(samples, name)

@@ -18,8 +18,10 @@ masked. In a simulated closed loop a mask that only looks at a row's own instant
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,6 +98,21 @@ class ProcessedSignals:
             part = slice(start, start + size)
             motion = Motion(self.time[part], self.q[part], self.qd[part], self.qdd[part])
             yield motion, self.tau[part]
+
+    def motion(self, at: NDArray[np.int64]) -> Motion:
+        """Return the motion at some samples (m,)."""
+        return Motion(self.time[at], self.q[at], self.qd[at], self.qdd[at])
+
+    def decimated_motion(self) -> Motion:
+        """Return the motion (K, n) at the instants of the decimated rows.
+
+        It is low-passed already, and slow enough not to need that twice.
+        """
+        return self.motion(self.low_pass.centres(len(self)))
+
+    def spread(self, most: int) -> NDArray[np.int64]:
+        """Return at most so many samples, spread evenly over the log."""
+        return np.unique(np.linspace(0, len(self) - 1, most).astype(int))
 
     def decimator(self) -> Decimator:
         """Return a fresh filter for one stream of regressor rows or torques, chunk by chunk."""
@@ -188,6 +205,33 @@ def process(
         expected,
     )
     return replace(signals, notes=(*uniform.notes, reason, *_notes(signals, joint_names)))
+
+
+Log = TypeVar("Log")
+
+
+def with_one_cutoff(
+    logs: Sequence[Log],
+    processed: Callable[[Log, float | None], ProcessedSignals],
+    given: float | None,
+    most: float = math.inf,
+) -> list[ProcessedSignals]:
+    """Return the signals of several logs, all with the lowest cut-off that one of them asks for.
+
+    Args:
+        logs: whatever ``processed`` takes.
+        processed: returns a log's signals with a cut-off [Hz]; None chooses it from the data.
+        given: cut-off for all of them [Hz]; None for none.
+        most: what a chosen cut-off is at most [Hz].
+    """
+    signals = [processed(log, given) for log in logs]
+    if given is not None:
+        return signals
+    lowest = min(most, *(each.cutoff for each in signals))
+    return [
+        each if each.cutoff == lowest else processed(log, lowest)
+        for each, log in zip(signals, logs)
+    ]
 
 
 def with_delay(signals: ProcessedSignals, delay: float) -> ProcessedSignals:

@@ -22,7 +22,7 @@ import numpy as np
 from robot_sysid.dynamics.equations import other_links
 from robot_sysid.dynamics.gravity import gravity, turned, with_gravity
 from robot_sysid.dynamics.newton_euler import LinkDynamics
-from robot_sysid.estimation.nuisances import _own_errors
+from robot_sysid.estimation.nuisances import own_errors
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.identify.fit import fit_measured
 from robot_sysid.parser import load_robot_model
@@ -74,7 +74,7 @@ def log_of(robot: RobotModel, cell: Cell, rng: np.random.Generator) -> Measureme
     wrong = []
     for link in links:
         length = float(np.linalg.norm(robot.links[link + 1].translation))
-        factor, _ = _own_errors(robot.links[link].theta, 0.01 * cell.links, length)
+        factor, _ = own_errors(robot.links[link].theta, 0.01 * cell.links, length)
         wrong.append(factor @ rng.standard_normal(10))
     motion = LinkDynamics(arm).motion(exact.q, exact.qd, exact.qdd)
     rigid = (

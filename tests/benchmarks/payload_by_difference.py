@@ -73,7 +73,8 @@ def weighed(robot, raw, options=BOTH, estimation=USUAL, drifts=True):
     """The payload that the command finds."""
     processed = filtered(robot, raw, np.linspace(-1.0, 1.0, len(raw)), estimation)
     flange = find_flange(robot, "0,0,0")
-    return identify_payload(robot, processed, drifts, flange, options, estimation, Progress())
+    task = (robot, processed, drifts, flange, options, estimation)
+    return identify_payload(*task, Progress())[0]
 
 
 def single_difference(robot, raw):

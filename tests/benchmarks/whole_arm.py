@@ -2,7 +2,7 @@
 
 Run from the checkout, for all parts or some of them:
 
-    OMP_NUM_THREADS=1 python -m tests.benchmarks.whole_arm [kuka] [tx40] [ranks] [time]
+    OMP_NUM_THREADS=1 python -m tests.benchmarks.whole_arm [kuka] [tx40] [friction] [ranks] [time]
 
 Relative error: norm(measured - predicted) / norm(measured), all joints stacked, rows in which a
 joint hardly moves left out. "least squares" fits the same links and friction terms without anything
@@ -25,6 +25,7 @@ from robot_sysid.estimation.information import combined, restricted
 from robot_sysid.estimation.least_squares import least_squares
 from robot_sysid.identify.arm.columns import ArmColumns
 from robot_sysid.identify.arm.fit import fit_arm
+from robot_sysid.identify.arm.friction_choice import CANDIDATES
 from robot_sysid.identify.arm.result import parameter_scale, structural_base
 from robot_sysid.identify.samples import joined
 from robot_sysid.logs.reader import read_measurements
@@ -45,14 +46,21 @@ LAST = {
     "so101/": ("wrist_roll",),
 }
 """Terminal joints of models that hold two arms, or whose last joint is a gripper's."""
+FRICTION_ARMS = ("kuka_lwr4/kuka_lwr4.urdf", "tx40/tx40.urdf")
 TX40_FOLDS = ((25.0, "4.3"), (10.0, "3.9"))
 TX40_LAST = (20.0, 0.2, "4.8")
 
 
 def main(*parts: str) -> None:
     """Print the parts of the table."""
-    for name in parts or ("kuka", "tx40", "ranks", "time"):
-        {"kuka": kuka, "tx40": tx40, "ranks": ranks, "time": duration}[name]()
+    for name in parts or ("kuka", "tx40", "friction", "ranks", "time"):
+        {
+            "kuka": kuka,
+            "tx40": tx40,
+            "friction": friction,
+            "ranks": ranks,
+            "time": duration,
+        }[name]()
 
 
 def kuka() -> None:
@@ -100,6 +108,34 @@ def tx40() -> None:
         f"  last {share:.0%} of the moving rows, {cutoff:g} Hz: {percent(test.relative_error)} "
         f"(anchor {anchor}); {described(fit)}"
     )
+
+
+def friction() -> None:
+    """Held-out torque error of each joint by friction model, and the model that is taken."""
+    lwr4, tx40_arm = (load_robot_model(DATA / name) for name in FRICTION_ARMS)
+    runs = [read(lwr4, DATA / "kuka_lwr4" / f"lwr4_hw{k}_200Hz.csv") for k in (1, 2, 3)]
+    log = read(tx40_arm, DATA / "tx40" / "tx40_500Hz.csv")
+    for name, robot, logs, cutoff in (
+        ("KUKA LWR4+, three runs", lwr4, runs, KUKA_CUTOFF),
+        ("TX40", tx40_arm, [log], TX40_FOLDS[0][0]),
+    ):
+        signals = [process(each, robot.joint_names, cutoff) for each in logs]
+        fit = fit_arm(robot, signals, ArmOptions(), Progress())
+        print(f"{name}, low-pass {cutoff:g} Hz: root mean square held-out torque error [N m]")
+        models = [short(model) for model in CANDIDATES]
+        print("| | " + " | ".join(fit.friction) + " |")
+        for model, label in zip(CANDIDATES, models):
+            cells = [
+                f"{'**' if fit.friction[joint] == model else ''}{errors[model]:.3f}"
+                f"{'**' if fit.friction[joint] == model else ''}"
+                for joint, errors in fit.choices.items()
+            ]
+            print(f"| {label} | " + " | ".join(cells) + " |")
+
+
+def short(model: str) -> str:
+    """A friction model's name without what all have."""
+    return model.replace("-offset-armature", "")
 
 
 def ranks() -> None:
@@ -207,7 +243,9 @@ def described(fit) -> str:
     """What was chosen, and whether every link can exist."""
     possible = all(spatial.is_consistent(theta) for theta in fit.thetas if np.any(theta))
     shared = ", ".join(each.name for each in fit.couplings)
-    words = f"{fit.friction}, weight {fit.gamma:g}" + (f", shared motor {shared}" if shared else "")
+    words = f"{sorted(set(fit.friction.values()))}, weight {fit.gamma:g}" + (
+        f", shared motor {shared}" if shared else ""
+    )
     return words + (", all links possible" if possible else ", NOT ALL LINKS POSSIBLE")
 
 

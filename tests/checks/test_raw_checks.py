@@ -68,6 +68,15 @@ def test_a_channel_that_holds_is_found_and_named(joint):
     assert found.name == "held" and f"joint {JOINTS[joint]} stands still for 1.5 s" in found.text
 
 
+def test_a_channel_that_holds_while_the_arm_goes_and_comes_back_is_found():
+    time = np.arange(2000) / 200.0
+    back = np.sin(2.0 * np.pi * time[:, None] / 3.0) * np.ones(3)
+    tau = np.random.default_rng(0).normal(size=back.shape)
+    tau[600:1201, 1] = tau[600, 1]
+    (found,) = sensor_findings([Measurement(time, back, None, tau)], JOINTS)
+    assert found.name == "held" and "stands still for 3 s" in found.text
+
+
 def test_a_torque_in_coarse_steps_is_no_fault():
     steps = replace(NOISY, tau=np.round(NOISY.tau / 0.01) * 0.01)
     assert list(sensor_findings([steps], JOINTS)) == []

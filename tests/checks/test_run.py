@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from robot_sysid.checks.finding import Level
 from robot_sysid.checks.run import check_against_model
 from robot_sysid.logs.reader import read_measurements
 from robot_sysid.parser import load_robot_model
+from robot_sysid.records import Measurement
 from tests.support import arms
 from tests.support.places import DATA
 from tests.support.wrong_logs import KINDS, truth_of
@@ -38,6 +41,15 @@ NAMES = {
 
 def test_a_right_log_draws_no_alarm(truth):
     assert check_against_model(truth.robot, [truth.log]) == ()
+
+
+def test_a_log_that_is_too_short_for_anything_is_called_that(truth):
+    log = truth.log
+    brief = log.time - log.time[0] < 0.6
+    part = Measurement(log.time[brief], log.q[brief], None, log.tau[brief])
+    first = check_against_model(truth.robot, [part])[0]
+    assert first.level is Level.REFUSE
+    assert re.match(r"the log is 0\.(59|6)\d* s long, too short; record", first.text)
 
 
 @pytest.mark.slow

@@ -14,5 +14,5 @@ def asked(request, monkeypatch):
     The command is what the test module calls ``module``.
     """
     command = request.module.module
-    monkeypatch.setattr(command, "identify", lambda values, options: config_from(**values))
+    monkeypatch.setattr(command, "identify", lambda values, *_: config_from(**values))
     return lambda *arguments: command.main([*map(str, arguments)])

@@ -10,12 +10,14 @@ import pytest
 from robot_sysid.commands import arm as module
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation.arm.options import ArmOptions
+from robot_sysid.identify.judgement.rollout.compare import compare
 from robot_sysid.logs.reader import write_measurement_csv
 from robot_sysid.records.options import options_of
 from tests.support import arms, option_samples
 from tests.support.measured_logs import JOINT, log_of, plan_of, true_arm
 
 XML = arms.serial_arm((arms.Z, arms.Y, arms.X), joint=JOINT)
+SMOOTH = XML.replace(JOINT, JOINT.replace("frictionloss", "margin"))
 QUICK = ("--cutoff", "8", "--friction-model", "coulomb-viscous-offset-armature")
 
 
@@ -62,7 +64,7 @@ def test_a_run_writes_every_link_and_prints_it(command, arm_file, logs, plant):
     for mine, link in zip(written.links, content["links"]):
         assert mine.theta[0] == pytest.approx(link["identified"]["mass"], rel=1e-6)
     assert written.friction.coulomb == pytest.approx(0.3, abs=0.02)
-    for said in ("link1: 1.200 ->", "joint0: coulomb ", "15 of 15", "Validation on"):
+    for said in ("link1 mass  ", "joint0: coulomb ", "15 of 15", "Validation on"):
         assert said in out
 
 
@@ -94,3 +96,32 @@ def test_torques_of_another_arm_give_no_model(command, arm_file, logs, tmp_path)
     assert not list(tmp_path.rglob("updated_model*"))
     content = json.loads((tmp_path / "sysid_output" / "arm.json").read_text())
     assert content["status"] != "OK" and content["reasons"]
+
+
+@pytest.mark.slow
+def test_a_model_is_played_on_what_was_not_fitted_before_it_is_written(command, arm_file, logs):
+    folder = arm_file(SMOOTH).parent / "sysid_output"
+    out = command.run("arm", arm_file(SMOOTH), logs[0], "--verify-rollout", *QUICK).out
+    entry = json.loads((folder / "arm.json").read_text())["rollout"]
+    assert entry["is_better"] and entry["score"] < 0.7
+    assert "the last fifth of every log" in entry["held_out"] and entry["held_out"] in out
+    assert {(e["loop"], e["horizon"]) for e in entry["errors"]} >= {
+        ("open loop", 0.1), ("closed loop", 1.0)
+    }  # fmt: skip
+    assert (folder / "updated_model.xml").exists()
+
+
+@pytest.mark.slow
+def test_a_model_that_moves_no_better_is_not_written(command, arm_file, logs, monkeypatch):
+    def swapped(before, after, *rest):
+        return compare(after, before, *rest)
+
+    monkeypatch.setattr("robot_sysid.identify.arm.played.compare", swapped)
+    words = ("arm", arm_file(SMOOTH), logs[0], "--validation-measurements", logs[1])
+    words = (*words, "--verify-rollout", *QUICK)
+    folder = arm_file(SMOOTH).parent / "sysid_output"
+    refused = command.run(*words, code=1).err
+    assert "not better than the old one" in refused and "--accept rollout" in refused
+    assert (folder / "arm.json").exists() and not (folder / "updated_model.xml").exists()
+    command.run(*words, "--accept", "rollout")
+    assert (folder / "updated_model.xml").exists()

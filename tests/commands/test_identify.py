@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
 
 from robot_sysid.commands import identify as module
 from robot_sysid.config import config_from
-from tests.support import arms, option_samples
+from tests.support import arms, option_samples, schemas
+from tests.support.measured_logs import JOINT
 
 TAKEN = option_samples.keys_of(module.build_parser())
 SAMPLES = [sample for sample in option_samples.samples() if sample.option.key in TAKEN]
@@ -21,6 +23,7 @@ def test_it_takes_what_logs_need_and_nothing_of_a_motion():
         "",
         "log",
         "measured",
+        "friction",
         "estimate",
         "prior",
     }
@@ -54,3 +57,24 @@ def test_it_does_what_the_option_of_the_main_command_does(command, arm_file):
     same = command.run(path, "--measurements", "log.csv", *known)
     assert plain == same
     assert "Mass: 0.800 kg" in plain.out
+
+
+@pytest.mark.slow
+def test_the_link_is_played_before_it_is_written(command, arm_file):
+    truth = arm_file(arms.serial_arm((arms.Z, arms.Y, arms.X), joint=JOINT), "truth.xml")
+    heavy = arms.TIP.replace('mass=".8"', 'mass="1.6"')
+    guess = arm_file(arms.serial_arm((arms.Z, arms.Y, arms.X), joint=JOINT, tip_inertial=heavy))
+    known = [f"--{cause}-uncertainty=0" for cause in ("link", "scale", "zero", "gravity")]
+    made = ("--plant-model", truth, "--duration", "12", "--sample-rate", "200", "--seed", "1")
+    command.run(truth, *made, "--save-measurements", "log.csv", "--noise-torque", "0.05", *known)
+    words = ("identify", guess, "log.csv", "--verify-rollout", *known, "--accept", "model")
+    out = command.run(*words, "--output-dir", "new").out
+    folder = guess.parent / "new"
+    schemas.check(folder / "params.json")
+    entry = json.loads((folder / "params.json").read_text())["rollout"]
+    assert entry["is_better"] and entry["score"] < 0.5 and "closed loop, 1 s" in out
+    # A model that is the arm already gains nothing by an estimate with noise in it.
+    words = ("identify", truth, "log.csv", "--verify-rollout", *known, "--output-dir", "same")
+    command.run(*words, "--accept", "rollout")
+    same = json.loads((truth.parent / "same" / "params.json").read_text())["rollout"]
+    assert same["score"] > entry["score"]

@@ -40,7 +40,8 @@ def late(log):
 
 def test_it_takes_what_is_said_of_logs_and_of_the_model():
     expected = {s.option.key for s in option_samples.samples() if s.record in ("log", "model")}
-    assert option_samples.keys_of(module.build_parser()) == expected - set(module.LEFT_OUT)
+    shown = {"view", "video", "trajectory"}
+    assert option_samples.keys_of(module.build_parser()) == expected - set(module.LEFT_OUT) | shown
 
 
 def test_without_a_model_it_lists_the_columns(command):

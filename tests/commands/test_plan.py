@@ -9,7 +9,7 @@ from robot_sysid.config import config_from
 from robot_sysid.excitation.static.pose_trajectory import PoseTrajectory
 from robot_sysid.excitation.trajectory_files import load_trajectory
 from robot_sysid.trajectory import SineTrajectory
-from tests.support import arms, option_samples
+from tests.support import arms, option_samples, witness
 from tests.support.command_line import files_in
 from tests.support.option_samples import MOTORS, PAYLOAD, STATIC
 
@@ -20,7 +20,7 @@ SAMPLES = [sample for sample in option_samples.samples() if sample.option.key in
 
 
 def test_it_takes_what_a_trajectory_needs_and_nothing_of_an_estimate():
-    assert {sample.option.key for sample in SAMPLES} == TAKEN
+    assert {sample.option.key for sample in SAMPLES} == TAKEN - {"view", "video"}
     needs = {sample.option.needs for sample in SAMPLES}
     of_plans = {"plan", "payload plan", "static plan"}
     of_motions = {"", "motion", "new motion", "design", "plant or plan", "motors"}
@@ -106,13 +106,25 @@ def test_a_joint_too_weak_to_hold_the_arm_is_refused_unless_a_flag_names_it(
     kind, command, arm_file
 ):
     """A limit that the motion cannot keep is never left out unsaid."""
-    path = arm_file(arms.THREE.replace("<option ", '<option gravity="9.81 0 0" '))
-    quick = ("--excitation", kind, *SINES[2:], "--max-torque", "100,0.5,100")
+    pulled = arms.THREE.replace("<option ", '<option gravity="9.81 0 0" ')
+    quick = ("--excitation", kind, *SINES[2:])
     quick += ("--excitation-time-budget", "0.05") if kind == "optimal" else ()
-    message = command.refused("plan", path, *quick)
+    # One that can hang down, and one that cannot.
+    path, stiff = arm_file(pulled), pulled.replace('"-2.5 2.5"', '"-.1 .1"')
+    too_weak = (*quick, "--max-torque", "100,0.5,100")
+    message = command.refused("plan", arm_file(stiff, "stiff.xml"), *too_weak)
     assert "holding still takes 3.61 N·m at joint joint1, more than 95 % of its torque" in message
-    printed = command.run("plan", path, *quick, "--ignore-torque-limit", "joint1")
+    assert "give --ignore-torque-limit joint1 if the joint can carry it" in message
+    ignored = (*too_weak, "--ignore-torque-limit", "joint1")
+    printed = command.run("plan", path.with_name("stiff.xml"), *ignored)
     assert "the torque limit of joint1 is not obeyed, as asked" in printed.err
+    printed = command.run("plan", path, *too_weak, "--save-trajectory", "plan.json")
+    assert "the motion starts and ends at another pose" in printed.err
+    assert "the straight way in joint space there from the model's pose" in printed.out
+    torque = witness.peaks(
+        arms.robot_of(path.read_text()), load_trajectory(path.parent / "plan.json").plan
+    ).torque
+    assert 0.0 < torque[1] <= 0.5
 
 
 def test_a_motor_file_that_cannot_be_made_leaves_no_trajectory(command, arm_file, monkeypatch):
@@ -122,10 +134,31 @@ def test_a_motor_file_that_cannot_be_made_leaves_no_trajectory(command, arm_file
     path = arm_file(arms.THREE)
     monkeypatch.setattr("robot_sysid.damiao.trajectory.csv_file.export_damiao_trajectory", fail)
     before = files_in(path.parent)
-    command.run("plan", path, *SINES, *export(3), code=1)
+    command.run("plan", path, *SINES, *export(3), code=2)
     assert files_in(path.parent) == before
 
 
 def test_an_option_of_another_command_is_refused(command, arm_file):
     message = command.refused("plan", arm_file(arms.THREE), "--measurements", "log.csv")
     assert "unrecognized arguments: --measurements log.csv (robot-sysid plan --help-all" in message
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("purpose", ["friction", "arm"])
+def test_motions_for_friction_and_for_an_arm_can_be_saved_exported_and_checked_again(
+    command, arm_file, purpose
+):
+    path = arm_file(arms.serial_arm((arms.Z, arms.Y)))
+    budget = ("--excitation-time-budget", "0.05") if purpose == "arm" else ()
+    printed = command.run("plan", path, "--for", purpose, "--seed", "1", *budget, *export(2))
+    assert "Peaks (share of limit):" in printed.out
+    folder = path.parent / "sysid_output"
+    assert (folder / "damiao_trajectory.csv").exists()
+    again = ("--trajectory", folder / "trajectory.json", "--output-dir", "again")
+    assert "Trajectory saved" in command.run("plan", path, *again, "--sample-rate", "100").out
+
+
+def test_sweeps_take_the_time_they_need(command, arm_file):
+    path = arm_file(arms.serial_arm((arms.Z, arms.Y)))
+    message = command.refused("plan", path, "--for", "friction", "--duration", "3", code=2)
+    assert "--for friction and --trajectory, --duration" in message

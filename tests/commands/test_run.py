@@ -33,7 +33,7 @@ def motor_types(count):
 def asked(monkeypatch):
     """Function: the configuration that a command line asks for, without running it."""
     seen = []
-    outcome = SimpleNamespace(failure=None, report_lines=lambda verbose: [])
+    outcome = SimpleNamespace(failure=None, files=(), report_lines=lambda verbose: [])
     monkeypatch.setattr(
         "robot_sysid.pipeline.run", lambda config, _: seen.append(config) or outcome
     )
@@ -172,7 +172,7 @@ def test_plans_do_not_pass_from_one_public_arm_to_another(command):
 
 
 def test_the_example_arm_is_not_asked_for_more_torque_than_allowed(command):
-    weak = ("--max-torque", "1", *motor_types(7))
+    weak = ("--max-torque", "1e-3", *motor_types(7))
     assert "holding still takes 10.9 N·m at joint joint1" in command.refused(GUESS, *SHORT, *weak)
 
 

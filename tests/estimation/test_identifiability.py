@@ -114,13 +114,16 @@ def test_rounding_noise_in_a_column_is_zero_and_does_not_enter_the_condition():
     assert space.singular[0] < 5.0 * space.singular[-1]
 
 
-def test_condition_numbers_are_those_of_the_stacked_regressor():
+def test_condition_numbers_are_those_of_the_stacked_regressor_of_the_link_and_its_joint():
+    """Friction of the other joints is no part of it, whether it is estimated or not."""
     rng = np.random.default_rng(4)
     equations, names = arm_equations(rng, joints=3)
     seen = analyse_identifiability(information_of(equations, names, rng.normal(size=16)))
     stacked = np.zeros((180, 16))
     for j, (rows, columns) in enumerate(equations):
         stacked[60 * j : 60 * (j + 1), columns] = rows
+    stacked = stacked[:, [*range(10), 14, 15]]
+    assert names[14:] == ("coulomb[joint2]", "viscous[joint2]")
     scaled = stacked / np.linalg.norm(stacked, axis=0)
     assert seen.condition_number == pytest.approx(np.linalg.cond(stacked), rel=1e-9)
     assert seen.scaled_condition_number == pytest.approx(np.linalg.cond(scaled), rel=1e-9)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from robot_sysid.dynamics import spatial
@@ -106,8 +106,10 @@ def test_whole_errors_cover_what_noise_alone_does_not():
 @settings(max_examples=100, deadline=None)
 @given(SEEDS, st.sampled_from([0.1, 1.0, 6.0, 1e3]))
 def test_a_prior_is_widened_to_what_the_data_asks_for_and_never_narrowed(seed, size):
+    """The data knows each direction well: one that it knows no better than the prior asks less."""
     rng = np.random.default_rng(seed)
     groups = groups_of(rng)
+    assume(np.linalg.svd(groups[0].factor)[1][-1] > 10.0 * 0.1 / np.sqrt(ROWS))
     truth = np.concatenate((rng.normal(size=10), drawn(rng, groups, size)))
     information, _ = information_of(rng, truth)
     one, other = widened_groups(information, np.array([0.1]), groups)

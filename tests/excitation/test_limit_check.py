@@ -145,6 +145,16 @@ def test_no_excess_is_said_to_be_nothing(share, words):
     assert str(Excess("speed limit", share, 1.0)) == f"speed limit ({words} over at 1.00 s)"
 
 
+@given(st.floats(-15.0, 3.0))
+@settings(max_examples=100)
+def test_no_excess_however_small_is_printed_as_nothing(exponent):
+    """What is within rounding is none: ``ROUNDING`` is a thousand times what a share resolves."""
+    share = 1.0 + 10.0**exponent
+    assume(share > 1.0)
+    printed = float(str(Excess("speed limit", share, 1.0)).split("(")[1].split(" %")[0])
+    assert printed == pytest.approx(100.0 * (share - 1.0), rel=0.51)
+
+
 def test_tight_times_are_local_minima_of_the_slack():
     some = problem(TUBES_AND_POST)
     coefficients = np.zeros((4, 7))

@@ -9,7 +9,12 @@ from hypothesis import strategies as st
 
 from robot_sysid.collision.obstacles import Box, Plane
 from robot_sysid.errors import InputError
-from robot_sysid.excitation.options import TOP_FREQUENCY_HZ, ExcitationOptions, LimitOptions
+from robot_sysid.excitation.options import (
+    LONGEST_PERIOD,
+    TOP_FREQUENCY_HZ,
+    ExcitationOptions,
+    LimitOptions,
+)
 
 NOT_POSITIVE = st.one_of(st.floats(max_value=0.0), st.sampled_from([np.nan, np.inf, -np.inf]))
 
@@ -74,11 +79,13 @@ def test_a_basis_that_cannot_be_is_refused_with_the_option_that_is_in_the_way(ch
 @given(st.floats(1.0, 600.0), st.sampled_from(["faded", "periodic"]))
 def test_default_band_ends_at_the_top_frequency(duration, ends):
     basis = ExcitationOptions(ends=ends).basis(duration)
-    assert (basis.duration, basis.base_frequency_hz) == (duration, 1.0 / duration)
+    periods = basis.base_frequency_hz * duration
+    assert (basis.duration, periods) == (duration, pytest.approx(round(periods)))
+    assert round(periods) == max(1, np.ceil(duration / LONGEST_PERIOD))
     assert basis.harmonics >= 3
     if basis.harmonics > 3:
         assert basis.top_frequency_hz <= TOP_FREQUENCY_HZ * (1.0 + 1e-9)
-        assert basis.top_frequency_hz > TOP_FREQUENCY_HZ - 1.0 / duration
+        assert basis.top_frequency_hz > TOP_FREQUENCY_HZ - basis.base_frequency_hz
 
 
 def test_a_longer_budget_improves_more_starts():
@@ -86,6 +93,14 @@ def test_a_longer_budget_improves_more_starts():
     assert ExcitationOptions(time_budget=20.0).n_starts == 2
     assert ExcitationOptions(time_budget=300.0).n_starts == 10
     assert ExcitationOptions(time_budget=300.0, starts=3).n_starts == 3
+
+
+@pytest.mark.parametrize(("allowed", "used"), [(1, 1), (2, 2), (8, 2)])
+def test_workers_are_no_more_than_the_processors_this_process_may_use(allowed, used, monkeypatch):
+    mine = set(range(allowed))
+    monkeypatch.setattr("os.sched_getaffinity", lambda process: mine, raising=False)
+    assert ExcitationOptions().n_workers == used
+    assert ExcitationOptions(time_budget=1.0).n_workers == 1
 
 
 def test_the_workspace_and_the_planes_are_made_of_the_numbers():

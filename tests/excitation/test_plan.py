@@ -241,3 +241,10 @@ def test_what_takes_hours_to_check_is_refused_at_once(kind):
     excitation = options(kind=kind)
     with pytest.raises(InputError, match="a motion of 1e[+]08 s takes too long to check"):
         planned(TUBES, trajectory=long, excitation=excitation)
+
+
+def test_a_search_that_takes_much_memory_says_so_beforehand(monkeypatch):
+    monkeypatch.setattr("robot_sysid.excitation.plan.NOTABLE_MEMORY", 0.0)
+    listener = Listener()
+    planned(arms.THREE, listener=listener, excitation=options(kind="optimal"))
+    assert listener.notes[0] == "the search will hold about 0.0 GB of memory"

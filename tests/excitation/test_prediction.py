@@ -64,7 +64,6 @@ def test_twice_the_noise_is_twice_the_deviation():
     quiet = predict(problem(arms.THREE, noise_torque=0.1), plan, 500.0)
     loud = predict(problem(arms.THREE, noise_torque=0.2), plan, 500.0)
     assert np.allclose(loud.deviation, 2.0 * quiet.deviation, rtol=1e-9)
-    assert loud.condition_number == pytest.approx(quiet.condition_number)
 
 
 def test_four_times_the_rate_is_half_the_deviation():
@@ -94,7 +93,6 @@ def test_a_designed_arm_has_nothing_unseen():
     promised = predict(problem(arms.SEVEN), a_plan(arms.SEVEN), 500.0)
     assert promised.never == promised.unseen == ()
     assert np.all(np.isfinite(promised.deviation))
-    assert promised.scaled_condition_number >= 1.0
 
 
 def test_what_is_known_to_less_than_a_fifth_is_loose():

@@ -11,12 +11,12 @@ from robot_sysid.collision.clearance import Clearance
 from robot_sysid.collision.obstacles import NoObstacles
 from robot_sysid.errors import InputError
 from robot_sysid.excitation.options import TOP_FREQUENCY_HZ, LimitOptions
-from robot_sysid.excitation.problem import build_problem, require_start
+from robot_sysid.excitation.problem import build_problem
 from robot_sysid.records import JointLimits, Motion
 from robot_sysid.simulator import ArmTorque
 from tests.support import arms
-from tests.support.arms import X, Y, Z, robot_of
-from tests.support.excitation_arms import TUBES, TUBES_AND_POST, problem, robot, tube_arm
+from tests.support.arms import robot_of
+from tests.support.excitation_arms import TUBES, TUBES_AND_POST, problem, robot
 
 
 def limits(lower=-2.0, upper=2.0, velocity=1.0, torque=np.inf, joints=3):
@@ -69,21 +69,10 @@ def leaning(allowed):
     return replace(robot_of(arms.THREE), limits=weak, reference_qpos=np.array([0.0, 0.7, 0.2]))
 
 
-def test_a_motor_too_weak_to_hold_the_arm_is_refused_with_a_remedy():
-    weak = built(leaning(0.1))
-    assert np.allclose(weak.limits.torque, 0.95 * np.array([50.0, 0.1, 50.0]))
-    with pytest.raises(
-        InputError, match="at joint joint1, more than 95 % of its torque limit of 0.1"
-    ):
-        require_start(weak)
-    require_start(built(leaning(50.0)))
-
-
 def test_a_torque_limit_is_ignored_where_that_is_asked_for():
     some = built(leaning(0.1), ignore_torque_limit=("joint1",), max_torque=30.0)
     assert np.allclose(some.limits.torque, [28.5, np.inf, 28.5])
     assert "the torque limit of joint1 is not obeyed, as asked" in some.notes
-    require_start(some)
     with pytest.raises(
         InputError, match="--ignore-torque-limit elbow: no such joint; the chain has"
     ):
@@ -144,20 +133,3 @@ def test_the_workspace_binds_the_terminal_link_alone():
 def test_one_noise_per_joint_or_one_for_all():
     with pytest.raises(InputError, match="--noise-torque takes one number, or one for each of the"):
         problem(arms.THREE, noise_torque=(0.1, 0.2))
-
-
-CLASH = '<body name="shelf" pos="0 0 {}"><geom type="box" size=".3 .3 .01"/></body>'
-TOP = 4 * 0.25 + 0.23
-
-
-def test_a_start_in_a_collision_is_refused_with_both_names():
-    shelf = tube_arm((Z, Y, X, Y), CLASH.format(TOP))
-    with pytest.raises(InputError, match=r"start in a collision: at rest, link3 and shelf \(10 mm"):
-        require_start(problem(shelf))
-
-
-def test_a_pair_that_grazes_at_rest_is_named_and_may_start():
-    some = problem(tube_arm((Z, Y, X, Y), CLASH.format(TOP + 0.0095)))
-    require_start(some)
-    words = "touching already at rest, and never to get deeper: link3 and shelf (0.5 mm deep)"
-    assert words in some.notes

@@ -129,14 +129,16 @@ def together(robot, logs, **options):
     return fit_measured(robot, logs, chosen, Progress())
 
 
-def test_a_log_given_twice_says_the_same_with_smaller_errors(robot, noisy):
+def test_a_log_given_twice_says_the_same_and_no_more(robot, noisy):
+    """What the model leaves comes again as it was, so it does not average; one noise for both has
+    a few more rows to be told from, which makes it a little smaller."""
     once, twice = (
         together(robot, [noisy] * n, validate=0.0, method="ols").estimate for n in (1, 2)
     )
     np.testing.assert_allclose(twice.values, once.values, rtol=0.0, atol=1e-9)
     assert all(twice.samples[joint] == 2 * once.samples[joint] for joint in once.samples)
     ratio = twice.standard_errors / once.standard_errors
-    np.testing.assert_allclose(ratio, np.sqrt(0.5), rtol=0.1)
+    assert np.all((ratio > 0.9) & (ratio < 1.01))
 
 
 def test_what_one_log_does_not_show_another_may(plant, robot):

@@ -44,7 +44,7 @@ def random_samples(seed, count=40):
         joints=("one", "two"),
         columns=(np.array([0, 1, 2]), np.array([0, 1, 3, 4])),
         time=np.arange(float(count)),
-        rows=(rng.normal(size=(count, 3)), rng.normal(size=(count, 4))),
+        blocks=((rng.normal(size=(count, 3)),), (rng.normal(size=(count, 4)),)),
         tau=tuple(tau),
         measured=tuple(rng.normal(size=(2, count))),
     )
@@ -163,3 +163,29 @@ def test_logs_joined_hold_the_information_of_both(seed):
     squared = first.squared_torque() + second.squared_torque()
     np.testing.assert_allclose(both.squared_torque(), squared, rtol=1e-12)
     np.testing.assert_array_equal(both.time, np.concatenate((first.time, second.time)))
+
+
+@settings(max_examples=100, deadline=None)
+@given(SEEDS)
+def test_logs_joined_joint_by_joint_are_the_logs_joined(seed):
+    parts = (random_samples(seed), random_samples(seed + 1, 25))
+    at_once, one_by_one = joined(parts), samples_module.JoinedSamples(parts)
+    for (_, rows, tau), (_, same_rows, same_tau) in zip(at_once, one_by_one):
+        np.testing.assert_array_equal(rows, same_rows)
+        np.testing.assert_array_equal(tau, same_tau)
+    both = [each.information().squared_residuals(np.ones(5)) for each in (at_once, one_by_one)]
+    np.testing.assert_allclose(both[0], both[1], rtol=1e-12)
+    np.testing.assert_allclose(at_once.squared_torque(), one_by_one.squared_torque(), rtol=1e-12)
+
+
+@settings(max_examples=100, deadline=None)
+@given(SEEDS)
+def test_columns_of_one_joint_alone_are_columns_that_are_zero_elsewhere(seed):
+    samples, rng = random_samples(seed), np.random.default_rng(seed)
+    own = [rng.normal(size=(40, 1)) for _ in samples.joints]
+    few = samples.with_columns(("f", "g"), own, [np.array([0]), np.array([1])])
+    zero = np.zeros((40, 1))
+    full = samples.with_columns(("f", "g"), [np.hstack((own[0], zero)), np.hstack((zero, own[1]))])
+    values = rng.normal(size=7)
+    wrong = [each.information().squared_residuals(values) for each in (few, full)]
+    np.testing.assert_allclose(wrong[0], wrong[1], rtol=1e-12)

@@ -101,4 +101,4 @@ def test_a_slide_says_so():
         arms.serial_arm((arms.Z, arms.Y, arms.X), joint='type="slide" range="-1 1"')
     )
     found = identify_itself(robot, run_of(robot), EstimationOptions(), Progress()).identification
-    assert found.is_slide
+    assert found.slides

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import sys
 
 import pytest
 
@@ -159,3 +160,28 @@ def test_the_hash_is_that_of_the_file_and_covers_includes(tmp_path):
     outer = read_document(write_files(tmp_path, {"n.xml": main})).sha256
     write_files(tmp_path, {"m.xml": BODY.format("y")})
     assert read_document(tmp_path / "n.xml").sha256 != outer
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs named pipes")
+def test_a_pipe_is_not_waited_for(tmp_path):
+    path = tmp_path / "model.xml"
+    os.mkfifo(path)
+    with pytest.raises(InputError, match="is a pipe or a device"):
+        read_document(path)
+
+
+def test_includes_are_not_followed_without_end(tmp_path):
+    for k in range(400):
+        text = f'<mujoco><include file="{k + 1}.xml"/></mujoco>'
+        (tmp_path / f"{k}.xml").write_text(text, encoding="utf-8")
+    with pytest.raises(ModelError, match="nested more than 50 deep"):
+        read_document(tmp_path / "0.xml")
+
+
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize("mark", ["<!--", "<!DOCTYPE"])
+def test_marks_that_never_end_take_no_longer_than_their_length(tmp_path, mark):
+    path = tmp_path / "model.xml"
+    path.write_text("<mujoco>" + mark * 250_000, encoding="utf-8")
+    with pytest.raises(ModelError, match="is not XML"):
+        read_document(path)

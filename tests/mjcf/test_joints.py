@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from robot_sysid.errors import ExportError
-from robot_sysid.mjcf.changes import JointChange
+from robot_sysid.mjcf.changes import ActuatorChange, JointChange
 from robot_sysid.mjcf.documents import read_document
-from robot_sysid.mjcf.joints import find_joint, joint_edits
+from robot_sysid.mjcf.joints import actuator_edits, find_joint, joint_edits
 from robot_sysid.mjcf.markup import apply_edits
 from tests.support.model_files import (
     INERTIAL,
@@ -129,3 +129,49 @@ def test_a_urdf_cannot_hold_rotor_inertia(tmp_path):
     document = read_document(write_files(tmp_path, {"m.urdf": URDF}))
     with pytest.raises(ExportError, match="cannot hold the rotor inertia of joint 'l1_l2'"):
         list(joint_edits(document, JointChange("l1_l2", armature=0.1)))
+
+
+@pytest.mark.skipif(not hasattr(mujoco.MjModel, "dof_dampingpoly"), reason="MuJoCo before 3.7")
+def test_nonlinear_damping_is_written_where_it_was_found(tmp_path):
+    document = read_document(write_files(tmp_path, {"m.xml": MIXED}))
+    text = changed(document, JointChange("last", damping=1.0, polynomial=(2.0, 3.0)))
+    model = mujoco.MjModel.from_xml_string(text)
+    dof = model.joint("last").dofadr[0]
+    assert model.dof_damping[dof] == 1.0
+    np.testing.assert_array_equal(model.dof_dampingpoly[dof], (2.0, 3.0))
+    # The joint brakes by 1 v + 2 v |v| + 3 v^3.
+    data = mujoco.MjData(model)
+    data.qvel[dof] = -2.0
+    mujoco.mj_forward(model, data)
+    assert data.qfrc_passive[dof] == pytest.approx(2.0 + 8.0 + 24.0)
+
+
+def test_nonlinear_damping_that_drives_is_refused(tmp_path):
+    document = read_document(write_files(tmp_path, {"m.xml": MIXED}))
+    with pytest.raises(ExportError, match="cannot get nonlinear damping"):
+        changed(document, JointChange("last", damping=1.0, polynomial=(2.0, -3.0)))
+
+
+SERVOS = f"""<mujoco>
+  <default><position kp="7" kv="1"/><default class="weak"><position kp="3"/></default></default>
+  <worldbody>
+    <body><joint name="a"/>{INERTIAL}<body><joint name="b"/>{INERTIAL}</body></body>
+  </worldbody>
+  <actuator><motor joint="a"/><position class="weak" joint="a"/></actuator>
+  <actuator><general joint="b" gainprm="5" biastype="affine" biasprm="0 -5 -2"/></actuator>
+</mujoco>"""
+
+
+def test_gains_are_written_into_the_actuator_that_mujoco_numbers(tmp_path):
+    path = write_files(tmp_path, {"arm.xml": SERVOS})
+    document = read_document(path)
+    changes = (ActuatorChange(1, 40.0, 4.0), ActuatorChange(2, 50.0, 0.0))
+    edits = [edit for change in changes for _, edit in actuator_edits(document, change)]
+    model = mujoco.MjModel.from_xml_string(apply_edits(document.root.file.text, edits).decode())
+    before = mujoco.MjModel.from_xml_string(SERVOS)
+    assert model.actuator_gainprm[:, 0].tolist() == [1.0, 40.0, 50.0]
+    assert model.actuator_biasprm[1:, :3].tolist() == [[0.0, -40.0, -4.0], [0.0, -50.0, 0.0]]
+    np.testing.assert_array_equal(model.dof_damping, before.dof_damping)
+    for number in (0, 3):
+        with pytest.raises(ExportError, match=f"actuator number {number} is not written out"):
+            list(actuator_edits(document, ActuatorChange(number, 1.0, 1.0)))

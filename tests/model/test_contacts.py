@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from robot_sysid.errors import ModelError
 from robot_sysid.model.contacts import ContactFinder, find_new_contacts, neighbours
 from robot_sysid.records import Motion
 from tests.support import arms
@@ -127,3 +128,11 @@ def test_nameless_bodies_are_told_by_number():
 def test_rest_is_free_of_new_contacts_on(name):
     robot = robot_of(arms.MODELS[name])
     assert ContactFinder(robot).new_pairs(robot.reference) == set()
+
+
+def test_more_contacts_than_mujoco_holds_are_a_matter_of_the_model():
+    crowd = '<body><geom size=".1"/></body>' * 1500
+    bodies = arms.serial_bodies((arms.Y,))
+    robot = arms.robot_of(arms.world(bodies + crowd, extra='<size memory="3M"/>'))
+    with pytest.raises(ModelError, match="<size memory="):
+        find_new_contacts(robot, [])

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES, characteristic_length, parameter_scale
 from robot_sysid.output.limitations import COLOURED, SURE, WORSE, limitations
 from robot_sysid.records import NuisanceMisfit
+from robot_sysid.records.figures import percent
 from tests.support.results import (
     NAMES,
     estimate,
@@ -46,7 +47,7 @@ def test_a_weak_parameter_is_named_with_its_error(name, share):
     k = PARAMETER_NAMES.index(name)
     said = limitations(found(with_value(name, values[k], share * scale[k])))
     assert bool(said) == (share > 0.1)
-    assert not said or f"{name} (±{100.0 * share:.0f} %)" in said[0]
+    assert not said or f"{name} (± {percent(share)})" in said[0]
 
 
 def test_a_prior_that_outweighs_the_data_is_told():

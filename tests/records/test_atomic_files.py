@@ -267,3 +267,14 @@ def test_a_file_system_without_locks_is_no_obstacle(tmp_path, monkeypatch):
     monkeypatch.setattr(fcntl, "flock", unsupported)
     with only_run_in(tmp_path):
         pass
+
+
+def test_a_disk_that_fills_up_is_one_line_and_leaves_nothing(tmp_path):
+    def fill(file):
+        file.write("begun")
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    full = pytest.raises(InputError, match="cannot write .*: No space left on device")
+    with full, whole_files() as outputs, outputs.open(tmp_path / "new" / "a.csv") as file:
+        fill(file)
+    assert list(tmp_path.iterdir()) == []

@@ -45,6 +45,18 @@ def test_a_long_log_is_cut_into_equal_parts(monkeypatch):
     assert "its length splits the log into 3 pieces" in piece_note(whole, found)[0]
 
 
+def test_of_hours_the_minutes_that_move_are_taken():
+    time = np.arange(0.0, 7200.0, 0.1)
+    moves = (time > 3000.0) & (time < 3600.0)
+    q = np.where(moves, np.sin(time), 1e-4 * np.sin(time))[:, None]
+    found = pieces_of(Measurement(time, q, None, q))
+    assert 500.0 < sum(np.ptp(piece.time) for piece in found) < 800.0
+    assert all(2900.0 < piece.time[0] < 3700.0 for piece in found)
+    always = pieces_of(log(time))
+    assert sum(np.ptp(piece.time) for piece in always) == pytest.approx(pieces.MOST_TIME, rel=0.1)
+    assert always[0].time[0] == 0.0 and always[-1].time[-1] == time[-1]
+
+
 @settings(max_examples=100)
 @given(st.lists(st.integers(1, 900), max_size=4))
 def test_thinning_does_not_depend_on_the_blocks(cuts):
@@ -73,7 +85,7 @@ def test_a_log_that_is_long_enough_is_thinned_to_what_is_needed(monkeypatch):
     time = np.arange(1000) / 1000.0
     assert Thinning.of(time, thinning.MOST_ROWS).every == 1
     assert Thinning.of(time, 4.0 * thinning.MOST_ROWS).every == 4
-    assert Thinning.of(time, 1e9).every == round(1000.0 / thinning.LEAST_RATE)
+    assert Thinning.of(time, 1e9).every == 1000 // thinning.LEAST_RATE
 
 
 @pytest.mark.parametrize("rate", [10.0, 20.0])

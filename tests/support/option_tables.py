@@ -1,4 +1,4 @@
-"""The option tables of README.md, made from the records that the command line is made from.
+"""The option tables of the pages, made from the records that the command line is made from.
 
     python -m tests.support.option_tables
 
@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from pathlib import Path
 
-from robot_sysid.commands import motors, motors_setup, run
+from robot_sysid.commands import motors, run
 from robot_sysid.commands.arguments import ConsoleOptions, default_text
+from robot_sysid.commands.motors import setup as motors_setup
 from robot_sysid.damiao.bus.can_bus import BusAddress
 from robot_sysid.damiao.exchange.recorder import RecordingOptions
 from robot_sysid.damiao.exchange.settings import PlaySettings
@@ -20,13 +20,17 @@ from robot_sysid.damiao.protocol.bus_load import BusTiming
 from robot_sysid.damiao.run.preflight import Permissions
 from robot_sysid.estimation.arm.options import ArmOptions
 from robot_sysid.identify.payload.options import PayloadOptions
+from robot_sysid.preview.options import PreviewOptions
 from robot_sysid.records.options import Option, default_of, options_of
 from tests.support.places import ROOT
 
-README = ROOT / "README.md"
+PAGES = (ROOT / "README.md", ROOT / "docs" / "options.md")
+RUN = tuple(record for _, records in run.GROUPS for record in records)
 TABLES: Mapping[str, tuple[type, ...]] = {
     **dict(run.GROUPS),
+    "main": (*RUN, ConsoleOptions),
     "every link": (ArmOptions,),
+    "preview": (PreviewOptions,),
     "console": (ConsoleOptions,),
     "payload": (PayloadOptions,),
     "motors: bus": (BusAddress, BusTiming),
@@ -38,16 +42,18 @@ TABLES: Mapping[str, tuple[type, ...]] = {
     "motors: map": motors_setup.GROUPS["map"],
     "motors: play and simulate": (motors.PlayChoices, motors.SimulatedMotorOptions),
 }
-"""Name of a table to the records whose options it lists."""
+"""Name of a table to the records whose options it lists; of "main" only the main options."""
 _PLACE = re.compile(r"(<!-- options: (.*?) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 
 
-def table(records: tuple[type, ...]) -> str:
-    """Return the table of some records' options."""
+def table(name: str) -> str:
+    """Return the table of a name in ``TABLES``."""
     rows = ["| Option | Default | Meaning |", "| --- | --- | --- |"]
-    for record in records:
-        for name, option in options_of(record).items():
-            cells = (_typed(option, default_of(record, name)), _default(option, record, name))
+    for record in TABLES[name]:
+        for field, option in options_of(record).items():
+            if name == "main" and option.key not in run.MAIN:
+                continue
+            cells = (_typed(option, default_of(record, field)), _default(option, record, field))
             rows.append(f"| {' | '.join((*cells, _meaning(option)))} |".replace("|  |", "| |"))
     return "\n".join(rows) + "\n"
 
@@ -73,7 +79,7 @@ def _meaning(option: Option) -> str:
 
 def with_tables(text: str) -> str:
     """Return a page with all its tables as the records say; an unknown name is a KeyError."""
-    return _PLACE.sub(lambda found: found[1] + table(TABLES[found[2]]) + found[4], text)
+    return _PLACE.sub(lambda found: found[1] + table(found[2]) + found[4], text)
 
 
 def tables_in(text: str) -> list[str]:
@@ -81,9 +87,10 @@ def tables_in(text: str) -> list[str]:
     return [found[2] for found in _PLACE.finditer(text)]
 
 
-def main(path: Path = README) -> None:
-    """Write the tables of a page anew."""
-    path.write_text(with_tables(path.read_text(encoding="utf-8")), encoding="utf-8")
+def main() -> None:
+    """Write the tables of the pages anew."""
+    for path in PAGES:
+        path.write_text(with_tables(path.read_text(encoding="utf-8")), encoding="utf-8")
 
 
 if __name__ == "__main__":

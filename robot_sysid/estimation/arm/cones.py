@@ -19,13 +19,13 @@ from robot_sysid.records import Array
 
 @dataclass(frozen=True)
 class Cone:
-    """The matrices and what the objective says of them: -w(t) log det K_i + t linear_i^T z_i.
+    """The matrices and what the objective says of them: w(t) (linear_i^T z_i - log det K_i).
 
     Attributes:
         columns: (m, k) which coordinates each matrix depends on.
         constant: (m, s, s) K0.
         basis: (m, k, s, s) B.
-        linear: (m, k) in units of t.
+        linear: (m, k) in units of w(t).
         share, most: w(t) = share t, at most ``most``.
     """
 
@@ -90,7 +90,7 @@ class ScaledCone:
     def add_slope(self, gradient: Array, t: float, correction: Array) -> None:
         """Add the gradient (p,) as it is where the duals have got to where a step aims."""
         pull = self._aim(t) - correction
-        slope = t * self.cone.linear - np.einsum("mkij,mij->mk", self.basis, pull)
+        slope = self.cone.weight(t) * self.cone.linear - np.einsum("mkij,mij->mk", self.basis, pull)
         np.add.at(gradient, self.cone.columns, slope)
 
     def changes(self, step: Array, t: float, correction: Array) -> tuple[Array, Array]:

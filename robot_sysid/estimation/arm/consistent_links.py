@@ -3,7 +3,7 @@
 Minimises, over the ten parameters of every link and the friction of every joint,
 
     1/2 ||A x - b||^2 + gamma sum_i [tr(P0_i^-1 P_i) - log det P_i]
-        + gamma sum_j [a_j / a0_j - log a_j] - mu sum_k log s_k(x),
+        + min(gamma, 1) sum_j [a_j / a0_j - log a_j] - mu sum_k log s_k(x),
 
 with P_i the pseudo-inertia of link i and P0_i the model's: the log-det divergence of Lee, Wensing,
 Park, "Geometric robot dynamic identification: a convex programming approach", IEEE Transactions on
@@ -49,6 +49,8 @@ _EAGER = 0.8
 # Weight of the bounds' barrier, as a share of gamma, and at most: 1 would be one unit of chi-square
 # for a factor of e.
 _BARRIER = (1e-3, 1.0)
+# The same of rotor inertias near the model's, which is often a round number for want of another.
+_ROTOR = (1.0, 1.0)
 # Share of the measured torque that a friction term is assumed to have before anything is known.
 _START = 0.02
 
@@ -253,7 +255,7 @@ def _bounds(lower: Array, upper: Array, known: Array) -> Iterator[Cone]:
     if len(near):
         nothing = np.zeros((len(near), 1, 1))
         basis = np.ones((len(near), 1, 1, 1))
-        yield Cone(near[:, None], nothing, basis, 1.0 / known[near][:, None])
+        yield Cone(near[:, None], nothing, basis, 1.0 / known[near][:, None], *_ROTOR)
     for bound, sign in ((np.where(known > 0.0, -np.inf, lower), 1.0), (upper, -1.0)):
         columns = np.flatnonzero(np.isfinite(bound))[:, None]
         if len(columns):

@@ -6,9 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from robot_sysid.dynamics.friction import friction_model
+from robot_sysid.errors import InputError
 from robot_sysid.records.options import (
     OptionRecord,
     PerJoint,
+    given_options,
     levels,
     not_negative,
     option,
@@ -73,7 +75,21 @@ class ArmOptions(OptionRecord):
         check=not_negative,
     )
 
+    torque_from: str | None = option(
+        None,
+        "no torque was measured: find servos, friction and rotor inertia from commanded and "
+        "measured positions",
+        choices=("position-error",),
+        usual="measured torques",
+    )
+
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.friction is not None:
             friction_model(self.friction)
+        others = [each.flag for each in given_options(self) if each.key != "torque_from"]
+        if self.torque_from is not None and others:
+            raise InputError(
+                f"{others[0]} is about measured torques; leave it off with --torque-from "
+                f"{self.torque_from}"
+            )

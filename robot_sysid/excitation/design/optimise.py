@@ -15,9 +15,11 @@ over a limit is taken off by shrinking the whole motion towards rest.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
+from robot_sysid.errors import InputError
 from robot_sysid.excitation.design.budget import UNLIMITED, Budget, OutOfTime
 from robot_sysid.excitation.design.constraints import (
     ConstraintCache,
@@ -33,7 +35,7 @@ from robot_sysid.excitation.information import (
 )
 from robot_sysid.excitation.limit_check import excess_times, keeps_limits, tight_times
 from robot_sysid.excitation.options import ExcitationOptions
-from robot_sysid.excitation.problem import ExcitationProblem
+from robot_sysid.excitation.problem import LIMIT_NAMES, ExcitationProblem
 from robot_sysid.records import Array
 from robot_sysid.trajectory import TrajectoryOptions
 
@@ -70,12 +72,28 @@ class Candidate:
     feasible_x: Array | None
     feasible_score: float
 
+    @property
+    def prices(self) -> dict[str, float]:
+        """By how much the criterion falls per share that a family of limits is raised by.
+
+        The sum of a family's multipliers (Nocedal, Wright, section 12.8); of clearances per
+        ``OBSTACLE_LENGTH`` that they are smaller.
+        """
+        *joints, tool, clearance = np.sum(self.multipliers, axis=0)
+        families = np.sum(np.reshape(joints, (len(LIMIT_NAMES), -1)), axis=1)
+        found = zip((*LIMIT_NAMES, "tool speed", "clearance"), (*families, tool, clearance))
+        return {name: float(value) for name, value in found}
+
 
 def first_candidate(design: Design, number: int, x: Array) -> Candidate:
     """Return a candidate at free coefficients x (n, M), checked against all limits."""
+    return _checked(design, unchecked_candidate(design, number, x))
+
+
+def unchecked_candidate(design: Design, number: int, x: Array) -> Candidate:
+    """Return a candidate at free coefficients x (n, M) of which nothing is known yet."""
     none = np.zeros((len(design.grid), constraint_count(design.problem.n_joints)))
-    start = Candidate(number, x, none, np.zeros(0), FIRST_WEIGHT, 0, None, np.inf)
-    return _checked(design, start)
+    return Candidate(number, x, none, np.zeros(0), FIRST_WEIGHT, 0, None, np.inf)
 
 
 def improve(design: Design, candidate: Candidate, budget: Budget = UNLIMITED) -> Candidate:
@@ -83,9 +101,9 @@ def improve(design: Design, candidate: Candidate, budget: Budget = UNLIMITED) ->
     objective = PenalisedDesign(
         design, candidate.extra_times, candidate.multipliers, candidate.weight
     )
-    x, is_whole = _minimise(objective, candidate.x, design.options.iterations, budget)
+    x, is_whole = _minimise(objective, candidate.x, design, budget)
     if not is_whole:
-        return _checked(design, replace(candidate, x=x))
+        return _checked(design, replace(candidate, x=x), budget)
     multipliers = objective.updated_multipliers(objective.evaluate(x).constraints.value)
     grow = WEIGHT_GROWTH if candidate.rounds >= PLAIN_ROUNDS else 1.0
     moved = replace(
@@ -95,29 +113,30 @@ def improve(design: Design, candidate: Candidate, budget: Budget = UNLIMITED) ->
         weight=grow * candidate.weight,
         rounds=candidate.rounds + 1,
     )
-    return _checked(design, _with_extra_times(design, moved))
+    return _checked(design, _with_extra_times(design, moved), budget)
 
 
 def _minimise(
-    objective: PenalisedDesign, x: Array, iterations: int, budget: Budget
+    objective: PenalisedDesign, x: Array, design: Design, budget: Budget
 ) -> tuple[Array, bool]:
     """Return the free coefficients after some L-BFGS iterations, and whether there was time."""
     from scipy.optimize import minimize
 
-    reached = [x]
+    reached, unit = [x], design.unit
 
     def function(flat: Array) -> tuple[float, Array]:
         if budget.is_over:
             raise OutOfTime
-        evaluation = objective.evaluate(flat.reshape(x.shape))
-        return evaluation.value, evaluation.gradient.ravel()
+        evaluation = objective.evaluate(unit * flat.reshape(x.shape))
+        return evaluation.value, (unit * evaluation.gradient).ravel()
 
     def keep(flat: Array) -> None:
-        reached.append(np.array(flat).reshape(x.shape))
+        reached.append(unit * flat.reshape(x.shape))
 
-    options = {"maxiter": iterations, "maxcor": MEMORY, "maxls": 30}
+    options = {"maxiter": design.options.iterations, "maxcor": MEMORY, "maxls": 30}
+    start = (x / unit).ravel()
     try:
-        minimize(function, x.ravel(), jac=True, method="L-BFGS-B", callback=keep, options=options)
+        minimize(function, start, jac=True, method="L-BFGS-B", callback=keep, options=options)
     except OutOfTime:
         return reached[-1], False
     return reached[-1], True
@@ -137,9 +156,11 @@ def _with_extra_times(design: Design, candidate: Candidate) -> Candidate:
     )
 
 
-def _checked(design: Design, candidate: Candidate) -> Candidate:
+def _checked(design: Design, candidate: Candidate, budget: Budget = UNLIMITED) -> Candidate:
     """Return the candidate with its feasible trajectory updated, if the present one is better."""
     for factor in REPAIRS:
+        if budget.is_over and candidate.feasible_x is not None:
+            break
         x = factor * candidate.x
         score = design.criterion_of(x)
         if not score < candidate.feasible_score:
@@ -160,6 +181,8 @@ EXTRA_SLACK = 0.003
 """Distance the search keeps beside the required one [m]."""
 SMOOTHING_SHARE = 0.03
 """Share of the speed limit below which the search rounds off Coulomb friction's jump."""
+MOST_MEMORY, COPIES = 2e9, 3
+"""Most memory that a search may take [bytes], and how often each process holds its functions."""
 _WORST = 1e6
 """Stands for an infinite criterion: the optimiser needs a number."""
 
@@ -171,6 +194,13 @@ class Design:
         problem: the arm.
         options: criterion, basis, and how long to search.
         motion: duration and sample rate.
+
+    Attributes:
+        unit: (M,) of each free coefficient in the optimiser's eyes [rad].
+        memory: about how much a search will hold, in all its processes [bytes].
+
+    Raises:
+        InputError: it is more than any search may hold.
     """
 
     def __init__(
@@ -178,7 +208,9 @@ class Design:
     ) -> None:
         self.problem, self.options, self.sample_rate = problem, options, motion.sample_rate
         self.basis: FourierBasis = options.basis(motion.duration)
+        self.memory = _memory(self.basis, options.n_workers)
         self.directions = self.basis.free_directions()
+        self.unit = _unit(self.basis, self.n_free)
         self.grid = _grid(self.basis)
         self.criterion: Criterion = CRITERIA[options.criterion]
         self.coordinates = visible_coordinates(problem)
@@ -204,9 +236,16 @@ class Design:
         """Return the trajectory of the free coefficients x (n, M)."""
         return FourierTrajectory(self.basis, self.problem.rest, x @ self.directions.T)
 
+    @cached_property
+    def on_grid(self) -> tuple[Array, Array, Array]:
+        """The functions on the grid: most of what a search holds in memory."""
+        return self.functions(self.grid)
+
     def functions(self, time: Array) -> tuple[Array, Array, Array]:
         """Return the basis of the free coefficients, and its derivatives (N, M)."""
         position, velocity, acceleration = self.basis.evaluate(time)
+        if self.basis.fade > 0.0:  # All coefficients are free.
+            return position, velocity, acceleration
         return (
             position @ self.directions,
             velocity @ self.directions,
@@ -215,7 +254,7 @@ class Design:
 
     def criterion_of(self, x: Array) -> float:
         """Return the criterion of free coefficients x (n, M) alone."""
-        b, db, ddb = self.functions(self.grid)
+        b, db, ddb = self.on_grid
         q, qd, qdd = self.problem.rest + b @ x.T, db @ x.T, ddb @ x.T
         return self.criterion(self.information.evaluate(q, qd, qdd).information)[0]
 
@@ -251,7 +290,8 @@ class PenalisedDesign:
         self, design: Design, extra_times: Array, multipliers: Array, weight: float
     ) -> None:
         self._design, self._multipliers, self._weight = design, multipliers, weight
-        self._functions = design.functions(np.concatenate((design.grid, extra_times)))
+        extra = design.functions(extra_times)
+        self._functions = tuple(np.vstack(both) for both in zip(design.on_grid, extra))
         self._constraints = MotionConstraints(design.problem, LIMIT_SHARE, EXTRA_SLACK)
 
     def evaluate(self, x: Array) -> Evaluation:
@@ -276,10 +316,34 @@ class PenalisedDesign:
         return np.maximum(0.0, self._multipliers + self._weight * value)
 
 
+def _unit(basis: FourierBasis, count: int) -> Array:
+    """Return units (M,) in which all harmonics are alike as speeds: so L-BFGS needs fewer steps."""
+    if basis.fade == 0.0:  # Its directions are mixtures of harmonics.
+        return np.ones(count)
+    return np.concatenate(([1.0], np.tile(1.0 / basis.order, 2)))
+
+
+def _grid_points(basis: FourierBasis) -> int:
+    wanted = GRID_PER_CYCLE * basis.top_frequency_hz * basis.duration
+    return max(FEWEST_GRID_POINTS, int(np.ceil(wanted)))
+
+
+def _memory(basis: FourierBasis, processes: int) -> float:
+    """Return about how much a search will hold [bytes]: basis functions, three times each."""
+    held = processes * COPIES * 3.0 * 8.0 * _grid_points(basis) * basis.size
+    if held > MOST_MEMORY:
+        fewer = int(basis.harmonics * np.sqrt(MOST_MEMORY / held))
+        raise InputError(
+            f"designing {basis.harmonics} harmonics over {basis.duration:g} s would take about "
+            f"{held / 1e9:.2g} GB of memory, the most is {MOST_MEMORY / 1e9:g} GB; lower "
+            f"--harmonics to {fewer}, or make the motion shorter and repeat it"
+        )
+    return held
+
+
 def _grid(basis: FourierBasis) -> Array:
     """Return the time grid [s]: midpoints of equal intervals."""
-    wanted = GRID_PER_CYCLE * basis.top_frequency_hz * basis.duration
-    count = max(FEWEST_GRID_POINTS, int(np.ceil(wanted)))
+    count = _grid_points(basis)
     return (np.arange(count) + 0.5) * basis.duration / count
 
 

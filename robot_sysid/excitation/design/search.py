@@ -9,24 +9,37 @@ budget only cuts the search short, which the result then says.
 from __future__ import annotations
 
 import time as clocks
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 
 import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.excitation.design.budget import UNLIMITED, Budget, Clock
 from robot_sysid.excitation.design.constraints import MotionConstraints
-from robot_sysid.excitation.design.optimise import Candidate, Design, first_candidate, improve
+from robot_sysid.excitation.design.optimise import (
+    GRID_PER_CYCLE,
+    REPAIRS,
+    Candidate,
+    Design,
+    first_candidate,
+    improve,
+    unchecked_candidate,
+)
 from robot_sysid.excitation.design.workers import WorkerPool
 from robot_sysid.excitation.fourier import FourierTrajectory
 from robot_sysid.excitation.limit_check import LimitCheck, check_limits
-from robot_sysid.excitation.problem import LIMIT_NAMES, ROUNDING
+from robot_sysid.excitation.problem import LIMIT_NAMES, OBSTACLE_LENGTH, ROUNDING
 from robot_sysid.records import Array
 
 DRAWS_PER_JOB = 5
 """An interruption loses no more of them than one job holds."""
+CHECK_COST = 1.0 / 60.0
+"""Time that is left for the last check, per time that the motion takes."""
+RAISED, NEARER, WORTH_TELLING = 0.1, 0.005, 0.005
+"""Change of a limit [share], of clearances [m], by which its worth is told; the least that is."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +80,7 @@ class ExcitationResult:
         limit_check: that all limits are kept.
         n_feasible: random trajectories that obey all limits, of ``n_drawn``.
         n_drawn: random trajectories.
+        prices: by how much the criterion falls per share that a family of limits is raised by.
         stopped: "" where the search was finished, else what cut it.
         notes: what the reader should know.
     """
@@ -78,6 +92,7 @@ class ExcitationResult:
     limit_check: LimitCheck
     n_feasible: int
     n_drawn: int
+    prices: Mapping[str, float]
     stopped: str
     notes: tuple[str, ...]
 
@@ -125,7 +140,10 @@ class _Search:
     ) -> None:
         self._design, self._options, self._seed = design, design.options, seed
         self._progress = progress
-        self._budget = Budget(clock() + design.options.time_budget, clock)
+        budget = design.options.time_budget
+        reserve = min(0.5 * budget, CHECK_COST * design.basis.duration)
+        self._budget = Budget(clock() + budget - reserve, clock)
+        self._check: LimitCheck | None = None
         self._draws: list[Draw] = []
         self._candidates: dict[int, Candidate] = {}
         self._done = 0
@@ -157,10 +175,19 @@ class _Search:
 
     def settle_for_a_draw(self) -> None:
         """Take the best draw that keeps all limits, where nothing better was found in time."""
-        for number, draw in enumerate(self._feasible() if self.best is None else ()):
-            self._candidates[number] = first_candidate(self._design, number, draw.x)
-            if self.best is not None:
+        draws = self._feasible() if self.best is None else []
+        for draw, factor in product(draws, REPAIRS):
+            found = unchecked_candidate(self._design, 0, factor * draw.x)
+            check = self._check_of(found.x)
+            if check.holds:
+                score = self._design.criterion_of(found.x)
+                self._candidates[0] = replace(found, feasible_x=found.x, feasible_score=score)
+                self._check = check
                 return
+
+    def _check_of(self, x: Array) -> LimitCheck:
+        design = self._design
+        return check_limits(design.problem, design.trajectory(x), design.sample_rate)
 
     def _is_late(self) -> bool:
         if self._budget.is_over:
@@ -219,7 +246,7 @@ class _Search:
         if best is None or best.feasible_x is None:
             raise InputError(_why_none(self._draws, self._design))
         trajectory = self._design.trajectory(best.feasible_x)
-        check = check_limits(self._design.problem, trajectory, self._design.sample_rate)
+        check = self._check or self._check_of(best.feasible_x)
         feasible = sum(bool(np.isfinite(draw.score)) for draw in self._draws)
         return ExcitationResult(
             trajectory=trajectory,
@@ -229,13 +256,31 @@ class _Search:
             limit_check=check,
             n_feasible=feasible,
             n_drawn=len(self._draws),
+            prices=best.prices,
             stopped=self.stopped,
-            notes=self._design.problem.notes + _cut_note(self.stopped),
+            notes=self._design.problem.notes + _price_note(best.prices) + _cut_note(self.stopped),
         )
 
 
 def _smallest_score(draws: list[Draw]) -> float:
     return min((draw.score for draw in draws), default=np.inf)
+
+
+def _price_note(prices: Mapping[str, float]) -> tuple[str, ...]:
+    """Say which limits keep the motion from telling more, and by how much."""
+    raised = {name: 1.0 - np.exp(-RAISED * price) for name, price in prices.items()}
+    nearer = 1.0 - np.exp(-NEARER / OBSTACLE_LENGTH * prices["clearance"])
+    parts = [
+        f"{name} ({100.0 * RAISED:.0f} % more: {100.0 * gain:.2g} %)"
+        for name, gain in sorted(raised.items(), key=lambda entry: -entry[1])
+        if gain > WORTH_TELLING and name != "clearance"
+    ]
+    if nearer > WORTH_TELLING:
+        parts.append(f"clearance ({1e3 * NEARER:.0f} mm less: {100.0 * nearer:.2g} %)")
+    if not parts:
+        return ()
+    listed = "; ".join(parts)
+    return (f"limits that keep the errors from being smaller, and by about how much: {listed}",)
 
 
 def _cut_note(stopped: str) -> tuple[str, ...]:
@@ -270,6 +315,8 @@ def _why_none(draws: list[Draw], design: Design) -> str:
 SHRINK = (1.0, 0.8, 0.6, 0.4, 0.2, 0.1, 0.04, 0.01, 0.003, 0.001)
 """Factors tried until a drawn motion obeys torque limits and touches nothing."""
 
+FULL = 0.99 * np.cos(np.pi / GRID_PER_CYCLE)
+"""Share of the limits of motion that a draw uses: as much may be seen of a peak between points."""
 FEW = 6
 """Every how many grid points are looked at first."""
 
@@ -298,7 +345,7 @@ def draw_trajectories(
 
     Where time is up, those up to the first feasible one.
     """
-    functions = design.functions(design.grid)
+    functions = design.on_grid
     checks = _Checks(design)
     draws = []
     for number in numbers:
@@ -337,7 +384,7 @@ def _within_motion_limits(design: Design, functions: Functions, rng: np.random.G
     """Return a random motion, each joint as large as position, speed and acceleration allow."""
     offset = _random_offset(design, functions, rng)
     shape = _random_shape(design, rng)
-    return offset + shape * (0.98 * _room(design, functions, offset, shape))[:, None]
+    return offset + shape * (FULL * _room(design, functions, offset, shape))[:, None]
 
 
 def _room(design: Design, functions: Functions, base: Array, x: Array) -> Array:

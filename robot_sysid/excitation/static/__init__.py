@@ -1,1 +1,1 @@
-"""Resting poses for arms that may not move fast: a payload's mass and centre of mass."""
+"""Motions that are slow, or at rest: starts, resting poses for payloads, sweeps for friction."""

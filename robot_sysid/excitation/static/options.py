@@ -20,9 +20,10 @@ class PoseOptions(OptionRecord):
 
     purpose: str = option(
         "link",
-        "what the motion is to identify: the terminal link, or a payload by difference",
+        "what the motion is to identify: the terminal link, a payload by difference, friction "
+        "alone (each joint slowly back and forth at constant speeds), or all links and rotors",
         flag="--for",
-        choices=("link", "payload"),
+        choices=("link", "payload", "friction", "arm"),
         needs="plan",
     )
     static: bool = option(
@@ -47,3 +48,8 @@ class PoseOptions(OptionRecord):
         check=positive,
         needs="static plan",
     )
+
+    @property
+    def sets_its_time(self) -> bool:
+        """Whether the motion is as long as it takes: resting poses, or sweeps."""
+        return self.static or self.purpose == "friction"

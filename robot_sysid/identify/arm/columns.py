@@ -1,33 +1,54 @@
 """The equations of all links on some logs, with the columns that depend on what is known so far.
 
-Beside the ten parameters of every link, each joint's friction and each coupled motor's, three kinds
-of columns need the links themselves: the loss of a gear that grows with its load, the torque that
-a joint whose zero is a little off reads too much, and that of a base that is a little tilted. They
-are made anew whenever the links are known better.
+Beside the ten parameters of every link, each joint's friction and each coupled motor's, some
+columns depend on what is sought: the loss of a gear that grows with its load, friction that is
+nonlinear in a speed (with its derivative by that speed, which makes each fit a Gauss-Newton step),
+the torque that a joint whose zero is a little off reads too much, and that of a base that is a
+little tilted. They are made anew whenever links and speeds are known better.
 """
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics.equations import Equations, link_names, other_links
-from robot_sysid.dynamics.friction import TERMS, FrictionModel
+from robot_sysid.dynamics.friction import BENT, TERMS, FrictionModel, speed_name
 from robot_sysid.dynamics.gravity import TILT_NAMES, gravity
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.nuisances import NuisanceColumns, zero_names
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.identify.arm.couplings import Coupling
+from robot_sysid.identify.nuisances import known_links
 from robot_sysid.identify.samples import DecimatedSamples, decimated_equations
 from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.signals.process import ProcessedSignals
 
 _CHUNK = 2048
-_OWN = FrictionModel(tuple(term for term in TERMS if term != "load"))
+_OWN = FrictionModel(tuple(term for term in TERMS if term not in ("load", *BENT)))
+
+
+@dataclass(frozen=True)
+class Bends:
+    """What is known of the terms that are nonlinear in a speed.
+
+    Attributes:
+        speed: term to (n,) its speed at each joint [rad/s].
+        size: term to (n,) its coefficient, which the derivative by the speed is multiplied by.
+    """
+
+    speed: Mapping[str, Array]
+    size: Mapping[str, Array]
+
+
+def usual_bends(joints: int, **speeds: float) -> Bends:
+    """Return what is taken before anything is known: one speed per term, the usual if not given."""
+    each = {term: np.full(joints, speeds.get(term, bent.usual)) for term, bent in BENT.items()}
+    return Bends(each, {term: np.zeros(joints) for term in BENT})
 
 
 class ArmColumns:
@@ -70,26 +91,31 @@ class ArmColumns:
 
     def _take(self, parts: list[DecimatedSamples], prior: Array) -> None:
         robot, self._parts = self._robot, parts
-        loads = tuple(f"load[{joint}]" for joint in robot.joint_names)
         tilt = TILT_NAMES if np.any(gravity(robot)) else ()
-        self._later = (*loads, *zero_names(robot), *tilt)
-        self.names = (*parts[0].names, *self._later)
-        self.prior = np.append(prior, np.zeros(len(self._later)))
+        self._own = tuple(name for joint in robot.joint_names for name in _later_names(joint))
+        self._common = (*zero_names(robot), *tilt)
+        self.names = (*parts[0].names, *self._own, *self._common)
+        self.prior = np.append(prior, np.zeros(len(self._own) + len(self._common)))
 
-    def samples(self, thetas: Array, load: bool = True) -> list[DecimatedSamples]:
+    def samples(
+        self, thetas: Array, load: bool = True, bends: Bends | None = None
+    ) -> list[DecimatedSamples]:
         """Return the samples of each log, around links (n, 10).
 
         Args:
             thetas: what is known of the links.
             load: whether the columns of the gears' load are needed; they are zero otherwise.
+            bends: what is known of terms that are nonlinear in a speed; None where their columns
+                are not needed: they are zero then.
         """
+        joints = range(self._robot.n_joints)
         made = []
         for part, log in zip(self._parts, self._signals):
-            joints = self._robot.n_joints
-            loads = self._load(log, thetas) if load else np.zeros((len(part), joints, joints))
-            columns = np.concatenate((loads, self._off(log, thetas)), axis=-1)
-            blocks = [columns[:, joint] for joint in range(self._robot.n_joints)]
-            made.append(part.with_columns(self._later, blocks))
+            own, common = self._friction(log, thetas, load, bends), self._off(log, thetas)
+            width = own.shape[-1]
+            places = [np.arange(width) + width * joint for joint in joints]
+            mine = part.with_columns(self._own, [own[:, joint] for joint in joints], places)
+            made.append(mine.with_columns(self._common, [common[:, joint] for joint in joints]))
         return made
 
     def links(self) -> tuple[tuple[int, NDArray[np.int64]], ...]:
@@ -101,18 +127,28 @@ class ArmColumns:
 
     def thetas(self, values: Array) -> Array:
         """Return the links (n, 10) of an estimate (p,)."""
-        thetas = np.zeros((self._robot.n_joints, len(PARAMETER_NAMES)))
-        for link, place in self.links():
-            thetas[link] = values[place]
-        return thetas
+        return known_links(self._robot, self.names, values)
 
-    def _load(self, log: ProcessedSignals, thetas: Array) -> Array:
-        """Return (K, n, n) the column of each gear's loss, in its own joint's equation."""
+    def _friction(
+        self, log: ProcessedSignals, thetas: Array, load: bool, bends: Bends | None
+    ) -> Array:
+        """Return (K, n, t) the columns of ``_later_names`` in each joint's own equation."""
+        joints, later = self._robot.n_joints, 1 + 2 * len(BENT)
+        if not load and bends is None:
+            return np.zeros((len(log.decimated_time()), joints, later))
         decimator, parts = log.decimator(), []
         for motion, _ in log.chunks(_CHUNK):
-            torque = self._dynamics.motion(motion.q, motion.qd, motion.qdd).torque(thetas)
-            parts.append(decimator.push(np.sign(motion.qd) * np.abs(torque)))
-        return np.concatenate(parts)[:, :, None] * np.eye(self._robot.n_joints)
+            columns = np.zeros((later, *motion.qd.shape))
+            if load:
+                torque = self._dynamics.motion(motion.q, motion.qd, motion.qdd).torque(thetas)
+                columns[0] = np.sign(motion.qd) * np.abs(torque)
+            for place, (term, bent) in enumerate(BENT.items() if bends is not None else ()):
+                assert bends is not None
+                speed, size = bends.speed[term], bends.size[term]
+                columns[2 * place + 1] = bent.column(motion.qd, speed)
+                columns[2 * place + 2] = size * bent.slope(motion.qd, speed)
+            parts.append(decimator.push(np.moveaxis(columns, 0, -1)))
+        return np.concatenate(parts)
 
     def _off(self, log: ProcessedSignals, thetas: Array) -> Array:
         """Return (K, n, n + 2) the columns of zeros and tilt.
@@ -120,12 +156,17 @@ class ArmColumns:
         They are smooth and small, so that the motion at a row's own instant stands for all that its
         filter sees.
         """
-        rows = log.low_pass.centres(len(log))
-        motion = Motion(log.time[rows], log.q[rows], log.qd[rows], log.qdd[rows])
+        motion = log.decimated_motion()
         nuisances = NuisanceColumns(self._robot, thetas)
         both = [nuisances.zero(motion)]
-        both += [nuisances.tilt(motion)] if TILT_NAMES[0] in self._later else []
+        both += [nuisances.tilt(motion)] if TILT_NAMES[0] in self._common else []
         return np.concatenate(both, axis=-1)
+
+
+def _later_names(joint: str) -> tuple[str, ...]:
+    """Return the names of a joint's friction parameters whose columns depend on what is sought."""
+    bent = [name for term in BENT for name in (f"{term}[{joint}]", speed_name(term, joint))]
+    return (f"load[{joint}]", *bent)
 
 
 def _some(samples: DecimatedSamples, kept: Sequence[int]) -> DecimatedSamples:
@@ -139,5 +180,5 @@ def _some(samples: DecimatedSamples, kept: Sequence[int]) -> DecimatedSamples:
             np.array([number[int(c)] for c in columns[mask]])
             for columns, mask in zip(samples.columns, stay)
         ),
-        rows=tuple(rows[:, mask] for rows, mask in zip(samples.rows, stay)),
+        blocks=tuple((rows[:, mask],) for rows, mask in zip(samples.rows, stay)),
     )

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.friction import TERMS
+from robot_sysid.dynamics.friction import speed_name
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.estimation.arm.base_parameters import (
     BaseCombinations,
@@ -18,6 +18,7 @@ from robot_sysid.estimation.arm.errors import correlation_stretch, covariance, l
 from robot_sysid.estimation.information import restricted
 from robot_sysid.identify.arm.fit import ArmFit
 from robot_sysid.records import Array, RobotModel, Validation
+from robot_sysid.records.figures import percent
 from robot_sysid.records.whole_arm import ArmEstimate, ArmStatus, BaseParameters
 
 LARGEST_RATIO = 20.0
@@ -50,7 +51,7 @@ def estimate_of(robot: RobotModel, fit: ArmFit) -> ArmEstimate:
     joints = information.joints
     return ArmEstimate(
         names=tuple(names.tolist()),
-        values=fit.values[kept],
+        values=_with_speeds(fit)[kept],
         standard_errors=errors[kept],
         data_share=np.clip(share[kept], 0.0, 1.0),
         thetas=fit.columns.thetas(fit.values),
@@ -60,7 +61,34 @@ def estimate_of(robot: RobotModel, fit: ArmFit) -> ArmEstimate:
         gamma=fit.gamma,
         noise_per_joint={j.joint: float(v) for j, v in zip(joints, fit.fits.noise)},
         base=_base(robot, fit, whole),
+        two_way=dict(_two_way(fit, whole)),
     )
+
+
+def _two_way(fit: ArmFit, cov: Array) -> Iterator[tuple[str, tuple[tuple[float, float], ...]]]:
+    """Yield each joint's Coulomb friction forward and backward with their standard errors."""
+    place = {fit.columns.names[index]: index for index in fit.kept}
+    for joint in fit.samples[0].joints:
+        level = place.get(f"coulomb[{joint}]", place.get(f"sigmoid[{joint}]"))
+        offset = place.get(f"offset[{joint}]")
+        if level is None or offset is None:
+            continue
+        both = []
+        for sign in (1.0, -1.0):
+            variance = cov[level, level] + cov[offset, offset] + 2.0 * sign * cov[level, offset]
+            value = fit.values[level] + sign * fit.values[offset]
+            both.append((float(value), float(np.sqrt(max(variance, 0.0)))))
+        yield joint, tuple(both)
+
+
+def _with_speeds(fit: ArmFit) -> Array:
+    """Return the values (p,) with speeds in place of their last changes."""
+    values = fit.values.copy()
+    joints = fit.samples[0].joints
+    for term, speeds in fit.bends.speed.items():
+        places = [fit.columns.names.index(speed_name(term, joint)) for joint in joints]
+        values[places] = speeds
+    return values
 
 
 def _residuals(fit: ArmFit) -> list[Array]:
@@ -121,8 +149,8 @@ def judge(
     error = held_out.relative_error
     limit = min(LARGEST_ERROR, WORSE * model_error + 1e-9)
     if error is None or error > limit:
-        said = "torque is zero" if error is None else f"error {100.0 * error:.1f} %"
-        phrase = f"held-out {said}, the model's own {100.0 * model_error:.1f} %"
+        said = "torque is zero" if error is None else f"error {percent(error)}"
+        phrase = f"held-out {said}, the model's own {percent(model_error)}"
         return ArmStatus.UNPREDICTED, (phrase,)
     return ArmStatus.OK, ()
 
@@ -161,35 +189,6 @@ def model_error(fit: ArmFit) -> float:
     squared = fit.fits.held_out(fit.kept, (_EASY_GAMMA,))[0]
     total = sum(float(np.sum(log.squared_torque())) for log in fit.samples)
     return float(np.sqrt(np.sum(squared) / total)) if total > 0.0 else float("inf")
-
-
-def model_friction(fit: ArmFit) -> dict[str, dict[str, float]]:
-    """Return, per joint, the friction a model can hold that comes nearest to what was found.
-
-    Coulomb and viscous friction are fitted to all friction terms over the logs' own speeds.
-    """
-    return {
-        joint: _as_model(fit, index, joint) for index, joint in enumerate(fit.samples[0].joints)
-    }
-
-
-def _as_model(fit: ArmFit, index: int, joint: str) -> dict[str, float]:
-    from scipy.optimize import nnls
-
-    parts, rights = [], []
-    names = fit.columns.names
-    values: Mapping[str, float] = dict(zip(names, fit.values.tolist()))
-    terms = [f"{term}[{joint}]" for term in TERMS if term not in ("offset", "armature")]
-    for log in fit.samples:
-        used = np.isfinite(log.tau[index])
-        column = {names[c]: log.rows[index][used, k] for k, c in enumerate(log.columns[index])}
-        parts.append(
-            np.column_stack([column[f"{term}[{joint}]"] for term in ("coulomb", "viscous")])
-        )
-        rights.append(sum(values[name] * column[name] for name in terms))
-    found, _ = nnls(np.vstack(parts), np.concatenate(rights))
-    armature = max(values[f"armature[{joint}]"], 0.0)
-    return {"coulomb": float(found[0]), "viscous": float(found[1]), "armature": armature}
 
 
 def off_notes(estimate: ArmEstimate, joints: Sequence[str]) -> Iterator[str]:

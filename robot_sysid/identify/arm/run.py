@@ -2,45 +2,47 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from robot_sysid.checks.run import look_at
-from robot_sysid.errors import ExportError, InputError
+from robot_sysid.errors import ExportError
 from robot_sysid.estimation.arm.options import ArmOptions
+from robot_sysid.export import alone_in
 from robot_sysid.identify.arm.fit import ArmFit, fit_arm
+from robot_sysid.identify.arm.model_friction import model_friction
+from robot_sysid.identify.arm.played import Writer, play_held_out, play_other
 from robot_sysid.identify.arm.result import (
     estimate_of,
     judge,
     model_error,
-    model_friction,
     off_notes,
 )
-from robot_sysid.identify.simulated import versions
-from robot_sysid.logs.checks import sign_check
+from robot_sysid.identify.judgement.rollout.candidate import played_or_reason, refusal
+from robot_sysid.identify.judgement.signs import compared_with_model
+from robot_sysid.identify.simulated import CHECKPOINTS, versions
 from robot_sysid.logs.options import LogOptions
-from robot_sysid.logs.reader import LogJoints, MeasurementLog, read_log
+from robot_sysid.logs.reader import MeasurementLog, open_log, origin_of
 from robot_sysid.mjcf.changes import JointChange
-from robot_sysid.output.arm_json import ARM_NAME, arm_json_text
-from robot_sysid.output.arm_summary import arm_lines
 from robot_sysid.output.model_writing import ModelTarget, write_links
-from robot_sysid.output.summary import folder_text
-from robot_sysid.records import DataOrigin, Measurement, Motion, RobotModel, Source
-from robot_sysid.records.atomic_files import only_run_in, require_writable, whole_files
+from robot_sysid.output.printed.arm import arm_lines
+from robot_sysid.output.printed.link import folder_text
+from robot_sysid.output.whole_arm.arm_json import ARM_NAME, arm_json_text
+from robot_sysid.output.whole_arm.friction_json import FRICTION_NAME, friction_json_text
+from robot_sysid.records import Measurement, Motion, RobotModel, Validation
+from robot_sysid.records.atomic_files import refuse_overwriting, whole_files
 from robot_sysid.records.options import per_joint
 from robot_sysid.records.progress import Progress
-from robot_sysid.records.results import MODEL_NAMES
-from robot_sysid.records.whole_arm import ArmIdentification
-from robot_sysid.signals.process import ProcessedSignals, process
-from robot_sysid.simulator import ArmTorque
+from robot_sysid.records.results import MODEL_NAMES, RolloutTest
+from robot_sysid.records.traces import Traces
+from robot_sysid.records.whole_arm import ArmEstimate, ArmIdentification, HeldFriction
+from robot_sysid.signals.process import ProcessedSignals, process, with_one_cutoff
 
-_CHECKPOINTS = 400
-# Standard errors that a rotor inertia has to be away from zero to be written.
-_SEEN = 2.0
+_IN_MJCF = {"armature": "armature", "viscous": "damping", "coulomb": "frictionloss"}
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,7 @@ class ArmOutcome:
         files: what was written there.
         not_written: why the result could not be written into the model, or None.
         notes: what writing the model had to say.
+        traces: makes what a report draws.
     """
 
     identification: ArmIdentification
@@ -60,6 +63,7 @@ class ArmOutcome:
     files: tuple[Path, ...]
     not_written: str | None = None
     notes: tuple[str, ...] = ()
+    traces: Callable[[], Traces] | None = None
 
     @property
     def failure(self) -> str | None:
@@ -84,6 +88,7 @@ def run_arm(
     folder: Path,
     mesh_dir: Path | None,
     progress: Progress,
+    keep_friction: bool = False,
 ) -> ArmOutcome:
     """Identify every link of an arm and write the results.
 
@@ -94,20 +99,27 @@ def run_arm(
         folder: where results go.
         mesh_dir: the user's mesh folder, if any.
         progress: where to tell how far it is.
+        keep_friction: leave the friction of the model's joints as it is.
 
     Raises:
         SysidError: with the exit code that fits, see ``errors``.
     """
-    require_writable(folder)
-    _require_own_files(robot, logs, options, folder)
-    with only_run_in(folder):
+    read = (robot.path, *logs.measurements, logs.validation_measurements, logs.columns)
+    names = (ARM_NAME, FRICTION_NAME, *MODEL_NAMES.values())
+    refuse_overwriting((*read, options.coupling), (("--output-dir", folder / n) for n in names))
+    with alone_in(folder, progress):
         found, fit, signals = identify_arm(robot, logs, options, progress)
         for note in found.notes:
             progress.note(note)
-        outcome = _write(robot, found, checkpoints(signals[0]), folder, mesh_dir)
+        write, refused = partial(write_model, robot, keep_friction), None
+        if logs.verify_rollout and found.status.is_trustworthy:
+            found = _played(robot, found, signals, logs, options, write, mesh_dir, progress)
+            refused = refusal(found.rollout, logs.accept)
+        motion = signals[0].motion(signals[0].spread(CHECKPOINTS))
+        outcome = write_arm(robot, found, motion, folder, mesh_dir, write, refused)
     for note in outcome.notes:
         progress.note(note)
-    return outcome
+    return replace(outcome, traces=lambda: fit.traces(robot, signals))
 
 
 def identify_arm(
@@ -119,18 +131,17 @@ def identify_arm(
     read = [_read(robot, logs, path, progress) for path in logs.measurements]
     signals = processed(robot, [piece for log in read for piece in log.pieces], options)
     notes = [note for log in read for note in log.notes]
-    notes += [note for log in signals for note in (*log.notes, *_compared(robot, log))]
+    notes += [note for log in signals for note in (*log.notes, *compared_with_model(robot, log))]
     fit = fit_arm(robot, signals, options, progress)
     estimate, own = estimate_of(robot, fit), model_error(fit)
     held_out = fit.validation("the logs, a fifth at a time")
     status, reasons = judge(robot, estimate, held_out, own)
+    held = model_friction(robot, fit, estimate)
     tests = []
     if logs.validation_measurements is not None:
         log = _read(robot, logs, logs.validation_measurements, progress)
         notes += [f"validation log: {note}" for note in log.notes]
-        again = replace(options, cutoff=signals[0].cutoff)
-        others = processed(robot, log.pieces, again)
-        tests.append(fit.validate_on(robot, others, str(log.path)))
+        tests.append(_tested(robot, fit, log, replace(options, cutoff=signals[0].cutoff)))
     found = ArmIdentification(
         model_path=robot.path,
         model_sha256=robot.sha256,
@@ -140,17 +151,52 @@ def identify_arm(
         estimate=estimate,
         status=status,
         reasons=reasons,
-        data=_origin(read),
+        data=origin_of(read),
         held_out=held_out,
         model_error=own,
         validation=tuple(tests),
         choices=fit.choices,
-        model_friction=model_friction(fit),
+        model_friction=held,
         cutoff=signals[0].cutoff,
         versions=versions(),
-        notes=tuple(dict.fromkeys((*notes, *off_notes(estimate, robot.joint_names)))),
+        slides=robot.slides,
+        notes=tuple(dict.fromkeys((*notes, *_said(robot, estimate, held)))),
     )
     return found, fit, signals
+
+
+def _played(
+    robot: RobotModel,
+    found: ArmIdentification,
+    signals: Sequence[ProcessedSignals],
+    logs: LogOptions,
+    options: ArmOptions,
+    write: Writer,
+    mesh_dir: Path | None,
+    progress: Progress,
+) -> ArmIdentification:
+    """Return the result with what playing it on held-out pieces showed."""
+
+    def test() -> RolloutTest:
+        if logs.validation_measurements is None:
+            return play_held_out(robot, found, signals, options, write, mesh_dir, progress)
+        log = open_log(robot, logs.validation_measurements, logs, progress)
+        others = processed(robot, log.pieces, replace(options, cutoff=found.cutoff))
+        return play_other(robot, found, signals, others, write, mesh_dir, progress)
+
+    return replace(found, rollout=played_or_reason(robot, test))
+
+
+def _tested(robot: RobotModel, fit: ArmFit, log: MeasurementLog, options: ArmOptions) -> Validation:
+    return fit.validate_on(robot, processed(robot, log.pieces, options), str(log.path))
+
+
+def _said(
+    robot: RobotModel, estimate: ArmEstimate, held: Mapping[str, HeldFriction]
+) -> Iterator[str]:
+    yield from off_notes(estimate, robot.joint_names)
+    for each in held.values():
+        yield from each.notes
 
 
 def processed(
@@ -161,87 +207,71 @@ def processed(
     def at(log: Measurement, cutoff: float | None) -> ProcessedSignals:
         return process(log, robot.joint_names, cutoff, options.velocity_deadband)
 
-    signals = [at(log, options.cutoff) for log in logs]
-    lowest = min(each.cutoff for each in signals)
-    return [each if each.cutoff == lowest else at(log, lowest) for each, log in zip(signals, logs)]
-
-
-def checkpoints(signals: ProcessedSignals) -> Motion:
-    """Return some of the measured motion."""
-    places = np.unique(np.linspace(0, len(signals) - 1, _CHECKPOINTS).astype(int))
-    return Motion(signals.time[places], signals.q[places], signals.qd[places], signals.qdd[places])
+    return with_one_cutoff(logs, at, options.cutoff)
 
 
 def _read(robot: RobotModel, logs: LogOptions, path: Path, progress: Progress) -> MeasurementLog:
     progress.stage(f"Reading measurements from {path}...")
-    joints = LogJoints(robot.joint_names, robot.limits, tuple(robot.is_slide.tolist()))
-    log = read_log(path, joints, logs, progress)
+    log = open_log(robot, path, logs, progress)
     look_at(robot, log, logs.accept, progress, links_known=False)
     return log
 
 
-def _origin(logs: Sequence[MeasurementLog]) -> DataOrigin:
-    duration = sum(log.duration for log in logs)
-    rate = sum(len(log.samples) - 1 for log in logs) / duration
-    return DataOrigin(Source.LOG, ", ".join(str(log.path) for log in logs), duration, rate)
-
-
-def _compared(robot: RobotModel, signals: ProcessedSignals) -> tuple[str, ...]:
-    motion = checkpoints(signals)
-    places = np.searchsorted(signals.time, motion.time)
-    return sign_check(signals.tau[places], ArmTorque(robot)(motion), robot.joint_names)
-
-
-def _require_own_files(
-    robot: RobotModel, logs: LogOptions, options: ArmOptions, folder: Path
-) -> None:
-    """Refuse to write over a file that is read."""
-    read = (robot.path, *logs.measurements, logs.validation_measurements, logs.columns)
-    taken = {os.path.realpath(path) for path in (*read, options.coupling) if path is not None}
-    for name in (ARM_NAME, *MODEL_NAMES.values()):
-        if os.path.realpath(folder / name) in taken:
-            raise InputError(
-                f"--output-dir would overwrite a file that is read: {folder / name}; choose "
-                "another folder"
-            )
-
-
-def _write(
+def write_arm(
     robot: RobotModel,
     found: ArmIdentification,
     motion: Motion,
     folder: Path,
     mesh_dir: Path | None,
+    write: Writer,
+    refused: str | None,
 ) -> ArmOutcome:
     """Write arm.json and, where the result may be trusted, the updated model; all or none."""
-    names, failure = [ARM_NAME], None
+    names, failure = [ARM_NAME, FRICTION_NAME], refused
     notes: tuple[str, ...] = ()
     with whole_files() as files:
-        if found.status.is_trustworthy:
+        if found.status.is_trustworthy and refused is None:
             path = files.reserve_last(folder / MODEL_NAMES[robot.kind])
             target = ModelTarget(files, path, motion, found.held_out.rmse, mesh_dir)
-            estimate = found.estimate
-            joints = _joint_changes(found)
             try:
-                notes = write_links(robot, estimate.thetas, target, joints, estimate.theta_errors)
+                notes = write(found, target)
                 names.append(path.name)
             except ExportError as error:
                 files.withdraw(path)
                 failure = str(error)
         final = replace(found, notes=found.notes + notes)
         files.write(folder / ARM_NAME, arm_json_text(final))
+        files.write(folder / FRICTION_NAME, friction_json_text(final))
     stale = folder / MODEL_NAMES[robot.kind]
     if stale.name not in names and stale.exists():
         notes = (*notes, f"{stale} is from an earlier run; this run wrote no model")
     return ArmOutcome(final, folder, tuple(folder / name for name in names), failure, notes)
 
 
-def _joint_changes(found: ArmIdentification) -> list[JointChange]:
-    """Return what the joints of the model get; rotor inertia where the data shows it."""
-    changes = []
-    for joint, held in found.model_friction.items():
-        value, error = held["armature"], found.estimate.error(f"armature[{joint}]")
-        seen = error is not None and value > _SEEN * error
-        armature = value if seen else None
-        changes.append(JointChange(joint, armature, held["viscous"], held["coulomb"]))
-    return changes
+def write_model(
+    robot: RobotModel, keep_friction: bool, found: ArmIdentification, target: ModelTarget
+) -> tuple[str, ...]:
+    """Write the draft of the updated model and return its notes."""
+    joints, estimate = _joint_changes(found, keep_friction), found.estimate
+    return write_links(robot, estimate.thetas, target, joints, estimate.theta_errors)
+
+
+def _joint_changes(found: ArmIdentification, keep_friction: bool) -> list[JointChange]:
+    """Return what the joints of the model get: what the data proves."""
+    return [
+        _joint_change(joint, held, keep_friction) for joint, held in found.model_friction.items()
+    ]
+
+
+def _joint_change(joint: str, held: HeldFriction, keep_friction: bool) -> JointChange:
+    terms = ("armature",) if keep_friction else ("armature", "viscous", "coulomb")
+    numbers = {_IN_MJCF[term]: held.written(term) for term in terms}
+    polynomial = None
+    if not keep_friction and "cubic" in held.values:
+        polynomial = (held.values["quadratic"], held.values["cubic"])
+    words = [
+        f"{_IN_MJCF[term]} {held.words(term)}" for term in terms if held.written(term) is not None
+    ]
+    if polynomial is not None:
+        words.append(f"nonlinear damping {held.words('quadratic')}, {held.words('cubic')}")
+    return JointChange(joint, **numbers, polynomial=polynomial, words=", ".join(words))

@@ -21,13 +21,13 @@ from robot_sysid.dynamics.equations import (
     N_INERTIAL,
     Equations,
     friction_per_joint,
-    link_names,
     other_links,
 )
 from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.dynamics.gravity import TILT_NAMES
 from robot_sysid.dynamics.nuisances import NuisanceColumns, scale_names, zero_names
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.identify.nuisances import known_links
 from robot_sysid.identify.payload.data.rows import RowSource
 from robot_sysid.identify.samples import DecimatedSamples
 from robot_sysid.records import DELAY_NAME, Array, RobotModel
@@ -88,10 +88,7 @@ class PayloadEquations:
 
     def thetas(self, values: Array, is_loaded: bool) -> Array:
         """Return the links (n, 10) of some values (p,), the terminal one with or without load."""
-        found = np.array([link.theta for link in self._robot.links])
-        for link in self._links:
-            found[link] = values[self.places(link_names(self._robot, link))]
-        found[-1] = values[:N_INERTIAL]
+        found = known_links(self._robot, self.names, values)
         if is_loaded:
             found[-1] += values[self.places(PAYLOAD_NAMES)]
         return found
@@ -113,7 +110,7 @@ class PayloadEquations:
             rows.append(self._full_rows(joint, linear, recording, common[:, joint]))
             right.append(linear.tau)
         names = self.names[len(arm.names) :]
-        extended = replace(arm, tau=tuple(right), rows=tuple(b for b, _ in rows))
+        extended = replace(arm, tau=tuple(right), blocks=tuple((b,) for b, _ in rows))
         return extended.with_columns(names, [extra for _, extra in rows])
 
     def _full_rows(

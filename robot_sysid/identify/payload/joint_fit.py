@@ -30,7 +30,9 @@ from robot_sysid.identify.payload.nuisances import (
     weight_group,
 )
 from robot_sysid.identify.samples import DecimatedSamples
+from robot_sysid.identify.traces import traced
 from robot_sysid.records import Array, RobotModel, SquareRootInformation
+from robot_sysid.records.traces import Traces
 
 LARGEST_LOSS = 0.3
 """Share of its load that a gear loses at most."""
@@ -89,6 +91,13 @@ class JointFit:
     def payload(self) -> Array:
         """The payload (10,) in the terminal body's frame."""
         return self.values[self.equations.places(PAYLOAD_NAMES)]
+
+    def traces(self, robot: RobotModel, recordings: Sequence[Recording]) -> Traces:
+        """Return what was measured and what the fit predicts, with and without the payload."""
+        after = dict(zip(self.equations.names, self.values.tolist()))
+        without = {name: v for name, v in after.items() if name not in PAYLOAD_NAMES}
+        motions = [each.source.motion for each in recordings]
+        return traced(robot, self.samples, motions, after, without)
 
 
 def fit_jointly(task: Task, recordings: Sequence[Recording]) -> JointFit:

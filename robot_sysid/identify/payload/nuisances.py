@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from robot_sysid.dynamics.equations import link_names
 from robot_sysid.dynamics.gravity import TILT_NAMES
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.estimation.nuisances import NuisanceGroup, link_factor
+from robot_sysid.estimation.nuisances import NuisanceGroup
 from robot_sysid.estimation.options import EstimationOptions
+from robot_sysid.identify.nuisances import independent, link_group
 from robot_sysid.identify.payload.equations import PAYLOAD_NAMES, PayloadEquations
 from robot_sysid.records import DELAY_NAME, Array, RobotModel
 
@@ -48,11 +47,13 @@ def nuisance_groups(
         ("load friction", equations.load_names, joints, LOAD_FRICTION),
     )
     groups = [
-        _independent(cause, names, members, max(size, _EXACT))
+        independent(cause, names, members, max(size, _EXACT), size > _EXACT)
         for cause, names, members, size in sizes
         if names
     ]
-    return (*groups, _links(robot, max(percent * options.link_uncertainty, _EXACT_LINKS)))
+    links = [number for number, link in enumerate(robot.links) if link.has_mass]
+    share = max(percent * options.link_uncertainty, _EXACT_LINKS)
+    return (*groups, link_group(robot, links, share, LINKS))
 
 
 def no_common_scale(equations: PayloadEquations) -> NuisanceGroup:
@@ -77,24 +78,3 @@ def held_at(names: tuple[str, ...], values: Array) -> NuisanceGroup:
     """Return what holds some parameters at bounds that they would cross."""
     factor = _EXACT * np.eye(len(names))
     return NuisanceGroup(BOUNDS, names, values, factor, names)
-
-
-def _independent(
-    cause: str, names: tuple[str, ...], members: tuple[str, ...], size: float
-) -> NuisanceGroup:
-    factor = size * np.eye(len(names))
-    return NuisanceGroup(cause, names, np.zeros(len(names)), factor, members, size > _EXACT)
-
-
-def _links(robot: RobotModel, share: float) -> NuisanceGroup:
-    """Return what the model knows of all links, the terminal one without payload included."""
-    numbers = [number for number, link in enumerate(robot.links) if link.has_mass]
-    names: list[str] = []
-    for number in numbers:
-        terminal = number == robot.n_joints - 1
-        names += PARAMETER_NAMES if terminal else link_names(robot, number)
-    thetas = [robot.links[number].theta for number in numbers]
-    ends = [*(link.translation for link in robot.links[1:]), robot.prior.com]
-    factor = link_factor(thetas, share, [float(np.linalg.norm(ends[k])) for k in numbers])
-    members = tuple(robot.links[number].body_name for number in numbers for _ in range(10))
-    return NuisanceGroup(LINKS, tuple(names), np.concatenate(thetas), factor, members, True)

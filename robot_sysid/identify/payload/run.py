@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from robot_sysid.dynamics.friction import friction_model
@@ -20,6 +20,7 @@ from robot_sysid.identify.simulated import versions
 from robot_sysid.records import Array, Flange, RobotModel
 from robot_sysid.records.payload import OneRecording, PayloadIdentification, PayloadStatus
 from robot_sysid.records.progress import Progress
+from robot_sysid.records.traces import Traces
 
 TERMS = "coulomb-viscous-offset-armature-load"
 """Friction of every joint, where the user does not say otherwise."""
@@ -39,8 +40,11 @@ def identify_payload(
     options: PayloadOptions,
     estimation: EstimationOptions,
     progress: Progress,
-) -> PayloadIdentification:
+) -> tuple[PayloadIdentification, Callable[[], Traces]]:
     """Identify a payload from recordings without and with it.
+
+    Returns:
+        (the result, what makes the traces that a report draws).
 
     Args:
         robot: the arm as its model describes it.
@@ -71,7 +75,8 @@ def identify_payload(
         values = possible_values(with_ball(result.fit) if options.static else result.fit)
     found = _described(robot, processed, result, values, mass)
     notes = (*notes, *_wide(result.fit))
-    return replace(found, status=status, reasons=reasons, notes=(*robot.notes, *notes))
+    found = replace(found, status=status, reasons=reasons, notes=(*robot.notes, *notes))
+    return found, lambda: result.fit.traces(robot, recordings)
 
 
 def _described(

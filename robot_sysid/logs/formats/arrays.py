@@ -1,23 +1,39 @@
-"""Recordings kept as named arrays: NumPy's .npz, and HDF5 as ALOHA and robomimic write it."""
+"""Recordings kept as named arrays: NumPy's .npz, HDF5 as ALOHA and robomimic write it, and the
+records of 200 Hz that an xArm's controller sends."""
 
 from __future__ import annotations
 
+import zipfile
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.column_file import ColumnChoices
+from robot_sysid.logs.column_file import ColumnChoices, Units
 from robot_sysid.logs.formats.extras import as_input_errors, library
 from robot_sysid.logs.formats.table import ArrayTable, titled_arrays
 
+LARGEST = 1e9
+"""Largest recording of arrays that is unpacked [bytes]: four hours of seven joints at 1 kHz."""
 ALOHA_RATE = 50.0
 """Rows per second of ALOHA's recorder [Hz]; its files hold no time."""
 _ALOHA = (
     *("waist", "shoulder", "elbow", "forearm_roll", "wrist_angle", "wrist_rotate", "gripper"),
 )
 _ROBOMIMIC = {"joint_pos": "position", "joint_vel": "velocity", "joint_torque": "torque"}
+
+
+_XARM = {
+    "time": (">u8", 4),
+    "q": ("(7,)<f4", 116),
+    "qd": ("(7,)<f4", 144),
+    "current": ("(7,)<f4", 200),
+    "tau": ("(7,)<f4", 228),
+}
+"""Type and place [bytes] of what is read of a record of port 30000; it begins with its own length
+(firmware 2.1 and later: xArm-Developer/ufactory_docs, firmware/report)."""
+_XARM_LENGTHS = range(256, 4096)
 
 
 def is_npz(start: bytes) -> bool:
@@ -33,22 +49,66 @@ def is_hdf5(start: bytes) -> bool:
 def npz_table(path: Path) -> ArrayTable:
     """Return the arrays of an .npz file: time (N,), q, qd, tau (N, n), by these or like names."""
     with as_input_errors(path, "a NumPy .npz file"), path.open("rb") as stream:
+        with zipfile.ZipFile(stream) as packed:
+            _refuse_bomb(path, sum(each.file_size for each in packed.infolist()))
         archive = np.load(stream, allow_pickle=False)
         arrays = {name: archive[name] for name in archive.files}
     titles, cells = titled_arrays(path, {n: a for n, a in arrays.items() if _is_numeric(a)})
     return ArrayTable(path, "NumPy .npz", titles, (cells,))
 
 
-def hdf5_table(path: Path) -> ArrayTable:
-    """Return the joint states in an HDF5 file.
+def is_xarm(path: Path, start: bytes) -> bool:
+    """Return whether a file is a row of records that each begin with their length."""
+    length = int.from_bytes(start[:4], "big")
+    if length not in _XARM_LENGTHS:
+        return False
+    with path.open("rb") as stream:
+        stream.seek(length)
+        return stream.read(4) == start[:4]
+
+
+def xarm_table(path: Path) -> ArrayTable:
+    """Return what an xArm's controller sent, as it came from the socket.
+
+    Raises:
+        InputError: it cannot be read, or bytes are missing in it.
+    """
+    _refuse_bomb(path, path.stat().st_size)
+    with as_input_errors(path, "an xArm report"):
+        data = path.read_bytes()
+    length = int.from_bytes(data[:4], "big")
+    fields = {"length": (">u4", 0), **_XARM}
+    formats, offsets = zip(*fields.values())
+    kind = {"names": [*fields], "formats": formats, "offsets": offsets, "itemsize": length}
+    records: Any = np.frombuffer(data, np.dtype(cast(Any, kind)), len(data) // length)
+    lost = np.flatnonzero(records["length"] != length)
+    if len(lost):
+        raise InputError(
+            f"{path}: record {lost[0] + 1} does not begin with its length, so bytes were lost "
+            "before it; record anew, every byte that the port sends"
+        )
+    # Joints that an arm of five or six does not have are sent as zeros.
+    there = np.any(records["q"] != 0.0, axis=0) | np.any(records["tau"] != 0.0, axis=0)
+    joints = ("q", "qd", "tau", "current")
+    arrays: dict[str, Any] = {name: records[name][:, there] for name in joints}
+    titles, cells = titled_arrays(path, {"time": records["time"], **arrays})
+    return ArrayTable(
+        path, "xArm report, time in us", titles, (cells,), ColumnChoices(units=Units(time="us"))
+    )
+
+
+def hdf5_table(path: Path, commanded: bool = False) -> ArrayTable:
+    """Return the joint states in an HDF5 file; with ``commanded`` actions, and no torque.
 
     Raises:
         InputError: it cannot be read, or holds none.
     """
     h5py = library("h5py", "hdf5", "an HDF5 file")
     with as_input_errors(path, "an HDF5 file"), h5py.File(path, "r") as file:
+        file.visititems(lambda _, held: _refuse_bomb(path, getattr(held, "nbytes", 0)))
         if "observations/qpos" in file:
-            return _aloha(path, file["observations"])
+            action = file["action"][()] if commanded and "action" in file else None
+            return _aloha(path, file["observations"], action)
         if "data" in file and isinstance(file["data"], h5py.Group):
             return _robomimic(path, file["data"])
         arrays = {n: d[()] for n, d in file.items() if isinstance(d, h5py.Dataset)}
@@ -56,13 +116,23 @@ def hdf5_table(path: Path) -> ArrayTable:
     return ArrayTable(path, "HDF5", titles, (cells,))
 
 
-def _aloha(path: Path, group: Any) -> ArrayTable:
-    if "effort" not in group:
+def _refuse_bomb(path: Path, size: int) -> None:
+    """Refuse a small file that unpacks to more than any recording holds."""
+    if size > LARGEST:
+        raise InputError(
+            f"{path} unpacks to {size / 1e9:.3g} GB, more than the {LARGEST / 1e9:g} GB that are "
+            "read; split the recording"
+        )
+
+
+def _aloha(path: Path, group: Any, action: Any = None) -> ArrayTable:
+    if "effort" not in group and action is None:
         raise InputError(
             f"{path} has no /observations/effort; without measured torque nothing can be "
             "identified: record effort"
         )
     arrays = {n: group[n][()] for n in ("qpos", "qvel", "effort") if n in group}
+    arrays.update({} if action is None else {"command": action})
     width = arrays["qpos"].shape[1]
     titles, cells = [], []
     for quantity, values in arrays.items():

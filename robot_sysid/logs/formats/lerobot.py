@@ -27,6 +27,7 @@ _ENDINGS = {
 }
 # Features of their own, whose names are joints.
 _FEATURES = {"observation.velocity": "velocity", "observation.effort": "torque"}
+ACTION = "action"
 
 
 def is_lerobot(path: Path) -> bool:
@@ -35,7 +36,7 @@ def is_lerobot(path: Path) -> bool:
 
 
 def lerobot_table(
-    path: Path, joint_names: Sequence[str], episodes: Sequence[int] = ()
+    path: Path, joint_names: Sequence[str], episodes: Sequence[int] = (), commanded: bool = False
 ) -> ArrayTable:
     """Return the episodes of a data set.
 
@@ -43,14 +44,18 @@ def lerobot_table(
         path: its folder.
         joint_names: the n chain joints.
         episodes: which ones; empty takes all.
+        commanded: whether the actions are wanted, and no torque.
 
     Raises:
         InputError: it cannot be read, has no torque or not these episodes.
     """
     info = _info(path)
     features = info.get("features", {})
-    titles = {name: _titles(features, name, joint_names) for name in (STATE, *_FEATURES)}
-    if not any("torque" in t or "current" in t for names in titles.values() for t in names):
+    read = (STATE, ACTION) if commanded else (STATE, *_FEATURES)
+    titles = {name: _titles(features, name, joint_names) for name in read}
+    if not commanded and not any(
+        "torque" in t or "current" in t for names in titles.values() for t in names
+    ):
         raise InputError(
             f"{path} holds no torque ({STATE}: {', '.join(titles[STATE]) or 'nothing'}); record it "
             "too: for OpenArm use_velocity_and_torque=true of the robot's configuration, for other "
@@ -88,6 +93,8 @@ def _titles(features: Mapping[str, Any], name: str, joint_names: Sequence[str]) 
     plain = _FEATURES.get(name, "position")
     ends = [_ENDINGS.get(ending, plain) for _, _, ending in pairs]
     known = dict(zip(dict.fromkeys(stems), renamed(list(dict.fromkeys(stems)), joint_names)))
+    if name == ACTION:
+        ends = [end.replace("position", "command") for end in ends]
     return [f"{known[stem]} {end}" for stem, end in zip(stems, ends)]
 
 

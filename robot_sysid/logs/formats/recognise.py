@@ -6,7 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.formats.arrays import hdf5_table, is_hdf5, is_npz, npz_table
+from robot_sysid.logs.formats.arrays import (
+    hdf5_table,
+    is_hdf5,
+    is_npz,
+    is_xarm,
+    npz_table,
+    xarm_table,
+)
 from robot_sysid.logs.formats.dialect import read_dialect
 from robot_sysid.logs.formats.known_text import known_text
 from robot_sysid.logs.formats.lerobot import is_lerobot, lerobot_table
@@ -17,8 +24,8 @@ from robot_sysid.logs.formats.text import TextTable
 from robot_sysid.logs.options import LogOptions
 
 FORMS = (
-    "a text table (CSV), a ROS 1 or ROS 2 bag, a LeRobot data set, HDF5 (ALOHA, robomimic) or "
-    "NumPy .npz"
+    "a text table (CSV), a ROS 1 or ROS 2 bag, a LeRobot data set, HDF5 (ALOHA, robomimic), "
+    "NumPy .npz or an xArm report"
 )
 
 
@@ -57,11 +64,13 @@ def _binary_table(path: Path, joint_names: Sequence[str], options: LogOptions) -
     if bag:
         return bag_table(path, joint_names, options.topic)
     if lerobot:
-        return lerobot_table(path, joint_names, options.episode)
+        return lerobot_table(path, joint_names, options.episode, options.commanded)
     if path.is_dir():
         raise InputError(f"{path} is a folder of no known form; a log is {FORMS}")
     if is_hdf5(start):
-        return hdf5_table(path)
+        return hdf5_table(path, options.commanded)
+    if is_xarm(path, start):
+        return xarm_table(path)
     return npz_table(path) if is_npz(start) else None
 
 

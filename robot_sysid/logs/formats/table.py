@@ -93,6 +93,12 @@ class ArrayTable:
     word: str = "row"
     first_row: tuple[str, ...] = ()
 
+    def __fspath__(self) -> str:
+        """The path, so that arrays may stand where a file is expected."""
+        return str(self.path)
+
+    __str__ = __fspath__
+
     def blocks(self, columns: Sequence[int]) -> Iterator[Block]:
         """Yield the rows in their order, with these columns."""
         total, start = max(1, sum(map(len, self.pieces))), 0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 
@@ -62,16 +62,16 @@ class TextTable:
     def blocks(self, columns: Sequence[int]) -> Iterator[Block]:
         """Yield the rows in their order, with these columns."""
         rows = self.dialect.data_lines()
-        waiting = list(islice(rows, table.BLOCK))
+        waiting, read = list(islice(rows, table.BLOCK)), self.dialect.share_read()
         while waiting:
-            batch, waiting = waiting, list(islice(rows, table.BLOCK))
+            batch, done = waiting, read
+            waiting, read = list(islice(rows, table.BLOCK)), self.dialect.share_read()
             texts = [text for _, text in batch]
             cells = _fast(self.dialect, columns, texts)
             if cells is None:
-                yield self._careful(columns, batch, last=not waiting)
+                yield replace(self._careful(columns, batch, last=not waiting), done=done)
             else:
-                lines = np.array([line for line, _ in batch])
-                yield Block(lines, cells, done=self.dialect.share_read())
+                yield Block(np.array([line for line, _ in batch]), cells, done=done)
 
     def _careful(self, columns: Sequence[int], batch: Batch, last: bool) -> Block:
         """Parse rows cell by cell; a last row of the file that is cut off is left out."""
@@ -86,7 +86,7 @@ class TextTable:
         bad = [k for k, row in enumerate(parsed) if isinstance(row, str)]
         complaint = f"line {lines[bad[0]]}{parsed[bad[0]]}" if bad else ""
         shaped = cells.reshape(len(batch), len(columns))
-        return Block(lines, shaped, lines[bad], cut_off, complaint, done=dialect.share_read())
+        return Block(lines, shaped, lines[bad], cut_off, complaint)
 
 
 def _is_short(dialect: LogDialect, text: str) -> bool:

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from robot_sysid.errors import InputError
 from robot_sysid.excitation.design.optimise import (
     GRID_PER_CYCLE,
     PenalisedDesign,
@@ -218,3 +219,9 @@ def test_singular_information_is_infinitely_bad(name, matrix):
     value, gradient = CRITERIA[name](matrix)
     assert value == np.inf
     assert np.array_equal(gradient, np.zeros((3, 3)))
+
+
+def test_a_search_that_would_take_too_much_memory_is_refused_beforehand():
+    with pytest.raises(InputError, match=r"would take about 3\d GB of memory.*--harmonics to \d+"):
+        design(arms.THREE, duration=15.0, harmonics=3000)
+    assert 1e5 < design(arms.THREE, duration=15.0, harmonics=9).memory < 3e6

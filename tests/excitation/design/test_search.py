@@ -82,9 +82,9 @@ def test_limits_hold_for_any_seed(xml, seed, ends):
     st.sampled_from(["faded", "periodic"]),
     st.sampled_from(["A", "D", "cond"]),
 )
-@settings(max_examples=150)
+@settings(max_examples=100)
 def test_limits_hold_for_any_seed_and_criterion(xml, seed, ends, criterion):
-    result = search(xml, seed, ends=ends, criterion=criterion, rounds=2, iterations=20)
+    result = search(xml, seed, ends=ends, criterion=criterion, rounds=2, iterations=10)
     assert result.limit_check.holds
     assert_obeys(xml, result, problem(xml))
     assert_at_rest(result)
@@ -179,6 +179,25 @@ def test_a_search_ends_in_the_middle_of_a_job(step, drawn):
     assert (result.stopped, result.n_drawn) == ("time budget", drawn)
     assert result.limit_check.holds
     assert step * clock.asked < 0.5 + 10.0 * step
+
+
+def test_a_search_that_is_late_checks_what_it_gives_back_and_nothing_else(monkeypatch):
+    def refused(*_):
+        raise AssertionError("checked twice")
+
+    monkeypatch.setattr("robot_sysid.excitation.design.optimise.keeps_limits", refused)
+    result = search(TUBES, 3, clock=Ticking(1.0), time_budget=0.5)
+    assert (result.stopped, result.limit_check.holds) == ("time budget", True)
+
+
+def test_the_limits_that_hold_the_motion_back_are_told():
+    result = search(TUBES, 3, rounds=4, iterations=30)
+    dearest = max(result.prices, key=result.prices.get)
+    assert all(price >= 0.0 for price in result.prices.values())
+    (note,) = [note for note in result.notes if "keep the errors from being smaller" in note]
+    assert note.split(": ")[1].startswith(dearest)
+    late = search(TUBES, 3, clock=Ticking(1.0), time_budget=0.5)
+    assert not any("keep the errors" in note for note in late.notes)
 
 
 def weak(xml, torque):

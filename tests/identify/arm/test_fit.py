@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.friction import BENT
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.estimation.arm.base_parameters import base_combinations
 from robot_sysid.estimation.arm.options import ArmOptions
@@ -17,11 +18,11 @@ from robot_sysid.identify.arm import fit as module
 from robot_sysid.identify.arm.columns import ArmColumns
 from robot_sysid.identify.arm.couplings import coupling
 from robot_sysid.identify.arm.fit import fit_arm
+from robot_sysid.identify.arm.model_friction import model_friction
 from robot_sysid.identify.arm.result import (
     estimate_of,
     judge,
     model_error,
-    model_friction,
     parameter_scale,
     structural_base,
 )
@@ -95,12 +96,16 @@ def with_rotors(robot):
     return base_combinations(both.reshape(-1, 33), scale)
 
 
-def test_friction_and_rotor_inertia_come_with_them(fit):
-    held = model_friction(fit)
+def test_friction_and_rotor_inertia_come_with_them(fit, robot):
+    held = model_friction(robot, fit, estimate_of(robot, fit))
     for joint in held.values():
-        assert joint["coulomb"] == pytest.approx(0.3, abs=0.01)
-        assert joint["viscous"] == pytest.approx(0.2, abs=0.01)
-    assert held["joint2"]["armature"] == pytest.approx(0.05, abs=1e-3)
+        assert joint.values["coulomb"] == pytest.approx(0.3, abs=0.01)
+        assert joint.values["viscous"] == pytest.approx(0.2, abs=0.01)
+        assert set(joint.kept) <= {"armature"} and "cubic" not in joint.values
+        curve = joint.curve
+        expected = 0.3 * np.sign(curve.measured_speed) + 0.2 * curve.measured_speed
+        assert curve.measured_torque == pytest.approx(expected, abs=0.05)
+    assert held["joint2"].values["armature"] == pytest.approx(0.05, abs=1e-3)
 
 
 def test_every_link_is_a_possible_body(fit):
@@ -219,4 +224,52 @@ def test_the_models_own_links_predict_worse(fit):
 
 @pytest.mark.slow
 def test_simplest_friction_wins_where_more_does_not_help(robot, signals):
-    assert fit_of(robot, signals).friction == module.BASIC
+    assert set(fit_of(robot, signals).friction.values()) == {module.BASIC}
+
+
+def test_nothing_is_said_of_a_joint_that_does_not_move(plant, robot):
+    """The search begins with a guess; it must not come out as a result."""
+    plan = plan_of(plant).scaled(np.array([1.0, 1.0, 0.0]))
+    signals = [process(log_of(plant, plan, noise_torque=0.05), robot.joint_names, CUTOFF)]
+    fit = fit_of(robot, signals, friction=module.BASIC, model_weight=1.0)
+    estimate = estimate_of(robot, fit)
+    assert fit.friction["joint2"] == "none" and fit.friction["joint1"] == module.BASIC
+    own = [name for name in estimate.names if name.endswith("[joint2]")]
+    assert own == ["zero[joint2]"]
+    held = model_friction(robot, fit, estimate)["joint2"]
+    terms = ("coulomb", "viscous", "armature")
+    assert [held.written(term) for term in terms] == [None] * 3
+    assert "does not move fast enough" in held.notes[0]
+
+
+def with_stribeck(plant, drop=0.4, speed=0.05, more_forward=0.06):
+    """A log of an arm whose joints hold on to where they are, and rub more one way."""
+    log = log_of(plant, plan_of(plant), noise_torque=0.02)
+    qd = np.gradient(log.q, log.time, axis=0)
+    extra = drop * np.sign(qd) * np.exp(-((qd / speed) ** 2)) + more_forward
+    return replace(log, tau=log.tau + extra)
+
+
+@pytest.mark.slow
+def test_the_speed_of_a_stribeck_term_is_found_with_it(plant, robot):
+    signals = [process(with_stribeck(plant), robot.joint_names, CUTOFF)]
+    model = f"{module.BASIC}-stribeck"
+    estimate = estimate_of(robot, fit_of(robot, signals, friction=model, model_weight=1.0))
+    for joint in robot.joint_names:
+        for name, true in (("stribeck_speed", 0.05), ("stribeck", 0.4), ("coulomb", 0.3)):
+            found, error = (f(f"{name}[{joint}]") for f in (estimate.value, estimate.error))
+            assert found == pytest.approx(true, abs=max(4.0 * error, 0.05 * true))
+            assert 0.0 < error < 0.2 * true
+        (forward, _), (backward, error) = estimate.two_way[joint]
+        assert (forward, backward) == pytest.approx((0.36, 0.24), abs=max(4.0 * error, 0.02))
+
+
+def test_a_stribeck_term_that_is_not_there_stays_within_its_bounds(plant, robot, signals):
+    model = f"{module.BASIC}-stribeck"
+    fit = fit_of(robot, signals[:1], friction=model, model_weight=1.0)
+    low, high = BENT["stribeck"].bounds
+    assert np.all((fit.bends.speed["stribeck"] >= low) & (fit.bends.speed["stribeck"] <= high))
+    values = dict(zip(fit.columns.names, fit.values))
+    for joint in robot.joint_names:
+        assert values[f"stribeck[{joint}]"] == pytest.approx(0.0, abs=0.02)
+        assert values[f"coulomb[{joint}]"] == pytest.approx(0.3, abs=0.02)

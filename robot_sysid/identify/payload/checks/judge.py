@@ -8,6 +8,7 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.records import Array, RobotModel, Validation
+from robot_sysid.records.figures import percent
 from robot_sysid.records.payload import BodyEstimate, PayloadStatus
 
 LARGEST_ERROR = 0.1
@@ -92,7 +93,7 @@ def _poor(validation: Validation | None, rmse: float) -> Iterator[tuple[PayloadS
     if relative > WORST_PREDICTION or (validation.rmse > WORST_RATIO * rmse and relative > 1e-6):
         said = (
             f"held-out stretches are predicted with an error of {validation.rmse:.3g} N·m "
-            f"({100.0 * relative:.1f} %), the fitted ones with {rmse:.3g} N·m"
+            f"({percent(relative)}), the fitted ones with {rmse:.3g} N·m"
         )
         yield PayloadStatus.UNPREDICTED, said
 

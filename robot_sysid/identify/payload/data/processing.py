@@ -9,14 +9,13 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.options import EstimationOptions
+from robot_sysid.identify.judgement.signs import compared_with_model
 from robot_sysid.identify.payload.data.poses import resting_rows
 from robot_sysid.identify.payload.data.recordings import RawRecording
 from robot_sysid.identify.payload.data.rows import FilteredRows, RestingRows
 from robot_sysid.identify.payload.equations import Recording
-from robot_sysid.logs.checks import sign_check
 from robot_sysid.records import Array, Measurement, Motion, RobotModel
-from robot_sysid.signals.process import ProcessedSignals, process
-from robot_sysid.simulator import ArmTorque
+from robot_sysid.signals.process import ProcessedSignals, process, with_one_cutoff
 
 
 @dataclass(frozen=True)
@@ -62,18 +61,16 @@ def filtered(
             raise InputError(f"{each.name}: {error}") from None
 
     pieces = list(_pieces(raw, at))
-    found = [signals(each, options.cutoff) for each in pieces]
-    lowest = min(each.cutoff for each in found)
-    found = [s if s.cutoff == lowest else signals(p, lowest) for p, s in zip(pieces, found)]
+    found = with_one_cutoff(pieces, signals, options.cutoff)
     told: dict[str, tuple[str, ...]] = {each.name: each.notes for each in raw}
     for piece, signal in zip(pieces, found):
-        notes = (*told[piece.log.name], *signal.notes, *_compared(robot, signal))
+        notes = (*told[piece.log.name], *signal.notes, *compared_with_model(robot, signal))
         told[piece.log.name] = tuple(dict.fromkeys(notes))
     recordings = [
         Recording(piece.name, piece.log.is_loaded, FilteredRows(signal), piece.place)
         for piece, signal in zip(pieces, found)
     ]
-    return Processed(tuple(recordings), lowest, tuple(_shared_notes(told)))
+    return Processed(tuple(recordings), found[0].cutoff, tuple(_shared_notes(told)))
 
 
 @dataclass(frozen=True)
@@ -114,12 +111,6 @@ def _resting_rows(robot: RobotModel, raw: RawRecording) -> RestingRows:
         return resting_rows(raw.samples, robot.joint_names)
     except InputError as error:
         raise InputError(f"{raw.name}: {error}") from None
-
-
-def _compared(robot: RobotModel, signals: ProcessedSignals) -> tuple[str, ...]:
-    motion = FilteredRows(signals).motion
-    places = np.searchsorted(signals.time, motion.time)
-    return sign_check(signals.tau[places], ArmTorque(robot)(motion), robot.joint_names)
 
 
 def _shared_notes(told: Mapping[str, Sequence[str]]) -> Iterator[str]:

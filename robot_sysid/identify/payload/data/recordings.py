@@ -10,7 +10,7 @@ import numpy as np
 from robot_sysid.checks.run import look_at
 from robot_sysid.identify.payload.options import LOADED, PayloadOptions
 from robot_sysid.logs.options import LogOptions
-from robot_sysid.logs.reader import LogJoints, join_measurements, read_log
+from robot_sysid.logs.reader import join_measurements, open_log
 from robot_sysid.records import Array, Measurement, MotionPlan, RobotModel
 from robot_sysid.records.progress import Progress
 from robot_sysid.simulation.loading import load_plant
@@ -49,12 +49,11 @@ def read_recordings(
     robot: RobotModel, options: PayloadOptions, logs: LogOptions, progress: Progress
 ) -> list[RawRecording]:
     """Read all logs, empty ones first."""
-    joints = LogJoints(robot.joint_names, robot.limits, tuple(robot.is_slide.tolist()))
     kinds = [(path, False) for path in options.empty] + [(path, True) for path in options.loaded]
     found = []
     for path, is_loaded in kinds:
         progress.stage(f"Reading {'loaded' if is_loaded else 'empty'} log {path}...")
-        log = read_log(path, joints, logs, progress)
+        log = open_log(robot, path, logs, progress)
         if not options.static:  # an arm at rest shows none of what is looked for
             look_at(robot, log, logs.accept, progress, links_known=False)
         found.append(RawRecording(str(path), is_loaded, log.samples, log.pieces, notes=log.notes))

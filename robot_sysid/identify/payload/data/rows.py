@@ -45,9 +45,8 @@ class FilteredRows:
 
     @property
     def motion(self) -> Motion:
-        """The low-passed motion at the decimated instants; slow enough not to be filtered again."""
-        signals, at = self.signals, self.signals.low_pass.centres(len(self.signals))
-        return Motion(signals.time[at], signals.q[at], signals.qd[at], signals.qdd[at])
+        """See ``ProcessedSignals.decimated_motion``."""
+        return self.signals.decimated_motion()
 
     @property
     def lag(self) -> Array:
@@ -98,7 +97,7 @@ class RestingRows:
             equations.joints,
             equations.columns,
             self.poses.time,
-            tuple(block for block, _ in rows),
+            tuple((block,) for block, _ in rows),
             tuple(
                 np.where(self.used[:, joint], tau, np.nan)
                 for joint, (_, tau) in zip(equations.rows_of, rows)

@@ -1,0 +1,17 @@
+"""The face for Python programs: what the commands do, with arrays in and results out.
+
+Nothing is printed, and no file is written unless a result is asked to ``save``.
+"""
+
+from __future__ import annotations
+
+from robot_sysid.api.calls import (
+    identify,
+    identify_arm,
+    load_robot_model,
+    payload,
+    plan,
+    read_log,
+)
+
+__all__ = ["identify", "identify_arm", "load_robot_model", "payload", "plan", "read_log"]

@@ -1,0 +1,109 @@
+"""``robot-sysid example NAME``: a copy of an example, and the commands that walk through it."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import robot_sysid
+from robot_sysid.commands.arguments import Parser, exit_codes, parsed
+from robot_sysid.commands.console import Console
+from robot_sysid.config import config_from
+from robot_sysid.errors import InputError
+from robot_sysid.records.options import OptionRecord, folder, option, record_from
+
+INTERRUPTED = "interrupted; the copy may be unfinished"
+EXAMPLES = ("kinova",)
+MAIN = ("output_dir",)
+GUESS, TRUTH, EMPTY = (
+    f"kinova_{name}.xml" for name in ("fullinertia_guess", "fullinertia", "empty_gripper")
+)
+LOG = "true_arm.csv"
+"""Log of the true arm, simulated with torque noise."""
+RECORDING = {"duration": 15.0, "sample_rate": 200.0, "noise_torque": 0.1, "seed": 1}
+"""How it is recorded: small enough to open in a spreadsheet."""
+NEXT = (
+    (
+        "1. Self-test: the model's own numbers have to come back from its own simulation",
+        "robot-sysid {model}/{guess}",
+    ),
+    (
+        "2. Identify the true arm from a noisy log of it, starting from the guess",
+        "robot-sysid identify {model}/{guess} {log} --output-dir found",
+    ),
+    (
+        "3. Weigh a payload: the true arm without and with a steel block of 0.306 kg",
+        "robot-sysid payload {model}/{guess} --empty-model {model}/{empty} "
+        "--loaded-model {model}/{truth} --noise-torque 0.1 --sample-rate 200 --seed 1 "
+        "--output-dir weighed",
+    ),
+)
+
+
+@dataclass(frozen=True)
+class ExampleOptions(OptionRecord):
+    """Where an example goes."""
+
+    output_dir: Path | None = option(
+        None, "folder for the copy", metavar="DIR", parse=folder, usual="the example's name"
+    )
+
+
+def build_parser(full: bool = True) -> Parser:
+    """Return the parser of this command."""
+    parser = Parser(
+        "example",
+        "robot-sysid example kinova",
+        description="Copy an example out of the package, with a log of its true arm, and print "
+        "the commands that walk through it.",
+        epilog=exit_codes(0, 2, 130),
+        main=None if full else MAIN,
+    )
+    parser.add_argument("name", metavar="NAME", choices=EXAMPLES, help=", ".join(EXAMPLES))
+    parser.add("output", ExampleOptions)
+    parser.add_console()
+    return parser
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the command and return its exit code."""
+    values, options = parsed(build_parser, arguments)
+    console = Console(options.quiet, options.verbose)
+    place = record_from(ExampleOptions, values).output_dir or Path(values["name"])
+    if place.exists():
+        raise InputError(f"{place} exists; choose another folder with --output-dir DIR")
+    try:
+        shutil.copytree(
+            _home(values["name"]), place, ignore=shutil.ignore_patterns("__pycache__", "images")
+        )
+    except OSError as error:
+        raise InputError(f"cannot copy the example to {place}: {error}") from None
+    _record(place / "model", place / LOG)
+    console.stage(f"Example copied to {place}. What to do with it:")
+    named = {"model": place / "model", "log": place / LOG}
+    for words, command in NEXT:
+        line = command.format(**named, guess=GUESS, truth=TRUTH, empty=EMPTY)
+        console.lines(["", f"# {words}", line])
+    return 0
+
+
+def _home(name: str) -> Path:
+    """Return an example's folder: in the installed package, or beside it in a checkout."""
+    package = Path(robot_sysid.__file__).parent
+    places = (package / "examples" / name, package.parent / "examples" / name)
+    found = next((place for place in places if (place / "model").is_dir()), None)
+    if found is None:
+        raise InputError(f"the example {name} is not in this installation; install it again")
+    return found
+
+
+def _record(model: Path, log: Path) -> None:
+    """Let the true arm of the example play a trajectory and write what its sensors say."""
+    from robot_sysid.pipeline import run
+
+    arm = {"plant_model": model / TRUTH, "save_measurements": log}
+    with tempfile.TemporaryDirectory() as nowhere:
+        run(config_from(model / GUESS, **RECORDING, **arm, output_dir=Path(nowhere)))

@@ -1,0 +1,471 @@
+"""``robot-sysid motors``: inspect Damiao motors, play on them, rehearse, set them up, map them."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any
+
+from robot_sysid.commands.arguments import PROGRAM, Parser, exit_codes, parsed
+from robot_sysid.commands.console import Console
+from robot_sysid.commands.motors import setup as motors_setup
+from robot_sysid.config import ModelOptions
+from robot_sysid.damiao.bus.can_bus import BusAddress, open_bus
+from robot_sysid.damiao.bus.clock import Clock, SimulatedClock, SystemClock
+from robot_sysid.damiao.bus.inspection import inspect_bus
+from robot_sysid.damiao.bus.link import GuardedLink, Link
+from robot_sysid.damiao.bus.slcan import SlcanTerminal
+from robot_sysid.damiao.exchange.recorder import RecordingOptions
+from robot_sysid.damiao.exchange.settings import PlaySettings
+from robot_sysid.damiao.play.stop_request import StopRequest
+from robot_sysid.damiao.protocol.bus_load import BusTiming, default_rate
+from robot_sysid.damiao.protocol.joint_map import mapped, read_joint_map
+from robot_sysid.damiao.protocol.joints import DamiaoJoint
+from robot_sysid.damiao.report_lines import check_lines, load_line, motor_table, run_lines
+from robot_sysid.damiao.run.plan import Plan, PoseCheck, run
+from robot_sysid.damiao.run.preflight import (
+    Check,
+    Permissions,
+    general_checks,
+    require_no_stop,
+    stops,
+)
+from robot_sysid.damiao.simulated.arm import SimulatedArm
+from robot_sysid.damiao.simulated.faults import FAULT_KINDS, parse_fault
+from robot_sysid.damiao.simulated.motor import DEFAULT_WATCHDOG, SimulatedMotor, simulated_motor
+from robot_sysid.damiao.simulated.server import serve
+from robot_sysid.damiao.simulated.simulated_link import SimulatedLink
+from robot_sysid.damiao.trajectory.csv_file import DamiaoTrajectory, read_damiao_trajectory
+from robot_sysid.errors import InputError
+from robot_sysid.records import Array
+from robot_sysid.records.options import (
+    OptionRecord,
+    given_options,
+    option,
+    options_of,
+    positive,
+    record_from,
+)
+
+INTERRUPTED = "interrupted; no motor is enabled"
+# Coarse enough for an ordinary computer to keep up with.
+_REAL_TIME_STEP = 1e-3
+
+
+@dataclass(frozen=True)
+class PlayChoices(OptionRecord):
+    """What ``motors play`` does beside playing."""
+
+    dry_run: bool = option(
+        False, "stop after the checks; without --channel only those that need no bus"
+    )
+    yes: bool = option(False, "do not ask for confirmation", short="-y")
+
+
+@dataclass(frozen=True)
+class SimulatedMotorOptions(OptionRecord):
+    """What ``motors simulate`` puts on the bus, and for how long."""
+
+    play: bool = option(False, "play the trajectory at once, in simulated time, without a bus")
+    lifetime: float | None = option(
+        None,
+        "end after this time",
+        flag="--for",
+        unit="s",
+        metavar="S",
+        check=positive,
+        usual="Ctrl-C",
+    )
+    watchdog: float = option(
+        DEFAULT_WATCHDOG, "of the simulated motors", unit="s", metavar="S", check=positive
+    )
+    fault: tuple[str, ...] = option(
+        (),
+        "let something go wrong, S seconds after the motors were enabled; may be repeated. Kinds: "
+        + ", ".join(FAULT_KINDS),
+        metavar="KIND:JOINT[=VALUE][@S]",
+        repeats=True,
+    )
+
+
+class _Run:
+    """One command line of ``motors``, as records.
+
+    Args:
+        values: what was given.
+        console: where to print.
+    """
+
+    def __init__(self, values: Mapping[str, Any], console: Console) -> None:
+        self.values, self.console = values, console
+        self.address = record_from(BusAddress, values)
+        self.timing = record_from(BusTiming, values)
+        self.settings = record_from(PlaySettings, values)
+        self.allowed = record_from(Permissions, values)
+        self.recording = record_from(RecordingOptions, values)
+
+    def plan(self) -> Plan:
+        """Return the trajectory and how to play it."""
+        trajectory = read_damiao_trajectory(self.values["trajectory"])
+        trajectory = replace(trajectory, joints=self.mounted(trajectory.joints))
+        chosen = self.settings, self.timing, self.allowed, self.recording
+        return Plan(trajectory, *chosen, self.inertia(trajectory))
+
+    def inertia(self, trajectory: DamiaoTrajectory) -> Array | None:
+        """Return what each joint moves at the first point, where a model is known [kg m^2]."""
+        if self.values.get("model") is None or self.robot.n_joints != trajectory.n_joints:
+            return None
+        from robot_sysid.simulation.stepper import ArmStepper
+
+        _, q, _, _ = next(trajectory.chunks(1))
+        return ArmStepper(self.robot, q[0]).moved_inertia()
+
+    def mounted(self, joints: Sequence[DamiaoJoint]) -> tuple[DamiaoJoint, ...]:
+        """Return the trajectory's joints with what is known about how they are mounted."""
+        names = self.robot.joint_names if self.values.get("model") else ()
+        path = self.values.get("joint_map")
+        if path is not None:
+            return mapped(joints, read_joint_map(path), self.address.channel, names)
+        if len(names) != len(joints):
+            return tuple(joints)
+        return tuple(replace(joint, name=name) for joint, name in zip(joints, names))
+
+    def checks(self, plan: Plan) -> list[Check]:
+        """Return the checks that need no bus, those of a model of the arm included."""
+        if self.values.get("model") is None:
+            for given in given_options(record_from(ModelOptions, self.values)):
+                raise InputError(f"{given.flag} is about a model; add --model")
+            return plan.checks()
+        # Imported here so that playing on real motors does not wait for MuJoCo.
+        from robot_sysid.damiao.run.model_check import model_checks
+
+        return [*plan.checks(), *model_checks(plan.trajectory, plan.settings.speed, self.robot)]
+
+    def pose_check(self, plan: Plan) -> PoseCheck | None:
+        """Return what compares the arm, held still, with the model's gravity; None without one."""
+        if self.values.get("model") is None:
+            return None
+        from robot_sysid.damiao.run.gravity_check import GravityCheck
+
+        return GravityCheck(self.robot, plan.trajectory.joints)
+
+    @cached_property
+    def robot(self) -> Any:
+        """The arm of the model file."""
+        from robot_sysid.parser import load_robot_model
+
+        chosen, path = record_from(ModelOptions, self.values), self.values["model"]
+        choice = chosen.mesh_dir, chosen.joint, float("inf"), chosen.keyframe
+        return load_robot_model(path, *choice)
+
+    @contextlib.contextmanager
+    def bus(self, clock: Clock) -> Iterator[GuardedLink]:
+        """Open the bus for as long as the block runs."""
+        with contextlib.closing(open_bus(self.address, self.timing, clock)) as link:
+            yield GuardedLink(link, clock.now, self.timing.fd, self.address.channel)
+
+
+def check(asked: _Run) -> int:
+    """Inspect the motors; return 0 where a trajectory could be played."""
+    clock, console = SystemClock(), asked.console
+    if not asked.address.channel:
+        raise InputError("check needs --channel, for instance --channel can0")
+    plan = asked.plan() if asked.values.get("trajectory") else None
+    if plan is None and asked.values.get("model"):
+        raise InputError("--model needs a TRAJECTORY to check")
+    checks = asked.checks(plan) if plan else []
+    with asked.bus(clock) as link:
+        inspection = inspect_bus(link, clock)
+    motors = len(inspection.motors)
+    if not motors:
+        console.lines([*check_lines(checks), "no motor answers: check power, wiring and bit rate"])
+        return 1
+    rate = asked.settings.rate or default_rate(motors, asked.timing)
+    settings = plan.settings if plan else PlaySettings(rate=rate)
+    checks += plan.bus_checks(inspection) if plan else general_checks(inspection, settings)
+    console.lines(motor_table(inspection, plan.trajectory.joints if plan else ()))
+    console.lines(["", load_line(motors, rate, asked.timing), *check_lines(checks)])
+    to_change = len(stops(checks))
+    console.lines(["", f"{to_change} to change before playing" if to_change else "ready to play"])
+    return 1 if to_change else 0
+
+
+def play(asked: _Run) -> int:
+    """Play a trajectory on the motors."""
+    choices, plan = record_from(PlayChoices, asked.values), asked.plan()
+    checks = asked.checks(plan)
+    if asked.address.channel:
+        clock = SystemClock()
+        with asked.bus(clock) as link:
+            return _play_on(link, clock, plan, checks, choices, asked)
+    if not choices.dry_run:
+        raise InputError("play needs --channel, for instance --channel can0 (or --dry-run)")
+    asked.console.lines(check_lines(checks))
+    return _verdict(checks, asked.console)
+
+
+def simulate(asked: _Run) -> int:
+    """Put a simulated arm on a bus, or play on it at once."""
+    options, plan = record_from(SimulatedMotorOptions, asked.values), asked.plan()
+    checks = asked.checks(plan)
+    if options.play:
+        arm, clock = _simulated_arm(asked, plan, options), SimulatedClock()
+        bus = SimulatedLink(clock, arm, asked.timing, echo=True)
+        link = GuardedLink(bus, clock.now, asked.timing.fd, asked.address.channel or ("simulated",))
+        return _play_on(link, clock, plan, checks, PlayChoices(yes=True), asked)
+    require_no_stop(checks, "not rehearsed")
+    return _serve(_simulated_arm(asked, plan, options, _REAL_TIME_STEP), asked, options)
+
+
+_COMMANDS: Mapping[str, tuple[Callable[[_Run], int], str, str]] = {
+    "check": (
+        check,
+        "damiao_trajectory.csv --channel can0",
+        "Ask every id from 1 to 15, print what the motors say, and tell what has to change before "
+        "a trajectory can be played. Enables no motor and writes nothing.",
+    ),
+    "play": (
+        play,
+        "damiao_trajectory.csv --channel can0 --speed 0.3 --record measured.csv",
+        "Go through all checks, ask for confirmation, enable the motors, move slowly to the first "
+        "point, play, come to rest, and disable. A disabled arm sinks: support it or park it where "
+        "it cannot fall.",
+    ),
+    "simulate": (
+        simulate,
+        "damiao_trajectory.csv --model arm.xml --play --record measured.csv",
+        "Simulate the arm of a model with Damiao motors. Without --play it sits behind a "
+        "pseudo-terminal that acts as a serial CAN adapter, or on the bus of --interface and "
+        "--channel; the line to give to 'play' is printed.",
+    ),
+}
+_SETUP: Mapping[str, tuple[Callable[..., int], str, str]] = {
+    "setup": (
+        motors_setup.setup,
+        "--channel can0 --motor 1 --new-id 2 --new-master-id 0x12 --mit --watchdog 0.1 --store",
+        "List the motors on a bus, or change one: ids, mode, watchdog, bit rate, zero, error. "
+        "Never while it is enabled.",
+    ),
+    "monitor": (
+        motors_setup.monitor,
+        "--channel can0",
+        "Show what the motors measure, again and again. Enables nothing.",
+    ),
+    "map": (
+        motors_setup.map_joints,
+        "--channel can0 --model arm.xml --output joint_map.csv",
+        "Find out by hand which motor drives which joint of a model, which way, and where its "
+        "zero is. The arm is limp: support it, and move one joint at a time when you are asked.",
+    ),
+}
+_MAIN = (
+    *("interface", "channel", "fd", "speed", "rate", "kp", "park"),
+    *("record", "dry_run", "yes", "play", "fault"),
+)
+_MAIN_ON_MOTORS = (*_MAIN, "joint_map", "accept_register_limits", "set_watchdog")
+
+
+def build_parser(command: str, full: bool = True) -> Parser:
+    """Return the parser of a subcommand; without ``full``, its help shows the main options only."""
+    _, example, description = _COMMANDS[command]
+    main_options = _MAIN if command == "simulate" else _MAIN_ON_MOTORS
+    parser = Parser(
+        f"motors {command}",
+        f"{PROGRAM} motors {command} {example}",
+        description=description,
+        epilog=exit_codes(0, 1, 2, 3, 130),
+        main=None if full else main_options,
+    )
+    nargs = "?" if command == "check" else None
+    help_file = "damiao_trajectory.csv"
+    parser.add_argument("trajectory", metavar="TRAJECTORY", type=Path, help=help_file, nargs=nargs)
+    group = parser.add("arm", ModelOptions)
+    help_model = "MJCF or URDF of the arm; the trajectory is checked against its limits"
+    required = command == "simulate"
+    group.add_argument(
+        "--joint-map",
+        metavar="FILE",
+        type=Path,
+        help="how each joint's motor is mounted (see: motors map)",
+    )
+    group.add_argument("--model", metavar="MODEL", type=Path, required=required, help=help_model)
+    parser.add("bus", BusAddress, BusTiming)
+    if command == "simulate":
+        parser.add("simulated motors", SimulatedMotorOptions)
+    parser.add("motion and limits", PlaySettings)
+    parser.add("what to allow", Permissions)
+    if command != "check":
+        parser.add("recording", RecordingOptions)
+    if command == "play":
+        parser.add("asking", PlayChoices)
+    parser.add_console()
+    return parser
+
+
+def build_setup_parser(command: str, full: bool = True) -> Parser:
+    """Return the parser of a subcommand that plays nothing."""
+    _, example, description = _SETUP[command]
+    parser = Parser(
+        f"motors {command}",
+        f"{PROGRAM} motors {command} {example}",
+        description=description,
+        epilog=exit_codes(0, 1, 2, 3, 130),
+        main=None if full else ("interface", "channel", "fd", *_names(command)),
+    )
+    if command == "map":
+        group = parser.add("arm", ModelOptions)
+        group.add_argument("--model", metavar="MODEL", type=Path, required=True, help="of the arm")
+    parser.add("bus", BusAddress, BusTiming)
+    parser.add(command, *motors_setup.GROUPS[command])
+    parser.add_console()
+    return parser
+
+
+def _names(command: str) -> Iterator[str]:
+    for record in motors_setup.GROUPS[command]:
+        yield from options_of(record)
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the command and return its exit code."""
+    name = arguments[0] if arguments else "--help"
+    if name in _SETUP:
+        values, options = parsed(partial(build_setup_parser, name), arguments[1:])
+        asked = _Run(values, Console(options.quiet, options.verbose))
+        return _SETUP[name][0](asked, SystemClock(), open_bus)
+    if name not in _COMMANDS:
+        _overview().parse_args(arguments or ["--help"])
+        raise InputError(f"unknown command {name!r}; valid: {', '.join([*_COMMANDS, *_SETUP])}")
+    values, options = parsed(partial(build_parser, name), arguments[1:])
+    return _COMMANDS[name][0](_Run(values, Console(options.quiet, options.verbose)))
+
+
+def _overview() -> Parser:
+    parser = Parser(
+        "motors",
+        f"{PROGRAM} motors check --channel can0",
+        description="Inspect Damiao motors, play a trajectory on them and record it, or rehearse "
+        "all that with a simulated arm; set motors up, watch them, and map them to a model's "
+        "joints. Each command has its own --help.",
+        epilog=exit_codes(0, 1, 2, 3, 130),
+    )
+    parser.add_argument("command", metavar="|".join([*_COMMANDS, *_SETUP]), help="what to do")
+    parser.add_console()
+    return parser
+
+
+def _play_on(
+    link: GuardedLink,
+    clock: Clock,
+    plan: Plan,
+    checks: Sequence[Check],
+    choices: PlayChoices,
+    asked: _Run,
+) -> int:
+    console = asked.console
+    inspection = inspect_bus(link, clock)
+    checks = [*checks, *plan.bus_checks(inspection)]
+    console.lines([*motor_table(inspection, plan.trajectory.joints), *check_lines(checks)])
+    if choices.dry_run:
+        return _verdict(checks, console)
+    require_no_stop(checks, "not played")
+    read = (plan.trajectory.path, asked.values.get("model"))
+    plan.recording.require_free(*filter(None, read))
+    if not choices.yes:
+        _ask_for_confirmation()
+        # The arm may have moved or been touched in the meantime.
+        inspection = inspect_bus(link, clock)
+
+    def tell(time: float) -> None:
+        console.advance("Playing", time, plan.duration, "")
+
+    stop = StopRequest()
+    with stop.on_signals():
+        told = console.stage, tell
+        report = run(link, clock, plan, inspection, stop, *told, asked.pose_check(plan))
+    console.lines(run_lines(report))
+    if plan.recording.record:
+        console.stage(f"recorded to {plan.recording.record}")
+    console.stage("all motors are disabled")
+    return 0
+
+
+def _simulated_arm(
+    asked: _Run, plan: Plan, options: SimulatedMotorOptions, timestep: float | None = None
+) -> SimulatedArm:
+    from robot_sysid.simulation.stepper import DEFAULT_TIMESTEP, ArmStepper
+
+    joints = plan.trajectory.joints
+    motors = [_simulated_motor(joint, options.watchdog) for joint in joints]
+    mechanism = ArmStepper(asked.robot, plan.scan.first, timestep or DEFAULT_TIMESTEP)
+    return SimulatedArm(mechanism, motors, [parse_fault(text) for text in options.fault])
+
+
+def _simulated_motor(joint: DamiaoJoint, watchdog: float) -> SimulatedMotor:
+    motor = simulated_motor(joint.spec, joint.can_id, joint.master_id, watchdog)
+    motor.bus, motor.direction = joint.bus, joint.direction
+    motor.offset, motor.torque_ratio = joint.offset, joint.torque_ratio
+    return motor
+
+
+def _serve(arm: SimulatedArm, asked: _Run, options: SimulatedMotorOptions) -> int:
+    clock, stop = SystemClock(), StopRequest()
+    with contextlib.closing(_simulated_end(asked, clock)) as link, stop.on_signals():
+        ends = clock.now() + (options.lifetime or float("inf"))
+        left_out = serve(arm, link, clock, lambda: not stop.count and clock.now() < ends)
+    if left_out > 0.0:
+        asked.console.stage(f"this computer was too slow by {left_out:.1f} s in all")
+    return 0
+
+
+def _simulated_end(asked: _Run, clock: Clock) -> Link:
+    """Open the simulated arm's end of the bus and say how to reach it."""
+    address = asked.address
+    if not address.channel:
+        if "interface" in asked.values:
+            raise InputError("--interface needs --channel")
+        terminal = SlcanTerminal(clock)
+        link: Link = terminal
+        reach = f"--interface slcan --channel {terminal.device}"
+    else:
+        link = open_bus(address, asked.timing, clock)
+        reach = " ".join([f"--interface {address.interface}", *_channels(address)])
+    fd = " --fd" if asked.timing.fd else ""
+    if asked.values.get("joint_map"):
+        fd += f" --joint-map {asked.values['joint_map']}"
+    asked.console.lines(
+        [
+            "the simulated arm is parked at the first point until its motors are enabled; Ctrl-C "
+            "ends it. To play on it, in another terminal:",
+            f"{PROGRAM} motors play {asked.values['trajectory']} {reach}{fd} --record measured.csv",
+        ]
+    )
+    return link
+
+
+def _channels(address: BusAddress) -> Iterator[str]:
+    return (f"--channel {channel}" for channel in address.channel)
+
+
+def _ask_for_confirmation() -> None:
+    if not sys.stdin.isatty():
+        raise InputError("nobody can confirm: standard input is no terminal; give --yes")
+    Console().stage(
+        "The arm will move. Keep clear of it, keep the emergency stop at hand, and remember that "
+        "it sinks when it is disabled."
+    )
+    answer = ""
+    with contextlib.suppress(EOFError):
+        answer = input("Type yes to play: ")
+    if answer.strip().lower() != "yes":
+        raise InputError("not confirmed; nothing was moved")
+
+
+def _verdict(checks: Sequence[Check], console: Console) -> int:
+    require_no_stop(checks, "would not be played")
+    console.stage("nothing speaks against playing (dry run: nothing was enabled)")
+    return 0

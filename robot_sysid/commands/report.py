@@ -1,0 +1,116 @@
+"""``robot-sysid report DIR...``: a page about an earlier run, or one that compares several."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from robot_sysid.commands.arguments import Parser, exit_codes, parsed
+from robot_sysid.commands.console import Console
+from robot_sysid.config import ModelOptions, OutputOptions
+from robot_sysid.errors import SysidError
+from robot_sysid.records.options import OptionRecord, folder, option, record_from
+from robot_sysid.records.traces import Traces
+
+INTERRUPTED = "interrupted; no unfinished file is left"
+
+
+@dataclass(frozen=True)
+class PageOptions(OptionRecord):
+    """Where the page goes, and what goes beside it."""
+
+    output_dir: Path | None = option(
+        None,
+        "folder for the page",
+        metavar="DIR",
+        parse=folder,
+        usual="the run's own, of several the first one's",
+    )
+    plots: bool = option(False, "also write the figures as PNG and SVG")
+
+
+def build_parser(full: bool = True) -> Parser:
+    """Return the parser of this command."""
+    parser = Parser(
+        "report",
+        "robot-sysid report sysid_output",
+        description="Write report.html about an earlier run: a page with figures that opens "
+        "without a network. Several folders are compared in comparison.html.",
+        epilog=exit_codes(0, 1, 2, 130),
+    )
+    parser.add_argument(
+        "folders", metavar="DIR", nargs="+", type=Path, help="folder that a run wrote to"
+    )
+    parser.add("page", PageOptions)
+    parser.add("model", ModelOptions, only=("mesh_dir",))
+    parser.add_console()
+    return parser
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the command and return its exit code."""
+    values, options = parsed(build_parser, arguments)
+    page = record_from(PageOptions, values)
+    console = Console(options.quiet, options.verbose)
+    require_report(OutputOptions(report=True))
+    # Imported here so that --help and usage errors do not wait for MuJoCo.
+    from robot_sysid.report.write import write_report
+
+    folders = tuple(values["folders"])
+    destination = page.output_dir or folders[0]
+    mesh_dir = values.get("mesh_dir")
+    written = write_report(folders, destination, mesh_dir, plots=page.plots)
+    console.lines(f"Written: {path}" for path in written[:1])
+    if len(written) > 1:
+        console.stage(f"Written: {len(written) - 1} figures in {written[-1].parent}")
+    return 0
+
+
+def require_report(output: OutputOptions) -> None:
+    """Raise InputError where a report is wanted that cannot be made; asked before a long run."""
+    if output.report or output.plots:
+        from robot_sysid.report.drawing import require_libraries
+
+        require_libraries()
+
+
+def report_of(
+    outcome: object,
+    output: OutputOptions,
+    mesh_dir: Path | None,
+    console: Console,
+) -> str | None:
+    """Write what a later report needs, and the report where it is wanted.
+
+    The results are in their files already; whatever fails here leaves them there.
+
+    Returns:
+        Why the report that was asked for was not written, or None.
+    """
+    wanted = output.report or output.plots
+    traces: Callable[[], Traces] | None = getattr(outcome, "traces", None)
+    if traces is None:
+        if wanted:
+            console.note("there is no report about such a run; its results are written")
+        return None
+    if not (wanted or getattr(outcome, "leaves_data", True)):
+        return None
+    from robot_sysid.report.write import save_data, write_report
+
+    try:
+        save_data(output.output_dir, traces())
+        if not wanted:
+            return None
+        console.stage("Drawing the report...")
+        page, plots = output.report, output.plots
+        folders = (output.output_dir,)
+        written = write_report(folders, output.output_dir, mesh_dir, page, plots)
+    except Exception as error:  # the run is done, and what it found must stand
+        cause = str(error) if isinstance(error, SysidError) else f"{type(error).__name__}: {error}"
+        if not wanted:
+            console.note(f"nothing was left for a later report: {cause}")
+            return None
+        return f"the results are written, but the report is not: {cause}"
+    console.stage(f"Report: {written[0] if page else written[0].parent}")
+    return None

@@ -1,0 +1,1 @@
+"""Arms without torque sensors: servos, rotor inertia and friction from commands and positions."""

@@ -1,0 +1,105 @@
+"""A written model with its meshes and textures in one folder, which can be sent to somebody."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import mujoco
+
+from robot_sysid.errors import ExportError, InputError
+from robot_sysid.mjcf.assets import find_assets
+from robot_sysid.mjcf.documents import ModelDocument, read_document
+from robot_sysid.mjcf.relocation import bundled_text
+from robot_sysid.mjcf.urdf import bundled_urdf, mesh_uses
+from robot_sysid.model.compilation import compile_model
+from robot_sysid.output.verification import compiled_again, require_same_model
+
+BUNDLE_NAME, ASSETS = "bundle", "assets"
+"""Folder in the output folder, and the folder in it that meshes and textures go to."""
+
+
+def write_bundle(model: Path, folder: Path) -> Path:
+    """Copy a written model and all files it refers to into a folder, and load it from there.
+
+    Args:
+        model: the written model.
+        folder: its output folder; an earlier bundle in it is replaced.
+
+    Returns:
+        The model in the bundle.
+
+    Raises:
+        ExportError: it refers to another model, or the copy does not load as the same model.
+        InputError: a file cannot be copied.
+    """
+    text, names = _bundled(model, f"{ASSETS}/")
+    place = folder / BUNDLE_NAME
+    try:
+        draft = Path(tempfile.mkdtemp(prefix=f".{BUNDLE_NAME}-", dir=folder))
+        try:
+            draft.chmod(0o755)
+            (draft / ASSETS).mkdir()
+            for source, name in names.items():
+                shutil.copyfile(source, draft / name)
+            (draft / model.name).write_bytes(text)
+            same = compile_model(model).mj_model, compiled_again(draft / model.name).mj_model
+            require_same_model(*same, ())
+            shutil.rmtree(place, ignore_errors=True)
+            os.replace(draft, place)
+        finally:
+            shutil.rmtree(draft, ignore_errors=True)
+    except OSError as error:
+        raise InputError(f"--bundle: cannot write {place}: {error.strerror or error}") from None
+    return place / model.name
+
+
+def model_in_memory(model: Path) -> Any:
+    """Return a model and all files it refers to as a ``mujoco.MjSpec`` that needs no files.
+
+    Raises:
+        ExportError: it refers to another model, or this MuJoCo is older than 3.2.
+    """
+    if not hasattr(mujoco, "MjSpec"):
+        raise ExportError(f"a spec needs MuJoCo 3.2 or later, not {mujoco.__version__}; use save()")
+    text, names = _bundled(model, "")
+    assets = {name: path.read_bytes() for path, name in names.items()}
+    return mujoco.MjSpec.from_string(text.decode("utf-8"), assets=assets)
+
+
+def _bundled(model: Path, folder: str) -> tuple[bytes, dict[Path, str]]:
+    """Return (the text of a model that stands beside its assets, file to its name there)."""
+    document = read_document(model)
+    names = _names(_assets(document), folder)
+    text = bundled_urdf if document.kind == "urdf" else bundled_text
+    return text(document, names), names
+
+
+def _assets(document: ModelDocument) -> Iterable[Path]:
+    if document.kind == "urdf":
+        return [use.path for use in mesh_uses(document) if use.path is not None]
+    assets = find_assets(document)
+    if any(asset.node.tag == "model" for asset in assets):
+        raise ExportError(
+            "--bundle: the model attaches other model files (<model file=...>), which a bundle "
+            "cannot hold; send the folders as they are"
+        )
+    return [asset.path for asset in assets if asset.path is not None]
+
+
+def _names(paths: Iterable[Path], folder: str) -> dict[Path, str]:
+    """Return file to its place in the bundle; two files of one name get different ones."""
+    names: dict[Path, str] = {}
+    for path in paths:
+        if path not in names:
+            taken, count = {other.lower() for other in names.values()}, 1
+            name = f"{folder}{path.name}"
+            while name.lower() in taken:
+                count += 1
+                name = f"{folder}{path.stem}_{count}{path.suffix}"
+            names[path] = name
+    return names

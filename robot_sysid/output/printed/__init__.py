@@ -1,0 +1,1 @@
+"""What is printed of a result: tables before -> after, and the blocks they stand in."""

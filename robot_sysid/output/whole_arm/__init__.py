@@ -1,0 +1,1 @@
+"""Files about a whole arm: its links and joints, and its friction for controllers."""

@@ -1,0 +1,1 @@
+"""Pictures of an arm: off-screen, in a viewer, as a film."""

@@ -1,0 +1,140 @@
+"""A motion to be shown, with how near it comes to its limits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from robot_sysid.excitation.problem import ExcitationProblem
+from robot_sysid.records import Array, Measurement, Motion, MotionPlan, RobotModel
+
+RATE = 20.0
+"""Pictures per second."""
+_FARTHEST = 0.3
+"""Clearance above which it is all the same [m]."""
+_STEP = 0.02
+
+
+@dataclass(frozen=True)
+class Strip:
+    """One quantity over time.
+
+    Attributes:
+        title: with its unit.
+        values: (T,); NaN where nothing is known.
+        limit: what it has to keep, or None.
+        is_least: whether it has to stay above the limit instead of below.
+    """
+
+    title: str
+    values: Array
+    limit: float | None
+    is_least: bool = False
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What is shown of a motion, T pictures.
+
+    Attributes:
+        time: (T,) [s].
+        q: (T, n) positions [rad].
+        strips: quantities over time.
+        ghost: (T, n) measured positions beside them; NaN before and after the log; or None.
+        notes: one sentence each.
+    """
+
+    time: Array
+    q: Array
+    strips: tuple[Strip, ...]
+    ghost: Array | None = None
+    notes: tuple[str, ...] = ()
+
+
+def shown_plan(
+    problem: ExcitationProblem, plan: MotionPlan, log: Measurement | None = None
+) -> Shown:
+    """Return a planned motion with its limits, and a log of it as ghost.
+
+    Args:
+        problem: the arm and its limits.
+        plan: the trajectory.
+        log: of the arm that played it, if any.
+    """
+    motion = plan.evaluate(np.linspace(0.0, plan.duration, _count(plan.duration)))
+    limits, largest = problem.limits, problem.limits.largest
+    torque = problem.torque(motion)
+    clearances = problem.obstacles.distances
+    near = np.array([min(clearances.slack_at(q)[0], _FARTHEST) for q in motion.q])
+    known = near if np.isfinite(clearances.closest(motion.q[0]).distance) else near * np.nan
+    strips = (
+        Strip("position [% of range]", _share(motion.q - limits.center, largest[0]), 100.0),
+        Strip("speed [% of limit]", _share(motion.qd, largest[1]), 100.0),
+        Strip("torque [% of limit]", _share(torque, largest[3]), 100.0),
+        Strip("clearance [mm]", 1000.0 * known, 0.0, is_least=True),
+    )
+    if log is None:
+        return Shown(motion.time, motion.q, strips)
+    ghost, note = _beside(motion, log, problem.joint_names)
+    return Shown(motion.time, motion.q, strips, ghost, (note,))
+
+
+def shown_log(robot: RobotModel, log: Measurement) -> Shown:
+    """Return the motion of a log with the model's limits."""
+    time = log.time - log.time[0]
+    at = np.linspace(0.0, float(time[-1]), _count(float(time[-1])))
+    q, tau = (_at(at, time, values) for values in (log.q, log.tau))
+    qd = np.gradient(q, at, axis=0) if log.qd is None else _at(at, time, log.qd)
+    limits = robot.limits
+    span = 0.5 * (limits.upper - limits.lower)
+    center = np.where(np.isfinite(span), limits.upper, 0.0) - np.where(np.isfinite(span), span, 0.0)
+    strips = (
+        Strip("position [% of range]", _share(q - center, span), 100.0),
+        Strip("speed [% of limit]", _share(qd, limits.velocity), 100.0),
+        Strip("torque [% of limit]", _share(tau, limits.torque), 100.0),
+    )
+    return Shown(at, q, strips)
+
+
+def _count(duration: float) -> int:
+    return max(2, round(duration * RATE) + 1)
+
+
+def _share(values: Array, limit: Array) -> Array:
+    """Return the largest share of its limit that a joint has (T,) [%]; NaN without limits."""
+    if not np.any(np.isfinite(limit)):
+        return np.full(len(values), np.nan)
+    return np.asarray(100.0 * np.max(np.abs(values) / limit, axis=1))
+
+
+def _at(at: Array, time: Array, values: Array, outside: float | None = None) -> Array:
+    columns = [np.interp(at, time, column, outside, outside) for column in values.T]
+    return np.stack(columns, axis=1)
+
+
+def _beside(motion: Motion, log: Measurement, joints: tuple[str, ...]) -> tuple[Array, str]:
+    """Return (positions of a log beside a planned motion, how well they fit).
+
+    The log may begin before or after the motion: of all shifts the one that fits best counts.
+    """
+    time = log.time - log.time[0]
+    longest, played = float(time[-1]), float(motion.time[-1])
+    overlap = 0.5 * min(longest, played)
+    shifts = np.arange(overlap - played, longest - overlap + _STEP, _STEP)
+    thin = slice(None, None, max(1, len(motion.time) // 200))
+    planned, when = motion.q[thin], motion.time[thin]
+    errors = [_misfit(planned, _at(when + shift, time, log.q, np.nan)) for shift in shifts]
+    shift = float(shifts[int(np.argmin(errors))])
+    ghost = _at(motion.time + shift, time, log.q, np.nan)
+    off = np.nanmax(np.abs(ghost - motion.q), axis=0)
+    worst = int(np.argmax(off))
+    note = (
+        f"the plan begins {shift:.2f} s into the log; measured positions are up to "
+        f"{off[worst]:.3g} rad off it, at {joints[worst]}"
+    )
+    return ghost, note
+
+
+def _misfit(planned: Array, measured: Array) -> float:
+    return float(np.nanmean((planned - measured) ** 2))

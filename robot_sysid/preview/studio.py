@@ -1,0 +1,232 @@
+"""Pictures of an arm without a screen, by MuJoCo's renderer on EGL or OSMesa."""
+
+from __future__ import annotations
+
+import copy
+import importlib
+import os
+import subprocess
+import sys
+from functools import lru_cache
+from types import TracebackType
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.errors import InputError
+from robot_sysid.records import Array, RobotModel
+
+Picture = NDArray[np.uint8]
+Colour = tuple[float, float, float, float]
+
+NO_RENDERER = (
+    "no pictures of the arm: MuJoCo finds neither EGL nor OSMesa here (Debian: apt-get install "
+    "libegl1 libosmesa6); MUJOCO_GL chooses one"
+)
+_MOST_GEOMS = 10_000
+_WHITE: Colour = (1.0, 1.0, 1.0, 1.0)
+_BONE: Colour = (0.55, 0.58, 0.62, 1.0)
+_PROBE = (
+    "import importlib, sys; "
+    "c = importlib.import_module('mujoco.' + sys.argv[1]).GLContext(64, 64); "
+    "c.make_current(); c.free()"
+)
+
+
+@lru_cache(maxsize=1)
+def backend() -> str | None:
+    """Return what can draw without a screen, or None: tried in a process of its own, which may die.
+
+    MUJOCO_GL, where it is set, is the only one tried.
+    """
+    chosen = os.environ.get("MUJOCO_GL", "").lower()
+    usual = ("egl", "osmesa", "glfw") if sys.platform.startswith("linux") else ("glfw",)
+    for name in (chosen,) if chosen else usual:
+        call = [sys.executable, "-c", _PROBE, name]
+        try:
+            tried = subprocess.run(call, capture_output=True, timeout=60.0)
+        except (OSError, subprocess.TimeoutExpired):
+            continue
+        if tried.returncode == 0:
+            return name
+    return None
+
+
+class Studio:
+    """One arm in front of a plain background; a context manager.
+
+    Args:
+        robot: the arm.
+        width, height: of the pictures [pixels].
+
+    Raises:
+        InputError: nothing here can draw.
+    """
+
+    def __init__(self, robot: RobotModel, width: int, height: int) -> None:
+        name = backend()
+        if name is None:
+            raise InputError(NO_RENDERER)
+        self.robot = robot
+        self._model = copy.copy(robot.mj_model)
+        shown = self._model.vis.global_
+        shown.offwidth, shown.offheight = width, height
+        self._gl = importlib.import_module(f"mujoco.{name}").GLContext(width, height)
+        self._gl.make_current()
+        self.data = mujoco.MjData(self._model)
+        self._scene = mujoco.MjvScene(self._model, _MOST_GEOMS)
+        self._context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
+        self._view = mujoco.MjrRect(0, 0, width, height)
+        self._options, self.camera = mujoco.MjvOption(), mujoco.MjvCamera()
+        self.camera.azimuth, self.camera.elevation = 135.0, -15.0
+        self.pose(robot.reference)
+
+    def __enter__(self) -> Studio:
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Let go of the graphics memory."""
+        self._context.free()
+        self._gl.free()
+
+    def pose(self, q: Array) -> None:
+        """Put the arm at chain positions q (n,) [rad] and start a new picture with it."""
+        self.data.qpos[:] = self.robot.reference_qpos
+        self.data.qpos[self.robot.qpos_index] = q
+        mujoco.mj_kinematics(self._model, self.data)
+        mujoco.mj_comPos(self._model, self.data)
+        mujoco.mj_camlight(self._model, self.data)
+        everything = mujoco.mjtCatBit.mjCAT_ALL
+        update = (self._options, None, self.camera, everything, self._scene)
+        mujoco.mjv_updateScene(self._model, self.data, *update)
+        flags = mujoco.mjtRndFlag
+        for flag in (flags.mjRND_SKYBOX, flags.mjRND_HAZE, flags.mjRND_SHADOW):
+            self._scene.flags[flag] = False
+        self._add_wall()
+        self._add_bones()
+
+    def look(self, at: Array, distance: float) -> None:
+        """Point the camera at a place (3,) from a distance [m]; holds from the next pose on."""
+        self.camera.lookat, self.camera.distance = at, distance
+
+    def look_at_arm(self, postures: Array) -> None:
+        """Point the camera so that the arm stays in the picture in all postures (N, n)."""
+        points = np.concatenate([self._corners(q) for q in postures])
+        low, high = np.min(points, axis=0), np.max(points, axis=0)
+        self.look(0.5 * (low + high), 0.75 * float(np.linalg.norm(high - low)) + 0.1)
+        self.pose(postures[0])
+
+    def _corners(self, q: Array) -> Array:
+        """Return points (m, 3) around the geoms of the chain's bodies in a posture [m]."""
+        self.data.qpos[self.robot.qpos_index] = q
+        mujoco.mj_kinematics(self._model, self.data)
+        ids = [link.body_id for link in self.robot.links]
+        moving = np.isin(self._model.body_rootid, self._model.body_rootid[ids])
+        geoms = moving[self._model.geom_bodyid] & (self._model.geom_rbound > 0.0)
+        centres = self.data.geom_xpos[geoms]
+        radii = self._model.geom_rbound[geoms][:, None]
+        own = self.data.xpos[ids]
+        return np.concatenate((own, centres - radii, centres + radii))
+
+    def glass(self, opacity: float) -> None:
+        """Make what is in the picture so far transparent, floor and wall apart."""
+        for geom in self._scene.geoms[: self._scene.ngeom]:
+            if geom.type != mujoco.mjtGeom.mjGEOM_PLANE and geom.emission < 1.0:
+                geom.rgba[3] *= opacity
+
+    def add_arm(self, q: Array, colour: Colour) -> None:
+        """Add the arm at other chain positions (n,) [rad] in one colour, like a ghost."""
+        ghost = mujoco.MjData(self._model)
+        ghost.qpos[:] = self.robot.reference_qpos
+        ghost.qpos[self.robot.qpos_index] = q
+        mujoco.mj_kinematics(self._model, ghost)
+        first = self._scene.ngeom
+        nothing, moving = mujoco.MjvPerturb(), mujoco.mjtCatBit.mjCAT_DYNAMIC
+        mujoco.mjv_addGeoms(self._model, ghost, self._options, nothing, moving, self._scene)
+        for geom in self._scene.geoms[first : self._scene.ngeom]:
+            geom.rgba[:] = colour
+            geom.matid = -1
+
+    def add_ellipsoid(self, body: int, theta: Array, colour: Colour) -> bool:
+        """Add the homogeneous ellipsoid of a body's mass and inertia, its centre as a dot.
+
+        With half axes a, b, c it has I_xx = m (b^2 + c^2) / 5, so that
+        a^2 = 5 (I_yy + I_zz - I_xx) / (2 m).
+
+        Args:
+            body: MuJoCo id of the body in whose frame theta is.
+            theta: (10,) parameters.
+            colour: of the ellipsoid.
+
+        Returns:
+            Whether there is such an ellipsoid; none has where theta is no possible body.
+        """
+        mass, com, inertia = spatial.com_from_theta(theta)
+        moments, axes = spatial.principal_axes(inertia)
+        squares = 2.5 * (np.sum(moments) - 2.0 * moments) / max(mass, 1e-12)
+        turn = self.data.xmat[body].reshape(3, 3)
+        place = self.data.xpos[body] + turn @ com
+        possible = mass > 0.0 and bool(np.all(squares > 0.0))
+        dot = (*colour[:3], 1.0)
+        self._add(mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, 0.008), place, np.eye(3), dot)
+        if possible:
+            half = np.sqrt(squares)
+            self._add(mujoco.mjtGeom.mjGEOM_ELLIPSOID, half, place, turn @ axes, colour)
+        return possible
+
+    def _add(self, kind: Any, size: Array, place: Array, turn: Array, colour: Colour) -> None:
+        if self._scene.ngeom >= self._scene.maxgeom:
+            return
+        geom = self._scene.geoms[self._scene.ngeom]
+        rgba = np.array(colour, dtype=np.float32)
+        mujoco.mjv_initGeom(geom, kind, size, place, np.ascontiguousarray(turn).ravel(), rgba)
+        self._scene.ngeom += 1
+
+    def _add_wall(self) -> None:
+        """Close the view with a white wall; MuJoCo's own background is black."""
+        azimuth, elevation = np.radians((self.camera.azimuth, self.camera.elevation))
+        level = np.cos(elevation) * np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+        ahead = level + np.array([0.0, 0.0, np.sin(elevation)])
+        far = 4.0 * float(self.camera.distance)
+        size, place = np.array([4.0 * far, 4.0 * far, 0.01]), self.camera.lookat + far * ahead
+        self._add(mujoco.mjtGeom.mjGEOM_BOX, size, place, _turned_to(ahead), _WHITE)
+        self._scene.geoms[self._scene.ngeom - 1].emission = 1.0
+
+    def _add_bones(self) -> None:
+        """Join the links' origins where the model has no shapes to show, as many URDF files."""
+        ids = [link.body_id for link in self.robot.links]
+        if np.any(np.isin(self._model.geom_bodyid, ids)):
+            return
+        places = self.data.xpos[ids]
+        along = np.linalg.norm(np.diff(places, axis=0), axis=1)
+        for start, end, length in zip(places[:-1], places[1:], along):
+            if length > 0.0:
+                middle, size = 0.5 * (start + end), np.array([0.015, 0.015, 0.5 * length])
+                turn = _turned_to((end - start) / length)
+                self._add(mujoco.mjtGeom.mjGEOM_CAPSULE, size, middle, turn, _BONE)
+
+    def picture(self) -> Picture:
+        """Return the picture (height, width, 3)."""
+        height, width = self._view.height, self._view.width
+        pixels = np.empty((height, width, 3), dtype=np.uint8)
+        mujoco.mjr_render(self._view, self._scene, self._context)
+        mujoco.mjr_readPixels(pixels, None, self._view, self._context)
+        return pixels[::-1]
+
+
+def _turned_to(direction: Array) -> Array:
+    """Return a rotation (3, 3) whose z axis is a unit vector."""
+    other = np.eye(3)[int(np.argmin(np.abs(direction)))]
+    x = np.cross(other, direction)
+    x /= np.linalg.norm(x)
+    return np.stack((x, np.cross(direction, x), direction), axis=1)

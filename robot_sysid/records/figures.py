@@ -1,0 +1,45 @@
+"""Numbers as text: with the digits that their errors deserve, and shares that stay readable."""
+
+from __future__ import annotations
+
+import math
+
+_MOST_PLACES = 6
+_MOST_PERCENT = 1000.0
+
+
+def figure(value: float, error: float | None = None) -> str:
+    """Return a number with as many digits as its error deserves, and never 0.000 for one that is
+    not zero.
+
+    Args:
+        value: the number.
+        error: its standard error, of which two digits count; None or infinite for four digits of
+            the number itself.
+    """
+    if not math.isfinite(value):
+        return "not known"
+    if value == 0.0:
+        return "0"
+    if error is None or not 0.0 < error < math.inf:
+        return f"{value:.4g}"
+    places = 1 - math.floor(math.log10(error))
+    if places <= _MOST_PLACES:
+        text = f"{value:.{max(places, 0)}f}"
+        return text if float(text) != 0.0 else f"{value:.1g}"
+    return f"{value:.{max(math.floor(math.log10(abs(value))) + places + 1, 1)}g}"
+
+
+def with_error(value: float, error: float | None, unit: str = "") -> str:
+    """Return "1.551 ± 0.087 kg"; without a known error, the number and its unit."""
+    known = error is not None and math.isfinite(error)
+    parts = [figure(value, error), *([f"± {figure(error, error)}"] if error and known else [])]
+    return " ".join([*parts, unit]).rstrip()
+
+
+def percent(share: float) -> str:
+    """Return a share in percent with two digits; beyond ten times the whole that is all it says."""
+    hundredths = 100.0 * abs(share)
+    if not hundredths <= _MOST_PERCENT:
+        return "over 1000 %" if hundredths > _MOST_PERCENT else "not known"
+    return f"{100.0 * share:.2g} %" if hundredths < 99.5 else f"{100.0 * share:.0f} %"

@@ -1,0 +1,194 @@
+"""What a run leaves in its folder for a report: report_data.npz, of a bounded size.
+
+Torques of a log of any length become at most ``MOST`` instants to draw, and statistics of all of
+them: residuals by size, by time lag and by speed.
+"""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from robot_sysid.errors import InputError
+from robot_sysid.records import Array
+from robot_sysid.records.traces import Traces
+from robot_sysid.report.statistics import autocorrelation, by_speed, histogram
+
+DATA_NAME = "report_data.npz"
+MOST = 2000
+"""Instants that are kept for drawing."""
+_VERSION = 1
+
+
+@dataclass(frozen=True)
+class ReportData:
+    """What a report draws of n joints.
+
+    Attributes:
+        joints: their names.
+        is_slide: (n,) whether a joint is a slide.
+        time: (K,) running on from log to log [s].
+        q, qd, measured, predicted, before, friction: (K, n), see ``records.traces.Traces``.
+        n_samples: how many instants there were.
+        edges, counts: (n, B + 1), (n, B) histogram of the residual [N m].
+        lags, correlation: (L,) [s], (n, L) autocorrelation of the residual.
+        independent: (n,) size of the correlation that noise alone exceeds in one lag of twenty.
+        speed: (n, S) middles of bins of speed [rad/s]; NaN where one is empty.
+        residual_mean, residual_spread: (n, S) of the residual in each bin [N m].
+        friction_measured, friction_predicted: (n, S) mean friction torque in each bin [N m].
+        lower, upper, velocity, torque: (n,) limits; infinite where there is none.
+        truth: (10,) what a simulated arm's link really is; empty where nobody knows.
+        result: hash of the JSON file that this belongs to.
+    """
+
+    joints: tuple[str, ...]
+    is_slide: tuple[bool, ...]
+    time: Array
+    q: Array
+    qd: Array
+    measured: Array
+    predicted: Array
+    before: Array
+    friction: Array
+    n_samples: int
+    edges: Array
+    counts: Array
+    lags: Array
+    correlation: Array
+    independent: Array
+    speed: Array
+    residual_mean: Array
+    residual_spread: Array
+    friction_measured: Array
+    friction_predicted: Array
+    lower: Array
+    upper: Array
+    velocity: Array
+    torque: Array
+    truth: Array
+    result: str = ""
+
+    def __post_init__(self) -> None:
+        n = len(self.joints)
+        for name in ("q", "qd", "measured", "predicted", "before", "friction"):
+            if np.shape(getattr(self, name)) != (len(self.time), n):
+                raise ValueError(f"{name} does not fit {n} joints and {len(self.time)} instants")
+        for name in ("counts", "correlation", "speed", "lower", "independent"):
+            if len(getattr(self, name)) != n:
+                raise ValueError(f"{name} does not fit {n} joints")
+        if len(self.truth) not in (0, 10):
+            raise ValueError("truth has no ten parameters")
+
+    @property
+    def step(self) -> int:
+        """Every which instant is drawn."""
+        return max(1, round(self.n_samples / max(len(self.time), 1)))
+
+    @property
+    def drawn(self) -> str:
+        """What of the data is drawn, in words; empty where it is all."""
+        if len(self.time) >= self.n_samples:
+            return ""
+        return f"drawn: {len(self.time)} of {self.n_samples} instants; statistics are of all"
+
+
+def report_data(traces: Traces, result: str = "") -> ReportData:
+    """Return what a report draws of some traces.
+
+    Args:
+        traces: they.
+        result: hash of the JSON file that they belong to.
+    """
+    count = len(traces.time)
+    kept = np.unique(np.linspace(0, count - 1, min(count, MOST)).round().astype(int))
+    residual, limits = traces.residual, traces.limits
+    time = _running_on(traces.time)
+    edges, counts = histogram(residual)
+    lags, correlation, independent = autocorrelation(time, residual)
+    speed, (mean, measured, predicted), spread = by_speed(
+        traces.qd, (residual, traces.friction + residual, traces.friction)
+    )
+    drawn: dict[str, Any] = {
+        name: np.asarray(getattr(traces, name)[kept], dtype=np.float32)
+        for name in ("q", "qd", "measured", "predicted", "before", "friction")
+    }
+    return ReportData(
+        joints=traces.joints,
+        is_slide=traces.is_slide,
+        time=time[kept],
+        **drawn,
+        n_samples=count,
+        edges=edges,
+        counts=counts,
+        lags=lags,
+        correlation=correlation,
+        independent=independent,
+        speed=speed,
+        residual_mean=mean,
+        residual_spread=spread,
+        friction_measured=measured,
+        friction_predicted=predicted,
+        lower=limits.lower,
+        upper=limits.upper,
+        velocity=limits.velocity,
+        torque=limits.torque,
+        truth=np.zeros(0) if traces.truth is None else traces.truth.theta,
+        result=result,
+    )
+
+
+def _running_on(time: Array) -> Array:
+    """Return the times (K,) of logs one after the other, a second apart [s]."""
+    steps = np.diff(time, prepend=time[:1])
+    return np.cumsum(np.where(steps < 0.0, 1.0, steps))
+
+
+def data_bytes(data: ReportData) -> bytes:
+    """Return the content of report_data.npz; the same for the same data."""
+    arrays = {each.name: np.asarray(getattr(data, each.name)) for each in fields(data)}
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, version=np.array(_VERSION), **arrays)  # type: ignore[arg-type]
+    return buffer.getvalue()
+
+
+def load_data(path: Path) -> ReportData:
+    """Return what was saved.
+
+    Raises:
+        InputError: the file is not there, or is not what this program writes.
+    """
+    remedy = "identify again with this version to have it written"
+    try:
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as saved:
+            content = dict(saved)
+    except FileNotFoundError:
+        raise InputError(f"there is no {path}; {remedy}") from None
+    except (OSError, ValueError, zipfile.BadZipFile, EOFError, KeyError) as error:
+        raise InputError(f"cannot read {path}: {error}; {remedy}") from None
+    version = content.pop("version", None)
+    if version is None or version.shape != () or version != _VERSION:
+        raise InputError(f"{path} was written by another version; {remedy}")
+    try:
+        return _restored(content)
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise InputError(f"{path} is damaged: {error}; {remedy}") from None
+
+
+def _restored(content: Mapping[str, Array]) -> ReportData:
+    values: dict[str, object] = {}
+    for each in fields(ReportData):
+        array = content[each.name]
+        values[each.name] = array
+        if each.name not in ("joints", "is_slide", "n_samples", "result"):
+            values[each.name] = np.asarray(array, dtype=float)
+    values["joints"] = tuple(str(name) for name in content["joints"])
+    values["is_slide"] = tuple(bool(slide) for slide in content["is_slide"])
+    values["n_samples"] = int(content["n_samples"])
+    values["result"] = str(content["result"])
+    return ReportData(**values)  # type: ignore[arg-type]

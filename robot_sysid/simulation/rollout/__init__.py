@@ -1,0 +1,1 @@
+"""Models that are played: many rollouts at a time, in MuJoCo."""

@@ -1,0 +1,205 @@
+"""An arm behind position servos: commanded positions in, motion out.
+
+    tau = clip(Kp (command(t - delay) - q) - kv qd, +-limit) - (D - kv) qd - friction
+
+D is the whole damping of a joint. How much of it the servo gives (kv) shows only where it is at
+its limit, so kv stays the model's, and is lowered where the whole damping is less. A command holds
+until the next one comes. A joint whose actuator the model does not have, or that has dynamics of
+its own, is pulled by a spring, and has no limit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.records import Array, RobotModel
+from robot_sysid.simulation.rollout.batch import Inputs, roll, rollout_copy
+
+_JOINT_KINDS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+NONE = -1
+
+
+@dataclass(frozen=True)
+class Servos:
+    """What drives each chain joint, and what the joint itself is like.
+
+    Attributes:
+        stiffness: (n,) Kp [N m/rad].
+        damping: (n,) D [N m s/rad].
+        frictionloss: (n,) [N m].
+        armature: (n,) rotor inertia [kg m^2].
+        delay: by which commands act late [s].
+    """
+
+    stiffness: Array
+    damping: Array
+    frictionloss: Array
+    armature: Array
+    delay: float
+
+    def vector(self) -> Array:
+        """Return all of it as one vector (4 n + 1,), the delay last."""
+        return np.concatenate([np.atleast_1d(getattr(self, each.name)) for each in fields(self)])
+
+    @staticmethod
+    def of(vector: Array) -> Servos:
+        """Return what a vector stands for."""
+        stiffness, damping, frictionloss, armature = np.split(vector[:-1], 4)
+        return Servos(stiffness, damping, frictionloss, armature, float(vector[-1]))
+
+
+@dataclass(frozen=True)
+class Actuators:
+    """The actuators of the chain joints, as the model has them, seen at the joint.
+
+    Attributes:
+        index: (n,) MuJoCo ids, ``NONE`` for none that a rollout can use.
+        gear: (n,) gear ratios.
+        stiffness, damping: (n,) Kp and kv of position actuators; NaN for other kinds.
+        limit: (n,) largest torque, infinite where the model names none [N m].
+    """
+
+    index: NDArray[np.int64]
+    gear: Array
+    stiffness: Array
+    damping: Array
+    limit: Array
+
+
+def actuators_of(robot: RobotModel) -> Actuators:
+    """Return what drives the chain; of several on a joint, the first that is a position servo."""
+    found = [_of_joint(robot.mj_model, int(joint)) for joint in _joints(robot)]
+    index, gear, stiffness, damping, limit = map(np.array, zip(*found))
+    limit = np.minimum(limit, robot.limits.torque)
+    return Actuators(index.astype(np.int64), gear, stiffness, damping, limit)
+
+
+def _joints(robot: RobotModel) -> NDArray[np.int64]:
+    return np.asarray(robot.mj_model.dof_jntid[robot.dof_index])
+
+
+def _of_joint(model: Any, joint: int) -> tuple[int, float, float, float, float]:
+    """Return (id, gear, Kp, kv, limit) of what drives a joint."""
+    own = [
+        a
+        for a in range(model.nu)
+        if int(model.actuator_trntype[a]) in _JOINT_KINDS
+        and int(model.actuator_trnid[a, 0]) == joint
+        and int(model.actuator_dyntype[a]) == int(mujoco.mjtDyn.mjDYN_NONE)
+        and model.actuator_gear[a, 0] != 0.0
+    ]
+    own.sort(key=lambda a: not _is_position(model, a))
+    if not own:
+        return NONE, 1.0, np.nan, np.nan, np.inf
+    first = own[0]
+    gear = float(model.actuator_gear[first, 0])
+    limit = np.inf
+    if model.actuator_forcelimited[first]:
+        limit = abs(gear) * float(np.max(np.abs(model.actuator_forcerange[first])))
+    if not _is_position(model, first):
+        return first, gear, np.nan, np.nan, limit
+    kp, kv = model.actuator_gainprm[first, 0], -model.actuator_biasprm[first, 2]
+    return first, gear, float(gear**2 * kp), float(gear**2 * kv), limit
+
+
+def _is_position(model: Any, actuator: int) -> bool:
+    """Tell whether an actuator's force is Kp (control - length) - kv speed."""
+    kp, bias = model.actuator_gainprm[actuator, 0], model.actuator_biasprm[actuator, :2]
+    fixed = int(model.actuator_gaintype[actuator]) == int(mujoco.mjtGain.mjGAIN_FIXED)
+    affine = int(model.actuator_biastype[actuator]) == int(mujoco.mjtBias.mjBIAS_AFFINE)
+    return bool(fixed and affine and kp > 0.0 and bias[0] == 0.0 and bias[1] == -kp)
+
+
+def servo_copy(robot: RobotModel, actuators: Actuators, servos: Servos, timestep: float) -> Any:
+    """Return a copy of an arm's model with these servos and joints, to be rolled out."""
+    model, dofs = rollout_copy(robot, timestep), robot.dof_index
+    model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
+    model.actuator_gaintype[:] = int(mujoco.mjtGain.mjGAIN_FIXED)
+    model.actuator_biastype[:] = int(mujoco.mjtBias.mjBIAS_AFFINE)
+    model.actuator_gainprm[:] = model.actuator_biasprm[:] = 0.0
+    model.actuator_ctrllimited[:] = 0
+    model.dof_armature[dofs], model.dof_frictionloss[dofs] = servos.armature, servos.frictionloss
+    kv = np.minimum(np.nan_to_num(actuators.damping), servos.damping)
+    driven = actuators.index != NONE
+    model.dof_damping[dofs] = servos.damping - np.where(driven, kv, 0.0)
+    at = actuators.index[driven]
+    model.actuator_gear[at] = 0.0
+    model.actuator_gear[at, 0] = 1.0
+    model.actuator_gainprm[at, 0] = servos.stiffness[driven]
+    model.actuator_biasprm[at, 1] = -servos.stiffness[driven]
+    model.actuator_biasprm[at, 2] = -kv[driven]
+    limit = actuators.limit[driven]
+    model.actuator_forcelimited[at] = np.isfinite(limit)
+    model.actuator_forcerange[at] = np.column_stack((-limit, limit))
+    joints = _joints(robot)[~driven]
+    model.jnt_stiffness[joints] += servos.stiffness[~driven]
+    return model
+
+
+@dataclass(frozen=True)
+class Window:
+    """Where a rollout starts, and the commands that drive it.
+
+    Attributes:
+        start: [s].
+        q, qd: (n,) state there.
+        time, command: (N,), (N, n) when each command was given [s], and what was asked [rad].
+    """
+
+    start: float
+    q: Array
+    qd: Array
+    time: Array
+    command: Array
+
+    def controls(self, delay: float, edges: Array) -> Array:
+        """Return (S, n) the mean commanded position of each step between S + 1 edges [s]."""
+        times = self.start + edges - delay
+        step = np.diff(self.time, append=self.time[-1] + 1.0)[:, None]
+        summed = np.vstack((np.zeros_like(self.q), np.cumsum(self.command * step, axis=0)))
+        knots = np.append(self.time, self.time[-1] + 1.0)
+        values = (
+            np.stack([np.interp(times, knots, column) for column in summed.T], axis=1)
+            + np.minimum(times - self.time[0], 0.0)[:, None] * self.command[0]
+        )
+        return np.asarray(np.diff(values, axis=0) / np.diff(edges)[:, None])
+
+
+def played_servos(
+    robot: RobotModel,
+    actuators: Actuators,
+    choices: Sequence[Servos],
+    windows: Sequence[Window],
+    edges: Array,
+) -> Array:
+    """Return positions (C, W, S + 1, n) of every choice of servos in every window.
+
+    Args:
+        robot: the arm.
+        actuators: what drives it.
+        choices: C servos and joints.
+        windows: W of them, all of one length.
+        edges: (S + 1,) ends of the steps, from the start of a window [s].
+    """
+    count, steps, joints = len(choices) * len(windows), len(edges) - 1, robot.n_joints
+    timestep = float(edges[1] - edges[0])
+    models = [servo_copy(robot, actuators, servos, timestep) for servos in choices]
+    pairs = [(servos, window) for servos in choices for window in windows]
+    control = np.stack([window.controls(servos.delay, edges) for servos, window in pairs])
+    q, qd = (np.stack([getattr(w, name) for _, w in pairs]) for name in ("q", "qd"))
+    driven = actuators.index != NONE
+    given = np.zeros((count, steps, robot.mj_model.nu))
+    given[:, :, actuators.index[driven]] = control[:, :, driven]
+    rest = np.array(robot.mj_model.qpos_spring[robot.qpos_index])
+    gains = np.stack([servos.stiffness * ~driven for servos, _ in pairs])
+    torque = gains[:, None] * (control - rest)
+    repeated = [model for model in models for _ in windows]
+    found = roll(robot, repeated, Inputs(q, qd, torque, given))
+    whole = np.concatenate((q[:, None], found), axis=1)
+    return whole.reshape(len(choices), len(windows), steps + 1, joints)

@@ -1,0 +1,43 @@
+"""Torque that the model does not explain, and torque that it need not explain."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from robot_sysid.checks.run import check_against_model
+from robot_sysid.records import Measurement
+from robot_sysid.simulator import ArmTorque
+from robot_sysid.trajectory import motion_chunks
+from tests.support import arms
+from tests.support.closed_loop_proof import excitation
+
+RATE = 200.0
+ROBOT = arms.robot_of(
+    arms.serial_arm(
+        (arms.Z, arms.Y, arms.Y, arms.X), joint='range="-2.5 2.5" frictionloss=".4" damping=".2"'
+    )
+)
+
+
+def log_that_creeps_to_rest(seed, push=0.0):
+    """A right log of a light arm with much dry friction, which acts until the very end.
+
+    ``push``: torque of something else on every joint for half a second, while it moves [N m].
+    """
+    motion = next(motion_chunks(excitation(ROBOT, seed, 12.0), RATE))
+    noise = np.random.default_rng(seed).normal(0.0, 0.05, motion.q.shape)
+    pushed = np.where((motion.time > 5.0) & (motion.time < 5.5), push, 0.0)[:, None]
+    tau = ArmTorque(ROBOT)(motion) + noise + pushed
+    return Measurement(motion.time, np.round(motion.q, 5), None, tau)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_dry_friction_at_rest_is_no_contact(seed):
+    assert check_against_model(ROBOT, [log_that_creeps_to_rest(seed)]) == ()
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_push_while_it_moves_still_is(seed):
+    found = check_against_model(ROBOT, [log_that_creeps_to_rest(seed, push=4.0)])
+    assert [each.name for each in found] == ["contact"]

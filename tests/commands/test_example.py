@@ -1,0 +1,79 @@
+"""The example is a copy that its printed commands walk through."""
+
+from __future__ import annotations
+
+import fnmatch
+import re
+import shlex
+
+import pytest
+
+from robot_sysid.cli import main
+from robot_sysid.commands import example
+from tests.support.command_line import CommandLine
+from tests.support.places import EXAMPLE, ROOT
+
+
+@pytest.fixture
+def command(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    return CommandLine(tmp_path, capsys)
+
+
+@pytest.fixture
+def unrecorded(monkeypatch):
+    """The log of the true arm takes a second to simulate."""
+    monkeypatch.setattr(example, "_record", lambda model, log: log.write_text("time\n"))
+
+
+def printed_commands(out: str) -> list[list[str]]:
+    return [shlex.split(line) for line in out.splitlines() if line.startswith("robot-sysid ")]
+
+
+@pytest.mark.usefixtures("unrecorded")
+def test_it_copies_the_example_and_names_files_that_are_there(command, tmp_path):
+    commands = printed_commands(command.run("example", "kinova").out)
+    assert [words[1] for words in commands[1:]] == ["identify", "payload"]
+    named = [word for words in commands for word in words if re.search(r"\.(xml|csv)$", word)]
+    assert len(named) == 6 and all((tmp_path / name).is_file() for name in named)
+    meshes = {path.name for path in (tmp_path / "kinova/model/meshes").iterdir()}
+    assert meshes == {path.name for path in (EXAMPLE / "model/meshes").iterdir()}
+
+
+@pytest.mark.usefixtures("unrecorded")
+def test_another_folder_is_named_in_the_commands(command, tmp_path):
+    out = command.run("example", "kinova", "--output-dir", "a/b").out
+    assert "robot-sysid a/b/model/kinova_fullinertia_guess.xml" in out
+    assert (tmp_path / "a/b/README.md").is_file()
+
+
+def test_nothing_that_is_there_is_overwritten(command, tmp_path):
+    (tmp_path / "kinova").mkdir()
+    assert "kinova exists; choose another folder" in command.refused("example", "kinova")
+    assert "invalid choice: 'ur5'" in command.refused("example", "ur5")
+
+
+def test_a_package_without_its_example_says_so(command, tmp_path, monkeypatch):
+    monkeypatch.setattr("robot_sysid.__file__", str(tmp_path / "lib" / "robot_sysid" / "x.py"))
+    assert "is not in this installation" in command.refused("example", "kinova")
+
+
+def test_the_wheel_carries_every_file_of_the_model():
+    patterns = re.findall(r'"(model/[^"]+)"', (ROOT / "setup.py").read_text(encoding="utf-8"))
+    files = [path for path in (EXAMPLE / "model").rglob("*") if path.is_file()]
+    names = [path.relative_to(EXAMPLE).as_posix() for path in files]
+    assert [n for n in names if not any(fnmatch.fnmatch(n, p) for p in patterns)] == []
+
+
+@pytest.mark.slow
+def test_the_printed_commands_work_when_pasted(command):
+    found = []
+    for words in printed_commands(command.run("example", "kinova").out):
+        assert main(words[1:]) == 0
+        found.append(command._capsys.readouterr().out)
+    assert "Mass: 0.789 kg" in found[0]
+    # The true arm's link weighs 1.517 kg, the block in its grip 0.306 kg.
+    mass, error = map(float, re.findall(r"  mass +[\d.]+ +([\d.]+) +([\d.]+)", found[1])[0])
+    assert abs(mass - 1.517) < 3.0 * error and error < 0.1 * mass
+    mass, error = map(float, re.findall(r"  mass +([\d.]+) +([\d.]+)  kg", found[2])[0])
+    assert abs(mass - 0.306) < 3.0 * error and error < 0.1 * mass

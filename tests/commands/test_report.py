@@ -1,0 +1,99 @@
+"""``--report`` and ``robot-sysid report``: results first, then the page, and what can go wrong."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+
+import pytest
+
+from robot_sysid.report import write
+from tests.support import arms
+
+RUN = ("--duration", "2", "--sample-rate", "100", "--seed", "1")
+
+
+@pytest.fixture
+def arm(arm_file):
+    return arm_file(arms.THREE)
+
+
+def without(monkeypatch, library):
+    found = importlib.util.find_spec
+    gone = lambda name, *rest: None if name == library else found(name, *rest)  # noqa: E731
+    monkeypatch.setattr(importlib.util, "find_spec", gone)
+
+
+@pytest.mark.parametrize("library", ["matplotlib", "jinja2"])
+def test_a_missing_library_is_said_before_the_run(command, arm, monkeypatch, library):
+    without(monkeypatch, library)
+    printed = command.run(arm, *RUN, "--report", code=2)
+    assert f"needs {library}" in printed.err and "pip install" in printed.err
+    assert "Loading" not in printed.out
+    assert "pip install" in command.run("report", arm.parent, code=2).err
+
+
+def test_a_report_that_fails_leaves_the_results(command, arm, monkeypatch):
+    def broken(*_, **__):
+        raise RuntimeError("ink is out")
+
+    monkeypatch.setattr(write, "write_report", broken)
+    printed = command.run(arm, *RUN, "--report", code=1)
+    assert "the results are written, but the report is not" in printed.err
+    assert "ink is out" in printed.err and "Results saved" in printed.out
+    assert (arm.parent / "sysid_output" / "updated_model.xml").is_file()
+
+
+def test_data_that_cannot_be_left_is_only_noted(command, arm, monkeypatch):
+    def broken(*_):
+        raise OSError("disk full")
+
+    monkeypatch.setattr(write, "save_data", broken)
+    printed = command.run(arm, "--plant-model", arm, *RUN, code=1)  # too short to be sure
+    assert "nothing was left for a later report" in printed.err and "disk full" in printed.err
+
+
+def test_without_the_option_nothing_is_drawn(command, arm):
+    command.run(arm, *RUN)
+    folder = arm.parent / "sysid_output"
+    assert {path.name for path in folder.iterdir()} == {"params.json", "updated_model.xml"}
+
+
+def test_measured_data_leaves_what_a_later_report_needs(command, arm):
+    command.run(arm, "--plant-model", arm, *RUN, code=1)  # too short to be sure
+    folder = arm.parent / "sysid_output"
+    assert (folder / "report_data.npz").is_file() and not (folder / "report.html").exists()
+
+
+@pytest.mark.slow
+def test_a_page_its_figures_and_a_comparison(command, arm):
+    printed = command.run(arm, "--plant-model", arm, *RUN, "--report", "--plots", code=1)
+    folder = arm.parent / "sysid_output"
+    assert "Report:" in printed.out and (folder / "report.html").is_file()
+    plots = sorted((folder / "plots").iterdir())
+    assert {path.suffix for path in plots} == {".png", ".svg"} and len(plots) > 20
+    assert all(b"<dc:date>" not in path.read_bytes() for path in plots)
+    before = (folder / "report.html").read_bytes()
+    assert "Written" in command.run("report", folder).out
+    assert (folder / "report.html").read_bytes() == before
+    command.run(arm, *RUN, "--output-dir", "second")
+    printed = command.run("report", folder, arm.parent / "second", "--output-dir", "both")
+    assert "comparison.html" in printed.out
+    text = (arm.parent / "both" / "comparison.html").read_text()
+    assert "sysid_output" in text and "second" in text
+
+
+def test_a_folder_that_holds_nothing_is_one_line(command, tmp_path):
+    printed = command.run("report", tmp_path, code=2)
+    assert "holds no result" in printed.err and printed.err.count("\n") == 1
+
+
+def test_a_plan_has_no_report(command, arm):
+    assert "--report" in command.run("plan", arm, "--report", code=2).err
+    assert "--plan-only stops before" in command.run(arm, "--plan-only", "--report", code=2).err
+
+
+def test_a_run_does_not_load_what_it_does_not_need(command, arm):
+    already = {"matplotlib", "jinja2"} & set(sys.modules)
+    command.run(arm, *RUN)
+    assert {"matplotlib", "jinja2"} & set(sys.modules) == already

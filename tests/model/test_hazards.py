@@ -1,0 +1,80 @@
+"""Model files that would hang or end the process, or eat the memory, are refused unread."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+import pytest
+
+from robot_sysid.errors import ModelError
+from robot_sysid.model.compilation import compile_model
+from tests.support import arms
+
+LEAF = '<body name="b"><geom size=".1"/></body>'
+
+
+def model(folder, name, assets="", bodies=LEAF):
+    path = folder / name
+    text = f"<mujoco><asset>{assets}</asset><worldbody>{bodies}</worldbody></mujoco>"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def attaching(folder, name, *files):
+    assets = "".join(f'<model name="m{k}" file="{file}"/>' for k, file in enumerate(files))
+    bodies = "".join(
+        f'<frame><attach model="m{k}" body="b" prefix="{name[0]}{k}"/></frame>'
+        for k in range(len(files))
+    )
+    return model(folder, name, assets, LEAF + bodies)
+
+
+@pytest.mark.parametrize("ring", [("a.xml",), ("a.xml", "c.xml"), ("a.xml", "c.xml", "d.xml")])
+def test_a_model_that_attaches_itself_is_refused(tmp_path, ring):
+    """MuJoCo ends the process over it."""
+    for name, following in zip(ring, (*ring[1:], ring[0])):
+        attaching(tmp_path, name, following)
+    with pytest.raises(ModelError, match="attaches itself by way of a.xml"):
+        compile_model(tmp_path / "a.xml")
+
+
+def test_a_model_may_be_attached_more_than_once(tmp_path):
+    model(tmp_path, "leaf.xml")
+    attaching(tmp_path, "c.xml", "leaf.xml")
+    attaching(tmp_path, "d.xml", "leaf.xml")
+    path = attaching(tmp_path, "a.xml", "c.xml", "d.xml")
+    assert compile_model(path).kind == "mjcf"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs named pipes")
+def test_a_mesh_that_is_a_pipe_is_refused(tmp_path):
+    os.mkfifo(tmp_path / "shape.stl")
+    path = model(tmp_path, "a.xml", '<mesh name="m" file="shape.stl"/>')
+    with pytest.raises(ModelError, match="shape.stl is not a file but a pipe"):
+        compile_model(path)
+
+
+@pytest.mark.parametrize(
+    "asset",
+    [
+        '<hfield name="h" nrow="100000" ncol="100000" size="1 1 1 1"/>',
+        '<texture name="t" type="2d" builtin="flat" width="90000" height="90000"/>',
+    ],
+)
+def test_a_huge_field_is_refused(tmp_path, asset):
+    with pytest.raises(ModelError, match="cells; at most"):
+        compile_model(model(tmp_path, "a.xml", asset))
+
+
+def test_a_field_of_no_number_is_left_to_mujoco(tmp_path):
+    asset = '<hfield name="h" nrow="many" ncol="2" size="1 1 1 1"/>'
+    with pytest.raises(ModelError, match="MuJoCo cannot compile"):
+        compile_model(model(tmp_path, "a.xml", asset))
+
+
+def test_gravity_that_no_planet_has_is_refused(tmp_path):
+    path = tmp_path / "a.xml"
+    path.write_text(arms.serial_arm((arms.Y,), option='gravity="0 0 -1e300"'), encoding="utf-8")
+    with pytest.raises(ModelError, match=r"a value no arm has \(gravity 1e\+300\)"):
+        compile_model(path)

@@ -1,0 +1,103 @@
+"""Films and pictures: what is drawn, and one clear line where nothing can be."""
+
+from __future__ import annotations
+
+import importlib.util
+
+import numpy as np
+import pytest
+
+from robot_sysid.errors import InputError
+from robot_sysid.preview import film, studio, viewer
+from robot_sysid.preview.options import film_path
+from tests.support import arms
+
+FLOOR = '<geom type="plane" size="1 1 .1" pos="0 0 -1"/>'
+RUN = ("--duration", "2", "--sample-rate", "100", "--seed", "1", "--excitation", "sines")
+drawing = pytest.mark.skipif(
+    importlib.util.find_spec("imageio") is None or studio.backend() is None,
+    reason="neither EGL nor OSMesa here",
+)
+
+
+@pytest.fixture
+def arm(arm_file):
+    return arm_file(arms.THREE)
+
+
+def test_a_film_has_a_name_that_players_know():
+    assert film_path("a.MP4").suffix == ".MP4"
+    with pytest.raises(InputError, match="no film"):
+        film_path("a.avi")
+
+
+def test_without_a_display_there_is_one_line_before_the_search(command, arm, monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(viewer.sys, "platform", "linux")
+    printed = command.run("plan", arm, *RUN, "--view", code=2)
+    assert "--video FILE.mp4 renders without one" in printed.err and "Loading" not in printed.out
+
+
+@pytest.mark.skipif(importlib.util.find_spec("imageio") is None, reason="imageio is not here")
+def test_without_a_renderer_or_a_library_there_is_one_line(command, arm, monkeypatch):
+    monkeypatch.setattr(film, "backend", lambda: None)
+    assert "neither EGL nor OSMesa" in command.run("plan", arm, "--video", "a.gif", code=2).err
+    found = importlib.util.find_spec
+    gone = lambda name, *rest: None if name == "imageio" else found(name, *rest)  # noqa: E731
+    monkeypatch.setattr(importlib.util, "find_spec", gone)
+    assert "pip install" in command.run("plan", arm, "--video", "a.gif", code=2).err
+
+
+def test_a_log_needs_its_model_to_be_shown(command, arm):
+    said = command.run("log", arm.parent / "log.csv", "--trajectory", "plan.json", code=2).err
+    assert "need the MODEL" in said
+
+
+def test_a_plan_says_that_there_is_no_floor(command, arm, arm_file):
+    assert "The model has no floor" in command.run("plan", arm, *RUN).out
+    kept = command.run("plan", arm, *RUN, "--keep-out", "0", "0", "1", "-1").out
+    floor = arm_file(arms.THREE.replace("<worldbody>", f"<worldbody>{FLOOR}"), "floor.xml")
+    assert "no floor" not in kept + command.run("plan", floor, *RUN).out
+
+
+def test_no_renderer_means_no_pictures_but_a_page(monkeypatch, link_run):
+    from robot_sysid.report.runs import load_run
+    from robot_sysid.report.sections.picture import picture
+
+    monkeypatch.setattr(studio, "backend", lambda: None)
+    assert "neither EGL nor OSMesa" in picture(load_run(link_run)).missing[0]
+
+
+# imageio's ffmpeg leaves its pipes to the garbage collector.
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@drawing
+@pytest.mark.slow
+@pytest.mark.parametrize("suffix", ["mp4", "gif"])
+def test_a_motion_becomes_a_film(command, arm, suffix):
+    import imageio.v2 as imageio
+
+    plan = command.run("plan", arm, *RUN, "--video", f"motion.{suffix}")
+    assert f"Film: motion.{suffix}" in plan.out
+    with imageio.get_reader(f"motion.{suffix}") as reader:
+        pictures = [np.asarray(each)[..., :3] for each in reader]
+    assert len(pictures) == pytest.approx(41 if suffix == "mp4" else 21, abs=1)
+    assert pictures[0].shape == (480, 1040, 3)
+    moved = np.abs(pictures[0][:, :640].astype(int) - pictures[len(pictures) // 2][:, :640])
+    assert np.max(moved) > 50  # the arm has moved, and is in the picture
+
+
+@drawing
+@pytest.mark.slow
+def test_a_ghost_is_drawn_and_an_impossible_body_is_told():
+    robot = arms.robot_of(arms.THREE)
+    with studio.Studio(robot, 320, 240) as opened:
+        opened.look_at_arm(robot.reference[None])
+        plain = opened.picture().astype(int)
+        assert np.all(plain[0, 0] > 240)
+        opened.pose(robot.reference)
+        theta = robot.prior.theta.copy()
+        assert opened.add_ellipsoid(robot.body_id, theta, film.GHOST)
+        assert np.max(np.abs(opened.picture().astype(int) - plain)) > 30
+        assert not opened.add_ellipsoid(robot.body_id, -theta, film.GHOST)

@@ -1,0 +1,87 @@
+"""Servos in rollouts: they are the model's own actuators where it has them, and springs else."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from robot_sysid.simulation.rollout.servo import (
+    NONE,
+    Servos,
+    Window,
+    actuators_of,
+    played_servos,
+)
+from tests.support.arms import robot_of
+from tests.support.servo_logs import SERVOS, TRUTH, XML, commanded
+
+EDGES = np.linspace(0.0, 1.0, 501)
+
+
+def window(seed=0):
+    time, command = commanded(4.0, seed)
+    return Window(1.0, command[50], np.zeros(2), time, command)
+
+
+def model_servos(robot, delay=0.0):
+    own, model = actuators_of(robot), robot.mj_model
+    return Servos(
+        own.stiffness,
+        model.dof_damping + own.damping,
+        np.array(model.dof_frictionloss),
+        np.array(model.dof_armature),
+        delay,
+    )
+
+
+def test_the_models_own_servos_move_it_as_mujoco_does():
+    robot, start = robot_of(XML), window()
+    played = played_servos(robot, actuators_of(robot), [model_servos(robot)], [start], EDGES)[0, 0]
+    model = mujoco.MjModel.from_xml_string(XML)
+    model.opt.integrator, model.opt.timestep = mujoco.mjtIntegrator.mjINT_IMPLICITFAST, 0.002
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    data = mujoco.MjData(model)
+    data.qpos[:] = start.q
+    for control in start.controls(0.0, EDGES):
+        data.ctrl[:] = control
+        mujoco.mj_step(model, data)
+    np.testing.assert_allclose(played[-1], data.qpos, atol=1e-7)
+
+
+def test_a_joint_without_actuator_is_pulled_by_a_spring_of_the_same_gain():
+    whole = robot_of(XML.replace(' forcerange="-60 60"', ""))
+    bare = robot_of(XML.replace(SERVOS, ""))
+    assert actuators_of(bare).index.tolist() == [NONE, NONE]
+    found = [
+        played_servos(robot, actuators_of(robot), [TRUTH], [window()], EDGES)[0, 0]
+        for robot in (whole, bare)
+    ]
+    np.testing.assert_allclose(found[0], found[1], atol=1e-6)
+
+
+def test_a_servo_pulls_no_harder_than_its_limit():
+    robot = robot_of(XML.replace("-60 60", "-1 1"))
+    assert actuators_of(robot).limit.tolist() == [1.0, np.inf]
+    strong, weak = (
+        played_servos(r, actuators_of(r), [TRUTH], [window()], EDGES)[0, 0]
+        for r in (robot_of(XML), robot)
+    )
+    assert np.ptp(weak[:, 0]) < 0.7 * np.ptp(strong[:, 0])
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.013, 0.05])
+def test_commands_act_late_and_hold_until_the_next(delay):
+    start = window()
+    control = start.controls(delay, EDGES)
+    middle = start.start + 0.5 * (EDGES[1:] + EDGES[:-1]) - delay
+    held = start.command[np.searchsorted(start.time, middle, side="right") - 1]
+    # Steps in which a command changes hold a mean of both.
+    same = np.isclose(control, held).all(axis=1)
+    assert same.mean() > 0.85
+    mean = start.controls(delay, np.array([0.0, 1.0]))[0]
+    np.testing.assert_allclose(control.mean(axis=0), mean, atol=1e-12)
+
+
+def test_a_geared_actuator_is_seen_at_the_joint():
+    robot = robot_of(XML.replace('kp="100"', 'kp="100" gear="2"'))
+    own = actuators_of(robot)
+    assert own.stiffness[0] == 400.0 and own.damping[0] == 8.0 and own.limit[0] == 120.0

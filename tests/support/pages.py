@@ -1,0 +1,130 @@
+"""The commands and Python blocks of the pages, and a folder with the files that they name."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+
+from robot_sysid.cli import main
+from robot_sysid.records import Measurement
+from tests.support import arms, recorded
+from tests.support.places import ROOT
+
+PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md"), ROOT / "examples/kinova/README.md"])
+ELSEWHERE = (
+    "pip",
+    "git",
+    "cd",
+    "conda",
+    "sudo",
+    "ros2",
+    "pytest",
+    "ruff",
+    "python",
+    "mkdocs",
+    "nc",
+)
+"""Beginnings of lines that are not this tool's commands; scripts have tests of their own."""
+AXES = (arms.Z, arms.Y, arms.Y, arms.X)
+ARM = {
+    "joint": 'range="-2.5 2.5" frictionloss=".4" damping=".2"',
+    "tip_inertial": '<inertial pos=".03 .05 .1" mass="4" diaginertia=".03 .04 .02"/>',
+}
+"""Most of it is the terminal link, so that one log tells its mass without knowing the others."""
+MODEL = {
+    "joint": 'range="-2.5 2.5" frictionloss=".2" damping=".1"',
+    "tip_inertial": '<inertial pos=".02 .04 .1" mass="3.5" diaginertia=".02 .03 .02"/>',
+}
+"""What the arm's model says instead."""
+WEIGHT = "2.000"
+"""Mass of the payload [kg], the one that docs/payload.md calls known."""
+_BLOCK = re.compile(r"^```(bash|python)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+_SECONDS, _RATE = "12", "200"
+
+
+def blocks(page: Path) -> list[tuple[str, str]]:
+    """Return (language, text) of a page's blocks that can be run, in their order."""
+    return [(found[1], found[2]) for found in _BLOCK.finditer(page.read_text(encoding="utf-8"))]
+
+
+def command_lines(block: str) -> list[list[str]]:
+    """Return the words of each line of a block, continued lines joined, comments gone."""
+    lines = block.replace("\\\n", " ").splitlines()
+    return [words for line in lines if (words := shlex.split(line, comments=True))]
+
+
+def make_workshop(folder: Path) -> None:
+    """Write the models and logs that the pages speak of."""
+    (folder / "examples").symlink_to(ROOT / "examples")
+    make_models(folder)
+    for number, log in enumerate(("a", "d", "log1", "log2", "log3", "log")):
+        _record(folder, "truth.xml", f"{log}.csv", number)
+    for number, log in enumerate(("b", "c")):
+        _record(folder, "loaded.xml", f"{log}.csv", 10 + number)
+    _recorded_poses(folder)
+    _run(folder, *_basic(folder), "--export-damiao", *["--motor-type", "DM8009"] * 4)
+    for path in (folder / "made").glob("damiao*.csv"):
+        path.rename(folder / path.name)
+
+
+def add_recordings(folder: Path) -> None:
+    """Write log.csv again as the ROS bag and the xArm report that a page speaks of."""
+    titles = [f"joint{k}" for k in range(len(AXES))]
+    time, *values = np.loadtxt(folder / "log.csv", delimiter=",", skiprows=1, unpack=True)
+    q, tau = np.transpose(values[: len(AXES)]), np.transpose(values[len(AXES) :])
+    unused = ((0, 0), (0, 7 - len(AXES)))
+    rows = zip(1e5 + time, np.pad(q, unused), np.pad(tau, unused))
+    report = (recorded.xarm_record(when, at, 0.0 * at, by, 0.5 * by) for when, at, by in rows)
+    (folder / "run1.bin").write_bytes(b"".join(report))
+    data, store = Measurement(time, q, np.zeros_like(q), tau), recorded.typestore()
+    messages = recorded.shuffled_states(store.types, data, titles)
+    topics = [("/joint_states", recorded.STATE, messages)]
+    recorded.write_bag2(folder / "run1.mcap", topics, store, "MCAP")
+
+
+def make_models(folder: Path) -> None:
+    """Write the true arm, alone and with a weight, under the names of the pages."""
+    load = f'<body pos="0 0 .1"><inertial pos="0 .02 .03" mass="{WEIGHT}" '
+    load += 'diaginertia=".004 .005 .003"/></body>'
+    truth = arms.serial_arm(AXES, **ARM)
+    texts = {"truth.xml": truth, "loaded.xml": arms.serial_arm(AXES, tip=load, **ARM)}
+    model = arms.serial_arm(AXES, **MODEL)
+    names = ("my_arm.xml", "arm.xml", "guess.xml", "MODEL.xml", "xarm7.xml")
+    texts.update(dict.fromkeys(names, model))
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+
+
+def _basic(folder: Path) -> tuple[str, ...]:
+    made = str(folder / "made")
+    return ("my_arm.xml", "--duration", _SECONDS, "--sample-rate", _RATE, "--output-dir", made)
+
+
+def _record(folder: Path, plant: str, log: str, seed: int) -> None:
+    sensors = ("--noise-torque", ".05", "--encoder-resolution", "1e-5", "--seed", str(seed))
+    played = ("--plant-model", plant, "--save-measurements", log)
+    _run(folder, *_basic(folder), *played, *sensors)
+
+
+def _recorded_poses(folder: Path) -> None:
+    _run(
+        folder,
+        "plan",
+        "my_arm.xml",
+        "--for",
+        "payload",
+        "--static",
+        "--save-trajectory",
+        "poses.json",
+    )
+    for plant, log in (("truth.xml", "poses_empty.csv"), ("loaded.xml", "poses_loaded.csv")):
+        sensors = ("--noise-torque", ".05", "--sample-rate", "50", "--output-dir", "made")
+        motion = ("--trajectory", "poses.json", "--plant-model", plant, "--save-measurements", log)
+        _run(folder, "my_arm.xml", *motion, *sensors)
+
+
+def _run(folder: Path, *words: str) -> None:
+    assert main([*words, "--quiet"]) in (0, 1), words

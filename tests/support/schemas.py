@@ -1,0 +1,32 @@
+"""Result files against the schemas that are shipped."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import jsonschema
+
+from tests.support.places import ROOT
+
+SCHEMAS = ROOT / "robot_sysid" / "schemas"
+
+
+def schema(name: str) -> dict:
+    """Return a schema: params, payload or arm."""
+    found: dict = json.loads((SCHEMAS / f"{name}.schema.json").read_text(encoding="utf-8"))
+    return found
+
+
+def check(path: Path) -> None:
+    """Raise jsonschema's error where a result file is not what its schema says."""
+    content = json.loads(path.read_text(encoding="utf-8"))
+    name = "arm" if path.name == "arm.json" else content.get("command", "params")
+    jsonschema.validate(content, schema(name), jsonschema.Draft202012Validator)
+
+
+def check_results(folder: Path) -> None:
+    """Check every result file below a folder."""
+    for name in ("params.json", "arm.json"):
+        for path in folder.glob(f"*/{name}"):
+            check(path)

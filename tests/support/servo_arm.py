@@ -1,0 +1,107 @@
+"""An arm behind position servos that is not made by what is tested: its own steps and friction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from robot_sysid.records import JointFriction
+from robot_sysid.records.arm import RobotModel
+from robot_sysid.simulation.rollout.servo import actuators_of
+from robot_sysid.simulation.stepper import ArmStepper
+
+TICK = 1e-3
+
+
+@dataclass(frozen=True)
+class ServoArm:
+    """What an arm is really like.
+
+    Attributes:
+        robot: its links.
+        stiffness, damping, coulomb, armature: (n,) of its servos and joints together.
+        servo_damping: (n,) part of the damping that the servo gives.
+        delay: of the commands [s].
+        limit: (n,) largest torque.
+    """
+
+    robot: RobotModel
+    stiffness: np.ndarray
+    damping: np.ndarray
+    servo_damping: np.ndarray
+    coulomb: np.ndarray
+    armature: np.ndarray
+    delay: float
+    limit: np.ndarray
+
+    def play(self, time, command):
+        """Positions (N, n) at the times (N,) at which commands (N, n) are given, from rest."""
+        friction = JointFriction(self.coulomb, np.zeros(len(self.coulomb)))
+        model = self.robot.mj_model.__copy__()
+        model.dof_armature[self.robot.dof_index] = self.armature
+        arm = ArmStepper(
+            replace(self.robot, mj_model=model, friction=friction), command[0].copy(), TICK / 2
+        )
+        positions = np.empty_like(command)
+        ticks = np.round(time / TICK).astype(int)
+        late = np.round((time + self.delay) / TICK).astype(int)
+        at, asked = -1, command[0]
+        for tick in range(ticks[-1] + 1):
+            sample = np.searchsorted(ticks, tick)
+            if ticks[sample] == tick:
+                positions[sample] = arm.q
+            while at + 1 < len(late) and late[at + 1] <= tick:
+                at += 1
+                asked = command[at]
+            for _ in range(2):
+                pull = self.stiffness * (asked - arm.q)
+                asks = pull - self.servo_damping * arm.qd
+                free = np.abs(asks) <= self.limit
+                torque = np.where(free, pull, np.sign(asks) * self.limit)
+                arm.step(torque, self.damping - np.where(free, 0.0, self.servo_damping))
+        return positions
+
+
+def other_than(robot, rng, gain=(0.4, 0.8), friction=(1.5, 3.0), armature=(0.4, 0.8), delay=0.02):
+    """An arm whose servos and joints are not those of its model."""
+    n, dofs = robot.n_joints, robot.dof_index
+    own = actuators_of(robot)
+    factor = rng.uniform(*gain, n)
+    damping = robot.mj_model.dof_damping[dofs] + np.nan_to_num(own.damping)
+    return ServoArm(
+        robot,
+        rng.uniform(*gain, n) * np.nan_to_num(own.stiffness, nan=50.0),
+        factor * damping,
+        factor * np.nan_to_num(own.damping),
+        rng.uniform(*friction, n) * robot.mj_model.dof_frictionloss[dofs],
+        rng.uniform(*armature, n) * robot.mj_model.dof_armature[dofs],
+        delay,
+        own.limit,
+    )
+
+
+def commands(robot, rng, seconds=40.0, rate=50.0, amplitude=0.5):
+    """(time (N,), command (N, n)): sums of sines and steps within the joints' limits."""
+    time = np.arange(round(seconds * rate)) / rate
+    lower, upper = np.maximum(robot.limits.lower, -1.5), np.minimum(robot.limits.upper, 1.5)
+    middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
+    command = np.zeros((len(time), robot.n_joints))
+    for joint in range(robot.n_joints):
+        for often in rng.uniform(0.1, 0.8, 4):
+            size = 0.5 * amplitude * half[joint] * min(1.0, 0.25 / often)
+            command[:, joint] += size * np.sin(2.0 * np.pi * (often * time + rng.uniform()))
+        jumps = (rng.uniform(size=len(time)) < 1.0 / rate) * rng.uniform(-0.3, 0.3, len(time))
+        command[:, joint] += np.clip(np.cumsum(jumps), -0.3, 0.3) * half[joint]
+    fade = np.clip(np.minimum(time, time[-1] - time) / 1.0, 0.0, 1.0)[:, None]
+    return time, middle + fade * fade * (3.0 - 2.0 * fade) * command
+
+
+def write_log(path, arm, time, command, step):
+    """Play commands in steps of an encoder and write what LeRobot would: action and position."""
+    sent = step * np.round(command / step)
+    measured = step * np.round(arm.play(time, sent) / step)
+    names = arm.robot.joint_names
+    titles = ["time", *(f"{n}.pos" for n in names), *(f"action {n}.pos" for n in names)]
+    rows = np.column_stack((time, measured, sent))
+    np.savetxt(path, rows, "%.9g", ",", header=",".join(titles), comments="")

@@ -1,0 +1,59 @@
+"""Short logs of a small arm behind servos, for tests."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from robot_sysid.simulation.rollout.servo import Servos, Window, actuators_of, played_servos
+from tests.support.arms import Y, Z, serial_arm
+
+RATE = 50.0
+JOINT = 'range="-2.5 2.5" armature=".05" damping="1" frictionloss=".3"'
+SERVOS = (
+    '<actuator><position name="a" joint="joint0" kp="100" kv="2" forcerange="-60 60"/>'
+    '<general name="b" joint="joint1" gainprm="80" biastype="affine" biasprm="0 -80 -1"/>'
+    "</actuator>"
+)
+XML = serial_arm((Z, Y), joint=JOINT, extra=SERVOS)
+
+
+TRUTH = Servos(
+    np.array([60.0, 110.0]),
+    np.array([4.0, 5.0]),
+    np.array([0.9, 0.6]),
+    np.array([0.2, 0.1]),
+    0.03,
+)
+"""What the arm behind the logs is like."""
+
+
+def commanded(seconds=14.0, seed=0):
+    """(time (N,), command (N, 2)) of sines and steps, on steps of 1 mrad."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(round(seconds * RATE)) / RATE
+    slow = 0.4 * np.sin(2.0 * np.pi * np.outer(time, [0.31, 0.43]) + rng.uniform(0.0, 6.0, 2))
+    steps = np.repeat(rng.uniform(-0.3, 0.3, (len(time) // 40 + 1, 2)), 40, axis=0)[: len(time)]
+    return time, np.round(slow + steps, 3)
+
+
+def positions(robot, time, command):
+    """What an encoder of 1 mrad reads of the true arm."""
+    start = Window(float(time[0]), command[0], 0.0 * command[0], time, command)
+    edges = np.linspace(0.0, time[-1] - time[0], 10 * (len(time) - 1) + 1)
+    q = played_servos(robot, actuators_of(robot), [TRUTH], [start], edges)[0, 0]
+    return np.round(q[::10], 3)
+
+
+def write(path, time, q, command, title="action {}.pos"):
+    """Write a log with commands."""
+    names = [f"joint{k}" for k in range(q.shape[1])]
+    titles = ["time", *(f"{n}.pos" for n in names), *(title.format(n) for n in names)]
+    np.savetxt(
+        path,
+        np.column_stack((time, q, command)),
+        "%.9g",
+        ",",
+        header=",".join(titles),
+        comments="",
+    )
+    return path

@@ -1,0 +1,61 @@
+"""Every command and every Python block of the pages runs, in its order, on files of those names."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from robot_sysid.cli import main
+from tests.support import pages, schemas
+
+pytestmark = pytest.mark.slow
+
+QUICKLY = ["--excitation-time-budget", "1"]
+"""Ends a search early; what it finds is the business of other tests."""
+
+
+@pytest.fixture(scope="module")
+def workshop(tmp_path_factory):
+    """A folder with the files that the pages name, made by the commands themselves."""
+    folder = tmp_path_factory.mktemp("workshop")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        pages.make_workshop(folder)
+    return folder
+
+
+WITH_BLOCKS = [page for page in pages.PAGES if pages.blocks(page)]
+
+
+@pytest.mark.parametrize("page", WITH_BLOCKS, ids=lambda page: page.name)
+def test_what_a_page_says_to_type_works(page, workshop, tmp_path, monkeypatch, capsys):
+    folder = tmp_path / "tour"
+    shutil.copytree(workshop, folder, symlinks=True)
+    monkeypatch.chdir(folder)
+    if "run1.mcap" in page.read_text(encoding="utf-8"):
+        pytest.importorskip("rosbags")
+        pages.add_recordings(folder)
+    for language, block in pages.blocks(page):
+        if language == "python":
+            exec(compile(block, str(page), "exec"), {})  # the page is ours
+            continue
+        for words in pages.command_lines(block):
+            if words[0] not in pages.ELSEWHERE and "[options]" not in words:
+                assert words[0] == "robot-sysid", words
+                runs(words[1:], capsys)
+
+
+def runs(words, capsys):
+    """A command ends well; one that needs a bus says that there is none."""
+    searches = words[0] == "plan" or "optimal" in words
+    hurry = QUICKLY if searches and "--static" not in words else []
+    capsys.readouterr()
+    code = main([*words, *hurry])
+    said = capsys.readouterr().err
+    if "can0" in words:
+        assert (code in (2, 3), "can0" in said) == (True, True), (words, said)
+    else:
+        assert code == 0, (words, said)
+        schemas.check_results(Path())
