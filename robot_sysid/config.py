@@ -126,6 +126,8 @@ class MotorOptions(OptionRecord):
 NEEDS = {
     "motion": "is about a trajectory; a log brings its own motion",
     "new motion": "is about a new trajectory; a log or --trajectory brings its own",
+    "draw": "has nothing to draw: logs, --trajectory and --for friction bring their own motion, "
+    "and no noise is simulated",
     "design": "is about a designed trajectory; add --excitation optimal",
     "estimate": "is about an estimate; --plan-only stops before it",
     "friction": "is about identified friction; add --measurements or --plant-model, without "
@@ -245,9 +247,11 @@ class SysidConfig:
         log, plan_only = bool(self.log.measurements), self.trajectory.plan_only
         plant = self.arm.plant_model is not None
         optimal = self.excitation.kind == "optimal"
+        fixed = self.trajectory.file is not None or self.poses.purpose == "friction"
         return {
             "motion": not log,
             "new motion": not log and self.trajectory.file is None,
+            "draw": not log and not fixed or plant and self.arm.is_noisy,
             "design": optimal,
             "estimate": not plan_only,
             "friction": self.is_measured and not plan_only and not self.estimation.no_friction,

@@ -63,6 +63,9 @@ class PayloadConfig:
         else:
             for given in given_options(self.log):
                 raise InputError(f"{given.flag} describes logs; give --empty and --loaded")
+        fixed = self.trajectory.file is not None and not self.arm.is_noisy
+        if fixed and self.trajectory.seed is not None:
+            raise InputError(f"--seed {NEEDS['draw']}")
         for given in given_options(self.excitation):
             if given.needs == "design" and self.excitation.kind != "optimal":
                 raise InputError(f"{given.flag} {NEEDS['design']}")

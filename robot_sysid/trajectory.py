@@ -72,6 +72,7 @@ class TrajectoryOptions(OptionRecord):
         parse=whole_number,
         check=not_negative,
         usual="a fresh one",
+        needs="draw",
     )
     speed: float = option(
         1.0,

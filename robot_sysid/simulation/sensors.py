@@ -94,6 +94,11 @@ class SimulatedArmOptions(OptionRecord):
         """Whether positions come through unchanged."""
         return not np.any(self.noise_position) and self.encoder_resolution == 0.0
 
+    @property
+    def is_noisy(self) -> bool:
+        """Whether anything of what the sensors report is drawn at random."""
+        return bool(np.any(self.noise_torque) or np.any(self.noise_position))
+
 
 class Sensors:
     """Reads exact measurements the way imperfect sensors would, chunk by chunk.

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.commands import payload as module
+from robot_sysid.config import NEEDS
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.model.inertia import composite_theta
 from robot_sysid.payload_config import PayloadConfig
@@ -118,3 +119,12 @@ def test_a_known_mass_gives_a_file_of_torque_scales(command, models):
 )
 def test_what_is_missing_is_said_before_any_work(command, models, arguments, words):
     assert words in command.run("payload", models[0], *arguments, code=2).err
+
+
+def test_a_seed_that_draws_nothing_is_refused(command, models):
+    noisy = simulated(models)
+    quiet = (*noisy[: noisy.index("--noise-torque")], "--trajectory", "plan.json")
+    message = command.refused("payload", *quiet)
+    assert f"--seed {NEEDS['draw']}" in message
+    # With noise the seed counts, so that the missing file is what is wrong.
+    assert "plan.json" in command.refused("payload", *quiet, "--noise-torque", "0.02")

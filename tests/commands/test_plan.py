@@ -23,7 +23,7 @@ def test_it_takes_what_a_trajectory_needs_and_nothing_of_an_estimate():
     assert {sample.option.key for sample in SAMPLES} == TAKEN - {"view", "video"}
     needs = {sample.option.needs for sample in SAMPLES}
     of_plans = {"plan", "payload plan", "static plan"}
-    of_motions = {"", "motion", "new motion", "design", "plant or plan", "motors"}
+    of_motions = {"", "motion", "new motion", "draw", "design", "plant or plan", "motors"}
     assert needs == of_motions | of_plans
     assert not {"measurements", "method", "plant_model", "cutoff", "plan_only"} & TAKEN
 
@@ -149,8 +149,8 @@ def test_motions_for_friction_and_for_an_arm_can_be_saved_exported_and_checked_a
     command, arm_file, purpose
 ):
     path = arm_file(arms.serial_arm((arms.Z, arms.Y)))
-    budget = ("--excitation-time-budget", "0.05") if purpose == "arm" else ()
-    printed = command.run("plan", path, "--for", purpose, "--seed", "1", *budget, *export(2))
+    drawn = ("--excitation-time-budget", "0.05", "--seed", "1") if purpose == "arm" else ()
+    printed = command.run("plan", path, "--for", purpose, *drawn, *export(2))
     assert "Peaks (share of limit):" in printed.out
     folder = path.parent / "sysid_output"
     assert (folder / "damiao_trajectory.csv").exists()

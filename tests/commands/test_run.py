@@ -21,7 +21,8 @@ from tests.support.option_samples import MET, MOTORS
 from tests.support.places import GUESS, MODELS
 
 SAMPLES = list(option_samples.samples())
-SHORT = ("--duration", "3", "--sample-rate", "100", "--seed", "1")
+RATE = ("--sample-rate", "100")
+SHORT = ("--duration", "3", *RATE, "--seed", "1")
 JOINTS = 4
 
 
@@ -90,7 +91,7 @@ def test_where_a_limit_is_broken_nothing_is_played_written_or_called_good(
         raise AssertionError("simulated although it breaks a limit")
 
     monkeypatch.setattr(ForwardPlant, "step", played)
-    short = SHORT[2:] if "plan.json" in CHECKED[case] else SHORT
+    short = RATE if "plan.json" in CHECKED[case] else SHORT
     code = 1 if "--plan-only" in CHECKED[case] else 2
     assert "it breaks the law" in command.refused(bare, *short, *CHECKED[case], code=code)
 
@@ -109,7 +110,6 @@ BROKEN = {
     "workspace": ("--workspace", "-0.13", "0.13", "-0.13", "0.13", "1", "2"),
     "keep out": ("--keep-out", "1", "0", "0", "-0.09"),
 }
-RATE = ("--sample-rate", "100")
 
 
 @pytest.mark.parametrize("case", BROKEN)

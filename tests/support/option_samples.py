@@ -23,6 +23,8 @@ OPTIMAL = {"excitation": "optimal"}
 FILE = {"trajectory": Path("saved.json")}
 PAYLOAD = {**PLAN, "for": "payload"}
 STATIC = {**PAYLOAD, "static": True}
+SWEEPS = {**PLAN, "for": "friction"}
+NOISY_FILE = {**FILE, **PLANT, "noise_torque": 0.1}
 MOTORS = {"export_damiao": True, "motor_type": ("DM4340",)}
 
 # Need -> options with which it is met, and options with which it is not; {} stands for none.
@@ -30,6 +32,7 @@ MET: dict[str, tuple[dict[str, Any], ...]] = {
     "": ({},),
     "motion": ({}, PLANT, PLAN, FILE),
     "new motion": ({}, PLANT, PLAN, OPTIMAL),
+    "draw": ({}, PLANT, PLAN, OPTIMAL, STATIC, NOISY_FILE),
     "design": (OPTIMAL, {**OPTIMAL, **PLAN}, {**OPTIMAL, **PLANT}),
     "estimate": ({}, PLANT, LOG),
     "friction": (PLANT, LOG),
@@ -46,6 +49,7 @@ MET: dict[str, tuple[dict[str, Any], ...]] = {
 UNMET: dict[str, tuple[dict[str, Any], ...]] = {
     "motion": (LOG,),
     "new motion": (LOG, FILE),
+    "draw": (LOG, FILE, {**FILE, **PLANT}, {**FILE, **PLAN}, SWEEPS),
     "design": ({}, PLANT, PLAN),
     "estimate": (PLAN,),
     "friction": ({}, OPTIMAL, PLAN, {**LOG, "no_friction": True}),
