@@ -252,23 +252,32 @@ def write_model(
     robot: RobotModel, keep_friction: bool, found: ArmIdentification, target: ModelTarget
 ) -> tuple[str, ...]:
     """Write the draft of the updated model and return its notes."""
-    joints, estimate = _joint_changes(found, keep_friction), found.estimate
+    joints, estimate = _joint_changes(robot, found, keep_friction), found.estimate
     return write_links(robot, estimate.thetas, target, joints, estimate.theta_errors)
 
 
-def _joint_changes(found: ArmIdentification, keep_friction: bool) -> list[JointChange]:
+def _joint_changes(
+    robot: RobotModel, found: ArmIdentification, keep_friction: bool
+) -> list[JointChange]:
     """Return what the joints of the model get: what the data proves."""
+    own = robot.friction.viscous.tolist()
     return [
-        _joint_change(joint, held, keep_friction) for joint, held in found.model_friction.items()
+        _joint_change(joint, held, keep_friction, viscous)
+        for (joint, held), viscous in zip(found.model_friction.items(), own)
     ]
 
 
-def _joint_change(joint: str, held: HeldFriction, keep_friction: bool) -> JointChange:
+def _joint_change(
+    joint: str, held: HeldFriction, keep_friction: bool, own_viscous: float
+) -> JointChange:
     terms = ("armature",) if keep_friction else ("armature", "viscous", "coulomb")
     numbers = {_IN_MJCF[term]: held.written(term) for term in terms}
     polynomial = None
     if not keep_friction and "cubic" in held.values:
         polynomial = (held.values["quadratic"], held.values["cubic"])
+        # One attribute holds all three numbers, so that the one that stays is written again.
+        if numbers["damping"] is None:
+            numbers["damping"] = own_viscous
     words = [
         f"{_IN_MJCF[term]} {held.words(term)}" for term in terms if held.written(term) is not None
     ]
