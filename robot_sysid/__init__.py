@@ -12,7 +12,10 @@ from types import ModuleType
 from typing import Any
 
 __version__ = "0.1.0"
-FACE = ("identify", "identify_arm", "load_robot_model", "payload", "plan", "read_log")
+FACE = (
+    *("identify", "identify_arm", "identify_from", "information", "load_robot_model"),
+    *("payload", "plan", "read_log"),
+)
 """The functions for Python programs, in ``robot_sysid.api``; typed in ``__init__.pyi``."""
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.autocorrelation import collect_residuals
+from robot_sysid.estimation.autocorrelation import JointResiduals, collect_residuals
 from robot_sysid.estimation.consistency import consistent_least_squares
 from robot_sysid.estimation.identifiability import N_INERTIAL, analyse_identifiability
 from robot_sysid.estimation.information import joint_rmse, restricted, sample_counts
@@ -45,6 +45,7 @@ def identify_parameters(
     samples: SampleSource | None = None,
     nuisances: Sequence[NuisanceGroup] = (),
     inflation: Array | None = None,
+    residuals: Sequence[JointResiduals] | None = None,
 ) -> Estimate:
     """Estimate all parameters; what the data cannot see keeps the prior's value.
 
@@ -58,6 +59,7 @@ def identify_parameters(
         nuisances: what is known beforehand of the last parameters.
         inflation: (joints,) by how much less than independent samples each joint's count, see
             ``signals.repetition``; None for no less.
+        residuals: what a pass over the samples left, in place of the samples.
 
     Raises:
         InputError: the method is unknown, or it is "robust" and there are no samples.
@@ -68,17 +70,16 @@ def identify_parameters(
     equations = _weighed(information, prior, method, samples, fewer)
     values, constrained = solve(equations, prior, chosen)
     n_nuisances = sum(len(group.names) for group in nuisances)
-    interest = information.names[: len(information.names) - n_nuisances]
-    identifiability = analyse_identifiability(restricted(information, interest))
-    errors, effective = _errors(information, equations, values, samples, fewer)
-    squared = float(np.sum(information.squared_residuals(values)))
+    identifiability = _identifiability(information, n_nuisances)
+    left = residuals if samples is None else _residuals(information, equations, values, samples)
+    errors, effective = _errors(information, equations, left, fewer)
     counts = {joint.joint: joint.n_samples for joint in information.joints}
     noise = dict(zip(counts, (equations.noise / np.sqrt(fewer)).tolist()))
     return Estimate(
         names=information.names,
         values=values,
         identifiability=identifiability,
-        rmse=math.sqrt(squared / max(information.n_samples, 1)),
+        rmse=_rmse(information, values),
         rmse_per_joint=dict(zip(counts, joint_rmse(information, values).tolist())),
         status=judge(values, identifiability, errors.standard_errors),
         method=method,
@@ -93,6 +94,16 @@ def identify_parameters(
         constrained=constrained,
         n_nuisances=n_nuisances,
     )
+
+
+def _rmse(information: SquareRootInformation, values: Array) -> float:
+    squared = float(np.sum(information.squared_residuals(values)))
+    return math.sqrt(squared / max(information.n_samples, 1))
+
+
+def _identifiability(information: SquareRootInformation, n_nuisances: int) -> Identifiability:
+    interest = information.names[: len(information.names) - n_nuisances]
+    return analyse_identifiability(restricted(information, interest))
 
 
 def _weighed(
@@ -150,20 +161,28 @@ def judge(values: Array, identifiability: Identifiability, errors: Array) -> Sta
 def _errors(
     information: SquareRootInformation,
     equations: WeightedEquations,
-    values: Array,
-    samples: SampleSource | None,
+    residuals: Sequence[JointResiduals] | None,
     inflation: Array,
 ) -> tuple[Uncertainty, list[float]]:
     """Return (uncertainty, effective number of samples per joint)."""
     weights = 1.0 / equations.noise
-    if samples is None:
+    if residuals is None:
         counts = (sample_counts(information) / inflation).tolist()
         return white_uncertainty(information, weights, equations.noise), counts
-    root = joint_space(information, weights).inverse_root()
-    residuals = collect_residuals(information, samples, values, equations.clip, root, weights)
     repeated = [replace(r, products=d * r.products) for r, d in zip(residuals, inflation)]
     found, effective = coloured_uncertainty(information, weights, repeated)
     return found, [n / d for n, d in zip(effective, inflation.tolist())]
+
+
+def _residuals(
+    information: SquareRootInformation,
+    equations: WeightedEquations,
+    values: Array,
+    samples: SampleSource,
+) -> list[JointResiduals]:
+    weights = 1.0 / equations.noise
+    root = joint_space(information, weights).inverse_root()
+    return collect_residuals(information, samples, values, equations.clip, root, weights)
 
 
 def _data_share(

@@ -5,6 +5,7 @@ Nothing is printed, and no file is written unless a result is asked to ``save``.
 
 from __future__ import annotations
 
+from robot_sysid.api.adding import identify_from, information
 from robot_sysid.api.calls import (
     identify,
     identify_arm,
@@ -14,4 +15,13 @@ from robot_sysid.api.calls import (
     read_log,
 )
 
-__all__ = ["identify", "identify_arm", "load_robot_model", "payload", "plan", "read_log"]
+__all__ = [
+    "identify",
+    "identify_arm",
+    "identify_from",
+    "information",
+    "load_robot_model",
+    "payload",
+    "plan",
+    "read_log",
+]

@@ -51,7 +51,7 @@ class _Notes(Progress):
 
 
 @contextmanager
-def _quietly() -> Iterator[_Notes]:
+def quietly() -> Iterator[_Notes]:
     """Keep notes, and MuJoCo's warnings among them, from being printed or written to a file."""
     notes = _Notes()
     with captured_warnings() as warnings:
@@ -93,7 +93,7 @@ def read_log(log: Log, model: Model | RobotModel, **options: Any) -> Measurement
         InputError: it cannot be read, is ambiguous or cannot be what it seems to be.
     """
     robot = model if isinstance(model, RobotModel) else load_robot_model(model)
-    return open_log(robot, as_log(log), record_from(LogOptions, _checked(options, LogOptions)))
+    return open_log(robot, as_log(log), record_from(LogOptions, only_known(options, LogOptions)))
 
 
 def identify(
@@ -120,7 +120,7 @@ def identify(
     Raises:
         InputError: an option, the model or a log cannot be used; says why.
     """
-    values = _plain(options)
+    values = plain(options)
     if log is not None:
         values["measurements"] = as_logs(log)
     if validation is not None:
@@ -128,7 +128,7 @@ def identify(
     config = config_from(Path(model), **values)
     if config.trajectory.plan_only:
         raise InputError("plan_only designs a motion; call plan instead")
-    with _quietly() as notes:
+    with quietly() as notes:
         robot = link_load(config, notes)
         analysis, _ = analysed(config, robot, notes)
     return LinkResult(config, robot, analysis, tuple(notes.notes))
@@ -147,8 +147,8 @@ def plan(model: Model, **options: Any) -> PlanResult:
         InputError: an option or the model cannot be used.
     """
     usual = {} if {"trajectory", "static"} & options.keys() else {"excitation": "optimal"}
-    config = config_from(Path(model), **{**usual, **_plain(options), "plan_only": True})
-    with _quietly() as notes:
+    config = config_from(Path(model), **{**usual, **plain(options), "plan_only": True})
+    with quietly() as notes:
         robot = link_load(config, notes)
         checked, _ = designed(config, robot, notes)
         lines = tuple(promise(config, robot, checked))
@@ -173,15 +173,15 @@ def payload(
     Raises:
         InputError: an option, the model or a recording cannot be used.
     """
-    values = _plain(options)
+    values = plain(options)
     values.update({} if empty is None else {"empty": as_logs(empty)})
     values.update({} if loaded is None else {"loaded": as_logs(loaded)})
     records: Mapping[str, Any] = {f.name: type(f.default) for f in fields(PayloadConfig)[2:]}
-    _checked(values, ModelOptions, PayloadOptions, *records.values())
+    only_known(values, ModelOptions, PayloadOptions, *records.values())
     chosen = replace(record_from(ModelOptions, values), path=Path(model))
     rest = {name: record_from(record, values) for name, record in records.items()}
     config = PayloadConfig(chosen, record_from(PayloadOptions, values), **rest)
-    with _quietly() as notes:
+    with quietly() as notes:
         robot = payload_load(config, notes)
         found, motion, traces = weighed(config, robot, notes)
     return PayloadResult(config, robot, found, motion, traces, tuple(notes.notes))
@@ -201,7 +201,7 @@ def identify_arm(
     Raises:
         InputError: an option, the model or a log cannot be used.
     """
-    values = {**_plain(options), "measurements": as_logs(logs)}
+    values = {**plain(options), "measurements": as_logs(logs)}
     if validation is not None:
         values["validation_measurements"] = as_log(validation)
     if values.pop("verify_rollout", False):
@@ -210,10 +210,10 @@ def identify_arm(
         )
     if values.get("torque_from"):
         raise InputError("torque_from searches for servos; it needs the command robot-sysid arm")
-    _checked(values, ModelOptions, LogOptions, ArmOptions)
+    only_known(values, ModelOptions, LogOptions, ArmOptions)
     chosen = record_from(ModelOptions, values)
     place = chosen.mesh_dir, chosen.joint
-    with _quietly() as notes:
+    with quietly() as notes:
         robot = load(Path(model), *place, keyframe=chosen.keyframe)
         asked = record_from(LogOptions, values), record_from(ArmOptions, values)
         found, fit, signals = run_arm(robot, *asked, notes)
@@ -222,7 +222,7 @@ def identify_arm(
     return ArmResult(robot, found, *made, tuple(notes.notes))
 
 
-def _plain(options: Mapping[str, Any]) -> dict[str, Any]:
+def plain(options: Mapping[str, Any]) -> dict[str, Any]:
     """Return options with paths as paths and lists as tuples."""
     values = dict(options)
     for name, value in values.items():
@@ -238,7 +238,7 @@ def _is_list(text: str) -> bool:
     return all(part.replace(".", "", 1).strip().isdigit() for part in text.split(","))
 
 
-def _checked(values: Mapping[str, Any], *records: Any) -> Mapping[str, Any]:
+def only_known(values: Mapping[str, Any], *records: Any) -> Mapping[str, Any]:
     """Raise InputError naming an option that none of the records has."""
     known = {each.key for record in records for each in options_of(record).values()}
     unknown = sorted(set(values) - known)

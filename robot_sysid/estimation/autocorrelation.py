@@ -39,6 +39,7 @@ class JointResiduals:
         lags: (v,) lags 0, 1, 2, ... [samples].
         products: (v,) mean of r_t r_(t+l) [N^2 m^2].
         hats: (v,) mean of h_(t,t+l), H the matrix that turns this joint's torque into the fit.
+        pairs: (v,) of how many pairs these are means.
     """
 
     columns: NDArray[np.int64]
@@ -48,6 +49,37 @@ class JointResiduals:
     lags: NDArray[np.int64]
     products: Array
     hats: Array
+    pairs: Array
+
+    def __add__(self, other: JointResiduals) -> JointResiduals:
+        """Return the sums of both logs' samples, no lag reaching from one into the other.
+
+        Both have the same lags and kernels.
+        """
+        pairs = self.pairs + other.pairs
+
+        def mean(ours: Array, theirs: Array) -> Array:
+            return (self.pairs * ours + other.pairs * theirs) / np.maximum(pairs, 1.0)
+
+        return replace(
+            self,
+            count=self.count + other.count,
+            sums=self.sums + other.sums,
+            products=mean(self.products, other.products),
+            hats=mean(self.hats, other.hats),
+            pairs=pairs,
+        )
+
+    def shortened(self) -> JointResiduals:
+        """Return it without the lags and time constants above a tenth of the samples."""
+        lags, kernels = _reach(self.count)
+        first = slice(lags + 1)
+        return replace(
+            self,
+            decay=self.decay[:kernels],
+            sums=self.sums[: 1 + kernels],
+            **{name: getattr(self, name)[first] for name in ("lags", "products", "hats", "pairs")},
+        )
 
     def absorbed(self, own: Array) -> Array:
         """Return (1 + m,) the share of each kernel's noise that the fit takes out of residuals.
@@ -96,6 +128,7 @@ def collect_residuals(
     clip: Array,
     root: Array,
     weights: Array,
+    to_add: bool = False,
 ) -> list[JointResiduals]:
     """Return each joint's sums, from one pass.
 
@@ -106,13 +139,14 @@ def collect_residuals(
         clip: (joints,) residuals beyond this are cut to it [N m].
         root: (p, r) with C = root root^T.
         weights: (joints,) of the fit [1/(N m)].
+        to_add: keep all lags, so that other logs' sums can be added.
     """
     results = []
     for index, rows, tau in samples:
         columns, largest = information.joints[index].columns, clip[index]
         residual = tau - rows @ values[columns]
         cut = np.clip(residual, -largest, largest)
-        found = joint_residuals(columns, weights[index] * root[columns], rows, cut)
+        found = joint_residuals(columns, weights[index] * root[columns], rows, cut, to_add)
         # Cut residuals carry less of each error into the estimate: psi(r) / mean psi' (Huber 1964).
         inside = int(np.count_nonzero(np.abs(residual) <= largest))
         share = max(inside, 1) / max(found.count, 1)
@@ -121,7 +155,7 @@ def collect_residuals(
 
 
 def joint_residuals(
-    columns: NDArray[np.int64], root: Array, rows: Array, residual: Array
+    columns: NDArray[np.int64], root: Array, rows: Array, residual: Array, to_add: bool = False
 ) -> JointResiduals:
     """Return one joint's sums over lags and kernels.
 
@@ -132,28 +166,36 @@ def joint_residuals(
         root: (k, r) with w^2 C = root root^T.
         rows: (N, k) its equations.
         residual: (N,) [N m]; NaN where a sample is left out.
+        to_add: keep all lags, however few samples there are.
     """
     from scipy.signal import lfilter
 
     kept = np.isfinite(residual)
     count = int(np.count_nonzero(kept))
     rows, residual = np.where(kept[:, None], rows, 0.0), np.where(kept, residual, 0.0)
-    lags = int(np.clip(count // 10, 1, _MAX_LAG))
-    powers = np.arange(max(int(np.log2(max(lags / 2.0, 1.0))) + 1, 1))
-    decay = np.exp(-1.0 / 2.0**powers)
+    lags, kernels = _reach(10 * _MAX_LAG if to_add else count)
+    decay = np.exp(-1.0 / 2.0 ** np.arange(kernels))
     normal = rows.T @ rows
     # rows^T u with the filter u_t = a (u_(t-1) + y_(t-1)), a = exp(-1 / T_i): half of Q_i - Q_0.
     cross = [rows.T @ lfilter([0.0, a], [1.0, -a], rows, axis=0) for a in decay]
-    pairs = np.maximum(_lagged(kept.astype(float)[:, None], lags), 1.0)
+    pairs = np.rint(_lagged(kept.astype(float)[:, None], lags))
+    least_one = np.maximum(pairs, 1.0)
     return JointResiduals(
         columns=columns,
         count=count,
         decay=decay,
         sums=np.array([normal, *(normal + half + half.T for half in cross)]),
         lags=np.arange(lags + 1),
-        products=_lagged(residual[:, None], lags) / pairs,
-        hats=_lagged(rows @ root, lags) / pairs,
+        products=_lagged(residual[:, None], lags) / least_one,
+        hats=_lagged(rows @ root, lags) / least_one,
+        pairs=pairs,
     )
+
+
+def _reach(count: int) -> tuple[int, int]:
+    """Return (largest lag, number of kernels) that so many samples can show."""
+    lags = int(np.clip(count // 10, 1, _MAX_LAG))
+    return lags, max(int(np.log2(max(lags / 2.0, 1.0))) + 1, 1)
 
 
 def _simplest_fit(shapes: Array, seen: Array, count: int) -> Array:

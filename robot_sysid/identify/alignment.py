@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,7 @@ from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.dynamics.gravity import TILT_NAMES, TiltColumns, gravity, turned, with_gravity
 from robot_sysid.dynamics.nuisances import NuisanceColumns
 from robot_sysid.errors import SysidError
+from robot_sysid.estimation.autocorrelation import JointResiduals
 from robot_sysid.estimation.nuisances import NuisanceGroup, misfits, widened_groups
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.identify.nuisances import (
@@ -35,6 +36,8 @@ from robot_sysid.records import (
     Motion,
     NuisanceMisfit,
     RobotModel,
+    SampleSource,
+    SquareRootInformation,
 )
 from robot_sysid.records.traces import Traces
 from robot_sysid.signals.process import ProcessedSignals, delay_columns, with_delay
@@ -113,6 +116,7 @@ class Aligner:
 
     Attributes:
         torque: (n,) root mean square of each joint's measured torque [N m].
+        groups: what is known of the nuisances.
     """
 
     def __init__(
@@ -126,11 +130,12 @@ class Aligner:
         self._friction = friction
         self._with_load = "load" in friction.terms
         self._base: tuple[Alignment, tuple[DecimatedSamples, ...]] | None = None
-        tau = np.concatenate([log.tau for log in signals])
-        self.torque: Array = np.sqrt(np.mean(tau**2, axis=0))
-        self._groups = nuisance_groups(robot, options, friction, self.torque)
+        count = max(sum(len(log) for log in signals), 1)
+        squares = [np.sum(log.tau**2, axis=0) for log in signals]
+        self.torque: Array = np.sqrt(sum(squares, np.zeros(robot.n_joints)) / count)
+        self.groups = nuisance_groups(robot, options, friction, self.torque)
         self._plain = self._equations(robot, None)
-        self._rounds = _LOAD_ROUNDS if self._with_load else 2 if self._groups else 1
+        self._rounds = _LOAD_ROUNDS if self._with_load else 2 if self.groups else 1
 
     def fit(self, parts: Sequence[Mask], before: AlignedFit | None = None) -> AlignedFit:
         """Return the fit of one part (K,) of each log.
@@ -166,28 +171,20 @@ class Aligner:
         names, estimate = fit.samples[0].names, fit.estimate
         after = dict(zip(estimate.names, estimate.values))
         motions = [log.decimated_motion() for log in self._logs]
-        before = dict(zip(names, self._prior(names)))
+        before = dict(zip(names, self.prior(names)))
         return traced(self._robot, fit.samples, motions, after, before)
 
     def _estimate(self, rows: JoinedSamples) -> tuple[Estimate, tuple[NuisanceGroup, ...], Array]:
         """Return the estimate, with priors as wide as the data asks for, these, and the noise."""
-        information, groups = rows.information(), self._groups
-        prior, method = self._prior(rows.names), self._options.method or DEFAULT_METHOD
-        inflation = np.ones(len(rows.joints))
-        for _ in range(_WIDENING_ROUNDS):
-            estimate = identify_parameters(
-                information, prior, method, self._options, rows, groups, inflation
-            )
-            used, counted = groups, inflation
-            inflation = self._visits.inflation(information, rows, estimate.values)
-            noise = _noise(estimate, rows) * np.sqrt(inflation)
-            groups = widened_groups(information, noise, groups)
-            widened = any(a.widened != b.widened for a, b in zip(used, groups))
-            if not widened and np.array_equal(counted, inflation):
-                break
-        return estimate, used, noise
+        information = rows.information()
 
-    def _prior(self, names: Sequence[str]) -> Array:
+        def inflation(values: Array) -> Array:
+            return self._visits.inflation(information, rows, values)
+
+        prior = self.prior(rows.names)
+        return widened_estimate(information, prior, self._options, self.groups, inflation, rows)
+
+    def prior(self, names: Sequence[str]) -> Array:
         """Return the model's own value of each parameter (p,); zero for what it does not know."""
         known = dict(zip(self._plain.names, self._plain.prior))
         return np.array([known.get(name, 0.0) for name in names])
@@ -210,7 +207,7 @@ class Aligner:
             self._base = alignment, self._without_nuisances(arm, equations, thetas, logs)
             self._visits = visits([log.decimated_motion() for log in logs])
         return tuple(
-            with_nuisances(samples, columns, log, equations, self._groups)
+            with_nuisances(samples, columns, log, equations, self.groups)
             for samples, log in zip(self._base[1], logs)
         )
 
@@ -227,9 +224,44 @@ class Aligner:
         )
 
 
-def _noise(estimate: Estimate, rows: JoinedSamples) -> Array:
+def widened_estimate(
+    information: SquareRootInformation,
+    prior: Array,
+    options: EstimationOptions,
+    groups: tuple[NuisanceGroup, ...],
+    inflation_at: Callable[[Array], Array],
+    samples: SampleSource | None = None,
+    residuals: Sequence[JointResiduals] | None = None,
+) -> tuple[Estimate, tuple[NuisanceGroup, ...], Array]:
+    """Return the estimate, with priors as wide as the data asks for, these, and the noise.
+
+    Args:
+        information: the data.
+        prior: (p,) the model's values.
+        options: how.
+        groups: what is known of the nuisances.
+        inflation_at: D (joints,) of residuals at values (p,), see ``signals.repetition``.
+        samples, residuals: as ``solver.identify_parameters`` takes them.
+    """
+    inflation, method = np.ones(len(information.joints)), options.method or DEFAULT_METHOD
+    joints = [joint.joint for joint in information.joints]
+    for _ in range(_WIDENING_ROUNDS):
+        counted, used = inflation, groups
+        estimate = identify_parameters(
+            information, prior, method, options, samples, used, counted, residuals
+        )
+        inflation = inflation_at(estimate.values)
+        noise = _noise(estimate, joints) * np.sqrt(inflation)
+        groups = widened_groups(information, noise, used)
+        widened = any(a.widened != b.widened for a, b in zip(used, groups))
+        if not widened and np.array_equal(counted, inflation):
+            break
+    return estimate, used, noise
+
+
+def _noise(estimate: Estimate, joints: Sequence[str]) -> Array:
     """Return (joints,) the noise of an estimate; infinite where a joint had no samples [N m]."""
-    return np.array([estimate.noise_per_joint.get(joint, np.inf) for joint in rows.joints])
+    return np.array([estimate.noise_per_joint.get(joint, np.inf) for joint in joints])
 
 
 def _is_settled(before: Alignment, after: Alignment, error: float) -> bool:

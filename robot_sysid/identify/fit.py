@@ -94,7 +94,7 @@ def fit_measured(
     notes = [note for log in signals for note in (*log.notes, *compared_with_model(robot, log))]
     fitted, held = _parts(signals, options.validate)
     model, chosen = _friction(robot, options, signals, fitted)
-    notes += [*chosen, *(note for log in signals for note in _one_way(robot, model, log))]
+    notes += [*chosen, *(note for log in signals for note in one_way(robot, model, log))]
     progress.stage("Solving for parameters...")
     aligner = Aligner(robot, options, model, signals)
     fit, validation = aligner.fit(fitted), None
@@ -191,7 +191,7 @@ def _friction(
     return model, (f"friction model {choice.note}",)
 
 
-def _one_way(robot: RobotModel, model: FrictionModel, signals: ProcessedSignals) -> Iterator[str]:
+def one_way(robot: RobotModel, model: FrictionModel, signals: ProcessedSignals) -> Iterator[str]:
     """Yield a sentence per joint whose Coulomb friction looks like an offset in this log."""
     if {"coulomb", "offset"} <= set(model.terms):
         yield from signals.one_way_joints(robot.joint_names)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import reduce
+from operator import add
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +13,13 @@ import numpy as np
 from robot_sysid.checks.run import look_at
 from robot_sysid.dynamics.gravity import gravity
 from robot_sysid.estimation.options import EstimationOptions
-from robot_sysid.identify.earlier import earlier_logs
+from robot_sysid.identify.adding.earlier import earlier_logs
+from robot_sysid.identify.adding.log_information import (
+    LogInformation,
+    fit_from,
+    log_information,
+    settled_options,
+)
 from robot_sysid.identify.fit import MeasuredFit, fit_measured, validate_on
 from robot_sysid.identify.judgement.per_log import compared
 from robot_sysid.identify.judgement.rollout.link import LinkRollouts
@@ -121,6 +129,44 @@ def identify_logs(
     return replace(analysis, rollouts=LinkRollouts(robot, measured, others, estimation))
 
 
+def read_information(
+    robot: RobotModel,
+    options: LogOptions,
+    estimation: EstimationOptions,
+    around: LogInformation | None,
+    progress: Progress,
+) -> LogInformation:
+    """Return what logs say of the link, each read and looked at as by ``identify_logs``.
+
+    Args:
+        robot: the arm.
+        options: which logs, and what their columns are.
+        estimation: how they will be fitted.
+        around: see ``log_information``.
+        progress: where to tell what was noticed.
+    """
+    _require_fitting(robot, estimation)
+    chosen, found = settled_options(estimation), []
+    for path in options.measurements:
+        log = open_log(robot, path, options, progress)
+        _check(robot, options, chosen, [log], progress)
+        found.append(log_information(robot, log.pieces, chosen, around, log.notes))
+    return reduce(add, found)
+
+
+def identify_information(
+    robot: RobotModel,
+    found: LogInformation,
+    validation: LogInformation | None,
+    progress: Progress,
+) -> Analysis:
+    """Identify from the sum of what logs say."""
+    fit = fit_from(robot, found, validation)
+    for note in fit.notes:
+        progress.note(note)
+    return analysed(robot, found.origin, found.settled.estimation, fit, fit.notes)
+
+
 def _require_fitting(robot: RobotModel, options: EstimationOptions) -> None:
     """Refuse a list that does not fit the joints before any work."""
     if options.velocity_deadband is not None:
@@ -161,16 +207,37 @@ def _identify(
     notes, apart = compared(robot, data.named, options, fit)
     for note in (*fit.notes, *notes):
         progress.note(note)
+    aside = (*others, *apart)
+    return analysed(robot, data.origin, options, fit, data.notes + fit.notes + notes, aside)
+
+
+def analysed(
+    robot: RobotModel,
+    origin: DataOrigin,
+    options: EstimationOptions,
+    fit: MeasuredFit,
+    notes: tuple[str, ...],
+    validation: tuple[Validation, ...] = (),
+) -> Analysis:
+    """Return a fit with all that is said of it.
+
+    Args:
+        robot: the arm.
+        origin: where the data comes from.
+        options: how it was fitted.
+        fit: the fit.
+        notes: one sentence each.
+        validation: on other logs than the fitted ones.
+    """
     own = () if fit.validation is None else (fit.validation,)
-    validation: tuple[Validation, ...] = (*own, *others, *apart)
     aligned = _alignment(robot, options, fit)
     found = describe(
         robot,
         fit.estimate,
         options.torques,
-        data.origin,
-        data.notes + fit.notes + notes,
-        validation=validation,
+        origin,
+        notes,
+        validation=(*own, *validation),
         friction_model=fit.friction.name,
         cutoff=fit.cutoff,
         misfits=fit.misfits,

@@ -23,9 +23,9 @@ from robot_sysid.records import Array, Motion, SampleSource, SquareRootInformati
 
 PROBES = 2000
 """So many rows, spread evenly, stand for all."""
-_NEAR = 0.7
+NEAR = 0.7
 """Of a row's step: rows of another passage are found about once each."""
-_APART = 20
+APART = 20
 """Rows that are nearer in time belong to the same passage."""
 _LEAST_SCALE = 0.01
 _CHUNK = 100
@@ -70,8 +70,9 @@ class Visits:
 def visits(motions: Sequence[Motion]) -> Visits:
     """Return which rows of some logs (K, n), taken together, pass the same states."""
     q, qd = (np.concatenate([getattr(m, name) for m in motions]) for name in ("q", "qd"))
-    state = np.hstack([_scaled(q - np.mean(q, axis=0)), _scaled(qd)])
-    radius = _NEAR * np.concatenate(
+    off = q - np.mean(q, axis=0)
+    state = np.hstack([off / scales(off), qd / scales(qd)])
+    radius = NEAR * np.concatenate(
         [_steps(part) for part in np.split(state, np.cumsum([len(m.time) for m in motions])[:-1])]
     )
     chosen = np.unique(np.linspace(0, len(state) - 1, PROBES).astype(np.int64))
@@ -80,17 +81,17 @@ def visits(motions: Sequence[Motion]) -> Visits:
     for some in np.array_split(chosen, -(-len(chosen) // _CHUNK)):
         apart = squares[some, None] + squares - 2.0 * state[some] @ state.T
         near = apart < radius[some, None] ** 2
-        near &= np.abs(some[:, None] - rows) > _APART
+        near &= np.abs(some[:, None] - rows) > APART
         probe, other = np.nonzero(near)
         pairs.append((some[probe], other))
     probes, others = (np.concatenate(same) for same in zip(*pairs))
     return Visits(probes, others, len(probes) / len(chosen))
 
 
-def _scaled(values: Array) -> Array:
-    """Return joints' values (K, n) in units of their spread; a still joint's stay small."""
+def scales(values: Array) -> Array:
+    """Return (n,) the spread of joints' values (K, n); that of a still joint is not too small."""
     spread = np.sqrt(np.mean(values**2, axis=0))
-    return np.asarray(values / np.maximum(spread, _LEAST_SCALE * np.max(spread) or 1.0))
+    return np.asarray(np.maximum(spread, _LEAST_SCALE * np.max(spread) or 1.0))
 
 
 def _steps(state: Array) -> Array:

@@ -99,3 +99,34 @@ def test_an_absorbed_share_is_that_of_the_dense_projection():
     rest = np.eye(70) - hat
     expected = [1.0 - np.trace(rest @ kernel @ rest) / 70.0 for kernel in kernels]
     np.testing.assert_allclose(found.absorbed(own), np.clip(expected, 0.0, 0.8), atol=1e-10)
+
+
+SUMS = ("count", "sums", "products", "hats", "pairs")
+
+
+def one_log(rng, count, to_add=True):
+    root = 0.1 * np.eye(2)
+    rows, residual = rng.normal(size=(count, 2)), rng.normal(size=count)
+    residual[:: int(rng.integers(5, 50))] = np.nan
+    return joint_residuals(np.arange(2), root, rows, residual, to_add)
+
+
+@settings(max_examples=100, deadline=None)
+@given(SEEDS)
+def test_sums_of_logs_are_means_over_the_pairs_of_all(seed):
+    rng = np.random.default_rng(seed)
+    one, two, three = (one_log(rng, int(rng.integers(30, 400))) for _ in range(3))
+    whole, again = (one + two) + three, one + (two + three)
+    for name in SUMS:
+        np.testing.assert_allclose(getattr(whole, name), getattr(again, name), atol=1e-11)
+    total = sum(log.products * log.pairs for log in (one, two, three))
+    np.testing.assert_allclose(whole.products * whole.pairs, total, atol=1e-10)
+
+
+@settings(max_examples=100, deadline=None)
+@given(SEEDS, st.integers(10, 3000))
+def test_what_was_kept_to_add_becomes_what_one_log_says(seed, count):
+    alone, kept = (one_log(np.random.default_rng(seed), count, keep) for keep in (False, True))
+    shorter = kept.shortened()
+    for name in (*SUMS, "decay", "lags"):
+        np.testing.assert_allclose(getattr(shorter, name), getattr(alone, name), atol=1e-10)

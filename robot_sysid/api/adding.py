@@ -1,0 +1,94 @@
+"""Many logs, many machines: what each log says as a record that adds, and the result of the sum."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from robot_sysid.api.arrays import Log, as_logs
+from robot_sysid.api.calls import Model, only_known, plain, quietly
+from robot_sysid.api.results import LinkResult
+from robot_sysid.config import ModelOptions, SysidConfig
+from robot_sysid.errors import InputError
+from robot_sysid.estimation.options import EstimationOptions
+from robot_sysid.identify.adding.log_information import LogInformation
+from robot_sysid.identify.measured import identify_information, read_information
+from robot_sysid.logs.options import LogOptions
+from robot_sysid.parser import load_robot_model as load
+from robot_sysid.records import RobotModel
+from robot_sysid.records.options import record_from
+
+_ADDED = Path("added information")
+_NOT_HERE = ("measurements", "append", "validation_measurements", "validate", "verify_rollout")
+
+
+def information(
+    model: Model,
+    log: Log | Sequence[Log],
+    *,
+    around: LogInformation | None = None,
+    **options: Any,
+) -> LogInformation:
+    """Return what one log or several say of the terminal link, as a record that adds (``+``).
+
+    For all equations [Y tau] = Q R of a joint it holds R, and sums over lags of residuals: its size
+    does not grow with the log (Bierman, "Factorization Methods for Discrete Sequential
+    Estimation", 1977, ch. IV).
+
+    Args:
+        model: MJCF or URDF file.
+        log: see ``api.arrays.Log``.
+        around: the sum of a first round over all logs, for the second round.
+        options: those of ``identify`` that tell how a log is read and fitted. ``cutoff`` [Hz] is
+            needed; what would be chosen from all logs together is refused.
+
+    Raises:
+        InputError: an option, the model or the log cannot be used, or does not add.
+    """
+    values = {**plain(options), "measurements": as_logs(log)}
+    robot, logs, chosen = _settled(model, options, values)
+    with quietly() as notes:
+        return read_information(robot, logs, chosen, around, notes)
+
+
+def identify_from(
+    model: Model,
+    found: LogInformation,
+    *,
+    validation: LogInformation | None = None,
+    **options: Any,
+) -> LinkResult:
+    """Identify the terminal link from the sum of what logs say.
+
+    Args:
+        model: MJCF or URDF file.
+        found: the sum of a second round.
+        validation: the sum of other logs in that round, to test the result on.
+        options: ``joint``, ``mesh_dir`` and ``keyframe``, as they were given to ``information``.
+
+    Raises:
+        InputError: it is the sum of a first round, or was made with another model.
+    """
+    only_known(options, ModelOptions)
+    robot, _, _ = _settled(model, options, plain(options))
+    chosen = record_from(ModelOptions, {**plain(options), "path": Path(model)})
+    config = SysidConfig(
+        chosen, log=LogOptions(measurements=(_ADDED,)), estimation=found.settled.estimation
+    )
+    with quietly() as notes:
+        analysis = identify_information(robot, found, validation, notes)
+    return LinkResult(config, robot, analysis, tuple(notes.notes))
+
+
+def _settled(
+    model: Model, given: Mapping[str, Any], values: Mapping[str, Any]
+) -> tuple[RobotModel, LogOptions, EstimationOptions]:
+    """Return the arm, its logs and how they are fitted."""
+    only_known(values, ModelOptions, LogOptions, EstimationOptions)
+    for name in _NOT_HERE:
+        if name in given:
+            raise InputError(f"{name} is not for information, which holds one log or several alike")
+    chosen = record_from(ModelOptions, values)
+    robot = load(Path(model), chosen.mesh_dir, chosen.joint, keyframe=chosen.keyframe)
+    return robot, record_from(LogOptions, values), record_from(EstimationOptions, values)

@@ -1,0 +1,1 @@
+"""Putting logs together: with those of an earlier run, and as records that add."""

@@ -1,0 +1,100 @@
+"""Logs on many machines: what each says is sent, added, and gives what one process finds."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+
+import robot_sysid as rs
+from robot_sysid.errors import InputError
+from tests.support import pages
+from tests.support.places import ROOT
+
+CUTOFF = 8.0
+
+
+@pytest.fixture(scope="module")
+def workshop(tmp_path_factory):
+    """A folder with arm.xml and logs of different lengths of one arm."""
+    folder = tmp_path_factory.mktemp("adding")
+    pages.make_models(folder)
+    sensors = {"noise_torque": 0.05, "sample_rate": 200.0, "plant_model": folder / "truth.xml"}
+    for number, duration in enumerate((6.0, 8.0, 12.0)):
+        saved = {"save_measurements": folder / f"log{number}.csv", "seed": number}
+        rs.identify(folder / "arm.xml", duration=duration, **saved, **sensors)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def model(workshop):
+    return str(workshop / "arm.xml")
+
+
+@pytest.fixture(scope="module")
+def logs(workshop):
+    return sorted(map(str, workshop.glob("log*.csv")))
+
+
+def added(model, logs):
+    first = sum(rs.information(model, log, cutoff=CUTOFF) for log in logs)
+    return sum(rs.information(model, log, around=first, cutoff=CUTOFF) for log in logs)
+
+
+def same_numbers(found, whole):
+    assert found.theta == pytest.approx(whole.theta, rel=1e-9)
+    assert found.failure == whole.failure
+    errors = whole.standard_errors
+    assert found.standard_errors == {k: pytest.approx(v, rel=0.15) for k, v in errors.items()}
+
+
+@pytest.mark.slow
+def test_the_sum_is_what_identify_finds(model, logs, tmp_path):
+    whole = rs.identify(model, logs, cutoff=CUTOFF, validate=0.0)
+    total = pickle.loads(pickle.dumps(added(model, logs)))
+    found = rs.identify_from(model, total)
+    same_numbers(found, whole)
+    assert "3 logs, added" in str(found.to_dict())
+    assert {path.name for path in found.save(tmp_path)} == {"params.json", "updated_model.xml"}
+    with pytest.raises(InputError, match="holds no samples"):
+        found.plot()
+
+
+@pytest.mark.slow
+def test_a_cluster_finds_the_numbers_of_one_process(model, logs):
+    """By the code of the page."""
+    distributed = pytest.importorskip("distributed")
+    blocks = [text for _, text in pages.blocks(ROOT / "docs" / "python.md")]
+    page = {"__name__": "page"}
+    exec(next(text for text in blocks if "dask" in text), page)
+    one = rs.identify_from(model, added(model, logs))
+    local = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
+    with distributed.LocalCluster(**local) as cluster, distributed.Client(cluster):
+        many = rs.identify_from(model, page["total"](model, logs, CUTOFF))
+    np.testing.assert_allclose(many.theta, one.theta, rtol=1e-9)
+    errors = {name: pytest.approx(error, rel=1e-6) for name, error in one.standard_errors.items()}
+    assert many.standard_errors == errors
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({}, "give cutoff=HZ"),
+        ({"cutoff": 8.0, "validate": 0.3}, "validate is not for information"),
+        ({"cutoff": 8.0, "sped": 1}, "unknown option 'sped'"),
+        ({"cutoff": 8.0, "delay": "auto"}, "delay='auto' depends on all logs"),
+        ({"cutoff": 8.0, "joint": "elbow"}, "elbow"),
+    ],
+)
+def test_what_cannot_be_used_is_one_clear_error(model, logs, options, words):
+    with pytest.raises(InputError, match=words):
+        rs.information(model, logs[0], **options)
+
+
+def test_a_first_round_is_no_result(model, logs):
+    first = rs.information(model, logs[0], cutoff=CUTOFF)
+    with pytest.raises(InputError, match="does not know its errors"):
+        rs.identify_from(model, first)
+    with pytest.raises(InputError, match="unknown option 'cutoff'"):
+        rs.identify_from(model, first, cutoff=CUTOFF)
