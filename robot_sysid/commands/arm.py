@@ -79,7 +79,8 @@ def _identify(values: Mapping[str, Any], options: ConsoleOptions) -> int:
         if arm.torque_from is not None:
             from robot_sysid.identify.arm.servo.run import run_servo
 
-            found = run_servo(robot, logs, output.output_dir, chosen.mesh_dir, console)
+            where = output.output_dir, chosen.mesh_dir, console
+            found = run_servo(robot, logs, *where, arm.write_delay)
             return told(found, console, options.verbose, output)
         place = output.output_dir, chosen.mesh_dir, console, output.keep_friction
         outcome = run_arm(robot, logs, arm, *place)

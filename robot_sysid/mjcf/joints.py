@@ -64,6 +64,9 @@ def actuator_edits(document: ModelDocument, change: ActuatorChange) -> Iterator[
             f"{document.path}: actuator number {change.actuator} is not written out in the file as "
             "a <position> or <general> element; write it out"
         )
+    if change.delay is not None:
+        late = {"delay": number(change.delay), "nsample": str(change.samples), "interp": "linear"}
+        attributes = {**attributes, **late}
     for name, value in attributes.items():
         span = node.file.span(node.element)
         yield node, markup.set_attribute(node.file.text, span, name, value)

@@ -42,7 +42,8 @@ _WRITTEN = {
     "body_sameframe",
 }
 _WRITTEN_JOINT = {f"dof_{name}" for name in (*JOINT_NUMBERS, "dampingpoly")}
-_WRITTEN_ACTUATOR = ("actuator_gainprm", "actuator_biasprm")
+_DELAY, _LINEAR = ("actuator_delay", "actuator_history"), 1
+_WRITTEN_ACTUATOR = ("actuator_gainprm", "actuator_biasprm", *_DELAY)
 # What MuJoCo computes from masses and inertias when it compiles.
 DERIVED = {
     "body_subtreemass",
@@ -52,6 +53,10 @@ DERIVED = {
     "dof_length",
     "tendon_invweight0",
     "actuator_acc0",
+    # Room for what actuators and sensors remember; how much that is is compared.
+    "nhistory",
+    "actuator_historyadr",
+    "sensor_historyadr",
     # Found by simulating the actuator's movement, so masses enter.
     "actuator_lengthrange",
     # Whether a body's inertia is diagonal in its joint's axes; a shortcut for the engine.
@@ -131,6 +136,7 @@ def verify_written_model(
         _require_polynomial(original, compiled.mj_model, change, dof)
     for servo in actuators:
         _require_gains(compiled.mj_model, servo)
+        _require_delay(original, compiled.mj_model, servo)
     return compiled
 
 
@@ -181,6 +187,21 @@ def _require_gains(written: Any, change: ActuatorChange) -> None:
         raise ExportError(
             f"in the written model, actuator number {at} has gains {found.tolist()} "
             f"instead of kp {kp:.9g} and kv {kv:.9g}; give it kp and kv of its own"
+        )
+
+
+def _require_delay(original: Any, written: Any, change: ActuatorChange) -> None:
+    """Raise ExportError unless an actuator acts late by what was asked for, or as before."""
+    if not hasattr(original, _DELAY[0]):
+        return
+    asked: tuple[Any, ...] = tuple(getattr(original, name)[change.actuator] for name in _DELAY)
+    if change.delay is not None:
+        asked = change.delay, (change.samples, _LINEAR)
+    found = tuple(getattr(written, name)[change.actuator] for name in _DELAY)
+    if not all(np.allclose(*pair, rtol=TOLERANCE, atol=0.0) for pair in zip(found, asked)):
+        raise ExportError(
+            f"in the written model, actuator number {change.actuator} acts late by {found[0]:.9g} "
+            f"s instead of {asked[0]:.9g}; give it a delay of its own, or leave --write-delay off"
         )
 
 

@@ -8,7 +8,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests.support import servo_logs
+from robot_sysid.simulation.rollout.servo import HOLDS_DELAY
+from tests.support import schemas, servo_logs
 from tests.support.arms import robot_of
 
 MODE = ("--torque-from", "position-error")
@@ -29,8 +30,10 @@ def log(recorded, tmp_path):
 @pytest.mark.slow
 def test_servos_friction_and_rotor_inertia_are_found_and_written(command, arm_file, log):
     path = arm_file(servo_logs.XML)
-    out = command.run("arm", path, log, *MODE).out
+    late = ("--write-delay",) if HOLDS_DELAY else ()
+    out = command.run("arm", path, log, *MODE, *late).out
     folder = path.parent / "sysid_output"
+    schemas.check(folder / "servo.json")
     content, truth = json.loads((folder / "servo.json").read_text()), servo_logs.TRUTH
     assert "none measured" in content["torque"] and "No torque was measured" in out
     assert content["delay"]["value"] == pytest.approx(truth.delay, abs=0.002)
@@ -51,6 +54,8 @@ def test_servos_friction_and_rotor_inertia_are_found_and_written(command, arm_fi
     written = mujoco.MjModel.from_xml_path(str(folder / "updated_model.xml"))
     after = [content["joints"][joint]["gain"]["value"] for joint in ("joint0", "joint1")]
     np.testing.assert_allclose(written.actuator_gainprm[:, 0], after, rtol=1e-6)
+    if HOLDS_DELAY:
+        np.testing.assert_allclose(written.actuator_delay, content["delay"]["value"], rtol=1e-6)
     whole = written.dof_damping - written.actuator_biasprm[:, 2]
     np.testing.assert_allclose(whole[1], truth.damping[1], rtol=0.05)
     text = (folder / "updated_model.xml").read_text()
@@ -64,6 +69,7 @@ def test_what_cannot_be_used_is_said_in_one_line(command, arm_file, recorded, lo
     for words in (("--torque-scale", "2"), ("--torque-constants", "1"), ("--keep-friction",)):
         said = command.refused("arm", path, log, *MODE, *words)
         assert f"{words[0]} is about torques" in said
+    assert "add --torque-from" in command.refused("arm", path, log, "--write-delay")
     said = command.refused("arm", path, log)
     assert "torque" in said and "--torque-from position-error" in said
     still = servo_logs.write(tmp_path / "still.csv", time, 0.0 * q, asked)

@@ -82,12 +82,23 @@ class ArmOptions(OptionRecord):
         choices=("position-error",),
         usual="measured torques",
     )
+    write_delay: bool = option(
+        False,
+        "with --torque-from, also write the delay of the commands into the model's position "
+        "actuators",
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.friction is not None:
             friction_model(self.friction)
-        others = [each.flag for each in given_options(self) if each.key != "torque_from"]
+        if self.write_delay and self.torque_from is None:
+            raise InputError(
+                "--write-delay is about servos found from commands; add --torque-from "
+                "position-error"
+            )
+        about_servos = ("torque_from", "write_delay")
+        others = [each.flag for each in given_options(self) if each.key not in about_servos]
         if self.torque_from is not None and others:
             raise InputError(
                 f"{others[0]} is about measured torques; leave it off with --torque-from "

@@ -24,8 +24,8 @@ def servo_lines(found: ServoIdentification, verbose: bool = False) -> list[str]:
     return [
         "Servos, friction and rotor inertia, before -> after, ± one standard error:",
         f"  {WITHOUT_TORQUE}.",
-        f"  delay of the commands: {1e3 * found.delay:.1f} ± {1e3 * found.delay_error:.1g} ms (no "
-        "model file holds it)",
+        f"  delay of the commands: {1e3 * found.delay:.1f} ± {1e3 * found.delay_error:.1g} ms "
+        "(--write-delay puts it into the model)",
         *(f"  {joint.joint}: {_joint_text(joint)}" for joint in found.joints),
         *rollout_lines(found.rollout, verbose),
     ]

@@ -23,6 +23,8 @@ from robot_sysid.simulation.rollout.batch import Inputs, roll, rollout_copy
 
 _JOINT_KINDS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 NONE = -1
+HOLDS_DELAY = hasattr(mujoco.MjModel, "actuator_delay")
+"""Whether the installed MuJoCo's actuators can act late."""
 
 
 @dataclass(frozen=True)
@@ -124,6 +126,9 @@ def servo_copy(robot: RobotModel, actuators: Actuators, servos: Servos, timestep
     model.actuator_biastype[:] = int(mujoco.mjtBias.mjBIAS_AFFINE)
     model.actuator_gainprm[:] = model.actuator_biasprm[:] = 0.0
     model.actuator_ctrllimited[:] = 0
+    if HOLDS_DELAY:
+        # The delay is in the commands of a window already.
+        model.actuator_delay[:] = 0.0
     model.dof_armature[dofs], model.dof_frictionloss[dofs] = servos.armature, servos.frictionloss
     kv = np.minimum(np.nan_to_num(actuators.damping), servos.damping)
     driven = actuators.index != NONE

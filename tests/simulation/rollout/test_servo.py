@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.simulation.rollout.servo import (
+    HOLDS_DELAY,
     NONE,
     Servos,
     Window,
@@ -85,3 +86,13 @@ def test_a_geared_actuator_is_seen_at_the_joint():
     robot = robot_of(XML.replace('kp="100"', 'kp="100" gear="2"'))
     own = actuators_of(robot)
     assert own.stiffness[0] == 400.0 and own.damping[0] == 8.0 and own.limit[0] == 120.0
+
+
+@pytest.mark.skipif(not HOLDS_DELAY, reason="actuators of this MuJoCo cannot act late")
+def test_a_delay_of_the_models_own_does_not_act_a_second_time():
+    delayed = XML.replace(' kp="100"', ' kp="100" delay="0.04" nsample="50"')
+    played = [
+        played_servos(robot, actuators_of(robot), [model_servos(robot, 0.04)], [window()], EDGES)
+        for robot in map(robot_of, (XML, delayed))
+    ]
+    np.testing.assert_array_equal(*played)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
+from robot_sysid.identify.arm.model_friction import PROVEN
 from robot_sysid.identify.arm.servo.commands import MOST_PERIODS
 from robot_sysid.identify.arm.servo.fit import ServoFit
 from robot_sysid.identify.arm.servo.problem import Scale
@@ -19,6 +21,8 @@ NAMES = ("gain", "damping", "frictionloss", "armature")
 """What is found of a joint, in the order of ``Servos``."""
 OFTEN = 0.2
 """Share of time at its limit from which on a servo's gain is hardly seen."""
+SHORTEST_STEP = 5e-4
+"""Time step down to which a written delay is kept [s]; MuJoCo shortens it below."""
 UNSURE = 0.1
 """Relative error of a gain from which on only ratios are seen."""
 
@@ -57,10 +61,17 @@ def joint_servos(
 
 
 def changes(
-    robot: RobotModel, joints: Sequence[JointServo]
+    robot: RobotModel, joints: Sequence[JointServo], delay: float | None = None
 ) -> tuple[list[JointChange], list[ActuatorChange]]:
-    """Return what the joints and the position actuators of the model get."""
+    """Return what the joints and the position actuators of the model get.
+
+    Args:
+        robot: the arm.
+        joints: what was found of them.
+        delay: by which the actuators are to act late [s]; None leaves the model's.
+    """
     actuators, found, servos = actuators_of(robot), [], []
+    late = () if delay is None else (delay, _remembered(delay, robot.mj_model.opt.timestep))
     for k, joint in enumerate(joints):
         if not joint.moves:
             continue
@@ -70,9 +81,31 @@ def changes(
         if joint.has_servo:
             gear = float(actuators.gear[k]) ** 2
             gains = after["gain"] / gear, kv / gear
-            servos.append(ActuatorChange(int(actuators.index[k]), *gains))
+            servos.append(ActuatorChange(int(actuators.index[k]), *gains, *late))
         found.append(JointChange(joint.joint, after["armature"], damping, after["frictionloss"]))
     return found, servos
+
+
+def _remembered(delay: float, timestep: float) -> int:
+    """Return how many commands an actuator has to remember, at shorter time steps too."""
+    return math.ceil(delay / min(timestep, SHORTEST_STEP)) + 2
+
+
+def delay_to_write(
+    robot: RobotModel, found: ServoIdentification, wanted: bool
+) -> tuple[float | None, tuple[str, ...]]:
+    """Return the delay that the model gets [s], None for its own, and what there is to say."""
+    if not wanted:
+        return None, ()
+    if not any(joint.moves and joint.has_servo for joint in found.joints):
+        return None, ("the model has no position actuator that could hold the delay",)
+    if found.delay < PROVEN * found.delay_error:
+        return None, ("the delay is not proven: the model's actuators keep theirs",)
+    return found.delay, (
+        f"the actuators of the written model act {1e3 * found.delay:.3g} ms late, also after each "
+        "reset, when they hold the command 0 that long unless mj_initCtrlHistory gives them "
+        "another; simulators other than MuJoCo may not read it",
+    )
 
 
 def servo_notes(

@@ -8,11 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from robot_sysid.errors import ExportError
+from robot_sysid.errors import ExportError, InputError
 from robot_sysid.export import alone_in
 from robot_sysid.identify.arm.servo.commands import MOST_PERIODS, commanded_pieces, moving
 from robot_sysid.identify.arm.servo.fit import (
-    ServoFit,
     at_limit,
     better_start,
     first_servos,
@@ -23,7 +22,12 @@ from robot_sysid.identify.arm.servo.fit import (
 )
 from robot_sysid.identify.arm.servo.played import parted, play_servos
 from robot_sysid.identify.arm.servo.problem import Problem, Scale, problem_of
-from robot_sysid.identify.arm.servo.result import changes, joint_servos, servo_notes
+from robot_sysid.identify.arm.servo.result import (
+    changes,
+    delay_to_write,
+    joint_servos,
+    servo_notes,
+)
 from robot_sysid.identify.judgement.rollout.candidate import refusal
 from robot_sysid.identify.simulated import versions
 from robot_sysid.logs.options import LogOptions
@@ -36,7 +40,13 @@ from robot_sysid.records.atomic_files import refuse_overwriting, whole_files
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.results import MODEL_NAMES
 from robot_sysid.records.whole_arm import ServoIdentification
-from robot_sysid.simulation.rollout.servo import Actuators, Servos, actuators_of, played_servos
+from robot_sysid.simulation.rollout.servo import (
+    HOLDS_DELAY,
+    Actuators,
+    Servos,
+    actuators_of,
+    played_servos,
+)
 
 MOST_WINDOWS = 24
 """Windows that are fitted, spread evenly over the logs."""
@@ -52,12 +62,14 @@ class ServoOutcome:
         output_dir: where files went.
         files: what was written there.
         failure: why there is no updated model, or None.
+        notes: what writing the model had to say.
     """
 
     identification: ServoIdentification
     output_dir: Path
     files: tuple[Path, ...]
     failure: str | None = None
+    notes: tuple[str, ...] = ()
 
     def report_lines(self, verbose: bool) -> list[str]:
         """Return what the command line prints at the end."""
@@ -66,7 +78,12 @@ class ServoOutcome:
 
 
 def run_servo(
-    robot: RobotModel, logs: LogOptions, folder: Path, mesh_dir: Path | None, progress: Progress
+    robot: RobotModel,
+    logs: LogOptions,
+    folder: Path,
+    mesh_dir: Path | None,
+    progress: Progress,
+    write_delay: bool = False,
 ) -> ServoOutcome:
     """Identify servos, friction and rotor inertia from commands and positions; write the results.
 
@@ -76,24 +93,34 @@ def run_servo(
         folder: where results go.
         mesh_dir: the user's mesh folder, if any.
         progress: where to tell how far it is.
+        write_delay: also write the delay of the commands into the model's position actuators.
 
     Raises:
         SysidError: with the exit code that fits, see ``errors``.
     """
+    if write_delay and not HOLDS_DELAY:
+        raise InputError(
+            "--write-delay: the actuators of the installed MuJoCo cannot act late; install a newer "
+            "mujoco, or leave it off"
+        )
     read = (robot.path, *logs.measurements, logs.validation_measurements, logs.columns)
     names = (SERVO_NAME, *MODEL_NAMES.values())
     refuse_overwriting(read, (("--output-dir", folder / name) for name in names))
     with alone_in(folder, progress):
-        found, fit, q = identify_servos(robot, logs, progress)
+        found, q = identify_servos(robot, logs, progress)
         for note in found.notes:
             progress.note(note)
-        return _write(robot, found, fit, q, folder, mesh_dir, refusal(found.rollout, logs.accept))
+        refused = refusal(found.rollout, logs.accept)
+        outcome = _write(robot, found, write_delay, q, folder, mesh_dir, refused)
+    for note in outcome.notes:
+        progress.note(note)
+    return outcome
 
 
 def identify_servos(
     robot: RobotModel, logs: LogOptions, progress: Progress
-) -> tuple[ServoIdentification, ServoFit, np.ndarray]:
-    """Identify from logs; returns (result, fit, some positions (m, n))."""
+) -> tuple[ServoIdentification, np.ndarray]:
+    """Identify from logs; returns (result, some positions (m, n))."""
     read = [_read(robot, logs, path, progress) for path in logs.measurements]
     pieces, other = commanded_pieces(read, robot.joint_names), logs.validation_measurements
     fitted, held, words = parted(pieces)
@@ -127,7 +154,7 @@ def identify_servos(
         tuple(_notes(robot, [note for log in read for note in log.notes])),
     )
     more = tuple(servo_notes(robot, actuators, found, period))
-    return replace(found, notes=tuple(dict.fromkeys((*found.notes, *more)))), fit, q
+    return replace(found, notes=tuple(dict.fromkeys((*found.notes, *more)))), q
 
 
 def _read(robot: RobotModel, logs: LogOptions, path: Path, progress: Progress) -> MeasurementLog:
@@ -161,7 +188,7 @@ def _notes(robot: RobotModel, said: Sequence[str]) -> Iterator[str]:
 def _write(
     robot: RobotModel,
     found: ServoIdentification,
-    fit: ServoFit,
+    write_delay: bool,
     q: np.ndarray,
     folder: Path,
     mesh_dir: Path | None,
@@ -175,12 +202,16 @@ def _write(
             path = files.reserve_last(folder / MODEL_NAMES[robot.kind])
             rest = Motion(np.arange(len(q), dtype=float), q, 0.0 * q, 0.0 * q)
             target = ModelTarget(files, path, rest, 0.0, mesh_dir)
+            delay, said = delay_to_write(robot, found, write_delay)
             try:
-                notes = write_joints(robot, *changes(robot, found.joints), target)
+                notes = said + write_joints(robot, *changes(robot, found.joints, delay), target)
                 names.append(path.name)
             except ExportError as error:
                 files.withdraw(path)
                 failure = f"{error} (the identified numbers are in {SERVO_NAME})"
         final = replace(found, notes=found.notes + notes)
         files.write(folder / SERVO_NAME, servo_json_text(final))
-    return ServoOutcome(final, folder, tuple(folder / name for name in names), failure)
+    stale = folder / MODEL_NAMES[robot.kind]
+    if stale.name not in names and stale.exists():
+        notes = (*notes, f"{stale} is from an earlier run; this run wrote no model")
+    return ServoOutcome(final, folder, tuple(folder / name for name in names), failure, notes)
