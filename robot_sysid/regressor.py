@@ -31,7 +31,7 @@ def derive_regressor() -> tuple[Any, tuple[Any, ...]]:
     """
     import sympy as sp
 
-    motion = sp.symbols("wx wy wz vx vy vz awx awy awz avx avy avz", real=True)
+    motion = sp.symbols("wx wy wz vx vy vz awx awy awz avx avy avz")
     twist, acceleration = sp.Matrix(motion[:6]), sp.Matrix(motion[6:])
     adjoint = _adjoint(sp, twist)
     columns = []
@@ -93,11 +93,8 @@ def _filled(items: Iterable[str], indent: int) -> str:
     """Return items with commas in lines of at most 100 characters."""
     import textwrap
 
-    # An item is not broken within.
-    text = " ".join(f"{item},".replace(" ", "\0") for item in items)
-    margin = " " * indent
-    lines = textwrap.fill(text, 100, initial_indent=margin, subsequent_indent=margin)
-    return lines.replace("\0", " ")
+    text, margin = " ".join(f"{item}," for item in items), " " * indent
+    return textwrap.fill(text, 100, initial_indent=margin, subsequent_indent=margin)
 
 
 def wrench_regressor(velocity: Array, acceleration: Array) -> Array:

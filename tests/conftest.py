@@ -6,7 +6,7 @@ import gc
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
+from hypothesis import Phase, settings
 
 from robot_sysid.model.compilation import captured_warnings
 from tests.support import arms
@@ -15,6 +15,14 @@ from tests.support.command_line import CommandLine
 settings.register_profile("laws", max_examples=100, deadline=None)
 # The same examples each time, so that a tree's verdict does not depend on luck.
 settings.register_profile("repeatable", settings.get_profile("laws"), derandomize=True)
+# A mutant is dead with the first example against it; looking for the smallest one takes minutes.
+settings.register_profile(
+    "mutants",
+    settings.get_profile("repeatable"),
+    phases=(Phase.explicit, Phase.generate),
+    database=None,
+    report_multiple_bugs=False,
+)
 settings.load_profile("laws")
 
 

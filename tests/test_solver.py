@@ -7,13 +7,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from robot_sysid.dynamics import spatial
+from robot_sysid.errors import InputError
 from robot_sysid.estimation.information import InformationAccumulator, combined
-from robot_sysid.records import SquareRootInformation, Status
-from robot_sysid.solver import identify_parameters
+from robot_sysid.estimation.least_squares import ordinary
+from robot_sysid.estimation.nuisances import NuisanceGroup
+from robot_sysid.estimation.options import EstimationOptions
+from robot_sysid.records import Identifiability, SquareRootInformation, Status
+from robot_sysid.solver import identify_parameters, judge, solve
 from tests.support.synthetic_data import (
     arm_equations,
+    body_divergence,
     information_of,
     joint_rows,
+    noisy_samples,
     random_body,
     terminal_information,
 )
@@ -138,3 +145,189 @@ def test_a_log_played_again_tells_no_more_than_once(seed, count):
     for joint, samples in first.effective_samples.items():
         assert found.effective_samples[joint] == pytest.approx(samples)
         assert found.noise_per_joint[joint] == pytest.approx(first.noise_per_joint[joint], rel=0.2)
+
+
+METHODS = st.sampled_from(["ols", "wls", "robust"])
+
+
+def test_an_unknown_method_is_refused_with_the_valid_ones():
+    information, _, _ = noisy_arm(0)
+    with pytest.raises(InputError) as refused:
+        identify_parameters(information, np.zeros(16), "magic")
+    assert str(refused.value) == "unknown method 'magic'; valid: ols, wls, robust"
+
+
+@settings(max_examples=100, deadline=None)
+@given(SEEDS, METHODS, st.booleans(), st.lists(st.floats(1.0, 9.0), min_size=3, max_size=3))
+def test_an_estimate_carries_what_it_was_made_of(seed, method, coloured, inflation):
+    samples, names, _, rng = noisy_samples(seed, noises=(0.1, 0.2, 0.3), count=40)
+    information = samples.information(names)
+    source = samples if coloured or method == "robust" else None
+    fewer = np.array(inflation)
+    estimate = identify_parameters(
+        information, rng.normal(size=16), method, samples=source, inflation=fewer
+    )
+    joints = ("joint0", "joint1", "joint2")
+    assert (estimate.names, estimate.method, estimate.n_nuisances) == (names, method, 0)
+    assert estimate.samples == dict.fromkeys(joints, 40)
+    assert not estimate.constrained
+    assert estimate.error_budget == {}
+    assert estimate.identifiability.rank == 12
+    for kept in (estimate.rmse_per_joint, estimate.noise_per_joint, estimate.effective_samples):
+        assert tuple(kept) == joints
+    residuals = [rows @ estimate.values[c] - tau
+                 for (rows, c), tau in zip(samples.equations, samples.torques)]  # fmt: skip
+    rmse = [np.sqrt(np.mean(r**2)) for r in residuals]
+    assert list(estimate.rmse_per_joint.values()) == pytest.approx(rmse, rel=1e-9)
+    assert estimate.rmse == pytest.approx(np.sqrt(np.mean(np.square(rmse))), rel=1e-9)
+    if source is None:
+        independent = [40.0 / less for less in inflation]
+        assert list(estimate.effective_samples.values()) == pytest.approx(independent, rel=1e-12)
+
+
+@settings(max_examples=100, deadline=None)
+@given(SEEDS, st.booleans(), st.floats(1.0, 9.0))
+def test_samples_that_count_less_make_errors_larger_by_the_root(seed, coloured, less):
+    samples, names, _, rng = noisy_samples(seed, count=40)
+    information, prior = samples.information(names), rng.normal(size=16)
+    source = samples if coloured else None
+    plain, again, fewer = (
+        identify_parameters(information, prior, samples=source, inflation=inflation)
+        for inflation in (None, np.ones(3), np.full(3, less))
+    )
+    np.testing.assert_array_equal(again.standard_errors, plain.standard_errors)
+    np.testing.assert_allclose(fewer.values, plain.values, rtol=0.0, atol=1e-10)
+    np.testing.assert_allclose(
+        fewer.standard_errors, np.sqrt(less) * plain.standard_errors, rtol=1e-6
+    )
+    np.testing.assert_allclose(fewer.noise_errors, np.sqrt(less) * plain.noise_errors, rtol=1e-6)
+    for joint, count in plain.effective_samples.items():
+        assert fewer.effective_samples[joint] == pytest.approx(count / less, rel=1e-6)
+        noise = plain.noise_per_joint[joint]
+        assert fewer.noise_per_joint[joint] == pytest.approx(noise, rel=1e-9)
+
+
+def test_noise_of_a_joint_without_samples_is_not_told():
+    rng = np.random.default_rng(8)
+    accumulator = InformationAccumulator(
+        tuple(f"p{k}" for k in range(12)), ["used", "unused"], [np.arange(12), np.arange(2)]
+    )
+    accumulator.add(0, joint_rows(rng, 50), rng.normal(size=50))
+    estimate = identify_parameters(accumulator.result(), np.zeros(12))
+    assert tuple(estimate.noise_per_joint) == ("used",)
+    assert estimate.samples == {"used": 50, "unused": 0}
+    assert estimate.rmse_per_joint["unused"] == 0.0
+
+
+def test_no_samples_at_all_leave_the_prior_and_no_residual():
+    information, _, rng = noisy_arm(0)
+    accumulator = InformationAccumulator(
+        information.names, ["joint0"], [information.joints[0].columns]
+    )
+    prior = rng.normal(size=16)
+    estimate = identify_parameters(accumulator.result(), prior)
+    np.testing.assert_array_equal(estimate.values, prior)
+    assert estimate.rmse == 0.0
+
+
+@settings(max_examples=100, deadline=None)
+@given(SEEDS, st.lists(st.floats(1e-3, 1.0), min_size=2, max_size=2))
+def test_squares_of_the_causes_add_up_to_that_of_the_whole_error(seed, spreads):
+    """Two nuisances behind the link's parameters, each known beforehand with a cause of its own."""
+    rng = np.random.default_rng(seed)
+    equations, names = arm_equations(rng)
+    names = (*names, "scale[joint0]", "zero[joint2]")
+    for j, column in ((0, 16), (2, 17)):
+        rows, columns = equations[j]
+        equations[j] = (
+            np.column_stack((rows, rng.normal(size=len(rows)))), np.append(columns, column),
+        )  # fmt: skip
+    truth = np.concatenate((random_body(rng), rng.uniform(0.1, 1.0, 6), spreads))
+    information = information_of(equations, names, truth, 0.1, rng)
+    groups = [
+        NuisanceGroup(cause, (name,), np.zeros(1), np.array([[spread]]), (name,))
+        for cause, name, spread in zip(("scales", "zeros"), names[16:], spreads)
+    ]
+    estimate = identify_parameters(information, np.zeros(18), nuisances=groups)
+    assert tuple(estimate.error_budget) == ("scales", "zeros")
+    assert (estimate.n_nuisances, estimate.n_interest) == (2, 16)
+    assert len(estimate.identifiability.identified) == 16
+    squares = sum(part**2 for part in estimate.error_budget.values()) + estimate.noise_errors**2
+    np.testing.assert_allclose(squares, estimate.standard_errors**2, rtol=1e-9)
+    assert np.all(estimate.standard_errors[16:] <= np.array(spreads) * (1.0 + 1e-9))
+
+
+# --- possible bodies ----------------------------------------------------------------------------
+
+
+LINK = spatial.theta_from_com(2.0, np.array([0.1, 0.2, 0.3]), np.diag([0.3, 0.4, 0.5]))
+
+
+def equations_of(body, prior):
+    rng = np.random.default_rng(9)
+    rows, names = arm_equations(rng)
+    information = information_of(rows, names, np.append(body, np.full(6, 0.2)), 0.01, rng)
+    return ordinary(information, prior), information
+
+
+@pytest.mark.parametrize("consistency", ["auto", "enforce", "off"])
+@pytest.mark.parametrize("possible", [True, False])
+def test_an_impossible_body_is_replaced_unless_that_was_ruled_out(consistency, possible):
+    body = LINK.copy()
+    if not possible:
+        body[4] = -body[4]
+    prior = np.append(random_body(np.random.default_rng(11)), np.zeros(6))
+    equations, information = equations_of(body, prior)
+    options = EstimationOptions(consistency=consistency)
+    plain, _ = solve(equations, prior, EstimationOptions(consistency="off"))
+    values, constrained = solve(equations, prior, options)
+    replaced = consistency != "off" and not possible
+    assert constrained is replaced
+    assert np.array_equal(values, plain) is not replaced
+    assert spatial.is_consistent(values[:10]) is (possible or replaced)
+    estimate = identify_parameters(information, prior, options=options)
+    np.testing.assert_array_equal(estimate.values, values)
+    assert estimate.constrained is replaced
+
+
+def test_a_pull_towards_the_models_body_moves_values_and_takes_from_the_datas_share():
+    body = random_body(np.random.default_rng(11))
+    prior = np.append(body, np.zeros(6))
+    equations, information = equations_of(LINK, prior)
+    pulled = EstimationOptions(consistency="off", prior="entropic", prior_weight=1e3)
+    plain = identify_parameters(information, prior)
+    estimate = identify_parameters(information, prior, options=pulled)
+    values, constrained = solve(equations, prior, pulled)
+    np.testing.assert_array_equal(estimate.values, values)
+    assert constrained is False and estimate.constrained is False
+    assert body_divergence(values[:10], body) < body_divergence(plain.values[:10], body)
+    np.testing.assert_allclose(plain.data_share, 1.0, atol=1e-9)
+    assert np.all(estimate.data_share[:10] < 0.9999)
+    np.testing.assert_allclose(estimate.data_share[10:], 1.0, atol=1e-9)
+
+
+POSSIBLE = spatial.theta_from_com(1.0, np.zeros(3), np.eye(3))
+
+
+def seen(rank):
+    return Identifiability(rank, 12, 1.0, 1.0, (True,) * 12, ())
+
+
+@pytest.mark.parametrize(
+    ("scale", "error", "rank", "expected"),
+    [
+        (1.0, 0.49, 12, Status.OK),
+        (1.0, 0.51, 12, Status.TOO_WEAK),
+        (1.0, 0.51, 11, Status.TOO_WEAK),
+        (1.0, 0.49, 11, Status.PARTLY_FROM_MODEL),
+        (1.0, np.inf, 11, Status.PARTLY_FROM_MODEL),
+        # An error that a scale would not show is never too large.
+        (1e-9, 0.9e-6, 12, Status.OK),
+        (1e-9, 1.1e-6, 12, Status.TOO_WEAK),
+        (-1.0, 0.0, 12, Status.INCONSISTENT),
+        (-1.0, 9.0, 11, Status.INCONSISTENT),
+    ],
+)
+def test_status_by_what_is_wrong_first(scale, error, rank, expected):
+    values = np.append(scale * POSSIBLE, [0.0, 0.0])
+    assert judge(values, seen(rank), np.append(error, np.zeros(11))) is expected

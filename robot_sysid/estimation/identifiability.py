@@ -247,7 +247,7 @@ def _phrase(direction: Array, names: Sequence[str]) -> str:
 def _single(name: str) -> str:
     kind, _, joint = name.partition("[")
     words = _SINGLE.get(kind, f"inertia {name}" if name in spatial.PARAMETER_NAMES else kind)
-    return f"{words} of {joint.rstrip(']')}" if joint else words
+    return f"{words} of {joint.removesuffix(']')}" if joint else words
 
 
 def _inertia_phrase(unit: Array, used: list[int], names: Sequence[str]) -> str:
@@ -263,7 +263,7 @@ def _inertia_phrase(unit: Array, used: list[int], names: Sequence[str]) -> str:
 
 
 def _axis(vector: Array) -> str:
-    vector = vector / np.linalg.norm(vector)
+    """Return the words for a unit vector (3,)."""
     leading = vector[np.argmax(np.abs(vector) > _ROUNDING)]
     entries = np.round(vector * np.sign(leading), 2) + 0.0
     return "(" + ", ".join(f"{entry:g}" for entry in entries) + ")"

@@ -187,6 +187,7 @@ def test_angles_and_quaternions_turn_back_into_the_rotation(seed, kind):
     back = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
     np.testing.assert_allclose(back, rotation, rtol=0.0, atol=3e-14)
     w, *xyz = spatial.quaternion(rotation)
+    assert np.linalg.norm([w, *xyz]) == pytest.approx(1.0, abs=1e-14)
     np.testing.assert_allclose(
         Rotation.from_quat([*xyz, w]).as_matrix(), rotation, rtol=0.0, atol=1e-14
     )
@@ -204,3 +205,18 @@ def test_principal_axes_give_the_inertia_back_and_turn_least(seed, spread):
     assert np.linalg.det(found) > 0.0
     # No frame is further than 62.8 degrees from the nearest of its 24 turns.
     assert np.trace(found) >= 1.0 + 2.0 * np.cos(np.radians(62.8))
+
+
+@given(SEEDS, st.sampled_from([-90.0, 90.0]))
+def test_at_a_right_pitch_there_is_no_yaw(seed, pitch):
+    """The other two angles turn about one axis there; the rounded matrix names no yaw."""
+    yaw, roll = np.random.default_rng(seed).uniform(-180.0, 180.0, 2)
+    rotation = Rotation.from_euler("ZYX", [yaw, pitch, roll], degrees=True).as_matrix()
+    assert spatial.roll_pitch_yaw(rotation)[2] == 0.0
+
+
+@given(SEEDS)
+def test_a_cross_product_is_that_of_each_column(seed):
+    a, b = np.random.default_rng(seed).normal(size=(2, 3, 5))
+    expected = np.cross(a, b, axis=0)
+    np.testing.assert_allclose(spatial.cross(a, b), expected, rtol=1e-14, atol=1e-14)

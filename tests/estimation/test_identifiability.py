@@ -7,7 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_sysid.estimation.identifiability import analyse_identifiability, visible_space
+from robot_sysid.dynamics import spatial
+from robot_sysid.estimation.identifiability import (
+    analyse_identifiability,
+    column_scale,
+    describe,
+    readable_basis,
+    visible_space,
+)
 from robot_sysid.records import JointInformation, SquareRootInformation
 from tests.support.synthetic_data import (
     ORIGIN,
@@ -153,3 +160,135 @@ def test_data_at_rest_sees_nothing():
     assert seen.rank == 0
     assert len(seen.unidentifiable) == 10
     assert seen.condition_number == float("inf")
+
+
+# --- the visible space --------------------------------------------------------------------------
+
+
+@given(SEEDS, st.integers(0, 30), st.booleans(), st.booleans())
+def test_solution_and_inverse_are_those_of_least_squares_in_scaled_columns(
+    seed, count, inertial, hidden
+):
+    rng = np.random.default_rng(seed)
+    matrix = rng.normal(size=(count, 12)) * 10.0 ** rng.uniform(-2.0, 2.0, 12)
+    if hidden and count:
+        matrix[:, 11] = matrix[:, 10] * 3.0
+        matrix[:, 5] = 0.0
+    space = visible_space(matrix, inertial=inertial)
+    scale, zero = column_scale(matrix, inertial)
+    scaled = np.where(zero, 0.0, matrix * scale)
+    assert space.rank == np.linalg.matrix_rank(scaled, tol=1e-8) if count else space.rank == 0
+    again = space.left * space.singular @ space.right.T
+    np.testing.assert_allclose(again, scaled, rtol=0.0, atol=1e-13)
+    np.testing.assert_allclose(scaled @ space.null, 0.0, atol=1e-12)
+    basis = np.column_stack((space.right, space.null))
+    np.testing.assert_allclose(basis.T @ basis, np.eye(12), atol=1e-13)
+    if count == 0 or space.singular[0] / space.singular[-1] < 1e4:
+        pseudo, right = np.linalg.pinv(scaled, rcond=1e-8), rng.normal(size=count)
+        size = scale * (1.0 + np.max(np.abs(pseudo), initial=0.0)) ** 2
+        np.testing.assert_allclose(space.solve(right) / size, scale * (pseudo @ right) / size,
+                                   rtol=0.0, atol=1e-10)  # fmt: skip
+        both, root = scale[:, None] * (pseudo @ pseudo.T) * scale, space.inverse_root()
+        np.testing.assert_allclose(space.inverse() / np.outer(size, size),
+                                   both / np.outer(size, size), rtol=0.0, atol=1e-10)  # fmt: skip
+        np.testing.assert_allclose(root @ root.T, space.inverse())
+
+
+@given(SEEDS, st.booleans())
+def test_parameters_of_one_unit_share_a_scale(seed, inertial):
+    rng = np.random.default_rng(seed)
+    matrix = rng.normal(size=(20, 13)) * 10.0 ** rng.uniform(-3.0, 3.0, 13)
+    matrix[:, 10] = 0.0
+    scale, zero = column_scale(matrix, inertial)
+    lengths = np.linalg.norm(matrix, axis=0)
+    if inertial:
+        lengths[1:4], lengths[4:10] = np.max(lengths[1:4]), np.max(lengths[4:10])
+    lengths[10] = 1.0
+    np.testing.assert_allclose(scale, 1.0 / lengths, rtol=1e-14)
+    assert zero.tolist() == [k == 10 for k in range(13)]
+
+
+def test_a_given_scale_decides_what_is_small():
+    """What remains of a matrix after elimination is small where nothing is left, not relatively."""
+    rest = 1e-12 * np.random.default_rng(0).normal(size=(20, 3))
+    assert visible_space(rest, inertial=False).rank == 3
+    space = visible_space(rest, np.ones(3), inertial=False)
+    assert space.rank == 0
+    assert np.all(space.zero)
+    assert visible_space(rest, np.full(3, 1e11), inertial=False).rank == 3
+    mixed = np.column_stack((rest[:, :1], rest[:, :1] * 1e12, rest[:, 1:2] * 1e12))
+    assert visible_space(mixed, np.ones(3), inertial=False).zero.tolist() == [True, False, False]
+
+
+def test_data_of_the_nuisances_alone_has_no_condition_of_the_link():
+    rng = np.random.default_rng(6)
+    equations, names = arm_equations(rng, joints=2)
+    for rows, _ in equations:
+        rows[:, :10] = 0.0
+    equations[-1][0][:, 10:] = 0.0
+    seen = analyse_identifiability(information_of(equations, names, rng.normal(size=14)))
+    assert seen.rank == 0
+    assert seen.condition_number == seen.scaled_condition_number == float("inf")
+
+
+# --- in words -----------------------------------------------------------------------------------
+
+NAMES = (*spatial.PARAMETER_NAMES, "coulomb[tool]", "viscous[tool]", "offset[X]")
+
+
+@given(SEEDS, st.permutations(range(len(NAMES))), st.lists(st.integers(1, 4), max_size=6))
+def test_a_sparse_basis_is_found_again_however_it_was_turned(seed, order, sizes):
+    """Directions that share no parameter: of all bases of their space this one is the sparse."""
+    rng = np.random.default_rng(seed)
+    known = []
+    for used in np.split(order, np.cumsum(sizes))[: len(sizes)]:
+        if len(used):
+            direction = np.zeros(len(NAMES))
+            direction[used] = rng.choice([-1.0, 1.0], len(used)) * rng.uniform(0.2, 1.0, len(used))
+            known.append(direction / np.linalg.norm(direction))
+    known = np.array(known).reshape(-1, len(NAMES))
+    turned = known.T @ np.linalg.qr(rng.normal(size=(len(known), len(known))))[0]
+    found = np.array(readable_basis(turned)).reshape(-1, len(NAMES))
+    expected = known[np.argsort([np.flatnonzero(direction)[0] for direction in known])]
+    signs = np.sign(np.sum(found * expected, axis=1))[:, None]
+    np.testing.assert_allclose(found, signs * expected, rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("direction", "words"),
+    [
+        ({"m": -1}, "mass"),
+        ({"hy": 1}, "first moment along y"),
+        ({"Ixy": 1}, "inertia Ixy"),
+        ({"viscous[tool]": 1}, "viscous friction of tool"),
+        ({"offset[X]": 1}, "offset of X"),
+        ({"hx": 1, "hy": 2, "hz": 3}, "first moment along (0.27, 0.53, 0.8)"),
+        ({"hy": 0.6, "hz": -0.8}, "first moment along (0, 0.6, -0.8)"),
+        ({"hx": 1e-3, "hy": 0.6, "hz": -0.8}, "first moment along (0, 0.6, -0.8)"),
+        ({"Ixx": -3, "Iyy": 3}, "the difference Ixx - Iyy"),
+        ({"Ixy": 1, "Iyz": 1}, "the sum Ixy + Iyz"),
+        ({"Ixx": 1, "Iyy": 2}, "0.45 Ixx + 0.89 Iyy"),
+        ({"Ixx": 1, "Iyy": -2}, "0.45 Ixx - 0.89 Iyy"),
+        ({"Ixx": 1, "Iyy": 1, "Izz": -1}, "0.58 Ixx + 0.58 Iyy - 0.58 Izz"),
+        ({"Ixx": 1, "hx": 2, "m": -2, "coulomb[tool]": 4},
+         "0.4 m - 0.4 hx - 0.2 Ixx - 0.8 coulomb[tool]"),
+    ],
+)  # fmt: skip
+def test_a_direction_reads_as(direction, words):
+    vector = np.array([direction.get(name, 0.0) for name in NAMES])
+    unit = (vector / np.linalg.norm(vector))[:, None]
+    assert describe(unit, np.ones(len(NAMES)), NAMES) == (words,)
+    assert describe(-unit, np.full(len(NAMES), 1e-3), NAMES) == (words,)
+
+
+@pytest.mark.parametrize(("error", "close"), [(0.004, True), (0.006, False)])
+def test_two_inertias_about_an_axis_are_only_named_where_they_are_equal_to_half_a_percent(
+    error, close
+):
+    along, across = np.array([0.6, 0.8, 0.0]), np.array([-0.8, 0.6, 0.0])
+    matrix = (1.0 - error) * np.outer(across, across) + np.diag([0.0, 0.0, 1.0])
+    vector = np.append(np.zeros(4), [*spatial.six_from_symmetric(matrix), 0.0, 0.0, 0.0])
+    (words,) = describe(vector[:, None] / np.linalg.norm(vector), np.ones(len(NAMES)), NAMES)
+    assert along @ matrix @ along == pytest.approx(0.0, abs=1e-15)
+    named = "the sum of the two inertias transverse to (0.6, 0.8, 0)"
+    assert words == (named if close else "0.48 Ixx - 0.36 Ixy + 0.27 Iyy + 0.75 Izz")

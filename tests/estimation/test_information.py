@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.estimation.information import InformationAccumulator, update_triangle
+from robot_sysid.estimation.information import (
+    InformationAccumulator,
+    combined,
+    joint_rmse,
+    restricted,
+    sample_counts,
+    update_triangle,
+)
 
 SEEDS = st.integers(0, 2**32 - 1)
 COLUMNS = 5
@@ -79,3 +89,74 @@ def test_no_rows_are_no_information():
     information = accumulator.result()
     assert information.n_samples == 0
     assert not np.any(information.stacked()[0])
+
+
+NAMES = tuple("abcdef")
+
+
+def filled(columns, blocks):
+    """Information of two joints, per block one (joint number, rows, tau)."""
+    accumulator = InformationAccumulator(NAMES, ["i", "j"], columns)
+    for block in blocks:
+        accumulator.add(*block)
+    return accumulator.result()
+
+
+def random_blocks(rng, columns, count):
+    sizes = rng.integers(0, 20, count)
+    joints = rng.integers(0, 2, count)
+    return [
+        (j, rng.normal(size=(n, len(columns[j]))), rng.normal(size=n))
+        for j, n in zip(joints, sizes)
+    ]
+
+
+@given(SEEDS, st.integers(1, 4))
+def test_parts_together_are_the_information_of_all_rows(seed, count):
+    """What was known before the data is the same in each part, and counts once."""
+    rng = np.random.default_rng(seed)
+    columns, known = [rng.permutation(6)[:3], rng.permutation(6)[:4]], rng.normal(size=(2, 7))
+    blocks = [random_blocks(rng, columns, 3) for _ in range(count)]
+    together = combined([replace(filled(columns, part), prior=known) for part in blocks])
+    whole = filled(columns, sum(blocks, []))
+    assert together.names == NAMES
+    np.testing.assert_array_equal(together.prior, known)
+    for joint, expected in zip(together.joints, whole.joints):
+        assert (joint.joint, joint.n_samples) == (expected.joint, expected.n_samples)
+        np.testing.assert_array_equal(joint.columns, expected.columns)
+        normal, other = (t.T @ t for t in (joint.triangle, expected.triangle))
+        np.testing.assert_allclose(normal, other, rtol=0.0, atol=1e-12 * (1.0 + np.max(other)))
+    assert combined([whole]).prior is None
+
+
+@given(SEEDS, st.permutations(range(6)), st.integers(1, 6))
+def test_restricting_holds_the_other_parameters_at_zero(seed, order, count):
+    rng = np.random.default_rng(seed)
+    columns = [rng.permutation(6)[:3], rng.permutation(6)]
+    information = filled(columns, random_blocks(rng, columns, 5))
+    kept = sorted(order[:count])
+    smaller = restricted(information, [NAMES[k] for k in order[:count]])
+    assert smaller.names == tuple(NAMES[k] for k in kept)
+    values = np.zeros(6)
+    values[kept] = rng.normal(size=count)
+    np.testing.assert_allclose(
+        smaller.squared_residuals(values[kept]), information.squared_residuals(values), rtol=1e-11
+    )
+    for joint, before in zip(smaller.joints, information.joints):
+        assert (joint.joint, joint.n_samples) == (before.joint, before.n_samples)
+        np.testing.assert_array_equal(joint.triangle, np.triu(joint.triangle))
+
+
+@given(SEEDS)
+def test_rmse_is_that_of_each_joints_rows(seed):
+    rng = np.random.default_rng(seed)
+    columns = [np.arange(6), rng.permutation(6)[:2], np.arange(1)]
+    accumulator = InformationAccumulator(NAMES, ["i", "j", "unused"], columns)
+    counts, values, expected = rng.integers(1, 30, 2), rng.normal(size=6), []
+    for index, count in enumerate(counts):
+        rows, tau = rng.normal(size=(count, len(columns[index]))), rng.normal(size=count)
+        accumulator.add(index, rows, tau)
+        expected.append(np.sqrt(np.mean((rows @ values[columns[index]] - tau) ** 2)))
+    information = accumulator.result()
+    assert sample_counts(information).tolist() == [*counts, 0]
+    assert joint_rmse(information, values) == pytest.approx([*expected, 0.0], rel=1e-11)

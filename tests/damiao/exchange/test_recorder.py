@@ -84,6 +84,10 @@ def test_every_frame_can_be_told_back_from_the_recording(data, tmp_path_factory)
         assert recording.columns["time"][k] == pytest.approx(time, abs=1e-6)
         np.testing.assert_array_equal(np.isfinite(values["pos"]), answered)
         np.testing.assert_allclose(values["time"][answered], stamp[answered], atol=1e-6)
+        codes = {"status": raw[:, 0] >> 4, "temp_mos": raw[:, 6], "temp_rotor": raw[:, 7]}
+        for what, code in codes.items():
+            expected = np.where(answered, code, np.nan)
+            np.testing.assert_array_equal(recording.joint_values(what)[k], expected)
         told = Feedback(
             raw[:, 0] & 0xF,
             raw[:, 0] >> 4,
@@ -124,18 +128,133 @@ def test_the_identification_reads_it_directly(tmp_path, gap):
     assert log.columns.time.title == "time"
 
 
-def test_the_head_tells_motors_registers_and_gains(tmp_path):
+HEAD = """robot-sysid motors recording
+trajectory=swing.csv
+motor_type=DM4340,can_id=1,mode=MIT,master_id=17
+motor_type=DM4310,can_id=2,mode=MIT,master_id=18
+registers_j0: MST_ID=17,ESC_ID=1,TIMEOUT=2000,CTRL_MODE=1,PMAX=12.5,VMAX=10,TMAX=28
+registers_j1: MST_ID=18,ESC_ID=2,TIMEOUT=2000,CTRL_MODE=1,PMAX=12.5,VMAX=30,TMAX=10
+rate_hz=250,speed=1
+kp=20 20
+kd=1 1
+half_step={half_step} measured position, velocity and torque, because motors drop the fraction
+centred={centred}
+jN_cmd_step is the torque step that the command answered by this sample then made
+jN_time is when joint N was sampled, jN_cmd_* the command in force at that moment"""
+
+
+@pytest.mark.parametrize(
+    ("options", "half_step", "centred"),
+    [
+        (
+            {},
+            "1: half a quantisation step added to",
+            "1: jN_tau is the torque with half of jN_cmd_step added",
+        ),
+        (
+            {"no_half_step": True, "no_centring": True},
+            "0: half a quantisation step not added to",
+            "0: jN_tau is the torque as measured",
+        ),
+    ],
+)
+def test_the_head_tells_how_the_recording_was_made(tmp_path, options, half_step, centred):
+    path = tmp_path / "measured.csv"
+    head = head_for(["DM4340", "DM4310"], **options)
+    with MeasurementRecorder(path, head, Aside(threaded=False)):
+        pass
+    expected = HEAD.format(half_step=half_step, centred=centred).splitlines()
+    assert list(read_recording(path).head) == expected
+
+
+def test_titles_name_each_joints_columns(tmp_path):
     path = tmp_path / "measured.csv"
     write_two_rows(path)
-    head = "\n".join(read_recording(path).head)
-    for words in (
-        "motor_type=DM4340,can_id=2,mode=MIT,master_id=18",
-        "registers_j1: MST_ID=18,ESC_ID=2,TIMEOUT=2000,CTRL_MODE=1,PMAX=12.5,VMAX=10,TMAX=28",
-        "rate_hz=250,speed=1",
-        "kp=20 20",
-        "half_step=1",
-    ):
-        assert words in head
+    extra = [
+        "time",
+        "cmd_pos",
+        "cmd_vel",
+        "cmd_tau",
+        "cmd_step",
+        "status",
+        "temp_mos",
+        "temp_rotor",
+    ]
+    measured = [f"j{j}_{what}" for j in range(2) for what in ("pos", "vel", "tau")]
+    beside = [f"j{j}_{what}" for j in range(2) for what in extra]
+    assert list(read_recording(path).columns) == ["time", *measured, *beside]
+
+
+def one_cycle(n, value=1.0):
+    """Arguments of ``MeasurementRecorder.write`` for n joints."""
+    same, codes = np.full(n, value), np.ones(n, dtype=int)
+    replies = Replies(codes > 0, same, Feedback(codes, codes, same, same, same, codes, codes))
+    return 0.0, 0.0, replies, MitCommand(*[same] * 5)
+
+
+def test_motors_that_are_only_held_are_not_recorded(tmp_path):
+    path = tmp_path / "measured.csv"
+    with MeasurementRecorder(path, head_for(["DM4340"]), Aside(threaded=False)) as recorder:
+        recorder.write(*one_cycle(3))
+    assert list(read_recording(path).columns)[-1] == "j0_temp_rotor"
+    assert len(read_recording(path).columns["time"]) == 1
+
+
+class Frames:
+    """Stands in for the frame log; notes what it is told to write."""
+
+    def __init__(self):
+        self.waiting, self.written = [], []
+
+    def taken(self):
+        taken, self.waiting = self.waiting, []
+        return taken
+
+    def write(self, frames):
+        self.written += frames
+
+
+def test_frames_are_written_with_each_cycle_and_at_the_end(tmp_path):
+    frames, aside = Frames(), Aside(threaded=False)
+    path = tmp_path / "measured.csv"
+    with MeasurementRecorder(path, head_for(["DM4340"]), aside, frames) as recorder:
+        for k in range(2):
+            frames.waiting.append(k)
+            recorder.end_cycle()
+            assert frames.written == list(range(k + 1))
+        frames.waiting.append(2)
+    assert frames.written == [0, 1, 2]
+    assert recorder.failure is None
+    assert recorder._file.closed
+
+
+class FullDisk:
+    """A file on a disk that has become full; what it holds back fails again on closing."""
+
+    closed = False
+
+    def write(self, text):
+        raise OSError(28, "No space left on device")
+
+    def flush(self):
+        pass
+
+    def close(self):
+        self.closed = True
+        raise OSError(28, "No space left on device")
+
+
+def test_a_disk_that_becomes_full_is_told_and_raises_nothing(tmp_path):
+    recorder = MeasurementRecorder(
+        tmp_path / "measured.csv", head_for(["DM4340"]), Aside(threaded=False)
+    )
+    recorder._file.close()
+    recorder._file = FullDisk()
+    assert recorder.failure is None
+    with recorder:
+        recorder.write(*one_cycle(1))
+    assert str(recorder.failure) == "[Errno 28] No space left on device"
+    assert recorder._file.closed
 
 
 def test_rows_are_in_the_file_before_the_run_ends(tmp_path):
@@ -198,6 +317,22 @@ def test_nothing_that_is_there_counts_as_free(tmp_path, there):
         RecordingOptions(record=tmp_path / "m.csv").require_free()
     RecordingOptions(record=tmp_path / "m.csv", overwrite=True).require_free()
     RecordingOptions(record=tmp_path / "other.csv").require_free()
+
+
+def test_a_file_that_the_run_reads_is_never_written_to(tmp_path, monkeypatch):
+    """By whatever name it is called, and whether it is there yet or not."""
+    monkeypatch.chdir(tmp_path)
+    options = RecordingOptions(record=tmp_path / "m.csv", overwrite=True)
+    options.require_free(Path("other.csv"))
+    for read in (Path("m.csv"), Path("m.log")):
+        with pytest.raises(InputError, match=f"{read} is needed for something else; choose"):
+            options.require_free(Path("other.csv"), read)
+
+
+def test_rows_and_frames_do_not_go_into_one_file(tmp_path):
+    both = RecordingOptions(record=tmp_path / "m.log", overwrite=True)
+    with pytest.raises(InputError, match="m.log is needed for something else"):
+        both.require_free()
 
 
 # --- centring -----------------------------------------------------------------------------------

@@ -154,9 +154,35 @@ def test_a_command_that_looks_like_a_special_frame_is_refused(torque_share):
         encode_mit(command(12.5, 10, 500, 5, 28 * torque_share), scaling_of("DM4340"))
 
 
+def refusal(*arguments):
+    """What ``encode_mit`` says against a command."""
+    with pytest.raises(InputError) as refused:
+        encode_mit(*arguments)
+    return str(refused.value)
+
+
 def test_stiffness_without_damping_is_refused():
-    with pytest.raises(InputError, match="kp > 0 needs kd of at least 0.0012 of motor number 1"):
-        encode_mit(command(0, 0, 10, 0, 0), scaling_of("DM4340"))
+    damping = np.array([[1.0, 1.0], [1.0, 0.0]])
+    shaky = MitCommand(0.0 * damping, 0.0 * damping, 10.0 + 0.0 * damping, damping, 0.0 * damping)
+    assert refusal(shaky, scaling_of("DM4340", "DM4310")) == (
+        "kp > 0 needs kd of at least 0.0012 of motor number 2: less is sent as 0"
+    )
+    # The least that a frame carries will do; the nearest code to anything below half of it is 0.
+    encode_mit(command(0, 0, 10, 0.51 * KD_STEP, 0), scaling_of("DM4340"))
+    refusal(command(0, 0, 10, 0.49 * KD_STEP, 0), scaling_of("DM4340"))
+    refusal(command(0, 0, 1e-9, 0, 0), scaling_of("DM4340"))
+    encode_mit(command(0, 0, 0, 0, 0), scaling_of("DM4340"))
+
+
+def test_a_special_frame_is_refused_by_the_motors_number():
+    limits = np.array([MOTORS[name].limits for name in ("DM4310", "DM4340")]).T
+    p, v, t = np.stack((0.0 * limits, limits), axis=1)
+    gains = np.array([[1.0, 1.0], [KP_MAX, KP_MAX]]), np.array([[1.0, 1.0], [KD_MAX, KD_MAX]])
+    p[1, 0] = 0.0
+    assert refusal(MitCommand(p, v, *gains, t), scaling_of("DM4310", "DM4340")) == (
+        "the command of motor number 2 has every field at its maximum and would read as a special "
+        "frame; lower its gains or torque"
+    )
 
 
 @settings(max_examples=100, deadline=None)
@@ -183,14 +209,95 @@ def test_encoding_a_whole_trajectory_at_once_keeps_its_shape():
     assert np.all(frames == frames[:1])
 
 
-def test_the_message_names_the_joint_that_is_out_of_range():
-    q = np.array([0.0, 0.0, 13.0])
-    one = np.ones(3)
-    with pytest.raises(InputError, match=r"position 13 of motor number 3 .* limit 12.5"):
-        encode_mit(MitCommand(q, 0 * one, one, one, 0 * one), scaling_of(*["DM4340"] * 3))
+@pytest.mark.parametrize(
+    ("field", "value", "limit"),
+    [("position", -13, "12.5"), ("velocity", 31, "30"), ("torque", 28.5, "10")],
+)
+def test_the_message_names_the_joint_that_is_out_of_range(field, value, limit):
+    """The first sample is fine; motor 2 has limits of its own."""
+    values = dict.fromkeys(("position", "velocity", "kp", "kd", "torque"), np.ones((2, 3)))
+    values[field] = values[field].copy()
+    values[field][1, 1] = value
+    scaling = Scaling.from_limits([(13.0, 40.0, 29.0), (12.5, 30.0, 10.0), (13.0, 40.0, 29.0)])
+    expected = f"{field} {value} of motor number 2 is outside its range, limit {limit}"
+    assert refusal(MitCommand(**values), scaling) == expected
 
 
-@pytest.mark.parametrize("bad", [(0.0, 1.0, 1.0), (-12.5, 1.0, 1.0), (np.nan, 1.0, 1.0)])
-def test_scaling_has_to_be_positive(bad):
-    with pytest.raises(InputError, match="scaling must be positive"):
-        Scaling.from_limits([bad])
+@pytest.mark.parametrize("bad", [0.0, -12.5, np.nan, np.inf])
+@pytest.mark.parametrize("place", range(3))
+def test_scaling_has_to_be_positive(bad, place):
+    limits = [12.5, 10.0, 28.0]
+    limits[place] = bad
+    name = ("position", "velocity", "torque")[place]
+    with pytest.raises(InputError) as refused:
+        Scaling.from_limits([(1.0, 2.0, 3.0), limits])
+    good = float(place + 1)
+    words = f"{name} scaling must be positive numbers, got [{good}, {bad}]"
+    assert str(refused.value) == words
+
+
+def test_a_scaling_cannot_be_changed_unchecked():
+    with pytest.raises(AttributeError):
+        scaling_of("DM4340").position = np.zeros(1)
+
+
+# --- shapes -------------------------------------------------------------------------------------
+
+SHAPES = st.lists(st.integers(0, 3), max_size=2)
+
+
+@settings(max_examples=100, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), shape=SHAPES, n=st.integers(1, 4))
+def test_a_trajectory_at_once_equals_its_samples_one_by_one(seed, shape, n):
+    rng = np.random.default_rng(seed)
+    names = rng.choice(TYPES, n)
+    scaling = scaling_of(*names)
+    p, v, t = (rng.uniform(-0.9, 0.9, (*shape, n)) * x for x in
+               (scaling.position, scaling.velocity, scaling.torque))  # fmt: skip
+    kp, kd = rng.uniform(0.0, KP_MAX, (*shape, n)), rng.uniform(0.01, KD_MAX, (*shape, n))
+    frames = encode_mit(MitCommand(p, v, kp, kd, t), scaling)
+    code = np.ones((*shape, n), dtype=int)
+    answers = encode_feedback(Feedback(code, code, p, v, t, code, code), scaling)
+    assert frames.shape == answers.shape == (*shape, n, 8)
+    meant, told = decode_mit(frames, scaling), decode_feedback(answers, scaling)
+    for index in np.ndindex(*shape):
+        for j in range(n):
+            at, own = (*index, j), scaling_of(names[j])
+            single = command(p[at], v[at], kp[at], kd[at], t[at])
+            assert encode_mit(single, own)[0].tobytes() == frames[at].tobytes()
+            one = Feedback(*(np.array([x]) for x in (1, 1, p[at], v[at], t[at], 1, 1)))
+            assert encode_feedback(one, own)[0].tobytes() == answers[at].tobytes()
+            for field in ("position", "velocity", "torque"):
+                for back, (decode, sent) in (
+                    (meant, (decode_mit, frames)), (told, (decode_feedback, answers)),
+                ):  # fmt: skip
+                    alone = getattr(decode(sent[at][None], own), field)[0]
+                    assert getattr(back, field)[at] == alone
+
+
+@pytest.mark.parametrize("beyond", [1.01, 1e3, np.inf])
+def test_a_motor_says_its_limit_where_the_truth_is_beyond_it(beyond):
+    scaling, code = scaling_of("DM4340"), np.ones(1, dtype=int)
+    for sign in (-1.0, 1.0):
+        values = [sign * beyond * x for x in (scaling.position, scaling.velocity, scaling.torque)]
+        frame = encode_feedback(Feedback(code, code, *values, code, code), scaling)
+        told = decode_feedback(frame, scaling)
+        assert told.position[0] == sign * scaling.position[0]
+        assert told.velocity[0] == sign * scaling.velocity[0]
+        assert told.torque[0] == pytest.approx(sign * scaling.torque[0], rel=1e-15)
+
+
+# --- what a command asks for --------------------------------------------------------------------
+
+VALUES = st.floats(-10.0, 10.0)
+
+
+@settings(max_examples=100, deadline=None)
+@given(p=VALUES, v=VALUES, kp=SHARE, kd=SHARE, t=VALUES, q=VALUES, qd=VALUES)
+def test_a_motor_is_pulled_towards_where_and_how_fast_it_should_be(p, v, kp, kd, t, q, qd):
+    """Of a spring and a damper between the joint and its reference, beside the torque asked for."""
+    asked = command(p, v, kp, kd, t)
+    there = asked.motor_torque(np.array([p]), np.array([v]))[0]
+    away = asked.motor_torque(np.array([p + q]), np.array([v + qd]))[0]
+    assert there == pytest.approx(t, abs=1e-12)
+    assert away - there == pytest.approx(-kp * q - kd * qd, abs=1e-12)
