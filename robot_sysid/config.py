@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -18,9 +18,9 @@ from robot_sysid.records.options import (
     folder,
     given_options,
     option,
-    options_of,
     positive,
     record_from,
+    refuse_unknown,
     whole_number,
 )
 from robot_sysid.records.results import DAMIAO_NAME, MODEL_NAMES, PARAMS_NAME, PLAN_NAME
@@ -278,9 +278,6 @@ def config_from(path: Path, **values: Any) -> SysidConfig:
         InputError: an option is unknown, its value cannot be used, or it does not go with another.
     """
     records: dict[str, Any] = {each.name: type(each.default) for each in fields(SysidConfig)[1:]}
-    known = {o.key for r in (ModelOptions, *records.values()) for o in options_of(r).values()}
-    unknown = sorted(set(values) - known)
-    if unknown:
-        raise InputError(f"unknown option {unknown[0]!r}; valid: {', '.join(sorted(known))}")
-    model = ModelOptions(**{**vars(record_from(ModelOptions, values)), "path": Path(path)})
+    refuse_unknown(values, ModelOptions, *records.values())
+    model = replace(record_from(ModelOptions, values), path=Path(path))
     return SysidConfig(model, **{name: record_from(r, values) for name, r in records.items()})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, TextIO
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.updated_model import updated_model_text
 from robot_sysid.mjcf.write_back import WriteBack
-from robot_sysid.model.compilation import captured_warnings
+from robot_sysid.model.compilation import warnings_as_notes
 from robot_sysid.output.joint_friction import friction_changes
 from robot_sysid.output.model_writing import ModelTarget, write_link
 from robot_sysid.output.params_json import export_params_json, params_json_text
@@ -35,6 +35,7 @@ __all__ = [
     "alone_in",
     "export_params_json",
     "export_updated_xml",
+    "left_over",
     "write_results",
 ]
 
@@ -67,10 +68,18 @@ def alone_in(folder: Path, progress: Progress) -> Iterator[None]:
         InputError: the folder cannot be written to, or another run has it.
     """
     require_writable(folder)
-    with captured_warnings() as warnings, only_run_in(folder):
+    with warnings_as_notes(progress), only_run_in(folder):
         yield
-    for warning in dict.fromkeys(warnings):
-        progress.note(f"MuJoCo warns: {warning}")
+
+
+def left_over(folder: Path, names: Collection[str], written: Collection[Path]) -> list[str]:
+    """Return a note for each of these files that an earlier run left and this one did not write."""
+    stale = [folder / name for name in names if (folder / name).exists()]
+    return [
+        f"{path} is from an earlier run; this run wrote none"
+        for path in stale
+        if path not in written
+    ]
 
 
 def export_updated_xml(

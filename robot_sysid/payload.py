@@ -9,7 +9,7 @@ from pathlib import Path
 
 from robot_sysid.errors import ExportError, InputError
 from robot_sysid.excitation.plan import MotionRequest, make_plan
-from robot_sysid.export import alone_in
+from robot_sysid.export import alone_in, left_over
 from robot_sysid.identify.payload.data.processing import Processed, filtered, resting
 from robot_sysid.identify.payload.data.recordings import (
     RawRecording,
@@ -185,10 +185,10 @@ def written(
     if options.save_torque_scale is not None and failure is None:
         scales = {joint: scale for joint, (scale, _) in found.torque_scale.items()}
         write_torque_scale(options.save_torque_scale, scales)
-    for note in notes:
+    paths = tuple(folder / name for name in names)
+    for note in (*notes, *left_over(folder, (MODEL_NAMES[robot.kind], CARD_NAME), paths)):
         progress.note(note)
-    _say_stale(robot, folder, names, progress)
-    return PayloadOutcome(found, folder, tuple(folder / name for name in names), failure)
+    return PayloadOutcome(found, folder, paths, failure)
 
 
 def _refusal(found: PayloadIdentification) -> str | None:
@@ -204,13 +204,6 @@ def _write_model(
 ) -> tuple[str, ...]:
     payload, link = found.payload.inertial, found.link.inertial
     return write_payload(robot, payload, found.flange, target, link, as_body, found.total.errors)
-
-
-def _say_stale(robot: RobotModel, folder: Path, names: list[str], progress: Progress) -> None:
-    """Say which files of an earlier run are still there, and not of this one."""
-    for name in (MODEL_NAMES[robot.kind], CARD_NAME):
-        if name not in names and (folder / name).exists():
-            progress.note(f"{folder / name} is from an earlier run; this run wrote none")
 
 
 def _cards(found: PayloadIdentification) -> tuple[Card, ...]:

@@ -14,7 +14,14 @@ import numpy as np
 from robot_sysid.config import SysidConfig
 from robot_sysid.errors import InputError
 from robot_sysid.excitation.plan import CheckedPlan, MotionRequest, make_plan
-from robot_sysid.export import MotorFile, alone_in, write_model, write_motor_file, write_results
+from robot_sysid.export import (
+    MotorFile,
+    alone_in,
+    left_over,
+    write_model,
+    write_motor_file,
+    write_results,
+)
 from robot_sysid.identify.judgement.rollout.candidate import refusal
 from robot_sysid.identify.simulated import Analysis, SimulatedRun, identify_itself
 from robot_sysid.interrupts import only_the_first
@@ -278,11 +285,8 @@ def written(
         refused = refusal(found.rollout, config.log.accept)
     options = mesh_dir, motor_file, keep, refused
     written = write_results(robot, found, checkpoints, folder, *options)
-    for note in written.notes:
+    for note in (*written.notes, *left_over(folder, [MODEL_NAMES[robot.kind]], written.files)):
         progress.note(note)
-    stale = folder / MODEL_NAMES[robot.kind]
-    if stale not in written.files and stale.exists():
-        progress.note(f"{stale} is from an earlier run; this run wrote no model")
     made = written.files, written.damiao, written.failure, analysis.traces
     return Outcome(found, folder, *made)
 

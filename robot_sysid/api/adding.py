@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from robot_sysid.api.arrays import Log, as_logs
-from robot_sysid.api.calls import Model, only_known, plain, quietly
+from robot_sysid.api.calls import Model, plain, quietly
 from robot_sysid.api.results import LinkResult
 from robot_sysid.config import ModelOptions, SysidConfig
 from robot_sysid.errors import InputError
@@ -17,7 +17,7 @@ from robot_sysid.identify.measured import identify_information, read_information
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.parser import load_robot_model as load
 from robot_sysid.records import RobotModel
-from robot_sysid.records.options import record_from
+from robot_sysid.records.options import record_from, refuse_unknown
 
 _ADDED = Path("added information")
 _NOT_HERE = ("measurements", "append", "validation_measurements", "validate", "verify_rollout")
@@ -70,7 +70,7 @@ def identify_from(
     Raises:
         InputError: it is the sum of a first round, or was made with another model.
     """
-    only_known(options, ModelOptions)
+    refuse_unknown(options, ModelOptions)
     robot, _, _ = _settled(model, options, plain(options))
     chosen = record_from(ModelOptions, {**plain(options), "path": Path(model)})
     config = SysidConfig(
@@ -85,7 +85,7 @@ def _settled(
     model: Model, given: Mapping[str, Any], values: Mapping[str, Any]
 ) -> tuple[RobotModel, LogOptions, EstimationOptions]:
     """Return the arm, its logs and how they are fitted."""
-    only_known(values, ModelOptions, LogOptions, EstimationOptions)
+    refuse_unknown(values, ModelOptions, LogOptions, EstimationOptions)
     for name in _NOT_HERE:
         if name in given:
             raise InputError(f"{name} is not for information, which holds one log or several alike")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, Union
 
@@ -16,19 +15,18 @@ from robot_sysid.config import ModelOptions, config_from
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.arm.options import ArmOptions
 from robot_sysid.identify.arm.run import identify_arm as run_arm
-from robot_sysid.identify.payload.options import PayloadOptions
 from robot_sysid.identify.simulated import CHECKPOINTS
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.reader import MeasurementLog, open_log
-from robot_sysid.model.compilation import captured_warnings
+from robot_sysid.model.compilation import warnings_as_notes
 from robot_sysid.parser import load_robot_model as load
 from robot_sysid.payload import load as payload_load
 from robot_sysid.payload import weighed
-from robot_sysid.payload_config import PayloadConfig
+from robot_sysid.payload_config import payload_config_from
 from robot_sysid.pipeline import analysed, designed, promise
 from robot_sysid.pipeline import load as link_load
 from robot_sysid.records import RobotModel
-from robot_sysid.records.options import options_of, record_from
+from robot_sysid.records.options import record_from, refuse_unknown
 from robot_sysid.records.progress import Progress
 
 Model = Union[str, "os.PathLike[str]"]
@@ -54,9 +52,8 @@ class _Notes(Progress):
 def quietly() -> Iterator[_Notes]:
     """Keep notes, and MuJoCo's warnings among them, from being printed or written to a file."""
     notes = _Notes()
-    with captured_warnings() as warnings:
+    with warnings_as_notes(notes):
         yield notes
-    notes.notes += [f"MuJoCo warns: {warning}" for warning in dict.fromkeys(warnings)]
 
 
 def load_robot_model(
@@ -93,7 +90,8 @@ def read_log(log: Log, model: Model | RobotModel, **options: Any) -> Measurement
         InputError: it cannot be read, is ambiguous or cannot be what it seems to be.
     """
     robot = model if isinstance(model, RobotModel) else load_robot_model(model)
-    return open_log(robot, as_log(log), record_from(LogOptions, only_known(options, LogOptions)))
+    refuse_unknown(options, LogOptions)
+    return open_log(robot, as_log(log), record_from(LogOptions, options))
 
 
 def identify(
@@ -176,11 +174,7 @@ def payload(
     values = plain(options)
     values.update({} if empty is None else {"empty": as_logs(empty)})
     values.update({} if loaded is None else {"loaded": as_logs(loaded)})
-    records: Mapping[str, Any] = {f.name: type(f.default) for f in fields(PayloadConfig)[2:]}
-    only_known(values, ModelOptions, PayloadOptions, *records.values())
-    chosen = replace(record_from(ModelOptions, values), path=Path(model))
-    rest = {name: record_from(record, values) for name, record in records.items()}
-    config = PayloadConfig(chosen, record_from(PayloadOptions, values), **rest)
+    config = payload_config_from(Path(model), **values)
     with quietly() as notes:
         robot = payload_load(config, notes)
         found, motion, traces = weighed(config, robot, notes)
@@ -210,7 +204,7 @@ def identify_arm(
         )
     if values.get("torque_from"):
         raise InputError("torque_from searches for servos; it needs the command robot-sysid arm")
-    only_known(values, ModelOptions, LogOptions, ArmOptions)
+    refuse_unknown(values, ModelOptions, LogOptions, ArmOptions)
     chosen = record_from(ModelOptions, values)
     place = chosen.mesh_dir, chosen.joint
     with quietly() as notes:
@@ -236,12 +230,3 @@ def plain(options: Mapping[str, Any]) -> dict[str, Any]:
 def _is_list(text: str) -> bool:
     """Whether a text is numbers, as ``torque_scale="1.0,1.1"``."""
     return all(part.replace(".", "", 1).strip().isdigit() for part in text.split(","))
-
-
-def only_known(values: Mapping[str, Any], *records: Any) -> Mapping[str, Any]:
-    """Raise InputError naming an option that none of the records has."""
-    known = {each.key for record in records for each in options_of(record).values()}
-    unknown = sorted(set(values) - known)
-    if unknown:
-        raise InputError(f"unknown option {unknown[0]!r}; valid: {', '.join(sorted(known))}")
-    return values

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
-from typing import Any
+from collections.abc import Sequence
 
 from robot_sysid.commands.arguments import Parser, exit_codes, parsed
 from robot_sysid.commands.console import Console
@@ -15,8 +13,7 @@ from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
 from robot_sysid.identify.payload.options import PayloadOptions
 from robot_sysid.logs.options import LogOptions
-from robot_sysid.payload_config import PayloadConfig
-from robot_sysid.records.options import record_from
+from robot_sysid.payload_config import payload_config_from
 from robot_sysid.simulation.sensors import SimulatedArmOptions
 from robot_sysid.trajectory import TrajectoryOptions
 
@@ -66,7 +63,7 @@ def build_parser(full: bool = True) -> Parser:
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     values, options = parsed(build_parser, arguments)
-    config = _config(values)
+    config = payload_config_from(**values)
     require_report(config.output)
     console = Console(options.quiet, options.verbose)
     # Imported here so that --help and usage errors do not wait for MuJoCo.
@@ -75,12 +72,3 @@ def main(arguments: Sequence[str]) -> int:
     with warnings_as_notes(console, options.debug):
         outcome = run(config, console)
     return told(outcome, console, options.verbose, config.output, config.model.mesh_dir)
-
-
-def _config(values: Mapping[str, Any]) -> PayloadConfig:
-    """Return what was asked for, from what was given by the options' keys."""
-    model = record_from(ModelOptions, values)
-    records = {each.name: type(each.default) for each in fields(PayloadConfig)[2:]}
-    found: dict[str, Any] = {name: record_from(r, values) for name, r in records.items()}
-    options = record_from(PayloadOptions, values)
-    return PayloadConfig(replace(model, path=values["path"]), options, **found)

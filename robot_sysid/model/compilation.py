@@ -24,6 +24,7 @@ from robot_sysid.mjcf.urdf import compilable_urdf, link_inertias, velocity_limit
 from robot_sysid.model.hazards import refuse_hazards
 from robot_sysid.model.inertia import inertia_about_com
 from robot_sysid.records import Array
+from robot_sysid.records.progress import Progress
 
 LARGEST = 1e12
 """Largest size of any number of an arm in SI units; squares of far larger ones overflow."""
@@ -75,6 +76,15 @@ def captured_warnings() -> Iterator[list[str]]:
         yield messages
     finally:
         mujoco.set_mju_user_warning(previous)
+
+
+@contextmanager
+def warnings_as_notes(progress: Progress) -> Iterator[None]:
+    """Tell at the end what MuJoCo warned of meanwhile, each warning once."""
+    with captured_warnings() as warnings:
+        yield
+    for warning in dict.fromkeys(warnings):
+        progress.note(f"MuJoCo warns: {warning}")
 
 
 def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:

@@ -141,6 +141,14 @@ def record_from(record: type[Record], values: Mapping[str, Any]) -> Record:
     return record(**{name: values[key] for name, key in known.items() if key in values})
 
 
+def refuse_unknown(values: Mapping[str, Any], *records: Any) -> None:
+    """Raise InputError naming an option that none of the records has."""
+    known = {each.key for record in records for each in options_of(record).values()}
+    unknown = sorted(set(values) - known)
+    if unknown:
+        raise InputError(f"unknown option {unknown[0]!r}; valid: {', '.join(sorted(known))}")
+
+
 def positive(value: float) -> str | None:
     """Complain unless a number is positive and finite."""
     return None if value > 0.0 and math.isfinite(value) else f"must be positive (got {value:g})"

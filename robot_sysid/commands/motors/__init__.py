@@ -71,15 +71,7 @@ class SimulatedMotorOptions(OptionRecord):
     """What ``motors simulate`` puts on the bus, and for how long."""
 
     play: bool = option(False, "play the trajectory at once, in simulated time, without a bus")
-    lifetime: float | None = option(
-        None,
-        "end after this time",
-        flag="--for",
-        unit="s",
-        metavar="S",
-        check=positive,
-        usual="Ctrl-C",
-    )
+    lifetime: float | None = motors_setup.lifetime_option()
     watchdog: float = option(
         DEFAULT_WATCHDOG, "of the simulated motors", unit="s", metavar="S", check=positive
     )

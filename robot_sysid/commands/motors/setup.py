@@ -30,6 +30,19 @@ _FIXED_RATE = ("socketcan", "damiao", "virtual")
 _CLASSIC_TOP = 1_000_000
 
 
+def lifetime_option() -> Any:
+    """Return the option that ends what would go on until Ctrl-C."""
+    return option(
+        None,
+        "end after this time",
+        flag="--for",
+        unit="s",
+        metavar="S",
+        check=positive,
+        usual="Ctrl-C",
+    )
+
+
 @dataclass(frozen=True)
 class FindOptions(OptionRecord):
     """How ``motors setup`` looks for motors."""
@@ -41,15 +54,7 @@ class FindOptions(OptionRecord):
 class MonitorOptions(OptionRecord):
     """How ``motors monitor`` watches."""
 
-    lifetime: float | None = option(
-        None,
-        "end after this time",
-        flag="--for",
-        unit="s",
-        metavar="S",
-        check=positive,
-        usual="Ctrl-C",
-    )
+    lifetime: float | None = lifetime_option()
     interval: float = option(
         0.2, "time between two looks", unit="s", metavar="S", check=positive, flag="--every"
     )

@@ -12,7 +12,7 @@ import numpy as np
 from robot_sysid.checks.run import look_at
 from robot_sysid.errors import ExportError
 from robot_sysid.estimation.arm.options import ArmOptions
-from robot_sysid.export import alone_in
+from robot_sysid.export import alone_in, left_over
 from robot_sysid.identify.arm.fit import ArmFit, fit_arm
 from robot_sysid.identify.arm.model_friction import model_friction
 from robot_sysid.identify.arm.played import Writer, play_held_out, play_other
@@ -242,10 +242,9 @@ def write_arm(
         final = replace(found, notes=found.notes + notes)
         files.write(folder / ARM_NAME, arm_json_text(final))
         files.write(folder / FRICTION_NAME, friction_json_text(final))
-    stale = folder / MODEL_NAMES[robot.kind]
-    if stale.name not in names and stale.exists():
-        notes = (*notes, f"{stale} is from an earlier run; this run wrote no model")
-    return ArmOutcome(final, folder, tuple(folder / name for name in names), failure, notes)
+    paths = tuple(folder / name for name in names)
+    notes = (*notes, *left_over(folder, [MODEL_NAMES[robot.kind]], paths))
+    return ArmOutcome(final, folder, paths, failure, notes)
 
 
 def write_model(
