@@ -39,6 +39,7 @@ from tests.support.model_files import (
     write_files,
 )
 from tests.support.places import SHARED
+from tests.support.releases import since
 from tests.support.results import theta_in
 
 seeds = st.integers(0, 2**32 - 1)
@@ -173,6 +174,7 @@ def png(red: int) -> bytes:
 
 
 @pytest.mark.parametrize("folder", ["out", "in/parts", "in"])
+@since(3, 1, 6)
 def test_a_nameless_body_in_an_include_is_changed_and_its_files_are_found(tmp_path, folder):
     source = write_files(tmp_path / "in", INCLUDING)
     (tmp_path / "in" / "files" / "t.png").write_bytes(png(200))

@@ -116,7 +116,7 @@ class Clearance:
         lever = np.where(self._robot.is_slide, normal, cross(point - anchors, normal))
         rates = np.sum(axes * lever, axis=0)
         # A joint changes the distance only if it moves one body and not the other.
-        part = self._bounds.part[[near.bodies for near in nearest]]
+        part = self._bounds.part[np.array([near.bodies for near in nearest])]
         joint = np.arange(q.shape[1])
         side = (joint < part[:, 1:]).astype(float) - (joint < part[:, :1])
         return Slack(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from robot_sysid.cli import main
@@ -218,6 +217,5 @@ def test_the_model_says_which_way_is_positive(arm_file):
 
     robot = load_robot_model(arm_file(arms.serial_arm((arms.Z, arms.Y))))
     ways = positive_ways(robot)
-    assert len(ways) == 2 and all(("towards" in way) or ("turns" in way) for way in ways)
-    # A turn about +y takes what sticks out along +x down, and what stands upright towards +x.
-    assert np.all([way.split()[-1] for way in ways])
+    assert [way.partition("seen from ")[2] for way in ways] == ["+z (up)", "+y"]
+    assert all("counter-clockwise" in way for way in ways)

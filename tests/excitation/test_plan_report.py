@@ -18,6 +18,7 @@ from tests.excitation.test_prediction import a_plan
 from tests.support import arms, witness
 from tests.support.arms import X, Y, Z
 from tests.support.excitation_arms import FLOOR, TUBES, TUBES_AND_POST, problem, robot, tube_arm
+from tests.support.releases import since
 
 STRONG = TUBES.replace('range="-2.5 2.5"', 'range="-2.5 2.5" actuatorfrcrange="-60 60"')
 
@@ -73,6 +74,7 @@ def test_the_speed_of_the_tools_fastest_point_is_that_of_its_last_tube():
     assert float(share) == pytest.approx(100.0 * fastest / 9.0, abs=1.5)
 
 
+@since(3, 1, 6)
 def test_the_stated_clearance_is_the_smallest_distance_not_the_tightest_slack():
     """At rest the last tube is 4 mm from a stud, so it may come as near as 2 mm."""
     stud = '<body name="stud" pos="0 .064 1.1"><geom size=".03"/></body>'

@@ -23,6 +23,7 @@ from robot_sysid.mjcf.markup import apply_edits
 from robot_sysid.model.inertia import body_label, body_theta
 from robot_sysid.output.verification import reads_fullinertia_exactly
 from tests.support.model_files import random_theta, urdf_link, urdf_robot, write_files
+from tests.support.releases import since
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -127,6 +128,7 @@ INCLUDED = """<mujoco><worldbody><body><geom size="1" mass="1"/>
 <body name="b"><geom size="1" mass="2"/></body></body></worldbody></mujoco>"""
 
 
+@since(3, 1)
 def test_nameless_bodies_are_counted_as_mujoco_counts(tmp_path):
     path = write_files(tmp_path, {"m.xml": NAMELESS, "a.xml": INCLUDED})
     mj_model, document = mujoco.MjModel.from_xml_path(str(path)), read_document(path)

@@ -19,6 +19,7 @@ from tests.support.model_files import (
     urdf_robot,
     write_files,
 )
+from tests.support.releases import since
 
 # A child body before the joint of its parent, frames, a free joint, joints elsewhere in the file.
 MIXED = f"""<mujoco>
@@ -48,6 +49,7 @@ def changed(document, *changes):
 
 
 @pytest.mark.parametrize("joint", [1, 2, 3, 4])
+@since(3, 1)
 def test_a_joint_is_found_by_its_number(tmp_path, joint):
     document = read_document(write_files(tmp_path, {"m.xml": MIXED}))
     label = "last" if joint == 4 else f"#{joint}"
@@ -162,6 +164,7 @@ SERVOS = f"""<mujoco>
 </mujoco>"""
 
 
+@since(3, 1)
 def test_gains_are_written_into_the_actuator_that_mujoco_numbers(tmp_path):
     path = write_files(tmp_path, {"arm.xml": SERVOS})
     document = read_document(path)

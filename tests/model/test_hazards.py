@@ -10,6 +10,7 @@ import pytest
 from robot_sysid.errors import ModelError
 from robot_sysid.model.compilation import compile_model
 from tests.support import arms
+from tests.support.releases import since
 
 LEAF = '<body name="b"><geom size=".1"/></body>'
 
@@ -39,6 +40,7 @@ def test_a_model_that_attaches_itself_is_refused(tmp_path, ring):
         compile_model(tmp_path / "a.xml")
 
 
+@since(3, 3)
 def test_a_model_may_be_attached_more_than_once(tmp_path):
     model(tmp_path, "leaf.xml")
     attaching(tmp_path, "c.xml", "leaf.xml")

@@ -33,6 +33,7 @@ from tests.support.model_files import (
     urdf_robot,
     write_files,
 )
+from tests.support.releases import since
 
 MJCF = ARM.replace(
     '<body name="tool" pos="0 0 0.1" euler="10 20 30">',
@@ -235,6 +236,7 @@ INCLUDING = {
 }
 
 
+@since(3, 1, 6)
 def test_a_nameless_empty_body_in_an_include_can_carry_it(tmp_path):
     robot = load_robot_model(write_files(tmp_path, INCLUDING))
     flange = find_flange(robot, "#3")

@@ -10,7 +10,8 @@ from tests.support.arms import Y, Z, serial_arm
 RATE = 50.0
 JOINT = 'range="-2.5 2.5" armature=".05" damping="1" frictionloss=".3"'
 SERVOS = (
-    '<actuator><position name="a" joint="joint0" kp="100" kv="2" forcerange="-60 60"/>'
+    '<actuator><general name="a" joint="joint0" gainprm="100" biastype="affine" biasprm="0 -100 -2"'
+    ' forcerange="-60 60"/>'
     '<general name="b" joint="joint1" gainprm="80" biastype="affine" biasprm="0 -80 -1"/>'
     "</actuator>"
 )

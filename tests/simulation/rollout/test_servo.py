@@ -83,7 +83,7 @@ def test_commands_act_late_and_hold_until_the_next(delay):
 
 
 def test_a_geared_actuator_is_seen_at_the_joint():
-    robot = robot_of(XML.replace('kp="100"', 'kp="100" gear="2"'))
+    robot = robot_of(XML.replace('gainprm="100"', 'gainprm="100" gear="2"'))
     own = actuators_of(robot)
     assert own.stiffness[0] == 400.0 and own.damping[0] == 8.0 and own.limit[0] == 120.0
 

@@ -1,0 +1,14 @@
+"""Which MuJoCo is installed, for tests of what older releases cannot read."""
+
+from __future__ import annotations
+
+import mujoco
+import pytest
+
+MUJOCO = tuple(int(part) for part in mujoco.__version__.split(".")[:3])
+
+
+def since(*release):
+    """Mark a test that needs a release of MuJoCo, ``since(3, 1, 6)``."""
+    needed = ".".join(map(str, release))
+    return pytest.mark.skipif(release > MUJOCO, reason=f"needs MuJoCo {needed}")
