@@ -9,10 +9,12 @@ from hypothesis import strategies as st
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import InputError
+from robot_sysid.estimation.autocorrelation import collect_residuals
 from robot_sysid.estimation.information import InformationAccumulator, combined
 from robot_sysid.estimation.least_squares import ordinary
 from robot_sysid.estimation.nuisances import NuisanceGroup
 from robot_sysid.estimation.options import EstimationOptions
+from robot_sysid.estimation.uncertainty import joint_space
 from robot_sysid.records import Identifiability, SquareRootInformation, Status
 from robot_sysid.solver import identify_parameters, judge, solve
 from tests.support.synthetic_data import (
@@ -205,6 +207,24 @@ def test_samples_that_count_less_make_errors_larger_by_the_root(seed, coloured, 
         assert fewer.effective_samples[joint] == pytest.approx(count / less, rel=1e-6)
         noise = plain.noise_per_joint[joint]
         assert fewer.noise_per_joint[joint] == pytest.approx(noise, rel=1e-9)
+
+
+@settings(max_examples=100, deadline=None)
+@given(SEEDS)
+def test_what_a_pass_over_the_samples_left_serves_as_well_as_they_do(seed):
+    samples, names, _, rng = noisy_samples(seed, count=40)
+    information, prior = samples.information(names), rng.normal(size=16)
+    equations = ordinary(information, prior)
+    values, _ = solve(equations, prior, EstimationOptions(consistency="off"))
+    weights = 1.0 / equations.noise
+    root = joint_space(information, weights).inverse_root()
+    left = collect_residuals(information, samples, values, equations.clip, root, weights)
+    one = identify_parameters(information, prior, samples=samples)
+    other = identify_parameters(information, prior, residuals=left)
+    np.testing.assert_allclose(other.standard_errors, one.standard_errors, rtol=1e-9)
+    assert other.effective_samples == pytest.approx(one.effective_samples, rel=1e-9)
+    white = identify_parameters(information, prior)
+    assert np.max(np.abs(white.standard_errors / one.standard_errors - 1.0)) > 1e-6
 
 
 def test_noise_of_a_joint_without_samples_is_not_told():

@@ -203,6 +203,50 @@ def test_an_arm_without_springs_and_tendons_needs_no_full_dynamics():
     assert has_only_armature(robot_of(arms.ARMATURE).mj_model)
 
 
+BESIDE_ARMATURE = [
+    f"{what}{kind}"
+    for what in ("jnt_stiffness", "dof_damping", "tendon_stiffness", "tendon_damping")
+    for kind in ("", "poly")
+] + ["tendon_armature", "actuator_armature", "actuator_damping", "actuator_dampingpoly"]
+
+
+@pytest.mark.parametrize("field", sorted({*BESIDE_ARMATURE} - {"dof_damping"}))
+def test_each_thing_beside_armature_alone_needs_the_full_dynamics(field):
+    xml = arms.TENDON_SPRING.replace('stiffness="25" springlength=".2" damping="3"', "")
+    motor = '<actuator><motor joint="joint2"/></actuator></mujoco>'
+    model = analysis_copy(arms.compile_xml(xml.replace("</mujoco>", motor)))
+    if not hasattr(model, field):
+        pytest.skip("this MuJoCo does not know it")
+    assert has_only_armature(model)
+    getattr(model, field).flat[-1] = 0.1
+    assert not has_only_armature(model)
+
+
+def test_an_analysis_copy_holds_no_drag_and_no_discrete_inverse():
+    """Beside what the torques show: a flag left on would cost time or change what qacc means."""
+    flags = '<flag invdiscrete="enable" energy="enable"/></option>'
+    xml = arms.IN_WATER.replace('wind="1 2 0"/>', 'wind="1 2 0">' + flags)
+    model = arms.compile_xml(xml)
+    assert model.opt.density and model.opt.viscosity and model.opt.enableflags
+    model = analysis_copy(model)
+    assert (model.opt.density, model.opt.viscosity, model.opt.enableflags) == (0.0, 0.0, 0)
+    off = mujoco.mjtDisableBit
+    for flag in (off.mjDSBL_CONSTRAINT, off.mjDSBL_CONTACT, off.mjDSBL_SENSOR):
+        assert model.opt.disableflags & int(flag)
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_a_branch_may_stand_in_front_of_the_link_or_behind_it(first):
+    """In front it parts the chain's addresses into two runs."""
+    branch = arms.link(arms.hinge("side", arms.Y))
+    bodies = [arms.link(arms.hinge("joint1", arms.X), inertial=arms.TIP), branch]
+    inside = "".join(bodies[::-1] if first else bodies)
+    robot = robot_of(arms.world(arms.link(arms.hinge("joint0", arms.Z), inside)), "joint1")
+    assert list(robot.dof_index) == ([0, 2] if first else [0, 1])
+    motion = random_motion(np.random.default_rng(7), 2, SAMPLES)
+    assert_reproduces(robot, body_theta(robot.mj_model, robot.body_id), motion)
+
+
 def test_massless_link_leaves_no_warning_behind():
     robot = robot_of(arms.COUPLED_FINGERS)
     kinematics = ChainKinematics(robot)

@@ -167,6 +167,29 @@ def test_the_scale_of_a_body_follows_its_units(seed, mass_power, length_power):
     assert other == pytest.approx(10.0**length_power * one, rel=1e-12)
 
 
+@given(SEEDS)
+def test_the_size_of_a_body_is_the_root_mean_square_distance_of_its_mass(seed):
+    masses, points = point_masses(np.random.default_rng(seed), 3)
+    expected = np.sqrt(masses @ np.sum(points**2, axis=1) / np.sum(masses))
+    size = spatial.characteristic_length(theta_of_points(masses, points))
+    assert size == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("inertia", [0.0, -1.0])
+def test_a_body_without_a_size_has_the_unit_of_length(inertia):
+    theta = np.array([2.0, *[0.0] * 3, inertia, 0.0, 0.0, inertia, 0.0, inertia])
+    assert spatial.characteristic_length(theta) == 1.0
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("place", range(10))
+def test_numbers_that_are_none_are_no_body(place, bad):
+    theta = spatial.theta_from_com(1.0, np.zeros(3), np.eye(3))
+    assert spatial.is_consistent(theta)
+    theta[place] = bad
+    assert spatial.is_consistent(theta) is False
+
+
 def turns(rng, kind):
     """A rotation anywhere, at right angles, or so near a right pitch that roll and yaw mix."""
     if kind == "any":

@@ -49,6 +49,14 @@ def test_unidentifiable_directions_of_a_slanted_axis_name_that_axis():
     )
 
 
+def test_an_axis_with_three_components_is_named():
+    assert terminal(0, [0.36, 0.48, 0.8]).unidentifiable == (
+        "mass",
+        "first moment along (0.36, 0.48, 0.8)",
+        "the sum of the two inertias transverse to (0.36, 0.48, 0.8)",
+    )
+
+
 def test_an_axis_off_the_origin_reads_as_combinations():
     phrases = terminal(0, [0.0, 0.0, 1.0], np.array([0.5, 0.0, 0.0])).unidentifiable
     assert len(phrases) == 3

@@ -116,6 +116,16 @@ def write_two_rows(path, gap=False):
             recorder.end_cycle()
 
 
+def test_cells_of_a_joint_that_did_not_answer_are_empty(tmp_path):
+    path = tmp_path / "measured.csv"
+    write_two_rows(path, gap=True)
+    rows = [line for line in path.read_text().splitlines() if not line.startswith("#")]
+    titles, _, cells = (row.split(",") for row in rows[:3])
+    empty = [title for title, cell in zip(titles, cells) if not cell]
+    named = ("pos", "vel", "tau", "time", "cmd_step", "status", "temp_mos", "temp_rotor")
+    assert empty == [f"j1_{what}" for what in named]
+
+
 @pytest.mark.parametrize("gap", [False, True])
 def test_the_identification_reads_it_directly(tmp_path, gap):
     path = tmp_path / "measured.csv"

@@ -31,12 +31,19 @@ def scaling_of(*names: str) -> Scaling:
     return Scaling.from_limits(MOTORS[name].limits for name in names)
 
 
-def command(p: float, v: float, kp: float, kd: float, t: float) -> MitCommand:
-    return MitCommand(*(np.array([float(x)]) for x in (p, v, kp, kd, t)))
+def command(position, velocity, kp, kd, torque) -> MitCommand:
+    return MitCommand(*(np.array([float(x)]) for x in (position, velocity, kp, kd, torque)))
 
 
 def hexed(frame: np.ndarray) -> str:
     return " ".join(f"{byte:02X}" for byte in frame)
+
+
+def refusal(*arguments):
+    """What ``encode_mit`` says against a command."""
+    with pytest.raises(InputError) as refused:
+        encode_mit(*arguments)
+    return str(refused.value)
 
 
 @pytest.mark.parametrize(
@@ -148,17 +155,28 @@ def test_a_limit_that_went_through_a_float32_register_is_still_inside():
     assert hexed(encode_mit(command(12.566, 0, 0, 0, 0), scaling)[0]).startswith("FF FF 80 00")
 
 
+@pytest.mark.parametrize("field", ["position", "velocity", "torque", "kp", "kd"])
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_limit_may_be_off_by_a_millionth(field, sign):
+    """Of itself, whether it is 5 or 500; what is sent is the limit."""
+    limits = {"position": 12.5, "velocity": 0.3, "torque": 28.0, "kp": KP_MAX, "kd": KD_MAX}
+    scaling = Scaling.from_limits([(12.5, 0.3, 28.0)])
+    values = {"position": 0.0, "velocity": 0.0, "kp": 0.0, "kd": 1.0, "torque": 0.0}
+    low = 0.0 if field in ("kp", "kd") else -limits[field]
+    exact = values | {field: limits[field] if sign > 0 else low}
+    for share, refused in ((0.9e-6, False), (1.1e-6, True)):
+        beyond = values | {field: exact[field] + sign * share * limits[field]}
+        if refused:
+            assert "outside its range" in refusal(command(**beyond), scaling)
+        else:
+            frames = [encode_mit(command(**v), scaling).tobytes() for v in (exact, beyond)]
+            assert frames[0] == frames[1]
+
+
 @pytest.mark.parametrize("torque_share", [0.876, 0.9, 1.0])
 def test_a_command_that_looks_like_a_special_frame_is_refused(torque_share):
     with pytest.raises(InputError, match="special frame"):
         encode_mit(command(12.5, 10, 500, 5, 28 * torque_share), scaling_of("DM4340"))
-
-
-def refusal(*arguments):
-    """What ``encode_mit`` says against a command."""
-    with pytest.raises(InputError) as refused:
-        encode_mit(*arguments)
-    return str(refused.value)
 
 
 def test_stiffness_without_damping_is_refused():
