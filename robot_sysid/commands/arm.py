@@ -63,6 +63,8 @@ def _identify(values: Mapping[str, Any], options: ConsoleOptions) -> int:
     output, arm = record_from(OutputOptions, values), record_from(ArmOptions, values)
     chosen = record_from(ModelOptions, values)
     logs = record_from(LogOptions, {**values, "measurements": tuple(values["measurements"])})
+    if arm.write_offset and output.keep_friction:
+        raise InputError("--write-offset is about friction; leave --keep-friction off")
     if arm.torque_from is not None:
         _require_no_torque(arm.torque_from, output, logs)
     require_report(output)

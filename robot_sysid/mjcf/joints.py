@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf import markup
 from robot_sysid.mjcf.changes import ActuatorChange, JointChange
+from robot_sysid.mjcf.compiler_settings import setting
 from robot_sysid.mjcf.documents import ModelDocument, Node
 from robot_sysid.mjcf.inertial import MULTIPLIERS, number
 from robot_sysid.mjcf.markup import Edit
@@ -43,6 +44,20 @@ def joint_edits(document: ModelDocument, change: JointChange) -> Iterator[tuple[
             beyond = [number(each) for each in change.polynomial]
         text = " ".join([number(value), *beyond])
         yield node, markup.set_attribute(node.file.text, span, name, text)
+    yield from _spring_edits(document, node, change)
+
+
+def _spring_edits(
+    document: ModelDocument, node: Node, change: JointChange
+) -> Iterator[tuple[Node, Edit]]:
+    if change.spring is None:
+        return
+    stiffness, rest = change.spring
+    in_degrees = node.get("type") != "slide" and setting(document, "angle") != "radian"
+    place = math.degrees(rest) if in_degrees else rest
+    for name, value in (("stiffness", stiffness), ("springref", place)):
+        span = node.file.span(node.element)
+        yield node, markup.set_attribute(node.file.text, span, name, number(value))
 
 
 def actuator_edits(document: ModelDocument, change: ActuatorChange) -> Iterator[tuple[Node, Edit]]:

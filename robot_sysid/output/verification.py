@@ -42,6 +42,7 @@ _WRITTEN = {
     "body_sameframe",
 }
 _WRITTEN_JOINT = {f"dof_{name}" for name in (*JOINT_NUMBERS, "dampingpoly")}
+_WRITTEN_SPRING = ("jnt_stiffness", "qpos_spring")
 _DELAY, _LINEAR = ("actuator_delay", "actuator_history"), 1
 _WRITTEN_ACTUATOR = ("actuator_gainprm", "actuator_biasprm", *_DELAY)
 # What MuJoCo computes from masses and inertias when it compiles.
@@ -126,7 +127,9 @@ def verify_written_model(
     lumped = {body.body_id for plan in bodies.values() for body in plan.lumped}
     dofs = {change: _dof(original, change) for change in joints}
     servos = [change.actuator for change in actuators]
-    require_same_model(original, compiled.mj_model, {*bodies, *lumped}, dofs.values(), servos)
+    springs = [dof for change, dof in dofs.items() if change.spring is not None]
+    changed = {*bodies, *lumped}
+    require_same_model(original, compiled.mj_model, changed, dofs.values(), servos, springs)
     for body, plan in bodies.items():
         require_theta(compiled.mj_model, body, plan.theta, plan.theta)
         for other in plan.lumped:
@@ -134,6 +137,7 @@ def verify_written_model(
     for change, dof in dofs.items():
         _require_numbers(original, compiled.mj_model, change, dof)
         _require_polynomial(original, compiled.mj_model, change, dof)
+        _require_spring(compiled.mj_model, change, dof)
     for servo in actuators:
         _require_gains(compiled.mj_model, servo)
         _require_delay(original, compiled.mj_model, servo)
@@ -178,6 +182,26 @@ def _require_polynomial(original: Any, written: Any, change: JointChange, dof: i
         )
 
 
+def _spring(mj_model: Any, dof: int) -> tuple[int, int]:
+    """Return the places of a degree of freedom's stiffness and of where its spring rests."""
+    joint = int(mj_model.dof_jntid[dof])
+    return joint, int(mj_model.jnt_qposadr[joint])
+
+
+def _require_spring(written: Any, change: JointChange, dof: int) -> None:
+    """Raise ExportError unless a joint has the spring that makes its offset."""
+    if change.spring is None:
+        return
+    values = zip((written.jnt_stiffness, written.qpos_spring), _spring(written, dof))
+    found = [float(value[place]) for value, place in values]
+    if not np.allclose(found, change.spring, rtol=TOLERANCE, atol=0.0):
+        raise ExportError(
+            f"in the written model, joint '{change.label}' has a spring of {found[0]:.9g} that "
+            f"rests at {found[1]:.9g}, which is not the offset of {change.offset:.9g}; leave "
+            "--write-offset off"
+        )
+
+
 def _require_gains(written: Any, change: ActuatorChange) -> None:
     """Raise ExportError unless a position actuator has its new gains, and nothing else."""
     kp, kv = change.stiffness, change.damping
@@ -211,6 +235,7 @@ def require_same_model(
     changed: Collection[int],
     dofs: Collection[int] = (),
     actuators: Collection[int] = (),
+    springs: Collection[int] = (),
 ) -> None:
     """Raise ExportError naming the first compiled field that differs and may not.
 
@@ -219,10 +244,13 @@ def require_same_model(
         changed: ids of the bodies whose inertia may differ.
         dofs: the degrees of freedom whose armature, damping and friction may differ.
         actuators: ids of those whose gains may differ.
+        springs: the degrees of freedom whose springs may differ.
     """
     theirs = dict(compiled_fields(other))
     rows = {**dict.fromkeys(_WRITTEN, changed), **dict.fromkeys(_WRITTEN_JOINT, dofs)}
     rows.update(dict.fromkeys(_WRITTEN_ACTUATOR, actuators))
+    places = zip(*(_spring(original, dof) for dof in springs))
+    rows.update(zip(_WRITTEN_SPRING, places))
     for name, value in compiled_fields(original):
         if name in DERIVED or name in PATHS:
             continue
@@ -362,7 +390,15 @@ def require_links_reproduction(
         both = (written_model.dof_dampingpoly, robot.mj_model.dof_dampingpoly)
         quadratic, cubic = np.subtract(*(values[robot.dof_index] for values in both)).T
         predicted += quadratic * motion.qd * np.abs(motion.qd) + cubic * motion.qd**3
+    written, before = (_spring_torque(robot, m, motion.q) for m in (written_model, robot.mj_model))
+    predicted += written - before
     _require_small(*_deviation(robot, predicted, written_model, motion), path)
+
+
+def _spring_torque(robot: RobotModel, mj_model: Any, q: Array) -> Array:
+    """Return what the springs of the chain's joints take (N, n) at positions q (N, n)."""
+    stiffness = mj_model.jnt_stiffness[mj_model.dof_jntid[robot.dof_index]]
+    return np.asarray(stiffness * (q - mj_model.qpos_spring[robot.qpos_index]))
 
 
 def _deviation(

@@ -134,8 +134,8 @@ class HeldFriction:
 
     Attributes:
         values, errors: by term: ``armature``, ``coulomb``, ``viscous``, and ``quadratic`` and
-            ``cubic`` where the polynomial predicts held-out torques clearly better; with their
-            standard errors.
+            ``cubic`` where the polynomial predicts held-out torques clearly better, ``offset``
+            where it is wanted; with their standard errors.
         kept: terms whose values the data does not prove; the file's own stay.
         missing: what the file cannot hold [N m], by name.
         curve: friction over speed.

@@ -1,6 +1,6 @@
 """Does an arm identified from its torques move more like itself than the model before?
 
-    OMP_NUM_THREADS=1 python -m tests.benchmarks.rollout_torque [ARM...]
+    OMP_NUM_THREADS=1 python -m tests.benchmarks.rollout_torque [--write-offset] [ARM...]
 
 Five public arms play the real one: every link 2 % off, rotor inertia from 0.01 to 1 kg m^2, Coulomb
 friction with a Stribeck drop, unequal in the two directions and growing with the load. Torque noise
@@ -43,14 +43,17 @@ NOISE, STEP, WRONG = 0.1, 1e-4, 0.02
 
 def main(*names: str) -> None:
     """Print a table."""
-    for name in names or ARMS:
+    options_of_arm = ArmOptions(write_offset="--write-offset" in names)
+    for name in [name for name in names if name in ARMS] or ARMS:
         path, joint = ARMS[name]
         robot = load_robot_model(MODELS / path, joint=joint)
         begun = time.monotonic()
         with tempfile.TemporaryDirectory() as folder:
             logs = write_logs(robot, Path(folder), np.random.default_rng(7))
             options = LogOptions(measurements=logs, verify_rollout=True)
-            outcome = run_arm(robot, options, ArmOptions(), Path(folder) / "out", None, Progress())
+            outcome = run_arm(
+                robot, options, options_of_arm, Path(folder) / "out", None, Progress()
+            )
         print(f"{name}: {time.monotonic() - begun:.0f} s; {outcome.failure or 'model written'}")
         for error in outcome.identification.rollout.errors:
             before, after = error.overall

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation.arm.options import ArmOptions
 from robot_sysid.identify.judgement.rollout.compare import compare
 from robot_sysid.logs.reader import write_measurement_csv
+from robot_sysid.parser import load_robot_model
 from robot_sysid.records.options import options_of
 from tests.support import arms, option_samples
 from tests.support.measured_logs import JOINT, log_of, plan_of, true_arm
@@ -125,3 +127,21 @@ def test_a_model_that_moves_no_better_is_not_written(command, arm_file, logs, mo
     assert (folder / "arm.json").exists() and not (folder / "updated_model.xml").exists()
     command.run(*words, "--accept", "rollout")
     assert (folder / "updated_model.xml").exists()
+
+
+@pytest.mark.slow
+def test_an_offset_goes_into_the_model_where_it_is_wanted(command, arm_file, plant, tmp_path):
+    log = log_of(plant, plan_of(plant, 0), noise_torque=0.05)
+    log = replace(log, tau=log.tau + [-0.1, 0.0, 0.15])
+    write_measurement_csv(tmp_path / "log.csv", plant.joint_names, [log])
+    words = ("arm", arm_file(XML), tmp_path / "log.csv", *QUICK)
+    folder = arm_file(XML).parent / "sysid_output"
+    for more in ((), ("--write-offset",)):
+        command.run(*words, *more)
+        joint = json.loads((folder / "arm.json").read_text())["joints"]["joint2"]
+        assert ("offset_or_asymmetry" in joint["not_in_the_model"]) == (not more)
+        model = load_robot_model(folder / "updated_model.xml").mj_model
+        offset = -model.jnt_stiffness * model.qpos_spring
+        expected = [-0.1, 0.0, 0.15] if more else 3 * [0.0]
+        np.testing.assert_allclose(offset, expected, atol=0.03)
+    assert "leave --keep-friction off" in command.refused(*words, *more, "--keep-friction")

@@ -22,6 +22,7 @@ from robot_sysid.output.model_writing import ModelTarget, write_link, write_link
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import InertialParameters, Motion
 from robot_sysid.records.atomic_files import whole_files
+from robot_sysid.simulator import ArmTorque
 from tests.support import arms
 from tests.support.model_files import (
     ARM,
@@ -312,6 +313,24 @@ def test_a_joint_that_is_not_named_keeps_its_numbers(tmp_path):
     written = compile_model(target.path).mj_model
     np.testing.assert_array_equal(written.dof_damping, [2.0, 0.25, 2.0])
     np.testing.assert_array_equal(written.dof_frictionloss, [1.5, 1.5, 1.5])
+
+
+@pytest.mark.parametrize("name", sorted(arms.MODELS))
+def test_an_offset_is_a_torque_that_motion_takes_both_ways(tmp_path, name):
+    robot = load_robot_model(write_files(tmp_path, {"arm.xml": arms.MODELS[name]}))
+    own = robot.mj_model.jnt_stiffness[robot.mj_model.dof_jntid[robot.dof_index]]
+    offsets = np.where(own == 0.0, np.linspace(-0.4, 0.5, robot.n_joints), np.nan)
+    asked = [
+        JointChange(joint, offset=float(offset))
+        for joint, offset in zip(robot.joint_names, offsets)
+        if np.isfinite(offset)
+    ]
+    thetas = np.array([link.theta for link in robot.links])
+    with target_of(robot) as target:
+        write_links(robot, thetas, target, asked)
+    motion = checkpoints(robot, seed=4)
+    before, after = (ArmTorque(each)(motion) for each in (robot, load_robot_model(target.path)))
+    np.testing.assert_allclose(after - before, np.tile(np.nan_to_num(offsets), (5, 1)), atol=5e-3)
 
 
 def test_a_joint_of_another_name_than_in_the_file_is_refused(robots):

@@ -75,6 +75,11 @@ class ArmOptions(OptionRecord):
         check=not_negative,
     )
 
+    write_offset: bool = option(
+        False,
+        "also write the offset of each joint's friction (unequal in the two directions), as a soft "
+        "spring that is tensioned far away",
+    )
     torque_from: str | None = option(
         None,
         "no torque was measured: find servos, friction and rotor inertia from commanded and "

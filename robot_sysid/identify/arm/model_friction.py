@@ -8,7 +8,7 @@ of the measured torque once links, rotor, offset and zeros are taken off.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +23,13 @@ from robot_sysid.records.whole_arm import ArmEstimate, FrictionCurve, HeldFricti
 LINEAR, POLYNOMIAL = ("coulomb", "viscous"), ("coulomb", "viscous", "quadratic", "cubic")
 PROVEN = 2.0
 """Standard errors that a value has to be away from zero to be proven."""
+OFFSET = "offset_or_asymmetry"
 _POINTS, _BINS, _FEWEST_ROWS, _ONE_WAY = 61, 12, 3, 0.99
 _NO_FRICTION = ("offset", "armature")
 
 
 def model_friction(
-    robot: RobotModel, fit: ArmFit, estimate: ArmEstimate
+    robot: RobotModel, fit: ArmFit, estimate: ArmEstimate, offsets: bool = False
 ) -> dict[str, HeldFriction]:
     """Return, per joint, what a model file can hold.
 
@@ -36,11 +37,49 @@ def model_friction(
         robot: the arm, with the file's own numbers.
         fit: what was found.
         estimate: the same with standard errors.
+        offsets: whether proven offsets go into the file too.
     """
     errors = dict(zip(estimate.names, estimate.standard_errors.tolist()))
-    return {
+    held = {
         joint: _held(robot, fit, index, errors) for index, joint in enumerate(robot.joint_names)
     }
+    if not offsets:
+        return held
+    return {
+        joint: _with_offset(robot, index, held[joint], errors.get(f"offset[{joint}]", 0.0))
+        for index, joint in enumerate(robot.joint_names)
+    }
+
+
+def _with_offset(robot: RobotModel, index: int, held: HeldFriction, error: float) -> HeldFriction:
+    """Return what a file can hold with a spring that makes the offset, where it is proven."""
+    missing, joint = dict(held.missing), robot.joint_names[index]
+    offset = missing.pop(OFFSET, None)
+    if offset is None:
+        return held
+    own = held.written("coulomb")
+    coulomb = float(robot.friction.coulomb[index]) if own is None else own
+    reason = _why_no_offset(robot, index, abs(offset), coulomb)
+    if reason:
+        return replace(held, notes=(*held.notes, f"{joint}: no offset is written, {reason}"))
+    values, errors = {**held.values, "offset": offset}, {**held.errors, "offset": error}
+    return replace(held, values=values, errors=errors, missing=missing)
+
+
+def _why_no_offset(robot: RobotModel, index: int, size: float, coulomb: float) -> str | None:
+    """Return why a file must not get an offset of a size [N m], or None."""
+    if robot.kind != "mjcf":
+        return "a URDF cannot hold it"
+    joint = robot.mj_model.dof_jntid[robot.dof_index[index]]
+    further = getattr(robot.mj_model, "jnt_stiffnesspoly", np.zeros((joint + 1, 1)))
+    if robot.mj_model.jnt_stiffness[joint] or np.any(further[joint]):
+        return "its spring is the model's own"
+    if size >= coulomb:
+        return (
+            f"{size:.2g} is more than its Coulomb friction of {coulomb:.2g}: the joint would creep "
+            "by itself"
+        )
+    return None
 
 
 @dataclass(frozen=True)
@@ -210,7 +249,7 @@ def _missing(
 ) -> Iterator[tuple[str, float]]:
     """Yield what a file cannot hold [N m]: each proven effect's size, what is left over in all."""
     values = dict(zip(fit.columns.names, fit.values.tolist()))
-    for name, term in (("stribeck_drop", "stribeck"), ("offset_or_asymmetry", "offset")):
+    for name, term in (("stribeck_drop", "stribeck"), (OFFSET, "offset")):
         size = values[f"{term}[{joint}]"]
         if abs(size) > PROVEN * errors.get(f"{term}[{joint}]", 0.0):
             yield name, size

@@ -46,7 +46,7 @@ def play_held_out(
     progress.stage("Playing the model on held-out pieces...")
     fit = fit_arm(robot, signals, options, Progress(), [fitted_rows(log) for log in signals])
     estimate = estimate_of(robot, fit)
-    held = model_friction(robot, fit, estimate)
+    held = model_friction(robot, fit, estimate, options.write_offset)
     part = replace(found, estimate=estimate, model_friction=held)
     pieces = [piece for log in signals for piece in pieces_of_signals(log, split_time(log))]
     words = "the last fifth of every log, which was not fitted for it"

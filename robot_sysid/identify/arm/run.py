@@ -136,7 +136,7 @@ def identify_arm(
     estimate, own = estimate_of(robot, fit), model_error(fit)
     held_out = fit.validation("the logs, a fifth at a time")
     status, reasons = judge(robot, estimate, held_out, own)
-    held = model_friction(robot, fit, estimate)
+    held = model_friction(robot, fit, estimate, options.write_offset)
     tests = []
     if logs.validation_measurements is not None:
         log = _read(robot, logs, logs.validation_measurements, progress)
@@ -277,9 +277,13 @@ def _joint_change(
         # One attribute holds all three numbers, so that the one that stays is written again.
         if numbers["damping"] is None:
             numbers["damping"] = own_viscous
+    offset = None if keep_friction else held.values.get("offset")
     words = [
         f"{_IN_MJCF[term]} {held.words(term)}" for term in terms if held.written(term) is not None
     ]
     if polynomial is not None:
         words.append(f"nonlinear damping {held.words('quadratic')}, {held.words('cubic')}")
-    return JointChange(joint, **numbers, polynomial=polynomial, words=", ".join(words))
+    if offset is not None:
+        words.append(f"offset {held.words('offset')}, as a spring tensioned far away")
+    text = ", ".join(words)
+    return JointChange(joint, **numbers, polynomial=polynomial, offset=offset, words=text)

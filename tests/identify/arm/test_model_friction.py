@@ -8,13 +8,17 @@ import pytest
 from robot_sysid.dynamics.friction import friction_model
 from robot_sysid.identify.arm.model_friction import (
     LINEAR,
+    OFFSET,
     POLYNOMIAL,
     _bends,
     _bounded,
     _notes,
     _Rows,
     _unproven,
+    _with_offset,
 )
+from robot_sysid.records.whole_arm import FrictionCurve, HeldFriction
+from tests.support import arms
 
 SPEED = np.tile(np.sin(np.linspace(0.0, 12.0, 400)), 5) * np.linspace(0.2, 2.0, 2000)
 BLOCKS = np.repeat(np.arange(5), 400)
@@ -78,3 +82,27 @@ def test_what_is_not_proven_is_left(found, error, own, is_left):
 
 def test_rotor_inertia_that_was_not_sought_is_left():
     assert list(_unproven({"armature": 0.0}, {"armature": 0.0}, {"armature": 0.5}, False))
+
+
+NO_CURVE = FrictionCurve(*[np.zeros(0)] * 6)
+
+
+@pytest.mark.parametrize(
+    ("joint", "missing", "why"),
+    [
+        ("", {OFFSET: -0.3, "left_over_rms": 0.1}, None),
+        ("", {OFFSET: 0.6}, "would creep by itself"),
+        ('stiffness="2"', {OFFSET: 0.3}, "spring is the model's own"),
+        ("", {"left_over_rms": 0.1}, None),
+    ],
+)
+def test_an_offset_is_held_where_coulomb_friction_is_larger(joint, missing, why):
+    robot = arms.robot_of(arms.serial_arm((arms.Z, arms.Y), joint=f'range="-2 2" {joint}'))
+    before = HeldFriction({"coulomb": 0.5}, {"coulomb": 0.01}, (), missing, NO_CURVE)
+    held = _with_offset(robot, 1, before, 0.02)
+    assert ("offset" in held.values) == (OFFSET in missing and why is None)
+    if "offset" in held.values:
+        assert held.written("offset") == missing[OFFSET] and held.words("offset") == "-0.3 ± 0.02"
+        assert set(held.missing) == set(missing) - {OFFSET}
+    elif why is not None:
+        assert why in held.notes[0] and held.missing == missing

@@ -32,3 +32,13 @@ def test_nonlinear_damping_is_written_also_where_the_linear_one_stays(arm_file, 
     written = mujoco.MjModel.from_xml_string(text)
     assert written.dof_dampingpoly[0].tolist() == [0.0, 0.2]
     assert written.dof_damping[0] == (before.dof_damping[0] if kept else 0.01)
+
+
+def test_a_wanted_offset_is_written_unless_friction_is_kept(arm_file):
+    values = {"coulomb": 0.5, "viscous": 0.01, "armature": 0.1, "offset": -0.2}
+    held = HeldFriction(
+        values, dict.fromkeys(values, 0.001), (), {}, FrictionCurve(*[np.zeros(0)] * 6)
+    )
+    change = _joint_change("j", held, False, 0.0)
+    assert change.offset == -0.2 and "offset -0.2 ± 0.001" in change.words
+    assert _joint_change("j", held, True, 0.0).offset is None
