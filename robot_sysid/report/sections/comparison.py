@@ -12,6 +12,7 @@ from robot_sysid.records.figures import percent, with_error
 from robot_sysid.report.drawing import NARROW, SERIES, drawn
 from robot_sysid.report.elements import Figure, Section, table, text
 from robot_sysid.report.runs import Run, mapping, number
+from robot_sysid.report.sections.errors import error_bars, error_sets
 from robot_sysid.report.sections.excitation import shortened
 from robot_sysid.report.units import THETA
 
@@ -84,7 +85,7 @@ def _parameter(runs: Sequence[Run], k: int) -> Figure:
 
 
 def predicted(runs: Sequence[Run]) -> Section:
-    """Return the torque errors of each run."""
+    """Return the torque errors of each run, of each joint where its file holds them."""
     rows = []
     for name, run in zip(names(runs), runs):
         rows.append((name, "fitted", number(run.content.get("rmse")), "–"))
@@ -95,7 +96,14 @@ def predicted(runs: Sequence[Run]) -> Section:
             share = percent(relative) if np.isfinite(relative) else "–"
             rows.append((name, str(test.get("source")), number(test.get("rmse")), share))
     header = ("run", "data", "error [N·m]", "of the torque")
-    return Section("predicted", "Prediction errors", tables=(table(header, rows),))
+    sets = [
+        (f"{name}: {words}", relative, per_joint)
+        for name, run in zip(names(runs), runs)
+        for words, relative, per_joint in list(error_sets(run))[-1:]
+    ]
+    words = "of every run on the data farthest from what it was fitted to."
+    bars = (error_bars("compare-errors", sets, words),) if sets else ()
+    return Section("predicted", "Prediction errors", tables=(table(header, rows),), figures=bars)
 
 
 def friction_beside(runs: Sequence[Run]) -> Section:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, Optional
 
 import numpy as np
 
@@ -15,36 +15,42 @@ from robot_sysid.report.sections.excitation import shortened
 
 _HATCHES = ("", "///", "...", "xxx", "\\\\\\")
 _MOST_SETS = len(_HATCHES)
+ErrorSet = tuple[str, Optional[float], Mapping[str, float]]
+"""Which data, its error as part of the torque, joint to error [N m]."""
 
 
 def errors(run: Run) -> Section:
     """Return train, held-out and second-log errors."""
-    sets = list(_sets(run))
+    sets = list(error_sets(run))
     title = "Prediction errors"
     if not sets:
         return Section("errors", title, missing=("the result file holds no errors per joint",))
-    joints = list(dict.fromkeys(joint for _, _, per_joint in sets for joint in per_joint))
-    rows = [
-        (words, "–" if relative is None else percent(relative), *map(text, _of(per_joint, joints)))
-        for words, relative, per_joint in sets
-    ]
-    numbers = table(("data", "of the torque", *(f"{joint} [N·m or N]" for joint in joints)), rows)
-    caption = (
-        "Root mean square error of the predicted torque of each joint [N·m, N for slides]: on what "
-        "was fitted, and on what was not. Bars that grow from left to right mean that the model "
-        "misses something that other motion shows."
+    words = (
+        "on what was fitted, and on what was not. Bars that grow from left to right mean that the "
+        "model misses something that other motion shows."
     )
-    size = (WIDE, 3.2) if len(joints) > 2 else (NARROW, 3.2)
-    bars = drawn("errors", caption, numbers, size, lambda c: _bars(c, sets[:_MOST_SETS], joints))
-    said = []
-    if len(sets) > _MOST_SETS:
-        said.append(f"The figure shows the first {_MOST_SETS} of {len(sets)}, the table all.")
+    bars, said = error_bars("errors", sets, words), []
     if len(sets) == 1:
         said.append("Nothing was held out: nobody knows how other motion would be predicted.")
     return Section("errors", title, tuple(said), figures=(bars,))
 
 
-def _sets(run: Run) -> Iterator[tuple[str, float | None, Mapping[str, float]]]:
+def error_bars(name: str, sets: Sequence[ErrorSet], words: str) -> Figure:
+    """Return the errors per joint of some sets of data, the first of them as bars too."""
+    joints = list(dict.fromkeys(joint for _, _, per_joint in sets for joint in per_joint))
+    rows = [
+        (what, "–" if relative is None else percent(relative), *map(text, _of(per_joint, joints)))
+        for what, relative, per_joint in sets
+    ]
+    numbers = table(("data", "of the torque", *(f"{joint} [N·m or N]" for joint in joints)), rows)
+    start = "Root mean square error of the predicted torque of each joint [N·m, N for slides]: "
+    if len(sets) > _MOST_SETS:
+        words += f" The figure shows the first {_MOST_SETS} of {len(sets)}, the table all."
+    size = (WIDE, 3.2) if len(joints) > 2 else (NARROW, 3.2)
+    return drawn(name, start + words, numbers, size, lambda c: _bars(c, sets[:_MOST_SETS], joints))
+
+
+def error_sets(run: Run) -> Iterator[ErrorSet]:
     """Yield (words, error as part of the torque, joint to error) per set of data."""
     content = run.content
     if run.kind == ARM:
@@ -59,7 +65,7 @@ def _sets(run: Run) -> Iterator[tuple[str, float | None, Mapping[str, float]]]:
     yield from _tests(found if isinstance(found, list) else [found])
 
 
-def _tests(found: Sequence[Any]) -> Iterator[tuple[str, float | None, Mapping[str, float]]]:
+def _tests(found: Sequence[Any]) -> Iterator[ErrorSet]:
     for test in found:
         if isinstance(test, Mapping):
             per_joint = {k: number(v) for k, v in mapping(test, "rmse_per_joint").items()}
