@@ -44,6 +44,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         except (Exception, KeyboardInterrupt) as error:
             if interrupts or isinstance(error, KeyboardInterrupt):
                 return _report(interrupted, INTERRUPTED, debug)
+            if isinstance(error, OSError) and error.strerror:
+                # Of a file that is there no more, a name that is too long, a disk that fails.
+                refused = f"{error.strerror}: {error.filename or 'a temporary file'}"
+                return _report(f"{refused}; check it, or choose another", 2, debug)
             hint = "this is a defect in robot-sysid; run again with --debug and report it"
             return _report(f"{type(error).__name__}: {error} ({hint})", 1, debug)
 

@@ -34,6 +34,7 @@ from robot_sysid.records.progress import Progress
 from robot_sysid.records.results import MODEL_NAMES, PARAMS_NAME
 from robot_sysid.records.torque_scale import write_torque_scale
 from robot_sysid.records.traces import Traces
+from robot_sysid.report.runs import fingerprint
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,7 @@ class PayloadOutcome:
         files: what was written there.
         failure: why there is no model and no card, or None.
         traces: makes what a report draws.
+        result: hash of the JSON file, taken before another run may write to the folder.
     """
 
     found: PayloadIdentification
@@ -53,6 +55,7 @@ class PayloadOutcome:
     files: tuple[Path, ...]
     failure: str | None
     traces: Callable[[], Traces] | None = None
+    result: str = ""
 
     def report_lines(self, verbose: bool) -> list[str]:
         """Return what the command line prints at the end."""
@@ -188,7 +191,8 @@ def written(
     paths = tuple(folder / name for name in names)
     for note in (*notes, *left_over(folder, (MODEL_NAMES[robot.kind], CARD_NAME), paths)):
         progress.note(note)
-    return PayloadOutcome(found, folder, paths, failure)
+    result = fingerprint(folder / PARAMS_NAME)
+    return PayloadOutcome(found, folder, paths, failure, result=result)
 
 
 def _refusal(found: PayloadIdentification) -> str | None:

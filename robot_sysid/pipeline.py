@@ -36,8 +36,9 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Identification, MotionPlan, RobotModel
 from robot_sysid.records.atomic_files import WholeFiles, whole_files
 from robot_sysid.records.progress import Progress
-from robot_sysid.records.results import DAMIAO_NAME, MODEL_NAMES
+from robot_sysid.records.results import DAMIAO_NAME, MODEL_NAMES, PARAMS_NAME
 from robot_sysid.records.traces import Traces
+from robot_sysid.report.runs import fingerprint
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import motion_chunks, require_countable
 
@@ -84,6 +85,7 @@ class Outcome:
         damiao: report of the Damiao export, where one was asked for.
         not_written: why the result could not be written into the model, or None.
         traces: makes what a report draws.
+        result: hash of the JSON file, taken before another run may write to the folder.
     """
 
     identification: Identification
@@ -92,6 +94,7 @@ class Outcome:
     damiao: DamiaoExportReport | None = None
     not_written: str | None = None
     traces: Callable[[], Traces] | None = None
+    result: str = ""
 
     @property
     def leaves_data(self) -> bool:
@@ -288,7 +291,7 @@ def written(
     for note in (*written.notes, *left_over(folder, [MODEL_NAMES[robot.kind]], written.files)):
         progress.note(note)
     made = written.files, written.damiao, written.failure, analysis.traces
-    return Outcome(found, folder, *made)
+    return Outcome(found, folder, *made, fingerprint(folder / PARAMS_NAME))
 
 
 def _motor_file(config: SysidConfig, robot: RobotModel, plan: MotionPlan) -> MotorFile | None:

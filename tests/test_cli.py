@@ -192,6 +192,26 @@ def test_an_output_folder_that_is_a_file_is_refused(arm, capsys):
     _expect_usage_error(options, "taken", arm.parent, capsys, {"arm.xml", "taken"})
 
 
+@pytest.mark.parametrize(
+    "words", ["{}", "plan {}", "payload {} --empty-model {} --loaded-model {}"]
+)
+def test_a_working_folder_that_is_gone_is_one_line(words, arm, monkeypatch, capsys):
+    gone = arm.parent / "gone"
+    gone.mkdir()
+    monkeypatch.chdir(gone)
+    gone.rmdir()
+    words = [word.format(arm) for word in words.split()]
+    _expect_usage_error(words, "current folder no longer", arm.parent, capsys)
+
+
+@pytest.mark.parametrize(
+    "words", [("--measurements", "{}"), ("--mesh-dir", "{}"), ("--output-dir", "{}")]
+)
+def test_a_name_that_is_too_long_is_one_line(words, arm, capsys):
+    options = [word.format(300 * "n") for word in words]
+    _expect_usage_error([str(arm), *options], "File name too long", arm.parent, capsys)
+
+
 @pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may write anywhere")
 def test_an_unwritable_output_folder_is_refused(arm, capsys):
     locked = arm.parent / "locked"

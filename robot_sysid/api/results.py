@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tempfile
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -32,6 +31,7 @@ from robot_sysid.payload import written as payload_written
 from robot_sysid.payload_config import PayloadConfig
 from robot_sysid.pipeline import written
 from robot_sysid.records import Array, Identification, InertialParameters, Motion, RobotModel
+from robot_sysid.records.atomic_files import temporary_folder
 from robot_sysid.records.payload import PayloadIdentification
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.results import MODEL_NAMES
@@ -102,8 +102,8 @@ class Result(ABC):
         Raises:
             SysidError: the result must not be used, or the model cannot hold it; says why.
         """
-        with tempfile.TemporaryDirectory() as folder:
-            files, failure = self._write(OutputOptions(Path(folder), keep_friction))
+        with temporary_folder() as folder:
+            files, failure = self._write(OutputOptions(folder, keep_friction))
             models = [path for path in files if path.name in MODEL_NAMES.values()]
             if not models:
                 raise SysidError(failure or self.failure or "this result is written into no model")

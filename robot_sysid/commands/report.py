@@ -99,7 +99,7 @@ def report_of(
     from robot_sysid.report.write import save_data, write_report
 
     try:
-        save_data(output.output_dir, traces())
+        save_data(output.output_dir, traces(), getattr(outcome, "result", ""))
         if not wanted:
             return None
         console.stage("Drawing the report...")

@@ -11,14 +11,18 @@ import os
 import secrets
 import shutil
 import sys
-from collections.abc import Iterable, Iterator
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import TextIO
+from typing import TextIO, TypeVar
 
 from robot_sysid.errors import InputError
 from robot_sysid.interrupts import held_back
 
 LOCK_NAME = ".robot-sysid.lock"
+Place = TypeVar("Place")
+_MOST = 25
+"""Characters of stem and suffix, of four bytes at most, that a draft has in its name."""
 
 
 @contextlib.contextmanager
@@ -69,12 +73,14 @@ def require_writable(folder: Path) -> None:
     Asked before a long computation whose results are to be written there.
     """
     require_utf8(folder)
-    try:
-        whole = folder.absolute()
-    except FileNotFoundError:
-        raise InputError("the current folder no longer exists; change to another one") from None
+    whole = _from_root(Path.absolute, folder)
     # Path.exists fails where a folder above cannot be entered, or a name is too long.
-    existing = next(f for f in (whole, *whole.parents) if os.path.exists(f))
+    existing = next(f for f in (whole, *whole.parents) if os.path.lexists(f))
+    if not os.path.exists(existing):
+        raise InputError(
+            f"cannot write to {folder}: {existing} is a link that leads nowhere; remove it, or "
+            "choose another folder"
+        )
     if not existing.is_dir():
         raise InputError(f"cannot write to {folder}: {existing} is not a folder; choose another")
     if not os.access(existing, os.W_OK | os.X_OK):
@@ -88,13 +94,44 @@ def refuse_overwriting(read: Iterable[Path | None], written: Iterable[tuple[str,
         read: files that are read, where there are any.
         written: files that are written, each with the option that names it.
     """
-    taken = {os.path.realpath(path): "a file that is read" for path in read if path is not None}
+    inputs = (_from_root(os.path.realpath, path) for path in read if path is not None)
+    taken = dict.fromkeys(inputs, "a file that is read")
     for what, path in written:
-        place = os.path.realpath(path)
+        place = _from_root(os.path.realpath, path)
         if place in taken:
             there = taken[place]
             raise InputError(f"{what} would overwrite {there}: {path}; choose another name")
         taken[place] = f"what {what} writes"
+
+
+def _from_root(function: Callable[[Path], Place], path: Path) -> Place:
+    """Return a path in full.
+
+    Raises:
+        InputError: it begins in the current folder, which is gone.
+    """
+    try:
+        return function(path)
+    except FileNotFoundError:
+        raise InputError("the current folder no longer exists; change to another one") from None
+
+
+@contextlib.contextmanager
+def temporary_folder() -> Iterator[Path]:
+    """Yield a folder that is gone after the block.
+
+    Raises:
+        InputError: there is no place for one.
+    """
+    try:
+        place = tempfile.TemporaryDirectory()
+    except OSError as error:
+        raise InputError(
+            f"no temporary folder can be made: {error.strerror or error}; set TMPDIR to a folder "
+            "that can be written to"
+        ) from None
+    with place as name:
+        yield Path(name)
 
 
 @contextlib.contextmanager
@@ -186,7 +223,8 @@ class WholeFiles:
         """
         if os.path.isdir(path):
             raise InputError(f"cannot write {path}: it is a folder; choose another name")
-        draft = path.with_name(f".{path.stem}-{secrets.token_hex(4)}{path.suffix}")
+        stem, suffix = _shortened(path)
+        draft = path.with_name(f".{stem}-{secrets.token_hex(4)}{suffix}")
         try:
             self.create_folder(path.parent)
             # Not a private temporary file: the result gets the permissions the user's umask says.
@@ -270,11 +308,17 @@ class WholeFiles:
             self._created_folders.append(new)
 
 
+def _shortened(path: Path) -> tuple[str, str]:
+    """Return stem and suffix to which more may be added: names have at most 255 bytes."""
+    return path.stem[:_MOST], path.suffix[-_MOST:]
+
+
 def _second_name(path: Path) -> Path | None:
     """Give an existing file a second name, so that it can be brought back."""
     if not path.exists():
         return None
-    backup = path.with_name(f".{path.name}-{secrets.token_hex(4)}.old")
+    stem, suffix = _shortened(path)
+    backup = path.with_name(f".{stem}{suffix}-{secrets.token_hex(4)}.old")
     try:
         os.link(path, backup)
     except OSError:  # no links on this file system

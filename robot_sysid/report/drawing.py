@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import io
+import logging
 import re
 import warnings
 from collections.abc import Callable, Iterator
@@ -74,6 +75,15 @@ def require_libraries() -> None:
             f"a report needs {' and '.join(missing)}; install with: "
             'pip install "robot-sysid[report]"'
         )
+    # What it says of a cache that is not where it should be matters to nobody here.
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
+    try:
+        importlib.import_module("matplotlib")
+    except OSError:
+        raise InputError(
+            "a report needs a folder for matplotlib's cache; set MPLCONFIGDIR to one that can be "
+            "written to"
+        ) from None
 
 
 @contextlib.contextmanager

@@ -5,25 +5,29 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from robot_sysid.records.atomic_files import whole_files
+from robot_sysid.records.atomic_files import require_writable, whole_files
 from robot_sysid.records.traces import Traces
 from robot_sysid.report.drawing import png, svg
 from robot_sysid.report.elements import Section
 from robot_sysid.report.page import html, sections_comparing, sections_of
-from robot_sysid.report.runs import fingerprint, load_run, result_file
+from robot_sysid.report.runs import load_run
 from robot_sysid.report.saved import DATA_NAME, data_bytes, report_data
 
 REPORT_NAME, COMPARISON_NAME, PLOTS_NAME = "report.html", "comparison.html", "plots"
 
 
-def save_data(folder: Path, traces: Traces) -> Path:
+def save_data(folder: Path, traces: Traces, result: str) -> Path:
     """Write what a later report of this run needs.
+
+    Args:
+        folder: where the run wrote to.
+        traces: what is drawn of them.
+        result: hash of the JSON file that the run wrote.
 
     Raises:
         InputError: it cannot be written.
     """
     with whole_files() as files:
-        result = fingerprint(result_file(folder))
         files.write(folder / DATA_NAME, data_bytes(report_data(traces, result)))
     return folder / DATA_NAME
 
@@ -48,6 +52,7 @@ def write_report(
         InputError: a folder holds no result, or nothing can be written.
     """
     runs = [load_run(folder) for folder in folders]
+    require_writable(destination)
     if len(runs) == 1:
         sections = sections_of(runs[0], mesh_dir)
         title, name = f"robot-sysid: {runs[0].name}", REPORT_NAME

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import sys
 
 import pytest
 
 from robot_sysid.report import write
+from robot_sysid.report.runs import load_run
 from tests.support import arms
 
 RUN = ("--duration", "2", "--sample-rate", "100", "--seed", "1")
@@ -31,6 +33,42 @@ def test_a_missing_library_is_said_before_the_run(command, arm, monkeypatch, lib
     assert f"needs {library}" in printed.err and "pip install" in printed.err
     assert "Loading" not in printed.out
     assert "pip install" in command.run("report", arm.parent, code=2).err
+
+
+def test_no_place_for_a_cache_is_said_before_the_run(command, arm, monkeypatch):
+    load = importlib.import_module
+
+    def refuse(name):
+        if name == "matplotlib":
+            raise OSError("Matplotlib requires access to a writable cache directory")
+        return load(name)
+
+    monkeypatch.setattr(importlib, "import_module", refuse)
+    for words in ((arm, *RUN, "--report"), ("report", arm.parent)):
+        printed = command.run(*words, code=2)
+        assert "set MPLCONFIGDIR" in printed.err and "Loading" not in printed.out
+
+
+def test_a_page_that_cannot_be_written_is_said_before_it_is_drawn(command, arm, monkeypatch):
+    command.run(arm, *RUN)
+    (arm.parent / "link").symlink_to("nowhere")
+    monkeypatch.setattr(write, "sections_of", None)
+    message = command.refused("report", "sysid_output", "--output-dir", "link")
+    assert "link that leads nowhere" in message
+
+
+def test_data_of_a_run_never_pass_for_those_of_another(command, arm, monkeypatch):
+    """A second run that ends while the first still counts its residuals."""
+    folder, kept = arm.parent / "sysid_output", write.report_data
+
+    def slowly(*what):
+        (folder / "params.json").write_text((folder / "params.json").read_text() + "\n")
+        return kept(*what)
+
+    monkeypatch.setattr(write, "report_data", slowly)
+    command.run(arm, "--plant-model", arm, *RUN, code=1)  # too short to be sure
+    run = load_run(folder)
+    assert run.data is None and "belongs to another run" in " ".join(run.missing)
 
 
 def test_a_report_that_fails_leaves_the_results(command, arm, monkeypatch):

@@ -54,6 +54,16 @@ def test_round_trip_is_exact(tmp_path_factory, plan):
         assert np.array_equal(getattr(before, name), getattr(after, name))
 
 
+def test_an_editor_may_have_changed_line_ends_and_added_a_mark(tmp_path):
+    path = tmp_path / "plan.json"
+    save_trajectory(path, sines(3), NAMES)
+    plain = load_trajectory(path)
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes().replace(b"\n", b"\r\n"))
+    time = np.linspace(0.0, plain.plan.duration, 7)
+    marked = load_trajectory(path)
+    assert np.array_equal(marked.plan.evaluate(time).q, plain.plan.evaluate(time).q)
+
+
 def test_saving_twice_gives_the_same_file(tmp_path):
     save_trajectory(tmp_path / "one.json", sines(0), NAMES)
     save_trajectory(tmp_path / "two.json", load_trajectory(tmp_path / "one.json").plan, NAMES)

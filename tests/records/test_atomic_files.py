@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -18,7 +19,9 @@ from robot_sysid.records import atomic_files as files
 from robot_sysid.records.atomic_files import (
     LOCK_NAME,
     only_run_in,
+    refuse_overwriting,
     require_writable,
+    temporary_folder,
     whole_file,
     whole_files,
     write_whole,
@@ -106,6 +109,47 @@ def test_a_working_folder_that_is_gone_is_one_line(tmp_path, monkeypatch):
     gone.rmdir()
     with pytest.raises(InputError, match="current folder no longer exists"):
         require_writable(Path("out"))
+
+
+def test_paths_in_a_working_folder_that_is_gone_are_one_line(tmp_path, monkeypatch):
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    refuse_overwriting([tmp_path / "read"], [("--output", tmp_path / "written")])
+    for read, written in ((Path("read"), tmp_path), (tmp_path, Path("written"))):
+        with pytest.raises(InputError, match="current folder no longer exists"):
+            refuse_overwriting([read], [("--output", written)])
+
+
+@pytest.mark.parametrize("inside", ["", "sub/deep"])
+def test_a_link_that_leads_nowhere_is_no_folder_to_write_to(tmp_path, inside):
+    link = tmp_path / "link"
+    for target in ("nowhere/at/all", "link"):
+        link.symlink_to(target)
+        with pytest.raises(InputError, match="link is a link that leads nowhere"):
+            require_writable(link / inside)
+        link.unlink()
+    link.symlink_to(tmp_path)
+    require_writable(link / inside)
+
+
+@pytest.mark.parametrize("letter", ["n", "ö", "名", "🤖"])
+@pytest.mark.parametrize("suffix", [".json", "", ".{}"])
+def test_a_name_may_be_as_long_as_the_system_lets_it(tmp_path, letter, suffix):
+    """The draft of a file has a name that is never too long."""
+    free = 255 - len(suffix.format("")) - 2
+    name = "a" + letter * (free // len(letter.encode()) // (2 if "{}" in suffix else 1))
+    name += suffix.format(letter * (free // len(letter.encode()) // 2))
+    for content in ("old", "new"):
+        write_whole(tmp_path / name, content)
+        assert everything_in(tmp_path) == {name: content}
+
+
+def test_where_no_temporary_folder_can_be_made_is_one_line(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "missing"))
+    with pytest.raises(InputError, match="No such file or directory; set TMPDIR") as caught:
+        temporary_folder().__enter__()
+    assert "\n" not in str(caught.value)
 
 
 @pytest.fixture

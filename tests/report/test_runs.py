@@ -41,6 +41,13 @@ def test_a_run_is_read_as_it_was_written(link_run):
     assert {term for _, term, *_ in run.friction()} >= {"coulomb", "viscous"}
 
 
+def test_an_editor_may_have_changed_line_ends_and_added_a_mark(folder):
+    result = folder / "params.json"
+    before = load_run(folder).content
+    result.write_bytes(b"\xef\xbb\xbf" + result.read_bytes().replace(b"\n", b"\r\n"))
+    assert load_run(folder).content == before
+
+
 def test_torques_of_another_run_are_not_drawn(folder):
     changed(folder, notes=[])
     run = load_run(folder)

@@ -121,7 +121,7 @@ class Plan:
 def read_pose(path: Path, n: int) -> Array:
     """Return the n joint positions in a file with one line of numbers, or raise InputError."""
     try:
-        pose = np.array([float(cell) for cell in path.read_text(encoding="utf-8").split(",")])
+        pose = np.array([float(cell) for cell in path.read_text(encoding="utf-8-sig").split(",")])
     except (OSError, ValueError) as error:
         raise InputError(
             f"--park takes rest, start or a file with a line of {n} positions; {path}: {error}"

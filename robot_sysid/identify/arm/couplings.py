@@ -80,7 +80,7 @@ def read_couplings(path: Path, robot: RobotModel) -> tuple[Coupling, ...]:
         InputError: the file cannot be read, or does not fit the arm.
     """
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(path.read_text(encoding="utf-8-sig"))
     except (OSError, ValueError) as error:
         raise InputError(f"--coupling {path}: cannot be read as JSON ({error})") from error
     rows: Sequence[Array]

@@ -40,6 +40,7 @@ from robot_sysid.records.progress import Progress
 from robot_sysid.records.results import MODEL_NAMES, RolloutTest
 from robot_sysid.records.traces import Traces
 from robot_sysid.records.whole_arm import ArmEstimate, ArmIdentification, HeldFriction
+from robot_sysid.report.runs import fingerprint
 from robot_sysid.signals.process import ProcessedSignals, process, with_one_cutoff
 
 _IN_MJCF = {"armature": "armature", "viscous": "damping", "coulomb": "frictionloss"}
@@ -56,6 +57,7 @@ class ArmOutcome:
         not_written: why the result could not be written into the model, or None.
         notes: what writing the model had to say.
         traces: makes what a report draws.
+        result: hash of the JSON file, taken before another run may write to the folder.
     """
 
     identification: ArmIdentification
@@ -64,6 +66,7 @@ class ArmOutcome:
     not_written: str | None = None
     notes: tuple[str, ...] = ()
     traces: Callable[[], Traces] | None = None
+    result: str = ""
 
     @property
     def failure(self) -> str | None:
@@ -242,9 +245,9 @@ def write_arm(
         final = replace(found, notes=found.notes + notes)
         files.write(folder / ARM_NAME, arm_json_text(final))
         files.write(folder / FRICTION_NAME, friction_json_text(final))
-    paths = tuple(folder / name for name in names)
+    paths, result = tuple(folder / name for name in names), fingerprint(folder / ARM_NAME)
     notes = (*notes, *left_over(folder, [MODEL_NAMES[robot.kind]], paths))
-    return ArmOutcome(final, folder, paths, failure, notes)
+    return ArmOutcome(final, folder, paths, failure, notes, result=result)
 
 
 def write_model(

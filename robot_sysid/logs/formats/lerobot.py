@@ -79,7 +79,7 @@ def lerobot_table(
 
 def _info(path: Path) -> Mapping[str, Any]:
     with as_input_errors(path / "meta" / "info.json", WHAT):
-        content = json.loads((path / "meta" / "info.json").read_text(encoding="utf-8"))
+        content = json.loads((path / "meta" / "info.json").read_text(encoding="utf-8-sig"))
     return content if isinstance(content, dict) else {}
 
 

@@ -85,7 +85,7 @@ def _texts(dialect: LogDialect) -> Iterator[str]:
 def _names(path: Path, count: int) -> list[str]:
     if not path.is_file():
         return []
-    names = [line.strip() for line in path.read_text(encoding="utf-8").splitlines()]
+    names = [line.strip() for line in path.read_text(encoding="utf-8-sig").splitlines()]
     names = [name for name in names if name]
     return names if len(names) == count else []
 

@@ -3,16 +3,27 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
+import time
 from functools import partial
+from pathlib import Path
 
 import pytest
 
 from robot_sysid.excitation.design.workers import WorkerPool
+from tests.support.places import ROOT
 
 
 def add(shared, number):
     """A job."""
     return shared + number
+
+
+def number(shared):
+    """A job that tells which process does it."""
+    time.sleep(0.05)
+    return os.getpid()
 
 
 def die_elsewhere(shared, number):
@@ -88,3 +99,25 @@ def test_where_no_process_can_be_started_the_jobs_are_done_here(place, error, mo
         for _ in range(2):
             results = list(pool.run([partial(add, number=k) for k in range(5)]))
             assert sorted(results) == [os.getpid() + k for k in range(5)]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="processes cannot be listed")
+def test_workers_end_with_a_process_that_is_killed():
+    """Whoever is killed cannot end his workers; they would wait for ever."""
+    code = (
+        "from tests.excitation.design.test_workers import number\n"
+        "from robot_sysid.excitation.design.workers import WorkerPool\n"
+        "with WorkerPool(0, 2) as pool:\n"
+        "    print(*{*pool.run([number] * 8)}, flush=True)\n"
+        "    input()\n"
+    )
+    pipe = subprocess.PIPE
+    with subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, stdin=pipe, stdout=pipe) as run:
+        workers = [Path("/proc", word.decode()) for word in run.stdout.readline().split()]
+        assert workers and all(worker.is_dir() for worker in workers)
+        run.kill()
+    limit = time.monotonic() + 20.0
+    while any(worker.is_dir() for worker in workers) and time.monotonic() < limit:
+        time.sleep(0.02)
+    assert not any(worker.is_dir() for worker in workers)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Collection
 from pathlib import Path
 
@@ -10,7 +9,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.output.model_writing import ModelTarget
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Motion, RobotModel
-from robot_sysid.records.atomic_files import whole_files
+from robot_sysid.records.atomic_files import temporary_folder, whole_files
 from robot_sysid.records.results import MODEL_NAMES, RolloutTest
 
 
@@ -25,8 +24,8 @@ def as_written(
     Raises:
         ExportError: the model cannot hold what is to be written.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / MODEL_NAMES[robot.kind]
+    with temporary_folder() as folder:
+        path = folder / MODEL_NAMES[robot.kind]
         with whole_files() as files:
             write(ModelTarget(files, path, checkpoints, 0.0, mesh_dir))
         return load_robot_model(path, joint=robot.terminal_joint)
