@@ -1,0 +1,142 @@
+"""A small arm with two logs, and each command that works on them, run as forks of this process.
+
+Everything is imported before, so that a run takes no longer than its work. Every command has two
+variants whose results differ, so that old files and new ones can be told apart.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import shutil
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from robot_sysid import api, cli  # noqa: F401
+from tests.support.arms import X, Y, Z, serial_arm
+from tests.support.command_line import files_in
+
+JOINT = 'range="-2.5 2.5" frictionloss=".4" damping=".2" actuatorfrcrange="-60 60"'
+HEAVY = '<inertial pos=".02 .03 .08" mass="1.3" fullinertia=".008 .009 .004 .0004 -.0003 .0005"/>'
+LOGGED = "--plant-model plant.xml --simulation forward --duration 8 --sample-rate 250"
+NOISE = "--noise-torque 0.05 --encoder-resolution 1e-4"
+SHORT = "--duration 4 --sample-rate 200"
+MOTORS = "--export-damiao" + 3 * " --motor-type DM4340"
+OUT = "out"
+PLAN = f"plan arm.xml --seed {{k}} {SHORT} --save-trajectory {OUT}/plan.json"
+SEARCH = "plan search"
+COMMANDS = {
+    "identify itself": f"arm.xml --seed {{k}} {SHORT} {MOTORS}",
+    "identify log": "arm.xml --measurements log{k}.csv",
+    "plan": f"{PLAN} --excitation sines",
+    # Ends when time is up, so that its results are other ones each time.
+    SEARCH: f"{PLAN} --excitation-time-budget 5",
+    "payload": "payload arm.xml --empty-model arm.xml --loaded-model plant.xml --seed {k} "
+    "--duration 5 --sample-rate 200",
+    "arm": "arm arm.xml log{k}.csv",
+    "report": f"report {OUT}",
+}
+"""Name to command line; {k} is 1 or 2, the variant."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """A command at work in a fork.
+
+    Attributes:
+        process: the fork, leader of a session of its own.
+        out, err: files of what it prints.
+    """
+
+    process: multiprocessing.Process
+    out: Path
+    err: Path
+
+    @property
+    def code(self) -> int:
+        """The exit code, or minus the signal's number, once it has ended."""
+        self.process.join()
+        return int(self.process.exitcode or 0)
+
+    @property
+    def errors(self) -> list[str]:
+        """Lines on standard error that are no notes."""
+        lines = self.err.read_text(encoding="utf-8").splitlines()
+        return [line for line in lines if not line.startswith("note: ")]
+
+    def wait_for(self, reached: Callable[[], bool]) -> bool:
+        """Wait until something is so; return whether it was before the run ended."""
+        while self.process.is_alive():
+            if reached():
+                return True
+            time.sleep(0.001)
+        return False
+
+
+class Workshop:
+    """A folder with what the commands read.
+
+    Args:
+        folder: it; filled where it is empty.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.out = folder.absolute(), folder.absolute() / OUT
+        self._context = multiprocessing.get_context("fork")
+        if (self.folder / "log2.csv").exists():
+            return
+        self.folder.mkdir(parents=True, exist_ok=True)
+        axes = (Z, Y, X)
+        (self.folder / "arm.xml").write_text(serial_arm(axes, joint=JOINT))
+        (self.folder / "plant.xml").write_text(serial_arm(axes, joint=JOINT, tip_inertial=HEAVY))
+        for k in (1, 2):
+            words = f"arm.xml {LOGGED} {NOISE} --seed {k} --save-measurements log{k}.csv"
+            # A short motion may leave a result that is not trusted; its log serves all the same.
+            assert self.start([*words.split(), "--output-dir", OUT]).code in (0, 1)
+
+    def words(self, name: str, variant: int) -> list[str]:
+        """Return the command's words, its output folder among them."""
+        words = COMMANDS[name].format(k=variant).split()
+        return words if name == "report" else [*words, "--output-dir", OUT]
+
+    def start(self, words: list[str], label: str = "run") -> Run:
+        """Start a command in the folder."""
+        out, err = self.folder / f"{label}.stdout", self.folder / f"{label}.stderr"
+        process = self._context.Process(target=_command, args=(words, self.folder, out, err))
+        out.write_text("")
+        err.write_text("")
+        process.start()
+        return Run(process, out, err)
+
+    def results(self, name: str, variant: int) -> dict[str, bytes]:
+        """Run a command in a new output folder and return all it wrote."""
+        self.fill({})
+        for each in ("identify log", name) if name == "report" else (name,):
+            run = self.start(self.words(each, variant))
+            assert run.code == 0, (each, run.errors)
+        return files_in(self.out)
+
+    def fill(self, files: dict[str, bytes]) -> None:
+        """Let the output folder hold these files and nothing else."""
+        if self.out.is_symlink() or self.out.is_file():
+            self.out.unlink()
+        shutil.rmtree(self.out, ignore_errors=True)
+        for name, content in files.items():
+            path = self.out / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content)
+
+
+def _command(words: list[str], folder: Path, out: Path, err: Path) -> None:
+    """Be the command: in its folder, in a session of its own, with files for what it prints."""
+    os.setsid()
+    os.chdir(folder)
+    for number, path in ((1, out), (2, err)):
+        os.dup2(os.open(path, os.O_WRONLY | os.O_APPEND), number)
+        stream = open(number, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
+        setattr(sys, "stdout" if number == 1 else "stderr", stream)
+    sys.argv = ["robot-sysid", *words]
+    sys.exit(cli.main())
