@@ -92,6 +92,21 @@ def test_a_nuisance_that_never_shows_does_not_lower_the_rank():
     assert seen.unidentifiable == ("Coulomb friction of joint0", "viscous friction of joint0")
 
 
+@settings(max_examples=100, deadline=None)
+@given(SEEDS, st.lists(st.floats(-6.0, 6.0), max_size=3))
+def test_nuisances_of_any_number_and_unit_do_not_count(seed, exponents):
+    rng = np.random.default_rng(seed)
+    ((rows, columns),), names = arm_equations(rng, joints=1, count=80)
+    without = information_of([(rows, columns)], names, rng.normal(size=12))
+    more = rng.normal(size=(80, len(exponents))) * 10.0 ** np.array(exponents)
+    equations = [(np.column_stack((rows, more)), np.arange(12 + len(exponents)))]
+    names += tuple(f"nuisance{k}" for k in range(len(exponents)))
+    truth = rng.normal(size=len(names)) / 10.0 ** np.array([0.0] * 12 + exponents)
+    seen = analyse_identifiability(information_of(equations, names, truth))
+    assert (seen.rank, seen.n_parameters) == (9, 12)
+    assert seen.rank == analyse_identifiability(without).rank
+
+
 def test_the_nuisances_ranks_do_not_make_up_for_what_the_link_hides():
     """Friction of four joints, of which one is asked for; three inertial columns are zero."""
     rng = np.random.default_rng(4)
@@ -161,12 +176,14 @@ def test_units_do_not_decide_what_is_visible(seed, exponents):
     assert second == pytest.approx(first, rel=1e-6)
 
 
-def test_data_at_rest_sees_nothing():
-    joint = JointInformation("joint0", np.arange(10), np.zeros((11, 11)), 100)
-    names = ("m", "hx", "hy", "hz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
+@pytest.mark.parametrize("nuisances", [(), ("offset[joint0]",)])
+def test_data_at_rest_sees_nothing(nuisances):
+    names = (*spatial.PARAMETER_NAMES, *nuisances)
+    size = len(names)
+    joint = JointInformation("joint0", np.arange(size), np.zeros((size + 1, size + 1)), 100)
     seen = analyse_identifiability(SquareRootInformation(names, (joint,)))
     assert seen.rank == 0
-    assert len(seen.unidentifiable) == 10
+    assert len(seen.unidentifiable) == size
     assert seen.condition_number == float("inf")
 
 
@@ -214,6 +231,14 @@ def test_parameters_of_one_unit_share_a_scale(seed, inertial):
     lengths[10] = 1.0
     np.testing.assert_allclose(scale, 1.0 / lengths, rtol=1e-14)
     assert zero.tolist() == [k == 10 for k in range(13)]
+    usual = column_scale(matrix, True)[0]
+    np.testing.assert_array_equal(column_scale(matrix)[0], usual)
+    np.testing.assert_array_equal(visible_space(matrix).scale, usual)
+
+
+def test_a_decomposition_cannot_be_changed():
+    with pytest.raises(AttributeError):
+        visible_space(np.eye(3), inertial=False).scale = np.ones(3)
 
 
 def test_a_given_scale_decides_what_is_small():
@@ -226,6 +251,10 @@ def test_a_given_scale_decides_what_is_small():
     assert visible_space(rest, np.full(3, 1e11), inertial=False).rank == 3
     mixed = np.column_stack((rest[:, :1], rest[:, :1] * 1e12, rest[:, 1:2] * 1e12))
     assert visible_space(mixed, np.ones(3), inertial=False).zero.tolist() == [True, False, False]
+    # Singular values of 1.4e-9 and 3.5e-11.
+    parallel = 1e-9 * np.array([[1.0, 1.0], [0.0, 0.05]])
+    assert visible_space(parallel, np.ones(2), inertial=False).rank == 1
+    assert visible_space(parallel, inertial=False).rank == 2
 
 
 def test_data_of_the_nuisances_alone_has_no_condition_of_the_link():
@@ -262,6 +291,19 @@ def test_a_sparse_basis_is_found_again_however_it_was_turned(seed, order, sizes)
     np.testing.assert_allclose(found, signs * expected, rtol=0.0, atol=1e-9)
 
 
+@given(SEEDS, st.sampled_from([range(1, 4), range(4, 10), range(10)]), st.sampled_from([11, 13]))
+def test_what_lives_within_one_unit_is_named_by_itself(seed, group, size):
+    """Beside a direction that mixes everything."""
+    rng = np.random.default_rng(seed)
+    own = np.zeros(size)
+    own[list(group)] = rng.choice([-1.0, 1.0], len(group)) * rng.uniform(0.2, 1.0, len(group))
+    null = np.linalg.qr(np.column_stack((own, rng.normal(size=size))))[0]
+    found = np.array(readable_basis(null @ np.linalg.qr(rng.normal(size=(2, 2)))[0]))
+    assert np.max(np.abs(found @ own)) == pytest.approx(np.linalg.norm(own), rel=1e-9)
+    np.testing.assert_allclose(found @ null @ null.T, found, rtol=0.0, atol=1e-9)
+    assert np.linalg.matrix_rank(found, tol=1e-6) == len(found) == 2
+
+
 @pytest.mark.parametrize(
     ("direction", "words"),
     [
@@ -284,9 +326,9 @@ def test_a_sparse_basis_is_found_again_however_it_was_turned(seed, order, sizes)
 )  # fmt: skip
 def test_a_direction_reads_as(direction, words):
     vector = np.array([direction.get(name, 0.0) for name in NAMES])
-    unit = (vector / np.linalg.norm(vector))[:, None]
-    assert describe(unit, np.ones(len(NAMES)), NAMES) == (words,)
-    assert describe(-unit, np.full(len(NAMES), 1e-3), NAMES) == (words,)
+    for scale in (np.ones(len(NAMES)), -(10.0 ** np.linspace(-1.0, 1.0, len(NAMES)))):
+        scaled = vector / scale
+        assert describe((scaled / np.linalg.norm(scaled))[:, None], scale, NAMES) == (words,)
 
 
 @pytest.mark.parametrize(("error", "close"), [(0.004, True), (0.006, False)])

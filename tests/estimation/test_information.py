@@ -147,6 +147,14 @@ def test_restricting_holds_the_other_parameters_at_zero(seed, order, count):
         np.testing.assert_array_equal(joint.triangle, np.triu(joint.triangle))
 
 
+def test_a_joint_may_have_no_parameter():
+    accumulator = InformationAccumulator(NAMES, ["held"], [[]])
+    accumulator.add(0, np.zeros((2, 0)), np.array([3.0, 4.0]))
+    information = accumulator.result()
+    assert information.squared_residuals(np.ones(6)) == pytest.approx([25.0])
+    assert not np.any(information.stacked()[0])
+
+
 @given(SEEDS)
 def test_rmse_is_that_of_each_joints_rows(seed):
     rng = np.random.default_rng(seed)

@@ -177,6 +177,13 @@ def test_the_head_tells_how_the_recording_was_made(tmp_path, options, half_step,
     assert list(read_recording(path).head) == expected
 
 
+def test_what_is_recorded_cannot_be_changed_underway():
+    head = head_for(["DM4340"])
+    for record, name in ((head, "source"), (head.options, "record")):
+        with pytest.raises(AttributeError):
+            setattr(record, name, None)
+
+
 def test_titles_name_each_joints_columns(tmp_path):
     path = tmp_path / "measured.csv"
     write_two_rows(path)

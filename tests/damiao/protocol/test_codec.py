@@ -254,9 +254,11 @@ def test_scaling_has_to_be_positive(bad, place):
     assert str(refused.value) == words
 
 
-def test_a_scaling_cannot_be_changed_unchecked():
-    with pytest.raises(AttributeError):
-        scaling_of("DM4340").position = np.zeros(1)
+def test_what_was_checked_cannot_be_changed():
+    one = np.ones(1)
+    for record in (scaling_of("DM4340"), command(0, 0, 0, 0, 0), Feedback(*[one] * 7)):
+        with pytest.raises(AttributeError):
+            record.position = one
 
 
 # --- shapes -------------------------------------------------------------------------------------
