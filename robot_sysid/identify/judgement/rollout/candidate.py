@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from pathlib import Path
 
-from robot_sysid.errors import InputError
+from robot_sysid.errors import ExportError, InputError
 from robot_sysid.output.model_writing import ModelTarget
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Motion, RobotModel
@@ -43,5 +43,5 @@ def played_or_reason(robot: RobotModel, test: Callable[[], RolloutTest]) -> Roll
     """Return a test, or one without figures that says why there are none."""
     try:
         return test()
-    except InputError as error:
+    except (ExportError, InputError) as error:
         return RolloutTest(robot.joint_names, "held-out pieces", "", (), (str(error),))

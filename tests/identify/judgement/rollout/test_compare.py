@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from robot_sysid.errors import InputError
+from robot_sysid.errors import ExportError, InputError
 from robot_sysid.identify.judgement.rollout.candidate import played_or_reason, refusal
 from robot_sysid.identify.judgement.rollout.compare import compare
 from robot_sysid.output.printed.rollout import rollout_entry, rollout_lines
@@ -43,9 +43,10 @@ def test_a_joint_that_follows_less_well_is_named():
     assert "wrist (open loop, 2 times)" in list(rollout_lines(test))[-1]
 
 
-def test_nothing_played_is_no_proof():
+@pytest.mark.parametrize("error", [InputError, ExportError])
+def test_nothing_played_is_no_proof(error):
     def fails():
-        raise InputError("the log is too short")
+        raise error("the log is too short")
 
     test = played_or_reason(arm(), fails)
     assert test.score is None and not test.is_better
