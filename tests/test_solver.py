@@ -12,8 +12,8 @@ from robot_sysid.errors import InputError
 from robot_sysid.estimation.autocorrelation import collect_residuals
 from robot_sysid.estimation.information import InformationAccumulator, combined
 from robot_sysid.estimation.least_squares import ordinary
-from robot_sysid.estimation.nuisances import NuisanceGroup
-from robot_sysid.estimation.options import EstimationOptions
+from robot_sysid.estimation.nuisances import NuisanceGroup, with_prior
+from robot_sysid.estimation.options import ESTIMATORS, EstimationOptions
 from robot_sysid.estimation.uncertainty import joint_space
 from robot_sysid.records import Identifiability, SquareRootInformation, Status
 from robot_sysid.solver import identify_parameters, judge, solve
@@ -210,21 +210,47 @@ def test_samples_that_count_less_make_errors_larger_by_the_root(seed, coloured, 
 
 
 @settings(max_examples=100, deadline=None)
-@given(SEEDS)
-def test_what_a_pass_over_the_samples_left_serves_as_well_as_they_do(seed):
-    samples, names, _, rng = noisy_samples(seed, count=40)
+@given(SEEDS, st.sampled_from(["ols", "wls"]))
+def test_what_a_pass_over_the_samples_left_serves_as_well_as_they_do(seed, method):
+    """Noise differs from joint to joint, and something was known of the last parameter."""
+    samples, names, truth, rng = noisy_samples(seed, noises=(0.1, 0.3, 0.9), count=100)
+    known = NuisanceGroup("known", names[-1:], truth[-1:], np.array([[0.2]]), ("joint2",))
     information, prior = samples.information(names), rng.normal(size=16)
-    equations = ordinary(information, prior)
+    equations = ESTIMATORS[method](with_prior(information, [known]), prior, None)
     values, _ = solve(equations, prior, EstimationOptions(consistency="off"))
     weights = 1.0 / equations.noise
-    root = joint_space(information, weights).inverse_root()
+    root = joint_space(equations.information, weights).inverse_root()
     left = collect_residuals(information, samples, values, equations.clip, root, weights)
-    one = identify_parameters(information, prior, samples=samples)
-    other = identify_parameters(information, prior, residuals=left)
+    one, other, white = (
+        identify_parameters(information, prior, method, nuisances=[known], **how)
+        for how in ({"samples": samples}, {"residuals": left}, {})
+    )
     np.testing.assert_allclose(other.standard_errors, one.standard_errors, rtol=1e-9)
     assert other.effective_samples == pytest.approx(one.effective_samples, rel=1e-9)
-    white = identify_parameters(information, prior)
-    assert np.max(np.abs(white.standard_errors / one.standard_errors - 1.0)) > 1e-6
+    ratio = white.noise_errors / one.noise_errors
+    assert np.max(np.abs(ratio - 1.0)) > 1e-6
+    if method == "wls":
+        # The noise is white, which a hundred samples show to within a factor.
+        assert np.all((ratio > 0.2) & (ratio < 5.0))
+
+
+@settings(max_examples=100, deadline=None)
+@given(SEEDS)
+def test_covariance_of_weighted_joints_is_the_inverse_of_what_they_tell(seed):
+    samples, names, _, rng = noisy_samples(seed, noises=(0.1, 0.3, 0.9), count=40)
+    estimate = identify_parameters(samples.information(names), rng.normal(size=16), "wls")
+    told = np.zeros((16, 16))
+    for (rows, columns), noise in zip(samples.equations, estimate.noise_per_joint.values()):
+        told[np.ix_(columns, columns)] += rows.T @ rows / noise**2
+    scale = np.outer(estimate.standard_errors, estimate.standard_errors)
+    expected = np.linalg.inv(told) / scale
+    np.testing.assert_allclose(estimate.covariance / scale, expected, rtol=0.0, atol=1e-6)
+
+
+def test_one_equation_has_its_residual():
+    accumulator = InformationAccumulator(tuple("abcdefghijkl"), ["held"], [[]])
+    accumulator.add(0, np.zeros((1, 0)), np.array([3.0]))
+    assert identify_parameters(accumulator.result(), np.zeros(12)).rmse == pytest.approx(3.0)
 
 
 def test_noise_of_a_joint_without_samples_is_not_told():
@@ -283,10 +309,10 @@ def test_squares_of_the_causes_add_up_to_that_of_the_whole_error(seed, spreads):
 LINK = spatial.theta_from_com(2.0, np.array([0.1, 0.2, 0.3]), np.diag([0.3, 0.4, 0.5]))
 
 
-def equations_of(body, prior):
+def equations_of(body, prior, noise=0.01):
     rng = np.random.default_rng(9)
     rows, names = arm_equations(rng)
-    information = information_of(rows, names, np.append(body, np.full(6, 0.2)), 0.01, rng)
+    information = information_of(rows, names, np.append(body, np.full(6, 0.2)), noise, rng)
     return ordinary(information, prior), information
 
 
@@ -310,11 +336,24 @@ def test_an_impossible_body_is_replaced_unless_that_was_ruled_out(consistency, p
     assert estimate.constrained is replaced
 
 
-def test_a_pull_towards_the_models_body_moves_values_and_takes_from_the_datas_share():
+def test_a_body_that_is_just_possible_is_only_moved_where_that_was_asked_for():
+    """Inside, but nearer to the boundary than what is searched for."""
+    flat = spatial.theta_from_com(2.0, np.zeros(3), np.diag([0.3, 0.4, 0.7 - 1e-12]))
+    prior = np.append(LINK, np.zeros(6))
+    equations, _ = equations_of(flat, prior, 0.0)
+    plain, _ = solve(equations, prior, EstimationOptions(consistency="off"))
+    values, constrained = solve(equations, prior, EstimationOptions(consistency="auto"))
+    np.testing.assert_array_equal(values, plain)
+    assert not constrained
+    assert solve(equations, prior, EstimationOptions(consistency="enforce"))[1]
+
+
+@pytest.mark.parametrize(("weight", "share"), [(0.5, (0.8, 1.0)), (1e3, (0.0, 0.9999))])
+def test_a_pull_towards_the_models_body_moves_values_and_takes_from_the_datas_share(weight, share):
     body = random_body(np.random.default_rng(11))
     prior = np.append(body, np.zeros(6))
     equations, information = equations_of(LINK, prior)
-    pulled = EstimationOptions(consistency="off", prior="entropic", prior_weight=1e3)
+    pulled = EstimationOptions(consistency="off", prior="entropic", prior_weight=weight)
     plain = identify_parameters(information, prior)
     estimate = identify_parameters(information, prior, options=pulled)
     values, constrained = solve(equations, prior, pulled)
@@ -322,7 +361,8 @@ def test_a_pull_towards_the_models_body_moves_values_and_takes_from_the_datas_sh
     assert constrained is False and estimate.constrained is False
     assert body_divergence(values[:10], body) < body_divergence(plain.values[:10], body)
     np.testing.assert_allclose(plain.data_share, 1.0, atol=1e-9)
-    assert np.all(estimate.data_share[:10] < 0.9999)
+    least, most = share
+    assert np.all((estimate.data_share[:10] > least) & (estimate.data_share[:10] < most))
     np.testing.assert_allclose(estimate.data_share[10:], 1.0, atol=1e-9)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -14,6 +15,7 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.kinematics import (
     ArmDynamics,
     ChainKinematics,
+    _as_slice,
     analysis_copy,
     has_only_armature,
     subtree,
@@ -222,6 +224,19 @@ def test_each_thing_beside_armature_alone_needs_the_full_dynamics(field):
     assert not has_only_armature(model)
 
 
+def test_what_a_release_does_not_know_no_model_of_it_has():
+    assert has_only_armature(SimpleNamespace(jnt_stiffness=np.zeros(3)))
+
+
+@pytest.mark.parametrize(
+    ("index", "expected"),
+    [([0], slice(0, 1)), ([3, 4, 5], slice(3, 6)), ([0, 2], [0, 2]), ([4, 3], [4, 3])],
+)
+def test_addresses_in_a_row_are_a_slice(index, expected):
+    """numpy writes to a slice several times faster."""
+    assert _as_slice(index) == expected
+
+
 def test_an_analysis_copy_holds_no_drag_and_no_discrete_inverse():
     """Beside what the torques show: a flag left on would cost time or change what qacc means."""
     flags = '<flag invdiscrete="enable" energy="enable"/></option>'
@@ -258,6 +273,8 @@ def test_subtree_is_a_body_and_all_below_it():
     model = arms.compile_xml(arms.COUPLED_FINGERS)
     names = [mujoco.mj_id2name(model, int(mujoco.mjtObj.mjOBJ_BODY), b) for b in subtree(model, 5)]
     assert names == ["link4", "link5", "left_finger", "right_finger"]
+    assert subtree(model, model.nbody - 1) == [model.nbody - 1]
+    assert subtree(model, 0) == list(range(model.nbody))
 
 
 def test_held_joints_stay_at_the_home_keyframe():

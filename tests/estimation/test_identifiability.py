@@ -236,6 +236,12 @@ def test_parameters_of_one_unit_share_a_scale(seed, inertial):
     np.testing.assert_array_equal(visible_space(matrix).scale, usual)
 
 
+@pytest.mark.parametrize("columns", [0, 1])
+def test_hardly_any_columns_are_decomposed_too(columns):
+    space = visible_space(np.full((3, columns), 2.0))
+    assert (space.rank, space.identified) == (columns, (True,) * columns)
+
+
 def test_a_decomposition_cannot_be_changed():
     with pytest.raises(AttributeError):
         visible_space(np.eye(3), inertial=False).scale = np.ones(3)
