@@ -24,8 +24,8 @@ from tests.support.places import GUESS, ROOT, TRUTH
 VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 SETTINGS = ((1, 1), (2, 2), (4, 3), (4, 1))
 """Threads and workers."""
-RATE = {"duration": 10.0, "sample_rate": 500.0}
-WORDS = "--duration 10 --sample-rate 500 --seed 1 --noise-torque 0.1"
+RATE = {"duration": 6.0, "sample_rate": 250.0}
+WORDS = "--duration 6 --sample-rate 250 --seed 1 --noise-torque 0.1"
 WAYS = ("functions", "commands")
 
 

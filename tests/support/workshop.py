@@ -9,6 +9,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import shutil
+import signal
 import sys
 import time
 from collections.abc import Callable
@@ -133,6 +134,8 @@ class Workshop:
 def _command(words: list[str], folder: Path, out: Path, err: Path) -> None:
     """Be the command: in its folder, in a session of its own, with files for what it prints."""
     os.setsid()
+    # Ignored where this process was started in the background of a script.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     os.chdir(folder)
     for number, path in ((1, out), (2, err)):
         os.dup2(os.open(path, os.O_WRONLY | os.O_APPEND), number)
