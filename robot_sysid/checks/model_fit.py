@@ -178,8 +178,10 @@ class ModelFit:
 
 def plausible(fit: ModelFit, found: Fit, heaviest: float = HEAVIEST) -> bool:
     """Return whether a terminal link's mass could be that of a link with a payload."""
-    share = float(found.thetas[-1, 0] / np.sum(fit.links[:, 0]))
-    return LIGHTEST < share < heaviest
+    arm = float(np.sum(fit.links[:, 0]))
+    share, own = float(found.thetas[-1, 0]) / arm, float(fit.links[-1, 0]) / arm
+    # An arm of one joint is all terminal link; one of two often is half of it.
+    return LIGHTEST < share < max(heaviest, own + PAYLOAD)
 
 
 def _ridge(rows: Array, right: Array, weight: Array, spread: Array) -> tuple[Array, Array]:

@@ -20,21 +20,29 @@ ROBOT = arms.robot_of(
 )
 
 
-def log_that_creeps_to_rest(seed, push=0.0):
+def log_that_creeps_to_rest(seed, push=0.0, robot=ROBOT):
     """A right log of a light arm with much dry friction, which acts until the very end.
 
     ``push``: torque of something else on every joint for half a second, while it moves [N m].
     """
-    motion = next(motion_chunks(excitation(ROBOT, seed, 12.0), RATE))
+    motion = next(motion_chunks(excitation(robot, seed, 12.0), RATE))
     noise = np.random.default_rng(seed).normal(0.0, 0.05, motion.q.shape)
     pushed = np.where((motion.time > 5.0) & (motion.time < 5.5), push, 0.0)[:, None]
-    tau = ArmTorque(ROBOT)(motion) + noise + pushed
+    tau = ArmTorque(robot)(motion) + noise + pushed
     return Measurement(motion.time, np.round(motion.q, 5), None, tau)
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_dry_friction_at_rest_is_no_contact(seed):
     assert check_against_model(ROBOT, [log_that_creeps_to_rest(seed)]) == ()
+
+
+@pytest.mark.parametrize("axes", [(arms.Y,), (arms.Z, arms.Y), (arms.Y, arms.X)])
+@pytest.mark.parametrize("seed", range(2))
+def test_an_arm_that_is_mostly_terminal_link_is_no_odd_one(axes, seed):
+    joint = 'range="-2.5 2.5" frictionloss=".4" damping=".2"'
+    short = arms.robot_of(arms.serial_arm(axes, joint=joint))
+    assert check_against_model(short, [log_that_creeps_to_rest(seed, robot=short)]) == ()
 
 
 @pytest.mark.parametrize("seed", range(2))
