@@ -9,7 +9,6 @@ memory does not grow with the number of samples.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,8 +63,11 @@ class InformationAccumulator:
 
 def update_triangle(triangle: Array, rows: Array) -> Array:
     """Return the (k, k) triangle of all rows so far and the new ones (N, k)."""
-    stacked = np.vstack((triangle, rows))
-    return np.asarray(np.linalg.qr(stacked, mode="r"), dtype=np.float64)
+    size = triangle.shape[1]
+    # Before the first rows there is nothing to stack them under.
+    stacked = np.vstack((triangle, rows)) if np.any(triangle) else rows
+    made = np.asarray(np.linalg.qr(stacked, mode="r"), dtype=np.float64)
+    return made if len(made) == size else np.vstack((made, np.zeros((size - len(made), size))))
 
 
 def sample_counts(information: SquareRootInformation) -> Array:
@@ -89,7 +91,9 @@ def combined(parts: Sequence[SquareRootInformation]) -> SquareRootInformation:
         JointInformation(
             same[0].joint,
             same[0].columns,
-            reduce(update_triangle, [j.triangle for j in same]),
+            update_triangle(same[0].triangle, np.vstack([j.triangle for j in same[1:]]))
+            if len(same) > 1
+            else same[0].triangle,
             sum(j.n_samples for j in same),
         )
         for same in zip(*(part.joints for part in parts))

@@ -52,28 +52,42 @@ class LinkFits:
         """Names of all parameters."""
         return self.parts[0].names
 
+    @cached_property
     def whole(self) -> SquareRootInformation:
-        """Return the information of all blocks."""
+        """The information of all blocks."""
         return combined(self.parts)
 
-    @cached_property
-    def _triangles(self) -> dict[int | None, Array]:
-        """Triangles (p+1, p+1) of all whitened equations and of what is known before.
+    def weighed_by(self, noise: Array) -> LinkFits:
+        """Return the fits with another noise (joints,) [N m]."""
+        changed = replace(self, noise=noise)
+        # What does not depend on the noise is not made again.
+        vars(changed)["whole"] = self.whole
+        return changed
 
-        The key says which block is left out.
-        """
+    @cached_property
+    def _known(self) -> Array:
+        """What is known before, as equations (k, p+1)."""
         known = np.flatnonzero(np.isfinite(self.prior))
         before = np.zeros((len(known), len(self.prior) + 1))
         before[np.arange(len(known)), known] = 1.0 / self.prior[known]
-        each = [
-            update_triangle(before[:0], np.column_stack(part.stacked(1.0 / self.noise)))
-            for part in self.parts
-        ]
-        made: dict[int | None, Array] = {None: update_triangle(before, np.vstack(each))}
-        for block in range(len(each)) if len(each) > 1 else ():
-            rest = [triangle for other, triangle in enumerate(each) if other != block]
-            made[block] = update_triangle(before, np.vstack(rest))
-        return made
+        return before
+
+    @cached_property
+    def _all(self) -> Array:
+        """Triangle (p+1, p+1) of all whitened equations and of what is known before."""
+        return self._whitened(self.whole, self._known)
+
+    @cached_property
+    def _without(self) -> tuple[Array, ...]:
+        """The same without each block in turn."""
+        each = [self._whitened(part, self._known[:0]) for part in self.parts]
+        if len(each) < 2:
+            return ()
+        rests = [each[:block] + each[block + 1 :] for block in range(len(each))]
+        return tuple(update_triangle(self._known, np.vstack(rest)) for rest in rests)
+
+    def _whitened(self, part: SquareRootInformation, known: Array) -> Array:
+        return update_triangle(known, np.column_stack(part.stacked(1.0 / self.noise)))
 
     def path(
         self, kept: Columns, gammas: Sequence[float], without: int | None = None
@@ -85,7 +99,7 @@ class LinkFits:
             gammas: weights of the model.
             without: number of a block to leave out.
         """
-        triangle = self._triangles[without]
+        triangle = self._all if without is None else self._without[without]
         solver = ConsistentLinks(triangle[:, kept], triangle[:, -1], self.problem.of(kept))
         for values in solver.path(gammas):
             yield self._full(kept, values)
@@ -110,7 +124,7 @@ class LinkFits:
         """Return the same (blocks, joints) of fits without bounds, which take no time."""
         errors = []
         for block, part in enumerate(self.parts):
-            triangle, problem = self._triangles[block], self.problem.of(kept)
+            triangle, problem = self._without[block], self.problem.of(kept)
             values = unbounded(triangle[:, kept], triangle[:, -1], problem, gamma)
             errors.append(part.squared_residuals(self._full(kept, values)))
         return np.array(errors)
@@ -127,14 +141,14 @@ class LinkFits:
 
     def weighed(self, kept: Columns, gamma: float) -> tuple[LinkFits, Array]:
         """Return the fits with the noise that their own residuals show, and the estimate (p,)."""
-        whole = self.whole()
+        whole = self.whole
         floor = _LEAST_NOISE * first_noise(self.parts)
         fits = self
         for _ in range(_ROUNDS):
             values = fits.solve(kept, gamma)
             noise = np.maximum(joint_rmse(whole, values), floor)
             change = np.max(np.abs(noise / fits.noise - 1.0))
-            fits = replace(fits, noise=noise)
+            fits = fits.weighed_by(noise)
             if change < _SETTLED:
                 break
         return fits, values

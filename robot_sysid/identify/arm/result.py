@@ -36,7 +36,7 @@ _EASY_GAMMA = 1e9
 def estimate_of(robot: RobotModel, fit: ArmFit) -> ArmEstimate:
     """Return all parameters with their errors."""
     kept = fit.kept
-    information = fit.fits.whole()
+    information = fit.fits.whole
     names = np.array(information.names)[kept]
     residuals = _residuals(fit)
     precision = link_precision(fit.fits.problem, fit.gamma, fit.fits.prior)
@@ -106,7 +106,7 @@ def _base(robot: RobotModel, fit: ArmFit, cov: Array) -> BaseParameters:
     """Return the base parameters that the data shows."""
     links = np.concatenate([place for _, place in fit.columns.links()])
     order = np.sort(links)
-    matrix, right = fit.fits.whole().stacked(1.0 / fit.fits.noise)
+    matrix, right = fit.fits.whole.stacked(1.0 / fit.fits.noise)
     found = base_combinations(matrix[:, order], parameter_scale(len(order) // 10))
     base, rest = matrix[:, order[found.leading]], np.setdiff1d(fit.kept, order)
     names = [fit.columns.names[index] for index in order]
