@@ -25,7 +25,7 @@ from robot_sysid.excitation.problem import (
 from robot_sysid.records import Array, Motion, MotionPlan
 from robot_sysid.trajectory import SineTrajectory, motion_chunks
 
-LEAST_RATE_HZ = 1000.0
+LEAST_RATE_HZ, FEW_RATE_HZ = 1000.0, 100.0
 CLEARANCE_RESOLUTION = 1e-3
 """How exactly the reported clearance is that of the tightest moment [m]."""
 DISTANCE_RESOLUTION = 1e-4
@@ -199,8 +199,18 @@ def keeps_limits(
     problem: ExcitationProblem, plan: MotionPlan, sample_rate: float = LEAST_RATE_HZ
 ) -> bool:
     """Tell whether the whole motion keeps every limit, sampled at ``sample_rate`` [Hz]."""
+    if breaks_limits_at_few(problem, plan):
+        return False
     peaks = _peaks(problem, plan, sample_rate)
     return peaks.keep(problem) and first_contact(problem, plan) is None
+
+
+def breaks_limits_at_few(problem: ExcitationProblem, plan: MotionPlan) -> bool:
+    """Tell whether a limit, clearances apart, is broken at a tenth of the samples of a check.
+
+    Most motions that break one break it there; those that do not have to be checked.
+    """
+    return not _peaks(problem, plan, FEW_RATE_HZ).keep(problem)
 
 
 def excess_times(problem: ExcitationProblem, plan: MotionPlan) -> Array:

@@ -231,12 +231,17 @@ def _designed(
     request: MotionRequest, robot: RobotModel, rng: np.random.Generator, progress: Progress
 ) -> CheckedPlan:
     from robot_sysid.excitation.design.optimise import Design
-    from robot_sysid.excitation.design.search import design_excitation
+    from robot_sysid.excitation.design.search import check_time, design_excitation
 
     problem = _problem(request, robot)
     design = Design(problem, request.excitation, request.trajectory)
     if design.memory > NOTABLE_MEMORY:
         progress.note(f"the search will hold about {design.memory / 1e9:.1f} GB of memory")
+    if check_time(design) > request.excitation.time_budget:
+        progress.note(
+            f"checking the limits of so long a motion takes about {check_time(design):.0f} s, more "
+            "than --excitation-time-budget"
+        )
 
     def tell(state: SearchState) -> None:
         text = f"{state.best} {state.objective:.3g}"

@@ -231,7 +231,7 @@ def save_samples(
 def _rows(plan: MotionPlan, sample_rate: float) -> Iterator[str]:
     for motion in motion_chunks(plan, sample_rate):
         table = np.hstack((motion.time[:, None], motion.q, motion.qd, motion.qdd))
-        yield from (",".join(repr(value) for value in row) + "\n" for row in table.tolist())
+        yield from (",".join(map(repr, row)) + "\n" for row in table.tolist())
 
 
 def _listed(names: Sequence[str]) -> str:

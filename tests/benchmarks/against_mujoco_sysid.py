@@ -15,8 +15,10 @@ another log is simulated with both results, in pieces, each from the same measur
 from __future__ import annotations
 
 import json
+import sys
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
@@ -200,30 +202,52 @@ def rollout_error(values, log) -> float:
     return 1e3 * float(np.sqrt(np.mean(off**2)))
 
 
-def main() -> None:
-    """Print both sides."""
+@dataclass(frozen=True)
+class Side:
+    """What one of the two found.
+
+    Attributes:
+        seconds: processor time.
+        error: held-out rollout error [mrad].
+        farthest: number's name to its largest relative error.
+    """
+
+    seconds: float
+    error: float
+    farthest: dict
+
+
+def compared() -> dict[str, Side]:
+    """Both sides on the same log."""
     true = truth(np.random.default_rng(0))
     model = spec_of(true).compile()
     robot = arms.robot_of(spec_of().compile())
     log, other = recorded(model, robot, 1, SECONDS), recorded(model, robot, 2, SECONDS)
+    print(f"start: held-out rollout error {rollout_error(None, other):.2f} mrad", file=sys.stderr)
+    print(f"truth: held-out rollout error {rollout_error(true, other):.2f} mrad", file=sys.stderr)
     by_torques(robot, log)
-    spent, results = {}, {}
+    found = {}
     for name, run in (
         ("robot-sysid (inverse dynamics)", lambda: by_torques(robot, log)),
         ("mujoco.sysid (rollouts)", lambda: by_rollouts(log)),
     ):
         start = time.process_time()
-        results[name] = run()
-        spent[name] = time.process_time() - start
-    print(f"start: held-out rollout error {rollout_error(None, other):.2f} mrad")
-    print(f"truth: held-out rollout error {rollout_error(true, other):.2f} mrad")
-    for name, values in results.items():
-        worst = {k: f"{100 * np.max(np.abs(v / true[k] - 1)):.1f} %" for k, v in values.items()}
-        error = rollout_error(values, other)
-        print(f"{name}: {spent[name]:.2f} s, held-out rollout error {error:.2f} mrad")
+        values = run()
+        seconds = time.process_time() - start
+        off = {k: float(np.max(np.abs(v / true[k] - 1))) for k, v in values.items()}
+        found[name] = Side(seconds, rollout_error(values, other), off)
+    return found
+
+
+def main() -> None:
+    """Print both sides."""
+    found = compared()
+    for name, side in found.items():
+        worst = {k: f"{100 * v:.1f} %" for k, v in side.farthest.items()}
+        print(f"{name}: {side.seconds:.2f} s, held-out rollout error {side.error:.2f} mrad")
         print(f"  farthest from the truth: {worst}")
-    ours, theirs = spent.values()
-    print(f"{theirs / ours:.0f} times faster, by processor time")
+    ours, theirs = found.values()
+    print(f"{theirs.seconds / ours.seconds:.0f} times faster, by processor time")
 
 
 if __name__ == "__main__":

@@ -170,8 +170,8 @@ def rank_of_log(robot, seconds: float = 15.0, rate: float = 200.0) -> int:
     return base_combinations(matrix[:, order], parameter_scale(len(order) // 10)).rank
 
 
-def duration() -> None:
-    """Processor time of a whole-arm run and of pinocchio's regressor loop with lstsq."""
+def durations() -> dict[str, float]:
+    """Processor time of a whole-arm run and of pinocchio's regressor loop with lstsq [s]."""
     import pinocchio
 
     path = DATA / "kuka_lwr4" / "kuka_lwr4.urdf"
@@ -184,13 +184,20 @@ def duration() -> None:
         "whole arm, friction and weight given": lambda: whole_arm.ours(robot, log),
         "whole arm, everything chosen": lambda: whole_arm.ours(robot, log, whole_arm.CHOSEN),
     }
-    print("7 joints, 15 000 samples, best of 5, processor time")
-    base = None
-    for name, run in runs.items():
+    for run in runs.values():
         run()
-        spent = min(timed(run) for _ in range(5))
-        base = base or spent
-        print(f"  {name}: {spent:.2f} s, {spent / base:.1f} times")
+    # In turns, so that what else the machine does slows all of them.
+    rounds = [{name: timed(run) for name, run in runs.items()} for _ in range(5)]
+    return {name: min(each[name] for each in rounds) for name in runs}
+
+
+def duration() -> None:
+    """Print the processor times."""
+    print("7 joints, 15 000 samples, best of 5, processor time")
+    spent = durations()
+    base = next(iter(spent.values()))
+    for name, seconds in spent.items():
+        print(f"  {name}: {seconds:.2f} s, {seconds / base:.1f} times")
 
 
 def timed(run) -> float:

@@ -14,6 +14,7 @@ from robot_sysid.excitation.limit_check import (
     CLEARANCE_RESOLUTION,
     RESERVE,
     Excess,
+    breaks_limits_at_few,
     check_limits,
     first_contact,
     keeps_limits,
@@ -52,6 +53,7 @@ def test_peaks_are_those_of_the_samples(seed, size):
         and np.all(np.abs(motion.qdd) <= limits.acceleration)
     )
     assert check.holds == kept == keeps_limits(some, plan)
+    assert not (kept and breaks_limits_at_few(some, plan))
 
 
 @given(st.floats(-1.0, 1.0), st.floats(0.1, 1.0), st.floats(-2.0, 2.0))

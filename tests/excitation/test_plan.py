@@ -248,3 +248,9 @@ def test_a_search_that_takes_much_memory_says_so_beforehand(monkeypatch):
     listener = Listener()
     planned(arms.THREE, listener=listener, excitation=options(kind="optimal"))
     assert listener.notes[0] == "the search will hold about 0.0 GB of memory"
+
+
+def test_a_check_that_takes_longer_than_the_budget_says_so_beforehand():
+    listener, brief = Listener(), options(kind="optimal", time_budget=0.01)
+    planned(arms.THREE, listener=listener, excitation=brief)
+    assert "takes about 0 s, more than --excitation-time-budget" in listener.notes[0]

@@ -30,7 +30,7 @@ from robot_sysid.excitation.design.optimise import (
 )
 from robot_sysid.excitation.design.workers import WorkerPool
 from robot_sysid.excitation.fourier import FourierTrajectory
-from robot_sysid.excitation.limit_check import LimitCheck, check_limits
+from robot_sysid.excitation.limit_check import LimitCheck, breaks_limits_at_few, check_limits
 from robot_sysid.excitation.problem import LIMIT_NAMES, OBSTACLE_LENGTH, ROUNDING
 from robot_sysid.records import Array
 
@@ -97,6 +97,11 @@ class ExcitationResult:
     notes: tuple[str, ...]
 
 
+def check_time(design: Design) -> float:
+    """Return about how long the check of the limits of what is found takes [s]."""
+    return CHECK_COST * design.basis.duration
+
+
 def design_excitation(
     design: Design,
     rng: np.random.Generator,
@@ -141,7 +146,7 @@ class _Search:
         self._design, self._options, self._seed = design, design.options, seed
         self._progress = progress
         budget = design.options.time_budget
-        reserve = min(0.5 * budget, CHECK_COST * design.basis.duration)
+        reserve = min(0.5 * budget, check_time(design))
         self._budget = Budget(clock() + budget - reserve, clock)
         self._check: LimitCheck | None = None
         self._draws: list[Draw] = []
@@ -178,6 +183,9 @@ class _Search:
         draws = self._feasible() if self.best is None else []
         for draw, factor in product(draws, REPAIRS):
             found = unchecked_candidate(self._design, 0, factor * draw.x)
+            trajectory = self._design.trajectory(found.x)
+            if breaks_limits_at_few(self._design.problem, trajectory):
+                continue
             check = self._check_of(found.x)
             if check.holds:
                 score = self._design.criterion_of(found.x)
