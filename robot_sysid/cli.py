@@ -104,10 +104,18 @@ def _one_blas_thread() -> None:
 def _report(message: str, code: int, debug: bool) -> int:
     if debug:
         traceback.print_exc()
-    one_line = " ".join(message.split())
+    one_line = _shortened(" ".join(message.split()))
     with contextlib.suppress(InputError):
         print_line(f"robot-sysid: error: {one_line}", sys.stderr)
     return code
+
+
+def _shortened(line: str) -> str:
+    """Return a line with its middle left out where nobody would read it all."""
+    beginning, end = 1500, 400
+    if len(line) <= beginning + end:
+        return line
+    return f"{line[:beginning]} [...] {line[-end:]}"
 
 
 if __name__ == "__main__":

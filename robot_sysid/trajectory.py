@@ -111,8 +111,8 @@ def require_countable(duration: float, rate: float, option: str) -> None:
     if not duration * rate <= MOST_SAMPLES:
         raise InputError(
             f"a trajectory of {duration:.3g} s with {option} {rate:g} has {duration * rate:.3g} "
-            f"samples, more than the {MOST_SAMPLES:.0e} a run can take; shorten it, or lower the "
-            "rate"
+            f"samples, more than the {MOST_SAMPLES:.0e} a run can take; shorten it, raise "
+            "--speed where that slows it down, or lower the rate"
         )
 
 

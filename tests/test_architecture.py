@@ -52,6 +52,7 @@ LAYERS = (
     ("records",),
     # The conversions that the records themselves need.
     ("dynamics.spatial",),
+    ("json_files",),
     ("errors", "interrupts"),
     # Nothing but the version.
     ("",),

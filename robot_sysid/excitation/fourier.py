@@ -55,7 +55,7 @@ class FourierBasis:
         self._require_ends()
 
     def _require_ends(self) -> None:
-        if self.fade < 0.0 or 2.0 * self.fade > self.duration:
+        if not 0.0 <= 2.0 * self.fade <= self.duration:
             raise InputError(f"fade {self.fade} s does not fit twice into {self.duration} s")
         periods = self.duration * self.base_frequency_hz
         if self.fade == 0.0 and (round(periods) < 1 or abs(periods - round(periods)) > 1e-12):

@@ -18,6 +18,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.excitation.fourier import FourierBasis, FourierTrajectory
 from robot_sysid.excitation.static.pose_trajectory import PoseTrajectory
 from robot_sysid.excitation.static.sweep_trajectory import SweepTrajectory
+from robot_sysid.json_files import read_json
 from robot_sysid.records import Array, Motion, MotionPlan
 from robot_sysid.records.atomic_files import whole_file
 from robot_sysid.trajectory import SineTrajectory, motion_chunks
@@ -93,6 +94,10 @@ class SavedTrajectory:
     sha256: str = ""
 
     def __post_init__(self) -> None:
+        if not 0.0 < self.plan.duration < np.inf:
+            raise InputError(
+                f"a trajectory needs a finite duration above 0, not {self.plan.duration:g} s"
+            )
         if self.plan.n_joints != len(self.joint_names):
             raise InputError(
                 f"a trajectory of {self.plan.n_joints} joints names {len(self.joint_names)}: "
@@ -169,19 +174,12 @@ def load_trajectory(path: Path) -> SavedTrajectory:
         return SavedTrajectory(plan, names, str(content.get("model_sha256", "")))
     except KeyError as error:
         raise InputError(f"{path}: the trajectory lacks the entry {error}") from None
-    except (TypeError, ValueError, IndexError) as error:
+    except (TypeError, ValueError, IndexError, OverflowError) as error:
         raise InputError(f"{path}: not a usable trajectory ({error})") from None
 
 
 def _read(path: Path) -> Mapping[str, Any]:
-    try:
-        content = json.loads(Path(path).read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror}") from None
-    except (ValueError, RecursionError):
-        raise InputError(
-            f"{path} is not JSON; --trajectory takes the .json file of --save-trajectory"
-        ) from None
+    content = read_json(Path(path), "--trajectory takes the .json file of --save-trajectory")
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise InputError(
             f"{path} is not a trajectory of this program; --save-trajectory writes one"

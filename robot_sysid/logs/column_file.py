@@ -22,7 +22,6 @@ recognised by its title.
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -31,10 +30,11 @@ from pathlib import Path
 from typing import Any
 
 from robot_sysid.errors import InputError
+from robot_sysid.json_files import read_json
 from robot_sysid.logs.columns import QUANTITIES
 
 _KEYS = ("time", *QUANTITIES, "units", "rate")
-_SCALED = re.compile(r"\s*([-+]?[0-9.]+(?:[eE][-+]?\d+)?)\s*\*\s*(.+)")
+_SCALED = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?)\s*\*\s*(.+)", re.ASCII)
 _ANGLES = ("rad", "deg")
 _TIMES = ("s", "ms", "us", "ns")
 
@@ -95,7 +95,12 @@ def read_columns_file(path: Path, joint_names: Sequence[str]) -> ColumnChoices:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"cannot read the columns file {path}: {error}") from error
-    entries = _json_entries(path, text) if text.lstrip().startswith("{") else _lines(path, text)
+    is_json = text.lstrip().startswith("{")
+    entries = (
+        dict(read_json(path, "write 'key = value' lines, or JSON"))
+        if is_json
+        else _lines(path, text)
+    )
     columns: dict[str, dict[str, str]] = {}
     for key, value in entries.items():
         quantity = key.split(".", 1)[0]
@@ -130,13 +135,6 @@ def _lines(path: Path, text: str) -> dict[str, Any]:
             raise InputError(f"{path} line {number}: expected one 'key = value' per key: {line!r}")
         entries[key] = value
     return entries
-
-
-def _json_entries(path: Path, text: str) -> dict[str, Any]:
-    try:
-        return dict(json.loads(text))
-    except ValueError as error:
-        raise InputError(f"{path} is not valid JSON: {error}") from error
 
 
 def _per_joint(path: Path, key: str, value: Any, joint_names: Sequence[str]) -> Mapping[str, str]:

@@ -68,7 +68,7 @@ _UNIT_WORDS = _words(
     "s sec secs second seconds ms msec millis us usec µs micros ns nsec nanos rad rads radians deg "
     "degs degree degrees ° dps rpm mm nm mnm ncm knm s2"
 )
-_BRACKETS = re.compile(r"[\[(<{]([^\])>}]*)[\])>}]")
+_BRACKETS = re.compile(r"[\[({]([^\])}]*)[\])}]")
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ cannot state them any other way, so its compiled inertias are replaced by accura
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -28,7 +29,8 @@ from robot_sysid.records.progress import Progress
 
 LARGEST = 1e12
 """Largest size of any number of an arm in SI units; squares of far larger ones overflow."""
-_FAILURES = (ValueError, mujoco.FatalError, mujoco.UnexpectedError)
+# RuntimeError is what the bindings make of an exception of C++, such as one for want of memory.
+_FAILURES = (ValueError, RuntimeError, mujoco.FatalError, mujoco.UnexpectedError)
 _NAME = re.compile(r"(?:Element name|Object name =) ?'?([^',\n]+)")
 _LINE = re.compile(r"line(?: =)? (\d+)")
 _MUST_BE_FINITE = (
@@ -111,8 +113,8 @@ def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
 
 
 def _check_mesh_dir(mesh_dir: Path | None) -> None:
-    if mesh_dir is not None and not mesh_dir.is_dir():
-        fault = "is not a folder" if mesh_dir.exists() else "does not exist"
+    if mesh_dir is not None and not os.path.isdir(mesh_dir):
+        fault = "is not a folder" if os.path.exists(mesh_dir) else "does not exist"
         raise ModelError(f"mesh folder {mesh_dir} {fault}; check --mesh-dir")
 
 

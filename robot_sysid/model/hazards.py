@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 from robot_sysid.errors import ModelError
@@ -9,8 +10,16 @@ from robot_sysid.mjcf.assets import Asset, find_assets
 from robot_sysid.mjcf.documents import ModelDocument, Node, read_document
 
 MOST_CELLS = 5e7
-"""Largest height field or texture that is worth its memory, in cells."""
-_SIZES = {"hfield": ("nrow", "ncol"), "texture": ("width", "height")}
+"""Largest height field, texture or block of user data that is worth its memory, in numbers."""
+MOST_COPIES = 3000
+"""Copies of a part; MuJoCo takes the square of their number, a minute for 20 000."""
+_CELLS = {
+    "hfield": ("nrow", "ncol"),
+    "texture": ("width", "height"),
+    "numeric": ("size",),
+    "user": ("dim",),
+}
+_COPIED = ("replicate", "composite", "flexcomp")
 _MODELS = (".xml", ".mjcf", ".urdf")
 
 
@@ -22,19 +31,50 @@ def refuse_hazards(document: ModelDocument, mesh_dir: Path | None = None) -> Non
     """
     for node in document.walk():
         _refuse_huge(document, node)
+    _refuse_copies(document, document.root, 1.0)
     _refuse_attached(document, mesh_dir, (), set())
 
 
 def _refuse_huge(document: ModelDocument, node: Node) -> None:
-    try:
-        rows, columns = (float(node.get(name) or 0.0) for name in _SIZES.get(node.tag, "  "))
-    except ValueError:
-        return  # MuJoCo says so in its own words
-    if rows * columns > MOST_CELLS:
+    cells = math.prod(_count(node, name) for name in _CELLS.get(node.tag, ()))
+    if node.tag == "size":
+        cells = max([_bytes(node) / 100.0, *(_count(node, n) for n in node.element.attrib)])
+    if cells > MOST_CELLS:
         raise ModelError(
-            f"{document.path}: a {node.tag} of {rows * columns:.3g} cells; at most "
+            f"{document.path}: a {node.tag} of {cells:.3g} cells; at most "
             f"{MOST_CELLS:.0e} are read, and identification needs none of them"
         )
+
+
+def _refuse_copies(document: ModelDocument, node: Node, times: float) -> None:
+    """Refuse what is repeated too often, a part of repeated parts included."""
+    if node.tag in _COPIED:
+        times *= max(1.0, _count(node, "count"))
+    if times > MOST_COPIES:
+        raise ModelError(
+            f"{document.path}: a {node.tag} makes {times:.3g} copies; at most {MOST_COPIES} are "
+            "read, and identification needs none of them"
+        )
+    for child in node.children():
+        _refuse_copies(document, child, times)
+
+
+def _bytes(node: Node) -> float:
+    """Return the memory that a <size> asks for: a number with K, M, G, T, P or E behind it."""
+    text = (node.get("memory") or "0").strip()
+    power = "KMGTPE".find(text[-1:].upper()) + 1
+    try:
+        return float(text[: -1 if power else None]) * 1024.0**power
+    except ValueError:
+        return 0.0
+
+
+def _count(node: Node, name: str) -> float:
+    """Return the product of an attribute's numbers; zero for none, of which MuJoCo will speak."""
+    try:
+        return math.prod(float(word) for word in (node.get(name) or "0").split())
+    except ValueError:
+        return 0.0
 
 
 def _refuse_attached(

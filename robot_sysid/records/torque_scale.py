@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Union
@@ -18,6 +19,7 @@ from typing import Union
 import numpy as np
 
 from robot_sysid.errors import InputError
+from robot_sysid.json_files import read_json
 from robot_sysid.records.arrays import Array
 from robot_sysid.records.atomic_files import write_whole
 from robot_sysid.records.options import PerJoint, levels, per_joint
@@ -34,7 +36,7 @@ def factors_in(text: str) -> Factors:
     try:
         return levels(text)
     except InputError:
-        if not Path(text).is_file():
+        if not os.path.isfile(text):
             raise InputError(
                 f"{text!r} is neither a number, nor a list like 1.3,1.2,1.3, nor a file"
             ) from None
@@ -76,11 +78,8 @@ def read_factors(path: Path, table: str = SCALE) -> Mapping[str, float]:
     Raises:
         InputError: the file cannot be read, has another form or a factor that cannot be used.
     """
-    try:
-        content = json.loads(path.read_text(encoding="utf-8-sig"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"cannot read the torque factors in {path}: {error}") from None
     form = f'{{"version": {VERSION}, "{table}": {{"JOINT": 1.3, ...}}}}'
+    content = read_json(path, f"torque factors have the form {form}")
     if not isinstance(content, dict) or not isinstance(content.get(table), dict):
         raise InputError(f"{path} holds no {table}; its form is {form}")
     if content.get("version") != VERSION:

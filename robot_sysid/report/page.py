@@ -10,6 +10,7 @@ import base64
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from robot_sysid import __version__
 from robot_sysid.report.drawing import inline
@@ -39,7 +40,7 @@ def sections_of(run: Run, mesh_dir: Path | None = None) -> list[Section]:
     return [each for maker in makers for each in _made(maker, run)]
 
 
-def _made(maker: Maker, run: Run) -> Iterator[Section]:
+def _made(maker: Callable[[Any], Section | None], run: Run | Sequence[Run]) -> Iterator[Section]:
     """Yield a part; where the result file holds something odd, what it was in its place."""
     name = getattr(maker, "__name__", "picture")
     try:
@@ -57,7 +58,7 @@ def sections_comparing(runs: Sequence[Run]) -> list[Section]:
         *(comparison.verdicts, comparison.compared, comparison.friction_beside),
         comparison.predicted,
     )
-    return [maker(runs) for maker in makers]
+    return [each for maker in makers for each in _made(maker, runs)]
 
 
 def html(title: str, sections: Sequence[Section]) -> str:

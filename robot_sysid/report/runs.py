@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
+from robot_sysid.json_files import read_json
 from robot_sysid.records import Array
 from robot_sysid.records.results import PARAMS_NAME
 from robot_sysid.report.saved import DATA_NAME, ReportData, load_data
@@ -166,10 +166,7 @@ def load_run(folder: Path) -> Run:
 
 
 def _read(path: Path) -> Mapping[str, Any]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8-sig"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"cannot read {path}: {error}; identify again") from None
+    content = read_json(path, "identify again")
     if not isinstance(content, dict):
         raise InputError(f"{path} is no result of this program; identify again")
     return content

@@ -135,6 +135,10 @@ def changed(**changes):
         (changed(joints=None), "lacks the entry 'joints'"),
         (changed(center=[0.0, float("nan"), 0.0]), "center"),
         ("[" * 100_000, "is not JSON"),
+        (changed(duration=float("inf")), "finite"),
+        (changed(duration=10**400), "finite"),
+        (changed(center=[10**400, 0.0, 0.0]), "center is not finite"),
+        (changed(kind=["sines"]), "not a usable trajectory"),
     ],
 )
 def test_refuses_in_one_line(tmp_path, text, words):

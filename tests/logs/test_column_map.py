@@ -226,14 +226,28 @@ def test_a_columns_file_counts_columns_and_keeps_quantities_out(tmp_path):
         ("torque.elbow = a", "unknown joint 'elbow'"),
         ("time a", "line 1"),
         ("time = a\ntime = b", "line 2"),
-        ('{"time": ', "not valid JSON"),
+        ('{"time": ', "not JSON"),
         ("rate = -3", "positive number"),
+        ('{"rate": 1' + "0" * 400 + "}", "positive number"),
+        ('{"time": ' + "[" * 100_000, "not JSON"),
         ("units = grad", "not understood"),
     ],
 )
 def test_a_bad_columns_file_says_what_is_wrong(tmp_path, text, words):
     with pytest.raises(InputError, match=words):
         choices(tmp_path, text)
+
+
+@pytest.mark.parametrize("factor", ["1.2.3", "1e999", "\u0661"])
+def test_a_factor_that_is_no_number_is_part_of_a_title(tmp_path, factor):
+    text = f"time = time\nposition = q1, q2, q3\ntorque = {factor} * tau1, tau2, tau3\n"
+    with pytest.raises(InputError, match="no single column"):
+        recognise("time,q1,q2,q3,tau1,tau2,tau3", chosen=choices(tmp_path, text))
+
+
+def test_markup_in_a_title_is_no_unit():
+    with pytest.raises(InputError, match="one torque column for each"):
+        recognise("time,q1,q2,q3,tau1,tau2,tau3<script>")
 
 
 def test_a_columns_file_that_names_no_column_lists_the_columns(tmp_path):

@@ -62,6 +62,10 @@ def test_an_mjcf_file_compiles_to_what_mujoco_makes_of_it(tmp_path):
             urdf_robot(*TWO_LINKS).replace('ixx="0.01"', 'ixx="much"'),
             "a number cannot be read: .*much",
         ),
+        (
+            urdf_robot(*TWO_LINKS).replace('ixx="0.01"', 'ixx="nan"'),
+            "a number cannot be read: the inertial of link l1 is not finite",
+        ),
     ],
 )
 def test_what_mujoco_refuses_is_one_line_with_the_file(tmp_path, text, message):

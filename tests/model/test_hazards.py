@@ -69,6 +69,36 @@ def test_a_huge_field_is_refused(tmp_path, asset):
         compile_model(model(tmp_path, "a.xml", asset))
 
 
+@pytest.mark.parametrize(
+    "part",
+    [
+        '<replicate count="1000000" euler="0 0 1"><geom size=".1"/></replicate>',
+        '<replicate count="100"><replicate count="100"><geom size=".1"/></replicate></replicate>',
+        '<flexcomp name="f" type="grid" count="300 300 300" spacing=".1 .1 .1" radius=".1"/>',
+    ],
+)
+def test_parts_repeated_without_end_are_refused(tmp_path, part):
+    with pytest.raises(ModelError, match="copies; at most 3000"):
+        compile_model(model(tmp_path, "a.xml", bodies=LEAF + part))
+
+
+@pytest.mark.parametrize(
+    "size", ['memory="900G"', 'nuserdata="2000000000"', 'nuser_body="100000000"']
+)
+def test_sizes_that_take_all_memory_are_refused(tmp_path, size):
+    path = model(tmp_path, "a.xml")
+    path.write_text(path.read_text().replace("<asset>", f"<size {size}/><asset>"))
+    with pytest.raises(ModelError, match="cells; at most"):
+        compile_model(path)
+
+
+def test_sizes_that_models_have_are_read(tmp_path):
+    path = model(tmp_path, "a.xml", bodies=LEAF + '<replicate count="20"><site/></replicate>')
+    size = '<size/><size memory="64M" nkey="2" nuserdata="10"/><asset>'
+    path.write_text(path.read_text().replace("<asset>", size))
+    assert compile_model(path).mj_model.nsite == 20
+
+
 def test_a_field_of_no_number_is_left_to_mujoco(tmp_path):
     asset = '<hfield name="h" nrow="many" ncol="2" size="1 1 1 1"/>'
     with pytest.raises(ModelError, match="MuJoCo cannot compile"):

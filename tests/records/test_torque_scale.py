@@ -57,6 +57,8 @@ def test_a_file_is_read_by_joint_names(tmp_path):
     ("text", "said"),
     [
         ("{", "cannot read"),
+        ("[" * 100_000, "cannot read"),
+        ('{"version": 1, "torque_scale": {"a": 1' + "0" * 400 + "}}", "joint a must be positive"),
         ("[]", "holds no torque_scale"),
         ('{"torque_scale": {"a": 1}}', "version None"),
         ('{"version": 1, "torque_scale": {"a": 0}}', "joint a must be positive"),

@@ -229,22 +229,22 @@ def _table(text: list[str], path: Path, before: int, width: int) -> Array:
     filled = [line for line in text if line.strip()]
     if not filled:
         return np.empty((0, width))
-    try:
-        table = np.loadtxt(filled, delimiter=",", ndmin=2)
-    except ValueError:
-        table = np.empty((0, 0))
-    if table.shape != (len(filled), width) or not np.all(np.isfinite(table)):
-        bad = next(k for k, line in enumerate(text) if line.strip() and not _is_row(line, width))
-        raise InputError(f"{path}, line {before + bad + 1}: expected {width} finite numbers")
-    return np.asarray(table)
+    table = _finite_rows(filled, width)
+    if table is None:
+        lines = enumerate(text, start=before + 1)
+        bad = next(n for n, line in lines if line.strip() and _finite_rows([line], width) is None)
+        raise InputError(f"{path}, line {bad}: expected {width} finite numbers")
+    return table
 
 
-def _is_row(line: str, width: int) -> bool:
+def _finite_rows(lines: list[str], width: int) -> Array | None:
+    """Return the numbers (N, width) of lines, or None where they are no such rows."""
     try:
-        values = [float(cell) for cell in line.split(",")]
+        table = np.loadtxt(lines, delimiter=",", ndmin=2)
     except ValueError:
-        return False
-    return len(values) == width and bool(np.all(np.isfinite(values)))
+        return None
+    fits = table.shape == (len(lines), width) and np.all(np.isfinite(table))
+    return np.asarray(table) if fits else None
 
 
 def _check_time(time: Array, last: float, path: Path, before: int) -> None:

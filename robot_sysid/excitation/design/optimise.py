@@ -208,6 +208,7 @@ class Design:
     ) -> None:
         self.problem, self.options, self.sample_rate = problem, options, motion.sample_rate
         self.basis: FourierBasis = options.basis(motion.duration)
+        _require_sampled(self.basis, motion.sample_rate)
         self.memory = _memory(self.basis, options.n_workers)
         self.directions = self.basis.free_directions()
         self.unit = _unit(self.basis, self.n_free)
@@ -326,6 +327,16 @@ def _unit(basis: FourierBasis, count: int) -> Array:
 def _grid_points(basis: FourierBasis) -> int:
     wanted = GRID_PER_CYCLE * basis.top_frequency_hz * basis.duration
     return max(FEWEST_GRID_POINTS, int(np.ceil(wanted)))
+
+
+def _require_sampled(basis: FourierBasis, rate: float) -> None:
+    """Raise InputError where samples [Hz] cannot show the highest harmonic."""
+    if basis.top_frequency_hz > 0.5 * rate:
+        raise InputError(
+            f"--base-frequency {basis.base_frequency_hz:g}: harmonic {basis.harmonics} of it is at "
+            f"{basis.top_frequency_hz:.4g} Hz, more than half the --sample-rate of {rate:g} Hz "
+            "shows; lower it, or leave it off"
+        )
 
 
 def _memory(basis: FourierBasis, processes: int) -> float:

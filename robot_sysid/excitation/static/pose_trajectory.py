@@ -32,7 +32,7 @@ class PoseTrajectory:
         object.__setattr__(self, "points", checked_array(self.points, (count, None), "points"))
         object.__setattr__(self, "moves", checked_array(self.moves, (count - 1,), "moves"))
         object.__setattr__(self, "dwells", checked_array(self.dwells, (count,), "dwells"))
-        if np.any(self.moves <= 0.0) or np.any(self.dwells < 0.0):
+        if count < 2 or np.any(self.moves <= 0.0) or np.any(self.dwells < 0.0):
             raise InputError("moves between poses take time, and rests are not negative")
 
     @property

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import json
+import os
 from pathlib import Path
 from typing import Any
 
 from robot_sysid.errors import InputError
+from robot_sysid.json_files import read_json
 from robot_sysid.records import RobotModel
 
 
@@ -37,19 +38,14 @@ def earlier_logs(params: Path, robot: RobotModel) -> tuple[Path, ...]:
             f"{params} was made with another model than {robot.path}; give the same model file, or "
             "all logs with --measurements"
         )
-    missing = [log for log in logs if not Path(log).exists()]
+    missing = [log for log in logs if not os.path.exists(log)]
     if missing:
         raise InputError(f"{params}: its log {missing[0]} is no longer there; put it back")
     return tuple(Path(log) for log in logs)
 
 
 def _content(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} is no params.json: {error}") from error
+    content = read_json(path, "give the params.json of an earlier run")
     if not isinstance(content, dict):
         raise InputError(f"{path} is no params.json: it holds no names and values")
     return content

@@ -8,7 +8,6 @@ the usual case: r = 1 on the last two joints.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +17,7 @@ import numpy as np
 
 from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.errors import InputError
+from robot_sysid.json_files import read_json
 from robot_sysid.records import Array, Motion, RobotModel
 
 COUPLED_TERMS = ("coulomb", "viscous", "armature", "sqrt", "stribeck")
@@ -79,10 +79,7 @@ def read_couplings(path: Path, robot: RobotModel) -> tuple[Coupling, ...]:
     Raises:
         InputError: the file cannot be read, or does not fit the arm.
     """
-    try:
-        content = json.loads(path.read_text(encoding="utf-8-sig"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"--coupling {path}: cannot be read as JSON ({error})") from error
+    content = read_json(path, '--coupling takes JSON such as {"motor": {"joint": 1.0}}')
     rows: Sequence[Array]
     if isinstance(content, dict):
         rows = [_row(path, robot, motor, given) for motor, given in content.items()]

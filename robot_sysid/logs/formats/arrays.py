@@ -3,6 +3,7 @@ records of 200 Hz that an xArm's controller sends."""
 
 from __future__ import annotations
 
+import math
 import zipfile
 from pathlib import Path
 from typing import Any, cast
@@ -51,10 +52,26 @@ def npz_table(path: Path) -> ArrayTable:
     with as_input_errors(path, "a NumPy .npz file"), path.open("rb") as stream:
         with zipfile.ZipFile(stream) as packed:
             _refuse_bomb(path, sum(each.file_size for each in packed.infolist()))
+            for each in packed.namelist():
+                _refuse_bomb(path, _stated_bytes(packed, each))
+        stream.seek(0)
         archive = np.load(stream, allow_pickle=False)
         arrays = {name: archive[name] for name in archive.files}
     titles, cells = titled_arrays(path, {n: a for n, a in arrays.items() if _is_numeric(a)})
     return ArrayTable(path, "NumPy .npz", titles, (cells,))
+
+
+def _stated_bytes(packed: zipfile.ZipFile, name: str) -> int:
+    """Return the size that an array's own head states, which NumPy would reserve; 0 for none."""
+    with packed.open(name) as member:
+        try:
+            version = np.lib.format.read_magic(member)
+            read = np.lib.format.read_array_header_1_0
+            read = read if version == (1, 0) else np.lib.format.read_array_header_2_0
+            shape, _, kind = read(member)
+        except ValueError:
+            return 0
+    return math.prod(shape) * kind.itemsize
 
 
 def is_xarm(path: Path, start: bytes) -> bool:
@@ -105,13 +122,12 @@ def hdf5_table(path: Path, commanded: bool = False) -> ArrayTable:
     """
     h5py = library("h5py", "hdf5", "an HDF5 file")
     with as_input_errors(path, "an HDF5 file"), h5py.File(path, "r") as file:
-        file.visititems(lambda _, held: _refuse_bomb(path, getattr(held, "nbytes", 0)))
         if "observations/qpos" in file:
-            action = file["action"][()] if commanded and "action" in file else None
+            action = _whole(path, file["action"]) if commanded and "action" in file else None
             return _aloha(path, file["observations"], action)
         if "data" in file and isinstance(file["data"], h5py.Group):
             return _robomimic(path, file["data"])
-        arrays = {n: d[()] for n, d in file.items() if isinstance(d, h5py.Dataset)}
+        arrays = {n: _whole(path, d) for n, d in file.items() if isinstance(d, h5py.Dataset)}
     titles, cells = titled_arrays(path, {n: a for n, a in arrays.items() if _is_numeric(a)})
     return ArrayTable(path, "HDF5", titles, (cells,))
 
@@ -125,13 +141,19 @@ def _refuse_bomb(path: Path, size: int) -> None:
         )
 
 
+def _whole(path: Path, dataset: Any) -> Any:
+    """Return all of a data set, unless it is too large."""
+    _refuse_bomb(path, dataset.nbytes)
+    return dataset[()]
+
+
 def _aloha(path: Path, group: Any, action: Any = None) -> ArrayTable:
     if "effort" not in group and action is None:
         raise InputError(
             f"{path} has no /observations/effort; without measured torque nothing can be "
             "identified: record effort"
         )
-    arrays = {n: group[n][()] for n in ("qpos", "qvel", "effort") if n in group}
+    arrays = {n: _whole(path, group[n]) for n in ("qpos", "qvel", "effort") if n in group}
     arrays.update({} if action is None else {"command": action})
     width = arrays["qpos"].shape[1]
     titles, cells = [], []
@@ -159,12 +181,12 @@ def _robomimic(path: Path, group: Any) -> ArrayTable:
     for name in sorted(group, key=lambda n: (len(n), n)):
         observed = {f"/{n}": d for n, d in group[name].get("obs", {}).items()}
         arrays = {
-            title: observed[n][()]
+            title: _whole(path, observed[n])
             for part, title in _ROBOMIMIC.items()
             for n in observed
             if n.endswith(part)
         }
-        times = {"time": observed["/time"][()]} if "/time" in observed else {}
+        times = {"time": _whole(path, observed["/time"])} if "/time" in observed else {}
         if "position" not in arrays or "torque" not in arrays:
             raise InputError(
                 f"{path}: demonstration {name} has no joint torques (an array whose name ends in "

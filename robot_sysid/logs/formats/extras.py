@@ -36,8 +36,12 @@ def as_input_errors(path: Path, what: str) -> Iterator[None]:
     """Turn whatever a library complains about in a file into an InputError."""
     try:
         yield
-    except (SysidError, MemoryError):
+    except SysidError:
         raise
+    except MemoryError:
+        raise InputError(
+            f"{path} asks for more memory than there is; it is damaged, or too long"
+        ) from None
     except Exception as error:
         said = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"cannot read {path} as {what}: {said}") from error

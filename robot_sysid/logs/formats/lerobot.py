@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.errors import InputError
+from robot_sysid.json_files import read_json
 from robot_sysid.logs.formats.extras import as_input_errors, library
 from robot_sysid.logs.formats.joint_titles import renamed
 from robot_sysid.logs.formats.table import ArrayTable
@@ -50,7 +50,7 @@ def lerobot_table(
         InputError: it cannot be read, has no torque or not these episodes.
     """
     info = _info(path)
-    features = info.get("features", {})
+    features = _mapping(info.get("features"))
     read = (STATE, ACTION) if commanded else (STATE, *_FEATURES)
     titles = {name: _titles(features, name, joint_names) for name in read}
     if not commanded and not any(
@@ -64,30 +64,46 @@ def lerobot_table(
     present = [name for name in titles if titles[name]]
     columns = ["timestamp", "episode_index", *present]
     frames = _frames(path, columns)
-    found = sorted(set(frames["episode_index"].astype(int).tolist()))
-    missing = sorted(set(episodes) - set(found))
-    if missing:
-        raise InputError(f"{path} has no episode {missing[0]}; it has {found[0]} to {found[-1]}")
+    wanted = _wanted(path, episodes, frames["episode_index"])
     cells = np.column_stack([frames["timestamp"], *(frames[name] for name in present)])
-    wanted = list(episodes) or found
     pieces = tuple(cells[frames["episode_index"] == episode] for episode in wanted)
-    version, fps = info.get("codebase_version", "?"), float(info.get("fps", np.nan))
-    layout = f"LeRobot data set {version} at {fps:g} Hz, {len(pieces)} episodes"
+    version, fps = info.get("codebase_version", "?"), info.get("fps", "unknown")
+    layout = f"LeRobot data set {version} at {fps} Hz, {len(pieces)} episodes"
     flat = tuple(title for name in present for title in titles[name])
+    if cells.shape[1] != 1 + len(flat):
+        raise InputError(
+            f"{path} names {len(flat)} numbers of a frame in meta/info.json and holds "
+            f"{cells.shape[1] - 1}; download the data set whole"
+        )
     return ArrayTable(path, layout, ("timestamp [s]", *flat), pieces)
 
 
+def _wanted(path: Path, episodes: Sequence[int], index: Array) -> list[int]:
+    """Return which episodes are read: those that were asked for, or all."""
+    found = sorted(set(index.astype(int).tolist()))
+    if not found:
+        raise InputError(f"{path} holds no frames; download the data set whole")
+    missing = sorted(set(episodes) - set(found))
+    if missing:
+        raise InputError(f"{path} has no episode {missing[0]}; it has {found[0]} to {found[-1]}")
+    return list(episodes) or found
+
+
 def _info(path: Path) -> Mapping[str, Any]:
-    with as_input_errors(path / "meta" / "info.json", WHAT):
-        content = json.loads((path / "meta" / "info.json").read_text(encoding="utf-8-sig"))
-    return content if isinstance(content, dict) else {}
+    content = read_json(path / "meta" / "info.json", "download the data set whole")
+    return _mapping(content)
+
+
+def _mapping(value: Any) -> Mapping[str, Any]:
+    return value if isinstance(value, dict) else {}
 
 
 def _titles(features: Mapping[str, Any], name: str, joint_names: Sequence[str]) -> list[str]:
     """Return the titles of a feature's columns; nothing where it is not there."""
-    names = features.get(name, {}).get("names") or []
-    if isinstance(names, Mapping):
-        names = [each for group in names.values() for each in group]
+    names = _mapping(features.get(name)).get("names")
+    if isinstance(names, dict):
+        names = [each for group in names.values() if isinstance(group, list) for each in group]
+    names = names if isinstance(names, list) else []
     pairs = [str(each).rpartition(".") for each in names]
     stems = [stem if ending in _ENDINGS else str(n) for (stem, _, ending), n in zip(pairs, names)]
     plain = _FEATURES.get(name, "position")
@@ -109,7 +125,8 @@ def _frames(path: Path, columns: Sequence[str]) -> Mapping[str, Array]:
         with as_input_errors(file, WHAT):
             read = parquet.read_table(file, columns=list(columns))
             parts.append({name: _array(read.column(name)) for name in columns})
-    return {name: np.concatenate([part[name] for part in parts]) for name in columns}
+    with as_input_errors(path, WHAT):
+        return {name: np.concatenate([part[name] for part in parts]) for name in columns}
 
 
 def _array(column: Any) -> Array:

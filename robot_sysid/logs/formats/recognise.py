@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -76,7 +77,7 @@ def _binary_table(path: Path, joint_names: Sequence[str], options: LogOptions) -
 
 def _start(path: Path) -> bytes:
     """Return the first bytes of a file; nothing of a folder."""
-    if path.is_dir():
+    if os.path.isdir(path):  # Path.is_dir raises where a name is too long
         return b""
     try:
         with path.open("rb") as stream:

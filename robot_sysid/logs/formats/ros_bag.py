@@ -23,6 +23,7 @@ from robot_sysid.logs.formats import table
 from robot_sysid.logs.formats.extras import as_input_errors, library
 from robot_sysid.logs.formats.joint_titles import renamed
 from robot_sysid.logs.formats.table import Block
+from robot_sysid.logs.formats.unpacking import bound_unpacking
 
 WHAT = "a ROS bag"
 QUANTITIES = ("position", "velocity", "effort", "current")
@@ -236,6 +237,7 @@ def _opened(path: Path) -> Iterator[Any]:
     highlevel = library("rosbags.highlevel", "rosbag", WHAT)
     typesys = library("rosbags.typesys", "rosbag", WHAT)
     single = path.suffix in (".db3", ".mcap") and (path.parent / "metadata.yaml").is_file()
+    bound_unpacking()
     with as_input_errors(path, WHAT):
         store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
         for name, text in _DYNAMIC:

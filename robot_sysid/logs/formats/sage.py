@@ -69,7 +69,12 @@ def sage_table(dialect: LogDialect, joint_names: Sequence[str]) -> SageTable:
     cells = next((c for c in map(_cells, _texts(dialect)) if c and c[0] in _TIMES), None)
     if cells is None:
         raise InputError(f"{dialect.path} holds no rows of type {' or '.join(_TIMES)}")
-    count = len(_list(cells[2]))
+    try:
+        count = len(_list(cells[2]))
+    except (IndexError, ValueError):
+        raise InputError(
+            f"{dialect.path}: its first row of type {cells[0]} lists no positions; record it again"
+        ) from None
     names = _names(dialect.path.parent / _NAMES_FILE, count)
     shown = [f"{name} " for name in renamed(names, joint_names)] if names else [""] * count
     titles = ["timestamp"]
@@ -85,7 +90,7 @@ def _texts(dialect: LogDialect) -> Iterator[str]:
 def _names(path: Path, count: int) -> list[str]:
     if not path.is_file():
         return []
-    names = [line.strip() for line in path.read_text(encoding="utf-8-sig").splitlines()]
+    names = [line.strip() for line in path.read_text("utf-8-sig", errors="replace").splitlines()]
     names = [name for name in names if name]
     return names if len(names) == count else []
 

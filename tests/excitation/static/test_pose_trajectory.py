@@ -51,4 +51,6 @@ def test_peaks_of_the_step():
 
 def test_a_move_takes_time():
     with pytest.raises(InputError, match="take time"):
+        PoseTrajectory(np.zeros((1, 2)), np.zeros(0), np.ones(1))
+    with pytest.raises(InputError, match="take time"):
         PoseTrajectory(np.zeros((2, 1)), np.zeros(1), np.zeros(2))

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import io
+import zipfile
+
 import numpy as np
 import pytest
 
@@ -37,11 +40,22 @@ def test_an_archive_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
         arrays.npz_table(path)
 
 
+def test_an_array_that_only_says_it_is_huge_is_refused(tmp_path):
+    array = io.BytesIO()
+    np.save(array, np.zeros((24, 3)))
+    said = array.getvalue().replace(b"(24, 3), }" + b" " * 10, b"(90000000000, 3), } ")
+    with zipfile.ZipFile(tmp_path / "log.npz", "w") as packed:
+        packed.writestr("q.npy", said)
+    with pytest.raises(InputError, match=r"unpacks to 2.16e\+03 GB"):
+        arrays.npz_table(tmp_path / "log.npz")
+
+
 def test_hdf5_that_holds_nothing_but_a_size_is_refused(tmp_path):
     h5py = pytest.importorskip("h5py")
     path = tmp_path / "log.hdf5"
     with h5py.File(path, "w") as file:
-        file.create_dataset("observations/qpos", (10**10, 7), "f8", chunks=(1024, 7))
+        for name in ("qpos", "effort"):
+            file.create_dataset(f"observations/{name}", (10**10, 7), "f8", chunks=(1024, 7))
     with pytest.raises(InputError, match="unpacks to 560 GB"):
         arrays.hdf5_table(path)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
@@ -32,6 +34,8 @@ def test_a_log_in_a_folder_without_a_known_form_is_refused(tmp_path):
         read_measurements(tmp_path, JOINTS)
     with pytest.raises(InputError, match="cannot read the log"):
         read_measurements(tmp_path / "nothing.bag", JOINTS)
+    with pytest.raises(InputError, match="cannot read the log .*too long"):
+        read_measurements(tmp_path / ("a" * 5000), JOINTS)
 
 
 def test_options_of_one_form_are_refused_for_another(tmp_path):
@@ -57,6 +61,46 @@ def test_a_broken_file_is_one_line(tmp_path, content, said):
     with pytest.raises(InputError, match=said) as caught:
         read_measurements(path, JOINTS)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("odd", "said"),
+    [
+        ({"features": "none"}, "holds no torque"),
+        ({"features": {"observation.state": "none"}}, "holds no torque"),
+        ({"features": {"observation.state": {"names": 3}}}, "holds no torque"),
+        ({"features": {"observation.state": {"names": ["wrist.torque"]}}}, "names 1 numbers"),
+    ],
+)
+def test_an_odd_description_of_a_data_set_is_refused(tmp_path, odd, said):
+    path = recorded.FORMS["LeRobot v2"](tmp_path, DATA)
+    description = path / "meta" / "info.json"
+    description.write_text(json.dumps({**json.loads(description.read_text()), **odd}))
+    with pytest.raises(InputError, match=said):
+        read_measurements(path, JOINTS)
+
+
+def test_an_odd_rate_of_a_data_set_is_shown_as_it_is(tmp_path):
+    path = recorded.FORMS["LeRobot v2"](tmp_path, DATA)
+    description = path / "meta" / "info.json"
+    description.write_text(json.dumps({**json.loads(description.read_text()), "fps": {}}))
+    assert "at {} Hz" in read_measurements(path, JOINTS).notes[0]
+
+
+@pytest.mark.parametrize("row", ["StateMotor", 'StateMotor,0,"[a]","[]","[]"'])
+def test_a_sage_recording_without_positions_is_refused(tmp_path, row):
+    path = recorded.FORMS["SAGE"](tmp_path, DATA)
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([lines[0], row, *lines[1:]]))
+    with pytest.raises(InputError, match="lists no positions"):
+        read_measurements(path, JOINTS)
+
+
+def test_names_of_a_sage_recording_in_another_encoding_are_no_error(tmp_path):
+    path = recorded.FORMS["SAGE"](tmp_path, DATA)
+    (tmp_path / "joint_list.txt").write_bytes(b"\xff\n")
+    with pytest.raises(InputError, match="name|column"):
+        read_measurements(path, ("a", "b", "c", "d"))
 
 
 def test_a_library_that_is_missing_is_named_with_the_command(tmp_path, monkeypatch):
