@@ -44,8 +44,8 @@ class FourierBasis:
     fade: float
 
     def __post_init__(self) -> None:
-        if not (self.duration > 0.0 and self.base_frequency_hz > 0.0):
-            raise InputError("a Fourier series needs a positive duration and base frequency")
+        if not (0.0 < self.duration < np.inf and 0.0 < self.base_frequency_hz < np.inf):
+            raise InputError("a Fourier series needs a finite positive duration and base frequency")
         least = 1 if self.fade > 0.0 else 3
         if self.harmonics < least:
             raise InputError(

@@ -80,6 +80,7 @@ def test_free_directions_span_all_that_is_at_rest():
     ("values", "word"),
     [
         ((0.0, 0.1, 5, 0.1), "positive"),
+        ((10.0, float("inf"), 5, 1.0), "positive"),
         ((10.0, 0.1, 5, 6.0), "twice"),
         ((10.0, 0.1, 5, float("nan")), "twice"),
         ((10.0, 0.13, 5, 0.0), "whole number of periods"),

@@ -13,7 +13,7 @@ from random import Random
 from typing import Any
 
 from robot_sysid.cli import main
-from robot_sysid.identify.earlier import earlier_logs
+from robot_sysid.identify.adding.earlier import earlier_logs
 from robot_sysid.output.cards import payload_cards
 from robot_sysid.output.payload_json import payload_json_text
 from robot_sysid.records.results import PARAMS_NAME

@@ -57,6 +57,8 @@ def run(*arguments):
     return subprocess.run(call, cwd=ROOT, env=environment, capture_output=True, text=True)
 
 
+# A run tells the user of numerical warnings, and goes on.
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize("target", [can_frames, columns, trajectories], ids=lambda t: t.__name__)
 def test_no_input_does_harm(tmp_path, target):
     ends = set()
