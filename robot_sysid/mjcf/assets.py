@@ -72,7 +72,7 @@ def asset_folders(document: ModelDocument, mesh_dir: Path | None = None) -> Asse
     base = document.folder
     chosen = _joined(base, mesh) if mesh_dir is None else Path(mesh_dir).absolute()
     textures = _joined(base, texture)
-    if mesh_dir is not None and not textures.is_dir():
+    if mesh_dir is not None and not os.path.isdir(textures):
         textures = chosen
     return AssetFolders(chosen, textures, strip, mesh_dir is not None)
 
@@ -108,7 +108,7 @@ def _resolve(
     else:
         wanted = name.replace("\\", "/")
     tried = tuple(dict.fromkeys(_candidates(document, folders, node, wanted)))
-    path = next((p for p in tried if p.is_file()), None)
+    path = next((p for p in tried if os.path.isfile(p)), None)
     return Asset(node, attribute, name, path, tuple(dict.fromkeys(p.parent for p in tried)))
 
 

@@ -7,6 +7,7 @@ including file's; the children of the included root take the place of the ``<inc
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -237,7 +238,7 @@ class _Reader:
     def _find_include(self, parent: SourceFile, name: str) -> Path | None:
         folders = (self.main_path.parent, parent.path.parent)
         candidates = (folder / name.replace("\\", "/") for folder in folders)
-        return next((path for path in candidates if path.is_file()), None)
+        return next((path for path in candidates if os.path.isfile(path)), None)
 
 
 def _is_utf8(raw: bytes) -> bool:

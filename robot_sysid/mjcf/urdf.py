@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
@@ -135,6 +136,10 @@ def _minimum(mass: float) -> bytes:
     return urdf_inertial_about_com(max(mass, MINIMUM_MASS), np.zeros(3), inertia).encode()
 
 
+_LARGEST = 1e12
+"""Squares of far larger numbers overflow."""
+
+
 def link_inertias(document: ModelDocument) -> dict[str, tuple[float, Array, Array]]:
     """Return link name to (mass, centre of mass (3,), inertia about it (3, 3) in link axes)."""
     from scipy.spatial.transform import Rotation
@@ -150,8 +155,8 @@ def link_inertias(document: ModelDocument) -> dict[str, tuple[float, Array, Arra
         # Rz(yaw) Ry(pitch) Rx(roll): about the fixed axes, x first.
         rotation = Rotation.from_euler("xyz", _floats(origin, "rpy")).as_matrix()
         six = [float(inertia.get(n) or 0.0) for n in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")]
-        if not np.all(np.isfinite([*six, *com])):
-            raise ValueError(f"the inertial of link {link.get('name')} is not finite")
+        if not np.all(np.abs([*six, *com]) <= _LARGEST):
+            raise ValueError(f"the inertial of link {link.get('name')} is none that an arm has")
         matrix = rotation @ spatial.symmetric_from_six(np.array(six)) @ rotation.T
         found[str(link.get("name"))] = (_mass(link), com, matrix)
     return found
@@ -278,7 +283,7 @@ def find_mesh(document: ModelDocument, name: str, mesh_dir: Path | None = None) 
     if not name:
         return None
     candidates = _mesh_candidates(document, name.replace("\\", "/"), mesh_dir)
-    return next((path for path in candidates if path.is_file()), None)
+    return next((path for path in candidates if os.path.isfile(path)), None)
 
 
 def _mesh_candidates(document: ModelDocument, name: str, mesh_dir: Path | None) -> Iterator[Path]:

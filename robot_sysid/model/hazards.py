@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 
 from robot_sysid.errors import ModelError
@@ -27,10 +28,12 @@ def refuse_hazards(document: ModelDocument, mesh_dir: Path | None = None) -> Non
     """Refuse an MJCF document that MuJoCo must not even be shown.
 
     Raises:
-        ModelError: it refers to a pipe or device, attaches itself, or asks for a huge field.
+        ModelError: it refers to a pipe or device, attaches itself, asks for a huge field or for
+            copies without end, or has the name of a class with a format in it.
     """
     for node in document.walk():
         _refuse_huge(document, node)
+        _refuse_format(document, node)
     _refuse_copies(document, document.root, 1.0)
     _refuse_attached(document, mesh_dir, (), set())
 
@@ -43,6 +46,15 @@ def _refuse_huge(document: ModelDocument, node: Node) -> None:
         raise ModelError(
             f"{document.path}: a {node.tag} of {cells:.3g} cells; at most "
             f"{MOST_CELLS:.0e} are read, and identification needs none of them"
+        )
+
+
+def _refuse_format(document: ModelDocument, node: Node) -> None:
+    """Refuse the name of a class that MuJoCo, where it is unknown, takes for a format of printf."""
+    if "%" in (node.get("class") or ""):
+        raise ModelError(
+            f"{document.path}: the class {node.get('class')!r} of a {node.tag} has a % in its "
+            "name, over which MuJoCo may end the process; rename it"
         )
 
 
@@ -99,5 +111,5 @@ def _refuse_special(document: ModelDocument, asset: Asset) -> None:
         return
     for folder in asset.looked_in:
         path = folder / Path(asset.name.replace("\\", "/")).name
-        if path.exists() and not path.is_dir():
+        if os.path.exists(path) and not os.path.isdir(path):
             raise ModelError(f"{document.path}: {path} is not a file but a pipe or a device")

@@ -64,7 +64,7 @@ def test_an_mjcf_file_compiles_to_what_mujoco_makes_of_it(tmp_path):
         ),
         (
             urdf_robot(*TWO_LINKS).replace('ixx="0.01"', 'ixx="nan"'),
-            "a number cannot be read: the inertial of link l1 is not finite",
+            "a number cannot be read: the inertial of link l1 is none that an arm has",
         ),
     ],
 )

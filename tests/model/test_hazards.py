@@ -99,6 +99,19 @@ def test_sizes_that_models_have_are_read(tmp_path):
     assert compile_model(path).mj_model.nsite == 20
 
 
+def test_a_class_that_is_a_format_is_refused(tmp_path):
+    """MuJoCo prints with it, and the process ends."""
+    body = '<body><joint class="%s%n%d"/><geom size=".1"/></body>'
+    with pytest.raises(ModelError, match="the class '%s%n%d' of a joint has a %"):
+        compile_model(model(tmp_path, "a.xml", bodies=body))
+
+
+def test_names_too_long_for_a_file_are_not_found(tmp_path):
+    for part in ('<mesh name="m" file="{}"/>', '<include file="{}"/>'):
+        with pytest.raises(ModelError, match="not found"):
+            compile_model(model(tmp_path, "a.xml", part.format("a" * 5000)))
+
+
 def test_a_field_of_no_number_is_left_to_mujoco(tmp_path):
     asset = '<hfield name="h" nrow="many" ncol="2" size="1 1 1 1"/>'
     with pytest.raises(ModelError, match="MuJoCo cannot compile"):
