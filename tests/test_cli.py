@@ -37,6 +37,14 @@ ARM = """<mujoco model="two">
 </mujoco>
 """
 
+
+def test_an_error_is_a_line_that_can_be_read(capsys):
+    """However long a name in it: its beginning and its end."""
+    assert main(["b" + "a" * 5000 + ".xml"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert len(line) < 2000 and " [...] " in line and "cannot read model file" in line
+
+
 BALL = ARM.replace(
     '<joint name="shoulder" axis="0 1 0" range="-90 90" limited="true"/>',
     '<joint name="shoulder" type="ball"/>',

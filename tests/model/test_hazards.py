@@ -106,6 +106,16 @@ def test_a_class_that_is_a_format_is_refused(tmp_path):
         compile_model(model(tmp_path, "a.xml", bodies=body))
 
 
+def test_a_file_outside_is_read_and_only_named(tmp_path):
+    secret = tmp_path / "secret.txt"
+    secret.write_text("password: 1234")
+    (tmp_path / "inside").mkdir()
+    path = model(tmp_path / "inside", "a.xml", '<include file="../secret.txt"/>')
+    with pytest.raises(ModelError, match="secret.txt is not XML") as caught:
+        compile_model(path)
+    assert "1234" not in str(caught.value) and secret.read_text() == "password: 1234"
+
+
 def test_names_too_long_for_a_file_are_not_found(tmp_path):
     for part in ('<mesh name="m" file="{}"/>', '<include file="{}"/>'):
         with pytest.raises(ModelError, match="not found"):

@@ -334,8 +334,8 @@ def _require_sampled(basis: FourierBasis, rate: float) -> None:
     if basis.top_frequency_hz > 0.5 * rate:
         raise InputError(
             f"--base-frequency {basis.base_frequency_hz:g}: harmonic {basis.harmonics} of it is at "
-            f"{basis.top_frequency_hz:.4g} Hz, more than half the --sample-rate of {rate:g} Hz "
-            "shows; lower it, or leave it off"
+            f"{basis.top_frequency_hz:.4g} Hz, above half the --sample-rate of {rate:g} Hz, "
+            "which samples cannot show; lower it, or leave it off"
         )
 
 

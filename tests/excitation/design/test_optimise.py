@@ -221,6 +221,11 @@ def test_singular_information_is_infinitely_bad(name, matrix):
     assert np.array_equal(gradient, np.zeros((3, 3)))
 
 
+def test_a_frequency_that_samples_cannot_show_is_refused_for_what_it_is():
+    with pytest.raises(InputError, match="--base-frequency 1e.09: harmonic 3 of it is at 3e.09 Hz"):
+        design(arms.THREE, duration=15.0, base_frequency=1e9, harmonics=3)
+
+
 def test_a_search_that_would_take_too_much_memory_is_refused_beforehand():
     with pytest.raises(InputError, match=r"would take about 3\d GB of memory.*--harmonics to \d+"):
         design(arms.THREE, duration=15.0, harmonics=3000)
