@@ -155,9 +155,9 @@ def link_inertias(document: ModelDocument) -> dict[str, tuple[float, Array, Arra
         # Rz(yaw) Ry(pitch) Rx(roll): about the fixed axes, x first.
         rotation = Rotation.from_euler("xyz", _floats(origin, "rpy")).as_matrix()
         six = [float(inertia.get(n) or 0.0) for n in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")]
-        if not np.all(np.abs([*six, *com]) <= _LARGEST):
-            raise ValueError(f"the inertial of link {link.get('name')} is none that an arm has")
         matrix = rotation @ spatial.symmetric_from_six(np.array(six)) @ rotation.T
+        if not np.all(np.abs([*matrix.ravel(), *com]) <= _LARGEST):
+            raise ValueError(f"the inertial of link {link.get('name')} is none that an arm has")
         found[str(link.get("name"))] = (_mass(link), com, matrix)
     return found
 

@@ -66,6 +66,10 @@ def test_an_mjcf_file_compiles_to_what_mujoco_makes_of_it(tmp_path):
             urdf_robot(*TWO_LINKS).replace('ixx="0.01"', 'ixx="nan"'),
             "a number cannot be read: the inertial of link l1 is none that an arm has",
         ),
+        (
+            urdf_robot(*TWO_LINKS).replace('rpy="0 0 0"', 'rpy="0 0 inf"'),
+            "a number cannot be read: the inertial of link l1 is none that an arm has",
+        ),
     ],
 )
 def test_what_mujoco_refuses_is_one_line_with_the_file(tmp_path, text, message):
