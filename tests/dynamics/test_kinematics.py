@@ -245,6 +245,7 @@ def test_an_analysis_copy_holds_no_drag_and_no_discrete_inverse():
     assert model.opt.density and model.opt.viscosity and model.opt.enableflags
     model = analysis_copy(model)
     assert (model.opt.density, model.opt.viscosity, model.opt.enableflags) == (0.0, 0.0, 0)
+    assert not np.any(model.body_gravcomp) and not np.any(model.dof_damping)
     off = mujoco.mjtDisableBit
     for flag in (off.mjDSBL_CONSTRAINT, off.mjDSBL_CONTACT, off.mjDSBL_SENSOR):
         assert model.opt.disableflags & int(flag)
