@@ -86,9 +86,12 @@ class WorkerPool:
         except BrokenProcessPool:
             self._close()
             yield from (job(self._shared) for job in tuple(left.values()))
-        finally:
-            for future in left:
+        except GeneratorExit:
+            # Not where all ends: the pool's thread fails with a traceback at a cancelled job whose
+            # worker is ended.
+            for future in left if self._pool is not None else ():
                 future.cancel()
+            raise
 
     @staticmethod
     def _handed_out(pool: ProcessPoolExecutor, jobs: Sequence[Job]) -> dict[Future[Any], Job]:

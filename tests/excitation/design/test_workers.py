@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import threading
 import time
+from concurrent.futures import as_completed
 from functools import partial
 from pathlib import Path
 
@@ -78,6 +80,24 @@ def test_jobs_of_workers_that_die_are_done_here():
     with WorkerPool(os.getpid(), 2) as pool:
         results = list(pool.run([partial(die_elsewhere, number=k) for k in range(5)]))
         assert sorted(results) == [0, 1, 2, 3, 4]
+
+
+def test_an_interrupt_makes_the_pool_say_nothing(monkeypatch):
+    """Ctrl-C while results are waited for: workers end, and no thread of the pool fails."""
+
+    def interrupted(futures):
+        yield next(as_completed(futures))
+        raise KeyboardInterrupt
+
+    failed = []
+    monkeypatch.setattr(threading, "excepthook", failed.append)
+    monkeypatch.setattr("robot_sysid.excitation.design.workers.as_completed", interrupted)
+    before = set(threading.enumerate())
+    with pytest.raises(KeyboardInterrupt), WorkerPool(0, 2) as pool:
+        list(pool.run([number] * 50))
+    for thread in set(threading.enumerate()) - before:
+        thread.join(20.0)
+    assert failed == []
 
 
 @pytest.mark.parametrize("workers", [1, 2])
