@@ -241,6 +241,16 @@ def test_the_message_names_the_joint_that_is_out_of_range(field, value, limit):
     assert refusal(MitCommand(**values), scaling) == expected
 
 
+@pytest.mark.parametrize("name", TYPES)
+def test_a_step_is_what_one_code_more_stands_for(name):
+    scaling = scaling_of(name)
+    codes = np.array([[0x10] + [0] * 7, [0x10, 0, 1, 0, 0x10, 1, 0, 0]], dtype=np.uint8)[:, None]
+    told = decode_feedback(codes, scaling)
+    for field, step in zip(("position", "velocity", "torque"), scaling.steps):
+        low, high = getattr(told, field)
+        np.testing.assert_allclose(step, high - low, rtol=1e-9)
+
+
 @pytest.mark.parametrize("bad", [0.0, -12.5, np.nan, np.inf])
 @pytest.mark.parametrize("place", range(3))
 def test_scaling_has_to_be_positive(bad, place):
