@@ -7,7 +7,6 @@ them: residuals by size, by time lag and by speed.
 from __future__ import annotations
 
 import io
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.errors import InputError
+from robot_sysid.logs.formats.arrays import npz_arrays
 from robot_sysid.records import Array
 from robot_sysid.records.traces import Traces
 from robot_sysid.report.statistics import autocorrelation, by_speed, histogram
@@ -164,13 +164,12 @@ def load_data(path: Path) -> ReportData:
         InputError: the file is not there, or is not what this program writes.
     """
     remedy = "identify again with this version to have it written"
+    if not path.exists():
+        raise InputError(f"there is no {path}; {remedy}")
     try:
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as saved:
-            content = dict(saved)
-    except FileNotFoundError:
-        raise InputError(f"there is no {path}; {remedy}") from None
-    except (OSError, ValueError, zipfile.BadZipFile, EOFError, KeyError) as error:
-        raise InputError(f"cannot read {path}: {error}; {remedy}") from None
+        content = npz_arrays(path)
+    except InputError as error:
+        raise InputError(f"{error}; {remedy}") from None
     version = content.pop("version", None)
     if version is None or version.shape != () or version != _VERSION:
         raise InputError(f"{path} was written by another version; {remedy}")

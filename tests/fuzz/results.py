@@ -12,6 +12,8 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
+import matplotlib  # noqa: F401 - makes its folder of settings when it is first imported
+
 from robot_sysid.cli import main
 from robot_sysid.identify.adding.earlier import earlier_logs
 from robot_sysid.output.cards import payload_cards

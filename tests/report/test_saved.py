@@ -89,3 +89,17 @@ def test_what_is_no_archive_is_refused(tmp_path, content):
 def test_a_missing_file_says_what_would_write_it(tmp_path):
     with pytest.raises(InputError, match="there is no .*identify again"):
         load_data(tmp_path / DATA_NAME)
+
+
+@pytest.mark.parametrize(("place", "value"), [(8, 99), (60, 0xFF)])
+def test_a_file_whose_packing_is_broken_is_refused(tmp_path, place, value):
+    """Another method of compression in its heads, or bytes in the middle that are none of it."""
+    content = bytearray(data_bytes(report_data(traces())))
+    if place == 8:
+        central = content.index(b"PK\x01\x02")
+        content[place] = content[central + 10] = value
+    else:
+        content[place : place + 40] = bytes([value]) * 40
+    (tmp_path / DATA_NAME).write_bytes(content)
+    with pytest.raises(InputError, match="cannot read .*identify again"):
+        load_data(tmp_path / DATA_NAME)

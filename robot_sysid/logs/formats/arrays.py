@@ -49,6 +49,17 @@ def is_hdf5(start: bytes) -> bool:
 
 def npz_table(path: Path) -> ArrayTable:
     """Return the arrays of an .npz file: time (N,), q, qd, tau (N, n), by these or like names."""
+    arrays = npz_arrays(path)
+    titles, cells = titled_arrays(path, {n: a for n, a in arrays.items() if _is_numeric(a)})
+    return ArrayTable(path, "NumPy .npz", titles, (cells,))
+
+
+def npz_arrays(path: Path) -> dict[str, Any]:
+    """Return the arrays of an .npz file; nothing in it is unpickled.
+
+    Raises:
+        InputError: it cannot be read, or unpacks to more than is read.
+    """
     with as_input_errors(path, "a NumPy .npz file"), path.open("rb") as stream:
         with zipfile.ZipFile(stream) as packed:
             _refuse_bomb(path, sum(each.file_size for each in packed.infolist()))
@@ -56,9 +67,7 @@ def npz_table(path: Path) -> ArrayTable:
                 _refuse_bomb(path, _stated_bytes(packed, each))
         stream.seek(0)
         archive = np.load(stream, allow_pickle=False)
-        arrays = {name: archive[name] for name in archive.files}
-    titles, cells = titled_arrays(path, {n: a for n, a in arrays.items() if _is_numeric(a)})
-    return ArrayTable(path, "NumPy .npz", titles, (cells,))
+        return {name: archive[name] for name in archive.files}
 
 
 def _stated_bytes(packed: zipfile.ZipFile, name: str) -> int:
