@@ -52,7 +52,7 @@ def log(folder: Path, duration: float) -> tuple[float, float]:
     if not path.exists():
         recorded(path, duration)
     out = ("--output-dir", str(folder / "out"))
-    return measured("identify", str(GUESS), "--measurements", str(path), *out)
+    return measured("identify", str(GUESS), str(path), *out)
 
 
 def recorded(path: Path, duration: float) -> None:
