@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import copy
 from functools import cache
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -31,7 +32,7 @@ from robot_sysid.trajectory import (
     generate_excitation_trajectory,
     motion_chunks,
 )
-from tests.support import arms
+from tests.support import arms, rank_oracle
 from tests.support.model_files import random_theta
 from tests.support.places import MODELS
 
@@ -243,3 +244,42 @@ def test_a_payload_and_all_links_are_written_into_public_models(tmp_path, model,
         write_payload(robot, payload, find_flange(robot), target, as_body="my payload")
         write_links(robot, thetas, target, changes)
     assert path.is_file()
+
+
+RANK_ARMS = [
+    ("kinova_gen3/gen3.xml", None),
+    ("kinova_gen3/gen3_official.xml", None),
+    ("franka_panda/panda.xml", None),
+    ("franka_fr3/FrankaFR3_7DoF.urdf", None),
+    ("kuka_iiwa_14/iiwa14.xml", None),
+    ("universal_robots_ur5e/ur5e.xml", None),
+    ("ufactory_xarm7/xarm7.xml", None),
+    ("trossen/wxai/wxai_base.xml", None),
+    ("so101/so101_new_calib.xml", "gripper"),
+    ("openarm_v2/openarm_bimanual.xml", "openarm_left_joint7"),
+]
+STATES = 10
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("model", "joint"), RANK_ARMS)
+def test_every_set_of_moving_joints_shows_what_mujoco_says(model, joint):
+    """Rank and hidden directions, for the torques of all joints and of the last one alone."""
+    robot, rng = load(model, joint), np.random.default_rng(0)
+    joints = range(robot.n_joints)
+    subsets = [c for k in range(robot.n_joints + 1) for c in combinations(joints, k)]
+    first, other = (
+        [
+            np.concatenate(same)
+            for same in zip(*(rank_oracle.moves(robot, rng, moving, STATES) for moving in subsets))
+        ]
+        for _ in range(2)
+    )
+    columns = rank_oracle.mujoco_columns(robot, *first)
+    for torques, which in (("chain", slice(None)), ("terminal", slice(-1, None))):
+        equations, rows = rank_oracle.rows_of(robot, torques, other)
+        for index in range(len(subsets)):
+            part = slice(STATES * index, STATES * (index + 1))
+            information = rank_oracle.information_of(equations, [block[part] for block in rows])
+            seen = rank_oracle.oracle(columns[part, which])
+            rank_oracle.assert_same(information, seen)

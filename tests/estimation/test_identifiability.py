@@ -16,6 +16,7 @@ from robot_sysid.estimation.identifiability import (
     visible_space,
 )
 from robot_sysid.records import JointInformation, SquareRootInformation
+from tests.support import arms, rank_oracle
 from tests.support.synthetic_data import (
     ORIGIN,
     arm_equations,
@@ -348,3 +349,59 @@ def test_two_inertias_about_an_axis_are_only_named_where_they_are_equal_to_half_
     assert along @ matrix @ along == pytest.approx(0.0, abs=1e-15)
     named = "the sum of the two inertias transverse to (0.6, 0.8, 0)"
     assert words == (named if close else "0.48 Ixx - 0.36 Ixy + 0.27 Iyy + 0.75 Izz")
+
+
+def _vector(rng, size=3):
+    return " ".join(f"{x:.6f}" for x in rng.normal(size=size))
+
+
+@st.composite
+def small_arms(draw):
+    """(robot, moving joints): one to five joints, simple or skew, under any gravity or none."""
+    rng = np.random.default_rng(draw(SEEDS))
+    simple = draw(st.booleans())
+    gravity = draw(st.sampled_from(["0 0 -9.81", "0 0 0", "9.81 0 0", "3 -4 8"]))
+    axes = draw(st.lists(st.sampled_from([arms.X, arms.Y, arms.Z, None]), min_size=1, max_size=5))
+    content = ""
+    for index in reversed(range(len(axes))):
+        slide = 'type="slide"' if rng.random() < 0.2 else ""
+        place = "0 0 0" if simple else f"{_vector(rng)}"
+        joints = arms.hinge(f"joint{index}", axes[index] or _vector(rng), f'{slide} pos="{place}"')
+        turn = "1 0 0 0" if simple else _vector(rng, 4)
+        tip = arms.TIP if index == len(axes) - 1 else arms.LINK
+        content = arms.link(joints, content, "", ".1 .02 .25", turn, tip)
+    robot = arms.robot_of(arms.world(content, f'gravity="{gravity}"'), f"joint{len(axes) - 1}")
+    return robot, draw(st.sets(st.integers(0, len(axes) - 1)))
+
+
+@settings(max_examples=100, deadline=None)
+@given(small_arms(), st.sampled_from(["chain", "terminal"]), SEEDS)
+def test_what_is_seen_is_what_mujoco_and_an_svd_see(arm, torques, seed):
+    """From differences of MuJoCo's inverse dynamics, at other states of the same joints."""
+    robot, moving = arm
+    rng = np.random.default_rng(seed)
+    first, other = (rank_oracle.moves(robot, rng, tuple(moving), 14) for _ in range(2))
+    columns = rank_oracle.mujoco_columns(robot, *first)
+    seen = rank_oracle.oracle(columns if torques == "chain" else columns[:, -1:])
+    equations, rows = rank_oracle.rows_of(robot, torques, other)
+    rank_oracle.assert_same(rank_oracle.information_of(equations, rows), seen)
+
+
+@pytest.mark.parametrize(
+    ("axis", "gravity", "rank", "hidden"),
+    [
+        (arms.Z, "0 0 -9.81", 3, 9),  # about the vertical: Izz and friction
+        (arms.Z, "0 0 0", 3, 9),
+        (arms.Y, "0 0 -9.81", 5, 7),  # horizontal: two first moments as well
+        (arms.Y, "0 0 0", 3, 9),
+    ],
+)
+def test_an_arm_of_one_joint_shows_what_a_pendulum_shows(axis, gravity, rank, hidden):
+    xml = arms.serial_arm((axis,), option=f'gravity="{gravity}"')
+    robot, rng = arms.robot_of(xml), np.random.default_rng(0)
+    equations, rows = rank_oracle.rows_of(robot, "chain", rank_oracle.moves(robot, rng, (0,), 50))
+    information = rank_oracle.information_of(equations, rows)
+    found = analyse_identifiability(information)
+    assert (found.rank, len(found.unidentifiable)) == (rank, hidden)
+    columns = rank_oracle.mujoco_columns(robot, *rank_oracle.moves(robot, rng, (0,), 50))
+    rank_oracle.assert_same(information, rank_oracle.oracle(columns))
