@@ -16,6 +16,7 @@ from robot_sysid.errors import SysidError
 from robot_sysid.estimation.autocorrelation import JointResiduals
 from robot_sysid.estimation.nuisances import NuisanceGroup, misfits, widened_groups
 from robot_sysid.estimation.options import EstimationOptions
+from robot_sysid.identify.judgement.filtering import filtering_pull, with_filtering
 from robot_sysid.identify.nuisances import (
     known_links,
     nuisance_groups,
@@ -166,6 +167,21 @@ class Aligner:
             "show them well enough; lower --cutoff, or leave --delay and --tilt off"
         )
 
+    def with_filtering(self, fit: AlignedFit) -> Estimate:
+        """Return the estimate of a fit with what the low-pass may have moved it by."""
+        pull = self.filtering_pull(fit.alignment, fit.samples, fit.estimate.values)
+        information = JoinedSamples(fit.samples).information()
+        return with_filtering(fit.estimate, information, fit.nuisances, fit.noise, pull)
+
+    def filtering_pull(
+        self, alignment: Alignment, samples: Sequence[DecimatedSamples], values: Array
+    ) -> Array:
+        """Return the sum of all logs' (joints, p), see ``judgement.filtering``."""
+        arm = with_gravity(self._robot, alignment.gravity)
+        equations = self._equations(arm, values[: len(self._plain.names)])
+        logs = zip(samples, self._delayed(alignment))
+        return np.sum([filtering_pull(s, equations, log, values) for s, log in logs], axis=0)
+
     def traces(self, fit: AlignedFit) -> Traces:
         """Return what was measured and what a fit predicts, for a report."""
         names, estimate = fit.samples[0].names, fit.estimate
@@ -202,7 +218,7 @@ class Aligner:
         equations = self._equations(arm, known)
         thetas = known_links(arm, equations.names, known)
         columns = NuisanceColumns(arm, thetas)
-        logs = [with_delay(log, alignment.delay) if alignment.delay else log for log in self._logs]
+        logs = self._delayed(alignment)
         if self._base is None or self._with_load or self._base[0] is not alignment:
             self._base = alignment, self._without_nuisances(arm, equations, thetas, logs)
             self._visits = visits([log.decimated_motion() for log in logs])
@@ -210,6 +226,11 @@ class Aligner:
             with_nuisances(samples, columns, log, equations, self.groups)
             for samples, log in zip(self._base[1], logs)
         )
+
+    def _delayed(self, alignment: Alignment) -> list[ProcessedSignals]:
+        """Return the logs with the delay taken out."""
+        delay = alignment.delay
+        return [with_delay(log, delay) if delay else log for log in self._logs]
 
     def _without_nuisances(
         self,

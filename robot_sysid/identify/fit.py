@@ -105,7 +105,7 @@ def fit_measured(
         # What was held out has done its work; the numbers come from all that was recorded.
         fit = aligner.fit([np.ones(len(part), dtype=bool) for part in fitted], fit)
     return MeasuredFit(
-        fit.estimate,
+        aligner.with_filtering(fit),
         model,
         fit.alignment,
         fit.misfits(),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
 
@@ -157,6 +157,17 @@ class Estimate:
         size = np.abs(self.values)
         known = np.isfinite(self.standard_errors) & (size > 0.0)
         return np.where(known, self.standard_errors / np.where(known, size, 1.0), np.inf)
+
+    def with_bias(self, cause: str, bias: Array) -> Estimate:
+        """Return the estimate with a bias (p,) that may or may not be there as one more error."""
+        if self.covariance is None or self.standard_errors is None:
+            return self
+        return replace(
+            self,
+            covariance=self.covariance + np.outer(bias, bias),
+            standard_errors=np.hypot(self.standard_errors, bias),
+            error_budget={**self.error_budget, cause: np.abs(bias)},
+        )
 
     def value(self, name: str) -> float | None:
         """Return one parameter by name, or None where it was not estimated."""

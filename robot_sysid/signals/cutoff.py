@@ -18,6 +18,7 @@ nothing is gained and torques hold more and more that is not motion.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,6 +69,26 @@ class CutoffChoice:
     reason: str
 
 
+@dataclass(frozen=True)
+class _Spectra:
+    """Spectra of the acceleration of F frequencies [Hz], from ``length`` samples each.
+
+    Attributes:
+        rate: sample rate of the readings [Hz].
+        length: samples per spectrum.
+        frequency: (F,).
+        motion, noise: (F, n) what is motion, what is not.
+        level: (n,) spectrum of the noise of position.
+    """
+
+    rate: float
+    length: int
+    frequency: Array
+    motion: Array
+    noise: Array
+    level: Array
+
+
 def choose_cutoff(q: Array, rate: float, steps: Array) -> CutoffChoice:
     """Choose one cut-off for all joints.
 
@@ -86,21 +107,14 @@ def choose_cutoff(q: Array, rate: float, steps: Array) -> CutoffChoice:
             f"{len(q)} samples are too few to choose a cut-off from; record longer, or give "
             "--cutoff HZ"
         )
-    length = min((len(q) - 2) // 4, max(_SHORTEST, round(_LONGEST * rate)))
-    frequency, power, shape = _acceleration_spectrum(q, rate, length)
-    level = _noise_level(frequency, power, shape, rate)
-    noise = level * shape[:, None]
-    stairs = _acceleration_spectrum(steps, rate, length)[1]
-    motion = _motion(frequency, power, np.maximum(noise, stairs))
-    noise = np.maximum(noise, np.where(motion > 0.0, 0.0, power))
+    spectra = _spectra(q, rate, steps)
     candidates = _candidates(len(q), rate)
-    candidates = candidates[
-        candidates <= max(candidates[0], _WIDEST * _speed_band(frequency, motion))
-    ]
-    errors = np.array([_error(c, rate, length, motion, noise) for c in candidates])
+    highest = _WIDEST * _speed_band(spectra.frequency, spectra.motion)
+    candidates = candidates[candidates <= max(candidates[0], highest)]
+    errors = np.array([_error(c, spectra) for c in candidates])
     fit = np.flatnonzero(errors <= max(_HARMLESS, _NEARLY_BEST * errors.min()))
     best = candidates[fit[-1]]
-    sigma = np.sqrt(level * rate / 2.0)
+    sigma = np.sqrt(spectra.level * rate / 2.0)
     expected = float(np.sqrt(errors[fit[-1]]))
     reason = (
         f"cut-off {best:.3g} Hz chosen from the data: position noise "
@@ -108,6 +122,31 @@ def choose_cutoff(q: Array, rate: float, steps: Array) -> CutoffChoice:
         f"{percent(expected)}"
     )
     return CutoffChoice(float(best), sigma, expected, reason)
+
+
+def noise_share(q: Array, rate: float, steps: Array, cutoff: float) -> float:
+    """Return the noise that a cut-off [Hz] leaves in the acceleration, as a part of it.
+
+    Arguments as in ``choose_cutoff``. Infinite where nothing moves or the log is too short to tell.
+    """
+    q, steps, rate = _without_repeats(q, steps, rate)
+    if len(q) < _SHORTEST:
+        return math.inf
+    spectra = _spectra(q, rate, steps)
+    passed = np.sum(spectra.noise[spectra.frequency <= cutoff])
+    moved = np.sum(spectra.motion)
+    return math.sqrt(passed / moved) if moved > 0.0 else math.inf
+
+
+def _spectra(q: Array, rate: float, steps: Array) -> _Spectra:
+    length = min((len(q) - 2) // 4, max(_SHORTEST, round(_LONGEST * rate)))
+    frequency, power, shape = _acceleration_spectrum(q, rate, length)
+    level = _noise_level(frequency, power, shape, rate)
+    noise = level * shape[:, None]
+    stairs = _acceleration_spectrum(steps, rate, length)[1]
+    motion = _motion(frequency, power, np.maximum(noise, stairs))
+    noise = np.maximum(noise, np.where(motion > 0.0, 0.0, power))
+    return _Spectra(rate, length, frequency, motion, noise, level)
 
 
 def _without_repeats(q: Array, steps: Array, rate: float) -> tuple[Array, Array, float]:
@@ -236,10 +275,10 @@ def _candidates(n_samples: int, rate: float) -> Array:
     return np.geomspace(min(lowest, highest), highest, 40)
 
 
-def _error(cutoff: float, rate: float, length: int, motion: Array, noise: Array) -> float:
+def _error(cutoff: float, spectra: _Spectra) -> float:
     """Return the expected squared error of acceleration as a part of its mean square."""
-    kernel = design_low_pass(cutoff, rate).kernel
-    gain = np.abs(np.fft.rfft(kernel, length))[1:, None]
-    wrong = np.sum((1.0 - gain) ** 2 * motion + gain**2 * noise)
-    total = np.sum(motion)
+    kernel = design_low_pass(cutoff, spectra.rate).kernel
+    gain = np.abs(np.fft.rfft(kernel, spectra.length))[1:, None]
+    wrong = np.sum((1.0 - gain) ** 2 * spectra.motion + gain**2 * spectra.noise)
+    total = np.sum(spectra.motion)
     return float(wrong / total) if total > 0.0 else float(wrong)

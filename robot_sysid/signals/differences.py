@@ -1,11 +1,11 @@
 """Derivatives of, and shifts in time of, evenly sampled signals.
 
 Both are symmetric finite stencils, exact for polynomials up to their order, which suits signals
-that a low-pass has already been over: an eighth-order difference is exact to 1e-6 at a tenth of the
-sample rate. On low-passed encoder data it leaves only the noise inside the pass band; on the same
-data a Savitzky-Golay window over the raw positions leaves nearly three times as much, a Fourier
-derivative more than ten times, and a recursive filter run both ways as much, but errs near the ends
-(tests/benchmarks/differentiation_accuracy.py).
+that a low-pass has already been over: at a tenth of the sample rate an eighth-order difference is
+exact to 4e-5, one of order sixteen to 2e-9. On low-passed encoder data they leave only the noise
+inside the pass band; on the same data a Savitzky-Golay window over the raw positions leaves nearly
+three times as much, a Fourier derivative more than ten times, and a recursive filter run both ways
+as much, but errs near the ends (tests/benchmarks/differentiation_accuracy.py).
 """
 
 from __future__ import annotations
@@ -17,26 +17,46 @@ import numpy as np
 from robot_sysid.records import Array
 
 REACH = 4
-"""Samples lost at each end by a derivative."""
+"""Samples lost at each end by a derivative of the usual order, eight."""
+
+FINE_REACH = 8
+"""The same where positions are nearly free of noise, and the order is sixteen."""
 
 SHIFT_REACH = 32
 """Samples lost at each end by a shift, besides the shift itself."""
 
-# Fornberg, "Generation of finite difference formulas", Math. Comp. 51, 1988, table 1, order 8.
-_FIRST = np.array([3, -32, 168, -672, 0, 672, -168, 32, -3]) / 840.0
-_SECOND = np.array([-9, 128, -1008, 8064, -14350, 8064, -1008, 128, -9]) / 5040.0
 # Of the shift's Kaiser window [dB]: flat to 1e-5 up to 0.8 times the Nyquist frequency.
 _SHIFT_ATTENUATION = 100.0
 
 
-def first_derivative(values: Array, rate: float) -> Array:
-    """Return (N - 8, ...) the time derivative of values (N, ...) sampled at ``rate`` [Hz]."""
-    return _correlated(values, _FIRST) * rate
+def first_derivative(values: Array, rate: float, reach: int = REACH) -> Array:
+    """Return the time derivative of values (N, ...) sampled at ``rate`` [Hz], (N - 2 reach, ...).
+
+    Of order 2 reach: weights w_k / k, w_k = (-1)^(k + 1) C(2 reach, reach - k) / C(2 reach, reach),
+    of the samples k later, and their negatives of those k earlier (Fornberg, "Generation of finite
+    difference formulas", Math. Comp. 51, 1988).
+    """
+    ahead, weights = _central_weights(reach)
+    later = weights / ahead
+    return _correlated(values, np.concatenate((-later[::-1], [0.0], later))) * rate
 
 
-def second_derivative(values: Array, rate: float) -> Array:
-    """Return (N - 8, ...) the second time derivative of values (N, ...)."""
-    return _correlated(values, _SECOND) * rate**2
+def second_derivative(values: Array, rate: float, reach: int = REACH) -> Array:
+    """Return the second time derivative of values (N, ...), (N - 2 reach, ...).
+
+    With the same w_k: weights 2 w_k / k^2 on both sides, and what makes their sum zero between.
+    """
+    ahead, weights = _central_weights(reach)
+    later = 2.0 * weights / ahead**2
+    stencil = np.concatenate((later[::-1], [-2.0 * np.sum(later)], later))
+    return _correlated(values, stencil) * rate**2
+
+
+def _central_weights(reach: int) -> tuple[Array, Array]:
+    """Return k = 1 ... reach and w_k."""
+    ahead = np.arange(1.0, reach + 1.0)
+    weights = [-((-1) ** k) * math.comb(2 * reach, reach - k) for k in range(1, reach + 1)]
+    return ahead, np.array(weights) / math.comb(2 * reach, reach)
 
 
 def advanced(values: Array, samples: float) -> tuple[Array, int]:

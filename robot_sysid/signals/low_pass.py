@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, checked_array
 
-# Kaiser's design formulas (Oppenheim, Schafer, "Discrete-Time Signal Processing", sec. 7.5.3):
-# within 1e-4 of one below 0.4 times the cut-off, below 1e-4 above 1.6 times. That is 80 dB; the
-# rest makes up for the formulas being approximate for short kernels.
-_ATTENUATION = 90.0
+# Kaiser's design formulas (Oppenheim, Schafer, "Discrete-Time Signal Processing", sec. 7.5.3).
+ATTENUATION = 90.0
+"""Usual attenuation [dB]: within 1e-4 of one below 0.4 times the cut-off, below 1e-4 above 1.6
+times. That is 80 dB; the rest makes up for the formulas being approximate for short kernels."""
 _TRANSITION = 1.2
 _LONGEST = 1e7
 HIGHEST_CUTOFF = 0.3
@@ -74,7 +74,7 @@ class LowPass:
         return np.arange(self.half_width, n_samples - self.half_width, self.step)
 
 
-def design_low_pass(cutoff: float, rate: float) -> LowPass:
+def design_low_pass(cutoff: float, rate: float, attenuation: float = ATTENUATION) -> LowPass:
     """Return the low-pass with this cut-off.
 
     Decimated samples come at about twice the cut-off, so that white noise stays nearly white and
@@ -83,6 +83,7 @@ def design_low_pass(cutoff: float, rate: float) -> LowPass:
     Args:
         cutoff: [Hz].
         rate: sample rate [Hz].
+        attenuation: of the stop band, and how flat the pass band is [dB].
 
     Raises:
         InputError: the cut-off is not between zero and 0.3 times the sample rate.
@@ -95,14 +96,14 @@ def design_low_pass(cutoff: float, rate: float) -> LowPass:
             f"between 0 and {HIGHEST_CUTOFF * rate:g} Hz"
         )
     width = 2.0 * math.pi * _TRANSITION * cutoff / rate
-    half = (_ATTENUATION - 8.0) / (2.285 * width) / 2.0
+    half = (attenuation - 8.0) / (2.285 * width) / 2.0
     if half > _LONGEST:
         raise InputError(
             f"cut-off {cutoff:g} Hz would average over {2.0 * half / rate:.3g} s, longer than any "
             "log; choose a higher --cutoff"
         )
     half = math.ceil(half)
-    kernel = firwin(2 * half + 1, cutoff, window=("kaiser", kaiser_beta(_ATTENUATION)), fs=rate)
+    kernel = firwin(2 * half + 1, cutoff, window=("kaiser", kaiser_beta(attenuation)), fs=rate)
     return LowPass(cutoff, rate, kernel, max(1, int(rate / (2.0 * cutoff))))
 
 

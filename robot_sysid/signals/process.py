@@ -29,9 +29,15 @@ from numpy.typing import NDArray
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Measurement, Motion
 from robot_sysid.records.options import PerJoint, per_joint
-from robot_sysid.signals.cutoff import choose_cutoff, encoder_steps
-from robot_sysid.signals.differences import REACH, advanced, first_derivative, second_derivative
-from robot_sysid.signals.low_pass import Decimator, LowPass, design_low_pass
+from robot_sysid.signals.cutoff import choose_cutoff, encoder_steps, noise_share
+from robot_sysid.signals.differences import (
+    FINE_REACH,
+    REACH,
+    advanced,
+    first_derivative,
+    second_derivative,
+)
+from robot_sysid.signals.low_pass import ATTENUATION, Decimator, LowPass, design_low_pass
 from robot_sysid.signals.resampling import UniformSignals, is_fresh, resampled
 
 LARGEST_SLOW_SHARE = 0.07
@@ -47,6 +53,11 @@ ENOUGH_EACH_WAY = 0.05
 _LEAST_DEADBAND = 1e-3
 # A hole shorter than this part of the cut-off's period is bridged well enough by interpolation.
 _HARMLESS_GAP = 0.25
+# A pass band's ripple so small beside the noise of single samples is lost in that of a result: the
+# usual filter's, beside the noise of a cut-off that is as high as noise allows.
+_UNSEEN = 0.0045
+# Of the filter of positions without noise [dB]; more is lost in rounding.
+_FLATTEST = 150.0
 
 
 @dataclass(frozen=True)
@@ -61,6 +72,7 @@ class ProcessedSignals:
         bridged: (N,) whether the samples around this one bridge a long hole in the log.
         deadband: (n,) speed below which the direction of a joint's friction is not sure [rad/s].
         low_pass: the filter for regressor columns and torques.
+        flat: the filter that positions have passed.
         notes: one sentence each: what was done.
         acceleration_error: expected error of the acceleration, as a part of it; 0 where the
             cut-off was given.
@@ -75,6 +87,7 @@ class ProcessedSignals:
     bridged: NDArray[np.bool_]
     deadband: Array
     low_pass: LowPass
+    flat: LowPass
     notes: tuple[str, ...]
     acceleration_error: float = 0.0
     largest_slow_share: float = LARGEST_SLOW_SHARE
@@ -109,6 +122,23 @@ class ProcessedSignals:
         It is low-passed already, and slow enough not to need that twice.
         """
         return self.motion(self.low_pass.centres(len(self)))
+
+    def refiltered(self) -> tuple[NDArray[np.int64], Motion]:
+        """Return the motion (R, n) after a second pass of its low-pass, and which decimated rows.
+
+        Not all: the second pass has no result at the ends.
+        """
+        reach, step = self.flat.half_width, self.low_pass.step
+        centres = self.low_pass.centres(len(self))
+        rows = np.flatnonzero((centres >= reach) & (centres < len(self) - reach))
+        whole = (
+            slice(centres[rows[0]] - reach, centres[rows[-1]] + reach + 1)
+            if len(rows)
+            else slice(0)
+        )
+        again = replace(self.flat, step=step)
+        q, qd, qdd = (again.decimated(values[whole]) for values in (self.q, self.qd, self.qdd))
+        return rows, Motion(self.time[centres[rows]], q, qd, qdd)
 
     def spread(self, most: int) -> NDArray[np.int64]:
         """Return at most so many samples, spread evenly over the log."""
@@ -175,18 +205,19 @@ def process(
         InputError: the log is too short for its cut-off, or the cut-off does not fit its rate.
     """
     uniform, expected = resampled(measurement), 0.0
+    # Steps are seen in the readings themselves; interpolation rounds them off.
+    steps = resampled(replace(measurement, q=_steps(measurement))).q
     if cutoff is None:
-        # Steps are seen in the readings themselves; interpolation rounds them off.
-        steps = resampled(replace(measurement, q=_steps(measurement))).q
         choice = choose_cutoff(uniform.q, uniform.rate, steps)
         cutoff, reason, expected = choice.cutoff, choice.reason, choice.acceleration_error
     else:
         reason = f"cut-off {cutoff:g} Hz as given"
     low_pass = design_low_pass(cutoff, uniform.rate)
     _check_length(len(uniform.q), low_pass)
-    q = low_pass.filtered(uniform.q)
-    lost = low_pass.half_width + REACH
-    qd = first_derivative(q, uniform.rate)
+    flat, reach = _exact_enough(low_pass, uniform, steps)
+    q = flat.filtered(uniform.q)
+    lost = flat.half_width + reach
+    qd = first_derivative(q, uniform.rate, reach)
     if deadband is None:
         usual = USUAL_DEADBAND * np.max(np.abs(qd), axis=0)
         band = np.maximum(np.maximum(usual, _LEAST_DEADBAND), np.asarray(least_deadband or 0.0))
@@ -194,13 +225,14 @@ def process(
         band = per_joint(deadband, qd.shape[1], "--velocity-deadband")
     signals = ProcessedSignals(
         uniform.start + np.arange(lost, len(uniform.q) - lost) / uniform.rate,
-        q[REACH:-REACH],
+        q[reach:-reach],
         qd,
-        second_derivative(q, uniform.rate),
+        second_derivative(q, uniform.rate, reach),
         uniform.tau[lost:-lost],
-        _bridged(uniform, low_pass),
+        _bridged(uniform, low_pass, lost),
         band,
         low_pass,
+        flat,
         (),
         expected,
     )
@@ -285,8 +317,31 @@ def _steps(measurement: Measurement) -> Array:
     return steps
 
 
+def _exact_enough(low_pass: LowPass, uniform: UniformSignals, steps: Array) -> tuple[LowPass, int]:
+    """Return the low-pass for positions and the reach of their derivatives.
+
+    Equations do not care for ripples of a filter that both their sides pass. Positions pass theirs
+    alone: it scales motion by up to 1 + ripple, and with it what is identified. So it is as flat as
+    the noise of positions is low, at the cost of some more samples at the ends.
+    """
+    noise = noise_share(uniform.q, uniform.rate, steps, low_pass.cutoff)
+    ripple = max(_UNSEEN * noise, 10.0 ** (-_FLATTEST / 20.0))
+    wanted = -20.0 * math.log10(min(ripple, 1.0))
+    if wanted <= ATTENUATION:
+        return low_pass, REACH
+    flat = design_low_pass(low_pass.cutoff, low_pass.rate, wanted)
+    more = 2 * (flat.half_width - low_pass.half_width + FINE_REACH - REACH)
+    fits = more <= len(uniform.q) - _needed(low_pass)
+    return (flat, FINE_REACH) if fits else (low_pass, REACH)
+
+
+def _needed(low_pass: LowPass) -> int:
+    """Return how many samples a log must have."""
+    return 4 * low_pass.half_width + 2 * REACH + 10 * low_pass.step
+
+
 def _check_length(n_samples: int, low_pass: LowPass) -> None:
-    needed = 4 * low_pass.half_width + 2 * REACH + 10 * low_pass.step
+    needed = _needed(low_pass)
     if n_samples < needed:
         raise InputError(
             f"the log's {n_samples / low_pass.rate:.3g} s are too short for a cut-off of "
@@ -295,10 +350,9 @@ def _check_length(n_samples: int, low_pass: LowPass) -> None:
         )
 
 
-def _bridged(uniform: UniformSignals, low_pass: LowPass) -> NDArray[np.bool_]:
-    """Return whether low-passed motion at each inner sample leans on a long hole in the log."""
+def _bridged(uniform: UniformSignals, low_pass: LowPass, lost: int) -> NDArray[np.bool_]:
+    """Return whether low-passed motion at each sample but ``lost`` leans on a hole in the log."""
     long = np.concatenate(([0], np.cumsum(uniform.gap > _HARMLESS_GAP / low_pass.cutoff)))
-    lost = low_pass.half_width + REACH
     return long[2 * lost + 1 :] > long[: len(long) - 2 * lost - 1]
 
 

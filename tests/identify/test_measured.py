@@ -126,7 +126,15 @@ def test_params_json_holds_all_that_is_known_of_measured_data(log):
     assert set(test["rmse_per_joint"]) == set(test["relative_error_per_joint"]) == set(joints)
     assert params["source"].startswith("simulated plant") and params["cutoff"] == 8.0
     assert params["delay"] is None and params["tilt"] is None and params["gravity"] is None
-    causes = {"noise", "links", "torque scale", "joint offsets", "gravity", "friction model"}
+    causes = {
+        "noise",
+        "links",
+        "torque scale",
+        "joint offsets",
+        "gravity",
+        "friction model",
+        "filtering",
+    }
     for name, error in params["standard_errors"].items():
         parts = params["error_budget"][name]
         assert set(parts) == causes and parts["noise"] == params["standard_errors_noise"][name]

@@ -11,7 +11,9 @@ from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Measurement
-from robot_sysid.signals.cutoff import choose_cutoff, encoder_steps
+from robot_sysid.signals.cutoff import choose_cutoff, encoder_steps, noise_share
+from robot_sysid.signals.differences import second_derivative
+from robot_sysid.signals.low_pass import design_low_pass
 from robot_sysid.signals.process import process
 from tests.support.swing import FREQUENCIES, Swing, seconds
 
@@ -150,3 +152,24 @@ def test_readings_that_are_held_for_several_rows_cost_only_their_own_rate(held):
     slow = choose_cutoff(rows, 1000.0, encoder_steps(rows))
     assert slow.acceleration_error < 1e-2
     assert 0.5 * fine.cutoff < slow.cutoff < 1.5 * fine.cutoff
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.integers(0, 2**32), st.floats(-5.0, -3.5))
+def test_the_noise_that_a_cutoff_leaves_is_what_the_filter_leaves(seed, magnitude):
+    """White noise on a motion: that of its low-passed second difference beside the motion's."""
+    rng, rate, cutoff, sigma = np.random.default_rng(seed), 200.0, 20.0, 10.0**magnitude
+    time = seconds(20.0, rate)
+    motion = np.sin(2.0 * np.pi * 0.8 * time)[:, None]
+    noise = sigma * rng.normal(size=motion.shape)
+    share = noise_share(motion + noise, rate, np.zeros_like(motion), cutoff)
+    low_pass = design_low_pass(cutoff, rate)
+    left, moved = (
+        np.std(second_derivative(low_pass.filtered(part), rate)) for part in (noise, motion)
+    )
+    assert 0.5 < share / (left / moved) < 2.0
+
+
+def test_what_does_not_move_is_all_noise():
+    assert noise_share(np.zeros((500, 1)), 100.0, np.zeros((500, 1)), 10.0) == np.inf
+    assert noise_share(np.zeros((20, 1)), 100.0, np.zeros((20, 1)), 2.0) == np.inf

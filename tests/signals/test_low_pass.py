@@ -59,6 +59,18 @@ def test_pass_band_and_stop_band_keep_their_promise(cutoff, where, phase):
     assert np.max(np.abs(low_pass.filtered(np.sin(2.0 * np.pi * stop * time + phase)))) < 1e-4
 
 
+@settings(max_examples=100)
+@given(st.floats(90.0, 150.0), st.floats(2.0, 50.0), st.floats(0.0, 1.0), st.floats(0.0, 6.0))
+def test_the_pass_band_is_as_flat_as_it_is_asked_for(attenuation, cutoff, where, phase):
+    low_pass = design_low_pass(cutoff, 200.0, attenuation)
+    time = seconds(12.0, 200.0)
+    slow = np.sin(2.0 * np.pi * 0.4 * cutoff * where * time + phase)
+    half = low_pass.half_width
+    off = np.max(np.abs(low_pass.filtered(slow) - slow[half : len(slow) - half]))
+    # Kaiser's formulas are approximate for short kernels.
+    assert off < 10.0 ** (-(attenuation - 10.0) / 20.0)
+
+
 @pytest.mark.parametrize("cutoff", [0.0, -1.0, 61.0, np.nan])
 def test_a_cutoff_outside_the_sample_rate_is_refused(cutoff):
     with pytest.raises(InputError, match="between 0 and 60 Hz"):

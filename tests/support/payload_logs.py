@@ -109,8 +109,9 @@ def exact_recording(motion, tau, is_loaded, place=0.0, name="log"):
     joints = motion.q.shape[1]
     still = np.zeros(joints)
     bridged = np.zeros(len(motion.time), dtype=bool)
-    parts = motion.time, motion.q, motion.qd, motion.qdd, tau, bridged, still, low_pass, ()
-    return Recording(name, is_loaded, FilteredRows(ProcessedSignals(*parts)), place)
+    parts = motion.time, motion.q, motion.qd, motion.qdd, tau, bridged, still
+    signals = ProcessedSignals(*parts, low_pass, low_pass, ())
+    return Recording(name, is_loaded, FilteredRows(signals), place)
 
 
 def noisy(recording, sigma, seed):

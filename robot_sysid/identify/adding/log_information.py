@@ -30,6 +30,7 @@ from robot_sysid.estimation.options import CHOSEN, EstimationOptions
 from robot_sysid.estimation.uncertainty import joint_space
 from robot_sysid.identify.alignment import Aligner, Alignment, widened_estimate
 from robot_sysid.identify.fit import MeasuredFit, one_way
+from robot_sysid.identify.judgement.filtering import with_filtering
 from robot_sysid.identify.judgement.signs import compared_with_model
 from robot_sysid.identify.nuisances import nuisance_groups
 from robot_sysid.identify.samples import DecimatedSamples, JoinedSamples
@@ -88,6 +89,7 @@ class LogInformation:
         settled: what has to be the same in all that is added.
         information: triangles of all joints' equations.
         residuals: per joint, how the first round's residuals are correlated; empty in that round.
+        pull: (joints, p) what the low-pass may move the estimate by, see ``judgement.filtering``.
         rows: some of the rows.
         squared_torque: (joints,) of the rows that are used [N^2 m^2].
         torque: (n,) sum of squares of all measured torque [N^2 m^2].
@@ -101,6 +103,7 @@ class LogInformation:
     settled: Settled
     information: SquareRootInformation
     residuals: tuple[JointResiduals, ...]
+    pull: Array
     rows: RowSample
     squared_torque: Array
     torque: Array
@@ -125,7 +128,7 @@ class LogInformation:
                 "all of it with the same model, options and first round"
             )
         pairs = zip(self.residuals, other.residuals)
-        summed = ("rows", "squared_torque", "torque", "samples", "duration", "logs")
+        summed = ("pull", "rows", "squared_torque", "torque", "samples", "duration", "logs")
         return LogInformation(
             settled=self.settled,
             information=combined([self.information, other.information]),
@@ -199,17 +202,14 @@ def log_information(
     Raises:
         InputError: a log does not fit the arm, or the first round was settled differently.
     """
-    first = Settled(robot.sha256, robot.terminal_joint, "", options)
-    if around is not None:
-        differ = first.differences(replace(around.settled, around=""))
-        if differ:
-            raise InputError(f"the first round was settled differently: {', '.join(differ)}")
+    settled = _settled(robot, options, around)
     band = options.velocity_deadband
     signals = [process(log, robot.joint_names, options.cutoff, band) for log in logs]
     aligner = Aligner(robot, options, _friction(options), signals)
     fitted = None if around is None else _fitted(robot, around)
     values = None if fitted is None else fitted[0].values
-    parts = aligner.samples(Alignment(0.0, gravity(robot)), values)
+    level = Alignment(0.0, gravity(robot))
+    parts = aligner.samples(level, values)
     rows, residuals = JoinedSamples(parts), []
     if around is not None and fitted is not None:
         residuals = _residuals(around.information, fitted, parts)
@@ -220,9 +220,10 @@ def log_information(
     ]
     said = (*notes, *chain.from_iterable(_notes(robot, options, log) for log in signals))
     return LogInformation(
-        settled=first if around is None else replace(first, around=around.digest()),
+        settled=settled,
         information=rows.information(),
         residuals=tuple(residuals),
+        pull=aligner.filtering_pull(level, parts, known),
         rows=reduce(add, picked),
         squared_torque=rows.squared_torque(),
         torque=np.sum([np.sum(log.tau**2, axis=0) for log in signals], axis=0),
@@ -232,6 +233,18 @@ def log_information(
         acceleration_error=max(log.acceleration_error for log in signals),
         notes=tuple(dict.fromkeys(said))[:MOST_NOTES],
     )
+
+
+def _settled(
+    robot: RobotModel, options: EstimationOptions, around: LogInformation | None
+) -> Settled:
+    first = Settled(robot.sha256, robot.terminal_joint, "", options)
+    if around is None:
+        return first
+    differ = first.differences(replace(around.settled, around=""))
+    if differ:
+        raise InputError(f"the first round was settled differently: {', '.join(differ)}")
+    return replace(first, around=around.digest())
 
 
 def fit_from(
@@ -258,6 +271,7 @@ def fit_from(
             "information of all logs again with around= this sum, and identify from their sum"
         )
     estimate, groups, noise = _fitted(robot, found)
+    estimate = with_filtering(estimate, found.information, groups, noise, found.pull)
     names = robot.joint_names
     torque = dict(zip(names, _torque(found).tolist()))
     return MeasuredFit(

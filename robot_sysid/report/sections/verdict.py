@@ -25,6 +25,7 @@ _LESS = {
     "common torque scale": "calibrate the torques with a known weight (`--known-mass KG`)",
     "joint offsets": "calibrate the joints' zero positions",
     "gravity": "level the base, or let `--tilt auto` find how it stands",
+    "filtering": "record at a higher rate, or give a higher `--cutoff`",
     "friction model": "let `--friction-model auto` choose, and warm the arm up before recording",
 }
 """Cause of error to what makes it smaller."""
