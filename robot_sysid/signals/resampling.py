@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,8 @@ GAP_STEPS = 1.75
 """A step so many times the usual one has lost at least one sample."""
 # Clocks are rarely better than this part of a sampling period.
 _REGULAR = 0.01
+# Share of long steps beyond which they are how the stamps were rounded.
+_RARELY = 0.01
 
 
 @dataclass(frozen=True)
@@ -40,8 +42,9 @@ class UniformSignals:
 def resampled(measurement: Measurement) -> UniformSignals:
     """Put a log on a uniform grid.
 
-    A log that is even up to the digits of its time stamps is taken as it is; else every joint is
-    interpolated by cubic splines, at its own time stamps where it has them.
+    A log that is even up to the digits of its time stamps is taken as it is, except for single rows
+    that are lost (``rows_lost``); else every joint is interpolated by cubic splines, at its own
+    time stamps where it has them.
 
     Args:
         measurement: the whole log.
@@ -53,10 +56,38 @@ def resampled(measurement: Measurement) -> UniformSignals:
     if len(time) < 8:
         raise InputError(f"only {len(time)} samples; a log of several seconds is needed")
     if measurement.joint_time is None and is_even(time):
+        lost = rows_lost(measurement)
+        if np.any(lost):
+            count = np.arange(len(time)) + np.concatenate(([0], np.cumsum(lost)))
+            period = float(time[-1] - time[0]) / float(count[-1])
+            whole = replace(measurement, time=time[0] + count * period)
+            words = f"{np.sum(lost)} lost rows bridged by cubic splines"
+            return _interpolated(whole, 1.0 / period, words)
         gap = np.zeros(len(time))
         exact = (len(time) - 1) / float(time[-1] - time[0])
         return UniformSignals(float(time[0]), exact, measurement.q, measurement.tau, gap, ())
     return _interpolated(measurement, 1.0 / usual_period(time))
+
+
+def rows_lost(measurement: Measurement) -> NDArray[np.int64]:
+    """Return (N - 1,) how many rows are missing between those of a log with coarse time stamps.
+
+    A step that is twice as long, in stamps as coarse as the period, is a lost row, or a clock that
+    is a little slow. Positions tell: over a lost row they go on twice as far as around it.
+    """
+    step = np.diff(measurement.time)
+    lost = np.zeros(len(step), dtype=np.int64)
+    usual = float(np.median(step))
+    long = np.flatnonzero(step > GAP_STEPS * usual)
+    if len(long) > _RARELY * len(step):
+        return lost
+    moved = np.diff(measurement.q, axis=0)
+    for place in long[(long > 0) & (long < len(step) - 1)]:
+        missing = round(float(step[place]) / usual) - 1
+        around = 0.5 * (moved[place - 1] + moved[place + 1])
+        further = np.sum(moved[place] * around) - (1.0 + 0.5 * missing) * np.sum(around**2)
+        lost[place] = missing if further > 0.0 else 0
+    return lost
 
 
 def usual_period(time: Array) -> float:
@@ -82,7 +113,7 @@ def _last_digit(time: Array) -> float:
     return 0.0
 
 
-def _interpolated(measurement: Measurement, rate: float) -> UniformSignals:
+def _interpolated(measurement: Measurement, rate: float, why: str = "") -> UniformSignals:
     from scipy.interpolate import CubicSpline
 
     time = measurement.time
@@ -99,7 +130,7 @@ def _interpolated(measurement: Measurement, rate: float) -> UniformSignals:
         both = np.column_stack((measurement.q[:, joint], measurement.tau[:, joint]))
         q[:, joint], tau[:, joint] = CubicSpline(stamps[fresh], both[fresh])(grid).T
     said = "each joint at its own time stamps" if own is not None else "uneven time stamps"
-    note = f"resampled to a uniform {rate:.6g} Hz ({said}, cubic splines)"
+    note = f"resampled to a uniform {rate:.6g} Hz ({why or said + ', cubic splines'})"
     return UniformSignals(first, rate, q, tau, _gaps(time, grid, rate), (note,))
 
 

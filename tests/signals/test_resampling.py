@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
@@ -83,3 +85,31 @@ def test_samples_that_come_early_and_late_leave_no_hole(seed):
 def test_too_few_samples_are_refused():
     with pytest.raises(InputError, match="only 7 samples"):
         resampled(Swing().measured(np.arange(7.0)))
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.integers(0, 2**32), st.integers(1, 3), st.sampled_from([0.0, 1e-4]))
+def test_rows_lost_from_coarse_time_stamps_leave_a_hole(seed, missing, resolution):
+    """1 kHz in milliseconds: even up to the last digit of the stamps all the same."""
+    rng, swing = np.random.default_rng(seed), Swing(seed)
+    even = seconds(4.0, 1000.0)
+    fast = np.flatnonzero(np.linalg.norm(swing.q(even, 1), axis=1) > 0.5)
+    first = int(rng.choice(fast[(fast > 50) & (fast < 3900)]))
+    keep = np.ones(len(even), dtype=bool)
+    keep[first : first + missing] = False
+    log = swing.measured(even[keep], resolution)
+    uniform = resampled(log)
+    assert len(uniform.q) == len(even) and abs(uniform.rate - 1000.0) < 1e-6
+    np.testing.assert_allclose(uniform.q, swing.q(even), rtol=0.0, atol=1e-7 + 2.0 * resolution)
+    np.testing.assert_allclose(uniform.gap, np.where(keep, 0.0, 1e-3 * (missing + 1)), atol=1e-9)
+    assert "resampled to a uniform 1000 Hz" in uniform.notes[0]
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.integers(0, 2**32), st.floats(999.0, 999.99))
+def test_a_clock_that_is_a_little_slow_loses_no_rows(seed, rate):
+    swing, even = Swing(seed), seconds(4.0, rate)
+    log = replace(swing.measured(even), time=np.floor(1e3 * even + 0.3) / 1e3)
+    uniform = resampled(log)
+    np.testing.assert_array_equal(uniform.q, log.q)
+    assert uniform.notes == ()
