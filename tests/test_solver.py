@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.dynamics import spatial
@@ -37,7 +37,6 @@ def noisy_arm(seed, noise=0.1):
     return information_of(equations, names, truth, noise, rng), truth, rng
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS)
 def test_noise_free_data_is_recovered(seed):
     information, truth, rng = noisy_arm(seed, noise=0.0)
@@ -46,7 +45,6 @@ def test_noise_free_data_is_recovered(seed):
     assert estimate.rmse < 1e-12
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS)
 def test_where_the_data_shows_nothing_the_prior_stays_exactly(seed):
     rng = np.random.default_rng(seed)
@@ -61,7 +59,6 @@ def test_where_the_data_shows_nothing_the_prior_stays_exactly(seed):
     assert values[4] - values[7] == pytest.approx(truth[4] - truth[7], abs=1e-11)
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS, st.floats(1e-3, 1e3))
 def test_scaling_all_torques_scales_the_estimate(seed, factor):
     information, _, rng = noisy_arm(seed)
@@ -78,7 +75,6 @@ def test_scaling_all_torques_scales_the_estimate(seed, factor):
     np.testing.assert_allclose(scaled.values, factor * plain.values, rtol=1e-9, atol=1e-12 * factor)
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS, st.permutations(range(3)))
 def test_the_order_of_joints_does_not_matter(seed, order):
     information, _, rng = noisy_arm(seed)
@@ -132,7 +128,6 @@ def test_rows_of_one_joint_in_any_order_give_the_same_estimate():
     np.testing.assert_allclose(results[1], results[0], rtol=0.0, atol=1e-11)
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS, st.integers(2, 9))
 def test_a_log_played_again_tells_no_more_than_once(seed, count):
     """The same numbers over and over, counted once: values and errors of a single time."""
@@ -159,7 +154,6 @@ def test_an_unknown_method_is_refused_with_the_valid_ones():
     assert str(refused.value) == "unknown method 'magic'; valid: ols, wls, robust"
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS, METHODS, st.booleans(), st.lists(st.floats(1.0, 9.0), min_size=3, max_size=3))
 def test_an_estimate_carries_what_it_was_made_of(seed, method, coloured, inflation):
     samples, names, _, rng = noisy_samples(seed, noises=(0.1, 0.2, 0.3), count=40)
@@ -187,7 +181,6 @@ def test_an_estimate_carries_what_it_was_made_of(seed, method, coloured, inflati
         assert list(estimate.effective_samples.values()) == pytest.approx(independent, rel=1e-12)
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS, st.booleans(), st.floats(1.0, 9.0))
 def test_samples_that_count_less_make_errors_larger_by_the_root(seed, coloured, less):
     samples, names, _, rng = noisy_samples(seed, count=40)
@@ -209,7 +202,6 @@ def test_samples_that_count_less_make_errors_larger_by_the_root(seed, coloured, 
         assert fewer.noise_per_joint[joint] == pytest.approx(noise, rel=1e-9)
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS, st.sampled_from(["ols", "wls"]))
 def test_what_a_pass_over_the_samples_left_serves_as_well_as_they_do(seed, method):
     """Noise differs from joint to joint, and something was known of the last parameter."""
@@ -234,7 +226,6 @@ def test_what_a_pass_over_the_samples_left_serves_as_well_as_they_do(seed, metho
         assert np.all((ratio > 0.2) & (ratio < 5.0))
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS)
 def test_covariance_of_weighted_joints_is_the_inverse_of_what_they_tell(seed):
     samples, names, _, rng = noisy_samples(seed, noises=(0.1, 0.3, 0.9), count=40)
@@ -276,7 +267,6 @@ def test_no_samples_at_all_leave_the_prior_and_no_residual():
     assert estimate.rmse == 0.0
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS, st.lists(st.floats(1e-3, 1.0), min_size=2, max_size=2))
 def test_squares_of_the_causes_add_up_to_that_of_the_whole_error(seed, spreads):
     """Two nuisances behind the link's parameters, each known beforehand with a cause of its own."""

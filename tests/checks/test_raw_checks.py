@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.checks.clock import clock_findings
@@ -24,7 +24,6 @@ def test_a_right_log_draws_nothing():
     assert list(sensor_findings([NOISY], JOINTS)) == []
 
 
-@settings(max_examples=100)
 @given(st.integers(0, 2**32), st.floats(0.04, 0.2))
 def test_lost_samples_behind_a_counted_time_are_refused(seed, share):
     kept = np.flatnonzero(np.random.default_rng(seed).random(len(DATA)) > share)
@@ -35,7 +34,6 @@ def test_lost_samples_behind_a_counted_time_are_refused(seed, share):
     assert list(clock_findings([honest])) == []
 
 
-@settings(max_examples=100)
 @given(st.integers(100, 1900), st.floats(0.05, 0.4))
 def test_a_jump_of_the_clock_is_told_from_a_hole(at, jump):
     time = DATA.time.copy()
@@ -50,7 +48,6 @@ def test_repeated_samples_are_found():
     assert any("repeat the position" in f.text for f in clock_findings([replace(DATA, q=q)]))
 
 
-@settings(max_examples=100)
 @given(st.integers(0, 2), st.floats(0.2, 0.7))
 def test_a_sensor_at_its_end_is_found(joint, part):
     tau = NOISY.tau.copy()

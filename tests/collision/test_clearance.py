@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 
 from robot_sysid.collision.clearance import HORIZON, KEPT_SHARE, Clearance
 from robot_sysid.collision.halfspaces import plane_half_space
@@ -73,7 +73,6 @@ def test_what_is_far_counts_as_the_horizon():
 
 
 @given(SEEDS)
-@settings(max_examples=100)
 def test_gradient_equals_differences(seed):
     found = clearance_of(TUBES_AND_POST, (Plane((0.1, 0.2, 1.0), -0.2),))
     rng = np.random.default_rng(seed)
@@ -89,7 +88,6 @@ def test_gradient_equals_differences(seed):
 
 
 @given(SEEDS)
-@settings(max_examples=100)
 def test_no_move_uses_up_more_slack_than_its_bound(seed):
     found = clearance_of(TUBES_AND_POST, (Plane((0.0, 0.0, 1.0), -0.2),))
     rng = np.random.default_rng(seed)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 
 from robot_sysid.collision.swept import outermost_points, swept_space
 from tests.support.arms import SEEDS, X, Y, Z, hinge, link, world
@@ -15,7 +15,6 @@ TUBES = tube_arm((Z, Y, X, Y), FLOOR)
 
 
 @given(SEEDS)
-@settings(max_examples=100)
 def test_the_box_is_that_of_all_capsules_in_all_postures(seed):
     arm = robot(TUBES)
     model, data = arm.mj_model, mujoco.MjData(arm.mj_model)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -17,7 +17,6 @@ SIGNALS = arrays(float, 12, elements=st.floats(-50.0, 50.0, allow_nan=False))
 EVERYTHING = FrictionModel(tuple(TERMS))
 
 
-@settings(max_examples=100)
 @given(VELOCITIES, SIGNALS, SIGNALS)
 def test_reversed_motion_reverses_every_torque_except_the_offset(qd, qdd, load):
     forward = EVERYTHING.columns(qd, qdd, load)
@@ -27,7 +26,6 @@ def test_reversed_motion_reverses_every_torque_except_the_offset(qd, qdd, load):
     np.testing.assert_array_equal(forward[:, 2], 1.0)
 
 
-@settings(max_examples=100)
 @given(VELOCITIES, SIGNALS, SIGNALS)
 def test_terms_with_a_sign_brake_the_motion(qd, qdd, load):
     """Power of each dissipative term is >= 0 for a coefficient >= 0."""
@@ -35,7 +33,6 @@ def test_terms_with_a_sign_brake_the_motion(qd, qdd, load):
     assert np.all(model.columns(qd, qdd, load) * qd[:, None] >= 0.0)
 
 
-@settings(max_examples=100)
 @given(VELOCITIES, SIGNALS, st.floats(0.0, 5.0), st.floats(0.0, 5.0))
 def test_coulomb_viscous_equals_the_record_the_simulation_uses(qd, other, coulomb, viscous):
     columns = friction_model("coulomb-viscous").columns(qd, other, other)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 
 from robot_sysid.dynamics.kinematics import ArmDynamics, ChainKinematics
 from robot_sysid.dynamics.newton_euler import LinkDynamics
@@ -30,7 +30,6 @@ def assert_equals_mujoco(robot, motion):
 
 
 @given(random_chain(), SEEDS)
-@settings(max_examples=100)
 def test_links_and_columns_give_mujocos_torque_on_any_chain(xml, seed):
     robot = robot_of(xml)
     motion = random_motion(np.random.default_rng(seed), robot.n_joints, SAMPLES)

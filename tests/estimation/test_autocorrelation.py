@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.estimation.autocorrelation import collect_residuals, joint_residuals
@@ -20,7 +20,6 @@ def collected(rows, residual):
     return joint_residuals(np.arange(width), 0.1 * np.eye(width), rows, residual)
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS)
 def test_kernel_sums_are_those_of_the_dense_kernels(seed):
     rng = np.random.default_rng(seed)
@@ -111,7 +110,6 @@ def one_log(rng, count, to_add=True):
     return joint_residuals(np.arange(2), root, rows, residual, to_add)
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS)
 def test_sums_of_logs_are_means_over_the_pairs_of_all(seed):
     rng = np.random.default_rng(seed)
@@ -123,7 +121,6 @@ def test_sums_of_logs_are_means_over_the_pairs_of_all(seed):
     np.testing.assert_allclose(whole.products * whole.pairs, total, atol=1e-10)
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS, st.integers(10, 3000))
 def test_what_was_kept_to_add_becomes_what_one_log_says(seed, count):
     alone, kept = (one_log(np.random.default_rng(seed), count, keep) for keep in (False, True))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.errors import SysidError
@@ -31,7 +31,6 @@ def projection_problem(target, singular=1.0):
     )
 
 
-@settings(max_examples=100, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_projection_onto_the_cone_cuts_negative_eigenvalues(seed):
     raw = np.random.default_rng(seed).normal(size=(3, 3))

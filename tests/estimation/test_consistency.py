@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.dynamics import spatial
@@ -38,7 +38,6 @@ def cost(matrix, right, values):
     return float(np.sum((matrix @ values - right) ** 2))
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS, st.floats(0.01, 30.0))
 def test_the_result_is_always_a_possible_body(seed, noise):
     matrix, right, prior = noisy_problem(seed, noise)
@@ -47,7 +46,6 @@ def test_the_result_is_always_a_possible_body(seed, noise):
     assert np.linalg.eigvalsh(body)[0] > 1e-14 * np.trace(body)
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS)
 def test_a_consistent_plain_estimate_stays_unchanged(seed):
     matrix, right, prior = noisy_problem(seed, noise=1e-4, spread=1.0)
@@ -60,7 +58,6 @@ def test_a_consistent_plain_estimate_stays_unchanged(seed):
     np.testing.assert_allclose(values, unconstrained, rtol=0.0, atol=1e-11)
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS)
 def test_no_possible_body_nearby_fits_better(seed):
     matrix, right, prior = noisy_problem(seed)
@@ -83,7 +80,6 @@ def test_objective_is_that_of_the_semidefinite_program(seed):
 
 
 @pytest.mark.slow
-@settings(max_examples=100, deadline=None)
 @given(SEEDS, st.floats(-3, 3), st.floats(-2, 2), st.floats(-3, 3))
 def test_units_do_not_matter(seed, mass_power, length_power, torque_power):
     matrix, right, prior = noisy_problem(seed)
@@ -96,7 +92,6 @@ def test_units_do_not_matter(seed, mass_power, length_power, torque_power):
     np.testing.assert_allclose(other / scale, one * units / scale, rtol=0.0, atol=1e-6)
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS, st.floats(0.0, 30.0))
 def test_what_the_data_cannot_see_stays_at_the_prior_unless_that_is_impossible(seed, noise):
     matrix, right, prior, _ = terminal_problem(seed, noise)
@@ -107,7 +102,6 @@ def test_what_the_data_cannot_see_stays_at_the_prior_unless_that_is_impossible(s
         assert values[4] + values[7] == pytest.approx(prior[4] + prior[7], rel=1e-12)
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS, st.floats(0.0, 30.0))
 def test_what_the_data_does_not_see_gives_way_before_what_it_sees(seed, noise):
     """The truth is a possible body, so nothing visible may be bent more than towards it."""
@@ -151,7 +145,6 @@ def test_noise_free_data_of_a_body_on_the_boundary_is_recovered():
     np.testing.assert_allclose(values, truth, rtol=0.0, atol=1e-7)
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS)
 def test_a_strong_prior_wins_and_a_weak_one_gives_way(seed):
     matrix, right, prior = noisy_problem(seed)
@@ -163,7 +156,6 @@ def test_a_strong_prior_wins_and_a_weak_one_gives_way(seed):
     assert cost(matrix, right, weak) == pytest.approx(best, rel=1e-5)
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS, st.floats(-2, 3))
 def test_a_newton_step_from_the_entropic_optimum_gains_nothing(seed, power):
     matrix, right, prior = noisy_problem(seed)

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.dynamics.friction import friction_model
@@ -33,7 +33,6 @@ def held_out(rows, tau) -> SquareRootInformation:
     return accumulator.result()
 
 
-@settings(max_examples=100)
 @given(st.integers(0, 2**32), st.floats(0.0, 0.5))
 def test_triangles_give_the_errors_of_the_textbook_formulas(seed, left_out):
     rng = np.random.default_rng(seed)
@@ -79,7 +78,6 @@ def test_nothing_to_validate_on_is_said():
         validate(nothing, np.zeros(3), "the last 20 %", np.zeros(2))
 
 
-@settings(max_examples=100)
 @given(st.integers(0, 2**32), st.integers(40, 3000), st.floats(0.01, 0.5), st.integers(0, 3))
 def test_parts_are_a_gap_apart_and_the_arm_moves_where_it_is_held_out(seed, n_rows, fraction, gap):
     moving = np.random.default_rng(seed).random(n_rows) < 0.8
@@ -109,7 +107,6 @@ def test_a_split_without_rows_to_fit_or_to_test_is_refused(moving):
         hold_out(moving, 0.5, gap=3)
 
 
-@settings(max_examples=100)
 @given(st.integers(2, 12), st.integers(12, 5000))
 def test_blocks_cover_all_rows_once_and_evenly(count, n_rows):
     cut = blocks(n_rows, count)
@@ -163,7 +160,6 @@ def candidates(parts: list[SquareRootInformation]) -> dict[str, list[SquareRootI
     return chosen
 
 
-@settings(max_examples=100, deadline=None)
 @given(st.integers(0, 2**32), st.sampled_from(["viscous", "coulomb-viscous"]))
 def test_the_model_that_made_the_data_is_never_judged_too_simple(seed, true):
     choice = choose_model(candidates(data(seed, true, 0.05)), least_squares)
@@ -184,7 +180,6 @@ def test_the_true_model_is_usually_chosen_exactly():
 
 
 @pytest.mark.slow
-@settings(max_examples=100)
 @given(st.integers(0, 2**32), st.floats(0.01, 100.0))
 def test_the_choice_does_not_depend_on_the_unit_of_torque(seed, scale):
     parts = data(seed, "coulomb-viscous", 0.1)
@@ -207,7 +202,6 @@ def test_noise_free_data_is_decided_too():
     assert "coulomb" in choice.name and choice.name in choice.note
 
 
-@settings(max_examples=100)
 @given(st.integers(0, 2**32))
 def test_combined_and_restricted_information_equal_a_fit_to_the_samples(seed):
     rng = np.random.default_rng(seed)

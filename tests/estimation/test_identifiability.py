@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.dynamics import spatial
@@ -65,7 +65,6 @@ def test_an_axis_off_the_origin_reads_as_combinations():
     assert any("m +" in phrase and "hx" in phrase for phrase in phrases)
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS)
 def test_last_joint_alone_has_rank_nine_for_every_axis(seed):
     axis = np.random.default_rng(seed).normal(size=3)
@@ -93,7 +92,6 @@ def test_a_nuisance_that_never_shows_does_not_lower_the_rank():
     assert seen.unidentifiable == ("Coulomb friction of joint0", "viscous friction of joint0")
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS, st.lists(st.sampled_from([-7.0, 0.0, 1.0]), max_size=3))
 def test_nuisances_of_any_number_and_unit_do_not_count(seed, exponents):
     rng = np.random.default_rng(seed)
@@ -160,7 +158,6 @@ def test_condition_numbers_are_those_of_the_stacked_regressor_of_the_link_and_it
     assert seen.scaled_condition_number == pytest.approx(np.linalg.cond(scaled), rel=1e-9)
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS, st.lists(st.floats(-4, 4), min_size=5, max_size=5))
 def test_units_do_not_decide_what_is_visible(seed, exponents):
     """Units of mass, first moment, inertia and of each friction coefficient."""
@@ -374,7 +371,6 @@ def small_arms(draw):
     return robot, draw(st.sets(st.integers(0, len(axes) - 1)))
 
 
-@settings(max_examples=100, deadline=None)
 @given(small_arms(), st.sampled_from(["chain", "terminal"]), SEEDS)
 def test_what_is_seen_is_what_mujoco_and_an_svd_see(arm, torques, seed):
     """From differences of MuJoCo's inverse dynamics, at other states of the same joints."""

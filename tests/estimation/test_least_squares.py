@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
@@ -27,7 +27,6 @@ def test_noise_free_data_is_recovered_by_every_method(method):
 
 
 @pytest.mark.slow
-@settings(max_examples=100, deadline=None)
 @given(SEEDS, st.floats(-3, 3))
 def test_wls_does_not_care_about_the_unit_of_one_joint(seed, power):
     samples, names, _, _ = noisy_samples(seed, (0.3, 0.1, 0.02))
@@ -56,7 +55,6 @@ def test_wls_reports_each_joints_noise_and_beats_ols_where_joints_differ():
     np.testing.assert_allclose(list(reported.values()), noises, rtol=0.2)
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS)
 def test_leverages_sum_to_the_rank(seed):
     samples, names, _, rng = noisy_samples(seed)

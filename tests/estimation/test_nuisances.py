@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from robot_sysid.dynamics import spatial
@@ -50,7 +50,6 @@ def information_of(rng, truth, noise=0.1):
     return accumulator.result(), rows
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS)
 def test_the_estimate_is_the_mean_of_the_posterior(seed):
     """x = (Y^T Y / s^2 + P)^-1 (Y^T tau / s^2 + P mean), dense."""
@@ -70,7 +69,6 @@ def test_the_estimate_is_the_mean_of_the_posterior(seed):
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-8)
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS)
 def test_errors_by_cause_add_up_in_squares(seed):
     rng = np.random.default_rng(seed)
@@ -103,7 +101,6 @@ def test_whole_errors_cover_what_noise_alone_does_not():
     assert np.mean(of_noise) < 0.8
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS, st.sampled_from([0.1, 1.0, 6.0, 1e3]))
 def test_a_prior_is_widened_to_what_the_data_asks_for_and_never_narrowed(seed, size):
     """The data knows each direction well: one that it knows no better than the prior asks less."""
@@ -133,7 +130,6 @@ def test_what_the_data_asks_for_is_named_and_nothing_else():
     assert false <= 8
 
 
-@settings(max_examples=100, deadline=None)
 @given(rigid_bodies(), rigid_bodies(), st.floats(0.001, 0.3))
 def test_links_are_known_to_their_share(first, second, share):
     factor = link_factor([first, second], share, [0.3, 0.0])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
@@ -67,7 +67,6 @@ def test_robust_without_samples_says_so():
         identify_parameters(samples.information(names), PRIOR, "robust")
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS, st.floats(1e-3, 1e3))
 def test_the_median_is_right_to_a_bin(seed, scale):
     numbers = np.abs(np.random.default_rng(seed).normal(size=501)) * scale

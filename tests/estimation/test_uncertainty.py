@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.estimation.options import EstimationOptions
@@ -32,7 +32,6 @@ def dense(equations, size):
     return rows
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS)
 def test_white_covariance_is_the_sandwich_of_the_dense_rows(seed):
     rng = np.random.default_rng(seed)
@@ -48,7 +47,6 @@ def test_white_covariance_is_the_sandwich_of_the_dense_rows(seed):
     np.testing.assert_allclose(found.standard_errors**2, np.diag(expected), rtol=1e-7)
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS)
 def test_no_weights_beat_the_cramer_rao_bound(seed):
     rng = np.random.default_rng(seed)
@@ -79,7 +77,6 @@ def test_unidentifiable_parameters_have_no_error_bars_and_no_share_of_the_data()
     np.testing.assert_allclose(estimate.data_share[seen], 1.0, atol=1e-12)
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS)
 def test_a_stronger_prior_leaves_a_smaller_share_to_the_data(seed):
     rng = np.random.default_rng(seed)
@@ -129,7 +126,6 @@ def test_nothing_to_explain_leaves_no_nan(duration):
 
 
 @pytest.mark.slow
-@settings(max_examples=100, deadline=None)
 @given(SEEDS, st.floats(-2, 2))
 def test_standard_errors_follow_the_unit_of_torque(seed, power):
     factor = 10.0**power

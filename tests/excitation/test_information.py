@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.dynamics.equations import Equations
@@ -60,7 +60,6 @@ def test_equals_the_schur_complement_of_the_tools_equations(xml, torques, rotors
 
 @pytest.mark.slow
 @given(SEEDS, st.floats(0.05, 1.0), st.booleans())
-@settings(max_examples=100)
 def test_gradient_equals_differences(seed, smoothing, rotors):
     robot, rng = robot_of(arms.THREE), np.random.default_rng(seed)
     coordinates = rng.normal(size=(10, 4))

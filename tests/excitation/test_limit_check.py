@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from robot_sysid.excitation.fourier import FourierBasis, FourierTrajectory
@@ -36,7 +36,6 @@ def plan_of(some, seed, size, basis=BRIEF):
 
 
 @given(SEEDS, st.floats(0.02, 0.6))
-@settings(max_examples=100)
 def test_peaks_are_those_of_the_samples(seed, size):
     some = problem(arms.THREE)
     plan = plan_of(some, seed, size)
@@ -57,7 +56,6 @@ def test_peaks_are_those_of_the_samples(seed, size):
 
 
 @given(st.floats(-1.0, 1.0), st.floats(0.1, 1.0), st.floats(-2.0, 2.0))
-@settings(max_examples=100)
 def test_position_limits_need_not_lie_around_zero(middle, reach, place):
     assume(abs(abs(place - middle) - reach) > 1e-6)
     some = problem(arms.THREE)
@@ -70,7 +68,6 @@ def test_position_limits_need_not_lie_around_zero(middle, reach, place):
 
 @pytest.mark.slow
 @given(SEEDS, st.floats(0.02, 0.2))
-@settings(max_examples=100)
 def test_clearance_is_that_of_testing_often(seed, size):
     some = problem(TUBES_AND_POST)
     plan = plan_of(some, seed, size)
@@ -148,7 +145,6 @@ def test_no_excess_is_said_to_be_nothing(share, words):
 
 
 @given(st.floats(-15.0, 3.0))
-@settings(max_examples=100)
 def test_no_excess_however_small_is_printed_as_nothing(exponent):
     """What is within rounding is none: ``ROUNDING`` is a thousand times what a share resolves."""
     share = 1.0 + 10.0**exponent
@@ -186,7 +182,6 @@ def test_the_failure_counts_the_limits_and_names_the_worst():
 
 @pytest.mark.slow
 @given(SEEDS, st.floats(0.1, 2.0), st.floats(0.3, 5.0))
-@settings(max_examples=100)
 def test_a_joint_that_keeps_its_speeds_stays_as_it_is_the_others_just_keep_theirs(seed, v, a):
     """Without torque limits and obstacles nothing couples the joints."""
     some, free = problem(arms.THREE), np.full(3, np.inf)

@@ -7,7 +7,7 @@ import copy
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.excitation.tool import LoadedTorque, Tool
@@ -25,7 +25,6 @@ def twists(seed, count=5):
 
 
 @given(SEEDS)
-@settings(max_examples=100)
 def test_no_point_of_the_tool_is_faster(seed):
     """Points inside the hull of the balls, by v + w x p."""
     rng, twist = np.random.default_rng(seed), twists(seed)
@@ -38,7 +37,6 @@ def test_no_point_of_the_tool_is_faster(seed):
 
 
 @given(SEEDS)
-@settings(max_examples=100)
 def test_the_gradient_of_the_speed_equals_differences(seed):
     twist, direction, weight = twists(seed), twists(seed + 1), np.arange(5.0)
     exact = np.sum(SOME.speed_vjp(twist, weight) * direction)
@@ -70,7 +68,6 @@ def with_load(arm, mass, tip):
 
 
 @given(SEEDS, st.floats(0.1, 5.0))
-@settings(max_examples=100)
 def test_a_load_takes_the_torque_that_its_weight_and_inertia_need(seed, mass):
     arm, some = robot(arms.SEVEN), problem(arms.SEVEN)
     motion = moving(7, seed)
@@ -80,7 +77,6 @@ def test_a_load_takes_the_torque_that_its_weight_and_inertia_need(seed, mass):
 
 
 @given(SEEDS, st.floats(0.0, 3.0))
-@settings(max_examples=100)
 def test_the_torque_with_a_reserve_covers_every_load_up_to_it(seed, share):
     some = problem(arms.SEVEN)
     motion, plain = moving(7, seed), some.torque
@@ -90,7 +86,6 @@ def test_the_torque_with_a_reserve_covers_every_load_up_to_it(seed, share):
 
 
 @given(SEEDS)
-@settings(max_examples=100)
 def test_the_load_that_is_left_just_fills_one_joint(seed):
     some = problem(arms.SEVEN)
     motion, torque = moving(7, seed), some.torque

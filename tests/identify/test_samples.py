@@ -165,7 +165,6 @@ def test_logs_joined_hold_the_information_of_both(seed):
     np.testing.assert_array_equal(both.time, np.concatenate((first.time, second.time)))
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS)
 def test_logs_joined_joint_by_joint_are_the_logs_joined(seed):
     parts = (random_samples(seed), random_samples(seed + 1, 25))
@@ -178,7 +177,6 @@ def test_logs_joined_joint_by_joint_are_the_logs_joined(seed):
     np.testing.assert_allclose(at_once.squared_torque(), one_by_one.squared_torque(), rtol=1e-12)
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS)
 def test_columns_of_one_joint_alone_are_columns_that_are_zero_elsewhere(seed):
     samples, rng = random_samples(seed), np.random.default_rng(seed)

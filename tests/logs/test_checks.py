@@ -150,7 +150,7 @@ def test_too_few_rows_are_refused(tmp_path):
         read(tmp_path, table(motion(5)))
 
 
-@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.sets(st.integers(1, 397), min_size=1, max_size=15), st.sampled_from(["", "nan", "NULL"]))
 def test_rows_with_holes_are_left_out_and_counted(tmp_path, holes, written):
     data = motion()
@@ -170,7 +170,7 @@ NOISE = st.binary(min_size=1, max_size=60).filter(lambda b: not set(b) & set(b"\
 
 
 @pytest.mark.slow
-@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.sets(st.integers(1, 398), min_size=1, max_size=4), st.tuples(*[NOISE] * 4))
 def test_noise_between_rows_is_left_out_and_counted(tmp_path, places, noise):
     """Lines of a serial port's rubbish, which have no reason to be text, stand between the rows."""
@@ -223,7 +223,7 @@ def test_a_last_row_that_is_cut_off_is_left_out(tmp_path):
     assert "left out the last row, which is cut off (line 401)" in odd(log)
 
 
-@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.floats(3.5, 12.0), st.floats(-20.0, 20.0))
 def test_wrapped_positions_are_unwrapped(tmp_path, amplitude, offset):
     data = motion()
@@ -321,7 +321,6 @@ def test_own_time_stamps_of_another_clock_or_backwards_are_refused(tmp_path):
         read(tmp_path, rows, titles)
 
 
-@settings(max_examples=100)
 @given(st.integers(0, 2**32), st.integers(0, 2), st.floats(0.1, 10.0))
 def test_a_flipped_torque_is_found_and_a_right_one_is_not(seed, joint, scale):
     rng = np.random.default_rng(seed)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.damiao.trajectory.csv_file import trajectory_columns
@@ -70,7 +70,6 @@ def test_named_titles_go_to_their_joint_whatever_the_order(titles):
     assert where(recognise(titles, UR)) == ((3, 2, 1), (6, 5, 4))
 
 
-@settings(max_examples=100)
 @given(st.permutations(range(7)), st.sampled_from([0, 1]), st.sampled_from(["{}_{}", "{}{}"]))
 def test_the_order_of_the_columns_does_not_matter(order, base, form):
     kinds = [(kind, joint) for kind in ("q", "tau") for joint in range(3)]

@@ -36,7 +36,7 @@ NAMES = st.lists(
 )
 
 
-@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.integers(0, 2**32), st.sets(st.sampled_from(QUANTITIES[4:] + ("qd",))), st.data())
 def test_what_is_written_reads_back_to_the_last_bit(tmp_path, seed, optional, data):
     rng = np.random.default_rng(seed)
@@ -54,7 +54,7 @@ def test_what_is_written_reads_back_to_the_last_bit(tmp_path, seed, optional, da
     assert_same(written, read_measurements(tmp_path / "log.csv", JOINTS).samples)
 
 
-@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(NAMES)
 def test_any_joint_names_survive_the_round_trip(tmp_path, names):
     full = motion(20)
@@ -69,7 +69,7 @@ def part(data: Measurement, start: int, stop: int) -> Measurement:
     return Measurement(**{k: None if v is None else v[start:stop] for k, v in values.items()})
 
 
-@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.integers(1, 500))
 def test_the_size_of_the_batches_changes_nothing(tmp_path, size):
     path = tmp_path / "log.csv"

@@ -14,7 +14,7 @@ from tests.support.log_files import JOINTS, motion, table, write
 POSITIVE = st.lists(st.floats(1e-2, 1e2), min_size=3, max_size=3).map(tuple)
 
 
-@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(scale=POSITIVE, constants=POSITIVE)
 def test_torque_is_divided_by_scale_and_multiplied_with_constants(tmp_path, scale, constants):
     path = tmp_path / "log.csv"

@@ -7,7 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.kinematics import ChainKinematics
@@ -181,7 +181,6 @@ def arm(tmp_path_factory):
 
 
 @given(theta=arms.rigid_bodies(), seed=arms.SEEDS)
-@settings(max_examples=100, deadline=None)
 def test_any_possible_link_moves_as_predicted_once_written_and_loaded(arm, theta, seed):
     bodies = subtree_bodies(arm.mj_model, arm.reference_qpos, arm.body_id)
     plan = plan_write_back(theta, bodies)
@@ -197,7 +196,6 @@ def test_any_possible_link_moves_as_predicted_once_written_and_loaded(arm, theta
 
 
 @given(seed=arms.SEEDS)
-@settings(max_examples=100, deadline=None)
 def test_the_prediction_for_the_models_own_link_is_its_inverse_dynamics(seed):
     robot = arms.robot_of(arms.SEVEN)
     motion = some_motion(seed, 7)

@@ -23,7 +23,7 @@ from robot_sysid.records.torque_scale import (
 JOINTS = ("base", "elbow", "wrist")
 
 
-@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.dictionaries(st.text(min_size=1), st.floats(1e-6, 1e6), max_size=8))
 def test_a_written_scale_reads_back_to_the_last_bit(tmp_path, scale):
     path = tmp_path / "scale.json"
@@ -31,7 +31,6 @@ def test_a_written_scale_reads_back_to_the_last_bit(tmp_path, scale):
     assert read_factors(path) == scale
 
 
-@settings(max_examples=100)
 @given(st.lists(st.floats(1e-3, 1e3), min_size=3, max_size=3))
 def test_what_is_typed_is_what_is_used(values):
     typed = factors_in(",".join(map(repr, values)))

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
@@ -23,7 +23,6 @@ def chosen(q, rate):
     return choose_cutoff(q, rate, encoder_steps(q))
 
 
-@settings(max_examples=100)
 @given(st.integers(0, 2**32), st.sampled_from([200.0, 1000.0]), st.floats(-4.5, -3.0))
 def test_the_noise_of_the_encoder_is_read_off_the_data(seed, rate, magnitude):
     sigma = 10.0**magnitude
@@ -43,7 +42,6 @@ def test_quantisation_counts_as_its_own_noise():
 
 
 @pytest.mark.slow
-@settings(max_examples=100, deadline=None)
 @given(st.integers(0, 2**32), st.floats(0.1, 10.0), st.floats(1.5, 30.0))
 def test_the_cutoff_ignores_the_unit_and_falls_with_the_noise(seed, scale, factor):
     rng = np.random.default_rng(seed)
@@ -71,7 +69,6 @@ def read(q, resolution):
     return np.round(q / resolution) * resolution
 
 
-@settings(max_examples=100, deadline=None)
 @given(st.integers(0, 2**32), st.sampled_from([1e-5, 1e-4, 1e-3]), st.sampled_from(SCALES))
 @example(14107, 1e-3, SCALES[0])
 @example(130, 1e-3, SCALES[0])
@@ -84,7 +81,6 @@ def test_steps_of_a_coarse_encoder_are_not_taken_for_motion(seed, resolution, sc
 
 
 @pytest.mark.slow
-@settings(max_examples=100, deadline=None)
 @given(st.integers(0, 2**32), st.sampled_from(SCALES), st.floats(0.05, 0.4))
 def test_interpolated_steps_are_not_taken_for_motion_either(seed, scale, jitter):
     """Splines through uneven samples round a staircase off, and it is still none."""
@@ -110,7 +106,6 @@ def test_a_reading_that_is_repeated_until_the_next_one_is_no_step(seed):
     assert process(replace(log, joint_time=None)).cutoff < 5.0
 
 
-@settings(max_examples=100, deadline=None)
 @given(st.integers(0, 2**32), st.floats(1e-4, 1e-2), st.sampled_from([0.003, 0.01, 0.03]))
 def test_steps_are_all_that_is_rough_about_a_creeping_joint(seed, resolution, scale):
     """What is left of a reading stays within a step of the truth, and bends little."""
@@ -154,7 +149,6 @@ def test_readings_that_are_held_for_several_rows_cost_only_their_own_rate(held):
     assert 0.5 * fine.cutoff < slow.cutoff < 1.5 * fine.cutoff
 
 
-@settings(max_examples=100, deadline=None)
 @given(st.integers(0, 2**32), st.floats(-5.0, -3.5))
 def test_the_noise_that_a_cutoff_leaves_is_what_the_filter_leaves(seed, magnitude):
     """White noise on a motion: that of its low-passed second difference beside the motion's."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.signals.differences import (
@@ -16,7 +16,6 @@ from robot_sysid.signals.differences import (
 from tests.support.swing import Swing, seconds
 
 
-@settings(max_examples=100)
 @given(st.sampled_from([REACH, FINE_REACH]), st.lists(st.floats(-1.0, 1.0), min_size=17))
 def test_derivatives_are_exact_for_polynomials_of_their_order(reach, coefficients):
     polynomial = np.polynomial.Polynomial(coefficients[: 2 * reach + 1])
@@ -27,7 +26,6 @@ def test_derivatives_are_exact_for_polynomials_of_their_order(reach, coefficient
         np.testing.assert_allclose(function(polynomial(time), 20.0, reach), expected, atol=5e-9)
 
 
-@settings(max_examples=100)
 @given(st.floats(-40.0, 40.0), st.integers(0, 1000))
 def test_a_shift_evaluates_the_signal_at_later_instants(samples, seed):
     swing, rate = Swing(seed, np.array([1.0, 7.0, 23.0])), 100.0
@@ -37,7 +35,6 @@ def test_a_shift_evaluates_the_signal_at_later_instants(samples, seed):
     np.testing.assert_allclose(shifted, expected, rtol=0.0, atol=2e-5)
 
 
-@settings(max_examples=100)
 @given(st.integers(-50, 50), st.integers(0, 2**32))
 def test_whole_samples_are_shifted_without_loss(samples, seed):
     noise = np.random.default_rng(seed).normal(size=300)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
@@ -12,7 +12,6 @@ from robot_sysid.signals.low_pass import Decimator, design_low_pass
 from tests.support.swing import seconds
 
 
-@settings(max_examples=100)
 @given(st.floats(1.0, 60.0), st.lists(st.integers(1, 90), min_size=1, max_size=12), st.integers(0))
 def test_chunks_of_any_size_give_the_same_decimated_samples(cutoff, sizes, seed):
     low_pass = design_low_pass(cutoff, 200.0)
@@ -26,7 +25,6 @@ def test_chunks_of_any_size_give_the_same_decimated_samples(cutoff, sizes, seed)
     assert len(low_pass.centres(len(values))) == len(every)
 
 
-@settings(max_examples=100)
 @given(st.floats(1.0, 60.0), st.floats(-5.0, 5.0), st.floats(-5.0, 5.0))
 def test_a_straight_line_passes_unchanged(cutoff, start, slope):
     low_pass = design_low_pass(cutoff, 200.0)
@@ -35,7 +33,6 @@ def test_a_straight_line_passes_unchanged(cutoff, start, slope):
     np.testing.assert_allclose(low_pass.filtered(line), inner, rtol=0.0, atol=1e-11)
 
 
-@settings(max_examples=100)
 @given(st.integers(0, 2**32), st.floats(2.0, 60.0))
 def test_an_equation_survives_the_filter(seed, cutoff):
     """Y theta = tau stays exact when rows and torque pass the same filter."""
@@ -46,7 +43,6 @@ def test_an_equation_survives_the_filter(seed, cutoff):
     assert np.max(np.abs(both)) < 1e-12
 
 
-@settings(max_examples=100)
 @given(st.floats(1.0, 60.0), st.floats(0.0, 1.0), st.floats(0.0, 6.0))
 def test_pass_band_and_stop_band_keep_their_promise(cutoff, where, phase):
     rate = 200.0
@@ -59,7 +55,6 @@ def test_pass_band_and_stop_band_keep_their_promise(cutoff, where, phase):
     assert np.max(np.abs(low_pass.filtered(np.sin(2.0 * np.pi * stop * time + phase)))) < 1e-4
 
 
-@settings(max_examples=100)
 @given(st.floats(90.0, 150.0), st.floats(2.0, 50.0), st.floats(0.0, 1.0), st.floats(0.0, 6.0))
 def test_the_pass_band_is_as_flat_as_it_is_asked_for(attenuation, cutoff, where, phase):
     low_pass = design_low_pass(cutoff, 200.0, attenuation)

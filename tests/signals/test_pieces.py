@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.records import Measurement
@@ -18,7 +18,6 @@ def log(time: np.ndarray) -> Measurement:
     return Measurement(time, q, None, 2.0 * q)
 
 
-@settings(max_examples=100)
 @given(st.lists(st.tuples(st.floats(0.1, 12.0), st.floats(0.6, 5.0)), min_size=1, max_size=5))
 def test_pieces_are_what_lies_between_gaps(parts):
     start, times = 0.0, []
@@ -57,7 +56,6 @@ def test_of_hours_the_minutes_that_move_are_taken():
     assert always[0].time[0] == 0.0 and always[-1].time[-1] == time[-1]
 
 
-@settings(max_examples=100)
 @given(st.lists(st.integers(1, 900), max_size=4))
 def test_thinning_does_not_depend_on_the_blocks(cuts):
     time = np.arange(4000) / 1000.0

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
@@ -28,7 +28,6 @@ def root_mean_square(values: np.ndarray) -> float:
 
 
 @pytest.mark.slow
-@settings(max_examples=100, deadline=None)
 @given(st.integers(0, 2**32), st.sampled_from([200.0, 400.0]))
 def test_motion_of_a_quantised_log_is_recovered(seed, rate):
     """Acceleration within 1 % of its root mean square from a 1e-4 rad encoder."""
@@ -52,7 +51,6 @@ def test_rows_and_masks_have_the_same_length_and_times():
 
 
 @pytest.mark.slow
-@settings(max_examples=100, deadline=None)
 @given(st.floats(0.0, 2.0), st.integers(0, 1000))
 def test_rows_that_mix_in_too_many_slow_samples_are_masked_and_only_those(deadband, seed):
     """A row is a sum over a window; what counts is the window's weight on slow samples."""
@@ -153,7 +151,6 @@ def test_rows_over_a_long_hole_are_masked_and_short_holes_are_bridged():
     assert np.max(error) < 1e-2
 
 
-@settings(max_examples=100, deadline=None)
 @given(st.floats(-0.01, 0.01), st.integers(0, 1000))
 def test_an_injected_delay_is_estimated_and_put_right(delay, seed):
     """To 0.1 ms (five times the Cramer-Rao bound), with 0.4 % torque noise and a 1e-4 rad encoder.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.estimation.information import InformationAccumulator
@@ -47,7 +47,6 @@ def inflation(motions, samples):
     return visits(motions).inflation(samples.information, samples, np.array([1.0, 2.0, 3.0]))
 
 
-@settings(max_examples=100)
 @given(SEEDS, st.integers(2, 12))
 def test_the_same_residuals_again_count_once(seed, count):
     rng = np.random.default_rng(seed)
@@ -55,7 +54,6 @@ def test_the_same_residuals_again_count_once(seed, count):
     assert inflation(motions, samples) == pytest.approx(count, rel=1e-9)
 
 
-@settings(max_examples=100)
 @given(SEEDS, st.integers(2, 12))
 def test_new_residuals_count_every_time(seed, count):
     rng = np.random.default_rng(seed)

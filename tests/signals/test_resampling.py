@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
@@ -28,7 +28,6 @@ def test_time_stamps_rounded_to_milliseconds_are_still_even():
     assert not is_even(seconds(3.0, 333.0) + 1e-3 * np.sin(np.arange(1000)))
 
 
-@settings(max_examples=100)
 @given(st.integers(0, 2**32), st.floats(0.05, 0.4))
 def test_uneven_samples_are_put_where_they_belong(seed, jitter):
     rng = np.random.default_rng(seed)
@@ -54,7 +53,6 @@ def test_each_joint_is_read_at_its_own_time():
     assert "own time stamps" in uniform.notes[0]
 
 
-@settings(max_examples=100)
 @given(st.integers(0, 2**32), st.integers(1, 40))
 # Here the grid's instant on the hole's first edge is rounded into the hole.
 @example(5494522, 28)
@@ -70,7 +68,6 @@ def test_a_hole_is_one_from_the_first_missing_sample_on(seed, missing):
     np.testing.assert_allclose(uniform.gap, expected, rtol=0.0, atol=1e-9)
 
 
-@settings(max_examples=100)
 @given(st.integers(0, 2**32))
 def test_samples_that_come_early_and_late_leave_no_hole(seed):
     """Up to 1.7 periods apart."""
@@ -87,7 +84,6 @@ def test_too_few_samples_are_refused():
         resampled(Swing().measured(np.arange(7.0)))
 
 
-@settings(max_examples=100, deadline=None)
 @given(st.integers(0, 2**32), st.integers(1, 3), st.sampled_from([0.0, 1e-4]))
 def test_rows_lost_from_coarse_time_stamps_leave_a_hole(seed, missing, resolution):
     """1 kHz in milliseconds: even up to the last digit of the stamps all the same."""
@@ -105,7 +101,6 @@ def test_rows_lost_from_coarse_time_stamps_leave_a_hole(seed, missing, resolutio
     assert "resampled to a uniform 1000 Hz" in uniform.notes[0]
 
 
-@settings(max_examples=100, deadline=None)
 @given(st.integers(0, 2**32), st.floats(999.0, 999.99))
 def test_a_clock_that_is_a_little_slow_loses_no_rows(seed, rate):
     swing, even = Swing(seed), seconds(4.0, rate)

@@ -7,7 +7,7 @@ from operator import add
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
@@ -30,7 +30,6 @@ def equal(one: RowSample, other: RowSample) -> bool:
     return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in names)
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS, st.integers(3, 30))
 def test_order_and_brackets_do_not_matter(seed, count):
     rng = np.random.default_rng(seed)
@@ -43,7 +42,6 @@ def test_order_and_brackets_do_not_matter(seed, count):
     assert (whole.total, len(whole.drawn)) == (150 * count, min(150 * count, 2000))
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS, st.integers(2, 12))
 def test_all_rows_say_what_a_pass_over_them_says(seed, count):
     rng = np.random.default_rng(seed)
@@ -54,7 +52,6 @@ def test_all_rows_say_what_a_pass_over_them_says(seed, count):
 
 
 @pytest.mark.slow
-@settings(max_examples=100, deadline=None)
 @given(SEEDS, st.booleans())
 def test_a_part_of_very_many_rows_still_tells_repetition(seed, comes_again):
     rng, count = np.random.default_rng(seed), 40

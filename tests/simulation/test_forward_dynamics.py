@@ -7,7 +7,7 @@ import copy
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.dynamics.kinematics import ArmDynamics
@@ -37,7 +37,6 @@ def test_torques_are_rigid_body_dynamics_plus_damping_plus_dry_friction(name):
 
 
 @given(random_chain(), SEEDS)
-@settings(max_examples=100)
 def test_the_acceleration_under_the_torque_of_a_motion_is_that_of_the_motion(xml, seed):
     friction = 'frictionloss="0.3" damping="0.1" armature="0.05"'
     robot = robot_of(xml.replace("<joint ", f"<joint {friction} "))

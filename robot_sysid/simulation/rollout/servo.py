@@ -3,7 +3,8 @@
     tau = clip(Kp (command(t - delay) - q) - kv qd, +-limit) - (D - kv) qd - friction
 
 D is the whole damping of a joint. How much of it the servo gives (kv) shows only where it is at
-its limit, so kv stays the model's, and is lowered where the whole damping is less. A command holds
+its limit, so kv/D stays the model's: with kv itself kept, an arm of less damping would have none
+left at the limit, and swing. A command holds
 until the next one comes. A joint whose actuator the model does not have, or that has dynamics of
 its own, is pulled by a spring, and has no limit.
 """
@@ -65,6 +66,7 @@ class Actuators:
         gear: (n,) gear ratios.
         stiffness, damping: (n,) Kp and kv of position actuators; NaN for other kinds.
         limit: (n,) largest torque, infinite where the model names none [N m].
+        share: (n,) part of the joint's whole damping that the servo gives, between 0 and 1.
     """
 
     index: NDArray[np.int64]
@@ -72,6 +74,7 @@ class Actuators:
     stiffness: Array
     damping: Array
     limit: Array
+    share: Array
 
 
 def actuators_of(robot: RobotModel) -> Actuators:
@@ -79,7 +82,9 @@ def actuators_of(robot: RobotModel) -> Actuators:
     found = [_of_joint(robot.mj_model, int(joint)) for joint in _joints(robot)]
     index, gear, stiffness, damping, limit = map(np.array, zip(*found))
     limit = np.minimum(limit, robot.limits.torque)
-    return Actuators(index.astype(np.int64), gear, stiffness, damping, limit)
+    kv = np.nan_to_num(damping)
+    share = kv / np.maximum(kv + robot.mj_model.dof_damping[robot.dof_index], 1e-300)
+    return Actuators(index.astype(np.int64), gear, stiffness, damping, limit, share)
 
 
 def _joints(robot: RobotModel) -> NDArray[np.int64]:
@@ -130,9 +135,8 @@ def servo_copy(robot: RobotModel, actuators: Actuators, servos: Servos, timestep
         # The delay is in the commands of a window already.
         model.actuator_delay[:] = 0.0
     model.dof_armature[dofs], model.dof_frictionloss[dofs] = servos.armature, servos.frictionloss
-    kv = np.minimum(np.nan_to_num(actuators.damping), servos.damping)
-    driven = actuators.index != NONE
-    model.dof_damping[dofs] = servos.damping - np.where(driven, kv, 0.0)
+    kv, driven = actuators.share * servos.damping, actuators.index != NONE
+    model.dof_damping[dofs] = servos.damping - kv
     at = actuators.index[driven]
     model.actuator_gear[at] = 0.0
     model.actuator_gear[at, 0] = 1.0

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.damiao.exchange.aside import Aside
@@ -56,7 +56,6 @@ def cycles(draw, n):
     return rows
 
 
-@settings(max_examples=100, deadline=None)
 @given(data=st.data())
 def test_every_frame_can_be_told_back_from_the_recording(data, tmp_path_factory):
     """The printed digits suffice to find the very codes the motor sent."""
@@ -361,7 +360,6 @@ COMMANDS = st.builds(
 )
 
 
-@settings(max_examples=100, deadline=None)
 @given(acted=COMMANDS, sent=COMMANDS, q=VALUES, qd=VALUES)
 def test_a_centred_torque_is_the_mean_of_both_sides_of_the_step(
     acted, sent, q, qd, tmp_path_factory

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.damiao.protocol.codec import (
@@ -77,7 +77,6 @@ def test_known_feedback_has_known_values(limits, p, v, t):
 
 
 @pytest.mark.parametrize("name", TYPES)
-@settings(max_examples=100, deadline=None)
 @given(p=UNIT, v=UNIT, kp=SHARE, kd=st.floats(0.001, 1.0), t=UNIT)
 def test_command_survives_within_half_a_step(name, p, v, kp, kd, t):
     spec, scaling = MOTORS[name], scaling_of(name)
@@ -93,7 +92,6 @@ def test_command_survives_within_half_a_step(name, p, v, kp, kd, t):
 
 
 @pytest.mark.parametrize("name", TYPES)
-@settings(max_examples=100, deadline=None)
 @given(raw=st.binary(min_size=8, max_size=8))
 def test_decoding_and_encoding_a_command_gives_its_bytes_back(name, raw):
     scaling = scaling_of(name)
@@ -107,7 +105,6 @@ def test_decoding_and_encoding_a_command_gives_its_bytes_back(name, raw):
 
 
 @pytest.mark.parametrize("name", TYPES)
-@settings(max_examples=100, deadline=None)
 @given(p=UNIT, v=UNIT, t=UNIT, status=st.integers(0, 15), can_id=st.integers(1, 15))
 def test_feedback_survives_within_a_step_and_half_a_step_centred(name, p, v, t, status, can_id):
     spec, scaling = MOTORS[name], scaling_of(name)
@@ -203,7 +200,6 @@ def test_a_special_frame_is_refused_by_the_motors_number():
     )
 
 
-@settings(max_examples=100, deadline=None)
 @given(data=st.data())
 def test_all_joints_at_once_equal_one_joint_at_a_time(data):
     names = data.draw(st.lists(st.sampled_from(TYPES), min_size=1, max_size=8))
@@ -276,7 +272,6 @@ def test_what_was_checked_cannot_be_changed():
 SHAPES = st.lists(st.integers(0, 3), max_size=2)
 
 
-@settings(max_examples=100, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), shape=SHAPES, n=st.integers(1, 4))
 def test_a_trajectory_at_once_equals_its_samples_one_by_one(seed, shape, n):
     rng = np.random.default_rng(seed)
@@ -322,7 +317,6 @@ def test_a_motor_says_its_limit_where_the_truth_is_beyond_it(beyond):
 VALUES = st.floats(-10.0, 10.0)
 
 
-@settings(max_examples=100, deadline=None)
 @given(p=VALUES, v=VALUES, kp=SHARE, kd=SHARE, t=VALUES, q=VALUES, qd=VALUES)
 def test_a_motor_is_pulled_towards_where_and_how_fast_it_should_be(p, v, kp, kd, t, q, qd):
     """Of a spring and a damper between the joint and its reference, beside the torque asked for."""

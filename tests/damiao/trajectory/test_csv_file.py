@@ -7,7 +7,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -55,7 +55,6 @@ def test_the_file_looks_as_specified():
     np.testing.assert_array_equal(report.clamped_percent, [0.0, 0.0])
 
 
-@settings(max_examples=100, deadline=None)
 @given(data=st.data())
 def test_what_is_written_is_read_back_within_the_printed_digits(data, tmp_path_factory):
     types = data.draw(st.lists(st.sampled_from(sorted(MOTORS)), min_size=1, max_size=7))
@@ -76,7 +75,6 @@ def test_what_is_written_is_read_back_within_the_printed_digits(data, tmp_path_f
     np.testing.assert_allclose(report.clamped_percent, changed, rtol=0, atol=1e-9)
 
 
-@settings(max_examples=100, deadline=None)
 @given(cuts=st.lists(st.integers(1, 39), max_size=5), rows=st.integers(1, 50))
 def test_the_chunk_size_changes_nothing(cuts, rows, tmp_path_factory):
     whole = motion(40)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.estimation.arm.base_parameters import base_combinations, essential
 
 
-@settings(max_examples=100, deadline=None)
 @given(seed=st.integers(0, 2**31 - 1), rank=st.integers(1, 6))
 def test_the_leading_columns_times_the_combinations_are_the_regressor(seed, rank):
     rng = np.random.default_rng(seed)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.dynamics import spatial
@@ -61,7 +61,6 @@ def objective(matrix, right, problem, gamma, values):
 
 
 @pytest.mark.slow
-@settings(max_examples=100, deadline=None)
 @given(bodies=st.lists(links(), min_size=4, max_size=4), seed=SEEDS)
 def test_noise_free_data_gives_the_truth_whatever_the_model(bodies, seed):
     rng = np.random.default_rng(seed)
@@ -74,7 +73,6 @@ def test_noise_free_data_gives_the_truth_whatever_the_model(bodies, seed):
 
 
 @pytest.mark.slow
-@settings(max_examples=100, deadline=None)
 @given(bodies=st.lists(links(), min_size=2, max_size=2), seed=SEEDS)
 def test_links_are_possible_bodies_and_friction_keeps_its_bounds(bodies, seed):
     """Right-hand sides are nothing but noise, and half of the directions do not show."""
@@ -88,7 +86,6 @@ def test_links_are_possible_bodies_and_friction_keeps_its_bounds(bodies, seed):
 
 
 @pytest.mark.slow
-@settings(max_examples=100, deadline=None)
 @given(bodies=st.lists(links(), min_size=2, max_size=2), seed=SEEDS)
 def test_nothing_nearby_is_better(bodies, seed):
     rng = np.random.default_rng(seed)
@@ -107,7 +104,6 @@ def test_nothing_nearby_is_better(bodies, seed):
             assert objective(matrix, right, problem, gamma, other) >= best - allowed
 
 
-@settings(max_examples=100, deadline=None)
 @given(bodies=st.lists(links(), min_size=2, max_size=2), seed=SEEDS)
 def test_a_heavy_model_is_kept(bodies, seed):
     rng = np.random.default_rng(seed)
@@ -119,7 +115,6 @@ def test_a_heavy_model_is_kept(bodies, seed):
 
 
 @pytest.mark.slow
-@settings(max_examples=100, deadline=None)
 @given(bodies=st.lists(links(), min_size=2, max_size=2), seed=SEEDS)
 def test_without_weight_it_is_least_squares_where_that_is_possible(bodies, seed):
     rng = np.random.default_rng(seed)
@@ -135,7 +130,6 @@ def test_without_weight_it_is_least_squares_where_that_is_possible(bodies, seed)
 
 
 @pytest.mark.slow
-@settings(max_examples=100, deadline=None)
 @given(bodies=st.lists(links(), min_size=2, max_size=2), seed=SEEDS)
 def test_the_quick_estimate_is_that_of_the_divergence_where_little_changes(bodies, seed):
     rng = np.random.default_rng(seed)

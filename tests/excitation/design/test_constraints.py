@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.excitation.design.constraints import MotionConstraints
@@ -33,7 +33,6 @@ LIMITED = ({}, {"max_tool_speed": 0.7}, {"payload_reserve": 2.0})
 
 
 @given(st.sampled_from(LIMITED), SEEDS)
-@settings(max_examples=100)
 def test_gradient_equals_differences(limits, seed):
     constraints = MotionConstraints(problem(STRONG_MOTORS, **limits), 0.99, 0.0)
     rng = np.random.default_rng(seed)
@@ -92,7 +91,6 @@ def test_gradient_of_the_clearance_equals_differences():
 
 
 @given(SEEDS)
-@settings(max_examples=100)
 def test_memory_never_hides_a_tight_sample(seed):
     some = problem(TUBES_AND_POST)
     remembering = MotionConstraints(some, 1.0, 0.003)

@@ -78,7 +78,6 @@ ENDS = st.sampled_from(["faded", "periodic"])
 
 
 @given(NAMES, ENDS, SEEDS)
-@settings(max_examples=100)
 def test_gradient_equals_differences(criterion, ends, seed):
     some = design(arms.THREE, criterion=criterion, ends=ends)
     rng = np.random.default_rng(seed)

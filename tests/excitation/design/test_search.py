@@ -82,7 +82,6 @@ def test_limits_hold_for_any_seed(xml, seed, ends):
     st.sampled_from(["faded", "periodic"]),
     st.sampled_from(["A", "D", "cond"]),
 )
-@settings(max_examples=100)
 def test_limits_hold_for_any_seed_and_criterion(xml, seed, ends, criterion):
     result = search(xml, seed, ends=ends, criterion=criterion, rounds=2, iterations=10)
     assert result.limit_check.holds
@@ -269,7 +268,6 @@ def motion_of(some, x):
 
 
 @given(st.sampled_from(DESIGNS), SEEDS)
-@settings(max_examples=100)
 def test_every_feasible_draw_keeps_all_limits_on_the_grid(some, seed):
     (draw,) = draw_trajectories(some, seed, [0])
     if np.isfinite(draw.score):

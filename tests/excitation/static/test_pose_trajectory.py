@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 
 from robot_sysid.errors import InputError
 from robot_sysid.excitation.static.pose_trajectory import (
@@ -23,7 +23,6 @@ def random_plan(seed):
     return PoseTrajectory(rng.normal(size=(count, 3)), moves, dwells)
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS)
 def test_derivatives_are_those_of_the_positions(seed):
     plan = random_plan(seed)
@@ -33,7 +32,6 @@ def test_derivatives_are_those_of_the_positions(seed):
     np.testing.assert_allclose((ahead.qd - behind.qd) / (2 * step), here.qdd, atol=2e-3)
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS)
 def test_the_arm_rests_in_every_point(seed):
     plan = random_plan(seed)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 
 from robot_sysid.errors import InputError
 from robot_sysid.excitation.static.sweep_trajectory import PEAK_ACCELERATION, SweepTrajectory
@@ -19,7 +19,6 @@ def random_plan(seed):
     return SweepTrajectory(rng.normal(size=(count, 3)), moves, ramps)
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS)
 def test_derivatives_are_those_of_the_positions(seed):
     plan = random_plan(seed)
@@ -29,7 +28,6 @@ def test_derivatives_are_those_of_the_positions(seed):
     np.testing.assert_allclose((ahead.qd - behind.qd) / (2 * step), here.qdd, atol=2e-2)
 
 
-@settings(max_examples=100, deadline=None)
 @given(SEEDS)
 def test_each_point_is_reached_at_rest_and_each_speed_held(seed):
     plan = random_plan(seed)

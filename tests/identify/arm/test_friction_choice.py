@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.identify.arm.friction_choice import (
@@ -59,7 +59,6 @@ def test_a_fit_that_failed_is_never_taken_and_always_left():
     assert is_clearly_lower(good, bad) and not is_clearly_lower(0.1 * bad, good)
 
 
-@settings(max_examples=100)
 @given(st.floats(1e-12, 1e12), st.lists(st.floats(0.1, 10.0), min_size=5, max_size=5))
 def test_units_do_not_decide(scale, ratios):
     before = np.linspace(1.0, 3.0, 5)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.dynamics.friction import friction_model
@@ -17,7 +17,6 @@ TERMS = friction_model("coulomb-viscous-offset-armature")
 
 
 @pytest.mark.slow
-@settings(max_examples=100, deadline=None)
 @given(SEEDS, st.booleans(), st.floats(-0.2, 0.2), st.floats(-0.1, 0.1))
 def test_the_truth_solves_the_equations(seed, is_loaded, drift, scale):
     scales = 1.0 + scale * np.array([1.0, -0.5, 0.3, 0.7])

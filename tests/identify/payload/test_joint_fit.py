@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.friction import friction_model
@@ -40,7 +40,6 @@ def recovered(seed, options=SURE, **rest):
 
 
 @pytest.mark.slow
-@settings(max_examples=100, deadline=None)
 @given(SEEDS)
 def test_exact_recordings_give_the_payload_whatever_the_model_has_wrong(seed):
     """Links off by up to 30 %, friction and rotors that the model does not have, other motions."""

@@ -1,5 +1,7 @@
 """Servos in rollouts: they are the model's own actuators where it has them, and springs else."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from robot_sysid.simulation.rollout.servo import (
     Window,
     actuators_of,
     played_servos,
+    servo_copy,
 )
 from tests.support.arms import robot_of
 from tests.support.servo_logs import SERVOS, TRUTH, XML, commanded
@@ -46,6 +49,16 @@ def test_the_models_own_servos_move_it_as_mujoco_does():
         data.ctrl[:] = control
         mujoco.mj_step(model, data)
     np.testing.assert_allclose(played[-1], data.qpos, atol=1e-7)
+
+
+@pytest.mark.parametrize("factor", [0.3, 1.0, 4.0])
+def test_servo_and_joint_share_any_damping_as_the_model_does(factor):
+    robot = robot_of(XML)
+    own, servos = actuators_of(robot), model_servos(robot)
+    changed = replace(servos, damping=factor * servos.damping)
+    model = servo_copy(robot, own, changed, 0.002)
+    np.testing.assert_allclose(model.dof_damping, factor * robot.mj_model.dof_damping, rtol=1e-12)
+    np.testing.assert_allclose(-model.actuator_biasprm[:, 2], factor * own.damping, rtol=1e-12)
 
 
 def test_a_joint_without_actuator_is_pulled_by_a_spring_of_the_same_gain():

@@ -76,7 +76,7 @@ def changes(
         if not joint.moves:
             continue
         after = joint.after
-        kv = min(float(np.nan_to_num(actuators.damping[k])), after["damping"])
+        kv = float(actuators.share[k]) * after["damping"]
         damping = after["damping"] - kv
         if joint.has_servo:
             gear = float(actuators.gear[k]) ** 2
@@ -113,8 +113,8 @@ def servo_notes(
 ) -> Iterator[str]:
     """Yield a sentence on each thing that the numbers do not say."""
     yield (
-        "damping is that of joint and servo together, which look alike: the servo's kv is kept "
-        "where it is not larger than the whole, and the joint gets the rest"
+        "damping is that of joint and servo together, which look alike: the servo keeps the share "
+        "of it that it has in the model"
     )
     if found.delay > 0.95 * MOST_PERIODS * period:
         yield (

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.identify.arm.servo.fit import (
@@ -32,7 +32,6 @@ def scale(xml=XML):
 SCALE = scale()
 
 
-@settings(max_examples=100)
 @given(NUMBERS, st.lists(st.booleans(), min_size=2, max_size=2))
 def test_unknowns_and_servos_are_the_same_thing(numbers, moves):
     own = held_still(SCALE, np.array(moves))
@@ -42,7 +41,6 @@ def test_unknowns_and_servos_are_the_same_thing(numbers, moves):
     np.testing.assert_allclose(back, wanted, rtol=1e-9, atol=1e-9)
 
 
-@settings(max_examples=100)
 @given(NUMBERS)
 def test_the_derivative_is_that_of_the_numbers(numbers):
     servos = Servos.of(np.array(numbers) + 0.01)
