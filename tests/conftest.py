@@ -15,7 +15,7 @@ from tests.support.command_line import CommandLine
 settings.register_profile("laws", max_examples=100, deadline=None)
 # The same examples each time, so that a tree's verdict does not depend on luck.
 settings.register_profile("repeatable", settings.get_profile("laws"), derandomize=True)
-settings.register_profile("few", settings.get_profile("repeatable"), max_examples=25)
+settings.register_profile("few", settings.get_profile("repeatable"), max_examples=10)
 # A mutant is dead with the first example against it; looking for the smallest one takes minutes.
 settings.register_profile(
     "mutants",

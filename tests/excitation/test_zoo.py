@@ -35,7 +35,7 @@ ARMS = [
     ("so101/so101_new_calib.xml", "wrist_roll"),
     ("so101/so101_new_calib.urdf", "gripper"),
 ]
-QUICK = {"draws": 60, "starts": 1, "rounds": 3, "iterations": 30}
+QUICK = {"draws": 60, "starts": 1, "rounds": 6, "iterations": 30}
 
 
 def violations(robot, plan):

@@ -92,6 +92,7 @@ def test_sizes_that_take_all_memory_are_refused(tmp_path, size):
         compile_model(path)
 
 
+@since(3, 1, 6)
 def test_sizes_that_models_have_are_read(tmp_path):
     path = model(tmp_path, "a.xml", bodies=LEAF + '<replicate count="20"><site/></replicate>')
     size = '<size/><size memory="64M" nkey="2" nuserdata="10"/><asset>'

@@ -51,6 +51,8 @@ def read_joint_map(path: str | os.PathLike[str]) -> tuple[MappedJoint, ...]:
             lines = [line for line in file if line.strip() and not line.startswith("#")]
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"cannot read {path}: {error}") from None
+    if any("\0" in line for line in lines):
+        raise InputError(f"{path} is not text: it has zero bytes")
     table = csv.DictReader(lines, skipinitialspace=True)
     titles = [title.strip() for title in table.fieldnames or ()]
     if not set(_NEEDED) <= set(titles) <= set(_COLUMNS):

@@ -239,6 +239,9 @@ def _table(text: list[str], path: Path, before: int, width: int) -> Array:
 
 def _finite_rows(lines: list[str], width: int) -> Array | None:
     """Return the numbers (N, width) of lines, or None where they are no such rows."""
+    if any("_" in line for line in lines):
+        # NumPy before 1.23 reads 1_0 as 10, as Python does.
+        return None
     try:
         table = np.loadtxt(lines, delimiter=",", ndmin=2)
     except ValueError:

@@ -70,6 +70,7 @@ def test_what_is_left_out_is_as_usual(tmp_path):
         ("joint,can_id,direction\na,1,1\nb,1,1\n", "used by more than one motor"),
         ("joint,can_id,direction,offset\na,1,1,nan\n", "offset must be a number"),
         ("joint,can_id,direction,torque_ratio\na,1,1,0\n", "torque_ratio positive"),
+        ("joint,can_id,direction\na\0,1,1\n", "zero bytes"),
     ],
 )
 def test_a_map_that_is_none_is_refused_with_its_row(tmp_path, text, words):
