@@ -33,6 +33,11 @@ class Console(Progress):
         for message in messages:
             self.stage(message)
 
+    def back(self, lines: int) -> None:
+        """Have what comes next take the place of the last lines, on a terminal."""
+        if sys.stdout.isatty() and not self._quiet:
+            sys.stdout.write(f"\x1b[{lines}A")
+
     def track(self, items: Iterator[Any], label: str, total: int) -> Iterator[Any]:
         """Show a bar while items pass, on a terminal; leave one line behind."""
         yield from self._new_bar(label, total, items) if self._shows_bars else items

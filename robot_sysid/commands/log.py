@@ -70,8 +70,8 @@ def _checked(
     from robot_sysid.logs.reader import open_log
     from robot_sysid.parser import load_robot_model
 
-    model = values["path"], values.get("mesh_dir"), values.get("joint")
-    robot = load_robot_model(*model)
+    model, path = record_from(ModelOptions, values), values["path"]
+    robot = load_robot_model(path, model.mesh_dir, model.joint, keyframe=model.keyframe)
     log = open_log(robot, values["log"], options, console)
     console.lines(log.notes)
     rate = (len(log.samples) - 1) / log.duration

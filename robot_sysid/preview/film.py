@@ -24,7 +24,11 @@ _INK, _LINE, _LIMIT, _CURSOR = "#1b1f24", "#0b62a8", "#b02a1c", (176, 42, 28)
 
 def require_film(path: Path) -> None:
     """Raise InputError where a film cannot be made; asked before a long run."""
-    needed = ("matplotlib", "imageio", *(("imageio_ffmpeg",) if path.suffix == ".mp4" else ()))
+    needed = (
+        "matplotlib",
+        "imageio",
+        *(("imageio_ffmpeg",) if path.suffix.lower() == ".mp4" else ()),
+    )
     missing = [name for name in needed if importlib.util.find_spec(name) is None]
     if missing:
         raise InputError(

@@ -73,6 +73,11 @@ def test_a_warning_stops_unless_it_is_accepted(command):
     assert "warn: the torque of joint joint1 stands still" in printed.out
 
 
+def test_the_keyframe_is_the_one_that_was_named(command):
+    said = command.refused("log", "log.csv", "arm.xml", "--keyframe", "nowhere")
+    assert "no such keyframe" in said
+
+
 def test_titles_cannot_steer_the_terminal(command, truth):
     text = (command._folder / "log.csv").read_text()
     (command._folder / "log.csv").write_text(text.replace("joint0_torque", "joint0_torque\x1b[2J"))

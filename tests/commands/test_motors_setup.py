@@ -7,7 +7,7 @@ import pytest
 from robot_sysid.cli import main
 from robot_sysid.commands import motors as command
 from robot_sysid.damiao.protocol import registers as reg
-from robot_sysid.damiao.protocol.frames import ENABLE, REGISTER_ID, STORE, is_special
+from robot_sysid.damiao.protocol.frames import ENABLE, READ, REGISTER_ID, STORE, is_special
 from robot_sysid.damiao.protocol.joint_map import read_joint_map
 from robot_sysid.damiao.protocol.registers import DISABLED, ENABLED
 from robot_sysid.damiao.simulated.simulated_link import SimulatedLink
@@ -119,6 +119,15 @@ def test_a_zero_is_set_after_two_questions(capsys, bus, answers):
     assert bus.motors[0].slip == pytest.approx(-0.4)
 
 
+def test_no_zero_is_set_where_the_angle_is_not_known(capsys, bus, answers):
+    motor, asked = bus.motors[0], bytes([READ, reg.PMAX])
+    answer = motor.handle
+    motor.handle = lambda frame, time: None if frame.data[2:4] == asked else answer(frame, time)
+    code, _, err = run(capsys, "setup", *CAN0, "--motor", 1, "--set-zero")
+    assert code == 3 and "does not tell its PMAX" in err and only_asks(bus.wire.sent)
+    assert answers[1] == []
+
+
 def test_an_error_is_cleared_by_name(capsys, bus):
     bus.motors[1].status = 0xA
     code, out, _ = run(capsys, "setup", *CAN0, "--motor", 2, "--clear-error")
@@ -163,6 +172,12 @@ def test_monitor_shows_the_motors_and_enables_nothing(capsys, bus):
     assert (code, err) == (0, "")
     assert out.count("motor 1 ") == 5 and " 0.250 " in out and "-0.500" in out
     assert only_asks(bus.wire.sent)
+
+
+def test_on_a_terminal_monitor_stays_in_its_place(capsys, bus, monkeypatch):
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    _, out, _ = run(capsys, "monitor", *CAN0, "--for", "1")
+    assert out.count("\x1b[3A") == 4 and "?" not in out
 
 
 def test_monitor_of_an_empty_bus(capsys, bus):

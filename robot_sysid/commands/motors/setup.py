@@ -24,7 +24,6 @@ from robot_sysid.damiao.run.setup import MotorSetup, SetupOptions
 from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.records.options import OptionRecord, option, positive, record_from
 
-_UP = "\x1b[{}A"
 # Where the bit rate is not ours to choose.
 _FIXED_RATE = ("socketcan", "damiao", "virtual")
 _CLASSIC_TOP = 1_000_000
@@ -184,8 +183,7 @@ def _watch(
         if clock.now() + options.interval > ends:
             return
         clock.sleep_until(clock.now() + options.interval)
-        if sys.stdout.isatty():
-            console.stage(_UP.format(len(lines) + 1))
+        console.back(len(lines))
 
 
 def map_joints(asked: Asked, clock: Clock, opened: Opener = open_bus) -> int:

@@ -165,8 +165,10 @@ def open_bus(address: BusAddress, timing: BusTiming, clock: Clock) -> Link:
     """Open one CAN bus or several; socketcan takes its bit rates from ``ip link``.
 
     Raises:
-        InputError: a bus cannot be opened.
+        InputError: a bus cannot be opened, or not as CAN-FD.
     """
+    if timing.fd and address.interface == SERIAL_ADAPTER:
+        raise InputError("the maker's serial adapter sends classic CAN frames only; leave --fd off")
     links: list[BusLink] = []
     try:
         for channel in address.channel:

@@ -202,8 +202,13 @@ class MotorSetup:
         return self._feedback()[0] >> 4
 
     def _position(self) -> float:
+        limits = self._motor.limits
+        if limits is None or min(limits) <= 0.0:
+            raise HardwareAbort(
+                f"{self._motor.name} does not tell its PMAX, so nobody knows what angle it means; "
+                "the zero is as it was"
+            )
         raw = np.frombuffer(self._feedback(), dtype=np.uint8)[None]
-        limits = self._motor.limits or (12.5, 1.0, 1.0)
         return float(decode_feedback(raw, Scaling.from_limits([limits])).position[0])
 
     def _feedback(self) -> bytes:

@@ -13,6 +13,7 @@ from robot_sysid.damiao.bus.link import LinkError
 from robot_sysid.damiao.protocol.bus_load import BusTiming
 from robot_sysid.damiao.protocol.frames import Address, Frame, disable_frame
 from robot_sysid.damiao.serial_adapter import adapter_bus
+from robot_sysid.errors import InputError
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals")
 
@@ -51,6 +52,11 @@ def test_sixteen_bytes_come_in_per_frame(line):
     assert link.receive(clock.now() + 0.01) is None
     os.write(near, sent[7:])
     assert link.receive(clock.now() + 1.0).data == frame.data
+
+
+def test_can_fd_is_refused_because_it_would_be_classic_frames():
+    with pytest.raises(InputError, match="leave --fd off"):
+        open_bus(BusAddress("damiao", ("/dev/null",)), BusTiming(fd=True), SystemClock())
 
 
 def test_a_line_that_breaks_is_our_error(line):
