@@ -19,6 +19,7 @@ from robot_sysid.errors import SysidError
 from robot_sysid.export import alone_in
 from robot_sysid.identify.arm.run import write_arm, write_model
 from robot_sysid.identify.simulated import Analysis
+from robot_sysid.output.arm_json import arm_json_text
 from robot_sysid.output.bundle import model_in_memory, write_bundle
 from robot_sysid.output.params_json import friction_entries, params_json_text
 from robot_sysid.output.payload_json import payload_json_text
@@ -26,7 +27,6 @@ from robot_sysid.output.printed.arm import arm_lines, link_rows_of
 from robot_sysid.output.printed.before_after import HEADINGS, BeforeAfter, link_rows
 from robot_sysid.output.printed.link import more_lines, result_lines
 from robot_sysid.output.printed.payload import payload_lines, payload_rows
-from robot_sysid.output.whole_arm.arm_json import arm_json_text
 from robot_sysid.payload import written as payload_written
 from robot_sysid.payload_config import PayloadConfig
 from robot_sysid.pipeline import written

@@ -17,6 +17,7 @@ DELAY_NAME = "delay"
 MODEL_NAMES = {"mjcf": "updated_model.xml", "urdf": "updated_model.urdf"}
 """Kind of model file to the name of the written model: a URDF stays one."""
 PARAMS_NAME, PLAN_NAME, DAMIAO_NAME = "params.json", "trajectory.json", "damiao_trajectory.csv"
+ARM_NAME = "arm.json"
 """The other files in the output folder."""
 
 

@@ -14,10 +14,9 @@ from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
 from robot_sysid.json_files import read_json
 from robot_sysid.records import Array
-from robot_sysid.records.results import PARAMS_NAME
+from robot_sysid.records.results import ARM_NAME, PARAMS_NAME
 from robot_sysid.report.saved import DATA_NAME, ReportData, load_data
 
-ARM_NAME = "arm.json"
 NEWEST = 3
 """Version of params.json that this program knows all of."""
 LINK, PAYLOAD, ARM = "link", "payload", "arm"

@@ -28,16 +28,15 @@ from robot_sysid.identify.simulated import CHECKPOINTS, versions
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.reader import MeasurementLog, open_log, origin_of
 from robot_sysid.mjcf.changes import JointChange
+from robot_sysid.output.arm_json import FRICTION_NAME, arm_json_text, friction_json_text
 from robot_sysid.output.model_writing import ModelTarget, write_links
 from robot_sysid.output.printed.arm import arm_lines
 from robot_sysid.output.printed.link import folder_text
-from robot_sysid.output.whole_arm.arm_json import ARM_NAME, arm_json_text
-from robot_sysid.output.whole_arm.friction_json import FRICTION_NAME, friction_json_text
 from robot_sysid.records import Measurement, Motion, RobotModel, Validation
 from robot_sysid.records.atomic_files import refuse_overwriting, whole_files
 from robot_sysid.records.options import per_joint
 from robot_sysid.records.progress import Progress
-from robot_sysid.records.results import MODEL_NAMES, RolloutTest
+from robot_sysid.records.results import ARM_NAME, MODEL_NAMES, RolloutTest
 from robot_sysid.records.traces import Traces
 from robot_sysid.records.whole_arm import ArmEstimate, ArmIdentification, HeldFriction
 from robot_sysid.report.runs import fingerprint

@@ -11,12 +11,12 @@ from robot_sysid.output.printed.before_after import (
     BeforeAfter,
     friction_text,
     table_lines,
-    term_unit,
     theta_rows,
 )
 from robot_sysid.output.printed.rollout import rollout_lines
 from robot_sysid.records import Validation
 from robot_sysid.records.figures import percent, with_error
+from robot_sysid.records.units import term_unit, torque
 from robot_sysid.records.whole_arm import ArmEstimate, ArmIdentification
 
 
@@ -67,7 +67,7 @@ def _missing_lines(found: ArmIdentification) -> Iterator[str]:
     for joint, held in found.model_friction.items():
         if not held.missing:
             continue
-        unit = "N" if joint in found.slides else "N·m"
+        unit = torque(joint in found.slides)
         sizes = ", ".join(f"{_MISSING[k]} {v:.2g} {unit}" for k, v in held.missing.items())
         yield f"  {joint}: {sizes}"
 

@@ -11,6 +11,7 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.output.cards import ERROR_NAMES, load_errors
 from robot_sysid.records import Array, Identification
 from robot_sysid.records.figures import figure, percent, with_error
+from robot_sysid.records.units import THETA, term_unit
 
 LABELS: Mapping[str, str] = {
     "m": "mass",
@@ -18,21 +19,6 @@ LABELS: Mapping[str, str] = {
     **{name: f"inertia {name[1:]}" for name in spatial.PARAMETER_NAMES[4:]},
 }
 """Parameter name to what it is called in a table."""
-UNITS = ("kg", *["kg·m"] * 3, *["kg·m²"] * 6)
-"""Units of the ten inertial parameters."""
-TERMS: Mapping[str, tuple[str, str]] = {
-    "coulomb": ("N·m", "N"),
-    "viscous": ("N·m·s/rad", "N·s/m"),
-    "offset": ("N·m", "N"),
-    "armature": ("kg·m²", "kg"),
-    "sqrt": ("N·m·√(s/rad)", "N·√(s/m)"),
-    "stribeck": ("N·m", "N"),
-    "load": ("", ""),
-    "quadratic": ("N·m·s²/rad²", "N·s²/m²"),
-    "cubic": ("N·m·s³/rad³", "N·s³/m³"),
-    "sigmoid": ("N·m", "N"),
-}
-"""Friction term to its unit in a hinge and in a slide."""
 HEADINGS = ("", "model", "identified", "±", "unit", "change")
 _ROUNDING = 1e-9
 _TEN_TIMES = 10.0
@@ -132,7 +118,7 @@ def theta_rows(
         nothing if before is None else _without_rounding(before, size),
         _without_rounding(after, size),
         nothing if errors is None else errors.tolist(),
-        UNITS,
+        THETA,
         np.ones(10).tolist() if share is None else share.tolist(),
     )
     return [BeforeAfter(LABELS[name], *rest) for name, *rest in columns]
@@ -186,11 +172,6 @@ def model_friction(found: Identification, joint: str, term: str) -> float | None
     if found.model_friction is None or term not in ("coulomb", "viscous"):
         return None
     return float(getattr(found.model_friction, term)[found.joint_names.index(joint)])
-
-
-def term_unit(term: str, is_slide: bool) -> str:
-    """Return the unit of a friction term's coefficient, or of the speed of a nonlinear one."""
-    return TERMS[term][is_slide] if term in TERMS else ("rad/s", "m/s")[is_slide]
 
 
 def friction_text(

@@ -15,16 +15,15 @@ from robot_sysid.mjcf.write_back import plan_write_back
 from robot_sysid.output.limitations import limitations
 from robot_sysid.output.params_json import friction_entries
 from robot_sysid.output.printed.before_after import (
-    UNITS,
     friction_text,
     link_rows,
     model_friction,
     table_lines,
-    term_unit,
 )
 from robot_sysid.output.printed.rollout import rollout_lines
 from robot_sysid.records import DELAY_NAME, Array, Estimate, Identification, Status
 from robot_sysid.records.figures import percent
+from robot_sysid.records.units import THETA, term_unit
 
 if TYPE_CHECKING:
     from robot_sysid.damiao.trajectory.csv_file import DamiaoExportReport
@@ -220,7 +219,7 @@ def detail_lines(identification: Identification) -> list[str]:
 def _noise_share(estimate: Estimate) -> list[str]:
     if estimate.noise_errors is None or not estimate.error_budget:
         return []
-    named = zip(estimate.names[:10], estimate.noise_errors, UNITS)
+    named = zip(estimate.names[:10], estimate.noise_errors, THETA)
     return [
         "  Standard errors of noise alone: "
         + ", ".join(f"{name} {error:.2g} {unit}" for name, error, unit in named)

@@ -9,12 +9,12 @@ import numpy as np
 
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.records.figures import percent, with_error
+from robot_sysid.records.units import THETA
 from robot_sysid.report.drawing import NARROW, SERIES, drawn
 from robot_sysid.report.elements import Figure, Section, table, text
 from robot_sysid.report.runs import Run, mapping, number
 from robot_sysid.report.sections.errors import error_bars, error_sets
 from robot_sysid.report.sections.excitation import shortened
-from robot_sysid.report.units import THETA
 
 
 def verdicts(runs: Sequence[Run]) -> Section:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.records import Array
+from robot_sysid.records.units import position
 from robot_sysid.report.drawing import (
     AFTER,
     BEFORE,
@@ -23,7 +24,6 @@ from robot_sysid.report.elements import Figure, Section, table
 from robot_sysid.report.runs import Run
 from robot_sysid.report.saved import ReportData
 from robot_sysid.report.sections.torques import NOTHING
-from robot_sysid.report.units import position
 
 _NEAR = 0.5
 """Share of what a joint moved through within which a limit is near enough to be drawn."""

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.records.figures import with_error
+from robot_sysid.records.units import position, term_unit, torque
 from robot_sysid.report.drawing import AFTER, BEFORE, MEASURED, NARROW, drawn, legend
 from robot_sysid.report.elements import Figure, Section, Table, table
 from robot_sysid.report.runs import Run
 from robot_sysid.report.saved import ReportData
 from robot_sysid.report.sections.torques import NOTHING, scattered
-from robot_sysid.report.units import position, term, torque
 
 
 def friction(run: Run) -> Section:
@@ -45,7 +45,7 @@ def _coefficients(
     owners = dict.fromkeys(owner for owner, _ in values)
     terms = dict.fromkeys(name for _, name in values)
     slide = any(slides.values())
-    header = ("joint", *(f"{name} [{term(name, slide) or '1'}]" for name in terms))
+    header = ("joint", *(f"{name} [{term_unit(name, slide) or '1'}]" for name in terms))
     rows = [(owner, *(values.get((owner, name), "–") for name in terms)) for owner in owners]
     mixed = slide and not all(slides.values())
     note = "Units are those of slides; of hinges N·m for N and rad for m." if mixed else ""

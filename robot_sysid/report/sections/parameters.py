@@ -10,6 +10,7 @@ import numpy as np
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.records import Array
 from robot_sysid.records.figures import percent
+from robot_sysid.records.units import THETA
 from robot_sysid.report.drawing import (
     AFTER,
     BEFORE,
@@ -22,7 +23,6 @@ from robot_sysid.report.drawing import (
 )
 from robot_sysid.report.elements import Figure, Section, Table, plus_minus, table, text
 from robot_sysid.report.runs import PAYLOAD, Body, Run, listed
-from robot_sysid.report.units import THETA
 
 GROUPS = ((0, 1, "mass"), (1, 4, "first moment"), (4, 10, "inertia about the origin"))
 

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from robot_sysid.records.units import position, torque
 from robot_sysid.report.drawing import AFTER, BEFORE, INK, MEASURED, NARROW, drawn, legend
 from robot_sysid.report.elements import Figure, Section, table
 from robot_sysid.report.runs import PAYLOAD, Run
 from robot_sysid.report.saved import ReportData
 from robot_sysid.report.statistics import LONGEST_LAG
-from robot_sysid.report.units import position, torque
 
 NOTHING = "there is no report_data.npz: identify again with this version"
 _SCATTERED = 400

@@ -9,9 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.dynamics.friction import TERMS as FRICTION_TERMS
 from robot_sysid.output.printed.before_after import (
-    TERMS,
     BeforeAfter,
     link_rows,
     table_lines,
@@ -107,7 +105,3 @@ def test_rounding_is_no_number():
     # A gripper jaw's numbers are small, not rounding.
     jaw = 1e-3 * THETA
     assert all((a.after != 0.0) == (v != 0.0) for a, v in zip(theta_rows(jaw, jaw, None), jaw))
-
-
-def test_every_friction_term_has_its_units():
-    assert set(TERMS) == set(FRICTION_TERMS)

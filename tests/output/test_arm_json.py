@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.dynamics.friction import BENT, TERMS
-from robot_sysid.output.whole_arm.friction_json import FORMULAS, friction_json_text
+from robot_sysid.output.arm_json import FORMULAS, friction_json_text
 from robot_sysid.records.whole_arm import ArmEstimate, ArmStatus, FrictionCurve, HeldFriction
 
 JOINT = "elbow"

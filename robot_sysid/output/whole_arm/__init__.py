@@ -1,1 +1,0 @@
-"""Files about a whole arm: its links and joints, and its friction for controllers."""
