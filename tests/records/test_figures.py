@@ -8,7 +8,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.records.figures import figure, percent, with_error
+from robot_sysid.dynamics.friction import BENT, TERMS
+from robot_sysid.records.figures import (
+    figure,
+    percent,
+    position,
+    term_unit,
+    torque,
+    with_error,
+)
 
 NUMBERS = st.floats(1e-12, 1e6) | st.floats(-1e6, -1e-12)
 
@@ -64,3 +72,15 @@ def test_a_number_with_its_error_and_unit():
 )
 def test_percentages_stay_readable(share, text):
     assert percent(share) == text
+
+
+@pytest.mark.parametrize("is_slide", [False, True])
+def test_every_friction_term_has_a_unit_but_the_loss_per_load(is_slide):
+    own = torque(is_slide), position(is_slide)
+    for term in TERMS:
+        unit = term_unit(term, is_slide)
+        assert (unit == "") == (term == "load")
+        assert is_slide or not unit.startswith("N·s")
+    for bent in BENT:
+        assert term_unit(f"{bent}_speed", is_slide) == f"{own[1]}/s"
+    assert (term_unit("coulomb", is_slide), term_unit("zero", is_slide)) == own

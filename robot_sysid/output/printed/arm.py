@@ -15,8 +15,7 @@ from robot_sysid.output.printed.before_after import (
 )
 from robot_sysid.output.printed.rollout import rollout_lines
 from robot_sysid.records import Validation
-from robot_sysid.records.figures import percent, with_error
-from robot_sysid.records.units import term_unit, torque
+from robot_sysid.records.figures import percent, term_unit, torque, with_error
 from robot_sysid.records.whole_arm import ArmEstimate, ArmIdentification
 
 

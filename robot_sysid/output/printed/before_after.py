@@ -10,8 +10,7 @@ import numpy as np
 from robot_sysid.dynamics import spatial
 from robot_sysid.output.cards import ERROR_NAMES, load_errors
 from robot_sysid.records import Array, Identification
-from robot_sysid.records.figures import figure, percent, with_error
-from robot_sysid.records.units import THETA, term_unit
+from robot_sysid.records.figures import THETA, figure, percent, term_unit, with_error
 
 LABELS: Mapping[str, str] = {
     "m": "mass",

@@ -22,8 +22,7 @@ from robot_sysid.output.printed.before_after import (
 )
 from robot_sysid.output.printed.rollout import rollout_lines
 from robot_sysid.records import DELAY_NAME, Array, Estimate, Identification, Status
-from robot_sysid.records.figures import percent
-from robot_sysid.records.units import THETA, term_unit
+from robot_sysid.records.figures import THETA, percent, term_unit
 
 if TYPE_CHECKING:
     from robot_sysid.damiao.trajectory.csv_file import DamiaoExportReport

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.records.figures import percent, with_error
-from robot_sysid.records.units import THETA
+from robot_sysid.records.figures import THETA, percent, with_error
 from robot_sysid.report.drawing import NARROW, SERIES, drawn
 from robot_sysid.report.elements import Figure, Section, table, text
 from robot_sysid.report.runs import Run, mapping, number

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.records import Array
-from robot_sysid.records.units import position
+from robot_sysid.records.figures import position
 from robot_sysid.report.drawing import (
     AFTER,
     BEFORE,

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.records.figures import with_error
-from robot_sysid.records.units import position, term_unit, torque
+from robot_sysid.records.figures import position, term_unit, torque, with_error
 from robot_sysid.report.drawing import AFTER, BEFORE, MEASURED, NARROW, drawn, legend
 from robot_sysid.report.elements import Figure, Section, Table, table
 from robot_sysid.report.runs import Run

@@ -9,8 +9,7 @@ import numpy as np
 
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.records import Array
-from robot_sysid.records.figures import percent
-from robot_sysid.records.units import THETA
+from robot_sysid.records.figures import THETA, percent
 from robot_sysid.report.drawing import (
     AFTER,
     BEFORE,

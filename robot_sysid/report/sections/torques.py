@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.records.units import position, torque
+from robot_sysid.records.figures import position, torque
 from robot_sysid.report.drawing import AFTER, BEFORE, INK, MEASURED, NARROW, drawn, legend
 from robot_sysid.report.elements import Figure, Section, table
 from robot_sysid.report.runs import PAYLOAD, Run
