@@ -53,7 +53,7 @@ LAYERS = (
     # The conversions that the records themselves need.
     ("dynamics.spatial",),
     ("json_files",),
-    ("errors", "interrupts"),
+    ("drafts", "errors", "interrupts"),
     # Nothing but the version.
     ("",),
 )

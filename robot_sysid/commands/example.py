@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import tempfile
 from collections.abc import Sequence
@@ -12,10 +13,11 @@ import robot_sysid
 from robot_sysid.commands.arguments import Parser, exit_codes, parsed
 from robot_sysid.commands.console import Console
 from robot_sysid.config import config_from
+from robot_sysid.drafts import draft_folder
 from robot_sysid.errors import InputError
 from robot_sysid.records.options import OptionRecord, folder, option, record_from
 
-INTERRUPTED = "interrupted; the copy may be unfinished"
+INTERRUPTED = "interrupted; no unfinished file is left"
 EXAMPLES = ("kinova",)
 MAIN = ("output_dir",)
 GUESS, TRUTH, EMPTY = (
@@ -75,19 +77,27 @@ def main(arguments: Sequence[str]) -> int:
     place = record_from(ExampleOptions, values).output_dir or Path(values["name"])
     if place.exists():
         raise InputError(f"{place} exists; choose another folder with --output-dir DIR")
-    try:
-        shutil.copytree(
-            _home(values["name"]), place, ignore=shutil.ignore_patterns("__pycache__", "images")
-        )
-    except OSError as error:
-        raise InputError(f"cannot copy the example to {place}: {error}") from None
-    _record(place / "model", place / LOG)
+    _copy(_home(values["name"]), place)
     console.stage(f"Example copied to {place}. What to do with it:")
     named = {"model": place / "model", "log": place / LOG}
     for words, command in NEXT:
         line = command.format(**named, guess=GUESS, truth=TRUTH, empty=EMPTY)
         console.lines(["", f"# {words}", line])
     return 0
+
+
+def _copy(home: Path, place: Path) -> None:
+    """Let a copy of the example appear, all of it at once."""
+    ignored = shutil.ignore_patterns("__pycache__", "images")
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        with draft_folder(place) as draft:
+            shutil.copytree(home, draft, ignore=ignored, dirs_exist_ok=True)
+            _record(draft / "model", draft / LOG)
+            os.rename(draft, place)
+    except OSError as error:
+        reason = error.strerror or error
+        raise InputError(f"cannot copy the example to {place}: {reason}") from None
 
 
 def _home(name: str) -> Path:

@@ -6,23 +6,18 @@ An older file stays in its place, whole, until the very moment in which the new 
 from __future__ import annotations
 
 import contextlib
-import errno
 import os
-import secrets
-import shutil
-import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TextIO, TypeVar
 
+from robot_sysid.drafts import Drafts, has_lock, leads_to
 from robot_sysid.errors import InputError
 from robot_sysid.interrupts import held_back
 
 LOCK_NAME = ".robot-sysid.lock"
 Place = TypeVar("Place")
-_MOST = 25
-"""Characters of stem and suffix, of four bytes at most, that a draft has in its name."""
 
 
 @contextlib.contextmanager
@@ -168,41 +163,16 @@ def _locked(lock: Path) -> int:
     """
     while True:
         handle = os.open(lock, os.O_CREAT | os.O_RDWR, 0o666)
-        try:
-            _take_lock(handle, lock.parent)
-        except BaseException:
-            os.close(handle)
-            raise
-        if _is_file_of(handle, lock):
+        taken = has_lock(handle) is False
+        # A run that ended meanwhile may have removed it.
+        if leads_to(lock, handle) and not taken:
             return handle
         os.close(handle)
-
-
-def _is_file_of(handle: int, path: Path) -> bool:
-    """Tell whether a path still leads to an open file; a run that ended may have removed it."""
-    with contextlib.suppress(FileNotFoundError):
-        return os.path.samestat(os.fstat(handle), os.stat(path))
-    return False
-
-
-def _take_lock(handle: int, folder: Path) -> None:
-    """Lock an open file; the system lets go of it when this process ends, however it ends."""
-    try:
-        if sys.platform == "win32":
-            import msvcrt
-
-            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
-        else:
-            import fcntl
-
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        if error.errno not in (errno.EAGAIN, errno.EACCES, errno.EDEADLK):
-            return  # a file system without locks
-        raise InputError(
-            f"another run is writing to {folder}; wait until it ends, or choose another "
-            "--output-dir"
-        ) from None
+        if taken:
+            raise InputError(
+                f"another run is writing to {lock.parent}; wait until it ends, or choose another "
+                "--output-dir"
+            )
 
 
 class WholeFiles:
@@ -210,6 +180,7 @@ class WholeFiles:
 
     def __init__(self) -> None:
         self._drafts: dict[Path, Path] = {}
+        self._hidden = Drafts()
         self._last: Path | None = None
         self._created_folders: list[Path] = []
 
@@ -223,16 +194,12 @@ class WholeFiles:
         """
         if os.path.isdir(path):
             raise InputError(f"cannot write {path}: it is a folder; choose another name")
-        stem, suffix = _shortened(path)
-        draft = path.with_name(f".{stem}-{secrets.token_hex(4)}{suffix}")
         try:
             self.create_folder(path.parent)
-            # Not a private temporary file: the result gets the permissions the user's umask says.
-            os.close(os.open(draft, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+            self._drafts[path] = self._hidden.file(path)
         except OSError as error:
             raise InputError(_cannot_write(path, error)) from None
-        self._drafts[path] = draft
-        return draft
+        return self._drafts[path]
 
     @contextlib.contextmanager
     def open(self, path: Path) -> Iterator[TextIO]:
@@ -276,7 +243,7 @@ class WholeFiles:
         with held_back():
             try:
                 for path in order:
-                    backups[path] = _second_name(path)
+                    backups[path] = self._hidden.second_name(path) if path.exists() else None
                     os.replace(self._drafts[path], path)
             except BaseException as error:
                 for done, backup in backups.items():
@@ -287,8 +254,7 @@ class WholeFiles:
             for backup in backups.values():
                 if backup is not None:
                     backup.unlink()
-            self._drafts.clear()
-            self._created_folders.clear()
+            self._forget()
 
     def discard(self) -> None:
         """Remove the drafts and the folders made for them."""
@@ -297,6 +263,10 @@ class WholeFiles:
         for folder in reversed(self._created_folders):
             with contextlib.suppress(OSError):  # somebody else has put a file there
                 folder.rmdir()
+        self._forget()
+
+    def _forget(self) -> None:
+        self._hidden.close()
         self._drafts.clear()
         self._created_folders.clear()
 
@@ -306,28 +276,6 @@ class WholeFiles:
         for new in reversed(missing):
             new.mkdir(exist_ok=True)
             self._created_folders.append(new)
-
-
-def _shortened(path: Path) -> tuple[str, str]:
-    """Return stem and suffix to which more may be added: names have at most 255 bytes."""
-    return path.stem[:_MOST], path.suffix[-_MOST:]
-
-
-def _second_name(path: Path) -> Path | None:
-    """Give an existing file a second name, so that it can be brought back."""
-    if not path.exists():
-        return None
-    stem, suffix = _shortened(path)
-    backup = path.with_name(f".{stem}{suffix}-{secrets.token_hex(4)}.old")
-    try:
-        os.link(path, backup)
-    except OSError:  # no links on this file system
-        try:
-            shutil.copy2(path, backup)
-        except OSError:
-            backup.unlink(missing_ok=True)
-            raise
-    return backup
 
 
 def _restore(path: Path, backup: Path | None, draft: Path) -> None:

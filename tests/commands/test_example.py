@@ -47,6 +47,15 @@ def test_another_folder_is_named_in_the_commands(command, tmp_path):
     assert (tmp_path / "a/b/README.md").is_file()
 
 
+def test_a_copy_that_ends_early_leaves_nothing(command, tmp_path, monkeypatch):
+    def fail(model, log):
+        assert model.is_dir() and not (tmp_path / "kinova").exists()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(example, "_record", fail)
+    assert "no unfinished file is left" in command.refused("example", "kinova", code=130)
+
+
 def test_nothing_that_is_there_is_overwritten(command, tmp_path):
     (tmp_path / "kinova").mkdir()
     assert "kinova exists; choose another folder" in command.refused("example", "kinova")

@@ -250,6 +250,8 @@ def test_a_process_that_is_killed_leaves_whole_files_and_the_old_set(old_set, mo
         # Until the last file is new, the old ones are still there, some under a second name.
         for name in NAMES:
             assert all_new or "old" in [text for n, text in found.items() if name in n]
+        write_new(folder)
+        assert everything_in(folder) == NEW
 
 
 def test_only_one_run_at_a_time_has_a_folder(tmp_path):
@@ -286,16 +288,16 @@ def test_a_run_that_fails_leaves_no_folder(tmp_path):
 
 
 def test_a_lock_that_was_removed_while_it_was_taken_does_not_count(tmp_path, monkeypatch):
-    take, taken = files._take_lock, []
+    take, taken = files.has_lock, []
 
-    def take_late(handle, folder):
+    def take_late(handle):
         """The other run ends between opening the file and locking it."""
         if not taken:
-            (folder / LOCK_NAME).unlink()
+            (tmp_path / LOCK_NAME).unlink()
         taken.append(handle)
-        take(handle, folder)
+        return take(handle)
 
-    monkeypatch.setattr(files, "_take_lock", take_late)
+    monkeypatch.setattr(files, "has_lock", take_late)
     with only_run_in(tmp_path):
         assert len(taken) == 2
         assert os.path.samestat(os.fstat(taken[-1]), os.stat(tmp_path / LOCK_NAME))
