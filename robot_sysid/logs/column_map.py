@@ -25,6 +25,7 @@ from robot_sysid.logs.columns import (
     match_joints,
     read_title,
     two_candidates,
+    units_beside_names,
 )
 from robot_sysid.records import Array
 
@@ -118,6 +119,7 @@ def recognise_columns(
         parsed = currents_as_torque(parsed, len(joint_names))
     if commanded:
         parsed = commands_as_quantity(parsed, joint_names)
+    parsed = units_beside_names(parsed, joint_names)
     # What the file names in full need not be recognised, and cannot be ambiguous.
     settled = {k for k, c in chosen.columns.items() if len(c) == len(joint_names)}
     readable = [t if joint_kind(t) not in settled else read_title("") for t in parsed]

@@ -13,8 +13,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from robot_sysid.errors import InputError
 
@@ -130,12 +130,19 @@ def commands_as_quantity(titles: Sequence[Title], joint_names: Sequence[str]) ->
 
     A joint's own name may hold such a word (``ref_joint_position``) and is left out of account.
     """
-    return [_as_command(t) if _is_command(_nameless(t, joint_names)) else t for t in titles]
+    spellings = _spellings(joint_names)
+    return [_as_command(t) if _is_command(_nameless(t, spellings)) else t for t in titles]
 
 
-def _nameless(title: Title, joint_names: Sequence[str]) -> Title:
-    readings = (without_written_name(title, n) or without_name(title, n) for n in joint_names)
-    return min((r for r in readings if r), key=lambda rest: len(rest.words), default=title)
+def units_beside_names(titles: Sequence[Title], joint_names: Sequence[str]) -> list[Title]:
+    """Return the titles with their units, of which none is a part of a joint's name (right_s0)."""
+    spellings = _spellings(joint_names)
+    return [replace(title, unit=_nameless(title, spellings).unit) for title in titles]
+
+
+def _nameless(title: Title, spellings: Sequence[_Spelling]) -> Title:
+    rests = (without(title, spelling) for _, spelling, without in spellings)
+    return min((r for r in rests if r), key=lambda rest: len(rest.words), default=title)
 
 
 def _is_command(title: Title) -> bool:
@@ -285,17 +292,27 @@ def two_candidates(kind: str, joint: str, titles: Sequence[str]) -> InputError:
 
 def _by_name(titles: Sequence[Title], joint_names: Sequence[str]) -> Found:
     found: Found = {}
-    written = sorted(enumerate(joint_names), key=lambda pair: -len(pair[1]))
-    aliases = _aliases(joint_names)
+    spellings = _spellings(joint_names)
     for index, title in enumerate(titles):
-        readings = [(joint, without_written_name(title, name)) for joint, name in written]
-        readings += [(joint, without_name(title, alias)) for joint, alias in aliases]
-        for joint, rest in readings:
+        for joint, spelling, without in spellings:
+            rest = without(title, spelling)
             kind = joint_kind(rest) if rest and not rest.numbers else None
             if kind:
                 found.setdefault((kind, joint), []).append(index)
                 break
     return found
+
+
+_Spelling = tuple[int, str, Callable[["Title", str], "Title | None"]]
+"""(joint, a spelling of its name, what takes that off a title)."""
+
+
+def _spellings(joint_names: Sequence[str]) -> Sequence[_Spelling]:
+    """Return the spellings that a title may have for the joints, the longest first."""
+    written = sorted(enumerate(joint_names), key=lambda pair: -len(pair[1]))
+    return [(joint, name, without_written_name) for joint, name in written] + [
+        (joint, alias, without_name) for joint, alias in _aliases(joint_names)
+    ]
 
 
 def _aliases(joint_names: Sequence[str]) -> list[tuple[int, str]]:

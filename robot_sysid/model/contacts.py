@@ -38,15 +38,16 @@ def parts_of(robot: RobotModel) -> NDArray[np.int64]:
 def neighbours(mj_model: Any) -> NDArray[np.bool_]:
     """Return (nbody, nbody) booleans: which bodies are next to each other in the tree.
 
-    Bodies welded together count as one. What stands still is next to a link only if it carries it:
-    the arm's base does, a table in the same world does not.
+    Bodies welded together count as one. What stands still is next to a link only if it carries it
+    or is fixed to the body that does: the arm's base and its housing are, a table in the same world
+    is not.
     """
-    weld = mj_model.body_weldid
-    carrier = weld[mj_model.body_parentid[weld]]
-    carries = (weld[:, None] == carrier) & (weld[:, None] != weld)
-    for body in np.flatnonzero(weld == 0):
-        below = np.isin(np.arange(mj_model.nbody), subtree(mj_model, int(body)))
-        carries[body] &= below & (body != 0)
+    weld, bodies = mj_model.body_weldid, np.arange(mj_model.nbody)
+    parent = mj_model.body_parentid[weld]
+    carries = (weld[:, None] == weld[parent]) & (weld[:, None] != weld)
+    below = np.array([np.isin(bodies, subtree(mj_model, int(body))) for body in bodies])
+    still = (weld == 0)[:, None]
+    carries &= ~still | ((below | below[parent].T & (parent != 0)) & (bodies != 0)[:, None])
     return np.asarray(carries | carries.T)
 
 

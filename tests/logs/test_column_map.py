@@ -80,6 +80,22 @@ def test_the_order_of_the_columns_does_not_matter(order, base, form):
     assert found.time is not None and found.time.title == "t"
 
 
+NAME_PIECES = ("s", "m", "ms", "deg", "rad", "nm", "j2s7s300", "right", "s0", "e1", "7", "arm")
+
+
+@given(
+    st.lists(
+        st.lists(st.sampled_from(NAME_PIECES), min_size=1, max_size=4).map("_".join),
+        min_size=2, max_size=4, unique=True,
+    )
+)  # fmt: skip
+def test_a_unit_within_a_joints_name_is_no_unit(names):
+    titles = [f"{name}_{kind}" for kind in ("position", "torque") for name in names]
+    found = recognise(",".join(["time", *titles]), tuple(names), is_slide=[False] * len(names))
+    assert [s.title for s in found.position + found.torque] == titles
+    assert {s.factor for s in found.position + found.torque} == {1.0}
+
+
 def test_ros_names_in_the_first_row_outrank_counting():
     titles = "%time,field.name0,field.name1,field.name2,field.position0,field.position1,"
     titles += "field.position2,field.effort0,field.effort1,field.effort2"

@@ -78,6 +78,8 @@ def test_neighbours_are_what_carries_and_what_is_carried():
     assert names_of_neighbours(world(base + beside)) == {
         ("base", "upper"),
         ("base", "lamp"),
+        ("cover", "upper"),
+        ("cover", "lamp"),
         ("upper", "tip"),
         ("upper", "camera"),
         ("tip", "lamp"),

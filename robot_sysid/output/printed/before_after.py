@@ -110,7 +110,7 @@ def theta_rows(
     before: Array | None, after: Array, errors: Array | None, share: Array | None = None
 ) -> list[BeforeAfter]:
     """Return the rows of ten inertial parameters; arrays (10,), None where nothing is known."""
-    size = spatial.parameter_scale(max(float(after[0]), 1e-9), spatial.characteristic_length(after))
+    size = _sizes(after)
     nothing: list[None] = [None] * 10
     columns = zip(
         spatial.PARAMETER_NAMES,
@@ -121,6 +121,16 @@ def theta_rows(
         np.ones(10).tolist() if share is None else share.tolist(),
     )
     return [BeforeAfter(LABELS[name], *rest) for name, *rest in columns]
+
+
+def shown(theta: Array) -> Array:
+    """Return ten parameters (10,), zero where they are nothing but rounding."""
+    return np.array(_without_rounding(theta, _sizes(theta)))
+
+
+def _sizes(theta: Array) -> Array:
+    mass, length = max(float(theta[0]), 1e-9), spatial.characteristic_length(theta)
+    return spatial.parameter_scale(mass, length)
 
 
 def link_rows(found: Identification) -> list[BeforeAfter]:

@@ -18,6 +18,7 @@ from robot_sysid.output.printed.before_after import (
     friction_text,
     link_rows,
     model_friction,
+    shown,
     table_lines,
 )
 from robot_sysid.output.printed.rollout import rollout_lines
@@ -37,11 +38,11 @@ _ROUNDING = 1e-9
 def result_lines(identification: Identification) -> list[str]:
     """Return the block "Identified parameters: ..." line by line."""
     estimate = identification.estimate
-    link = estimate.inertial
-    moment, inertia = (_listed(values) for values in (link.first_moment, link.theta[4:]))
+    theta = shown(estimate.inertial.theta)
+    moment, inertia = (_listed(values) for values in (theta[1:4], theta[4:]))
     return [
         "Identified parameters:",
-        f"  Mass: {_listed(link.theta[:1])} kg",
+        f"  Mass: {_listed(theta[:1])} kg",
         f"  CoM moment: [{moment}] kg·m",
         f"  Inertia: [{inertia}] kg·m²",
         *_friction_lines(identification),

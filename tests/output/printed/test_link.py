@@ -51,6 +51,13 @@ def test_the_numbers_of_a_gripper_jaw_are_not_all_zero():
     assert lines[4] == "  Coulomb friction: 0.0004 N·m"
 
 
+def test_rounding_beside_the_bodys_size_is_zero():
+    centred = VALUES.copy()
+    centred[1:4] = [4e-17, -2e-17, 9e-18]
+    lines = result_lines(found(estimate(values=centred)))
+    assert lines[2] == "  CoM moment: [0.000, 0.000, 0.000] kg·m"
+
+
 def test_what_stands_under_it_of_measured_data():
     budget = estimate(
         error_budget={"links": np.full(14, 0.04)}, noise_errors=np.full(14, 0.03), covariance=None
