@@ -219,7 +219,10 @@ class Watch:
         writes = event == "open" and _is_writing(values) or event in _ACTS
         # What stands in a folder that is already open was judged when that was.
         inside = event in ("os.remove", "os.rmdir") and values[1] != -1
-        if event in _NEVER or (writes and not inside and not self._may_write(values[0])):
+        # A link is written where it is made, whatever it points at.
+        places = values[1:2] if event in ("os.link", "os.symlink") else values[:1]
+        places = values[:2] if event == "os.rename" else places
+        if event in _NEVER or (writes and not inside and not all(map(self._may_write, places))):
             self._acts.append(f"{event} {values[:2]}")
 
     def _may_write(self, path: Any) -> bool:

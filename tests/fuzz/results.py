@@ -12,7 +12,7 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-import matplotlib  # noqa: F401 - makes its folder of settings when it is first imported
+import matplotlib.font_manager  # noqa: F401 - makes its folders when it is first imported
 
 from robot_sysid.cli import main
 from robot_sysid.identify.adding.earlier import earlier_logs

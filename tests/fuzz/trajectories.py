@@ -98,9 +98,10 @@ def use(case: Case, folder: Path) -> None:
     require_countable(saved.plan.duration, RATE, "--sample-rate")
     for _ in zip(range(ENOUGH_CHUNKS), motion_chunks(saved.plan, RATE)):
         pass
-    if len(case["motion.json"]) % 8 or saved.plan.duration > LONGEST:
-        return  # the check takes ten times as long as all the rest, and longer for a long motion
-    options = TrajectoryOptions(sample_rate=RATE, file=path)
+    if len(case["motion.json"]) % 8:
+        return  # the check takes ten times as long as all the rest
+    faster = max(1.0, saved.plan.duration / LONGEST)  # a day's motion is checked for minutes
+    options = TrajectoryOptions(sample_rate=RATE, file=path, speed=faster)
     given = ExcitationOptions(), LimitOptions(), "chain", 0.0, True, PoseOptions()
     made = make_plan(MotionRequest(options, *given), _robot(), 0, Progress())
     for _, motion in zip(range(ENOUGH_CHUNKS), motion_chunks(made.plan, RATE)):

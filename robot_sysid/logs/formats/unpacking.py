@@ -35,6 +35,15 @@ def bound_unpacking() -> None:
         library = getattr(module, "zstd", None)
         if library is not None and not isinstance(library, Bounded):
             setattr(module, "zstd", Bounded(library))  # noqa: B010
+    _bound_zstandard(mcap, ros2)
+
+
+def _bound_zstandard(mcap: Any, ros2: Any) -> None:
+    """The same for the last ``rosbags`` for Python 3.9, which unpacks with ``zstandard``."""
+    library = getattr(ros2, "zstandard", None)
+    if library is not None and not isinstance(library, Bounded):
+        ros2.zstandard = Bounded(library)
+        mcap.DECOMPRESSORS["zstd"] = ros2.zstandard.decompress
 
 
 class Bounded:
@@ -50,13 +59,21 @@ class Bounded:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._library, name)
 
-    def decompress(self, packed: bytes) -> bytes:
+    def decompress(self, packed: bytes, _: int = 0) -> bytes:
         """Return the content of packed bytes, or raise TooMuchError."""
-        pieces = []
-        with self.open(BytesIO(packed)) as stream:
+        content = BytesIO()
+        self.copy_stream(BytesIO(packed), content)
+        return content.getvalue()
+
+    def ZstdDecompressor(self) -> Bounded:
+        """Return what ``zstandard`` has its functions in."""
+        return self
+
+    def copy_stream(self, packed: Any, content: Any) -> None:
+        """Write the content of a packed file to another, or raise TooMuchError."""
+        with self.open(packed) as stream:
             while piece := stream.read(_BLOCK):
-                pieces.append(piece)
-        return b"".join(pieces)
+                content.write(piece)
 
     def open(self, file: Any, mode: str = "rb", **options: Any) -> Any:
         """Open a file as the library does; reading on beyond the bound raises TooMuchError."""
