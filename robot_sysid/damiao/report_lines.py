@@ -8,18 +8,11 @@ import numpy as np
 
 from robot_sysid.damiao.bus.inspection import InspectedMotor, Inspection
 from robot_sysid.damiao.play.player import PlayReport
+from robot_sysid.damiao.protocol import registers as reg
 from robot_sysid.damiao.protocol.bus_load import BusTiming, bus_load
 from robot_sysid.damiao.protocol.codec import Feedback
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.protocol.motors import limits_agree, matching_types
-from robot_sysid.damiao.protocol.registers import (
-    CTRL_MODE,
-    GR,
-    MODES,
-    TIMEOUT,
-    TIMEOUT_UNIT,
-    describe,
-)
 from robot_sysid.damiao.run.preflight import Check
 
 _HEADINGS: tuple[str, ...] = (
@@ -47,7 +40,7 @@ def state_table(states: Iterable[tuple[InspectedMotor, Feedback | None]]) -> Ite
         measured = state.position[0], state.velocity[0], state.torque[0]
         heat = f"{state.temperature_mos[0]}/{state.temperature_rotor[0]}"
         numbers = (f"{value:8.3f}" for value in measured)
-        rows.append((motor.name, *numbers, heat, describe(int(state.status[0]))))
+        rows.append((motor.name, *numbers, heat, reg.describe(int(state.status[0]))))
     yield from _columns(rows)
 
 
@@ -84,19 +77,19 @@ def run_lines(report: PlayReport) -> Iterator[str]:
 
 def _row(motor: InspectedMotor, joint: DamiaoJoint | None) -> tuple[str, ...]:
     registers, limits = motor.registers, motor.limits
-    mode = int(registers.get(CTRL_MODE, 0))
+    mode = int(registers.get(reg.CTRL_MODE, 0))
     replies = "/".join(f"{i:#x}" for i in sorted(set(motor.reply_ids)))
     feedback = motor.feedback
     return (
         f"{motor.can_id}{' ' + motor.channel if motor.channel else ''}",
         replies if len(motor.reply_ids) == 1 else f"{replies} (x{len(motor.reply_ids)})",
-        MODES.get(mode, "?"),
+        reg.MODES.get(mode, "?"),
         *(f"{value:g}" for value in limits or (np.nan,) * 3),
         _type_name(limits, joint),
-        f"{1e3 * registers.get(TIMEOUT, 0.0) * TIMEOUT_UNIT:g} ms",
-        f"{registers.get(GR, np.nan):g}",
+        f"{1e3 * registers.get(reg.TIMEOUT, 0.0) * reg.TIMEOUT_UNIT:g} ms",
+        f"{registers.get(reg.GR, np.nan):g}",
         f"{feedback.temperature_mos[0]}/{feedback.temperature_rotor[0]}" if feedback else "?",
-        describe(int(feedback.status[0])) if feedback else "does not tell",
+        reg.describe(int(feedback.status[0])) if feedback else "does not tell",
     )
 
 

@@ -19,18 +19,8 @@ from robot_sysid.records.options import OptionRecord, option
 
 # Adapters on this computer only: nothing here may put motor commands on a network.
 INTERFACES = (
-    "socketcan",
-    "slcan",
-    "gs_usb",
-    "pcan",
-    "kvaser",
-    "vector",
-    "ixxat",
-    "canalystii",
-    "cantact",
-    "seeedstudio",
-    "damiao",
-    "virtual",
+    *("socketcan", "slcan", "gs_usb", "pcan", "kvaser", "vector", "ixxat", "canalystii"),
+    *("cantact", "seeedstudio", "damiao", "virtual"),
 )
 
 

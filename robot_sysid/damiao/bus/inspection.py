@@ -10,9 +10,9 @@ import numpy as np
 from robot_sysid.damiao.bus.clock import Clock
 from robot_sysid.damiao.bus.link import GuardedLink
 from robot_sysid.damiao.bus.register_client import RegisterClient
+from robot_sysid.damiao.protocol import registers as reg
 from robot_sysid.damiao.protocol.codec import Feedback, Scaling, decode_feedback
 from robot_sysid.damiao.protocol.frames import Address
-from robot_sysid.damiao.protocol.registers import ESC_ID, LOGGED, MST_ID, PMAX, TMAX, VMAX
 
 _ALL_IDS = range(1, 16)
 _LISTEN = 0.05
@@ -52,14 +52,18 @@ class InspectedMotor:
     @property
     def master_id(self) -> int:
         """The reply id its register names."""
-        return int(self.registers.get(MST_ID, self.reply_ids[0]))
+        return int(self.registers.get(reg.MST_ID, self.reply_ids[0]))
 
     @property
     def limits(self) -> tuple[float, float, float] | None:
         """(PMAX, VMAX, TMAX) from its registers."""
-        if not all(number in self.registers for number in (PMAX, VMAX, TMAX)):
-            return None
-        return self.registers[PMAX], self.registers[VMAX], self.registers[TMAX]
+        found = tuple(self.registers[number] for number in reg.SCALING if number in self.registers)
+        return found if len(found) == 3 else None
+
+    @property
+    def position(self) -> float:
+        """Where it is [rad]; NaN where it does not tell."""
+        return float(self.feedback.position[0]) if self.feedback else np.nan
 
 
 @dataclass(frozen=True)
@@ -86,7 +90,7 @@ def inspect_bus(link: GuardedLink, clock: Clock) -> Inspection:
     client = RegisterClient(link, clock, timeout=_ASK_TIMEOUT)
     motors = {}
     for address in (Address(bus, i) for bus in range(len(link.channels)) for i in _ALL_IDS):
-        answers = client.read_all(address, ESC_ID)
+        answers = client.read_all(address, reg.ESC_ID)
         if answers:
             reply_ids = tuple(answer.reply_id for answer in answers)
             channel = link.channels[address.bus] if len(link.channels) > 1 else ""
@@ -113,7 +117,7 @@ def _listen(link: GuardedLink, clock: Clock) -> int:
 def _inspect_motor(
     client: RegisterClient, address: Address, reply_ids: tuple[int, ...], channel: str
 ) -> InspectedMotor:
-    replies = {number: client.read(address, number) for number in LOGGED}
+    replies = {number: client.read(address, number) for number in reg.LOGGED}
     registers = {number: reply.value for number, reply in replies.items() if reply is not None}
     motor = InspectedMotor(address, reply_ids, registers, None, channel)
     return replace(motor, feedback=state_of(client, motor))

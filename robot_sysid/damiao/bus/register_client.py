@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from robot_sysid.damiao.bus.clock import Clock
 from robot_sysid.damiao.bus.link import GuardedLink
+from robot_sysid.damiao.protocol import registers as reg
 from robot_sysid.damiao.protocol.frames import (
     READ,
     WRITE,
@@ -20,13 +21,6 @@ from robot_sysid.damiao.protocol.frames import (
     read_frame,
     refresh_frame,
     write_frame,
-)
-from robot_sysid.damiao.protocol.registers import (
-    REGISTERS,
-    TIMEOUT,
-    TIMEOUT_UNIT,
-    bytes_from_value,
-    value_from_bytes,
 )
 from robot_sysid.errors import HardwareAbort
 
@@ -71,11 +65,11 @@ class RegisterClient:
 
         A motor refuses a value by answering with the old one, so the answer is compared.
         """
-        raw = bytes_from_value(register, value)
-        name = REGISTERS[register].name
+        raw = reg.bytes_from_value(register, value)
+        name = reg.REGISTERS[register].name
         for _ in range(_TRIES):
             reply = next(self._replies(write_frame(motor, register, raw)), None)
-            if reply is not None and bytes_from_value(register, reply.value) == raw:
+            if reply is not None and reg.bytes_from_value(register, reply.value) == raw:
                 return
             if reply is not None:
                 raise HardwareAbort(
@@ -85,7 +79,7 @@ class RegisterClient:
 
     def tell(self, motor: Address, register: int, value: float) -> None:
         """Write a register after which the motor cannot be heard any more."""
-        self._link.send(write_frame(motor, register, bytes_from_value(register, value)))
+        self._link.send(write_frame(motor, register, reg.bytes_from_value(register, value)))
 
     def refresh(self, motor: Address, master_id: int) -> Frame | None:
         """Return a feedback frame without any effect on the motor, or None."""
@@ -117,7 +111,7 @@ class RegisterClient:
     def _replies(self, request: Frame) -> Iterator[RegisterReply]:
         for frame in self._frames_after(request):
             if _answers(frame, request):
-                value = value_from_bytes(request.data[3], frame.data[4:8])
+                value = reg.value_from_bytes(request.data[3], frame.data[4:8])
                 yield RegisterReply(value, frame.id)
 
     def _frames_after(self, request: Frame) -> Iterator[Frame]:
@@ -162,10 +156,10 @@ def watchdogs_set_to(
     """
     try:
         for address in before:
-            client.write(address, TIMEOUT, float(round(seconds / TIMEOUT_UNIT)))
+            client.write(address, reg.TIMEOUT, float(round(seconds / reg.TIMEOUT_UNIT)))
         yield
     finally:
         for address in filter(is_off, before):
             # A motor that does not answer any more keeps the safer value until power-off.
             with contextlib.suppress(HardwareAbort):
-                client.write(address, TIMEOUT, before[address])
+                client.write(address, reg.TIMEOUT, before[address])

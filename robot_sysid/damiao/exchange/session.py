@@ -123,8 +123,7 @@ class MotorSession:
     @property
     def peak_torque(self) -> Array:
         """What each joint's motor delivers at most (n,) [N m]."""
-        specs = [joint.spec for joint in self.joints]
-        peaks = [spec.peak_torque or spec.torque_limit for spec in specs]
+        peaks = [joint.spec.strongest for joint in self.joints]
         # A frame cannot say more than the scale's end either.
         return np.asarray(np.minimum(peaks, self.scaling.torque) * self.space.ratio)
 
@@ -200,8 +199,7 @@ class MotorSession:
         new, old = self.space.from_motors(motor), self._command
         if old is None:
             return new
-        fields = ("position", "velocity", "kp", "kd", "torque")
-        return MitCommand(*(np.where(told, getattr(new, f), getattr(old, f)) for f in fields))
+        return MitCommand(*(np.where(told, *pair) for pair in zip(new, old)))
 
     def _take_late_ones(self) -> None:
         """Drop what has arrived since the last exchange, but know whose answer it was."""

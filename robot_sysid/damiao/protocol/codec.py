@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,6 @@ KD_STEP = KD_MAX / _TWELVE_FULL
 """The least damping that a frame can carry [N m s/rad]."""
 # A register holds float32: 12.566 comes back as 12.5659999..., which must not refuse 12.566.
 _FLOAT32_SLACK = 1e-6
-_FIELDS = ("position", "velocity", "kp", "kd", "torque")
 _FULL = np.array([[_POSITION_FULL], *[[_TWELVE_FULL]] * 4])
 _HAS_SIGN = np.array([[-1.0], [-1.0], [0.0], [0.0], [-1.0]])
 _MEASURED = [0, 1, 4]
@@ -79,8 +78,7 @@ class Scaling:
         )
 
 
-@dataclass(frozen=True)
-class MitCommand:
+class MitCommand(NamedTuple):
     """What a joint is told: torque = kp (position - q) + kd (velocity - qd) + torque.
 
     Attributes:
@@ -132,8 +130,7 @@ def encode_mit(command: MitCommand, scaling: Scaling) -> Bytes:
             kd > 0 in its frame (the motor would oscillate), or a frame's first seven bytes would
             all be 0xFF (the motor would take it for enable, disable, zero or clear).
     """
-    fields = (command.position, command.velocity, command.kp, command.kd, command.torque)
-    values = np.array(np.broadcast_arrays(*fields), dtype=float)
+    values = np.array(np.broadcast_arrays(*command), dtype=float)
     _refuse_outside(values, scaling)
     # floor(x + 1/2): numpy's rint rounds halves to even, which differs in the last bit.
     p, v, kp, kd, t = _codes(values, scaling, slice(None), 0.5)
@@ -223,7 +220,8 @@ def _refuse_outside(values: Array, scaling: Scaling) -> None:
         where = np.argwhere(outside)[0]
         bad, limit = values[tuple(where)], np.broadcast_to(high, values.shape)[tuple(where)]
         raise InputError(
-            f"{_FIELDS[where[0]]} {bad:g} {_place(outside)} is outside its range, limit {limit:g}"
+            f"{MitCommand._fields[where[0]]} {bad:g} {_place(outside)} is outside its range, "
+            f"limit {limit:g}"
         )
 
 

@@ -51,6 +51,11 @@ class MotorSpec:
         """(PMAX, VMAX, TMAX)."""
         return self.position_limit, self.velocity_limit, self.torque_limit
 
+    @property
+    def strongest(self) -> float:
+        """Peak torque, or the largest that a frame carries where the maker states none [N m]."""
+        return self.peak_torque or self.torque_limit
+
     def no_load_speed(self, supply: float | None = None) -> float | None:
         """Return the no-load speed [rad/s] at a supply voltage [V], or None where unknown.
 
@@ -79,32 +84,16 @@ _SPECS = (
     MotorSpec("DM8009", 12.5, 45.0, 54.0, 20.0, 40.0, 24.0, ((24.0, 160.0), (48.0, 320.0)), 9.0),
     MotorSpec("DM3507", 12.566, 50.0, 5.0, 0.8, 3.0, 24.0, ((24.0, 460.0), (48.0, 910.0)), 7.0),
     MotorSpec(
-        "DM4310_48V",
-        12.5,
-        50.0,
-        10.0,
-        3.0,
-        7.0,
-        48.0,
-        ((48.0, 400.0),),
-        10.0,
-        "the maker's sources disagree about VMAX (30 or 50 rad/s)",
+        *("DM4310_48V", 12.5, 50.0, 10.0, 3.0, 7.0, 48.0, ((48.0, 400.0),), 10.0),
+        note="the maker's sources disagree about VMAX (30 or 50 rad/s)",
     ),
     MotorSpec("DM6248", 12.566, 20.0, 120.0, 30.0, 97.0, 48.0, (), 48.0),
     MotorSpec("DM10010", 12.5, 20.0, 200.0, 40.0, 150.0, 48.0, ((48.0, 150.0),), 10.0),
     MotorSpec("DMH3510", 12.5, 280.0, 1.0, 0.18, 0.45, 24.0, (), 1.0),
     MotorSpec("DMH6215", 12.5, 45.0, 10.0, 1.0, 2.0, 24.0, (), 1.0),
     MotorSpec(
-        "DMS3519",
-        12.5,
-        2000.0,
-        2.0,
-        3.5,
-        7.8,
-        24.0,
-        (),
-        19.2,
-        "its TMAX is below the motor's rated torque and its VMAX leaves steps of 1 rad/s: "
+        *("DMS3519", 12.5, 2000.0, 2.0, 3.5, 7.8, 24.0, (), 19.2),
+        note="its TMAX is below the motor's rated torque and its VMAX leaves steps of 1 rad/s: "
         "compare with the registers before using torques or velocities",
     ),
     MotorSpec("DMG6220", 12.5, 45.0, 10.0, 1.3, 2.7, 24.0, (), 1.0),

@@ -60,8 +60,10 @@ _TABLE = (
 )
 
 REGISTERS = {register.number: register for register in _TABLE}
-REQUIRED = (MST_ID, ESC_ID, TIMEOUT, CTRL_MODE, PMAX, VMAX, TMAX)
+SCALING = (PMAX, VMAX, TMAX)
+REQUIRED = (MST_ID, ESC_ID, TIMEOUT, CTRL_MODE, *SCALING)
 """Without these nothing is played."""
+WRITABLE = (*REQUIRED, CAN_BR)
 LOGGED = (*REQUIRED, GR, 2, 3, 0, 29, 1, 30, 11, 12, 14, 16, 17, 19)
 """Read before playing and written into the recording's header."""
 

@@ -163,7 +163,7 @@ def run(
     joints = (*plan.trajectory.joints, *held)
     motors = [inspection.motors[joint.address] for joint in joints]
     scaling = Scaling.from_limits(motor.limits or (0.0, 0.0, 0.0) for motor in motors)
-    places = np.array([_position(inspection.motors[joint.address]) for joint in held])
+    places = np.array([inspection.motors[joint.address].position for joint in held])
     session = MotorSession(link, clock, joints, scaling, not plan.recording.no_half_step)
     settings, park = with_held(plan.settings, held, plan.timing), plan.park(places)
     console, written = Aside(clock.live), Aside(clock.live)
@@ -186,10 +186,6 @@ def run(
     _require_told(console, written)
     n = plan.trajectory.n_joints
     return replace(report, missed=report.missed[:n], worst_tracking=report.worst_tracking[:n])
-
-
-def _position(motor: InspectedMotor) -> float:
-    return float(motor.feedback.position[0]) if motor.feedback else np.nan
 
 
 def _of_the_arm(check: PoseCheck, n: int) -> PoseCheck:

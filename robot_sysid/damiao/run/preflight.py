@@ -14,6 +14,7 @@ import numpy as np
 from robot_sysid.damiao.bus.inspection import InspectedMotor, Inspection
 from robot_sysid.damiao.exchange.outstanding import PAUSE
 from robot_sysid.damiao.exchange.settings import PlaySettings
+from robot_sysid.damiao.protocol import registers as reg
 from robot_sysid.damiao.protocol.bus_load import (
     HANDY_RATES,
     PLANNING_LIMIT,
@@ -26,20 +27,6 @@ from robot_sysid.damiao.protocol.frames import Address
 from robot_sysid.damiao.protocol.joint_space import JointSpace
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, id_problems
 from robot_sysid.damiao.protocol.motors import limits_agree, matching_types
-from robot_sysid.damiao.protocol.registers import (
-    CTRL_MODE,
-    DISABLED,
-    ENABLED,
-    ESC_ID,
-    MIT_MODE,
-    MODES,
-    MST_ID,
-    REGISTERS,
-    REQUIRED,
-    TIMEOUT,
-    TIMEOUT_UNIT,
-    describe,
-)
 from robot_sysid.damiao.trajectory.clamping import rating_warnings
 from robot_sysid.damiao.trajectory.csv_file import TrajectoryScan
 from robot_sysid.errors import HardwareAbort
@@ -142,13 +129,9 @@ def bus_checks(
             text = f"{joint.label} does not answer; check power, wiring, its id, bit rate"
             checks.append(Check(STOP, text))
     for motor, joint in present:
-        checks += _lacking(motor) or [
-            *_identity(motor, joint),
-            *_mode(motor),
-            *_scaling(motor, joint, allowed),
-            *_watchdog(motor, settings, allowed),
-            *_state(motor, settings),
-        ]
+        if not _lacking(motor):
+            checks += [*_identity(motor, joint), *_scaling(motor, joint, allowed)]
+        checks += _condition(motor, settings, allowed)
     limits = [motor.limits for motor, _ in present if motor.limits]
     if len(limits) < len(joints):
         return checks
@@ -169,11 +152,7 @@ def other_checks(
         return [Check(NOTE, text)]
     checks = [Check(NOTE, f"not in the trajectory and held where they are: {names}")]
     for motor in others:
-        checks += _lacking(motor) or [
-            *_mode(motor),
-            *_watchdog(motor, settings, allowed),
-            *_state(motor, settings),
-        ]
+        checks += _condition(motor, settings, allowed)
         if motor.limits is None or not matching_types(motor.limits):
             text = f"{motor.name} is of no known type and cannot be held; use --others limp"
             checks.append(Check(STOP, text))
@@ -185,11 +164,7 @@ def general_checks(inspection: Inspection, settings: PlaySettings) -> list[Check
     checks = [*_quiet(inspection), *_ids_on_the_bus(inspection)]
     for motor in inspection.motors.values():
         checks += _shared_id(motor)
-        checks += _lacking(motor) or [
-            *_mode(motor),
-            *_watchdog(motor, settings, Permissions()),
-            *_state(motor, settings),
-        ]
+        checks += _condition(motor, settings, Permissions())
     return checks
 
 
@@ -204,8 +179,17 @@ def require_no_stop(checks: Sequence[Check], words: str) -> None:
         raise HardwareAbort(f"{words}: {text}")
 
 
+def _condition(motor: InspectedMotor, settings: PlaySettings, allowed: Permissions) -> list[Check]:
+    """Return what a motor says of itself, whatever it drives."""
+    return _lacking(motor) or [
+        *_mode(motor),
+        *_watchdog(motor, settings, allowed),
+        *_state(motor, settings),
+    ]
+
+
 def _lacking(motor: InspectedMotor) -> list[Check]:
-    lacking = [REGISTERS[n].name for n in REQUIRED if n not in motor.registers]
+    lacking = [reg.REGISTERS[n].name for n in reg.REQUIRED if n not in motor.registers]
     text = f"{motor.name} does not answer for {', '.join(lacking)}; try again"
     return [Check(STOP, text)] if lacking else []
 
@@ -351,10 +335,10 @@ def _shared_id(motor: InspectedMotor) -> Iterator[Check]:
 
 def _identity(motor: InspectedMotor, joint: DamiaoJoint) -> Iterator[Check]:
     yield from _shared_id(motor)
-    found = int(motor.registers[ESC_ID])
+    found = int(motor.registers[reg.ESC_ID])
     if found != joint.can_id:
         yield Check(STOP, f"{motor.name} says that its CAN id is {found}; power-cycle it")
-    stored = int(motor.registers[MST_ID])
+    stored = int(motor.registers[reg.MST_ID])
     if stored != joint.master_id or set(motor.reply_ids) != {joint.master_id}:
         answers = ", ".join(f"{i:#x}" for i in sorted(set(motor.reply_ids)))
         yield Check(
@@ -365,9 +349,9 @@ def _identity(motor: InspectedMotor, joint: DamiaoJoint) -> Iterator[Check]:
 
 
 def _mode(motor: InspectedMotor) -> Iterator[Check]:
-    mode = int(motor.registers[CTRL_MODE])
-    if mode != MIT_MODE:
-        said = MODES.get(mode, "unknown")
+    mode = int(motor.registers[reg.CTRL_MODE])
+    if mode != reg.MIT_MODE:
+        said = reg.MODES.get(mode, "unknown")
         yield Check(STOP, f"{motor.name} is in mode {mode} ({said}); set CTRL_MODE to 1 (MIT)")
 
 
@@ -391,7 +375,7 @@ def _scaling(motor: InspectedMotor, joint: DamiaoJoint, allowed: Permissions) ->
 def _watchdog(
     motor: InspectedMotor, settings: PlaySettings, allowed: Permissions
 ) -> Iterator[Check]:
-    name, stored = motor.name, motor.registers[TIMEOUT] * TIMEOUT_UNIT
+    name, stored = motor.name, motor.registers[reg.TIMEOUT] * reg.TIMEOUT_UNIT
     timeout = stored if allowed.watchdog is None else allowed.watchdog
     if timeout == 0.0:
         text = f"{name} has no watchdog: it would go on for ever if this program died"
@@ -415,10 +399,10 @@ def _state(motor: InspectedMotor, settings: PlaySettings) -> Iterator[Check]:
         yield Check(STOP, f"{name} does not tell its state; its firmware may be too old")
         return
     code = int(motor.feedback.status[0])
-    if code == ENABLED:
+    if code == reg.ENABLED:
         yield Check(STOP, f"{name} is enabled already; end the program that uses it")
-    elif code != DISABLED:
-        text = f"{name} reports {describe(code)}; find the cause, then clear it or power-cycle"
+    elif code != reg.DISABLED:
+        text = f"{name} reports {reg.describe(code)}; find the cause, then clear it or power-cycle"
         yield Check(STOP, text)
     hot = int(max(motor.feedback.temperature_mos[0], motor.feedback.temperature_rotor[0]))
     if hot > settings.start_temperature:
@@ -449,8 +433,7 @@ def _near_start(
     scan: TrajectoryScan,
     settings: PlaySettings,
 ) -> Iterator[Check]:
-    found = [m.feedback.position[0] if m.feedback else np.nan for m in motors]
-    places = JointSpace.of(joints).joint_position(np.array(found))
+    places = JointSpace.of(joints).joint_position(np.array([m.position for m in motors]))
     for joint, here, first in zip(joints, places, scan.first):
         if abs(here - first) > settings.start_tolerance:
             turn = ""

@@ -15,26 +15,13 @@ from robot_sysid.damiao.bus.clock import Clock
 from robot_sysid.damiao.bus.inspection import InspectedMotor
 from robot_sysid.damiao.bus.link import GuardedLink
 from robot_sysid.damiao.bus.register_client import RegisterClient
+from robot_sysid.damiao.protocol import registers as reg
 from robot_sysid.damiao.protocol.codec import Scaling, decode_feedback
 from robot_sysid.damiao.protocol.frames import (
     Address,
     clear_error_frame,
     set_zero_frame,
     store_frame,
-)
-from robot_sysid.damiao.protocol.registers import (
-    BIT_RATES,
-    CAN_BR,
-    CTRL_MODE,
-    DISABLED,
-    ESC_ID,
-    MIT_MODE,
-    MST_ID,
-    TIMEOUT,
-    TIMEOUT_UNIT,
-    describe,
-    is_fault,
-    text_of,
 )
 from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.records.options import OptionRecord, option
@@ -56,7 +43,9 @@ def _watchdog(value: float) -> str | None:
 
 
 def _bit_rate(value: int) -> str | None:
-    return None if value in BIT_RATES else f"must be one of {', '.join(map(str, BIT_RATES))}"
+    return (
+        None if value in reg.BIT_RATES else f"must be one of {', '.join(map(str, reg.BIT_RATES))}"
+    )
 
 
 def _whole(text: str) -> int:
@@ -130,16 +119,16 @@ class MotorSetup:
         if asked.clear_error:
             yield self._cleared()
         if asked.mit:
-            yield self._written(CTRL_MODE, MIT_MODE)
+            yield self._written(reg.CTRL_MODE, reg.MIT_MODE)
         if asked.watchdog is not None:
-            yield self._written(TIMEOUT, float(round(asked.watchdog / TIMEOUT_UNIT)))
+            yield self._written(reg.TIMEOUT, float(round(asked.watchdog / reg.TIMEOUT_UNIT)))
         if asked.set_zero:
             yield self._zeroed(sure)
         if asked.new_master_id is not None:
-            yield self._written(MST_ID, asked.new_master_id)
+            yield self._written(reg.MST_ID, asked.new_master_id)
             self._master = asked.new_master_id
         if asked.new_id is not None:
-            yield self._written(ESC_ID, asked.new_id)
+            yield self._written(reg.ESC_ID, asked.new_id)
             self._address = Address(self._address.bus, asked.new_id)
         if asked.store and asked.motor_bitrate is None:
             yield self._stored()
@@ -147,7 +136,7 @@ class MotorSetup:
             yield from self._at_another_bit_rate(asked)
 
     def _at_another_bit_rate(self, asked: SetupOptions) -> Iterator[str]:
-        yield self._written(CAN_BR, BIT_RATES[asked.motor_bitrate or 0], read_back=False)
+        yield self._written(reg.CAN_BR, reg.BIT_RATES[asked.motor_bitrate or 0], read_back=False)
         if asked.store:
             yield "not stored: open the bus at the new bit rate and give --store again"
 
@@ -158,18 +147,18 @@ class MotorSetup:
             self._client.write(self._address, register, value)
         else:
             self._client.tell(self._address, register, value)
-        old = "unknown" if before is None else text_of(register, before.value)
-        return f"{self._motor.name}: {old} is now {text_of(register, value)}"
+        old = "unknown" if before is None else reg.text_of(register, before.value)
+        return f"{self._motor.name}: {old} is now {reg.text_of(register, value)}"
 
     def _cleared(self) -> str:
         before = self._status()
-        if not is_fault(before):
-            return f"{self._motor.name} has no error to clear ({describe(before)})"
+        if not reg.is_fault(before):
+            return f"{self._motor.name} has no error to clear ({reg.describe(before)})"
         self._link.send(clear_error_frame(self._address))
         after = self._status()
-        if is_fault(after):
-            raise HardwareAbort(f"{self._motor.name} still reports {describe(after)}")
-        return f"{self._motor.name}: {describe(before)} is cleared"
+        if reg.is_fault(after):
+            raise HardwareAbort(f"{self._motor.name} still reports {reg.describe(after)}")
+        return f"{self._motor.name}: {reg.describe(before)} is cleared"
 
     def _zeroed(self, sure: Callable[[str], bool]) -> str:
         before = self._position()
@@ -193,7 +182,7 @@ class MotorSetup:
 
     def _require_off(self) -> None:
         status = self._status()
-        if status != DISABLED and not is_fault(status):
+        if status != reg.DISABLED and not reg.is_fault(status):
             raise HardwareAbort(
                 f"{self._motor.name} is enabled; end the program that uses it, nothing was changed"
             )

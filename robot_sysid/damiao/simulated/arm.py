@@ -114,14 +114,7 @@ class SimulatedArm:
         table = np.array([(m.p, m.v, m.kp, m.kd, m.t, m.brake, m.peak_torque) for m in motors])
         driving = np.array([m.driving for m in motors])
         *told, brake, peak = table.T
-        joints = self._space.from_motors(MitCommand(*told))
-        self._p, v, kp, kd, t = (
-            joints.position,
-            joints.velocity,
-            joints.kp,
-            joints.kd,
-            joints.torque,
-        )
+        self._p, v, kp, kd, t = self._space.from_motors(MitCommand(*told))
         self._peak = peak * self._space.ratio
         self._kd = np.where(driving, kd, brake)
         self._offset = np.where(driving, kd * v + t, 0.0)

@@ -12,43 +12,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from robot_sysid.damiao.protocol import frames
+from robot_sysid.damiao.protocol import registers as reg
 from robot_sysid.damiao.protocol.codec import Feedback, Scaling, decode_mit, encode_feedback
-from robot_sysid.damiao.protocol.frames import (
-    CLEAR_ERROR,
-    DISABLE,
-    ENABLE,
-    READ,
-    REFRESH,
-    REGISTER_ID,
-    SET_ZERO,
-    STORE,
-    WRITE,
-    Frame,
-    is_special,
-)
 from robot_sysid.damiao.protocol.motors import MotorSpec
-from robot_sysid.damiao.protocol.registers import (
-    CAN_BR,
-    CTRL_MODE,
-    DISABLED,
-    ENABLED,
-    ESC_ID,
-    FD_BITRATE_CODES_ABOVE,
-    GR,
-    LOST_COMMUNICATION,
-    MIT_MODE,
-    MST_ID,
-    PMAX,
-    TIMEOUT,
-    TIMEOUT_UNIT,
-    TMAX,
-    VMAX,
-    bytes_from_value,
-    is_fault,
-    value_from_bytes,
-)
 
-_WRITABLE = (MST_ID, ESC_ID, TIMEOUT, CTRL_MODE, PMAX, VMAX, TMAX, CAN_BR)
 DEFAULT_WATCHDOG = 0.1
 
 
@@ -79,7 +47,7 @@ class SimulatedMotor:
     registers: dict[int, float]
     peak_torque: float
     brake: float
-    status: int = DISABLED
+    status: int = reg.DISABLED
     position: float = 0.0
     velocity: float = 0.0
     torque: float = 0.0
@@ -97,37 +65,37 @@ class SimulatedMotor:
     velocity_factor: float = 1.0
     torque_factor: float = 1.0
     slip: float = 0.0
-    write_echo: int = WRITE
+    write_echo: int = frames.WRITE
     stored: dict[int, float] = field(default_factory=dict)
     bus: int = 0
     direction: int = 1
     offset: float = 0.0
     torque_ratio: float = 1.0
-    _scaling: tuple[tuple[float, float, float], Scaling] | None = field(default=None, repr=False)
+    _scaling: tuple[tuple[float, ...], Scaling] | None = field(default=None, repr=False)
 
     @property
     def can_id(self) -> int:
         """Id it listens to."""
-        return int(self.registers[ESC_ID])
+        return int(self.registers[reg.ESC_ID])
 
     @property
     def scaling(self) -> Scaling:
         """How it reads and writes frames."""
-        limits = self.registers[PMAX], self.registers[VMAX], self.registers[TMAX]
+        limits = tuple(self.registers[number] for number in reg.SCALING)
         if self._scaling is None or self._scaling[0] != limits:
-            self._scaling = limits, Scaling.from_limits([limits])
+            self._scaling = limits, Scaling(*np.array(limits)[:, None])
         return self._scaling[1]
 
     @property
     def driving(self) -> bool:
         """Whether it follows commands."""
-        return self.status == ENABLED
+        return self.status == reg.ENABLED
 
     def tick(self, time: float) -> bool:
         """Check the watchdog; return whether the motor has just stopped driving."""
-        timeout = self.registers[TIMEOUT] * TIMEOUT_UNIT
+        timeout = self.registers[reg.TIMEOUT] * reg.TIMEOUT_UNIT
         if self.driving and 0.0 < timeout < time - self.fed_at:
-            self.fail(LOST_COMMUNICATION)
+            self.fail(reg.LOST_COMMUNICATION)
             return True
         return False
 
@@ -136,11 +104,11 @@ class SimulatedMotor:
         self.status = code
         self._forget_command()
 
-    def handle(self, frame: Frame, time: float) -> Frame | None:
+    def handle(self, frame: frames.Frame, time: float) -> frames.Frame | None:
         """Take a frame from the bus and return the answer, if there is one."""
         if self.silent or len(frame.data) < 4 or frame.bus != self.bus:
             return None
-        if frame.id == REGISTER_ID:
+        if frame.id == frames.REGISTER_ID:
             data = self._register_answer(frame.data)
         elif frame.id & 0xFF == self.can_id & 0xFF and len(frame.data) == 8:
             data = self._command_answer(frame.data, time)
@@ -148,53 +116,53 @@ class SimulatedMotor:
             return None
         if data is None or self.loses_replies:
             return None
-        fd = self.registers[CAN_BR] > FD_BITRATE_CODES_ABOVE
-        return Frame(int(self.registers[MST_ID]), data, fd=fd, bus=self.bus)
+        fd = self.registers[reg.CAN_BR] > reg.FD_BITRATE_CODES_ABOVE
+        return frames.Frame(int(self.registers[reg.MST_ID]), data, fd=fd, bus=self.bus)
 
     def _command_answer(self, data: bytes, time: float) -> bytes:
         self.fed_at = time
-        if is_special(data):
+        if frames.is_special(data):
             self._special(data[7])
             return self._feedback()
         # The answer to a command is the state before it acts.
         answer = self._feedback()
-        if self.driving and self.registers[CTRL_MODE] == MIT_MODE:
+        if self.driving and self.registers[reg.CTRL_MODE] == reg.MIT_MODE:
             self._take_command(data)
         return answer
 
     def _take_command(self, data: bytes) -> None:
         raw = np.frombuffer(data, dtype=np.uint8)[None]
         command = decode_mit(raw, self.scaling)
-        self.p, self.v = float(command.position[0]), float(command.velocity[0])
-        self.kp, self.kd = float(command.kp[0]), float(command.kd[0])
-        self.t = float(command.torque[0])
+        self.p, self.v, self.kp, self.kd, self.t = (float(value[0]) for value in command)
 
     def _special(self, code: int) -> None:
-        if is_fault(self.status) and code != CLEAR_ERROR:
+        if reg.is_fault(self.status) and code != frames.CLEAR_ERROR:
             return
-        if code == ENABLE:
-            self.status = ENABLED
-        elif code == SET_ZERO and not self.driving:
+        if code == frames.ENABLE:
+            self.status = reg.ENABLED
+        elif code == frames.SET_ZERO and not self.driving:
             self.slip -= self.position + self.slip
-        elif code in (DISABLE, CLEAR_ERROR):
-            self.status = DISABLED
+        elif code in (frames.DISABLE, frames.CLEAR_ERROR):
+            self.status = reg.DISABLED
             self._forget_command()
 
     def _register_answer(self, data: bytes) -> bytes | None:
         if data[0] | data[1] << 8 != self.can_id:
             return None
         operation, number = data[2], data[3]
-        if operation == REFRESH:
+        if operation == frames.REFRESH:
             return self._feedback()
-        if operation == STORE and not self.driving:
+        if operation == frames.STORE and not self.driving:
             self.stored = dict(self.registers)
             return data
-        if operation not in (READ, WRITE) or number not in self.registers:
+        if operation not in (frames.READ, frames.WRITE) or number not in self.registers:
             return None
-        if operation == WRITE and number in _WRITABLE:
-            self.registers[number] = value_from_bytes(number, data[4:8])
-        echo = self.write_echo if operation == WRITE else READ
-        return data[:2] + bytes([echo, number]) + bytes_from_value(number, self.registers[number])
+        if operation == frames.WRITE and number in reg.WRITABLE:
+            self.registers[number] = reg.value_from_bytes(number, data[4:8])
+        echo = self.write_echo if operation == frames.WRITE else frames.READ
+        return (
+            data[:2] + bytes([echo, number]) + reg.bytes_from_value(number, self.registers[number])
+        )
 
     def _feedback(self) -> bytes:
         one = np.ones(1)
@@ -217,14 +185,15 @@ def simulated_motor(
     spec: MotorSpec, can_id: int, master_id: int, watchdog: float = DEFAULT_WATCHDOG
 ) -> SimulatedMotor:
     """Return a motor as it leaves the factory, apart from ids and watchdog [s]."""
-    peak = spec.peak_torque or spec.torque_limit
-    gear = spec.gear_ratio or 1.0
+    peak, gear = spec.strongest, spec.gear_ratio or 1.0
     registers: dict[int, float] = {
         0: 15.0, 1: 0.0, 2: 100.0, 3: 0.8, 11: 1.96e-4, 12: 1.97e-5, 14: 5013.0, 16: 14.0,
-        17: 0.84, 19: 5.16e-3, 29: 32.0, 30: 1.0, CAN_BR: 4.0, GR: gear,
-        MST_ID: float(master_id), ESC_ID: float(can_id), CTRL_MODE: float(MIT_MODE),
-        TIMEOUT: float(round(watchdog / TIMEOUT_UNIT)),
+        17: 0.84, 19: 5.16e-3, 29: 32.0, 30: 1.0, reg.CAN_BR: 4.0, reg.GR: gear,
+        reg.MST_ID: float(master_id), reg.ESC_ID: float(can_id), reg.CTRL_MODE: float(reg.MIT_MODE),
+        reg.TIMEOUT: float(round(watchdog / reg.TIMEOUT_UNIT)),
     }  # fmt: skip
-    registers.update(zip((PMAX, VMAX, TMAX), np.array(spec.limits, np.float32).tolist()))
+    registers.update(
+        zip((reg.PMAX, reg.VMAX, reg.TMAX), np.array(spec.limits, np.float32).tolist())
+    )
     # Shorted windings brake strongly: a full peak torque sinks at about 2 rad/s.
     return SimulatedMotor(registers, peak, brake=0.5 * peak)
