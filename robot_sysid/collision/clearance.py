@@ -4,10 +4,10 @@ MuJoCo finds every pair of geoms nearer than a margin, with distance, point and 
 are tested against the extreme point of each geom. The gradient of a distance is the relative
 velocity of the two nearest points along the normal, per unit joint rate.
 
-Links next to each other that overlap at rest do so by design of the model and are ignored. Any
-other pair that touches at rest may never get deeper, and one that is deep inside each other there
-is a collision. A pair that is apart at rest but nearer than the clearance must keep half that
-distance.
+Links next to each other that overlap at rest, and links that overlap whatever the joints between
+them do, do so by design of the model and are ignored. Any other pair that touches at rest may never
+get deeper, and one that is deep inside each other there is a collision. A pair that is apart at
+rest but nearer than the clearance must keep half that distance.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from robot_sysid.collision.halfspaces import HalfSpace, HalfSpaces
 from robot_sysid.collision.obstacles import Closest, RestPairs, Slack
 from robot_sysid.dynamics.spatial import cross
 from robot_sysid.model.chain import body_label
-from robot_sysid.model.contacts import neighbours
+from robot_sysid.model.contacts import ContactFinder, joint_ranges, neighbours
 from robot_sysid.records import Array, RobotModel
 
 HORIZON = 0.05
@@ -181,13 +181,17 @@ class Clearance:
 
         Bodies of one part do not move against each other.
         """
-        part, next_to = self._bounds.part, neighbours(self._model)
+        part, distances = self._bounds.part, self._distances()
+        by_design = neighbours(self._model)
+        deep = [p for p, distance in distances.items() if distance < 0.0 and not by_design[p]]
+        for a, b in ContactFinder(self._robot).inseparable(deep) if deep else ():
+            by_design[a, b] = True
         self._required[part[:, None] == part] = -np.inf
         found: dict[str, list[str]] = {kind: [] for kind in ("ignored", "deep", "touching", "near")}
-        for (a, b), distance in self._distances().items():
+        for (a, b), distance in distances.items():
             if part[a] == part[b]:
                 continue
-            kind, required = _settled(distance, clearance, bool(next_to[a, b]))
+            kind, required = _settled(distance, clearance, bool(by_design[a, b]))
             self._required[a, b] = self._required[b, a] = required
             apart = "apart" if distance > 0.0 else "deep"
             if kind:
@@ -210,7 +214,7 @@ class Clearance:
         most collision tests. Returns the least distance of those dropped.
         """
         least = np.full_like(self._required, np.inf)
-        for joint, (low, high) in enumerate(zip(*_range(self._robot))):
+        for joint, (low, high) in enumerate(zip(*joint_ranges(self._robot))):
             nearest = self._sweep(rest, joint, np.linspace(low, high, _NEIGHBOUR_POSTURES), least)
             about = (high - low) / _NEIGHBOUR_POSTURES * np.linspace(-1.0, 1.0, _FINER)
             self._sweep(rest, joint, np.clip(nearest + about, low, high), least)
@@ -297,20 +301,11 @@ def _with_margin(mj_model: Any, margin: float) -> Any:
     return model
 
 
-def _range(robot: RobotModel) -> tuple[Array, Array]:
-    """Return the positions (n,), (n,) between which each joint can be; a turn where unlimited."""
-    lower, upper = robot.limits.lower, robot.limits.upper
-    return (
-        np.where(np.isfinite(lower), lower, robot.reference - np.pi),
-        np.where(np.isfinite(upper), upper, robot.reference + np.pi),
-    )
-
-
-def _settled(distance: float, clearance: float, are_neighbours: bool) -> tuple[str, float]:
+def _settled(distance: float, clearance: float, by_design: bool) -> tuple[str, float]:
     """Return what a pair with this distance at rest is called, and the distance it has to keep."""
     if distance > 0.0:
         return ("near" if KEPT_SHARE * distance < clearance else ""), _kept(distance, clearance)
-    if are_neighbours:
+    if by_design:
         return "ignored", -np.inf
     if distance < -DEEPEST_TOUCH:
         return "deep", clearance

@@ -299,7 +299,10 @@ def _obstacles(
 def _rest_notes(pairs: RestPairs) -> Iterator[str]:
     if pairs.ignored:
         listed = "; ".join(pairs.ignored)
-        yield f"links next to each other that overlap at rest are not looked at: {listed}"
+        yield (
+            "links that overlap by design, next to each other or in every position, are not "
+            f"looked at: {listed}"
+        )
     if pairs.touching:
         yield f"touching already at rest, and never to get deeper: {'; '.join(pairs.touching)}"
     if pairs.near:

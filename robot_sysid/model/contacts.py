@@ -6,8 +6,9 @@ out of their joint's housing does not matter. Any other two bodies that touch ar
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from functools import partial
+from itertools import product
 from typing import Any
 
 import mujoco
@@ -21,6 +22,18 @@ from robot_sysid.records import Array, Motion, RobotModel
 
 CHECK_RATE_HZ = 40.0
 """How often a trajectory is checked; at 2 rad/s and 0.5 m that is every 25 mm."""
+
+_POSITIONS, _JOINTS_BETWEEN = 7, 3
+"""Positions of each joint that tell whether two bodies can part; at most so many joints apart."""
+
+
+def joint_ranges(robot: RobotModel) -> tuple[Array, Array]:
+    """Return the positions (n,), (n,) between which each joint can be; a turn where unlimited."""
+    lower, upper = robot.limits.lower, robot.limits.upper
+    return (
+        np.where(np.isfinite(lower), lower, robot.reference - np.pi),
+        np.where(np.isfinite(upper), upper, robot.reference + np.pi),
+    )
 
 
 def parts_of(robot: RobotModel) -> NDArray[np.int64]:
@@ -69,7 +82,29 @@ class ContactFinder:
     def collisions_at_rest(self) -> set[tuple[int, int]]:
         """Return pairs of body ids that touch at rest though neither carries the other."""
         next_to = neighbours(self._model)
-        return {pair for pair in self._at_rest if not next_to[pair]}
+        apart = {pair for pair in self._at_rest if not next_to[pair]}
+        return apart - self.inseparable(apart)
+
+    def inseparable(self, pairs: Collection[tuple[int, int]]) -> set[tuple[int, int]]:
+        """Return those of the pairs of body ids that touch whatever the joints between them do.
+
+        That is how a model is drawn (MuJoCo takes the convex hull of a mesh), not a collision: no
+        position would be free of it. What stands beside the arm is no part of that drawing.
+        """
+        return {pair for pair in pairs if self._never_part(pair)}
+
+    def _never_part(self, pair: tuple[int, int]) -> bool:
+        first, last = sorted(int(self._part[body]) for body in pair)
+        first_root, second_root = self._model.body_rootid[list(pair)]
+        if last - first > _JOINTS_BETWEEN or first_root != second_root:
+            return False
+        low, high = (ends[first:last] for ends in joint_ranges(self._robot))
+        q = self._robot.reference.copy()
+        for q[first:last] in product(*np.linspace(low, high, _POSITIONS).T):
+            self._data.qpos[self._robot.qpos_index] = q
+            if pair not in self._touching():
+                return False
+        return True
 
     def new_pairs(self, q: Array) -> set[tuple[int, int]]:
         """Return pairs of body ids that touch at chain positions q (n,) but not at rest."""

@@ -124,6 +124,24 @@ def test_links_next_to_each_other_that_overlap_at_rest_are_ignored_and_listed():
     assert found.slack(arm.reference[None]).value[0] > 0.0
 
 
+@pytest.mark.parametrize("offset, is_by_design", [(0.05, True), (0.18, False)])
+def test_links_that_overlap_whatever_the_joints_do_are_no_collision(offset, is_by_design):
+    """A ball wrist: the third link turns inside the first one, or swings out of it."""
+    ball = f'<geom size=".1" pos="{offset} 0 0"/>'
+    tip = link(hinge("roll", X, 'range="-3 3"'), ball, "tip", pos="0 0 0")
+    cross = link(hinge("bend", Y, 'range="-3 3"'), tip, "cross", pos="0 0 0")
+    socket = '<geom size=".1" pos=".05 0 0"/>' + cross
+    found = clearance_of(world(link(hinge("turn", Z), socket, "socket", pos="0 0 0")))
+    assert len(found.at_rest.ignored) == is_by_design
+    assert len(found.at_rest.deep) == (not is_by_design)
+
+
+def test_what_stands_beside_the_arm_is_a_collision_in_every_position():
+    block = '<body name="block"><geom type="box" size=".5 .5 .04"/></body>'
+    arm = link(hinge("spin", Z), '<geom size=".1"/>' + link(hinge("tip", X), pos="0 0 .5"))
+    assert len(clearance_of(world(arm.replace("0 .02 .25", "0 0 0") + block)).at_rest.deep) == 1
+
+
 def test_negative_slack_wherever_the_contact_finder_sees_a_contact():
     arm, found = robot(TUBES_AND_POST), clearance_of(TUBES_AND_POST)
     finder, rng = ContactFinder(arm), np.random.default_rng(5)

@@ -33,26 +33,29 @@ def startable(problem: ExcitationProblem) -> ExcitationProblem:
     The model's own pose where that will do, else one near it, which a note then says.
 
     Raises:
-        InputError: the arm is in a collision at rest, or too weak for any pose; says which joint.
+        InputError: no pose is free of collisions and held; says which bodies, or which joint.
     """
     collisions = problem.obstacles.at_rest.deep
-    if collisions:
-        raise InputError(
-            f"no trajectory may start in a collision: at rest, {'; '.join(collisions)}; choose "
-            "another start with --keyframe or in the model, or write <exclude body1= body2=> "
-            "under its <contact> if these parts cannot meet"
-        )
     share = _needed(problem, problem.rest[None])[0]
     worst = int(np.argmax(share))
-    if share[worst] < 1.0:
+    if share[worst] < 1.0 and not collisions:
         return problem
-    start, reason = _pose_to_hold(problem), _too_heavy(problem, worst, share[worst])
+    if collisions:
+        reason = f"at rest the model is in a collision: {'; '.join(collisions)}"
+        remedy = (
+            "choose another start with --keyframe or in the model, or write <exclude body1= "
+            "body2=> under its <contact> if these parts cannot meet"
+        )
+    else:
+        reason = _too_heavy(problem, worst, share[worst])
+        joint = problem.joint_names[worst]
+        remedy = f"give --ignore-torque-limit {joint} if the joint can carry it"
+    start = _pose_to_hold(problem)
     if start is None:
-        tried, name = POSES * (1 + len(SPREADS)), problem.joint_names[worst]
+        tried = POSES * (1 + len(SPREADS))
         raise InputError(
             f"no trajectory is feasible: {reason}, and none of {tried} other poses within the "
-            "limits is held by all joints and touches nothing; give --ignore-torque-limit "
-            f"{name} if the joint can carry it"
+            f"limits is held by all joints and touches nothing; {remedy}"
         )
     note = f"{reason}; the motion starts and ends at another pose"
     return replace(problem, rest=start, notes=(*problem.notes, note))

@@ -49,10 +49,18 @@ def test_a_start_that_can_be_held_stays_as_it_is():
     assert startable(some) is some
 
 
-def test_a_start_in_a_collision_is_refused_with_both_names():
-    shelf = tube_arm((Z, Y, X, Y), SHELF.format(TOP))
-    with pytest.raises(InputError, match=r"start in a collision: at rest, link3 and shelf \(10 mm"):
-        startable(problem(shelf))
+def test_a_motion_starts_where_nothing_collides():
+    some = problem(tube_arm((Z, Y, X, Y), SHELF.format(TOP)))
+    found = startable(some)
+    (note,) = set(found.notes) - set(some.notes)
+    assert "at rest the model is in a collision: link3 and shelf (10 mm deep)" in note
+    assert some.obstacles.slack_at(some.rest)[0] < 0.0 <= found.obstacles.slack_at(found.rest)[0]
+
+
+def test_where_every_pose_collides_the_bodies_are_named():
+    room = '<body name="block"><geom type="box" size="2 2 .5" pos="0 0 .75"/></body>'
+    with pytest.raises(InputError, match=r"in a collision: link0 and block.*touches nothing; ch"):
+        startable(problem(tube_arm((Z, Y, X, Y), room)))
 
 
 def test_a_pair_that_grazes_at_rest_is_named_and_may_start():
