@@ -64,7 +64,7 @@ def asset_folders(document: ModelDocument, mesh_dir: Path | None = None) -> Asse
     """Return where the assets of an MJCF document are; ``mesh_dir`` replaces its meshdir."""
     mesh = texture = "."
     strip = False
-    for compiler in (n for n in document.root.children() if n.tag == "compiler"):
+    for compiler in document.compilers():
         both = compiler.get("assetdir")
         mesh = compiler.get("meshdir") or both or mesh
         texture = compiler.get("texturedir") or both or texture

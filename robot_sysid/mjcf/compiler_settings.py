@@ -19,15 +19,8 @@ ROUNDING = 1e-9
 
 def setting(document: ModelDocument, name: str) -> str | None:
     """Return a compiler attribute; the last one in the file counts."""
-    values = [node.get(name) for node in compilers(document) if node.get(name)]
+    values = [node.get(name) for node in document.compilers() if node.get(name)]
     return values[-1] if values else None
-
-
-def compilers(document: ModelDocument) -> list[Node]:
-    """Return the compiler elements of an MJCF or of a URDF's ``<mujoco>`` part."""
-    tops = list(document.root.children())
-    inside = [n for top in tops if top.tag == "mujoco" for n in top.children()]
-    return [node for node in (*tops, *inside) if node.tag == "compiler"]
 
 
 def bound_inertia(document: ModelDocument) -> float:
@@ -71,7 +64,7 @@ def inertia_from_geometry_edits(
     """
     if setting(document, "inertiafromgeom") != "true":
         return
-    for node in compilers(document):
+    for node in document.compilers():
         if node.get("inertiafromgeom"):
             span = node.file.span(node.element)
             yield node, markup.set_attribute(node.file.text, span, "inertiafromgeom", "auto")

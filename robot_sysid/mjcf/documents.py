@@ -106,6 +106,10 @@ class Node:
         for child in self.children():
             yield from child.walk()
 
+    def holds(self, other: Node) -> bool:
+        """Tell whether an element is this one or below it."""
+        return any(node.element is other.element for node in self.walk())
+
 
 @dataclass(frozen=True)
 class ModelDocument:
@@ -147,6 +151,13 @@ class ModelDocument:
     def walk(self) -> Iterator[Node]:
         """Yield all elements of the expanded model in document order."""
         return self.root.walk()
+
+    def compilers(self) -> list[Node]:
+        """Return the compiler elements; those of a URDF stand in its ``<mujoco>`` part."""
+        tops = list(self.root.children())
+        if self.kind == "urdf":
+            tops = [node for top in tops if top.tag == "mujoco" for node in top.children()]
+        return [node for node in tops if node.tag == "compiler"]
 
 
 def local_name(element: Any) -> str:

@@ -75,14 +75,9 @@ def inertial_edit(body: Node, inertial: str) -> tuple[Node, Edit]:
         span = old.file.span(old.element)
         return old, Edit(span.start, span.end, inertial.encode())
     text, span = body.file.text, body.file.span(body.element)
-    if span.is_empty_tag:
-        opened = text[span.start : span.end - 2].rstrip() + b">"
-        name = re.match(rb"<([^\s/>]+)", opened)
-        assert name is not None
-        whole = opened + inertial.encode() + b"</" + name.group(1) + b">"
-        return body, Edit(span.start, span.end, whole)
     indent = markup.line_break(text) + markup.indentation(text, span.start) + b"  "
-    return body, Edit(span.inner_start, span.inner_start, indent + inertial.encode())
+    before = b"" if span.is_empty_tag else indent
+    return body, markup.insert_child(text, span, before + inertial.encode())
 
 
 def comment_edit(body: Node, label: str, rmse: float, addition: str | None) -> Edit:
@@ -122,8 +117,7 @@ def find_body(document: ModelDocument, label: str) -> Node:
     if len(named) > 1:
         raise ExportError(f"{document.path}: body '{label}' stands in the file {len(named)} times")
     node = named[0] if named else _by_number(document, label)
-    repeated = [n for n in _replicates(document) if _contains(n, node)]
-    if repeated:
+    if any(n.tag == "replicate" and n.holds(node) for n in document.walk()):
         raise ExportError(
             f"{document.path}: body '{label}' is repeated by a <replicate>, so its inertia cannot "
             "be changed alone; write its copies out"
@@ -157,11 +151,3 @@ def _bodies_and_multipliers(document: ModelDocument) -> Iterator[Node]:
     for section in document.root.children():
         if section.tag == "worldbody":
             yield from (n for n in section.walk() if n.tag in ("body", *MULTIPLIERS))
-
-
-def _replicates(document: ModelDocument) -> Iterator[Node]:
-    return (node for node in document.walk() if node.tag == "replicate")
-
-
-def _contains(outer: Node, inner: Node) -> bool:
-    return any(node.element is inner.element for node in outer.walk())

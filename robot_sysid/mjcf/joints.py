@@ -124,7 +124,7 @@ def find_joint(document: ModelDocument, label: str) -> Node:
         raise ExportError(f"{document.path}: joint '{label}' stands in the file {len(named)} times")
     if not named and by_number and document.kind == "mjcf" and not _multipliers(document):
         named = joints[int(by_number.group(1)) :][:1]
-    repeated = [n for n in _multipliers(document) if named and _inside(n, named[0])]
+    repeated = [n for n in _multipliers(document) if named and n.holds(named[0])]
     if not named or repeated:
         raise ExportError(
             f"{document.path}: joint '{label}' is not written out in the file (it comes from an "
@@ -160,7 +160,3 @@ def _without_frames(body: Node) -> Iterator[Node]:
 
 def _multipliers(document: ModelDocument) -> list[Node]:
     return [node for node in document.walk() if node.tag in MULTIPLIERS]
-
-
-def _inside(outer: Node, inner: Node) -> bool:
-    return any(node.element is inner.element for node in outer.walk())

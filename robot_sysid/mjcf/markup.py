@@ -112,16 +112,22 @@ def remove_attribute(text: bytes, span: Span, name: str) -> Edit | None:
     return Edit(start, found.end(), b"")
 
 
+def insert_child(text: bytes, span: Span, child: bytes) -> Edit:
+    """Return the edit that puts text first into an element."""
+    if not span.is_empty_tag:
+        return Edit(span.inner_start, span.inner_start, child)
+    opened = text[span.start : span.end - 2].rstrip() + b">"
+    name = _TAG_NAME.match(opened)
+    assert name is not None
+    return Edit(span.start, span.end, opened + child + b"</" + name.group(1) + b">")
+
+
 def append_child(text: bytes, span: Span, child: str) -> Edit:
     """Return the edit that puts lines of text last into an element, indented one step deeper."""
     indent = line_break(text) + indentation(text, span.start)
     lines = b"".join(indent + b"  " + line.encode() for line in child.split("\n"))
     if span.is_empty_tag:
-        opened = text[span.start : span.end - 2].rstrip() + b">"
-        name = _TAG_NAME.match(opened)
-        assert name is not None
-        closed = indent + b"</" + name.group(1) + b">"
-        return Edit(span.start, span.end, opened + lines + closed)
+        return insert_child(text, span, lines + indent)
     end = len(text[span.inner_start : span.inner_end].rstrip()) + span.inner_start
     return Edit(end, end, lines + (indent if end == span.inner_end else b""))
 

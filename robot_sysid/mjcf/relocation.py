@@ -46,7 +46,7 @@ def relocated_text(
         for file in document.files
         if folder is None or not file.is_utf8 or _needs_folder(file, needing)
     }
-    writer = _Writer(folder, inlined | set(inline), {})
+    writer = _Writer(folder, inlined | set(inline))
     for path, edits in (extra or {}).items():
         writer.add(path, edits)
     folders = asset_folders(document, mesh_dir)
@@ -62,13 +62,12 @@ def bundled_text(document: ModelDocument, names: Mapping[Path, str]) -> bytes:
         document: the model; all that it includes is inlined.
         names: asset file to its copy's path, relative to the text.
     """
-    writer = _Writer(None, {file.path for file in document.files}, {})
+    writer = _Writer(None, {file.path for file in document.files})
     for asset in find_assets(document):
         if asset.path is not None:
             writer.set_attributes(asset.node, {asset.attribute: names[asset.path]})
-    for node in document.root.children():
-        if node.tag == "compiler":
-            writer.set_attributes(node, dict.fromkeys(_FOLDER_ATTRIBUTES))
+    for node in document.compilers():
+        writer.set_attributes(node, dict.fromkeys(_FOLDER_ATTRIBUTES))
     return utf8_declaration(writer.text(document.main))
 
 
@@ -90,12 +89,9 @@ def reference(target: Path, folder: Path | None) -> str:
 class _Writer:
     """Collects edits per file and writes the main file out."""
 
-    def __init__(
-        self, folder: Path | None, inlined: set[Path], edits: dict[Path, list[Edit]]
-    ) -> None:
-        self.folder = folder
-        self._inlined = inlined
-        self._edits = edits
+    def __init__(self, folder: Path | None, inlined: set[Path]) -> None:
+        self.folder, self._inlined = folder, inlined
+        self._edits: dict[Path, list[Edit]] = {}
 
     def add(self, path: Path, edits: Collection[Edit | None]) -> None:
         self._edits.setdefault(path, []).extend(edit for edit in edits if edit is not None)
@@ -177,7 +173,7 @@ def _move_folders(
         "meshdir": reference(folders.mesh, writer.folder),
         "texturedir": reference(folders.texture, writer.folder),
     }
-    compilers = [node for node in document.root.children() if node.tag == "compiler"]
+    compilers = document.compilers()
     for node in compilers:
         writer.set_attributes(node, _new_folder_attributes(node, places))
     needed = {"meshdir"} if tags - {"texture", "model"} else set()

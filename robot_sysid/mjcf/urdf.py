@@ -58,7 +58,7 @@ def _use_absolute_meshes(
     document: ModelDocument, mesh_dir: Path | None, edits: list[Edit], notes: list[str]
 ) -> None:
     file, dropped = document.main, {}
-    from_geometry = any(c.get("inertiafromgeom") == "true" for c in urdf_compilers(document))
+    from_geometry = any(c.get("inertiafromgeom") == "true" for c in document.compilers())
     for use in mesh_uses(document, mesh_dir):
         if use.is_usable:
             path = str(use.path)
@@ -122,12 +122,8 @@ def minimum_inertia_edits(document: ModelDocument) -> Iterator[tuple[str, Edit]]
         if inertial is not None:
             old = file.span(inertial)
             edit = Edit(old.start, old.end, _minimum(_mass(link)))
-        elif span.is_empty_tag:
-            opened = file.text[span.start : span.end - 2].rstrip() + b">"
-            tag = b"</" + str(link.tag).encode() + b">"
-            edit = Edit(span.start, span.end, opened + _minimum(0.0) + tag)
         else:
-            edit = Edit(span.inner_start, span.inner_start, _minimum(0.0))
+            edit = markup.insert_child(file.text, span, _minimum(0.0))
         yield str(link.get("name")), edit
 
 
@@ -296,7 +292,7 @@ def _mesh_candidates(document: ModelDocument, name: str, mesh_dir: Path | None) 
         folder = Path(mesh_dir).absolute()
         yield from (folder / rest, folder / inside, folder / rest.name)
     own = document.folder
-    for setting in urdf_compilers(document):
+    for setting in document.compilers():
         own_meshes = own / (setting.get("meshdir") or ".")
         yield from (own_meshes / rest, own_meshes / rest.name)
     yield own / rest
@@ -317,25 +313,19 @@ def settings_edits(
         line_break: what to put before a new element.
     """
     file = document.main
-    compilers = urdf_compilers(document)
+    compilers = document.compilers()
     if not compilers:
         attributes = "".join(f' {name}="{value}"' for name, value in settings.items())
         place = file.spans[0].inner_start
         addition = f"<mujoco><compiler{attributes}/></mujoco>".encode()
         return [Edit(place, place, line_break + addition)]
     edits = []
-    for element in compilers:
-        span = file.span(element)
+    for compiler in compilers:
+        span = file.span(compiler.element)
         edits += [markup.set_attribute(file.text, span, n, v) for n, v in settings.items()]
         removal = markup.remove_attribute(file.text, span, "meshdir")
         edits += [removal] if removal else []
     return edits
-
-
-def urdf_compilers(document: ModelDocument) -> list[Any]:
-    """Return the compiler elements of the ``<mujoco>`` part of a URDF."""
-    root = document.main.root
-    return [c for m in root.iterchildren("{*}mujoco") for c in m.iterchildren("{*}compiler")]
 
 
 def relocated_urdf(
