@@ -32,6 +32,13 @@ MOST_LISTED = 20
 """So many candidates are named; nobody reads more in one line."""
 
 
+def words_of(error: BaseException) -> str:
+    """Return what an error says, on one line; its type where it says nothing or is not ours."""
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror
+    return " ".join(str(error).split()) or type(error).__name__
+
+
 class SysidError(Exception):
     """Base of all errors raised on purpose; carries the process exit code."""
 

@@ -44,19 +44,29 @@ class Parser(argparse.ArgumentParser):
     Args:
         command: its words after the program's name, "" for the program itself.
         example: one or more lines to type.
+        description: what it does.
         main: keys of the options that its help shows; None shows all. The rest work as well.
-        rest: further arguments of ``ArgumentParser``.
+        epilog: what stands before the exit codes.
+        codes: the exit codes that it may end with.
     """
 
     def __init__(
-        self, command: str, example: str, main: Collection[str] | None = None, **rest: Any
+        self,
+        command: str,
+        example: str,
+        description: str,
+        main: Collection[str] | None = None,
+        epilog: str = "",
+        codes: Sequence[int] = (0, 1, 2, 130),
     ) -> None:
+        said = ", ".join(f"{code} {EXIT_CODES[code]}" for code in codes)
         super().__init__(
             prog=f"{PROGRAM} {command}".strip(),
+            description=description,
+            epilog=f"{epilog} Exit codes: {said}.".strip(),
             formatter_class=_Formatter,
             allow_abbrev=False,
             add_help=False,
-            **rest,
         )
         self._example, self._main = example, main
 
@@ -131,11 +141,6 @@ class _Formatter(argparse.HelpFormatter):
         positional = [action for action in actions if not action.option_strings]
         words = [self._metavar_formatter(a, a.dest)(1)[0] for a in positional]
         return f"usage: {' '.join([str(self._prog), *words])} [options]\n\n"
-
-
-def exit_codes(*codes: int) -> str:
-    """Return what some exit codes mean, for the end of a help text."""
-    return "Exit codes: " + ", ".join(f"{code} {EXIT_CODES[code]}" for code in codes) + "."
 
 
 def described(each: Option, default: Any) -> str:

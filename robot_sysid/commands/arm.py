@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from robot_sysid.commands.arguments import ConsoleOptions, Parser, exit_codes, parsed
+from robot_sysid.commands.arguments import ConsoleOptions, Parser, parsed
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.report import require_report
 from robot_sysid.commands.run import INTERRUPTED, add_logs, told, warnings_as_notes
@@ -32,10 +32,9 @@ def build_parser(full: bool = True) -> Parser:
     parser = Parser(
         "arm",
         "robot-sysid arm arm.xml log1.csv log2.csv --validation-measurements log3.csv",
-        description="Identify every link of the arm, with friction and rotor inertia of every "
+        "Identify every link of the arm, with friction and rotor inertia of every "
         "joint, from one log or several together, and write a corrected model.",
-        epilog=exit_codes(0, 1, 2, 130),
-        main=None if full else MAIN,
+        None if full else MAIN,
     )
     add_logs(parser)
     parser.add("logs", LogOptions, leave_out=("measurements", "append"))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import robot_sysid
-from robot_sysid.commands.arguments import Parser, exit_codes, parsed
+from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.console import Console
 from robot_sysid.config import config_from
 from robot_sysid.drafts import draft_folder
@@ -59,10 +59,10 @@ def build_parser(full: bool = True) -> Parser:
     parser = Parser(
         "example",
         "robot-sysid example kinova",
-        description="Copy an example out of the package, with a log of its true arm, and print "
+        "Copy an example out of the package, with a log of its true arm, and print "
         "the commands that walk through it.",
-        epilog=exit_codes(0, 2, 130),
-        main=None if full else MAIN,
+        None if full else MAIN,
+        codes=(0, 2, 130),
     )
     parser.add_argument("name", metavar="NAME", choices=EXAMPLES, help=", ".join(EXAMPLES))
     parser.add("output", ExampleOptions)

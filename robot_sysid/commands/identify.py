@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from robot_sysid.commands.arguments import Parser, exit_codes, parsed
+from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.run import INTERRUPTED, add_logs, identify
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.logs.options import LogOptions
@@ -22,10 +22,9 @@ def build_parser(full: bool = True) -> Parser:
     parser = Parser(
         "identify",
         "robot-sysid identify arm.xml log.csv",
-        description="Identify the terminal link from one log of the real arm, or from several "
+        "Identify the terminal link from one log of the real arm, or from several "
         "together, and write a corrected model.",
-        epilog=exit_codes(0, 1, 2, 130),
-        main=None if full else MAIN,
+        None if full else MAIN,
     )
     add_logs(parser)
     parser.add("logs", LogOptions, leave_out=("measurements",))

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robot_sysid.commands.arguments import Parser, exit_codes, parsed
+from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.plan import require_preview, show_preview
 from robot_sysid.config import ModelOptions
@@ -29,10 +29,9 @@ def build_parser(full: bool = True) -> Parser:
     parser = Parser(
         "log",
         "robot-sysid log log.csv arm.xml",
-        description="Say what is in a log of the real arm: its form, its columns and their units. "
+        "Say what is in a log of the real arm: its form, its columns and their units. "
         "With a model, also look for what is wrong with it, as every identification does before it "
         f"fits: {', '.join(CHECKS)}.",
-        epilog=exit_codes(0, 1, 2, 130),
     )
     parser.add_argument("log", metavar="LOG", type=Path, help="file or folder of the recording")
     parser.add_argument("path", metavar="MODEL", type=Path, nargs="?", help="MJCF or URDF file")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from robot_sysid.commands.arguments import Parser, exit_codes, parsed
+from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.report import require_report
 from robot_sysid.commands.run import INTERRUPTED, add_model, told, warnings_as_notes
@@ -38,10 +38,9 @@ def build_parser(full: bool = True) -> Parser:
     parser = Parser(
         "payload",
         "robot-sysid payload arm.xml --empty a.csv d.csv --loaded b.csv c.csv --order ABBA",
-        description="Identify what is bolted to the flange from logs without and with it, and "
+        "Identify what is bolted to the flange from logs without and with it, and "
         "write a model that carries it and a card for controllers.",
-        epilog=exit_codes(0, 1, 2, 130),
-        main=None if full else MAIN,
+        None if full else MAIN,
     )
     add_model(parser)
     parser.add("recordings and payload", PayloadOptions)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from robot_sysid.commands.arguments import Parser, exit_codes, parsed
+from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.run import INTERRUPTED, add_model, identify
 from robot_sysid.config import ModelOptions, MotorOptions, OutputOptions
@@ -40,10 +40,9 @@ def build_parser(full: bool = True) -> Parser:
     parser = Parser(
         "plan",
         "robot-sysid plan arm.xml --save-trajectory plan.json",
-        description="Design a trajectory that tells most about the terminal link, check it against "
+        "Design a trajectory that tells most about the terminal link, check it against "
         "all limits, say what it promises, and write it. --trajectory checks one that was saved.",
-        epilog=exit_codes(0, 1, 2, 130),
-        main=None if full else MAIN,
+        None if full else MAIN,
     )
     add_model(parser)
     parser.add("model and output", ModelOptions, OutputOptions, leave_out=NO_RESULT)

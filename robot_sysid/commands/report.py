@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from robot_sysid.commands.arguments import Parser, exit_codes, parsed
+from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.console import Console
 from robot_sysid.config import ModelOptions, OutputOptions
 from robot_sysid.errors import SysidError
@@ -35,9 +35,8 @@ def build_parser(full: bool = True) -> Parser:
     parser = Parser(
         "report",
         "robot-sysid report sysid_output",
-        description="Write report.html about an earlier run: a page with figures that opens "
+        "Write report.html about an earlier run: a page with figures that opens "
         "without a network. Several folders are compared in comparison.html.",
-        epilog=exit_codes(0, 1, 2, 130),
     )
     parser.add_argument(
         "folders", metavar="DIR", nargs="+", type=Path, help="folder that a run wrote to"

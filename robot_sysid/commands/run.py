@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-from robot_sysid.commands.arguments import ConsoleOptions, Parser, exit_codes, parsed
+from robot_sysid.commands.arguments import ConsoleOptions, Parser, parsed
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.report import report_of, require_report
 from robot_sysid.config import ModelOptions, MotorOptions, OutputOptions, config_from
@@ -46,12 +46,12 @@ def build_parser(full: bool = True) -> Parser:
     parser = Parser(
         "",
         EXAMPLE,
-        description="Identify mass, centre of mass, inertia and friction of a robot arm's terminal "
+        "Identify mass, centre of mass, inertia and friction of a robot arm's terminal "
         "link, and write a corrected model.",
+        None if full else MAIN,
         epilog="Commands: robot-sysid plan, identify, payload, arm, log, report, motors and "
         "example; each has its own --help. A model file that is called like a command is "
-        f"reached as ./plan. {exit_codes(0, 1, 2, 130)}",
-        main=None if full else MAIN,
+        "reached as ./plan.",
     )
     add_model(parser)
     for title, records in GROUPS:

@@ -11,15 +11,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.motion_checks import (
-    limit_notes,
-    require_no_jumps,
-    require_no_motor_current,
-    require_radians,
-    require_torque,
-    rest_notes,
-    velocity_notes,
-)
+from robot_sysid.logs import motion_checks
 from robot_sysid.logs.rows import LogRows
 from robot_sysid.logs.timing import LogContext, clock_notes, require_one_clock
 from robot_sysid.records import Array
@@ -45,12 +37,12 @@ def check_log(rows: LogRows, context: LogContext) -> tuple[str, ...]:
             "seconds is needed"
         )
     notes = [*_repair_notes(rows, context), *clock_notes(rows, context)]
-    require_radians(rows, context)
-    require_no_jumps(rows, context)
-    notes += [*rest_notes(rows, context), *limit_notes(rows, context)]
-    require_torque(rows, context)
-    require_no_motor_current(rows, context)
-    notes += velocity_notes(rows, context)
+    motion_checks.require_radians(rows, context)
+    motion_checks.require_no_jumps(rows, context)
+    notes += [*motion_checks.rest_notes(rows, context), *motion_checks.limit_notes(rows, context)]
+    motion_checks.require_torque(rows, context)
+    motion_checks.require_no_motor_current(rows, context)
+    notes += motion_checks.velocity_notes(rows, context)
     require_one_clock(rows, context)
     return tuple(notes)
 

@@ -32,64 +32,35 @@ TOLERANCE = 1e-9
 ACCURATE = 1e-12
 """Deviation below which MuJoCo's principal axes count as accurate; 4.0.0 stays below 1e-13."""
 
-# What was written. Compared row by row: only the changed bodies may differ.
-_WRITTEN = {
-    "body_mass",
-    "body_inertia",
-    "body_ipos",
-    "body_iquat",
-    # Whether body frame and inertial frame coincide.
-    "body_sameframe",
-}
+# What was written, and whether body frame and inertial frame coincide. Compared row by row: only
+# the changed bodies may differ.
+_WRITTEN = {"body_mass", "body_inertia", "body_ipos", "body_iquat", "body_sameframe"}
 _WRITTEN_JOINT = {f"dof_{name}" for name in (*JOINT_NUMBERS, "dampingpoly")}
 _WRITTEN_SPRING = ("jnt_stiffness", "qpos_spring")
 _DELAY, _LINEAR = ("actuator_delay", "actuator_history"), 1
 _WRITTEN_ACTUATOR = ("actuator_gainprm", "actuator_biasprm", *_DELAY)
 # What MuJoCo computes from masses and inertias when it compiles.
 DERIVED = {
-    "body_subtreemass",
-    "body_invweight0",
-    "dof_M0",
-    "dof_invweight0",
-    "dof_length",
-    "tendon_invweight0",
-    "actuator_acc0",
+    *("body_subtreemass", "body_invweight0", "dof_M0", "dof_invweight0", "dof_length"),
+    *("tendon_invweight0", "actuator_acc0"),
     # Room for what actuators and sensors remember; how much that is is compared.
-    "nhistory",
-    "actuator_historyadr",
-    "sensor_historyadr",
+    *("nhistory", "actuator_historyadr", "sensor_historyadr"),
     # Found by simulating the actuator's movement, so masses enter.
     "actuator_lengthrange",
-    # Whether a body's inertia is diagonal in its joint's axes; a shortcut for the engine.
-    "body_simple",
-    "dof_simplenum",
-    # Whether a geom or site coincides with its body's inertial frame; a shortcut too.
-    "geom_sameframe",
-    "site_sameframe",
+    # Whether a body's inertia is diagonal in its joint's axes, or a geom or site coincides with its
+    # body's inertial frame: shortcuts for the engine.
+    *("body_simple", "dof_simplenum", "geom_sameframe", "site_sameframe"),
     # Camera and light positions relative to the subtree's centre of mass.
-    "cam_poscom0",
-    "light_poscom0",
+    *("cam_poscom0", "light_poscom0"),
     # Collision bounding boxes are kept in the inertial frame of their body.
-    "bvh_aabb",
-    "bvh_child",
-    "bvh_depth",
-    "bvh_nodeid",
+    *("bvh_aabb", "bvh_child", "bvh_depth", "bvh_nodeid"),
     # Scene size and mean mass, for drawing and for scaling contacts.
-    "stat.center",
-    "stat.extent",
-    "stat.meaninertia",
-    "stat.meanmass",
-    "stat.meansize",
+    *("stat.center", "stat.extent", "stat.meaninertia", "stat.meanmass", "stat.meansize"),
 }
 # Where asset files are, and the sizes that follow from the length of these names.
 PATHS = {
-    "paths",
-    "npaths",
-    "nbuffer",
-    "mesh_pathadr",
-    "skin_pathadr",
-    "hfield_pathadr",
-    "tex_pathadr",
+    *("paths", "npaths", "nbuffer"),
+    *("mesh_pathadr", "skin_pathadr", "hfield_pathadr", "tex_pathadr"),
 }
 _SPRINGDAMPER = (
     "a joint's springdamper computes it from the inertia: give that joint stiffness and damping "

@@ -5,66 +5,29 @@ Legend of shapes: N samples, n chain joints (base to terminal), p parameters.
 
 from __future__ import annotations
 
-from robot_sysid.records.arm import (
-    ArmLink,
-    Flange,
-    InertialParameters,
-    JointFriction,
-    JointLimits,
-    RobotModel,
-    SubtreeBody,
-)
-from robot_sysid.records.arrays import (
-    Array,
-    checked_array,
-)
-from robot_sysid.records.data import (
-    TORQUE_CHOICES,
-    BodyMotion,
-    JointInformation,
-    Measurement,
-    Motion,
-    MotionPlan,
-    SampleSource,
-    SquareRootInformation,
-)
-from robot_sysid.records.results import (
-    DELAY_NAME,
-    DataOrigin,
-    Estimate,
-    Identifiability,
-    Identification,
-    NuisanceMisfit,
-    Source,
-    Status,
-    Validation,
-)
-
-__all__ = [
-    "DELAY_NAME",
-    "TORQUE_CHOICES",
-    "ArmLink",
-    "Array",
-    "BodyMotion",
-    "DataOrigin",
-    "Estimate",
-    "Flange",
-    "Identifiability",
-    "Identification",
-    "InertialParameters",
-    "JointFriction",
-    "JointInformation",
-    "JointLimits",
-    "Measurement",
-    "Motion",
-    "MotionPlan",
-    "NuisanceMisfit",
-    "RobotModel",
-    "SampleSource",
-    "Source",
-    "SquareRootInformation",
-    "Status",
-    "SubtreeBody",
-    "Validation",
-    "checked_array",
-]
+from robot_sysid.records.arm import ArmLink as ArmLink
+from robot_sysid.records.arm import Flange as Flange
+from robot_sysid.records.arm import InertialParameters as InertialParameters
+from robot_sysid.records.arm import JointFriction as JointFriction
+from robot_sysid.records.arm import JointLimits as JointLimits
+from robot_sysid.records.arm import RobotModel as RobotModel
+from robot_sysid.records.arm import SubtreeBody as SubtreeBody
+from robot_sysid.records.arrays import Array as Array
+from robot_sysid.records.arrays import checked_array as checked_array
+from robot_sysid.records.data import TORQUE_CHOICES as TORQUE_CHOICES
+from robot_sysid.records.data import BodyMotion as BodyMotion
+from robot_sysid.records.data import JointInformation as JointInformation
+from robot_sysid.records.data import Measurement as Measurement
+from robot_sysid.records.data import Motion as Motion
+from robot_sysid.records.data import MotionPlan as MotionPlan
+from robot_sysid.records.data import SampleSource as SampleSource
+from robot_sysid.records.data import SquareRootInformation as SquareRootInformation
+from robot_sysid.records.results import DELAY_NAME as DELAY_NAME
+from robot_sysid.records.results import DataOrigin as DataOrigin
+from robot_sysid.records.results import Estimate as Estimate
+from robot_sysid.records.results import Identifiability as Identifiability
+from robot_sysid.records.results import Identification as Identification
+from robot_sysid.records.results import NuisanceMisfit as NuisanceMisfit
+from robot_sysid.records.results import Source as Source
+from robot_sysid.records.results import Status as Status
+from robot_sysid.records.results import Validation as Validation

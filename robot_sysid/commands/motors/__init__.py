@@ -10,7 +10,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
-from robot_sysid.commands.arguments import PROGRAM, Parser, exit_codes, parsed
+from robot_sysid.commands.arguments import PROGRAM, Parser, parsed
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.motors import setup as motors_setup
 from robot_sysid.config import ModelOptions
@@ -37,8 +37,7 @@ from robot_sysid.damiao.run.preflight import (
 from robot_sysid.damiao.simulated.arm import SimulatedArm
 from robot_sysid.damiao.simulated.faults import FAULT_KINDS, parse_fault
 from robot_sysid.damiao.simulated.motor import DEFAULT_WATCHDOG, SimulatedMotor, simulated_motor
-from robot_sysid.damiao.simulated.server import serve
-from robot_sysid.damiao.simulated.simulated_link import SimulatedLink
+from robot_sysid.damiao.simulated.simulated_link import SimulatedLink, serve
 from robot_sysid.damiao.trajectory.csv_file import DamiaoTrajectory, read_damiao_trajectory
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
@@ -52,6 +51,7 @@ from robot_sysid.records.options import (
 )
 
 INTERRUPTED = "interrupted; no motor is enabled"
+_CODES = (0, 1, 2, 3, 130)
 # Coarse enough for an ordinary computer to keep up with.
 _REAL_TIME_STEP = 1e-3
 
@@ -141,7 +141,7 @@ class _Run:
         """Return what compares the arm, held still, with the model's gravity; None without one."""
         if self.values.get("model") is None:
             return None
-        from robot_sysid.damiao.run.gravity_check import GravityCheck
+        from robot_sysid.damiao.run.model_check import GravityCheck
 
         return GravityCheck(self.robot, plan.trajectory.joints)
 
@@ -268,9 +268,9 @@ def build_parser(command: str, full: bool = True) -> Parser:
     parser = Parser(
         f"motors {command}",
         f"{PROGRAM} motors {command} {example}",
-        description=description,
-        epilog=exit_codes(0, 1, 2, 3, 130),
-        main=None if full else main_options,
+        description,
+        None if full else main_options,
+        codes=_CODES,
     )
     nargs = "?" if command == "check" else None
     help_file = "damiao_trajectory.csv"
@@ -304,9 +304,9 @@ def build_setup_parser(command: str, full: bool = True) -> Parser:
     parser = Parser(
         f"motors {command}",
         f"{PROGRAM} motors {command} {example}",
-        description=description,
-        epilog=exit_codes(0, 1, 2, 3, 130),
-        main=None if full else ("interface", "channel", "fd", *_names(command)),
+        description,
+        None if full else ("interface", "channel", "fd", *_names(command)),
+        codes=_CODES,
     )
     if command == "map":
         group = parser.add("arm", ModelOptions)
@@ -340,10 +340,10 @@ def _overview() -> Parser:
     parser = Parser(
         "motors",
         f"{PROGRAM} motors check --channel can0",
-        description="Inspect Damiao motors, play a trajectory on them and record it, or rehearse "
+        "Inspect Damiao motors, play a trajectory on them and record it, or rehearse "
         "all that with a simulated arm; set motors up, watch them, and map them to a model's "
         "joints. Each command has its own --help.",
-        epilog=exit_codes(0, 1, 2, 3, 130),
+        codes=_CODES,
     )
     parser.add_argument("command", metavar="|".join([*_COMMANDS, *_SETUP]), help="what to do")
     parser.add_console()

@@ -1,4 +1,4 @@
-"""A real (or virtual) CAN bus through python-can."""
+"""A real (or virtual) CAN bus through python-can; several of them are one link."""
 
 from __future__ import annotations
 
@@ -11,10 +11,9 @@ from typing import Any
 
 from robot_sysid.damiao.bus.clock import Clock
 from robot_sysid.damiao.bus.link import Link, LinkError
-from robot_sysid.damiao.bus.several import SeveralBuses
 from robot_sysid.damiao.protocol.bus_load import BusTiming
 from robot_sysid.damiao.protocol.frames import Frame
-from robot_sysid.errors import InputError
+from robot_sysid.errors import InputError, words_of
 from robot_sysid.records.options import OptionRecord, option
 
 # Adapters on this computer only: nothing here may put motor commands on a network.
@@ -102,7 +101,9 @@ class BusLink:
             except Exception as error:
                 # Whatever a driver raises: the caller has to go on with the other motors.
                 if not _is_full(error):
-                    raise LinkError(f"the CAN bus does not take frames: {_said(error)}") from error
+                    raise LinkError(
+                        f"the CAN bus does not take frames: {words_of(error)}"
+                    ) from error
                 if self._clock.now() >= patience:
                     raise LinkError(_FULL) from error
             self._clock.sleep_until(self._clock.now() + _FULL_PAUSE)
@@ -114,9 +115,9 @@ class BusLink:
             try:
                 message = self._bus.recv(left)
             except (ValueError, IndexError) as error:
-                raise LinkError(f"{_GARBLED} ({_said(error)})") from error
+                raise LinkError(f"{_GARBLED} ({words_of(error)})") from error
             except Exception as error:
-                raise LinkError(f"the CAN bus cannot be read: {_said(error)}") from error
+                raise LinkError(f"the CAN bus cannot be read: {words_of(error)}") from error
             if message is None and self._clock.now() >= until:
                 return None
             if message is not None and not message.is_extended_id:
@@ -145,10 +146,6 @@ def _is_full(error: Exception) -> bool:
     """Tell whether the transmit queue is full, which passes, or stays so if nobody listens."""
     codes = getattr(error, "error_code", None), getattr(error, "errno", None)
     return errno.ENOBUFS in codes
-
-
-def _said(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
 
 
 def open_bus(address: BusAddress, timing: BusTiming, clock: Clock) -> Link:
@@ -181,8 +178,8 @@ def _open_one(address: BusAddress, channel: str, timing: BusTiming, clock: Clock
         bus = can.Bus(channel=channel, interface=interface, ignore_config=True, **options)
     except Exception as error:
         # Each adapter's driver raises what it likes.
-        reason = " ".join(str(error).split())
-        raise InputError(f"cannot open {interface} channel {channel}: {reason}") from error
+        what = f"{interface} channel {channel}"
+        raise InputError(f"cannot open {what}: {words_of(error)}") from error
     return BusLink(bus, clock)
 
 
@@ -226,3 +223,39 @@ def _bus_options(can: Any, interface: str, timing: BusTiming) -> dict[str, Any]:
     else:
         options["bitrate"] = int(timing.bitrate)
     return options
+
+
+# How long to leave all buses alone between two looks at them [s].
+_PAUSE = 1e-4
+
+
+class SeveralBuses:
+    """Buses of one arm, or of two, behind one link.
+
+    Args:
+        links: the buses, in the order of ``Frame.bus``.
+        clock: for waiting.
+    """
+
+    def __init__(self, links: Sequence[Link], clock: Clock) -> None:
+        self._links, self._clock = tuple(links), clock
+
+    def send(self, frame: Frame) -> None:
+        """Send a frame on its bus, or raise LinkError."""
+        self._links[frame.bus].send(frame._replace(bus=0))
+
+    def receive(self, until: float) -> Frame | None:
+        """Return the next frame of any bus, or None at ``until`` [s]."""
+        while True:
+            for bus, link in enumerate(self._links):
+                frame = link.receive(min(self._clock.now(), until))
+                if frame is not None:
+                    return frame._replace(bus=bus)
+            if self._clock.now() >= until:
+                return None
+            self._clock.sleep_until(min(self._clock.now() + _PAUSE, until))
+
+    def close(self) -> None:
+        """Release all buses."""
+        for link in self._links:
+            link.close()

@@ -68,11 +68,3 @@ class Aside:
             action()
         except BaseException as error:
             self.failure = error
-
-
-def words_of(error: BaseException) -> str:
-    """Return what an error says, on one line; its type where it says nothing or is not ours."""
-    text = " ".join(str(error).split())
-    if isinstance(error, OSError) and error.strerror:
-        return error.strerror
-    return text or type(error).__name__

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from robot_sysid.damiao.bus.clock import Clock
 from robot_sysid.damiao.bus.link import GuardedLink
-from robot_sysid.damiao.exchange.outstanding import Outstanding
 from robot_sysid.damiao.protocol.codec import (
     Bytes,
     Feedback,
@@ -41,6 +40,7 @@ _CONFIRM_TIMEOUT = 0.02
 _CONFIRM_PATIENCE = 0.5
 _ENABLE_TRIES = 3
 NO_STATUS = -1
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -57,16 +57,49 @@ class Replies:
         asked: (n,) which joints were sent something; None means all.
     """
 
-    answered: NDArray[np.bool_]
+    answered: Mask
     time: Array
     feedback: Feedback
     command: MitCommand | None = None
-    asked: NDArray[np.bool_] | None = None
+    asked: Mask | None = None
 
     @property
-    def unanswered(self) -> NDArray[np.bool_]:
+    def unanswered(self) -> Mask:
         """(n,) which joints were asked and did not answer."""
         return ~self.answered if self.asked is None else self.asked & ~self.answered
+
+
+PAUSE = 4
+"""Cycles of silence after which a missing answer counts as lost."""
+
+
+class Outstanding:
+    """Which answer belongs to which command of n motors, although answers carry no number.
+
+    Each command is answered once, in order. Where an answer is missing at the end of its cycle, the
+    next thing heard from that motor may be it, late, or the answer to the next command. So it is
+    told nothing new until the missing answer has come or is long overdue: what a slow adapter holds
+    back is out of the way then, and each answer that is believed belongs to the command before it.
+    """
+
+    def __init__(self, n: int) -> None:
+        self._owed, self._silent = np.zeros(n, int), np.zeros(n, int)
+        self._told = np.zeros(n, bool)
+
+    def may_be_told(self, wanted: Mask) -> Mask:
+        """Begin a cycle: return which of the motors ``wanted`` (n,) get a command in it."""
+        self._silent = np.where(self._told, 0, self._silent + 1)
+        self._owed[self._silent >= PAUSE] = 0
+        self._told = np.asarray(wanted & (self._owed == 0))
+        self._owed += self._told
+        return self._told
+
+    def heard(self, j: int) -> bool:
+        """Note an answer; return whether it is that to the command of this cycle."""
+        timely = bool(self._told[j] and self._owed[j] == 1)
+        self._owed[j] = max(self._owed[j] - 1, 0)
+        self._silent[j] = 0
+        return timely
 
 
 class MotorSession:
@@ -166,7 +199,7 @@ class MotorSession:
         self,
         command: MitCommand,
         until: float,
-        joints: NDArray[np.bool_] | None = None,
+        joints: Mask | None = None,
         regardless: bool = False,
     ) -> Replies:
         """Command joints and collect their replies.
@@ -194,7 +227,7 @@ class MotorSession:
             self._link.send(command_frame(self.joints[j].address, frames[j].tobytes()))
         return self._collect(told, until, self._command)
 
-    def _in_force(self, motor: MitCommand, told: NDArray[np.bool_]) -> MitCommand:
+    def _in_force(self, motor: MitCommand, told: Mask) -> MitCommand:
         """Return what each joint is under once the joints ``told`` have their new command."""
         new, old = self.space.from_motors(motor), self._command
         if old is None:
@@ -251,9 +284,7 @@ class MotorSession:
                 break
         return replies.feedback
 
-    def _collect(
-        self, wanted: NDArray[np.bool_], until: float, command: MitCommand | None = None
-    ) -> Replies:
+    def _collect(self, wanted: Mask, until: float, command: MitCommand | None = None) -> Replies:
         raw = np.zeros((self.n_joints, 8), dtype=np.uint8)
         received = np.full(self.n_joints, np.nan)
         sent = np.full(self.n_joints, np.nan)
@@ -265,9 +296,7 @@ class MotorSession:
             self.last_replies = self._replies(wanted, raw, received, sent, command)
         return self.last_replies
 
-    def _take(
-        self, frame: Frame, wanted: NDArray[np.bool_], raw: Bytes, received: Array, sent: Array
-    ) -> bool:
+    def _take(self, frame: Frame, wanted: Mask, raw: Bytes, received: Array, sent: Array) -> bool:
         """File a frame where it belongs; return whether it is an answer that was missing."""
         if frame.echo:
             if (address := Address(frame.bus, frame.id)) in self._by_command:
@@ -294,7 +323,7 @@ class MotorSession:
 
     def _replies(
         self,
-        asked: NDArray[np.bool_],
+        asked: Mask,
         raw: Bytes,
         received: Array,
         sent: Array,

@@ -16,13 +16,13 @@ from typing import NamedTuple, Union
 import numpy as np
 
 from robot_sysid.damiao.bus.clock import Clock
-from robot_sysid.damiao.exchange.aside import words_of
 from robot_sysid.damiao.exchange.recorder import MeasurementRecorder
 from robot_sysid.damiao.exchange.session import MotorSession, Replies
 from robot_sysid.damiao.exchange.settings import PlaySettings
 from robot_sysid.damiao.play.cycle_timer import CycleTimer
-from robot_sysid.damiao.play.lowering import LONGEST, Lowering
 from robot_sysid.damiao.play.sampler import (
+    LONGEST,
+    Lowering,
     Reference,
     ReferenceFunction,
     approach,
@@ -33,7 +33,7 @@ from robot_sysid.damiao.play.scaling_checks import TorqueScalingCheck, VelocityS
 from robot_sysid.damiao.play.stop_request import StopRequest
 from robot_sysid.damiao.play.supervision import Supervisor
 from robot_sysid.damiao.protocol.codec import MitCommand
-from robot_sysid.errors import HardwareAbort
+from robot_sysid.errors import HardwareAbort, words_of
 from robot_sysid.records import Array
 
 # The torque that carries the arm is there early in the ramp, before the arm has sunk.

@@ -4,6 +4,10 @@ Between two rows position, velocity and torque change in a straight line, as the
 so each row is compared with the model's own joint ranges, speeds and torques, and the straight ways
 between the rows with its bodies. How fast a joint moves is also told by its positions, whatever the
 velocity column says.
+
+And an arm that is held still has to carry the torques that gravity asks for: a motor that turns the
+other way than its joint, or that sits at another joint, moves an arm on another path than the one
+that was checked.
 """
 
 from __future__ import annotations
@@ -12,13 +16,15 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.run.preflight import OK, STOP, Check
 from robot_sysid.damiao.trajectory.csv_file import DamiaoTrajectory
-from robot_sysid.errors import InputError
+from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.excitation.limit_check import first_contact
 from robot_sysid.excitation.options import LimitOptions
 from robot_sysid.excitation.problem import build_problem
 from robot_sysid.records import Array, Motion, RobotModel
+from robot_sysid.simulator import ArmTorque
 
 # Relative; for limits and trajectories that came out of the same numbers.
 _ROUNDING = 1e-9
@@ -114,3 +120,44 @@ def _contact(robot: RobotModel, motion: SampledTrajectory) -> Iterator[str]:
     if when is not None:
         touching = problem.obstacles.closest(motion.evaluate(np.array([when])).q[0]).label
         yield f"the model's {touching} touch at {when:.2f} s"
+
+
+# Torque that says nothing about gravity: this share of the motor's peak, and dry friction.
+_SHARE = 0.06
+
+
+class GravityCheck:
+    """Compares holding torques with the model's, by their signs.
+
+    Args:
+        robot: the arm.
+        joints: its motors.
+    """
+
+    def __init__(self, robot: RobotModel, joints: tuple[DamiaoJoint, ...]) -> None:
+        self._torque, self._joints, self._path = ArmTorque(robot), joints, robot.path
+        peak = [joint.spec.strongest for joint in joints]
+        self._doubt = _SHARE * np.array(peak) + robot.friction.coulomb
+
+    def holding(self, q: Array) -> Array:
+        """Return what the model's gravity asks for at rest at q (n,) [N m]."""
+        still = np.zeros((1, len(q)))
+        return np.asarray(self._torque(Motion(np.zeros(1), q[None], still, still))[0])
+
+    def __call__(self, q: Array, tau: Array) -> None:
+        """Compare a pose that is held.
+
+        Args:
+            q, tau: (n,) measured positions and torques at rest [rad, N m].
+
+        Raises:
+            HardwareAbort: a torque has the opposite sign of the model's.
+        """
+        model = self.holding(q)
+        clear = (np.abs(model) > self._doubt) & (np.abs(tau) > self._doubt)
+        for j in np.flatnonzero(clear & (np.sign(model) != np.sign(tau))):
+            raise HardwareAbort(
+                f"{self._joints[j].label} holds the arm with {tau[j]:.1f} N m but the model "
+                f"{self._path.name} needs {model[j]:.1f} N m in this pose: a motor turns the other "
+                "way than its joint, sits at another one, or has another zero; see 'motors map'"
+            )

@@ -15,7 +15,7 @@ from robot_sysid.damiao.bus.clock import Clock
 from robot_sysid.damiao.bus.inspection import InspectedMotor, Inspection
 from robot_sysid.damiao.bus.link import GuardedLink
 from robot_sysid.damiao.bus.register_client import RegisterClient, watchdogs_set_to
-from robot_sysid.damiao.exchange.aside import Aside, words_of
+from robot_sysid.damiao.exchange.aside import Aside
 from robot_sysid.damiao.exchange.recorder import (
     MeasurementRecorder,
     RecordingHead,
@@ -24,19 +24,14 @@ from robot_sysid.damiao.exchange.recorder import (
 from robot_sysid.damiao.exchange.session import MotorSession
 from robot_sysid.damiao.exchange.settings import PlaySettings
 from robot_sysid.damiao.play.player import Park, Player, PlayReport, Told
-from robot_sysid.damiao.play.sampler import TrajectorySampler
+from robot_sysid.damiao.play.sampler import Reference, ReferenceFunction, TrajectorySampler
 from robot_sysid.damiao.play.stop_request import StopRequest
 from robot_sysid.damiao.protocol.bus_load import BusTiming
 from robot_sysid.damiao.protocol.codec import Scaling
 from robot_sysid.damiao.protocol.frames import Address
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
+from robot_sysid.damiao.protocol.motors import matching_types
 from robot_sysid.damiao.protocol.registers import TIMEOUT
-from robot_sysid.damiao.run.others import (
-    alongside,
-    held_joint,
-    other_motors,
-    with_held,
-)
 from robot_sysid.damiao.run.preflight import (
     Check,
     Permissions,
@@ -46,10 +41,51 @@ from robot_sysid.damiao.run.preflight import (
     require_no_stop,
 )
 from robot_sysid.damiao.trajectory.csv_file import DamiaoTrajectory, TrajectoryScan, scan_trajectory
-from robot_sysid.errors import InputError, SysidError
+from robot_sysid.errors import InputError, SysidError, words_of
 from robot_sysid.records import Array
 
 PoseCheck = Callable[[Array, Array], None]
+
+
+def other_motors(
+    inspection: Inspection, joints: Sequence[DamiaoJoint]
+) -> tuple[InspectedMotor, ...]:
+    """Return the motors that answer but drive no joint of these."""
+    known = {joint.address for joint in joints}
+    return tuple(m for address, m in sorted(inspection.motors.items()) if address not in known)
+
+
+def held_joint(motor: InspectedMotor) -> DamiaoJoint | None:
+    """Return a motor as one that can be held where it is; None where its type is not known."""
+    types = matching_types(motor.limits) if motor.limits else ()
+    if not types:
+        return None
+    bus, can_id = motor.address
+    return DamiaoJoint(types[0], can_id, motor.master_id, "", bus, motor.channel)
+
+
+def with_held(
+    settings: PlaySettings, held: Sequence[DamiaoJoint], timing: BusTiming
+) -> PlaySettings:
+    """Return settings with gains for the held motors behind those of the trajectory's joints."""
+    usual = PlaySettings(rate=settings.rate).for_motors([j.spec for j in held], timing)
+    return replace(
+        settings,
+        kp=(*settings.kp, *usual.kp),
+        kd=(*settings.kd, *usual.kd),
+        max_torque_error=(*settings.max_torque_error, *usual.max_torque_error),
+    )
+
+
+def alongside(reference: ReferenceFunction, positions: Array) -> ReferenceFunction:
+    """Return a reference that also holds further motors at positions (m,) [rad]."""
+    still = np.zeros_like(positions)
+
+    def both(time: float) -> Reference:
+        parts = zip(reference(time), (positions, still, still))
+        return Reference(*(np.concatenate(pair) for pair in parts))
+
+    return both
 
 
 @dataclass(frozen=True)

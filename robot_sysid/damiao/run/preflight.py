@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_sysid.damiao.bus.inspection import InspectedMotor, Inspection
-from robot_sysid.damiao.exchange.outstanding import PAUSE
+from robot_sysid.damiao.exchange.session import PAUSE
 from robot_sysid.damiao.exchange.settings import PlaySettings
 from robot_sysid.damiao.protocol import registers as reg
 from robot_sysid.damiao.protocol.bus_load import (

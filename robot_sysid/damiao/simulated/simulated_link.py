@@ -1,4 +1,4 @@
-"""A CAN bus with a simulated arm on it, in simulated time: exact, repeatable, no waiting."""
+"""A simulated arm on a bus: in simulated time, exact and without waiting, or in real time."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ import itertools
 from collections import defaultdict, deque
 from collections.abc import Callable
 
-from robot_sysid.damiao.bus.clock import SimulatedClock
+from robot_sysid.damiao.bus.clock import Clock, SimulatedClock
+from robot_sysid.damiao.bus.link import Link
 from robot_sysid.damiao.protocol.bus_load import BusTiming
 from robot_sysid.damiao.protocol.frames import Frame
 from robot_sysid.damiao.simulated.arm import SimulatedArm
@@ -87,3 +88,26 @@ class SimulatedLink:
 
     def close(self) -> None:
         """Nothing to release."""
+
+
+_TICK = 1e-3
+_MOST_BEHIND = 0.1
+
+
+def serve(arm: SimulatedArm, link: Link, clock: Clock, running: Callable[[], bool]) -> float:
+    """Let the arm live and answer until ``running`` says no; return the time it left out [s].
+
+    A computer too slow for the physics makes the arm skip time rather than fall behind for ever.
+    """
+    start, left_out = clock.now() - arm.time, 0.0
+    while running():
+        frame = link.receive(clock.now() + _TICK)
+        now = clock.now() - start
+        if now - arm.time > _MOST_BEHIND:
+            left_out += now - arm.time
+            arm.skip_to(now)
+        arm.advance(now)
+        if frame is not None and not frame.echo:
+            for reply in arm.handle(frame, now):
+                link.send(reply)
+    return left_out

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from robot_sysid.errors import InputError, SysidError
+from robot_sysid.errors import InputError, SysidError, words_of
 
 
 def library(module: str, extra: str, what: str) -> Any:
@@ -43,5 +43,4 @@ def as_input_errors(path: Path, what: str) -> Iterator[None]:
             f"{path} asks for more memory than there is; it is damaged, or too long"
         ) from None
     except Exception as error:
-        said = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"cannot read {path} as {what}: {said}") from error
+        raise InputError(f"cannot read {path} as {what}: {words_of(error)}") from error

@@ -7,14 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.formats.arrays import (
-    hdf5_table,
-    is_hdf5,
-    is_npz,
-    is_xarm,
-    npz_table,
-    xarm_table,
-)
+from robot_sysid.logs.formats import arrays
 from robot_sysid.logs.formats.dialect import read_dialect
 from robot_sysid.logs.formats.known_text import known_text
 from robot_sysid.logs.formats.lerobot import is_lerobot, lerobot_table
@@ -68,11 +61,11 @@ def _binary_table(path: Path, joint_names: Sequence[str], options: LogOptions) -
         return lerobot_table(path, joint_names, options.episode, options.commanded)
     if path.is_dir():
         raise InputError(f"{path} is a folder of no known form; a log is {FORMS}")
-    if is_hdf5(start):
-        return hdf5_table(path, options.commanded)
-    if is_xarm(path, start):
-        return xarm_table(path)
-    return npz_table(path) if is_npz(start) else None
+    if arrays.is_hdf5(start):
+        return arrays.hdf5_table(path, options.commanded)
+    if arrays.is_xarm(path, start):
+        return arrays.xarm_table(path)
+    return arrays.npz_table(path) if arrays.is_npz(start) else None
 
 
 def _start(path: Path) -> bytes:

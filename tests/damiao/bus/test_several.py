@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from robot_sysid.damiao.bus.can_bus import SeveralBuses
 from robot_sysid.damiao.bus.clock import SimulatedClock
-from robot_sysid.damiao.bus.several import SeveralBuses
 from robot_sysid.damiao.protocol.frames import Frame
 
 

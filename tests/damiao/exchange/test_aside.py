@@ -6,7 +6,8 @@ import threading
 
 import pytest
 
-from robot_sysid.damiao.exchange.aside import Aside, words_of
+from robot_sysid.damiao.exchange.aside import Aside
+from robot_sysid.errors import words_of
 
 
 @pytest.mark.parametrize("threaded", [False, True])

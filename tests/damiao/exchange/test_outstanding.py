@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.exchange.outstanding import PAUSE, Outstanding
+from robot_sysid.damiao.exchange.session import PAUSE, Outstanding
 
 ONE = np.ones(1, bool)
 # Cycles that an answer takes; None is lost. Up to as many as the pause can tell apart.

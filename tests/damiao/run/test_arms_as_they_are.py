@@ -13,7 +13,7 @@ from robot_sysid.damiao.protocol.joint_map import MappedJoint, mapped, write_joi
 from robot_sysid.damiao.protocol.joints import damiao_joints
 from robot_sysid.damiao.protocol.motors import MOTORS
 from robot_sysid.damiao.protocol.registers import DISABLED
-from robot_sysid.damiao.run.gravity_check import GravityCheck
+from robot_sysid.damiao.run.model_check import GravityCheck
 from robot_sysid.damiao.run.preflight import Permissions
 from robot_sysid.damiao.simulated.motor import simulated_motor
 from robot_sysid.errors import HardwareAbort, InputError

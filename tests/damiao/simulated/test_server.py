@@ -12,7 +12,7 @@ from robot_sysid.damiao.protocol.frames import (
     enable_frame,
     refresh_frame,
 )
-from robot_sysid.damiao.simulated.server import serve
+from robot_sysid.damiao.simulated.simulated_link import serve
 from tests.support.damiao_rig import two_motor_arm
 
 
