@@ -76,6 +76,10 @@ def computed_findings(evidence: Evidence, fit: ModelFit, base: Fit) -> Iterator[
 
 
 def loaded(fit: ModelFit) -> np.ndarray:
-    """Return (n,) whether a joint carries a fair part of what the strongest one carries."""
-    usual = rms(fit.model_torque)
-    return np.asarray(usual >= _LOADED * np.max(usual))
+    """Return (n,) whether a joint carries a fair part of what the strongest of its kind carries.
+
+    A lift carries many more newtons than the arm on it newton metres.
+    """
+    usual, slide = rms(fit.model_torque), fit.robot.is_slide
+    strongest = [np.max(usual[slide == kind], initial=0.0) for kind in (False, True)]
+    return np.asarray(usual >= _LOADED * np.where(slide, strongest[1], strongest[0]))
