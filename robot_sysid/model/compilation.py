@@ -154,6 +154,12 @@ def _urdf_text(
     return text.decode(), notes
 
 
+_BALANCE = (
+    ": no body has such moments of inertia; correct them, or let MuJoCo do it with "
+    '<compiler balanceinertia="true"/> in <mujoco> (in a URDF, a <mujoco> in its <robot>)'
+)
+
+
 def _one_line(document: ModelDocument, error: BaseException) -> str:
     text = str(error).strip()
     first = re.sub(r"^(XML )?Error: ", "", text.splitlines()[0] if text else "unknown error")
@@ -161,7 +167,8 @@ def _one_line(document: ModelDocument, error: BaseException) -> str:
     where = [f"'{name.group(1).strip()}'"] if name and name.group(1).strip() else []
     where += [f"line {line.group(1)}"] if line and line.group(1) != "0" else []
     place = f" ({', '.join(where)})" if where else ""
-    return f"MuJoCo cannot compile {document.path}: {first}{place}"
+    remedy = _BALANCE if "balanceinertia" in first else ""
+    return f"MuJoCo cannot compile {document.path}: {first}{place}{remedy}"
 
 
 def _check_values(mj_model: Any, document: ModelDocument) -> None:

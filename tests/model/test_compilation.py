@@ -59,6 +59,10 @@ def test_an_mjcf_file_compiles_to_what_mujoco_makes_of_it(tmp_path):
         (MESH_MODEL, r"mesh file m.obj not found \(looked in .*d\); pass --mesh-dir"),
         (urdf_robot(urdf_link("a"), urdf_joint("a", "gone")), "joint parent or child missing"),
         (
+            urdf_robot(*TWO_LINKS).replace('ixx="0.01"', 'ixx="0.5"'),
+            r"A \+ B >= C.*no body has such moments.*in a URDF, a <mujoco> in its <robot>",
+        ),
+        (
             urdf_robot(*TWO_LINKS).replace('ixx="0.01"', 'ixx="much"'),
             "a number cannot be read: .*much",
         ),
