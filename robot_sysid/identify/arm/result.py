@@ -158,21 +158,26 @@ def judge(
 def _strange_links(robot: RobotModel, thetas: Array) -> Iterator[str]:
     """Yield what no link of this arm can be like."""
     for index, (link, theta) in enumerate(zip(robot.links, thetas)):
-        if not link.has_mass:
-            continue
-        mass, com, inertia = spatial.com_from_theta(theta)
-        before, centre, _ = spatial.com_from_theta(link.theta)
-        size = _size(robot, index)
-        if not spatial.is_consistent(theta):
-            yield f"{link.body_name} is no possible rigid body"
-        elif not 1.0 / LARGEST_RATIO <= mass / before <= LARGEST_RATIO:
-            yield f"{link.body_name} would weigh {mass:.3g} kg (model: {before:.3g})"
-        elif np.linalg.norm(com - centre) > FARTHEST * size:
-            moved = float(np.linalg.norm(com - centre))
-            yield f"the centre of mass of {link.body_name} would be {moved:.2g} m from the model's"
-        elif np.sqrt(0.5 * np.trace(inertia) / mass) > FARTHEST * size:
-            radius = float(np.sqrt(0.5 * np.trace(inertia) / mass))
-            yield f"{link.body_name} would have a radius of gyration of {radius:.2g} m"
+        if link.has_mass:
+            yield from _strangeness(
+                link.body_name, link.theta, theta, FARTHEST * _size(robot, index)
+            )
+
+
+def _strangeness(name: str, before: Array, theta: Array, farthest: float) -> Iterator[str]:
+    if not spatial.is_consistent(theta):
+        yield f"{name} is no possible rigid body"
+        return
+    mass, com, inertia = spatial.com_from_theta(theta)
+    model_mass, centre, _ = spatial.com_from_theta(before)
+    moved = float(np.linalg.norm(com - centre))
+    radius = float(np.sqrt(0.5 * np.trace(inertia) / mass))
+    if not 1.0 / LARGEST_RATIO <= mass / model_mass <= LARGEST_RATIO:
+        yield f"{name} would weigh {mass:.3g} kg (model: {model_mass:.3g})"
+    elif moved > farthest:
+        yield f"the centre of mass of {name} would be {moved:.2g} m from the model's"
+    elif radius > farthest:
+        yield f"{name} would have a radius of gyration of {radius:.2g} m"
 
 
 def _size(robot: RobotModel, index: int) -> float:
