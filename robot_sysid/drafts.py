@@ -17,6 +17,8 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+from robot_sysid.interrupts import held_back
+
 PREFIX = ".robot-sysid-"
 _DRAFT = re.compile(rf"{re.escape(PREFIX)}[0-9a-f]{{8}}\..*", re.DOTALL)
 _MOST = 25
@@ -100,14 +102,14 @@ def draft_folder(path: Path) -> Iterator[Path]:
     Raises:
         OSError: it cannot be made.
     """
-    drafts = Drafts()
+    drafts, made = Drafts(), []
     try:
-        draft = drafts.folder(path)
-        try:
-            yield draft
-        finally:
-            shutil.rmtree(draft, ignore_errors=True)
+        with held_back():  # What is there has to be known, to be removed.
+            made.append(drafts.folder(path))
+        yield made[0]
     finally:
+        for draft in made:
+            shutil.rmtree(draft, ignore_errors=True)
         drafts.close()
 
 

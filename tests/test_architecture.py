@@ -53,7 +53,8 @@ LAYERS = (
     # The conversions that the records themselves need.
     ("dynamics.spatial",),
     ("json_files",),
-    ("drafts", "errors", "interrupts"),
+    ("drafts",),
+    ("errors", "interrupts"),
     # Nothing but the version.
     ("",),
 )

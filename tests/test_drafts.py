@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import shutil
+import signal
 import subprocess
 import sys
 
@@ -12,6 +13,7 @@ import pytest
 
 from robot_sysid import drafts
 from robot_sysid.drafts import PREFIX, Drafts, draft_folder, remove_stale
+from robot_sysid.records.atomic_files import write_whole
 from tests.support.places import ROOT
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="drafts are not locked here")
@@ -115,6 +117,24 @@ def test_a_draft_that_is_taken_for_stale_before_it_is_locked_is_made_again(tmp_p
     monkeypatch.setattr(drafts, "has_lock", late)
     draft = Drafts().file(tmp_path / "a.json")
     assert names_in(tmp_path) == [draft.name]
+
+
+@pytest.mark.parametrize("kind", ["file", "folder"])
+def test_an_interrupt_while_a_draft_is_made_leaves_none(tmp_path, monkeypatch, kind):
+    make = getattr(Drafts, kind)
+
+    def interrupted(*arguments):
+        draft = make(*arguments)
+        signal.raise_signal(signal.SIGINT)
+        return draft
+
+    monkeypatch.setattr(Drafts, kind, interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        if kind == "file":
+            write_whole(tmp_path / "a.json", "new")
+        else:
+            draft_folder(tmp_path / "kinova").__enter__()
+    assert names_in(tmp_path) == []
 
 
 def test_a_folder_is_there_in_the_block_and_may_be_renamed(tmp_path):

@@ -196,7 +196,8 @@ class WholeFiles:
             raise InputError(f"cannot write {path}: it is a folder; choose another name")
         try:
             self.create_folder(path.parent)
-            self._drafts[path] = self._hidden.file(path)
+            with held_back():  # What is there has to be known, to be removed.
+                self._drafts[path] = self._hidden.file(path)
         except OSError as error:
             raise InputError(_cannot_write(path, error)) from None
         return self._drafts[path]

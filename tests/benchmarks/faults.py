@@ -1,6 +1,7 @@
 """What stands in the output folder after a run was killed, interrupted, or lost its disk or folder.
 
-Run from the checkout:  python -m tests.benchmarks.faults --kills 100
+Run from the checkout:
+    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python -m tests.benchmarks.faults --kills 100
 
 Each run begins with the results of an earlier one in its folder. Afterwards every file there has to
 be the earlier one or the new one, whole, and the same command has to run through. Half of the kills
@@ -27,13 +28,8 @@ from pathlib import Path
 
 from robot_sysid.records.atomic_files import LOCK_NAME
 from tests.support.command_line import files_in
-from tests.support.workshop import COMMANDS, SEARCH, Run, Workshop
+from tests.support.workshop import COMMANDS, EXAMPLE, SEARCH, Run, Workshop
 
-CYCLE = (
-    *("identify itself", "plan", "identify log", "arm", "payload", "identify itself", "report"),
-    *("plan", "identify log", "identify itself", "arm", "payload", "plan", SEARCH),
-)
-"""Order of the kills: what is quick comes more often."""
 WRITING = 0.02
 """Within this time after the first draft a run is killed while it writes [s]."""
 LONGEST = 300.0
@@ -63,19 +59,27 @@ class Study:
         if "report" in names:  # What it reads is new; only its page is old.
             page = self.old["report"]["report.html"]
             self.old["report"] = {**self.new["report"], "report.html": page}
+        if EXAMPLE in names:  # It refuses to write over an earlier one.
+            self.old[EXAMPLE] = {}
 
     def started(self, name: str) -> Run:
         """Start a command over the earlier results."""
         self.shop.fill(self.old[name])
         return self.shop.start(self.shop.words(name, 2))
 
+    def there(self) -> dict[str, bytes]:
+        """Return all that is in the output folder."""
+        return files_in(self.shop.out) if self.shop.out.is_dir() else {}
+
     def faults(self, name: str, removed: bool = False) -> list[str]:
         """Return what is wrong with the files in the output folder."""
         if not self.shop.out.is_dir():
             return []
-        found = {k: v for k, v in files_in(self.shop.out).items() if not is_hidden(k)}
+        found = {k: v for k, v in self.there().items() if not is_hidden(k)}
         gone = () if removed else set(self.old[name]) - set(found)
         faults = [f"{missing} is gone" for missing in gone]
+        if name == EXAMPLE and found and found.keys() != self.new[name].keys():
+            faults.append("only a part of the example is there")
         for path, content in found.items():
             if path.endswith("inside") or not content:  # put there instead of a file
                 continue
@@ -87,12 +91,16 @@ class Study:
 
     def next_run(self, name: str) -> list[str]:
         """Run the command again and return what is wrong."""
+        if name == EXAMPLE:
+            shutil.rmtree(self.shop.out / "kinova", ignore_errors=True)
         run = self.shop.start(self.shop.words(name, 2))
         if run.code != 0:
             return [f"the next run ends with {run.code}: {run.errors}"]
-        found = {k: v for k, v in files_in(self.shop.out).items() if not is_hidden(k)}
-        differs = name != SEARCH and found != self.new[name]
-        return ["the next run writes something else"] if differs else []
+        found = self.there()
+        left = [f"the next run leaves {k}" for k in found if self.new[name] and is_hidden(k)]
+        seen = {k: v for k, v in found.items() if not is_hidden(k)}
+        differs = name != SEARCH and seen != self.new[name]
+        return left + ["the next run writes something else"] * differs
 
 
 def is_hidden(path: str) -> bool:
@@ -142,25 +150,30 @@ def left_over(run: Run, patience: float = 15.0) -> int:
 def kills(study: Study, count: int) -> None:
     """Kill runs at random times and tell what was there."""
     tally: collections.Counter[str] = collections.Counter()
-    cycle = [name for name in CYCLE if name in study.names]
     for number in range(count):
-        name, writes = cycle[number % len(cycle)], number % 2 == 1
+        turn, place = divmod(number, len(study.names))
+        name = study.names[place]
+        writes = (turn + place) % 2 == 1 and bool(study.new[name])
         run = study.started(name)
         if writes:
             run.wait_for(lambda: has_draft(study.shop.out))
         time.sleep(study.random.uniform(0.0, WRITING if writes else 0.9 * study.time[name]))
         run.process.kill()
         tally["killed" if run.code == -signal.SIGKILL else "ended before"] += 1
+        tally[f"killed: {name}"] += run.code == -signal.SIGKILL
         tally["killed while it wrote"] += has_draft(study.shop.out)
         tally["processes that outlived a killed run"] += left_over(run)
-        tally["files"] += sum(not is_hidden(n) for n in files_in(study.shop.out))
+        files = study.there()
+        hidden = sum(map(is_hidden, files))
+        tally["files"] += len(files) - hidden
+        tally["hidden files of killed runs"] += hidden
         faults = study.faults(name)
         tally["files neither old nor new, or gone"] += len(faults)
         # The next run takes the most time, so that of every third kill has to do.
-        again = study.next_run(name) if number % 3 == 0 else []
-        tally["next runs"] += number % 3 == 0
-        tally["next runs that failed"] += bool(again)
-        tally["hidden files of killed runs left"] += sum(map(is_hidden, files_in(study.shop.out)))
+        goes_on = hidden > 0 or number % 3 == 0
+        again = study.next_run(name) if goes_on else []
+        tally["next runs"] += goes_on
+        tally["next runs that failed or left hidden files"] += bool(again)
         for fault in (*faults, *again):
             print(f"  FAULT kill {number}, {name}: {fault}", flush=True)
         print(f"  {number + 1}: {dict(tally)}", end="\n" if number % 10 == 9 else "\r", flush=True)
@@ -188,8 +201,9 @@ def interrupts(study: Study, count: int) -> None:
     for name in study.names:
         for stage in stages(study, name):
             _interrupted(study, name, stage, count, lambda run, s=stage: has_said(run, s))
-        writes = lambda run: lambda: has_draft(study.shop.out)  # noqa: E731
-        _interrupted(study, name, "(writing)", count, writes)
+        if study.new[name]:
+            writes = lambda run: lambda: has_draft(study.shop.out)  # noqa: E731
+            _interrupted(study, name, "(writing)", count, writes)
         for _ in range(count):
             moment = time.monotonic() + study.random.uniform(0.02, study.time[name])
             any_time = lambda run, m=moment: lambda: time.monotonic() > m  # noqa: E731
@@ -229,7 +243,7 @@ def _interrupted(
         said.update(run.errors)
         faults += study.faults(name)
         faults += [f"{n} processes are left" for n in (left_over(run),) if n]
-        faults += [f"left: {n}" for n in files_in(study.shop.out) if is_hidden(n)]
+        faults += [f"left: {n}" for n in study.there() if is_hidden(n)]
     listed = ", ".join(f"{code} x {n}" for code, n in codes.items())
     lines = "; ".join(f"{n} x {line[:90]}" for line, n in said.items())
     print(f"  {name:16s} {stage[:44]:44s} {listed:18s} {lines}", flush=True)
@@ -259,15 +273,11 @@ def disks(study: Study, sizes: list[str]) -> None:
             with small_disk(study, size) as mounted:
                 if not mounted:
                     return print("  no disk can be mounted here")
-                if name == "report":
-                    with contextlib.suppress(OSError):
-                        for path, content in study.new[name].items():
-                            if path != "report.html":
-                                (study.shop.out / path).write_bytes(content)
+                if name == "report" and not _has_room(study):
+                    continue
                 _tell(study, name, size, study.shop.start(study.shop.words(name, 2)))
         with small_disk(study, "16m"):
-            for path, content in study.old[name].items():
-                (study.shop.out / path).write_bytes(content)
+            study.shop.put(study.old[name])
             run = study.shop.start(study.shop.words(name, 2))
             time.sleep(0.5 * study.time[name])
             call = ["mount", "-o", "remount,ro", str(study.shop.out)]
@@ -278,11 +288,20 @@ def disks(study: Study, sizes: list[str]) -> None:
             _tell(study, name, "read-only before", run)
 
 
+def _has_room(study: Study) -> bool:
+    """Tell whether the run fits on the disk of which a report is to be made."""
+    run = {k: v for k, v in study.new["report"].items() if k != "report.html"}
+    with contextlib.suppress(OSError):
+        study.shop.put(run)
+        return True
+    return False
+
+
 def _tell(study: Study, name: str, what: str, run: Run) -> None:
     print(f"  {name:16s} {what:28s} {run.code:4d}  {' | '.join(run.errors)[:150]}", flush=True)
     faults = study.faults(name, removed=True)
-    if study.shop.out.is_dir() and not what.startswith("read-only"):
-        faults += [f"left: {n}" for n in files_in(study.shop.out) if is_hidden(n)]
+    if not what.startswith("read-only"):
+        faults += [f"left: {n}" for n in study.there() if is_hidden(n)]
     faults += ["more than one line"] * (len(run.errors) > 1)
     faults += ["a defect"] * ("defect" in " ".join(run.errors))
     for fault in faults:
@@ -317,8 +336,8 @@ def folders(study: Study) -> None:
             run, start = study.shop.start(study.shop.words(name, 2)), time.monotonic()
             run.process.join()
             _tell(study, name, f"{what} ({time.monotonic() - start:.1f} s)", run)
-        for result in study.new[name]:
-            if name == "report" and result != "report.html":
+        for result, content in study.new[name].items():
+            if not content or name == EXAMPLE or (name == "report" and result != "report.html"):
                 continue
             study.shop.fill({k: v for k, v in study.old[name].items() if k != result})
             (study.shop.out / result / "inside").mkdir(parents=True)

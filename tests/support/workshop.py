@@ -16,29 +16,40 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import matplotlib.figure  # noqa: F401
+import PIL.Image  # noqa: F401
+import scipy.ndimage
+import scipy.optimize
+import scipy.signal
+import scipy.stats  # noqa: F401
+
 from robot_sysid import api, cli  # noqa: F401
+from robot_sysid.report import write  # noqa: F401
 from tests.support.arms import X, Y, Z, serial_arm
 from tests.support.command_line import files_in
 
 JOINT = 'range="-2.5 2.5" frictionloss=".4" damping=".2" actuatorfrcrange="-60 60"'
 HEAVY = '<inertial pos=".02 .03 .08" mass="1.3" fullinertia=".008 .009 .004 .0004 -.0003 .0005"/>'
-LOGGED = "--plant-model plant.xml --simulation forward --duration 8 --sample-rate 250"
+LOGGED = "--plant-model plant.xml --simulation forward --duration 8 --sample-rate 150"
 NOISE = "--noise-torque 0.05 --encoder-resolution 1e-4"
-SHORT = "--duration 4 --sample-rate 200"
+SHORT = "--duration 4 --sample-rate 100"
 MOTORS = "--export-damiao" + 3 * " --motor-type DM4340"
 OUT = "out"
-PLAN = f"plan arm.xml --seed {{k}} {SHORT} --save-trajectory {OUT}/plan.json"
-SEARCH = "plan search"
+INTO = f"--output-dir {OUT}"
+PLAN = f"plan arm.xml --seed {{k}} {SHORT} --save-trajectory {OUT}/plan.json {INTO}"
+SEARCH, EXAMPLE = "plan search", "example"
 COMMANDS = {
-    "identify itself": f"arm.xml --seed {{k}} {SHORT} {MOTORS}",
-    "identify log": "arm.xml --measurements log{k}.csv",
+    "identify itself": f"arm.xml --seed {{k}} {SHORT} {MOTORS} {INTO}",
+    "identify log": f"identify arm.xml log{{k}}.csv --bundle {INTO}",
     "plan": f"{PLAN} --excitation sines",
     # Ends when time is up, so that its results are other ones each time.
-    SEARCH: f"{PLAN} --excitation-time-budget 5",
+    SEARCH: f"{PLAN} --excitation-time-budget 2",
     "payload": "payload arm.xml --empty-model arm.xml --loaded-model plant.xml --seed {k} "
-    "--duration 5 --sample-rate 200",
-    "arm": "arm arm.xml log{k}.csv",
+    f"--duration 4 --sample-rate 100 {INTO}",
+    "arm": f"arm arm.xml log{{k}}.csv {INTO}",
     "report": f"report {OUT}",
+    "log": "log log{k}.csv arm.xml",
+    EXAMPLE: f"example kinova {INTO}/kinova",
 }
 """Name to command line; {k} is 1 or 2, the variant."""
 
@@ -100,8 +111,7 @@ class Workshop:
 
     def words(self, name: str, variant: int) -> list[str]:
         """Return the command's words, its output folder among them."""
-        words = COMMANDS[name].format(k=variant).split()
-        return words if name == "report" else [*words, "--output-dir", OUT]
+        return COMMANDS[name].format(k=variant).split()
 
     def start(self, words: list[str], label: str = "run") -> Run:
         """Start a command in the folder."""
@@ -118,17 +128,22 @@ class Workshop:
         for each in ("identify log", name) if name == "report" else (name,):
             run = self.start(self.words(each, variant))
             assert run.code == 0, (each, run.errors)
-        return files_in(self.out)
+        return files_in(self.out) if self.out.is_dir() else {}
 
     def fill(self, files: dict[str, bytes]) -> None:
         """Let the output folder hold these files and nothing else."""
         if self.out.is_symlink() or self.out.is_file():
             self.out.unlink()
         shutil.rmtree(self.out, ignore_errors=True)
+        self.put(files)
+
+    def put(self, files: dict[str, bytes]) -> None:
+        """Write files into the output folder; those without content are folders."""
         for name, content in files.items():
             path = self.out / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(content)
+            (path.parent if content else path).mkdir(parents=True, exist_ok=True)
+            if content:
+                path.write_bytes(content)
 
 
 def _command(words: list[str], folder: Path, out: Path, err: Path) -> None:
