@@ -11,6 +11,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.logs.rows import LogRows
 from robot_sysid.logs.timing import LogContext
 from robot_sysid.records import Array
+from robot_sysid.records.figures import position
 from robot_sysid.signals.resampling import GAP_STEPS
 
 # No arm's joint reaches this; a log in degrees passes it at an easy half radian per second.
@@ -102,12 +103,12 @@ def limit_notes(rows: LogRows, context: LogContext) -> Iterator[str]:
     if not len(lines):
         return
     outside = [
-        f"{name} by {excess:.3g}"
-        for name, excess in zip(context.joint_names, np.max(over, axis=0))
+        f"{name} by {excess:.3g} {position(slide)}"
+        for name, excess, slide in zip(context.joint_names, np.max(over, axis=0), context.is_slide)
         if excess > _LIMIT_MARGIN
     ]
     yield (
-        f"positions leave the model's joint limits: {', '.join(outside)} rad "
+        f"positions leave the model's joint limits: {', '.join(outside)} "
         f"({rows.listed(lines)}); check zero positions, signs, units and the order of the columns"
     )
 

@@ -135,7 +135,8 @@ class _Run:
         # Imported here so that playing on real motors does not wait for MuJoCo.
         from robot_sysid.damiao.run.model_check import model_checks
 
-        return [*plan.checks(), *model_checks(plan.trajectory, plan.settings.speed, self.robot)]
+        played = plan.trajectory, plan.settings.speed
+        return [*plan.checks(), *model_checks(*played, self.robot, plan.pose)]
 
     def pose_check(self, plan: Plan) -> PoseCheck | None:
         """Return what compares the arm, held still, with the model's gravity; None without one."""

@@ -100,14 +100,17 @@ def mapped(
             f"the joint map has {len(chosen)} joints but the trajectory {len(joints)}: give one "
             "line per joint, base to terminal, or --model to choose them by name"
         )
+    # An adapter may have got another name; but never play one arm's motion on the other arm.
+    several = len(channels) > 1 or len({row.bus for row in rows}) > 1
+    for row in chosen:
+        if several and row.bus and row.bus not in channels:
+            raise InputError(
+                f"the joint map puts {row.joint} on {row.bus}; open it with --channel {row.bus}"
+            )
     return tuple(_mounted(*pair, channels) for pair in zip(joints, chosen))
 
 
 def _mounted(joint: DamiaoJoint, row: MappedJoint, channels: Sequence[str]) -> DamiaoJoint:
-    if row.bus and row.bus not in channels and len(channels) > 1:
-        raise InputError(
-            f"the joint map puts {row.joint} on {row.bus}; open it with --channel {row.bus}"
-        )
     bus = channels.index(row.bus) if row.bus in channels else 0
     return replace(
         joint,

@@ -23,7 +23,7 @@ from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.excitation.limit_check import first_contact
 from robot_sysid.excitation.options import LimitOptions
 from robot_sysid.excitation.problem import build_problem
-from robot_sysid.records import Array, Motion, RobotModel
+from robot_sysid.records import Array, Motion, MotionPlan, RobotModel
 from robot_sysid.simulator import ArmTorque
 
 # Relative; for limits and trajectories that came out of the same numbers.
@@ -65,13 +65,28 @@ class SampledTrajectory:
         return Motion(time, q, qd, np.zeros_like(q))
 
 
-def model_checks(trajectory: DamiaoTrajectory, speed: float, robot: RobotModel) -> Iterator[Check]:
+class _StraightWay:
+    """A motion from one pose (n,) to another, all joints together, in a second."""
+
+    def __init__(self, begin: Array, end: Array) -> None:
+        self._begin, self._way = begin, end - begin
+        self.duration, self.n_joints = 1.0, len(begin)
+
+    def evaluate(self, time: Array) -> Motion:
+        qd = np.tile(self._way, (len(time), 1))
+        return Motion(time, self._begin + time[:, None] * qd, qd, np.zeros_like(qd))
+
+
+def model_checks(
+    trajectory: DamiaoTrajectory, speed: float, robot: RobotModel, pose: Array | None = None
+) -> Iterator[Check]:
     """Yield what a model of the arm says to a motor trajectory.
 
     Args:
         trajectory: the file, one joint per joint of the model's chain.
         speed: share of its speed at which it is played.
         robot: the arm; loaded without a speed limit, so that only its own holds.
+        pose: (n,) in which the arm is left afterwards; None where it ends [rad].
 
     Raises:
         InputError: the trajectory is for another number of joints.
@@ -82,11 +97,28 @@ def model_checks(trajectory: DamiaoTrajectory, speed: float, robot: RobotModel) 
             f"{robot.n_joints}: {', '.join(robot.joint_names)}"
         )
     motion = SampledTrajectory(trajectory, speed)
-    excesses = [*_joint_excesses(robot, motion), *_contact(robot, motion)]
+    touches = [f"the model's {what} touch at {at:.2f} s" for what, at in _contact(robot, motion)]
+    excesses = [*_joint_excesses(robot, motion), *touches]
     for excess in excesses:
         yield Check(STOP, f"{excess}; export a smaller trajectory for this arm")
-    if not excesses:
+    parking = [] if pose is None else [*_parking(robot, motion.q[-1], pose)]
+    for excess in parking:
+        yield Check(STOP, f"{excess}; choose another --park pose")
+    if not excesses and not parking:
         yield Check(OK, f"the trajectory stays within the limits of {robot.path.name}")
+
+
+def _parking(robot: RobotModel, last: Array, pose: Array) -> Iterator[str]:
+    """Yield a sentence for each limit that a pose is beyond, and on a contact on the way there."""
+    limits = zip(robot.joint_names, pose, robot.limits.lower, robot.limits.upper)
+    for j, (name, q, lower, upper) in enumerate(limits):
+        if not lower - _ROUNDING <= q <= upper + _ROUNDING:
+            yield (
+                f"joint {name} is to be parked at {q:.4g} {_unit('position', robot, j)}, outside "
+                f"the model's {lower:g} to {upper:g}"
+            )
+    for touching, _ in _contact(robot, _StraightWay(last, pose)):
+        yield f"on the straight way to where the arm is parked, the model's {touching} touch"
 
 
 def _joint_excesses(robot: RobotModel, motion: SampledTrajectory) -> Iterator[str]:
@@ -113,13 +145,12 @@ def _unit(what: str, robot: RobotModel, joint: int) -> str:
     return {"position": length, "velocity": f"{length}/s", "torque": force}[what]
 
 
-def _contact(robot: RobotModel, motion: SampledTrajectory) -> Iterator[str]:
-    """Yield a sentence about the first contact on the way, if there is one."""
+def _contact(robot: RobotModel, motion: MotionPlan) -> Iterator[tuple[str, float]]:
+    """Yield which bodies touch first on the way, and when [s], if any do."""
     problem = build_problem(robot, LimitOptions(clearance=0.0))
     when = first_contact(problem, motion)
     if when is not None:
-        touching = problem.obstacles.closest(motion.evaluate(np.array([when])).q[0]).label
-        yield f"the model's {touching} touch at {when:.2f} s"
+        yield problem.obstacles.closest(motion.evaluate(np.array([when])).q[0]).label, when
 
 
 # Torque that says nothing about gravity: this share of the motor's peak, and dry friction.

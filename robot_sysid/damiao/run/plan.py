@@ -37,6 +37,7 @@ from robot_sysid.damiao.run.preflight import (
     Permissions,
     bus_checks,
     other_checks,
+    park_checks,
     plan_checks,
     require_no_stop,
 )
@@ -126,7 +127,8 @@ class Plan:
         """Return the checks that need no bus."""
         joints = self.trajectory.joints
         asked = self.settings, self.timing, self.allowed
-        return plan_checks(self.scan, joints, *asked, self.inertia)
+        checks = plan_checks(self.scan, joints, *asked, self.inertia)
+        return checks if self.pose is None else [*checks, *park_checks(self.pose, joints)]
 
     def bus_checks(self, inspection: Inspection) -> list[Check]:
         """Return what the motors on the bus say to the plan."""
@@ -142,16 +144,22 @@ class Plan:
         found = other_motors(inspection, self.trajectory.joints)
         return tuple(filter(None, (held_joint(motor) for motor in found)))
 
-    def park(self, held: Array) -> Park:
-        """Return where to leave the arm; ``held`` are the positions of motors beside it [rad].
+    @property
+    def pose(self) -> Array | None:
+        """Positions (n,) in which to leave the arm [rad]; None where --park names no file of them.
 
         Raises:
-            InputError: the file of a pose is none.
+            InputError: the file is none.
         """
         where = self.settings.park
         if where is None or where in ("rest", "start"):
-            return where
-        return np.concatenate([read_pose(Path(where), self.trajectory.n_joints), held])
+            return None
+        return read_pose(Path(where), self.trajectory.n_joints)
+
+    def park(self, held: Array) -> Park:
+        """Return where to leave the arm; ``held`` are the positions of motors beside it [rad]."""
+        pose = self.pose
+        return self.settings.park if pose is None else np.concatenate([pose, held])
 
 
 def read_pose(path: Path, n: int) -> Array:

@@ -114,6 +114,17 @@ def plan_checks(
     return checks + list(_within_limits(scan, joints, limits, settings, "its type's"))
 
 
+def park_checks(pose: Array, joints: Sequence[DamiaoJoint]) -> Iterator[Check]:
+    """Yield what the motors' types say to a pose (n,) in which the arm is to be left [rad]."""
+    for joint, place in zip(joints, JointSpace.of(joints).motor_position(pose)):
+        if abs(place) > joint.spec.position_limit:
+            yield Check(
+                STOP,
+                f"{joint.label}: to be parked it would turn to {place:.4g} rad, beyond its type's "
+                f"limit {joint.spec.position_limit:g}; choose another --park pose",
+            )
+
+
 def bus_checks(
     inspection: Inspection,
     scan: TrajectoryScan,

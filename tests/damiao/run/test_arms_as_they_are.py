@@ -268,6 +268,17 @@ def test_a_map_that_lacks_a_joint_of_the_model_is_refused(tmp_path):
     far = [replace(row, bus="can7") for row in rows]
     with pytest.raises(InputError, match="open it with --channel can7"):
         mapped(joints, far, ["can0", "can1"])
+    # One adapter may have got another name since.
+    assert [j.bus for j in mapped(joints, far, ["can0"])] == [0, 0]
+
+
+def test_one_arm_of_a_map_is_never_played_on_the_bus_of_the_other():
+    rows = [MappedJoint(f"left_{k}", "can0", k, k + 16, 1) for k in (1, 2)]
+    rows += [MappedJoint(f"right_{k}", "can1", k, k + 16, 1) for k in (1, 2)]
+    joints, right = damiao_joints(["DM4340"] * 2, 2), ["right_1", "right_2"]
+    with pytest.raises(InputError, match="right_1 on can1; open it with --channel can1"):
+        mapped(joints, rows, ["can0"], right)
+    assert [j.can_id for j in mapped(joints, rows, ["can1"], right)] == [1, 2]
 
 
 def test_the_frames_in_the_manual_are_those_of_a_run(tmp_path):

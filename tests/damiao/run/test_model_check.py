@@ -226,3 +226,15 @@ def test_a_wall_on_the_way_is_found_however_the_file_states_velocities(
         assert check.severity == STOP and "wall" in check.text and "arm" in check.text
     else:
         assert check.severity == OK
+
+
+@given(angle=st.floats(-2.9, 1.4) | st.floats(1.7, 2.9) | st.floats(3.1, 3.5))
+def test_where_the_arm_is_parked_and_the_way_there_are_compared_too(folder, angle):
+    robot = arms.robot_of(WALL, max_velocity=np.inf)
+    trajectory = written(folder, turn(0.5))
+    said = [c.text for c in model_checks(trajectory, 1.0, robot, np.array([angle]))]
+    assert any("wall" in text and "where the arm is parked" in text for text in said) == (
+        angle > 1.5
+    )
+    assert any("outside the model's -3 to 3" in text for text in said) == (angle > 3.0)
+    assert all(text.endswith("choose another --park pose") for text in said) == (angle > 1.5)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,15 @@ from robot_sysid.damiao.exchange.settings import PlaySettings
 from robot_sysid.damiao.protocol.bus_load import BusTiming, bus_load
 from robot_sysid.damiao.protocol.joints import damiao_joints
 from robot_sysid.damiao.protocol.motors import MOTORS
-from robot_sysid.damiao.run.preflight import NOTE, OK, STOP, Permissions, plan_checks, stops
+from robot_sysid.damiao.run.preflight import (
+    NOTE,
+    OK,
+    STOP,
+    Permissions,
+    park_checks,
+    plan_checks,
+    stops,
+)
 from robot_sysid.damiao.trajectory.csv_file import TrajectoryScan
 
 # Beside the limit, so that rounding does not decide.
@@ -98,3 +107,11 @@ def test_a_joint_that_its_motor_would_shake_is_noted():
     shaken = [c for c in checks_of(scan_of(2), types, inertia=inertia) if "will shake" in c.text]
     assert [c.severity for c in shaken] == [NOTE] and shaken[0].text.startswith("motor 1 moves")
     assert not any("shake" in c.text for c in checks_of(scan_of(2), types))
+
+
+@given(place=st.floats(-12.4, 12.4) | st.floats(12.6, 30.0), offset=st.floats(-3.0, 3.0))
+def test_a_motor_cannot_be_parked_beyond_what_its_frames_carry(place, offset):
+    joints = [replace(joint, offset=offset) for joint in damiao_joints(["DM4340"] * 2, 2)]
+    found = list(park_checks(np.array([-offset, place - offset]), joints))
+    assert [check.severity for check in found] == [STOP] * (place > 12.5)
+    assert all(c.text.startswith("motor 2") and "limit 12.5" in c.text for c in found)
