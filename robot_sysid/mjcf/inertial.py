@@ -92,10 +92,14 @@ def comment_edit(body: Node, label: str, rmse: float, addition: str | None) -> E
 
 def comment_text(label: str, rmse: float, addition: str | None) -> str:
     """Return the comment that says what was identified about a body."""
-    figure = f"{rmse:.6f}" if rmse == 0.0 or rmse >= 1e-6 else f"{rmse:.3g}"
-    words = f"System ID: body '{label}' identified with RMSE {figure} Nm"
+    words = f"System ID: body '{label}' identified with {rmse_words(rmse)}"
     words += f"; {addition}" if addition else ""
     return f"<!-- {words.replace('--', '- -')} -->"
+
+
+def rmse_words(rmse: float) -> str:
+    """Return how a comment states the residual [N m] of the identification that it is of."""
+    return f"RMSE {rmse:.6f} Nm" if rmse == 0.0 or rmse >= 1e-6 else f"RMSE {rmse:.3g} Nm"
 
 
 MULTIPLIERS = ("replicate", "attach", "composite", "flexcomp")

@@ -108,8 +108,8 @@ def _add_minimum_inertia(document: ModelDocument, edits: list[Edit], notes: list
     if found:
         links = ", ".join(f"'{name}'" for name in found)
         notes.append(
-            f"moving link {links} has no mass or inertia, which MuJoCo refuses; it was "
-            f"given {MINIMUM_MASS:g} kg and {MINIMUM_INERTIA:g} kg m^2"
+            f"moving link {links} has no mass, or no inertia, which MuJoCo refuses; where it has "
+            f"none it was given {MINIMUM_MASS:g} kg and {MINIMUM_INERTIA:g} kg m^2"
         )
 
 
@@ -121,15 +121,16 @@ def minimum_inertia_edits(document: ModelDocument) -> Iterator[tuple[str, Edit]]
         span = file.span(link)
         if inertial is not None:
             old = file.span(inertial)
-            edit = Edit(old.start, old.end, _minimum(_mass(link)))
+            com = _floats(inertial.find("{*}origin"), "xyz")
+            edit = Edit(old.start, old.end, _minimum(_mass(link), com))
         else:
-            edit = markup.insert_child(file.text, span, _minimum(0.0))
+            edit = markup.insert_child(file.text, span, _minimum(0.0, np.zeros(3)))
         yield str(link.get("name")), edit
 
 
-def _minimum(mass: float) -> bytes:
+def _minimum(mass: float, com: Array) -> bytes:
     inertia = MINIMUM_INERTIA * np.eye(3)
-    return urdf_inertial_about_com(max(mass, MINIMUM_MASS), np.zeros(3), inertia).encode()
+    return urdf_inertial_about_com(max(mass, MINIMUM_MASS), com, inertia).encode()
 
 
 _LARGEST = 1e12

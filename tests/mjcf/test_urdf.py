@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -69,6 +70,15 @@ def test_the_minimum_goes_to_moving_links_without_inertia(tmp_path, content, giv
     assert [("'l1'" in note) for note in notes] == [True] * given
     if "2.0" in content:
         assert b'<mass value="2.0"/>' in text
+
+
+def test_a_point_mass_stays_where_it_is(tmp_path):
+    """A link with mass and no inertia: what MuJoCo loads has the same mass in the same place."""
+    content = urdf_inertial(mass=2.0, inertia="0 0 0")
+    text, _ = compilable_urdf(arm(tmp_path, content), with_minimum=True)
+    model = mujoco.MjModel.from_xml_string(text.decode())
+    assert model.body("l1").mass[0] == 2.0
+    np.testing.assert_allclose(model.body("l1").ipos, [0.1, 0.0, 0.0])
 
 
 def test_a_link_whose_mass_is_welded_to_it_needs_no_minimum(tmp_path):

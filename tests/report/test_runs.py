@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 
 import pytest
@@ -12,6 +13,7 @@ from robot_sysid.output.cards import payload_cards
 from robot_sysid.output.payload_json import payload_json_text
 from robot_sysid.report.page import sections_of
 from robot_sysid.report.runs import PAYLOAD, load_run
+from robot_sysid.report.sections.verdict import next_steps
 from tests.support import payload_results
 
 
@@ -46,6 +48,15 @@ def test_an_editor_may_have_changed_line_ends_and_added_a_mark(folder):
     before = load_run(folder).content
     result.write_bytes(b"\xef\xbb\xbf" + result.read_bytes().replace(b"\n", b"\r\n"))
     assert load_run(folder).content == before
+
+
+def test_a_model_that_an_earlier_run_left_is_not_to_be_loaded(folder):
+    """A run whose model could not be written leaves the one that was there."""
+    assert "Load updated_model.xml in place of the model." in next_steps(load_run(folder)).points
+    model = folder / "updated_model.xml"
+    model.write_text(re.sub(r"RMSE [\d.]+ Nm", "RMSE 0.123456 Nm", model.read_text()))
+    (said,) = [p for p in next_steps(load_run(folder)).points if "updated_model.xml" in p]
+    assert said.startswith("Do not load updated_model.xml: it is from another run")
 
 
 def test_torques_of_another_run_are_not_drawn(folder):

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 
+from robot_sysid.mjcf.inertial import rmse_words
 from robot_sysid.records.figures import percent, with_error
+from robot_sysid.records.results import MODEL_NAMES
 from robot_sysid.report.elements import Section
 from robot_sysid.report.runs import ARM, LINK, PAYLOAD, Run, listed, mapping, number
 
@@ -119,10 +122,11 @@ def _steps(run: Run) -> Iterator[str]:
 
 
 def _uses(run: Run) -> Iterator[str]:
-    names = ("updated_model.xml", "updated_model.urdf")
-    written = [name for name in names if (run.folder / name).is_file()]
-    if written:
-        yield f"Load {written[0]} in place of the model."
+    for name in MODEL_NAMES.values():
+        if (run.folder / name).is_file():
+            ours = _is_of(run.folder / name, run)
+            older = f"Do not load {name}: it is from another run, and this one wrote none."
+            yield f"Load {name} in place of the model." if ours else older
     if mapping(run.content, "cards"):
         yield "Copy the payload into the controller from the card below; mind the frame it names."
     kept = [body.title for body in run.bodies() if any(body.kept)]
@@ -131,6 +135,12 @@ def _uses(run: Run) -> Iterator[str]:
             "Some values are the model's own, because these torques do not show them: use "
             "`--torques chain` and a designed motion (`robot-sysid plan`) to see more."
         )
+
+
+def _is_of(model: Path, run: Run) -> bool:
+    """Tell whether a written model states the residual of a run in its comments."""
+    held = mapping(run.content, "held_out") if run.kind == ARM else run.content
+    return rmse_words(number(held.get("rmse"))) in model.read_text("utf-8", errors="replace")
 
 
 def _smaller_errors(run: Run) -> Iterator[str]:
