@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar, get_type_hints
 
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.options import EstimationOptions
@@ -26,6 +26,8 @@ from robot_sysid.records.options import (
 from robot_sysid.records.results import DAMIAO_NAME, MODEL_NAMES, PARAMS_NAME, PLAN_NAME
 from robot_sysid.simulation.sensors import SimulatedArmOptions
 from robot_sysid.trajectory import TrajectoryOptions, require_countable
+
+Config = TypeVar("Config")
 
 
 @dataclass(frozen=True)
@@ -277,7 +279,12 @@ def config_from(path: Path, **values: Any) -> SysidConfig:
     Raises:
         InputError: an option is unknown, its value cannot be used, or it does not go with another.
     """
-    records: dict[str, Any] = {each.name: type(each.default) for each in fields(SysidConfig)[1:]}
-    refuse_unknown(values, ModelOptions, *records.values())
-    model = replace(record_from(ModelOptions, values), path=Path(path))
-    return SysidConfig(model, **{name: record_from(r, values) for name, r in records.items()})
+    return configured(SysidConfig, path, values)
+
+
+def configured(kind: type[Config], path: Path, values: Mapping[str, Any]) -> Config:
+    """Return a record of option records; arguments and errors as in ``config_from``."""
+    records = get_type_hints(kind)
+    refuse_unknown(values, *records.values())
+    made = {name: record_from(record, values) for name, record in records.items()}
+    return kind(**{**made, "model": replace(made["model"], path=Path(path))})

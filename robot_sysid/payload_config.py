@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from robot_sysid.config import NEEDS, ModelOptions, OutputOptions
+from robot_sysid.config import NEEDS, ModelOptions, OutputOptions, configured
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
 from robot_sysid.identify.payload.options import PayloadOptions
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.records.atomic_files import refuse_overwriting
-from robot_sysid.records.options import given_options, record_from, refuse_unknown
+from robot_sysid.records.options import given_options
 from robot_sysid.records.results import MODEL_NAMES, PARAMS_NAME
 from robot_sysid.simulation.sensors import SimulatedArmOptions
 from robot_sysid.trajectory import TrajectoryOptions
@@ -91,8 +91,4 @@ def payload_config_from(path: Path, **values: Any) -> PayloadConfig:
     Raises:
         InputError: an option is unknown, its value cannot be used, or it does not go with another.
     """
-    records: Mapping[str, Any] = {f.name: type(f.default) for f in fields(PayloadConfig)[2:]}
-    refuse_unknown(values, ModelOptions, PayloadOptions, *records.values())
-    model = replace(record_from(ModelOptions, values), path=Path(path))
-    rest = {name: record_from(record, values) for name, record in records.items()}
-    return PayloadConfig(model, record_from(PayloadOptions, values), **rest)
+    return configured(PayloadConfig, path, values)

@@ -17,7 +17,7 @@ import numpy as np
 from robot_sysid.errors import InputError
 from robot_sysid.logs.formats.arrays import npz_arrays
 from robot_sysid.records import Array
-from robot_sysid.records.traces import Traces
+from robot_sysid.records.traces import SIGNALS, Signals, Traces
 from robot_sysid.report.statistics import autocorrelation, by_speed, histogram
 
 DATA_NAME = "report_data.npz"
@@ -27,14 +27,10 @@ _VERSION = 1
 
 
 @dataclass(frozen=True)
-class ReportData:
-    """What a report draws of n joints.
+class ReportData(Signals):
+    """What a report draws of n joints; the time runs on from log to log.
 
     Attributes:
-        joints: their names.
-        is_slide: (n,) whether a joint is a slide.
-        time: (K,) running on from log to log [s].
-        q, qd, measured, predicted, before, friction: (K, n), see ``records.traces.Traces``.
         n_samples: how many instants there were.
         edges, counts: (n, B + 1), (n, B) histogram of the residual [N m].
         lags, correlation: (L,) [s], (n, L) autocorrelation of the residual.
@@ -47,15 +43,6 @@ class ReportData:
         result: hash of the JSON file that this belongs to.
     """
 
-    joints: tuple[str, ...]
-    is_slide: tuple[bool, ...]
-    time: Array
-    q: Array
-    qd: Array
-    measured: Array
-    predicted: Array
-    before: Array
-    friction: Array
     n_samples: int
     edges: Array
     counts: Array
@@ -75,10 +62,8 @@ class ReportData:
     result: str = ""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         n = len(self.joints)
-        for name in ("q", "qd", "measured", "predicted", "before", "friction"):
-            if np.shape(getattr(self, name)) != (len(self.time), n):
-                raise ValueError(f"{name} does not fit {n} joints and {len(self.time)} instants")
         for name in ("counts", "correlation", "speed", "lower", "independent"):
             if len(getattr(self, name)) != n:
                 raise ValueError(f"{name} does not fit {n} joints")
@@ -115,8 +100,7 @@ def report_data(traces: Traces, result: str = "") -> ReportData:
         traces.qd, (residual, traces.friction + residual, traces.friction)
     )
     drawn: dict[str, Any] = {
-        name: np.asarray(getattr(traces, name)[kept], dtype=np.float32)
-        for name in ("q", "qd", "measured", "predicted", "before", "friction")
+        name: np.asarray(getattr(traces, name)[kept], dtype=np.float32) for name in SIGNALS
     }
     return ReportData(
         joints=traces.joints,
@@ -134,10 +118,7 @@ def report_data(traces: Traces, result: str = "") -> ReportData:
         residual_spread=spread,
         friction_measured=measured,
         friction_predicted=predicted,
-        lower=limits.lower,
-        upper=limits.upper,
-        velocity=limits.velocity,
-        torque=limits.torque,
+        **vars(limits),
         truth=np.zeros(0) if traces.truth is None else traces.truth.theta,
         result=result,
     )
@@ -175,7 +156,7 @@ def load_data(path: Path) -> ReportData:
         raise InputError(f"{path} was written by another version; {remedy}")
     try:
         return _restored(content)
-    except (KeyError, TypeError, ValueError, IndexError) as error:
+    except (InputError, KeyError, TypeError, ValueError, IndexError) as error:
         raise InputError(f"{path} is damaged: {error}; {remedy}") from None
 
 
