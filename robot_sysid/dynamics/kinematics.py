@@ -87,7 +87,6 @@ class ArmDynamics:
     """
 
     def __init__(self, robot: RobotModel, mj_model: Any = None) -> None:
-        self._robot = robot
         self.model = analysis_copy(robot.mj_model if mj_model is None else mj_model)
         self.data = mujoco.MjData(self.model)
         self.data.qpos[:] = robot.reference_qpos

@@ -150,10 +150,9 @@ def _condition(matrix: Array) -> float:
 
 def _nuisance_rank(matrix: Array, space: VisibleSpace, interest: np.ndarray) -> int:
     nuisance = np.where(space.zero, 0.0, matrix * space.scale)[:, ~interest]
-    if nuisance.shape[1] == 0 or space.rank == 0:
-        return 0
     singular = np.linalg.svd(nuisance, compute_uv=False)
-    return int(np.count_nonzero(singular > RELATIVE_CUT * space.singular[0]))
+    largest = np.max(space.singular, initial=0.0)
+    return int(np.count_nonzero(singular > RELATIVE_CUT * largest))
 
 
 _TOLERANCE = 1e-6
@@ -194,9 +193,7 @@ def readable_basis(null: Array) -> list[Array]:
 def _within(null: Array, group: Sequence[int]) -> Array:
     """Return (p, e) basis of the part of the null space that lives on ``group`` alone."""
     outside = [k for k in range(len(null)) if k not in group]  # setdiff1d imports numpy.ma
-    if len(outside) == 0 or null.shape[1] == 0:
-        return null
-    _, singular, right = np.linalg.svd(null[outside], full_matrices=True)
+    _, singular, right = np.linalg.svd(null[outside])
     padded = np.zeros(null.shape[1])
     padded[: len(singular)] = singular
     basis = null @ right[padded < _TOLERANCE].T

@@ -66,8 +66,8 @@ def update_triangle(triangle: Array, rows: Array) -> Array:
     size = triangle.shape[1]
     # Before the first rows there is nothing to stack them under.
     stacked = np.vstack((triangle, rows)) if np.any(triangle) else rows
-    made = np.asarray(np.linalg.qr(stacked, mode="r"), dtype=np.float64)
-    return made if len(made) == size else np.vstack((made, np.zeros((size - len(made), size))))
+    made = np.asarray(np.linalg.qr(stacked, mode="r"))
+    return np.vstack((made, np.zeros((size - len(made), size))))
 
 
 def sample_counts(information: SquareRootInformation) -> Array:

@@ -174,6 +174,22 @@ def test_units_do_not_decide_what_is_visible(seed, exponents):
     assert second == pytest.approx(first, rel=1e-6)
 
 
+@given(SEEDS, st.integers(-14, 14), st.permutations(range(16)), st.integers(0, 4))
+def test_the_unit_of_torque_does_not_decide_what_is_visible(seed, exponent, order, count):
+    """Also where some columns are nothing but rounding noise."""
+    rng = np.random.default_rng(seed)
+    equations, names = arm_equations(rng, joints=3)
+    for rows, columns in equations:
+        rows[:, np.isin(columns, order[:count])] *= 1e-13
+    truth = rng.normal(size=16)
+    seen = analyse_identifiability(information_of(equations, names, truth))
+    scaled = [(rows * 10.0**exponent, columns) for rows, columns in equations]
+    again = analyse_identifiability(information_of(scaled, names, truth))
+    assert (again.rank, again.identified) == (seen.rank, seen.identified)
+    assert again.condition_number == pytest.approx(seen.condition_number, rel=1e-6)
+    assert again.scaled_condition_number == pytest.approx(seen.scaled_condition_number, rel=1e-6)
+
+
 @pytest.mark.parametrize("nuisances", [(), ("offset[joint0]",)])
 def test_data_at_rest_sees_nothing(nuisances):
     names = (*spatial.PARAMETER_NAMES, *nuisances)
@@ -295,13 +311,19 @@ def test_a_sparse_basis_is_found_again_however_it_was_turned(seed, order, sizes)
     np.testing.assert_allclose(found, signs * expected, rtol=0.0, atol=1e-9)
 
 
-@given(SEEDS, st.sampled_from([range(1, 4), range(4, 10), range(10)]), st.sampled_from([11, 13]))
-def test_what_lives_within_one_unit_is_named_by_itself(seed, group, size):
-    """Beside a direction that mixes everything."""
+@given(
+    SEEDS,
+    st.sampled_from([range(1, 4), range(4, 10), range(10)]),
+    st.sampled_from([11, 13]),
+    st.sampled_from([11, 13]),
+)
+def test_what_lives_within_one_unit_is_named_by_itself(seed, group, size, reach):
+    """Beside a direction that mixes everything, or all but the last friction."""
     rng = np.random.default_rng(seed)
+    mixed = rng.normal(size=size) * (np.arange(size) < reach)
     own = np.zeros(size)
     own[list(group)] = rng.choice([-1.0, 1.0], len(group)) * rng.uniform(0.2, 1.0, len(group))
-    null = np.linalg.qr(np.column_stack((own, rng.normal(size=size))))[0]
+    null = np.linalg.qr(np.column_stack((own, mixed)))[0]
     found = np.array(readable_basis(null @ np.linalg.qr(rng.normal(size=(2, 2)))[0]))
     assert np.max(np.abs(found @ own)) == pytest.approx(np.linalg.norm(own), rel=1e-9)
     np.testing.assert_allclose(found @ null @ null.T, found, rtol=0.0, atol=1e-9)

@@ -130,7 +130,7 @@ def encode_mit(command: MitCommand, scaling: Scaling) -> Bytes:
             kd > 0 in its frame (the motor would oscillate), or a frame's first seven bytes would
             all be 0xFF (the motor would take it for enable, disable, zero or clear).
     """
-    values = np.array(np.broadcast_arrays(*command), dtype=float)
+    values = np.array(np.broadcast_arrays(*command))
     _refuse_outside(values, scaling)
     # floor(x + 1/2): numpy's rint rounds halves to even, which differs in the last bit.
     p, v, kp, kd, t = _codes(values, scaling, slice(None), 0.5)
@@ -171,7 +171,7 @@ def decode_mit(frames: Bytes, scaling: Scaling) -> MitCommand:
 def encode_feedback(feedback: Feedback, scaling: Scaling) -> Bytes:
     """Return feedback frames (..., n, 8) as a motor sends them: truncated and saturated."""
     fields = (feedback.position, feedback.velocity, feedback.torque)
-    values = np.array(np.broadcast_arrays(*fields), dtype=float)
+    values = np.array(np.broadcast_arrays(*fields))
     p, v, t = _codes(values, scaling, _MEASURED, 0.0)
     head = (np.asarray(feedback.status) << 4) | (np.asarray(feedback.can_id) & 0xF)
     hot = np.asarray(feedback.temperature_mos), np.asarray(feedback.temperature_rotor)
