@@ -158,8 +158,8 @@ def _build_pseudo_basis() -> Array:
     return basis
 
 
-# The turns and mirrors (48, 3, 3) that put coordinate axes on coordinate axes. No mirror is ever the
-# closest to a rotation: what it leaves has a trace of at most 1, the best turn leaves at least 1.9.
+# The turns and mirrors (48, 3, 3) that put coordinate axes on coordinate axes. A mirror is never
+# the closest to a rotation: it leaves a trace of at most 1, the best turn one of at least 1.9.
 _TURNS = np.array(
     [
         np.eye(3)[:, order] * signs
