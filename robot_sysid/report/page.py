@@ -45,7 +45,7 @@ def _made(maker: Callable[[Any], Section | None], run: Run | Sequence[Run]) -> I
     name = getattr(maker, "__name__", "picture")
     try:
         section = maker(run)
-    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+    except (ArithmeticError, AttributeError, LookupError, OSError, TypeError, ValueError) as error:
         cause = f"this part cannot be shown: the result holds {type(error).__name__}: {error}"
         section = Section(name, name.capitalize().replace("_", " "), missing=(cause,))
     if section is not None:

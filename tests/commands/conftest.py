@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import pytest
 
+from robot_sysid.commands import motors
 from robot_sysid.config import config_from
+from robot_sysid.damiao.simulated.simulated_link import SimulatedLink
+from tests.support.clocks import ScriptedClock
+from tests.support.damiao_rig import two_motor_arm
+from tests.support.links import RememberingLink
 
 
 @pytest.fixture
@@ -16,3 +21,36 @@ def asked(request, monkeypatch):
     command = request.module.module
     monkeypatch.setattr(command, "identify", lambda values, *_: config_from(**values))
     return lambda *arguments: command.main([*map(str, arguments)])
+
+
+class SimulatedBus:
+    """A bus with a simulated arm on it, which the command opens in place of a real one.
+
+    Attributes:
+        arm: who answers.
+        clock: simulated time, also that of the command.
+        wire: the frames of the last link that was opened, or None.
+        rates: nominal bit rates that it was opened with.
+    """
+
+    def __init__(self):
+        self.arm, self.clock, self.wire = two_motor_arm(), ScriptedClock(), None
+        self.rates = []
+
+    def open(self, address, timing, clock):
+        self.rates.append(timing.bitrate)
+        link = SimulatedLink(self.clock, self.arm, timing, echo=True)
+        self.wire = RememberingLink(link, self.clock)
+        return self.wire
+
+    @property
+    def motors(self):
+        return self.arm.motors
+
+
+@pytest.fixture
+def bus(monkeypatch):
+    simulated = SimulatedBus()
+    monkeypatch.setattr(motors, "SystemClock", lambda: simulated.clock)
+    monkeypatch.setattr(motors, "open_bus", simulated.open)
+    return simulated

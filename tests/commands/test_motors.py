@@ -16,19 +16,16 @@ import pytest
 
 from robot_sysid import parser
 from robot_sysid.cli import main
-from robot_sysid.commands import motors as command
 from robot_sysid.damiao.bus.can_bus import BusAddress, open_bus
 from robot_sysid.damiao.bus.clock import SystemClock
 from robot_sysid.damiao.protocol.bus_load import BusTiming
 from robot_sysid.damiao.protocol.frames import Address, enable_frame
 from robot_sysid.damiao.protocol.registers import DISABLED, TIMEOUT
 from robot_sysid.damiao.simulated.faults import Fault
-from robot_sysid.damiao.simulated.simulated_link import SimulatedLink
 from robot_sysid.damiao.trajectory.csv_file import export_damiao_trajectory
 from tests.support import arms
-from tests.support.clocks import ScriptedClock
 from tests.support.damiao_rig import only_asks, swing, two_motor_arm
-from tests.support.links import RememberingLink, served_in_background
+from tests.support.links import served_in_background
 from tests.support.recordings import read_recording
 
 COMMANDS = ("check", "play", "simulate")
@@ -49,36 +46,6 @@ def written(folder, motion):
 @pytest.fixture
 def model(arm_file):
     return arm_file(arms.serial_arm((arms.Z, arms.Y)))
-
-
-class SimulatedBus:
-    """A bus with a simulated arm on it, which the command opens in place of a real one.
-
-    Attributes:
-        arm: who answers.
-        clock: simulated time, also that of the command.
-        wire: the frames of the last link that was opened, or None.
-    """
-
-    def __init__(self):
-        self.arm, self.clock, self.wire = two_motor_arm(), ScriptedClock(), None
-
-    def open(self, address, timing, clock):
-        link = SimulatedLink(self.clock, self.arm, timing, echo=True)
-        self.wire = RememberingLink(link, self.clock)
-        return self.wire
-
-    @property
-    def motors(self):
-        return self.arm.motors
-
-
-@pytest.fixture
-def bus(monkeypatch):
-    simulated = SimulatedBus()
-    monkeypatch.setattr(command, "SystemClock", lambda: simulated.clock)
-    monkeypatch.setattr(command, "open_bus", simulated.open)
-    return simulated
 
 
 @pytest.fixture

@@ -5,42 +5,14 @@ from __future__ import annotations
 import pytest
 
 from robot_sysid.cli import main
-from robot_sysid.commands import motors as command
 from robot_sysid.damiao.protocol import registers as reg
 from robot_sysid.damiao.protocol.frames import ENABLE, READ, REGISTER_ID, STORE, is_special
 from robot_sysid.damiao.protocol.joint_map import read_joint_map
 from robot_sysid.damiao.protocol.registers import DISABLED, ENABLED
-from robot_sysid.damiao.simulated.simulated_link import SimulatedLink
 from tests.support import arms
-from tests.support.clocks import ScriptedClock
-from tests.support.damiao_rig import only_asks, two_motor_arm
-from tests.support.links import RememberingLink
+from tests.support.damiao_rig import only_asks
 
 CAN0 = ("--channel", "can0")
-
-
-class Bus:
-    def __init__(self):
-        self.arm, self.clock, self.wire = two_motor_arm(), ScriptedClock(), None
-        self.rates = []
-
-    def open(self, address, timing, clock):
-        self.rates.append(timing.bitrate)
-        link = SimulatedLink(self.clock, self.arm, timing, echo=True)
-        self.wire = RememberingLink(link, self.clock)
-        return self.wire
-
-    @property
-    def motors(self):
-        return self.arm.motors
-
-
-@pytest.fixture
-def bus(monkeypatch):
-    simulated = Bus()
-    monkeypatch.setattr(command, "SystemClock", lambda: simulated.clock)
-    monkeypatch.setattr(command, "open_bus", simulated.open)
-    return simulated
 
 
 @pytest.fixture
