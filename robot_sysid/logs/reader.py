@@ -12,7 +12,6 @@ import csv
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -157,26 +156,6 @@ def origin_of(logs: Sequence[MeasurementLog]) -> DataOrigin:
     return DataOrigin(Source.LOG, words, duration, rate, files=files)
 
 
-def read_measurements(
-    path: Path,
-    joint_names: Sequence[str],
-    limits: JointLimits | None = None,
-    is_slide: Sequence[bool] = (),
-    **options: Any,
-) -> MeasurementLog:
-    """Recognise, check and open a log, see ``read_log``.
-
-    Args:
-        path: the log.
-        joint_names: the n chain joints, base to terminal.
-        limits: what the joints may do; None checks no limits.
-        is_slide: (n,) whether a joint is a slide.
-        options: fields of ``LogOptions``, such as columns or units.
-    """
-    joints = LogJoints(tuple(joint_names), limits, tuple(is_slide))
-    return read_log(path, joints, LogOptions(**options))
-
-
 def torque_factor(options: LogOptions, joint_names: Sequence[str]) -> Array | None:
     """Return (n,) what the options multiply torque columns with; None for nothing.
 
@@ -199,7 +178,7 @@ def write_measurement_csv(
     chunks: Iterable[Measurement],
     header_comments: Sequence[str] = (),
 ) -> None:
-    """Write samples in the form ``read_measurements`` reads, with every digit.
+    """Write samples in the form ``read_log`` reads, with every digit.
 
     The file appears whole or not at all.
 

@@ -24,13 +24,11 @@ class Strip:
         title: with its unit.
         values: (T,); NaN where nothing is known.
         limit: what it has to keep, or None.
-        is_least: whether it has to stay above the limit instead of below.
     """
 
     title: str
     values: Array
     limit: float | None
-    is_least: bool = False
 
 
 @dataclass(frozen=True)
@@ -72,7 +70,7 @@ def shown_plan(
         Strip("position [% of range]", _share(motion.q - limits.center, largest[0]), 100.0),
         Strip("speed [% of limit]", _share(motion.qd, largest[1]), 100.0),
         Strip("torque [% of limit]", _share(torque, largest[3]), 100.0),
-        Strip("clearance [mm]", 1000.0 * known, 0.0, is_least=True),
+        Strip("clearance [mm]", 1000.0 * known, 0.0),
     )
     if log is None:
         return Shown(motion.time, motion.q, strips)

@@ -152,11 +152,6 @@ class Flange:
         """Return theta (10,) in the terminal body's frame from theta in this frame."""
         return spatial.transform_theta(theta, self.rotation, self.translation)
 
-    def covariance_to_flange(self, covariance: Array) -> Array:
-        """Return the covariance (10, 10) of theta in this frame from that in the terminal's."""
-        change = np.stack([self.to_flange(unit) for unit in np.eye(10)], axis=1)
-        return np.asarray(change @ covariance @ change.T)
-
 
 @dataclass(frozen=True)
 class JointLimits:

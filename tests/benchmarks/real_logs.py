@@ -17,9 +17,9 @@ from pathlib import Path
 
 from robot_sysid.estimation.options import CHOSEN, EstimationOptions
 from robot_sysid.identify.fit import fit_measured, validate_on
-from robot_sysid.logs.reader import read_measurements
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.progress import Progress
+from tests.support.log_files import read_measurements
 from tests.support.places import DATA
 
 AUTO = EstimationOptions(friction_model=CHOSEN)

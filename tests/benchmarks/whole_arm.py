@@ -28,7 +28,6 @@ from robot_sysid.identify.arm.fit import fit_arm
 from robot_sysid.identify.arm.friction_choice import CANDIDATES
 from robot_sysid.identify.arm.result import parameter_scale, structural_base
 from robot_sysid.identify.samples import joined
-from robot_sysid.logs.reader import read_measurements
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
 from robot_sysid.records.progress import Progress
@@ -36,6 +35,7 @@ from robot_sysid.signals.process import process
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 from tests.support import whole_arm
+from tests.support.log_files import read_measurements
 from tests.support.places import DATA, MODELS
 
 KUKA_CUTOFF = 4.5

@@ -8,10 +8,10 @@ import pytest
 
 from robot_sysid.checks.finding import Level
 from robot_sysid.checks.run import check_against_model
-from robot_sysid.logs.reader import read_measurements
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
 from tests.support import arms
+from tests.support.log_files import read_measurements
 from tests.support.places import DATA
 from tests.support.wrong_logs import KINDS, truth_of
 

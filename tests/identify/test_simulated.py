@@ -11,11 +11,11 @@ import pytest
 from robot_sysid import __version__
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.identify.simulated import ITSELF, SimulatedRun, identify_itself, versions
-from robot_sysid.logs.reader import read_measurements
 from robot_sysid.records import Source, Status
 from robot_sysid.records.progress import Progress
 from robot_sysid.trajectory import CHUNK
 from tests.support import arms
+from tests.support.log_files import read_measurements
 from tests.support.measured_logs import plan_of, true_arm
 
 

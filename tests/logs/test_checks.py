@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.checks import sign_check
-from robot_sysid.logs.reader import MeasurementLog, read_measurements
+from robot_sysid.logs.reader import MeasurementLog
 from robot_sysid.records import JointLimits
-from tests.support.log_files import JOINTS, TITLES, limits, motion, table, write
+from tests.support.log_files import JOINTS, TITLES, limits, motion, read_measurements, table, write
 
 # Titles stand in line 1, so row k stands in line k + 2.
 FIRST = 2

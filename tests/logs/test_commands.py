@@ -7,8 +7,7 @@ import pytest
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.columns import commands_as_quantity, joint_kind, read_title
-from robot_sysid.logs.reader import read_measurements
-from tests.support.log_files import JOINTS, motion, write
+from tests.support.log_files import JOINTS, motion, read_measurements, write
 
 COMMANDS = ("q_des[{}]", "action[{}]", "joint{}_command", "j{} goal_position", "jointTarget[{}]")
 

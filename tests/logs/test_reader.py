@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.formats import table as formats_table
-from robot_sysid.logs.reader import read_measurements, write_measurement_csv
+from robot_sysid.logs.reader import write_measurement_csv
 from robot_sysid.records import Measurement
-from tests.support.log_files import JOINTS, TITLES, motion, table, write
+from tests.support.log_files import JOINTS, TITLES, motion, read_measurements, table, write
 from tests.support.places import DATA
 
 QUANTITIES = ("time", "q", "qd", "tau", "qdd", "joint_time")

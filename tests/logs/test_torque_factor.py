@@ -8,8 +8,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from robot_sysid.logs.options import LogOptions
-from robot_sysid.logs.reader import read_measurements, torque_factor
-from tests.support.log_files import JOINTS, motion, table, write
+from robot_sysid.logs.reader import torque_factor
+from tests.support.log_files import JOINTS, motion, read_measurements, table, write
 
 POSITIVE = st.lists(st.floats(1e-2, 1e2), min_size=3, max_size=3).map(tuple)
 

@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.reader import read_measurements
 from robot_sysid.records import Measurement
 from robot_sysid.signals.differences import REACH
 from robot_sysid.signals.process import (
@@ -19,6 +18,7 @@ from robot_sysid.signals.process import (
     process,
     with_delay,
 )
+from tests.support.log_files import read_measurements
 from tests.support.places import DATA
 from tests.support.swing import Swing, seconds
 

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from robot_sysid.logs.options import LogOptions
+from robot_sysid.logs.reader import LogJoints, MeasurementLog, read_log
 from robot_sysid.records import JointLimits, Measurement
 
 JOINTS = ("base", "elbow", "wrist")
@@ -48,3 +51,15 @@ def limits(reach: float = 2.0) -> JointLimits:
 
 def _text(cell: object) -> str:
     return repr(float(cell)) if isinstance(cell, float) else str(cell)
+
+
+def read_measurements(
+    path: Path,
+    joint_names: Sequence[str],
+    limits: JointLimits | None = None,
+    is_slide: Sequence[bool] = (),
+    **options: Any,
+) -> MeasurementLog:
+    """Read a log with options such as columns or units."""
+    joints = LogJoints(tuple(joint_names), limits, tuple(is_slide))
+    return read_log(path, joints, LogOptions(**options))

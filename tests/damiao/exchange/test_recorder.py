@@ -29,7 +29,7 @@ from robot_sysid.damiao.protocol.joints import damiao_joints
 from robot_sysid.damiao.protocol.motors import MOTORS
 from robot_sysid.damiao.simulated.motor import simulated_motor
 from robot_sysid.errors import InputError
-from robot_sysid.logs.reader import read_measurements
+from tests.support.log_files import read_measurements
 from tests.support.recordings import read_recording
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.formats import arrays
-from robot_sysid.logs.reader import read_measurements
+from tests.support.log_files import read_measurements
 from tests.support.recorded import xarm_record
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.reader import read_measurements, write_measurement_csv
+from robot_sysid.logs.reader import write_measurement_csv
 from tests.support import recorded
-from tests.support.log_files import JOINTS, motion
+from tests.support.log_files import JOINTS, motion, read_measurements
 
 DATA = motion(120)
 pytest.importorskip("rosbags")

@@ -7,9 +7,8 @@ import pytest
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.formats import unpacking
-from robot_sysid.logs.reader import read_measurements
 from tests.support import recorded
-from tests.support.log_files import JOINTS, motion
+from tests.support.log_files import JOINTS, motion, read_measurements
 
 pytest.importorskip("rosbags")
 BYTES = 3_000_000
