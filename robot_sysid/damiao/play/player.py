@@ -154,6 +154,7 @@ class Player:
     def _run_phases(self, trajectory: ReferenceFunction, duration: float) -> None:
         settings = self._settings
         first = trajectory(0.0)
+        self._stop_if_asked()
         self._announce("enabling the motors")
         start = self._session.enable()
         here = Reference(start, np.zeros_like(start), first.torque)

@@ -67,6 +67,16 @@ def test_an_undisturbed_run_plays_everything_and_disables(rig):
     np.testing.assert_allclose(check.slopes()[0], 1.0, atol=0.01)
 
 
+def test_a_stop_that_was_asked_for_before_enables_nothing(rig):
+    run = rig()
+    run.states_before = run.states()
+    run.stop("stopped by SIGINT")
+    run.run()
+    assert run.error.exit_code == 3 and str(run.error) == "stopped by SIGINT"
+    assert run.phases == []
+    run.assert_never_moved()
+
+
 def test_a_few_lost_replies_leave_gaps_but_do_not_stop(rig):
     faults = [Fault("lost-replies", 1, 1, MID_PLAY), Fault("lost-replies", 1, 0, MID_PLAY + 0.008)]
     run = rig(faults=faults).run()
