@@ -14,7 +14,7 @@ from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
 from robot_sysid.json_files import read_json
 from robot_sysid.records import Array
-from robot_sysid.records.results import ARM_NAME, PARAMS_NAME
+from robot_sysid.records.results import ARM_NAME, PARAMS_NAME, Source
 from robot_sysid.report.saved import DATA_NAME, ReportData, load_data
 
 NEWEST = 3
@@ -82,7 +82,7 @@ class Run:
     @property
     def is_itself(self) -> bool:
         """Whether the model identified its own simulation."""
-        return str(self.content.get("source", "")).startswith("simulation of the model itself")
+        return str(self.content.get("source", "")).startswith(Source.ITSELF.value)
 
     def bodies(self) -> list[Body]:
         """Return the bodies of the result, what was asked for first."""
