@@ -222,5 +222,5 @@ def _heading(found: PayloadIdentification) -> list[str]:
     return [
         f"Payload of {found.payload.inertial.mass:.4f} ± {errors['mass']:.2g} kg, identified with "
         f"{found.model_path.name} from {len(found.recordings['empty'])} empty and "
-        f"{len(found.recordings['loaded'])} loaded recordings.",
+        f"{len(found.recordings['loaded'])} loaded recordings."
     ]

@@ -75,10 +75,7 @@ class TrajectoryOptions(OptionRecord):
         needs="draw",
     )
     speed: float = option(
-        1.0,
-        "slow the whole motion down, for a first run",
-        metavar="FACTOR",
-        check=speed_factor,
+        1.0, "slow the whole motion down, for a first run", metavar="FACTOR", check=speed_factor
     )
     file: Path | None = option(
         None, "use a trajectory that was saved", flag="--trajectory", metavar="FILE"

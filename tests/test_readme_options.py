@@ -68,10 +68,7 @@ def test_plan_takes_the_groups_it_is_said_to_take():
     said = ("model and output", "trajectory", "excitation", "plan for a payload", "limits")
     said = (*said, "Damiao motors")
     no_result = {"--plan-only", "--keep-friction", "--bundle", "--report", "--plots"}
-    expected = group(*said, "preview") - no_result | {
-        "--torques",
-        "--noise-torque",
-    }
+    expected = group(*said, "preview") - no_result | {"--torques", "--noise-torque"}
     assert flags(plan.build_parser()) == expected
 
 

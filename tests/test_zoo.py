@@ -27,11 +27,7 @@ from robot_sysid.records.atomic_files import whole_files
 from robot_sysid.regressor import joint_regressor
 from robot_sysid.simulator import ArmTorque, collect_sysid_data, simulate_inverse
 from robot_sysid.solver import identify_parameters
-from robot_sysid.trajectory import (
-    TrajectoryOptions,
-    generate_excitation_trajectory,
-    motion_chunks,
-)
+from robot_sysid.trajectory import TrajectoryOptions, generate_excitation_trajectory, motion_chunks
 from tests.support import arms, rank_oracle
 from tests.support.model_files import random_theta
 from tests.support.places import MODELS

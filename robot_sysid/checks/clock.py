@@ -52,9 +52,7 @@ def clock_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
 def _finding(share: float, what: str) -> Finding:
     level = Level.REFUSE if share > MANY else Level.WARN
     return Finding(
-        "clock",
-        level,
-        f"{100.0 * share:.2g} % of the steps {what}; record the time of each sample",
+        "clock", level, f"{100.0 * share:.2g} % of the steps {what}; record the time of each sample"
     )
 
 

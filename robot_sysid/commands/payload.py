@@ -50,11 +50,7 @@ def build_parser(full: bool = True) -> Parser:
     parser.add("trajectory of a simulation", TrajectoryOptions, leave_out=NOT_PLANNED)
     parser.add("excitation", ExcitationOptions)
     parser.add("limits", LimitOptions)
-    parser.add(
-        "sensors of a simulation",
-        SimulatedArmOptions,
-        leave_out=NOT_SIMULATED,
-    )
+    parser.add("sensors of a simulation", SimulatedArmOptions, leave_out=NOT_SIMULATED)
     parser.add_console()
     return parser
 

@@ -51,9 +51,7 @@ def build_parser(full: bool = True) -> Parser:
     parser.add("plan for a payload", PoseOptions)
     parser.add("limits", LimitOptions)
     parser.add(
-        "prediction",
-        *(EstimationOptions, SimulatedArmOptions),
-        only=("torques", "noise_torque"),
+        "prediction", *(EstimationOptions, SimulatedArmOptions), only=("torques", "noise_torque")
     )
     parser.add("Damiao motors", MotorOptions)
     parser.add("preview", PreviewOptions)

@@ -75,10 +75,7 @@ def require_report(output: OutputOptions) -> None:
 
 
 def report_of(
-    outcome: object,
-    output: OutputOptions,
-    mesh_dir: Path | None,
-    console: Console,
+    outcome: object, output: OutputOptions, mesh_dir: Path | None, console: Console
 ) -> str | None:
     """Write what a later report needs, and the report where it is wanted.
 

@@ -381,11 +381,7 @@ def _order_from_names(
 
 
 def _check_counted(
-    kind: str,
-    counted: Found,
-    named: Found,
-    titles: Sequence[Title],
-    joint_names: Sequence[str],
+    kind: str, counted: Found, named: Found, titles: Sequence[Title], joint_names: Sequence[str]
 ) -> None:
     """Refuse a count that gives a column to another joint than the one it names."""
     for joint, name in enumerate(joint_names):

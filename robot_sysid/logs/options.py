@@ -72,11 +72,7 @@ class LogOptions(OptionRecord):
         None, "topic of a ROS bag, where several fit", metavar="TOPIC", usual="found"
     )
     episode: tuple[int, ...] = option(
-        (),
-        "episode of a LeRobot data set; may be repeated",
-        metavar="N",
-        repeats=True,
-        usual="all",
+        (), "episode of a LeRobot data set; may be repeated", metavar="N", repeats=True, usual="all"
     )
     accept: tuple[str, ...] = option(
         (),

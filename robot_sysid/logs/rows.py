@@ -72,10 +72,7 @@ class LogRows:
 
 
 def read_rows(
-    table: LogTable,
-    columns: ColumnMap,
-    is_slide: Sequence[bool],
-    progress: Progress | None = None,
+    table: LogTable, columns: ColumnMap, is_slide: Sequence[bool], progress: Progress | None = None
 ) -> LogRows:
     """Read all rows of a log.
 

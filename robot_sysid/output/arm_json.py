@@ -113,11 +113,7 @@ def _joint(found: ArmIdentification, joint: str) -> dict[str, Any]:
 def _held(held: HeldFriction) -> dict[str, Any]:
     """Return what the file gets, with errors; what the data does not prove stays as it was."""
     return {
-        term: {
-            "value": held.written(term),
-            "found": value,
-            "standard_error": held.errors[term],
-        }
+        term: {"value": held.written(term), "found": value, "standard_error": held.errors[term]}
         for term, value in held.values.items()
     }
 

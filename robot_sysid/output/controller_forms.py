@@ -118,11 +118,7 @@ def _exact(values: Array) -> str:
 
 
 def _franka_load(load: Load) -> _Filled:
-    values = {
-        "load_mass": load.kg,
-        "F_x_Cload": load.com_m,
-        "load_inertia": load.nine,
-    }
+    values = {"load_mass": load.kg, "F_x_Cload": load.com_m, "load_inertia": load.nine}
     text = (
         f"robot.setLoad({plain(load.kg)}, {{{{{listed(load.com_m)}}}}}, "
         f"{{{{{listed(load.nine)}}}}});"

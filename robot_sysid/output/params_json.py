@@ -170,10 +170,7 @@ def friction_entries(identification: Identification) -> dict[str, dict[str, floa
 
 def _origin(identification: Identification) -> dict[str, Any]:
     return {
-        "model": {
-            "path": str(identification.model_path),
-            "sha256": identification.model_sha256,
-        },
+        "model": {"path": str(identification.model_path), "sha256": identification.model_sha256},
         "joint_names": identification.joint_names,
         "seed": identification.data.seed,
         "duration": identification.data.duration,

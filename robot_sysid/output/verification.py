@@ -233,11 +233,7 @@ def require_same_model(
 
 
 def require_theta(
-    mj_model: Any,
-    body_id: int,
-    theta: Array,
-    size: Array,
-    tolerance: float = TOLERANCE,
+    mj_model: Any, body_id: int, theta: Array, size: Array, tolerance: float = TOLERANCE
 ) -> None:
     """Raise ExportError unless a compiled body has the parameters theta (10,).
 

@@ -98,11 +98,7 @@ def _styled(name: str) -> Iterator[None]:
 
 
 def drawn(
-    name: str,
-    caption: str,
-    numbers: Table,
-    size: tuple[float, float],
-    draw: Callable[[Any], None],
+    name: str, caption: str, numbers: Table, size: tuple[float, float], draw: Callable[[Any], None]
 ) -> Figure:
     """Return a figure.
 

@@ -19,11 +19,7 @@ GEOMETRY_TOLERANCE = 1e-6
 """How far apart the terminal bodies of model and plant may be without a note [m]."""
 
 
-def load_plant(
-    robot: RobotModel,
-    plant_path: Path,
-    mesh_dir: Path | None = None,
-) -> RobotModel:
+def load_plant(robot: RobotModel, plant_path: Path, mesh_dir: Path | None = None) -> RobotModel:
     """Load the model that plays the real arm, matched to the arm to be identified.
 
     Args:

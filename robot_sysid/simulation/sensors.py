@@ -17,13 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.records import Array, Measurement
-from robot_sysid.records.options import (
-    OptionRecord,
-    PerJoint,
-    levels,
-    not_negative,
-    option,
-)
+from robot_sysid.records.options import OptionRecord, PerJoint, levels, not_negative, option
 
 LONGEST_DELAY = 1.0
 """Longest torque delay that is accepted [s]; more is surely a slip of the unit."""

@@ -8,21 +8,9 @@ from pathlib import Path
 import pytest
 
 from robot_sysid import __version__
-from robot_sysid.commands.arguments import (
-    ConsoleOptions,
-    Parser,
-    default_text,
-    described,
-    parsed,
-)
+from robot_sysid.commands.arguments import ConsoleOptions, Parser, default_text, described, parsed
 from robot_sysid.errors import EXIT_CODES, InputError
-from robot_sysid.records.options import (
-    OptionRecord,
-    default_of,
-    option,
-    options_of,
-    whole_number,
-)
+from robot_sysid.records.options import OptionRecord, default_of, option, options_of, whole_number
 
 
 @dataclass(frozen=True)

@@ -45,10 +45,7 @@ def content_of(model, **values):
         two_way={JOINT: ((1.4, 0.02), (1.2, 0.03))},
     )
     found = SimpleNamespace(
-        estimate=estimate,
-        status=ArmStatus.OK,
-        joint_names=(JOINT,),
-        model_friction={JOINT: HELD},
+        estimate=estimate, status=ArmStatus.OK, joint_names=(JOINT,), model_friction={JOINT: HELD}
     )
     return json.loads(friction_json_text(found))
 

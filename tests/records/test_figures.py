@@ -9,14 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.dynamics.friction import BENT, TERMS
-from robot_sysid.records.figures import (
-    figure,
-    percent,
-    position,
-    term_unit,
-    torque,
-    with_error,
-)
+from robot_sysid.records.figures import figure, percent, position, term_unit, torque, with_error
 
 NUMBERS = st.floats(1e-12, 1e6) | st.floats(-1e6, -1e-12)
 

@@ -6,10 +6,7 @@ import pytest
 
 from tests.support import browser
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(browser.PATH is None, reason="no Chromium here"),
-]
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(browser.PATH is None, reason="no Chromium here")]
 VIEWS = {
     "desktop": {"width": 1280},
     "dark": {"width": 1280, "dark": True},

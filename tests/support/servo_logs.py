@@ -19,11 +19,7 @@ XML = serial_arm((Z, Y), joint=JOINT, extra=SERVOS)
 
 
 TRUTH = Servos(
-    np.array([60.0, 110.0]),
-    np.array([4.0, 5.0]),
-    np.array([0.9, 0.6]),
-    np.array([0.2, 0.1]),
-    0.03,
+    np.array([60.0, 110.0]), np.array([4.0, 5.0]), np.array([0.9, 0.6]), np.array([0.2, 0.1]), 0.03
 )
 """What the arm behind the logs is like."""
 
@@ -50,11 +46,6 @@ def write(path, time, q, command, title="action {}.pos"):
     names = [f"joint{k}" for k in range(q.shape[1])]
     titles = ["time", *(f"{n}.pos" for n in names), *(title.format(n) for n in names)]
     np.savetxt(
-        path,
-        np.column_stack((time, q, command)),
-        "%.9g",
-        ",",
-        header=",".join(titles),
-        comments="",
+        path, np.column_stack((time, q, command)), "%.9g", ",", header=",".join(titles), comments=""
     )
     return path

@@ -322,12 +322,7 @@ class MotorSession:
         return j
 
     def _replies(
-        self,
-        asked: Mask,
-        raw: Bytes,
-        received: Array,
-        sent: Array,
-        command: MitCommand | None,
+        self, asked: Mask, raw: Bytes, received: Array, sent: Array, command: MitCommand | None
     ) -> Replies:
         answered = np.isfinite(received)
         feedback = self.space.measured(decode_feedback(raw, self.scaling, self._half_step))

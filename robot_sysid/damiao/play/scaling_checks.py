@@ -53,11 +53,7 @@ class VelocityScalingCheck:
             return
         t0, q0, v0 = self._last
         self._integral += np.where(fresh, 0.5 * (qd + v0) * (time - t0), 0.0)
-        self._last = (
-            np.where(fresh, time, t0),
-            np.where(fresh, q, q0),
-            np.where(fresh, qd, v0),
-        )
+        self._last = (np.where(fresh, time, t0), np.where(fresh, q, q0), np.where(fresh, qd, v0))
         self._close_windows(fresh & (time - self._begin[0] >= _WINDOW))
 
     def _close_windows(self, full: Array) -> None:

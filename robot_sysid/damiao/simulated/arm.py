@@ -37,10 +37,7 @@ class SimulatedArm:
     """
 
     def __init__(
-        self,
-        mechanism: ArmStepper,
-        motors: Sequence[SimulatedMotor],
-        faults: Sequence[Fault] = (),
+        self, mechanism: ArmStepper, motors: Sequence[SimulatedMotor], faults: Sequence[Fault] = ()
     ) -> None:
         if any(not 0 <= fault.joint < len(motors) for fault in faults):
             raise InputError(f"faults name joints 0 to {len(motors) - 1}")

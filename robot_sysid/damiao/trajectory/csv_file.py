@@ -22,12 +22,7 @@ from typing import TextIO
 
 import numpy as np
 
-from robot_sysid.damiao.protocol.bus_load import (
-    PLANNING_LIMIT,
-    BusTiming,
-    bus_load,
-    suggested_rate,
-)
+from robot_sysid.damiao.protocol.bus_load import PLANNING_LIMIT, BusTiming, bus_load, suggested_rate
 from robot_sysid.damiao.protocol.joints import MASTER_ID_OFFSET, DamiaoJoint, damiao_joints
 from robot_sysid.damiao.protocol.motors import motor_spec
 from robot_sysid.damiao.trajectory.clamping import ClampTally

@@ -10,16 +10,7 @@ import numpy as np
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.records import Array
 from robot_sysid.records.figures import THETA, percent
-from robot_sysid.report.drawing import (
-    AFTER,
-    BEFORE,
-    INK,
-    NARROW,
-    SERIES,
-    TRUTH,
-    drawn,
-    legend,
-)
+from robot_sysid.report.drawing import AFTER, BEFORE, INK, NARROW, SERIES, TRUTH, drawn, legend
 from robot_sysid.report.elements import Figure, Section, Table, plus_minus, table, text
 from robot_sysid.report.runs import PAYLOAD, Body, Run, listed
 

@@ -27,7 +27,7 @@ def torques(run: Run) -> Section:
     sentences = [
         f"Grey: measured. Blue: predicted by the result. Orange, dashed: predicted by {before}. "
         "Below: measured minus predicted by the result. Gaps are samples that were not used, "
-        "mostly because the joint hardly moved.",
+        "mostly because the joint hardly moved."
     ]
     if data.drawn:
         sentences.append(f"Long recording: {data.drawn}.")

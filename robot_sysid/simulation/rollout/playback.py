@@ -102,10 +102,7 @@ def starts(pieces: Sequence[Piece], horizon: float) -> list[tuple[Piece, float]]
 
 
 def played(
-    robot: RobotModel,
-    windows: Sequence[tuple[Piece, float]],
-    horizon: float,
-    servo: Servo | None,
+    robot: RobotModel, windows: Sequence[tuple[Piece, float]], horizon: float, servo: Servo | None
 ) -> tuple[Array, int]:
     """Return the position error of a model in windows of a log.
 

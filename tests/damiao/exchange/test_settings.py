@@ -10,12 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.damiao.exchange.settings import PlaySettings
-from robot_sysid.damiao.protocol.bus_load import (
-    PLANNING_LIMIT,
-    BusTiming,
-    bus_load,
-    default_rate,
-)
+from robot_sysid.damiao.protocol.bus_load import PLANNING_LIMIT, BusTiming, bus_load, default_rate
 from robot_sysid.damiao.protocol.codec import KD_MAX, KP_MAX, MitCommand, Scaling, encode_mit
 from robot_sysid.damiao.protocol.motors import MOTORS
 from robot_sysid.errors import InputError

@@ -35,12 +35,7 @@ def test_harmful_register_operations_are_refused(operation):
 
 
 def test_what_is_needed_is_not_refused():
-    frames = [
-        enable_frame(MOTOR),
-        disable_frame(MOTOR),
-        read_frame(MOTOR, 7),
-        refresh_frame(MOTOR),
-    ]
+    frames = [enable_frame(MOTOR), disable_frame(MOTOR), read_frame(MOTOR, 7), refresh_frame(MOTOR)]
     for frame in [*frames, write_frame(MOTOR, 9, bytes(4)), Frame(1, bytes(8))]:
         refuse_harmful(frame)
     assert enable_frame(MOTOR).data[7] == ENABLE and disable_frame(MOTOR).data[7] == DISABLE

@@ -53,12 +53,7 @@ def test_another_scale_or_sign_is_found(rate, seed, factor):
     assert mismatch(time, q, qd).joint == 1
 
 
-@given(
-    rate=RATES,
-    seed=st.integers(0, 10**6),
-    place=st.floats(0.2, 0.8),
-    pieces=st.integers(1, 9),
-)
+@given(rate=RATES, seed=st.integers(0, 10**6), place=st.floats(0.2, 0.8), pieces=st.integers(1, 9))
 def test_a_jump_of_the_positions_is_found(rate, seed, place, pieces):
     time, q, qd = motion(rate, seed)
     row = round(place * len(time))

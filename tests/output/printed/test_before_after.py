@@ -9,12 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.output.printed.before_after import (
-    BeforeAfter,
-    link_rows,
-    table_lines,
-    theta_rows,
-)
+from robot_sysid.output.printed.before_after import BeforeAfter, link_rows, table_lines, theta_rows
 from robot_sysid.records import JointFriction
 from tests.support.results import THETA, estimate, found, own_simulation, without_mass
 

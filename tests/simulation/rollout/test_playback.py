@@ -4,13 +4,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.simulation.rollout.batch import Inputs, roll, rollout_copy
-from robot_sysid.simulation.rollout.playback import (
-    STEP,
-    Piece,
-    played,
-    starts,
-    stated_servo,
-)
+from robot_sysid.simulation.rollout.playback import STEP, Piece, played, starts, stated_servo
 from tests.support.arms import X, Y, Z, robot_of, serial_arm
 
 JOINT = 'range="-2.5 2.5" armature="{}" damping="3" frictionloss=".5"'
