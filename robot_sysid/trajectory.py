@@ -197,10 +197,15 @@ def faded(
     return w * s, dw * s + w * ds, ddw * s + 2.0 * dw * ds + w * dds
 
 
-def sample_times(duration: float, sample_rate: float) -> Iterator[Array]:
-    """Yield the sample times k / rate from 0 to the duration, both included, in chunks [s]."""
-    count = sample_count(duration, sample_rate)
-    for first in range(0, count, CHUNK):
+def sample_times(
+    duration: float, sample_rate: float, start: float = 0.0, end: float = np.inf
+) -> Iterator[Array]:
+    """Yield the sample times k / rate from 0 to the duration, both included, in chunks [s].
+
+    Only those from ``start`` to ``end`` [s], with the next one outside, where these are given.
+    """
+    count = int(min(sample_count(duration, sample_rate), np.ceil(end * sample_rate) + 1))
+    for first in range(int(start * sample_rate), count, CHUNK):
         time = np.arange(first, min(first + CHUNK, count)) / sample_rate
         yield np.minimum(time, duration)
 

@@ -49,8 +49,6 @@ class _Nearest:
 
     slack: float
     budget: Array
-    axes: Array
-    anchors: Array
     distance: float = np.inf
     normal: Array = field(default_factory=lambda: np.zeros(3))
     point: Array = field(default_factory=lambda: np.zeros(3))
@@ -90,7 +88,10 @@ class Clearance:
         self._required = np.full((self._model.nbody, self._model.nbody), clearance)
         self._place(rest)
         self._bounds = ApproachBounds(robot, self._data)
-        self.rates = self._bounds.rates
+        self.rates, part = self._bounds.rates, self._bounds.part
+        self._rows = self._bounds.row(part[:, None], part)
+        self._free = np.full(len(self.rates), np.inf)
+        self._free[-1] = self.horizon
         self.at_rest = self._learn_pairs(clearance)
         self.neighbours = self._settle_neighbours(rest)
         drop_pairs(self._model, self._bounds.part, np.isneginf(self._required))
@@ -107,10 +108,12 @@ class Clearance:
 
     def slack(self, q: Array) -> Slack:
         """Return the slack at positions q (N, n)."""
-        nearest = [self._nearest_at(position) for position in q]
+        nearest, (axes, anchors) = [], np.empty((2, *q.shape, 3))
+        for k, position in enumerate(q):
+            nearest.append(self._nearest_at(position))
+            axes[k], anchors[k] = self._data.xaxis[self._joints], self._data.xanchor[self._joints]
         # Component first, (3, N, n): a cross product by hand costs a tenth of numpy's.
-        axes = np.array([near.axes for near in nearest]).transpose(2, 0, 1)
-        anchors = np.array([near.anchors for near in nearest]).transpose(2, 0, 1)
+        axes, anchors = axes.transpose(2, 0, 1), anchors.transpose(2, 0, 1)
         normal = np.array([near.normal for near in nearest]).T[:, :, None]
         point = np.array([near.point for near in nearest]).T[:, :, None]
         lever = np.where(self._robot.is_slide, normal, cross(point - anchors, normal))
@@ -164,17 +167,17 @@ class Clearance:
         mujoco.mj_comPos(self._model, self._data)
         mujoco.mj_collision(self._model, self._data)
 
-    def _contact_bodies(self) -> tuple[Array, Any, Any]:
-        """Return distances (C,), bodies (C, 2) and indices (C,) of the contacts of geoms.
+    def _contact_bodies(self) -> tuple[Array, Any]:
+        """Return distances (C,) and bodies (C, 2) of the contacts.
 
-        MuJoCo's deformable bodies have no geoms; they are not looked at.
+        MuJoCo's deformable bodies have no geoms; they are infinitely far away.
         """
         contact = self._data.contact
-        geoms = np.stack((contact.geom1, contact.geom2), axis=1).reshape(-1, 2)
-        index = np.arange(len(geoms))
-        if np.min(geoms, initial=0) < 0:
-            index = np.flatnonzero(np.all(geoms >= 0, axis=1))
-        return contact.dist[index], self._body_of_geom[geoms[index]], index
+        bodies = self._body_of_geom[np.array((contact.geom1, contact.geom2)).T.reshape(-1, 2)]
+        if not self._model.nflex:
+            return contact.dist, bodies
+        solid = (contact.geom1 >= 0) & (contact.geom2 >= 0)
+        return np.where(solid, contact.dist, np.inf), bodies
 
     def _learn_pairs(self, clearance: float) -> RestPairs:
         """Settle the distance each pair has to keep, from what it has at rest, where the arm is.
@@ -202,7 +205,7 @@ class Clearance:
     def _distances(self) -> dict[tuple[int, int], float]:
         """Return the distance of each pair of bodies that is near where the arm is [m]."""
         least: dict[tuple[int, int], float] = {}
-        for distance, bodies in zip(*self._contact_bodies()[:2]):
+        for distance, bodies in zip(*self._contact_bodies()):
             a, b = sorted(int(body) for body in bodies)
             least[a, b] = min(least.get((a, b), np.inf), float(distance))
         return least
@@ -233,7 +236,7 @@ class Clearance:
         q, nearest, at = rest.copy(), np.inf, float(rest[joint])
         for q[joint] in positions:
             self._place(q)
-            distance, bodies, _ = self._contact_bodies()
+            distance, bodies = self._contact_bodies()
             part = np.sort(self._bounds.part[bodies], axis=1)
             ours = (part[:, 0] == joint) & (part[:, 1] == joint + 1)
             first, second = np.sort(bodies[ours], axis=1).T
@@ -245,13 +248,7 @@ class Clearance:
     def _nearest_at(self, q: Array) -> _Nearest:
         """Return what is nearest, among contacts and half-spaces, at one configuration."""
         self._place(q)
-        near = _Nearest(
-            self.horizon,
-            np.full(len(self.rates), np.inf),
-            self._data.xaxis[self._joints],
-            self._data.xanchor[self._joints],
-        )
-        near.budget[-1] = self.horizon
+        near = _Nearest(self.horizon, self._free.copy())
         self._add_contacts(near)
         self._add_half_spaces(near)
         return near
@@ -259,13 +256,13 @@ class Clearance:
     def _add_contacts(self, near: _Nearest) -> None:
         if self._data.ncon == 0:
             return
-        distance, bodies, index = self._contact_bodies()
-        slack = distance - self._required[bodies[:, 0], bodies[:, 1]]
-        parts = self._bounds.part[bodies]
-        np.minimum.at(near.budget, self._bounds.row(parts[:, 0], parts[:, 1]), slack)
-        tightest = int(np.argmin(slack)) if len(slack) else -1
-        if tightest >= 0 and slack[tightest] < near.slack:
-            contact = self._data.contact[int(index[tightest])]
+        distance, bodies = self._contact_bodies()
+        first, second = bodies.T
+        slack = distance - self._required[first, second]
+        np.minimum.at(near.budget, self._rows[first, second], slack)
+        tightest = int(slack.argmin())
+        if slack[tightest] < near.slack:
+            contact = self._data.contact[tightest]
             near.slack, near.distance = float(slack[tightest]), float(distance[tightest])
             near.normal, near.point = contact.frame[:3].copy(), contact.pos.copy()
             near.bodies = (int(bodies[tightest, 0]), int(bodies[tightest, 1]))

@@ -173,6 +173,11 @@ class FourierTrajectory:
         return self.basis.duration
 
     @property
+    def cycle(self) -> tuple[float, float]:
+        """Period after which it repeats itself, but for so much time at both ends [s]."""
+        return 1.0 / self.basis.base_frequency_hz, self.basis.fade
+
+    @property
     def n_joints(self) -> int:
         """Number of joints n."""
         return len(self.rest)

@@ -5,12 +5,15 @@ Clearance is checked between samples as well: two bodies approach each other no 
 sum_j |qd_j| rate_j, so a configuration with slack s shows that the motion is free until that sum,
 integrated over time, has used up s; only there is the next collision test needed (conservative
 advancement, Mirtich, "Impulse-based dynamic simulation of rigid body systems", 1996, ch. 2).
+
+Of a motion that repeats itself one period and both ends are all there is to check.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
@@ -23,7 +26,7 @@ from robot_sysid.excitation.problem import (
     ExcitationProblem,
 )
 from robot_sysid.records import Array, Motion, MotionPlan
-from robot_sysid.trajectory import SineTrajectory, motion_chunks
+from robot_sysid.trajectory import SineTrajectory, sample_times
 
 LEAST_RATE_HZ, FEW_RATE_HZ = 1000.0, 100.0
 CLEARANCE_RESOLUTION = 1e-3
@@ -39,6 +42,10 @@ RESERVE = 1e-4
 """Share of speed and acceleration limits that is left for peaks between samples."""
 FINEST_RATE_HZ = 4000.0
 """How densely clearance is tested where it is tight."""
+WHOLE = 1e-9
+"""How near a number of samples must be to a whole one."""
+SHORTEST_PERIOD = 1.0
+"""A shorter one may have too few samples to tell [s]."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +147,7 @@ def check_limits(
         sample_rate: at which it will be run [Hz]; at least 1 kHz is checked.
     """
     peaks = _peaks(problem, plan, max(LEAST_RATE_HZ, sample_rate), with_tool=True)
-    coarser = max(1.0, plan.duration / EXACT_UP_TO) ** 2
+    coarser = max(1.0, checked_time(plan) / EXACT_UP_TO) ** 2
     resolution = min(LEAST_EXACT, coarser * DISTANCE_RESOLUTION)
     room = min(LEAST_EXACT, coarser * CLEARANCE_RESOLUTION)
     closest, when = _tightest(problem.obstacles, plan, room)
@@ -227,11 +234,39 @@ def first_contact(problem: ExcitationProblem, plan: MotionPlan) -> float | None:
 
 def tight_times(problem: ExcitationProblem, plan: MotionPlan) -> Array:
     """Return times [s] at which the slack, sampled at 100 Hz, has a local minimum below zero."""
-    motion = plan.evaluate(np.arange(0.0, plan.duration, 0.01))
-    slack = problem.obstacles.slack(motion.q).value
-    padded = np.pad(slack, 1, constant_values=np.inf)
-    lowest = (slack <= padded[:-2]) & (slack < padded[2:]) & (slack < 0.0)
-    return motion.time[lowest]
+    found = []
+    for span in _spans(plan):
+        time = np.concatenate(list(sample_times(plan.duration, FEW_RATE_HZ, *span)))
+        slack = problem.obstacles.slack(plan.evaluate(time).q).value
+        padded = np.pad(slack, 1, constant_values=np.inf)
+        lowest = (slack <= padded[:-2]) & (slack < padded[2:]) & (slack < 0.0)
+        found.append(time[lowest])
+    return np.concatenate(found)
+
+
+def checked_time(plan: MotionPlan) -> float:
+    """Return how much of a motion has to be looked at [s]: all the rest repeats it."""
+    return float(np.sum(np.diff(_spans(plan))))
+
+
+def _spans(plan: MotionPlan, rate: float = 0.0) -> tuple[tuple[float, float], ...]:
+    """Return what has to be looked at, from when to when [s].
+
+    All of it where a period holds no whole number of samples at a rate [Hz] that matters: each
+    period then has other samples.
+    """
+    period, ends = getattr(plan, "cycle", (np.inf, 0.0))
+    short = SHORTEST_PERIOD <= period < plan.duration - 2.0 * ends
+    if not short or abs(period * rate - round(period * rate)) > WHOLE:
+        return ((0.0, plan.duration),)
+    return (0.0, period + ends), (plan.duration - ends, plan.duration)
+
+
+def _motions(
+    plan: MotionPlan, rate: float, spans: tuple[tuple[float, float], ...]
+) -> Iterator[Motion]:
+    times = (sample_times(plan.duration, rate, *span) for span in spans)
+    return map(plan.evaluate, chain.from_iterable(times))
 
 
 def _peaks(
@@ -242,7 +277,7 @@ def _peaks(
     with_tool = with_tool or np.isfinite(problem.limits.tool_speed)
     share, time, fastest, when = np.zeros((4, n)), np.zeros((4, n)), 0.0, 0.0
     extremes = np.vstack((np.full(n, np.inf), np.full(n, -np.inf), np.zeros((3, n))))
-    for motion in motion_chunks(plan, rate):
+    for motion in _motions(plan, rate, _spans(plan, rate)):
         torque = problem.torque(motion)
         signals = np.stack((motion.q - center, motion.qd, motion.qdd, torque))
         here = np.abs(signals) / allowed[:, None, :]
@@ -286,10 +321,11 @@ def _tightest(
     returned by more than the resolution [m]. An end at ``stop_below`` saves the rest of the tests.
     """
     best, when, at_q = np.inf, 0.0, plan.evaluate(np.zeros(1)).q[0]
-    budget = np.full(len(obstacles.rates), -np.inf)
-    for motion in motion_chunks(plan, FINEST_RATE_HZ):
+    budget, known_until = np.full(len(obstacles.rates), -np.inf), 0.0
+    for motion in _motions(plan, FINEST_RATE_HZ, _spans(plan)):
         path = _path(motion, obstacles.rates)
-        at = _used_up(path, budget)
+        has_jumped = motion.time[0] > known_until + 2.0 / FINEST_RATE_HZ
+        at = 0 if has_jumped else _used_up(path, budget)
         while at < len(path) and best >= stop_below:
             slack, room = obstacles.slack_at(motion.q[at])
             if slack < best:
@@ -298,7 +334,7 @@ def _tightest(
             floor = best - resolution if best < 0.0 else max(0.0, best - resolution)
             budget = path[at] + np.maximum(0.0, room - floor)
             at = max(at + 1, _used_up(path, budget))
-        budget = budget - path[-1]
+        budget, known_until = budget - path[-1], motion.time[-1]
     return obstacles.closest(at_q), when
 
 

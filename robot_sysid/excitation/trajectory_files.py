@@ -62,6 +62,12 @@ class SlowedTrajectory:
         return self.plan.duration / self.speed
 
     @property
+    def cycle(self) -> tuple[float, float]:
+        """Period after which it repeats itself, but for so much time at both ends [s]."""
+        period, ends = getattr(self.plan, "cycle", (np.inf, 0.0))
+        return period / self.speed, ends / self.speed
+
+    @property
     def n_joints(self) -> int:
         """Number of joints n."""
         return self.plan.n_joints

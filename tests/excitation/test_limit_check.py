@@ -16,11 +16,13 @@ from robot_sysid.excitation.limit_check import (
     Excess,
     breaks_limits_at_few,
     check_limits,
+    checked_time,
     first_contact,
     keeps_limits,
     scaled_to_limits,
     tight_times,
 )
+from robot_sysid.excitation.trajectory_files import at_speed
 from robot_sysid.trajectory import generate_excitation_trajectory
 from tests.support import arms
 from tests.support.arms import SEEDS
@@ -124,6 +126,40 @@ def test_finds_a_wall_that_samples_step_over():
     assert not check.holds
     assert "clearance of arm and wall" in str(check.excesses[0])
     assert first_contact(some, plan) == pytest.approx(check.closest_time, abs=3.0)
+
+
+class Unaware:
+    """A motion that does not tell that it repeats itself."""
+
+    def __init__(self, plan):
+        self.duration, self.n_joints, self.evaluate = plan.duration, plan.n_joints, plan.evaluate
+
+
+def checked_twice(some, seed, base, fade, speed):
+    """A motion that repeats itself, its check, and the check of all of it."""
+    basis = FourierBasis(3.0 if fade else 3.0 / base, base, 4, fade)
+    free = basis.free_directions()
+    shape = 0.05 * np.random.default_rng(seed).normal(size=(3, 9)) @ free @ free.T
+    plan = at_speed(FourierTrajectory(basis, some.rest, shape), speed)
+    return plan, check_limits(some, plan), check_limits(some, Unaware(plan))
+
+
+@pytest.mark.slow
+@given(SEEDS, st.sampled_from([0.97, 1.0]), st.sampled_from([0.0, 0.3]), st.floats(0.5, 1.0))
+def test_one_period_and_both_ends_stand_for_all(seed, base, fade, speed):
+    """Also slowed down, and where a period is no whole number of samples."""
+    plan, found, whole = checked_twice(problem(arms.THREE), seed, base, fade, speed)
+    assert checked_time(plan) < 0.6 * plan.duration
+    for name in ("lowest", "highest", "velocity", "acceleration", "torque", "tool_speed"):
+        np.testing.assert_allclose(getattr(found, name), getattr(whole, name), rtol=1e-9)
+    assert len(found.excesses) == len(whole.excesses)
+
+
+@pytest.mark.parametrize("fade", [0.0, 0.3])
+def test_a_wall_is_as_near_in_one_period_as_in_all(fade):
+    some = dataclasses.replace(problem(arms.THREE), obstacles=ThinWall())
+    _, found, whole = checked_twice(some, 1, 0.97, fade, 1.0)
+    assert found.closest.slack == pytest.approx(whole.closest.slack, abs=CLEARANCE_RESOLUTION)
 
 
 def test_says_which_limit_is_exceeded_most_and_when():

@@ -30,14 +30,20 @@ from robot_sysid.excitation.design.optimise import (
 )
 from robot_sysid.excitation.design.workers import WorkerPool
 from robot_sysid.excitation.fourier import FourierTrajectory
-from robot_sysid.excitation.limit_check import LimitCheck, breaks_limits_at_few, check_limits
+from robot_sysid.excitation.limit_check import (
+    EXACT_UP_TO,
+    LimitCheck,
+    breaks_limits_at_few,
+    check_limits,
+    checked_time,
+)
 from robot_sysid.excitation.problem import LIMIT_NAMES, OBSTACLE_LENGTH, ROUNDING
 from robot_sysid.records import Array
 
 DRAWS_PER_JOB = 5
 """An interruption loses no more of them than one job holds."""
-CHECK_COST = 1.0 / 60.0
-"""Time that is left for the last check, per time that the motion takes."""
+CHECK_COST, EXACT_COST = 1.0 / 40.0, 1.0 / 9.0
+"""Time that is left for the last check, per time of motion that it looks at; exactly, if short."""
 RAISED, NEARER, WORTH_TELLING = 0.1, 0.005, 0.005
 """Change of a limit [share], of clearances [m], by which its worth is told; the least that is."""
 
@@ -99,7 +105,9 @@ class ExcitationResult:
 
 def check_time(design: Design) -> float:
     """Return about how long the check of the limits of what is found takes [s]."""
-    return CHECK_COST * design.basis.duration
+    still = np.zeros((design.problem.n_joints, design.n_free))
+    looked_at = checked_time(design.trajectory(still))
+    return max(CHECK_COST * looked_at, EXACT_COST * min(EXACT_UP_TO, looked_at))
 
 
 def design_excitation(
