@@ -6,6 +6,7 @@ cannot state them any other way, so its compiled inertias are replaced by accura
 
 from __future__ import annotations
 
+import locale
 import os
 import re
 from collections.abc import Iterator, Mapping
@@ -101,6 +102,7 @@ def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
     """
     document = read_document(path)
     _check_mesh_dir(mesh_dir)
+    _require_decimal_point()
     with captured_warnings() as warnings:
         if document.kind == "urdf":
             mj_model, notes = _compile_urdf(document, mesh_dir)
@@ -110,6 +112,16 @@ def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
     said = tuple(dict.fromkeys(f"MuJoCo warns: {text}" for text in warnings))
     speeds = velocity_limits(document) if document.kind == "urdf" else {}
     return CompiledModel(mj_model, notes + said, document.sha256, document.kind, speeds)
+
+
+def _require_decimal_point() -> None:
+    """Raise ModelError where MuJoCo would end the numbers of an OBJ mesh at their points."""
+    point = locale.localeconv()["decimal_point"]
+    if point != ".":
+        raise ModelError(
+            f"this program's locale has {point!r} for a decimal point, with which MuJoCo reads "
+            "wrong numbers from OBJ meshes; call locale.setlocale(locale.LC_NUMERIC, 'C') first"
+        )
 
 
 def _check_mesh_dir(mesh_dir: Path | None) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import locale
 import os
 from pathlib import Path
 
@@ -34,6 +36,7 @@ from tests.support.places import SHARED
 BODY = "<body name='b'><joint/>{}</body>"
 MESH_MODEL = """<mujoco><compiler meshdir="d"/><asset><mesh name="m" file="m.obj"/></asset>
 <worldbody><body><joint/><geom type="mesh" mesh="m"/></body></worldbody></mujoco>"""
+CORNER = ("v 0 0 0", "v 1 0 0", "v 0 1 0", "v 0 0 1", "f 1 3 2", "f 1 2 4", "f 1 4 3", "f 2 3 4")
 TWO_LINKS = (urdf_link("base"), urdf_link("l1", urdf_inertial()), urdf_joint("base", "l1"))
 
 
@@ -252,3 +255,29 @@ def test_a_bounded_inertia_and_an_unknown_link_are_left_alone():
     before = body_theta(model, 1)
     restore_exact_inertias(model, {"b": spatial.com_from_theta(theta), "gone": (1, 0, np.eye(3))})
     np.testing.assert_array_equal(body_theta(model, 1), before)
+
+
+@pytest.fixture
+def decimal_comma():
+    """A locale that writes 1,5, where one is installed; else what Python tells of it."""
+    before = locale.setlocale(locale.LC_NUMERIC)
+    for name in ("de_DE.UTF-8", "fr_FR.UTF-8", "de_DE", "German_Germany.1252"):
+        with contextlib.suppress(locale.Error):
+            locale.setlocale(locale.LC_NUMERIC, name)
+            yield True
+            locale.setlocale(locale.LC_NUMERIC, before)
+            return
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(locale, "localeconv", lambda: {"decimal_point": ","})
+        yield False
+
+
+def test_a_decimal_comma_is_refused_before_meshes_are_read_wrongly(tmp_path, decimal_comma):
+    half = "\n".join(line.replace("1", "0.5") if line[0] == "v" else line for line in CORNER)
+    path = write_files(tmp_path, {"m.xml": MESH_MODEL, "d/m.obj": half})
+    with pytest.raises(ModelError, match=r"has ',' for a decimal point.*LC_NUMERIC, 'C'"):
+        compile_model(path)
+    if decimal_comma:
+        locale.setlocale(locale.LC_NUMERIC, "C")
+        volume = compile_model(path).mj_model.body_mass[1] / 1000.0
+        np.testing.assert_allclose(volume, 0.5**3 / 6.0, rtol=1e-6)
