@@ -45,6 +45,17 @@ def test_an_error_is_a_line_that_can_be_read(capsys):
     assert len(line) < 2000 and " [...] " in line and "cannot read model file" in line
 
 
+@pytest.mark.parametrize("mark", ["\x1b[31m", "\x9b31m", "\x07", "\u202e"])
+def test_names_cannot_steer_the_terminal(tmp_path, capsys, mark):
+    path = tmp_path / f"a{mark}.xml"
+    assert main([str(path)]) == 2
+    if mark not in ("\x1b[31m", "\x07"):  # XML itself has none of these.
+        path.write_text(ARM.replace("elbow", f"el{mark}bow"), encoding="utf-8")
+        assert main([str(path), "--duration", "1", "--output-dir", str(tmp_path / "out")]) == 0
+    printed = capsys.readouterr()
+    assert mark[0] not in printed.out + printed.err
+
+
 BALL = ARM.replace(
     '<joint name="shoulder" axis="0 1 0" range="-90 90" limited="true"/>',
     '<joint name="shoulder" type="ball"/>',

@@ -11,8 +11,10 @@ from typing import Any
 
 from robot_sysid.errors import InputError
 
-# What a title or a path from a file could do to a terminal.
-_CONTROL = {code: "?" for code in (*range(32), 127, *range(128, 160)) if chr(code) not in "\n\t"}
+# What a title or a path from a file could do to a terminal; the last two ranges are marks by which
+# text runs from right to left.
+_MARKS = (*range(32), *range(127, 160), *range(0x202A, 0x202F), *range(0x2066, 0x206A))
+_CONTROL = {code: "?" for code in _MARKS if chr(code) not in "\n\t"}
 
 
 def print_line(message: str, stream: Any) -> None:

@@ -65,6 +65,7 @@ class Study:
     def started(self, name: str) -> Run:
         """Start a command over the earlier results."""
         self.shop.fill(self.old[name])
+        self.shop.out.mkdir(exist_ok=True)
         return self.shop.start(self.shop.words(name, 2))
 
     def there(self) -> dict[str, bytes]:
