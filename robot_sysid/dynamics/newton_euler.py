@@ -5,8 +5,11 @@ Park, "Modern Robotics", 2017, eq. 8.50 to 8.53, A_0 = [0, -g]):
 
     V_i = Ad(T_i^-1) V_{i-1} + S_i qd_i,
     A_i = Ad(T_i^-1) A_{i-1} + ad(V_i) S_i qd_i + S_i qdd_i,
-    J_ij = Ad(T_i^-1) J_{i-1,j},   J_ii = S_i,
-    tau_j = sum_{i >= j} J_ij^T Y6(V_i, A_i) theta_i.
+    F_i = Y6(V_i, A_i) theta_i + Ad(T_{i+1}^-1)^T F_{i+1},   tau_i = S_i^T F_i.
+
+The regressor of a link's own parameters needs the twist of each joint below it:
+
+    J_ij = Ad(T_i^-1) J_{i-1,j},   J_ii = S_i,   d tau_j / d theta_i = J_ij^T Y6(V_i, A_i).
 
 Arrays are component first: (6, N) holds N samples of a twist [omega, v].
 """
@@ -34,34 +37,41 @@ class LinksMotion:
     Attributes:
         velocity, acceleration: per link (6, N), each in the link's own frame; the acceleration is
             the spatial one minus gravity.
-        jacobian: per link, the twist (6, N) per unit speed of each joint up to its own.
+        steps: per link, its pose in the one before it.
+        screws: per link (6,), the screw of its joint.
     """
 
     velocity: tuple[Array, ...]
     acceleration: tuple[Array, ...]
-    jacobian: tuple[tuple[Array, ...], ...]
+    steps: tuple[Step, ...]
+    screws: tuple[Array, ...]
 
     def columns(self, links: Sequence[int]) -> Array:
         """Return the joint torque regressor (N, n, 10 len(links)) of some links [N m]."""
         samples = self.velocity[0].shape[1]
         columns = np.zeros((samples, len(self.velocity), N_PARAMETERS * len(links)))
-        for place, link in enumerate(links):
-            wrench = wrench_regressor(self.velocity[link].T, self.acceleration[link].T)
-            block = columns[:, :, N_PARAMETERS * place : N_PARAMETERS * (place + 1)]
-            for joint, twist in enumerate(self.jacobian[link]):
-                block[:, joint] = np.einsum("in,ikn->nk", twist, wrench)
+        jacobian: list[Array] = []
+        for link in range(max(links, default=-1) + 1):
+            screw = np.repeat(self.screws[link][:, None], samples, axis=1)
+            jacobian = [*(self.steps[link].into(twist) for twist in jacobian), screw]
+            for place in np.flatnonzero(np.equal(links, link)):
+                wrench = wrench_regressor(self.velocity[link].T, self.acceleration[link].T)
+                block = columns[:, :, N_PARAMETERS * place : N_PARAMETERS * (place + 1)]
+                for joint, twist in enumerate(jacobian):
+                    block[:, joint] = np.einsum("in,ikn->nk", twist, wrench)
         return columns
 
     def torque(self, thetas: Array) -> Array:
         """Return the joint torque (N, n) [N m] of links theta (n, 10), rigid bodies only."""
         samples = self.velocity[0].shape[1]
         tau = np.zeros((samples, len(thetas)))
-        for link, theta in enumerate(thetas):
-            if not np.any(theta):
-                continue
-            wrench = _wrench(theta, self.velocity[link], self.acceleration[link])
-            for joint, twist in enumerate(self.jacobian[link]):
-                tau[:, joint] += np.sum(twist * wrench, axis=0)
+        wrench = np.zeros((6, samples))
+        for link in reversed(range(len(thetas))):
+            if np.any(thetas[link]):
+                move = self.velocity[link], self.acceleration[link]
+                wrench = wrench + _wrench(thetas[link], *move)
+            tau[:, link] = self.screws[link] @ wrench
+            wrench = self.steps[link].out_of(wrench)
         return tau
 
 
@@ -84,11 +94,10 @@ class LinkDynamics:
         velocity = np.zeros((6, samples))
         acceleration = np.zeros((6, samples))
         acceleration[3:] = -self._gravity[:, None]
-        jacobian: tuple[Array, ...] = ()
         moves = []
         for i, link in enumerate(self._links):
             rotation, place = exponential(link.screw, q[:, i] - self._home[i])
-            step = _Step(
+            step = Step(
                 np.einsum("ab,bcn->acn", link.rotation, rotation),
                 link.translation[:, None] + link.rotation @ place,
             )
@@ -96,14 +105,12 @@ class LinkDynamics:
             turning = screw * qd[:, i]
             velocity = step.into(velocity) + turning
             acceleration = step.into(acceleration) + bracket(velocity, turning) + screw * qdd[:, i]
-            jacobian = (*(step.into(twist) for twist in jacobian), screw)
-            moves.append((velocity, acceleration, jacobian))
-        velocities, accelerations, jacobians = zip(*moves)
-        return LinksMotion(velocities, accelerations, jacobians)
+            moves.append((velocity, acceleration, step, link.screw))
+        return LinksMotion(*zip(*moves))
 
 
 @dataclass(frozen=True)
-class _Step:
+class Step:
     """Pose of a link in the one before it: rotation (3, 3, N), translation (3, N)."""
 
     rotation: Array
@@ -114,6 +121,13 @@ class _Step:
         omega = np.einsum("abn,an->bn", self.rotation, twist[:3])
         shifted = twist[3:] + cross(twist[:3], self.translation)
         return np.concatenate((omega, np.einsum("abn,an->bn", self.rotation, shifted)))
+
+    def out_of(self, wrench: Array) -> Array:
+        """Return Ad(T^-1)^T of a wrench (6, N), as the link before it feels it."""
+        moment, force = (
+            np.einsum("abn,bn->an", self.rotation, part) for part in np.split(wrench, 2)
+        )
+        return np.concatenate((moment + cross(self.translation, force), force))
 
 
 def _wrench(theta: Array, velocity: Array, acceleration: Array) -> Array:

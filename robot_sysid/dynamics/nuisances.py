@@ -25,6 +25,8 @@ from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.records import Array, Motion, RobotModel
 
 _STEP = 1e-5
+_MOST_SHIFTED = 20000
+"""Samples of shifted motions at once."""
 
 
 def scale_names(robot: RobotModel) -> tuple[str, ...]:
@@ -55,8 +57,15 @@ class NuisanceColumns:
 
     def zero(self, motion: Motion) -> Array:
         """Return (K, n, n) torque per radian that a joint's reading is too large [N m/rad]."""
-        # All shifted motions at once: what a call costs hardly depends on how many samples it has.
-        steps = _STEP * np.concatenate((-np.eye(motion.q.shape[1]), np.eye(motion.q.shape[1])))
+        count = motion.q.shape[1]
+        # Many shifted motions at once: a call's cost hardly depends on its samples, memory does.
+        parts = -(-2 * motion.q.size // _MOST_SHIFTED)
+        joints = np.array_split(np.eye(count), min(parts, count))
+        return np.concatenate([self._shifted(motion, some) for some in joints], axis=-1)
+
+    def _shifted(self, motion: Motion, directions: Array) -> Array:
+        """Return (K, n, s) minus the torque per radian along directions (s, n)."""
+        steps = _STEP * np.concatenate((-directions, directions))
         size = (len(steps), *motion.q.shape)
         qd, qdd = (np.broadcast_to(v, size).reshape(-1, size[2]) for v in (motion.qd, motion.qdd))
         q = (motion.q + steps[:, None]).reshape(qd.shape)
