@@ -50,6 +50,5 @@ def as_logs(logs: Any) -> tuple[Any, ...]:
 
 def _table(columns: Mapping[str, Any]) -> ArrayTable:
     arrays = {str(name): np.asarray(values) for name, values in columns.items()}
-    numeric = {name: values for name, values in arrays.items() if values.dtype.kind in "fiub"}
-    titles, cells = titled_arrays(IN_MEMORY, numeric)
+    titles, cells = titled_arrays(IN_MEMORY, arrays)
     return ArrayTable(IN_MEMORY, "arrays in memory", titles, (cells,))

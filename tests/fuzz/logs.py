@@ -22,7 +22,10 @@ from tests.support import log_files, recorded
 
 ROWS = 24
 _JOINTS = LogJoints(log_files.JOINTS, log_files.limits())
-_TEXT, _ARRAYS = ("libfranka", "RTDE", "PlotJuggler", "SAGE"), ("npz", "robomimic", "ALOHA", "xArm")
+_TEXT, _ARRAYS = (
+    ("libfranka", "RTDE", "PlotJuggler", "SAGE"),
+    ("npz", "robomimic", "ALOHA", "xArm", "MATLAB"),
+)
 _SLOW = (*(name for name in recorded.FORMS if "ROS" in name), "single mcap")
 _SLOW += ("DynamicJointState", "FrankaRobotState", "LeRobot v2")
 SLOW_SHARE = 0.02

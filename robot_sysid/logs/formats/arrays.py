@@ -1,10 +1,12 @@
-"""Recordings kept as named arrays: NumPy's .npz, HDF5 as ALOHA and robomimic write it, and the
-records of 200 Hz that an xArm's controller sends."""
+"""Recordings kept as named arrays: NumPy's .npz, MATLAB's .mat, HDF5 as ALOHA and robomimic write
+it, and the records of 200 Hz that an xArm's controller sends."""
 
 from __future__ import annotations
 
 import math
 import zipfile
+import zlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, cast
 
@@ -36,6 +38,12 @@ _XARM = {
 (firmware 2.1 and later: xArm-Developer/ufactory_docs, firmware/report)."""
 _XARM_LENGTHS = range(256, 4096)
 
+_MATRIX, _COMPRESSED, _STRUCT = 14, 15, 2
+"""Types of an element of a .mat file, and the class of a matrix that is a struct (MAT-File Format,
+MathWorks, version 5). SciPy's reader ends the process on some damaged files, so it is not used."""
+_MAT_NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8"}
+_MAT_NUMBERS.update({12: "i8", 13: "u8"})
+
 
 def is_npz(start: bytes) -> bool:
     """Return whether a file that begins so is a zip archive, as .npz files are."""
@@ -47,10 +55,19 @@ def is_hdf5(start: bytes) -> bool:
     return start.startswith(b"\x89HDF\r\n\x1a\n")
 
 
+def is_matlab(start: bytes) -> bool:
+    """Return whether a file that begins so is a .mat file of version 5, 6 or 7."""
+    return start.startswith(b"MATLAB 5.0")
+
+
+def is_matlab_hdf5(start: bytes) -> bool:
+    """Return whether a file that begins so is a .mat file of version 7.3."""
+    return start.startswith(b"MATLAB 7.3")
+
+
 def npz_table(path: Path) -> ArrayTable:
     """Return the arrays of an .npz file: time (N,), q, qd, tau (N, n), by these or like names."""
-    arrays = npz_arrays(path)
-    titles, cells = titled_arrays(path, {n: a for n, a in arrays.items() if _is_numeric(a)})
+    titles, cells = titled_arrays(path, npz_arrays(path))
     return ArrayTable(path, "NumPy .npz", titles, (cells,))
 
 
@@ -62,9 +79,9 @@ def npz_arrays(path: Path) -> dict[str, Any]:
     """
     with as_input_errors(path, "a NumPy .npz file"), path.open("rb") as stream:
         with zipfile.ZipFile(stream) as packed:
-            _refuse_bomb(path, sum(each.file_size for each in packed.infolist()))
+            refuse_bomb(path, sum(each.file_size for each in packed.infolist()))
             for each in packed.namelist():
-                _refuse_bomb(path, _stated_bytes(packed, each))
+                refuse_bomb(path, _stated_bytes(packed, each))
         stream.seek(0)
         archive = np.load(stream, allow_pickle=False)
         return {name: archive[name] for name in archive.files}
@@ -83,6 +100,63 @@ def _stated_bytes(packed: zipfile.ZipFile, name: str) -> int:
     return math.prod(shape) * kind.itemsize
 
 
+def matlab_table(path: Path) -> ArrayTable:
+    """Return the arrays of a .mat file, also those in its structs.
+
+    Raises:
+        InputError: it cannot be read, unpacks to more than is read, or holds no rows.
+    """
+    refuse_bomb(path, path.stat().st_size)
+    with as_input_errors(path, "a MATLAB .mat file"):
+        data = memoryview(path.read_bytes())
+        arrays = dict(_matrices(path, data[128:], "<" if data[126:128] == b"IM" else ">"))
+    titles, cells = titled_arrays(path, arrays)
+    return ArrayTable(path, "MATLAB .mat", titles, (cells,))
+
+
+def _matrices(path: Path, data: memoryview, order: str) -> Iterator[tuple[str, Any]]:
+    for kind, content in _elements(data, order):
+        if kind == _COMPRESSED:
+            unpacker = zlib.decompressobj()
+            unpacked = unpacker.decompress(content, int(LARGEST))
+            refuse_bomb(path, math.inf if unpacker.unconsumed_tail else len(unpacked))
+            content = memoryview(unpacked)[8:]
+        if kind in (_MATRIX, _COMPRESSED):
+            yield from _matrix(content, order)
+
+
+def _elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
+    """Yield (type, content); a small element has both, and its size, in eight bytes."""
+    at = 0
+    while at < len(data):
+        kind, size = (int(word) for word in np.frombuffer(data[at : at + 8], f"{order}u4"))
+        begin, after = at + 8, at + 8 + size + (0 if kind == _COMPRESSED else -size % 8)
+        if kind >= 1 << 16:
+            kind, size, begin, after = kind & 0xFFFF, kind >> 16, at + 4, at + 8
+        if begin + size > len(data):
+            raise ValueError("it is cut off")
+        yield kind, data[begin : begin + size]
+        at = after
+
+
+def _matrix(content: memoryview, order: str, name: str = "") -> Iterator[tuple[str, Any]]:
+    (_, flags), (_, sizes), (_, own), *parts = _elements(content, order)
+    name = name or bytes(own).decode("latin-1")
+    shape = tuple(np.frombuffer(sizes, f"{order}i4"))
+    is_struct = np.frombuffer(flags, f"{order}u4")[0] & 0xFF == _STRUCT
+    if is_struct and math.prod(shape) == 1:
+        (_, width), (_, names), *fields = parts
+        length = max(1, int(np.frombuffer(width, f"{order}i4")[0]))
+        for k, (_, field) in enumerate(fields):
+            called = bytes(names[k * length : (k + 1) * length]).split(b"\0")[0].decode("latin-1")
+            yield from _matrix(field, order, f"{name}/{called}") if len(field) else ()
+    elif not is_struct and parts and parts[0][0] in _MAT_NUMBERS:
+        kind, numbers = parts[0]
+        values = np.frombuffer(numbers, order + _MAT_NUMBERS[kind])
+        if math.prod(shape) == len(values):
+            yield name, values.reshape(shape, order="F")
+
+
 def is_xarm(path: Path, start: bytes) -> bool:
     """Return whether a file is a row of records that each begin with their length."""
     length = int.from_bytes(start[:4], "big")
@@ -99,7 +173,7 @@ def xarm_table(path: Path) -> ArrayTable:
     Raises:
         InputError: it cannot be read, or bytes are missing in it.
     """
-    _refuse_bomb(path, path.stat().st_size)
+    refuse_bomb(path, path.stat().st_size)
     with as_input_errors(path, "an xArm report"):
         data = path.read_bytes()
     length = int.from_bytes(data[:4], "big")
@@ -136,12 +210,19 @@ def hdf5_table(path: Path, commanded: bool = False) -> ArrayTable:
             return _aloha(path, file["observations"], action)
         if "data" in file and isinstance(file["data"], h5py.Group):
             return _robomimic(path, file["data"])
-        arrays = {n: _whole(path, d) for n, d in file.items() if isinstance(d, h5py.Dataset)}
-    titles, cells = titled_arrays(path, {n: a for n, a in arrays.items() if _is_numeric(a)})
+        found: dict[str, Any] = {}
+        # What is called #refs# holds the cells of a MATLAB file.
+        file.visititems(lambda n, d: found.update({n: d}) if _is_data(h5py, n, d) else None)
+        arrays = {name: _whole(path, data) for name, data in found.items()}
+    titles, cells = titled_arrays(path, arrays)
     return ArrayTable(path, "HDF5", titles, (cells,))
 
 
-def _refuse_bomb(path: Path, size: int) -> None:
+def _is_data(h5py: Any, name: str, member: Any) -> bool:
+    return isinstance(member, h5py.Dataset) and not name.startswith("#")
+
+
+def refuse_bomb(path: Path, size: float) -> None:
     """Refuse a small file that unpacks to more than any recording holds."""
     if size > LARGEST:
         raise InputError(
@@ -152,7 +233,7 @@ def _refuse_bomb(path: Path, size: int) -> None:
 
 def _whole(path: Path, dataset: Any) -> Any:
     """Return all of a data set, unless it is too large."""
-    _refuse_bomb(path, dataset.nbytes)
+    refuse_bomb(path, dataset.nbytes)
     return dataset[()]
 
 
@@ -206,7 +287,3 @@ def _robomimic(path: Path, group: Any) -> ArrayTable:
     if not pieces:
         raise InputError(f"{path} holds no demonstrations in /data")
     return ArrayTable(path, f"robomimic HDF5, {len(pieces)} demonstrations", titles, tuple(pieces))
-
-
-def _is_numeric(values: Any) -> bool:
-    return np.asarray(values).dtype.kind in "fiu"

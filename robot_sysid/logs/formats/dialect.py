@@ -23,8 +23,9 @@ _MISSING = frozenset({"", "nan", "null", "none", "na", "n/a", "-nan", "-", "miss
 SEPARATOR_NAMES = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar", " ": "blanks"}
 LONGEST_LINE = 100_000
 """Characters of a line beyond which it is no row of a table."""
-# Share of zero bytes at the beginning of a file that makes it no text.
-_BINARY = 0.1
+# Control characters, and their share at the beginning of a file that makes it no text.
+_CONTROL = bytes({*range(32)} - {*b"\t\n\v\f\r"})
+_BINARY = 0.05
 # Lines between two looks at how much of the file was read.
 _COUNTED = 1000
 
@@ -100,7 +101,10 @@ def read_dialect(path: Path) -> LogDialect:
     encoding = _encoding(path)
     comments, lines = _beginning(path, encoding)
     if not lines:
-        raise InputError(f"{path} holds no rows of data; check that the recording was written")
+        raise InputError(
+            f"{path} holds no rows of a table, a sample per line; check that "
+            "the recording was written, or export it as CSV"
+        )
     separator = _separator(lines[0][1])
     cells = _cells(path, lines[0][1], separator)
     if not _mostly_numbers(cells):
@@ -144,8 +148,10 @@ def _encoding(path: Path) -> str:
         raise InputError(f"cannot read the log {path}: {error.strerror or error}") from error
     if start[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return "utf-16"
-    if start.count(b"\0") > _BINARY * len(start):
-        raise InputError(f"{path} is not a text file; export the log as CSV")
+    if len(start) - len(start.translate(None, _CONTROL)) > _BINARY * len(start):
+        raise InputError(
+            f"{path} is of no form that is known, and not a text file; export it as CSV"
+        )
     return "utf-8-sig"
 
 

@@ -19,7 +19,7 @@ from robot_sysid.logs.options import LogOptions
 
 FORMS = (
     "a text table (CSV), a ROS 1 or ROS 2 bag, a LeRobot data set, HDF5 (ALOHA, robomimic), "
-    "NumPy .npz or an xArm report"
+    "NumPy .npz, MATLAB .mat or an xArm report"
 )
 
 
@@ -61,7 +61,9 @@ def _binary_table(path: Path, joint_names: Sequence[str], options: LogOptions) -
         return lerobot_table(path, joint_names, options.episode, options.commanded)
     if path.is_dir():
         raise InputError(f"{path} is a folder of no known form; a log is {FORMS}")
-    if arrays.is_hdf5(start):
+    if arrays.is_matlab(start):
+        return arrays.matlab_table(path)
+    if arrays.is_hdf5(start) or arrays.is_matlab_hdf5(start):
         return arrays.hdf5_table(path, options.commanded)
     if arrays.is_xarm(path, start):
         return arrays.xarm_table(path)

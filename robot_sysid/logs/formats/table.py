@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.column_file import ColumnChoices
+from robot_sysid.logs.columns import read_title
 from robot_sysid.records import Array
 
 Lines = NDArray[np.int64]
@@ -110,29 +111,52 @@ class ArrayTable:
                 yield Block(lines, cells, piece=number, done=start / total)
 
 
-def titled_arrays(path: Path, arrays: Mapping[str, Array]) -> tuple[tuple[str, ...], Array]:
-    """Return (titles, cells (N, W)) of named arrays with one row per sample.
+def titled_arrays(path: Path, arrays: Mapping[str, Any]) -> tuple[tuple[str, ...], Array]:
+    """Return (titles, cells (N, W)) of named arrays with one row, or column, per sample.
 
     A column of a two-dimensional array ``q`` is called ``q[0]``; an array of another length or
-    shape is no column.
+    shape, or of no numbers, is no column. Of ``group/q`` the last part is the name, if no other
+    array has it.
 
     Raises:
         InputError: there is no array with rows.
     """
-    lengths = [len(a) for a in arrays.values() if np.ndim(a) in (1, 2) and len(a) > 1]
-    if not lengths:
-        raise InputError(f"{path} holds no arrays with a row per sample: {_shapes(arrays)}")
-    rows = max(set(lengths), key=lengths.count)
+    numeric = {n: np.asarray(a) for n, a in _by_last_name(arrays).items() if _is_numeric(a)}
+    sized = {n: a for n, a in numeric.items() if a.ndim in (1, 2) and a.size > 1}
+    rows = _number_of_rows(path, sized, arrays)
     titles: list[str] = []
     columns: list[Array] = []
-    for name, values in arrays.items():
-        if np.ndim(values) not in (1, 2) or len(values) != rows:
+    for name, values in sized.items():
+        upright = values if len(values) == rows else values.T
+        if len(upright) != rows:
             continue
-        flat = np.asarray(values, dtype=float).reshape(rows, -1)
-        titles += [name] if np.ndim(values) == 1 else [f"{name}[{k}]" for k in range(flat.shape[1])]
+        flat = np.asarray(upright, dtype=float).reshape(rows, -1)
+        width = flat.shape[1]
+        titles += [name] if width == 1 else [f"{name}[{k}]" for k in range(width)]
         columns.append(flat)
     return tuple(titles), np.hstack(columns)
 
 
-def _shapes(arrays: Mapping[str, Array]) -> str:
+def _by_last_name(arrays: Mapping[str, Any]) -> dict[str, Any]:
+    last = [name.rsplit("/", 1)[-1] for name in arrays]
+    return {
+        end if last.count(end) == 1 else name: values
+        for (name, values), end in zip(arrays.items(), last)
+    }
+
+
+def _number_of_rows(path: Path, sized: Mapping[str, Array], arrays: Mapping[str, Any]) -> int:
+    """Return how many samples there are: as many as times, else what most arrays have."""
+    times = [max(a.shape) for name, a in sized.items() if read_title(name).kind == "time"]
+    lengths = times or [max(a.shape) for a in sized.values()]
+    if not lengths:
+        raise InputError(f"{path} holds no arrays with a row per sample: {_shapes(arrays)}")
+    return max(set(lengths), key=lengths.count)
+
+
+def _is_numeric(values: Any) -> bool:
+    return getattr(values, "dtype", np.dtype(object)).kind in "fiub"
+
+
+def _shapes(arrays: Mapping[str, Any]) -> str:
     return ", ".join(f"{name} {np.shape(values)}" for name, values in arrays.items()) or "nothing"

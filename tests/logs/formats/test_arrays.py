@@ -7,11 +7,17 @@ import zipfile
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.formats import arrays
-from tests.support.log_files import read_measurements
+from tests.support.log_files import motion, read_measurements
 from tests.support.recorded import xarm_record
+
+DATA = motion()
+JOINTS = ("a", "b", "c")[: DATA.q.shape[1]]
+COLUMNS = {"t": DATA.time[:, None], "q": DATA.q, "qd": DATA.qd, "tau": DATA.tau}
+EXTRAS = {"gains": np.ones(7), "limits": np.ones((7, 2)), "name": "arm", "cells": [1, "a"]}
 
 
 class Harmless:
@@ -90,3 +96,54 @@ def test_an_xarm_report_that_lost_bytes_is_refused(tmp_path):
     (tmp_path / "arm.bin").write_bytes(content[:8000] + content[8010:])
     with pytest.raises(InputError, match="record 12 does not begin with its length"):
         read_measurements(tmp_path / "arm.bin", [f"joint{k + 1}" for k in range(7)])
+
+
+def assert_read(path):
+    (piece,) = read_measurements(path, JOINTS).pieces
+    for name in ("time", "q", "qd", "tau"):
+        np.testing.assert_array_equal(getattr(piece, name), getattr(DATA, name))
+
+
+@pytest.mark.parametrize("packed", [False, True])
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("in_struct", [False, True])
+def test_arrays_of_matlab_are_found_however_they_lie(tmp_path, packed, turned, in_struct):
+    columns = {n: a.T if turned else a for n, a in COLUMNS.items()}
+    saved = {"log": {"arm": columns, **EXTRAS}} if in_struct else {**columns, **EXTRAS}
+    savemat(tmp_path / "log.mat", saved, do_compression=packed)
+    assert_read(tmp_path / "log.mat")
+
+
+def test_matlab_7_3_is_hdf5_whose_arrays_are_turned(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "log.mat"
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, values in COLUMNS.items():
+            file[f"log/{name}"] = values.T
+    with path.open("r+b") as stream:
+        stream.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64")
+    assert_read(path)
+
+
+def test_two_arrays_of_one_name_are_told_apart(tmp_path):
+    savemat(tmp_path / "log.mat", {"train": COLUMNS, "test": COLUMNS})
+    with pytest.raises(InputError, match=r"train/q\[0\], .*test/q\[0\]"):
+        read_measurements(tmp_path / "log.mat", JOINTS)
+
+
+def test_a_matlab_file_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
+    savemat(tmp_path / "log.mat", {"q": np.zeros(200_000)}, do_compression=True)
+    assert (tmp_path / "log.mat").stat().st_size < 10_000
+    monkeypatch.setattr(arrays, "LARGEST", 1e6)
+    with pytest.raises(InputError, match="unpacks to .* GB, more than"):
+        read_measurements(tmp_path / "log.mat", JOINTS)
+
+
+@pytest.mark.parametrize("kept", [20, 126, 130, 300, 2000])
+def test_a_matlab_file_that_is_cut_off_is_one_line(tmp_path, kept):
+    path = tmp_path / "log.mat"
+    savemat(path, COLUMNS, do_compression=True)
+    path.write_bytes(path.read_bytes()[:kept])
+    with pytest.raises(InputError) as caught:
+        read_measurements(path, JOINTS)
+    assert "\n" not in str(caught.value)
