@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,7 +76,16 @@ class LinksProblem:
     def of(self, kept: NDArray[np.int64]) -> LinksProblem:
         """Return the problem of some of the parameters, (k,) in ascending order, all links' in."""
         links = tuple(np.searchsorted(kept, link) for link in self.links)
-        return LinksProblem(links, self.prior[kept], self.lower[kept], self.upper[kept])
+        fewer = LinksProblem(links, self.prior[kept], self.lower[kept], self.upper[kept])
+        # The links are the same.
+        vars(fewer)["bodies"] = self.bodies
+        return fewer
+
+    @cached_property
+    def bodies(self) -> tuple[tuple[Array, Array], ...]:
+        """Each link made possible where the model's is not (10,), and the units of Z there."""
+        thetas = [self.prior[link] for link in self.links]
+        return tuple(_body(lifted_body(theta, theta, _FLOOR)) for theta in thetas)
 
 
 class ConsistentLinks:
@@ -89,7 +99,7 @@ class ConsistentLinks:
 
     def __init__(self, matrix: Array, right: Array, problem: LinksProblem) -> None:
         self._origin = possible_links(problem)
-        self._unit = _units(matrix, problem, self._origin)
+        self._unit = _units(matrix, problem)
         scaled = matrix @ self._unit
         missing = max(scaled.shape[1] - len(scaled), 0)
         padded = np.pad(scaled, ((0, missing), (0, 0)))
@@ -231,7 +241,7 @@ def unbounded(matrix: Array, right: Array, problem: LinksProblem, gamma: float) 
     Near the model the divergence of a link is |Z_i|^2 / 2; arguments as for ``ConsistentLinks``.
     """
     origin = possible_links(problem)
-    unit = _units(matrix, problem, origin)
+    unit = _units(matrix, problem)
     scaled = matrix @ unit
     weight = np.full(len(origin), _RIDGE)
     weight[np.concatenate(problem.links)] = gamma
@@ -273,20 +283,24 @@ def _start(lower: Array, upper: Array, known: Array, size: float) -> Array:
 def possible_links(problem: LinksProblem) -> Array:
     """Return (p,) the model's links, made possible where they are not, and no friction."""
     origin = np.zeros(len(problem.prior))
-    for link in problem.links:
-        theta = problem.prior[link]
-        origin[link] = lifted_body(theta, theta, _FLOOR)
+    for link, (theta, _) in zip(problem.links, problem.bodies):
+        origin[link] = theta
     return origin
 
 
-def _units(matrix: Array, problem: LinksProblem, origin: Array) -> Array:
+def _body(theta: Array) -> tuple[Array, Array]:
+    """Return a possible link (10,) and (10, 10) U with theta + U z of its coordinates z."""
+    root = np.linalg.cholesky(spatial.pseudo_inertia(theta))
+    units = np.einsum("kij,bij->kb", root @ _BASIS @ root.T, _BASIS) @ _THETAS
+    return theta, units.T
+
+
+def _units(matrix: Array, problem: LinksProblem) -> Array:
     """Return (p, p) U with x = origin + U z."""
     length = np.linalg.norm(matrix, axis=0)
     unit = np.diag(1.0 / np.where(length > 0.0, length, 1.0))
-    for link in problem.links:
-        root = np.linalg.cholesky(spatial.pseudo_inertia(origin[link]))
-        bodies = np.einsum("kij,bij->kb", root @ _BASIS @ root.T, _BASIS) @ _THETAS
-        unit[np.ix_(link, link)] = bodies.T
+    for link, (_, units) in zip(problem.links, problem.bodies):
+        unit[np.ix_(link, link)] = units
     return unit
 
 

@@ -122,9 +122,9 @@ class LinkFits:
 
     def roughly_held_out(self, kept: Columns, gamma: float) -> Array:
         """Return the same (blocks, joints) of fits without bounds, which take no time."""
-        errors = []
+        errors, problem = [], self.problem.of(kept)
         for block, part in enumerate(self.parts):
-            triangle, problem = self._without[block], self.problem.of(kept)
+            triangle = self._without[block]
             values = unbounded(triangle[:, kept], triangle[:, -1], problem, gamma)
             errors.append(part.squared_residuals(self._full(kept, values)))
         return np.array(errors)
