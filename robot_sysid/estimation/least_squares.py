@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot_sysid.estimation.identifiability import visible_space
+from robot_sysid.estimation.identifiability import VisibleSpace, visible_space
 from robot_sysid.estimation.information import sample_counts
 from robot_sysid.records import Array, SampleSource, SquareRootInformation
 
@@ -30,9 +30,9 @@ def ordinary(
 
 
 def _common_noise(information: SquareRootInformation, prior: Array, weights: Array) -> float:
-    values = least_squares(information, prior, weights)
+    values, paid = _solved(information, prior, weights)
     squared = float(np.sum(information.squared_residuals(values)))
-    freedom = max(information.n_samples - float(np.sum(leverage(information, weights))), 1.0)
+    freedom = max(information.n_samples - float(np.sum(paid)), 1.0)
     return float(max(np.sqrt(squared / freedom), noise_floor(information)))
 
 
@@ -66,8 +66,8 @@ def weighted(
     """
     noise = ordinary(information, prior).noise
     for _ in range(MOST_ROUNDS):
-        values = least_squares(information, prior, 1.0 / noise)
-        before, noise = noise, joint_noise(information, values, 1.0 / noise)
+        values, paid = _solved(information, prior, 1.0 / noise)
+        before, noise = noise, _noise(information, values, paid)
         if np.max(np.abs(noise / before - 1.0)) < _SETTLED:
             break
     return WeightedEquations(information, noise, no_clip(information))
@@ -119,14 +119,31 @@ def joint_noise(information: SquareRootInformation, values: Array, weights: Arra
         values: (p,) their solution.
         weights: (joints,) weights it was found with.
     """
+    return _noise(information, values, leverage(information, weights))
+
+
+def _noise(information: SquareRootInformation, values: Array, paid: Array) -> Array:
     squared = information.squared_residuals(values)
-    freedom = np.maximum(sample_counts(information) - leverage(information, weights), 1.0)
+    freedom = np.maximum(sample_counts(information) - paid, 1.0)
     return np.maximum(np.sqrt(squared / freedom), noise_floor(information))
 
 
 def leverage(information: SquareRootInformation, weights: Array) -> Array:
     """Return (joints,) how many parameters each joint's equations pay for; sums to the rank."""
-    root = visible_space(information.stacked(weights)[0]).inverse_root()
+    return _paid(information, weights, visible_space(information.stacked(weights)[0]))
+
+
+def _solved(
+    information: SquareRootInformation, prior: Array, weights: Array
+) -> tuple[Array, Array]:
+    """Return (``least_squares``, ``leverage``), with one decomposition for both."""
+    matrix, right = information.stacked(weights)
+    space = visible_space(matrix)
+    return prior + space.solve(right - matrix @ prior), _paid(information, weights, space)
+
+
+def _paid(information: SquareRootInformation, weights: Array, space: VisibleSpace) -> Array:
+    root = space.inverse_root()
     return np.array(
         [
             weight**2 * np.sum((joint.triangle[:, :-1] @ root[joint.columns]) ** 2)
