@@ -116,7 +116,7 @@ def case(random: Random) -> Case:
     if random.random() < 0.1:
         files["part.xml"] = damaged_xml(random, random.choice(_roots()), ATTRIBUTES, PARTS)
     root = random.choice(_roots())
-    if _public() and random.random() < PUBLIC_SHARE:
+    if _public() and random.random() > 1.0 - PUBLIC_SHARE:
         path, root = random.choice(_public())
         files["beside"] = str(path.parent).encode()
     return {"model.xml": damaged_xml(random, root, ATTRIBUTES, PARTS), **files}
