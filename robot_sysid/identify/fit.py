@@ -173,7 +173,8 @@ def _parts(signals: Sequence[ProcessedSignals], share: float) -> tuple[list[Mask
         fastest = np.maximum(np.max(np.abs(log.qd), axis=0), 1e-12)
         speed = np.abs(log.decimated_motion().qd) / fastest
         gap = -(-len(log.low_pass.kernel) // log.low_pass.step) if share > 0.0 else 0
-        parts = hold_out(np.any(speed > MOVING, axis=1), share, gap)
+        counts = np.any(speed > MOVING, axis=1) & np.any(log.usable(), axis=1)
+        parts = hold_out(counts, share, gap)
         fitted.append(parts[0])
         held.append(parts[1])
     return fitted, held

@@ -38,7 +38,7 @@ def first_derivative(values: Array, rate: float, reach: int = REACH) -> Array:
     """
     ahead, weights = _central_weights(reach)
     later = weights / ahead
-    return _correlated(values, np.concatenate((-later[::-1], [0.0], later))) * rate
+    return _of_differences(values, np.concatenate((-later[::-1], [0.0], later)), 1) * rate
 
 
 def second_derivative(values: Array, rate: float, reach: int = REACH) -> Array:
@@ -49,7 +49,7 @@ def second_derivative(values: Array, rate: float, reach: int = REACH) -> Array:
     ahead, weights = _central_weights(reach)
     later = 2.0 * weights / ahead**2
     stencil = np.concatenate((later[::-1], [-2.0 * np.sum(later)], later))
-    return _correlated(values, stencil) * rate**2
+    return _of_differences(values, stencil, 2) * rate**2
 
 
 def _central_weights(reach: int) -> tuple[Array, Array]:
@@ -85,6 +85,17 @@ def advanced(values: Array, samples: float) -> tuple[Array, int]:
     first = SHIFT_REACH + max(0, -whole)
     start, stop = max(0, whole), len(inner) + min(0, whole)
     return inner[start:stop], first
+
+
+def _of_differences(values: Array, stencil: Array, order: int) -> Array:
+    """Return ``_correlated`` of a stencil that is blind to polynomials below an order.
+
+    Sum_k s_k x_k = -sum_k S_k (x_(k+1) - x_k), S_k = s_0 + ... + s_k. Neighbours' differences have
+    no rounding errors, which the square of the rate would make large.
+    """
+    for _ in range(order):
+        values, stencil = np.diff(values, axis=0), -np.cumsum(stencil)[:-1]
+    return _correlated(values, stencil)
 
 
 def _correlated(values: Array, stencil: Array) -> Array:

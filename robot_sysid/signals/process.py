@@ -2,12 +2,13 @@
 
 1. a uniform time grid (``resampling``);
 2. one low-pass for everything, its cut-off chosen from the data (``cutoff``, ``low_pass``);
-3. positions are low-passed and differentiated (``differences``); velocity columns are not used:
-   a drive filters and delays them in its own way;
+3. positions are low-passed and differentiated (``differences``), those without noise differentiated
+   as they are; velocity columns are not used: a drive filters and delays them in its own way;
 4. regressor columns and torques, both computed at the full rate, pass the same low-pass and are
    decimated to its bandwidth (``ProcessedSignals.decimator``);
-5. the ends are cut off, and rows over long holes in the log, or over moments in which a joint is
-   too slow for its friction to have a sign, are masked (``ProcessedSignals.usable``).
+5. the ends are cut off, and rows over long holes in the log, over corners of motion without noise,
+   or over moments in which a joint is too slow for its friction to have a sign, are masked
+   (``ProcessedSignals.usable``).
 
 A filtered row mixes all samples under the filter's window. Near a reversal it therefore holds
 samples in which the direction of friction is not known, even where its own instant is fast. What
@@ -56,8 +57,15 @@ _HARMLESS_GAP = 0.25
 # A pass band's ripple so small beside the noise of single samples is lost in that of a result: the
 # usual filter's, beside the noise of a cut-off that is as high as noise allows.
 _UNSEEN = 0.0045
-# Of the filter of positions without noise [dB]; more is lost in rounding.
+# Of the filter of positions with little noise [dB]; more is lost in rounding.
 _FLATTEST = 150.0
+# Noise of unfiltered acceleration, as a part of it, that positions need no filter for. Derivatives
+# of orders sixteen and fourteen differ by a 67th of it.
+_NOISELESS = 1e-3 / 67.0
+# Where the orders of a derivative differ by so many times the usual, the motion has a corner.
+_CORNER = 20.0
+# Part of the log that must be free of corners.
+_MOSTLY = 0.5
 
 
 @dataclass(frozen=True)
@@ -69,10 +77,11 @@ class ProcessedSignals:
         q, qd, qdd: (N, n) low-passed positions and their derivatives.
         tau: (N, n) torques, uniform but not filtered, so that they pass the low-pass exactly as
             often as the regressor columns do [N m].
-        bridged: (N,) whether the samples around this one bridge a long hole in the log.
+        bridged: (N,) whether the samples around this one bridge a long hole in the log, or a
+            corner of motion that is known exactly elsewhere.
         deadband: (n,) speed below which the direction of a joint's friction is not sure [rad/s].
         low_pass: the filter for regressor columns and torques.
-        flat: the filter that positions have passed.
+        flat: the filter that positions have passed; of one weight where they are free of noise.
         notes: one sentence each: what was done.
         acceleration_error: expected error of the acceleration, as a part of it; 0 where the
             cut-off was given.
@@ -101,6 +110,11 @@ class ProcessedSignals:
         return self.low_pass.cutoff
 
     @property
+    def exact(self) -> bool:
+        """Whether positions are free of noise and have passed no filter."""
+        return self.flat.half_width == 0
+
+    @property
     def rate(self) -> float:
         """Sample rate of the grid [Hz]."""
         return self.low_pass.rate
@@ -124,21 +138,26 @@ class ProcessedSignals:
         return self.motion(self.low_pass.centres(len(self)))
 
     def refiltered(self) -> tuple[NDArray[np.int64], Motion]:
-        """Return the motion (R, n) after a second pass of its low-pass, and which decimated rows.
+        """Return the motion (R, n) as it might also be, and at which decimated rows.
 
-        Not all: the second pass has no result at the ends.
+        That is after a second pass of its low-pass; where it passed none, as derivatives of the
+        next lower order have it. Not at the ends, where there is no such result.
         """
-        reach, step = self.flat.half_width, self.low_pass.step
-        centres = self.low_pass.centres(len(self))
+        less = FINE_REACH - 1 if self.exact else 0
+        low_pass = replace(self.low_pass if self.exact else self.flat, step=self.low_pass.step)
+        reach, centres = low_pass.half_width + less, self.low_pass.centres(len(self))
         rows = np.flatnonzero((centres >= reach) & (centres < len(self) - reach))
-        whole = (
-            slice(centres[rows[0]] - reach, centres[rows[-1]] + reach + 1)
-            if len(rows)
-            else slice(0)
-        )
-        again = replace(self.flat, step=step)
-        q, qd, qdd = (again.decimated(values[whole]) for values in (self.q, self.qd, self.qdd))
-        return rows, Motion(self.time[centres[rows]], q, qd, qdd)
+        at = centres[rows]
+        whole = slice(at[0] - reach, at[-1] + reach + 1) if len(rows) else slice(0)
+        q, qd, qdd = self.q[whole], self.qd[whole], self.qdd[whole]
+        if not self.exact:
+            q, qd, qdd = (low_pass.decimated(values) for values in (q, qd, qdd))
+            return rows, Motion(self.time[at], q, qd, qdd)
+        inner = slice(less, len(q) - less)
+        first = first_derivative(q, self.rate, less) - qd[inner]
+        second = second_derivative(q, self.rate, less) - qdd[inner]
+        qd, qdd = self.qd[at] + low_pass.decimated(first), self.qdd[at] + low_pass.decimated(second)
+        return rows, Motion(self.time[at], self.q[at], qd, qdd)
 
     def spread(self, most: int) -> NDArray[np.int64]:
         """Return at most so many samples, spread evenly over the log."""
@@ -214,29 +233,36 @@ def process(
         reason = f"cut-off {cutoff:g} Hz as given"
     low_pass = design_low_pass(cutoff, uniform.rate)
     _check_length(len(uniform.q), low_pass)
-    flat, reach = _exact_enough(low_pass, uniform, steps)
+    corners = _corners(uniform, low_pass)
+    flat, reach = replace(low_pass, kernel=np.ones(1)), FINE_REACH
+    if corners is None:
+        flat, reach = _exact_enough(low_pass, uniform, steps)
     q = flat.filtered(uniform.q)
     lost = flat.half_width + reach
+    bridged = _bridged(uniform, low_pass, lost)
     qd = first_derivative(q, uniform.rate, reach)
-    if deadband is None:
-        usual = USUAL_DEADBAND * np.max(np.abs(qd), axis=0)
-        band = np.maximum(np.maximum(usual, _LEAST_DEADBAND), np.asarray(least_deadband or 0.0))
-    else:
-        band = per_joint(deadband, qd.shape[1], "--velocity-deadband")
     signals = ProcessedSignals(
         uniform.start + np.arange(lost, len(uniform.q) - lost) / uniform.rate,
         q[reach:-reach],
         qd,
         second_derivative(q, uniform.rate, reach),
         uniform.tau[lost:-lost],
-        _bridged(uniform, low_pass, lost),
-        band,
+        bridged if corners is None else bridged | corners,
+        _deadband(qd, deadband, least_deadband),
         low_pass,
         flat,
         (),
         expected,
     )
     return replace(signals, notes=(*uniform.notes, reason, *_notes(signals, joint_names)))
+
+
+def _deadband(qd: Array, given: PerJoint | None, least: Sequence[float]) -> Array:
+    """Return each joint's deadband (n,), see ``process``."""
+    if given is not None:
+        return per_joint(given, qd.shape[1], "--velocity-deadband")
+    usual = USUAL_DEADBAND * np.max(np.abs(qd), axis=0)
+    return np.maximum(np.maximum(usual, _LEAST_DEADBAND), np.asarray(least or 0.0))
 
 
 Log = TypeVar("Log")
@@ -317,6 +343,26 @@ def _steps(measurement: Measurement) -> Array:
     return steps
 
 
+def _corners(uniform: UniformSignals, low_pass: LowPass) -> NDArray[np.bool_] | None:
+    """Return where (N - 2 FINE_REACH,) motion without noise has corners; None where it has noise.
+
+    Two orders of a derivative differ by noise and by what the sample rate does not resolve: next to
+    nothing in smooth motion, and a lot around a jump of a higher derivative.
+    """
+    fine = second_derivative(uniform.q, uniform.rate, FINE_REACH)
+    less = second_derivative(uniform.q[1:-1], uniform.rate, FINE_REACH - 1)
+    apart = np.max(np.abs(fine - less), axis=1, initial=0.0)
+    moves = np.any(np.diff(uniform.q[FINE_REACH - 1 : -FINE_REACH], axis=0) != 0.0, axis=1)
+    usual = np.median(apart[moves]) if np.any(moves) else math.inf
+    if usual > _NOISELESS * np.max(np.sqrt(np.mean(fine**2, axis=0))):
+        return None
+    # At the ends of its reach a corner is where the two may agree by chance.
+    corners = np.convolve(apart > _CORNER * usual, np.ones(5), "same") > 0.0
+    count, width = np.concatenate(([0], np.cumsum(corners))), len(low_pass.kernel)
+    clean = count[width:] == count[:-width]
+    return corners if np.mean(clean) >= _MOSTLY else None
+
+
 def _exact_enough(low_pass: LowPass, uniform: UniformSignals, steps: Array) -> tuple[LowPass, int]:
     """Return the low-pass for positions and the reach of their derivatives.
 
@@ -358,12 +404,14 @@ def _bridged(uniform: UniformSignals, low_pass: LowPass, lost: int) -> NDArray[n
 
 def _notes(signals: ProcessedSignals, joint_names: Sequence[str]) -> Iterator[str]:
     usable = signals.usable()
-    lost = (signals.low_pass.half_width * 2 + REACH) / signals.rate
+    lost = signals.low_pass.half_width + signals.flat.half_width + REACH
     yield (
         f"signals at {signals.rate:.6g} Hz, decimated to "
-        f"{signals.rate / signals.low_pass.step:.4g} Hz: {len(usable)} rows per joint; {lost:.2g} "
-        "s cut off at each end"
+        f"{signals.rate / signals.low_pass.step:.4g} Hz: {len(usable)} rows per joint; "
+        f"{lost / signals.rate:.2g} s cut off at each end"
     )
+    if signals.exact:
+        yield "positions have no noise: they are differentiated without a low-pass"
     for joint, share in enumerate(np.mean(usable, axis=0)):
         name = joint_names[joint] if joint < len(joint_names) else str(joint + 1)
         if share < 0.5:

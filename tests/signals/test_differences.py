@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -13,6 +14,7 @@ from robot_sysid.signals.differences import (
     first_derivative,
     second_derivative,
 )
+from robot_sysid.signals.low_pass import design_low_pass
 from tests.support.swing import Swing, seconds
 
 
@@ -24,6 +26,17 @@ def test_derivatives_are_exact_for_polynomials_of_their_order(reach, coefficient
     for function, order in ((first_derivative, 1), (second_derivative, 2)):
         expected = polynomial.deriv(order)(inner)
         np.testing.assert_allclose(function(polynomial(time), 20.0, reach), expected, atol=5e-9)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_high_rate_does_not_make_rounding_large(order):
+    """What is left of the positions' own rounding is as fast as the samples are."""
+    swing, rate = Swing(), 20000.0
+    function = (first_derivative, second_derivative)[order - 1]
+    true = swing.q(seconds(2.0, rate), order)[FINE_REACH:-FINE_REACH]
+    wrong = function(swing.q(seconds(2.0, rate)), rate, FINE_REACH) - true
+    left = design_low_pass(12.0, rate).filtered(wrong)
+    assert np.max(np.abs(left)) < 2e-11 * np.max(np.abs(true))
 
 
 @given(st.floats(-40.0, 40.0), st.integers(0, 1000))

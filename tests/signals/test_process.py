@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Measurement
-from robot_sysid.signals.differences import REACH
+from robot_sysid.signals.differences import FINE_REACH, REACH
 from robot_sysid.signals.process import (
     LARGEST_SLOW_SHARE,
     delay_columns,
@@ -79,19 +79,66 @@ def test_a_row_beside_a_reversal_is_masked_though_its_own_instant_is_fast():
 def test_positions_pass_a_filter_as_flat_as_their_noise_is_low():
     swing, time = Swing(), seconds(20.0, 200.0)
     widths = []
-    for resolution in (1e-3, 1e-6, 0.0):
+    for resolution in (1e-3, 1e-6, 1e-7):
         signals = process(swing.measured(time, resolution), cutoff=8.0)
         widths.append(signals.flat.half_width / signals.low_pass.half_width)
     assert widths[0] == 1.0 < widths[1] < widths[2] < 2.0
+    signals = process(swing.measured(time), cutoff=8.0)
     true = swing.q(signals.time, 2)
     assert root_mean_square(signals.qdd - true) < 1e-6 * root_mean_square(true)
+
+
+@given(st.integers(0, 2**32), st.sampled_from([10.0, 100.0, 1000.0]))
+def test_positions_without_noise_are_differentiated_as_they_are(seed, rate):
+    """To 1e-8, most of it in the time stamps; with noise they pass a low-pass."""
+    swing, time, cutoff = Swing(seed), seconds(20.0, rate), 0.2 * min(rate, 60.0)
+    signals = process(swing.measured(time), cutoff=cutoff)
+    assert signals.exact and not np.any(signals.bridged)
+    true = swing.q(signals.time, 2)
+    assert root_mean_square(signals.qdd - true) < 1e-8 * root_mean_square(true)
+    assert not process(swing.measured(time, 1e-4), cutoff=cutoff).exact
+
+
+def cornered(time: np.ndarray, corner: float) -> tuple[np.ndarray, np.ndarray]:
+    """Motion (N, 1) whose fourth derivative jumps, and its second derivative."""
+    sine, cosine = np.sin(0.5 * (time - corner)), np.cos(0.5 * (time - corner))
+    pair = 0.3 * sine**4, 0.3 * (3.0 * (sine * cosine) ** 2 - sine**4)
+    return tuple(np.where(time > corner, value, 0.0)[:, None] for value in pair)
+
+
+@given(st.integers(0, 2**32), st.floats(10.0, 30.0))
+def test_rows_over_a_corner_of_exact_motion_are_masked_and_no_others(seed, corner):
+    """What 10 samples per second do not resolve; all else is exact to 1e-8."""
+    swing, time = Swing(seed), seconds(40.0, 10.0)
+    log = swing.measured(time)
+    signals = process(replace(log, q=log.q + cornered(time, corner)[0]), cutoff=2.0)
+    wrong = signals.qdd - swing.q(signals.time, 2) - cornered(signals.time, corner)[1]
+    assert signals.exact and np.max(np.abs(wrong)) > 1e-6
+    assert np.max(np.abs(wrong[~signals.bridged])) < 1e-8
+    assert 0 < np.sum(signals.bridged) <= 2 * (FINE_REACH + 2) + 1
+    used = signals.decimated_time()[np.all(signals.usable(), axis=1)]
+    assert np.min(np.abs(used - corner)) > signals.low_pass.half_width / signals.rate
+
+
+def test_exact_motion_as_it_might_also_be_is_further_off_than_it_is():
+    """By no more than a hundred times; 6 samples per period are few even for order sixteen."""
+    time = seconds(20.0, 10.0)
+    q = np.sin(2.0 * np.pi * 1.6 * time)[:, None]
+    signals = process(Measurement(time, q, None, q + 1.0), cutoff=3.0)
+    rows, again = signals.refiltered()
+    once = signals.decimated_motion()
+    assert signals.exact and len(rows) > 0.7 * len(once.time)
+    np.testing.assert_array_equal(again.q, once.q[rows])
+    true = -((2.0 * np.pi * 1.6) ** 2) * np.sin(2.0 * np.pi * 1.6 * again.time)[:, None]
+    wrong, stated = (root_mean_square(x - once.qdd[rows]) for x in (true, again.qdd))
+    assert 1e-6 < wrong < stated < 100.0 * wrong
 
 
 def test_a_second_pass_changes_what_the_first_one_did():
     """Near the cut-off, where it is much; at the instants of the decimated rows."""
     time = seconds(20.0, 100.0)
     q = np.sin(2.0 * np.pi * 0.7 * time)[:, None]
-    signals = process(Measurement(time, q, None, q + 1.0), cutoff=1.2)
+    signals = process(Measurement(time, np.round(q, 4), None, q + 1.0), cutoff=1.2)
     rows, again = signals.refiltered()
     once = signals.decimated_motion()
     assert len(rows) > 0.5 * len(once.time)
@@ -139,7 +186,7 @@ def test_rows_over_a_long_hole_are_masked_and_short_holes_are_bridged():
     keep = np.ones(len(time), dtype=bool)
     keep[400:404] = False
     keep[1600:1660] = False
-    log = swing.measured(time[keep])
+    log = swing.measured(time[keep], 1e-5)
     signals = process(log, cutoff=8.0, deadband=0.0)
     dropped = signals.decimated_time()[~np.all(signals.usable(), axis=1)]
     hole = (time[1600], time[1660])

@@ -3,9 +3,10 @@
 The estimate is x = C A^T b + (model's part), C = (A^T A + P)^-1, with P the curvature of the
 divergence at the model's own links: what the model says is taken to be good to 1 / sqrt(gamma) of
 each link, and never to better than the link itself. With e the noise and f_j how much longer
-joint j's residuals stay the same than white noise would, the covariance is
+joint j's residuals stay the same than white noise would, and g what the low-pass of positions may
+pull by (``identify.judgement.filtering``), the covariance is
 
-    C (sum_j f_j A_j^T A_j + P) C.
+    C (sum_j f_j A_j^T A_j + P + g g^T) C.
 """
 
 from __future__ import annotations
@@ -22,7 +23,11 @@ _STRONGEST = 1.0
 
 
 def covariance(
-    information: SquareRootInformation, noise: Array, stretch: Array, precision: Array
+    information: SquareRootInformation,
+    noise: Array,
+    stretch: Array,
+    precision: Array,
+    pull: Array,
 ) -> Array:
     """Return (p, p) of the parameters the information has.
 
@@ -31,8 +36,9 @@ def covariance(
         noise: (joints,) standard deviation of each joint's equations [N m].
         stretch: (joints,) f, see ``correlation_stretch``.
         precision: (p, p) P.
+        pull: (p,) g.
     """
-    normal, score = precision.copy(), precision.copy()
+    normal, score = precision.copy(), precision + np.outer(pull, pull)
     for joint, sigma, longer in zip(information.joints, noise, stretch):
         rows = joint.triangle[:, :-1] / sigma
         own, place = rows.T @ rows, np.ix_(joint.columns, joint.columns)

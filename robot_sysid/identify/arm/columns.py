@@ -23,6 +23,7 @@ from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.nuisances import NuisanceColumns, zero_names
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.identify.arm.couplings import Coupling
+from robot_sysid.identify.judgement.filtering import filtering_pull
 from robot_sysid.identify.nuisances import known_links
 from robot_sysid.identify.samples import DecimatedSamples, decimated_equations
 from robot_sysid.records import Array, Motion, RobotModel
@@ -68,9 +69,7 @@ class ArmColumns:
     ) -> None:
         self._robot, self._signals, self._couplings = robot, tuple(signals), tuple(couplings)
         self._dynamics = LinkDynamics(robot)
-        shared = [name for each in couplings for name in each.parameter_names]
-        friction = (_OWN,) * robot.n_joints
-        equations = Equations(robot, "chain", friction, shared, other_links(robot))
+        equations = self._equations()
 
         def motors(motion: Motion, place: slice) -> Array:
             return np.concatenate([each.columns(motion) for each in couplings], axis=-1)
@@ -88,6 +87,17 @@ class ArmColumns:
         fewer._couplings = tuple(couplings)
         fewer._take([_some(part, kept) for part in self._parts], self.prior[kept])
         return fewer
+
+    def _equations(self) -> Equations:
+        """Return those of all columns that do not depend on what is sought."""
+        shared = [name for each in self._couplings for name in each.parameter_names]
+        friction = (_OWN,) * self._robot.n_joints
+        return Equations(self._robot, "chain", friction, shared, other_links(self._robot))
+
+    def filtering_pull(self, samples: Sequence[DecimatedSamples], values: Array) -> Array:
+        """Return the sum of all logs' (joints, p), see ``judgement.filtering``."""
+        equations, logs = self._equations(), zip(samples, self._signals)
+        return np.sum([filtering_pull(each, equations, log, values) for each, log in logs], axis=0)
 
     def _take(self, parts: list[DecimatedSamples], prior: Array) -> None:
         robot, self._parts = self._robot, parts

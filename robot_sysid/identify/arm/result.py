@@ -44,7 +44,8 @@ def estimate_of(robot: RobotModel, fit: ArmFit) -> ArmEstimate:
     whole = np.zeros((len(fit.values), len(fit.values)))
     fewer = restricted(information, names.tolist())
     own = precision[np.ix_(kept, kept)]
-    whole[np.ix_(kept, kept)] = covariance(fewer, fit.fits.noise, stretch, own)
+    pull = fit.fits.noise**-2.0 @ fit.columns.filtering_pull(fit.samples, fit.values)
+    whole[np.ix_(kept, kept)] = covariance(fewer, fit.fits.noise, stretch, own, pull[kept])
     errors = np.sqrt(np.maximum(np.diag(whole), 0.0))
     known = np.diag(np.linalg.pinv(precision, hermitian=True))
     share = np.where(known > 0.0, 1.0 - np.diag(whole) / np.where(known > 0.0, known, 1.0), 1.0)

@@ -27,8 +27,9 @@ from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.dynamics.gravity import TILT_NAMES
 from robot_sysid.dynamics.nuisances import NuisanceColumns, scale_names, zero_names
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.identify.judgement.filtering import filtering_pull
 from robot_sysid.identify.nuisances import known_links
-from robot_sysid.identify.payload.data.rows import RowSource
+from robot_sysid.identify.payload.data.rows import FilteredRows, RowSource
 from robot_sysid.identify.samples import DecimatedSamples
 from robot_sysid.records import DELAY_NAME, Array, RobotModel
 
@@ -95,9 +96,7 @@ class PayloadEquations:
 
     def samples(self, recording: Recording, values: Array) -> DecimatedSamples:
         """Return the equations of one recording around values (p,)."""
-        loaded = values[: len(self._arm.names)].copy()
-        if recording.is_loaded:
-            loaded[:N_INERTIAL] += values[self.places(PAYLOAD_NAMES)]
+        loaded = self._loaded(recording, values)
         arm = recording.source.samples(self._arm_equations(loaded))
         common = self._common_columns(recording, values)
         rows, right = [], []
@@ -112,6 +111,22 @@ class PayloadEquations:
         names = self.names[len(arm.names) :]
         extended = replace(arm, tau=tuple(right), blocks=tuple((b,) for b, _ in rows))
         return extended.with_columns(names, [extra for _, extra in rows])
+
+    def filtering_pull(
+        self, recording: Recording, samples: DecimatedSamples, values: Array
+    ) -> Array:
+        """Return (joints, p), see ``judgement.filtering``; zero of an arm that rests."""
+        source, loaded = recording.source, self._loaded(recording, values)
+        if not isinstance(source, FilteredRows):
+            return np.zeros((len(samples.joints), len(self.names)))
+        return filtering_pull(samples, self._arm_equations(loaded), source.signals, loaded)
+
+    def _loaded(self, recording: Recording, values: Array) -> Array:
+        """Return the arm's own values, the payload part of the terminal link where there is one."""
+        loaded = values[: len(self._arm.names)].copy()
+        if recording.is_loaded:
+            loaded[:N_INERTIAL] += values[self.places(PAYLOAD_NAMES)]
+        return loaded
 
     def _full_rows(
         self, joint: int, linear: _Linearised, recording: Recording, common: Array

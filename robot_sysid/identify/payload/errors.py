@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +12,8 @@ from robot_sysid.estimation.autocorrelation import collect_residuals
 from robot_sysid.estimation.identifiability import visible_space
 from robot_sysid.estimation.least_squares import no_clip
 from robot_sysid.estimation.uncertainty import Uncertainty, coloured_uncertainty
+from robot_sysid.identify.judgement.filtering import FILTERING
+from robot_sysid.identify.payload.equations import Recording
 from robot_sysid.identify.payload.joint_fit import JointFit
 from robot_sysid.identify.samples import joined
 from robot_sysid.records import Array
@@ -58,8 +60,8 @@ class FitErrors:
         return np.asarray(np.max(np.abs(change[:, hidden]), axis=1, initial=0.0) < _ROUNDING)
 
 
-def fit_errors(fit: JointFit) -> FitErrors:
-    """Return the errors of a fit; noise may be correlated in time."""
+def fit_errors(fit: JointFit, recordings: Sequence[Recording]) -> FitErrors:
+    """Return the errors of a fit to recordings; noise may be correlated in time."""
     information, weights = fit.weighted.information, 1.0 / fit.weighted.noise
     root = visible_space(fit.weighted.whitened()[0]).inverse_root()
     samples = joined(fit.samples)
@@ -72,4 +74,13 @@ def fit_errors(fit: JointFit) -> FitErrors:
     }
     noise = whole.covariance - np.sum(list(causes.values()), axis=0)
     matrix = replace(information, prior=None).stacked(weights)[0]
+    logs = zip(recordings, fit.samples)
+    pull = np.sum([fit.equations.filtering_pull(*log, fit.values) for log in logs], axis=0)
+    bias = whole.inverse @ (weights**2 @ pull)
+    causes[FILTERING] = np.outer(bias, bias)
+    whole = replace(
+        whole,
+        covariance=whole.covariance + causes[FILTERING],
+        standard_errors=np.hypot(whole.standard_errors, bias),
+    )
     return FitErrors(whole, noise, causes, matrix.T @ matrix)

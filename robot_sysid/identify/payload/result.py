@@ -39,7 +39,7 @@ class Result:
     @cached_property
     def errors(self) -> FitErrors:
         """How far off all parameters may be."""
-        return fit_errors(self.fit)
+        return fit_errors(self.fit, self.recordings)
 
     @cached_property
     def free(self) -> BodyEstimate:

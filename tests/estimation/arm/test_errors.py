@@ -35,8 +35,12 @@ def test_covariance_is_that_of_least_squares_without_prior():
     rows = rng.normal(size=(50, 3))
     accumulator = InformationAccumulator(("a", "b", "c"), ("j",), [np.arange(3)])
     accumulator.add(0, rows, rng.normal(size=50))
-    found = covariance(accumulator.result(), np.array([0.3]), np.array([4.0]), np.zeros((3, 3)))
-    assert found == pytest.approx(4.0 * 0.09 * np.linalg.inv(rows.T @ rows), rel=1e-9)
+    known = (accumulator.result(), np.array([0.3]), np.array([4.0]), np.zeros((3, 3)))
+    inverse, pull = 0.09 * np.linalg.inv(rows.T @ rows), rng.normal(size=3)
+    assert covariance(*known, np.zeros(3)) == pytest.approx(4.0 * inverse, rel=1e-9)
+    moved = inverse @ pull
+    expected = 4.0 * inverse + np.outer(moved, moved)
+    assert covariance(*known, pull) == pytest.approx(expected, rel=1e-9)
 
 
 def test_the_model_knows_a_link_to_the_link_itself():

@@ -32,16 +32,16 @@ def fitted(plant, cutoff, seed, **sensors):
 @pytest.mark.parametrize(("cutoff", "seed"), [(0.9, 2), (1.2, 2)])
 def test_a_cutoff_close_to_the_motion_is_paid_for(plant, cutoff, seed):
     """Motion of up to 0.6 Hz: noise alone, as the residuals show it, does not explain the error."""
-    found, off = fitted(plant, cutoff, seed)
+    found, off = fitted(plant, cutoff, seed, encoder_resolution=1e-6)
     assert np.max(off / found.noise_errors) > 4.0
     assert np.max(off / found.standard_errors) < WITHIN
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_a_clean_log_gives_the_truth_to_a_millionth(plant, seed):
+def test_a_clean_log_gives_the_truth_to_a_billionth(plant, seed):
     """Of the mass; everything else within its stated error."""
     found, off = fitted(plant, 8.0, seed)
-    assert off[0] < 1e-6 * plant.prior.mass
+    assert off[0] < 1e-9 * plant.prior.mass
     assert np.max(off / found.standard_errors) < WITHIN
 
 

@@ -11,8 +11,8 @@ from tests.support.payload_logs import PAYLOAD
 
 
 @pytest.fixture(scope="module")
-def errors(fit):
-    return fit_errors(fit)
+def errors(fit, recordings):
+    return fit_errors(fit, recordings)
 
 
 def payload_rows(fit):
@@ -23,6 +23,11 @@ def test_squares_of_the_causes_and_of_noise_add_up(fit, errors):
     covariance, noise, budget = errors.of(payload_rows(fit))
     total = noise**2 + np.sum([part**2 for part in budget.values()], axis=0)
     np.testing.assert_allclose(np.diag(covariance), total, rtol=1e-6)
+
+
+def test_what_the_low_pass_takes_does_not_count_beside_noise(fit, errors):
+    _, noise, budget = errors.of(payload_rows(fit))
+    assert np.all(budget["filtering"] > 0.0) and np.all(budget["filtering"] < 0.2 * noise)
 
 
 def test_the_truth_lies_within_the_errors(fit, errors):
