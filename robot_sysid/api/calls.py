@@ -11,6 +11,7 @@ from typing import Any, Union
 from robot_sysid.api.arrays import Log, as_log, as_logs
 from robot_sysid.api.planned import PlanResult
 from robot_sysid.api.results import ArmResult, LinkResult, PayloadResult
+from robot_sysid.api.threads import one_thread
 from robot_sysid.config import ModelOptions, config_from
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.arm.options import ArmOptions
@@ -50,9 +51,9 @@ class _Notes(Progress):
 
 @contextmanager
 def quietly() -> Iterator[_Notes]:
-    """Keep notes, and MuJoCo's warnings among them, from being printed or written to a file."""
+    """Work in one thread; keep notes and MuJoCo's warnings from being printed or written."""
     notes = _Notes()
-    with warnings_as_notes(notes):
+    with one_thread(), warnings_as_notes(notes):
         yield notes
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from robot_sysid.api.threads import one_thread
 from robot_sysid.config import SysidConfig
 from robot_sysid.errors import SysidError
 from robot_sysid.excitation.plan import CheckedPlan
@@ -76,7 +77,7 @@ class PlanResult:
             raise SysidError(f"{self.failure}; nothing was written")
         plan, names = self.checked.plan, self.robot.joint_names
         place = Path(path), Path(path).with_suffix(".csv")
-        with whole_files() as files:
+        with one_thread(), whole_files() as files:
             with files.open(place[0]) as file:
                 save_trajectory(file, plan, names, self.robot.sha256)
             with files.open(place[1]) as file:

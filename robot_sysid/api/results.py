@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from robot_sysid.api.threads import one_thread
 from robot_sysid.config import OutputOptions, SysidConfig
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import SysidError
@@ -90,7 +91,7 @@ class Result(ABC):
             InputError: the folder cannot be written to.
         """
         output = OutputOptions(Path(folder), keep_friction, bundle)
-        with alone_in(output.output_dir, Progress()):
+        with one_thread(), alone_in(output.output_dir, Progress()):
             files, _ = self._write(output)
         models = [path for path in files if path.name in MODEL_NAMES.values()]
         copies = [write_bundle(model, output.output_dir) for model in models if bundle]
@@ -102,7 +103,7 @@ class Result(ABC):
         Raises:
             SysidError: the result must not be used, or the model cannot hold it; says why.
         """
-        with temporary_folder() as folder:
+        with one_thread(), temporary_folder() as folder:
             files, failure = self._write(OutputOptions(folder, keep_friction))
             models = [path for path in files if path.name in MODEL_NAMES.values()]
             if not models:

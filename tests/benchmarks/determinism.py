@@ -2,9 +2,9 @@
 
 Run from the checkout:  python -m tests.benchmarks.determinism
 
-The example arm, by the commands (which take one thread, whatever is set) and by the Python
-functions (which leave threads to whoever calls them, one here); a search for a trajectory that ends
-of itself, by one worker and by several. One line per file: how many different ones were written.
+The example arm, by the commands and by the Python functions, which both take one thread, whatever
+is set; a search for a trajectory that ends of itself, by one worker and by several. One line per
+file: how many different ones were written.
 """
 
 from __future__ import annotations
@@ -95,8 +95,7 @@ def compare(folder: Path) -> None:
             run([*line.split(), "--save-measurements", f"{folder}/{k}.csv", "--quiet"])
     for way in WAYS:
         seen: dict[str, set[str]] = defaultdict(set)
-        # With more threads than one, functions are rounded differently; commands are not.
-        for setting in SETTINGS[:-1] if way == "functions" else SETTINGS[::3]:
+        for setting in SETTINGS:
             for name, value in child(way, folder, *setting).items():
                 seen[name].add(value)
         for name, values in sorted(seen.items()):

@@ -1,0 +1,45 @@
+"""Linear algebra stays in one thread while a function works, and goes back to what was set."""
+
+from __future__ import annotations
+
+import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
+
+import robot_sysid as rs
+from robot_sysid.api.threads import one_thread
+from tests.support.places import GUESS, TRUTH
+
+HERE = [each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"]
+pytestmark = pytest.mark.skipif(not HERE, reason="a linear algebra that has no threads to set")
+
+
+def counts():
+    """Threads of each library of linear algebra."""
+    return {each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"}
+
+
+@pytest.fixture(autouse=True)
+def two():
+    """What the caller has set."""
+    with threadpool_limits(2, user_api="blas"):
+        yield
+
+
+def test_there_is_one_inside_and_afterwards_what_was_there():
+    assert counts() == {2}
+    with pytest.raises(ZeroDivisionError), one_thread():
+        with one_thread():
+            assert counts() == {1}
+        assert counts() == {1}
+        raise ZeroDivisionError
+    assert counts() == {2}
+
+
+def test_results_are_the_same_whatever_the_caller_has_set():
+    recorded = {"duration": 4.0, "sample_rate": 200.0, "noise_torque": 0.1, "seed": 1}
+    found = set()
+    for threads in (1, 2):
+        with threadpool_limits(threads, user_api="blas"):
+            result = rs.identify(GUESS, plant_model=TRUTH, **recorded)
+        found.add((result.theta.tobytes(), str(result.standard_errors)))
+    assert len(found) == 1
