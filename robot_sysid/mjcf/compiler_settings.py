@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
+from typing import NoReturn
 
 import numpy as np
 
@@ -25,7 +26,16 @@ def setting(document: ModelDocument, name: str) -> str | None:
 
 def bound_inertia(document: ModelDocument) -> float:
     """Return the smallest principal moment of inertia the compiler leaves alone [kg m^2]."""
-    return float(setting(document, "boundinertia") or 0.0)
+    return _number(document, "boundinertia")
+
+
+def _number(document: ModelDocument, name: str) -> float:
+    """Return a compiler attribute as MuJoCo reads it, which takes hexadecimal numbers too."""
+    text = setting(document, name) or "0"
+    try:
+        return float.fromhex(text) if "x" in text.lower() else float(text)
+    except ValueError:
+        _refuse(document, name, f"is {text!r}; write it as a decimal number")
 
 
 def check_settings(
@@ -39,7 +49,7 @@ def check_settings(
         theta: (10,) what is written.
         gets_child: whether it goes into a new body that is welded to ``body``.
     """
-    if float(setting(document, "settotalmass") or 0.0) > 0.0:
+    if _number(document, "settotalmass") > 0.0:
         _refuse(document, "settotalmass", "rescales the mass of every body; remove it")
     is_fused = setting(document, "fusestatic") == "true" and document.kind == "mjcf"
     if is_fused and (gets_child or _has_welded(body)):
@@ -47,7 +57,7 @@ def check_settings(
     mass, _, inertia = spatial.com_from_theta(theta)
     smallest = float(np.linalg.eigvalsh(inertia)[0])
     for name, value in (("boundmass", mass), ("boundinertia", smallest)):
-        bound = float(setting(document, name) or 0.0)
+        bound = _number(document, name)
         # A value that is at its bound but for rounding is written; the written model is checked.
         if bound > value * (1.0 + ROUNDING):
             change = f"raises the identified value {value:.9g} to {bound:g}"
@@ -89,5 +99,5 @@ def _has_welded(body: Node) -> bool:
     return any(not any(c.tag in jointed for c in child.children()) for child in children)
 
 
-def _refuse(document: ModelDocument, name: str, reason: str) -> None:
+def _refuse(document: ModelDocument, name: str, reason: str) -> NoReturn:
     raise ExportError(f"{document.path}: the compiler setting {name} {reason} to write the model")

@@ -28,6 +28,7 @@ def arm(tmp_path, compiler, text=ARM):
     ("compiler", "name"),
     [
         ("settotalmass='3'", "settotalmass"),
+        ("settotalmass='0x10'", "settotalmass"),
         ("boundmass='2'", "boundmass"),
         ("boundinertia='1'", "boundinertia"),
         ("fusestatic='true'", "fusestatic"),
