@@ -101,10 +101,7 @@ class NoiseStudy:
     """
 
     def __init__(
-        self,
-        plan: MotionPlan | None = None,
-        seed: int = 1,
-        simulation: str = "inverse",
+        self, plan: MotionPlan | None = None, seed: int = 1, simulation: str = "inverse"
     ) -> None:
         self.plant = load_robot_model(MODELS / "kinova_fullinertia.xml")
         guess = load_robot_model(MODELS / "kinova_fullinertia_guess.xml").prior

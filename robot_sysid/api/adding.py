@@ -24,11 +24,7 @@ _NOT_HERE = ("measurements", "append", "validation_measurements", "validate", "v
 
 
 def information(
-    model: Model,
-    log: Log | Sequence[Log],
-    *,
-    around: LogInformation | None = None,
-    **options: Any,
+    model: Model, log: Log | Sequence[Log], *, around: LogInformation | None = None, **options: Any
 ) -> LogInformation:
     """Return what one log or several say of the terminal link, as a record that adds (``+``).
 
@@ -53,11 +49,7 @@ def information(
 
 
 def identify_from(
-    model: Model,
-    found: LogInformation,
-    *,
-    validation: LogInformation | None = None,
-    **options: Any,
+    model: Model, found: LogInformation, *, validation: LogInformation | None = None, **options: Any
 ) -> LinkResult:
     """Identify the terminal link from the sum of what logs say.
 

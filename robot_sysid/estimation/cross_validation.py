@@ -26,10 +26,7 @@ Mask = NDArray[np.bool_]
 
 
 def validate(
-    information: SquareRootInformation,
-    values: Array,
-    source: str,
-    squared_torque: Array,
+    information: SquareRootInformation, values: Array, source: str, squared_torque: Array
 ) -> Validation:
     """Return the prediction error from the information of held-out data alone.
 

@@ -26,10 +26,7 @@ class InformationAccumulator:
     """
 
     def __init__(
-        self,
-        names: Sequence[str],
-        joints: Sequence[str],
-        columns: Sequence[NDArray[np.int64]],
+        self, names: Sequence[str], joints: Sequence[str], columns: Sequence[NDArray[np.int64]]
     ) -> None:
         self._names = tuple(names)
         self._joints = tuple(joints)

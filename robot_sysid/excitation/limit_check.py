@@ -19,12 +19,7 @@ import numpy as np
 
 from robot_sysid.collision.clearance import Clearance
 from robot_sysid.collision.obstacles import Closest, NoObstacles
-from robot_sysid.excitation.problem import (
-    LIMIT_NAMES,
-    OBSTACLE_LENGTH,
-    ROUNDING,
-    ExcitationProblem,
-)
+from robot_sysid.excitation.problem import LIMIT_NAMES, OBSTACLE_LENGTH, ROUNDING, ExcitationProblem
 from robot_sysid.records import Array, Motion, MotionPlan
 from robot_sysid.trajectory import SineTrajectory, sample_times
 

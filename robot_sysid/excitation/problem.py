@@ -23,11 +23,7 @@ from robot_sysid.records import Array, RobotModel, checked_array
 from robot_sysid.records.arm import DEFAULT_MAX_VELOCITY
 from robot_sysid.records.options import PerJoint, per_joint
 from robot_sysid.simulator import ArmTorque
-from robot_sysid.trajectory import (
-    POSITION_MARGIN,
-    TORQUE_MARGIN,
-    UNLIMITED_RANGE,
-)
+from robot_sysid.trajectory import POSITION_MARGIN, TORQUE_MARGIN, UNLIMITED_RANGE
 
 LIMIT_NAMES = ("position", "velocity", "acceleration", "torque")
 """The families of joint limits, in the order of their columns."""

@@ -233,11 +233,7 @@ class Aligner:
         return [with_delay(log, delay) if delay else log for log in self._logs]
 
     def _without_nuisances(
-        self,
-        arm: RobotModel,
-        equations: Equations,
-        thetas: Array,
-        logs: Sequence[ProcessedSignals],
+        self, arm: RobotModel, equations: Equations, thetas: Array, logs: Sequence[ProcessedSignals]
     ) -> tuple[DecimatedSamples, ...]:
         return tuple(
             decimated_equations(equations, log, _shared_columns(arm, self._options, log, thetas))

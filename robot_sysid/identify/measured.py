@@ -155,10 +155,7 @@ def read_information(
 
 
 def identify_information(
-    robot: RobotModel,
-    found: LogInformation,
-    validation: LogInformation | None,
-    progress: Progress,
+    robot: RobotModel, found: LogInformation, validation: LogInformation | None, progress: Progress
 ) -> Analysis:
     """Identify from the sum of what logs say."""
     fit = fit_from(robot, found, validation)

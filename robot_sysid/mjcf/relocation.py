@@ -11,12 +11,11 @@ import os
 import re
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
-from xml.sax.saxutils import quoteattr
 
 from robot_sysid.mjcf import markup
 from robot_sysid.mjcf.assets import Asset, AssetFolders, asset_folders, find_assets
 from robot_sysid.mjcf.documents import ModelDocument, Node, SourceFile, local_name
-from robot_sysid.mjcf.markup import Edit
+from robot_sysid.mjcf.markup import Edit, quoted
 
 _FOLDER_ATTRIBUTES = ("assetdir", "meshdir", "texturedir", "strippath")
 _DECLARED_ENCODING = re.compile(rb"""\A(<\?xml[^>]*encoding\s*=\s*["'])[^"']*(["'])""")
@@ -108,7 +107,7 @@ class _Writer:
     def insert_compiler(self, file: SourceFile, values: Mapping[str, str]) -> None:
         """Add a compiler element at the top of a file."""
         place = file.spans[0].inner_start
-        attributes = "".join(f" {name}={quoteattr(value)}" for name, value in values.items())
+        attributes = "".join(f" {name}={quoted(value)}" for name, value in values.items())
         element = markup.line_break(file.text) + f"  <compiler{attributes}/>".encode()
         self.add(file.path, [Edit(place, place, element)])
 

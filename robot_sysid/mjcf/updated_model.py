@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from pathlib import Path
-from xml.sax.saxutils import quoteattr
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError
@@ -25,7 +24,7 @@ from robot_sysid.mjcf.inertial import (
     urdf_inertial,
 )
 from robot_sysid.mjcf.joints import actuator_edits, joint_edits
-from robot_sysid.mjcf.markup import Edit
+from robot_sysid.mjcf.markup import Edit, quoted
 from robot_sysid.mjcf.relocation import relocated_text
 from robot_sysid.mjcf.urdf import minimum_inertia_edits, relocated_urdf
 from robot_sysid.mjcf.write_back import WriteBack
@@ -167,18 +166,18 @@ def _mjcf_lines(body: WeldedBody, principal: bool) -> list[str]:
     turn = numbers(spatial.quaternion(body.rotation))
     place = f'pos="{numbers(body.translation)}" quat="{turn}"'
     return [
-        f"<body name={quoteattr(body.name)} {place}>",
+        f"<body name={quoted(body.name)} {place}>",
         f"  {mjcf_inertial(body.theta, principal)}",
         "</body>",
     ]
 
 
 def _urdf_lines(body: WeldedBody) -> list[str]:
-    name, carrier = quoteattr(body.name), quoteattr(body.carrier)
+    name, carrier = quoted(body.name), quoted(body.carrier)
     turn = numbers(spatial.roll_pitch_yaw(body.rotation))
     return [
         f"<link name={name}>{urdf_inertial(body.theta)}</link>",
-        f'<joint name={quoteattr(joint_name(body.name))} type="fixed"><parent link={carrier}/>'
+        f'<joint name={quoted(joint_name(body.name))} type="fixed"><parent link={carrier}/>'
         f'<child link={name}/><origin xyz="{numbers(body.translation)}" rpy="{turn}"/></joint>',
     ]
 

@@ -16,10 +16,7 @@ DEFAULT_SLIDE_VELOCITY = 0.25
 
 
 def joint_limits(
-    mj_model: Any,
-    joints: tuple[int, ...],
-    max_velocity: PerJoint,
-    stated: Sequence[float | None],
+    mj_model: Any, joints: tuple[int, ...], max_velocity: PerJoint, stated: Sequence[float | None]
 ) -> JointLimits:
     """Return the limits of some joints.
 

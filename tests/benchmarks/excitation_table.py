@@ -28,11 +28,7 @@ from robot_sysid.excitation.prediction import predict
 from robot_sysid.excitation.problem import build_problem
 from robot_sysid.parser import load_robot_model
 from robot_sysid.simulator import ArmTorque
-from robot_sysid.trajectory import (
-    TrajectoryOptions,
-    generate_excitation_trajectory,
-    motion_chunks,
-)
+from robot_sysid.trajectory import TrajectoryOptions, generate_excitation_trajectory, motion_chunks
 from tests.support.places import GUESS, MODELS
 
 ARMS = [

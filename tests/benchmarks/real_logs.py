@@ -23,12 +23,7 @@ from tests.support.log_files import read_measurements
 from tests.support.places import DATA
 
 AUTO = EstimationOptions(friction_model=CHOSEN)
-KUKA_PAIRS = (
-    (1, 2, "1.82 % (whole arm)"),
-    (2, 1, ""),
-    (1, 3, "13.1 % (whole arm)"),
-    (3, 1, ""),
-)
+KUKA_PAIRS = ((1, 2, "1.82 % (whole arm)"), (2, 1, ""), (1, 3, "13.1 % (whole arm)"), (3, 1, ""))
 
 
 def main(data: Path = DATA) -> None:

@@ -54,13 +54,7 @@ TX40_LAST = (20.0, 0.2, "4.8")
 def main(*parts: str) -> None:
     """Print the parts of the table."""
     for name in parts or ("kuka", "tx40", "friction", "ranks", "time"):
-        {
-            "kuka": kuka,
-            "tx40": tx40,
-            "friction": friction,
-            "ranks": ranks,
-            "time": duration,
-        }[name]()
+        {"kuka": kuka, "tx40": tx40, "friction": friction, "ranks": ranks, "time": duration}[name]()
 
 
 def kuka() -> None:

@@ -12,12 +12,7 @@ from hypothesis import strategies as st
 
 from robot_sysid.dynamics.friction import friction_model
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.cross_validation import (
-    blocks,
-    choose_model,
-    hold_out,
-    validate,
-)
+from robot_sysid.estimation.cross_validation import blocks, choose_model, hold_out, validate
 from robot_sysid.estimation.information import InformationAccumulator, combined, restricted
 from robot_sysid.records import SquareRootInformation
 

@@ -8,10 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.estimation.options import EstimationOptions
-from robot_sysid.estimation.uncertainty import (
-    white_uncertainty,
-    with_body_prior,
-)
+from robot_sysid.estimation.uncertainty import white_uncertainty, with_body_prior
 from robot_sysid.solver import identify_parameters
 from tests.benchmarks.smooth_arm import SmoothArm, information_of_samples, samples_of
 from tests.support.arms import SEEDS

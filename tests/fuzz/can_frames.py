@@ -25,13 +25,7 @@ from robot_sysid.damiao.protocol.codec import (
     encode_feedback,
     encode_mit,
 )
-from robot_sysid.damiao.protocol.frames import (
-    DISABLE,
-    ENABLE,
-    REGISTER_ID,
-    Frame,
-    is_special,
-)
+from robot_sysid.damiao.protocol.frames import DISABLE, ENABLE, REGISTER_ID, Frame, is_special
 from robot_sysid.damiao.protocol.joints import damiao_joints
 from robot_sysid.damiao.serial_adapter.packets import PacketReader
 from robot_sysid.errors import SysidError

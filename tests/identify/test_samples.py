@@ -14,14 +14,7 @@ from robot_sysid.identify import samples as samples_module
 from robot_sysid.identify.samples import DecimatedSamples, decimated_equations, joined
 from robot_sysid.signals.process import process
 from tests.support.arms import SEEDS
-from tests.support.measured_logs import (
-    CUTOFF,
-    equations_of,
-    guessed,
-    log_of,
-    true_arm,
-    true_values,
-)
+from tests.support.measured_logs import CUTOFF, equations_of, guessed, log_of, true_arm, true_values
 
 
 @pytest.fixture(scope="module")

@@ -47,7 +47,7 @@ def test_masking_keeps_every_offset_and_makes_comments_legal():
     ("element", "name", "value", "expected"),
     [
         (0, "x", "5", b'<a x = "5" y'),
-        (0, "new", 'a&"<', b'y="3" new=\'a&amp;"&lt;\'>'),
+        (0, "new", 'a&"<', b'y="3" new="a&amp;&quot;&lt;">'),
         (1, "q", "1", b'<b q="1"/>'),
         (2, "z", "9", b'<c\n   z="9" >'),
     ],

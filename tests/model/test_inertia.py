@@ -9,12 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.model.inertia import (
-    body_theta,
-    composite_theta,
-    inertia_about_com,
-    subtree_bodies,
-)
+from robot_sysid.model.inertia import body_theta, composite_theta, inertia_about_com, subtree_bodies
 from tests.support.arms import SEEDS
 from tests.support.model_files import ARM
 

@@ -12,12 +12,7 @@ from hypothesis import strategies as st
 from robot_sysid.errors import InputError
 from robot_sysid.records import Measurement
 from robot_sysid.signals.differences import FINE_REACH, REACH
-from robot_sysid.signals.process import (
-    LARGEST_SLOW_SHARE,
-    delay_columns,
-    process,
-    with_delay,
-)
+from robot_sysid.signals.process import LARGEST_SLOW_SHARE, delay_columns, process, with_delay
 from tests.support.log_files import read_measurements
 from tests.support.places import DATA
 from tests.support.swing import Swing, seconds

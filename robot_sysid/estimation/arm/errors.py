@@ -23,11 +23,7 @@ _STRONGEST = 1.0
 
 
 def covariance(
-    information: SquareRootInformation,
-    noise: Array,
-    stretch: Array,
-    precision: Array,
-    pull: Array,
+    information: SquareRootInformation, noise: Array, stretch: Array, precision: Array, pull: Array
 ) -> Array:
     """Return (p, p) of the parameters the information has.
 

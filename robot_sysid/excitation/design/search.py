@@ -145,11 +145,7 @@ class _Search:
     """One search; what it has found so far survives an interruption."""
 
     def __init__(
-        self,
-        design: Design,
-        seed: int,
-        progress: ProgressCallback | None,
-        clock: Clock,
+        self, design: Design, seed: int, progress: ProgressCallback | None, clock: Clock
     ) -> None:
         self._design, self._options, self._seed = design, design.options, seed
         self._progress = progress

@@ -37,10 +37,7 @@ _TINY = 1e-6
 
 
 def design_poses(
-    robot: RobotModel,
-    problem: ExcitationProblem,
-    options: PoseOptions,
-    rng: np.random.Generator,
+    robot: RobotModel, problem: ExcitationProblem, options: PoseOptions, rng: np.random.Generator
 ) -> PoseTrajectory:
     """Return a motion through informative poses that keeps all limits.
 

@@ -12,21 +12,12 @@ from robot_sysid.dynamics.friction import BENT, friction_model, speed_name
 from robot_sysid.dynamics.gravity import TILT_NAMES
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.arm.consistent_links import LinksProblem
-from robot_sysid.estimation.arm.fits import (
-    Columns,
-    LinkFits,
-    first_noise,
-    is_clearly_lower,
-)
+from robot_sysid.estimation.arm.fits import Columns, LinkFits, first_noise, is_clearly_lower
 from robot_sysid.estimation.arm.options import ArmOptions
 from robot_sysid.estimation.cross_validation import blocks
 from robot_sysid.estimation.information import combined, sample_counts
 from robot_sysid.identify.arm.columns import ArmColumns, Bends, usual_bends
-from robot_sysid.identify.arm.couplings import (
-    Coupling,
-    neighbours,
-    read_couplings,
-)
+from robot_sysid.identify.arm.couplings import Coupling, neighbours, read_couplings
 from robot_sysid.identify.arm.friction_choice import (
     BASIC,
     CANDIDATES,

@@ -216,10 +216,7 @@ def _bounded(
 
 
 def _unproven(
-    values: Mapping[str, float],
-    errors: Mapping[str, float],
-    own: Mapping[str, float],
-    sought: bool,
+    values: Mapping[str, float], errors: Mapping[str, float], own: Mapping[str, float], sought: bool
 ) -> Iterator[str]:
     """Yield the terms of which the data shows neither that they are there nor the file wrong."""
     for term, before in own.items():

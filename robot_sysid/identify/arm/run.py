@@ -16,12 +16,7 @@ from robot_sysid.export import alone_in, left_over
 from robot_sysid.identify.arm.fit import ArmFit, fit_arm
 from robot_sysid.identify.arm.model_friction import model_friction
 from robot_sysid.identify.arm.played import Writer, play_held_out, play_other
-from robot_sysid.identify.arm.result import (
-    estimate_of,
-    judge,
-    model_error,
-    off_notes,
-)
+from robot_sysid.identify.arm.result import estimate_of, judge, model_error, off_notes
 from robot_sysid.identify.judgement.rollout.candidate import played_or_reason, refusal
 from robot_sysid.identify.judgement.signs import compared_with_model
 from robot_sysid.identify.simulated import CHECKPOINTS, versions

@@ -17,12 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robot_sysid.dynamics.equations import (
-    N_INERTIAL,
-    Equations,
-    friction_per_joint,
-    other_links,
-)
+from robot_sysid.dynamics.equations import N_INERTIAL, Equations, friction_per_joint, other_links
 from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.dynamics.gravity import TILT_NAMES
 from robot_sysid.dynamics.nuisances import NuisanceColumns, scale_names, zero_names

@@ -66,8 +66,7 @@ class PayloadOptions(OptionRecord):
         None, "with --known-mass, write the scales as a file for --torque-scale", metavar="FILE"
     )
     static: bool = option(
-        False,
-        "use resting poses only, each approached from both sides: mass and centre of mass",
+        False, "use resting poses only, each approached from both sides: mass and centre of mass"
     )
 
     def __post_init__(self) -> None:

@@ -8,11 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimation.arm.consistent_links import (
-    ConsistentLinks,
-    LinksProblem,
-    unbounded,
-)
+from robot_sysid.estimation.arm.consistent_links import ConsistentLinks, LinksProblem, unbounded
 from tests.support import arms
 
 LINKS, FRICTION = 2, 3

@@ -19,13 +19,7 @@ from robot_sysid.excitation.information import CRITERIA, PredictedInformation, R
 from robot_sysid.excitation.limit_check import check_limits, keeps_limits
 from tests.support import arms
 from tests.support.arms import SEEDS
-from tests.support.excitation_arms import (
-    TUBES,
-    TUBES_AND_POST,
-    design,
-    random_x,
-    slope,
-)
+from tests.support.excitation_arms import TUBES, TUBES_AND_POST, design, random_x, slope
 
 
 def best_draw(some, seed=0):
@@ -113,10 +107,7 @@ def deviations(some, plan, rate, smooth):
     motion = plan.evaluate(time)
     smoothing = 0.03 * some.problem.limits.velocity if smooth else np.zeros(some.problem.n_joints)
     chosen = RowSettings(
-        some.problem.rows,
-        some.problem.sigma * np.sqrt(len(time)),
-        smoothing,
-        some.coordinates,
+        some.problem.rows, some.problem.sigma * np.sqrt(len(time)), smoothing, some.coordinates
     )
     information = PredictedInformation(some.problem.chain, chosen)
     return np.sqrt(

@@ -17,10 +17,7 @@ from robot_sysid.signals.process import process
 from tests.support import arms
 from tests.support.measured_logs import JOINT, log_of, plan_of
 
-MODELS = {
-    "upright": (arms.Z, arms.Y, arms.X),
-    "planar": (arms.Y, arms.Y, arms.Z),
-}
+MODELS = {"upright": (arms.Z, arms.Y, arms.X), "planar": (arms.Y, arms.Y, arms.Z)}
 
 
 @pytest.mark.slow

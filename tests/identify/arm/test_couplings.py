@@ -8,12 +8,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.errors import InputError
-from robot_sysid.identify.arm.couplings import (
-    COUPLED_TERMS,
-    coupling,
-    neighbours,
-    read_couplings,
-)
+from robot_sysid.identify.arm.couplings import COUPLED_TERMS, coupling, neighbours, read_couplings
 from robot_sysid.records import Motion
 from tests.support import arms
 

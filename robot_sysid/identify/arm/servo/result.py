@@ -33,12 +33,7 @@ def joint_servos(
     """Return what was found of each joint."""
     model, dofs, n = robot.mj_model, robot.dof_index, robot.n_joints
     damping = model.dof_damping[dofs] + np.nan_to_num(actuators.damping)
-    before = (
-        actuators.stiffness,
-        damping,
-        model.dof_frictionloss[dofs],
-        model.dof_armature[dofs],
-    )
+    before = (actuators.stiffness, damping, model.dof_frictionloss[dofs], model.dof_armature[dofs])
     after, errors = (s.vector()[:-1].reshape(4, n) for s in (fit.servos, fit.errors))
     shares, moves = fit.share[:-1].reshape(4, n), start.free[:n]
 

@@ -22,12 +22,7 @@ from robot_sysid.identify.arm.servo.fit import (
 )
 from robot_sysid.identify.arm.servo.played import parted, play_servos
 from robot_sysid.identify.arm.servo.problem import Problem, Scale, problem_of
-from robot_sysid.identify.arm.servo.result import (
-    changes,
-    delay_to_write,
-    joint_servos,
-    servo_notes,
-)
+from robot_sysid.identify.arm.servo.result import changes, delay_to_write, joint_servos, servo_notes
 from robot_sysid.identify.judgement.rollout.candidate import refusal
 from robot_sysid.identify.simulated import versions
 from robot_sysid.logs.options import LogOptions

@@ -9,13 +9,7 @@ import numpy as np
 from robot_sysid.records import RobotModel
 from robot_sysid.records.results import CLOSED, OPEN, RolloutError, RolloutTest
 from robot_sysid.signals.process import ProcessedSignals
-from robot_sysid.simulation.rollout.playback import (
-    SERVO_RATE,
-    Piece,
-    played,
-    starts,
-    stated_servo,
-)
+from robot_sysid.simulation.rollout.playback import SERVO_RATE, Piece, played, starts, stated_servo
 
 HORIZONS = (0.1, 0.3, 1.0, 3.0)
 """Lengths of time over which the models are played [s]."""
