@@ -66,7 +66,8 @@ def filtering_pull(
     for (index, block, tau), joint, (one, two) in zip(samples, equations.rows_of, pairs):
         # Where a joint turns round between the two, only the sign of its friction differs.
         counts = np.isfinite(tau[rows]) & same[:, joint]
-        pull[index, samples.columns[index]] = block[rows].T @ np.where(counts, one - two, 0.0)
+        apart = (one - two)[counts]
+        pull[index, samples.columns[index]] = block[rows][counts].T @ apart
     return pull
 
 
