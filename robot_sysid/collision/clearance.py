@@ -25,7 +25,7 @@ from robot_sysid.collision.halfspaces import HalfSpace, HalfSpaces
 from robot_sysid.collision.obstacles import Closest, RestPairs, Slack
 from robot_sysid.dynamics.spatial import cross
 from robot_sysid.model.chain import body_label
-from robot_sysid.model.contacts import ContactFinder, joint_ranges, neighbours
+from robot_sysid.model.contacts import ContactFinder, joint_ranges
 from robot_sysid.records import Array, RobotModel
 
 HORIZON = 0.05
@@ -185,16 +185,14 @@ class Clearance:
         Bodies of one part do not move against each other.
         """
         part, distances = self._bounds.part, self._distances()
-        by_design = neighbours(self._model)
-        deep = [p for p, distance in distances.items() if distance < 0.0 and not by_design[p]]
-        for a, b in ContactFinder(self._robot).inseparable(deep) if deep else ():
-            by_design[a, b] = True
+        touching = [(a, b) for (a, b), d in distances.items() if d <= 0.0 and part[a] != part[b]]
+        by_design = ContactFinder(self._robot).by_design(touching) if touching else set()
         self._required[part[:, None] == part] = -np.inf
         found: dict[str, list[str]] = {kind: [] for kind in ("ignored", "deep", "touching", "near")}
         for (a, b), distance in distances.items():
             if part[a] == part[b]:
                 continue
-            kind, required = _settled(distance, clearance, bool(by_design[a, b]))
+            kind, required = _settled(distance, clearance, (a, b) in by_design)
             self._required[a, b] = self._required[b, a] = required
             apart = "apart" if distance > 0.0 else "deep"
             if kind:

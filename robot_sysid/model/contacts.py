@@ -80,18 +80,18 @@ class ContactFinder:
         self._at_rest = self._touching()
 
     def collisions_at_rest(self) -> set[tuple[int, int]]:
-        """Return pairs of body ids that touch at rest though neither carries the other."""
-        next_to = neighbours(self._model)
-        apart = {pair for pair in self._at_rest if not next_to[pair]}
-        return apart - self.inseparable(apart)
+        """Return pairs of body ids that touch at rest, but not by design."""
+        return self._at_rest - self.by_design(self._at_rest)
 
-    def inseparable(self, pairs: Collection[tuple[int, int]]) -> set[tuple[int, int]]:
-        """Return those of the pairs of body ids that touch whatever the joints between them do.
+    def by_design(self, pairs: Collection[tuple[int, int]]) -> set[tuple[int, int]]:
+        """Return those of some touching pairs of body ids that a model is drawn with.
 
-        That is how a model is drawn (MuJoCo takes the convex hull of a mesh), not a collision: no
-        position would be free of it. What stands beside the arm is no part of that drawing.
+        One carries the other, or they touch whatever the joints between them do (MuJoCo takes the
+        convex hull of a mesh): no position would be free of it. What stands beside the arm is no
+        part of that drawing.
         """
-        return {pair for pair in pairs if self._never_part(pair)}
+        next_to = neighbours(self._model)
+        return {pair for pair in pairs if next_to[pair] or self._never_part(pair)}
 
     def _never_part(self, pair: tuple[int, int]) -> bool:
         first, last = sorted(int(self._part[body]) for body in pair)

@@ -79,9 +79,9 @@ def npz_arrays(path: Path) -> dict[str, Any]:
     """
     with as_input_errors(path, "a NumPy .npz file"), path.open("rb") as stream:
         with zipfile.ZipFile(stream) as packed:
-            refuse_bomb(path, sum(each.file_size for each in packed.infolist()))
+            _refuse_bomb(path, sum(each.file_size for each in packed.infolist()))
             for each in packed.namelist():
-                refuse_bomb(path, _stated_bytes(packed, each))
+                _refuse_bomb(path, _stated_bytes(packed, each))
         stream.seek(0)
         archive = np.load(stream, allow_pickle=False)
         return {name: archive[name] for name in archive.files}
@@ -106,7 +106,7 @@ def matlab_table(path: Path) -> ArrayTable:
     Raises:
         InputError: it cannot be read, unpacks to more than is read, or holds no rows.
     """
-    refuse_bomb(path, path.stat().st_size)
+    _refuse_bomb(path, path.stat().st_size)
     with as_input_errors(path, "a MATLAB .mat file"):
         data = memoryview(path.read_bytes())
         arrays = dict(_matrices(path, data[128:], "<" if data[126:128] == b"IM" else ">"))
@@ -115,11 +115,13 @@ def matlab_table(path: Path) -> ArrayTable:
 
 
 def _matrices(path: Path, data: memoryview, order: str) -> Iterator[tuple[str, Any]]:
+    size = 0
     for kind, content in _elements(data, order):
         if kind == _COMPRESSED:
             unpacker = zlib.decompressobj()
             unpacked = unpacker.decompress(content, int(LARGEST))
-            refuse_bomb(path, math.inf if unpacker.unconsumed_tail else len(unpacked))
+            size += len(unpacked)
+            _refuse_bomb(path, math.inf if unpacker.unconsumed_tail else size)
             content = memoryview(unpacked)[8:]
         if kind in (_MATRIX, _COMPRESSED):
             yield from _matrix(content, order)
@@ -173,7 +175,7 @@ def xarm_table(path: Path) -> ArrayTable:
     Raises:
         InputError: it cannot be read, or bytes are missing in it.
     """
-    refuse_bomb(path, path.stat().st_size)
+    _refuse_bomb(path, path.stat().st_size)
     with as_input_errors(path, "an xArm report"):
         data = path.read_bytes()
     length = int.from_bytes(data[:4], "big")
@@ -213,7 +215,8 @@ def hdf5_table(path: Path, commanded: bool = False) -> ArrayTable:
         found: dict[str, Any] = {}
         # What is called #refs# holds the cells of a MATLAB file.
         file.visititems(lambda n, d: found.update({n: d}) if _is_data(h5py, n, d) else None)
-        arrays = {name: _whole(path, data) for name, data in found.items()}
+        _refuse_bomb(path, sum(data.nbytes for data in found.values()))
+        arrays = {name: data[()] for name, data in found.items()}
     titles, cells = titled_arrays(path, arrays)
     return ArrayTable(path, "HDF5", titles, (cells,))
 
@@ -222,7 +225,7 @@ def _is_data(h5py: Any, name: str, member: Any) -> bool:
     return isinstance(member, h5py.Dataset) and not name.startswith("#")
 
 
-def refuse_bomb(path: Path, size: float) -> None:
+def _refuse_bomb(path: Path, size: float) -> None:
     """Refuse a small file that unpacks to more than any recording holds."""
     if size > LARGEST:
         raise InputError(
@@ -233,7 +236,7 @@ def refuse_bomb(path: Path, size: float) -> None:
 
 def _whole(path: Path, dataset: Any) -> Any:
     """Return all of a data set, unless it is too large."""
-    refuse_bomb(path, dataset.nbytes)
+    _refuse_bomb(path, dataset.nbytes)
     return dataset[()]
 
 

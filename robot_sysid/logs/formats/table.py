@@ -121,8 +121,7 @@ def titled_arrays(path: Path, arrays: Mapping[str, Any]) -> tuple[tuple[str, ...
     Raises:
         InputError: there is no array with rows.
     """
-    numeric = {n: np.asarray(a) for n, a in _by_last_name(arrays).items() if _is_numeric(a)}
-    sized = {n: a for n, a in numeric.items() if a.ndim in (1, 2) and a.size > 1}
+    sized = {n: a for n, a in _by_last_name(arrays).items() if _is_table(a)}
     rows = _number_of_rows(path, sized, arrays)
     titles: list[str] = []
     columns: list[Array] = []
@@ -154,8 +153,8 @@ def _number_of_rows(path: Path, sized: Mapping[str, Array], arrays: Mapping[str,
     return max(set(lengths), key=lengths.count)
 
 
-def _is_numeric(values: Any) -> bool:
-    return getattr(values, "dtype", np.dtype(object)).kind in "fiub"
+def _is_table(values: Any) -> bool:
+    return values.dtype.kind in "fiub" and values.ndim in (1, 2) and values.size > 1
 
 
 def _shapes(arrays: Mapping[str, Any]) -> str:

@@ -56,6 +56,16 @@ def test_an_array_that_only_says_it_is_huge_is_refused(tmp_path):
         arrays.npz_table(tmp_path / "log.npz")
 
 
+def test_hdf5_whose_arrays_are_too_much_together_is_refused(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "log.hdf5"
+    with h5py.File(path, "w") as file:
+        for name in ("a/q", "a/tau"):
+            file.create_dataset(name, (10**7, 7), "f8", chunks=(1024, 7))
+    with pytest.raises(InputError, match="unpacks to 1.12 GB"):
+        arrays.hdf5_table(path)
+
+
 def test_hdf5_that_holds_nothing_but_a_size_is_refused(tmp_path):
     h5py = pytest.importorskip("h5py")
     path = tmp_path / "log.hdf5"
@@ -136,6 +146,10 @@ def test_a_matlab_file_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch
     assert (tmp_path / "log.mat").stat().st_size < 10_000
     monkeypatch.setattr(arrays, "LARGEST", 1e6)
     with pytest.raises(InputError, match="unpacks to .* GB, more than"):
+        read_measurements(tmp_path / "log.mat", JOINTS)
+    several = {f"q{k}": np.zeros(100_000) for k in range(3)}
+    savemat(tmp_path / "log.mat", several, do_compression=True)
+    with pytest.raises(InputError, match="unpacks to 0.0016 GB, more than"):
         read_measurements(tmp_path / "log.mat", JOINTS)
 
 
