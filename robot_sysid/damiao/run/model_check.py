@@ -23,6 +23,7 @@ from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.excitation.limit_check import first_contact
 from robot_sysid.excitation.options import LimitOptions
 from robot_sysid.excitation.problem import build_problem
+from robot_sysid.excitation.static.pose_trajectory import straight_way
 from robot_sysid.records import Array, Motion, MotionPlan, RobotModel
 from robot_sysid.simulator import ArmTorque
 
@@ -65,18 +66,6 @@ class SampledTrajectory:
         return Motion(time, q, qd, np.zeros_like(q))
 
 
-class _StraightWay:
-    """A motion from one pose (n,) to another, all joints together, in a second."""
-
-    def __init__(self, begin: Array, end: Array) -> None:
-        self._begin, self._way = begin, end - begin
-        self.duration, self.n_joints = 1.0, len(begin)
-
-    def evaluate(self, time: Array) -> Motion:
-        qd = np.tile(self._way, (len(time), 1))
-        return Motion(time, self._begin + time[:, None] * qd, qd, np.zeros_like(qd))
-
-
 def model_checks(
     trajectory: DamiaoTrajectory, speed: float, robot: RobotModel, pose: Array | None = None
 ) -> Iterator[Check]:
@@ -117,7 +106,7 @@ def _parking(robot: RobotModel, last: Array, pose: Array) -> Iterator[str]:
                 f"joint {name} is to be parked at {q:.4g} {_unit('position', robot, j)}, outside "
                 f"the model's {lower:g} to {upper:g}"
             )
-    for touching, _ in _contact(robot, _StraightWay(last, pose)):
+    for touching, _ in _contact(robot, straight_way(last, pose)):
         yield f"on the straight way to where the arm is parked, the model's {touching} touch"
 
 

@@ -65,6 +65,12 @@ class PoseTrajectory:
         )
 
 
+def straight_way(begin: Array, end: Array) -> PoseTrajectory:
+    """Return the motion from one pose (n,) to another in a straight line, at about 1 rad/s."""
+    seconds = max(1.0, float(np.max(np.abs(end - begin))))
+    return PoseTrajectory(np.stack((begin, end)), np.array([seconds]), np.zeros(2))
+
+
 def smooth_step(x: Array) -> tuple[Array, Array, Array]:
     """Return w, w' and w'' (N,) of 35 x^4 - 84 x^5 + 70 x^6 - 20 x^7, which rises from 0 to 1."""
     w = x**4 * (35.0 + x * (-84.0 + x * (70.0 - 20.0 * x)))

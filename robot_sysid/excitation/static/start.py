@@ -11,7 +11,7 @@ import numpy as np
 from robot_sysid.errors import InputError
 from robot_sysid.excitation.limit_check import first_contact
 from robot_sysid.excitation.problem import ExcitationProblem
-from robot_sysid.excitation.static.pose_trajectory import PoseTrajectory
+from robot_sysid.excitation.static.pose_trajectory import straight_way
 from robot_sysid.records import Array, Motion
 from robot_sysid.trajectory import TORQUE_MARGIN
 
@@ -66,9 +66,7 @@ def contact_on_the_way(problem: ExcitationProblem, start: Array) -> str | None:
 
     Straight in joint space, to ``start`` (n,); None where the way is free.
     """
-    home = problem.robot.reference
-    seconds = max(1.0, float(np.max(np.abs(start - home))))
-    way = PoseTrajectory(np.stack((home, start)), np.array([seconds]), np.zeros(2))
+    way = straight_way(problem.robot.reference, start)
     when = first_contact(problem, way)
     if when is None:
         return None
