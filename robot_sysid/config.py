@@ -9,8 +9,7 @@ from typing import Any, ClassVar, TypeVar, get_type_hints
 
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.options import EstimationOptions
-from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
-from robot_sysid.excitation.static.options import PoseOptions
+from robot_sysid.excitation.options import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.records.atomic_files import refuse_overwriting
 from robot_sysid.records.options import (
@@ -59,6 +58,20 @@ class OutputOptions(OptionRecord):
     keep_friction: bool = option(
         False, "leave the friction of the model's joints as it is", needs="friction"
     )
+    keep_rotors: bool = option(
+        False, "leave the rotor inertia of the model's joints as it is", needs="measured"
+    )
+    keep_gravity: bool = option(False, "leave the model's gravity as it is", needs="measured")
+    keep_links: bool = option(
+        False, "leave all links but the terminal one as they are", needs="measured"
+    )
+    write_offset: bool = option(
+        False,
+        "also write the offset of each joint's friction (unequal in the two directions), as a soft "
+        "spring that is tensioned far away",
+        needs="friction",
+    )
+    links: bool = option(False, "print every link, not only the last one", needs="measured")
     bundle: bool = option(
         False,
         "also write the updated model with its meshes and textures into DIR/bundle, to send it",
@@ -68,6 +81,17 @@ class OutputOptions(OptionRecord):
         False, "also write report.html, a page with figures of the result", needs="estimate"
     )
     plots: bool = option(False, "also write the report's figures as PNG and SVG", needs="estimate")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.write_offset and self.keep_friction:
+            raise InputError("--write-offset is about friction; leave --keep-friction off")
+
+    @property
+    def kept(self) -> tuple[str, ...]:
+        """Parts of the model that stay as they are, see ``core.file_fit``."""
+        parts = ("friction", "rotors", "gravity", "links")
+        return tuple(part for part in parts if getattr(self, f"keep_{part}"))
 
 
 @dataclass(frozen=True)
@@ -136,6 +160,7 @@ NEEDS = {
     "--no-friction",
     "measured": "needs --measurements or --plant-model",
     "log": "describes a log; add --measurements LOG.csv",
+    "servos": "is about servos found from commands; add --torque-from position-error",
     "plant": "belongs to a simulated plant; add --plant-model (the model file itself will do)",
     "plant or plan": "belongs to a simulated plant or a plan; add --plant-model (the model file "
     "itself will do) or --plan-only",
@@ -216,6 +241,11 @@ class SysidConfig:
                 self.estimation.consistency == "off" and self.estimation.prior == "entropic",
             ),
             (
+                "--verify-rollout",
+                "--torques terminal",
+                log and self.log.verify_rollout and self.estimation.torques == "terminal",
+            ),
+            (
                 "--save-measurements",
                 "several --measurements",
                 self.arm.save_measurements is not None and len(self.log.measurements) > 1,
@@ -259,6 +289,7 @@ class SysidConfig:
             "friction": self.is_measured and not plan_only and not self.estimation.no_friction,
             "measured": self.is_measured,
             "log": log,
+            "servos": self.estimation.torque_from is not None,
             "plant": plant,
             "plant or plan": plant or plan_only or optimal,
             "plan": plan_only,

@@ -12,6 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from robot_sysid.core.choices import CANDIDATES
+from robot_sysid.core.dataset import DecimatedSamples, decimated_equations
+from robot_sysid.core.identify import Piece, answer_link, filtered
 from robot_sysid.dynamics.equations import TERMINAL_FRICTION, Equations, friction_per_joint
 from robot_sysid.dynamics.friction import friction_model
 from robot_sysid.errors import InputError, SysidError
@@ -19,8 +22,6 @@ from robot_sysid.estimation.identifiability import analyse_identifiability
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.excitation.prediction import Prediction, Seen, predict
 from robot_sysid.excitation.problem import ExcitationProblem
-from robot_sysid.identify.fit import fit_measured
-from robot_sysid.identify.samples import DecimatedSamples, decimated_equations
 from robot_sysid.logs.reader import join_measurements
 from robot_sysid.records import Array, Identifiability, Measurement, MotionPlan
 from robot_sysid.records.progress import Progress
@@ -78,12 +79,12 @@ def expect(
         prediction = predict(problem, plan, sample_rate)
         return Expectation(prediction, f"{UNUSABLE}: {error}", np.zeros(0), shown)
     try:
-        fit = fit_measured(problem.robot, [recording], options, Progress())
+        given = options if options.friction else replace(options, friction_model=CANDIDATES[0])
+        datasets, _ = filtered(problem.robot, [Piece("", recording)], given)
+        answer = answer_link(problem.robot, datasets, given, Progress(), None)
     except SysidError:
         return Expectation(prediction, counted, np.zeros(0), shown)
-    errors = fit.estimate.standard_errors
-    stated = np.zeros(0) if errors is None else errors[:10]
-    return Expectation(prediction, counted, stated, shown)
+    return Expectation(prediction, counted, answer.errors.whole.standard_errors[:10], shown)
 
 
 def _shown(problem: ExcitationProblem, plan: MotionPlan, rate: float) -> Identifiability:
@@ -122,19 +123,21 @@ def _seen(
     robot, band = problem.robot, options.velocity_deadband
     signals = process(recording, robot.joint_names, options.cutoff, band)
     torques = _torques(problem)
-    friction = friction_per_joint(robot, torques, friction_model(options.measured_friction))
+    model = options.friction or friction_model(CANDIDATES[0])
+    friction = friction_per_joint(robot, torques, model)
     samples = decimated_equations(Equations(robot, torques, friction), signals)
     # The rows are slow: what counts of white noise that passed the filter is its density at low
     # frequencies, which the filter leaves alone, spread over the samples each row stands for.
     noise = sigma / np.sqrt(signals.low_pass.step)
-    return _without_friction(samples.used(), noise, problem.scale)
+    return _without_friction(samples, noise, problem.scale)
 
 
 def _without_friction(samples: DecimatedSamples, noise: Array, scale: Array) -> Seen:
     """Return what equations tell about theta in units of ``scale``, friction eliminated."""
     size = len(samples.names)
     normal = np.zeros((size, size))
-    for columns, rows, sigma in zip(samples.columns, samples.rows, noise):
+    for (_, rows, tau), columns, sigma in zip(samples, samples.columns, noise):
+        rows = rows[np.isfinite(tau)]
         normal[np.ix_(columns, columns)] += rows.T @ rows / sigma**2
     link, cross, own = normal[:10, :10], normal[:10, 10:], normal[10:, 10:]
     units = np.outer(scale, scale)

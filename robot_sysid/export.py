@@ -1,21 +1,24 @@
-"""Writing the results: params.json, the updated model and the motor trajectory, all or none."""
+"""Writing the results: params.json, model, payload card, motor trajectory; all or none.
+
+What an earlier run left in the folder, whatever command wrote it, never stays beside them.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
+import os
 from collections.abc import Callable, Collection, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from robot_sysid.errors import ExportError
+from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.updated_model import updated_model_text
 from robot_sysid.mjcf.write_back import WriteBack
 from robot_sysid.model.compilation import warnings_as_notes
-from robot_sysid.output.joint_friction import friction_changes
-from robot_sysid.output.model_writing import ModelTarget, write_link
-from robot_sysid.output.params_json import export_params_json, params_json_text
-from robot_sysid.records import Identification, Motion, RobotModel
+from robot_sysid.records import Motion, RobotModel
 from robot_sysid.records.atomic_files import (
     WholeFiles,
     only_run_in,
@@ -24,44 +27,57 @@ from robot_sysid.records.atomic_files import (
     write_whole,
 )
 from robot_sysid.records.progress import Progress
-from robot_sysid.records.results import DAMIAO_NAME, MODEL_NAMES, PARAMS_NAME
-
-if TYPE_CHECKING:
-    from robot_sysid.damiao.trajectory.csv_file import DamiaoExportReport
+from robot_sysid.records.results import CARD_NAME, DAMIAO_NAME, MODEL_NAMES, PARAMS_NAME
+from robot_sysid.results.cards import Card, card_text, load_errors, payload_cards
+from robot_sysid.results.json import export_params_json, params_json_text
+from robot_sysid.results.model import ModelTarget, write_model
+from robot_sysid.results.record import Payload, Result
 
 __all__ = [
     "MotorFile",
-    "Written",
-    "alone_in",
+    "Saved",
     "export_params_json",
     "export_updated_xml",
-    "left_over",
-    "write_results",
+    "locked_folder",
+    "remove_earlier",
+    "save",
 ]
+
+if TYPE_CHECKING:
+    from robot_sysid.damiao.trajectory import DamiaoExportReport
+
+RESULT_NAMES = (
+    *(PARAMS_NAME, "arm.json", "friction.json", "servo.json", *MODEL_NAMES.values()),
+    *(CARD_NAME, DAMIAO_NAME, "report.html"),
+)
+"""What a run leaves, whichever command and release it was; a planned motion is no result."""
+_REPORT_DATA = "report_data.npz"
 
 MotorFile = Callable[[TextIO], "DamiaoExportReport"]
 """Writes the motor trajectory into an open file."""
 
 
 @dataclass(frozen=True)
-class Written:
+class Saved:
     """What was written.
 
     Attributes:
         files: their paths.
         notes: what writing had to say, one sentence each.
         damiao: report of the Damiao export, where one was asked for.
-        failure: why there is no updated model although the result is trustworthy, or None.
+        failure: why there is no model, or None where there is one or none was to be.
+        result_hash: of params.json.
     """
 
     files: tuple[Path, ...]
     notes: tuple[str, ...]
     damiao: DamiaoExportReport | None
-    failure: str | None = None
+    failure: str | None
+    result_hash: str
 
 
 @contextlib.contextmanager
-def alone_in(folder: Path, progress: Progress) -> Iterator[None]:
+def locked_folder(folder: Path, progress: Progress) -> Iterator[None]:
     """Keep an output folder to one run, and tell at its end what MuJoCo warned of meanwhile.
 
     Raises:
@@ -70,16 +86,6 @@ def alone_in(folder: Path, progress: Progress) -> Iterator[None]:
     require_writable(folder)
     with warnings_as_notes(progress), only_run_in(folder):
         yield
-
-
-def left_over(folder: Path, names: Collection[str], written: Collection[Path]) -> list[str]:
-    """Return a note for each of these files that an earlier run left and this one did not write."""
-    stale = [folder / name for name in names if (folder / name).exists()]
-    return [
-        f"{path} is from an earlier run; this run wrote none"
-        for path in stale
-        if path not in written
-    ]
 
 
 def export_updated_xml(
@@ -97,70 +103,116 @@ def export_updated_xml(
     write_whole(destination, text)
 
 
-def write_results(
+def save(
+    result: Result,
     robot: RobotModel,
-    identification: Identification,
-    checkpoints: Motion,
     folder: Path,
+    checkpoints: Motion,
+    *,
     mesh_dir: Path | None = None,
+    as_body: str | None = None,
     motor_file: MotorFile | None = None,
-    keep_friction: bool = False,
     refused: str | None = None,
-) -> Written:
-    """Write params.json, the updated model and, where asked for, the motor trajectory.
+    inputs: Collection[Path] = (),
+) -> Saved:
+    """Write params.json, and where the result may be used the model and a payload's card.
 
-    An estimate that is not trustworthy, or that cannot be written into this model, gets a
-    params.json only, which says why.
+    A result that may not be used, or that does not fit into this model, gets a params.json only,
+    which says why. An error leaves the folder as it was.
 
     Args:
+        result: what was identified.
         robot: the arm as loaded.
-        identification: the result.
-        checkpoints: motion on which the written model must reproduce the predicted torque.
         folder: where to.
+        checkpoints: motion on which the written model must reproduce the predicted torque.
         mesh_dir: the user's mesh folder, if any.
+        as_body: name of a new body for the payload; None merges it into the terminal link.
         motor_file: writes the motor trajectory; None for none.
-        keep_friction: leave the friction of the model's joints as it is.
-        refused: why no model is to be written although the estimate is trustworthy, or None.
+        refused: why no model is to be written although the result may be used, or None.
+        inputs: files that this run reads, beside the model; they stay whatever they are called.
 
     Raises:
         InputError: the folder cannot be written to.
     """
-    names: list[str] = []
+    failure, report = _refusal(result) or refused, None
+    cards: tuple[Card, ...] = ()
+    written: list[Path] = []
     notes: tuple[str, ...] = ()
-    report, failure = None, refused
     with whole_files() as files:
-        if identification.estimate.status.is_trustworthy and refused is None:
+        if failure is None and not _calibrates(result):
             # Its place is taken last: what the other files say then holds for it.
             path = files.reserve_last(folder / MODEL_NAMES[robot.kind])
+            target = ModelTarget(files, path, checkpoints, result.estimate.rmse, mesh_dir)
             try:
-                target = ModelTarget(
-                    files, path, checkpoints, identification.estimate.rmse, mesh_dir
-                )
-                notes = write_model(robot, keep_friction, identification, target)
-                names.append(path.name)
+                notes = write_model(result, robot, target, as_body)
+                written.append(path)
             except ExportError as error:
-                files.withdraw(path)
-                failure = str(error)
+                failure = f"{error} (the identified numbers are in {PARAMS_NAME})"
+            if result.payload is not None:
+                cards = _cards(result.payload)
+                text = card_text(cards, _heading(result, result.payload))
+                written.append(_place(files, folder / CARD_NAME, text))
         if motor_file is not None:
-            names.append(DAMIAO_NAME)
-            report = write_motor_file(files, folder / DAMIAO_NAME, motor_file)
-        names.append(PARAMS_NAME)
-        files.write(folder / PARAMS_NAME, params_json_text(identification, notes))
-    return Written(tuple(folder / name for name in names), notes, report, failure)
+            written.append(folder / DAMIAO_NAME)
+            with files.open(written[-1]) as file:
+                report = motor_file(file)
+        text = params_json_text(result, cards, notes)
+        written.append(_place(files, folder / PARAMS_NAME, text))
+        read = (*inputs, *(file.path for file in read_document(robot.path).files))
+        notes += remove_earlier(files, folder, written, read)
+    digest = hashlib.sha256(text.encode("utf-8")).hexdigest()
+    return Saved(tuple(written), notes, report, failure, digest)
 
 
-def write_motor_file(files: WholeFiles, path: Path, motor_file: MotorFile) -> DamiaoExportReport:
-    """Write the draft of a motor trajectory."""
-    with files.open(path) as file:
-        return motor_file(file)
-
-
-def write_model(
-    robot: RobotModel, keep_friction: bool, identification: Identification, target: ModelTarget
+def remove_earlier(
+    files: WholeFiles, folder: Path, written: Collection[Path], inputs: Collection[Path]
 ) -> tuple[str, ...]:
-    """Write the updated model, compile it again and compare; returns notes."""
-    estimate = identification.estimate
-    found = identification if not keep_friction else replace(identification, friction_model=None)
-    joints, notes = friction_changes(found, target.checkpoints)
-    errors = None if estimate.standard_errors is None else estimate.standard_errors[:10]
-    return (*notes, *write_link(robot, estimate.inertial, target, errors, joints))
+    """Have the results of an earlier run removed once this run's are in place; returns notes.
+
+    Args:
+        files: those of this run.
+        folder: where results are.
+        written: what this run writes there.
+        inputs: what it reads, which stays.
+    """
+    kept = {os.path.realpath(path) for path in (*written, *inputs)}
+    names = (*RESULT_NAMES, _REPORT_DATA)
+    stale = [folder / name for name in names if (folder / name).is_file()]
+    stale = [path for path in stale if os.path.realpath(path) not in kept]
+    for path in stale:
+        files.remove(path)
+    # Data for a report are written anew once this run's files are in place.
+    told = [path for path in stale if path.name != _REPORT_DATA]
+    return tuple(f"{path} of an earlier run was removed" for path in told)
+
+
+def _place(files: WholeFiles, path: Path, text: str) -> Path:
+    files.write(path, text)
+    return path
+
+
+def _calibrates(result: Result) -> bool:
+    """Whether a known mass weighed the torques, so that there is nothing to write of a payload."""
+    return result.payload is not None and result.payload.known_mass is not None
+
+
+def _refusal(result: Result) -> str | None:
+    """Return why nothing may be used, or None."""
+    if result.failure is None:
+        return None
+    card = "no model" if result.payload is None else "no model and no card"
+    what = "no torque scales" if _calibrates(result) else card
+    return f"{what} {'were' if what != 'no model' else 'was'} written: {result.failure}"
+
+
+def _cards(payload: Payload) -> tuple[Card, ...]:
+    return payload_cards(payload.body.inertial, payload.flange, load_errors(payload.body))
+
+
+def _heading(result: Result, payload: Payload) -> list[str]:
+    mass, recordings = payload.body.inertial.mass, payload.recordings
+    return [
+        f"Payload of {mass:.4f} ± {load_errors(payload.body)['mass']:.2g} kg, identified with "
+        f"{result.model_path.name} from {len(recordings['empty'])} empty and "
+        f"{len(recordings['loaded'])} loaded recordings."
+    ]

@@ -15,12 +15,11 @@ from robot_sysid.model.chain import (
     chain_to,
     find_terminal_joint,
     joint_label,
+    joint_limits,
     resolve_joint,
 )
 from robot_sysid.model.compilation import CompiledModel, compile_model
-from robot_sysid.model.inertia import composite_theta
-from robot_sysid.model.limits import joint_limits
-from robot_sysid.model.links import arm_links
+from robot_sysid.model.inertia import arm_links, composite_theta
 from robot_sysid.records import Array, InertialParameters, JointFriction, RobotModel
 from robot_sysid.records.arm import DEFAULT_MAX_VELOCITY
 from robot_sysid.records.options import PerJoint

@@ -11,18 +11,114 @@ from robot_sysid.config import NEEDS, ModelOptions, OutputOptions, configured
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
-from robot_sysid.identify.payload.options import PayloadOptions
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.records.atomic_files import refuse_overwriting
-from robot_sysid.records.options import given_options
-from robot_sysid.records.results import MODEL_NAMES, PARAMS_NAME
+from robot_sysid.records.options import OptionRecord, given_options, option, positive
+from robot_sysid.records.results import CARD_NAME, MODEL_NAMES, PARAMS_NAME
 from robot_sysid.simulation.sensors import SimulatedArmOptions
 from robot_sysid.trajectory import TrajectoryOptions
 
-CARD_NAME = "payload_card.txt"
-"""Name of the file for controllers."""
 MOVING = ("cutoff", "velocity_deadband", "friction_model")
 """Keys of options that poses at rest have no use for."""
+
+
+EMPTY, LOADED = "A", "B"
+"""Letters of ``--order``."""
+
+
+@dataclass(frozen=True)
+class PayloadOptions(OptionRecord):
+    """Which recordings are empty and which are loaded, and what is wanted of the payload."""
+
+    empty: tuple[Path, ...] = option(
+        (), "logs of the arm without the payload", metavar="LOG", several=True
+    )
+    loaded: tuple[Path, ...] = option(
+        (), "logs of the arm with the payload", metavar="LOG", several=True
+    )
+    empty_model: Path | None = option(
+        None, "instead of logs: model that plays the arm without the payload", metavar="XML"
+    )
+    loaded_model: Path | None = option(
+        None, "instead of logs: model that plays the arm with the payload", metavar="XML"
+    )
+    order: str | None = option(
+        None,
+        "order in which the logs were recorded, A for the next empty one and B for the next "
+        "loaded one, such as ABBA; a drift of friction is then estimated",
+        metavar="LETTERS",
+        usual="from the logs' clock, where they share one",
+    )
+    flange: str | None = option(
+        None,
+        "frame of the payload: a site or body fixed to the terminal body, or x,y,z in metres",
+        metavar="FRAME",
+        usual="found by its name, else the terminal body's",
+    )
+    as_body: str | None = option(
+        None,
+        "write the payload as a welded body of this name instead of merging it into the terminal "
+        "link",
+        metavar="NAME",
+    )
+    known_mass: float | None = option(
+        None,
+        "the payload is a weight of this mass: estimate each joint's torque scale with it",
+        unit="kg",
+        metavar="KG",
+        check=positive,
+    )
+    scale_prior: float | None = option(
+        None,
+        "with --known-mass, how far each joint's torque scale may be off",
+        unit="%",
+        metavar="P",
+        check=positive,
+        usual="3",
+    )
+    save_torque_scale: Path | None = option(
+        None, "with --known-mass, write the scales as a file for --torque-scale", metavar="FILE"
+    )
+    static: bool = option(
+        False, "use resting poses only, each approached from both sides: mass and centre of mass"
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        logs = bool(self.empty or self.loaded)
+        models = self.empty_model is not None or self.loaded_model is not None
+        if logs and models:
+            raise InputError("logs and --empty-model, --loaded-model exclude each other")
+        if logs and not (self.empty and self.loaded):
+            missing = "--empty" if self.loaded else "--loaded"
+            raise InputError(
+                f"{missing} is missing: a payload is found from the difference between logs "
+                "without and with it"
+            )
+        if not logs and (self.empty_model is None or self.loaded_model is None):
+            raise InputError(
+                "give --empty LOG... and --loaded LOG..., or --empty-model and --loaded-model "
+                "to simulate both"
+            )
+        self._check_order()
+        for flag, given in (
+            ("--scale-prior", self.scale_prior),
+            ("--save-torque-scale", self.save_torque_scale),
+        ):
+            if given is not None and self.known_mass is None:
+                raise InputError(f"{flag} is about torque scales; add --known-mass KG")
+        if self.known_mass is not None and self.as_body is not None:
+            raise InputError("--known-mass writes no model; leave --as-body out")
+
+    def _check_order(self) -> None:
+        if self.order is None:
+            return
+        wanted = EMPTY * len(self.empty) + LOADED * len(self.loaded)
+        if sorted(self.order) != sorted(wanted):
+            raise InputError(
+                f"--order {self.order}: needs {len(self.empty)} times A (the empty logs) and "
+                f"{len(self.loaded)} times B (the loaded ones), such as {wanted}"
+            )
 
 
 @dataclass(frozen=True)
@@ -51,8 +147,9 @@ class PayloadConfig:
     def _check_needs(self) -> None:
         """Refuse options that would have no effect."""
         from_logs = bool(self.payload.empty)
-        if self.output.bundle and self.payload.known_mass is not None:
-            raise InputError("--bundle is about a written model; --known-mass writes none")
+        for given in given_options(self.output) if self.payload.known_mass is not None else ():
+            if given.key in ("bundle", "write_offset") or given.key.startswith("keep_"):
+                raise InputError(f"{given.flag} is about a written model; --known-mass writes none")
         if from_logs:
             for record in (self.trajectory, self.excitation, self.limits, self.arm):
                 for given in given_options(record):

@@ -1,9 +1,10 @@
-"""The stages in order: load, excite, simulate, collect, solve, export."""
+"""The stages in order: load, excite, simulate or read, identify, write."""
 
 from __future__ import annotations
 
+import math
 import secrets
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -11,43 +12,49 @@ from typing import TYPE_CHECKING, TextIO
 
 import numpy as np
 
+from robot_sysid.checks.run import look_at
 from robot_sysid.config import SysidConfig
+from robot_sysid.core.answer import Answer, traces_of
+from robot_sysid.core.dataset import Dataset
+from robot_sysid.core.identify import Piece, answer_link, filtered, refit
+from robot_sysid.core.itself import identify_itself
+from robot_sysid.core.result import result_of
 from robot_sysid.errors import InputError
+from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.excitation.plan import CheckedPlan, MotionRequest, make_plan
-from robot_sysid.export import (
-    MotorFile,
-    alone_in,
-    left_over,
-    write_model,
-    write_motor_file,
-    write_results,
-)
-from robot_sysid.identify.judgement.rollout.candidate import refusal
-from robot_sysid.identify.simulated import Analysis, SimulatedRun, identify_itself
+from robot_sysid.export import MotorFile, Saved, locked_folder, save
 from robot_sysid.interrupts import only_the_first
-from robot_sysid.output.printed.link import (
-    clamping_lines,
-    detail_lines,
-    folder_text,
-    more_lines,
-    result_lines,
+from robot_sysid.logs.reader import (
+    MeasurementLog,
+    earlier_logs,
+    join_measurements,
+    open_log,
+    origin_of,
+    write_measurement_csv,
 )
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Identification, MotionPlan, RobotModel
-from robot_sysid.records.atomic_files import WholeFiles, whole_files
+from robot_sysid.records import DataOrigin, Motion, MotionPlan, RobotModel, Source
+from robot_sysid.records.atomic_files import WholeFiles, temporary_folder, whole_files
+from robot_sysid.records.data import Traces
+from robot_sysid.records.options import per_joint
 from robot_sysid.records.progress import Progress
-from robot_sysid.records.results import DAMIAO_NAME, MODEL_NAMES, PARAMS_NAME
-from robot_sysid.records.traces import Traces
-from robot_sysid.report.runs import fingerprint
+from robot_sysid.records.results import DAMIAO_NAME, MODEL_NAMES, RolloutTest
+from robot_sysid.results.console import block_lines, clamping_lines, folder_text, more_lines
+from robot_sysid.results.model import CHECKPOINTS, ModelTarget, write_model
+from robot_sysid.results.record import Result
+from robot_sysid.results.rollout import play_held_out, play_other, refusal, torque_error
+from robot_sysid.simulation.closed_loop import PlantSimulation
+from robot_sysid.simulation.loading import load_plant
 from robot_sysid.simulator import ArmTorque
-from robot_sysid.trajectory import motion_chunks, require_countable
+from robot_sysid.trajectory import CHUNK, motion_chunks, require_countable, sample_count
 
 if TYPE_CHECKING:
-    from robot_sysid.damiao.trajectory.csv_file import DamiaoExportReport, MotionChunk
+    from robot_sysid.damiao.trajectory import DamiaoExportReport, MotionChunk
 
 # Speed at which dry friction has turned round by three quarters [rad/s]. Wider is gentler, but an
 # arm that sticks longer at its reversals tells less: three times this costs a millimetre more.
 _SMOOTH_REVERSAL = 0.01
+_NOISE_STREAM = 1
 
 
 @dataclass(frozen=True)
@@ -75,54 +82,67 @@ class PlanOutcome:
 
 
 @dataclass(frozen=True)
+class Analysis:
+    """What data led to.
+
+    Attributes:
+        result: everything that is said of it.
+        checkpoints: motion on which a written model has to reproduce the predicted torque.
+        traces: makes what a report draws.
+        answer: the estimate behind it; None of the model's own simulation.
+        tests: recordings that only test it.
+    """
+
+    result: Result
+    checkpoints: Motion
+    traces: Callable[[], Traces]
+    answer: Answer | None = None
+    tests: tuple[Dataset, ...] = ()
+
+
+@dataclass(frozen=True)
 class Outcome:
     """What a run produced.
 
     Attributes:
-        identification: the result.
+        result: what was identified.
+        saved: what was written.
         output_dir: where files went.
-        files: what was written there.
-        damiao: report of the Damiao export, where one was asked for.
-        not_written: why the result could not be written into the model, or None.
+        links: whether every link is to be printed.
         traces: makes what a report draws.
-        result: hash of the JSON file, taken before another run may write to the folder.
     """
 
-    identification: Identification
+    result: Result
+    saved: Saved
     output_dir: Path
-    files: tuple[Path, ...]
-    damiao: DamiaoExportReport | None = None
-    not_written: str | None = None
+    links: bool = False
     traces: Callable[[], Traces] | None = None
-    result: str = ""
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """What was written."""
+        return self.saved.files
+
+    @property
+    def failure(self) -> str | None:
+        """Why there is nothing to use, or None."""
+        return self.saved.failure
 
     @property
     def leaves_data(self) -> bool:
         """Whether there is something to draw that a later run could not make again."""
-        return self.identification.data.source.is_measured
-
-    @property
-    def failure(self) -> str | None:
-        """Why there is no updated model, or None."""
-        status = self.identification.estimate.status
-        if not status.is_trustworthy:
-            reasons = "; ".join(self.identification.reasons)
-            return f"no model was written: {reasons + ': ' if reasons else ''}{status.value}"
-        if self.not_written is None:
-            return None
-        return f"{self.not_written} (the identified numbers are in params.json)"
+        return self.result.is_measured
 
     def report_lines(self, verbose: bool) -> list[str]:
         """Return what the command line prints at the end."""
-        details = detail_lines(self.identification) if verbose else []
-        clamping = clamping_lines(self.damiao, self.identification.joint_names)
         saved = f"Results saved to {folder_text(self.output_dir)}"
-        more = more_lines(self.identification)
-        return [*result_lines(self.identification), saved, *more, *details, *clamping]
+        more = more_lines(self.result, self.links, verbose)
+        clamping = clamping_lines(self.saved.damiao, self.result.joint_names)
+        return [*block_lines(self.result), saved, *more, *clamping]
 
 
 def run(config: SysidConfig, progress: Progress | None = None) -> Outcome | PlanOutcome:
-    """Identify the terminal link of one arm and write the results.
+    """Identify one arm and write the results.
 
     Args:
         config: what to do.
@@ -132,19 +152,15 @@ def run(config: SysidConfig, progress: Progress | None = None) -> Outcome | Plan
         SysidError: with the exit code that fits, see ``errors``.
     """
     progress = progress or Progress()
-    with alone_in(config.output.output_dir, progress):
-        return _run(config, progress)
-
-
-def _run(config: SysidConfig, progress: Progress) -> Outcome | PlanOutcome:
-    robot = load(config, progress)
-    if config.trajectory.plan_only:
-        with only_the_first():
-            checked, _ = designed(config, robot, progress)
-            return replace(_plan_outcome(config, robot, checked), checked=checked)
-    analysis, plan = analysed(config, robot, progress)
-    motor_file = None if plan is None else _motor_file(config, robot, plan)
-    return written(config, robot, analysis, motor_file, progress)
+    with locked_folder(config.output.output_dir, progress):
+        robot = load(config, progress)
+        if config.trajectory.plan_only:
+            with only_the_first():
+                checked, _ = designed(config, robot, progress)
+                return replace(_plan_outcome(config, robot, checked), checked=checked)
+        analysis, plan = analysed(config, robot, progress)
+        motor_file = None if plan is None else _motor_file(config, robot, plan)
+        return written(config, robot, analysis, motor_file, progress)
 
 
 def designed(config: SysidConfig, robot: RobotModel, progress: Progress) -> tuple[CheckedPlan, int]:
@@ -158,18 +174,19 @@ def analysed(
     config: SysidConfig, robot: RobotModel, progress: Progress
 ) -> tuple[Analysis, MotionPlan | None]:
     """Identify, and write no result; returns also the motion that a simulation followed."""
+    band = config.estimation.velocity_deadband
+    if band is not None:
+        per_joint(band, robot.n_joints, "--velocity-deadband")
     if config.log.measurements:
-        from robot_sysid.identify.measured import identify_logs
-
-        save, estimation = config.arm.save_measurements, config.estimation
-        return identify_logs(robot, config.log, save, estimation, progress), None
+        return _of_logs(config, robot, progress), None
     with only_the_first():
         checked, seed = designed(config, robot, progress)
         if checked.failure:
             raise InputError(f"{checked.failure}; {_remedy(config)}")
         with whole_files() as files:
             save_plan(files, config, robot, checked.plan)
-    return _analyse(config, robot, checked.plan, seed, progress), checked.plan
+    source = _of_itself if config.arm.plant_model is None else _of_plant
+    return source(config, robot, checked.plan, seed, progress), checked.plan
 
 
 def load(config: SysidConfig, progress: Progress) -> RobotModel:
@@ -231,7 +248,8 @@ def _plan_outcome(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) 
         if motor_file is None:
             return PlanOutcome(lines, None, paths)
         path = config.output.output_dir / DAMIAO_NAME
-        report = write_motor_file(files, path, motor_file)
+        with files.open(path) as file:
+            report = motor_file(file)
     damiao = tuple(clamping_lines(report, robot.joint_names))
     return PlanOutcome(lines, None, (*paths, path), damiao)
 
@@ -239,35 +257,166 @@ def _plan_outcome(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) 
 def promise(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> Iterator[str]:
     """Yield what a motion promises, and what it does beside its limits."""
     from robot_sysid.excitation.plan_report import motion_lines, plan_lines
-    from robot_sysid.excitation.static.pose_design import pose_lines
-    from robot_sysid.excitation.static.sweeps import sweep_lines
+    from robot_sysid.excitation.static import pose_lines, sweep_lines
     from robot_sysid.expected import expect
 
     assert checked.problem is not None and checked.check is not None
     made = checked.problem, checked.plan, checked.check
     if config.poses.sets_its_time:
-        poses = config.poses.static
-        tell = pose_lines if poses else sweep_lines
+        tell = pose_lines if config.poses.static else sweep_lines
         yield from tell(robot, checked.problem, checked.plan)
         yield from motion_lines(*made)
     else:
         rate = config.trajectory.sample_rate
         expected = expect(checked.problem, checked.plan, rate, config.estimation)
-        promise = expected.counted, expected.stated, expected.shown
-        yield from plan_lines(*made, expected.prediction, *promise)
+        told = expected.counted, expected.stated, expected.shown
+        yield from plan_lines(*made, expected.prediction, *told)
 
 
-def _analyse(
+def _of_itself(
     config: SysidConfig, robot: RobotModel, plan: MotionPlan, seed: int, progress: Progress
 ) -> Analysis:
-    arm, rate = config.arm, config.trajectory.sample_rate
-    simulated = SimulatedRun(plan, rate, seed, arm.save_measurements)
-    if arm.plant_model is None:
-        return identify_itself(robot, simulated, config.estimation, progress)
-    from robot_sysid.identify.measured import identify_simulated_arm
+    """Simulate the model along the trajectory and identify it, in constant memory."""
+    rate, save_to = config.trajectory.sample_rate, config.arm.save_measurements
+    result, traces = identify_itself(robot, plan, rate, seed, config.estimation, progress)
+    if save_to is not None:
+        from robot_sysid.simulator import simulate_inverse
 
-    mesh_dir = config.model.mesh_dir
-    return identify_simulated_arm(robot, arm, mesh_dir, simulated, config.estimation, progress)
+        simulated = simulate_inverse(robot, motion_chunks(plan, rate))
+        write_measurement_csv(save_to, robot.joint_names, simulated)
+    checkpoints = plan.evaluate(np.linspace(0.0, plan.duration, CHECKPOINTS))
+    return Analysis(result, checkpoints, traces)
+
+
+def _of_plant(
+    config: SysidConfig, robot: RobotModel, plan: MotionPlan, seed: int, progress: Progress
+) -> Analysis:
+    """Let another model play the real arm, and identify from what its sensors say."""
+    arm, rate = config.arm, config.trajectory.sample_rate
+    assert arm.plant_model is not None
+    plant = load_plant(robot, arm.plant_model, config.model.mesh_dir)
+    progress.stage(f"Running MuJoCo simulation of {arm.plant_model}...")
+    rng = np.random.default_rng([seed, _NOISE_STREAM])
+    simulation = PlantSimulation(plant, plan, arm, rate, rng)
+    count = math.ceil(sample_count(plan.duration, rate) / CHUNK)
+    samples = join_measurements(progress.track(iter(simulation), "Collecting measurements", count))
+    least, ramp = _past_the_ramp(config.estimation, simulation)
+    if arm.save_measurements is not None:
+        write_measurement_csv(arm.save_measurements, robot.joint_names, [samples], ramp)
+    band = config.estimation.velocity_deadband
+    notes = (*plant.notes, *simulation.notes((least or None) if band is None else band), *ramp)
+    detail = f"{arm.plant_model}, {arm.simulation}"
+    origin = DataOrigin(Source.SIMULATED_ARM, detail, plan.duration, rate, seed)
+    pieces = [Piece(str(arm.plant_model), samples, least_deadband=least)]
+    found = _identified(config, robot, pieces, origin, notes, (), progress)
+    truth = plant.prior
+    return replace(found, traces=lambda: replace(found.traces(), truth=truth))
+
+
+def _past_the_ramp(
+    options: EstimationOptions, simulation: PlantSimulation
+) -> tuple[tuple[float, ...], tuple[str, ...]]:
+    """Return what must be left out of MuJoCo's dry friction, a ramp near standstill.
+
+    Returns:
+        (speeds (n,) below which it is incomplete, a sentence on them); both empty where there is
+        nothing to leave out.
+    """
+    # A little above the ramp, so that three digits say all.
+    speeds = tuple(float(f"{1.005 * speed:.3g}") for speed in simulation.least_deadband())
+    if not any(speeds) or options.velocity_deadband is not None:
+        return (), ()
+    listed = ",".join(f"{speed:g}" for speed in speeds)
+    note = (
+        "MuJoCo's dry friction builds up over a range of speeds; moments in which a joint is still "
+        f"in that range are left out. With the saved log --velocity-deadband {listed} does the same"
+    )
+    return speeds, (note,)
+
+
+def _of_logs(config: SysidConfig, robot: RobotModel, progress: Progress) -> Analysis:
+    """Identify from one log of the real arm, or from several together."""
+    options, tests = config.log, []
+    earlier = () if options.append is None else earlier_logs(options.append, robot)
+    logs = []
+    for path in (*earlier, *options.measurements):
+        progress.stage(f"Reading measurements from {path}...")
+        logs.append(open_log(robot, path, options, progress))
+    if config.arm.save_measurements is not None:
+        write_measurement_csv(config.arm.save_measurements, robot.joint_names, [logs[0].samples])
+    if options.validation_measurements is not None:
+        tests.append(open_log(robot, options.validation_measurements, options, progress))
+        for note in tests[0].notes:
+            progress.note(f"validation log: {note}")
+    checked(config, robot, [*logs, *tests], progress)
+    pieces = [Piece(str(log.path), part) for log in logs for part in log.pieces]
+    notes = [f"{log.path.name}: {n}" if len(logs) > 1 else n for log in logs for n in log.notes]
+    return _identified(config, robot, pieces, origin_of(logs), notes, tests, progress)
+
+
+def checked(
+    config: SysidConfig, robot: RobotModel, logs: Sequence[MeasurementLog], progress: Progress
+) -> None:
+    """Look at each log against the model; stop at what must not become a number."""
+    late = ("delay",) if config.estimation.delay == "auto" else ()
+    for log in logs:
+        look_at(robot, log, (*config.log.accept, *late), progress, config.estimation.cutoff)
+
+
+def _identified(
+    config: SysidConfig,
+    robot: RobotModel,
+    pieces: Sequence[Piece],
+    origin: DataOrigin,
+    notes: Sequence[str],
+    tests: Sequence[MeasurementLog],
+    progress: Progress,
+) -> Analysis:
+    """Identify from measured data, wherever it came from."""
+    options = config.estimation
+    datasets, said = filtered(robot, pieces, options)
+    for note in (*notes, *said):
+        progress.note(note)
+    cutoff = datasets[0].signals.cutoff if datasets[0].signals else options.cutoff
+    same, others = replace(options, cutoff=cutoff), {}
+    for log in tests:
+        parts = [Piece(str(log.path), part) for part in log.pieces]
+        others[str(log.path)] = filtered(robot, parts, same)[0]
+    kept = config.output.kept + (("friction", "rotors") if options.no_friction else ())
+    answer = answer_link(robot, datasets, options, progress, kept, others)
+    answer = replace(answer, notes=(*notes, *said, *answer.notes))
+    result = result_of(answer, origin, config.output.write_offset)
+    for note in result.notes:
+        if note not in (*robot.notes, *notes, *said):
+            progress.note(note)
+    assert (first := datasets[0].signals) is not None
+    checkpoints = first.motion(first.spread(CHECKPOINTS))
+    held_out = tuple(each for parts in others.values() for each in parts)
+    found = Analysis(result, checkpoints, lambda: traces_of(answer), answer, held_out)
+    return replace(found, result=_file_tested(robot, found, config.model.mesh_dir))
+
+
+def _file_tested(robot: RobotModel, found: Analysis, mesh_dir: Path | None) -> Result:
+    """Return the result with the written file's own error on whole other logs.
+
+    The file is written, compiled and asked by inverse dynamics alone.
+    """
+    result = found.result
+    if result.file is None or not found.tests or not result.verdict.is_trustworthy:
+        return result
+    pairs = []
+    with temporary_folder() as folder:
+        path = folder / MODEL_NAMES[robot.kind]
+        with whole_files() as files:
+            target = ModelTarget(files, path, found.checkpoints, result.estimate.rmse, mesh_dir)
+            write_model(result, robot, target)
+        for each in found.tests:
+            assert each.signals is not None
+            old, new = (
+                torque_error(model, robot, each.signals, each.name) for model in (robot.path, path)
+            )
+            pairs.append((old, new))
+    return replace(result, file=replace(result.file, others=tuple(pairs)))
 
 
 def written(
@@ -278,20 +427,47 @@ def written(
     progress: Progress,
 ) -> Outcome:
     """Write all results and pass on what writing them had to say."""
-    folder, mesh_dir = config.output.output_dir, config.model.mesh_dir
-    found, checkpoints = analysis.identification, analysis.checkpoints
-    keep, refused = config.output.keep_friction, None
-    if config.log.verify_rollout and analysis.rollouts and found.estimate.status.is_trustworthy:
+    folder, mesh_dir, result = config.output.output_dir, config.model.mesh_dir, analysis.result
+    refused = None
+    if config.log.verify_rollout and result.file is not None and result.verdict.is_trustworthy:
         progress.stage("Playing the model on held-out pieces...")
-        write = partial(write_model, robot, keep)
-        found = replace(found, rollout=analysis.rollouts.test(found, checkpoints, write, mesh_dir))
-        refused = refusal(found.rollout, config.log.accept)
-    options = mesh_dir, motor_file, keep, refused
-    written = write_results(robot, found, checkpoints, folder, *options)
-    for note in (*written.notes, *left_over(folder, [MODEL_NAMES[robot.kind]], written.files)):
+        result = replace(result, rollout=_played(config, robot, analysis))
+        refused = refusal(result.rollout, config.log.accept)
+    read = (*config.log.measurements, config.log.validation_measurements)
+    inputs = [Path(path) for path in read if path is not None]
+    saved = save(
+        result,
+        robot,
+        folder,
+        analysis.checkpoints,
+        mesh_dir=mesh_dir,
+        motor_file=motor_file,
+        refused=refused,
+        inputs=inputs,
+    )
+    for note in saved.notes:
         progress.note(note)
-    made = written.files, written.damiao, written.failure, analysis.traces
-    return Outcome(found, folder, *made, fingerprint(folder / PARAMS_NAME))
+    return Outcome(result, saved, folder, config.output.links, analysis.traces)
+
+
+def _played(config: SysidConfig, robot: RobotModel, analysis: Analysis) -> RolloutTest:
+    """Return how the model before and the one to be written move beside the arm."""
+    answer, mesh_dir = analysis.answer, config.model.mesh_dir
+    assert answer is not None
+
+    def write_of(result: Result) -> Callable[[ModelTarget], object]:
+        return partial(write_model, result, robot)
+
+    if analysis.tests:
+        signals = [each.signals for each in analysis.tests if each.signals is not None]
+        return play_other(robot, signals, write_of(analysis.result), mesh_dir)
+    signals = [each.signals for each in answer.fit.columns.datasets if each.signals is not None]
+
+    def again(masks: Sequence[np.ndarray]) -> Result:
+        found = refit(answer, masks, config.output.kept)
+        return result_of(found, analysis.result.data, config.output.write_offset)
+
+    return play_held_out(robot, signals, again, write_of, mesh_dir)
 
 
 def _motor_file(config: SysidConfig, robot: RobotModel, plan: MotionPlan) -> MotorFile | None:
@@ -299,7 +475,7 @@ def _motor_file(config: SysidConfig, robot: RobotModel, plan: MotionPlan) -> Mot
     motors = config.motors
     if not motors.export_damiao:
         return None
-    from robot_sysid.damiao.trajectory.csv_file import export_damiao_trajectory
+    from robot_sysid.damiao.trajectory import export_damiao_trajectory
 
     rate = motors.damiao_rate or config.trajectory.sample_rate
     require_countable(plan.duration, rate, "--damiao-rate")

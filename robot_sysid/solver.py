@@ -30,11 +30,7 @@ from robot_sysid.records import (
     Identifiability,
     SampleSource,
     SquareRootInformation,
-    Status,
 )
-
-_KNOWN_MASS = 1e-6
-"""Standard error of the mass that is never too large [kg]."""
 
 
 def identify_parameters(
@@ -81,7 +77,6 @@ def identify_parameters(
         identifiability=identifiability,
         rmse=_rmse(information, values),
         rmse_per_joint=dict(zip(counts, joint_rmse(information, values).tolist())),
-        status=judge(values, identifiability, errors.standard_errors),
         method=method,
         covariance=errors.covariance,
         standard_errors=errors.standard_errors,
@@ -139,23 +134,6 @@ def solve(
         return free, False
     values = consistent_least_squares(matrix, right, prior)
     return values, bool(np.any(values != free))
-
-
-def judge(values: Array, identifiability: Identifiability, errors: Array) -> Status:
-    """Return how the identification ended.
-
-    Args:
-        values: (p,) the estimate.
-        identifiability: what the data sees.
-        errors: (p,) standard errors.
-    """
-    if not spatial.is_consistent(values[:N_INERTIAL]):
-        return Status.INCONSISTENT
-    if np.isfinite(errors[0]) and errors[0] > max(_KNOWN_MASS, 0.5 * values[0]):
-        return Status.TOO_WEAK
-    if identifiability.rank < identifiability.n_parameters:
-        return Status.PARTLY_FROM_MODEL
-    return Status.OK
 
 
 def _errors(

@@ -15,7 +15,7 @@ from typing import Callable, ClassVar
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.records import Array, JointLimits, Motion, MotionPlan, RobotModel, checked_array
+from robot_sysid.records import Array, Motion, MotionPlan, RobotModel, checked_array
 from robot_sysid.records.options import (
     OptionRecord,
     not_negative,
@@ -27,10 +27,8 @@ from robot_sysid.records.options import (
 
 FREQUENCY_BAND_HZ = (0.1, 0.6)
 TERMS_PER_JOINT = (3, 5)
-TERMINAL_SHARE = 0.7
-"""Share of the terminal joint's range that its motion uses."""
-OTHER_SHARE = 0.1
-"""Share of every other joint's range that its motion uses."""
+TERMINAL_SHARE, OTHER_SHARE = 0.7, 0.1
+"""Share of its range that the terminal joint's motion uses, and that of every other joint."""
 POSITION_MARGIN = 0.02
 """Share of the range kept free at each position limit."""
 TORQUE_MARGIN = 0.95
@@ -98,12 +96,9 @@ class TrajectoryOptions(OptionRecord):
 
 
 def require_countable(duration: float, rate: float, option: str) -> None:
-    """Raise InputError where a trajectory would have more samples than a run can take.
+    """Raise InputError where a trajectory of a duration [s] has too many samples at a rate [Hz].
 
-    Args:
-        duration: length [s].
-        rate: samples per second [Hz].
-        option: which sets the rate, for the message.
+    The message names the option that sets the rate.
     """
     if not duration * rate <= MOST_SAMPLES:
         raise InputError(
@@ -157,13 +152,7 @@ class SineTrajectory:
     def evaluate(self, time: Array) -> Motion:
         """Return position, velocity and acceleration at times (N,) [s], by the product rule."""
         time = np.asarray(time, dtype=float)
-        edge = window(time, self.duration, self.fade)
-        s, ds, dds = faded(edge, self._sinusoids(time))
-        return Motion(time, self.center + s, ds, dds)
-
-    def _sinusoids(self, time: Array) -> tuple[Array, Array, Array]:
-        """Return s, s' and s'' (N, n)."""
-        s, ds, dds = (np.zeros((len(time), self.n_joints)) for _ in range(3))
+        s, ds, dds = np.zeros((3, len(time), self.n_joints))
         omega = 2.0 * np.pi * self.frequency_hz
         for j, k in np.argwhere(self.amplitude):
             angle = omega[j, k] * time + self.phase[j, k]
@@ -171,21 +160,25 @@ class SineTrajectory:
             s[:, j] += sine
             ds[:, j] += self.amplitude[j, k] * omega[j, k] * cosine
             dds[:, j] -= omega[j, k] ** 2 * sine
-        return s, ds, dds
+        s, ds, dds = faded(window(time, self.duration, self.fade), (s, ds, dds))
+        return Motion(time, self.center + s, ds, dds)
 
 
 def window(time: Array, duration: float, fade: float) -> tuple[Array, Array, Array]:
-    """Return w, w' and w'' (N,): septic smoothstep up, ones, and down again.
-
-    With x = t / fade in [0, 1]: w = 35 x^4 - 84 x^5 + 70 x^6 - 20 x^7, whose first three
-    derivatives vanish at both ends, so that motion starts and ends without a jerk.
-    """
+    """Return w, w' and w'' (N,): a smooth step up, ones, and down again."""
     rising = time < 0.5 * duration
-    x = np.clip(np.where(rising, time, duration - time) / fade, 0.0, 1.0)
+    w, dw, ddw = smooth_step(np.clip(np.where(rising, time, duration - time) / fade, 0.0, 1.0))
+    dw = dw / fade
+    return w, np.where(rising, dw, -dw), ddw / fade**2
+
+
+def smooth_step(x: Array) -> tuple[Array, Array, Array]:
+    """Return w, w' and w'' (N,) of 35 x^4 - 84 x^5 + 70 x^6 - 20 x^7, which rises from 0 to 1.
+
+    Its first three derivatives vanish at both ends: motion starts and ends without a jerk.
+    """
     w = x**4 * (35.0 + x * (-84.0 + x * (70.0 - 20.0 * x)))
-    dw = 140.0 * (x * (1.0 - x)) ** 3 / fade
-    ddw = 420.0 * (x * (1.0 - x)) ** 2 * (1.0 - 2.0 * x) / fade**2
-    return w, np.where(rising, dw, -dw), ddw
+    return w, 140.0 * (x * (1.0 - x)) ** 3, 420.0 * (x * (1.0 - x)) ** 2 * (1.0 - 2.0 * x)
 
 
 def faded(
@@ -255,8 +248,13 @@ def generate_excitation_trajectory(
     center, reach = _center_and_reach(robot)
     frequency, phase, weight = _draw_sinusoids(rng, robot.n_joints)
     shape = SineTrajectory(center, weight, frequency, phase, duration, fade)
-    trajectory = _fit_reach_and_velocity(shape, reach, robot.limits)
-    return _fit_torque(trajectory, robot, torque)
+    # The reach is compared with the sum of the amplitudes, a bound for all times. Speed is sampled;
+    # between samples a 0.6 Hz motion exceeds its sampled peak by less than 0.1 %, which the 1 %
+    # reserve covers. A short motion is mostly window, and still gets 64 samples per rise.
+    total = np.sum(np.abs(shape.amplitude), axis=1)
+    speed = _peak(shape, _SPEED_CHECK_HZ, lambda motion: motion.qd)
+    factor = np.minimum(reach / total, 0.99 * robot.limits.velocity / speed)
+    return _fit_torque(shape.scaled(factor), robot, torque)
 
 
 def _center_and_reach(robot: RobotModel) -> tuple[Array, Array]:
@@ -294,20 +292,6 @@ def _draw_sinusoids(rng: np.random.Generator, joints: int) -> tuple[Array, Array
     return frequency, phase, weight
 
 
-def _fit_reach_and_velocity(
-    shape: SineTrajectory, reach: Array, limits: JointLimits
-) -> SineTrajectory:
-    """Scale each joint to its reach, then down to its velocity limit where that is tighter.
-
-    The reach is compared with the sum of the amplitudes, a bound for all times. Speed is sampled;
-    between samples a 0.6 Hz motion exceeds its sampled peak by less than 0.1 %, which the 1 %
-    reserve covers. A short motion is mostly window, and still gets 64 samples per rise.
-    """
-    total = np.sum(np.abs(shape.amplitude), axis=1)
-    speed = _peak(shape, _SPEED_CHECK_HZ, lambda motion: motion.qd)
-    return shape.scaled(np.minimum(reach / total, 0.99 * limits.velocity / speed))
-
-
 def _peak(plan: MotionPlan, rate: float, quantity: TorqueFunction) -> Array:
     """Return (n,) largest absolute value of a quantity along a plan sampled at ``rate`` Hz."""
     times = sample_times(plan.duration, max(rate, _FEWEST_CHECKS / plan.duration))
@@ -336,18 +320,13 @@ def _fit_torque(
         f"at joint {robot.joint_names[j]}; this motion does not keep it"
         for j in np.flatnonzero(hopeless)
     )
-    factor = _largest_factor(lambda factor: not np.any(excess(factor)[~hopeless] > 1.0))
-    if factor < 1.0:
-        notes += (f"motion scaled to {100.0 * factor:.2g} % to stay within the torque limits",)
-    return trajectory.scaled(factor), notes
-
-
-def _largest_factor(fits: Callable[[float], bool]) -> float:
-    """Return the largest factor in (0, 1] that fits."""
-    if fits(1.0):
-        return 1.0
+    if not np.any(excess(1.0)[~hopeless] > 1.0):
+        return trajectory.scaled(1.0), notes
     low, high = np.log2(_SMALLEST_FACTOR), 0.0
     for _ in range(12):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if fits(2.0**middle) else (low, middle)
-    return float(2.0**low)
+        fits = not np.any(excess(2.0**middle)[~hopeless] > 1.0)
+        low, high = (middle, high) if fits else (low, middle)
+    factor = float(2.0**low)
+    note = f"motion scaled to {100.0 * factor:.2g} % to stay within the torque limits"
+    return trajectory.scaled(factor), (*notes, note)

@@ -16,8 +16,8 @@ import pytest
 from robot_sysid import __version__
 from robot_sysid.cli import main
 from robot_sysid.commands import identify, payload, plan, run
+from robot_sysid.core.itself import ITSELF
 from robot_sysid.errors import SysidError
-from robot_sysid.identify.simulated import ITSELF
 from robot_sysid.records.atomic_files import only_run_in
 from tests.support import option_samples
 from tests.support.command_line import files_in
@@ -104,6 +104,7 @@ def test_the_example_prints_the_documented_block(tmp_path, monkeypatch, capsys):
     assert re.fullmatch(r"  Condition number: \d+\.\d", lines[13])
     assert lines[14] == "  Base parameters: 12"
     assert lines[15:17] == ["Results saved to ./sysid_output/", "Before -> after:"]
+    assert lines.pop() == "Result: all requested parameters are identified from the data"
     table = [re.split(r"  +", line.strip()) for line in lines[18:]]
     assert table[0] == ["mass", "0.7892", "0.7892", "kg", "none"]
     assert {row[-1] for row in table} == {"none"}
@@ -278,7 +279,7 @@ def test_friction_of_a_slide_is_a_force(arm, capsys):
 
 
 def test_a_model_that_cannot_be_written_keeps_the_numbers(arm, capsys):
-    """Exit code 1, params.json, no model; an older model is said to be old."""
+    """Exit code 1, params.json, no model; an older model goes, and is said to have gone."""
     assert main([str(arm), "--seed", "1", "--quiet"]) == 0
     arm.write_text(ARM.replace("<worldbody>", '<compiler settotalmass="2"/><worldbody>'))
     (arm.parent / "sysid_output/params.json").unlink()
@@ -287,8 +288,8 @@ def test_a_model_that_cannot_be_written_keeps_the_numbers(arm, capsys):
     printed = capsys.readouterr()
     assert "Identified parameters:" in printed.out
     assert "settotalmass" in printed.err.splitlines()[-1]
-    assert "updated_model.xml is from an earlier run" in printed.err
-    assert (arm.parent / "sysid_output/params.json").exists()
+    assert "updated_model.xml of an earlier run was removed" in printed.err
+    assert [path.name for path in (arm.parent / "sysid_output").iterdir()] == ["params.json"]
 
 
 def test_quiet_prints_nothing(arm, capsys):
@@ -317,7 +318,7 @@ def test_debug_shows_the_traceback(arm, capsys):
 
 
 def test_an_interrupt_leaves_no_file(arm, capsys, monkeypatch):
-    import robot_sysid.output.model_writing as results
+    import robot_sysid.results.model as results
 
     def interrupt(*_args, **_kwargs):
         raise KeyboardInterrupt
@@ -399,7 +400,7 @@ def test_a_signal_at_work_leaves_the_old_results_and_no_drafts(
     def stop(*_, **__):
         signal.raise_signal(signal.SIGTERM)
 
-    monkeypatch.setattr("robot_sysid.output.model_writing.require_reproduction", stop)
+    monkeypatch.setattr("robot_sysid.results.model.require_reproduction", stop)
     command.run(arm, *SHORT, *EXPORT, *SECOND, code=130)
     assert files_in(arm.parent / "sysid_output") == both_sets[0]
 

@@ -94,6 +94,7 @@ PAIRS = {
         "save_measurements": Path("c.csv"),
     },
     "no friction and some": {**LOG, "no_friction": True, "friction_model": "coulomb"},
+    "a model of one joint and all": {**LOG, "verify_rollout": True, "torques": "terminal"},
     "a possible body and perhaps not": {"consistency": "off", "prior": "entropic"},
 }
 
@@ -188,8 +189,6 @@ def test_more_samples_than_a_run_can_take_are_refused(values, option):
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({**LOG, "validate": 1.0}, "--validate must be at least 0 and below 1 (got 1)"),
-        ({**LOG, "validate": -0.1}, "--validate must be at least 0 and below 1 (got -0.1)"),
         ({**LOG, "cutoff": 0.0}, "--cutoff must be positive (got 0)"),
         ({**LOG, "velocity_deadband": -1.0}, "--velocity-deadband must be a number"),
         ({**LOG, "velocity_deadband": (0.1, -1.0)}, "--velocity-deadband must be a number"),

@@ -1,320 +1,242 @@
-"""The updated model: what was identified goes in, everything else stays as it was."""
+"""All results of a run or none, and never beside another run's."""
 
 from __future__ import annotations
 
 import copy
-import difflib
-import struct
-import zlib
+import hashlib
+import json
+import os
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from robot_sysid.dynamics import spatial
-from robot_sysid.errors import ExportError, InputError
-from robot_sysid.export import export_updated_xml, write_results
-from robot_sysid.mjcf.updated_model import updated_model_text
-from robot_sysid.mjcf.write_back import WriteBack, plan_write_back
-from robot_sysid.model.chain import find_terminal_joint
-from robot_sysid.model.compilation import compile_model
-from robot_sysid.model.inertia import composite_theta, subtree_bodies
-from robot_sysid.output.verification import reads_fullinertia_exactly, verify_written_model
+from robot_sysid import export as module
+from robot_sysid.errors import InputError
+from robot_sysid.export import RESULT_NAMES, locked_folder, save
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import InertialParameters, Motion, Status
-from tests.output.test_params_json import identification
-from tests.support.model_files import (
-    ARM,
-    INERTIAL,
-    TETRAHEDRON,
-    random_theta,
-    urdf_inertial,
-    urdf_joint,
-    urdf_link,
-    urdf_mesh,
-    urdf_robot,
-    write_files,
-)
-from tests.support.places import SHARED
-from tests.support.releases import since
-from tests.support.results import theta_in
+from robot_sysid.records import InertialParameters
+from robot_sysid.records.atomic_files import only_run_in
+from robot_sysid.records.progress import Progress
+from robot_sysid.results.record import Verdict
+from tests.results.test_model import TURNED, checkpoints, file_of, payload_of, result_of, whole
+from tests.support.command_line import files_in
+from tests.support.model_files import ARM, random_theta, write_files
 
-seeds = st.integers(0, 2**32 - 1)
 THETA = random_theta(np.random.default_rng(1), 2.0)
-URDF = urdf_robot(
-    urdf_link("base"),
-    urdf_link("l1", urdf_inertial()),
-    urdf_link("l2", "\n" + urdf_inertial(2.0, "0.1 0.2 0.3") + urdf_mesh("visual", "a.dae")),
-    urdf_link("tool", urdf_inertial(0.2)),
-    urdf_joint("base", "l1"),
-    urdf_joint("l1", "l2"),
-    urdf_joint("l2", "tool", "fixed"),
-)
-
-
-def exported(source, label, composite, target, mesh_dir=None, original=None):
-    """Export as the pipeline does; return the plan and the verified compiled model."""
-    original = original or compile_model(source, mesh_dir).mj_model
-    body = mujoco.mj_name2id(original, int(mujoco.mjtObj.mjOBJ_BODY), label)
-    body = int(label[1:]) if label.startswith("#") else body
-    plan = plan_write_back(composite, subtree_bodies(original, original.qpos0, body))
-    principal = not reads_fullinertia_exactly(plan.theta)
-    export_updated_xml(source, label, plan, 1.23e-4, target, mesh_dir, principal)
-    return plan, verify_written_model(original, target, {body: plan}).mj_model, body
-
-
-@pytest.fixture(scope="module")
-def arm_files(tmp_path_factory):
-    """Suffix to file and compiled model."""
-    path = write_files(tmp_path_factory.mktemp("arm"), {"arm.xml": ARM, "arm.urdf": URDF})
-    files = [path, path.with_suffix(".urdf")]
-    return {file.suffix: (file, compile_model(file).mj_model) for file in files}
-
-
-@pytest.mark.parametrize(("suffix", "label"), [(".xml", "link2"), (".urdf", "l2")])
-@given(seed=seeds)
-def test_the_compiled_composite_is_the_identified_one(arm_files, suffix, label, seed):
-    rng = np.random.default_rng(seed)
-    source, original = arm_files[suffix]
-    before = composite_theta(original, original.qpos0, original.body(label).id)
-    theta = before + random_theta(rng, 10.0 ** rng.uniform(-2, 1))
-    target = source.parent / "out" / f"updated{suffix}"
-    _, mj_model, body = exported(source, label, theta, target, original=original)
-    scale = spatial.parameter_scale(theta[0], spatial.characteristic_length(theta))
-    assert np.max(np.abs(composite_theta(mj_model, mj_model.qpos0, body) - theta) / scale) < 1e-12
-
-
-def test_only_the_inertial_and_the_comment_change(tmp_path):
-    source = write_files(tmp_path, {"m.xml": ARM})
-    plan = WriteBack(THETA)
-    text = updated_model_text(source, "link2", plan, 1.23e-4, tmp_path / "out").decode()
-    difference = list(difflib.ndiff(ARM.splitlines(), text.splitlines()))
-    removed = [line[2:].split() for line in difference if line.startswith("- ")]
-    comment, inertial = [line[2:] for line in difference if line.startswith("+ ")]
-    assert [words[0] for words in removed] == ["<inertial", 'diaginertia="2e-3']
-    assert comment == ("        <!-- System ID: body 'link2' identified with RMSE 0.000123 Nm -->")
-    assert inertial.startswith("          <inertial pos=") and "fullinertia=" in inertial
-    assert "quat" not in inertial and "diaginertia" not in inertial
-
-
-def test_line_endings_and_the_rest_of_the_bytes_stay(tmp_path):
-    source = tmp_path / "m.xml"
-    source.write_bytes(ARM.replace("\n", "\r\n").encode())
-    text = updated_model_text(source, "link2", WriteBack(THETA), 0.0, tmp_path)
-    assert text.count(b"\n") == text.count(b"\r\n") == ARM.count("\n")
-
-
-def test_its_own_output_can_be_exported_again(tmp_path):
-    source = write_files(tmp_path, {"m.xml": ARM})
-    first, second = tmp_path / "a" / "m.xml", tmp_path / "b" / "c" / "m.xml"
-    exported(source, "link2", 2.0 * THETA, first)
-    exported(first, "link2", 2.0 * THETA, second)
-    assert second.read_bytes() == first.read_bytes()
-    assert second.read_bytes().count(b"System ID") == 1
-
-
-def test_the_input_file_may_be_overwritten(tmp_path):
-    source = write_files(tmp_path, {"m.xml": ARM})
-    original = compile_model(source).mj_model
-    export_updated_xml(source, "link2", WriteBack(THETA), 0.0, source, principal=True)
-    verify_written_model(original, source, {original.body("link2").id: WriteBack(THETA)})
-
-
-MASSLESS = ARM.replace(
-    """<inertial pos="0 0 0.1" quat="0.9 0.1 0.2 0.3" mass="1.5"
-                    diaginertia="2e-3 3e-3 4e-3"/>
-          <geom type="capsule" size="0.02 0.1"/>""",
-    "",
-)
-
-
-@pytest.mark.parametrize(
-    ("name", "text", "label"), [("m.xml", MASSLESS, "link2"), ("m.urdf", URDF, "l2")]
-)
-def test_a_group_can_be_lumped_into_the_terminal_body(tmp_path, name, text, label):
-    source = write_files(tmp_path, {name: text})
-    original = compile_model(source).mj_model
-    before = composite_theta(original, original.qpos0, original.body(label).id)
-    tool = subtree_bodies(original, original.qpos0, original.body(label).id)[1].theta
-    # A little less than the tool, with the mass of the terminal link gone.
-    composite = before - 0.5 * tool if name == "m.xml" else 0.5 * tool
-    plan, mj_model, body = exported(source, label, composite, tmp_path / "out" / name)
-    assert [b.name for b in plan.lumped] == ["tool"]
-    assert mj_model.body("tool").mass == 0.0
-    np.testing.assert_allclose(
-        composite_theta(mj_model, mj_model.qpos0, body), composite, atol=1e-12
-    )
-    assert "'tool' weigh nothing" in (tmp_path / "out" / name).read_text()
-
-
-INCLUDING = {
-    "scene.xml": '<mujoco>\n<include file="parts/arm.xml"/>\n<include file="parts/size.xml"/>\n'
-    '<asset><texture name="t" type="2d" file="t.png"/></asset><worldbody/></mujoco>',
-    "parts/arm.xml": '<mujoco><compiler assetdir="files"/><asset><mesh name="m" file="m.obj"/>'
-    '</asset><worldbody><include file="link.xml"/></worldbody></mujoco>',
-    "parts/link.xml": f"<all><body><joint/>{INERTIAL}<geom type='mesh' mesh='m'/></body></all>",
-    "parts/size.xml": '<mujoco><size memory="1M"/><!-- kept --></mujoco>',
-    "files/m.obj": TETRAHEDRON,
-}
-
-
-def png(red: int) -> bytes:
-    """A picture of one point."""
-
-    def chunk(kind: bytes, data: bytes) -> bytes:
-        check = zlib.crc32(kind + data)
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", check)
-
-    header = chunk(b"IHDR", struct.pack(">IIBBBBB", 1, 1, 8, 2, 0, 0, 0))
-    image = chunk(b"IDAT", zlib.compress(bytes([0, red, 0, 0])))
-    return b"\x89PNG\r\n\x1a\n" + header + image + chunk(b"IEND", b"")
-
-
-@pytest.mark.parametrize("folder", ["out", "in/parts", "in"])
-@since(3, 1, 6)
-def test_a_nameless_body_in_an_include_is_changed_and_its_files_are_found(tmp_path, folder):
-    source = write_files(tmp_path / "in", INCLUDING)
-    (tmp_path / "in" / "files" / "t.png").write_bytes(png(200))
-    before = source.read_bytes(), (tmp_path / "in/parts/link.xml").read_bytes()
-    target = tmp_path / folder / "updated.xml"
-    exported(source, "#1", THETA, target)
-    assert before == (source.read_bytes(), (tmp_path / "in/parts/link.xml").read_bytes())
-    assert b"size.xml" in target.read_bytes() and b"link.xml" not in target.read_bytes()
-
-
-def test_the_users_mesh_folder_goes_into_the_written_model(tmp_path):
-    arm = ARM.replace('<geom size="0.1"/>', '<geom type="mesh" mesh="m"/>')
-    arm = arm.replace("<worldbody>", '<asset><mesh name="m" file="x/m.obj"/></asset><worldbody>')
-    source = write_files(tmp_path, {"m.xml": arm, "mine/m.obj": TETRAHEDRON})
-    exported(source, "link2", 2.0 * THETA, tmp_path / "out" / "m.xml", tmp_path / "mine")
-
-
-def test_a_relative_output_folder_works(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    source = write_files(tmp_path, {"in/m.urdf": URDF}).relative_to(tmp_path)
-    exported(source, "l2", 2.0 * THETA, source.parent.parent / "out" / "deep" / "m.urdf")
-
-
-def result_of(robot, theta, **changes):
-    """An identification of this arm that found theta."""
-    found = identification(theta, model_path=robot.path, body_name=robot.body_name)
-    return replace(found, estimate=replace(found.estimate, **changes))
-
-
-def still_life(robot):
-    """A few samples of motion to compare torques on."""
-    shape = (3, robot.n_joints)
-    return Motion(np.arange(3.0), *np.random.default_rng(0).uniform(-0.5, 0.5, (3, *shape)))
+EARLIER = {name: f"an earlier {name}" for name in (*RESULT_NAMES, "report_data.npz")}
+OTHERS = {"trajectory.json": "a plan", "trajectory.csv": "its samples", "notes.txt": "mine"}
 
 
 @pytest.fixture
 def robot(tmp_path):
-    return load_robot_model(write_files(tmp_path, {"m.xml": ARM}), joint="j2")
+    return load_robot_model(write_files(tmp_path / "in", {"m.xml": ARM}), joint="j2")
 
 
-def test_the_whole_way_from_an_identification(tmp_path, robot):
-    theta = robot.prior.theta + THETA
-    written = write_results(robot, result_of(robot, theta), still_life(robot), tmp_path / "out")
-    assert [path.name for path in written.files] == ["updated_model.xml", "params.json"]
-    assert (written.notes, written.damiao, written.failure) == ((), None, None)
-    model = compile_model(written.files[0]).mj_model
-    found = composite_theta(model, model.qpos0, robot.body_id)
-    np.testing.assert_allclose(found, theta, rtol=0.0, atol=1e-12)
-    assert "RMSE 0.000100 Nm" in written.files[0].read_text()
-    np.testing.assert_array_equal(theta_in(written.files[1]), theta)
+@pytest.fixture
+def out(tmp_path):
+    return tmp_path / "out"
 
 
-def test_a_result_that_is_not_trusted_gets_a_params_json_alone(tmp_path, robot):
-    doubtful = result_of(robot, robot.prior.theta + THETA, status=Status.TOO_WEAK)
-    written = write_results(robot, doubtful, still_life(robot), tmp_path / "out")
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["params.json"]
-    assert (written.files, written.failure) == ((tmp_path / "out" / "params.json",), None)
+def saved(robot, result, out, **options):
+    return save(result, robot, out, checkpoints(robot), **options)
 
 
-def test_a_result_the_model_cannot_hold_gets_a_params_json_and_a_reason(tmp_path, robot):
-    """Less than the finger that hangs on the link weighs alone."""
-    small = 1e-3 * robot.prior.theta
-    written = write_results(robot, result_of(robot, small), still_life(robot), tmp_path / "out")
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["params.json"]
-    assert "is not a possible rigid body" in written.failure
+def heavier(robot):
+    return result_of(robot, robot.prior.theta + THETA)
 
 
-def test_a_file_that_is_not_the_model_in_memory_gets_no_new_model(tmp_path, robot):
-    heavier = copy.copy(robot.mj_model)
-    heavier.body_mass[robot.body_id - 1] *= 1.5
-    other = replace(robot, mj_model=heavier, prior=InertialParameters(robot.prior.theta))
-    found = result_of(robot, robot.prior.theta + THETA)
-    written = write_results(other, found, still_life(robot), tmp_path / "out")
-    assert "differs from the original in body_mass" in written.failure
-    assert not (tmp_path / "out" / "updated_model.xml").exists()
+def names_in(folder):
+    return sorted(path.name for path in folder.iterdir())
 
 
-def test_the_motor_trajectory_stands_beside_the_others_or_nothing_does(tmp_path, robot):
-    found, motion = result_of(robot, robot.prior.theta + THETA), still_life(robot)
+def test_the_whole_way_from_a_result(robot, out):
+    found = saved(robot, heavier(robot), out)
+    assert [path.name for path in found.files] == ["updated_model.xml", "params.json"]
+    assert (found.notes, found.damiao, found.failure) == ((), None, None)
+    again = load_robot_model(found.files[0], joint="j2")
+    np.testing.assert_allclose(again.prior.theta, robot.prior.theta + THETA, rtol=0, atol=1e-12)
+    assert "RMSE 0.000100 Nm" in found.files[0].read_text()
+    content = json.loads(found.files[1].read_text())
+    assert content["mass"] == robot.prior.mass + 2.0
+    assert found.result_hash == hashlib.sha256(found.files[1].read_bytes()).hexdigest()
 
+
+def test_a_payload_has_a_card_beside_the_model(robot, out):
+    payload = payload_of(robot, THETA)
+    found = saved(robot, result_of(robot, payload=payload), out, as_body="load")
+    assert names_in(out) == ["params.json", "payload_card.txt", "updated_model.xml"]
+    model = load_robot_model(out / "updated_model.xml", joint="j2").mj_model
+    assert model.body("load").mass == pytest.approx(2.0, rel=1e-12)
+    card = (out / "payload_card.txt").read_text()
+    assert card.startswith(
+        "Payload of 2.0000 ± 0.0001 kg, identified with m.xml from 1 empty and 2"
+    )
+    assert json.loads((out / "params.json").read_text())["payload"]["cards"]
+    assert found.failure is None
+
+
+def test_torques_that_were_weighed_with_a_known_mass_go_into_no_model(robot, out):
+    payload = replace(payload_of(robot, THETA), known_mass=2.0)
+    assert saved(robot, result_of(robot, payload=payload), out).failure is None
+    assert names_in(out) == ["params.json"]
+
+
+@pytest.mark.parametrize("with_payload", [False, True])
+def test_a_result_that_is_not_trusted_gets_a_params_json_alone(robot, out, with_payload):
+    payload = payload_of(robot, THETA) if with_payload else None
+    doubtful = result_of(robot, payload=payload, verdict=Verdict.TOO_WEAK, reasons=("so light",))
+    found = saved(robot, doubtful, out)
+    assert names_in(out) == ["params.json"]
+    what = "no model and no card were" if with_payload else "no model was"
+    assert found.failure.startswith(f"{what} written: so light; {Verdict.TOO_WEAK.value[:30]}")
+
+
+def test_what_was_refused_says_why(robot, out):
+    found = saved(robot, heavier(robot), out, refused="played worse")
+    assert names_in(out) == ["params.json"] and found.failure == "played worse"
+
+
+def test_a_result_the_model_cannot_hold_gets_a_params_json_and_a_reason(robot, out):
+    found = saved(robot, result_of(robot, -robot.prior.theta), out)
+    assert names_in(out) == ["params.json"]
+    assert "not a possible rigid body" in found.failure and "in params.json" in found.failure
+
+
+def test_a_file_that_is_not_the_model_in_memory_gets_no_new_model(robot, out):
+    other = copy.copy(robot.mj_model)
+    other.body_mass[robot.body_id - 1] *= 1.5
+    changed = replace(robot, mj_model=other, prior=InertialParameters(robot.prior.theta))
+    found = saved(changed, heavier(robot), out)
+    assert "differs from the original in body_mass" in found.failure
+    assert names_in(out) == ["params.json"]
+
+
+def test_the_motor_trajectory_stands_beside_the_others_or_nothing_does(robot, out):
     def broken(file):
         file.write("half a file")
         raise InputError("no such motor")
 
     with pytest.raises(InputError, match="no such motor"):
-        write_results(robot, found, motion, tmp_path / "out", motor_file=broken)
-    assert not (tmp_path / "out").exists()
-    written = write_results(robot, found, motion, tmp_path / "out", motor_file=lambda f: f.name)
+        saved(robot, heavier(robot), out, motor_file=broken)
+    assert not out.exists()
+    found = saved(robot, heavier(robot), out, motor_file=lambda file: "a report")
     names = ["updated_model.xml", "damiao_trajectory.csv", "params.json"]
-    assert [path.name for path in written.files] == names
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == sorted(names)
+    assert [path.name for path in found.files] == names and found.damiao == "a report"
+    assert names_in(out) == sorted(names)
 
 
-def test_nothing_is_written_when_the_body_is_not_in_the_file(tmp_path):
-    source = write_files(tmp_path, {"m.xml": ARM})
-    with pytest.raises(ExportError, match="'link9' is not written out"):
-        export_updated_xml(source, "link9", WriteBack(THETA), 0.0, tmp_path / "out" / "m.xml")
-    assert not (tmp_path / "out").exists()
+def test_no_result_of_an_earlier_run_stays_and_nothing_else_goes(robot, out):
+    write_files(out, {**EARLIER, **OTHERS, "bundle/m.xml": "sent", "params.json.bak": "mine"})
+    found = saved(robot, heavier(robot), out)
+    new = {"updated_model.xml", "params.json"}
+    assert set(names_in(out)) == new | set(OTHERS) | {"bundle", "params.json.bak"}
+    assert (out / "bundle" / "m.xml").read_text() == "sent"
+    assert all((out / name).read_text() == text for name, text in OTHERS.items())
+    assert all("an earlier" not in (out / name).read_text() for name in new)
+    gone = sorted(set(RESULT_NAMES) - new)
+    assert sorted(found.notes) == [f"{out / name} of an earlier run was removed" for name in gone]
 
 
-WITHOUT_ONE_TERMINAL = (
-    "left/gripper_link",
-    "openarm_left_ee_base_link",
-    "moving_jaw_so101_v1",
-    "moving_jaw_so101_v1_link",
-)
+@pytest.mark.parametrize("case", ["not trusted", "does not fit", "refused"])
+def test_an_old_model_goes_also_where_this_run_writes_none(robot, out, case):
+    write_files(out, EARLIER)
+    result, options = heavier(robot), {}
+    if case == "not trusted":
+        result = replace(result, verdict=Verdict.TOO_WEAK)
+    elif case == "does not fit":
+        result = result_of(robot, -robot.prior.theta)
+    else:
+        options = {"refused": "played worse"}
+    found = saved(robot, result, out, **options)
+    assert names_in(out) == ["params.json"] and len(found.notes) == len(RESULT_NAMES) - 1
+    assert json.loads((out / "params.json").read_text())["mass"] == result.estimate.inertial.mass
 
 
-def terminal_label(mj_model) -> str:
-    """The terminal body of a public model; one of them where the tool would ask."""
-    names = [mj_model.body(i).name for i in range(mj_model.nbody)]
-    chosen = [name for name in WITHOUT_ONE_TERMINAL if name in names]
-    return chosen[0] if chosen else names[mj_model.jnt_bodyid[find_terminal_joint(mj_model)]]
+def test_what_this_run_reads_stays_whatever_it_is_called(robot, out):
+    log = "report_data.npz"
+    text = '<mujoco><include file="friction.json"/><worldbody/></mujoco>'
+    write_files(
+        out, {"updated_model.xml": text, "friction.json": ARM, log: "a log", "arm.json": ""}
+    )
+    own = load_robot_model(out / "updated_model.xml", joint="j2")
+    (out / "link").symlink_to(out, target_is_directory=True)
+    found = saved(own, heavier(own), out / "link", refused="no", inputs=[out / log])
+    kept = ["friction.json", "link", "params.json", log, "updated_model.xml"]
+    assert names_in(out) == kept and len(found.notes) == 1 and "arm.json" in found.notes[0]
 
 
-MODELS = [
-    path
-    for path in (*sorted(SHARED.glob("models/**/*.xml")), *sorted(SHARED.glob("**/*.urdf")))
-    if not path.stem.endswith(("actuators", "keyframe_ctrl", "no_act", "properties", "hand"))
-    or path.stem.endswith("nohand")
-]
+def test_a_run_that_ends_with_an_error_leaves_the_old_set(robot, out, monkeypatch):
+    write_files(out, {**EARLIER, **OTHERS})
+    before = files_in(out)
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "payload_cards", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            saved(robot, result_of(robot, payload=payload_of(robot, THETA)), out)
+    assert files_in(out) == before
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(not MODELS, reason="no public models here")
-@pytest.mark.parametrize("path", MODELS, ids=lambda p: f"{p.parent.name}/{p.name}")
-def test_public_models_keep_everything_but_the_inertia(tmp_path, path):
-    original = compile_model(path).mj_model
-    label = terminal_label(original)
-    theta = composite_theta(original, original.qpos0, original.body(label).id) + 0.2 * THETA
-    first, second = tmp_path / "a" / path.name, tmp_path / "b" / "c" / path.name
-    exported(path, label, theta, first)
-    exported(first, label, theta, second)
-    assert second.read_bytes().count(b"System ID") == 1
+@pytest.mark.parametrize("step", range(len(RESULT_NAMES) + 1))
+def test_an_error_at_any_step_of_taking_places_leaves_the_old_set(robot, out, monkeypatch, step):
+    write_files(out, {**EARLIER, **OTHERS})
+    before, result = files_in(out), heavier(robot)
+    count = [0]
+
+    def failing(function):
+        def call(path, *rest, **options):
+            # Only what takes a place or leaves it: drafts come and go.
+            if os.path.basename(rest[0] if rest else path) in RESULT_NAMES:
+                count[0] += 1
+                if count[0] == step + 1:
+                    raise OSError(28, "No space left on device")
+            return function(path, *rest, **options)
+
+        return call
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "replace", failing(os.replace))
+        patch.setattr(os, "unlink", failing(os.unlink))
+        patch.setattr(type(out), "unlink", failing(type(out).unlink))
+        if step < len(RESULT_NAMES):
+            with pytest.raises(InputError, match="No space left"):
+                saved(robot, result, out)
+    if step < len(RESULT_NAMES):
+        assert files_in(out) == before
+    else:
+        saved(robot, result, out)
+        assert set(names_in(out)) == {"updated_model.xml", "params.json", *OTHERS}
 
 
-def test_a_link_that_weighs_nothing_does_not_keep_the_written_urdf_from_loading(tmp_path):
-    light = URDF.replace(urdf_inertial(), "", 1)
-    source, target = write_files(tmp_path, {"m.urdf": light}), tmp_path / "out" / "u.urdf"
-    with pytest.raises(ValueError, match="mjMINVAL"):
-        mujoco.MjModel.from_xml_path(str(source))
-    export_updated_xml(source, "l2", WriteBack(random_theta(np.random.default_rng(1))), 0.0, target)
-    assert mujoco.MjModel.from_xml_path(str(target)).njnt == 2
+def test_the_new_set_is_in_place_before_the_old_one_goes(robot, out, monkeypatch):
+    write_files(out, EARLIER)
+    seen, unlink = [], type(out).unlink
+
+    def watched(path, *rest, **options):
+        if path.name in RESULT_NAMES:
+            new = [out / name for name in ("params.json", "updated_model.xml")]
+            seen.append(all("an earlier" not in each.read_text() for each in new))
+        return unlink(path, *rest, **options)
+
+    monkeypatch.setattr(type(out), "unlink", watched)
+    saved(robot, heavier(robot), out)
+    assert seen == [True] * (len(RESULT_NAMES) - 2)
+
+
+def test_all_that_the_file_holds_is_in_the_model(robot, out):
+    thetas = np.array([link.theta for link in robot.links]) + [0.5 * THETA, THETA]
+    result = result_of(robot, file=file_of(robot, thetas, gravity=TURNED))
+    again = load_robot_model(saved(robot, result, out).files[0], joint="j2")
+    for link, theta in zip(again.links, thetas):
+        np.testing.assert_allclose(link.theta, theta, rtol=0, atol=1e-11)
+    np.testing.assert_array_equal(again.mj_model.opt.gravity, TURNED)
+    np.testing.assert_allclose(whole(again.mj_model, again), thetas[-1], rtol=0, atol=1e-11)
+
+
+def test_a_folder_belongs_to_one_run(out):
+    refused = pytest.raises(InputError, match="another run is writing")
+    with locked_folder(out, Progress()), refused, only_run_in(out):
+        pass

@@ -39,6 +39,7 @@ def test_what_a_page_says_to_type_works(page, workshop, tmp_path, monkeypatch, c
         pages.add_recordings(folder)
     if "import dask" in page.read_text(encoding="utf-8"):
         pytest.importorskip("dask")
+    said = ""
     for language, block in pages.blocks(page):
         if language == "python":
             exec(compile(block, str(page), "exec"), {})  # the page is ours
@@ -46,18 +47,20 @@ def test_what_a_page_says_to_type_works(page, workshop, tmp_path, monkeypatch, c
         for words in pages.command_lines(block):
             if words[0] not in pages.ELSEWHERE and "[options]" not in words:
                 assert words[0] == "robot-sysid", words
-                runs(words[1:], capsys)
+                said += runs(words[1:], capsys)
+    assert pages.printed(page) <= pages.lines_of(said)
 
 
 def runs(words, capsys):
-    """A command ends well; one that needs a bus says that there is none."""
+    """A command ends well; one that needs a bus says that there is none. Returns what it prints."""
     searches = words[0] == "plan" or "optimal" in words
     hurry = QUICKLY if searches and "--static" not in words else []
     capsys.readouterr()
     code = main([*words, *hurry])
-    said = capsys.readouterr().err
+    out, error = capsys.readouterr()
     if "can0" in words:
-        assert (code in (2, 3), "can0" in said) == (True, True), (words, said)
+        assert (code in (2, 3), "can0" in error) == (True, True), (words, error)
     else:
-        assert code == 0, (words, said)
+        assert code == 0, (words, error)
         schemas.check_results(Path())
+    return out

@@ -48,40 +48,34 @@ def test_a_run_returns_what_its_files_say(arm):
     assert outcome.failure is None
     assert [path.name for path in outcome.files] == ["updated_model.xml", "params.json"]
     written = json.loads(outcome.files[1].read_text())
-    estimate = outcome.identification.estimate
+    estimate = outcome.result.estimate
     np.testing.assert_array_equal(theta_in(outcome.files[1]), estimate.inertial.theta)
-    assert written["seed"] == outcome.identification.data.seed == 1
+    assert written["seed"] == outcome.result.data.seed == 1
 
 
 def test_a_fresh_seed_is_drawn_told_and_stored(arm):
     listener = Listener()
-    seed = run(config(arm, seed=None), listener).identification.data.seed
+    seed = run(config(arm, seed=None), listener).result.data.seed
     assert f"Random seed: {seed} (--seed {seed} repeats this run)" in listener.stages
 
 
 def test_measured_data_is_weighted_unless_somebody_chooses(arm):
-    assert run(config(arm)).identification.estimate.method == "ols"
-    assert run(config(arm, plant_model=arm)).identification.estimate.method == "wls"
-    chosen = run(config(arm, plant_model=arm, method="ols"))
-    assert chosen.identification.estimate.method == "ols"
+    assert run(config(arm)).result.estimate.method == "ols"
+    measured = {"plant_model": arm, "friction_model": "coulomb-viscous"}
+    assert run(config(arm, **measured)).result.estimate.method == "wls"
+    chosen = run(config(arm, **measured, method="ols"))
+    assert chosen.result.estimate.method == "ols"
 
 
-@pytest.mark.parametrize("kept", [False, True])
-def test_identified_friction_goes_into_the_model_unless_it_is_kept(arm, kept):
+def test_what_is_identified_of_every_joint_goes_into_the_model(arm):
     """The plant's joints have half the dry friction and twice the viscous one."""
     plant = arm.with_name("plant.xml")
     plant.write_text(arms.SEVEN.replace('".4" damping=".1"', '".2" damping=".2"'))
-    known = {f"{cause}_uncertainty": 0.0 for cause in ("link", "scale", "zero", "gravity")}
-    outcome = run(config(arm, plant_model=plant, keep_friction=kept, **known))
-    (written,) = [path for path in outcome.files if path.suffix == ".xml"]
-    friction, own = load_robot_model(written).friction, load_robot_model(arm).friction
-    if kept:
-        np.testing.assert_array_equal(friction.coulomb, own.coulomb)
-        np.testing.assert_array_equal(friction.viscous, own.viscous)
-    else:
-        assert friction.coulomb[-1] == pytest.approx(0.2, abs=0.02)
-        assert friction.viscous[-1] == pytest.approx(0.2, abs=0.02)
-        assert "friction of " in written.read_text()
+    (written,) = [p for p in run(config(arm, plant_model=plant)).files if p.suffix == ".xml"]
+    friction = load_robot_model(written).friction
+    np.testing.assert_allclose(friction.coulomb, 0.2, rtol=1e-3)
+    np.testing.assert_allclose(friction.viscous, 0.2, rtol=1e-3)
+    assert "frictionloss 0.2 ± " in written.read_text()
 
 
 def test_an_updated_model_moves_together_with_the_original(tmp_path):
@@ -105,7 +99,7 @@ def test_params_json_is_strict(arm):
         raise AssertionError(f"{constant} is not JSON")
 
     text = run(config(arm, torques="terminal")).files[1].read_text()
-    assert json.loads(text, parse_constant=refuse)["schema_version"] == 3
+    assert json.loads(text, parse_constant=refuse)["schema_version"] == 4
 
 
 def test_a_folder_that_cannot_be_written_to_is_found_before_the_work(arm):

@@ -181,8 +181,7 @@ def test_a_run_starts_without_what_it_does_not_need(tmp_path):
     code = (
         "import sys; from robot_sysid.cli import main; "
         f"code = main([{str(ROOT / EXAMPLE)!r}, '--duration', '1', '--quiet']); "
-        "slow = {'scipy', 'sympy', 'matplotlib', 'can', 'cvxpy', 'robot_sysid.identify.fit', "
-        "'robot_sysid.logs.reader', "
+        "slow = {'scipy', 'sympy', 'matplotlib', 'can', 'cvxpy', 'robot_sysid.report.page', "
         "'robot_sysid.damiao', 'robot_sysid.excitation.design.search'} & set(sys.modules); "
         "sys.exit(code or (sorted(slow)[0] if slow else 0))"
     )

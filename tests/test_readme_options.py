@@ -67,7 +67,8 @@ def test_the_groups_of_the_main_command_are_all_there_is():
 def test_plan_takes_the_groups_it_is_said_to_take():
     said = ("model and output", "trajectory", "excitation", "plan for a payload", "limits")
     said = (*said, "Damiao motors")
-    no_result = {"--plan-only", "--keep-friction", "--bundle", "--report", "--plots"}
+    no_result = {f"--keep-{part}" for part in ("friction", "rotors", "gravity", "links")}
+    no_result |= {"--write-offset", "--links", "--plan-only", "--bundle", "--report", "--plots"}
     expected = group(*said, "preview") - no_result | {"--torques", "--noise-torque"}
     assert flags(plan.build_parser()) == expected
 
@@ -77,9 +78,8 @@ def test_identify_takes_the_groups_it_is_said_to_take():
     assert flags(identify.build_parser()) == group(*said) - {"--measurements"}
 
 
-def test_arm_takes_the_groups_it_is_said_to_take():
-    said = ("model and output", "measurements", "every link")
-    assert flags(arm.build_parser()) == group(*said) - {"--measurements", "--append"}
+def test_arm_takes_what_identify_takes():
+    assert flags(arm.build_parser()) == flags(identify.build_parser())
 
 
 def test_payload_takes_the_groups_it_is_said_to_take():
@@ -87,8 +87,8 @@ def test_payload_takes_the_groups_it_is_said_to_take():
     of_estimation = {"--cutoff", "--velocity-deadband", "--friction-model"}
     of_estimation |= {f"--{what}-uncertainty" for what in ("link", "scale", "zero", "gravity")}
     left_out = {"--measurements", "--validation-measurements", "--plan-only", "--save-trajectory"}
-    left_out |= {"--append", "--plant-model", "--save-measurements", "--verify-rollout"}
-    expected = group(*whole, "simulated plant") - {"--keep-friction"} | of_estimation
+    left_out |= {"--append", "--plant-model", "--save-measurements", "--verify-rollout", "--links"}
+    expected = group(*whole, "simulated plant") | of_estimation
     assert flags(payload.build_parser()) == expected - left_out
 
 

@@ -1,8 +1,6 @@
 """Logs of real arms, where they are at hand: a KUKA LWR4+ and a Staubli TX40.
 
-Only the terminal link and every joint's friction are fitted; the other links keep the model's
-numbers. That is less than a whole-arm fit may reach on the fitted motion, and it carries over to
-another motion better than one.
+What is judged is the written file: compiled, asked by inverse dynamics alone, on another log.
 """
 
 from __future__ import annotations
@@ -25,51 +23,58 @@ def identified(folder, model, log, *options):
     return code, json.loads((folder / "params.json").read_text())
 
 
-def kuka(folder, fitted, tested, *options):
-    logs = [KUKA / f"lwr4_hw{run}_200Hz.csv" for run in (fitted, tested)]
-    more = ("--validate", "0", "--validation-measurements", str(logs[1]), *options)
+def kuka(folder, tested, *options):
+    logs = [KUKA / f"lwr4_hw{run}_200Hz.csv" for run in (1, tested)]
+    more = ("--validation-measurements", str(logs[1]), *options)
     return identified(folder, KUKA / "kuka_lwr4.urdf", logs[0], *more)
 
 
-@pytest.mark.parametrize(("tested", "limit"), [(2, 0.03), (3, 0.07)])
-def test_kuka_predicts_its_other_runs(tmp_path, tested, limit):
-    """Relative torque error; a whole-arm fit reaches 1.8 % on run 2 and 13 % on run 3."""
-    _, params = kuka(tmp_path, 1, tested)
-    assert params["validation"][0]["relative_error"] < limit
-    assert params["valid"]["physically_consistent"]
+def torque_errors(params):
+    """Relative torque errors of the model and of the written file on the other log."""
+    ((before, after),) = (pair.values() for pair in params["file"]["others"])
+    return before["relative_error"], after["relative_error"]
 
 
-def test_kukas_weak_result_is_not_trusted_and_says_why(tmp_path, capsys):
-    """A last link of 0.3 kg among torques of 60 N m, and no other trajectory to tell it."""
-    code, params = kuka(tmp_path, 1, 2)
-    assert code == 1 and params["status"] == "TOO_WEAK"
-    assert not list(tmp_path.glob("updated_model*"))
-    assert "no model was written: the data does not tell" in capsys.readouterr().err
+@pytest.mark.parametrize(("tested", "limit"), [(2, 0.025), (3, 0.045)])
+def test_kukas_file_predicts_its_other_runs(tmp_path, capsys, tested, limit):
+    """A last link of 0.3 kg among torques of 60 N m is not known, and that is no failure."""
+    code, params = kuka(tmp_path, tested)
+    before, after = torque_errors(params)
+    assert after < min(limit, 0.5 * before)
+    assert (code, params["status"]) == (0, "BETTER")
+    assert (tmp_path / "updated_model.urdf").exists()
+    assert params["known_to"] > 0.5
+    assert "The mass is not known" in capsys.readouterr().out
     assert "other links do not fit this arm" in " ".join(params["limitations"])
 
 
 def test_what_the_model_says_of_kukas_link_does_not_count_as_measured(tmp_path):
-    code, params = kuka(tmp_path, 1, 3, "--prior", "entropic", "--prior-weight", "100")
-    assert code == 1 and not (tmp_path / "updated_model.urdf").exists()
-    assert params["validation"][0]["relative_error"] < 0.07
+    _, params = kuka(tmp_path, 3, "--prior", "entropic", "--prior-weight", "100")
+    assert params["known_to"] > 0.5
+    assert torque_errors(params)[1] < 0.045
 
 
 @pytest.mark.parametrize("method", ["ols", "wls", "robust"])
-def test_tx40_needs_rotor_inertia_and_says_so_by_choosing_it(tmp_path, method):
-    """Motor torques: without rotor inertia the error is several times larger."""
+def test_tx40s_rotor_inertia_is_seen(tmp_path, method):
+    """Without rotor inertia the errors of the two large joints are three times larger.
+
+    Joint 5 shares a motor with joint 6, which neither fit has; a lag takes a part of what lacks.
+    """
     log, model = TX40 / "tx40_500Hz.csv", TX40 / "tx40.urdf"
     known = [f"--{cause}-uncertainty=0" for cause in ("link", "scale", "zero", "friction")]
-    auto = ("--friction-model", "auto", "--method", method, *known)
-    _, chosen = identified(tmp_path / "auto", model, log, *auto)
-    without = ("--friction-model", "coulomb-viscous-offset", "--method", method, *known)
-    _, plain = identified(tmp_path / "plain", model, log, *without)
-    assert "armature" in chosen["friction_model"]
-    assert chosen["rmse"] < 0.5 * plain["rmse"]
-    assert chosen["valid"]["physically_consistent"] and plain["valid"]["physically_consistent"]
-    assert any("stands still from line 3707 on" in note for note in chosen["notes"])
+    found = {}
+    for terms in ("coulomb-viscous-offset-armature", "coulomb-viscous-offset"):
+        options = ("--friction-model", terms, "--method", method, *known)
+        _, found[terms] = identified(tmp_path / terms, model, log, *options)
+        assert found[terms]["valid"]["physically_consistent"]
+    with_it, without = found.values()
+    for joint in ("joint_1", "joint_2"):
+        assert with_it["rmse_per_joint"][joint] < without["rmse_per_joint"][joint] / 3.0
+    assert any("stands still from line 3707 on" in note for note in with_it["notes"])
 
 
-def test_tx40s_weightless_flange_does_not_stop_the_model_from_being_written(tmp_path):
+def test_tx40s_file_is_better_on_held_out_stretches_and_its_flange_weighs_nothing(tmp_path):
     code, params = identified(tmp_path, TX40 / "tx40.urdf", TX40 / "tx40_500Hz.csv")
-    assert code == (0 if params["valid"]["trustworthy"] else 1)
-    assert (tmp_path / "updated_model.urdf").exists() == params["valid"]["trustworthy"]
+    before, after = (params["file"]["torque_error"][which] for which in ("before", "after"))
+    assert code == 0 and after < 0.2 * before
+    assert (tmp_path / "updated_model.urdf").exists()

@@ -10,7 +10,7 @@ import pytest
 from robot_sysid.cli import main
 from tests.support import arms, schemas
 
-NAMES = ("params", "payload", "arm", "servo")
+NAMES = ("params", "servo")
 
 
 @pytest.mark.parametrize("name", NAMES)

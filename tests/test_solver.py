@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robot_sysid.core.verdict import of_own_simulation
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.autocorrelation import collect_residuals
@@ -15,8 +16,10 @@ from robot_sysid.estimation.least_squares import ordinary
 from robot_sysid.estimation.nuisances import NuisanceGroup, with_prior
 from robot_sysid.estimation.options import ESTIMATORS, EstimationOptions
 from robot_sysid.estimation.uncertainty import joint_space
-from robot_sysid.records import Identifiability, SquareRootInformation, Status
-from robot_sysid.solver import identify_parameters, judge, solve
+from robot_sysid.records import Identifiability, SquareRootInformation
+from robot_sysid.results.record import Verdict
+from robot_sysid.solver import identify_parameters, solve
+from tests.support import results
 from tests.support.synthetic_data import (
     arm_equations,
     body_divergence,
@@ -100,20 +103,6 @@ def test_rmse_is_that_of_the_samples():
         assert estimate.rmse_per_joint[f"joint{j}"] == pytest.approx(expected, rel=1e-10)
     overall = np.sqrt(np.mean(np.square(list(estimate.rmse_per_joint.values()))))
     assert estimate.rmse == pytest.approx(overall, rel=1e-10)
-
-
-def test_status_tells_full_from_partial_from_impossible():
-    rng = np.random.default_rng(6)
-    equations, names = arm_equations(rng)
-    body = random_body(rng)
-    friction = np.full(6, 0.2)
-    full = information_of(equations, names, np.append(body, friction))
-    broken = information_of(equations, names, np.append(-body, friction))
-    partial = terminal_information(rng, np.append(body, [0.4, 0.1]))
-    assert identify_parameters(full, np.zeros(16)).status is Status.OK
-    assert identify_parameters(broken, np.zeros(16)).status is Status.INCONSISTENT
-    prior = np.append(body, [0.0, 0.0])
-    assert identify_parameters(partial, prior).status is Status.PARTLY_FROM_MODEL
 
 
 def test_rows_of_one_joint_in_any_order_give_the_same_estimate():
@@ -286,7 +275,7 @@ def test_squares_of_the_causes_add_up_to_that_of_the_whole_error(seed, spreads):
     ]
     estimate = identify_parameters(information, np.zeros(18), nuisances=groups)
     assert tuple(estimate.error_budget) == ("scales", "zeros")
-    assert (estimate.n_nuisances, estimate.n_interest) == (2, 16)
+    assert (estimate.n_nuisances, len(estimate.names)) == (2, 18)
     assert len(estimate.identifiability.identified) == 16
     squares = sum(part**2 for part in estimate.error_budget.values()) + estimate.noise_errors**2
     np.testing.assert_allclose(squares, estimate.standard_errors**2, rtol=1e-9)
@@ -359,25 +348,25 @@ def test_a_pull_towards_the_models_body_moves_values_and_takes_from_the_datas_sh
 POSSIBLE = spatial.theta_from_com(1.0, np.zeros(3), np.eye(3))
 
 
-def seen(rank):
-    return Identifiability(rank, 12, 1.0, 1.0, (True,) * 12, ())
-
-
 @pytest.mark.parametrize(
     ("scale", "error", "rank", "expected"),
     [
-        (1.0, 0.49, 12, Status.OK),
-        (1.0, 0.51, 12, Status.TOO_WEAK),
-        (1.0, 0.51, 11, Status.TOO_WEAK),
-        (1.0, 0.49, 11, Status.PARTLY_FROM_MODEL),
-        (1.0, np.inf, 11, Status.PARTLY_FROM_MODEL),
+        (1.0, 0.49, 12, Verdict.OK),
+        (1.0, 0.51, 12, Verdict.TOO_WEAK),
+        (1.0, 0.51, 11, Verdict.TOO_WEAK),
+        (1.0, 0.49, 11, Verdict.PARTLY_FROM_MODEL),
+        (1.0, np.inf, 11, Verdict.PARTLY_FROM_MODEL),
         # An error that a scale would not show is never too large.
-        (1e-9, 0.9e-6, 12, Status.OK),
-        (1e-9, 1.1e-6, 12, Status.TOO_WEAK),
-        (-1.0, 0.0, 12, Status.INCONSISTENT),
-        (-1.0, 9.0, 11, Status.INCONSISTENT),
+        (1e-9, 0.9e-6, 12, Verdict.OK),
+        (1e-9, 1.1e-6, 12, Verdict.TOO_WEAK),
+        (-1.0, 0.0, 12, Verdict.INCONSISTENT),
+        (-1.0, 9.0, 11, Verdict.INCONSISTENT),
     ],
 )
-def test_status_by_what_is_wrong_first(scale, error, rank, expected):
-    values = np.append(scale * POSSIBLE, [0.0, 0.0])
-    assert judge(values, seen(rank), np.append(error, np.zeros(11))) is expected
+def test_the_verdict_on_an_own_simulation_says_what_is_wrong_first(scale, error, rank, expected):
+    estimate = results.estimate(
+        values=np.append(scale * POSSIBLE, np.zeros(4)),
+        standard_errors=np.append(error, np.zeros(13)),
+        identifiability=Identifiability(rank, 12, 1.0, 1.0, (True,) * 14, ()),
+    )
+    assert of_own_simulation(estimate) is expected

@@ -17,17 +17,17 @@ from robot_sysid.dynamics.equations import TERMINAL_FRICTION, Equations, frictio
 from robot_sysid.dynamics.kinematics import ArmDynamics, ChainKinematics
 from robot_sysid.errors import AmbiguousJointError, ModelError
 from robot_sysid.estimation.options import EstimationOptions
-from robot_sysid.mjcf.changes import JointChange
-from robot_sysid.model.flange import find_flange
 from robot_sysid.model.inertia import body_theta, composite_theta
-from robot_sysid.output.model_writing import ModelTarget, write_links, write_payload
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import InertialParameters, Motion
+from robot_sysid.records import Motion
 from robot_sysid.records.atomic_files import whole_files
 from robot_sysid.regressor import joint_regressor
+from robot_sysid.results.model import ModelTarget, write_model
+from robot_sysid.results.record import Figure
 from robot_sysid.simulator import ArmTorque, collect_sysid_data, simulate_inverse
 from robot_sysid.solver import identify_parameters
 from robot_sysid.trajectory import TrajectoryOptions, generate_excitation_trajectory, motion_chunks
+from tests.results.test_model import file_of, payload_of, result_of
 from tests.support import arms, rank_oracle
 from tests.support.model_files import random_theta
 from tests.support.places import MODELS
@@ -230,15 +230,18 @@ def test_a_payload_and_all_links_are_written_into_public_models(tmp_path, model,
     """Each written model is compiled, compared and moved by the writing itself."""
     robot, rng = load(model, joint), np.random.default_rng(0)
     q, qd, qdd = arms.random_motion(rng, robot.n_joints, 5)
-    payload = InertialParameters(random_theta(rng, 1.0))
     thetas = np.array([link.theta + random_theta(rng, 0.5) for link in robot.links])
-    changes = [JointChange(name, 0.1, 0.2, 0.3) for name in robot.joint_names]
+    numbers = {"armature": 0.1, "viscous": 0.2, "coulomb": 0.3}
+    written = {name: Figure(value, 0.01) for name, value in numbers.items()}
+    joints = dict.fromkeys(robot.joint_names, written)
+    file = file_of(robot, thetas, joints, 9.81 * np.array([0.1, 0.0, -1.0]))
+    payload = payload_of(robot, random_theta(rng, 1.0))
     with whole_files() as files:
         path = tmp_path / f"updated{robot.path.suffix}"
         target = ModelTarget(files, path, Motion(np.arange(5.0), q, qd, qdd), 0.0)
-        write_payload(robot, payload, find_flange(robot), target)
-        write_payload(robot, payload, find_flange(robot), target, as_body="my payload")
-        write_links(robot, thetas, target, changes)
+        write_model(result_of(robot, payload=payload), robot, target)
+        write_model(result_of(robot, payload=payload), robot, target, "my payload")
+        write_model(result_of(robot, file=file), robot, target)
     assert path.is_file()
 
 

@@ -16,21 +16,25 @@ import numpy as np
 from numpy.typing import NDArray
 from validate_regressor import with_link
 
+from robot_sysid.core.answer import Answer, estimate_of
+from robot_sysid.core.choices import Chosen
+from robot_sysid.core.columns import Columns
+from robot_sysid.core.dataset import Dataset, DecimatedSamples, mean_torque
+from robot_sysid.core.errors import fit_errors
+from robot_sysid.core.fit import evidence, solved
+from robot_sysid.core.unknowns import Choice, Question, same_for_all
 from robot_sysid.dynamics.equations import Equations
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_model
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation.identifiability import visible_space
-from robot_sysid.estimation.least_squares import least_squares
 from robot_sysid.estimation.options import EstimationOptions
-from robot_sysid.identify.samples import DecimatedSamples, decimated_equations
 from robot_sysid.logs.reader import join_measurements
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Estimate, MotionPlan, RobotModel, SquareRootInformation
 from robot_sysid.signals.process import ProcessedSignals, process
-from robot_sysid.simulation.measurements import PlantSimulation
+from robot_sysid.simulation.closed_loop import PlantSimulation
 from robot_sysid.simulation.sensors import SimulatedArmOptions
 from robot_sysid.simulator import ArmTorque, collect_sysid_data, simulate_inverse
-from robot_sysid.solver import identify_parameters
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 
 Array = NDArray[np.float64]
@@ -39,6 +43,10 @@ MODELS = Path(__file__).resolve().parent / "model"
 SAMPLE_RATE = 1000.0
 ENCODER_STEP = 1e-4
 NORMAL_95 = 1.96
+KNOWN = dict.fromkeys(
+    (f"{cause}_uncertainty" for cause in ("link", "scale", "zero", "gravity", "friction")), 0.0
+)
+"""All that is not noise is known."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +116,10 @@ class NoiseStudy:
         self.robot = replace(self.plant, mj_model=with_link(self.plant, guess.theta), prior=guess)
         self.plan = plan or random_plan(self.robot, seed)
         self.signals = self._recorded(simulation)
-        self.samples = decimated_equations(self._equations(), self.signals)
+        self.friction = same_for_all(friction_model(DEFAULT_MEASURED), self.robot)
+        self.columns = Columns(self.robot, [Dataset("log", self.signals)])
+        (self.samples,) = self.columns.samples(self.columns.start())
+        self.names = self._equations().names
         self.truth = self._true_values()
 
     def _recorded(self, simulation: str) -> ProcessedSignals:
@@ -124,8 +135,7 @@ class NoiseStudy:
         return self.signals.cutoff
 
     def _equations(self) -> Equations:
-        model = friction_model(DEFAULT_MEASURED)
-        return Equations(self.robot, "chain", (model,) * self.robot.n_joints)
+        return Equations(self.robot, "chain", self.friction)
 
     def _true_values(self) -> Array:
         values = dict(zip(PARAMETER_NAMES, self.plant.prior.theta))
@@ -134,7 +144,7 @@ class NoiseStudy:
             values[f"coulomb[{joint}]"] = friction.coulomb[index]
             values[f"viscous[{joint}]"] = friction.viscous[index]
             values[f"armature[{joint}]"] = rotors[self.plant.dof_index[index]]
-        return np.array([float(values.get(name, 0.0)) for name in self.samples.names])
+        return np.array([float(values.get(name, 0.0)) for name in self.names])
 
     def bound(self, noise: Noise) -> Array:
         """Return the Cramer-Rao bound (p,) of the whole log: exact motion, white noise."""
@@ -152,8 +162,11 @@ class NoiseStudy:
 
     def identified(self, samples: DecimatedSamples, consistency: str = "auto") -> Estimate:
         """Return the estimate, as the command line would make it."""
-        prior, options = self._equations().prior, EstimationOptions(consistency=consistency)
-        return identify_parameters(samples.information(), prior, "wls", options, samples)
+        question = Question(EstimationOptions(consistency=consistency, **KNOWN))
+        choice, start = Choice(self.friction), self.columns.start()
+        data = evidence((samples,), mean_torque(self.columns.datasets))
+        fit = solved(self.columns, question, choice, start, data, (samples,))
+        return estimate_of(Answer(fit, Chosen(choice), None, fit_errors(fit)))
 
     def run(self, noise: Noise, draws: int, seed: int = 0) -> Outcome:
         """Identify from many draws of noise."""
@@ -161,13 +174,14 @@ class NoiseStudy:
         for draw in range(draws):
             samples = self.noisy(noise, np.random.default_rng([seed, draw]))
             estimate = self.identified(samples)
-            errors.append(estimate.values - self.truth)
-            plain_errors.append(self._plain(samples, estimate) - self.truth)
-            reach.append(NORMAL_95 * np.asarray(estimate.standard_errors))
+            plain = self.identified(samples, "off") if estimate.constrained else estimate
+            errors.append(self.errors(estimate))
+            plain_errors.append(self.errors(plain))
+            reach.append([NORMAL_95 * (estimate.error(name) or 0.0) for name in self.names])
             constrained += estimate.constrained
             impossible += not estimate.inertial.is_consistent
         return Outcome(
-            self.samples.names,
+            self.names,
             np.array(errors),
             np.abs(errors) < np.array(reach),
             np.abs(plain_errors) < np.array(reach),
@@ -175,9 +189,9 @@ class NoiseStudy:
             impossible,
         )
 
-    def _plain(self, samples: DecimatedSamples, estimate: Estimate) -> Array:
-        weights = np.array([1.0 / estimate.noise_per_joint[joint] for joint in samples.joints])
-        return least_squares(samples.information(), self._equations().prior, weights)
+    def errors(self, estimate: Estimate) -> Array:
+        """Return (p,) estimate minus truth."""
+        return np.array([estimate.value(name) or 0.0 for name in self.names]) - self.truth
 
 
 def random_plan(robot: RobotModel, seed: int) -> MotionPlan:

@@ -126,7 +126,8 @@ def links_from_the_catalogue(guess: RobotModel, truth: RobotModel, plan: MotionP
     everywhere = (TERMINAL_FRICTION,) * guess.n_joints
     estimate = identify(guess, truth, plan, friction=everywhere)
     compare(known(truth), estimate, guess)
-    print(f"   residual {estimate.rmse:.3f} N m; {estimate.status.value}")
+    verdict = "a" if estimate.inertial.is_consistent else "no"
+    print(f"   residual {estimate.rmse:.3f} N m; {verdict} possible rigid body")
 
 
 def known(robot: RobotModel) -> Array:

@@ -103,7 +103,8 @@ def friction_errors(found: Mapping[str, Any], truth: RobotModel) -> tuple[float,
     """Return the largest relative errors of Coulomb and viscous friction over all joints."""
     worst = []
     for term in ("coulomb", "viscous"):
-        values = [found["friction_per_joint"][joint][term] for joint in truth.joint_names]
+        terms = [found["joints"][joint]["terms"] for joint in truth.joint_names]
+        values = [each[term]["value"] if term in each else 0.0 for each in terms]
         worst.append(float(np.max(np.abs(np.array(values) / getattr(truth.friction, term) - 1.0))))
     return worst[0], worst[1]
 

@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import reduce
+from operator import add
 from pathlib import Path
 from typing import Any
 
-from robot_sysid.api.arrays import Log, as_logs
-from robot_sysid.api.calls import Model, plain, quietly
-from robot_sysid.api.results import LinkResult
+from robot_sysid.api.calls import Log, Model, as_logs, identified, plain, quietly
+from robot_sysid.api.results import Identified
 from robot_sysid.config import ModelOptions, SysidConfig
+from robot_sysid.core.result import result_of
+from robot_sysid.core.sums import LogInformation, answer_from, log_information, settled_options
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.options import EstimationOptions
-from robot_sysid.identify.adding.log_information import LogInformation
-from robot_sysid.identify.measured import identify_information, read_information
 from robot_sysid.logs.options import LogOptions
+from robot_sysid.logs.reader import open_log
 from robot_sysid.parser import load_robot_model as load
+from robot_sysid.pipeline import Analysis, checked
 from robot_sysid.records import RobotModel
+from robot_sysid.records.data import Traces
 from robot_sysid.records.options import record_from, refuse_unknown
 
 _ADDED = Path("added information")
-_NOT_HERE = ("measurements", "append", "validation_measurements", "validate", "verify_rollout")
+_NOT_HERE = ("measurements", "append", "validation_measurements", "verify_rollout", "torque_from")
 
 
 def information(
@@ -34,7 +38,7 @@ def information(
 
     Args:
         model: MJCF or URDF file.
-        log: see ``api.arrays.Log``.
+        log: see ``api.calls.Log``.
         around: the sum of a first round over all logs, for the second round.
         options: those of ``identify`` that tell how a log is read and fitted. ``cutoff`` [Hz] is
             needed; what would be chosen from all logs together is refused.
@@ -44,13 +48,20 @@ def information(
     """
     values = {**plain(options), "measurements": as_logs(log)}
     robot, logs, chosen = _settled(model, options, values)
+    config = SysidConfig(ModelOptions(Path(model)), log=logs, estimation=settled_options(chosen))
+    found = []
     with quietly() as notes:
-        return read_information(robot, logs, chosen, around, notes)
+        for path in logs.measurements:
+            read = open_log(robot, path, logs, notes)
+            checked(config, robot, [read], notes)
+            told = robot, read.pieces, config.estimation, around, read.notes
+            found.append(log_information(*told))
+    return reduce(add, found)
 
 
 def identify_from(
     model: Model, found: LogInformation, *, validation: LogInformation | None = None, **options: Any
-) -> LinkResult:
+) -> Identified:
     """Identify the terminal link from the sum of what logs say.
 
     Args:
@@ -69,8 +80,17 @@ def identify_from(
         chosen, log=LogOptions(measurements=(_ADDED,)), estimation=found.settled.estimation
     )
     with quietly() as notes:
-        analysis = identify_information(robot, found, validation, notes)
-    return LinkResult(config, robot, analysis, tuple(notes.notes))
+        answer = answer_from(robot, found, validation)
+        result = result_of(answer, found.origin)
+    analysis = Analysis(result, found.checkpoints, _no_traces, answer)
+    return identified(config, robot, analysis, (*found.notes, *notes.notes))
+
+
+def _no_traces() -> Traces:
+    raise InputError(
+        "added information holds no samples, so there are no torques to draw; identify one of the "
+        "logs to see them"
+    )
 
 
 def _settled(

@@ -5,30 +5,68 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Union
 
-from robot_sysid.api.arrays import Log, as_log, as_logs
-from robot_sysid.api.planned import PlanResult
-from robot_sysid.api.results import ArmResult, LinkResult, PayloadResult
-from robot_sysid.api.threads import one_thread
-from robot_sysid.config import ModelOptions, config_from
+import numpy as np
+
+from robot_sysid import payload_pipeline as payload_stages
+from robot_sysid.api.results import Identified, PlanResult, one_thread
+from robot_sysid.config import SysidConfig, config_from
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.arm.options import ArmOptions
-from robot_sysid.identify.arm.run import identify_arm as run_arm
-from robot_sysid.identify.simulated import CHECKPOINTS
+from robot_sysid.export import Saved
+from robot_sysid.logs.formats.table import ArrayTable, titled_arrays
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.reader import MeasurementLog, open_log
 from robot_sysid.model.compilation import warnings_as_notes
 from robot_sysid.parser import load_robot_model as load
-from robot_sysid.payload import load as payload_load
-from robot_sysid.payload import weighed
 from robot_sysid.payload_config import payload_config_from
-from robot_sysid.pipeline import analysed, designed, promise
+from robot_sysid.pipeline import Analysis, analysed, designed, promise, written
 from robot_sysid.pipeline import load as link_load
-from robot_sysid.records import RobotModel
+from robot_sysid.records import Measurement, RobotModel
 from robot_sysid.records.options import record_from, refuse_unknown
 from robot_sysid.records.progress import Progress
+
+Log = Union[str, "os.PathLike[str]", Mapping[str, Any], Measurement, MeasurementLog, Any]
+"""A path; arrays time (N,), q, tau and perhaps qd (N, n) by these or like names [s, rad, N m,
+rad/s]; a data frame with a column per joint and quantity; or a log that was read."""
+IN_MEMORY = Path("arrays")
+
+
+def as_log(log: Log) -> Any:
+    """Return a log as something that ``logs.reader.open_log`` takes.
+
+    Raises:
+        InputError: it is none of the forms that are known.
+    """
+    if isinstance(log, (MeasurementLog, ArrayTable)):
+        return log
+    if isinstance(log, (str, os.PathLike)):
+        return Path(log)
+    if isinstance(log, Measurement):
+        given = {name: getattr(log, name) for name in ("time", "q", "qd", "tau")}
+        return _table({name: values for name, values in given.items() if values is not None})
+    if isinstance(log, Mapping):
+        return _table(log)
+    if hasattr(log, "columns") and hasattr(log, "__getitem__"):
+        return _table({str(column): log[column] for column in log.columns})
+    raise InputError(
+        f"a log is a path, arrays by name, a data frame or a Measurement, not {type(log).__name__}"
+    )
+
+
+def as_logs(logs: Any) -> tuple[Any, ...]:
+    """Return one log or several as a tuple, each by ``as_log``."""
+    several = isinstance(logs, (list, tuple))
+    return tuple(as_log(log) for log in (logs if several else (logs,)))
+
+
+def _table(columns: Mapping[str, Any]) -> ArrayTable:
+    arrays = {str(name): np.asarray(values) for name, values in columns.items()}
+    titles, cells = titled_arrays(IN_MEMORY, arrays)
+    return ArrayTable(IN_MEMORY, "arrays in memory", titles, (cells,))
+
 
 Model = Union[str, "os.PathLike[str]"]
 """Path of an MJCF or URDF file."""
@@ -79,7 +117,7 @@ def read_log(log: Log, model: Model | RobotModel, **options: Any) -> Measurement
     """Recognise, check and read a log of an arm.
 
     Args:
-        log: see ``api.arrays.Log``.
+        log: see ``api.calls.Log``.
         model: the arm, whose joints' names and limits the log is checked against.
         options: what ``LogOptions`` takes, such as ``columns`` or ``units="deg,Nm"``.
 
@@ -101,17 +139,17 @@ def identify(
     *,
     validation: Log | None = None,
     **options: Any,
-) -> LinkResult:
-    """Identify the terminal link of an arm: tau = Y theta, solved by least squares.
+) -> Identified:
+    """Identify an arm: its terminal link, every other link, and its joints' friction.
 
-    Y and the estimate are explained in docs/method.md with their sources.
+    The equations and the estimate are explained in docs/method.md with their sources.
 
     Args:
         model: MJCF or URDF file.
-        log: one log of the real arm or several (see ``api.arrays.Log``); None simulates the model
+        log: one log of the real arm or several (see ``api.calls.Log``); None simulates the model
             itself, or the ``plant_model`` among the options.
         validation: a log to test the result on.
-        options: every option of the command, ``friction_model="auto"`` for --friction-model auto.
+        options: every option of the command, ``keep_gravity=True`` for --keep-gravity.
 
     Returns:
         The result, whether or not it may be trusted: see its ``failure``.
@@ -124,13 +162,45 @@ def identify(
         values["measurements"] = as_logs(log)
     if validation is not None:
         values["validation_measurements"] = as_log(validation)
+    for name in ("torque_from", "verify_rollout"):
+        if values.get(name):
+            raise InputError(f"{name} plays models; it needs the command robot-sysid identify")
     config = config_from(Path(model), **values)
     if config.trajectory.plan_only:
         raise InputError("plan_only designs a motion; call plan instead")
     with quietly() as notes:
         robot = link_load(config, notes)
         analysis, _ = analysed(config, robot, notes)
-    return LinkResult(config, robot, analysis, tuple(notes.notes))
+    return identified(config, robot, analysis, notes.notes)
+
+
+def identified(
+    config: SysidConfig, robot: RobotModel, analysis: Analysis, notes: Sequence[str]
+) -> Identified:
+    """Return an analysis with what writes it."""
+
+    def write(folder: Path) -> Saved:
+        there = replace(config, output=replace(config.output, output_dir=folder))
+        return written(there, robot, analysis, None, Progress()).saved
+
+    return Identified(robot, analysis, write, tuple(notes), config.output.links)
+
+
+def identify_arm(
+    model: Model, logs: Log | Sequence[Log], *, validation: Log | None = None, **options: Any
+) -> Identified:
+    """Identify an arm, and print every link of it: ``identify(..., links=True)``.
+
+    Args:
+        model: as for ``identify``.
+        logs: the same.
+        validation: the same.
+        **options: the same.
+
+    Raises:
+        InputError: as for ``identify``.
+    """
+    return identify(model, logs, validation=validation, **{**options, "links": True})
 
 
 def plan(model: Model, **options: Any) -> PlanResult:
@@ -159,12 +229,12 @@ def payload(
     empty: Log | Sequence[Log] | None = None,
     loaded: Log | Sequence[Log] | None = None,
     **options: Any,
-) -> PayloadResult:
+) -> Identified:
     """Identify a payload from the difference between recordings without and with it.
 
     Args:
         model: MJCF or URDF file of the arm.
-        empty: one recording without the payload or several, see ``api.arrays.Log``.
+        empty: one recording without the payload or several, see ``api.calls.Log``.
         loaded: one with it or several.
         options: every option of ``robot-sysid payload``, such as ``order="ABBA"`` or
             ``flange="tool0"``; ``empty_model`` and ``loaded_model`` simulate the recordings.
@@ -177,44 +247,14 @@ def payload(
     values.update({} if loaded is None else {"loaded": as_logs(loaded)})
     config = payload_config_from(Path(model), **values)
     with quietly() as notes:
-        robot = payload_load(config, notes)
-        found, motion, traces = weighed(config, robot, notes)
-    return PayloadResult(config, robot, found, motion, traces, tuple(notes.notes))
+        robot = payload_stages.load(config, notes)
+        analysis = payload_stages.weighed(config, robot, notes)
 
+    def write(folder: Path) -> Saved:
+        there = replace(config, output=replace(config.output, output_dir=folder))
+        return payload_stages.written(there, robot, analysis, Progress()).saved
 
-def identify_arm(
-    model: Model, logs: Log | Sequence[Log], *, validation: Log | None = None, **options: Any
-) -> ArmResult:
-    """Identify every link of an arm, with friction and rotor inertia of every joint.
-
-    Args:
-        model: MJCF or URDF file.
-        logs: one log or several, see ``api.arrays.Log``.
-        validation: a log to test the result on.
-        options: every option of ``robot-sysid arm``, such as ``model_weight=1.0``.
-
-    Raises:
-        InputError: an option, the model or a log cannot be used.
-    """
-    values = {**plain(options), "measurements": as_logs(logs)}
-    if validation is not None:
-        values["validation_measurements"] = as_log(validation)
-    if values.pop("verify_rollout", False):
-        raise InputError(
-            "verify_rollout plays written models; it needs the command robot-sysid arm"
-        )
-    if values.get("torque_from"):
-        raise InputError("torque_from searches for servos; it needs the command robot-sysid arm")
-    refuse_unknown(values, ModelOptions, LogOptions, ArmOptions)
-    chosen = record_from(ModelOptions, values)
-    place = chosen.mesh_dir, chosen.joint
-    with quietly() as notes:
-        robot = load(Path(model), *place, keyframe=chosen.keyframe)
-        asked = record_from(LogOptions, values), record_from(ArmOptions, values)
-        found, fit, signals = run_arm(robot, *asked, notes)
-        motion = signals[0].motion(signals[0].spread(CHECKPOINTS))
-    made = motion, lambda: fit.traces(robot, signals), chosen.mesh_dir
-    return ArmResult(robot, found, *made, tuple(notes.notes))
+    return Identified(robot, analysis, write, tuple(notes.notes))
 
 
 def plain(options: Mapping[str, Any]) -> dict[str, Any]:
@@ -223,11 +263,9 @@ def plain(options: Mapping[str, Any]) -> dict[str, Any]:
     for name, value in values.items():
         if isinstance(value, list):
             values[name] = tuple(value)
-        elif name in _PATHS and isinstance(value, str) and not _is_list(value):
-            values[name] = Path(value)
+        elif name in _PATHS and isinstance(value, str):
+            # Numbers, as in ``torque_scale="1.0,1.1"``, are no path.
+            parts = value.split(",")
+            if not all(part.replace(".", "", 1).strip().isdigit() for part in parts):
+                values[name] = Path(value)
     return values
-
-
-def _is_list(text: str) -> bool:
-    """Whether a text is numbers, as ``torque_scale="1.0,1.1"``."""
-    return all(part.replace(".", "", 1).strip().isdigit() for part in text.split(","))

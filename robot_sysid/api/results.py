@@ -3,86 +3,148 @@
 from __future__ import annotations
 
 import json
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
-from robot_sysid.api.threads import one_thread
-from robot_sysid.config import OutputOptions, SysidConfig
+from robot_sysid.config import SysidConfig
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.errors import SysidError
-from robot_sysid.export import alone_in
-from robot_sysid.identify.arm.run import write_arm, write_model
-from robot_sysid.identify.simulated import Analysis
-from robot_sysid.output.arm_json import arm_json_text
-from robot_sysid.output.bundle import model_in_memory, write_bundle
-from robot_sysid.output.params_json import friction_entries, params_json_text
-from robot_sysid.output.payload_json import payload_json_text
-from robot_sysid.output.printed.arm import arm_lines, link_rows_of
-from robot_sysid.output.printed.before_after import HEADINGS, BeforeAfter, link_rows
-from robot_sysid.output.printed.link import more_lines, result_lines
-from robot_sysid.output.printed.payload import payload_lines, payload_rows
-from robot_sysid.payload import written as payload_written
-from robot_sysid.payload_config import PayloadConfig
-from robot_sysid.pipeline import written
-from robot_sysid.records import Array, Identification, InertialParameters, Motion, RobotModel
-from robot_sysid.records.atomic_files import temporary_folder
-from robot_sysid.records.payload import PayloadIdentification
+from robot_sysid.errors import InputError, SysidError
+from robot_sysid.excitation.plan import CheckedPlan
+from robot_sysid.excitation.trajectory_files import save_samples, save_trajectory
+from robot_sysid.export import Saved, locked_folder
+from robot_sysid.pipeline import Analysis
+from robot_sysid.records import Array, InertialParameters, Motion, RobotModel
+from robot_sysid.records.atomic_files import temporary_folder, whole_files
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.results import MODEL_NAMES
-from robot_sysid.records.traces import Traces
-from robot_sysid.records.whole_arm import ArmIdentification
+from robot_sysid.results.bundle import model_in_memory, write_bundle
+from robot_sysid.results.console import result_lines
+from robot_sysid.results.json import params_json_text
+from robot_sysid.results.record import Result
+from robot_sysid.results.tables import HEADINGS, BeforeAfter, asked_rows
+from robot_sysid.trajectory import sample_count
 
 
-class Result(ABC):
-    """What all results have in common.
+def one_thread() -> AbstractContextManager[Any]:
+    """Return a block with one thread; after it there are as many as before."""
+    # It has a linear algebra of its own, and only what is loaded is limited.
+    import scipy.linalg  # noqa: F401
+
+    return threadpool_limits(1, user_api="blas")
+
+
+Write = Callable[[Path], Saved]
+
+
+@dataclass(frozen=True, repr=False)
+class Identified:
+    """What ``identify`` or ``payload`` found.
 
     Attributes:
         robot: the arm as its model describes it.
+        analysis: what the pipeline returned.
+        write: writes all files into a folder.
         notes: one sentence each: what the commands would have printed as notes.
-        failure: why the result must not be used, or None.
+        links_shown: whether every link is printed.
     """
 
     robot: RobotModel
-    notes: tuple[str, ...]
-    failure: str | None
+    analysis: Analysis
+    write: Write
+    notes: tuple[str, ...] = ()
+    links_shown: bool = False
 
     @property
-    @abstractmethod
+    def result(self) -> Result:
+        """Everything that was found."""
+        return self.analysis.result
+
+    @property
+    def inertial(self) -> InertialParameters:
+        """The body that was asked for: the terminal link, or the payload in its flange's frame."""
+        return self.result.asked
+
+    @property
+    def theta(self) -> Array:
+        """[m, hx, hy, hz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz] (10,), inertia about the frame's ORIGIN
+        [kg, kg m, kg m^2]."""
+        return self.inertial.theta
+
+    @property
+    def mass(self) -> float:
+        """Mass of the terminal body with all that hangs on it, or of the payload [kg]."""
+        return self.inertial.mass
+
+    @property
+    def center_of_mass(self) -> Array:
+        """Centre of mass (3,) in the body's, or the flange's, frame [m]."""
+        return self.inertial.com
+
+    @property
+    def inertia(self) -> Array:
+        """Inertia (3, 3) about the centre of mass, axes of that frame [kg m^2]."""
+        return self.inertial.inertia_com
+
+    @property
+    def links(self) -> Mapping[str, InertialParameters]:
+        """Body name to its ten parameters, base to terminal; links without mass are left out."""
+        return {each.name: each.inertial for each in self.result.links}
+
+    @property
+    def standard_errors(self) -> Mapping[str, float]:
+        """Parameter name ("m", "hx", ..., "coulomb[joint6]") to whole standard error; infinite
+        where the data does not show it. Empty for a simulation of the model itself."""
+        found, payload = self.result, self.result.payload
+        if payload is not None:
+            return dict(zip(PARAMETER_NAMES, payload.body.errors.tolist()))
+        errors = found.estimate.standard_errors
+        if errors is None or not found.is_measured:
+            return {}
+        return dict(zip(found.estimate.names, np.asarray(errors, dtype=float).tolist()))
+
+    @property
+    def friction(self) -> Mapping[str, Mapping[str, float]]:
+        """Joint name to friction term ("coulomb", "viscous", ...) to its coefficient."""
+        if not self.result.is_measured:
+            estimate, joint = self.result.estimate, self.result.joint_name
+            names = {n.partition("[")[0]: n for n in estimate.names if n.endswith(f"[{joint}]")}
+            return {joint: {term: estimate.value(name) or 0.0 for term, name in names.items()}}
+        return {
+            joint: {term: figure.value for term, figure in each.terms.items()}
+            for joint, each in self.result.joints.items()
+        }
+
+    @property
+    def failure(self) -> str | None:
+        """Why the result must not be used, or None."""
+        return self.result.failure
+
+    @property
     def rows(self) -> Sequence[BeforeAfter]:
         """The table before -> after."""
+        return asked_rows(self.result)
 
-    @abstractmethod
     def lines(self) -> list[str]:
         """Return what the command would have printed."""
+        return result_lines(self.result, self.links_shown)
 
-    @abstractmethod
     def to_dict(self) -> dict[str, Any]:
-        """Return what the JSON file of the result holds (see docs/formats.md)."""
+        """Return the content of params.json (see docs/formats.md), without cards."""
+        return dict(json.loads(params_json_text(self.result)))
 
-    @abstractmethod
-    def _write(self, output: OutputOptions) -> tuple[Sequence[Path], str | None]:
-        """Write all files; returns (paths, why there is no model or None)."""
-
-    @abstractmethod
-    def _traces(self) -> Traces:
-        """Return measured and predicted torques."""
-
-    def save(
-        self, folder: str | Path, *, bundle: bool = False, keep_friction: bool = False
-    ) -> tuple[Path, ...]:
-        """Write what the command writes: the JSON file and, where trusted, the updated model.
+    def save(self, folder: str | Path, *, bundle: bool = False) -> tuple[Path, ...]:
+        """Write what the command writes: params.json and, where trusted, the updated model.
 
         Args:
             folder: where to; made where it is missing.
             bundle: also copy model, meshes and textures into ``folder/bundle``.
-            keep_friction: leave the friction of the model's joints as it is.
 
         Returns:
             The written files.
@@ -90,24 +152,24 @@ class Result(ABC):
         Raises:
             InputError: the folder cannot be written to.
         """
-        output = OutputOptions(Path(folder), keep_friction, bundle)
-        with one_thread(), alone_in(output.output_dir, Progress()):
-            files, _ = self._write(output)
+        place = Path(folder)
+        with one_thread(), locked_folder(place, Progress()):
+            files = self.write(place).files
         models = [path for path in files if path.name in MODEL_NAMES.values()]
-        copies = [write_bundle(model, output.output_dir) for model in models if bundle]
+        copies = [write_bundle(model, place) for model in models if bundle]
         return (*files, *copies)
 
-    def spec(self, *, keep_friction: bool = False) -> Any:
+    def spec(self) -> Any:
         """Return a ``mujoco.MjSpec`` with the result applied; meshes and textures are in memory.
 
         Raises:
             SysidError: the result must not be used, or the model cannot hold it; says why.
         """
         with one_thread(), temporary_folder() as folder:
-            files, failure = self._write(OutputOptions(folder, keep_friction))
-            models = [path for path in files if path.name in MODEL_NAMES.values()]
+            saved = self.write(folder)
+            models = [path for path in saved.files if path.name in MODEL_NAMES.values()]
             if not models:
-                raise SysidError(failure or self.failure or "this result is written into no model")
+                raise SysidError(saved.failure or "this result is written into no model")
             return model_in_memory(models[0])
 
     def plot(self) -> Any:
@@ -116,9 +178,23 @@ class Result(ABC):
         Raises:
             InputError: matplotlib is not installed.
         """
-        from robot_sysid.api.drawing import torques
-
-        return torques(self._traces())
+        try:
+            from matplotlib.figure import Figure
+        except ImportError:
+            raise InputError("plot() needs matplotlib; pip install matplotlib") from None
+        traces = self.analysis.traces()
+        count = len(traces.joints)
+        figure = Figure(figsize=(8.0, 1.6 * count + 0.6), layout="constrained")
+        axes = figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
+        # Blue and orange of Okabe and Ito, safe for colour-blind readers.
+        dots: Any = {"ls": "none", "marker": ".", "ms": 2, "color": "#0072B2"}
+        for k, (axis, joint) in enumerate(zip(axes, traces.joints)):
+            axis.plot(traces.time, traces.measured[:, k], label="measured", **dots)
+            axis.plot(traces.time, traces.predicted[:, k], lw=1, color="#D55E00", label="predicted")
+            axis.set_ylabel(f"{joint}\n[{'N' if traces.is_slide[k] else 'N m'}]")
+        axes[-1].set_xlabel("time [s]")
+        axes[0].legend(loc="upper right", ncols=2)
+        return figure
 
     def __str__(self) -> str:
         return "\n".join(self.lines())
@@ -134,234 +210,74 @@ class Result(ABC):
         return f"{verdict}<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
-def named_errors(names: Sequence[str], errors: Array | None) -> dict[str, float]:
-    """Return parameter name to whole standard error; infinite where the data does not show it."""
-    return {} if errors is None else dict(zip(names, np.asarray(errors, dtype=float).tolist()))
-
-
 @dataclass(frozen=True, repr=False)
-class LinkResult(Result):
-    """A terminal link, from ``identify``.
+class PlanResult:
+    """A planned motion, from ``plan``.
 
     Attributes:
         config: what was asked for.
-        robot, notes: see ``Result``.
-        analysis: what the pipeline returned.
+        robot: the arm.
+        checked: the motion with its limit check.
+        promised: what the command prints, line by line.
+        notes: one sentence each.
     """
 
     config: SysidConfig
     robot: RobotModel
-    analysis: Analysis
+    checked: CheckedPlan
+    promised: tuple[str, ...]
     notes: tuple[str, ...] = ()
 
     @property
-    def identification(self) -> Identification:
-        """Everything that was found."""
-        return self.analysis.identification
+    def failure(self) -> str | None:
+        """Why the motion must not be played, or None."""
+        return self.checked.failure
 
     @property
-    def inertial(self) -> InertialParameters:
-        """The ten parameters with what follows from them."""
-        return self.identification.estimate.inertial
+    def duration(self) -> float:
+        """Length of the motion [s]."""
+        return float(self.checked.plan.duration)
 
-    @property
-    def theta(self) -> Array:
-        """[m, hx, hy, hz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz] (10,), inertia about the body ORIGIN
-        [kg, kg m, kg m^2]."""
-        return self.inertial.theta
+    def motion(self, time: Array) -> Motion:
+        """Return q, qd, qdd (N, n) [rad, rad/s, rad/s^2] at times (N,) [s]."""
+        return self.checked.plan.evaluate(np.asarray(time, dtype=float))
 
-    @property
-    def mass(self) -> float:
-        """Mass of the terminal body with all that hangs on it [kg]."""
-        return self.inertial.mass
-
-    @property
-    def center_of_mass(self) -> Array:
-        """Centre of mass (3,) in the body frame [m]."""
-        return self.inertial.com
-
-    @property
-    def inertia(self) -> Array:
-        """Inertia (3, 3) about the centre of mass, axes of the body frame [kg m^2]."""
-        return self.inertial.inertia_com
-
-    @property
-    def standard_errors(self) -> Mapping[str, float]:
-        """Parameter name ("m", "hx", ..., "coulomb[joint6]") to whole standard error; infinite
-        where the data does not show it. Empty for a simulation of the model itself."""
-        found, estimate = self.identification, self.identification.estimate
-        errors = estimate.standard_errors if found.data.source.is_measured else None
-        return named_errors(estimate.names[: estimate.n_interest], errors)
-
-    @property
-    def friction(self) -> Mapping[str, Mapping[str, float]]:
-        """Joint name to friction term ("coulomb", "viscous", ...) to its coefficient."""
-        return friction_entries(self.identification)
-
-    @property
-    def failure(self) -> str | None:  # type: ignore[override]
-        """Why the result must not be used, or None."""
-        status, reasons = self.identification.estimate.status, self.identification.reasons
-        return None if status.is_trustworthy else "; ".join((*reasons, status.value))
-
-    @property
-    def rows(self) -> Sequence[BeforeAfter]:
-        """The table before -> after."""
-        return link_rows(self.identification)
-
-    def lines(self) -> list[str]:
-        """Return what the command would have printed."""
-        return [*result_lines(self.identification), *more_lines(self.identification)]
+    def sampled(self, rate: float | None = None) -> Motion:
+        """Return the whole motion at a rate [Hz]; None takes that of the options."""
+        chosen = rate or self.config.trajectory.sample_rate
+        return self.motion(np.arange(sample_count(self.duration, chosen)) / chosen)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the content of params.json."""
-        return dict(json.loads(params_json_text(self.identification)))
+        """Return joint names, duration [s] and what is promised, as plain values."""
+        return {
+            "joint_names": list(self.robot.joint_names),
+            "duration": self.duration,
+            "failure": self.failure,
+            "promised": list(self.promised),
+            "notes": list(self.notes),
+        }
 
-    def _write(self, output: OutputOptions) -> tuple[Sequence[Path], str | None]:
-        config = replace(self.config, output=output) if output.keep_friction else self.config
-        config = replace(config, output=replace(output, bundle=False))
-        outcome = written(config, self.robot, self.analysis, None, Progress())
-        return outcome.files, outcome.failure
+    def save(self, path: str | Path) -> tuple[Path, Path]:
+        """Write the trajectory (.json) and its samples (.csv) and return both paths.
 
-    def _traces(self) -> Traces:
-        return self.analysis.traces()
+        Raises:
+            SysidError: the motion must not be played; says why.
+            InputError: a file cannot be written.
+        """
+        if self.failure:
+            raise SysidError(f"{self.failure}; nothing was written")
+        plan, names = self.checked.plan, self.robot.joint_names
+        place = Path(path), Path(path).with_suffix(".csv")
+        with one_thread(), whole_files() as files:
+            with files.open(place[0]) as file:
+                save_trajectory(file, plan, names, self.robot.sha256)
+            with files.open(place[1]) as file:
+                save_samples(file, plan, names, self.config.trajectory.sample_rate)
+        return place
 
+    def __str__(self) -> str:
+        return "\n".join(self.promised)
 
-@dataclass(frozen=True, repr=False)
-class PayloadResult(Result):
-    """A payload, from ``payload``; all in the frame of the flange.
-
-    Attributes:
-        config: what was asked for.
-        robot, notes: see ``Result``.
-        found: everything that was found, the link without and with the payload among it.
-        motion, traces: some of the motion; makes measured and predicted torques.
-    """
-
-    config: PayloadConfig
-    robot: RobotModel
-    found: PayloadIdentification
-    motion: Motion
-    traces: Callable[[], Traces]
-    notes: tuple[str, ...] = ()
-
-    @property
-    def theta(self) -> Array:
-        """The ten parameters (10,), inertia about the flange's ORIGIN [kg, kg m, kg m^2]."""
-        return self.found.payload.inertial.theta
-
-    @property
-    def mass(self) -> float:
-        """Mass of the payload [kg]."""
-        return self.found.payload.inertial.mass
-
-    @property
-    def center_of_mass(self) -> Array:
-        """Centre of mass (3,) in the flange frame [m]."""
-        return self.found.payload.inertial.com
-
-    @property
-    def inertia(self) -> Array:
-        """Inertia (3, 3) about the centre of mass, axes of the flange [kg m^2]."""
-        return self.found.payload.inertial.inertia_com
-
-    @property
-    def standard_errors(self) -> Mapping[str, float]:
-        """Parameter name ("m", "hx", ...) to whole standard error; infinite where not seen."""
-        return named_errors(PARAMETER_NAMES, self.found.payload.errors)
-
-    @property
-    def failure(self) -> str | None:  # type: ignore[override]
-        """Why the result must not be used, or None."""
-        status = self.found.status
-        return None if status.is_trustworthy else "; ".join((status.value, *self.found.reasons))
-
-    @property
-    def rows(self) -> Sequence[BeforeAfter]:
-        """The table of the payload's numbers."""
-        return payload_rows(self.found.payload)
-
-    def lines(self) -> list[str]:
-        """Return what the command would have printed."""
-        return payload_lines(self.found)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the content of the payload's params.json, without cards."""
-        return dict(json.loads(payload_json_text(self.found, (), ())))
-
-    def _write(self, output: OutputOptions) -> tuple[Sequence[Path], str | None]:
-        config = replace(self.config, output=replace(output, bundle=False))
-        outcome = payload_written(config, self.robot, self.found, self.motion, Progress())
-        return outcome.files, outcome.failure
-
-    def _traces(self) -> Traces:
-        return self.traces()
-
-
-@dataclass(frozen=True, repr=False)
-class ArmResult(Result):
-    """Every link of an arm, from ``identify_arm``.
-
-    Attributes:
-        robot, notes: see ``Result``.
-        found: everything that was found.
-        motion, traces: some of the motion; makes measured and predicted torques.
-        mesh_dir: the user's mesh folder, if any.
-    """
-
-    robot: RobotModel
-    found: ArmIdentification
-    motion: Motion
-    traces: Callable[[], Traces]
-    mesh_dir: Path | None = None
-    notes: tuple[str, ...] = ()
-
-    @property
-    def links(self) -> Mapping[str, InertialParameters]:
-        """Body name to its ten parameters, base to terminal; links without mass are left out."""
-        pairs = zip(self.found.link_names, self.found.estimate.thetas)
-        return {name: InertialParameters(theta) for name, theta in pairs if np.any(theta)}
-
-    @property
-    def theta(self) -> Array:
-        """The links (n, 10), inertia about their bodies' ORIGINS [kg, kg m, kg m^2]."""
-        return self.found.estimate.thetas
-
-    @property
-    def standard_errors(self) -> Mapping[str, Mapping[str, float]]:
-        """Body name to parameter name to whole standard error."""
-        pairs = zip(self.found.link_names, self.found.estimate.theta_errors)
-        return {name: named_errors(PARAMETER_NAMES, errors) for name, errors in pairs}
-
-    @property
-    def friction(self) -> Mapping[str, Mapping[str, float]]:
-        """Joint name to what a model can hold: coulomb, viscous, armature and more."""
-        return {joint: held.values for joint, held in self.found.model_friction.items()}
-
-    @property
-    def failure(self) -> str | None:  # type: ignore[override]
-        """Why the result must not be used, or None."""
-        status = self.found.status
-        return None if status.is_trustworthy else "; ".join((*self.found.reasons, status.value))
-
-    @property
-    def rows(self) -> Sequence[BeforeAfter]:
-        """The table before -> after."""
-        return list(link_rows_of(self.found))
-
-    def lines(self) -> list[str]:
-        """Return what the command would have printed."""
-        return arm_lines(self.found)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the content of arm.json."""
-        return dict(json.loads(arm_json_text(self.found)))
-
-    def _write(self, output: OutputOptions) -> tuple[Sequence[Path], str | None]:
-        write = partial(write_model, self.robot, output.keep_friction)
-        place = self.motion, output.output_dir, self.mesh_dir
-        outcome = write_arm(self.robot, self.found, *place, write, None)
-        return outcome.files, outcome.failure
-
-    def _traces(self) -> Traces:
-        return self.traces()
+    def _repr_html_(self) -> str:
+        """Return what is promised, for a notebook."""
+        return f"<pre>{escape(str(self))}</pre>"

@@ -66,9 +66,6 @@ class Evidence:
     """A log as the checks see it.
 
     Attributes:
-        robot: the arm as its model describes it.
-        pieces: the log between its gaps, as recorded.
-        sample: motion and torque at K instants.
         time: (K,) when [s].
         shifted: torque (K, n) at later instants, by how much later [s].
         noise: (n,) standard deviation of what noise is left in the low-passed torque [N m].
@@ -93,19 +90,14 @@ def evidence_of(
 ) -> Evidence:
     """Return what the checks look at.
 
-    Args:
-        robot: the arm.
-        pieces: the log between its gaps.
-        cutoff: of the low-pass [Hz]; None chooses it from the data.
-
-    Raises:
-        InputError: the log is too short.
-    """
+    ; a ``cutoff`` [Hz] of None is chosen from the data."""
     parts, noises, count = [], [], max(50, INSTANTS // len(pieces))
     for piece in pieces:
         signals = process(piece, robot.joint_names, cutoff)
-        parts.append(_part(signals, count))
-        noises.append(_noise(signals))
+        smooth, lost = signals.low_pass.filtered(signals.tau), signals.low_pass.half_width
+        parts.append(_part(signals, smooth, count))
+        rest = signals.tau[lost : len(signals) - lost] - smooth
+        noises.append(np.std(rest, axis=0) * np.sqrt(np.sum(signals.low_pass.kernel**2)))
     time, q, qd, qdd, tau, *later = (np.concatenate(same) for same in zip(*parts))
     noise = np.sqrt(np.mean(np.square(noises), axis=0))
     usual = np.sqrt(np.mean(tau**2, axis=0))
@@ -116,9 +108,8 @@ def evidence_of(
     )
 
 
-def _part(signals: ProcessedSignals, count: int) -> tuple[Array, ...]:
+def _part(signals: ProcessedSignals, smooth: Array, count: int) -> tuple[Array, ...]:
     """Return (time, q, qd, qdd, tau, then tau later by each of ``DELAYS``) of one piece."""
-    smooth = signals.low_pass.filtered(signals.tau)
     lost = signals.low_pass.half_width
     inner = slice(lost, lost + len(smooth))
     time = signals.time[inner]
@@ -127,16 +118,8 @@ def _part(signals: ProcessedSignals, count: int) -> tuple[Array, ...]:
     places = there[np.unique(np.linspace(0, len(there) - 1, count).astype(int))]
     motion = (values[inner][places] for values in (signals.q, signals.qd, signals.qdd))
     when = time[places]
-    later = (_interpolated(when + delay, time, smooth) for delay in DELAYS)
+    later = (
+        np.column_stack([np.interp(when + delay, time, channel) for channel in smooth.T])
+        for delay in DELAYS
+    )
     return (when, *motion, smooth[places], *later)
-
-
-def _noise(signals: ProcessedSignals) -> Array:
-    """Return (n,) what noise the low-pass leaves in the torque [N m]."""
-    lost = signals.low_pass.half_width
-    rest = signals.tau[lost : len(signals) - lost] - signals.low_pass.filtered(signals.tau)
-    return np.asarray(np.std(rest, axis=0) * np.sqrt(np.sum(signals.low_pass.kernel**2)))
-
-
-def _interpolated(at: Array, time: Array, values: Array) -> Array:
-    return np.column_stack([np.interp(at, time, channel) for channel in values.T])

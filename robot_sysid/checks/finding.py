@@ -19,13 +19,7 @@ class Level(Enum):
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is wrong, or looks so.
-
-    Attributes:
-        name: of ``logs.options.CHECKS``.
-        level: how much it matters.
-        text: what was seen, at which joint, with the number, and what to do.
-    """
+    """One thing that is wrong, or looks so; its name is one of ``logs.options.CHECKS``."""
 
     name: str
     level: Level
@@ -42,8 +36,6 @@ def require_acceptable(
     """Stop at what must not become a number.
 
     Args:
-        log: how the log is called in messages.
-        findings: what was found.
         accepted: names of checks whose warnings are no reason to stop.
 
     Raises:

@@ -31,85 +31,50 @@ _EVERY = 2
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A mistake and the log without it.
-
-    Attributes:
-        name: of the finding.
-        text: what happened and what to do.
-        undone: the sample without it.
-    """
+    """A mistake and the log without it."""
 
     name: str
     text: str
     undone: Sample
 
 
-@dataclass(frozen=True)
-class Explained:
-    """A hypothesis with its fit.
-
-    Attributes:
-        hypothesis: the mistake.
-        fit: what is left without it.
-    """
-
-    hypothesis: Hypothesis
-    fit: Fit
-
-    def finding(self) -> Finding:
-        """Return it as a finding."""
-        return Finding(self.hypothesis.name, Level.REFUSE, self.hypothesis.text)
-
-
 def hypotheses(sample: Sample, robot: RobotModel) -> Iterator[Hypothesis]:
     """Yield every mistake that is tried."""
-    names = robot.joint_names
-    yield from _angle_units(sample, robot.is_slide)
-    yield from _signs(sample, names)
-    yield from _orders(sample, names)
+    to_radians = np.where(robot.is_slide, 1.0, np.pi / 180.0)
+    for factor, text in (
+        (to_radians, "positions look like degrees; pass --units deg"),
+        (
+            1.0 / to_radians,
+            "positions look like radians that were taken for degrees; drop --units deg",
+        ),
+    ):
+        yield Hypothesis("angle-unit", text, sample.with_motion(factor))
+    yield from _signs(sample, robot.joint_names)
+    yield from _orders(sample, robot.joint_names)
 
 
-def explanations(evidence: Evidence, fit: ModelFit) -> list[Explained]:
-    """Return the mistakes that explain a log, in the order of how well it fits without them.
-
-    Args:
-        evidence: the log.
-        fit: its fits.
-    """
+def explanations(evidence: Evidence, fit: ModelFit) -> list[tuple[Fit, Finding]]:
+    """Return the mistakes that explain a log, best first, each behind the fit without it."""
     sample = evidence.sample.thinned(_EVERY)
     base = fit.fit(sample)
-    found = [Explained(h, fit.fit(h.undone)) for h in hypotheses(sample, evidence.robot)]
-    possible = plausible(fit, base)
-    convincing = [
-        e for e in found if plausible(fit, e.fit) and explains(base, e.fit, certain=possible)
-    ]
-    return sorted(convincing, key=lambda each: each.fit.cost)
+    possible, convincing = plausible(fit, base), []
+    for mistake in hypotheses(sample, evidence.robot):
+        after = fit.fit(mistake.undone)
+        if plausible(fit, after) and explains(base, after, certain=possible):
+            convincing.append((after, Finding(mistake.name, Level.REFUSE, mistake.text)))
+    return sorted(convincing, key=lambda each: each[0].cost)
 
 
 def explains(base: Fit, after: Fit, certain: bool = True) -> bool:
     """Return whether a log fits so much better without a mistake that it was made.
 
     Args:
-        base: the log as it is.
-        after: the log without the mistake.
         certain: whether the log as it is has a possible terminal link; one that has none takes less
             to be called mistaken.
     """
     fall = (base.cost - after.cost) * len(base.per_joint) * INDEPENDENT
     enough = fall > (CLEARLY if certain else LIKELY)
     return enough and (after.cost < WELL or after.cost < BETTER * base.cost)
-
-
-def _angle_units(sample: Sample, is_slide: np.ndarray) -> Iterator[Hypothesis]:
-    hinge = ~np.asarray(is_slide)
-    for factor, text in (
-        (np.pi / 180.0, "positions look like degrees; pass --units deg"),
-        (
-            180.0 / np.pi,
-            "positions look like radians that were taken for degrees; drop --units deg",
-        ),
-    ):
-        yield Hypothesis("angle-unit", text, sample.with_motion(np.where(hinge, factor, 1)))
 
 
 def _signs(sample: Sample, names: tuple[str, ...]) -> Iterator[Hypothesis]:
@@ -131,9 +96,8 @@ def _signs(sample: Sample, names: tuple[str, ...]) -> Iterator[Hypothesis]:
 
 def _orders(sample: Sample, names: tuple[str, ...]) -> Iterator[Hypothesis]:
     plain = list(range(len(names)))
-    pairs = list(combinations(plain, 2))
     orders = []
-    for first, second in pairs:
+    for first, second in combinations(plain, 2):
         order = plain.copy()
         order[first], order[second] = second, first
         orders.append((order, f"joints {names[first]} and {names[second]} are exchanged"))

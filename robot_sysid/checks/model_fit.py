@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_sysid.checks.evidence import TOLERANCE, Evidence, Sample
-from robot_sysid.dynamics.gravity import with_gravity
 from robot_sysid.dynamics.kinematics import ArmDynamics, has_only_armature
 from robot_sysid.dynamics.newton_euler import LinkDynamics
+from robot_sysid.dynamics.nuisances import with_gravity
 from robot_sysid.dynamics.spatial import characteristic_length, com_from_theta, parameter_scale
 from robot_sysid.records import Array, RobotModel
 
@@ -47,8 +47,6 @@ class Fit:
         friction_torque: (K, n) torque of Coulomb and viscous friction [N m].
         coulomb: (n,) Coulomb friction [N m].
         thetas: (n, 10) the links.
-        extra: coefficients of the extra columns.
-        error: standard errors of these.
     """
 
     cost: float
@@ -63,9 +61,6 @@ class Fit:
 
 class ModelFit:
     """Fits samples of one log to the model.
-
-    Args:
-        evidence: the log.
 
     Attributes:
         links: (n, 10) the model's links.
@@ -113,14 +108,10 @@ class ModelFit:
         """Fit one sample.
 
         Args:
-            sample: motion and torque.
             extra: (K, n, e) further columns.
             prior: (e,) standard deviations of their coefficients; None leaves them free.
-            weightless: whether the torque is taken to lack gravity.
             known_links: whether all links but the terminal one are taken to be right.
             links_out: whether their torque is left to the extra columns.
-            no_terminal: whether the terminal link is left out.
-            rotor: whether joints may have rotor inertia.
         """
         count, n = sample.q.shape
         dynamics = self._weightless if weightless else self._dynamics
@@ -131,7 +122,8 @@ class ModelFit:
         known = self.links * np.array([[not links_out]] * (n - 1) + [[not no_terminal]])
         scales = self._scales * np.array([[not known_links]] * (n - 1) + [[not no_terminal]])
         own = np.tile([1.0, 1.0, 1.0, float(rotor)], n)
-        start = np.concatenate((known.ravel(), own * self._friction_start(n), np.zeros(free)))
+        armature = np.outer(self._armature, [0.0, 0.0, 0.0, 1.0]).ravel()
+        start = np.concatenate((known.ravel(), own * armature, np.zeros(free)))
         loose = np.full(free, np.inf) if prior is None else prior
         spread = np.concatenate((scales.ravel(), own * self._friction_spread(sample), loose))
         right = sample.tau - self._springs(sample) - rows @ start
@@ -139,41 +131,30 @@ class ModelFit:
         values, covariance = _ridge(rows, right, weight, spread)
         residual = right - rows @ values
         per_joint = np.sum((residual * weight) ** 2, axis=0) / INDEPENDENT
+        # What the priors ask for values that are not zero.
+        held = spread > 0.0
+        penalty = float(np.sum((values[held] / spread[held]) ** 2))
+        cost = (float(np.sum(per_joint)) + penalty / INDEPENDENT) / n
         thetas, of_friction, extras = np.split(start + values, (10 * n, (10 + N_FRICTION) * n))
-        return Fit(
-            (float(np.sum(per_joint)) + _penalty(values, spread) / INDEPENDENT) / n,
-            per_joint,
-            residual,
-            friction @ (of_friction * _dissipative(n)),
-            of_friction[::N_FRICTION],
-            thetas.reshape(n, 10),
-            extras,
-            np.sqrt(np.diag(covariance)[(10 + N_FRICTION) * n :]),
-        )
+        lost, coulomb = of_friction * np.tile([1.0, 1.0, 0.0, 0.0], n), of_friction[::N_FRICTION]
+        error = np.sqrt(np.diag(covariance)[(10 + N_FRICTION) * n :])
+        torque, thetas = friction @ lost, thetas.reshape(n, 10)
+        return Fit(cost, per_joint, residual, torque, coulomb, thetas, extras, error)
 
     def _springs(self, sample: Sample) -> Array:
         """Return (K, n) the torque of springs, tendons and actuators."""
-        if self._beyond is None:
-            return np.zeros_like(sample.q)
         still = np.zeros_like(sample.q)
+        if self._beyond is None:
+            return still
         return self._beyond.beyond_rigid_bodies(sample.q, sample.qd, still)
-
-    def _friction_start(self, joints: int) -> Array:
-        start = np.zeros((joints, N_FRICTION))
-        start[:, 3] = self._armature
-        return start.ravel()
 
     def _friction_spread(self, sample: Sample) -> Array:
         """Return (4 n,) how large friction may be: up to about what the joint carries."""
         usual = sample.sigma / TOLERANCE
         speed, turning = rms(sample.qd), rms(sample.qdd)
-        columns = (
-            usual,
-            usual / np.where(speed > 0.0, speed, 1.0),
-            0.5 * usual,
-            0.5 * usual / np.where(turning > 0.0, turning, 1.0),
-        )
-        return np.column_stack(columns).ravel()
+        viscous = usual / np.where(speed > 0.0, speed, 1.0)
+        armature = 0.5 * usual / np.where(turning > 0.0, turning, 1.0)
+        return np.column_stack((usual, viscous, 0.5 * usual, armature)).ravel()
 
 
 def plausible(fit: ModelFit, found: Fit, heaviest: float = HEAVIEST) -> bool:
@@ -187,11 +168,7 @@ def plausible(fit: ModelFit, found: Fit, heaviest: float = HEAVIEST) -> bool:
 def _ridge(rows: Array, right: Array, weight: Array, spread: Array) -> tuple[Array, Array]:
     """Return (values, covariance) of least squares with independent priors around zero.
 
-    Args:
-        rows: (K, n, p) equations.
-        right: (K, n) their right-hand sides.
-        weight: (n,) of each joint's.
-        spread: (p,) standard deviations of the values beforehand.
+    Equations (K, n, p), (K, n) with a weight for each joint (n,); ``spread`` (p,) of the priors.
     """
     scale = np.where(np.isfinite(spread), spread, 1.0)
     scaled = (rows * weight[None, :, None]).reshape(-1, len(spread)) * scale
@@ -201,12 +178,6 @@ def _ridge(rows: Array, right: Array, weight: Array, spread: Array) -> tuple[Arr
     inverse = np.linalg.inv(normal)
     values = inverse @ (scaled.T @ (right * weight).ravel())
     return scale * values, inverse * np.outer(scale, scale)
-
-
-def _penalty(values: Array, spread: Array) -> float:
-    """Return what the priors ask for values that are not zero."""
-    free = spread > 0.0
-    return float(np.sum((values[free] / spread[free]) ** 2))
 
 
 def _friction_columns(sample: Sample) -> Array:
@@ -222,17 +193,8 @@ def _friction_columns(sample: Sample) -> Array:
 
 
 def slow_speed(qd: Array) -> Array:
-    """Return (n,) the speeds below which the direction of a joint's friction is not sure [rad/s].
-
-    Args:
-        qd: (K, n) speeds [rad/s].
-    """
+    """Return (n,) below which of its speeds (K, n) a joint's friction has no sure direction."""
     return _SLOW * np.asarray(np.max(np.abs(qd), axis=0))
-
-
-def _dissipative(joints: int) -> Array:
-    """Return (4 n,) ones at Coulomb and viscous friction, zeros at offset and armature."""
-    return np.tile([1.0, 1.0, 0.0, 0.0], joints)
 
 
 def _link_scales(robot: RobotModel) -> Array:

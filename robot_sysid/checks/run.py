@@ -5,17 +5,28 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 
-from robot_sysid.checks.clock import clock_findings
-from robot_sysid.checks.enough import enough_findings, length_findings, slow_findings
 from robot_sysid.checks.evidence import Evidence, evidence_of
 from robot_sysid.checks.finding import Finding, Level, require_acceptable
-from robot_sysid.checks.gravity import computed_findings, gravity_findings
-from robot_sysid.checks.hypotheses import Explained, explanations
+from robot_sysid.checks.hypotheses import explanations
 from robot_sysid.checks.model_fit import Fit, ModelFit
-from robot_sysid.checks.sensors import sensor_findings
-from robot_sysid.checks.shifts import delay_findings, joint_zeros, zero_findings
-from robot_sysid.checks.torque_scale import scale_findings, torque_scales
-from robot_sysid.checks.unexplained import contact_findings, model_findings
+from robot_sysid.checks.recording import (
+    clock_findings,
+    enough_findings,
+    length_findings,
+    sensor_findings,
+    slow_findings,
+)
+from robot_sysid.checks.torque import (
+    computed_findings,
+    contact_findings,
+    delay_findings,
+    gravity_findings,
+    joint_zeros,
+    model_findings,
+    scale_findings,
+    torque_scales,
+    zero_findings,
+)
 from robot_sysid.errors import SysidError
 from robot_sysid.logs.reader import MeasurementLog
 from robot_sysid.records import Measurement, RobotModel
@@ -28,12 +39,7 @@ OF_LINKS = ("torque-scale", "zero", "model", "contact")
 def check_against_model(
     robot: RobotModel, pieces: Sequence[Measurement], cutoff: float | None = None
 ) -> tuple[Finding, ...]:
-    """Return what looks wrong with a log.
-
-    Args:
-        robot: the arm.
-        pieces: the log between its gaps.
-        cutoff: of the low-pass [Hz]; None chooses it from the data.
+    """Return what looks wrong with a log; a ``cutoff`` [Hz] of None is chosen from the data.
 
     Raises:
         InputError: the log is too short to be looked at.
@@ -43,12 +49,7 @@ def check_against_model(
     if any(each.level is Level.REFUSE for each in raw):
         return tuple(raw)
     evidence = evidence_of(robot, pieces, cutoff)
-    short = [*enough_findings(evidence)]
-    if short:
-        return (*raw, *short)
-    fit = ModelFit(evidence)
-    base = fit.fit(evidence.sample)
-    return (*raw, *_of_torque(evidence, fit, base))
+    return (*raw, *([*enough_findings(evidence)] or _of_torque(evidence)))
 
 
 def look_at(
@@ -62,10 +63,7 @@ def look_at(
     """Tell what looks wrong with a log, and stop at what must not become a number.
 
     Args:
-        robot: the arm.
-        log: a log of it.
         accepted: names of checks whose warnings are no reason to stop.
-        progress: where to tell it.
         cutoff: of the low-pass [Hz]; None chooses it from the data.
         links_known: whether the model's links are taken to be right; where they are to be found,
             what they would bring as well is only told.
@@ -87,13 +85,15 @@ def look_at(
         raise
 
 
-def _of_torque(evidence: Evidence, fit: ModelFit, base: Fit) -> list[Finding]:
+def _of_torque(evidence: Evidence) -> list[Finding]:
     """Return what the torques say; the first mistake that explains them stands alone."""
+    fit = ModelFit(evidence)
+    base = fit.fit(evidence.sample)
     explained = explanations(evidence, fit)
-    best = min((each.fit.cost for each in explained), default=base.cost)
+    best = min((after.cost for after, _ in explained), default=base.cost)
     found = [*gravity_findings(evidence, fit, best)]
     if found or explained:
-        return found or _likelier(evidence, fit, base, explained[0])
+        return found or _likelier(evidence, fit, base, *explained[0])
     found = [*scale_findings(evidence, fit, base)]
     if found:
         return found
@@ -103,14 +103,16 @@ def _of_torque(evidence: Evidence, fit: ModelFit, base: Fit) -> list[Finding]:
     return found or [*model_findings(evidence, fit)] or [*slow_findings(evidence)]
 
 
-def _likelier(evidence: Evidence, fit: ModelFit, base: Fit, mistake: Explained) -> list[Finding]:
+def _likelier(
+    evidence: Evidence, fit: ModelFit, base: Fit, after: Fit, mistake: Finding
+) -> list[Finding]:
     """Return a scale or zeros where they explain a log better than a mistake does, else that."""
     scales = [*scale_findings(evidence, fit, base)]
     if scales:
         scale, _ = torque_scales(evidence, fit)
-        if fit.fit(evidence.sample.with_torque(1.0 / scale)).cost < mistake.fit.cost:
+        if fit.fit(evidence.sample.with_torque(1.0 / scale)).cost < after.cost:
             return scales
     zeros = [*zero_findings(evidence, fit, base)]
-    if zeros and joint_zeros(evidence, fit)[2].cost < mistake.fit.cost:
+    if zeros and joint_zeros(evidence, fit)[2].cost < after.cost:
         return zeros
-    return [mistake.finding()]
+    return [mistake]

@@ -8,6 +8,11 @@ Links next to each other that overlap at rest, and links that overlap whatever t
 them do, do so by design of the model and are ignored. Any other pair that touches at rest may never
 get deeper, and one that is deep inside each other there is a collision. A pair that is apart at
 rest but nearer than the clearance must keep half that distance.
+
+How fast two bodies can approach each other is bounded in every posture: only joints between them
+change their distance, and joint j changes it by at most |qd_j| times the largest distance any point
+of the outer body can have from its axis. For a serial chain that distance is at most the sum of the
+link lengths in between plus the outer body's own extent.
 """
 
 from __future__ import annotations
@@ -20,12 +25,11 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from robot_sysid.collision.broad_phase import ApproachBounds, drop_pairs
-from robot_sysid.collision.halfspaces import HalfSpace, HalfSpaces
 from robot_sysid.collision.obstacles import Closest, RestPairs, Slack
+from robot_sysid.collision.solids import HalfSpace, HalfSpaces
 from robot_sysid.dynamics.spatial import cross
 from robot_sysid.model.chain import body_label
-from robot_sysid.model.contacts import ContactFinder, joint_ranges
+from robot_sysid.model.contacts import ContactFinder, joint_ranges, parts_of
 from robot_sysid.records import Array, RobotModel
 
 HORIZON = 0.05
@@ -41,6 +45,10 @@ _TOUCH_ROOM = 1e-4
 """How much deeper than at rest a touching pair may get: how well depths are known [m]."""
 _NEIGHBOUR_POSTURES, _FINER = 181, 41
 """How many positions of a joint tell whether its neighbours are harmless; more where nearest."""
+MOST_GROUPS = 31
+"""Bits there are for groups of geoms."""
+_UNLIMITED_TRAVEL = 1.0
+"""Travel assumed for a slide joint without limits [m]."""
 
 
 @dataclass
@@ -60,10 +68,8 @@ class Clearance:
     """Distances of one arm: what it must not touch, itself included.
 
     Args:
-        robot: the arm.
         rest: (n,) configuration in which the motion starts.
         clearance: distance to keep between bodies that are apart at rest [m].
-        half_spaces: further space that is forbidden.
 
     Attributes:
         horizon: largest slack that is told apart [m]; what is farther away counts as this far.
@@ -184,7 +190,10 @@ class Clearance:
 
         Bodies of one part do not move against each other.
         """
-        part, distances = self._bounds.part, self._distances()
+        part, distances = self._bounds.part, dict[tuple[int, int], float]()
+        for distance, bodies in zip(*self._contact_bodies()):
+            a, b = sorted(int(body) for body in bodies)
+            distances[a, b] = min(distances.get((a, b), np.inf), float(distance))
         touching = [(a, b) for (a, b), d in distances.items() if d <= 0.0 and part[a] != part[b]]
         by_design = ContactFinder(self._robot).by_design(touching) if touching else set()
         self._required[part[:, None] == part] = -np.inf
@@ -199,14 +208,6 @@ class Clearance:
                 pair = f"{self._label(a)} and {self._label(b)}"
                 found[kind].append(f"{pair} ({1e3 * abs(distance):.2g} mm {apart})")
         return RestPairs(**{kind: tuple(names) for kind, names in found.items()})
-
-    def _distances(self) -> dict[tuple[int, int], float]:
-        """Return the distance of each pair of bodies that is near where the arm is [m]."""
-        least: dict[tuple[int, int], float] = {}
-        for distance, bodies in zip(*self._contact_bodies()):
-            a, b = sorted(int(body) for body in bodies)
-            least[a, b] = min(least.get((a, b), np.inf), float(distance))
-        return least
 
     def _settle_neighbours(self, rest: Array) -> Closest:
         """Drop pairs with one joint between them that keep their distance over all its range.
@@ -247,13 +248,13 @@ class Clearance:
         """Return what is nearest, among contacts and half-spaces, at one configuration."""
         self._place(q)
         near = _Nearest(self.horizon, self._free.copy())
-        self._add_contacts(near)
-        self._add_half_spaces(near)
+        if self._data.ncon:
+            self._add_contacts(near)
+        if self._spaces is not None:
+            self._add_half_spaces(near, self._spaces)
         return near
 
     def _add_contacts(self, near: _Nearest) -> None:
-        if self._data.ncon == 0:
-            return
         distance, bodies = self._contact_bodies()
         first, second = bodies.T
         slack = distance - self._required[first, second]
@@ -265,17 +266,14 @@ class Clearance:
             near.normal, near.point = contact.frame[:3].copy(), contact.pos.copy()
             near.bodies = (int(bodies[tightest, 0]), int(bodies[tightest, 1]))
 
-    def _add_half_spaces(self, near: _Nearest) -> None:
-        if self._spaces is None:
-            return
-        for shape, height, lowest in self._spaces.heights(self._data, self.horizon):
-            body = int(self._spaces.body[shape])
-            slack = height - self._spaces.required[shape]
+    def _add_half_spaces(self, near: _Nearest, spaces: HalfSpaces) -> None:
+        for shape, height, lowest in spaces.heights(self._data, self.horizon):
+            body, slack = int(spaces.body[shape]), height - spaces.required[shape]
             row, k = self._bounds.row(0, self._bounds.part[body]), int(np.argmin(slack))
             near.budget[row] = min(near.budget[row], slack[k])
             if slack[k] < near.slack:
                 near.slack, near.distance = float(slack[k]), float(height[k])
-                near.space, near.point = self._spaces.spaces[k], lowest[k]
+                near.space, near.point = spaces.spaces[k], lowest[k]
                 near.normal, near.bodies = near.space.normal, (0, body)
 
     def _label(self, body: int) -> str:
@@ -299,7 +297,8 @@ def _with_margin(mj_model: Any, margin: float) -> Any:
 def _settled(distance: float, clearance: float, by_design: bool) -> tuple[str, float]:
     """Return what a pair with this distance at rest is called, and the distance it has to keep."""
     if distance > 0.0:
-        return ("near" if KEPT_SHARE * distance < clearance else ""), _kept(distance, clearance)
+        kept = KEPT_SHARE * distance
+        return ("near" if kept < clearance else ""), min(clearance, kept)
     if by_design:
         return "ignored", -np.inf
     if distance < -DEEPEST_TOUCH:
@@ -307,6 +306,81 @@ def _settled(distance: float, clearance: float, by_design: bool) -> tuple[str, f
     return "touching", distance - _TOUCH_ROOM
 
 
-def _kept(distance: float, clearance: float) -> float:
-    """Return the distance to keep for what is this far away at rest [m]."""
-    return min(clearance, max(0.0, KEPT_SHARE * distance))
+def drop_pairs(mj_model: Any, part: Any, ignored: Any) -> None:
+    """Change a model's collision filter, in place, so that only pairs that matter are tested.
+
+    MuJoCo tests two geoms if a bit of one's ``contype`` is set in the other's ``conaffinity``.
+    Geoms that behave alike form a group with a bit of its own; the affinities then say for every
+    two groups whether they are tested. Explicit contact pairs of the model are tested as before.
+    A model with too many groups is left as it is.
+
+    Args:
+        part: (nbody,) bodies with equal numbers do not move against each other.
+        ignored: (nbody, nbody) body pairs whose distance does not matter.
+    """
+    body = mj_model.geom_bodyid
+    keys = np.stack((part[body], mj_model.geom_contype, mj_model.geom_conaffinity), axis=1)
+    groups, member = np.unique(keys, axis=0, return_inverse=True)
+    member = np.ravel(member)
+    if len(groups) > MOST_GROUPS:
+        return
+    one_way = (groups[:, 1:2] & groups[:, 2]) != 0
+    belongs = (np.arange(len(groups))[:, None] == member).astype(float)
+    matters = belongs @ (~ignored[np.ix_(body, body)]).astype(float) @ belongs.T > 0.0
+    tested = (one_way | one_way.T) & (groups[:, :1] != groups[:, 0]) & matters
+    bit = 1 << np.arange(len(groups))
+    _write(mj_model, "contype", bit[member])
+    _write(mj_model, "conaffinity", (tested @ bit)[member])
+
+
+def _write(mj_model: Any, name: str, value: Any) -> None:
+    """Give geoms new filter bits, and bodies all bits of their geoms: they are tested first."""
+    getattr(mj_model, f"geom_{name}")[:] = value
+    of_bodies = getattr(mj_model, f"body_{name}", None)
+    if of_bodies is not None:
+        of_bodies[:] = 0
+        np.bitwise_or.at(of_bodies, mj_model.geom_bodyid, value.astype(of_bodies.dtype))
+
+
+class ApproachBounds:
+    """Approach bounds between the parts of one arm.
+
+    Attributes:
+        part: (nbody,) part of each body, see ``model.contacts.parts_of``.
+        rates: (P, n) row ``row(a, b)`` bounds the approach of parts a and b [m/s] as rates @ |qd|;
+            the last row holds for all pairs.
+    """
+
+    def __init__(self, robot: RobotModel, data: Any) -> None:
+        self._n = robot.n_joints
+        joints = robot.mj_model.dof_jntid[robot.dof_index]
+        self.part = parts_of(robot)
+        reach, joint, pairs = _reach(robot, data, joints, self.part), np.arange(self._n), []
+        for low, high in map(sorted, np.ndindex(self._n + 1, self._n + 1)):
+            pairs.append(np.where((low <= joint) & (joint < high), reach[:, high], 0.0))
+        self.rates = np.vstack((pairs, np.max(pairs, axis=0)))
+
+    def row(self, a: Any, b: Any) -> Any:
+        """Return the row of ``rates`` for parts a and b (numbers or arrays)."""
+        return a * (self._n + 1) + b
+
+
+def _reach(robot: RobotModel, data: Any, joints: Array, part: Any) -> Array:
+    """Return (n, n + 1): how far part l can get from the axis of joint j; 1 for a slide's rate."""
+    n, anchors, mj_model = robot.n_joints, data.xanchor[joints], robot.mj_model
+    travel = np.where(robot.is_slide, robot.limits.upper - robot.limits.lower, 0.0)
+    travel[~np.isfinite(travel)] = _UNLIMITED_TRAVEL
+    links = np.linalg.norm(np.diff(anchors, axis=0), axis=1) + travel[1:]
+    reach = np.zeros((n, n + 1))
+    for outer in range(1, n + 1):
+        # How far from its joint the geoms and origins of this part reach.
+        bodies, anchor = part == outer, anchors[outer - 1]
+        geoms = np.flatnonzero(bodies[mj_model.geom_bodyid])
+        centers = np.linalg.norm(data.geom_xpos[geoms] - anchor, axis=1)
+        origins = np.linalg.norm(data.xpos[bodies] - anchor, axis=1)
+        solid = np.max(centers + mj_model.geom_rbound[geoms], initial=0.0)
+        extent = max(solid, np.max(origins, initial=0.0))
+        for j in range(outer):
+            reach[j, outer] = extent + np.sum(links[j : outer - 1])
+    reach[robot.is_slide] = 1.0
+    return reach

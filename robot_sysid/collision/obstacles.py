@@ -13,11 +13,7 @@ from robot_sysid.records import Array
 
 @dataclass(frozen=True)
 class Box:
-    """An axis-aligned box in world coordinates.
-
-    Attributes:
-        lower, upper: opposite corners (x, y, z) [m]; infinite where a side is open.
-    """
+    """An axis-aligned box in world coordinates [m]; infinite where a side is open."""
 
     lower: tuple[float, ...]
     upper: tuple[float, ...]
@@ -35,11 +31,9 @@ class Box:
 
 @dataclass(frozen=True)
 class Plane:
-    """A plane no part of the arm may cross: points x with normal . x >= offset are allowed.
+    """A plane no part of the arm may cross: points x with normal . x >= offset [m] are allowed.
 
-    Attributes:
-        normal: (3,) direction of the allowed side; made a unit vector.
-        offset: distance of the plane from the world origin along the normal [m].
+    The normal is made a unit vector.
     """
 
     normal: tuple[float, float, float]
@@ -70,8 +64,8 @@ class Closest:
 
     Attributes:
         slack: distance minus the distance that must be kept [m]; negative where it is not kept.
-        distance: itself [m]; infinite where nothing is near.
-        label: between what, for the reader.
+        distance: [m]; infinite where nothing is near.
+        label: between what.
     """
 
     slack: float
@@ -113,11 +107,7 @@ class RestPairs:
 
 
 class NoObstacles:
-    """Empty space, for an arm whose model has no collision geometry; see ``Clearance``.
-
-    Args:
-        joints: number of joints n.
-    """
+    """Empty space, for an arm whose model has no collision geometry; see ``Clearance``."""
 
     horizon = 1.0
     at_rest = RestPairs()

@@ -1,4 +1,4 @@
-"""The convex shapes of some bodies, and how far they reach in any direction.
+"""The convex shapes of bodies: how far they reach, in any direction or beyond forbidden planes.
 
 Every geom is a set of points, the corners it has, and what is round about each of them: the balls
 at both ends of a capsule, the rims of a cylinder, an ellipsoid about its middle. The farthest point
@@ -7,14 +7,18 @@ along a direction is then the farthest corner plus the farthest point of its rou
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from robot_sysid.records import Array
+from robot_sysid.collision.obstacles import Box, Plane
+from robot_sysid.dynamics.kinematics import subtree
+from robot_sysid.model.chain import body_label
+from robot_sysid.model.contacts import parts_of
+from robot_sysid.records import Array, RobotModel
 
 _TYPES = mujoco.mjtGeom
 _SPHERE, _CAPSULE = int(_TYPES.mjGEOM_SPHERE), int(_TYPES.mjGEOM_CAPSULE)
@@ -23,18 +27,16 @@ _BOX, _PLANE = int(_TYPES.mjGEOM_BOX), int(_TYPES.mjGEOM_PLANE)
 _MESHES = (int(_TYPES.mjGEOM_MESH), int(_TYPES.mjGEOM_SDF))
 _CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 _ENDS = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
+_AXES = np.vstack((np.eye(3), -np.eye(3)))
+_MANY = 60
+"""Corners of a tool beyond which it pays to drop those inside their convex hull."""
 
 
 @dataclass(frozen=True)
 class Shape:
-    """A convex shape.
+    """A geom with MuJoCo's type and size [m], or a body's origin (geom -1).
 
-    Attributes:
-        geom: geom id; -1 for a body's origin.
-        body: the body it belongs to.
-        kind: MuJoCo's geom type.
-        size: (3,) MuJoCo's geom size [m].
-        corners: (P, 3) in the geom's frame [m].
+    Its ``corners`` (P, 3) are in the geom's frame [m].
     """
 
     geom: int
@@ -70,13 +72,8 @@ class Solids:
 
     MuJoCo's planes have no extent of their own and are left out.
 
-    Args:
-        mj_model: compiled model.
-        bodies: body ids.
-
     Attributes:
-        shapes: the G shapes.
-        body: (G,) the body each belongs to.
+        body: (G,) the body each of the G shapes belongs to.
         bound: (G,) radius of a ball about each shape's frame that holds all of it [m].
     """
 
@@ -98,13 +95,7 @@ class Solids:
         return np.asarray(found)
 
     def extremes(self, data: Any, shape: int, directions: Array) -> Array:
-        """Return the points (K, 3) of a shape farthest along unit directions (K, 3) [m].
-
-        Args:
-            data: MuJoCo data, positions computed.
-            shape: its number.
-            directions: in the world frame, as the points are.
-        """
+        """Return the points (K, 3) of a shape farthest along unit directions (K, 3) [m], world."""
         one = self.shapes[shape]
         if one.geom < 0:
             return np.broadcast_to(data.xpos[one.body], directions.shape)
@@ -148,3 +139,148 @@ def _hull_vertices(mj_model: Any, mesh: int) -> Array:
         return vertices
     hull = int(mj_model.mesh_graph[graph])
     return vertices[mj_model.mesh_graph[graph + 2 + hull : graph + 2 + 2 * hull]]
+
+
+@dataclass(frozen=True)
+class HalfSpace:
+    """Space some bodies must stay in: normal . x >= offset.
+
+    The normal (3,) is a unit vector of the world, the clearance the distance to keep from the
+    boundary [m].
+    """
+
+    normal: Array
+    offset: float
+    clearance: float
+    bodies: tuple[int, ...]
+    label: str
+
+
+def plane_half_space(plane: Plane, clearance: float, bodies: Sequence[int]) -> HalfSpace:
+    """Return the allowed side of a keep-out plane."""
+    label = f"the keep-out plane {np.round(plane.normal, 3).tolist()} at {plane.offset:g} m"
+    return HalfSpace(np.array(plane.normal), plane.offset, clearance, tuple(bodies), label)
+
+
+def box_half_spaces(box: Box, bodies: Sequence[int]) -> tuple[HalfSpace, ...]:
+    """Return the finite sides of a workspace box; its walls may be touched."""
+    found = []
+    for axis in range(3):
+        for sign, bound in ((1.0, box.lower[axis]), (-1.0, box.upper[axis])):
+            if np.isfinite(bound):
+                normal = sign * np.eye(3)[axis]
+                side = "min" if sign > 0.0 else "max"
+                label = f"the workspace's {'xyz'[axis]}{side} = {bound:g} m"
+                found.append(HalfSpace(normal, sign * bound, 0.0, tuple(bodies), label))
+    return tuple(found)
+
+
+class HalfSpaces:
+    """How far some bodies are from the boundaries of half-spaces.
+
+    Attributes:
+        required: (G, K) distance that each shape has to keep from each boundary [m]; minus infinite
+            where a half-space does not bind its body.
+        body: (G,) the body of each shape.
+    """
+
+    def __init__(self, mj_model: Any, spaces: Sequence[HalfSpace]) -> None:
+        self.spaces = tuple(spaces)
+        bodies = sorted({body for space in spaces for body in space.bodies})
+        self._solids = Solids(mj_model, bodies)
+        self.body = self._solids.body
+        self._normals = np.array([space.normal for space in spaces]).reshape(-1, 3)
+        self._offsets = np.array([space.offset for space in spaces])
+        binding = np.array([np.isin(self.body, space.bodies) for space in spaces]).T
+        clearance = np.array([space.clearance for space in spaces])
+        self.required = np.where(binding.reshape(-1, len(spaces)), clearance, -np.inf)
+
+    def heights(self, data: Any, near: float = np.inf) -> Iterator[tuple[int, Array, Array]]:
+        """Yield (shape, heights (K,), lowest points (K, 3)) of the shapes above the boundaries.
+
+        Shapes that surely have so much more height than they need are left out: ``near`` [m].
+        """
+        surely = self._solids.centers(data) @ self._normals.T - self._offsets
+        surely -= self._solids.bound[:, None] + self.required
+        for shape in np.flatnonzero(np.min(surely, axis=1) < near):
+            lowest = self._solids.extremes(data, int(shape), -self._normals)
+            yield int(shape), np.sum(lowest * self._normals, axis=1) - self._offsets, lowest
+
+
+@dataclass(frozen=True)
+class SweptSpace:
+    """The box [m] that all moving parts stay in, axes of the world; which body gets lowest."""
+
+    lower: Array
+    upper: Array
+    lowest: str
+
+
+def swept_space(robot: RobotModel, positions: Iterable[Array]) -> SweptSpace:
+    """Return where the moving parts get to at chain positions (N, n) along a motion, in parts."""
+    model = robot.mj_model
+    solids = Solids(model, np.flatnonzero(parts_of(robot)).tolist())
+    data, reach, body = _resting(robot), np.full(6, -np.inf), int(solids.body[0])
+    for q in (q for part in positions for q in part):
+        data.qpos[robot.qpos_index] = q
+        mujoco.mj_kinematics(model, data)
+        # A ball about each shape tells which shapes may reach farther than any has so far.
+        possible = solids.centers(data) @ _AXES.T + solids.bound[:, None] > reach
+        for shape in np.flatnonzero(np.any(possible, axis=1)):
+            here = np.sum(solids.extremes(data, int(shape), _AXES) * _AXES, axis=1)
+            body = int(solids.body[shape]) if here[5] > reach[5] else body
+            reach = np.maximum(reach, here)
+    return SweptSpace(-reach[3:], reach[:3], body_label(model, body))
+
+
+def has_floor(robot: RobotModel) -> bool:
+    """Tell whether the model has a level plane, or ground of any form, that the arm can touch."""
+    model = robot.mj_model
+    fixed = model.body_weldid[model.geom_bodyid] == 0
+    solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    return bool(
+        np.any(
+            fixed & solid & np.isin(model.geom_type, (_TYPES.mjGEOM_PLANE, _TYPES.mjGEOM_HFIELD))
+        )
+    )
+
+
+def outermost_points(robot: RobotModel) -> tuple[Array, Array]:
+    """Return corners (P, 3) of the terminal link and all it carries, and the radius of a ball (P,).
+
+    In the terminal body's frame [m]. All of the link is within the convex hull of these balls.
+    """
+    data, body = _resting(robot), robot.body_id
+    mujoco.mj_kinematics(robot.mj_model, data)
+    solids = Solids(robot.mj_model, subtree(robot.mj_model, body))
+    axes = data.xmat[body].reshape(3, 3)
+    points, radius = [np.zeros((0, 3))], [np.zeros(0)]
+    for shape in solids.shapes:
+        corners = data.xpos[[shape.body]]
+        if shape.geom >= 0:
+            turned = shape.corners @ data.geom_xmat[shape.geom].reshape(3, 3).T
+            corners = data.geom_xpos[shape.geom] + turned
+        points.append((corners - data.xpos[body]) @ axes)
+        radius.append(np.full(len(corners), shape.radius))
+    return _on_the_hull(np.vstack(points), np.concatenate(radius))
+
+
+def _resting(robot: RobotModel) -> Any:
+    data = mujoco.MjData(robot.mj_model)
+    data.qpos[:] = robot.reference_qpos
+    return data
+
+
+def _on_the_hull(points: Array, radius: Array) -> tuple[Array, Array]:
+    """Leave out points without radius that are inside the convex hull of the others."""
+    sharp = np.flatnonzero(radius == 0.0)
+    if len(sharp) <= _MANY:
+        return points, radius
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        outer = sharp[ConvexHull(points[sharp]).vertices]
+    except QhullError:  # All in one plane.
+        return points, radius
+    kept = np.sort(np.concatenate((outer, np.flatnonzero(radius > 0.0))))
+    return points[kept], radius[kept]

@@ -43,11 +43,7 @@ class Parser(argparse.ArgumentParser):
 
     Args:
         command: its words after the program's name, "" for the program itself.
-        example: one or more lines to type.
-        description: what it does.
         main: keys of the options that its help shows; None shows all. The rest work as well.
-        epilog: what stands before the exit codes.
-        codes: the exit codes that it may end with.
     """
 
     def __init__(
@@ -107,8 +103,6 @@ class Parser(argparse.ArgumentParser):
         """Add the options of some records as one group and return it.
 
         Args:
-            title: of the group.
-            records: option records' classes.
             only: keys of the options to add; empty adds all.
             leave_out: keys of options not to add.
             usual: key to the default that this command has in place of the record's.
@@ -205,7 +199,6 @@ def parsed(
 
     Args:
         build_parser: makes the parser; told whether its help shows all options.
-        arguments: the command line, without the command.
     """
     given = vars(build_parser("--help-all" in arguments).parse_args(arguments))
     values = {key: _frozen(value) for key, value in given.items()}

@@ -11,12 +11,7 @@ from robot_sysid.records.progress import Progress
 
 
 class Console(Progress):
-    """Progress and results on standard output, notes on standard error.
-
-    Args:
-        quiet: say nothing at all.
-        verbose: also say what is only of interest when something looks odd.
-    """
+    """Progress and results on standard output, notes on standard error."""
 
     def __init__(self, quiet: bool = False, verbose: bool = False) -> None:
         self._quiet, self._verbose = quiet, verbose

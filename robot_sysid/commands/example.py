@@ -24,7 +24,6 @@ GUESS, TRUTH, EMPTY = (
     f"kinova_{name}.xml" for name in ("fullinertia_guess", "fullinertia", "empty_gripper")
 )
 LOG = "true_arm.csv"
-"""Log of the true arm, simulated with torque noise."""
 RECORDING = {"duration": 15.0, "sample_rate": 200.0, "noise_torque": 0.1, "seed": 1}
 """How it is recorded: small enough to open in a spreadsheet."""
 NEXT = (

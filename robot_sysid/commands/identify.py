@@ -1,4 +1,4 @@
-"""``robot-sysid identify MODEL LOG...``: identify the terminal link from logs of the real arm."""
+"""``robot-sysid identify MODEL LOG...``: identify the arm from logs of it."""
 
 from __future__ import annotations
 
@@ -13,19 +13,25 @@ __all__ = ["INTERRUPTED", "build_parser", "main"]
 
 MAIN = (
     *("mesh_dir", "joint", "output_dir", "columns", "units", "torque_scale", "delay", "cutoff"),
-    *("validate", "validation_measurements", "method", "torques", "friction_model", "tilt"),
+    *("validation_measurements", "friction_model", "links", "coupling", "verify_rollout"),
+    *("keep_friction", "keep_gravity", "keep_links"),
 )
 
 
 def build_parser(full: bool = True) -> Parser:
     """Return the parser of this command."""
-    parser = Parser(
+    return parser_of(
         "identify",
-        "robot-sysid identify arm.xml log.csv",
-        "Identify the terminal link from one log of the real arm, or from several "
-        "together, and write a corrected model.",
-        None if full else MAIN,
+        "Identify an arm from one log of it, or from several together: the terminal link, every "
+        "other link with --links, friction and rotor inertia. Write a corrected model.",
+        full,
     )
+
+
+def parser_of(command: str, description: str, full: bool) -> Parser:
+    """Return the parser of this command by one of its names."""
+    example = f"robot-sysid {command} arm.xml log.csv"
+    parser = Parser(command, example, description, None if full else MAIN)
     add_logs(parser)
     parser.add("logs", LogOptions, leave_out=("measurements",))
     parser.add("estimation", EstimationOptions)

@@ -12,7 +12,7 @@ from robot_sysid.commands.plan import require_preview, show_preview
 from robot_sysid.config import ModelOptions
 from robot_sysid.errors import InputError
 from robot_sysid.logs.options import CHECKS, LogOptions
-from robot_sysid.preview.options import PreviewOptions
+from robot_sysid.preview.motion import PreviewOptions
 from robot_sysid.records.options import record_from
 from robot_sysid.trajectory import TrajectoryOptions
 
@@ -53,7 +53,7 @@ def main(arguments: Sequence[str]) -> int:
     if values.get("path") is None and (preview.view or preview.video or "trajectory" in values):
         raise InputError("--view, --video and --trajectory need the MODEL after the log")
     if values.get("path") is None:
-        from robot_sysid.logs.contents import content_lines
+        from robot_sysid.logs.reader import content_lines
 
         console.lines(content_lines(values["log"], log, console))
         return 0

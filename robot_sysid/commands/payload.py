@@ -11,9 +11,8 @@ from robot_sysid.commands.run import INTERRUPTED, add_model, told, warnings_as_n
 from robot_sysid.config import ModelOptions, OutputOptions
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
-from robot_sysid.identify.payload.options import PayloadOptions
 from robot_sysid.logs.options import LogOptions
-from robot_sysid.payload_config import payload_config_from
+from robot_sysid.payload_config import PayloadOptions, payload_config_from
 from robot_sysid.simulation.sensors import SimulatedArmOptions
 from robot_sysid.trajectory import TrajectoryOptions
 
@@ -28,6 +27,7 @@ ESTIMATION = (
     *("cutoff", "velocity_deadband", "friction_model", "link_uncertainty"),
     *("scale_uncertainty", "zero_uncertainty", "gravity_uncertainty"),
 )
+NOT_WRITTEN = ("links",)
 NOT_PLANNED = ("plan_only", "save_trajectory")
 NOT_SIMULATED = ("plant_model", "save_measurements")
 NOT_HERE = ("measurements", "append", "validation_measurements", "verify_rollout")
@@ -44,7 +44,7 @@ def build_parser(full: bool = True) -> Parser:
     )
     add_model(parser)
     parser.add("recordings and payload", PayloadOptions)
-    parser.add("model and output", ModelOptions, OutputOptions, leave_out=("keep_friction",))
+    parser.add("model and output", ModelOptions, OutputOptions, leave_out=NOT_WRITTEN)
     parser.add("logs", LogOptions, leave_out=NOT_HERE)
     parser.add("estimation", EstimationOptions, only=ESTIMATION)
     parser.add("trajectory of a simulation", TrajectoryOptions, leave_out=NOT_PLANNED)
@@ -62,7 +62,7 @@ def main(arguments: Sequence[str]) -> int:
     require_report(config.output)
     console = Console(options.quiet, options.verbose)
     # Imported here so that --help and usage errors do not wait for MuJoCo.
-    from robot_sysid.payload import run
+    from robot_sysid.payload_pipeline import run
 
     with warnings_as_notes(console, options.debug):
         outcome = run(config, console)

@@ -10,9 +10,8 @@ from robot_sysid.commands.console import Console
 from robot_sysid.commands.run import INTERRUPTED, add_model, identify
 from robot_sysid.config import ModelOptions, MotorOptions, OutputOptions
 from robot_sysid.estimation.options import EstimationOptions
-from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
-from robot_sysid.excitation.static.options import PoseOptions
-from robot_sysid.preview.options import PreviewOptions
+from robot_sysid.excitation.options import ExcitationOptions, LimitOptions, PoseOptions
+from robot_sysid.preview.motion import PreviewOptions
 from robot_sysid.records.options import record_from
 from robot_sysid.simulation.sensors import SimulatedArmOptions
 from robot_sysid.trajectory import TrajectoryOptions
@@ -29,8 +28,10 @@ MAIN = (
     *("save_trajectory", "excitation", "excitation_time_budget", "max_velocity", "max_torque"),
     *("workspace", "keep_out", "export_damiao", "motor_type"),
 )
-NO_RESULT = ("keep_friction", "bundle", "report", "plots")
-"""Options about a result, which a plan is not."""
+NO_RESULT = (
+    *("keep_friction", "keep_rotors", "keep_gravity", "keep_links", "write_offset", "links"),
+    *("bundle", "report", "plots"),
+)
 USUAL = {"excitation": "optimal"}
 """What this command does where a user does not say otherwise."""
 
@@ -82,27 +83,24 @@ def main(arguments: Sequence[str]) -> int:
 
 def require_preview(wanted: PreviewOptions) -> None:
     """Raise InputError where a preview cannot be shown; asked before a long run."""
-    if wanted.view:
-        from robot_sysid.preview.viewer import require_display
+    if wanted.view or wanted.video:
+        from robot_sysid.preview.film import require_display, require_film
 
-        require_display()
-    if wanted.video:
-        from robot_sysid.preview.film import require_film
-
-        require_film(wanted.video)
+        if wanted.view:
+            require_display()
+        if wanted.video:
+            require_film(wanted.video)
 
 
 def show_preview(robot: RobotModel, shown: Shown, wanted: PreviewOptions, console: Console) -> None:
     """Render and play a motion."""
+    from robot_sysid.preview.film import view, write_film
+
     for note in shown.notes:
         console.note(note)
     if wanted.video:
-        from robot_sysid.preview.film import write_film
-
         console.stage(f"Rendering {len(shown.time)} pictures...")
         write_film(robot, shown, wanted.video, console)
         console.stage(f"Film: {wanted.video}")
     if wanted.view:
-        from robot_sysid.preview.viewer import view
-
         view(robot, shown)

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.console import Console
 from robot_sysid.config import ModelOptions, OutputOptions
 from robot_sysid.errors import SysidError
+from robot_sysid.records.data import Traces
 from robot_sysid.records.options import OptionRecord, folder, option, record_from
-from robot_sysid.records.traces import Traces
 
 INTERRUPTED = "interrupted; no unfinished file is left"
 
@@ -54,7 +55,7 @@ def main(arguments: Sequence[str]) -> int:
     console = Console(options.quiet, options.verbose)
     require_report(OutputOptions(report=True))
     # Imported here so that --help and usage errors do not wait for MuJoCo.
-    from robot_sysid.report.write import write_report
+    from robot_sysid.report.page import write_report
 
     folders = tuple(values["folders"])
     destination = page.output_dir or folders[0]
@@ -75,7 +76,7 @@ def require_report(output: OutputOptions) -> None:
 
 
 def report_of(
-    outcome: object, output: OutputOptions, mesh_dir: Path | None, console: Console
+    outcome: Any, output: OutputOptions, mesh_dir: Path | None, console: Console
 ) -> str | None:
     """Write what a later report needs, and the report where it is wanted.
 
@@ -92,10 +93,10 @@ def report_of(
         return None
     if not (wanted or getattr(outcome, "leaves_data", True)):
         return None
-    from robot_sysid.report.write import save_data, write_report
+    from robot_sysid.report.page import save_data, write_report
 
     try:
-        save_data(output.output_dir, traces(), getattr(outcome, "result", ""))
+        save_data(output.output_dir, traces(), outcome.saved.result_hash)
         if not wanted:
             return None
         console.stage("Drawing the report...")

@@ -11,18 +11,23 @@ from typing import Any, Protocol
 from robot_sysid.commands.arguments import ConsoleOptions, Parser, parsed
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.report import report_of, require_report
-from robot_sysid.config import ModelOptions, MotorOptions, OutputOptions, config_from
-from robot_sysid.errors import SysidError
+from robot_sysid.config import ModelOptions, MotorOptions, OutputOptions, SysidConfig, config_from
+from robot_sysid.errors import InputError, SysidError
 from robot_sysid.estimation.options import EstimationOptions
-from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
-from robot_sysid.excitation.static.options import PoseOptions
+from robot_sysid.excitation.options import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.logs.options import LogOptions
+from robot_sysid.records.options import given_options
 from robot_sysid.records.results import MODEL_NAMES
 from robot_sysid.simulation.sensors import SimulatedArmOptions
 from robot_sysid.trajectory import TrajectoryOptions
 
 EXAMPLE = "robot-sysid examples/kinova/model/kinova_fullinertia_guess.xml"
 INTERRUPTED = "interrupted; no unfinished file is left"
+ABOUT_TORQUE = (
+    *("report", "plots", "keep_friction", "keep_rotors", "keep_gravity", "keep_links"),
+    *("write_offset", "links", "torque_scale", "torque_constants", "append", "save_measurements"),
+)
+"""Keys of options that mean nothing where no torque was measured."""
 MAIN = (
     *("mesh_dir", "duration", "sample_rate", "no_friction", "output_dir", "export_damiao"),
     *("motor_type", "seed", "joint", "torques", "measurements", "plan_only", "verbose", "quiet"),
@@ -38,7 +43,6 @@ GROUPS = (
     ("estimation", (EstimationOptions,)),
     ("Damiao motors", (MotorOptions,)),
 )
-"""All options, in the groups of the full help."""
 
 
 def build_parser(full: bool = True) -> Parser:
@@ -87,8 +91,6 @@ def identify(
     """Run the pipeline and return the exit code.
 
     Args:
-        values: what was given, by the options' keys.
-        options: how much to print.
         then: what is to be done with the outcome once it is written.
     """
     config = config_from(**values)
@@ -98,10 +100,31 @@ def identify(
     from robot_sysid.pipeline import run
 
     with warnings_as_notes(console, options.debug):
+        if config.estimation.torque_from is not None:
+            return told(_of_servos(config, console), console, options.verbose, config.output)
         outcome = run(config, console)
     if then is not None:
         then(outcome, console)
     return told(outcome, console, options.verbose, config.output, config.model.mesh_dir)
+
+
+def _of_servos(config: SysidConfig, console: Console) -> Any:
+    """Run the search for servos, where no torque was measured, and return its outcome."""
+    from robot_sysid.parser import load_robot_model
+    from robot_sysid.servo.run import run_servo
+
+    model, output = config.model, config.output
+    for record in (output, config.log, config.arm):
+        for each in given_options(record):
+            if each.key in ABOUT_TORQUE:
+                raise InputError(
+                    f"{each.flag} is about measured torques; leave it off with --torque-from"
+                )
+    robot = load_robot_model(model.path, model.mesh_dir, model.joint, keyframe=model.keyframe)
+    for note in robot.notes:
+        console.note(note)
+    where = output.output_dir, model.mesh_dir, console
+    return run_servo(robot, config.log, *where, config.estimation.write_delay)
 
 
 class Told(Protocol):
@@ -136,7 +159,7 @@ def told(
     if outcome.failure:
         raise SysidError(outcome.failure)
     if output.bundle:
-        from robot_sysid.output.bundle import write_bundle
+        from robot_sysid.results.bundle import write_bundle
 
         models = [path for path in outcome.files if path.name in MODEL_NAMES.values()]
         for model in models:

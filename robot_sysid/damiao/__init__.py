@@ -3,5 +3,3 @@
 What needs no bus (protocol, trajectory, the simulated arm) works without python-can; the modules
 that open a bus or log its frames import it inside the function that does.
 """
-
-from __future__ import annotations

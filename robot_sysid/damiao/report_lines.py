@@ -9,8 +9,8 @@ import numpy as np
 from robot_sysid.damiao.bus.inspection import InspectedMotor, Inspection
 from robot_sysid.damiao.play.player import PlayReport
 from robot_sysid.damiao.protocol import registers as reg
-from robot_sysid.damiao.protocol.bus_load import BusTiming, bus_load
 from robot_sysid.damiao.protocol.codec import Feedback
+from robot_sysid.damiao.protocol.frames import BusTiming, bus_load
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.protocol.motors import limits_agree, matching_types
 from robot_sysid.damiao.run.preflight import Check

@@ -46,7 +46,6 @@ class Equations:
     """The linear equations rows x = tau of one arm: parameter names, priors, and rows of a chunk.
 
     Args:
-        robot: the arm.
         torques: "chain" for every joint that carries the link, "terminal" for the last one only.
         friction: terms to estimate, one model per chain joint; where a joint has none, the model's
             own friction is taken as known.
@@ -116,7 +115,6 @@ class Equations:
         """Yield (rows (N, k), right-hand side (N,)) per joint of ``joints``.
 
         Args:
-            measurement: N samples with velocities and accelerations.
             shared: (N, n, s) columns of the shared parameters, where there are any.
         """
         if measurement.qd is None or measurement.qdd is None:
@@ -130,24 +128,15 @@ class Equations:
         )
         known -= np.where(self._armature_sought, self._kinematics.armature * qdd, 0.0)
         inertial = joint_regressor(motion, self.rows_of)
-        others = self._other_columns(measurement)
+        others = np.zeros((*qd.shape, 0))
+        if self._others is not None:
+            others = self._others.motion(measurement.q, qd, qdd).columns(self._links)
         known -= others @ self._prior_links
         # What the gear carries, by what is known: the measured torque has friction in it already.
         load = motion.tau_rest + others @ (self._known_links - self._prior_links)
         for block, j in zip(inertial, self.rows_of):
             carried = load[:, j] + block @ self._values[:N_INERTIAL]
             own = self._friction[j].columns(qd[:, j], qdd[:, j], carried)
-            beyond = others[:, j, self._first_column(j) :]
+            beyond = others[:, j, N_INERTIAL * sum(link < j for link in self._links) :]
             common = () if shared is None else (shared[:, j],)
             yield np.hstack((block, own, *common, beyond)), measurement.tau[:, j] - known[:, j]
-
-    def _other_columns(self, measurement: Measurement) -> Array:
-        """Return the columns (N, n, 10 links) of the other links that are sought."""
-        if self._others is None:
-            return np.zeros((*measurement.q.shape, 0))
-        assert measurement.qd is not None and measurement.qdd is not None
-        motion = self._others.motion(measurement.q, measurement.qd, measurement.qdd)
-        return motion.columns(self._links)
-
-    def _first_column(self, joint: int) -> int:
-        return N_INERTIAL * sum(link < joint for link in self._links)

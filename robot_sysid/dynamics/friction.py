@@ -129,11 +129,7 @@ link's own about the axis."""
 
 @dataclass(frozen=True)
 class FrictionModel:
-    """Which friction terms a joint has.
-
-    Attributes:
-        terms: names of ``TERMS``, in the order of the columns.
-    """
+    """Which friction terms a joint has: names of ``TERMS``, in the order of the columns."""
 
     terms: tuple[str, ...]
 

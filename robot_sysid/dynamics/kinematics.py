@@ -62,17 +62,9 @@ def has_only_armature(mj_model: Any) -> bool:
     dynamics; without them a cheaper formula gives the same torque.
     """
     fields = (
-        "jnt_stiffness",
-        "jnt_stiffnesspoly",
-        "dof_dampingpoly",
-        "tendon_stiffness",
-        "tendon_stiffnesspoly",
-        "tendon_damping",
-        "tendon_dampingpoly",
-        "tendon_armature",
-        "actuator_armature",
-        "actuator_damping",
-        "actuator_dampingpoly",
+        *("jnt_stiffness", "jnt_stiffnesspoly", "dof_dampingpoly", "tendon_stiffness"),
+        *("tendon_stiffnesspoly", "tendon_damping", "tendon_dampingpoly", "tendon_armature"),
+        *("actuator_armature", "actuator_damping", "actuator_dampingpoly"),
     )
     return not any(np.any(getattr(mj_model, name, 0.0)) for name in fields)
 
@@ -81,7 +73,6 @@ class ArmDynamics:
     """Inverse dynamics of the whole arm, sample by sample.
 
     Args:
-        robot: the arm.
         mj_model: another compiled model of the same arm (for instance one that was written and
             loaded again); default the robot's own.
     """
@@ -117,9 +108,6 @@ class ArmDynamics:
 
 class ChainKinematics:
     """Evaluates terminal body motion, Jacobian and the torque of the rest of the arm.
-
-    Args:
-        robot: the arm.
 
     Attributes:
         armature: (n,) the model's rotor inertia of the chain joints [kg m^2].

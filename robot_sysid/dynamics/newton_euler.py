@@ -76,11 +76,7 @@ class LinksMotion:
 
 
 class LinkDynamics:
-    """Recursive Newton-Euler of one arm.
-
-    Args:
-        robot: the arm.
-    """
+    """Recursive Newton-Euler of one arm."""
 
     def __init__(self, robot: RobotModel) -> None:
         self._links, self._home = robot.links, robot.reference

@@ -98,18 +98,24 @@ def combined(parts: Sequence[SquareRootInformation]) -> SquareRootInformation:
     return SquareRootInformation(parts[0].names, joints, parts[0].prior)
 
 
-def restricted(information: SquareRootInformation, names: Sequence[str]) -> SquareRootInformation:
-    """Return the data's information about some of the parameters, the others held at zero.
+def restricted(
+    information: SquareRootInformation, names: Sequence[str], held: Array | None = None
+) -> SquareRootInformation:
+    """Return the data's information about some of the parameters, the others held.
 
     Args:
         information: the data.
         names: which parameters stay, in any order; their order in the information is kept.
+        held: (p,) values of the others; None for zero.
     """
     kept = np.flatnonzero(np.isin(information.names, names))
     joints = []
     for joint in information.joints:
         stay = np.isin(joint.columns, kept)
         triangle = joint.triangle[:, np.append(stay, True)]
+        if held is not None:
+            known = joint.triangle[:, :-1][:, ~stay] @ held[joint.columns[~stay]]
+            triangle[:, -1] -= known
         columns = np.searchsorted(kept, joint.columns[stay])
         smaller = update_triangle(triangle[:0], triangle)
         joints.append(JointInformation(joint.joint, columns, smaller, joint.n_samples))

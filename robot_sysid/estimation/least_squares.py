@@ -12,12 +12,15 @@ from robot_sysid.records import Array, SampleSource, SquareRootInformation
 
 MOST_ROUNDS = 30
 """Of methods that find their weights by iteration."""
-_SETTLED = 1e-8
-_NOISE_FLOOR, _NOISE_FLOOR_WITH_PRIOR = 1e-9, 1e-4
+_SETTLED = 1e-6
+_NOISE_FLOOR, _NOISE_FLOOR_WITH_PRIOR, _RIDGE = 1e-9, 1e-4, 1e-12
 
 
 def ordinary(
-    information: SquareRootInformation, prior: Array, samples: SampleSource | None = None
+    information: SquareRootInformation,
+    prior: Array,
+    samples: SampleSource | None = None,
+    start: Array | None = None,
 ) -> WeightedEquations:
     """Weigh all joints alike; the common noise comes from all residuals together."""
     ones, common = np.ones(len(information.joints)), 1.0
@@ -57,20 +60,63 @@ def least_correction(matrix: Array, right: Array, prior: Array) -> Array:
 
 
 def weighted(
-    information: SquareRootInformation, prior: Array, samples: SampleSource | None = None
+    information: SquareRootInformation,
+    prior: Array,
+    samples: SampleSource | None = None,
+    start: Array | None = None,
 ) -> WeightedEquations:
-    """Find noise and estimate in turns until the noise settles.
+    """Find noise and estimate in turns until the noise settles, from (joints,) noise on.
 
     Iterated feasible generalised least squares; for independent normal noise the fixed point is
     the maximum-likelihood estimate (Oberhofer, Kmenta 1974).
     """
-    noise = ordinary(information, prior).noise
+    noise = ordinary(information, prior).noise if start is None else start
+    normal = None if information.prior is None else _Normal(information, prior)
     for _ in range(MOST_ROUNDS):
-        values, paid = _solved(information, prior, 1.0 / noise)
+        solved = None if normal is None else normal.solved(1.0 / noise)
+        values, paid = solved or _solved(information, prior, 1.0 / noise)
         before, noise = noise, _noise(information, values, paid)
         if np.max(np.abs(noise / before - 1.0)) < _SETTLED:
             break
     return WeightedEquations(information, noise, no_clip(information))
+
+
+class _Normal:
+    """Normal equations of data with a prior: a tenth of the time of a decomposition.
+
+    Half of the digits are lost, which the noise does not notice.
+    """
+
+    def __init__(self, information: SquareRootInformation, prior: Array) -> None:
+        assert information.prior is not None
+        size = np.arange(len(information.names))
+        known = (np.append(size, -1), information.prior)
+        parts = [(np.append(joint.columns, -1), joint.triangle) for joint in information.joints]
+        self._parts = [(columns, rows.T @ rows) for columns, rows in (*parts, known)]
+        self._prior = prior
+
+    def solved(self, weights: Array) -> tuple[Array, Array] | None:
+        """Return what ``_solved`` returns; None where the equations are not definite."""
+        size = len(self._prior) + 1
+        normal = np.zeros((size, size))
+        for (columns, gram), weight in zip(self._parts, (*weights, 1.0)):
+            normal[np.ix_(columns, columns)] += weight**2 * gram
+        length = np.sqrt(np.diag(normal)[:-1])
+        scale = 1.0 / np.where(length > 0.0, length, 1.0)
+        scaled = scale[:, None] * normal[:-1, :-1] * scale
+        scaled[np.diag_indices_from(scaled)] += _RIDGE
+        try:
+            inverse = scale[:, None] * np.linalg.inv(np.linalg.cholesky(scaled)).T
+        except np.linalg.LinAlgError:
+            return None
+        values = self._prior + inverse @ (
+            inverse.T @ (normal[:-1, -1] - normal[:-1, :-1] @ self._prior)
+        )
+        paid = [
+            weight**2 * np.sum((gram[:-1, :-1] @ inverse[at[:-1]]) * inverse[at[:-1]])
+            for (at, gram), weight in zip(self._parts, weights)
+        ]
+        return values, np.array(paid)
 
 
 @dataclass(frozen=True)

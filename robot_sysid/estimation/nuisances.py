@@ -19,7 +19,7 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.identifiability import visible_space
-from robot_sysid.records import Array, NuisanceMisfit, SquareRootInformation
+from robot_sysid.records import Array, PriorConflict, SquareRootInformation
 
 ROD = float(np.sqrt(3.0))
 """Length of a uniform rod over the root mean square distance of its mass from its end."""
@@ -141,7 +141,10 @@ def widened_groups(
         groups: the priors.
         least: smallest factor a prior is widened by; below 1 lets it become narrower.
     """
-    problem, found = _Problem(information, noise), tuple(groups)
+    found = tuple(groups)
+    if least >= 1.0 and not any(group.may_widen for group in found):
+        return found
+    problem = _Problem(information, noise)
     for _ in range(_ROUNDS if found else 0):
         values, covariance, _ = problem.solve(found)
         before = found
@@ -190,7 +193,7 @@ def _determined(group: NuisanceGroup, names: Sequence[str], covariance: Array) -
 
 def misfits(
     information: SquareRootInformation, noise: Array, groups: Sequence[NuisanceGroup]
-) -> tuple[NuisanceMisfit, ...]:
+) -> tuple[PriorConflict, ...]:
     """Return the causes that the data asks for more clearly than chance does.
 
     A cause is asked for where leaving it at what it is thought to be makes the misfit worse by more
@@ -214,7 +217,7 @@ def misfits(
         if gained > chi2.ppf(SURE, freedom):
             off = group.deviations(problem.names, values)
             worst = _worst_members(group, off)
-            found.append(NuisanceMisfit(group.cause, worst, wanted[index].widened, group.widened))
+            found.append(PriorConflict(group.cause, worst, wanted[index].widened, group.widened))
     return tuple(found)
 
 

@@ -4,28 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
-from robot_sysid.dynamics.friction import DEFAULT_MEASURED, DEFAULT_TERMINAL, friction_model
+from robot_sysid.dynamics.friction import DEFAULT_TERMINAL, FrictionModel, friction_model
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.least_squares import WeightedEquations, ordinary, weighted
 from robot_sysid.estimation.robust import huber
-from robot_sysid.records import TORQUE_CHOICES, Array, SampleSource, SquareRootInformation
+from robot_sysid.records import TORQUE_CHOICES
 from robot_sysid.records.options import (
     OptionRecord,
     PerJoint,
+    given_options,
     levels,
     not_negative,
     option,
     positive,
-    share,
 )
 
-Estimator = Callable[[SquareRootInformation, Array, "SampleSource | None"], WeightedEquations]
+Estimator = Callable[..., WeightedEquations]
+"""Takes information, prior values (p,), its rows (or None) and noise to begin with (or None)."""
 
 ESTIMATORS: Mapping[str, Estimator] = {"ols": ordinary, "wls": weighted, "robust": huber}
 """Name to estimator; a new one is one more entry here."""
 CHOSEN = "auto"
 """Friction model that is chosen from the data."""
+_OF_SERVOS = ("torque_from", "write_delay")
 
 
 @dataclass(frozen=True)
@@ -64,7 +67,7 @@ class EstimationOptions(OptionRecord):
         None,
         "friction terms of every joint, such as coulomb-viscous-offset, or auto",
         metavar="TERMS",
-        usual=f"{DEFAULT_MEASURED} for measured data; {DEFAULT_TERMINAL} with --torques terminal",
+        usual=f"auto: each joint's by held-out torques; {DEFAULT_TERMINAL} with --torques terminal",
         needs="measured",
     )
     cutoff: float | None = option(
@@ -141,12 +144,26 @@ class EstimationOptions(OptionRecord):
         check=not_negative,
         needs="measured",
     )
-    validate: float = option(
-        0.2,
-        "share at the end of the log that is not fitted, but tests the result",
-        metavar="FRACTION",
-        check=share,
+    coupling: Path | None = option(
+        None,
+        "JSON file of motors that turn with several joints",
+        metavar="FILE",
+        usual="found where it shows",
         needs="measured",
+    )
+    torque_from: str | None = option(
+        None,
+        "no torque was measured: find servos, friction and rotor inertia from commanded and "
+        "measured positions",
+        choices=("position-error",),
+        usual="measured torques",
+        needs="log",
+    )
+    write_delay: bool = option(
+        False,
+        "with --torque-from, also write the delay of the commands into the model's position "
+        "actuators",
+        needs="servos",
     )
 
     def __post_init__(self) -> None:
@@ -155,12 +172,21 @@ class EstimationOptions(OptionRecord):
             raise InputError("--friction-model and --no-friction exclude each other")
         if self.friction_model not in (None, CHOSEN):
             friction_model(str(self.friction_model))
+        others = [each for each in given_options(self) if each.key not in _OF_SERVOS]
+        if self.torque_from is not None and others:
+            raise InputError(
+                f"{others[0].flag} is about measured torques; leave it off with --torque-from "
+                f"{self.torque_from}"
+            )
 
     @property
-    def measured_friction(self) -> str:
-        """Name of the friction model of measured data."""
-        usual = DEFAULT_MEASURED if self.torques == "chain" else DEFAULT_TERMINAL
-        return "none" if self.no_friction else self.friction_model or usual
+    def friction(self) -> FrictionModel | None:
+        """Friction terms of every joint of measured data; None where the data chooses them."""
+        if self.no_friction:
+            return FrictionModel(())
+        if self.friction_model in (None, CHOSEN):
+            return None if self.torques == "chain" else friction_model(DEFAULT_TERMINAL)
+        return friction_model(str(self.friction_model))
 
     @property
     def entropic_weight(self) -> float:

@@ -32,7 +32,10 @@ _DECADES = 8
 
 
 def huber(
-    information: SquareRootInformation, prior: Array, samples: SampleSource | None = None
+    information: SquareRootInformation,
+    prior: Array,
+    samples: SampleSource | None = None,
+    start: Array | None = None,
 ) -> WeightedEquations:
     """Down-weight outliers.
 
@@ -40,15 +43,16 @@ def huber(
         information: all samples, unweighted.
         prior: (p,) the model's values.
         samples: the same equations sample by sample.
+        start: (joints,) noise to begin with.
 
     Raises:
         InputError: no samples.
     """
     if samples is None:
         raise InputError("the method 'robust' needs the samples themselves; use 'ols' or 'wls'")
-    start = weighted(information, prior)
-    values = least_squares(information, prior, 1.0 / start.noise)
-    never = np.full(len(start.noise), np.inf)
+    first = weighted(information, prior, start=start)
+    values = least_squares(information, prior, 1.0 / first.noise)
+    never = np.full(len(first.noise), np.inf)
     noise = _reweigh(information, samples, values, never)[1]
     for _ in range(MOST_ROUNDS):
         clip = THRESHOLD * noise

@@ -2,8 +2,7 @@
 
 Joint j delivers equations tau_j = Y_j theta + Z_j x_j with its own nuisances x_j: Coulomb friction,
 viscous friction, a torque offset and, where it is estimated, the inertia of its rotor, Z_j =
-[sign(qd_j), qd_j, 1, qdd_j]. What is left for theta after
-eliminating them is the Schur complement
+[sign(qd_j), qd_j, 1, qdd_j]. What is left for theta after eliminating them is the Schur complement
 
     L = sum_j E_j^T E_j / sigma_j^2,   E_j = Y_j - Z_j C_j,   C_j = (Z_j^T Z_j)^-1 Z_j^T Y_j,
 
@@ -46,12 +45,7 @@ class RowSettings:
 
 
 class PredictedInformation:
-    """Maps motions to information about x, theta = coordinates @ x.
-
-    Args:
-        chain: the arm.
-        settings: which equations.
-    """
+    """Maps motions to information about x, theta = coordinates @ x."""
 
     def __init__(self, chain: ScrewChain, settings: RowSettings) -> None:
         self._chain, self._settings = chain, settings
@@ -65,7 +59,11 @@ class PredictedInformation:
         rows = np.einsum("ijn,ikn->jnk", jacobian, wrench, optimize=True)
         rows = rows @ self._settings.coordinates / self._settings.sigma[:, None, None]
         friction, slope = self._nuisances(qd[:, self._joints].T, qdd[:, self._joints].T)
-        gain = _least_squares(friction, rows)
+        # The regression of each joint's rows on its nuisances.
+        transposed = friction.transpose(0, 2, 1)
+        normal = transposed @ friction
+        ridge = _RIDGE * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(len(normal[0]))
+        gain = np.linalg.solve(normal + ridge, transposed @ rows)
         residual = rows - friction @ gain
         information = np.einsum("jnk,jnl->kl", residual, residual, optimize=True)
         return InformationCache(
@@ -87,7 +85,6 @@ class InformationCache:
     """Information of a motion, and what its gradient needs.
 
     Attributes:
-        settings: which equations.
         motion: of the terminal body.
         wrench: (6, 10, N) regressor of the wrench.
         friction: (rows, N, 3 or 4) nuisance columns Z.
@@ -114,10 +111,8 @@ class InformationCache:
     def vjp(self, information_adjoint: Array) -> tuple[Array, Array, Array]:
         """Return the gradient (N, n) with respect to q, qd, qdd: reverse mode.
 
-        C needs no derivative: it minimises the residual.
-
-        Args:
-            information_adjoint: (r, r) symmetric derivative of a scalar with respect to L.
+        C needs no derivative: it minimises the residual. The adjoint (r, r) is the symmetric
+        derivative of a scalar with respect to L.
         """
         joints = list(self.settings.joints)
         rows_adjoint = 2.0 * self.residual @ information_adjoint
@@ -130,9 +125,8 @@ class InformationCache:
         )
         jacobian = self.motion.jacobian[:, joints]
         wrench_adjoint = np.einsum("ijn,jnk->ikn", jacobian, theta_adjoint, optimize=True)
-        velocity_adjoint, acceleration_adjoint = _wrench_vjp(self.motion.velocity, wrench_adjoint)
         q_adjoint, qd_adjoint, qdd_adjoint = self.motion.vjp(
-            jacobian_adjoint, velocity_adjoint, acceleration_adjoint
+            jacobian_adjoint, *_wrench_vjp(self.motion.velocity, wrench_adjoint)
         )
         qd_adjoint[:, joints] += (
             friction_adjoint[..., 0] * self.slope + friction_adjoint[..., 1]
@@ -140,14 +134,6 @@ class InformationCache:
         if self.settings.rotors:
             qdd_adjoint[:, joints] += friction_adjoint[..., 3].T
         return q_adjoint, qd_adjoint, qdd_adjoint
-
-
-def _least_squares(friction: Array, rows: Array) -> Array:
-    """Return C (rows, 3 or 4, r) of the regression of each joint's rows on its nuisances."""
-    transposed = friction.transpose(0, 2, 1)
-    normal = transposed @ friction
-    trace = np.trace(normal, axis1=1, axis2=2)[:, None, None]
-    return np.linalg.solve(normal + _RIDGE * trace * np.eye(normal.shape[1]), transposed @ rows)
 
 
 @lru_cache(maxsize=1)
@@ -180,8 +166,6 @@ def _wrench_vjp(velocity: Array, wrench_adjoint: Array) -> tuple[Array, Array]:
 
 
 Criterion = Callable[[Array], "tuple[float, Array]"]
-
-
 _SINGULAR = 1e-14
 
 
@@ -189,7 +173,7 @@ def a_criterion(information: Array) -> tuple[float, Array]:
     """Return (ln sqrt(tr L^-1), gradient (r, r)); infinite where L is singular."""
     if _is_singular(information):
         return np.inf, np.zeros_like(information)
-    covariance = _inverse(information)
+    covariance = np.linalg.inv(information)
     trace = float(np.trace(covariance))
     return 0.5 * float(np.log(trace)), -0.5 * covariance @ covariance / trace
 
@@ -200,7 +184,7 @@ def d_criterion(information: Array) -> tuple[float, Array]:
         return np.inf, np.zeros_like(information)
     size = len(information)
     value = -float(np.linalg.slogdet(information)[1]) / (2.0 * size)
-    return value, -_inverse(information) / (2.0 * size)
+    return value, np.asarray(-np.linalg.inv(information) / (2.0 * size), dtype=float)
 
 
 def condition_criterion(information: Array) -> tuple[float, Array]:
@@ -215,10 +199,6 @@ def condition_criterion(information: Array) -> tuple[float, Array]:
     inner = np.outer(high, high) / values[-1] - np.outer(low, low) / values[0]
     gradient = inner / np.outer(root, root) - np.diag((high**2 - low**2) / root**2)
     return 0.5 * float(np.log(values[-1] / values[0])), 0.5 * gradient
-
-
-def _inverse(matrix: Array) -> Array:
-    return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
 
 
 def _is_singular(information: Array) -> bool:

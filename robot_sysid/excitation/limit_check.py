@@ -45,12 +45,9 @@ SHORTEST_PERIOD = 1.0
 
 @dataclass(frozen=True)
 class Excess:
-    """One limit that is not kept, where it is exceeded most.
+    """One limit that is not kept, in words, and when it is exceeded most [s].
 
-    Attributes:
-        limit: which one, in words.
-        share: value over limit (a clearance: 1 + missing distance over 0.05 m).
-        time: when [s].
+    The share is the value over the limit (a clearance: 1 + missing distance over 0.05 m).
     """
 
     limit: str
@@ -60,9 +57,8 @@ class Excess:
     def __str__(self) -> str:
         over = 100.0 * (self.share - 1.0)
         # Never "0.0 %": what is over by next to nothing is over all the same.
-        return (
-            f"{self.limit} ({over:{'.1f' if over >= 0.1 else '.1g'}} % over at {self.time:.2f} s)"
-        )
+        digits = ".1f" if over >= 0.1 else ".1g"
+        return f"{self.limit} ({over:{digits}} % over at {self.time:.2f} s)"
 
 
 @dataclass(frozen=True)
@@ -72,13 +68,10 @@ class LimitCheck:
     Attributes:
         lowest, highest: (n,) positions [rad].
         velocity, acceleration, torque: (n,) largest absolute values.
-        tool_speed: largest speed of the tool's fastest point [m/s].
-        tool_time: when [s].
+        tool_speed: largest speed of the tool's fastest point [m/s], and when [s].
         closest: the pair with the least room left above what it has to keep, to a millimetre or
-            as exactly as below.
-        closest_time: when [s].
-        nearest: the pair that comes nearest, whatever it has to keep.
-        nearest_time: when [s].
+            as exactly as below, and when [s].
+        nearest: the pair that comes nearest, whatever it has to keep, and when [s].
         resolution: how exactly its distance is known: nothing comes nearer by more than this [m].
         excesses: limits that are not kept; none for a trajectory that may be run.
     """
@@ -134,13 +127,7 @@ class _Peaks:
 def check_limits(
     problem: ExcitationProblem, plan: MotionPlan, sample_rate: float = 0.0
 ) -> LimitCheck:
-    """Check a whole trajectory.
-
-    Args:
-        problem: the arm and its limits.
-        plan: the trajectory.
-        sample_rate: at which it will be run [Hz]; at least 1 kHz is checked.
-    """
+    """Check a whole trajectory that will be run at a sample rate [Hz]; at 1 kHz or more."""
     peaks = _peaks(problem, plan, max(LEAST_RATE_HZ, sample_rate), with_tool=True)
     coarser = max(1.0, checked_time(plan) / EXACT_UP_TO) ** 2
     resolution = min(LEAST_EXACT, coarser * DISTANCE_RESOLUTION)
@@ -151,21 +138,11 @@ def check_limits(
     if closest.slack < 0.0:
         share = 1.0 - closest.slack / OBSTACLE_LENGTH
         excesses.append(Excess(f"clearance of {closest.label}", share, when))
+    excesses.sort(key=lambda excess: -excess.share)
     lowest, highest, velocity, acceleration, torque = peaks.extremes
+    tool, near = (peaks.tool_speed, peaks.tool_time), (closest, when, nearest, at)
     return LimitCheck(
-        lowest,
-        highest,
-        velocity,
-        acceleration,
-        torque,
-        peaks.tool_speed,
-        peaks.tool_time,
-        closest,
-        when,
-        nearest,
-        at,
-        resolution,
-        tuple(sorted(excesses, key=lambda excess: -excess.share)),
+        lowest, highest, velocity, acceleration, torque, *tool, *near, resolution, tuple(excesses)
     )
 
 
@@ -284,15 +261,13 @@ def _peaks(
         extremes[0] = np.minimum(extremes[0], np.min(motion.q, axis=0))
         extremes[1] = np.maximum(extremes[1], np.max(motion.q, axis=0))
         extremes[2:] = np.maximum(extremes[2:], peaks)
-        speed = _tool_speed(problem, motion) if with_tool else np.zeros(1)
+        if not with_tool:
+            continue
+        body = problem.chain.evaluate(motion.q, motion.qd, motion.qdd)
+        speed = problem.tool.speed(body.velocity)
         if np.max(speed) > fastest:
             fastest, when = float(np.max(speed)), float(motion.time[np.argmax(speed)])
     return _Peaks(share, time, extremes, fastest, when)
-
-
-def _tool_speed(problem: ExcitationProblem, motion: Motion) -> Array:
-    body = problem.chain.evaluate(motion.q, motion.qd, motion.qdd)
-    return problem.tool.speed(body.velocity)
 
 
 def _excesses(problem: ExcitationProblem, peaks: _Peaks) -> Iterator[Excess]:

@@ -9,8 +9,8 @@ import numpy as np
 
 from robot_sysid.collision.obstacles import Box, Plane, plane_from
 from robot_sysid.errors import InputError
-from robot_sysid.excitation.fourier import FourierBasis
 from robot_sysid.excitation.information import CRITERIA
+from robot_sysid.excitation.trajectories import FourierBasis
 from robot_sysid.records.arm import DEFAULT_MAX_VELOCITY
 from robot_sysid.records.options import (
     OptionRecord,
@@ -20,6 +20,7 @@ from robot_sysid.records.options import (
     option,
     positive,
     processors,
+    whole_number,
 )
 
 EXCITATIONS = ("sines", "optimal")
@@ -34,10 +35,10 @@ Full speed at this frequency takes the usual acceleration limit.
 FEWEST_HARMONICS = 3
 LONGEST_PERIOD = 60.0
 """A longer motion repeats itself, so that a search costs in proportion to its length [s]."""
-
-
 WORTH_WORKERS = 5.0
 """Time budget from which on it pays to start other processes [s]."""
+FEWEST_POSES = 5
+"""Poses that tell a payload's mass and centre of mass, with something left to check them by."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +135,7 @@ class ExcitationOptions(OptionRecord):
         draws: number of random trajectories to begin with.
         starts: how many of the best are improved; None takes two per minute of budget, at least 2.
         rounds: improvement rounds per start.
-        iterations: optimiser iterations per round.
+        iterations: of the optimiser per round.
         workers: processes to use; 1 stays in this one, None takes one per processor.
     """
 
@@ -192,8 +193,7 @@ class ExcitationOptions(OptionRecord):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        least = {"draws": 1, "rounds": 0, "iterations": 1, "workers": 1}
-        for name, value in least.items():
+        for name, value in {"draws": 1, "rounds": 0, "iterations": 1, "workers": 1}.items():
             chosen = getattr(self, name)
             if chosen is not None and chosen < value:
                 raise InputError(f"{name} must be at least {value} (got {chosen})")
@@ -222,3 +222,48 @@ class ExcitationOptions(OptionRecord):
         if self.workers is None and self.time_budget < WORTH_WORKERS:
             return 1
         return min(self.workers or processors(), max(2, self.n_starts))
+
+
+def _enough(value: int) -> str | None:
+    return None if value >= FEWEST_POSES else f"must be at least {FEWEST_POSES} (got {value})"
+
+
+@dataclass(frozen=True)
+class PoseOptions(OptionRecord):
+    """What a plan is for, and which poses it rests in."""
+
+    purpose: str = option(
+        "link",
+        "what the motion is to identify: the terminal link, a payload by difference, friction "
+        "alone (each joint slowly back and forth at constant speeds), or all links and rotors",
+        flag="--for",
+        choices=("link", "payload", "friction", "arm"),
+        needs="plan",
+    )
+    static: bool = option(
+        False,
+        "with --for payload: resting poses, each approached from both sides, for an arm that may "
+        "not move fast",
+        needs="payload plan",
+    )
+    poses: int = option(
+        12,
+        "with --static, number of poses",
+        metavar="N",
+        parse=whole_number,
+        check=_enough,
+        needs="static plan",
+    )
+    dwell: float = option(
+        1.5,
+        "with --static, how long each rest lasts",
+        unit="s",
+        metavar="S",
+        check=positive,
+        needs="static plan",
+    )
+
+    @property
+    def sets_its_time(self) -> bool:
+        """Whether the motion is as long as it takes: resting poses, or sweeps."""
+        return self.static or self.purpose == "friction"

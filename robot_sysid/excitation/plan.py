@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
-from robot_sysid.excitation.static.options import PoseOptions
+from robot_sysid.excitation.options import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.model.contacts import CHECK_RATE_HZ, find_new_contacts
 from robot_sysid.records import Motion, MotionPlan, RobotModel
 from robot_sysid.records.options import PerJoint, given_options
@@ -34,7 +33,6 @@ if TYPE_CHECKING:
 
 LONGEST_CHECKED = 86400.0
 """Length of a motion beyond which its limits are not checked any more [s]."""
-
 NOTABLE_MEMORY = 2e8
 """Memory from which on a search says beforehand how much it takes [bytes]."""
 
@@ -44,7 +42,6 @@ class MotionRequest:
     """What motion is asked for, and what for.
 
     Attributes:
-        trajectory, excitation, limits: the user's options.
         torques: "chain" or "terminal": which torques will be used.
         noise_torque: torque noise that is expected [N m]; zero for the usual.
         played: whether something will play the motion.
@@ -74,12 +71,9 @@ class MotionRequest:
 
 @dataclass(frozen=True)
 class CheckedPlan:
-    """A trajectory, and whether it keeps all limits.
+    """A trajectory, and what checking it found.
 
-    Attributes:
-        plan: the trajectory.
-        problem: the arm and the limits it has to keep; None where nothing plays it.
-        check: what the check found; None where there was none.
+    The problem is the arm and the limits it has to keep; None where nothing plays it.
     """
 
     plan: MotionPlan
@@ -146,10 +140,7 @@ def _new_plan(
     if options.seed is None:
         progress.stage(f"Random seed: {seed} (--seed {seed} repeats this run)")
     make = _designed if request.is_designed else _random
-    if request.poses.sets_its_time:
-        make = _resting if request.poses.static else _sweeping
-    elif request.poses.purpose == "arm" and request.is_designed:
-        make = _for_all_links
+    make = _slow if request.poses.sets_its_time else make
     return make(request, robot, np.random.default_rng(seed), progress)
 
 
@@ -174,7 +165,11 @@ def _random(
     # Ends on a sample, so that the last one is at rest.
     duration = (sample_count(request.trajectory.duration, rate) - 1) / rate
     problem = _problem(request, robot) if request.is_checked else None
-    arm = robot if problem is None else _as_limited(robot, problem)
+    arm = robot
+    if problem is not None:
+        torque, qpos = problem.limits.torque / TORQUE_MARGIN, robot.reference_qpos.copy()
+        qpos[robot.qpos_index] = problem.rest
+        arm = replace(robot, limits=replace(robot.limits, torque=torque), reference_qpos=qpos)
     plan, notes = generate_excitation_trajectory(arm, rng, duration, ArmTorque(robot))
     for note in notes:
         progress.note(note)
@@ -191,56 +186,33 @@ def _random(
     return CheckedPlan(smaller, problem)
 
 
-def _resting(
+def _slow(
     request: MotionRequest, robot: RobotModel, rng: np.random.Generator, progress: Progress
 ) -> CheckedPlan:
-    from robot_sysid.excitation.static.pose_design import design_poses
+    from robot_sysid.excitation.static import design_poses, design_sweeps
 
     problem = _problem(request, robot)
-    return CheckedPlan(design_poses(robot, problem, request.poses, rng), problem)
-
-
-def _sweeping(
-    request: MotionRequest, robot: RobotModel, rng: np.random.Generator, progress: Progress
-) -> CheckedPlan:
-    from robot_sysid.excitation.static.sweeps import design_sweeps
-
-    problem = _problem(request, robot)
+    if request.poses.static:
+        return CheckedPlan(design_poses(robot, problem, request.poses, rng), problem)
     return CheckedPlan(design_sweeps(problem), problem)
-
-
-def _for_all_links(
-    request: MotionRequest, robot: RobotModel, rng: np.random.Generator, progress: Progress
-) -> CheckedPlan:
-    from robot_sysid.excitation.design.optimise import Design
-    from robot_sysid.excitation.design.whole_arm import design_for_arm
-
-    problem = _problem(request, robot)
-    design = Design(problem, request.excitation, request.trajectory)
-    return CheckedPlan(design_for_arm(design, rng, progress), problem)
-
-
-def _as_limited(robot: RobotModel, problem: ExcitationProblem) -> RobotModel:
-    """Return the arm with the torque limits and the start of a problem."""
-    torque, qpos = problem.limits.torque / TORQUE_MARGIN, robot.reference_qpos.copy()
-    qpos[robot.qpos_index] = problem.rest
-    return replace(robot, limits=replace(robot.limits, torque=torque), reference_qpos=qpos)
 
 
 def _designed(
     request: MotionRequest, robot: RobotModel, rng: np.random.Generator, progress: Progress
 ) -> CheckedPlan:
     from robot_sysid.excitation.design.optimise import Design
-    from robot_sysid.excitation.design.search import check_time, design_excitation
+    from robot_sysid.excitation.design.search import check_time, design_excitation, design_for_arm
 
     problem = _problem(request, robot)
     design = Design(problem, request.excitation, request.trajectory)
+    if request.poses.purpose == "arm":
+        return CheckedPlan(design_for_arm(design, rng, progress), problem)
     if design.memory > NOTABLE_MEMORY:
         progress.note(f"the search will hold about {design.memory / 1e9:.1f} GB of memory")
-    if check_time(design) > request.excitation.time_budget:
+    if (seconds := check_time(design)) > request.excitation.time_budget:
         progress.note(
-            f"checking the limits of so long a motion takes about {check_time(design):.0f} s, more "
-            "than --excitation-time-budget"
+            f"checking the limits of so long a motion takes about {seconds:.0f} s, more than "
+            "--excitation-time-budget"
         )
 
     def tell(state: SearchState) -> None:
@@ -261,7 +233,7 @@ def _designed(
 def _problem(request: MotionRequest, robot: RobotModel) -> ExcitationProblem:
     """Return the arm with all limits; of a new motion, its band limits the accelerations too."""
     from robot_sysid.excitation.problem import DEFAULT_NOISE_TORQUE, build_problem
-    from robot_sysid.excitation.static.start import startable
+    from robot_sysid.excitation.static import startable
 
     is_new, basis = request.trajectory.file is None, request.excitation.basis
     band = basis(request.trajectory.duration).top_frequency_hz if is_new else None

@@ -6,12 +6,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from robot_sysid.collision.swept import swept_space
+from robot_sysid.collision.solids import swept_space
 from robot_sysid.dynamics import spatial
 from robot_sysid.excitation.limit_check import DISTANCE_RESOLUTION, LimitCheck
 from robot_sysid.excitation.prediction import LOOSE_SHARE, Prediction
 from robot_sysid.excitation.problem import ASKED, ASSUMED, LIMIT_NAMES, MODEL, ExcitationProblem
-from robot_sysid.excitation.static.start import contact_on_the_way
+from robot_sysid.excitation.static import contact_on_the_way
 from robot_sysid.records import Array, Identifiability, MotionPlan
 from robot_sysid.records.figures import percent
 from robot_sysid.trajectory import TORQUE_MARGIN, spread_motion
@@ -34,10 +34,8 @@ def plan_lines(
     """Yield the lines ``--plan-only`` prints.
 
     Args:
-        problem: the arm and its limits.
-        plan: the motion.
-        check: of this motion.
-        prediction: of this motion.
+        problem, plan: the arm with its limits, and the motion.
+        check, prediction: of this motion.
         counted: what the prediction counts, in words.
         stated: (10,) standard errors that an identification will state; None or empty where
             nothing is known of them.
@@ -47,8 +45,7 @@ def plan_lines(
     yield f"Predicted standard deviations ({prediction.n_samples} samples, noise {noise} N·m):"
     if counted:
         yield f"  {counted}"
-    yield from _parameter_lines(prediction)
-    yield from _stated_lines(prediction, np.zeros(0) if stated is None else stated)
+    yield from _parameter_lines(prediction, np.zeros(0) if stated is None else stated)
     if shown is not None:
         scaled = f"({shown.scaled_condition_number:.1f} with columns of unit length)"
         yield f"Condition number: {shown.condition_number:.1f} {scaled}"
@@ -64,10 +61,11 @@ def motion_lines(problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck
     yield from _space_lines(problem, plan, check)
     yield from _load_lines(problem, plan)
     yield from _start_lines(problem, plan)
-    yield from _excess_lines(check)
+    yield from (f"NOT KEPT: {excess}" for excess in check.excesses)
 
 
-def _parameter_lines(prediction: Prediction) -> Iterator[str]:
+def _parameter_lines(prediction: Prediction, stated: Array) -> Iterator[str]:
+    """Say what noise alone leaves, then what else an identification will not know of the arm."""
     units = ("kg", *["kg·m"] * 3, *["kg·m²"] * 6)
     rows = zip(spatial.PARAMETER_NAMES, prediction.deviation, prediction.share, units)
     for name, deviation, share, unit in rows:
@@ -77,10 +75,6 @@ def _parameter_lines(prediction: Prediction) -> Iterator[str]:
             yield f"  {name:3s} not identified"
     if np.isfinite(prediction.com_deviation):
         yield f"  centre of mass {1000.0 * prediction.com_deviation:.3g} mm"
-
-
-def _stated_lines(prediction: Prediction, stated: Array) -> Iterator[str]:
-    """Say what an identification will state with all that is not known of the arm."""
     shares = zip(spatial.PARAMETER_NAMES, stated, prediction.size)
     known = [f"{name} {percent(e / size)}" for name, e, size in shares if np.isfinite(e)]
     if known:
@@ -192,11 +186,6 @@ def _start_lines(problem: ExcitationProblem, plan: MotionPlan) -> Iterator[str]:
         yield f"Start: {pose}"
         yield f"  the straight way in joint space there from the model's pose at rest is {way}"
     yield "  the way there from where the arm stands now is no part of this motion, and not checked"
-
-
-def _excess_lines(check: LimitCheck) -> Iterator[str]:
-    for excess in check.excesses:
-        yield f"NOT KEPT: {excess}"
 
 
 def _advice_lines(prediction: Prediction) -> Iterator[str]:

@@ -8,7 +8,6 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.identifiability import describe
-from robot_sysid.excitation.design.optimise import visible_coordinates
 from robot_sysid.excitation.information import PredictedInformation, RowSettings
 from robot_sysid.excitation.problem import ExcitationProblem
 from robot_sysid.records import Array, MotionPlan
@@ -31,7 +30,7 @@ class Prediction:
     """What a trajectory promises.
 
     Attributes:
-        n_samples: samples per joint the prediction is for.
+        n_samples: per joint.
         covariance: (10, 10) of theta; infinite on the diagonal where this motion does not show it.
         size: (10,) magnitude each parameter is compared with: its own value in the model, for a
             first moment m L, for a product of inertia sqrt(Iii Ijj).
@@ -83,23 +82,27 @@ def predict(
     """Predict what least squares will make of a trajectory, with friction and offset of each joint.
 
     Args:
-        problem: the arm, its limits, and the torque noise.
-        plan: the trajectory.
+        problem, plan: the arm with its torque noise, and the trajectory.
         sample_rate: at which torque will be measured, with independent noise in each sample [Hz].
         seen: what the estimate will be made from; None takes all samples, the bound for any
             unbiased estimate.
     """
     n_samples = sample_count(plan.duration, sample_rate)
     seen = seen or _all_samples(problem, plan, n_samples)
-    covariance, unseen_space = _inverted(problem, seen)
+    covariance, hidden = _inverted(problem, seen)
     possible = visible_coordinates(problem) / problem.scale[:, None]
+    # What is orthogonal to that, and the part of what is hidden that another motion could show.
+    left, singular, _ = np.linalg.svd(possible, full_matrices=True)
+    inside, size, _ = np.linalg.svd(
+        possible @ (np.linalg.pinv(possible) @ hidden), full_matrices=False
+    )
     return Prediction(
         n_samples=n_samples,
         covariance=covariance,
         size=parameter_sizes(problem),
         com_deviation=_com_deviation(problem.prior, covariance),
-        never=_words(problem, _complement(possible)),
-        unseen=_words(problem, _beyond(unseen_space, possible)),
+        never=_words(problem, left[:, len(singular) :]),
+        unseen=_words(problem, inside[:, size > 1e-6]),
     )
 
 
@@ -146,28 +149,34 @@ def _inverted(problem: ExcitationProblem, seen_at_all: Seen) -> tuple[Array, Arr
 
 def _com_deviation(prior: Array, covariance: Array) -> float:
     """Return the root of the summed variances of c = h / m, to first order [m]."""
-    mass, com = prior[0], prior[1:4] / prior[0]
-    slope = np.hstack((-com[:, None], np.eye(3))) / mass
+    slope = np.hstack((-prior[1:4, None] / prior[0], np.eye(3))) / prior[0]
     block = covariance[:4, :4]
     if not np.all(np.isfinite(block)):
         return np.inf
     return float(np.sqrt(np.trace(slope @ block @ slope.T)))
 
 
-def _complement(basis: Array) -> Array:
-    """Return an orthonormal basis of what is orthogonal to the columns of ``basis``."""
-    left, singular, _ = np.linalg.svd(basis, full_matrices=True)
-    return left[:, len(singular) :]
-
-
-def _beyond(hidden: Array, possible: Array) -> Array:
-    """Return the part of the hidden directions that another motion could show."""
-    inside = possible @ (np.linalg.pinv(possible) @ hidden)
-    left, singular, _ = np.linalg.svd(inside, full_matrices=False)
-    return left[:, singular > 1e-6]
-
-
 def _words(problem: ExcitationProblem, space: Array) -> tuple[str, ...]:
-    if space.shape[1] == 0:
-        return ()
-    return describe(space, problem.scale, spatial.PARAMETER_NAMES)
+    return describe(space, problem.scale, spatial.PARAMETER_NAMES) if space.shape[1] else ()
+
+
+def visible_coordinates(problem: ExcitationProblem) -> Array:
+    """Return (10, r): scaled directions of theta that some motion of this arm can show.
+
+    Found from unrelated positions, velocities and accelerations, a fixed set of random numbers.
+    What such data cannot see, no trajectory of these joints can.
+    """
+    scale = np.diag(problem.scale)
+    settings = RowSettings(
+        problem.rows,
+        np.ones(len(problem.rows)),
+        np.zeros(problem.n_joints),
+        scale,
+        problem.rotors_sought,
+    )
+    rng = np.random.default_rng(0)
+    q, qd, qdd = rng.normal(size=(3, 400, problem.n_joints))
+    q = np.clip(problem.rest + 2.0 * q, problem.limits.lower, problem.limits.upper)
+    matrix = PredictedInformation(problem.chain, settings).evaluate(q, qd, qdd).information
+    values, vectors = np.linalg.eigh(matrix)
+    return scale @ vectors[:, values > 1e-9 * values[-1]]

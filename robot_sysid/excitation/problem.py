@@ -2,28 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from robot_sysid.collision.clearance import Clearance
-from robot_sysid.collision.halfspaces import HalfSpace, box_half_spaces, plane_half_space
-from robot_sysid.collision.obstacles import NoObstacles, RestPairs
-from robot_sysid.collision.swept import has_floor, outermost_points
+from robot_sysid.collision.obstacles import NoObstacles
+from robot_sysid.collision.solids import (
+    HalfSpace,
+    box_half_spaces,
+    has_floor,
+    outermost_points,
+    plane_half_space,
+)
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED
 from robot_sysid.dynamics.kinematics import ChainKinematics, subtree
 from robot_sysid.dynamics.screws import ScrewChain
 from robot_sysid.errors import InputError
+from robot_sysid.excitation.information import body_wrench
 from robot_sysid.excitation.options import TOP_FREQUENCY_HZ, LimitOptions
-from robot_sysid.excitation.tool import LoadedTorque, Tool
-from robot_sysid.model.limits import DEFAULT_SLIDE_VELOCITY
-from robot_sysid.records import Array, RobotModel, checked_array
+from robot_sysid.model.chain import DEFAULT_SLIDE_VELOCITY
+from robot_sysid.records import Array, Motion, RobotModel, checked_array
 from robot_sysid.records.arm import DEFAULT_MAX_VELOCITY
 from robot_sysid.records.options import PerJoint, per_joint
 from robot_sysid.simulator import ArmTorque
-from robot_sysid.trajectory import POSITION_MARGIN, TORQUE_MARGIN, UNLIMITED_RANGE
+from robot_sysid.trajectory import POSITION_MARGIN, TORQUE_MARGIN, UNLIMITED_RANGE, TorqueFunction
 
 LIMIT_NAMES = ("position", "velocity", "acceleration", "torque")
 """The families of joint limits, in the order of their columns."""
@@ -33,18 +38,16 @@ ROUNDING = 1e-9
 """Share of a limit by which rounding may exceed it: the motion may start exactly at one."""
 DEFAULT_NOISE_TORQUE = 0.3
 """Torque noise that a plan predicts errors for where none is given [N m]."""
+MODEL, ASKED, ASSUMED, NONE = "the model", "the options", "an assumption", "nothing"
+"""Where a limit may come from."""
 
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """What the motion must obey.
+    """What the motion must obey, each (n,) [rad or m, s, N m or N]; infinite without a limit.
 
-    Attributes:
-        lower, upper: (n,) positions, finite, margin already taken off [rad or m].
-        velocity: (n,) [rad/s or m/s].
-        acceleration: (n,) [rad/s^2 or m/s^2].
-        torque: (n,) [N m or N]; infinite where there is none.
-        tool_speed: of the tool's fastest point [m/s]; infinite where there is none.
+    Positions are finite, with the margin already taken off. The speed is that of the tool's fastest
+    point [m/s].
     """
 
     lower: Array
@@ -74,19 +77,106 @@ class MotionLimits:
 
 
 @dataclass(frozen=True)
+class Tool:
+    """The terminal body and all it carries, by its outermost points.
+
+    A point p of the body moves at v + w x p, so its speed is a convex function of p and the fastest
+    point is a corner of the body, or in the ball that stands for what is round about one.
+
+    Attributes:
+        points: (P, 3) in the terminal body's frame [m].
+        radius: (P,) of a ball about each that belongs to it too [m].
+    """
+
+    points: Array
+    radius: Array
+
+    @property
+    def tip(self) -> Array:
+        """The point (3,) farthest from the last joint's body origin [m]."""
+        distance = np.linalg.norm(self.points, axis=1)
+        far = int(np.argmax(distance + self.radius))
+        along = self.points[far] / distance[far] if distance[far] > 0.0 else np.zeros(3)
+        return np.asarray(self.points[far] + self.radius[far] * along)
+
+    def speed(self, twist: Array) -> Array:
+        """Return the speed (N,) of the fastest point at twists (6, N) of the body [m/s]."""
+        return np.asarray(np.max(self._speeds(twist)[0], axis=0))
+
+    def speed_vjp(self, twist: Array, weight: Array) -> Array:
+        """Return the gradient (6, N) of sum(weight * speed) with respect to the twists."""
+        speeds, velocity = self._speeds(twist)
+        at, each = np.argmax(speeds, axis=0), np.arange(twist.shape[1])
+        along = _unit(velocity[:, at, each])
+        point, turning = self.points[at].T, _unit(twist[:3]) * self.radius[at]
+        return weight * np.concatenate((spatial.cross(point, along) + turning, along))
+
+    def _speeds(self, twist: Array) -> tuple[Array, Array]:
+        """Return the largest speed about each corner (P, N), and its own velocity (3, P, N)."""
+        turned = spatial.cross(twist[:3, None, :], self.points.T[:, :, None])
+        velocity = twist[3:, None, :] + turned
+        spin = np.linalg.norm(twist[:3], axis=0)
+        return np.linalg.norm(velocity, axis=0) + self.radius[:, None] * spin, velocity
+
+
+def _unit(vectors: Array) -> Array:
+    length = np.linalg.norm(vectors, axis=0)
+    return vectors / np.where(length > 0.0, length, 1.0)
+
+
+@dataclass(frozen=True)
+class LoadedTorque:
+    """Torques of a motion, with or without an unknown load at the tip of the tool.
+
+    Attributes:
+        arm: torques (N, n) of the arm alone.
+        tip: (3,) where the load's mass would be, in the terminal body's frame [m].
+        reserve: the heaviest load [kg]; each torque is the larger one of without and with it.
+    """
+
+    arm: TorqueFunction
+    chain: ScrewChain
+    tip: Array
+    reserve: float = 0.0
+
+    def __call__(self, motion: Motion) -> Array:
+        """Return the torques (N, n) that have to be kept within limits [N m]."""
+        torque = self.arm(motion)
+        if self.reserve == 0.0:
+            return torque
+        loaded = torque + self.reserve * self.per_kilogram(motion)
+        return np.where(np.abs(loaded) > np.abs(torque), loaded, torque)
+
+    def per_kilogram(self, motion: Motion) -> Array:
+        """Return the torques (N, n) that a load adds, per kilogram of it [N m/kg]."""
+        body = self.chain.evaluate(motion.q, motion.qd, motion.qdd)
+        theta = spatial.theta_from_com(1.0, self.tip, np.zeros((3, 3)))
+        wrench = np.einsum("ikn,k->in", body_wrench(body.velocity, body.acceleration), theta)
+        return np.einsum("ijn,in->nj", body.jacobian, wrench)
+
+    def load_left(self, motion: Motion, limit: Array) -> tuple[float, int]:
+        """Return the heaviest load [kg] that keeps torque limits (n,), and the joint that ends it.
+
+        Infinite where no torque is limited, negative where the arm alone is beyond a limit.
+        """
+        torque, more = self.arm(motion), self.per_kilogram(motion)
+        room = np.where(more >= 0.0, limit - torque, limit + torque)
+        room = np.where(np.abs(torque) > limit, limit - np.abs(torque), room)
+        share = np.abs(more) > 1e-12
+        left = np.where(share, room / np.where(share, np.abs(more), 1.0), np.inf)
+        least = np.min(left, axis=0)
+        return float(np.min(least)), int(np.argmin(least))
+
+
+@dataclass(frozen=True)
 class ExcitationProblem:
     """One arm, ready for the search.
 
     Attributes:
-        robot: the arm.
-        joint_names: the n chain joints.
         rest: (n,) where the motion starts and ends [rad].
-        limits: what it must obey.
-        chain: the arm's screws.
         prior: (10,) the terminal link's parameters in the model; sets the physical scale.
         tool: the outermost points of the terminal link and all it carries.
         torque: joint torques (N, n) along a motion that limits hold for, friction included.
-        obstacles: what must not be touched.
         rows: chain joints whose torque will be used.
         sigma: (len(rows),) standard deviation of their noise [N m].
         origins: per family of limits where each joint's comes from, see ``limit_origins``.
@@ -120,6 +210,11 @@ class ExcitationProblem:
         """Number of chain joints n."""
         return len(self.joint_names)
 
+    def torque_at(self, q: Array, qd: Array | float = 0.0, qdd: Array | float = 0.0) -> Array:
+        """Return the torques (N, n) at positions (N, n), at rest if nothing else is said [N m]."""
+        still = np.zeros_like(q)
+        return self.torque(Motion(np.arange(float(len(q))), q, still + qd, still + qdd))
+
     @property
     def rotors_sought(self) -> bool:
         """Whether rotor inertias are estimated: not from one torque, where they are the link's."""
@@ -142,8 +237,7 @@ def build_problem(
     """Collect what a search or a limit check needs to know about an arm.
 
     Args:
-        robot: the arm.
-        limits: what its motion has to obey.
+        robot, limits: the arm, and what its motion has to obey.
         torques: "chain" or "terminal": which joint torques will be used.
         noise_torque: standard deviation of the torque noise [N m], one number or one per joint.
         top_frequency_hz: where no acceleration limit is given, the one that full speed at this
@@ -204,7 +298,6 @@ def _limits(
     position: tuple[Array, Array],
     top_frequency_hz: float | None,
 ) -> tuple[MotionLimits, tuple[str, ...]]:
-    allowed = _torque_limits(robot, options)
     ignored = ", ".join(options.ignore_torque_limit)
     notes = (f"the torque limit of {ignored} is not obeyed, as asked",) if ignored else ()
     top = np.inf if top_frequency_hz is None else min(top_frequency_hz, TOP_FREQUENCY_HZ)
@@ -215,14 +308,10 @@ def _limits(
         upper=position[1],
         velocity=robot.limits.velocity,
         acceleration=natural if asked is None else np.where(robot.is_slide, natural, asked),
-        torque=TORQUE_MARGIN * allowed,
+        torque=TORQUE_MARGIN * _torque_limits(robot, options),
         tool_speed=np.inf if options.max_tool_speed is None else options.max_tool_speed,
     )
     return limits, notes
-
-
-MODEL, ASKED, ASSUMED, NONE = "the model", "the options", "an assumption", "nothing"
-"""Where a limit may come from."""
 
 
 def limit_origins(
@@ -235,8 +324,7 @@ def limit_origins(
     usual = np.where(robot.is_slide, np.minimum(DEFAULT_SLIDE_VELOCITY, asked), asked)
     by_default = robot.is_slide | (asked == DEFAULT_MAX_VELOCITY)
     speed = np.where(own.velocity < usual, MODEL, np.where(by_default, ASSUMED, ASKED))
-    shaken = ASSUMED if options.max_acceleration is None else ASKED
-    shaken_by = np.where(robot.is_slide, ASSUMED, shaken)
+    shaken_by = np.where(robot.is_slide | (options.max_acceleration is None), ASSUMED, ASKED)
     free = ~np.isfinite(limits.torque)
     strong = limits.torque >= TORQUE_MARGIN * own.torque
     found = {
@@ -288,40 +376,25 @@ def _obstacles(
         note = "the model has no collision geometry; nothing keeps the arm from touching itself"
         return NoObstacles(robot.n_joints), (note,)
     clearance = Clearance(robot, rest, options.clearance, spaces)
-    _require_inside(clearance)
-    return clearance, tuple(_rest_notes(clearance.at_rest))
-
-
-def _rest_notes(pairs: RestPairs) -> Iterator[str]:
-    if pairs.ignored:
-        listed = "; ".join(pairs.ignored)
-        yield (
-            "links that overlap by design, next to each other or in every position, are not "
-            f"looked at: {listed}"
+    outside = clearance.half_spaces_left_at_rest()
+    if outside:
+        space, body, depth = max(outside, key=lambda entry: entry[2])
+        raise InputError(
+            f"no trajectory is feasible: at rest, body {body} is {1000 * depth:.0f} mm beyond "
+            f"{space.label}; move that limit, or change the model's reference configuration"
         )
-    if pairs.touching:
-        yield f"touching already at rest, and never to get deeper: {'; '.join(pairs.touching)}"
-    if pairs.near:
-        listed = "; ".join(pairs.near)
-        yield f"so near at rest that they keep half that distance, not --clearance: {listed}"
+    pairs = clearance.at_rest
+    said = (
+        "links that overlap by design, next to each other or in every position, are not looked at",
+        "touching already at rest, and never to get deeper",
+        "so near at rest that they keep half that distance, not --clearance",
+    )
+    listed = map("; ".join, (pairs.ignored, pairs.touching, pairs.near))
+    return clearance, tuple(f"{words}: {which}" for words, which in zip(said, listed) if which)
 
 
 def _half_spaces(robot: RobotModel, options: LimitOptions) -> tuple[HalfSpace, ...]:
-    model = robot.mj_model
-    first = int(model.jnt_bodyid[model.dof_jntid[robot.dof_index[0]]])
-    moving = subtree(model, first)
+    model, box = robot.mj_model, options.box
+    moving = subtree(model, int(model.jnt_bodyid[model.dof_jntid[robot.dof_index[0]]]))
     planes = tuple(plane_half_space(p, options.clearance, moving) for p in options.planes)
-    box = options.box
     return planes if box is None else planes + box_half_spaces(box, subtree(model, robot.body_id))
-
-
-def _require_inside(clearance: Clearance) -> None:
-    """Refuse half-spaces that the arm leaves already at rest: no trajectory could start there."""
-    outside = clearance.half_spaces_left_at_rest()
-    if not outside:
-        return
-    space, body, depth = max(outside, key=lambda entry: entry[2])
-    raise InputError(
-        f"no trajectory is feasible: at rest, body {body} is {1000 * depth:.0f} mm beyond "
-        f"{space.label}; move that limit, or change the model's reference configuration"
-    )

@@ -7,7 +7,7 @@ loading it gives back every bit. The CSV file is for other programs; it is not r
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TextIO
@@ -15,9 +15,12 @@ from typing import Any, TextIO
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.excitation.fourier import FourierBasis, FourierTrajectory
-from robot_sysid.excitation.static.pose_trajectory import PoseTrajectory
-from robot_sysid.excitation.static.sweep_trajectory import SweepTrajectory
+from robot_sysid.excitation.trajectories import (
+    FourierBasis,
+    FourierTrajectory,
+    PoseTrajectory,
+    SweepTrajectory,
+)
 from robot_sysid.json_files import read_json
 from robot_sysid.records import Array, Motion, MotionPlan
 from robot_sysid.records.atomic_files import whole_file
@@ -25,16 +28,13 @@ from robot_sysid.trajectory import SineTrajectory, motion_chunks
 
 FORMAT = "robot-sysid trajectory"
 VERSION = 1
-_ARRAYS = {
-    "sines": ("center", "amplitude", "frequency_hz", "phase"),
-    "fourier": ("rest", "coefficients"),
-    "poses": ("points", "moves", "dwells"),
-    "sweeps": ("points", "moves", "ramps"),
+_KINDS: Mapping[str, tuple[Any, tuple[str, ...]]] = {
+    "sines": (SineTrajectory, ("center", "amplitude", "frequency_hz", "phase")),
+    "fourier": (FourierTrajectory, ("rest", "coefficients")),
+    "poses": (PoseTrajectory, ("points", "moves", "dwells")),
+    "sweeps": (SweepTrajectory, ("points", "moves", "ramps")),
 }
-_OF_ARRAYS: Mapping[str, Callable[..., MotionPlan]] = {
-    "poses": PoseTrajectory,
-    "sweeps": SweepTrajectory,
-}
+"""Each kind of trajectory, and what arrays make it."""
 
 
 @dataclass(frozen=True)
@@ -87,13 +87,7 @@ def at_speed(plan: MotionPlan, speed: float) -> MotionPlan:
 
 @dataclass(frozen=True)
 class SavedTrajectory:
-    """A trajectory from a file.
-
-    Attributes:
-        plan: it.
-        joint_names: the joints it was made for, base to terminal.
-        sha256: of the model file it was made for; "" where the file does not tell.
-    """
+    """A trajectory from a file; the joints, and model file (its sha256 or ""), it was made for."""
 
     plan: MotionPlan
     joint_names: tuple[str, ...]
@@ -123,10 +117,10 @@ class SavedTrajectory:
 def save_trajectory(
     path: Path | TextIO, plan: MotionPlan, joint_names: Sequence[str], sha256: str = ""
 ) -> None:
-    """Write a trajectory's coefficients as JSON.
+    """Write a trajectory's coefficients as JSON; the file appears whole or not at all.
 
     Args:
-        path: file, which appears whole or not at all, or an open one.
+        path: file, or an open one.
         plan: a sum of sinusoids, a Fourier series, poses, sweeps, or one of them slowed down.
         joint_names: one per joint.
         sha256: of the model file it was made for.
@@ -146,20 +140,14 @@ def _described(plan: MotionPlan) -> dict[str, Any]:
     """Return a trajectory as plain numbers; repr of a float is exact."""
     if isinstance(plan, SlowedTrajectory):
         return {**_described(plan.plan), "speed": plan.speed}
-    if isinstance(plan, SineTrajectory):
-        numbers = {"duration": plan.duration, "fade": plan.fade}
-        return {"kind": "sines", **numbers, **_listed_arrays(plan, "sines")}
-    if isinstance(plan, FourierTrajectory):
-        return {"kind": "fourier", **asdict(plan.basis), **_listed_arrays(plan, "fourier")}
-    if isinstance(plan, PoseTrajectory):
-        return {"kind": "poses", **_listed_arrays(plan, "poses")}
-    if isinstance(plan, SweepTrajectory):
-        return {"kind": "sweeps", **_listed_arrays(plan, "sweeps")}
+    for kind, (made, arrays) in _KINDS.items():
+        if isinstance(plan, made):
+            basis = asdict(plan.basis) if isinstance(plan, FourierTrajectory) else {}
+            if isinstance(plan, SineTrajectory):
+                basis = {"duration": plan.duration, "fade": plan.fade}
+            listed = {name: getattr(plan, name).tolist() for name in arrays}
+            return {"kind": kind, **basis, **listed}
     raise InputError(f"a {type(plan).__name__} has no coefficients to save")
-
-
-def _listed_arrays(plan: object, kind: str) -> dict[str, Any]:
-    return {name: getattr(plan, name).tolist() for name in _ARRAYS[kind]}
 
 
 def load_trajectory(path: Path) -> SavedTrajectory:
@@ -171,9 +159,9 @@ def load_trajectory(path: Path) -> SavedTrajectory:
     content = _read(path)
     try:
         kind = content["kind"]
-        if kind not in _ARRAYS:
+        if kind not in _KINDS:
             raise InputError(
-                f"{path}: unknown kind of trajectory {kind!r}; valid: {', '.join(_ARRAYS)}"
+                f"{path}: unknown kind of trajectory {kind!r}; valid: {', '.join(_KINDS)}"
             )
         plan = at_speed(_built(kind, content), float(content.get("speed", 1.0)))
         names = tuple(str(name) for name in content["joints"])
@@ -199,20 +187,16 @@ def _read(path: Path) -> Mapping[str, Any]:
 
 
 def _built(kind: str, content: Mapping[str, Any]) -> MotionPlan:
-    arrays = {name: np.array(content[name], dtype=float) for name in _ARRAYS[kind]}
-    if kind in _OF_ARRAYS:
-        return _OF_ARRAYS[kind](**arrays)
+    made, names = _KINDS[kind]
+    given: dict[str, Any] = {name: np.array(content[name], dtype=float) for name in names}
     if kind == "sines":
-        return SineTrajectory(
-            **arrays, duration=float(content["duration"]), fade=float(content["fade"])
-        )
-    basis = FourierBasis(
-        duration=float(content["duration"]),
-        base_frequency_hz=float(content["base_frequency_hz"]),
-        harmonics=int(content["harmonics"]),
-        fade=float(content["fade"]),
-    )
-    return FourierTrajectory(basis, **arrays)
+        given |= {name: float(content[name]) for name in ("duration", "fade")}
+    if kind == "fourier":
+        duration, base = float(content["duration"]), float(content["base_frequency_hz"])
+        harmonics, fade = int(content["harmonics"]), float(content["fade"])
+        given["basis"] = FourierBasis(duration, base, harmonics, fade)
+    plan: MotionPlan = made(**given)
+    return plan
 
 
 def save_samples(
@@ -220,22 +204,14 @@ def save_samples(
 ) -> None:
     """Write a trajectory's samples as CSV: time, then q, qd and qdd of each joint, SI units.
 
-    Args:
-        path: file, which appears whole or not at all, or an open one.
-        plan: the trajectory.
-        joint_names: one per joint.
-        sample_rate: rows per second [Hz].
+    The file appears whole or not at all; it has ``sample_rate`` rows per second.
     """
     titles = [f"{quantity}_{name}" for quantity in ("q", "qd", "qdd") for name in joint_names]
     with whole_file(path) as file:
         file.write(",".join(["time", *titles]) + "\n")
-        file.writelines(_rows(plan, sample_rate))
-
-
-def _rows(plan: MotionPlan, sample_rate: float) -> Iterator[str]:
-    for motion in motion_chunks(plan, sample_rate):
-        table = np.hstack((motion.time[:, None], motion.q, motion.qd, motion.qdd))
-        yield from (",".join(map(repr, row)) + "\n" for row in table.tolist())
+        for motion in motion_chunks(plan, sample_rate):
+            table = np.hstack((motion.time[:, None], motion.q, motion.qd, motion.qdd))
+            file.writelines(",".join(map(repr, row)) + "\n" for row in table.tolist())
 
 
 def _listed(names: Sequence[str]) -> str:

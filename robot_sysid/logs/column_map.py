@@ -1,18 +1,38 @@
-"""Which column of a log is which quantity of which joint.
+"""Which column of a log is which quantity of which joint, by its title or by a columns file.
 
 A column belongs to a joint because its title carries the joint's name (``elbow_effort``), or else
 by counting from 0 or 1 (``q1 .. q6``, ``j0_pos ..``). Whatever is decided is said, in one line, by
 ``ColumnMap.describe``; whatever has two answers is an error that lists both.
+
+The file behind ``--columns`` says what titles do not tell. Two forms. Lines of ``key = value``::
+
+    # lines starting with # are comments
+    time = Zeit
+    units = deg, ms
+    position = A1, A2, A3          one title per chain joint, base to terminal
+    torque.joint1 = M1
+    torque.joint2 = -M2            a minus flips the sign
+    torque.joint3 = 0.95 * I3      a number scales
+    velocity = none                keep a quantity out
+
+or the same as JSON: ``{"time": "Zeit", "position": ["A1", "A2"], "torque": {"joint1": "M1"}}``.
+Keys: time, position, velocity, acceleration, torque, joint_time (a time stamp of each joint's own),
+command (position a servo is asked for), units (rad, deg; s, ms, us, ns) and rate (samples per
+second, for a log without a time column). ``#3`` is the third column, for a log without titles.
 """
 
 from __future__ import annotations
 
+import contextlib
+import math
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.column_file import ColumnChoices, scaled_title
+from robot_sysid.json_files import read_json
 from robot_sysid.logs.columns import (
     QUANTITIES,
     REMEDY,
@@ -28,6 +48,143 @@ from robot_sysid.logs.columns import (
     units_beside_names,
 )
 from robot_sysid.records import Array
+
+_KEYS = ("time", *QUANTITIES, "units", "rate")
+_SCALED = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?)\s*\*\s*(.+)", re.ASCII)
+_ANGLES = ("rad", "deg")
+_TIMES = ("s", "ms", "us", "ns")
+
+
+@dataclass(frozen=True)
+class Units:
+    """Declared units; None where the column titles (or SI) decide."""
+
+    angle: str | None = None
+    time: str | None = None
+
+
+@dataclass(frozen=True)
+class ColumnChoices:
+    """What a columns file says.
+
+    Attributes:
+        time: title of the time column, or None.
+        columns: quantity to joint name to title; "none" keeps a quantity out.
+        rate: samples per second of a log without time stamps, or None.
+    """
+
+    time: str | None = None
+    columns: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    units: Units = Units()
+    rate: float | None = None
+
+
+def parse_units(text: str) -> Units:
+    """Return the units of a comma- or blank-separated list such as "deg,ms".
+
+    Raises:
+        InputError: a unit is unknown, or two are for the same thing.
+    """
+    words = [word for word in re.split(r"[,\s]+", text.strip()) if word]
+    unknown = [word for word in words if word not in _ANGLES + _TIMES]
+    angles, times = [w for w in words if w in _ANGLES], [w for w in words if w in _TIMES]
+    if unknown or not words or len(angles) > 1 or len(times) > 1:
+        raise InputError(
+            f"units {text!r} are not understood; give at most one of {', '.join(_ANGLES)} and one "
+            f"of {', '.join(_TIMES)}, for instance 'deg,ms'"
+        )
+    return Units(angles[0] if angles else None, times[0] if times else None)
+
+
+def read_columns_file(path: Path, joint_names: Sequence[str]) -> ColumnChoices:
+    """Read a columns file.
+
+    Raises:
+        InputError: it cannot be read, or a key, joint, unit or number in it is unknown.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cannot read the columns file {path}: {error}") from error
+    is_json = text.lstrip().startswith("{")
+    entries = (
+        dict(read_json(path, "write 'key = value' lines, or JSON"))
+        if is_json
+        else _lines(path, text)
+    )
+    columns: dict[str, dict[str, str]] = {}
+    for key, value in entries.items():
+        quantity = key.split(".", 1)[0]
+        if quantity not in _KEYS:
+            raise InputError(f"{path}: unknown key {key!r}; valid keys: {', '.join(_KEYS)}")
+        if quantity in QUANTITIES:
+            columns.setdefault(quantity, {}).update(_per_joint(path, key, value, joint_names))
+    units = parse_units(str(entries["units"])) if "units" in entries else Units()
+    time = str(entries["time"]) if "time" in entries else None
+    return ColumnChoices(time, columns, units, _rate(path, entries.get("rate")))
+
+
+def scaled_title(text: str, titles: Sequence[str]) -> tuple[str, float]:
+    """Return (title, factor) of "title", "-title" or "0.5 * title"; an exact title comes first."""
+    if text in titles:
+        return text, 1.0
+    match = _SCALED.fullmatch(text)
+    if match:
+        return match.group(2).strip(), float(match.group(1))
+    return (text[1:].strip(), -1.0) if text.startswith("-") else (text, 1.0)
+
+
+def _lines(path: Path, text: str) -> dict[str, Any]:
+    entries: dict[str, Any] = {}
+    for number, line in enumerate(text.splitlines(), start=1):
+        # A blank before the mark makes a remark of the rest; without one it is column "#3".
+        content = re.sub(r"(^|\s)#(?!\d).*", "", line).strip()
+        if not content:
+            continue
+        key, equals, value = (part.strip() for part in content.partition("="))
+        if not equals or not value or key in entries:
+            raise InputError(f"{path} line {number}: expected one 'key = value' per key: {line!r}")
+        entries[key] = value
+    return entries
+
+
+def _per_joint(path: Path, key: str, value: Any, joint_names: Sequence[str]) -> Mapping[str, str]:
+    _, _, joint = key.partition(".")
+    if joint:
+        chosen = {joint: str(value)}
+    elif isinstance(value, Mapping):
+        chosen = {str(name): str(title) for name, title in value.items()}
+    else:
+        chosen = _listed(path, key, value, joint_names)
+    unknown = [name for name in chosen if name not in joint_names]
+    if unknown:
+        raise InputError(
+            f"{path}: {key} names the unknown joint {unknown[0]!r}; the chain's joints are "
+            f"{', '.join(joint_names)}"
+        )
+    return chosen
+
+
+def _listed(path: Path, key: str, value: Any, joint_names: Sequence[str]) -> dict[str, str]:
+    titles = [str(v) for v in value] if isinstance(value, list) else str(value).split(",")
+    titles = [title.strip() for title in titles]
+    if titles == ["none"]:
+        titles = ["none"] * len(joint_names)
+    if len(titles) != len(joint_names):
+        raise InputError(
+            f"{path}: {key} lists {len(titles)} columns, the chain has {len(joint_names)} joints: "
+            f"{', '.join(joint_names)}"
+        )
+    return dict(zip(joint_names, titles))
+
+
+def _rate(path: Path, value: Any) -> float | None:
+    if value is None:
+        return None
+    with contextlib.suppress(TypeError, ValueError):
+        if 0.0 < float(value) < math.inf:
+            return float(value)
+    raise InputError(f"{path}: rate must be a positive number of samples per second: {value!r}")
 
 
 @dataclass(frozen=True)
@@ -48,7 +205,6 @@ class ColumnMap:
         rate: samples per second declared for a log without time stamps.
         position, torque: always there.
         velocity, acceleration, joint_time: None where the log has none.
-        unused: titles that were not taken for anything.
         angle_declared: whether the unit of angles was declared (option or title), not assumed.
         commanded: whether ``torque`` holds commanded positions instead, of a log read for them.
     """
@@ -66,7 +222,7 @@ class ColumnMap:
 
     def groups(self) -> tuple[tuple[Source, ...] | None, ...]:
         """Return the columns of each quantity: position, torque, then what there may be."""
-        return (*(self.position, self.torque, self.velocity, self.acceleration, self.joint_time),)
+        return self.position, self.torque, self.velocity, self.acceleration, self.joint_time
 
     def sources(self) -> list[Source]:
         """Return all columns: time, where there is one, and the groups."""
@@ -104,12 +260,10 @@ def recognise_columns(
 
     Args:
         titles: header cells; "#1", "#2", ... where the file has no header.
-        joint_names: the n chain joints, base to terminal.
         chosen: what was declared; it outranks the titles.
         first_row: the first row of data (it may hold joint names, as ROS logs do).
         is_slide: (n,) whether a joint is a slide, whose positions are never angles.
         currents: whether columns of motor current stand in for torque, where there are any.
-        commanded: whether commanded positions are wanted, and no torque.
 
     Raises:
         InputError: a quantity is missing, has two candidates, or contradicts the declared units.
@@ -162,25 +316,20 @@ class _Columns:
         explicit = self._chosen.columns.get(kind, {})
         if set(explicit.values()) == {"none"}:
             return None
-        columns = [
-            self._column(kind, name, found.get((kind, joint), []))
-            for joint, name in enumerate(self._joints)
-        ]
-        sources = [self._source(kind, joint, *c) for joint, c in enumerate(columns) if c]
+        sources = []
+        for joint, name in enumerate(self._joints):
+            candidates = found.get((kind, joint), [])
+            if name in explicit:
+                sources.append(self._source(kind, joint, *self._lookup(explicit[name])))
+            elif len(candidates) > 1:
+                raise two_candidates(kind, name, [self._texts[index] for index in candidates])
+            elif candidates:
+                sources.append(self._source(kind, joint, candidates[0], 1.0))
         if len(sources) == len(self._joints):
             return tuple(sources)
         if explicit or kind in self._needed:
             raise self._incomplete(kind)
         return None
-
-    def _column(self, kind: str, joint: str, candidates: Sequence[int]) -> tuple[int, float] | None:
-        """Return (column, factor) of one quantity of one joint, or None where there is none."""
-        stated = self._chosen.columns.get(kind, {}).get(joint)
-        if stated is not None:
-            return self._lookup(stated)
-        if len(candidates) > 1:
-            raise two_candidates(kind, joint, [self._texts[index] for index in candidates])
-        return (candidates[0], 1.0) if candidates else None
 
     def time(self) -> Source | None:
         """Return the time column, or None where a rate stands in for it."""
@@ -212,7 +361,7 @@ class _Columns:
         if kind == "torque" and currents:
             hint += f"; {currents[0]}, ... are motor currents: give --torque-constants to use them"
         elif kind == "torque" and not candidates:
-            hint += "; with commanded positions, arm --torque-from position-error needs none"
+            hint += "; with commanded positions, identify --torque-from position-error needs none"
         return InputError(
             f"the log needs one {kind} column for each of the {len(self._joints)} chain joints "
             f"({', '.join(self._joints)}), found {found}{hint}; {REMEDY}. Columns: "
@@ -234,15 +383,18 @@ class _Columns:
 
     def _source(self, kind: str, joint: int, index: int, factor: float) -> Source:
         """Return a column with its factor to SI, by its title or else the declared units."""
-        title = self._titles[index]
+        title, units, declared = self._titles[index], self._chosen.units, None
         written = self._written(kind, title)
-        declared = self._declared(kind, joint)
+        if kind in ("time", "joint_time"):
+            declared = None if units.time is None else UNITS["time"][units.time]
+        elif kind != "torque" and units.angle is not None and not self._is_slide[joint]:
+            declared = UNITS["position"][units.angle]
         if written is not None and declared is not None and written != declared:
             raise InputError(
                 f"column {title.text!r} names a unit that contradicts the declared units; "
                 "declare what the column holds, or drop --units"
             )
-        unit = written if written is not None else declared if declared is not None else 1.0
+        unit = next((each for each in (written, declared) if each is not None), 1.0)
         return Source(index, self._texts[index], factor * unit)
 
     def _written(self, kind: str, title: Title) -> float | None:
@@ -255,14 +407,6 @@ class _Columns:
                 "column, or scale it with --columns FILE"
             )
         return factor
-
-    def _declared(self, kind: str, joint: int) -> float | None:
-        units = self._chosen.units
-        if kind in ("time", "joint_time"):
-            return None if units.time is None else UNITS["time"][units.time]
-        if kind == "torque" or units.angle is None or self._is_slide[joint]:
-            return None
-        return UNITS["position"][units.angle]
 
 
 def _quoted(sources: Sequence[Source]) -> str:

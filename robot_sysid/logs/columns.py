@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from robot_sysid.errors import InputError
@@ -76,9 +76,7 @@ class Title:
     """What a title says.
 
     Attributes:
-        text: the title as written.
         words: lower-case words without units and numbers.
-        numbers: the whole numbers in it.
         unit: the unit written in it, squeezed ("deg/s" -> "degs"), or "".
     """
 
@@ -111,18 +109,16 @@ def currents_as_torque(titles: Sequence[Title], joints: int) -> list[Title]:
 
     Unchanged where there are fewer currents than joints: then the torque columns hold them.
     """
+    found = list(titles)
     if sum(title.is_current for title in titles) < joints:
-        return list(titles)
-    return [_as_torque(title) for title in titles]
-
-
-def _as_torque(title: Title) -> Title:
-    """Return a current as torque, without its unit, and a torque as what is not used."""
-    if title.is_current:
-        text = re.sub(r"currents?", "torque", _BRACKETED_AMPERES.sub("", title.text), flags=re.I)
-        return read_title(text)
-    is_torque = any(KIND_OF_WORD.get(word) == "torque" for word in title.words)
-    return read_title(f"{title.text} unused") if is_torque else title
+        return found
+    for index, title in enumerate(titles):
+        if title.is_current:
+            text = _BRACKETED_AMPERES.sub("", title.text)
+            found[index] = read_title(re.sub(r"currents?", "torque", text, flags=re.I))
+        elif any(KIND_OF_WORD.get(word) == "torque" for word in title.words):
+            found[index] = read_title(f"{title.text} unused")
+    return found
 
 
 def commands_as_quantity(titles: Sequence[Title], joint_names: Sequence[str]) -> list[Title]:
@@ -178,8 +174,11 @@ def read_title(text: str) -> Title:
     numbers = tuple(int(piece) for piece in pieces if piece.isdigit())
     words = [piece for piece in pieces if not piece.isdigit()]
     units = [word for word in words if word in _UNIT_WORDS]
-    words = [word for word in words if word not in _UNIT_WORDS]
-    return Title(text, tuple(_join(words)), numbers, unit or "".join(units))
+    joined: list[str] = []
+    for word in (each for each in words if each not in _UNIT_WORDS):
+        pair = (joined[-1], word) if joined else ("", word)
+        joined[-1:] = [_JOINED[pair]] if pair in _JOINED else [*joined[-1:], word]
+    return Title(text, tuple(joined), numbers, unit or "".join(units))
 
 
 def without_written_name(title: Title, name: str) -> Title | None:
@@ -229,14 +228,6 @@ def _pieces(text: str) -> list[str]:
     return re.findall(r"[a-zA-Z°µ]+|\d+", apart.lower())
 
 
-def _join(words: Sequence[str]) -> list[str]:
-    joined: list[str] = []
-    for word in words:
-        pair = (joined[-1], word) if joined else ("", word)
-        joined[-1:] = [_JOINED[pair]] if pair in _JOINED else [*joined[-1:], word]
-    return joined
-
-
 Found = dict[tuple[str, int], list[int]]
 """(quantity, joint number) to the columns that could be it."""
 
@@ -249,13 +240,7 @@ def match_joints(
 ) -> Found:
     """Return the candidate columns of each quantity of each joint; nothing where it is incomplete.
 
-    Args:
-        titles: the log's titles.
-        joint_names: the n chain joints.
-        first_row: the first row of data, which may list joint names.
-
-    Raises:
-        InputError: names and numbers contradict each other, or both offer a column.
+    The log's ``first_row`` of data may list joint names.
     """
     named = _by_name(titles, joint_names)
     owned = {index for columns in named.values() for index in columns}
@@ -270,7 +255,15 @@ def match_joints(
                 raise two_candidates(kind, joint_names[0], [titles[i].text for i in pair])
             found.update({key: named[key] for key in keys})
         elif all(key in counted for key in keys):
-            _check_counted(kind, counted, named, titles, joint_names)
+            wrong = [
+                (i, key[1]) for key in keys for i in named.get(key, ()) if i not in counted[key]
+            ]
+            if wrong:
+                index, joint = wrong[0]
+                raise InputError(
+                    f"column {titles[index].text!r} carries the name of joint "
+                    f"{joint_names[joint]}, but by counting it belongs to another joint; {REMEDY}"
+                )
             found.update({key: counted[key] for key in keys})
     return found
 
@@ -349,19 +342,14 @@ def _by_number(
     order = _order_from_names(titles, joint_names, first_row)
     found: Found = {}
     for kind, columns in numbered.items():
-        places = order or _counting_order(columns, len(joint_names))
-        for number, joint in places.items():
+        # Without a list of names the numbers have to be exactly 0..n-1 or 1..n.
+        expected = range(min(columns), min(columns) + len(joint_names))
+        fits = expected.start in (0, 1) and sorted(columns) == list(expected)
+        counted = {number: joint for joint, number in enumerate(expected) if fits}
+        for number, joint in (order or counted).items():
             if number in columns:
                 found[kind, joint] = columns[number]
     return found
-
-
-def _counting_order(columns: Mapping[int, list[int]], n_joints: int) -> dict[int, int]:
-    """Return number to joint where the numbers are exactly 0..n-1 or 1..n, else nothing."""
-    first = min(columns)
-    expected = list(range(first, first + n_joints))
-    fits = first in (0, 1) and sorted(columns) == expected
-    return {number: joint for joint, number in enumerate(expected)} if fits else {}
 
 
 def _order_from_names(
@@ -378,16 +366,3 @@ def _order_from_names(
             start = title.numbers[0] if title.numbers else 0
             listed.update({start + k: name for k, name in enumerate(cells)})
     return {number: joint_names.index(n) for number, n in listed.items() if n in joint_names}
-
-
-def _check_counted(
-    kind: str, counted: Found, named: Found, titles: Sequence[Title], joint_names: Sequence[str]
-) -> None:
-    """Refuse a count that gives a column to another joint than the one it names."""
-    for joint, name in enumerate(joint_names):
-        for index in named.get((kind, joint), []):
-            if index not in counted[kind, joint]:
-                raise InputError(
-                    f"column {titles[index].text!r} carries the name of joint {name}, but by "
-                    f"counting it belongs to another joint; {REMEDY}"
-                )

@@ -31,11 +31,7 @@ CHECKS = {
 
 @dataclass(frozen=True)
 class LogOptions(OptionRecord):
-    """Which logs of the real arm, and what their columns are.
-
-    Attributes:
-        commanded: whether commanded positions are wanted, and no torque.
-    """
+    """Which logs of the real arm, and what their columns are."""
 
     NEEDS: ClassVar[str] = "log"
     measurements: tuple[Path, ...] = option(

@@ -2,29 +2,40 @@
 
 A log is a table with a row per sample: time, and position and torque of every chain joint;
 velocity, acceleration and other columns as they come (see ``formats`` for what kind of file it
-may be, ``columns``, ``column_map`` and ``column_file`` for how columns are found, ``checks`` for
-what is checked). It is read in blocks; what is left of it after ``thinning`` is held in memory.
+may be, ``columns`` and ``column_map`` for how columns are found, ``checks`` for what is checked).
+It is read in blocks; what is left of it after thinning is held in memory.
 """
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterable, Sequence
+import os
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.checks import check_log
-from robot_sysid.logs.column_file import ColumnChoices, Units, parse_units, read_columns_file
-from robot_sysid.logs.column_map import ColumnMap, recognise_columns
-from robot_sysid.logs.formats.known_text import merged
-from robot_sysid.logs.formats.recognise import open_table
+from robot_sysid.json_files import read_json
+from robot_sysid.logs.checks import LogContext, check_log
+from robot_sysid.logs.column_map import (
+    ColumnChoices,
+    ColumnMap,
+    Units,
+    parse_units,
+    read_columns_file,
+    recognise_columns,
+)
+from robot_sysid.logs.columns import joint_kind, read_title
+from robot_sysid.logs.formats import arrays
+from robot_sysid.logs.formats.dialect import is_number, read_dialect
+from robot_sysid.logs.formats.lerobot import is_lerobot, lerobot_table
+from robot_sysid.logs.formats.ros_bag import bag_table, is_bag
 from robot_sysid.logs.formats.table import ArrayTable, LogTable
+from robot_sysid.logs.formats.text import SAGE_HEADER, TextTable, known_text, merged, sage_table
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.rows import read_rows
-from robot_sysid.logs.timing import LogContext
 from robot_sysid.records import Array, DataOrigin, JointLimits, Measurement, RobotModel, Source
 from robot_sysid.records.atomic_files import whole_file
 from robot_sysid.records.progress import Progress
@@ -37,9 +48,6 @@ class MeasurementLog:
     """A checked log.
 
     Attributes:
-        path: the file.
-        columns: which column was taken for what.
-        samples: the usable rows.
         pieces: the samples between the gaps, those that are long enough.
         notes: one sentence each: which columns were used, what was mended, what looks odd.
     """
@@ -101,12 +109,6 @@ def read_log(
 ) -> MeasurementLog:
     """Recognise, check and open a log.
 
-    Args:
-        source: the log, a file, a folder or arrays.
-        joints: what it is about.
-        options: what was said of it.
-        progress: where to tell how far it is.
-
     Raises:
         InputError: the log cannot be read, is ambiguous or cannot be what it seems to be.
     """
@@ -115,17 +117,21 @@ def read_log(
     table = source if isinstance(source, ArrayTable) else open_table(path, names, options)
     choices = read_columns_file(Path(options.columns), names) if options.columns else None
     own = choices or ColumnChoices()
-    own = merged(replace(own, units=_declared_units(options.units, own)), table.choices)
-    _require_titles(table, choices is not None)
-    currents = options.torque_constants is not None
-    wanted = currents, options.commanded
+    given = parse_units(options.units) if options.units else Units()
+    units = Units(given.angle or own.units.angle, given.time or own.units.time)
+    own = merged(replace(own, units=units), table.choices)
+    if choices is None and table.titles[:1] == ("#1",):
+        raise InputError(
+            f"{table.path} has no column titles; say which of its {len(table.titles)} columns is "
+            "what with --columns FILE, for instance 'time = #1' and 'position = #2, #3, ...'"
+        )
+    wanted = options.torque_constants is not None, options.commanded
     found = recognise_columns(table.titles, names, own, table.first_row, slides, *wanted)
     factor = torque_factor(options, names)
     if factor is not None:
         found = found.with_torque_factor(factor)
     rows = read_rows(table, found, slides, progress)
-    declared = found.angle_declared
-    context = LogContext(str(path), names, joints.limits, np.array(slides), declared)
+    context = LogContext(str(path), names, joints.limits, np.array(slides), found.angle_declared)
     checked = check_log(rows, context)
     pieces = pieces_of(rows.samples)
     notes = (f"log layout: {table.layout}", *found.describe(), *checked)
@@ -157,11 +163,7 @@ def origin_of(logs: Sequence[MeasurementLog]) -> DataOrigin:
 
 
 def torque_factor(options: LogOptions, joint_names: Sequence[str]) -> Array | None:
-    """Return (n,) what the options multiply torque columns with; None for nothing.
-
-    Raises:
-        InputError: there are not as many numbers as joints, or a file does not fit.
-    """
+    """Return (n,) what the options multiply torque columns with; None for nothing."""
     if options.torque_scale is None and options.torque_constants is None:
         return None
     factor = np.ones(len(joint_names))
@@ -170,6 +172,13 @@ def torque_factor(options: LogOptions, joint_names: Sequence[str]) -> Array | No
     if options.torque_scale is not None:
         factor /= joint_factors(options.torque_scale, joint_names, SCALE)
     return factor
+
+
+_WRITTEN = {
+    **{"position": "q", "velocity": "qd", "torque": "tau", "acceleration": "qdd"},
+    "time": "joint_time",
+}
+"""Quantity, as titles end in it, to attribute of a measurement."""
 
 
 def write_measurement_csv(
@@ -183,9 +192,7 @@ def write_measurement_csv(
     The file appears whole or not at all.
 
     Args:
-        path: where to.
         joint_names: the n chain joints; columns are called ``<joint>_position`` and so on.
-        chunks: the samples in order, at least one chunk.
         header_comments: lines written above the titles, each after a "#".
 
     Raises:
@@ -194,41 +201,129 @@ def write_measurement_csv(
     with whole_file(path) as stream:
         stream.writelines(f"# {' '.join(comment.splitlines())}\n" for comment in header_comments)
         writer = csv.writer(stream, lineterminator="\n")
-        _write_chunks(writer.writerow, joint_names, chunks)
-
-
-def _write_chunks(
-    write_row: Callable[[Iterable[str]], object],
-    joint_names: Sequence[str],
-    chunks: Iterable[Measurement],
-) -> None:
-    quantities: tuple[tuple[str, str], ...] = ()
-    for chunk in chunks:
+        quantities: dict[str, str] = {}
+        for chunk in chunks:
+            if not quantities:
+                quantities = {n: a for n, a in _WRITTEN.items() if getattr(chunk, a) is not None}
+                writer.writerow(["time", *(f"{j}_{n}" for n in quantities for j in joint_names)])
+            values = [getattr(chunk, attribute) for attribute in quantities.values()]
+            rows = np.column_stack((chunk.time, *values)).tolist()
+            writer.writerows(map(repr, row) for row in rows)
         if not quantities:
-            quantities = _written_quantities(chunk)
-            write_row(["time", *(f"{j}_{name}" for name, _ in quantities for j in joint_names)])
-        values = [getattr(chunk, attribute) for _, attribute in quantities]
-        for row in np.column_stack((chunk.time, *values)):
-            write_row(map(repr, row.tolist()))
-    if not quantities:
-        raise InputError("there are no samples to write")
+            raise InputError("there are no samples to write")
 
 
-def _written_quantities(chunk: Measurement) -> tuple[tuple[str, str], ...]:
-    names = (("position", "q"), ("velocity", "qd"), ("torque", "tau"), ("acceleration", "qdd"))
-    quantities = (*names, ("time", "joint_time"))
-    return tuple(pair for pair in quantities if getattr(chunk, pair[1]) is not None)
+FORMS = (
+    "a text table (CSV), a ROS 1 or ROS 2 bag, a LeRobot data set, HDF5 (ALOHA, robomimic), "
+    "NumPy .npz, MATLAB .mat or an xArm report"
+)
 
 
-def _require_titles(table: LogTable, has_columns_file: bool) -> None:
-    if has_columns_file or table.titles[:1] != ("#1",):
-        return
-    raise InputError(
-        f"{table.path} has no column titles; say which of its {len(table.titles)} columns is what "
-        "with --columns FILE, for instance 'time = #1' and 'position = #2, #3, ...'"
-    )
+def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> LogTable:
+    """Return a recording as a table."""
+    found = _binary_table(path, joint_names, options)
+    if found is not None:
+        return found
+    dialect = read_dialect(path)
+    if tuple(title.lower() for title in dialect.header[:5]) == SAGE_HEADER:
+        return sage_table(dialect, joint_names)
+    currents = options.torque_constants is not None
+    return TextTable(dialect, *known_text(dialect.header, joint_names, currents))
 
 
-def _declared_units(units: str | None, choices: ColumnChoices) -> Units:
-    given = parse_units(units) if units else Units()
-    return Units(given.angle or choices.units.angle, given.time or choices.units.time)
+def _binary_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> LogTable | None:
+    """Return a recording that is no text file, or None."""
+    start = _start(path)
+    bag = is_bag(path)
+    lerobot = path.is_dir() and is_lerobot(path)
+    for given, fits, name, what in (
+        (options.topic, bag, "--topic", "a ROS bag"),
+        (options.episode, lerobot, "--episode", "a LeRobot data set"),
+    ):
+        if given and not fits:
+            raise InputError(f"{name} is about {what}, and {path} is none; leave it off")
+    if bag:
+        return bag_table(path, joint_names, options.topic)
+    if lerobot:
+        return lerobot_table(path, joint_names, options.episode, options.commanded)
+    if path.is_dir():
+        raise InputError(f"{path} is a folder of no known form; a log is {FORMS}")
+    if start.startswith(arrays.MATLAB):
+        return arrays.matlab_table(path)
+    if start.startswith(arrays.HDF5):
+        return arrays.hdf5_table(path, options.commanded)
+    if arrays.is_xarm(path, start):
+        return arrays.xarm_table(path)
+    return arrays.npz_table(path) if start.startswith(arrays.NPZ) else None
+
+
+def _start(path: Path) -> bytes:
+    """Return the first bytes of a file; nothing of a folder."""
+    if os.path.isdir(path):  # Path.is_dir raises where a name is too long
+        return b""
+    try:
+        with path.open("rb") as stream:
+            return stream.read(16)
+    except OSError as error:
+        raise InputError(f"cannot read the log {path}: {error.strerror or error}") from error
+
+
+def earlier_logs(params: Path, robot: RobotModel) -> tuple[Path, ...]:
+    """Return the logs that an earlier run used, read off its params.json.
+
+    Information adds: the estimate from old and new logs together is the same as if all had been
+    recorded at once.
+
+    Raises:
+        InputError: the file is none of an identification from logs, it was made with another model,
+            or a log is no longer there.
+    """
+    content = read_json(params, "give the params.json of an earlier run")
+    if not isinstance(content, dict):
+        raise InputError(f"{params} is no params.json: it holds no names and values")
+    logs = content.get("logs")
+    if not isinstance(logs, list) or not logs or not all(isinstance(log, str) for log in logs):
+        raise InputError(
+            f"{params}: no identification from logs, so there is nothing to add to; give the "
+            "params.json of a run with --measurements"
+        )
+    model = content.get("model")
+    if not isinstance(model, dict) or model.get("sha256") != robot.sha256:
+        raise InputError(
+            f"{params} was made with another model than {robot.path}; give the same model file, or "
+            "all logs with --measurements"
+        )
+    missing = [log for log in logs if not os.path.exists(log)]
+    if missing:
+        raise InputError(f"{params}: its log {missing[0]} is no longer there; put it back")
+    return tuple(Path(log) for log in logs)
+
+
+def content_lines(path: Path, options: LogOptions, progress: Progress) -> list[str]:
+    """Return lines on a log's form and on the numbers in each of its columns."""
+    table = open_table(Path(path), (), options)
+    numeric = [k for k, cell in enumerate(table.first_row) if is_number(cell)]
+    columns = numeric if table.first_row else list(range(len(table.titles)))
+    # Least, largest and number of empty cells of each column.
+    extent = np.tile([np.inf, -np.inf, 0.0], (len(columns), 1))
+    rows, label = 0, f"Reading {table.path.name}"
+    for block in table.blocks(columns):
+        rows += len(block.cells)
+        there = np.isfinite(block.cells)
+        extent[:, 2] += np.count_nonzero(~there, axis=0)
+        least = np.min(np.where(there, block.cells, np.inf), axis=0, initial=np.inf)
+        most = np.max(np.where(there, block.cells, -np.inf), axis=0, initial=-np.inf)
+        extent[:, 0] = np.minimum(extent[:, 0], least)
+        extent[:, 1] = np.maximum(extent[:, 1], most)
+        progress.advance(label, min(block.done, 0.999), 1.0, f"{rows} rows")
+    progress.advance(label, 1.0, 1.0, "")
+    lines = [f"log layout: {table.layout}", f"{rows} {table.word}s"]
+    width = max(map(len, table.titles))
+    for column, (least, most, holes) in zip(columns, extent.tolist()):
+        title = table.titles[column]
+        kind = "time" if read_title(title).kind == "time" else joint_kind(read_title(title))
+        numbers = f"{least:12.6g} to {most:12.6g}" if least <= most else "no numbers"
+        empty = f", {holes:.0f} empty" if holes else ""
+        lines.append(f"  {title:{width}}  {numbers}{empty}" + (f"  ({kind})" if kind else ""))
+    lines.append("give the model too, to see which column is taken for what and what is wrong")
+    return lines

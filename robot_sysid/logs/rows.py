@@ -20,7 +20,7 @@ from robot_sysid.logs.column_map import ColumnMap
 from robot_sysid.logs.formats.table import NO_LINES, Block, Lines, LogTable
 from robot_sysid.records import Array, Measurement
 from robot_sysid.records.progress import Progress
-from robot_sysid.signals.thinning import Thinning
+from robot_sysid.signals.pieces import Thinning
 
 _TURN = 2.0 * np.pi
 # A wrap differs from a full turn only by the motion within one sample.
@@ -39,16 +39,12 @@ class LogRows:
 
     Attributes:
         lines: (N,) file lines; of thinned rows, those in whose middle a row is.
-        samples: what stands there, in SI units.
         n_read: number of rows in the file, except one that is cut off and those of other joints.
         missing, repeated: lines left out for an empty cell or for the time stamp before them.
         unreadable: lines left out because they hold no row of numbers, or none that can be true.
-        wrapped: lines at which a position was unwrapped.
         cut_off: the last line, where it is incomplete; else nothing.
         complaint: what is wrong with the first of the unreadable lines.
-        foreign: number of rows that hold nothing of this arm.
         thinned: how many rows were made one.
-        word: what rows are called.
     """
 
     lines: Lines
@@ -77,10 +73,7 @@ def read_rows(
     """Read all rows of a log.
 
     Args:
-        table: the log.
-        columns: what each column is.
         is_slide: (n,) whether a joint is a slide, which has no full turn.
-        progress: where to tell how far it is.
 
     Raises:
         InputError: time runs backwards, or nothing is left.
@@ -97,7 +90,7 @@ def read_rows(
     kept.clear()
     lines, samples = _samples(columns, cells)
     every = 1 if thinning is None else thinning.every
-    left_out = {kind: _joined(parts) for kind, parts in cleaner.found.items()}
+    left_out = {kind: np.concatenate([NO_LINES, *parts]) for kind, parts in cleaner.found.items()}
     rest = {"foreign": cleaner.foreign, "thinned": every, "word": table.word}
     rest["complaint"] = cleaner.complaint
     return LogRows(lines, samples, cleaner.n_read, **left_out, **rest)  # type: ignore[arg-type]
@@ -116,10 +109,6 @@ def _followed(blocks: Iterator[Block], table: LogTable, progress: Progress) -> I
     progress.advance(label, total, total, "")
 
 
-def _joined(parts: Sequence[Lines]) -> Lines:
-    return np.concatenate(parts) if parts else NO_LINES
-
-
 def _samples(columns: ColumnMap, cells: Array) -> tuple[Lines, Measurement]:
     """Return (lines, samples) of cleaned rows (N, 2 + C): line, time, then the columns' groups."""
     ends = np.cumsum([1, 1, *(len(group or ()) for group in columns.groups())])
@@ -132,13 +121,7 @@ def _samples(columns: ColumnMap, cells: Array) -> tuple[Lines, Measurement]:
 
 
 class _Cleaner:
-    """Leaves out and mends rows, block by block.
-
-    Args:
-        table: the log.
-        columns: what each column is.
-        is_slide: (n,) whether a joint is a slide.
-    """
+    """Leaves out and mends rows, block by block; a joint may be a slide (n,)."""
 
     KINDS = ("missing", "repeated", "unreadable", "wrapped", "cut_off")
 

@@ -32,8 +32,6 @@ class SourceFile:
     """One XML file.
 
     Attributes:
-        path: absolute path.
-        raw: its bytes on disk.
         text: the same as UTF-8 without byte order mark.
         elements: all its elements in document order, the root first.
         includes: index of an ``<include>`` in ``elements`` to the file it brings in.
@@ -53,7 +51,11 @@ class SourceFile:
     @property
     def is_utf8(self) -> bool:
         """Whether the file on disk is UTF-8, which is how MuJoCo reads every file."""
-        return self.raw == self.text or _is_utf8(self.raw)
+        try:
+            self.raw.decode("utf-8")
+        except UnicodeDecodeError:
+            return False
+        return True
 
     @cached_property
     def index(self) -> Mapping[Any, int]:
@@ -72,12 +74,7 @@ class SourceFile:
 
 @dataclass(frozen=True)
 class Node:
-    """An element of the expanded model.
-
-    Attributes:
-        file: the file it is written in.
-        element: the lxml element.
-    """
+    """An element of the expanded model."""
 
     file: SourceFile
     element: Any
@@ -116,7 +113,6 @@ class ModelDocument:
     """A model file with everything it includes.
 
     Attributes:
-        main: the file itself.
         kind: "mjcf" or "urdf".
         files: the main file and the included ones, in the order MuJoCo reads them.
     """
@@ -152,12 +148,19 @@ class ModelDocument:
         """Yield all elements of the expanded model in document order."""
         return self.root.walk()
 
-    def compilers(self) -> list[Node]:
-        """Return the compiler elements; those of a URDF stand in its ``<mujoco>`` part."""
+    def settings(self, tag: str) -> list[Node]:
+        """Return the elements of MuJoCo's settings with a tag, the one that counts most last.
+
+        Those of a URDF stand in its ``<mujoco>`` part.
+        """
         tops = list(self.root.children())
         if self.kind == "urdf":
             tops = [node for top in tops if top.tag == "mujoco" for node in top.children()]
-        return [node for node in tops if node.tag == "compiler"]
+        return [node for node in tops if node.tag == tag]
+
+    def compilers(self) -> list[Node]:
+        """Return the compiler elements."""
+        return self.settings("compiler")
 
 
 def local_name(element: Any) -> str:
@@ -227,7 +230,9 @@ class _Reader:
         name = element.get("file")
         if not name:
             raise ModelError(f"{where}: <include> without a file attribute")
-        path = self._find_include(parent, name)
+        folders = (self.main_path.parent, parent.path.parent)
+        candidates = (folder / name.replace("\\", "/") for folder in folders)
+        path = next((path for path in candidates if os.path.isfile(path)), None)
         if path is None:
             raise ModelError(
                 f"{where}: included file {name} not found (looked in {parent.path.parent})"
@@ -245,19 +250,6 @@ class _Reader:
         if next(included.root.iterchildren(etree.Element), None) is None:
             raise ModelError(f"{where}: included file {name} is empty")
         return included
-
-    def _find_include(self, parent: SourceFile, name: str) -> Path | None:
-        folders = (self.main_path.parent, parent.path.parent)
-        candidates = (folder / name.replace("\\", "/") for folder in folders)
-        return next((path for path in candidates if os.path.isfile(path)), None)
-
-
-def _is_utf8(raw: bytes) -> bool:
-    try:
-        raw.decode("utf-8")
-    except UnicodeDecodeError:
-        return False
-    return True
 
 
 def _read_bytes(path: Path) -> bytes:

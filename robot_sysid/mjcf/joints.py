@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
+from itertools import islice
 
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf import markup
-from robot_sysid.mjcf.changes import ActuatorChange, JointChange
-from robot_sysid.mjcf.compiler_settings import setting
 from robot_sysid.mjcf.documents import ModelDocument, Node
-from robot_sysid.mjcf.inertial import MULTIPLIERS, number
+from robot_sysid.mjcf.inertial import MULTIPLIERS, number, setting
 from robot_sysid.mjcf.markup import Edit
+from robot_sysid.mjcf.write_back import ActuatorChange, JointChange
 
 _IN_URDF = {"damping": "damping", "frictionloss": "friction"}
 _TAGS = ("joint", "freejoint")
@@ -61,14 +61,10 @@ def _spring_edits(
 
 
 def actuator_edits(document: ModelDocument, change: ActuatorChange) -> Iterator[tuple[Node, Edit]]:
-    """Yield the edits that give a position actuator its new gains.
-
-    Raises:
-        ExportError: it is not written out in the file as an actuator with such gains.
-    """
-    sections = [node for node in document.root.children() if node.tag == "actuator"]
-    all_of_them = [node for section in sections for node in section.children()]
-    node = all_of_them[change.actuator] if change.actuator < len(all_of_them) else None
+    """Yield the edits that give a position actuator its new gains."""
+    sections = (node for node in document.root.children() if node.tag == "actuator")
+    written = (node for section in sections for node in section.children())
+    node = next(islice(written, change.actuator, None), None)
     kp, kv = number(change.stiffness), number(change.damping)
     attributes = {
         "position": {"kp": kp, "kv": kv},
@@ -80,8 +76,8 @@ def actuator_edits(document: ModelDocument, change: ActuatorChange) -> Iterator[
             "a <position> or <general> element; write it out"
         )
     if change.delay is not None:
-        late = {"delay": number(change.delay), "nsample": str(change.samples), "interp": "linear"}
-        attributes = {**attributes, **late}
+        attributes |= {"delay": number(change.delay), "nsample": str(change.samples)}
+        attributes["interp"] = "linear"
     for name, value in attributes.items():
         span = node.file.span(node.element)
         yield node, markup.set_attribute(node.file.text, span, name, value)
@@ -111,7 +107,6 @@ def find_joint(document: ModelDocument, label: str) -> Node:
     """Return the ``<joint>`` of a compiled joint.
 
     Args:
-        document: the model.
         label: the joint's name, or "#3" for the nameless joint with MuJoCo id 3.
 
     Raises:

@@ -20,12 +20,7 @@ _ESCAPED = str.maketrans({**_ESCAPES, "\t": "&#9;", "\n": "&#10;", "\r": "&#13;"
 
 @dataclass(frozen=True)
 class Span:
-    """Byte offsets of one element.
-
-    Attributes:
-        start, end: the whole element, text[start:end].
-        inner_start, inner_end: what lies between its tags; both equal ``end`` for ``<a/>``.
-    """
+    """Byte offsets of one element and of what lies between its tags; for ``<a/>`` both its end."""
 
     start: int
     inner_start: int

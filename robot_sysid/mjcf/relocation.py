@@ -1,4 +1,7 @@
-"""MJCF text for another folder: file references and includes rewritten, everything else kept.
+"""The files an MJCF model refers to (meshes, textures, other models), its text for another folder.
+
+MuJoCo's rule: ``folder of the main file / meshdir (or texturedir) / file``; for an element that an
+include brought in, the folder of the file it is written in comes next.
 
 An include is kept, with its path rewritten, when the included file needs no folder itself: no
 further include, no file reference, no ``meshdir``, and is UTF-8. Otherwise its text takes its
@@ -10,12 +13,110 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
+from robot_sysid.errors import ModelError
 from robot_sysid.mjcf import markup
-from robot_sysid.mjcf.assets import Asset, AssetFolders, asset_folders, find_assets
 from robot_sysid.mjcf.documents import ModelDocument, Node, SourceFile, local_name
 from robot_sysid.mjcf.markup import Edit, quoted
+
+_CUBE_SIDES = ("fileright", "fileleft", "fileup", "filedown", "filefront", "fileback")
+_ATTRIBUTES: dict[str, tuple[str, ...]] = dict.fromkeys(
+    ("mesh", "hfield", "skin", "flexcomp", "model"), ("file",)
+)
+_ATTRIBUTES["texture"] = ("file", *_CUBE_SIDES)
+
+
+@dataclass(frozen=True)
+class AssetFolders:
+    """Where MuJoCo looks for assets; ``mesh_overridden``: the user said where meshes are."""
+
+    mesh: Path
+    texture: Path
+    strip: bool
+    mesh_overridden: bool
+
+
+@dataclass(frozen=True)
+class Asset:
+    """One reference to a file; its path is None if it was not found."""
+
+    node: Node
+    attribute: str
+    name: str
+    path: Path | None
+    looked_in: tuple[Path, ...]
+
+
+def asset_folders(document: ModelDocument, mesh_dir: Path | None = None) -> AssetFolders:
+    """Return where the assets of an MJCF document are; ``mesh_dir`` replaces its meshdir."""
+    mesh = texture = "."
+    strip = False
+    for compiler in document.compilers():
+        both = compiler.get("assetdir")
+        mesh = compiler.get("meshdir") or both or mesh
+        texture = compiler.get("texturedir") or both or texture
+        strip = (compiler.get("strippath") or str(strip)).lower() == "true"
+    base = document.folder
+    chosen = _joined(base, mesh) if mesh_dir is None else Path(mesh_dir).absolute()
+    textures = _joined(base, texture)
+    if mesh_dir is not None and not os.path.isdir(textures):
+        textures = chosen
+    return AssetFolders(chosen, textures, strip, mesh_dir is not None)
+
+
+def find_assets(document: ModelDocument, mesh_dir: Path | None = None) -> tuple[Asset, ...]:
+    """Return every file reference of an MJCF document, resolved."""
+    folders = asset_folders(document, mesh_dir)
+    return tuple(
+        _resolve(document, folders, node, attribute, node.get(attribute) or "")
+        for node in document.walk()
+        for attribute in _ATTRIBUTES.get(node.tag, ())
+        if node.get(attribute)
+    )
+
+
+def check_assets(document: ModelDocument, mesh_dir: Path | None = None) -> None:
+    """Raise ModelError naming the first file an MJCF document needs that does not exist."""
+    for asset in find_assets(document, mesh_dir):
+        if asset.path is None:
+            looked = ", ".join(str(folder) for folder in asset.looked_in)
+            remedy = "check the path" if asset.node.tag == "model" else "pass --mesh-dir FOLDER"
+            raise ModelError(
+                f"{document.path}: {asset.node.tag} file {asset.name} not found "
+                f"(looked in {looked}); {remedy}"
+            )
+
+
+def _resolve(
+    document: ModelDocument, folders: AssetFolders, node: Node, attribute: str, name: str
+) -> Asset:
+    wanted = name.replace("\\", "/")
+    if folders.strip and node.tag != "model":
+        wanted = Path(wanted).name
+    tried = tuple(dict.fromkeys(_candidates(document, folders, node, wanted)))
+    path = next((p for p in tried if os.path.isfile(p)), None)
+    return Asset(node, attribute, name, path, tuple(dict.fromkeys(p.parent for p in tried)))
+
+
+def _candidates(
+    document: ModelDocument, folders: AssetFolders, node: Node, name: str
+) -> Iterator[Path]:
+    own = {"model": document.folder, "texture": folders.texture}
+    yield _joined(own.get(node.tag, folders.mesh), name)
+    if folders.mesh_overridden and node.tag != "model":
+        # People keep textures beside the meshes, and drop sub-folders when they move both.
+        yield _joined(folders.mesh, name)
+        yield folders.mesh / Path(name).name
+    elif node.file is not document.main:
+        yield _joined(node.file.path.parent, name)
+
+
+def _joined(folder: Path, name: str) -> Path:
+    """Join without following links; an absolute name wins."""
+    return Path(os.path.normpath(folder / name.replace("\\", "/")))
+
 
 _FOLDER_ATTRIBUTES = ("assetdir", "meshdir", "texturedir", "strippath")
 _DECLARED_ENCODING = re.compile(rb"""\A(<\?xml[^>]*encoding\s*=\s*["'])[^"']*(["'])""")
@@ -32,20 +133,19 @@ def relocated_text(
     """Return the UTF-8 text of an MJCF document as it must read in another folder.
 
     Args:
-        document: the model.
         folder: where the text will live; None makes every path absolute and inlines all includes.
-        mesh_dir: the user's mesh folder, if any.
-        extra: further edits per file.
         inline: included files whose text must take the place of their ``<include>``.
     """
     assets = find_assets(document, mesh_dir)
     needing = {asset.node.file.path for asset in assets}
-    inlined = {
-        file.path
-        for file in document.files
-        if folder is None or not file.is_utf8 or _needs_folder(file, needing)
-    }
-    writer = _Writer(folder, inlined | set(inline))
+    inlined = set(inline)
+    for file in document.files:
+        compilers = (each for each in file.elements if local_name(each) == "compiler")
+        sets_folder = any(each.get(a) for each in compilers for a in _FOLDER_ATTRIBUTES)
+        needs_folder = file.includes or sets_folder or file.path in needing
+        if folder is None or not file.is_utf8 or needs_folder:
+            inlined.add(file.path)
+    writer = _Writer(folder, inlined)
     for path, edits in (extra or {}).items():
         writer.add(path, edits)
     folders = asset_folders(document, mesh_dir)
@@ -121,7 +221,10 @@ class _Writer:
         for i, included in file.includes.items():
             span = file.spans[i]
             if self._must_inline(included):
-                yield Edit(span.start, span.end, self._inner_text(included))
+                inner, edits = included.spans[0], self._all_edits(included)
+                ends = inner.inner_start, inner.inner_end
+                text = markup.apply_edits(included.text, edits, *ends).strip()
+                yield Edit(span.start, span.end, text)
             else:
                 name = reference(included.path, self.folder)
                 yield markup.set_attribute(file.text, span, "file", name)
@@ -131,22 +234,9 @@ class _Writer:
             self._must_inline(included) for included in file.includes.values()
         )
 
-    def _inner_text(self, file: SourceFile) -> bytes:
-        span = file.spans[0]
-        edits = self._all_edits(file)
-        return markup.apply_edits(file.text, edits, span.inner_start, span.inner_end).strip()
-
 
 def _same_path(old: str | None, new: str) -> bool:
     return old is not None and os.path.normpath(old) == os.path.normpath(new)
-
-
-def _needs_folder(file: SourceFile, needing: Collection[Path]) -> bool:
-    sets_folder = any(
-        local_name(element) == "compiler" and any(element.get(a) for a in _FOLDER_ATTRIBUTES)
-        for element in file.elements
-    )
-    return bool(file.includes) or sets_folder or file.path in needing
 
 
 def _move_assets(writer: _Writer, assets: Collection[Asset], folders: AssetFolders) -> None:
@@ -168,18 +258,14 @@ def _move_folders(
     writer: _Writer, document: ModelDocument, folders: AssetFolders, tags: set[str]
 ) -> None:
     """Make the compiler elements name the asset folders as seen from the new place."""
-    places = {
-        "meshdir": reference(folders.mesh, writer.folder),
-        "texturedir": reference(folders.texture, writer.folder),
-    }
+    ours = {"meshdir": folders.mesh, "texturedir": folders.texture}
+    places = {name: reference(place, writer.folder) for name, place in ours.items()}
     compilers = document.compilers()
     for node in compilers:
         writer.set_attributes(node, _new_folder_attributes(node, places))
     needed = {"meshdir"} if tags - {"texture", "model"} else set()
     needed |= {"texturedir"} if "texture" in tags else set()
-    named = {
-        name for node in compilers for name in needed if node.get(name) or node.get("assetdir")
-    }
+    named = {n for node in compilers for n in needed if node.get(n) or node.get("assetdir")}
     missing = {name: places[name] for name in sorted(needed - named) if places[name] != "."}
     if missing and compilers:
         writer.set_attributes(compilers[0], missing)

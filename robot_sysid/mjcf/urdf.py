@@ -12,6 +12,7 @@ import os
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,8 +38,6 @@ def compilable_urdf(
     """Return (text MuJoCo can compile, notes on what had to be changed).
 
     Args:
-        document: the URDF.
-        mesh_dir: where the user says the meshes are.
         with_minimum: give moving links without mass ``MINIMUM_MASS`` and ``MINIMUM_INERTIA``.
 
     Raises:
@@ -49,8 +48,14 @@ def compilable_urdf(
     _use_absolute_meshes(document, mesh_dir, edits, notes)
     edits += settings_edits(document, _SETTINGS)
     edits += _level_inertials(document)
-    if with_minimum:
-        _add_minimum_inertia(document, edits, notes)
+    found = dict(minimum_inertia_edits(document)) if with_minimum else {}
+    edits += found.values()
+    if found:
+        links = ", ".join(f"'{name}'" for name in found)
+        notes.append(
+            f"moving link {links} has no mass, or no inertia, which MuJoCo refuses; where it has "
+            f"none it was given {MINIMUM_MASS:g} kg and {MINIMUM_INERTIA:g} kg m^2"
+        )
     return markup.apply_edits(document.main.text, edits), tuple(notes)
 
 
@@ -64,7 +69,9 @@ def _use_absolute_meshes(
             path = str(use.path)
             edits.append(markup.set_attribute(file.text, file.span(use.element), "filename", path))
         elif use.shape not in dropped:
-            _check_can_drop(document, use, from_geometry)
+            has_inertial = use.link.find("{*}inertial") is not None and not from_geometry
+            if local_name(use.shape) != "visual" and not has_inertial:
+                raise _cannot_drop(document, use)
             span = file.span(use.shape)
             # Line numbers in MuJoCo's messages must stay those of the file.
             lines = file.text[span.start : span.end].count(b"\n")
@@ -72,45 +79,24 @@ def _use_absolute_meshes(
             dropped[use.shape] = use
     # A shape is dropped whole, so the edits inside it must go with it.
     removed = [file.span(shape) for shape in dropped]
-    inside = [e for e in edits if any(s.start < e.start < s.end for s in removed)]
-    edits[:] = [e for e in edits if e not in inside]
-    notes += _dropped_notes(list(dropped.values()))
+    edits[:] = [e for e in edits if not any(s.start < e.start < s.end for s in removed)]
+    collisions = {u.name for u in dropped.values() if local_name(u.shape) == "collision"}
+    if collisions:
+        notes.append(
+            "collision meshes that are missing or unreadable to MuJoCo were left out "
+            f"({', '.join(sorted(collisions))}); "
+            "the dynamics do not change, because these links have their own <inertial>; a written "
+            "model still names them, so MuJoCo by itself loads it only once they are there, in a "
+            "format it reads"
+        )
 
 
-def _check_can_drop(document: ModelDocument, use: MeshUse, from_geometry: bool) -> None:
-    drawn_only = local_name(use.shape) == "visual"
-    has_inertial = use.link.find("{*}inertial") is not None and not from_geometry
-    if drawn_only or has_inertial:
-        return
+def _cannot_drop(document: ModelDocument, use: MeshUse) -> ModelError:
     why = "not found" if use.path is None else f"in a format MuJoCo cannot read ({use.path.suffix})"
-    raise ModelError(
+    return ModelError(
         f"{document.path}: collision mesh {use.name} of link '{use.link.get('name')}' is {why}, "
         "and the link has no <inertial> of its own; pass --mesh-dir FOLDER or add an <inertial>"
     )
-
-
-def _dropped_notes(uses: list[MeshUse]) -> list[str]:
-    collisions = [use for use in uses if local_name(use.shape) == "collision"]
-    if not collisions:
-        return []
-    names = ", ".join(sorted({use.name for use in collisions}))
-    return [
-        f"collision meshes that are missing or unreadable to MuJoCo were left out ({names}); "
-        "the dynamics do not change, because these links have their own <inertial>; a written "
-        "model still names them, so MuJoCo by itself loads it only once they are there, in a "
-        "format it reads"
-    ]
-
-
-def _add_minimum_inertia(document: ModelDocument, edits: list[Edit], notes: list[str]) -> None:
-    found = dict(minimum_inertia_edits(document))
-    edits += found.values()
-    if found:
-        links = ", ".join(f"'{name}'" for name in found)
-        notes.append(
-            f"moving link {links} has no mass, or no inertia, which MuJoCo refuses; where it has "
-            f"none it was given {MINIMUM_MASS:g} kg and {MINIMUM_INERTIA:g} kg m^2"
-        )
 
 
 def minimum_inertia_edits(document: ModelDocument) -> Iterator[tuple[str, Edit]]:
@@ -133,8 +119,7 @@ def _minimum(mass: float, com: Array) -> bytes:
     return urdf_inertial_about_com(max(mass, MINIMUM_MASS), com, inertia).encode()
 
 
-_LARGEST = 1e12
-"""Squares of far larger numbers overflow."""
+_LARGEST = 1e12  # squares of far larger numbers overflow
 
 
 def link_inertias(document: ModelDocument) -> dict[str, tuple[float, Array, Array]]:
@@ -237,15 +222,7 @@ _SCHEME = re.compile(r"^(package|model|file)://")
 
 @dataclass(frozen=True)
 class MeshUse:
-    """A ``<mesh filename>`` in a URDF.
-
-    Attributes:
-        element: the mesh element.
-        link: the link it belongs to.
-        shape: the ``<visual>`` or ``<collision>`` around it.
-        name: the file name as written.
-        path: the file; None if it was not found.
-    """
+    """A ``<mesh filename>`` in a ``<visual>`` or ``<collision>``; no path if it was not found."""
 
     element: Any
     link: Any
@@ -304,45 +281,45 @@ def _mesh_candidates(document: ModelDocument, name: str, mesh_dir: Path | None) 
 
 
 def settings_edits(
-    document: ModelDocument, settings: Mapping[str, str], line_break: bytes = b""
+    document: ModelDocument, settings: Mapping[str, str], line_break: bytes = b"", beside: str = ""
 ) -> list[Edit]:
     """Return the edits that set MuJoCo's compiler attributes in a URDF; its meshdir goes.
 
     Args:
-        document: the URDF.
-        settings: attribute to value.
-        line_break: what to put before a new element.
+        settings: attribute to value; nothing is set where there are none.
+        beside: an element to add to the ``<mujoco>`` part, of which MuJoCo reads one only.
     """
-    file = document.main
-    compilers = document.compilers()
-    if not compilers:
-        attributes = "".join(f' {name}="{value}"' for name, value in settings.items())
-        place = file.spans[0].inner_start
-        addition = f"<mujoco><compiler{attributes}/></mujoco>".encode()
-        return [Edit(place, place, line_break + addition)]
-    edits = []
-    for compiler in compilers:
+    file, compilers, edits = document.main, document.compilers(), []
+    for compiler in compilers if settings else ():
         span = file.span(compiler.element)
         edits += [markup.set_attribute(file.text, span, n, v) for n, v in settings.items()]
         removal = markup.remove_attribute(file.text, span, "meshdir")
         edits += [removal] if removal else []
+    attributes = "".join(f' {name}="{value}"' for name, value in settings.items())
+    new = (f"<compiler{attributes}/>" if attributes and not compilers else "") + beside
+    part = file.root.find("{*}mujoco")
+    if new and part is not None:
+        edits.append(markup.insert_child(file.text, file.span(part), new.encode()))
+    elif new:
+        place = file.spans[0].inner_start
+        edits.append(Edit(place, place, line_break + f"<mujoco>{new}</mujoco>".encode()))
     return edits
 
 
 def relocated_urdf(
-    document: ModelDocument, folder: Path, mesh_dir: Path | None, extra: Collection[Edit]
+    document: ModelDocument,
+    folder: Path,
+    mesh_dir: Path | None,
+    extra: Collection[Edit],
+    setting: str = "",
 ) -> bytes:
     """Return the UTF-8 text of a URDF as it must read in another folder.
 
     Mesh names that can be found become paths from that folder; the others stay as they are.
 
-    Args:
-        document: the URDF.
-        folder: where the text will live.
-        mesh_dir: the user's mesh folder, if any.
-        extra: further edits.
+    ``setting``: an element to add to its ``<mujoco>`` part.
     """
-    return _with_mesh_names(document, mesh_dir, extra, lambda path: reference(path, folder))
+    return _with_mesh_names(document, mesh_dir, extra, partial(reference, folder=folder), setting)
 
 
 def _with_mesh_names(
@@ -350,6 +327,7 @@ def _with_mesh_names(
     mesh_dir: Path | None,
     extra: Collection[Edit],
     named: Callable[[Path], str],
+    setting: str = "",
 ) -> bytes:
     file, edits, nested = document.main, list(extra), False
     for use in mesh_uses(document, mesh_dir):
@@ -357,10 +335,11 @@ def _with_mesh_names(
         nested |= "/" in name
         if name != use.name:
             edits.append(markup.set_attribute(file.text, file.span(use.element), "filename", name))
-    if nested:
-        # MuJoCo before 3.7 drops the folders of a URDF's mesh names unless told otherwise.
-        line = markup.line_break(file.text) + b"  "
-        edits += settings_edits(document, {"strippath": "false"}, line)
+    # MuJoCo before 3.7 drops the folders of a URDF's mesh names unless told otherwise.
+    compiler = {"strippath": "false"} if nested else {}
+    line = markup.line_break(file.text) + b"  "
+    # First, so that a comment stays beside the element that it is about.
+    edits[:0] = settings_edits(document, compiler, line, setting)
     return utf8_declaration(markup.apply_edits(file.text, edits))
 
 

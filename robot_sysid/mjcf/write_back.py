@@ -1,13 +1,14 @@
-"""Which body of the model gets which part of the identified terminal link.
+"""What a written model has that the user's file has not, and which body gets which part of a link.
 
 What was identified is the composite: the terminal body and all below it. The file keeps every body
 of it, so the terminal body gets the composite minus the bodies the file already describes. Where
-that difference is no possible body, it gets the whole rigidly attached group instead.
+that difference is no possible body, it gets the whole rigidly attached group instead, and where
+bodies on joints of their own leave too little even for that, those are made lighter.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,12 +52,16 @@ class WriteBack:
         lumped: the bodies whose inertia went into the terminal body and which weigh nothing now.
         note: one sentence on that, or None.
         inflated: by how much all moments of inertia are larger than identified [kg m^2].
+        scaled: the bodies on joints of their own of which only a part is left.
+        scale: that part.
     """
 
     theta: Array
     lumped: tuple[SubtreeBody, ...] = ()
     note: str | None = None
     inflated: float = 0.0
+    scaled: tuple[SubtreeBody, ...] = ()
+    scale: float = 1.0
 
     def written(self, composite: Array) -> Array:
         """Return what an identified composite (10,) is in the written model."""
@@ -75,28 +80,68 @@ def plan_write_back(
         tolerance: what may be done to moments that the file cannot hold.
 
     Raises:
-        ExportError: neither the terminal body nor the rigid group can take the rest.
+        ExportError: the composite is no possible body itself, or nothing of the bodies on joints
+            has room in it.
     """
     terminal, others = bodies[0], bodies[1:]
-    mass, rest = float(composite[0]), _sum(others)
-    alone = possible_body(composite - rest, mass, tolerance)
+    mass = float(composite[0])
+    rest = composite - _sum(others)
+    alone = possible_body(rest, mass, tolerance)
     if alone is not None:
-        inflated = float(alone[4] - (composite - rest)[4])
+        inflated = float(alone[4] - rest[4])
         return WriteBack(alone, (), _inflated_note(alone, inflated), inflated)
     lumped = tuple(body for body in others if body.welded and np.any(body.theta))
-    hanging = [body for body in others if not body.welded]
-    rest = _sum(hanging)
-    group = possible_body(composite - rest, mass, tolerance) if lumped else None
-    if group is None:
-        raise ExportError(_refusal(composite, terminal, others))
-    names = ", ".join(f"'{body.name}'" for body in lumped)
-    note = (
-        f"body '{terminal.name}' now holds the inertia of all that is rigidly attached to it; "
-        f"{names} weigh nothing in the written model"
-    )
-    inflated = float(group[4] - (composite - rest)[4])
-    both = [part for part in (note, _inflated_note(group, inflated)) if part]
-    return WriteBack(group, lumped, "; ".join(both), inflated)
+    hanging = tuple(body for body in others if not body.welded and np.any(body.theta))
+    scale = _largest_scale(composite, _sum(hanging), tolerance)
+    rest = composite - scale * _sum(hanging)
+    group = possible_body(rest, mass, tolerance)
+    if group is None or scale < NOTHING:
+        raise ExportError(
+            f"the identified parameters of body '{terminal.name}' are not a possible rigid body, "
+            "so no model was written; use --consistency enforce or a longer --duration"
+        )
+    inflated = float(group[4] - rest[4])
+    scaled = hanging if scale < 1.0 else ()
+    notes = [*_shared_notes(terminal, lumped, scaled, scale), _inflated_note(group, inflated)]
+    note = "; ".join(part for part in notes if part)
+    return WriteBack(group, lumped, note, inflated, scaled, scale)
+
+
+def _largest_scale(composite: Array, hanging: Array, tolerance: Tolerance) -> float:
+    """Return the largest part, at most 1, of bodies that leaves a possible rest; 0 for none."""
+
+    def leaves_a_body(part: float, tolerance: Tolerance = EXACT) -> bool:
+        rest = composite - part * hanging
+        return possible_body(rest, float(composite[0]), tolerance) is not None
+
+    if leaves_a_body(1.0, tolerance):
+        return 1.0
+    # Possible bodies are a convex set: what leaves one is an interval that begins at nothing.
+    low, high = 0.0, 1.0
+    for _ in range(60):
+        middle = (low + high) / 2.0
+        low, high = (middle, high) if leaves_a_body(middle) else (low, middle)
+    return low
+
+
+def _shared_notes(
+    terminal: SubtreeBody,
+    lumped: Sequence[SubtreeBody],
+    scaled: Sequence[SubtreeBody],
+    scale: float,
+) -> Iterator[str]:
+    emptied, lighter = (", ".join(f"'{b.name}'" for b in bodies) for bodies in (lumped, scaled))
+    if lumped:
+        yield (
+            f"body '{terminal.name}' now holds the inertia of all that is rigidly attached to it; "
+            f"{emptied} weigh nothing in the written model"
+        )
+    if scaled:
+        yield (
+            f"{lighter} on joints of their own below body '{terminal.name}' left no possible body "
+            f"of what was identified of all of them, so their mass and inertia are {scale:.4g} of "
+            "the model's in the written model"
+        )
 
 
 def possible_body(theta: Array, scale: float, tolerance: Tolerance = EXACT) -> Array | None:
@@ -105,7 +150,6 @@ def possible_body(theta: Array, scale: float, tolerance: Tolerance = EXACT) -> A
     Args:
         theta: (10,) a difference of two bodies.
         scale: mass of the larger of them [kg]; what is tiny beside it is nothing.
-        tolerance: what may be done to its moments.
     """
     mass, com, inertia = spatial.com_from_theta(theta)
     size = float(np.trace(inertia)) / 2.0
@@ -139,15 +183,118 @@ def _sum(bodies: Sequence[SubtreeBody]) -> Array:
     return np.sum([body.theta for body in bodies], axis=0) if bodies else np.zeros(10)
 
 
-def _refusal(composite: Array, terminal: SubtreeBody, others: Sequence[SubtreeBody]) -> str:
-    if not others:
-        return (
-            f"the identified parameters of body '{terminal.name}' are not a possible rigid body, "
-            "so no model was written; use --consistency enforce or a longer --duration"
-        )
-    names = ", ".join(f"'{body.name}'" for body in others)
-    return (
-        f"the identified link ({composite[0]:.4g} kg) minus the bodies below '{terminal.name}' "
-        f"({names}: {_sum(others)[0]:.4g} kg) is not a possible rigid body, so no model was "
-        "written; correct the inertia of those bodies in the model file"
-    )
+JOINT_NUMBERS = ("armature", "damping", "frictionloss")
+"""What may be written into a joint, by its name in MJCF."""
+
+
+FAR = 1000.0
+"""Where the spring rests that makes an offset [rad or m]: over a turn it changes by 0.6 %."""
+
+
+@dataclass(frozen=True)
+class BodyChange:
+    """New inertia for a body.
+
+    Attributes:
+        label: the body's name, or "#7" for the nameless body with id 7.
+        addition: words for the comment before it, beside those of the plan.
+    """
+
+    label: str
+    body_id: int
+    plan: WriteBack
+    addition: str | None = None
+
+    @property
+    def comment(self) -> str | None:
+        """What the comment says beside the body's name and the residual."""
+        return "; ".join(part for part in (self.addition, self.plan.note) if part) or None
+
+
+@dataclass(frozen=True)
+class JointChange:
+    """New numbers for a joint; None leaves what the file says.
+
+    Attributes:
+        label: the joint's name, or "#3" for the nameless joint with id 3.
+        armature: rotor inertia seen at the joint [kg m^2 or kg]; a URDF cannot hold it.
+        damping: viscous friction [N m s/rad or N s/m].
+        frictionloss: Coulomb friction [N m or N].
+        polynomial: damping beyond the linear one, of qd abs(qd) and of qd^3; MuJoCo 3.7 and later.
+        offset: torque that motion takes in both directions [N m or N]; with Coulomb friction
+            larger than it, the joint has friction that is unequal in the two directions.
+        words: what a comment says of the numbers; empty for their names alone.
+    """
+
+    label: str
+    armature: float | None = None
+    damping: float | None = None
+    frictionloss: float | None = None
+    polynomial: tuple[float, float] | None = None
+    offset: float | None = None
+    words: str = ""
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """What is to be written, by its name in MJCF."""
+        values = {name: getattr(self, name) for name in JOINT_NUMBERS}
+        return {name: float(value) for name, value in values.items() if value is not None}
+
+    @property
+    def spring(self) -> tuple[float, float] | None:
+        """Stiffness, and where it rests [rad or m], of the spring that makes the offset."""
+        if self.offset is None:
+            return None
+        return abs(self.offset) / FAR, -FAR if self.offset > 0.0 else FAR
+
+
+@dataclass(frozen=True)
+class ActuatorChange:
+    """New gains for a position actuator.
+
+    Attributes:
+        actuator: its MuJoCo id, counted in the order of the file.
+        delay: by which it acts late [s]; None leaves what the file says.
+        samples: commands that it remembers for that, one of each time step.
+    """
+
+    actuator: int
+    stiffness: float
+    damping: float
+    delay: float | None = None
+    samples: int = 0
+
+
+@dataclass(frozen=True)
+class WeldedBody:
+    """A body of its own, fixed to one of the file's.
+
+    Attributes:
+        rotation, translation: (3, 3), (3,) its frame in the carrier's [m].
+        theta: (10,) in its own frame, inertia about its origin.
+    """
+
+    name: str
+    carrier: str
+    rotation: Array
+    translation: Array
+    theta: Array
+    words: str = ""
+
+
+@dataclass(frozen=True)
+class ModelChange:
+    """All that is written into a model.
+
+    Attributes:
+        rmse: of the identification [N m], for the comments.
+        welded: a new body, or None.
+        gravity: in the model's world frame [m/s^2]; None leaves what the file says.
+    """
+
+    bodies: tuple[BodyChange, ...]
+    rmse: float
+    joints: tuple[JointChange, ...] = ()
+    welded: WeldedBody | None = None
+    actuators: tuple[ActuatorChange, ...] = ()
+    gravity: tuple[float, float, float] | None = None

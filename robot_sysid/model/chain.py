@@ -1,4 +1,4 @@
-"""Which joint is the arm's last one, and which joints carry it.
+"""Which joint is the arm's last one, which joints carry it, and what each of them may do.
 
 The joints form a tree. A serial run is a path without branches; the arm is the longest serial run
 of hinge and slide joints, and its last joint is the terminal one. What branches off behind it are
@@ -11,7 +11,7 @@ motor torque is measured at them and no trajectory should drive them; so they st
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +19,8 @@ import mujoco
 import numpy as np
 
 from robot_sysid.errors import AmbiguousJointError, ModelError
+from robot_sysid.records import Array, JointLimits
+from robot_sysid.records.options import PerJoint, per_joint
 
 _JAW_JOINT = re.compile(r"grip|finger|jaw|claw|knuckle|pinch", re.IGNORECASE)
 _JAW_BODY = re.compile(r"finger|jaw|claw|knuckle", re.IGNORECASE)
@@ -28,16 +30,12 @@ RIVAL_SHARE = 0.6
 
 def joint_label(mj_model: Any, joint: int) -> str:
     """Return the joint's name, or "#id" where it has none."""
-    return _label(mj_model, mujoco.mjtObj.mjOBJ_JOINT, joint)
+    return mujoco.mj_id2name(mj_model, int(mujoco.mjtObj.mjOBJ_JOINT), joint) or f"#{joint}"
 
 
 def body_label(mj_model: Any, body: int) -> str:
     """Return the body's name, or "#id" where it has none."""
-    return _label(mj_model, mujoco.mjtObj.mjOBJ_BODY, body)
-
-
-def _label(mj_model: Any, kind: Any, index: int) -> str:
-    return mujoco.mj_id2name(mj_model, int(kind), index) or f"#{index}"
+    return mujoco.mj_id2name(mj_model, int(mujoco.mjtObj.mjOBJ_BODY), body) or f"#{body}"
 
 
 def is_hinge_or_slide(mj_model: Any, joint: int) -> bool:
@@ -48,12 +46,7 @@ def is_hinge_or_slide(mj_model: Any, joint: int) -> bool:
 
 @dataclass(frozen=True)
 class SerialRun:
-    """A path of joints without branches.
-
-    Attributes:
-        joints: joint ids from the base outwards.
-        ancestors: ids of all joints between the world and this run.
-    """
+    """A path of joints without branches, from the base outwards, and all before it."""
 
     joints: tuple[int, ...]
     ancestors: frozenset[int]
@@ -144,27 +137,18 @@ def find_terminal_joint(mj_model: Any) -> int:
     longest = max(len(run.joints) for run in runs)
     tops = [run for run in runs if len(run.joints) == longest]
     arm = next(run for run in tops if not any(run.is_behind(other) for other in tops))
-    rivals = [run for run in runs if _is_rival(run, arm)]
-    if rivals:
-        raise _two_arms(mj_model, runs, [arm, *rivals])
+    beside = [run for run in runs if not (run is arm or run.is_behind(arm) or arm.is_behind(run))]
+    rivals = [arm, *(run for run in beside if len(run.joints) >= RIVAL_SHARE * longest)]
+    if len(rivals) > 1:
+        # Their ends, and what all of them hang on.
+        trunks = [run for run in runs if all(rival.is_behind(run) for rival in rivals)]
+        ends = [run.joints[-1] for run in [*trunks, *rivals]]
+        reason = f"{len(rivals)} serial chains of joints could be the arm"
+        raise AmbiguousJointError(reason, _candidates(mj_model, ends))
     _require_no_ball(mj_model, arm)
     _require_no_jaw(mj_model, arm)
     _require_drive(mj_model, arm)
     return arm.joints[-1]
-
-
-def _is_rival(run: SerialRun, arm: SerialRun) -> bool:
-    """Tell whether a run beside the arm is long enough to be an arm itself."""
-    beside = run is not arm and not run.is_behind(arm) and not arm.is_behind(run)
-    return beside and len(run.joints) >= RIVAL_SHARE * len(arm.joints)
-
-
-def _two_arms(mj_model: Any, runs: list[SerialRun], rivals: list[SerialRun]) -> AmbiguousJointError:
-    """Return the error that lists the rivals' ends, and what all of them hang on."""
-    trunks = [run for run in runs if all(rival.is_behind(run) for rival in rivals)]
-    ends = [run.joints[-1] for run in [*trunks, *rivals]]
-    reason = f"{len(rivals)} serial chains of joints could be the arm"
-    return AmbiguousJointError(reason, _candidates(mj_model, ends))
 
 
 def _require_no_ball(mj_model: Any, arm: SerialRun) -> None:
@@ -209,7 +193,10 @@ def driven_joints(mj_model: Any) -> set[int]:
         if int(transmission) in (int(kind.mjTRN_JOINT), int(kind.mjTRN_JOINTINPARENT)):
             joints.add(int(target))
         elif int(transmission) == int(kind.mjTRN_TENDON):
-            joints.update(_joints_of_tendon(mj_model, int(target)))
+            first = int(mj_model.tendon_adr[target])
+            wraps = slice(first, first + int(mj_model.tendon_num[target]))
+            of_joints = mj_model.wrap_type[wraps] == int(mujoco.mjtWrap.mjWRAP_JOINT)
+            joints.update(mj_model.wrap_objid[wraps][of_joints].tolist())
     coupled = mj_model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
     for pair in zip(mj_model.eq_obj1id[coupled], mj_model.eq_obj2id[coupled]):
         if joints.intersection(pair):
@@ -217,18 +204,9 @@ def driven_joints(mj_model: Any) -> set[int]:
     return joints
 
 
-def _joints_of_tendon(mj_model: Any, tendon: int) -> list[int]:
-    first, count = int(mj_model.tendon_adr[tendon]), int(mj_model.tendon_num[tendon])
-    wraps = slice(first, first + count)
-    of_joints = mj_model.wrap_type[wraps] == int(mujoco.mjtWrap.mjWRAP_JOINT)
-    return [int(joint) for joint in mj_model.wrap_objid[wraps][of_joints]]
-
-
 def _candidates(mj_model: Any, joints: list[int]) -> list[tuple[str, str]]:
-    return [
-        (joint_label(mj_model, j), body_label(mj_model, int(mj_model.jnt_bodyid[j])))
-        for j in joints
-    ]
+    bodies = (body_label(mj_model, int(mj_model.jnt_bodyid[j])) for j in joints)
+    return list(zip((joint_label(mj_model, j) for j in joints), bodies))
 
 
 def resolve_joint(mj_model: Any, name: str) -> int:
@@ -260,12 +238,7 @@ _PERPENDICULAR = 1e-6
 
 
 def arm_without_base(mj_model: Any, chain: tuple[int, ...]) -> tuple[int, ...]:
-    """Return a chain of joint ids without the joints of a mobile base at its beginning.
-
-    Args:
-        mj_model: compiled model.
-        chain: joint ids from the world outwards.
-    """
+    """Return a chain (joint ids, outwards) without the joints of a mobile base at its beginning."""
     if len(chain) < N_JOINTS + LEAST_ARM or not _is_planar_base(mj_model, chain[:N_JOINTS]):
         return chain
     return chain[N_JOINTS:]
@@ -283,3 +256,67 @@ def _is_planar_base(mj_model: Any, joints: tuple[int, ...]) -> bool:
     mujoco.mj_kinematics(mj_model, data)
     axes = data.xaxis[ids]
     return bool(np.max(np.abs(axes @ axes.T - np.eye(N_JOINTS))) <= _PERPENDICULAR)
+
+
+DEFAULT_SLIDE_VELOCITY = 0.25
+"""Speed limit of slide joints [m/s]."""
+
+
+def joint_limits(
+    mj_model: Any, joints: tuple[int, ...], max_velocity: PerJoint, stated: Sequence[float | None]
+) -> JointLimits:
+    """Return the limits of some joints.
+
+    Args:
+        max_velocity: speed limit of hinge joints, one number or one per joint [rad/s]; slide
+            joints use their own default.
+        stated: speed limit of each joint that its model file states; None where it has none.
+    """
+    index = np.array(joints)
+    limited = mj_model.jnt_limited[index].astype(bool)
+    slide = mj_model.jnt_type[index] == int(mujoco.mjtJoint.mjJNT_SLIDE)
+    asked = per_joint(max_velocity, len(joints), "--max-velocity")
+    usual = np.where(slide, np.minimum(DEFAULT_SLIDE_VELOCITY, asked), asked)
+    return JointLimits(
+        lower=np.where(limited, mj_model.jnt_range[index, 0], -np.inf),
+        upper=np.where(limited, mj_model.jnt_range[index, 1], np.inf),
+        velocity=np.fmin(usual, np.array(stated, dtype=float)),
+        torque=np.array([_torque_limit(mj_model, joint) for joint in joints]),
+    )
+
+
+def _torque_limit(mj_model: Any, joint: int) -> float:
+    """Return the symmetric torque limit of a joint; infinite where the model names none."""
+    limited = mj_model.jnt_actfrclimited[joint]
+    own = _symmetric(mj_model.jnt_actfrcrange[joint]) if limited else np.inf
+    return min(own, _actuator_limit(mj_model, joint))
+
+
+def _actuator_limit(mj_model: Any, joint: int) -> float:
+    """Return what all actuators on a joint can give together."""
+    kinds = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+    limits = [
+        abs(float(mj_model.actuator_gear[a, 0])) * _force_limit(mj_model, a)
+        for a in range(mj_model.nu)
+        if int(mj_model.actuator_trntype[a]) in kinds
+        and int(mj_model.actuator_trnid[a, 0]) == joint
+    ]
+    return sum(limits) if limits else np.inf
+
+
+def _force_limit(mj_model: Any, actuator: int) -> float:
+    """Return the largest force of one actuator: its forcerange, or a motor's gain x ctrlrange."""
+    if mj_model.actuator_forcelimited[actuator]:
+        return _symmetric(mj_model.actuator_forcerange[actuator])
+    fixed = int(mj_model.actuator_gaintype[actuator]) == int(mujoco.mjtGain.mjGAIN_FIXED)
+    pure = int(mj_model.actuator_biastype[actuator]) == int(mujoco.mjtBias.mjBIAS_NONE)
+    if mj_model.actuator_ctrllimited[actuator] and fixed and pure:
+        gain = abs(float(mj_model.actuator_gainprm[actuator, 0]))
+        return gain * _symmetric(mj_model.actuator_ctrlrange[actuator])
+    return np.inf
+
+
+def _symmetric(bounds: Array) -> float:
+    """Return the largest magnitude allowed in both directions; a 0 bound means no limit."""
+    value = float(min(-bounds[0], bounds[1]))
+    return value if value > 0.0 else np.inf

@@ -1,12 +1,14 @@
 """Model file -> compiled MuJoCo model, quietly: MuJoCo's warnings become notes, its errors ours.
 
 MuJoCo before 3.14 finds the principal axes of a full inertia matrix to about six digits. A URDF
-cannot state them any other way, so its compiled inertias are replaced by accurate ones.
+cannot state them any other way, so its compiled inertias are replaced by accurate ones. What would
+make MuJoCo wait for ever, end the process or eat the memory is refused before it is shown the file.
 """
 
 from __future__ import annotations
 
 import locale
+import math
 import os
 import re
 from collections.abc import Iterator, Mapping
@@ -19,11 +21,9 @@ import mujoco
 import numpy as np
 
 from robot_sysid.errors import ModelError
-from robot_sysid.mjcf.assets import check_assets
-from robot_sysid.mjcf.documents import ModelDocument, read_document
-from robot_sysid.mjcf.relocation import relocated_text
+from robot_sysid.mjcf.documents import ModelDocument, Node, read_document
+from robot_sysid.mjcf.relocation import Asset, check_assets, find_assets, relocated_text
 from robot_sysid.mjcf.urdf import compilable_urdf, link_inertias, velocity_limits
-from robot_sysid.model.hazards import refuse_hazards
 from robot_sysid.model.inertia import inertia_about_com
 from robot_sysid.records import Array
 from robot_sysid.records.progress import Progress
@@ -35,18 +35,8 @@ _FAILURES = (ValueError, RuntimeError, mujoco.FatalError, mujoco.UnexpectedError
 _NAME = re.compile(r"(?:Element name|Object name =) ?'?([^',\n]+)")
 _LINE = re.compile(r"line(?: =)? (\d+)")
 _MUST_BE_FINITE = (
-    "body_mass",
-    "body_inertia",
-    "body_ipos",
-    "body_iquat",
-    "body_pos",
-    "body_quat",
-    "jnt_pos",
-    "jnt_axis",
-    "qpos0",
-    "dof_damping",
-    "dof_armature",
-    "dof_frictionloss",
+    *("body_mass", "body_inertia", "body_ipos", "body_iquat", "body_pos", "body_quat", "jnt_pos"),
+    *("jnt_axis", "qpos0", "dof_damping", "dof_armature", "dof_frictionloss"),
 )
 
 
@@ -55,7 +45,6 @@ class CompiledModel:
     """A compiled model file.
 
     Attributes:
-        mj_model: the compiled MuJoCo model.
         notes: what had to be assumed and what MuJoCo warned about, one sentence each.
         sha256: of the main file's bytes followed by those of the files it includes.
         kind: "mjcf" or "urdf".
@@ -94,15 +83,21 @@ def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
     """Compile an MJCF or URDF file.
 
     Args:
-        path: the model file.
         mesh_dir: folder that replaces the file's mesh folder (and, in a URDF, its packages).
 
     Raises:
         InputError, ModelError: the file cannot be read or MuJoCo refuses it; one line.
     """
     document = read_document(path)
-    _check_mesh_dir(mesh_dir)
-    _require_decimal_point()
+    if mesh_dir is not None and not os.path.isdir(mesh_dir):
+        fault = "is not a folder" if os.path.exists(mesh_dir) else "does not exist"
+        raise ModelError(f"mesh folder {mesh_dir} {fault}; check --mesh-dir")
+    point = locale.localeconv()["decimal_point"]
+    if point != ".":  # MuJoCo would end the numbers of an OBJ mesh at their points
+        raise ModelError(
+            f"this program's locale has {point!r} for a decimal point, with which MuJoCo reads "
+            "wrong numbers from OBJ meshes; call locale.setlocale(locale.LC_NUMERIC, 'C') first"
+        )
     with captured_warnings() as warnings:
         if document.kind == "urdf":
             mj_model, notes = _compile_urdf(document, mesh_dir)
@@ -112,22 +107,6 @@ def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
     said = tuple(dict.fromkeys(f"MuJoCo warns: {text}" for text in warnings))
     speeds = velocity_limits(document) if document.kind == "urdf" else {}
     return CompiledModel(mj_model, notes + said, document.sha256, document.kind, speeds)
-
-
-def _require_decimal_point() -> None:
-    """Raise ModelError where MuJoCo would end the numbers of an OBJ mesh at their points."""
-    point = locale.localeconv()["decimal_point"]
-    if point != ".":
-        raise ModelError(
-            f"this program's locale has {point!r} for a decimal point, with which MuJoCo reads "
-            "wrong numbers from OBJ meshes; call locale.setlocale(locale.LC_NUMERIC, 'C') first"
-        )
-
-
-def _check_mesh_dir(mesh_dir: Path | None) -> None:
-    if mesh_dir is not None and not os.path.isdir(mesh_dir):
-        fault = "is not a folder" if os.path.exists(mesh_dir) else "does not exist"
-        raise ModelError(f"mesh folder {mesh_dir} {fault}; check --mesh-dir")
 
 
 def _compile_mjcf(document: ModelDocument, mesh_dir: Path | None) -> Any:
@@ -145,25 +124,18 @@ def _compile_mjcf(document: ModelDocument, mesh_dir: Path | None) -> Any:
 
 def _compile_urdf(document: ModelDocument, mesh_dir: Path | None) -> tuple[Any, tuple[str, ...]]:
     for with_minimum in (False, True):
-        text, notes = _urdf_text(document, mesh_dir, with_minimum)
         try:
-            mj_model = mujoco.MjModel.from_xml_string(text)
+            text, notes = compilable_urdf(document, mesh_dir, with_minimum)
+        except (ValueError, TypeError) as error:
+            raise ModelError(f"{document.path}: a number cannot be read: {error}") from None
+        try:
+            mj_model = mujoco.MjModel.from_xml_string(text.decode())
             break
         except _FAILURES as error:
             if with_minimum or "mjMINVAL" not in str(error):
                 raise ModelError(_one_line(document, error)) from None
     restore_exact_inertias(mj_model, link_inertias(document))
     return mj_model, notes
-
-
-def _urdf_text(
-    document: ModelDocument, mesh_dir: Path | None, with_minimum: bool
-) -> tuple[str, tuple[str, ...]]:
-    try:
-        text, notes = compilable_urdf(document, mesh_dir, with_minimum)
-    except (ValueError, TypeError) as error:
-        raise ModelError(f"{document.path}: a number cannot be read: {error}") from None
-    return text.decode(), notes
 
 
 _BALANCE = (
@@ -233,3 +205,104 @@ def _is_inaccurate(mj_model: Any, body: int, inertia: Array) -> bool:
     return bool(
         turned and not balanced and np.max(np.abs(compiled - inertia)) > _ALREADY_EXACT * size
     )
+
+
+MOST_CELLS = 5e7
+"""Largest height field, texture or block of user data that is worth its memory, in numbers."""
+MOST_COPIES = 3000
+"""Copies of a part; MuJoCo takes the square of their number, a minute for 20 000."""
+_CELLS = {
+    "hfield": ("nrow", "ncol"),
+    "texture": ("width", "height"),
+    "numeric": ("size",),
+    "user": ("dim",),
+}
+_COPIED = ("replicate", "composite", "flexcomp")
+_MODELS = (".xml", ".mjcf", ".urdf")
+
+
+def refuse_hazards(document: ModelDocument, mesh_dir: Path | None = None) -> None:
+    """Refuse an MJCF document that MuJoCo must not even be shown.
+
+    Raises:
+        ModelError: it refers to a pipe or device, attaches itself, asks for a huge field or for
+            copies without end, or has the name of a class with a format in it.
+    """
+    for node in document.walk():
+        _refuse_huge(document, node)
+        # MuJoCo takes the name of a class that it does not know for a format of printf.
+        if "%" in (node.get("class") or ""):
+            raise ModelError(
+                f"{document.path}: the class {node.get('class')!r} of a {node.tag} has a % in its "
+                "name, over which MuJoCo may end the process; rename it"
+            )
+    _refuse_copies(document, document.root, 1.0)
+    _refuse_attached(document, mesh_dir, (), set())
+
+
+def _refuse_huge(document: ModelDocument, node: Node) -> None:
+    cells = math.prod(_count(node, name) for name in _CELLS.get(node.tag, ()))
+    if node.tag == "size":
+        cells = max([_bytes(node) / 100.0, *(_count(node, n) for n in node.element.attrib)])
+    if cells > MOST_CELLS:
+        raise ModelError(
+            f"{document.path}: a {node.tag} of {cells:.3g} cells; at most "
+            f"{MOST_CELLS:.0e} are read, and identification needs none of them"
+        )
+
+
+def _refuse_copies(document: ModelDocument, node: Node, times: float) -> None:
+    """Refuse what is repeated too often, a part of repeated parts included."""
+    if node.tag in _COPIED:
+        times *= max(1.0, _count(node, "count"))
+    if times > MOST_COPIES:
+        raise ModelError(
+            f"{document.path}: a {node.tag} makes {times:.3g} copies; at most {MOST_COPIES} are "
+            "read, and identification needs none of them"
+        )
+    for child in node.children():
+        _refuse_copies(document, child, times)
+
+
+def _bytes(node: Node) -> float:
+    """Return the memory that a <size> asks for: a number with K, M, G, T, P or E behind it."""
+    text = (node.get("memory") or "0").strip()
+    power = "KMGTPE".find(text[-1:].upper()) + 1
+    try:
+        return float(text[: -1 if power else None]) * 1024.0**power
+    except ValueError:
+        return 0.0
+
+
+def _count(node: Node, name: str) -> float:
+    """Return the product of an attribute's numbers; zero for none, of which MuJoCo will speak."""
+    try:
+        return math.prod(float(word) for word in (node.get(name) or "0").split())
+    except ValueError:
+        return 0.0
+
+
+def _refuse_attached(
+    document: ModelDocument, mesh_dir: Path | None, above: tuple[Path, ...], known: set[Path]
+) -> None:
+    """Refuse special files, and models that attach one of those ``above`` them."""
+    own = document.path.resolve()
+    for asset in find_assets(document, mesh_dir):
+        _refuse_special(document, asset)
+        if asset.node.tag != "model" or asset.path is None:
+            continue
+        attached = asset.path.resolve()
+        if attached in (*above, own):
+            raise ModelError(f"{document.path} attaches itself by way of {asset.name}; take it out")
+        if attached not in known and attached.suffix.lower() in _MODELS:
+            _refuse_attached(read_document(attached), None, (*above, own), known)
+            known.add(attached)
+
+
+def _refuse_special(document: ModelDocument, asset: Asset) -> None:
+    if asset.path is not None:
+        return
+    for folder in asset.looked_in:
+        path = folder / Path(asset.name.replace("\\", "/")).name
+        if os.path.exists(path) and not os.path.isdir(path):
+            raise ModelError(f"{document.path}: {path} is not a file but a pipe or a device")

@@ -65,11 +65,7 @@ def neighbours(mj_model: Any) -> NDArray[np.bool_]:
 
 
 class ContactFinder:
-    """Tells which bodies touch in a configuration of the arm.
-
-    Args:
-        robot: the arm; contacts of its reference configuration are taken for granted.
-    """
+    """Tells which bodies touch in a configuration, those in the reference one taken for granted."""
 
     def __init__(self, robot: RobotModel) -> None:
         self._robot = robot

@@ -51,7 +51,6 @@ def find_flange(robot: RobotModel, text: str | None = None) -> Flange:
     """Return the frame that a user named, or the one that looks like a flange.
 
     Args:
-        robot: the arm.
         text: name of a site or body fixed to the terminal body; "x,y,z" in metres or
             "x,y,z,roll,pitch,yaw" with degrees about the fixed axes x, y, z, in the terminal body's
             frame; None for the site or body that is called like a flange, else the terminal body.
@@ -128,10 +127,8 @@ def _likely(robot: RobotModel, frames: tuple[_Frame, ...]) -> tuple[_Frame, str]
             listed = ", ".join(frame.words for frame in found)
             raise ModelError(f"{listed} could each be the flange; choose one by its name")
         if found:
-            doubt = _DOUBT if pattern is _LIKELY[-1] else ""
-            return found[
-                0
-            ], f"{found[0].words} was taken for the flange, because of its name{doubt}"
+            words = f"{found[0].words} was taken for the flange, because of its name"
+            return found[0], words + _DOUBT * (pattern is _LIKELY[-1])
     listed = ", ".join(frame.words for frame in others) or "none"
     return terminal, (
         f"no site or body that is fixed to body '{robot.body_name}' is called like a flange, so "

@@ -1,7 +1,8 @@
-"""Inertial parameters of compiled MuJoCo bodies, alone and together with what hangs on them."""
+"""Inertial parameters of compiled MuJoCo bodies, alone, with what hangs on them, and as links."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco
@@ -10,7 +11,7 @@ import numpy as np
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.kinematics import subtree
 from robot_sysid.model.chain import body_label
-from robot_sysid.records import Array, SubtreeBody
+from robot_sysid.records import ArmLink, Array, SubtreeBody
 
 
 def body_theta(mj_model: Any, body_id: int) -> Array:
@@ -28,13 +29,7 @@ def inertia_about_com(mj_model: Any, body_id: int) -> Array:
 
 
 def subtree_bodies(mj_model: Any, qpos: Array, body_id: int) -> tuple[SubtreeBody, ...]:
-    """Return a body and everything below it, expressed in that body's frame.
-
-    Args:
-        mj_model: compiled model.
-        qpos: (nq,) configuration.
-        body_id: top of the subtree.
-    """
+    """Return a body and everything below it, held at ``qpos`` (nq,), in that body's frame."""
     data = mujoco.MjData(mj_model)
     data.qpos[:] = qpos
     mujoco.mj_kinematics(mj_model, data)
@@ -73,3 +68,63 @@ def link_reach(mj_model: Any, qpos: Array, body_id: int) -> float:
     spheres = away + mj_model.geom_rbound[geoms]
     rod = np.sqrt(3.0) * spatial.characteristic_length(composite_theta(mj_model, qpos, body_id))
     return float(max(rod, np.max(spheres, initial=0.0)))
+
+
+def arm_links(mj_model: Any, qpos: Array, chain: Sequence[int]) -> tuple[ArmLink, ...]:
+    """Return one link per chain joint, base to terminal.
+
+    A link is the body that the joint moves with all that hangs on it, apart from what a later chain
+    joint moves. Where several joints move one body, all but the last have a link without mass.
+
+    Args:
+        qpos: (nq,) reference configuration, at which joints outside the chain are held.
+        chain: joint ids, base to terminal.
+    """
+    data = mujoco.MjData(mj_model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(mj_model, data)
+    mujoco.mj_comPos(mj_model, data)
+    bodies = [int(mj_model.jnt_bodyid[joint]) for joint in chain]
+    rotations = [np.eye(3), *(data.xmat[body].reshape(3, 3).copy() for body in bodies)]
+    places = [np.zeros(3), *(data.xpos[body].copy() for body in bodies)]
+    links = []
+    for index, (joint, body) in enumerate(zip(chain, bodies)):
+        before, here = rotations[index], rotations[index + 1]
+        # Without what later chain joints move.
+        own = link_bodies(mj_model, qpos, body, bodies[index + 1 :])
+        links.append(
+            ArmLink(
+                body_id=body,
+                body_name=body_label(mj_model, body),
+                screw=_screw(mj_model, data, joint, here),
+                rotation=before.T @ here,
+                translation=before.T @ (places[index + 1] - places[index]),
+                theta=np.sum([np.zeros(10), *(part.theta for part in own)], axis=0),
+            )
+        )
+    return tuple(links)
+
+
+def _screw(mj_model: Any, data: Any, joint: int, rotation: Array) -> Array:
+    """Return the body Jacobian's column of a joint at its own body (6,): [omega, v]."""
+    turn, slide = np.zeros((2, 3, mj_model.nv))
+    mujoco.mj_jacBody(mj_model, data, slide, turn, int(mj_model.jnt_bodyid[joint]))
+    dof = int(mj_model.jnt_dofadr[joint])
+    return np.concatenate((rotation.T @ turn[:, dof], rotation.T @ slide[:, dof]))
+
+
+def link_bodies(
+    mj_model: Any, qpos: Array, body: int, later: Sequence[int]
+) -> tuple[SubtreeBody, ...]:
+    """Return the bodies that make a link, the link's own body first; none where ``later`` has it.
+
+    Args:
+        qpos: (nq,) configuration.
+        body: the body that the link's joint moves.
+        later: the bodies that later chain joints move.
+    """
+    if body in later:
+        return ()
+    carried = set(subtree(mj_model, later[0])) if later else set()
+    bodies = subtree_bodies(mj_model, qpos, body)
+    return tuple(part for part in bodies if part.body_id not in carried)

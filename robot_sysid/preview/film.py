@@ -1,17 +1,21 @@
-"""A motion as a film: the arm, and beside it how near it comes to its limits."""
+"""A motion as a film, with how near it comes to its limits; or in MuJoCo's viewer."""
 
 from __future__ import annotations
 
 import importlib.util
+import os
+import sys
+import time
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.preview.motion import RATE, Shown
-from robot_sysid.preview.studio import NO_RENDERER, Colour, Picture, Studio, backend
-from robot_sysid.records import RobotModel
+from robot_sysid.preview.studio import NO_RENDERER, Colour, Picture, Studio, add_ghost, backend
+from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.atomic_files import require_writable, whole_files
 from robot_sysid.records.progress import Progress
 
@@ -19,16 +23,15 @@ from robot_sysid.records.progress import Progress
 _SIZE, _PANEL = (640, 480), 400
 _GIF_STEP = 2
 GHOST: Colour = (0.90, 0.45, 0.05, 0.45)
+NO_DISPLAY = "--view needs a display and there is none here; --video FILE.mp4 renders without one"
+_PAUSE = 1.0
 _INK, _LINE, _LIMIT, _CURSOR = "#1b1f24", "#0b62a8", "#b02a1c", (176, 42, 28)
 
 
 def require_film(path: Path) -> None:
     """Raise InputError where a film cannot be made; asked before a long run."""
-    needed = (
-        "matplotlib",
-        "imageio",
-        *(("imageio_ffmpeg",) if path.suffix.lower() == ".mp4" else ()),
-    )
+    needed = ["matplotlib", "imageio"]
+    needed += ["imageio_ffmpeg"] if path.suffix.lower() == ".mp4" else []
     missing = [name for name in needed if importlib.util.find_spec(name) is None]
     if missing:
         raise InputError(
@@ -40,11 +43,7 @@ def require_film(path: Path) -> None:
 
 
 def write_film(robot: RobotModel, shown: Shown, path: Path, progress: Progress) -> None:
-    """Write a motion as .mp4 or .gif; it appears whole or not at all.
-
-    Raises:
-        InputError: it cannot be written.
-    """
+    """Write a motion as .mp4 or .gif; it appears whole or not at all."""
     step = _GIF_STEP if path.suffix.lower() == ".gif" else 1
     frames = range(0, len(shown.time), step)
     panel = Panel(shown)
@@ -66,17 +65,13 @@ def _writer(path: Path, rate: float) -> Any:
 
 def _arm(studio: Studio, shown: Shown, k: int) -> Picture:
     studio.pose(shown.q[k])
-    if shown.ghost is not None and np.all(np.isfinite(shown.ghost[k])):
+    if shown.ghost is not None:
         studio.add_arm(shown.ghost[k], GHOST)
     return studio.picture()
 
 
 class Panel:
-    """The strips of a motion, drawn once; a line goes through them as time goes by.
-
-    Args:
-        shown: the motion.
-    """
+    """The strips of a motion, drawn once; a line goes through them as time goes by."""
 
     def __init__(self, shown: Shown) -> None:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -111,3 +106,47 @@ def _draw(ax: Any, shown: Shown, strip: Any) -> None:
     ax.tick_params(labelsize=7, colors=_INK)
     ax.margins(x=0.0)
     ax.set_ylim(bottom=min(0.0, ax.get_ylim()[0]))
+
+
+def require_display() -> None:
+    """Raise InputError where no window can be opened; asked before a long run."""
+    there = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    if sys.platform.startswith("linux") and not there:
+        raise InputError(NO_DISPLAY)
+
+
+def view(robot: RobotModel, shown: Shown) -> None:
+    """Play a motion until the window is closed; InputError where none can be opened."""
+    import mujoco.viewer
+
+    data = mujoco.MjData(robot.mj_model)
+    data.qpos[:] = robot.reference_qpos
+    try:
+        window = mujoco.viewer.launch_passive(robot.mj_model, data)
+    except RuntimeError as error:
+        raise InputError(f"the viewer does not start: {error}") from None
+    with window:
+        while window.is_running():
+            _play_once(robot, shown, data, window)
+
+
+def _play_once(robot: RobotModel, shown: Shown, data: Any, window: Any) -> None:
+    began = time.monotonic()
+    while window.is_running():
+        now = time.monotonic() - began
+        if now > shown.time[-1] + _PAUSE:
+            return
+        q = _at(shown.time, shown.q, now)
+        with window.lock():
+            data.qpos[robot.qpos_index] = q
+            mujoco.mj_forward(robot.mj_model, data)
+            if shown.ghost is not None and window.user_scn is not None:
+                window.user_scn.ngeom = 0
+                ghost = _at(shown.time, shown.ghost, now)
+                add_ghost(robot, ghost, GHOST, window.user_scn)
+        window.sync()
+        time.sleep(0.01)
+
+
+def _at(time_axis: Array, values: Array, now: float) -> Array:
+    return np.array([np.interp(now, time_axis, column) for column in values.T])

@@ -1,30 +1,52 @@
-"""A motion to be shown, with how near it comes to its limits."""
+"""A motion to be shown, with how near it comes to its limits; and whether it is shown."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robot_sysid.excitation.problem import ExcitationProblem
+from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Measurement, Motion, MotionPlan, RobotModel
+from robot_sysid.records.options import OptionRecord, option
+
+if TYPE_CHECKING:
+    from robot_sysid.excitation.problem import ExcitationProblem
 
 RATE = 20.0
 """Pictures per second."""
 _FARTHEST = 0.3
 """Clearance above which it is all the same [m]."""
 _STEP = 0.02
+SUFFIXES = (".mp4", ".gif")
+
+
+def film_path(text: str) -> Path:
+    """Return the path of a film."""
+    path = Path(text)
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(f"{text!r} is no film; its name ends in {' or '.join(SUFFIXES)}")
+    return path
+
+
+@dataclass(frozen=True)
+class PreviewOptions(OptionRecord):
+    """Whether a motion is shown."""
+
+    view: bool = option(False, "play the motion in MuJoCo's viewer")
+    video: Path | None = option(
+        None,
+        "render the motion as a film (.mp4 or .gif), with limits, clearance and torque over time",
+        metavar="FILE",
+        parse=film_path,
+    )
 
 
 @dataclass(frozen=True)
 class Strip:
-    """One quantity over time.
-
-    Attributes:
-        title: with its unit.
-        values: (T,); NaN where nothing is known.
-        limit: what it has to keep, or None.
-    """
+    """One quantity over time (T,), NaN where nothing is known, and what it has to keep."""
 
     title: str
     values: Array
@@ -36,11 +58,7 @@ class Shown:
     """What is shown of a motion, T pictures.
 
     Attributes:
-        time: (T,) [s].
-        q: (T, n) positions [rad].
-        strips: quantities over time.
-        ghost: (T, n) measured positions beside them; NaN before and after the log; or None.
-        notes: one sentence each.
+        ghost: (T, n) measured positions beside those shown; NaN before and after the log.
     """
 
     time: Array
@@ -53,13 +71,7 @@ class Shown:
 def shown_plan(
     problem: ExcitationProblem, plan: MotionPlan, log: Measurement | None = None
 ) -> Shown:
-    """Return a planned motion with its limits, and a log of it as ghost.
-
-    Args:
-        problem: the arm and its limits.
-        plan: the trajectory.
-        log: of the arm that played it, if any.
-    """
+    """Return a planned motion with its limits, and a log of the arm that played it as ghost."""
     motion = plan.evaluate(np.linspace(0.0, plan.duration, _count(plan.duration)))
     limits, largest = problem.limits, problem.limits.largest
     torque = problem.torque(motion)
@@ -122,8 +134,8 @@ def _beside(motion: Motion, log: Measurement, joints: tuple[str, ...]) -> tuple[
     shifts = np.arange(overlap - played, longest - overlap + _STEP, _STEP)
     thin = slice(None, None, max(1, len(motion.time) // 200))
     planned, when = motion.q[thin], motion.time[thin]
-    errors = [_misfit(planned, _at(when + shift, time, log.q, np.nan)) for shift in shifts]
-    shift = float(shifts[int(np.argmin(errors))])
+    off_by = (planned - _at(when + shift, time, log.q, np.nan) for shift in shifts)
+    shift = float(shifts[int(np.argmin([np.nanmean(off**2) for off in off_by]))])
     ghost = _at(motion.time + shift, time, log.q, np.nan)
     off = np.nanmax(np.abs(ghost - motion.q), axis=0)
     worst = int(np.argmax(off))
@@ -132,7 +144,3 @@ def _beside(motion: Motion, log: Measurement, joints: tuple[str, ...]) -> tuple[
         f"{off[worst]:.3g} rad off it, at {joints[worst]}"
     )
     return ghost, note
-
-
-def _misfit(planned: Array, measured: Array) -> float:
-    return float(np.nanmean((planned - measured) ** 2))

@@ -8,7 +8,6 @@ import os
 import subprocess
 import sys
 from functools import lru_cache
-from types import TracebackType
 from typing import Any
 
 import mujoco
@@ -56,15 +55,7 @@ def backend() -> str | None:
 
 
 class Studio:
-    """One arm in front of a plain background; a context manager.
-
-    Args:
-        robot: the arm.
-        width, height: of the pictures [pixels].
-
-    Raises:
-        InputError: nothing here can draw.
-    """
+    """One arm in front of a plain background; a context manager. Needs EGL or OSMesa."""
 
     def __init__(self, robot: RobotModel, width: int, height: int) -> None:
         name = backend()
@@ -89,12 +80,7 @@ class Studio:
         """Return itself."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *failure: object) -> None:
         """Let go of the graphics memory."""
         self._context.free()
         self._gl.free()
@@ -146,30 +132,14 @@ class Studio:
 
     def add_arm(self, q: Array, colour: Colour) -> None:
         """Add the arm at other chain positions (n,) [rad] in one colour, like a ghost."""
-        ghost = mujoco.MjData(self._model)
-        ghost.qpos[:] = self.robot.reference_qpos
-        ghost.qpos[self.robot.qpos_index] = q
-        mujoco.mj_kinematics(self._model, ghost)
-        first = self._scene.ngeom
-        nothing, moving = mujoco.MjvPerturb(), mujoco.mjtCatBit.mjCAT_DYNAMIC
-        mujoco.mjv_addGeoms(self._model, ghost, self._options, nothing, moving, self._scene)
-        for geom in self._scene.geoms[first : self._scene.ngeom]:
-            geom.rgba[:] = colour
-            geom.matid = -1
+        add_ghost(self.robot, q, colour, self._scene)
 
     def add_ellipsoid(self, body: int, theta: Array, colour: Colour) -> bool:
         """Add the homogeneous ellipsoid of a body's mass and inertia, its centre as a dot.
 
         With half axes a, b, c it has I_xx = m (b^2 + c^2) / 5, so that
-        a^2 = 5 (I_yy + I_zz - I_xx) / (2 m).
-
-        Args:
-            body: MuJoCo id of the body in whose frame theta is.
-            theta: (10,) parameters.
-            colour: of the ellipsoid.
-
-        Returns:
-            Whether there is such an ellipsoid; none has where theta is no possible body.
+        a^2 = 5 (I_yy + I_zz - I_xx) / (2 m). Returns whether there is such an ellipsoid; none has
+        where theta is no possible body.
         """
         mass, com, inertia = spatial.com_from_theta(theta)
         moments, axes = spatial.principal_axes(inertia)
@@ -222,6 +192,22 @@ class Studio:
         mujoco.mjr_render(self._view, self._scene, self._context)
         mujoco.mjr_readPixels(pixels, None, self._view, self._context)
         return pixels[::-1]
+
+
+def add_ghost(robot: RobotModel, q: Array, colour: Colour, scene: Any) -> None:
+    """Add the arm at chain positions (n,) [rad] to a scene, in one colour; nothing where NaN."""
+    if not np.all(np.isfinite(q)):
+        return
+    ghost = mujoco.MjData(robot.mj_model)
+    ghost.qpos[:] = robot.reference_qpos
+    ghost.qpos[robot.qpos_index] = q
+    mujoco.mj_kinematics(robot.mj_model, ghost)
+    first, options, nothing = scene.ngeom, mujoco.MjvOption(), mujoco.MjvPerturb()
+    moving = mujoco.mjtCatBit.mjCAT_DYNAMIC
+    mujoco.mjv_addGeoms(robot.mj_model, ghost, options, nothing, moving, scene)
+    for geom in scene.geoms[first : scene.ngeom]:
+        geom.rgba[:] = colour
+        geom.matid = -1
 
 
 def _turned_to(direction: Array) -> Array:

@@ -6,14 +6,14 @@ Legend of shapes: N samples, n chain joints (base to terminal), p parameters.
 from __future__ import annotations
 
 from robot_sysid.records.arm import ArmLink as ArmLink
+from robot_sysid.records.arm import Array as Array
 from robot_sysid.records.arm import Flange as Flange
 from robot_sysid.records.arm import InertialParameters as InertialParameters
 from robot_sysid.records.arm import JointFriction as JointFriction
 from robot_sysid.records.arm import JointLimits as JointLimits
 from robot_sysid.records.arm import RobotModel as RobotModel
 from robot_sysid.records.arm import SubtreeBody as SubtreeBody
-from robot_sysid.records.arrays import Array as Array
-from robot_sysid.records.arrays import checked_array as checked_array
+from robot_sysid.records.arm import checked_array as checked_array
 from robot_sysid.records.data import TORQUE_CHOICES as TORQUE_CHOICES
 from robot_sysid.records.data import BodyMotion as BodyMotion
 from robot_sysid.records.data import JointInformation as JointInformation
@@ -26,8 +26,6 @@ from robot_sysid.records.results import DELAY_NAME as DELAY_NAME
 from robot_sysid.records.results import DataOrigin as DataOrigin
 from robot_sysid.records.results import Estimate as Estimate
 from robot_sysid.records.results import Identifiability as Identifiability
-from robot_sysid.records.results import Identification as Identification
-from robot_sysid.records.results import NuisanceMisfit as NuisanceMisfit
+from robot_sysid.records.results import PriorConflict as PriorConflict
 from robot_sysid.records.results import Source as Source
-from robot_sysid.records.results import Status as Status
 from robot_sysid.records.results import Validation as Validation

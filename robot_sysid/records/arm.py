@@ -11,7 +11,28 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import InputError
-from robot_sysid.records.arrays import Array, checked_array
+
+Array = NDArray[np.float64]
+
+
+def checked_array(value: Any, shape: tuple[int | None, ...], name: str) -> Array:
+    """Return a read-only float view of ``value``, or raise InputError naming what is wrong.
+
+    Args:
+        shape: expected length per axis; None accepts any length.
+    """
+    array = np.asarray(value, dtype=np.float64).view()
+    fits = array.ndim == len(shape) and all(
+        want is None or want == got for want, got in zip(shape, array.shape)
+    )
+    if not fits:
+        raise InputError(f"{name} has shape {array.shape}, expected {shape} (None = any length)")
+    if not np.all(np.isfinite(array)):
+        where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise InputError(f"{name} is not finite at index {where}")
+    array.flags.writeable = False
+    return array
+
 
 DEFAULT_MAX_VELOCITY = 2.0
 """Speed limit of hinge joints where nobody says one [rad/s]."""
@@ -67,7 +88,6 @@ class SubtreeBody:
     """One body of the terminal link, the terminal body itself or one below it.
 
     Attributes:
-        body_id: MuJoCo body id.
         name: body name ("#7" for a nameless body with id 7).
         theta: (10,) its inertial parameters in the TERMINAL body's frame, inertia about that
             frame's origin; kg, kg m, kg m^2.
@@ -88,7 +108,6 @@ class ArmLink:
     """What one chain joint moves: a body with all that hangs on it up to the next chain joint.
 
     Attributes:
-        body_id: MuJoCo body id.
         body_name: its name ("#7" for a nameless body with id 7).
         screw: (6,) twist [omega, v] of the body per unit of joint speed, in the body's frame.
         rotation, translation: (3, 3), (3,) the body's frame in that of the link before it (the
@@ -124,7 +143,6 @@ class Flange:
         name: of the site or body, or the numbers it was given by.
         rotation: (3, 3) its axes in the terminal body's frame.
         translation: (3,) its origin in the terminal body's frame [m].
-        terminal: name of the terminal body.
         carrier: MuJoCo id of the body it belongs to.
         note: how it was chosen, where nobody named it.
     """
@@ -203,18 +221,14 @@ class RobotModel:
     """One arm as the identification sees it.
 
     Attributes:
-        path: the model file.
         mj_model: the compiled MuJoCo model, exactly as the file describes it.
         joint_names: the n chain joints, base to terminal ("#3" for a nameless joint with id 3).
         body_name: the terminal body ("#7" for a nameless body with id 7).
-        body_id: its MuJoCo body id.
         qpos_index, dof_index: (n,) addresses of the chain joints in qpos and qvel.
         reference_qpos: (nq,) configuration at which joints outside the chain are held.
         is_slide: (n,) whether a chain joint is a slide.
-        limits: what the chain joints may do.
         prior: composite terminal link (terminal body and all below it at the reference
             configuration), in the terminal body's frame.
-        friction: the model's friction of the chain joints.
         links: what each chain joint moves, base to terminal; the last one is ``prior``.
         sha256: hash of the files that make the model.
         kind: "mjcf" or "urdf".

@@ -1,6 +1,7 @@
 """Output files that appear whole or not at all, one at a time or several together.
 
 An older file stays in its place, whole, until the very moment in which the new one takes it.
+What cannot be written, or is held by another run, raises InputError.
 """
 
 from __future__ import annotations
@@ -22,11 +23,7 @@ Place = TypeVar("Place")
 
 @contextlib.contextmanager
 def whole_file(path_or_file: str | os.PathLike[str] | TextIO) -> Iterator[TextIO]:
-    """Yield a text file to write; a path appears only once the block ends without an error.
-
-    Raises:
-        InputError: the folder cannot be written to.
-    """
+    """Yield a text file to write; a path appears only once the block ends without an error."""
     if not isinstance(path_or_file, (str, os.PathLike)):
         yield path_or_file
         return
@@ -35,11 +32,7 @@ def whole_file(path_or_file: str | os.PathLike[str] | TextIO) -> Iterator[TextIO
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
-    """Write a file whole or not at all, creating its folder.
-
-    Raises:
-        InputError: it cannot be written.
-    """
+    """Write a file whole or not at all, creating its folder."""
     with whole_files() as outputs:
         outputs.write(path, content)
 
@@ -49,9 +42,6 @@ def whole_files() -> Iterator[WholeFiles]:
     """Yield a place to write several files; all of them appear when the block ends, or none.
 
     An error or Ctrl-C inside the block leaves every path as it was before, older files included.
-
-    Raises:
-        InputError: a file cannot be written.
     """
     outputs = WholeFiles()
     try:
@@ -83,12 +73,7 @@ def require_writable(folder: Path) -> None:
 
 
 def refuse_overwriting(read: Iterable[Path | None], written: Iterable[tuple[str, Path]]) -> None:
-    """Raise InputError where a file would be written over one that is read, or two into one place.
-
-    Args:
-        read: files that are read, where there are any.
-        written: files that are written, each with the option that names it.
-    """
+    """Raise InputError where a file would be written over one that is read, or two to one place."""
     inputs = (_from_root(os.path.realpath, path) for path in read if path is not None)
     taken = dict.fromkeys(inputs, "a file that is read")
     for what, path in written:
@@ -100,11 +85,7 @@ def refuse_overwriting(read: Iterable[Path | None], written: Iterable[tuple[str,
 
 
 def _from_root(function: Callable[[Path], Place], path: Path) -> Place:
-    """Return a path in full.
-
-    Raises:
-        InputError: it begins in the current folder, which is gone.
-    """
+    """Return a path in full."""
     try:
         return function(path)
     except FileNotFoundError:
@@ -113,11 +94,7 @@ def _from_root(function: Callable[[Path], Place], path: Path) -> Place:
 
 @contextlib.contextmanager
 def temporary_folder() -> Iterator[Path]:
-    """Yield a folder that is gone after the block.
-
-    Raises:
-        InputError: there is no place for one.
-    """
+    """Yield a folder that is gone after the block."""
     try:
         place = tempfile.TemporaryDirectory()
     except OSError as error:
@@ -134,9 +111,6 @@ def only_run_in(folder: Path) -> Iterator[None]:
     """Keep a second run out of an output folder while the block runs.
 
     The folder is created; an empty one goes again when the block ends with an error.
-
-    Raises:
-        InputError: another run has the folder, or it cannot be written to.
     """
     outputs = WholeFiles()
     lock = folder / LOCK_NAME
@@ -156,11 +130,7 @@ def only_run_in(folder: Path) -> Iterator[None]:
 
 
 def _locked(lock: Path) -> int:
-    """Return the handle of a file that this process holds.
-
-    Raises:
-        InputError: another process holds it.
-    """
+    """Return the handle of a file that this process holds."""
     while True:
         handle = os.open(lock, os.O_CREAT | os.O_RDWR, 0o666)
         taken = has_lock(handle) is False
@@ -182,15 +152,13 @@ class WholeFiles:
         self._drafts: dict[Path, Path] = {}
         self._hidden = Drafts()
         self._last: Path | None = None
+        self._unwanted: list[Path] = []
         self._created_folders: list[Path] = []
 
     def draft(self, path: Path) -> Path:
         """Return an empty file in the same folder that will take the place of ``path``.
 
         The draft keeps the suffix, so that it can be loaded and checked before it counts.
-
-        Raises:
-            InputError: the folder cannot be written to, or ``path`` is a folder.
         """
         if os.path.isdir(path):
             raise InputError(f"cannot write {path}: it is a folder; choose another name")
@@ -204,11 +172,7 @@ class WholeFiles:
 
     @contextlib.contextmanager
     def open(self, path: Path) -> Iterator[TextIO]:
-        """Yield the draft of ``path`` as an open text file.
-
-        Raises:
-            InputError: it cannot be written, for instance because the disk is full.
-        """
+        """Yield the draft of ``path`` as an open text file."""
         draft = self.draft(path)
         try:
             with open(draft, "w", encoding="utf-8", newline="\n") as file:
@@ -237,6 +201,10 @@ class WholeFiles:
         if draft is not None:
             draft.unlink(missing_ok=True)
 
+    def remove(self, path: Path) -> None:
+        """Have a file removed once all drafts have their final names."""
+        self._unwanted.append(path)
+
     def commit(self) -> None:
         """Give every draft its final name; what stood there before comes back if one fails."""
         order = sorted(self._drafts, key=lambda path: path == self._last)
@@ -246,9 +214,12 @@ class WholeFiles:
                 for path in order:
                     backups[path] = self._hidden.second_name(path) if path.exists() else None
                     os.replace(self._drafts[path], path)
+                for path in self._unwanted:
+                    backups[path] = self._hidden.second_name(path)
+                    path.unlink()
             except BaseException as error:
                 for done, backup in backups.items():
-                    _restore(done, backup, self._drafts[done])
+                    _restore(done, backup, self._drafts.get(done, done))
                 if isinstance(error, OSError):
                     raise InputError(_cannot_write(path, error)) from None
                 raise
@@ -269,6 +240,7 @@ class WholeFiles:
     def _forget(self) -> None:
         self._hidden.close()
         self._drafts.clear()
+        self._unwanted.clear()
         self._created_folders.clear()
 
     def create_folder(self, folder: Path) -> None:

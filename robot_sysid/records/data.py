@@ -1,4 +1,4 @@
-"""Motion, measurements, and what is left of them after one pass."""
+"""Motion, measurements, what is left of them after one pass, and what a report draws of them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.records.arrays import Array, checked_array
+from robot_sysid.errors import InputError
+from robot_sysid.records.arm import Array, InertialParameters, JointLimits, checked_array
 
 TORQUE_CHOICES = ("chain", "terminal")
 """Whose torques are used: those of all joints that carry the link, or the last one's."""
@@ -108,10 +109,8 @@ class JointInformation:
     """Square-root information of one joint's equations: R^T R = [Y tau]^T [Y tau].
 
     Attributes:
-        joint: joint name.
         columns: (k,) which global parameters this joint's equations contain.
         triangle: (k+1, k+1) upper triangle R of the QR factorisation of [Y tau].
-        n_samples: number of equations that went in.
     """
 
     joint: str
@@ -132,7 +131,6 @@ class SquareRootInformation:
     Attributes:
         names: (p,) global parameter names: the ten of ``spatial.PARAMETER_NAMES`` first, then
             nuisances such as ``coulomb[joint6]``.
-        joints: one entry per joint whose torque is used.
         prior: (r, p+1) further equations [A b] of unit variance: what was known before the data;
             None where nothing was.
     """
@@ -182,3 +180,55 @@ class SampleSource(Protocol):
 
     def __iter__(self) -> Iterator[tuple[int, Array, Array]]:
         """Start a new pass."""
+
+
+SIGNALS = ("q", "qd", "measured", "predicted", "before", "friction")
+
+
+@dataclass(frozen=True)
+class Signals:
+    """K instants of all n joints whose torque was used.
+
+    Attributes:
+        is_slide: (n,) whether a joint is a slide.
+        time: (K,) [s].
+        q, qd: (K, n) positions and velocities [rad, rad/s].
+        measured: (K, n) torque [N m]; NaN where a sample was not used.
+        predicted: (K, n) torque that the result predicts [N m].
+        before: (K, n) torque that was predicted before: by the model as it is in its file, of a
+            payload by the arm without it [N m].
+        friction: (K, n) the part of ``predicted`` that friction makes [N m].
+    """
+
+    joints: tuple[str, ...]
+    is_slide: tuple[bool, ...]
+    time: Array
+    q: Array
+    qd: Array
+    measured: Array
+    predicted: Array
+    before: Array
+    friction: Array
+
+    def __post_init__(self) -> None:
+        shape = (len(self.time), len(self.joints))
+        for name in SIGNALS:
+            if np.shape(getattr(self, name)) != shape:
+                raise InputError(f"{name} has shape {np.shape(getattr(self, name))}, not {shape}")
+
+
+@dataclass(frozen=True)
+class Traces(Signals):
+    """All instants of a result; the time starts anew with each log.
+
+    Attributes:
+        truth: what a simulated arm's link really is; None where nobody knows.
+    """
+
+    limits: JointLimits
+    truth: InertialParameters | None = None
+
+    @property
+    def residual(self) -> Array:
+        """Measured minus predicted torque (K, n) [N m]; NaN where a sample was not used."""
+        return self.measured - self.predicted

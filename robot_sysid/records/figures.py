@@ -27,7 +27,6 @@ def figure(value: float, error: float | None = None) -> str:
     not zero.
 
     Args:
-        value: the number.
         error: its standard error, of which two digits count; None or infinite for four digits of
             the number itself.
     """

@@ -32,17 +32,10 @@ class Option:
 
     Attributes:
         flag: as it is typed; "" for a positional argument.
-        help: what it does, in a few words.
-        unit: of its value, or "".
         metavar: stands for the value in the help; one per value where it takes several.
-        choices: the values it may have; empty for any.
         parse: turns text into a value; by default the type that the field's annotation names.
-        check: what is wrong with a value.
         needs: what else must be there for the option to make sense, see ``config``; "" for nothing.
         usual: what stands in the place of a default that is found later.
-        repeats: whether it is given once per value.
-        several: whether several values follow it.
-        short: a second way to type it, or "".
     """
 
     flag: str
@@ -66,11 +59,7 @@ class Option:
 
 @dataclass(frozen=True)
 class OptionRecord:
-    """What the records of options have in common: each checks the values of its options.
-
-    Attributes:
-        NEEDS: what all its options need that say nothing else.
-    """
+    """What the records of options have in common: each checks the values of its options."""
 
     NEEDS: ClassVar[str] = ""
 
@@ -93,10 +82,7 @@ def option(default: Any, help: str, flag: str = "", **rest: Any) -> Any:
     """Return a dataclass field that is an option of the command line.
 
     Args:
-        default: its default.
-        help: what it does, in a few words.
         flag: where it is not the field's name with dashes.
-        rest: further attributes of ``Option``.
     """
     return field(default=default, metadata={"option": Option(flag, help, **rest)})
 
@@ -163,11 +149,6 @@ def not_negative(value: float) -> str | None:
 def speed_factor(value: float) -> str | None:
     """Complain unless a number is above 0 and at most 1."""
     return None if 0.0 < value <= 1.0 else f"must be above 0 and at most 1 (got {value:g})"
-
-
-def share(value: float) -> str | None:
-    """Complain unless a number is at least 0 and below 1."""
-    return None if 0.0 <= value < 1.0 else f"must be at least 0 and below 1 (got {value:g})"
 
 
 def per_joint(values: PerJoint, joints: int, option: str) -> NDArray[np.float64]:

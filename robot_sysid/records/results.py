@@ -3,61 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum
-from pathlib import Path
 
 import numpy as np
 
-from robot_sysid.records.arm import InertialParameters, JointFriction, SubtreeBody
-from robot_sysid.records.arrays import Array, checked_array
+from robot_sysid.records.arm import Array, InertialParameters, checked_array
 
 DELAY_NAME = "delay"
 """Name of the parameter by which torque lags position."""
 MODEL_NAMES = {"mjcf": "updated_model.xml", "urdf": "updated_model.urdf"}
 """Kind of model file to the name of the written model: a URDF stays one."""
 PARAMS_NAME, PLAN_NAME, DAMIAO_NAME = "params.json", "trajectory.json", "damiao_trajectory.csv"
-ARM_NAME = "arm.json"
-"""The other files in the output folder."""
-
-
-class Status(Enum):
-    """How an identification ended: cause and remedy."""
-
-    OK = "all requested parameters are identified from the data"
-    PARTLY_FROM_MODEL = (
-        "some parameter combinations do not show in these torques and keep the model's values; "
-        "use --torques chain, a longer --duration or another --seed to see more"
-    )
-    INCONSISTENT = (
-        "the estimate is not a possible rigid body (its pseudo-inertia is not positive definite), "
-        "because the data is too noisy or excites the link too little; use --torques chain, "
-        "a longer --duration, another --seed or --consistency enforce"
-    )
-    TOO_WEAK = (
-        "the data does not tell the link's mass from zero (it is less than two standard errors); "
-        "move faster, wider or longer (--excitation optimal), correct the other links' numbers in "
-        "the model, or add what the model knows with --prior entropic"
-    )
-
-    UNCERTAIN = (
-        "the mass is not known to 10 %, all causes of error together; weigh a payload by "
-        "difference (robot-sysid payload), which needs no knowledge of the other links, or say "
-        "with --link-uncertainty and --scale-uncertainty how well this arm is known"
-    )
-    IMPLAUSIBLE = (
-        "the result is not what this link can be, so the log, its units or the rest of the model "
-        "are not what they are taken for"
-    )
-    UNEXPLAINED = (
-        "the torques do not follow from the motion as far as noise would let them, so the log, its "
-        "units, its friction or the rest of the model are not what they are taken for"
-    )
-
-    @property
-    def is_trustworthy(self) -> bool:
-        """Whether the result may go into a model."""
-        return self in (Status.OK, Status.PARTLY_FROM_MODEL)
+CARD_NAME = "payload_card.txt"
 
 
 @dataclass(frozen=True)
@@ -67,7 +25,6 @@ class Identifiability:
     Attributes:
         rank: number of identifiable combinations of the ten inertial and the terminal joint's
             friction parameters.
-        n_parameters: how many of those parameters were asked for.
         condition_number: of the stacked regressor of those parameters; of its identifiable part
             where that is smaller.
         scaled_condition_number: the same after scaling each column to unit length.
@@ -89,12 +46,8 @@ class Estimate:
 
     Attributes:
         names: (p,) parameter names, as in the information.
-        values: (p,) estimate.
-        identifiability: what the data could see.
         rmse: root mean square torque residual over all equations [N m].
         rmse_per_joint: joint name to root mean square torque residual [N m].
-        status: how it ended.
-        method: estimator's name.
         covariance: (p, p), where one was computed; zero along directions the data cannot see.
         standard_errors: (p,) standard deviation of each value, all causes together; infinite where
             only the model's value is known.
@@ -114,7 +67,6 @@ class Estimate:
     identifiability: Identifiability
     rmse: float
     rmse_per_joint: Mapping[str, float]
-    status: Status
     method: str = "ols"
     covariance: Array | None = None
     standard_errors: Array | None = None
@@ -137,11 +89,6 @@ class Estimate:
         return InertialParameters(self.values[:10])
 
     @property
-    def n_interest(self) -> int:
-        """Number of parameters before the nuisances."""
-        return len(self.names) - self.n_nuisances
-
-    @property
     def independent_share(self) -> dict[str, float]:
         """Joint name to independent samples per sample; small where residuals change slowly."""
         return {
@@ -149,26 +96,6 @@ class Estimate:
             for joint, count in self.samples.items()
             if count and joint in self.effective_samples
         }
-
-    @property
-    def relative_errors(self) -> Array | None:
-        """Standard error over magnitude (p,); infinite where either is not known or zero."""
-        if self.standard_errors is None:
-            return None
-        size = np.abs(self.values)
-        known = np.isfinite(self.standard_errors) & (size > 0.0)
-        return np.where(known, self.standard_errors / np.where(known, size, 1.0), np.inf)
-
-    def with_bias(self, cause: str, bias: Array) -> Estimate:
-        """Return the estimate with a bias (p,) that may or may not be there as one more error."""
-        if self.covariance is None or self.standard_errors is None:
-            return self
-        return replace(
-            self,
-            covariance=self.covariance + np.outer(bias, bias),
-            standard_errors=np.hypot(self.standard_errors, bias),
-            error_budget={**self.error_budget, cause: np.abs(bias)},
-        )
 
     def value(self, name: str) -> float | None:
         """Return one parameter by name, or None where it was not estimated."""
@@ -186,8 +113,6 @@ class Validation:
     """Torque prediction error on data that was not fitted.
 
     Attributes:
-        source: which data, in words.
-        n_samples: number of samples of a joint's torque.
         rmse: root mean square error over all joints [N m].
         relative_error: ||tau - prediction|| / ||tau||, all joints stacked; zero is perfect.
         rmse_per_joint: joint name to root mean square error [N m].
@@ -204,20 +129,20 @@ class Validation:
 
 
 @dataclass(frozen=True)
-class NuisanceMisfit:
-    """A cause of error that the data asks for.
+class PriorConflict:
+    """A cause of error that the data asks for more of than was thought.
 
     Attributes:
         cause: in words, such as "links".
         members: whose numbers are off most, the worst first.
         asked: how far they are off, in units of what was allowed.
-        widened: by how much the allowance had to be widened; 1 where it was enough.
+        scale: the factor by which the prior was widened; 1 where it was enough.
     """
 
     cause: str
     members: tuple[str, ...]
     asked: float
-    widened: float
+    scale: float
 
 
 class Source(Enum):
@@ -238,7 +163,6 @@ class DataOrigin:
     """Where the data of an identification comes from.
 
     Attributes:
-        source: what kind of data it is.
         detail: which file, say; added to the source's words.
         duration: of the data [s].
         sample_rate: [Hz].
@@ -259,59 +183,6 @@ class DataOrigin:
         return f"{self.source.value} {self.detail}".rstrip()
 
 
-@dataclass(frozen=True)
-class Identification:
-    """Everything the exporters and the command line read.
-
-    Attributes:
-        model_path, model_sha256: which model file.
-        joint_name, body_name: terminal joint and body.
-        joint_names: all chain joints.
-        slides: the chain joints that are slides, whose friction is a force.
-        bodies: what the terminal link is made of in the model, the terminal body first.
-        model_friction: the model's friction of the chain joints, where it is known.
-        prior: the model's own parameters of the terminal link.
-        estimate: the result.
-        torques: "chain" or "terminal".
-        data: where the torques came from.
-        versions: package name to version.
-        validation: prediction error on data that was not fitted, one entry per data set.
-        friction_model: name of the friction model of measured data.
-        delay: by which torque lags position, where it was estimated [s].
-        tilt: angle between the model's gravity and the estimated one, where it was estimated [rad].
-        gravity: (3,) estimated gravity in the model's world frame [m/s^2], where it was estimated.
-        cutoff: of the low-pass of measured data [Hz].
-        misfits: what the data asks for that the model does not have.
-        reasons: why the result may not be trusted, beyond its status; one phrase each.
-        notes: one sentence each: what the user should know.
-        rollout: how the model before and after move beside the arm, where that was asked for.
-    """
-
-    model_path: Path
-    model_sha256: str
-    joint_name: str
-    body_name: str
-    joint_names: tuple[str, ...]
-    prior: InertialParameters
-    estimate: Estimate
-    torques: str
-    data: DataOrigin
-    versions: Mapping[str, str]
-    slides: tuple[str, ...] = ()
-    bodies: tuple[SubtreeBody, ...] = ()
-    model_friction: JointFriction | None = None
-    validation: tuple[Validation, ...] = ()
-    friction_model: str | None = None
-    delay: float | None = None
-    tilt: float | None = None
-    gravity: Array | None = None
-    cutoff: float | None = None
-    misfits: tuple[NuisanceMisfit, ...] = ()
-    reasons: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
-    rollout: RolloutTest | None = None
-
-
 OPEN, CLOSED = "open loop", "closed loop"
 """Measured torques alone; a servo that holds the model near the measured motion, or commands."""
 
@@ -323,7 +194,6 @@ class RolloutError:
     Attributes:
         loop: ``OPEN`` or ``CLOSED``.
         horizon: length of the windows [s].
-        windows: how many were played.
         before, after: (n,) root mean square position error of the two models [rad or m].
         diverged: how many windows ran away (before, after); each counts with the largest error.
     """
@@ -358,7 +228,6 @@ class RolloutTest:
     """The old and the new model, played on pieces of the logs that were not fitted.
 
     Attributes:
-        joint_names: (n,) base to terminal.
         held_out: which pieces, in words.
         servo: what held the model in closed loop, in words.
         errors: one per loop and horizon that could be played.

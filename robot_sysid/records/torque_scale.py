@@ -20,13 +20,12 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.json_files import read_json
-from robot_sysid.records.arrays import Array
+from robot_sysid.records.arm import Array
 from robot_sysid.records.atomic_files import write_whole
 from robot_sysid.records.options import PerJoint, levels, per_joint
 
 VERSION = 1
 SCALE, CONSTANTS = "torque_scale", "torque_constants"
-"""Names of the two tables that a file may hold."""
 Factors = Union[PerJoint, Path]
 """One number for all joints, one per joint, or the file that lists them by name."""
 
@@ -54,8 +53,6 @@ def joint_factors(given: Factors, joint_names: Sequence[str], table: str) -> Arr
     """Return one factor per joint (n,).
 
     Args:
-        given: numbers or a file.
-        joint_names: the n chain joints.
         table: ``SCALE`` or ``CONSTANTS``: which table of a file, and the name of the option.
 
     Raises:
@@ -93,7 +90,6 @@ def write_torque_scale(path: Path, scale: Mapping[str, float]) -> None:
     """Write a file that ``--torque-scale`` reads.
 
     Args:
-        path: where to; the file appears whole or not at all.
         scale: joint name to how much too large its torque column reads.
 
     Raises:

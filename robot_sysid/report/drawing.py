@@ -1,4 +1,4 @@
-"""How figures look, and what becomes of them: SVG inside a page, files beside it.
+"""What a page is made of, how figures look, and what becomes of them: SVG inside it, files beside.
 
 Colours are told apart by every kind of colour vision (after Okabe and Ito, "Color universal
 design", 2008), and each goes with a marker or a line of its own. Inside a page they are variables,
@@ -11,56 +11,123 @@ import contextlib
 import importlib.util
 import io
 import logging
+import math
 import re
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from robot_sysid.errors import InputError
-from robot_sysid.report.elements import Figure, Table
+from robot_sysid.records.figures import figure as number_text
+
+MOST_ROWS = 60
+"""Rows of a figure's table; more are thinned."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Numbers in rows, as text; the note says what is left out."""
+
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A drawing with its caption and its numbers.
+
+    Attributes:
+        name: of its files, unique on the page.
+        drawing: of matplotlib; None where there is a photograph.
+        png: a photograph instead.
+    """
+
+    name: str
+    caption: str
+    table: Table
+    drawing: Any = None
+    png: bytes = b""
+    wide: bool = False
+
+
+@dataclass(frozen=True)
+class Section:
+    """One part of the page.
+
+    Attributes:
+        blocks: (title, text) of what is to be copied as it is.
+        missing: what is not there and what would make it so, one sentence each.
+        verdict: "good", "bad" or "".
+        details: (title, sentences) of what only some want to read.
+    """
+
+    key: str
+    title: str
+    sentences: tuple[str, ...] = ()
+    tables: tuple[Table, ...] = ()
+    figures: tuple[Figure, ...] = ()
+    points: tuple[str, ...] = ()
+    blocks: tuple[tuple[str, str], ...] = ()
+    missing: tuple[str, ...] = ()
+    verdict: str = ""
+    details: tuple[tuple[str, tuple[str, ...]], ...] = ()
+
+
+def text(value: Any, error: float | None = None) -> str:
+    """Return a number as a cell; a dash where there is none."""
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return "–"
+    return number_text(float(value), error)
+
+
+def plus_minus(error: float | None) -> str:
+    """Return a standard error as a cell."""
+    if error is None or not math.isfinite(error):
+        return "not known"
+    return number_text(error, error)
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[Any]], note: str = "") -> Table:
+    """Return a table of texts and numbers; with more than ``MOST_ROWS`` rows, some of them."""
+    cells = [tuple(c if isinstance(c, str) else text(c) for c in row) for row in rows]
+    step = -(-len(cells) // MOST_ROWS)
+    if step > 1:
+        said = f"every {step}th of {len(cells)} rows; report_data.npz holds all that is drawn"
+        note = f"{note} {said}".strip()
+    return Table(tuple(header), tuple(cells[:: step or 1]), note)
+
 
 INK, GRID = "#1b1f24", "#d3d7dc"
 BEFORE, AFTER, TRUTH = "#b3540a", "#0b62a8", "#0a7a5c"
 MEASURED, OTHER = "#6b7178", "#8a3f9a"
-VARIABLES = {
-    INK: "ink",
-    GRID: "grid",
-    BEFORE: "before",
-    AFTER: "after",
-    TRUTH: "truth",
-    MEASURED: "measured",
-    OTHER: "other",
-}
+_NAMES = ("ink", "grid", "before", "after", "truth", "measured", "other")
+VARIABLES = dict(zip((INK, GRID, BEFORE, AFTER, TRUTH, MEASURED, OTHER), _NAMES))
 """Colour to the name of its variable in the page's style."""
 SERIES = ((AFTER, "o"), (BEFORE, "D"), (TRUTH, "s"), (OTHER, "^"), (MEASURED, "v"))
 """Colour and marker of the first, second, ... of several things beside each other."""
 NARROW, WIDE = 4.6, 9.4
 """Widths of figures that stand beside another one, and that take the whole page [inch]."""
+HATCHES = ("", "///", "...", "xxx", "\\\\\\", "++", "oo")
+"""Of the first, second, ... of several bars beside each other."""
 _DPI = 150
 _STYLE: dict[str, Any] = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
     "font.size": 9.0,
-    "axes.edgecolor": INK,
-    "axes.labelcolor": INK,
-    "axes.titlecolor": INK,
-    "axes.titlesize": 9.5,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.formatter.useoffset": False,
+    **dict.fromkeys(("axes.edgecolor", "axes.labelcolor", "text.color"), INK),
+    **dict.fromkeys(("xtick.color", "ytick.color"), INK),
+    **dict.fromkeys(("axes.grid", "axes.axisbelow"), True),
+    **dict.fromkeys(("axes.spines.top", "axes.spines.right", "axes.formatter.useoffset"), False),
     "grid.color": GRID,
     "grid.linewidth": 0.6,
-    "xtick.color": INK,
-    "ytick.color": INK,
-    "text.color": INK,
     "legend.frameon": False,
     "legend.fontsize": 8.5,
     "lines.linewidth": 1.1,
-    "figure.facecolor": "none",
-    "axes.facecolor": "none",
-    "savefig.facecolor": "none",
+    **dict.fromkeys(("figure.facecolor", "axes.facecolor", "savefig.facecolor"), "none"),
     "svg.fonttype": "none",
     # Names of joints and files are text, never formulas.
     "text.parse_math": False,
@@ -104,10 +171,7 @@ def drawn(
 
     Args:
         name: of its files, unique on the page.
-        caption: what is to be seen.
-        numbers: what is drawn.
         size: width and height [inch].
-        draw: draws into a figure of matplotlib.
     """
     from matplotlib.figure import Figure as Canvas
 
@@ -160,3 +224,30 @@ def legend(canvas: Any, axes: Any, columns: int = 3) -> None:
     handles, labels = axes.get_legend_handles_labels()
     if handles:
         canvas.legend(handles, labels, loc="outside upper center", ncols=columns)
+
+
+def bars(
+    canvas: Any, groups: Sequence[str], series: Sequence[tuple[str, Any, str]], label: str
+) -> Any:
+    """Draw bars beside each other, and return their axes.
+
+    Args:
+        series: (name, heights (n,), colour) of the first, second, ... bar of each group; what is
+            not finite is not drawn.
+    """
+    axes = canvas.subplots()
+    width, places = 0.8 / len(series), np.arange(len(groups), dtype=float)
+    for k, (name, heights, colour) in enumerate(series):
+        style = {"facecolor": colour, "edgecolor": INK, "alpha": 0.8, "hatch": HATCHES[k]}
+        drawable = np.where(np.isfinite(heights), heights, 0.0)
+        at = places + width * (k - 0.5 * (len(series) - 1))
+        axes.bar(at, drawable, 0.92 * width, label=shortened(name, 60), **style)
+    axes.set_xticks(places, [shortened(name) for name in groups], rotation=20, ha="right")
+    axes.set_ylabel(label)
+    legend(canvas, axes, 3 if all(len(name) < 20 for name, _, _ in series) else 1)
+    return axes
+
+
+def shortened(name: str, most: int = 22) -> str:
+    """Return a name that leaves room for others."""
+    return name if len(name) <= most else f"{name[: most - 1]}…"

@@ -1,4 +1,4 @@
-"""The page: which parts in which order, and their HTML.
+"""The page: which parts in which order, their HTML, and the files of a report.
 
 Names from models and logs are text that somebody else wrote: all of it is escaped, and the page
 itself forbids scripts and anything from elsewhere.
@@ -13,27 +13,25 @@ from pathlib import Path
 from typing import Any
 
 from robot_sysid import __version__
-from robot_sysid.report.drawing import inline
-from robot_sysid.report.elements import Figure, Section
-from robot_sysid.report.runs import PAYLOAD, Run
-from robot_sysid.report.sections import comparison, errors, payload, verdict
-from robot_sysid.report.sections.excitation import excitation
-from robot_sysid.report.sections.friction import friction
-from robot_sysid.report.sections.parameters import parameters, visibility
+from robot_sysid.records.atomic_files import require_writable, whole_files
+from robot_sysid.records.data import Traces
+from robot_sysid.report.drawing import Figure, Section, inline, png, svg
+from robot_sysid.report.runs import Run, load_run
+from robot_sysid.report.saved import DATA_NAME, data_bytes, report_data
+from robot_sysid.report.sections import comparison, signals, verdict
+from robot_sysid.report.sections.parameters import card, parameters, scatter, visibility
 from robot_sysid.report.sections.picture import picture
-from robot_sysid.report.sections.torques import residuals, torques
 
 _TEMPLATE = Path(__file__).with_name("template.html")
-_WORDY = 24
 Maker = Callable[[Run], "Section | None"]
 
 
 def sections_of(run: Run, mesh_dir: Path | None = None) -> list[Section]:
     """Return all parts of a run's page."""
-    weighed = (payload.card, payload.scatter) if run.kind == PAYLOAD else ()
     makers: tuple[Maker, ...] = (
-        *(verdict.verdict, *weighed, parameters, visibility, torques, residuals, friction),
-        *(excitation, errors.errors, errors.rollout),
+        *(verdict.verdict, card, scatter, parameters, visibility),
+        *(signals.torques, signals.residuals, signals.friction, signals.excitation),
+        *(signals.errors, signals.rollout),
         partial(picture, mesh_dir=mesh_dir),
         verdict.next_steps,
     )
@@ -66,7 +64,7 @@ def html(title: str, sections: Sequence[Section]) -> str:
     from jinja2 import Environment, StrictUndefined
 
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
-    environment.filters.update(prose=_prose, drawing=_drawing, wordy=_wordy)
+    environment.filters.update(prose=_prose, drawing=_drawing)
     template = environment.from_string(_TEMPLATE.read_text(encoding="utf-8"))
     return template.render(title=title, sections=sections, version=__version__) + "\n"
 
@@ -91,8 +89,53 @@ def _drawing(figure: Figure) -> str:
     return Markup(inline(figure))
 
 
-def _wordy(cell: str) -> str:
-    """Return the class of a cell that holds words."""
-    from markupsafe import Markup
+REPORT_NAME, COMPARISON_NAME, PLOTS_NAME = "report.html", "comparison.html", "plots"
 
-    return Markup(' class="words"') if len(cell) > _WORDY else ""
+
+def save_data(folder: Path, traces: Traces, result: str) -> Path:
+    """Write what a later report of this run needs; ``result`` is the hash of its JSON file.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    with whole_files() as files:
+        files.write(folder / DATA_NAME, data_bytes(report_data(traces, result)))
+    return folder / DATA_NAME
+
+
+def write_report(
+    folders: Sequence[Path],
+    destination: Path,
+    mesh_dir: Path | None = None,
+    page: bool = True,
+    plots: bool = False,
+) -> tuple[Path, ...]:
+    """Write the page of a run, or one that compares several, and return what was written.
+
+    With ``plots``, each figure is written as PNG and SVG, too.
+
+    Raises:
+        InputError: a folder holds no result, or nothing can be written.
+    """
+    runs = [load_run(folder) for folder in folders]
+    require_writable(destination)
+    if len(runs) == 1:
+        sections = sections_of(runs[0], mesh_dir)
+        title, name = f"robot-sysid: {runs[0].name}", REPORT_NAME
+    else:
+        sections = sections_comparing(runs)
+        title, name = f"robot-sysid: {len(runs)} runs", COMPARISON_NAME
+    written = []
+    with whole_files() as files:
+        if page:
+            files.write(destination / name, html(title, sections))
+            written.append(destination / name)
+        for figure in (each for section in sections for each in section.figures if plots):
+            kinds = {".png": png(figure)}
+            if figure.drawing is not None:
+                kinds[".svg"] = svg(figure).encode()
+            for suffix, content in kinds.items():
+                path = destination / PLOTS_NAME / (figure.name + suffix)
+                files.write(path, content)
+                written.append(path)
+    return tuple(written)

@@ -7,7 +7,7 @@ them: residuals by size, by time lag and by speed.
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -17,8 +17,7 @@ import numpy as np
 from robot_sysid.errors import InputError
 from robot_sysid.logs.formats.arrays import npz_arrays
 from robot_sysid.records import Array
-from robot_sysid.records.traces import SIGNALS, Signals, Traces
-from robot_sysid.report.statistics import autocorrelation, by_speed, histogram
+from robot_sysid.records.data import SIGNALS, Signals, Traces
 
 DATA_NAME = "report_data.npz"
 MOST = 2000
@@ -31,7 +30,6 @@ class ReportData(Signals):
     """What a report draws of n joints; the time runs on from log to log.
 
     Attributes:
-        n_samples: how many instants there were.
         edges, counts: (n, B + 1), (n, B) histogram of the residual [N m].
         lags, correlation: (L,) [s], (n, L) autocorrelation of the residual.
         independent: (n,) size of the correlation that noise alone exceeds in one lag of twenty.
@@ -84,16 +82,13 @@ class ReportData(Signals):
 
 
 def report_data(traces: Traces, result: str = "") -> ReportData:
-    """Return what a report draws of some traces.
-
-    Args:
-        traces: they.
-        result: hash of the JSON file that they belong to.
-    """
+    """Return what a report draws of some traces; ``result`` is the hash of their JSON file."""
     count = len(traces.time)
     kept = np.unique(np.linspace(0, count - 1, min(count, MOST)).round().astype(int))
     residual, limits = traces.residual, traces.limits
-    time = _running_on(traces.time)
+    # The logs one after the other, a second apart.
+    steps = np.diff(traces.time, prepend=traces.time[:1])
+    time = np.cumsum(np.where(steps < 0.0, 1.0, steps))
     edges, counts = histogram(residual)
     lags, correlation, independent = autocorrelation(time, residual)
     speed, (mean, measured, predicted), spread = by_speed(
@@ -122,12 +117,6 @@ def report_data(traces: Traces, result: str = "") -> ReportData:
         truth=np.zeros(0) if traces.truth is None else traces.truth.theta,
         result=result,
     )
-
-
-def _running_on(time: Array) -> Array:
-    """Return the times (K,) of logs one after the other, a second apart [s]."""
-    steps = np.diff(time, prepend=time[:1])
-    return np.cumsum(np.where(steps < 0.0, 1.0, steps))
 
 
 def data_bytes(data: ReportData) -> bytes:
@@ -172,3 +161,84 @@ def _restored(content: Mapping[str, Array]) -> ReportData:
     values["n_samples"] = int(content["n_samples"])
     values["result"] = str(content["result"])
     return ReportData(**values)  # type: ignore[arg-type]
+
+
+BINS, SPEED_BINS = 31, 24
+LONGEST_LAG = 2.0
+"""Up to which lag the autocorrelation is computed [s]."""
+_MOST_LAGS = 80
+_WIDE = 4.0
+_LEAST_IN_BIN = 4
+
+
+def histogram(residual: Array) -> tuple[Array, Array]:
+    """Return (edges (n, B + 1), counts (n, B)) of residuals (K, n), out to four times their rms.
+
+    What is farther out is counted in the outermost bins.
+    """
+    edges, counts = [], []
+    for column in residual.T:
+        known = column[np.isfinite(column)]
+        rms = float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
+        reach = _WIDE * rms or 1.0
+        limits = np.linspace(-reach, reach, BINS + 1)
+        edges.append(limits)
+        counts.append(np.histogram(np.clip(known, -reach, reach), limits)[0])
+    return np.array(edges), np.array(counts, dtype=float)
+
+
+def autocorrelation(time: Array, residual: Array) -> tuple[Array, Array, Array]:
+    """Return (lags (L,) [s], correlation (n, L), independent (n,)) of residuals (K, n).
+
+    r(l) = mean(e_k e_{k+l}) / mean(e_k^2) over the pairs of samples that were both used. Noise
+    without memory exceeds 1.96 / sqrt(pairs) in one lag of twenty (Box, Jenkins, "Time Series
+    Analysis", 1970, ch. 2).
+
+    Args:
+        time: (K,) [s].
+        residual: (K, n); NaN where a sample was not used.
+    """
+    step = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
+    step = step if step > 0.0 else 1.0
+    last = int(min(LONGEST_LAG / step, len(time) // 4))
+    shifts = np.unique(np.linspace(0, last, min(last, _MOST_LAGS) + 1).round().astype(int))
+    used = np.isfinite(residual)
+    values = np.where(used, residual, 0.0)
+    power = np.mean(values**2, axis=0, where=used) if np.any(used) else np.zeros(used.shape[1])
+    found = np.zeros((residual.shape[1], len(shifts)))
+    for k, shift in enumerate(shifts):
+        end = len(values) - shift
+        pairs = np.sum(used[:end] & used[shift:], axis=0)
+        total = np.sum(values[:end] * values[shift:], axis=0)
+        scale = power * np.maximum(pairs, 1)
+        found[:, k] = np.divide(total, scale, out=np.zeros_like(total), where=scale > 0.0)
+    independent = 1.96 / np.sqrt(np.maximum(np.sum(used, axis=0), 1))
+    return shifts * step, found, independent
+
+
+def by_speed(qd: Array, quantities: Sequence[Array]) -> tuple[Array, tuple[Array, ...], Array]:
+    """Return the means of quantities (K, n) in bins of each joint's own speed.
+
+    Returns:
+        (middles (n, S), NaN where a bin has hardly any samples; means (n, S) per quantity;
+        standard deviation (n, S) of the first quantity).
+    """
+    shape = (qd.shape[1], SPEED_BINS)
+    middles, spread = np.full(shape, np.nan), np.full(shape, np.nan)
+    means = tuple(np.full(shape, np.nan) for _ in quantities)
+    for joint, speed in enumerate(qd.T):
+        used = np.isfinite(quantities[0][:, joint])
+        if not np.any(used):
+            continue
+        fastest = float(np.max(np.abs(speed[used]))) or 1.0
+        edges = np.linspace(-fastest, fastest, SPEED_BINS + 1)
+        place = np.clip(np.digitize(speed, edges) - 1, 0, SPEED_BINS - 1)
+        for k in range(SPEED_BINS):
+            here = used & (place == k)
+            if np.count_nonzero(here) < _LEAST_IN_BIN:
+                continue
+            middles[joint, k] = np.mean(speed[here])
+            spread[joint, k] = np.std(quantities[0][here, joint])
+            for mean, quantity in zip(means, quantities):
+                mean[joint, k] = np.mean(quantity[here, joint])
+    return middles, means, spread

@@ -26,7 +26,7 @@ import numpy as np
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 from robot_sysid.records.figures import percent
-from robot_sysid.signals.low_pass import design_low_pass
+from robot_sysid.signals.filters import design_low_pass
 
 # Expected squared error of acceleration, as a part of its mean square, that is no loss yet: it
 # biases an inertia by as much, 0.005 %.
@@ -60,7 +60,6 @@ class CutoffChoice:
         cutoff: [Hz].
         position_noise: (n,) standard deviation of the white noise seen in each position [rad].
         acceleration_error: expected error of the acceleration, as a part of it.
-        reason: one sentence.
     """
 
     cutoff: float
@@ -75,7 +74,6 @@ class _Spectra:
 
     Attributes:
         rate: sample rate of the readings [Hz].
-        length: samples per spectrum.
         frequency: (F,).
         motion, noise: (F, n) what is motion, what is not.
         level: (n,) spectrum of the noise of position.
@@ -97,9 +95,6 @@ def choose_cutoff(q: Array, rate: float, steps: Array) -> CutoffChoice:
         rate: sample rate [Hz].
         steps: (N, n) the part of q that comes from the steps of encoders [rad], see
             ``encoder_steps``.
-
-    Raises:
-        InputError: the log is too short to have a spectrum.
     """
     q, steps, rate = _without_repeats(q, steps, rate)
     if len(q) < _SHORTEST:
@@ -108,9 +103,14 @@ def choose_cutoff(q: Array, rate: float, steps: Array) -> CutoffChoice:
             "--cutoff HZ"
         )
     spectra = _spectra(q, rate, steps)
-    candidates = _candidates(len(q), rate)
-    highest = _WIDEST * _speed_band(spectra.frequency, spectra.motion)
-    candidates = candidates[candidates <= max(candidates[0], highest)]
+    highest = 0.2 * rate
+    half_width_times_cutoff = design_low_pass(highest, rate).half_width * highest / rate
+    lowest = 4.0 * half_width_times_cutoff / (_TRIMMED * len(q) / rate)
+    candidates = np.geomspace(min(lowest, highest), highest, 40)
+    # The highest frequency that the arm moves at; all where it does not move.
+    frequency, motion = spectra.frequency, spectra.motion
+    fastest = frequency[_speed_index(frequency, motion) if np.any(motion) else -1]
+    candidates = candidates[candidates <= max(candidates[0], _WIDEST * fastest)]
     errors = np.array([_error(c, spectra) for c in candidates])
     fit = np.flatnonzero(errors <= max(_HARMLESS, _NEARLY_BEST * errors.min()))
     best = candidates[fit[-1]]
@@ -141,7 +141,9 @@ def noise_share(q: Array, rate: float, steps: Array, cutoff: float) -> float:
 def _spectra(q: Array, rate: float, steps: Array) -> _Spectra:
     length = min((len(q) - 2) // 4, max(_SHORTEST, round(_LONGEST * rate)))
     frequency, power, shape = _acceleration_spectrum(q, rate, length)
-    level = _noise_level(frequency, power, shape, rate)
+    high = (frequency > 0.25 * rate) & (frequency < 0.475 * rate)
+    # The median of a chi-square lies a little below its mean; with this many segments by 5 %.
+    level = 1.05 * np.median(power[high] / shape[high, None], axis=0)
     noise = level * shape[:, None]
     stairs = _acceleration_spectrum(steps, rate, length)[1]
     motion = _motion(frequency, power, np.maximum(noise, stairs))
@@ -190,23 +192,10 @@ def _acceleration_spectrum(q: Array, rate: float, length: int) -> tuple[Array, A
     from scipy.signal import welch
 
     acceleration = np.diff(q, 2, axis=0) * rate**2
-    frequency, power = welch(
-        acceleration,
-        rate,
-        "blackmanharris",
-        length,
-        noverlap=3 * length // 4,
-        detrend="constant",
-        axis=0,
-    )
+    overlap = {"noverlap": 3 * length // 4, "detrend": "constant", "axis": 0}
+    frequency, power = welch(acceleration, rate, "blackmanharris", length, **overlap)
     shape = ((2.0 - 2.0 * np.cos(2.0 * np.pi * frequency / rate)) * rate**2) ** 2
     return frequency[1:], power[1:], shape[1:]
-
-
-def _noise_level(frequency: Array, power: Array, shape: Array, rate: float) -> Array:
-    high = (frequency > 0.25 * rate) & (frequency < 0.475 * rate)
-    # The median of a chi-square lies a little below its mean; with this many segments by 5 %.
-    return 1.05 * np.median(power[high] / shape[high, None], axis=0)
 
 
 def _motion(frequency: Array, power: Array, noise: Array) -> Array:
@@ -253,11 +242,6 @@ def _first_gap(frequency: Array, motion: Array) -> int:
     return int(np.argmax(empty)) if np.any(empty) else len(frequency) - 1
 
 
-def _speed_band(frequency: Array, motion: Array) -> float:
-    """Return the highest frequency that the arm moves at [Hz]; all where it does not move."""
-    return float(frequency[_speed_index(frequency, motion) if np.any(motion) else -1])
-
-
 def _smooth(power: Array) -> Array:
     """Return the mean over a quarter of an octave or so around each frequency (F,)."""
     index = np.arange(len(power))
@@ -266,13 +250,6 @@ def _smooth(power: Array) -> Array:
     low = np.maximum(0, index - width // 2)
     high = np.minimum(len(power), low + width)
     return (total[high] - total[low]) / (high - low)
-
-
-def _candidates(n_samples: int, rate: float) -> Array:
-    highest = 0.2 * rate
-    half_width_times_cutoff = design_low_pass(highest, rate).half_width * highest / rate
-    lowest = 4.0 * half_width_times_cutoff / (_TRIMMED * n_samples / rate)
-    return np.geomspace(min(lowest, highest), highest, 40)
 
 
 def _error(cutoff: float, spectra: _Spectra) -> float:

@@ -20,9 +20,8 @@ masked. In a simulated closed loop a mask that only looks at a row's own instant
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,21 +30,21 @@ from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Measurement, Motion
 from robot_sysid.records.options import PerJoint, per_joint
 from robot_sysid.signals.cutoff import choose_cutoff, encoder_steps, noise_share
-from robot_sysid.signals.differences import (
+from robot_sysid.signals.filters import (
+    ATTENUATION,
     FINE_REACH,
     REACH,
+    Decimator,
+    LowPass,
     advanced,
+    design_low_pass,
     first_derivative,
     second_derivative,
 )
-from robot_sysid.signals.low_pass import ATTENUATION, Decimator, LowPass, design_low_pass
 from robot_sysid.signals.resampling import UniformSignals, is_fresh, resampled
 
 LARGEST_SLOW_SHARE = 0.07
 """Share of the filter's weight that samples inside the deadband may have in a row that is used."""
-SLOW_SHARE_FOR_DELAY = 0.02
-"""The same where a delay is sought: dry friction that turns a little early or late at a reversal
-looks like one. In a closed loop with MuJoCo's friction 0.07 gives -2.6 ms for none, this -0.05."""
 USUAL_DEADBAND = 0.005
 """Share of its own peak speed below which a joint has hardly left stiction."""
 ENOUGH_EACH_WAY = 0.05
@@ -80,12 +79,9 @@ class ProcessedSignals:
         bridged: (N,) whether the samples around this one bridge a long hole in the log, or a
             corner of motion that is known exactly elsewhere.
         deadband: (n,) speed below which the direction of a joint's friction is not sure [rad/s].
-        low_pass: the filter for regressor columns and torques.
         flat: the filter that positions have passed; of one weight where they are free of noise.
-        notes: one sentence each: what was done.
         acceleration_error: expected error of the acceleration, as a part of it; 0 where the
             cut-off was given.
-        largest_slow_share: see ``LARGEST_SLOW_SHARE``.
     """
 
     time: Array
@@ -99,7 +95,6 @@ class ProcessedSignals:
     flat: LowPass
     notes: tuple[str, ...]
     acceleration_error: float = 0.0
-    largest_slow_share: float = LARGEST_SLOW_SHARE
 
     def __len__(self) -> int:
         return len(self.time)
@@ -195,7 +190,7 @@ class ProcessedSignals:
     def usable(self) -> NDArray[np.bool_]:
         """Return (K, n) whether each joint's decimated row may be used."""
         centres = self.low_pass.centres(len(self))
-        moving = self.slow_share() <= self.largest_slow_share
+        moving = self.slow_share() <= LARGEST_SLOW_SHARE
         holes = np.concatenate(([0], np.cumsum(self.bridged)))
         half = self.low_pass.half_width
         whole = holes[centres + half + 1] == holes[centres - half]
@@ -212,8 +207,6 @@ def process(
     """Turn a log into signals.
 
     Args:
-        measurement: the whole log.
-        joint_names: the n joints, to name those that hardly move.
         cutoff: of the low-pass [Hz]; None chooses it from the data.
         deadband: speed of a joint below which its friction has no sure direction [rad/s], one
             number for all joints or one per joint; rows in which such samples weigh too much are
@@ -232,104 +225,42 @@ def process(
     else:
         reason = f"cut-off {cutoff:g} Hz as given"
     low_pass = design_low_pass(cutoff, uniform.rate)
-    _check_length(len(uniform.q), low_pass)
+    needed = _needed(low_pass)
+    if len(uniform.q) < needed:
+        raise InputError(
+            f"the log's {len(uniform.q) / low_pass.rate:.3g} s are too short for a cut-off of "
+            f"{low_pass.cutoff:.3g} Hz, which needs {needed / low_pass.rate:.3g} s; record longer "
+            "or give a higher --cutoff"
+        )
     corners = _corners(uniform, low_pass)
     flat, reach = replace(low_pass, kernel=np.ones(1)), FINE_REACH
     if corners is None:
         flat, reach = _exact_enough(low_pass, uniform, steps)
-    q = flat.filtered(uniform.q)
-    lost = flat.half_width + reach
-    bridged = _bridged(uniform, low_pass, lost)
+    q, lost = flat.filtered(uniform.q), flat.half_width + reach
+    # Low-passed motion at each sample leans on those up to lost away.
+    holes = np.concatenate(([0], np.cumsum(uniform.gap > _HARMLESS_GAP / cutoff)))
+    bridged = holes[2 * lost + 1 :] > holes[: len(holes) - 2 * lost - 1]
     qd = first_derivative(q, uniform.rate, reach)
-    signals = ProcessedSignals(
-        uniform.start + np.arange(lost, len(uniform.q) - lost) / uniform.rate,
-        q[reach:-reach],
-        qd,
-        second_derivative(q, uniform.rate, reach),
-        uniform.tau[lost:-lost],
-        bridged if corners is None else bridged | corners,
-        _deadband(qd, deadband, least_deadband),
-        low_pass,
-        flat,
-        (),
-        expected,
-    )
+    qdd = second_derivative(q, uniform.rate, reach)
+    usual = np.maximum(USUAL_DEADBAND * np.max(np.abs(qd), axis=0), _LEAST_DEADBAND)
+    slow = np.maximum(usual, np.asarray(least_deadband or 0.0))
+    if deadband is not None:
+        slow = per_joint(deadband, qd.shape[1], "--velocity-deadband")
+    time = uniform.start + np.arange(lost, len(uniform.q) - lost) / uniform.rate
+    bridged = bridged if corners is None else bridged | corners
+    q, tau = q[reach:-reach], uniform.tau[lost:-lost]
+    signals = ProcessedSignals(time, q, qd, qdd, tau, bridged, slow, low_pass, flat, (), expected)
     return replace(signals, notes=(*uniform.notes, reason, *_notes(signals, joint_names)))
 
 
-def _deadband(qd: Array, given: PerJoint | None, least: Sequence[float]) -> Array:
-    """Return each joint's deadband (n,), see ``process``."""
-    if given is not None:
-        return per_joint(given, qd.shape[1], "--velocity-deadband")
-    usual = USUAL_DEADBAND * np.max(np.abs(qd), axis=0)
-    return np.maximum(np.maximum(usual, _LEAST_DEADBAND), np.asarray(least or 0.0))
-
-
-Log = TypeVar("Log")
-
-
-def with_one_cutoff(
-    logs: Sequence[Log],
-    processed: Callable[[Log, float | None], ProcessedSignals],
-    given: float | None,
-    most: float = math.inf,
-) -> list[ProcessedSignals]:
-    """Return the signals of several logs, all with the lowest cut-off that one of them asks for.
-
-    Args:
-        logs: whatever ``processed`` takes.
-        processed: returns a log's signals with a cut-off [Hz]; None chooses it from the data.
-        given: cut-off for all of them [Hz]; None for none.
-        most: what a chosen cut-off is at most [Hz].
-    """
-    signals = [processed(log, given) for log in logs]
-    if given is not None:
-        return signals
-    lowest = min(most, *(each.cutoff for each in signals))
-    return [
-        each if each.cutoff == lowest else processed(log, lowest)
-        for each, log in zip(signals, logs)
-    ]
-
-
 def with_delay(signals: ProcessedSignals, delay: float) -> ProcessedSignals:
-    """Return the signals with a torque channel that lags by ``delay`` put right.
-
-    Args:
-        signals: as measured.
-        delay: seconds by which torque was stamped later than position; negative for earlier.
-
-    Raises:
-        InputError: the delay is longer than the log.
-    """
+    """Return the signals with torque put right that lags by ``delay`` [s]; negative for earlier."""
     tau, first = advanced(signals.tau, delay * signals.rate)
     if len(tau) < len(signals.low_pass.kernel):
         raise InputError(f"a delay of {delay:g} s leaves nothing of the log")
     part = slice(first, first + len(tau))
-    return replace(
-        signals,
-        time=signals.time[part],
-        q=signals.q[part],
-        qd=signals.qd[part],
-        qdd=signals.qdd[part],
-        tau=tau,
-        bridged=signals.bridged[part],
-    )
-
-
-def delay_columns(signals: ProcessedSignals) -> Array:
-    """Return (N, n) the column of a small remaining delay in each joint's equations: -d tau/dt.
-
-    A torque that lags reads tau(t - delay) = tau(t) - delay tau'(t) + O(delay^2). Estimated as one
-    more parameter, taken out by ``with_delay`` and estimated again, it converges in a few rounds.
-    The derivative is taken of low-passed torque: noise in the column would make each round find
-    only a part of the delay, though it does not bias the converged value. Like every column it has
-    to pass ``decimator``; the ends, where the low-pass has no result, are zero.
-    """
-    smooth = signals.low_pass.filtered(signals.tau)
-    inner = -first_derivative(smooth, signals.rate)
-    lost = (len(signals) - len(inner)) // 2
-    return np.pad(inner, ((lost, len(signals) - len(inner) - lost), (0, 0)))
+    cut = {name: getattr(signals, name)[part] for name in ("time", "q", "qd", "qdd", "bridged")}
+    return replace(signals, tau=tau, **cut)
 
 
 def _steps(measurement: Measurement) -> Array:
@@ -384,22 +315,6 @@ def _exact_enough(low_pass: LowPass, uniform: UniformSignals, steps: Array) -> t
 def _needed(low_pass: LowPass) -> int:
     """Return how many samples a log must have."""
     return 4 * low_pass.half_width + 2 * REACH + 10 * low_pass.step
-
-
-def _check_length(n_samples: int, low_pass: LowPass) -> None:
-    needed = _needed(low_pass)
-    if n_samples < needed:
-        raise InputError(
-            f"the log's {n_samples / low_pass.rate:.3g} s are too short for a cut-off of "
-            f"{low_pass.cutoff:.3g} Hz, which needs {needed / low_pass.rate:.3g} s; record longer "
-            "or give a higher --cutoff"
-        )
-
-
-def _bridged(uniform: UniformSignals, low_pass: LowPass, lost: int) -> NDArray[np.bool_]:
-    """Return whether low-passed motion at each sample but ``lost`` leans on a hole in the log."""
-    long = np.concatenate(([0], np.cumsum(uniform.gap > _HARMLESS_GAP / low_pass.cutoff)))
-    return long[2 * lost + 1 :] > long[: len(long) - 2 * lost - 1]
 
 
 def _notes(signals: ProcessedSignals, joint_names: Sequence[str]) -> Iterator[str]:

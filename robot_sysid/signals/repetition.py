@@ -9,16 +9,21 @@ the state of row p at another time, the variance of a sum of the equations is
 times that of independent residuals: 1 where only noise is left, and the number of repetitions where
 every one leaves the same. A row passes a state where it is nearer than the rows of that state's own
 passage are to each other.
+
+Of any number of logs a sample of rows of bounded size stands for all: every row draws a number, and
+those with the smallest stay. Samples put together in whatever order are then a sample of all rows
+(bottom-k sampling: Cohen, Kaplan, "Summarizing data using bottom-k sketches", 2007).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Motion, SampleSource, SquareRootInformation
 
 PROBES = 2000
@@ -33,13 +38,7 @@ _CHUNK = 100
 
 @dataclass(frozen=True)
 class Visits:
-    """Pairs of rows that pass the same state at different times.
-
-    Attributes:
-        probes: (M,) the one row.
-        others: (M,) the other.
-        repeats: how often a state is passed again, on average.
-    """
+    """Pairs of rows (M,), (M,) that pass the same state again; ``repeats``: how often."""
 
     probes: NDArray[np.int64]
     others: NDArray[np.int64]
@@ -51,8 +50,6 @@ class Visits:
         """Return D (joints,) of residuals; 1 where the motion does not repeat as a whole.
 
         Args:
-            information: what the samples are equations of.
-            samples: the equations, row by row as in the motion.
             values: (p,) the estimate.
         """
         found = np.ones(len(information.joints))
@@ -98,3 +95,93 @@ def _steps(state: Array) -> Array:
     """Return (K,) how far the state of one log moves from row to row."""
     moved = np.linalg.norm(np.diff(state, axis=0), axis=1)
     return 0.5 * (np.append(moved[:1], moved) + np.append(moved, moved[-1:]))
+
+
+MOST_ROWS = 2000
+
+
+@dataclass(frozen=True, eq=False)
+class RowSample:
+    """At most ``MOST_ROWS`` of N rows.
+
+    Attributes:
+        drawn: (M,) what each row drew, ascending.
+        log: (M,) number of the log that a row is of.
+        place: (M,) which of its log's rows it is.
+        q, qd, qdd: (M, n) [rad, rad/s, rad/s^2].
+        moved: (M, 2n) how far position and velocity are from those of the next row.
+        residual: (M, joints) what an estimate leaves unexplained; 0 in rows that are not used
+            [N m].
+        total: N.
+    """
+
+    drawn: Array
+    log: NDArray[np.uint64]
+    place: NDArray[np.int64]
+    q: Array
+    qd: Array
+    qdd: Array
+    moved: Array
+    residual: Array
+    total: int
+
+    def __add__(self, other: RowSample) -> RowSample:
+        """Return the sample of both's rows.
+
+        Raises:
+            InputError: a row is in both.
+        """
+        names = [each.name for each in fields(self) if each.name != "total"]
+        both = {name: np.concatenate([getattr(s, name) for s in (self, other)]) for name in names}
+        order = np.argsort(both["drawn"], kind="stable")[:MOST_ROWS]
+        log, place = both["log"][order], both["place"][order]
+        if np.any((log[1:] == log[:-1]) & (place[1:] == place[:-1])):
+            raise InputError("the same log is in both parts of a sum; add each log once")
+        total = self.total + other.total
+        return RowSample(**{name: rows[order] for name, rows in both.items()}, total=total)
+
+    def motion(self, most: int) -> Motion:
+        """Return some of the motion; its time only counts the rows."""
+        rows = slice(most)
+        time = np.arange(len(self.q[rows]), dtype=float)
+        return Motion(time, self.q[rows], self.qd[rows], self.qdd[rows])
+
+    def inflation(self) -> Array:
+        """Return D (joints,) as ``repetition.Visits.inflation`` does, from the sampled rows.
+
+        Where few of very many rows are sampled, chance makes it too large rather than too small.
+        """
+        size, found = len(self.drawn), np.ones(self.residual.shape[1])
+        off = self.q - np.mean(self.q, axis=0)
+        scale = np.concatenate([scales(off), scales(self.qd)])
+        state = np.hstack([off, self.qd]) / scale
+        step = np.linalg.norm(self.moved / scale, axis=1)
+        squares = np.sum(state**2, axis=1)
+        near = squares[:, None] + squares - 2.0 * state @ state.T < (NEAR * step[:, None]) ** 2
+        same = self.log[:, None] == self.log
+        near &= ~(same & (np.abs(self.place[:, None] - self.place) <= APART))
+        share = self.total / size
+        if share * np.count_nonzero(near) < size:
+            return found
+        squared = np.sum(self.residual**2, axis=0)
+        again = share * np.sum(self.residual * (near @ self.residual), axis=0)
+        seen = squared > 0.0
+        found[seen] = np.maximum(1.0, 1.0 + again[seen] / squared[seen])
+        return found
+
+
+def sampled(motion: Motion, residual: Array, log: int) -> RowSample:
+    """Return a sample of one log's rows.
+
+    Args:
+        residual: (K, joints) [N m]; NaN in rows that are not used.
+        log: a number that no other log has, which also decides what the rows draw.
+    """
+    drawn = np.random.default_rng(log).random(len(motion.time))
+    chosen = np.argsort(drawn, kind="stable")[:MOST_ROWS]
+    moved = np.diff(np.hstack([motion.q, motion.qd]), axis=0)
+    # The last row has no next one; it is as far from the one before.
+    moved = np.vstack([moved, moved[-1:]])
+    q, qd, qdd, moved = (each[chosen] for each in (motion.q, motion.qd, motion.qdd, moved))
+    numbers, left = np.full(len(chosen), log, dtype=np.uint64), np.nan_to_num(residual[chosen])
+    return RowSample(drawn[chosen], numbers, chosen, q, qd, qdd, moved, left, len(drawn))

@@ -28,7 +28,6 @@ class UniformSignals:
         rate: sample rate [Hz].
         q, tau: (N, n) [rad, N m].
         gap: (N,) length of the hole in the log that a sample bridges [s]; zero where there is none.
-        notes: what was done.
     """
 
     start: float
@@ -45,12 +44,6 @@ def resampled(measurement: Measurement) -> UniformSignals:
     A log that is even up to the digits of its time stamps is taken as it is, except for single rows
     that are lost (``rows_lost``); else every joint is interpolated by cubic splines, at its own
     time stamps where it has them.
-
-    Args:
-        measurement: the whole log.
-
-    Raises:
-        InputError: there are too few samples.
     """
     time = measurement.time
     if len(time) < 8:
@@ -100,17 +93,11 @@ def is_even(time: Array) -> bool:
     """Return whether time stamps are evenly spaced, up to their number of digits."""
     line = np.linspace(time[0], time[-1], len(time))
     period = float(time[-1] - time[0]) / (len(time) - 1)
-    return bool(np.max(np.abs(time - line)) <= max(_REGULAR * period, 1.01 * _last_digit(time)))
-
-
-def _last_digit(time: Array) -> float:
-    """Return the weight of the last decimal in use [s], at most a millisecond."""
-    since = time - time[0]
-    for digits in (3, 4, 5, 6):
-        scaled = since * 10.0**digits
-        if np.all(np.abs(scaled - np.round(scaled)) < 1e-3):
-            return 10.0**-digits
-    return 0.0
+    # The weight of the last decimal in use, at most a millisecond.
+    scaled = (((time - time[0]) * 10.0**digits, digits) for digits in (3, 4, 5, 6))
+    whole = (k for since, k in scaled if np.all(np.abs(since - np.round(since)) < 1e-3))
+    last_digit = next((10.0**-k for k in whole), 0.0)
+    return bool(np.max(np.abs(time - line)) <= max(_REGULAR * period, 1.01 * last_digit))
 
 
 def _interpolated(measurement: Measurement, rate: float, why: str = "") -> UniformSignals:
@@ -131,17 +118,13 @@ def _interpolated(measurement: Measurement, rate: float, why: str = "") -> Unifo
         q[:, joint], tau[:, joint] = CubicSpline(stamps[fresh], both[fresh])(grid).T
     said = "each joint at its own time stamps" if own is not None else "uneven time stamps"
     note = f"resampled to a uniform {rate:.6g} Hz ({why or said + ', cubic splines'})"
-    return UniformSignals(first, rate, q, tau, _gaps(time, grid, rate), (note,))
+    step = np.diff(time)
+    index = np.clip(np.searchsorted(time, grid) - 1, 0, len(step) - 1)
+    nearest = np.minimum(np.abs(grid - time[index]), np.abs(grid - time[index + 1]))
+    bridged = (step[index] > GAP_STEPS / rate) & (nearest >= 1e-3 / rate)
+    return UniformSignals(first, rate, q, tau, np.where(bridged, step[index], 0.0), (note,))
 
 
 def is_fresh(stamps: Array) -> NDArray[np.bool_]:
     """Return (N,) whether each row holds a new sample of a joint with these time stamps (N,)."""
     return np.concatenate(([True], np.diff(stamps) > 0.0))
-
-
-def _gaps(time: Array, grid: Array, rate: float) -> Array:
-    step = np.diff(time)
-    index = np.clip(np.searchsorted(time, grid) - 1, 0, len(step) - 1)
-    nearest = np.minimum(np.abs(grid - time[index]), np.abs(grid - time[index + 1]))
-    bridged = (step[index] > GAP_STEPS / rate) & (nearest >= 1e-3 / rate)
-    return np.where(bridged, step[index], 0.0)

@@ -22,13 +22,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from robot_sysid.errors import SimulationError
+from robot_sysid.errors import InputError, SimulationError
 from robot_sysid.model.compilation import captured_warnings
 from robot_sysid.records import Array, Measurement, Motion, MotionPlan, RobotModel
-from robot_sysid.records.options import PerJoint
-from robot_sysid.simulation.forward_dynamics import ForwardPlant
-from robot_sysid.simulation.frictionloss import RampUse
-from robot_sysid.trajectory import sample_times
+from robot_sysid.records.options import PerJoint, per_joint
+from robot_sysid.simulation.forward_dynamics import ForwardPlant, RampUse
+from robot_sysid.simulation.sensors import Sensors, SimulatedArmOptions
+from robot_sysid.simulator import simulate_inverse
+from robot_sysid.trajectory import motion_chunks, sample_times
 
 BANDWIDTH = 60.0
 """Bandwidth w of the tracking controller [rad/s]; lower where the control period is long."""
@@ -44,8 +45,6 @@ class ClosedLoop:
     """One arm, one trajectory, one controller.
 
     Args:
-        plant: the arm that moves.
-        plan: the trajectory.
         sample_rate: of the measurements [Hz].
 
     Attributes:
@@ -87,16 +86,18 @@ class ClosedLoop:
         self._reset()
         for time in sample_times(self._plan.duration, self._sample_rate):
             ticks = time[0] + self.period * np.arange(len(time) * self._periods)
+            # Half a period later for the feed-forward.
+            held, ahead = (
+                self._plan.evaluate(np.minimum(ticks + later, self._plan.duration))
+                for later in (0.0, 0.5 * self.period)
+            )
             with captured_warnings():
-                measurement = self._chunk(time, self._desired(ticks))
+                feed_forward = self._arm.inverse(ahead.q, ahead.qd, ahead.qdd)
+                measurement = self._chunk(time, held, feed_forward)
             yield measurement
 
     def notes(self, deadband: PerJoint | None = None) -> tuple[str, ...]:
-        """Return what the run showed so far: torque limits met, dry friction that does not show.
-
-        Args:
-            deadband: speed below which samples are going to be left out [rad/s].
-        """
+        """Return what the run showed so far: torque limits met, dry friction that does not show."""
         limits = tuple(
             f"the plant's {self._plant.joint_names[j]} was at its torque limit of "
             f"{self._plant.limits.torque[j]:.3g} N m for "
@@ -105,21 +106,16 @@ class ClosedLoop:
         )
         return limits + self.ramp_use.sentences(deadband)
 
-    def _desired(self, ticks: Array) -> tuple[Motion, Array]:
-        """Return the desired motion at the ticks and the feed-forward half a period later."""
-        held = self._plan.evaluate(np.minimum(ticks, self._plan.duration))
-        ahead = np.minimum(ticks + 0.5 * self.period, self._plan.duration)
-        motion = self._plan.evaluate(ahead)
-        return held, self._arm.inverse(motion.q, motion.qd, motion.qdd)
-
-    def _chunk(self, time: Array, desired: tuple[Motion, Array]) -> Measurement:
-        motion, feed_forward = desired
+    def _chunk(self, time: Array, motion: Motion, feed_forward: Array) -> Measurement:
         samples = np.empty((5, len(time), self._plant.n_joints))
         for k in range(len(motion.time)):
             tau = self._command(motion, k, feed_forward[k])
             sample, between = divmod(k, self._periods)
             if between == 0:
-                samples[:, sample] = self._read(tau)
+                reported = tau if self._held is None else 0.5 * (self._held + tau)
+                qdd = self._arm.acceleration(reported)
+                dry = self._arm.dry_friction()
+                samples[:, sample] = (*self._arm.state(), qdd, reported, dry)
             self._arm.step(tau)
             self._held = tau
         q, qd, qdd, measured, dry = samples
@@ -130,7 +126,8 @@ class ClosedLoop:
         """Return the torque (n,) to hold from tick k on."""
         q, qd = self._arm.state()
         error = motion.q[k] - q
-        self._require_tracking(error, float(motion.time[k]))
+        if not np.all(np.abs(error) < self._lost):
+            raise SimulationError(self._lost_message(error, float(motion.time[k])))
         wanted = self._bandwidth * (self._bandwidth * error + 2.0 * (motion.qd[k] - qd))
         tau = feed_forward + self._arm.times_mass(wanted)
         limited = np.clip(tau, -self._plant.limits.torque, self._plant.limits.torque)
@@ -138,20 +135,9 @@ class ClosedLoop:
         self.limited += limited != tau
         return limited
 
-    def _read(self, tau: Array) -> tuple[Array, ...]:
-        """Return q, qd, qdd, reported torque and dry friction (n,) where torque ``tau`` begins."""
-        reported = tau if self._held is None else 0.5 * (self._held + tau)
-        qdd = self._arm.acceleration(reported)
-        return (*self._arm.state(), qdd, reported, self._arm.dry_friction())
-
-    def _require_tracking(self, error: Array, time: float) -> None:
-        if np.all(np.abs(error) < self._lost):
-            return
+    def _lost_message(self, error: Array, time: float) -> str:
         relative = np.abs(error) / self._lost
         joint = int(np.argmax(np.where(np.isnan(relative), np.inf, relative)))
-        raise SimulationError(self._lost_message(error, joint, time))
-
-    def _lost_message(self, error: Array, joint: int, time: float) -> str:
         name = self._plant.joint_names[joint]
         limited = np.flatnonzero(self.limited)
         if self._arm.has_diverged() or not np.all(np.abs(error) < _DIVERGED * self._lost):
@@ -172,4 +158,70 @@ class ClosedLoop:
         return (
             f"{head}, though no torque limit was met: the likely cause is a spring or friction "
             "that changes faster than the control period; lower the plant's <option timestep>"
+        )
+
+
+class PlantSimulation:
+    """A run of the plant that can be read as often as wanted; every reading is the same.
+
+    Args:
+        plant: the arm that plays the real one, see ``loading.load_plant``.
+        sample_rate: of the measurements [Hz].
+        rng: source of the sensor noise; drawn from once, here.
+
+    Raises:
+        InputError: options and arm do not fit together.
+        SimulationError: the plant cannot be simulated.
+    """
+
+    def __init__(
+        self,
+        plant: RobotModel,
+        plan: MotionPlan,
+        options: SimulatedArmOptions,
+        sample_rate: float,
+        rng: np.random.Generator,
+    ) -> None:
+        per_joint(options.noise_torque, plant.n_joints, "--noise-torque")
+        per_joint(options.noise_position, plant.n_joints, "--noise-position")
+        if plan.n_joints != plant.n_joints:
+            raise InputError(
+                f"the trajectory moves {plan.n_joints} joints, the plant has {plant.n_joints}"
+            )
+        self._plant, self._plan, self._sample_rate = plant, plan, sample_rate
+        self._sensors = Sensors(options, sample_rate, rng)
+        forward = options.simulation == "forward"
+        self._loop = ClosedLoop(plant, plan, sample_rate) if forward else None
+
+    def __iter__(self) -> Iterator[Measurement]:
+        """Yield what the sensors report, chunk by chunk in constant memory."""
+        return self._sensors.read(self.exact())
+
+    def exact(self) -> Iterator[Measurement]:
+        """Yield what perfect sensors would report."""
+        if self._loop is not None:
+            return self._loop.run()
+        return simulate_inverse(self._plant, motion_chunks(self._plan, self._sample_rate))
+
+    def notes(self, deadband: PerJoint | None = None) -> tuple[str, ...]:
+        """Return what the last reading showed, one sentence each; ask once it is at its end.
+
+        Args:
+            deadband: speed below which samples are going to be left out [rad/s]; None stands for
+                the usual share of each joint's highest speed.
+        """
+        return () if self._loop is None else self._loop.notes(deadband)
+
+    def least_deadband(self) -> tuple[float, ...]:
+        """Return (n,) speeds below which MuJoCo's dry friction was not complete [rad/s].
+
+        Zero for a joint whose friction never is: leaving out all its rows would help nobody. Empty
+        where the plant's friction follows Coulomb's law. Ask once the last reading is at its end.
+        """
+        if self._loop is None:
+            return ()
+        use = self._loop.ramp_use
+        return tuple(
+            0.0 if joint in use.never_full else float(speed)
+            for joint, speed in zip(self._plant.joint_names, use.ramp_speed)
         )

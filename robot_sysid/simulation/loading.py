@@ -23,7 +23,6 @@ def load_plant(robot: RobotModel, plant_path: Path, mesh_dir: Path | None = None
     """Load the model that plays the real arm, matched to the arm to be identified.
 
     Args:
-        robot: the arm to be identified.
         plant_path: MJCF or URDF file with the same joints; masses, friction, armature, fingers
             and everything else may differ.
         mesh_dir: folder of its meshes; default what the file says.
@@ -39,37 +38,31 @@ def load_plant(robot: RobotModel, plant_path: Path, mesh_dir: Path | None = None
     compiled = compile_model(Path(plant_path), mesh_dir)
     terminal = robot.terminal_joint
     if terminal not in _hinges_and_slides(compiled.mj_model):
-        terminal = _own_terminal_joint(compiled.mj_model, robot, Path(plant_path))
+        # The plant's last joint by its own rules, so that the two chains can be compared.
+        try:
+            terminal = joint_label(compiled.mj_model, find_terminal_joint(compiled.mj_model))
+        except InputError as error:
+            known = ", ".join(_hinges_and_slides(compiled.mj_model)) or "none"
+            raise InputError(
+                f"--plant-model {Path(plant_path).name} has no joint {robot.terminal_joint}, the "
+                f"last joint of {robot.path.name}; its joints are: {known}"
+            ) from error
     plant = robot_from_compiled(compiled, Path(plant_path), terminal)
-    _require_same_joints(robot, plant)
-    notes = plant.notes + _held_notes(robot, plant) + _geometry_notes(robot, plant)
-    return replace(plant, notes=notes)
-
-
-def _hinges_and_slides(mj_model: Any) -> list[str]:
-    joints = range(mj_model.njnt)
-    return [joint_label(mj_model, j) for j in joints if is_hinge_or_slide(mj_model, j)]
-
-
-def _own_terminal_joint(mj_model: Any, robot: RobotModel, path: Path) -> str:
-    """Return the plant's last joint by its own rules, so that the two chains can be compared."""
-    try:
-        return joint_label(mj_model, find_terminal_joint(mj_model))
-    except InputError as error:
-        known = ", ".join(_hinges_and_slides(mj_model)) or "none"
-        raise InputError(
-            f"--plant-model {path.name} has no joint {robot.terminal_joint}, the last joint of "
-            f"{robot.path.name}; its joints are: {known}"
-        ) from error
-
-
-def _require_same_joints(robot: RobotModel, plant: RobotModel) -> None:
     differences = joint_differences(robot, plant)
     if differences:
         raise InputError(
             f"--plant-model {plant.path.name} does not have the joints of {robot.path.name}: "
             f"{'; '.join(differences)}. Give a model of the same arm with the same joint names"
         )
+    ours = _hinges_and_slides(robot.mj_model)
+    held = [name for name in _hinges_and_slides(plant.mj_model) if name not in ours]
+    note = (f"joints only the plant has are held still: {', '.join(held)}",) if held else ()
+    return replace(plant, notes=plant.notes + note + _geometry_notes(robot, plant))
+
+
+def _hinges_and_slides(mj_model: Any) -> list[str]:
+    joints = range(mj_model.njnt)
+    return [joint_label(mj_model, j) for j in joints if is_hinge_or_slide(mj_model, j)]
 
 
 def joint_differences(robot: RobotModel, plant: RobotModel) -> tuple[str, ...]:
@@ -89,19 +82,9 @@ def joint_differences(robot: RobotModel, plant: RobotModel) -> tuple[str, ...]:
     kinds = dict(zip(theirs, plant.is_slide))
     for name, slide in zip(ours, robot.is_slide):
         if kinds.get(name, slide) != slide:
-            found.append(f"{name} is a {_kind(not slide)} instead of a {_kind(slide)}")
+            ours_is, its = ("slide", "hinge") if slide else ("hinge", "slide")
+            found.append(f"{name} is a {its} instead of a {ours_is}")
     return tuple(found)
-
-
-def _kind(slide: bool) -> str:
-    return "slide" if slide else "hinge"
-
-
-def _held_notes(robot: RobotModel, plant: RobotModel) -> tuple[str, ...]:
-    """Return a sentence on joints that only the plant has; none of them is in the chain."""
-    ours = _hinges_and_slides(robot.mj_model)
-    held = [name for name in _hinges_and_slides(plant.mj_model) if name not in ours]
-    return (f"joints only the plant has are held still: {', '.join(held)}",) if held else ()
 
 
 def _geometry_notes(robot: RobotModel, plant: RobotModel) -> tuple[str, ...]:

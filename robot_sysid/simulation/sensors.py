@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_sysid.records import Array, Measurement
 from robot_sysid.records.options import OptionRecord, PerJoint, levels, not_negative, option
@@ -98,7 +97,6 @@ class Sensors:
     """Reads exact measurements the way imperfect sensors would, chunk by chunk.
 
     Args:
-        options: how good the sensors are.
         sample_rate: of the measurements, evenly spaced [Hz].
         rng: source of randomness. Each channel gets a generator of its own from it, so that the
             readings do not depend on how the stream is cut into chunks.
@@ -144,9 +142,6 @@ class TorqueDelay:
     10 N m at 2 Hz, sampled at 1 kHz. A jump, such as that of dry friction where a joint reverses,
     is spread over the four samples around it. Before its first sample the torque is taken to have
     been constant.
-
-    Args:
-        periods: delay in sample periods.
     """
 
     def __init__(self, periods: float) -> None:
@@ -154,7 +149,9 @@ class TorqueDelay:
         is_whole = abs(periods - nearest) < _WHOLE
         first = max(math.floor(periods) - 1, 0)
         self._taps = np.array([nearest]) if is_whole else first + np.arange(4)
-        self._weights = np.ones(1) if is_whole else _lagrange_weights(self._taps, periods)
+        others = [np.delete(self._taps, i) for i in range(len(self._taps))]
+        pairs = zip(self._taps, others)
+        self._weights = [float(np.prod((periods - o) / (tap - o))) for tap, o in pairs]
         self._history: Array | None = None
 
     def apply(self, values: Array) -> Array:
@@ -169,12 +166,3 @@ class TorqueDelay:
         for tap, weight in zip(self._taps, self._weights):
             delayed += weight * stream[longest - tap : longest - tap + size]
         return delayed
-
-
-def _lagrange_weights(nodes: NDArray[np.int64], at: float) -> Array:
-    """Return the weights (K,) that interpolate values at nodes (K,) to the point ``at``."""
-    weights = np.ones(len(nodes))
-    for i, node in enumerate(nodes):
-        others = np.delete(nodes, i)
-        weights[i] = np.prod((at - others) / (node - others))
-    return weights

@@ -27,14 +27,11 @@ class ArmStepper:
     """The chain of a model, torques in, motion out.
 
     Args:
-        robot: the arm.
         q: (n,) where it starts, at rest; the reference configuration if not given.
         timestep: length of a step [s].
 
     Attributes:
-        n_joints: number of joints n.
         q, qd: (n,) positions and velocities [rad, rad/s].
-        timestep: as given.
     """
 
     def __init__(
@@ -55,9 +52,7 @@ class ArmStepper:
     def step(self, torque: Array, damping: Array) -> Array:
         """Advance one step under ``torque - damping qd`` and return what acted (n,) [N m].
 
-        Args:
-            torque: (n,) [N m].
-            damping: (n,) [N m s/rad].
+        Damping (n,) is in N m s/rad.
 
         Raises:
             SimulationError: the state is not finite any more.
@@ -109,9 +104,12 @@ class ArmStepper:
         stuck = np.zeros(len(fc), dtype=bool)
         velocity = np.asarray(unhindered)
         for _ in range(2 * len(fc) + 1):
-            velocity, friction = _slide_and_stick(
-                matrix, free, impulse, np.where(stuck, 0.0, fc * direction), stuck
-            )
+            # matrix v + impulse f = free; unknown: v of the sliding joints, f of the stuck ones.
+            sliding = np.where(stuck, 0.0, fc * direction)
+            mixed = np.where(stuck, impulse, matrix)
+            unknown = np.linalg.solve(mixed, free - impulse @ sliding)
+            velocity = np.where(stuck, 0.0, unknown)
+            friction = np.where(stuck, unknown, sliding)
             turned = rubs & ~stuck & (velocity * direction < 0.0)
             broken = stuck & (np.abs(friction) > fc * (1.0 + 1e-9))
             if not np.any(turned | broken):
@@ -119,16 +117,3 @@ class ArmStepper:
             direction = np.where(broken, np.sign(friction), direction)
             stuck = (stuck | turned) & ~broken
         return velocity
-
-
-def _slide_and_stick(
-    matrix: Array, free: Array, impulse: Array, sliding: Array, stuck: Array
-) -> tuple[Array, Array]:
-    """Return (velocity, friction): stuck joints have velocity 0, the others friction ``sliding``.
-
-    matrix v + impulse f = free, with v = 0 where stuck and f given elsewhere.
-    """
-    right = free - impulse @ sliding
-    # Unknown: v of the sliding joints, f of the stuck ones.
-    unknown = np.linalg.solve(np.where(stuck, impulse, matrix), right)
-    return np.asarray(np.where(stuck, 0.0, unknown)), np.asarray(np.where(stuck, unknown, sliding))

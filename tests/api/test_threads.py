@@ -6,7 +6,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import robot_sysid as rs
-from robot_sysid.api.threads import one_thread
+from robot_sysid.api.results import one_thread
 from tests.support.places import GUESS, TRUTH
 
 HERE = [each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"]

@@ -14,27 +14,21 @@ another log is simulated with both results, in pieces, each from the same measur
 
 from __future__ import annotations
 
-import json
 import sys
-import tempfile
 import time
 from dataclasses import dataclass
-from pathlib import Path
 
 import mujoco
 import numpy as np
 from mujoco import rollout
 
-from robot_sysid.estimation.arm.options import ArmOptions
-from robot_sysid.identify.arm.fit import fit_arm
-from robot_sysid.identify.arm.friction_choice import BASIC
+from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.records import Measurement
-from robot_sysid.records.progress import Progress
-from robot_sysid.signals.process import process
 from robot_sysid.simulation.sensors import quantised
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import generate_excitation_trajectory
 from tests.support import arms
+from tests.support.core_fits import BASIC, KNOWN, result_of_logs
 
 STEP, SECONDS, TORQUE_NOISE, ENCODER = 0.002, 15.0, 0.05, 1e-4
 PIECE, HORIZON = 0.3, 0.5
@@ -105,22 +99,11 @@ def by_torques(robot, log) -> dict:
     clock, q, tau = log
     # A torque held for a step acts half a step later: the mean of two steps belongs to the sample.
     middle = 0.5 * (tau + np.vstack((tau[:1], tau[:-1])))
-    with tempfile.TemporaryDirectory() as folder:
-        none = Path(folder) / "none.json"
-        none.write_text(json.dumps({}))
-        options = ArmOptions(
-            friction=BASIC,
-            model_weight=1e6,
-            zero_uncertainty=0.0,
-            gravity_uncertainty=0.0,
-            coupling=none,
-        )
-        signals = process(Measurement(clock, q, None, middle), robot.joint_names)
-        fit = fit_arm(robot, [signals], options, Progress())
-    values = dict(zip(fit.columns.names, fit.values))
+    log = Measurement(clock, q, None, middle)
+    result = result_of_logs(robot, [log], EstimationOptions(friction_model=BASIC, **KNOWN))
     terms = {"armature": "armature", "damping": "viscous", "frictionloss": "coulomb"}
     return {
-        number: np.array([values[f"{term}[{name}]"] for name in NAMES])
+        number: np.array([result.joints[name].terms[term].value for name in NAMES])
         for number, term in terms.items()
     }
 

@@ -12,19 +12,21 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from robot_sysid.dynamics.gravity import TILT_NAMES, gravity, with_gravity
+from robot_sysid.core.identify import Piece, answer_link, filtered
+from robot_sysid.dynamics.nuisances import TILT_NAMES, gravity, with_gravity
 from robot_sysid.estimation.options import EstimationOptions
-from robot_sysid.identify.fit import fit_measured
 from robot_sysid.logs.reader import join_measurements
+from robot_sysid.records import DELAY_NAME
 from robot_sysid.records.progress import Progress
-from robot_sysid.simulation.measurements import PlantSimulation
+from robot_sysid.simulation.closed_loop import PlantSimulation
 from robot_sysid.simulation.sensors import SimulatedArmOptions
 from tests.benchmarks.example_study import NoiseStudy, designed_plan, random_plan
+from tests.support.core_fits import BASIC
 
 PAIRS = ((0.0, 0.0), (1e-3, 0.25), (3.7e-3, 0.5), (5e-3, 0.75), (10e-3, 1.0))
 SENSORS = ((0.0, 0.0), (0.0, 1e-4), (0.1, 1e-4), (0.3, 1e-4))
 RATE = 1000.0
-OPTIONS = EstimationOptions(delay="auto", tilt="auto", validate=0.0)
+OPTIONS = EstimationOptions(delay="auto", tilt="auto", friction_model=BASIC)
 
 
 def main() -> None:
@@ -52,14 +54,13 @@ def found(study, plan, pair, noise, step, seed):
     sensors = SimulatedArmOptions(noise_torque=noise, encoder_resolution=step, torque_delay=delay)
     plant, rng = with_gravity(study.plant, down), np.random.default_rng(seed)
     log = join_measurements(PlantSimulation(plant, plan, sensors, RATE, rng))
-    fit = fit_measured(study.robot, [log], OPTIONS, Progress())
-    both = [fit.estimate.error(name) for name in TILT_NAMES]
-    return (
-        1e3 * (fit.alignment.delay - delay),
-        1e3 * fit.estimate.error("delay"),
-        np.degrees(fit.alignment.tilt_from(down)),
-        np.degrees(np.linalg.norm(both)),
-    )
+    datasets, _ = filtered(study.robot, [Piece("", log)], OPTIONS)
+    answer = answer_link(study.robot, datasets, OPTIONS, Progress(), None)
+    late, *both = (answer.figure(name) for name in (DELAY_NAME, *TILT_NAMES))
+    here = answer.fit.point.gravity
+    off = np.arctan2(np.linalg.norm(np.cross(here, down)), here @ down)
+    stated = np.linalg.norm([each.error for each in both])
+    return 1e3 * (late.value - delay), 1e3 * late.error, np.degrees(off), np.degrees(stated)
 
 
 if __name__ == "__main__":

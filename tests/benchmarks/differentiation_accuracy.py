@@ -12,8 +12,7 @@ import numpy as np
 from scipy.signal import butter, savgol_filter, sosfiltfilt
 
 from robot_sysid.signals.cutoff import choose_cutoff, encoder_steps
-from robot_sysid.signals.differences import second_derivative
-from robot_sysid.signals.low_pass import design_low_pass
+from robot_sysid.signals.filters import design_low_pass, second_derivative
 
 OMEGA = 2.0 * np.pi * np.array([0.13, 0.29, 0.43, 0.59])
 DURATION = 15.0

@@ -31,9 +31,9 @@ def designed_plan(robot, seed=1):
 
 def friction_errors(study, estimate):
     """Largest relative errors: (mass, Coulomb, viscous)."""
-    error = np.abs(estimate.values - study.truth)
+    error = np.abs(study.errors(estimate))
     worst = [error[0] / study.truth[0]]
     for term in ("coulomb", "viscous"):
-        of_term = [k for k, name in enumerate(study.samples.names) if name.startswith(term)]
+        of_term = [k for k, name in enumerate(study.names) if name.startswith(term)]
         worst.append(np.max(error[of_term] / study.truth[of_term]))
     return worst

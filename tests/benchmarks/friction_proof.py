@@ -21,20 +21,18 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.newton_euler import LinkDynamics
-from robot_sysid.estimation.arm.options import ArmOptions
+from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.excitation.design.optimise import Design
-from robot_sysid.excitation.design.whole_arm import design_for_arm
+from robot_sysid.excitation.design.search import design_for_arm
 from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
 from robot_sysid.excitation.problem import build_problem
-from robot_sysid.excitation.static.sweeps import design_sweeps
-from robot_sysid.identify.arm.fit import fit_arm
-from robot_sysid.identify.arm.result import estimate_of
+from robot_sysid.excitation.static import design_sweeps
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
 from robot_sysid.records.progress import Progress
-from robot_sysid.signals.process import process, with_one_cutoff
 from robot_sysid.simulation.sensors import quantised
 from robot_sysid.trajectory import TrajectoryOptions
+from tests.support.core_fits import result_of_logs
 from tests.support.places import MODELS
 
 ARMS = {
@@ -117,24 +115,23 @@ def prove(name: str, path: str) -> None:
     designed = time.perf_counter() - start
     logs = [truth.log(plan, rng) for plan in made]
     start = time.perf_counter()
-    signals = with_one_cutoff(logs, lambda log, cut: process(log, robot.joint_names, cut), None)
-    fit = fit_arm(robot, signals, ArmOptions(), Progress())
-    estimate = estimate_of(robot, fit)
+    result = result_of_logs(robot, logs, EstimationOptions())
     spent = time.perf_counter() - start
     lengths = ", ".join(f"{plan.duration:.0f} s" for plan in made)
     print(f"{name}: motions {lengths} designed in {designed:.0f} s; identified in {spent:.0f} s")
-    print(f"  weight of the model {fit.gamma:g}, low-pass {signals[0].cutoff:g} Hz")
+    print(f"  links up to {result.prior_scale:g} times as far off, low-pass {result.cutoff:g} Hz")
     for index, joint in enumerate(robot.joint_names):
-        cells = [_cell(truth, estimate, index, joint, term) for term in GOALS]
-        print(f"  {joint:22s} " + " ".join(cells) + f"  {short(estimate.friction[joint])}")
+        found = result.joints[joint]
+        cells = [_cell(truth, found, index, term) for term in GOALS]
+        print(f"  {joint:22s} " + " ".join(cells) + f"  {short(found.friction_model)}")
 
 
-def _cell(truth, estimate, index, joint, term) -> str:
+def _cell(truth, joint, index, term) -> str:
     right = getattr(truth, term)[index]
-    found = estimate.value(f"{term}[{joint}]")
-    if found is None:
+    if term not in joint.terms:
         return f"{term} MISSING        "
-    off, error = found / right - 1.0, estimate.error(f"{term}[{joint}]") / right
+    value, error = joint.terms[term]
+    off, error = value / right - 1.0, error / right
     mark = " " if abs(off) <= GOALS[term] else "!"
     return f"{term} {100 * off:+6.1f} ±{100 * error:4.1f} %{mark}"
 

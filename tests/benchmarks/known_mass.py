@@ -19,7 +19,8 @@ import numpy as np
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.parser import load_robot_model
-from tests.benchmarks.payload_by_difference import BOTH, MODELS, recordings, rms, weighed
+from robot_sysid.payload_pipeline import SCALE_PRIOR
+from tests.benchmarks.payload_by_difference import MODELS, recordings, rms, weighed
 from tests.support.imperfect_arm import ImperfectArm, Imperfections
 
 WEIGHT = 2.0
@@ -46,16 +47,16 @@ def run(robot, seed):
     rng = np.random.default_rng([seed, 78])
     arm = ImperfectArm(robot, rng, Imperfections(scale=SCALE))
     logs = recordings(robot, arm, rng, payload=body(WEIGHT))
-    found = weighed(robot, logs, replace(BOTH, known_mass=WEIGHT))
+    found = weighed(robot, logs, known_mass=WEIGHT, scale_prior=SCALE_PRIOR).payload
     scale = np.array([found.torque_scale[joint][0] for joint in robot.joint_names])
     stated = np.array([found.torque_scale[joint][1] for joint in robot.joint_names])
     off = [abs(scale - arm.scale) < 1.96 * stated]
     plain, scaled, promised = [], [], []
     for mass in PAYLOADS:
         raw = recordings(robot, arm, rng, payload=body(mass))
-        plain.append(weighed(robot, raw).payload.inertial.mass / mass - 1.0)
+        plain.append(weighed(robot, raw).payload.body.inertial.mass / mass - 1.0)
         better = [calibrated(each, scale) for each in raw]
-        result = weighed(robot, better, estimation=CALIBRATED).payload
+        result = weighed(robot, better, estimation=CALIBRATED).payload.body
         scaled.append(result.inertial.mass / mass - 1.0)
         promised.append(result.errors[0] / mass)
     return plain, scaled, promised, off

@@ -3,8 +3,8 @@
 Run from the checkout:  python -m tests.benchmarks.monte_carlo
 
 The other links are known; encoder step 1e-4 rad. "error / bound" is the root mean square error over
-the standard deviation of the Cramer-Rao bound of the whole log, for all 31 parameters. With 200
-draws a ratio of exactly 1 is seen as 1 +- 0.05, and the largest of 31 as up to about 1.1. The
+the standard deviation of the Cramer-Rao bound of the whole log, for all 38 parameters. With 200
+draws a ratio of exactly 1 is seen as 1 +- 0.05, and the largest of 38 as up to about 1.1. The
 designed trajectory sees so much that the encoder, not torque noise, limits it: the last column is
 the error without any torque noise over the bound at that noise.
 """
@@ -41,7 +41,7 @@ def line(study, words, noise) -> str:
     text = f"  {words:>10} N m, memory {1e3 * noise.memory:3.0f} ms: "
     if noise.memory == 0.0:
         ratio = outcome.over_bound(bound)
-        still = study.identified(study.samples, "off").values - study.truth
+        still = study.errors(study.identified(study.samples, "off"))
         worst = outcome.names[int(np.argmax(ratio))]
         text += f"error / bound median {np.median(ratio):.3f}, worst {ratio.max():.3f} ({worst}); "
         text += f"encoder {np.max(np.abs(still) / bound):.2f}; "

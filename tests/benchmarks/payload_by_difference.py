@@ -18,18 +18,18 @@ from pathlib import Path
 
 import numpy as np
 
+from robot_sysid.core.identify import Piece, answer_payload, filtered
+from robot_sysid.core.result import payload_of
+from robot_sysid.core.unknowns import Question
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.options import EstimationOptions
-from robot_sysid.identify.fit import fit_measured
-from robot_sysid.identify.payload.data.processing import filtered
-from robot_sysid.identify.payload.data.recordings import RawRecording
-from robot_sysid.identify.payload.options import PayloadOptions
-from robot_sysid.identify.payload.run import identify_payload
 from robot_sysid.model.flange import find_flange
 from robot_sysid.parser import load_robot_model
+from robot_sysid.payload_pipeline import RawRecording
 from robot_sysid.records.progress import Progress
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import generate_excitation_trajectory
+from tests.support.core_fits import ORIGIN, result_of_logs
 from tests.support.imperfect_arm import ImperfectArm, Imperfections
 
 MODELS = {
@@ -41,7 +41,6 @@ MODELS = {
 PAYLOAD = spatial.theta_from_com(1.0, np.array([0.03, -0.02, 0.08]), np.diag([0.004, 0.005, 0.003]))
 ORDER = (False, True, True, False)
 USUAL = EstimationOptions()
-BOTH = PayloadOptions(empty=(Path("empty"),), loaded=(Path("loaded"),))
 
 
 WIDER, SPEED_SHARE = 5.0, 0.9
@@ -69,27 +68,25 @@ def recordings(robot, arm, rng, different=False, payload=PAYLOAD, wide=True):
     return found
 
 
-def weighed(robot, raw, options=BOTH, estimation=USUAL, drifts=True):
-    """The payload that the command finds."""
-    processed = filtered(robot, raw, np.linspace(-1.0, 1.0, len(raw)), estimation)
-    flange = find_flange(robot, "0,0,0")
-    task = (robot, processed, drifts, flange, options, estimation)
-    return identify_payload(*task, Progress())[0]
+def weighed(robot, raw, estimation=USUAL, drifts=True, **known):
+    """The result that the command finds."""
+    places = np.linspace(-1.0, 1.0, len(raw))
+    pieces = [Piece(r.name, r.samples, r.is_loaded, at) for r, at in zip(raw, places)]
+    datasets, _ = filtered(robot, pieces, estimation)
+    question = Question(estimation, loaded=True, drifts=drifts, **known)
+    found, free = answer_payload(robot, datasets, question, Progress(), kept=None)
+    return payload_of(found, free, find_flange(robot, "0,0,0"), ORIGIN, False)
 
 
 def single_difference(robot, raw):
     """Difference of the terminal link's mass in two fits, with the other links from the model."""
     options = EstimationOptions(
-        link_uncertainty=0.0,
-        scale_uncertainty=0.0,
-        zero_uncertainty=0.0,
-        gravity_uncertainty=0.0,
-        validate=0.0,
+        link_uncertainty=0.0, scale_uncertainty=0.0, zero_uncertainty=0.0, gravity_uncertainty=0.0
     )
     masses = []
     for kind in (False, True):
         logs = [each.samples for each in raw if each.is_loaded is kind]
-        masses.append(fit_measured(robot, logs, options, Progress()).estimate.values[0])
+        masses.append(result_of_logs(robot, logs, options).links[-1].inertial.mass)
     return masses[1] - masses[0]
 
 
@@ -99,7 +96,7 @@ def run(robot, seed, off, different, single, wide):
     arm = ImperfectArm(robot, rng, off)
     raw = recordings(robot, arm, rng, different, wide=wide)
     found = weighed(robot, raw)
-    body = found.payload
+    body = found.payload.body
     difference = single_difference(robot, raw) if single else np.nan
     return (
         body.inertial.mass - PAYLOAD[0],
@@ -107,7 +104,7 @@ def run(robot, seed, off, different, single, wide):
         body.noise_errors[0],
         np.linalg.norm(body.inertial.com - PAYLOAD[1:4] / PAYLOAD[0]),
         difference - PAYLOAD[0],
-        float(found.status.is_trustworthy),
+        float(found.verdict.is_trustworthy),
     )
 
 

@@ -1,29 +1,26 @@
-"""Torque prediction on logs of real arms, by a model of which only the terminal link is fitted.
+"""Torque prediction on logs of real arms by the fit of one log, by cut-off and friction model.
 
 Run from the checkout:  python -m tests.benchmarks.real_logs [DATA]
 
 DATA is the folder that holds ``kuka_lwr4`` and ``tx40``; default: ../shared/data beside the
-checkout. Relative error: norm(measured - predicted) / norm(measured), all joints stacked. What is
-fitted: ten parameters of the terminal link and the friction of every joint; all other links keep
-the numbers of the URDF. Published whole-arm fits of the same logs are printed beside it: they fit
-all links' base parameters, so they follow the fitted motion more closely.
+checkout. Relative error: norm(measured - predicted) / norm(measured), all joints stacked. Published
+fits of the same logs are printed beside it. Written files are judged by ``whole_arm``.
 """
 
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 
-from robot_sysid.estimation.options import CHOSEN, EstimationOptions
-from robot_sysid.identify.fit import fit_measured, validate_on
+from robot_sysid.core.identify import Piece, answer_link, filtered, tested
+from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.progress import Progress
-from tests.support.log_files import read_measurements
+from tests.benchmarks.whole_arm import KUKA_CUTOFF, described, percent, read
 from tests.support.places import DATA
 
-AUTO = EstimationOptions(friction_model=CHOSEN)
-KUKA_PAIRS = ((1, 2, "1.82 % (whole arm)"), (2, 1, ""), (1, 3, "13.1 % (whole arm)"), (3, 1, ""))
+KUKA_PAIRS = ((1, 2, "1.82 %"), (2, 1, ""), (1, 3, "13.1 %"), (3, 1, ""))
+FRICTION = ("coulomb-viscous-offset", "coulomb-viscous-offset-armature-sqrt", "auto")
 
 
 def main(data: Path = DATA) -> None:
@@ -37,36 +34,37 @@ def kuka(folder: Path) -> None:
     robot = load_robot_model(folder / "kuka_lwr4.urdf")
     logs = {k: read(robot, folder / f"lwr4_hw{k}_200Hz.csv") for k in (1, 2, 3)}
     print("KUKA LWR4+: relative torque error on a run that was not fitted")
-    for cutoff in (None, 8.0):
-        options = replace(AUTO, validate=0.0, cutoff=cutoff)
-        for fitted, tested, published in KUKA_PAIRS:
-            fit = fit_measured(robot, [logs[fitted]], options, Progress())
-            test = validate_on(robot, logs[tested], options, fit, str(tested))
-            error = f"{100 * test.relative_error:5.2f} %, {test.rmse:.3f} N m"
-            how = f"cut-off {fit.cutoff:.2g} Hz, {fit.friction.name}"
-            print(f"  run {fitted} -> run {tested}: {error}; {how}  {published}")
+    for cutoff in (KUKA_CUTOFF, 8.0):
+        options = EstimationOptions(cutoff=cutoff)
+        for fitted, other, published in KUKA_PAIRS:
+            fit = answer_of(robot, logs[fitted], options).fit
+            datasets, _ = filtered(robot, [Piece("", logs[other])], options)
+            test = tested(fit, datasets, str(other))
+            error = f"{percent(test.relative_error)}, {test.rmse:.3f} N m"
+            print(
+                f"  run {fitted} -> run {other}: {error}; cut-off {cutoff:.2g} Hz, "
+                f"{described(fit)}  {published}"
+            )
 
 
 def tx40(folder: Path) -> None:
-    """Fit the first 80 %, predict the rest, with several friction models."""
+    """Each fifth predicted from the others, with several friction models."""
     robot = load_robot_model(folder / "tx40.urdf")
     log = read(robot, folder / "tx40_500Hz.csv")
-    print(
-        "TX40: whole-arm fits reach 5.2 % on the fitted motion and 4.7 to 6.1 % on held-out folds"
-    )
-    for friction in ("coulomb-viscous-offset", "coulomb-viscous-offset-armature-sqrt", "auto"):
-        fit = fit_measured(robot, [log], replace(AUTO, friction_model=friction), Progress())
-        estimate, test = fit.estimate, fit.validation
+    print("TX40: published fits reach 5.2 % on the fitted motion, 4.7 to 6.1 % on held-out folds")
+    for friction in FRICTION:
+        answer = answer_of(robot, log, EstimationOptions(friction_model=friction))
+        test = answer.validation
         print(
-            f"  {friction}: fitted {estimate.rmse:.2f} N m, last 20 % {test.rmse:.2f} N m "
-            f"({100 * test.relative_error:.1f} %); cut-off {fit.cutoff:.3g} Hz, {fit.friction.name}"
+            f"  {friction}: held-out fifths {test.rmse:.2f} N m ({percent(test.relative_error)}); "
+            f"{described(answer.fit)}"
         )
 
 
-def read(robot, path: Path):
-    """The whole log."""
-    slides = robot.is_slide.tolist()
-    return read_measurements(path, robot.joint_names, robot.limits, is_slide=slides).samples
+def answer_of(robot, log, options):
+    """The answer from one log, without a file."""
+    datasets, _ = filtered(robot, [Piece("", log)], options)
+    return answer_link(robot, datasets, options, Progress(), None)
 
 
 if __name__ == "__main__":

@@ -17,14 +17,14 @@ from pathlib import Path
 
 import numpy as np
 
-from robot_sysid.identify.arm.servo.commands import commanded_pieces
-from robot_sysid.identify.arm.servo.played import parted, play_servos
-from robot_sysid.identify.arm.servo.run import run_servo
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.reader import open_log
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.progress import Progress
-from robot_sysid.simulation.rollout.servo import Servos, actuators_of
+from robot_sysid.servo.commands import commanded_pieces
+from robot_sysid.servo.fit import model_servos, parted, play_servos
+from robot_sysid.servo.run import UNITS, run_servo
+from robot_sysid.simulation.rollout.servo import actuators_of
 from tests.support import servo_arm
 from tests.support.places import MODELS
 
@@ -56,36 +56,27 @@ def main(*names: str) -> None:
 
 def report(name, arm, robot, outcome, held, spent) -> None:
     """Print one arm."""
-    found = outcome.identification
+    found, own = outcome.identification, actuators_of(robot)
+    servos, delay_error = found.fit.servos, found.fit.errors.delay
     print(f"{name}: {spent:.0f} s; {outcome.failure or 'model written'}")
-    print(f"  delay {1e3 * found.delay:.2f} ± {1e3 * found.delay_error:.2f} ms, true 20")
-    truth = {"gain": arm.stiffness, "damping": arm.damping, "frictionloss": arm.coulomb}
-    for term, values in {**truth, "armature": arm.armature}.items():
-        after, errors = (
-            np.array([getattr(j, which)[term] for j in found.joints])
-            for which in ("after", "errors")
+    print(f"  delay {1e3 * servos.delay:.2f} ± {1e3 * delay_error:.2f} ms, true 20")
+    truth = (arm.stiffness, arm.damping, arm.coulomb, arm.armature)
+    for (term, unit), values in zip(UNITS.items(), truth):
+        figures = [own[term] for own in found.numbers.values()]
+        before, after, errors = (
+            np.array([figure[key] for figure in figures])
+            for key in ("before", "value", "standard_error")
         )
-        before = np.array([j.before[term] for j in found.joints])
-        print(f"  {term}: model {before}\n    true {values}\n    found {after}\n    error {errors}")
-    default = default_servos(robot)
-    final = Servos(
-        *(np.array([j.after[t] for j in found.joints]) for t in (*truth, "armature")), found.delay
-    )
-    without = play_servos(robot, actuators_of(robot), held, (default, final), "").errors
+        print(f"  {term} [{unit}]: model {before}\n    true {values}")
+        print(f"    found {after}\n    error {errors}")
+    pair = model_servos(robot, own), servos
+    without = play_servos(robot, own, held, pair, "").errors
     for error, bare in zip(found.rollout.errors, without):
         (late, new), (old, _) = error.overall, bare.overall
         print(
             f"  held out, {error.horizon:g} s: model {old:.4g} rad, model with the delay found "
             f"{late:.4g}, found {new:.4g}: {old / new:.1f} and {late / new:.1f} times smaller"
         )
-
-
-def default_servos(robot) -> Servos:
-    """The model as it is."""
-    own, model, dofs = actuators_of(robot), robot.mj_model, robot.dof_index
-    damping = model.dof_damping[dofs] + own.damping
-    friction, armature = model.dof_frictionloss[dofs], model.dof_armature[dofs]
-    return Servos(own.stiffness, damping, friction, armature, 0.0)
 
 
 if __name__ == "__main__":

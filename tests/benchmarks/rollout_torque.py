@@ -5,7 +5,7 @@
 Five public arms play the real one: every link 2 % off, rotor inertia from 0.01 to 1 kg m^2, Coulomb
 friction with a Stribeck drop, unequal in the two directions and growing with the load. Torque noise
 is 0.1 N m, an encoder step 1e-4 rad. Two designed logs of 30 s at 500 Hz; the errors are those that
-``robot-sysid arm --verify-rollout`` prints, on the last fifth of each log.
+``robot-sysid identify --verify-rollout`` prints, on the last fifth of each log.
 """
 
 from __future__ import annotations
@@ -17,15 +17,13 @@ from pathlib import Path
 
 import numpy as np
 
+from robot_sysid.config import config_from
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.newton_euler import LinkDynamics
-from robot_sysid.estimation.arm.options import ArmOptions
-from robot_sysid.identify.arm.run import run_arm
-from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.reader import write_measurement_csv
 from robot_sysid.parser import load_robot_model
+from robot_sysid.pipeline import run
 from robot_sysid.records import Measurement
-from robot_sysid.records.progress import Progress
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 from tests.support.places import MODELS
@@ -43,19 +41,23 @@ NOISE, STEP, WRONG = 0.1, 1e-4, 0.02
 
 def main(*names: str) -> None:
     """Print a table."""
-    options_of_arm = ArmOptions(write_offset="--write-offset" in names)
     for name in [name for name in names if name in ARMS] or ARMS:
         path, joint = ARMS[name]
         robot = load_robot_model(MODELS / path, joint=joint)
         begun = time.monotonic()
         with tempfile.TemporaryDirectory() as folder:
             logs = write_logs(robot, Path(folder), np.random.default_rng(7))
-            options = LogOptions(measurements=logs, verify_rollout=True)
-            outcome = run_arm(
-                robot, options, options_of_arm, Path(folder) / "out", None, Progress()
+            config = config_from(
+                robot.path,
+                joint=joint,
+                measurements=logs,
+                verify_rollout=True,
+                write_offset="--write-offset" in names,
+                output_dir=Path(folder) / "out",
             )
+            outcome = run(config)
         print(f"{name}: {time.monotonic() - begun:.0f} s; {outcome.failure or 'model written'}")
-        for error in outcome.identification.rollout.errors:
+        for error in outcome.result.rollout.errors:
             before, after = error.overall
             print(
                 f"  {error.loop} {error.horizon:g} s: {before:.3g} -> {after:.3g} rad, "

@@ -11,6 +11,7 @@ then.
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import platform
 import sys
@@ -47,7 +48,9 @@ def sysid_rows() -> Iterator[str]:
 def table() -> tuple[list[str], bool]:
     """Return (lines, whether nothing is left out)."""
     has_pinocchio = importlib.util.find_spec("pinocchio") is not None
-    has_sysid = importlib.util.find_spec("mujoco.sysid") is not None
+    # Without its own dependencies, the module is there and empty.
+    found = importlib.util.find_spec("mujoco.sysid") is not None
+    has_sysid = found and hasattr(importlib.import_module("mujoco.sysid"), "ModelSequences")
     arm = has_pinocchio and (DATA / "kuka_lwr4").exists()
     rows = [*(arm_rows() if arm else ()), *(sysid_rows() if has_sysid else ())]
     versions = ", ".join(f"{name} {version(name)}" for name in ("numpy", "mujoco"))

@@ -12,21 +12,19 @@ import numpy as np
 import pytest
 
 from robot_sysid.damiao.bus.can_bus import BusAddress, open_bus
-from robot_sysid.damiao.bus.clock import SystemClock
 from robot_sysid.damiao.bus.inspection import inspect_bus
-from robot_sysid.damiao.bus.link import GuardedLink
+from robot_sysid.damiao.bus.link import GuardedLink, SystemClock
 from robot_sysid.damiao.exchange.recorder import RecordingOptions
 from robot_sysid.damiao.exchange.settings import PlaySettings
-from robot_sysid.damiao.play.stop_request import StopRequest
-from robot_sysid.damiao.protocol.bus_load import BusTiming
+from robot_sysid.damiao.play.supervision import StopRequest
 from robot_sysid.damiao.protocol.codec import MitCommand, Scaling, decode_feedback, encode_mit
+from robot_sysid.damiao.protocol.frames import BusTiming
 from robot_sysid.damiao.protocol.joints import damiao_joints
 from robot_sysid.damiao.protocol.motors import MOTORS
 from robot_sysid.damiao.run.plan import Plan, run
 from robot_sysid.damiao.run.preflight import Permissions
-from robot_sysid.damiao.simulated.arm import SimulatedArm
-from robot_sysid.damiao.simulated.motor import simulated_motor
-from robot_sysid.damiao.trajectory.csv_file import export_damiao_trajectory, read_damiao_trajectory
+from robot_sysid.damiao.simulated.arm import SimulatedArm, simulated_motor
+from robot_sysid.damiao.trajectory import export_damiao_trajectory, read_damiao_trajectory
 from tests.support.damiao_rig import Pendulums, swing
 from tests.support.links import served_in_background
 

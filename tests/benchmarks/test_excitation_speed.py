@@ -7,8 +7,13 @@ from functools import cache
 import numpy as np
 import pytest
 
-from robot_sysid.excitation.design.constraints import constraint_count
-from robot_sysid.excitation.design.optimise import Design, PenalisedDesign, first_candidate, improve
+from robot_sysid.excitation.design.optimise import (
+    Design,
+    PenalisedDesign,
+    constraint_count,
+    first_candidate,
+    improve,
+)
 from robot_sysid.excitation.design.search import draw_trajectories
 from robot_sysid.excitation.limit_check import check_limits
 from robot_sysid.excitation.options import ExcitationOptions, LimitOptions

@@ -1,40 +1,50 @@
-"""Torque prediction by whole-arm fits on logs of real arms, ranks on public models, and time.
+"""Torque prediction by fits and written files on logs of real arms, ranks, and time.
 
 Run from the checkout, for all parts or some of them:
 
     OMP_NUM_THREADS=1 python -m tests.benchmarks.whole_arm [kuka] [tx40] [friction] [ranks] [time]
 
 Relative error: norm(measured - predicted) / norm(measured), all joints stacked, rows in which a
-joint hardly moves left out. "least squares" fits the same links and friction terms without anything
-held. All settings but the cut-off come from the fitted data alone; nothing differs between arms.
+joint hardly moves left out. "file" is the written model, asked by MuJoCo's inverse dynamics, each
+joint's mean error (its sensor's offset) taken out; in brackets the model before. "least squares"
+fits the same links and friction terms without anything held. All settings but the cut-off come from
+the fitted data alone; nothing differs between arms.
 """
 
 from __future__ import annotations
 
 import sys
+import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
 
+from robot_sysid.core.answer import parameter_scale, structural_base
+from robot_sysid.core.choices import CANDIDATES
+from robot_sysid.core.columns import Columns
+from robot_sysid.core.dataset import Dataset, JoinedSamples
+from robot_sysid.core.identify import Piece, answer_link, filtered, refit, tested
+from robot_sysid.core.result import result_of
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import SysidError
-from robot_sysid.estimation.arm.base_parameters import base_combinations
-from robot_sysid.estimation.arm.options import ArmOptions
+from robot_sysid.estimation.base_parameters import base_combinations
 from robot_sysid.estimation.information import combined, restricted
 from robot_sysid.estimation.least_squares import least_squares
-from robot_sysid.identify.arm.columns import ArmColumns
-from robot_sysid.identify.arm.fit import fit_arm
-from robot_sysid.identify.arm.friction_choice import CANDIDATES
-from robot_sysid.identify.arm.result import parameter_scale, structural_base
-from robot_sysid.identify.samples import joined
+from robot_sysid.estimation.options import EstimationOptions
+from robot_sysid.export import save
+from robot_sysid.model.compilation import compile_model
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
 from robot_sysid.records.progress import Progress
+from robot_sysid.results.model import CHECKPOINTS
 from robot_sysid.signals.process import process
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 from tests.support import whole_arm
+from tests.support.core_fits import ORIGIN
 from tests.support.log_files import read_measurements
 from tests.support.places import DATA, MODELS
 
@@ -60,20 +70,19 @@ def main(*parts: str) -> None:
 def kuka() -> None:
     """Fit some runs, predict another."""
     robot = load_robot_model(DATA / "kuka_lwr4" / "kuka_lwr4.urdf")
-    paths = {k: DATA / "kuka_lwr4" / f"lwr4_hw{k}_200Hz.csv" for k in (1, 2, 3)}
-    signals = {
-        k: process(read(robot, path), robot.joint_names, KUKA_CUTOFF) for k, path in paths.items()
-    }
+    logs = {k: read(robot, DATA / "kuka_lwr4" / f"lwr4_hw{k}_200Hz.csv") for k in (1, 2, 3)}
     print(f"KUKA LWR4+, low-pass {KUKA_CUTOFF} Hz: relative torque error on a run not fitted")
-    for fitted, tested, anchor in KUKA_SPLITS:
-        logs = [signals[k] for k in fitted]
-        fit = fit_arm(robot, logs, ArmOptions(), Progress())
-        test = fit.validate_on(robot, [signals[tested]], str(tested))
-        plain = least_squares_error(fit, logs, [signals[tested]], robot)
+    for fitted, other, anchor in KUKA_SPLITS:
+        answer = answer_of(robot, [logs[k] for k in fitted], KUKA_CUTOFF)
+        datasets, _ = filtered(robot, [Piece("", logs[other])], options_of(KUKA_CUTOFF))
+        error = tested(answer.fit, datasets, str(other)).relative_error
+        plain = least_squares_error(answer.fit, datasets)
         runs = "+".join(map(str, fitted))
         print(
-            f"  {runs} -> {tested}: {percent(test.relative_error)} (anchor {anchor}); "
-            f"least squares {percent(plain)}; {described(fit)}"
+            f"  {runs} -> {other}: {percent(error)} (anchor {anchor}), "
+            f"{of_file(answer, datasets[0].signals)}; least squares {percent(plain)}; "
+            f"{described(answer.fit)}",
+            flush=True,
         )
 
 
@@ -83,25 +92,72 @@ def tx40() -> None:
     log = read(robot, DATA / "tx40" / "tx40_500Hz.csv")
     print("TX40: relative torque error on rows not fitted")
     for cutoff, anchor in TX40_FOLDS:
-        fit = fit_arm(robot, [process(log, robot.joint_names, cutoff)], ArmOptions(), Progress())
-        error = fit.validation("folds").relative_error
-        plain = least_squares_folds(fit)
+        answer = answer_of(robot, [log], cutoff)
+        before, after = (percent(v.relative_error) for v in (answer.file.before, answer.file.after))
         print(
-            f"  5 blocked folds, {cutoff:g} Hz: {percent(error)} (anchor {anchor}); least squares "
-            f"{percent(plain)}; {described(fit)}"
+            f"  5 blocked folds, {cutoff:g} Hz: {percent(answer.validation.relative_error)} "
+            f"(anchor {anchor}), what a file holds {after} (model {before}); least squares "
+            f"{percent(least_squares_folds(answer.fit))}; {described(answer.fit)}"
         )
     cutoff, share, anchor = TX40_LAST
-    signals = process(log, robot.joint_names, cutoff)
-    usable = signals.usable()
+    whole = answer_of(robot, [log], cutoff)
+    (dataset,) = whole.fit.columns.datasets
+    usable = dataset.signals.usable()
     moving = np.flatnonzero(usable.any(axis=1))
     last = np.zeros(len(usable), dtype=bool)
     last[moving[int((1.0 - share) * len(moving)) :]] = True
-    fit = fit_arm(robot, [signals], ArmOptions(), Progress(), [~last])
-    test = fit.validate_on(robot, [signals], "last", last)
+    answer = refit(whole, [~last], ())
+    error = tested(answer.fit, [replace(dataset, used=last)], "last").relative_error
     print(
-        f"  last {share:.0%} of the moving rows, {cutoff:g} Hz: {percent(test.relative_error)} "
-        f"(anchor {anchor}); {described(fit)}"
+        f"  last {share:.0%} of the moving rows, {cutoff:g} Hz: {percent(error)} (anchor {anchor})"
+        f", {of_file(answer, dataset.signals, last)}; {described(answer.fit)}"
     )
+
+
+def options_of(cutoff: float) -> EstimationOptions:
+    """The usual ones."""
+    return EstimationOptions(cutoff=cutoff)
+
+
+def answer_of(robot, logs, cutoff: float):
+    """The answer from some logs."""
+    options = options_of(cutoff)
+    datasets, _ = filtered(robot, [Piece(str(k), log) for k, log in enumerate(logs)], options)
+    return answer_link(robot, datasets, options, Progress())
+
+
+def of_file(answer, signals, rows=None) -> str:
+    """The error of the file that is written, and of the model, on another log."""
+    robot, own = answer.robot, answer.fit.columns.datasets[0].signals
+    checkpoints = own.motion(own.spread(CHECKPOINTS))
+    with tempfile.TemporaryDirectory() as folder:
+        saved = save(result_of(answer, ORIGIN), robot, Path(folder), checkpoints)
+        if saved.failure is not None:
+            return f"no file: {saved.failure}"
+        before, after = (file_error(p, robot, signals, rows) for p in (robot.path, saved.files[0]))
+    return f"file {percent(after)} (model {percent(before)})"
+
+
+def file_error(path: Path, robot, signals, rows=None) -> float:
+    """Relative error of a file's inverse dynamics in some rows (K,), each joint's mean out."""
+    model = compile_model(path).mj_model
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+    data = mujoco.MjData(model)
+    data.qpos[:] = robot.reference_qpos
+    torque = np.empty_like(signals.tau)
+    for k, (q, qd, qdd) in enumerate(zip(signals.q, signals.qd, signals.qdd)):
+        data.qpos[robot.qpos_index], data.qvel[robot.dof_index] = q, qd
+        data.qacc[robot.dof_index] = qdd
+        mujoco.mj_inverse(model, data)
+        torque[k] = data.qfrc_inverse[robot.dof_index]
+    torque += model.dof_frictionloss[robot.dof_index] * np.sign(signals.qd)
+    used = signals.usable() if rows is None else signals.usable() & rows[:, None]
+    measured, found = (
+        np.where(used, signals.low_pass.decimated(each), np.nan) for each in (signals.tau, torque)
+    )
+    off = measured - found
+    off -= np.nanmean(off, axis=0)
+    return float(np.sqrt(np.nansum(off**2) / np.nansum(measured**2)))
 
 
 def friction() -> None:
@@ -113,16 +169,16 @@ def friction() -> None:
         ("KUKA LWR4+, three runs", lwr4, runs, KUKA_CUTOFF),
         ("TX40", tx40_arm, [log], TX40_FOLDS[0][0]),
     ):
-        signals = [process(each, robot.joint_names, cutoff) for each in logs]
-        fit = fit_arm(robot, signals, ArmOptions(), Progress())
+        answer = answer_of(robot, logs, cutoff)
+        taken = dict(zip(robot.joint_names, (each.name for each in answer.fit.choice.friction)))
         print(f"{name}, low-pass {cutoff:g} Hz: root mean square held-out torque error [N m]")
         models = [short(model) for model in CANDIDATES]
-        print("| | " + " | ".join(fit.friction) + " |")
+        print("| | " + " | ".join(taken) + " |")
         for model, label in zip(CANDIDATES, models):
             cells = [
-                f"{'**' if fit.friction[joint] == model else ''}{errors[model]:.3f}"
-                f"{'**' if fit.friction[joint] == model else ''}"
-                for joint, errors in fit.choices.items()
+                f"{'**' if taken[joint] == model else ''}{errors[model]:.3f}"
+                f"{'**' if taken[joint] == model else ''}"
+                for joint, errors in answer.chosen.errors.items()
             ]
             print(f"| {label} | " + " | ".join(cells) + " |")
 
@@ -157,11 +213,11 @@ def rank_of_log(robot, seconds: float = 15.0, rate: float = 200.0) -> int:
     plan = generate_excitation_trajectory(robot, rng, seconds, ArmTorque(robot))[0]
     q = np.vstack([motion.q for motion in motion_chunks(plan, rate)])
     log = Measurement(np.arange(len(q)) / rate, q, None, rng.normal(size=q.shape))
-    columns = ArmColumns(robot, [process(log, robot.joint_names, 8.0, 0.0)])
-    samples = joined(columns.samples(np.array([link.theta for link in robot.links])))
-    matrix, _ = samples.information().stacked()
-    order = np.concatenate([place for _, place in columns.links()])
-    return base_combinations(matrix[:, order], parameter_scale(len(order) // 10)).rank
+    columns = Columns(robot, [Dataset("log", process(log, robot.joint_names, 8.0, 0.0))])
+    matrix, _ = JoinedSamples(columns.samples(columns.start())).information().stacked()
+    places = [at for name, at in columns.bodies().items() if name != "payload"]
+    order = np.concatenate(places)
+    return base_combinations(matrix[:, order], parameter_scale(len(places))).rank
 
 
 def durations() -> dict[str, float]:
@@ -175,7 +231,7 @@ def durations() -> dict[str, float]:
         "pinocchio's regressor loop and lstsq": lambda: whole_arm.pinocchio_fit(
             model, model.createData(), motion, log.tau
         ),
-        "whole arm, friction and weight given": lambda: whole_arm.ours(robot, log),
+        "whole arm, friction given": lambda: whole_arm.ours(robot, log),
         "whole arm, everything chosen": lambda: whole_arm.ours(robot, log, whole_arm.CHOSEN),
     }
     for run in runs.values():
@@ -209,29 +265,31 @@ def read(robot, path: Path) -> Measurement:
 
 def plain_names(fit) -> list[str]:
     """Names of the fit's links and friction, without what people do not fit."""
-    names = [fit.columns.names[k] for k in fit.kept]
-    return [name for name in names if not name.startswith(("zero", "tilt"))]
+    gone = ("zero", "tilt", "scale", "delay")
+    known = {
+        name for group in fit.unknowns.groups if group.cause != "links" for name in group.names
+    }
+    return [n for n in fit.unknowns.kept_names if n not in known and not n.startswith(gone)]
 
 
-def least_squares_error(fit, fitted, tested, robot) -> float:
+def least_squares_error(fit, datasets) -> float:
     """Relative error on other logs of least squares on the same columns."""
-    names = plain_names(fit)
-    parts = [samples.information() for samples in fit.columns.samples(fit.thetas)]
-    values = solved(combined(parts), names)
-    columns = ArmColumns(robot, tested, fit.couplings)
-    test = joined(columns.samples(fit.thetas))
+    names, own = plain_names(fit), fit.columns
+    values = solved(fit.evidence.whole, names)
+    other = Columns(own.robot, datasets, own.torques, own.couplings)
+    test = JoinedSamples(other.samples(replace(fit.point, values=own.prior)))
     wrong = restricted(test.information(), names).squared_residuals(values)
     return float(np.sqrt(np.sum(wrong) / np.sum(test.squared_torque())))
 
 
 def least_squares_folds(fit) -> float:
     """The same for the blocks of the fitted log."""
-    names, wrong = plain_names(fit), 0.0
-    for block, part in enumerate(fit.fits.parts):
-        rest = combined([other for k, other in enumerate(fit.fits.parts) if k != block])
+    names, wrong, parts = plain_names(fit), 0.0, fit.evidence.blocks
+    for block, part in enumerate(parts):
+        rest = combined([other for k, other in enumerate(parts) if k != block])
         values = solved(rest, names)
         wrong += float(np.sum(restricted(part, names).squared_residuals(values)))
-    return float(np.sqrt(wrong / sum(np.sum(log.squared_torque()) for log in fit.samples)))
+    return float(np.sqrt(wrong / np.sum(fit.evidence.squared_torque)))
 
 
 def solved(information, names):
@@ -242,9 +300,10 @@ def solved(information, names):
 
 def described(fit) -> str:
     """What was chosen, and whether every link can exist."""
-    possible = all(spatial.is_consistent(theta) for theta in fit.thetas if np.any(theta))
-    shared = ", ".join(each.name for each in fit.couplings)
-    words = f"{sorted(set(fit.friction.values()))}, weight {fit.gamma:g}" + (
+    possible = all(spatial.is_consistent(fit.values[at]) for at, _ in fit.unknowns.bodies.values())
+    shared = ", ".join(each.name for each in fit.choice.couplings)
+    models = sorted({short(each.name) for each in fit.choice.friction})
+    words = f"{models}, links up to {fit.choice.prior_scale:g} times as far off as said" + (
         f", shared motor {shared}" if shared else ""
     )
     return words + (", all links possible" if possible else ", NOT ALL LINKS POSSIBLE")

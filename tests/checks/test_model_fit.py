@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from robot_sysid.checks.evidence import evidence_of
 from robot_sysid.checks.hypotheses import explanations, hypotheses
 from robot_sysid.checks.model_fit import ModelFit, plausible
-from robot_sysid.checks.shifts import joint_zeros
-from robot_sysid.checks.torque_scale import torque_scales
+from robot_sysid.checks.torque import joint_zeros, torque_scales
 
 
 def test_a_right_log_fits_and_tells_the_link(truth, evidence, fit):

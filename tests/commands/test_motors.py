@@ -17,12 +17,11 @@ import pytest
 from robot_sysid import parser
 from robot_sysid.cli import main
 from robot_sysid.damiao.bus.can_bus import BusAddress, open_bus
-from robot_sysid.damiao.bus.clock import SystemClock
-from robot_sysid.damiao.protocol.bus_load import BusTiming
-from robot_sysid.damiao.protocol.frames import Address, enable_frame
+from robot_sysid.damiao.bus.link import SystemClock
+from robot_sysid.damiao.protocol.frames import Address, BusTiming, enable_frame
 from robot_sysid.damiao.protocol.registers import DISABLED, TIMEOUT
-from robot_sysid.damiao.simulated.faults import Fault
-from robot_sysid.damiao.trajectory.csv_file import export_damiao_trajectory
+from robot_sysid.damiao.simulated.arm import Fault
+from robot_sysid.damiao.trajectory import export_damiao_trajectory
 from tests.support import arms
 from tests.support.damiao_rig import only_asks, swing, two_motor_arm
 from tests.support.links import served_in_background

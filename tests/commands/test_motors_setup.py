@@ -7,7 +7,7 @@ import pytest
 from robot_sysid.cli import main
 from robot_sysid.damiao.protocol import registers as reg
 from robot_sysid.damiao.protocol.frames import ENABLE, READ, REGISTER_ID, STORE, is_special
-from robot_sysid.damiao.protocol.joint_map import read_joint_map
+from robot_sysid.damiao.protocol.joints import read_joint_map
 from robot_sysid.damiao.protocol.registers import DISABLED, ENABLED
 from tests.support import arms
 from tests.support.damiao_rig import only_asks
@@ -199,7 +199,7 @@ def test_a_map_is_not_guessed(capsys, bus, answers, tmp_path, arm_file):
 
 
 def test_the_model_says_which_way_is_positive(arm_file):
-    from robot_sysid.damiao.run.mapping import positive_ways
+    from robot_sysid.damiao.run.setup import positive_ways
     from robot_sysid.parser import load_robot_model
 
     robot = load_robot_model(arm_file(arms.serial_arm((arms.Z, arms.Y))))

@@ -15,7 +15,7 @@ from robot_sysid.model.compilation import compile_model
 from robot_sysid.model.inertia import composite_theta
 from robot_sysid.payload_config import PayloadConfig
 from robot_sysid.records.options import options_of
-from tests.support import arms, option_samples
+from tests.support import arms, option_samples, schemas
 from tests.support.payload_logs import PAYLOAD
 
 JOINT = 'range="-2.5 2.5" frictionloss=".3" damping=".2" armature=".02"'
@@ -53,21 +53,24 @@ def test_every_option_is_one_of_a_record():
 def test_a_payload_is_found_and_written_into_the_model(command, models):
     printed = command.run("payload", *simulated(models))
     folder = models[0].parent / "sysid_output"
+    schemas.check(folder / "params.json")
     found = json.loads((folder / "params.json").read_text())
+    payload = found["payload"]["body"]
     assert found["status"] == "OK" and found["valid"]["trustworthy"]
-    assert found["payload"]["mass"] == pytest.approx(PAYLOAD[0], abs=0.02)
-    off = np.subtract(found["payload"]["center_of_mass"], PAYLOAD[1:4] / PAYLOAD[0])
+    assert payload["mass"] == pytest.approx(PAYLOAD[0], abs=0.02)
+    off = np.subtract(payload["center_of_mass"], PAYLOAD[1:4] / PAYLOAD[0])
     assert np.max(np.abs(off)) < 0.005
-    assert set(found["payload"]["error_budget"]) >= {"noise", "torque scale", "other links"}
+    assert set(payload["error_budget"]) >= {"noise", "torque scale", "links"}
     row = re.search(r"^  mass +([\d.]+) +([\d.]+) +kg$", printed.out, re.MULTILINE)
     assert row is not None
-    assert float(row[1]) == pytest.approx(found["payload"]["mass"], abs=0.5 * float(row[2]))
-    assert len(found["scatter"]) == 4
+    assert float(row[1]) == pytest.approx(payload["mass"], abs=0.5 * float(row[2]))
+    assert len(found["payload"]["scatter"]) == 4
     card = (folder / "payload_card.txt").read_text()
-    assert f"{found['payload']['mass']:.6g}"[:6] in card
+    assert f"{payload['mass']:.6g}"[:6] in card
     written = compile_model(folder / "updated_model.xml").mj_model
     theta = composite_theta(written, written.qpos0, written.body("link3").id)
-    assert theta[0] == pytest.approx(found["link_with_payload"]["mass"], rel=1e-9)
+    link = found["links"][-1]["in_the_file"]["mass"]
+    assert theta[0] == pytest.approx(link + payload["mass"], rel=1e-9)
 
 
 @pytest.mark.slow
@@ -76,7 +79,7 @@ def test_a_payload_can_be_a_body_of_its_own(command, models):
     folder = models[0].parent / "sysid_output"
     found = json.loads((folder / "params.json").read_text())
     body = compile_model(folder / "updated_model.xml").mj_model.body("gripper")
-    assert float(body.mass[0]) == pytest.approx(found["payload"]["mass"], rel=1e-9)
+    assert float(body.mass[0]) == pytest.approx(found["payload"]["body"]["mass"], rel=1e-9)
 
 
 @pytest.mark.slow
@@ -88,7 +91,7 @@ def test_swapped_recordings_are_refused_and_nothing_is_written_as_if_it_were_goo
     assert left == ["params.json", "report_data.npz"]
     found = json.loads((folder / "params.json").read_text())
     assert found["status"] == "SWAPPED" and not found["valid"]["trustworthy"]
-    assert found["cards"] == {}
+    assert found["payload"]["cards"] == {}
 
 
 @pytest.mark.slow
@@ -110,6 +113,7 @@ def test_a_known_mass_gives_a_file_of_torque_scales(command, models):
         ((), "--empty LOG"),
         (("--empty", "a.csv"), "--loaded is missing"),
         (("--empty", "a.csv", "--loaded", "b.csv", "--order", "AAB"), "--order AAB"),
+        (("--empty", "a", "--loaded", "b", "--known-mass", "1", "--keep-links"), "writes none"),
         (("--empty", "a.csv", "--loaded", "b.csv", "--duration", "3"), "--duration is about a sim"),
         (("--empty-model", "a.xml", "--loaded-model", "b.xml", "--units", "deg"), "--units descr"),
         (("--empty-model", "a", "--loaded-model", "b", "--criterion", "A"), "--excitation optimal"),

@@ -6,7 +6,7 @@ import pytest
 
 from robot_sysid.commands import plan as module
 from robot_sysid.config import config_from
-from robot_sysid.excitation.static.pose_trajectory import PoseTrajectory
+from robot_sysid.excitation.trajectories import PoseTrajectory
 from robot_sysid.excitation.trajectory_files import load_trajectory
 from robot_sysid.trajectory import SineTrajectory
 from tests.support import arms, option_samples, witness
@@ -132,7 +132,7 @@ def test_a_motor_file_that_cannot_be_made_leaves_no_trajectory(command, arm_file
         raise OSError(28, "No space left on device")
 
     path = arm_file(arms.THREE)
-    monkeypatch.setattr("robot_sysid.damiao.trajectory.csv_file.export_damiao_trajectory", fail)
+    monkeypatch.setattr("robot_sysid.damiao.trajectory.export_damiao_trajectory", fail)
     before = files_in(path.parent)
     command.run("plan", path, *SINES, *export(3), code=2)
     assert files_in(path.parent) == before

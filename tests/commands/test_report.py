@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from robot_sysid.report import write
+from robot_sysid.report import page
 from robot_sysid.report.runs import load_run
 from tests.support import arms
 
@@ -52,21 +52,21 @@ def test_no_place_for_a_cache_is_said_before_the_run(command, arm, monkeypatch):
 def test_a_page_that_cannot_be_written_is_said_before_it_is_drawn(command, arm, monkeypatch):
     command.run(arm, *RUN)
     (arm.parent / "link").symlink_to("nowhere")
-    monkeypatch.setattr(write, "sections_of", None)
+    monkeypatch.setattr(page, "sections_of", None)
     message = command.refused("report", "sysid_output", "--output-dir", "link")
     assert "link that leads nowhere" in message
 
 
 def test_data_of_a_run_never_pass_for_those_of_another(command, arm, monkeypatch):
     """A second run that ends while the first still counts its residuals."""
-    folder, kept = arm.parent / "sysid_output", write.report_data
+    folder, kept = arm.parent / "sysid_output", page.report_data
 
     def slowly(*what):
         (folder / "params.json").write_text((folder / "params.json").read_text() + "\n")
         return kept(*what)
 
-    monkeypatch.setattr(write, "report_data", slowly)
-    command.run(arm, "--plant-model", arm, *RUN, code=1)  # too short to be sure
+    monkeypatch.setattr(page, "report_data", slowly)
+    command.run(arm, "--plant-model", arm, *RUN)
     run = load_run(folder)
     assert run.data is None and "belongs to another run" in " ".join(run.missing)
 
@@ -75,7 +75,7 @@ def test_a_report_that_fails_leaves_the_results(command, arm, monkeypatch):
     def broken(*_, **__):
         raise RuntimeError("ink is out")
 
-    monkeypatch.setattr(write, "write_report", broken)
+    monkeypatch.setattr(page, "write_report", broken)
     printed = command.run(arm, *RUN, "--report", code=1)
     assert "the results are written, but the report is not" in printed.err
     assert "ink is out" in printed.err and "Results saved" in printed.out
@@ -86,8 +86,8 @@ def test_data_that_cannot_be_left_is_only_noted(command, arm, monkeypatch):
     def broken(*_):
         raise OSError("disk full")
 
-    monkeypatch.setattr(write, "save_data", broken)
-    printed = command.run(arm, "--plant-model", arm, *RUN, code=1)  # too short to be sure
+    monkeypatch.setattr(page, "save_data", broken)
+    printed = command.run(arm, "--plant-model", arm, *RUN)
     assert "nothing was left for a later report" in printed.err and "disk full" in printed.err
 
 
@@ -98,14 +98,14 @@ def test_without_the_option_nothing_is_drawn(command, arm):
 
 
 def test_measured_data_leaves_what_a_later_report_needs(command, arm):
-    command.run(arm, "--plant-model", arm, *RUN, code=1)  # too short to be sure
+    command.run(arm, "--plant-model", arm, *RUN)
     folder = arm.parent / "sysid_output"
     assert (folder / "report_data.npz").is_file() and not (folder / "report.html").exists()
 
 
 @pytest.mark.slow
 def test_a_page_its_figures_and_a_comparison(command, arm):
-    printed = command.run(arm, "--plant-model", arm, *RUN, "--report", "--plots", code=1)
+    printed = command.run(arm, "--plant-model", arm, *RUN, "--report", "--plots")
     folder = arm.parent / "sysid_output"
     assert "Report:" in printed.out and (folder / "report.html").is_file()
     plots = sorted((folder / "plots").iterdir())

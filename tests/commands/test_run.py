@@ -35,9 +35,8 @@ def asked(monkeypatch):
     """Function: the configuration that a command line asks for, without running it."""
     seen = []
     outcome = SimpleNamespace(failure=None, files=(), report_lines=lambda verbose: [])
-    monkeypatch.setattr(
-        "robot_sysid.pipeline.run", lambda config, _: seen.append(config) or outcome
-    )
+    for pipeline in ("robot_sysid.pipeline.run", "robot_sysid.commands.run._of_servos"):
+        monkeypatch.setattr(pipeline, lambda config, _: seen.append(config) or outcome)
 
     def ask(*arguments):
         assert main([str(word) for word in arguments]) == 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from robot_sysid.dynamics.friction import DEFAULT_MEASURED
+from robot_sysid.dynamics.friction import DEFAULT_TERMINAL, FrictionModel, friction_model
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.options import CHOSEN, ESTIMATORS, EstimationOptions
 
@@ -48,21 +48,29 @@ def test_signal_options_out_of_range_are_refused(options, words):
         EstimationOptions(**options)
 
 
-@pytest.mark.parametrize("fraction", [-0.1, 1.0, 1.5, float("nan")])
-def test_a_fraction_out_of_range_is_refused(fraction):
-    with pytest.raises(InputError, match="--validate must be at least 0 and below 1"):
-        EstimationOptions(validate=fraction)
-
-
 def test_a_weight_without_a_prior_pulls_nothing():
     assert EstimationOptions(prior_weight=50.0).entropic_weight == 0.0
     assert EstimationOptions(prior="entropic", prior_weight=50.0).entropic_weight == 50.0
 
 
-def test_measured_data_has_friction_in_every_joint_unless_none_is_wanted():
-    assert EstimationOptions().measured_friction == DEFAULT_MEASURED
-    assert EstimationOptions(no_friction=True).measured_friction == "none"
-    assert EstimationOptions(friction_model=CHOSEN).measured_friction == CHOSEN
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ({}, None),
+        ({"friction_model": CHOSEN}, None),
+        ({"no_friction": True}, FrictionModel(())),
+        ({"friction_model": "coulomb-load"}, friction_model("coulomb-load")),
+        # One row tells too little to choose by.
+        ({"torques": "terminal"}, friction_model(DEFAULT_TERMINAL)),
+    ],
+)
+def test_friction_is_chosen_by_the_data_unless_it_is_said(options, expected):
+    assert EstimationOptions(**options).friction == expected
+
+
+def test_options_of_measured_torques_are_refused_without_torques():
+    with pytest.raises(InputError, match="--cutoff is about measured torques; leave it off"):
+        EstimationOptions(torque_from="position-error", cutoff=5.0)
 
 
 def test_every_method_of_the_table_may_be_chosen():

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from robot_sysid.excitation.fourier import FourierBasis, FourierTrajectory
 from robot_sysid.excitation.limit_check import (
     CLEARANCE_RESOLUTION,
     RESERVE,
@@ -22,6 +21,7 @@ from robot_sysid.excitation.limit_check import (
     scaled_to_limits,
     tight_times,
 )
+from robot_sysid.excitation.trajectories import FourierBasis, FourierTrajectory
 from robot_sysid.excitation.trajectory_files import at_speed
 from robot_sysid.trajectory import generate_excitation_trajectory
 from tests.support import arms

@@ -7,12 +7,12 @@ import re
 import numpy as np
 import pytest
 
-from robot_sysid.excitation.fourier import FourierTrajectory
 from robot_sysid.excitation.limit_check import check_limits
 from robot_sysid.excitation.options import LimitOptions
 from robot_sysid.excitation.plan_report import plan_lines
 from robot_sysid.excitation.prediction import predict
 from robot_sysid.excitation.problem import build_problem
+from robot_sysid.excitation.trajectories import FourierTrajectory
 from robot_sysid.trajectory import generate_excitation_trajectory
 from tests.excitation.test_prediction import a_plan
 from tests.support import arms, witness

@@ -8,8 +8,8 @@ import pytest
 from robot_sysid.dynamics.equations import Equations
 from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.excitation.design.search import draw_trajectories
-from robot_sysid.excitation.fourier import FourierTrajectory
 from robot_sysid.excitation.prediction import predict
+from robot_sysid.excitation.trajectories import FourierTrajectory
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import motion_chunks
 from tests.support import arms

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
-from robot_sysid.excitation.fourier import FourierBasis
+from robot_sysid.excitation.trajectories import FourierBasis
 from robot_sysid.excitation.trajectory_files import (
     SlowedTrajectory,
     at_speed,
@@ -20,7 +20,7 @@ from robot_sysid.excitation.trajectory_files import (
     save_trajectory,
 )
 from robot_sysid.trajectory import SineTrajectory
-from tests.excitation.test_fourier import bases, trajectory
+from tests.excitation.test_trajectories import bases, trajectory
 from tests.support.arms import SEEDS
 
 NAMES = ("base", "elbow", "wrist")

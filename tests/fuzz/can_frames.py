@@ -12,10 +12,8 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.damiao.bus.can_bus import BusLink
-from robot_sysid.damiao.bus.clock import SimulatedClock
 from robot_sysid.damiao.bus.inspection import inspect_bus
-from robot_sysid.damiao.bus.link import GuardedLink
-from robot_sysid.damiao.bus.slcan import frame_from_line, line_from_frame
+from robot_sysid.damiao.bus.link import GuardedLink, SimulatedClock
 from robot_sysid.damiao.exchange.session import MotorSession
 from robot_sysid.damiao.protocol.codec import (
     MitCommand,
@@ -27,7 +25,8 @@ from robot_sysid.damiao.protocol.codec import (
 )
 from robot_sysid.damiao.protocol.frames import DISABLE, ENABLE, REGISTER_ID, Frame, is_special
 from robot_sysid.damiao.protocol.joints import damiao_joints
-from robot_sysid.damiao.serial_adapter.packets import PacketReader
+from robot_sysid.damiao.serial_adapter import PacketReader
+from robot_sysid.damiao.simulated.simulated_link import frame_from_line, line_from_frame
 from robot_sysid.errors import SysidError
 from tests.fuzz.harness import Case
 

@@ -7,8 +7,7 @@ import functools
 from pathlib import Path
 from random import Random
 
-from robot_sysid.damiao.protocol.joint_map import mapped, read_joint_map
-from robot_sysid.damiao.protocol.joints import damiao_joints
+from robot_sysid.damiao.protocol.joints import damiao_joints, mapped, read_joint_map
 from robot_sysid.logs.formats.table import ArrayTable
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.reader import LogJoints, read_log

@@ -11,17 +11,19 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.damiao.trajectory.csv_file import (
+from robot_sysid.damiao.trajectory import (
     export_damiao_trajectory,
     read_damiao_trajectory,
     scan_trajectory,
 )
-from robot_sysid.excitation.fourier import FourierBasis, FourierTrajectory
-from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
+from robot_sysid.excitation.options import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.excitation.plan import MotionRequest, make_plan
-from robot_sysid.excitation.static.options import PoseOptions
-from robot_sysid.excitation.static.pose_trajectory import PoseTrajectory
-from robot_sysid.excitation.static.sweep_trajectory import SweepTrajectory
+from robot_sysid.excitation.trajectories import (
+    FourierBasis,
+    FourierTrajectory,
+    PoseTrajectory,
+    SweepTrajectory,
+)
 from robot_sysid.excitation.trajectory_files import at_speed, load_trajectory, save_trajectory
 from robot_sysid.records.progress import Progress
 from robot_sysid.trajectory import (

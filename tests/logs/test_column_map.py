@@ -8,10 +8,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.trajectory.csv_file import trajectory_columns
+from robot_sysid.damiao.trajectory import trajectory_columns
 from robot_sysid.errors import InputError
-from robot_sysid.logs.column_file import ColumnChoices, Units, parse_units, read_columns_file
-from robot_sysid.logs.column_map import ColumnMap, recognise_columns
+from robot_sysid.logs.column_map import (
+    ColumnChoices,
+    ColumnMap,
+    Units,
+    parse_units,
+    read_columns_file,
+    recognise_columns,
+)
 from robot_sysid.logs.columns import read_title
 
 JOINTS = ("joint0", "joint1", "joint2")

@@ -1,7 +1,8 @@
-"""Logs are read as they are written, and written back without losing a digit."""
+"""Logs are read as they are written, torque scaled, and written back without losing a digit."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -11,9 +12,11 @@ from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.formats import table as formats_table
-from robot_sysid.logs.reader import write_measurement_csv
+from robot_sysid.logs.options import LogOptions
+from robot_sysid.logs.reader import earlier_logs, torque_factor, write_measurement_csv
 from robot_sysid.records import Measurement
 from tests.support.log_files import JOINTS, TITLES, motion, read_measurements, table, write
+from tests.support.measured_logs import true_arm
 from tests.support.places import DATA
 
 QUANTITIES = ("time", "q", "qd", "tau", "qdd", "joint_time")
@@ -224,3 +227,57 @@ def test_logs_of_real_arms(tmp_path, name, n_joints, count, duration):
     assert (len(log.samples), log.duration) == (count, duration)
     write_measurement_csv(tmp_path / "copy.csv", joints, [log.samples])
     assert_same(log.samples, read_measurements(tmp_path / "copy.csv", joints).samples)
+
+
+POSITIVE = st.lists(st.floats(1e-2, 1e2), min_size=3, max_size=3).map(tuple)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(scale=POSITIVE, constants=POSITIVE)
+def test_torque_is_divided_by_scale_and_multiplied_with_constants(tmp_path, scale, constants):
+    path = tmp_path / "log.csv"
+    if not path.exists():
+        write(path, table(motion(20)))
+    log = read_measurements(path, JOINTS, torque_scale=scale, torque_constants=constants)
+    expected = motion(20).tau * constants / np.array(scale)
+    np.testing.assert_allclose(log.samples.tau, expected, rtol=1e-14)
+    np.testing.assert_array_equal(log.samples.q, motion(20).q)
+
+
+def test_without_options_there_is_no_factor_and_with_one_it_is_said(tmp_path):
+    assert torque_factor(LogOptions(), JOINTS) is None
+    path = write(tmp_path / "log.csv", table(motion(20)))
+    notes = " ".join(read_measurements(path, JOINTS, torque_scale=2.0).notes)
+    assert "'tau1', 'tau2', 'tau3' (each x 0.5)" in notes
+
+
+@pytest.mark.parametrize("option", ["torque_scale", "torque_constants"])
+def test_what_cannot_be_a_factor_is_refused(option):
+    from robot_sysid.errors import InputError
+
+    for wrong in (0.0, -1.0, float("nan"), (1.0, float("inf"))):
+        with pytest.raises(InputError, match="must be positive"):
+            LogOptions(**{option: wrong})
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({}, None),
+        ({"logs": []}, "no identification from logs"),
+        ({"logs": ["/nowhere/log.csv"]}, "/nowhere/log.csv is no longer there"),
+        ({"model": {"sha256": "00"}}, "was made with another model"),
+        (None, "holds no names and values"),
+    ],
+)
+def test_a_run_is_continued_with_the_logs_it_names(tmp_path, change, words):
+    robot = true_arm()
+    log, params = tmp_path / "log.csv", tmp_path / "params.json"
+    log.touch()
+    good = {"logs": [str(log)], "model": {"sha256": robot.sha256}}
+    params.write_text(json.dumps([] if change is None else {**good, **change}))
+    if words is None:
+        assert earlier_logs(params, robot) == (log,)
+    else:
+        with pytest.raises(InputError, match=words):
+            earlier_logs(params, robot)

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from robot_sysid.errors import ExportError
-from robot_sysid.mjcf.changes import ActuatorChange, JointChange
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.joints import actuator_edits, find_joint, joint_edits
 from robot_sysid.mjcf.markup import apply_edits
+from robot_sysid.mjcf.write_back import ActuatorChange, JointChange
 from tests.support.model_files import (
     INERTIAL,
     urdf_inertial,

@@ -55,10 +55,35 @@ def test_a_lighter_tool_than_the_model_says_is_folded(seed):
     np.testing.assert_allclose(plan.theta, total, rtol=0, atol=1e-14)
 
 
-def test_what_hangs_on_joints_cannot_be_folded():
+@given(seed=seeds)
+def test_what_hangs_on_joints_gets_as_light_as_it_has_to(seed):
+    rng = np.random.default_rng(seed)
+    link, tool, finger, thumb = (random_theta(rng, m) for m in (0.2, 0.3, 2.0, 1.0))
+    bodies = [body(3, link), body(4, tool), body(5, finger, False), body(6, thumb, False)]
+    composite = link + tool + 0.1 * (finger + thumb)
+    plan = plan_write_back(composite, bodies)
+    assert 0.1 <= plan.scale < 1.0 and [b.name for b in plan.scaled] == ["b5", "b6"]
+    assert [b.name for b in plan.lumped] == ["b4"] and plan.inflated < 1e-9
+    rest = composite - plan.scale * (finger + thumb)
+    np.testing.assert_allclose(plan.theta, rest, rtol=0, atol=1e-9)
+    assert possible_body(plan.theta, 1.0) is not None
+    assert possible_body(composite - 1.0001 * plan.scale * (finger + thumb), 1.0) is None
+    assert plan.note is not None and "'b4' weigh nothing" in plan.note and "\n" not in plan.note
+    assert "'b5', 'b6' on joints of their own below body 'b3'" in plan.note
+    assert f"inertia are {plan.scale:.4g} of the model's" in plan.note
+
+
+def test_a_finger_takes_nearly_all_where_nothing_else_was_there():
     finger = random_theta(np.random.default_rng(0), 1.0)
-    with pytest.raises(ExportError, match="0.9 kg. minus the bodies below 'b1' .'b2': 1 kg") as e:
-        plan_write_back(0.9 * finger, [body(1, NOTHING), body(2, finger, welded=False)])
+    plan = plan_write_back(0.9 * finger, [body(1, NOTHING), body(2, finger, welded=False)])
+    assert plan.scale == pytest.approx(0.9, rel=1e-5) and plan.lumped == ()
+    np.testing.assert_allclose(plan.theta + plan.scale * finger, 0.9 * finger, rtol=0, atol=1e-12)
+
+
+def test_no_scale_makes_an_impossible_link_possible():
+    finger = random_theta(np.random.default_rng(0), 1.0)
+    with pytest.raises(ExportError, match="'b1' are not a possible rigid body") as e:
+        plan_write_back(-0.9 * finger, [body(1, NOTHING), body(2, finger, welded=False)])
     assert "\n" not in str(e.value)
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from robot_sysid.errors import InputError
-from robot_sysid.preview import film, studio, viewer
-from robot_sysid.preview.options import film_path
+from robot_sysid.preview import film, studio
+from robot_sysid.preview.motion import film_path
 from tests.support import arms
 
 FLOOR = '<geom type="plane" size="1 1 .1" pos="0 0 -1"/>'
@@ -34,7 +34,7 @@ def test_a_film_has_a_name_that_players_know():
 def test_without_a_display_there_is_one_line_before_the_search(command, arm, monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(viewer.sys, "platform", "linux")
+    monkeypatch.setattr(film.sys, "platform", "linux")
     printed = command.run("plan", arm, *RUN, "--view", code=2)
     assert "--video FILE.mp4 renders without one" in printed.err and "Loading" not in printed.out
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import shutil
@@ -150,6 +151,36 @@ def test_where_no_temporary_folder_can_be_made_is_one_line(tmp_path, monkeypatch
     with pytest.raises(InputError, match="No such file or directory; set TMPDIR") as caught:
         temporary_folder().__enter__()
     assert "\n" not in str(caught.value)
+
+
+def test_what_is_to_go_goes_last_and_comes_back_with_the_rest(tmp_path, monkeypatch):
+    before = {"a": "old", "gone": "old", "stays": "old"}
+    for name, text in before.items():
+        (tmp_path / name).write_text(text)
+    seen, unlink = [], Path.unlink
+
+    def refused(path, **options):
+        if path.name in ("gone", "stays"):
+            seen.append((tmp_path / "a").read_text())
+        if path.name == "stays":
+            raise PermissionError(errno.EACCES, "Permission denied")
+        unlink(path, **options)
+
+    monkeypatch.setattr(Path, "unlink", refused)
+    for ending in (InputError, ZeroDivisionError, None):
+        with contextlib.ExitStack() as stack:
+            if ending is not None:
+                stack.enter_context(pytest.raises(ending))
+            outputs = stack.enter_context(whole_files())
+            outputs.write(tmp_path / "a", "new")
+            outputs.remove(tmp_path / "gone")
+            if ending is InputError:
+                outputs.remove(tmp_path / "stays")
+            elif ending is ZeroDivisionError:
+                raise ending
+        expected = before if ending else {"a": "new", "stays": "old"}
+        assert everything_in(tmp_path) == expected
+    assert seen == ["new"] * 3
 
 
 @pytest.fixture

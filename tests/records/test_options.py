@@ -25,7 +25,6 @@ from robot_sysid.records.options import (
     per_joint,
     positive,
     record_from,
-    share,
     speed_factor,
     whole_number,
 )
@@ -103,7 +102,6 @@ def test_checks_accept_exactly_their_range(value):
     assert (positive(value) is None) == (finite and value > 0.0)
     assert (not_negative(value) is None) == (finite and value >= 0.0)
     assert (speed_factor(value) is None) == (0.0 < value <= 1.0)
-    assert (share(value) is None) == (0.0 <= value < 1.0)
 
 
 @given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=7))

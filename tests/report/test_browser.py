@@ -70,7 +70,7 @@ def shown(tmp_path_factory):
 
 
 @pytest.mark.parametrize("view", VIEWS)
-@pytest.mark.parametrize("name", ["link", "payload", "arm", "comparison"])
+@pytest.mark.parametrize("name", ["link", "payload", "comparison"])
 def test_everything_can_be_read(shown, pages, name, view):
     shown.open(pages[name], **VIEWS[view])
     assert shown.value(WIDER) <= 0

@@ -8,10 +8,10 @@ import pytest
 
 from robot_sysid.report.runs import load_run
 from robot_sysid.report.sections.comparison import predicted
-from robot_sysid.report.sections.errors import error_sets, errors
+from robot_sysid.report.sections.signals import error_sets, errors
 
 
-@pytest.mark.parametrize("count", [2, 7])
+@pytest.mark.parametrize("count", [2, 9])
 def test_errors_of_every_joint_stand_beside_each_other(link_run, count):
     run = load_run(link_run)
     runs = [replace(run, folder=run.folder.parent / f"run{k}") for k in range(count)]
@@ -20,7 +20,7 @@ def test_errors_of_every_joint_stand_beside_each_other(link_run, count):
     assert figure.table.header == alone.header and len(figure.table.rows) == count
     for k, row in enumerate(figure.table.rows):
         assert row[0].startswith(f"run{k}: ") and row[1:] == alone.rows[-1][1:]
-    assert ("first 5 of 7" in figure.caption) == (count == 7)
+    assert ("first 7 of 9" in figure.caption) == (count == 9)
 
 
 def test_runs_without_errors_per_joint_are_compared_all_the_same(link_run):

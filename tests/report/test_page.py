@@ -7,8 +7,7 @@ from html.parser import HTMLParser
 
 import pytest
 
-from robot_sysid.report.page import html
-from robot_sysid.report.write import write_report
+from robot_sysid.report.page import html, write_report
 
 VOID = {"meta", "link", "br", "img", "input", "hr"}
 

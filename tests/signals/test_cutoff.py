@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from robot_sysid.errors import InputError
 from robot_sysid.records import Measurement
 from robot_sysid.signals.cutoff import choose_cutoff, encoder_steps, noise_share
-from robot_sysid.signals.differences import second_derivative
-from robot_sysid.signals.low_pass import design_low_pass
+from robot_sysid.signals.filters import design_low_pass, second_derivative
 from robot_sysid.signals.process import process
 from tests.support.swing import FREQUENCIES, Swing, seconds
 

@@ -8,9 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.records import Measurement
-from robot_sysid.signals import pieces, thinning
-from robot_sysid.signals.pieces import piece_note, pieces_of
-from robot_sysid.signals.thinning import Thinning
+from robot_sysid.signals import pieces
+from robot_sysid.signals.pieces import Thinning, piece_note, pieces_of
 
 
 def log(time: np.ndarray) -> Measurement:
@@ -81,9 +80,9 @@ def test_thinning_does_not_reach_over_a_gap():
 
 def test_a_log_that_is_long_enough_is_thinned_to_what_is_needed(monkeypatch):
     time = np.arange(1000) / 1000.0
-    assert Thinning.of(time, thinning.MOST_ROWS).every == 1
-    assert Thinning.of(time, 4.0 * thinning.MOST_ROWS).every == 4
-    assert Thinning.of(time, 1e9).every == 1000 // thinning.LEAST_RATE
+    assert Thinning.of(time, pieces.MOST_KEPT).every == 1
+    assert Thinning.of(time, 4.0 * pieces.MOST_KEPT).every == 4
+    assert Thinning.of(time, 1e9).every == 1000 // pieces.LEAST_RATE
 
 
 @pytest.mark.parametrize("rate", [10.0, 20.0])

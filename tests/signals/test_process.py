@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Measurement
-from robot_sysid.signals.differences import FINE_REACH, REACH
-from robot_sysid.signals.process import LARGEST_SLOW_SHARE, delay_columns, process, with_delay
+from robot_sysid.signals.filters import FINE_REACH, REACH
+from robot_sysid.signals.process import LARGEST_SLOW_SHARE, process, with_delay
 from tests.support.log_files import read_measurements
 from tests.support.places import DATA
 from tests.support.swing import Swing, seconds
@@ -213,9 +213,9 @@ def test_an_injected_delay_is_estimated_and_put_right(delay, seed):
 
 def _remaining_delay(signals) -> float:
     """Fit tau = a q + b qdd + delay (-d tau/dt) on the filtered equations."""
-    columns = [signals.q, signals.qdd, delay_columns(signals)]
-    rows = signals.low_pass.decimated(np.stack(columns, axis=-1))
-    tau = signals.low_pass.decimated(signals.tau)
+    q, qdd, tau = map(signals.low_pass.decimated, (signals.q, signals.qdd, signals.tau))
+    late = -np.gradient(tau, signals.decimated_time(), axis=0)
+    rows = np.stack((q, qdd, late), axis=-1)
     solution = np.linalg.lstsq(rows.reshape(-1, 3), tau.reshape(-1), rcond=None)[0]
     return float(solution[2])
 

@@ -10,14 +10,14 @@ from robot_sysid.damiao.bus.inspection import inspect_bus
 from robot_sysid.damiao.bus.link import GuardedLink
 from robot_sysid.damiao.exchange.recorder import RecordingOptions
 from robot_sysid.damiao.exchange.settings import PlaySettings
-from robot_sysid.damiao.play.stop_request import StopRequest
-from robot_sysid.damiao.protocol.bus_load import BusTiming
+from robot_sysid.damiao.play.supervision import StopRequest
 from robot_sysid.damiao.protocol.frames import (
     DISABLE,
     ENABLE,
     READ,
     REFRESH,
     REGISTER_ID,
+    BusTiming,
     is_special,
 )
 from robot_sysid.damiao.protocol.joints import damiao_joints
@@ -25,10 +25,9 @@ from robot_sysid.damiao.protocol.motors import MOTORS
 from robot_sysid.damiao.protocol.registers import DISABLED, ESC_ID, MST_ID
 from robot_sysid.damiao.run.plan import Plan, run
 from robot_sysid.damiao.run.preflight import Permissions
-from robot_sysid.damiao.simulated.arm import SimulatedArm
-from robot_sysid.damiao.simulated.motor import simulated_motor
+from robot_sysid.damiao.simulated.arm import SimulatedArm, simulated_motor
 from robot_sysid.damiao.simulated.simulated_link import SimulatedLink
-from robot_sysid.damiao.trajectory.csv_file import export_damiao_trajectory, read_damiao_trajectory
+from robot_sysid.damiao.trajectory import export_damiao_trajectory, read_damiao_trajectory
 from tests.support.clocks import ScriptedClock
 from tests.support.links import RememberingLink
 from tests.support.recordings import read_recording

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.gravity import gravity, turned, with_gravity
 from robot_sysid.dynamics.newton_euler import LinkDynamics
+from robot_sysid.dynamics.nuisances import gravity, turned, with_gravity
 from robot_sysid.records import Measurement
 
 RATE = 200.0

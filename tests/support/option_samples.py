@@ -25,6 +25,7 @@ PAYLOAD = {**PLAN, "for": "payload"}
 STATIC = {**PAYLOAD, "static": True}
 SWEEPS = {**PLAN, "for": "friction"}
 NOISY_FILE = {**FILE, **PLANT, "noise_torque": 0.1}
+SERVOS = {**LOG, "torque_from": "position-error"}
 MOTORS = {"export_damiao": True, "motor_type": ("DM4340",)}
 
 # Need -> options with which it is met, and options with which it is not; {} stands for none.
@@ -38,6 +39,7 @@ MET: dict[str, tuple[dict[str, Any], ...]] = {
     "friction": (PLANT, LOG),
     "measured": (PLANT, LOG),
     "log": (LOG,),
+    "servos": (SERVOS,),
     "plant": (PLANT,),
     "plant or plan": (PLANT, PLAN, OPTIMAL),
     "plan": (PLAN,),
@@ -55,6 +57,7 @@ UNMET: dict[str, tuple[dict[str, Any], ...]] = {
     "friction": ({}, OPTIMAL, PLAN, {**LOG, "no_friction": True}),
     "measured": ({}, OPTIMAL),
     "log": ({}, PLANT),
+    "servos": ({}, LOG),
     "plant": ({}, PLAN, OPTIMAL),
     "plant or plan": ({},),
     "plan": ({}, PLANT, LOG),

@@ -16,11 +16,10 @@ from robot_sysid.commands.motors import setup as motors_setup
 from robot_sysid.damiao.bus.can_bus import BusAddress
 from robot_sysid.damiao.exchange.recorder import RecordingOptions
 from robot_sysid.damiao.exchange.settings import PlaySettings
-from robot_sysid.damiao.protocol.bus_load import BusTiming
+from robot_sysid.damiao.protocol.frames import BusTiming
 from robot_sysid.damiao.run.preflight import Permissions
-from robot_sysid.estimation.arm.options import ArmOptions
-from robot_sysid.identify.payload.options import PayloadOptions
-from robot_sysid.preview.options import PreviewOptions
+from robot_sysid.payload_config import PayloadOptions
+from robot_sysid.preview.motion import PreviewOptions
 from robot_sysid.records.options import Option, default_of, options_of
 from tests.support.places import ROOT
 
@@ -29,7 +28,6 @@ RUN = tuple(record for _, records in run.GROUPS for record in records)
 TABLES: Mapping[str, tuple[type, ...]] = {
     **dict(run.GROUPS),
     "main": (*RUN, ConsoleOptions),
-    "every link": (ArmOptions,),
     "preview": (PreviewOptions,),
     "console": (ConsoleOptions,),
     "payload": (PayloadOptions,),

@@ -42,6 +42,7 @@ MODEL = {
 WEIGHT = "2.000"
 """Mass of the payload [kg], the one that docs/payload.md calls known."""
 _BLOCK = re.compile(r"^```(bash|python)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+_PRINTED = re.compile(r"^<!-- printed -->\n```text\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 _SECONDS, _RATE = "12", "200"
 
 
@@ -54,6 +55,16 @@ def command_lines(block: str) -> list[list[str]]:
     """Return the words of each line of a block, continued lines joined, comments gone."""
     lines = block.replace("\\\n", " ").splitlines()
     return [words for line in lines if (words := shlex.split(line, comments=True))]
+
+
+def printed(page: Path) -> set[str]:
+    """Return the lines that a page says its commands print, without their numbers."""
+    return {line for block in _PRINTED.findall(page.read_text("utf-8")) for line in lines_of(block)}
+
+
+def lines_of(text: str) -> set[str]:
+    """Return the lines of a text with # in place of each number."""
+    return {re.sub(r"\d[\d.e-]*", "#", line) for line in text.splitlines()}
 
 
 def make_workshop(folder: Path) -> None:

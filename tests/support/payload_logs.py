@@ -9,14 +9,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from robot_sysid.core.columns import PAYLOAD_NAMES
+from robot_sysid.core.dataset import Dataset
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import link_names
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.identify.payload.data.rows import FilteredRows
-from robot_sysid.identify.payload.equations import PAYLOAD_NAMES, Recording
 from robot_sysid.records import Motion
-from robot_sysid.signals.low_pass import design_low_pass
+from robot_sysid.signals.filters import design_low_pass
 from robot_sysid.signals.process import ProcessedSignals
 from tests.support import arms
 
@@ -67,8 +67,8 @@ class TrueArm:
         rest = self.armature * motion.qdd + self.offset
         return self.scale * rigid + (1.0 + drift) * friction + rest
 
-    def values(self, equations, drift=0.0):
-        """What the parameters of these equations are in truth (p,)."""
+    def values(self, columns, drift=0.0):
+        """What the parameters of these columns are in truth (p,)."""
         known = dict(zip(PARAMETER_NAMES, self.thetas[-1]))
         known.update(zip(PAYLOAD_NAMES, self.payload))
         for number, joint in enumerate(self.robot.joint_names):
@@ -78,7 +78,7 @@ class TrueArm:
             known[f"drift[{joint}]"] = drift
         for number in range(self.robot.n_joints - 1):
             known.update(zip(link_names(self.robot, number), self.thetas[number]))
-        return np.array([float(known.get(name, 0.0)) for name in equations.names])
+        return np.array([float(known.get(name, 0.0)) for name in columns.names])
 
     def abba(self, seed, drift=0.0, sigma=0.0, same=False):
         """Four recordings in the order empty, loaded, loaded, empty."""
@@ -111,12 +111,16 @@ def exact_recording(motion, tau, is_loaded, place=0.0, name="log"):
     bridged = np.zeros(len(motion.time), dtype=bool)
     parts = motion.time, motion.q, motion.qd, motion.qdd, tau, bridged, still
     signals = ProcessedSignals(*parts, low_pass, low_pass, ())
-    return Recording(name, is_loaded, FilteredRows(signals), place)
+    return Dataset(name, signals, is_loaded, place)
 
 
 def noisy(recording, sigma, seed):
     """The same recording with white torque noise."""
-    rng = np.random.default_rng(seed)
-    signals = recording.source.signals
-    spoiled = replace(signals, tau=signals.tau + sigma * rng.standard_normal(signals.tau.shape))
-    return replace(recording, source=FilteredRows(spoiled))
+    shape = recording.torque.shape
+    return with_torque(recording, sigma * np.random.default_rng(seed).standard_normal(shape))
+
+
+def with_torque(recording, more):
+    """The same recording with further torque (N, n)."""
+    signals = recording.source
+    return replace(recording, source=replace(signals, tau=signals.tau + more))

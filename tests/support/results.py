@@ -1,4 +1,4 @@
-"""Made-up identifications of a two-joint arm, for tests of what is said about them."""
+"""Made-up results of a two-joint arm, for tests of what is said about them."""
 
 from __future__ import annotations
 
@@ -12,12 +12,27 @@ from robot_sysid.dynamics.spatial import PARAMETER_NAMES, theta_from_com
 from robot_sysid.records import (
     DataOrigin,
     Estimate,
+    Flange,
     Identifiability,
-    Identification,
     InertialParameters,
     Source,
-    Status,
+    SubtreeBody,
     Validation,
+)
+from robot_sysid.records.results import CLOSED, OPEN, RolloutError, RolloutTest
+from robot_sysid.results.record import (
+    LINK,
+    PAYLOAD,
+    BaseParameters,
+    BodyEstimate,
+    Figure,
+    JointEstimate,
+    ModelFile,
+    OneRecording,
+    Payload,
+    PriorConflict,
+    Result,
+    Verdict,
 )
 
 JOINTS = ("j5", "j6")
@@ -25,21 +40,28 @@ FRICTION = tuple(f"{term}[{joint}]" for joint in JOINTS for term in ("coulomb", 
 NAMES = (*PARAMETER_NAMES, *FRICTION)
 THETA = theta_from_com(2.0, np.array([0.0, 0.01, 0.1]), np.diag([0.01, 0.012, 0.005]))
 VALUES = np.array([*THETA, 0.5, 0.2, 0.4, 0.1])
+MODEL_FRICTION = {
+    "j5": {"coulomb": 0.3, "viscous": 0.1, "armature": 0.0},
+    "j6": {"coulomb": 0.2, "viscous": 0.0, "armature": 0.0},
+}
 
 
 def estimate(**changes) -> Estimate:
-    """A result without any fault: white noise, small errors, all from the data."""
+    """An estimate without any fault: white noise, small errors, all from the data."""
     size = len(NAMES)
     seen = Identifiability(12, 12, 50.0, 5.0, (True,) * size, ())
+    errors = 1e-3 * np.maximum(np.abs(VALUES), 1e-2)
     fields = {
         "names": NAMES,
         "values": VALUES,
         "identifiability": seen,
         "rmse": 0.03,
         "rmse_per_joint": {"j5": 0.03, "j6": 0.03},
-        "status": Status.OK,
         "method": "wls",
-        "standard_errors": 1e-3 * np.ones(size) * np.maximum(np.abs(VALUES), 1e-2),
+        "covariance": np.diag(errors**2),
+        "standard_errors": errors,
+        "noise_errors": 0.6 * errors,
+        "error_budget": {"links": 0.8 * errors},
         "data_share": np.ones(size),
         "noise_per_joint": {"j5": 0.03, "j6": 0.031},
         "samples": {"j5": 200, "j6": 200},
@@ -48,22 +70,74 @@ def estimate(**changes) -> Estimate:
     return Estimate(**{**fields, **changes})
 
 
-def found(result: Estimate | None = None, **changes) -> Identification:
-    """Everything around it, of measured data."""
+def found(result: Estimate | None = None, **changes) -> Result:
+    """Everything around it, of measured data: the terminal link and the joints as in it."""
+    result = result or estimate()
     fields = {
+        "question": LINK,
         "model_path": Path("arm.xml"),
         "model_sha256": "ab",
         "joint_name": "j6",
         "body_name": "link6",
         "joint_names": JOINTS,
         "prior": InertialParameters(0.5 * THETA),
-        "estimate": result or estimate(),
+        "estimate": result,
+        "verdict": Verdict.BETTER,
         "torques": "chain",
         "data": DataOrigin(Source.LOG, "arm.csv", 15.0, 1000.0),
-        "versions": {},
+        "versions": {"numpy": "2"},
+        "links": () if result.standard_errors is None else (terminal(result),),
+        "joints": {joint: joint_of(result, joint) for joint in JOINTS},
         "friction_model": "coulomb-viscous",
     }
-    return Identification(**{**fields, **changes})
+    return Result(**{**fields, **changes})
+
+
+def terminal(result: Estimate) -> BodyEstimate:
+    """The terminal link as an estimate has it."""
+    errors = np.array(result.standard_errors)[:10]
+    return BodyEstimate(
+        "link6",
+        result.inertial,
+        np.diag(np.where(np.isfinite(errors), errors, 0.0) ** 2),
+        np.isfinite(errors),
+        np.array(result.noise_errors)[:10],
+        {cause: part[:10] for cause, part in result.error_budget.items()},
+        np.array(result.data_share)[:10],
+        InertialParameters(0.5 * THETA),
+        "j6",
+    )
+
+
+def joint_of(result: Estimate, joint: str) -> JointEstimate:
+    """The friction of a joint as an estimate has it."""
+    names = {name: name.split("[")[0] for name in result.names if name.endswith(f"[{joint}]")}
+    terms = {
+        term: Figure(result.value(name), result.error(name) or 0.0) for name, term in names.items()
+    }
+    return JointEstimate("-".join(terms) or "none", terms, MODEL_FRICTION[joint], noise=0.03)
+
+
+def itself(result: Estimate | None = None, **changes) -> Result:
+    """The model's own simulation, of which most is not asked."""
+    plain = {
+        "standard_errors": None,
+        "covariance": None,
+        "noise_errors": None,
+        "error_budget": {},
+        "data_share": None,
+        "noise_per_joint": {},
+        "samples": {},
+        "effective_samples": {},
+    }
+    fields = {
+        "data": own_simulation(),
+        "verdict": Verdict.OK,
+        "links": (),
+        "joints": {},
+        "friction_model": None,
+    }
+    return found(replace(result or estimate(), **plain), **{**fields, **changes})
 
 
 def own_simulation() -> DataOrigin:
@@ -80,8 +154,6 @@ def with_value(name: str, value: float, error: float) -> Estimate:
 
 def without_mass() -> Estimate:
     """The mass does not show in the data."""
-    errors = np.array(estimate().standard_errors)
-    errors[0] = np.inf
     share = np.ones(len(NAMES))
     share[0] = 0.0
     seen = replace(
@@ -90,17 +162,103 @@ def without_mass() -> Estimate:
         identified=(False,) + (True,) * (len(NAMES) - 1),
         unidentifiable=("mass",),
     )
-    return estimate(
-        identifiability=seen,
-        standard_errors=errors,
-        data_share=share,
-        status=Status.PARTLY_FROM_MODEL,
-    )
+    return replace(with_value("m", 2.0, np.inf), identifiability=seen, data_share=share)
 
 
-def validation_of(rmse: float) -> Validation:
+def validation_of(rmse: float, source: str = "other.csv", relative: float = 0.02) -> Validation:
     """A validation with this error."""
-    return Validation("other.csv", 100, rmse, 0.02, {"j5": rmse, "j6": rmse}, {"j5": 0.02})
+    return Validation(source, 100, rmse, relative, {"j5": rmse, "j6": rmse}, {"j5": relative})
+
+
+def body(mass=1.2, com=(0.03, -0.02, 0.08), shown=True, name="payload") -> BodyEstimate:
+    """A body whose mass is known to 0.01 kg, 0.006 of it noise and 0.008 torque scale."""
+    inertia = mass * np.diag([0.005, 0.006, 0.004])
+    theta = theta_from_com(mass, np.array(com), inertia)
+    covariance = np.diag([1e-4] + [1e-6] * 3 + [1e-8] * 6)
+    errors = np.sqrt(np.diag(covariance))
+    seen = np.array([True] * 4 + [shown] * 6)
+    budget = {"torque scale": 0.8 * errors, "gravity": 1e-6 * errors}
+    return BodyEstimate(name, InertialParameters(theta), covariance, seen, 0.6 * errors, budget)
+
+
+def payload(own: BodyEstimate | None = None, result: Estimate | None = None, **changes) -> Result:
+    """A payload of 1.2 kg; what is no field of the result is one of ``Payload``."""
+    of_payload = {
+        "flange": Flange("site 'flange'", np.eye(3), np.zeros(3), "link6"),
+        "body": body() if own is None else own,
+        "link": body(0.8, name="link6"),
+        "total": body(2.0, name="link6"),
+        "recordings": {"empty": ("a.csv",), "loaded": ("b.csv", "c.csv")},
+        "scatter": (OneRecording("b.csv", True, 1.19, np.zeros(3), 0.01, 0.02),),
+    }
+    extra = (*of_payload, "torque_scale", "known_mass")
+    of_payload.update({name: changes.pop(name) for name in extra if name in changes})
+    fields = {"verdict": Verdict.OK, "question": PAYLOAD, "payload": Payload(**of_payload)}
+    return found(result, **{**fields, **changes})
+
+
+def model_file(**changes) -> ModelFile:
+    """A written model that predicts torques to 0.25 % instead of 27 %."""
+    fields = {
+        "thetas": np.array([1.5 * THETA, 0.9 * THETA]),
+        "errors": np.full((2, 10), 1e-3),
+        "joints": {"j5": {"coulomb": Figure(0.45, 0.01), "viscous": Figure(0.25, 0.02)}},
+        "gravity": np.array([0.0, 0.1, -9.8]),
+        "before": validation_of(1.5, "fifths of arm.csv", 0.27),
+        "after": validation_of(0.02, "fifths of arm.csv", 0.0025),
+        "others": ((validation_of(1.6, relative=0.3), validation_of(0.05, relative=0.012)),),
+        "kept": ("rotor inertia",),
+    }
+    return ModelFile(**{**fields, **changes})
+
+
+def whole(**changes) -> Result:
+    """A result of which nothing is missing."""
+    first = replace(terminal(estimate()), name="link5", joint="j5")
+    elbow = replace(
+        joint_of(estimate(), "j5"),
+        candidates={"coulomb-viscous": 0.03, "none": 0.4},
+        two_ways=(Figure(0.6, 0.01), Figure(0.4, 0.02)),
+    )
+    errors = RolloutError(OPEN, 0.2, 5, np.array([0.2, 0.1]), np.array([0.02, 0.11]), (1, 0))
+    fields = {
+        "slides": ("j5",),
+        "bodies": (SubtreeBody(6, "link6", THETA, True),),
+        "links": (first, terminal(estimate())),
+        "joints": {"j5": elbow, "j6": joint_of(estimate(), "j6")},
+        "couplings": {"j5+j6": JointEstimate("viscous", {"viscous": Figure(0.05, 0.002)})},
+        "sensors": {
+            "scale[j5]": Figure(1.01, 0.004),
+            "zero[j6]": Figure(0.0, float("nan")),
+            "delay": Figure(0.0032, 2e-5),
+            "tilt_1": Figure(0.0, np.radians(0.03)),
+            "tilt_2": Figure(0.0, np.radians(0.04)),
+        },
+        "base": BaseParameters(
+            ("Izz(link5) + 0.25*m(link6)", "hx(link6)"),
+            np.array([0.5, 0.02]),
+            np.array([0.01, 0.03]),
+            9,
+            (True, False),
+        ),
+        "file": model_file(),
+        "validation": (
+            validation_of(0.02, "fifths of arm.csv", 0.0022),
+            validation_of(0.03, relative=0.012),
+        ),
+        "friction_model": "per joint",
+        "delay": 0.0032,
+        "tilt": float(np.radians(0.5)),
+        "cutoff": 8.0,
+        "prior_scale": 2.0,
+        "conflicts": (PriorConflict("links", ("link5",), 2.5, 1.0),),
+        "reasons": ("because",),
+        "notes": ("a note",),
+        "rollout": RolloutTest(
+            JOINTS, "last fifths", CLOSED, (errors, replace(errors, loop=CLOSED)), ("one piece",)
+        ),
+    }
+    return found(**{**fields, **changes})
 
 
 def theta_in(path: Path) -> np.ndarray:

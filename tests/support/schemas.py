@@ -13,7 +13,7 @@ SCHEMAS = ROOT / "robot_sysid" / "schemas"
 
 
 def schema(name: str) -> dict:
-    """Return a schema: params, payload, arm or servo."""
+    """Return a schema: params or servo."""
     found: dict = json.loads((SCHEMAS / f"{name}.schema.json").read_text(encoding="utf-8"))
     return found
 
@@ -21,13 +21,11 @@ def schema(name: str) -> dict:
 def check(path: Path) -> None:
     """Raise jsonschema's error where a result file is not what its schema says."""
     content = json.loads(path.read_text(encoding="utf-8"))
-    own = path.name in ("arm.json", "servo.json")
-    name = path.stem if own else content.get("command", "params")
-    jsonschema.validate(content, schema(name), jsonschema.Draft202012Validator)
+    jsonschema.validate(content, schema(path.stem), jsonschema.Draft202012Validator)
 
 
 def check_results(folder: Path) -> None:
     """Check every result file below a folder."""
-    for name in ("params.json", "arm.json", "servo.json"):
+    for name in ("params.json", "servo.json"):
         for path in folder.glob(f"*/{name}"):
             check(path)

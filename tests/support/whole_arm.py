@@ -1,4 +1,4 @@
-"""A whole-arm run on a 7-joint, 15 000-sample log, and the same by pinocchio and lstsq."""
+"""A run on a 7-joint, 15 000-sample log of an arm, and the same by pinocchio and lstsq."""
 
 from __future__ import annotations
 
@@ -6,15 +6,13 @@ import numpy as np
 
 from robot_sysid.dynamics.equations import other_links
 from robot_sysid.dynamics.newton_euler import LinkDynamics
-from robot_sysid.estimation.arm.options import ArmOptions
-from robot_sysid.identify.arm.fit import BASIC, fit_arm
+from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.records import Measurement
-from robot_sysid.records.progress import Progress
-from robot_sysid.signals.process import process
+from tests.support.core_fits import BASIC, result_of_logs
 
 SAMPLES, RATE, CUTOFF = 15_000, 1000.0, 10.0
-GIVEN = ArmOptions(cutoff=CUTOFF, friction=BASIC, model_weight=1.0)
-CHOSEN = ArmOptions(cutoff=CUTOFF)
+GIVEN = EstimationOptions(cutoff=CUTOFF, friction_model=BASIC)
+CHOSEN = EstimationOptions(cutoff=CUTOFF)
 
 
 def measured(robot, seed=0):
@@ -35,8 +33,8 @@ def measured(robot, seed=0):
 
 
 def ours(robot, log, options=GIVEN):
-    """From the log to all links."""
-    return fit_arm(robot, [process(log, robot.joint_names, CUTOFF)], options, Progress())
+    """From the log to all links and to what the model file is given."""
+    return result_of_logs(robot, [log], options, ())
 
 
 def regressor_columns(robot, motion):

@@ -24,7 +24,7 @@ import scipy.signal
 import scipy.stats  # noqa: F401
 
 from robot_sysid import api, cli  # noqa: F401
-from robot_sysid.report import write  # noqa: F401
+from robot_sysid.report import page  # noqa: F401
 from tests.support.arms import X, Y, Z, serial_arm
 from tests.support.command_line import files_in
 
@@ -46,7 +46,6 @@ COMMANDS = {
     SEARCH: f"{PLAN} --excitation-time-budget 2",
     "payload": "payload arm.xml --empty-model arm.xml --loaded-model plant.xml --seed {k} "
     f"--duration 4 --sample-rate 100 {INTO}",
-    "arm": f"arm arm.xml log{{k}}.csv {INTO}",
     "report": f"report {OUT}",
     "log": "log log{k}.csv arm.xml",
     EXAMPLE: f"example kinova {INTO}/kinova",

@@ -15,16 +15,13 @@ from robot_sysid.commands.console import Console
 from robot_sysid.commands.motors import setup as motors_setup
 from robot_sysid.config import ModelOptions
 from robot_sysid.damiao.bus.can_bus import BusAddress, open_bus
-from robot_sysid.damiao.bus.clock import Clock, SimulatedClock, SystemClock
 from robot_sysid.damiao.bus.inspection import inspect_bus
-from robot_sysid.damiao.bus.link import GuardedLink, Link
-from robot_sysid.damiao.bus.slcan import SlcanTerminal
+from robot_sysid.damiao.bus.link import Clock, GuardedLink, Link, SimulatedClock, SystemClock
 from robot_sysid.damiao.exchange.recorder import RecordingOptions
 from robot_sysid.damiao.exchange.settings import PlaySettings
-from robot_sysid.damiao.play.stop_request import StopRequest
-from robot_sysid.damiao.protocol.bus_load import BusTiming, default_rate
-from robot_sysid.damiao.protocol.joint_map import mapped, read_joint_map
-from robot_sysid.damiao.protocol.joints import DamiaoJoint
+from robot_sysid.damiao.play.supervision import StopRequest
+from robot_sysid.damiao.protocol.frames import BusTiming, default_rate
+from robot_sysid.damiao.protocol.joints import DamiaoJoint, mapped, read_joint_map
 from robot_sysid.damiao.report_lines import check_lines, load_line, motor_table, run_lines
 from robot_sysid.damiao.run.plan import Plan, PoseCheck, run
 from robot_sysid.damiao.run.preflight import (
@@ -34,11 +31,15 @@ from robot_sysid.damiao.run.preflight import (
     require_no_stop,
     stops,
 )
-from robot_sysid.damiao.simulated.arm import SimulatedArm
-from robot_sysid.damiao.simulated.faults import FAULT_KINDS, parse_fault
-from robot_sysid.damiao.simulated.motor import DEFAULT_WATCHDOG, SimulatedMotor, simulated_motor
-from robot_sysid.damiao.simulated.simulated_link import SimulatedLink, serve
-from robot_sysid.damiao.trajectory.csv_file import DamiaoTrajectory, read_damiao_trajectory
+from robot_sysid.damiao.simulated.arm import (
+    DEFAULT_WATCHDOG,
+    FAULT_KINDS,
+    SimulatedArm,
+    parse_fault,
+    simulated_motor,
+)
+from robot_sysid.damiao.simulated.simulated_link import SimulatedLink, SlcanTerminal, serve
+from robot_sysid.damiao.trajectory import DamiaoTrajectory, read_damiao_trajectory
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 from robot_sysid.records.options import (
@@ -85,12 +86,7 @@ class SimulatedMotorOptions(OptionRecord):
 
 
 class _Run:
-    """One command line of ``motors``, as records.
-
-    Args:
-        values: what was given.
-        console: where to print.
-    """
+    """One command line of ``motors``, as records."""
 
     def __init__(self, values: Mapping[str, Any], console: Console) -> None:
         self.values, self.console = values, console
@@ -211,7 +207,14 @@ def simulate(asked: _Run) -> int:
         link = GuardedLink(bus, clock.now, asked.timing.fd, asked.address.channel or ("simulated",))
         return _play_on(link, clock, plan, checks, PlayChoices(yes=True), asked)
     require_no_stop(checks, "not rehearsed")
-    return _serve(_simulated_arm(asked, plan, options, _REAL_TIME_STEP), asked, options)
+    arm = _simulated_arm(asked, plan, options, _REAL_TIME_STEP)
+    system, stop = SystemClock(), StopRequest()
+    with contextlib.closing(_simulated_end(asked, system)) as end, stop.on_signals():
+        ends = system.now() + (options.lifetime or float("inf"))
+        left_out = serve(arm, end, system, lambda: not stop.count and system.now() < ends)
+    if left_out > 0.0:
+        asked.console.stage(f"this computer was too slow by {left_out:.1f} s in all")
+    return 0
 
 
 _COMMANDS: Mapping[str, tuple[Callable[[_Run], int], str, str]] = {
@@ -262,29 +265,24 @@ _MAIN = (
 _MAIN_ON_MOTORS = (*_MAIN, "joint_map", "accept_register_limits", "set_watchdog")
 
 
+def _parser(command: str, said: tuple[Any, str, str], main_options: Sequence[str] | None) -> Parser:
+    _, example, description = said
+    usage = f"{PROGRAM} motors {command} {example}"
+    return Parser(f"motors {command}", usage, description, main_options, codes=_CODES)
+
+
 def build_parser(command: str, full: bool = True) -> Parser:
     """Return the parser of a subcommand; without ``full``, its help shows the main options only."""
-    _, example, description = _COMMANDS[command]
     main_options = _MAIN if command == "simulate" else _MAIN_ON_MOTORS
-    parser = Parser(
-        f"motors {command}",
-        f"{PROGRAM} motors {command} {example}",
-        description,
-        None if full else main_options,
-        codes=_CODES,
-    )
+    parser = _parser(command, _COMMANDS[command], None if full else main_options)
     nargs = "?" if command == "check" else None
     help_file = "damiao_trajectory.csv"
     parser.add_argument("trajectory", metavar="TRAJECTORY", type=Path, help=help_file, nargs=nargs)
     group = parser.add("arm", ModelOptions)
     help_model = "MJCF or URDF of the arm; the trajectory is checked against its limits"
     required = command == "simulate"
-    group.add_argument(
-        "--joint-map",
-        metavar="FILE",
-        type=Path,
-        help="how each joint's motor is mounted (see: motors map)",
-    )
+    help_map = "how each joint's motor is mounted (see: motors map)"
+    group.add_argument("--joint-map", metavar="FILE", type=Path, help=help_map)
     group.add_argument("--model", metavar="MODEL", type=Path, required=required, help=help_model)
     parser.add("bus", BusAddress, BusTiming)
     if command == "simulate":
@@ -301,14 +299,9 @@ def build_parser(command: str, full: bool = True) -> Parser:
 
 def build_setup_parser(command: str, full: bool = True) -> Parser:
     """Return the parser of a subcommand that plays nothing."""
-    _, example, description = _SETUP[command]
-    parser = Parser(
-        f"motors {command}",
-        f"{PROGRAM} motors {command} {example}",
-        description,
-        None if full else ("interface", "channel", "fd", *_names(command)),
-        codes=_CODES,
-    )
+    options = [name for record in motors_setup.GROUPS[command] for name in options_of(record)]
+    main_options = ["interface", "channel", "fd", *options]
+    parser = _parser(command, _SETUP[command], None if full else main_options)
     if command == "map":
         group = parser.add("arm", ModelOptions)
         group.add_argument("--model", metavar="MODEL", type=Path, required=True, help="of the arm")
@@ -316,11 +309,6 @@ def build_setup_parser(command: str, full: bool = True) -> Parser:
     parser.add(command, *motors_setup.GROUPS[command])
     parser.add_console()
     return parser
-
-
-def _names(command: str) -> Iterator[str]:
-    for record in motors_setup.GROUPS[command]:
-        yield from options_of(record)
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -393,26 +381,14 @@ def _simulated_arm(
     from robot_sysid.simulation.stepper import DEFAULT_TIMESTEP, ArmStepper
 
     joints = plan.trajectory.joints
-    motors = [_simulated_motor(joint, options.watchdog) for joint in joints]
+    motors = []
+    for joint in joints:
+        motor = simulated_motor(joint.spec, joint.can_id, joint.master_id, options.watchdog)
+        motor.bus, motor.direction = joint.bus, joint.direction
+        motor.offset, motor.torque_ratio = joint.offset, joint.torque_ratio
+        motors.append(motor)
     mechanism = ArmStepper(asked.robot, plan.scan.first, timestep or DEFAULT_TIMESTEP)
     return SimulatedArm(mechanism, motors, [parse_fault(text) for text in options.fault])
-
-
-def _simulated_motor(joint: DamiaoJoint, watchdog: float) -> SimulatedMotor:
-    motor = simulated_motor(joint.spec, joint.can_id, joint.master_id, watchdog)
-    motor.bus, motor.direction = joint.bus, joint.direction
-    motor.offset, motor.torque_ratio = joint.offset, joint.torque_ratio
-    return motor
-
-
-def _serve(arm: SimulatedArm, asked: _Run, options: SimulatedMotorOptions) -> int:
-    clock, stop = SystemClock(), StopRequest()
-    with contextlib.closing(_simulated_end(asked, clock)) as link, stop.on_signals():
-        ends = clock.now() + (options.lifetime or float("inf"))
-        left_out = serve(arm, link, clock, lambda: not stop.count and clock.now() < ends)
-    if left_out > 0.0:
-        asked.console.stage(f"this computer was too slow by {left_out:.1f} s in all")
-    return 0
 
 
 def _simulated_end(asked: _Run, clock: Clock) -> Link:
@@ -426,7 +402,8 @@ def _simulated_end(asked: _Run, clock: Clock) -> Link:
         reach = f"--interface slcan --channel {terminal.device}"
     else:
         link = open_bus(address, asked.timing, clock)
-        reach = " ".join([f"--interface {address.interface}", *_channels(address)])
+        channels = (f"--channel {channel}" for channel in address.channel)
+        reach = " ".join([f"--interface {address.interface}", *channels])
     fd = " --fd" if asked.timing.fd else ""
     if asked.values.get("joint_map"):
         fd += f" --joint-map {asked.values['joint_map']}"
@@ -438,10 +415,6 @@ def _simulated_end(asked: _Run, clock: Clock) -> Link:
         ]
     )
     return link
-
-
-def _channels(address: BusAddress) -> Iterator[str]:
-    return (f"--channel {channel}" for channel in address.channel)
 
 
 def _ask_for_confirmation() -> None:

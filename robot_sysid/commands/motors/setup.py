@@ -11,16 +11,19 @@ from typing import Any, Protocol
 
 from robot_sysid.commands.console import Console
 from robot_sysid.damiao.bus.can_bus import BusAddress, open_bus
-from robot_sysid.damiao.bus.clock import Clock
-from robot_sysid.damiao.bus.inspection import InspectedMotor, Inspection, inspect_bus, state_of
-from robot_sysid.damiao.bus.link import GuardedLink
-from robot_sysid.damiao.bus.register_client import RegisterClient
-from robot_sysid.damiao.protocol.bus_load import BusTiming
-from robot_sysid.damiao.protocol.frames import refuse_motion
-from robot_sysid.damiao.protocol.joint_map import write_joint_map
+from robot_sysid.damiao.bus.inspection import (
+    InspectedMotor,
+    Inspection,
+    RegisterClient,
+    inspect_bus,
+    state_of,
+)
+from robot_sysid.damiao.bus.link import Clock, GuardedLink
+from robot_sysid.damiao.protocol.frames import BusTiming, refuse_motion
+from robot_sysid.damiao.protocol.joints import write_joint_map
 from robot_sysid.damiao.protocol.registers import BIT_RATES
 from robot_sysid.damiao.report_lines import motor_table, state_table
-from robot_sysid.damiao.run.setup import MotorSetup, SetupOptions
+from robot_sysid.damiao.run.setup import MotorSetup, SetupOptions, map_by_hand, require_limp
 from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.records.options import OptionRecord, option, positive, record_from
 
@@ -73,10 +76,7 @@ class Asked(Protocol):
     console: Console
     address: BusAddress
     timing: BusTiming
-
-    @property
-    def robot(self) -> Any:
-        """The arm of the model file."""
+    robot: Any
 
 
 Opener = Callable[[BusAddress, BusTiming, Clock], Any]
@@ -188,8 +188,6 @@ def _watch(
 
 def map_joints(asked: Asked, clock: Clock, opened: Opener = open_bus) -> int:
     """Write the joint map that a person shows by moving the limp arm."""
-    from robot_sysid.damiao.run.mapping import map_by_hand, require_limp
-
     options, robot = record_from(MapOptions, asked.values), asked.robot
     if options.output.exists():
         raise InputError(f"{options.output} exists; choose another --output")
@@ -204,18 +202,14 @@ def map_joints(asked: Asked, clock: Clock, opened: Opener = open_bus) -> int:
 
         def positions() -> Mapping[Any, float]:
             states = {motor: state_of(client, motor) for motor in motors}
-            _require_all(states.values())
+            if any(state is None for state in states.values()):
+                raise HardwareAbort("a motor does not answer any more; nothing was written")
             return {m.address: float(s.position[0]) for m, s in states.items() if s}
 
         rows = map_by_hand(robot, motors, positions, ask)
     write_joint_map(options.output, rows)
     asked.console.stage(f"written to {options.output}; give it to play with --joint-map")
     return 0
-
-
-def _require_all(states: Any) -> None:
-    if any(state is None for state in states):
-        raise HardwareAbort("a motor does not answer any more; nothing was written")
 
 
 GROUPS: Mapping[str, Sequence[type]] = {

@@ -1,4 +1,4 @@
-"""A real (or virtual) CAN bus through python-can; several of them are one link."""
+"""A real (or virtual) CAN bus through python-can, several of them as one link, and their log."""
 
 from __future__ import annotations
 
@@ -7,12 +7,11 @@ import errno
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-from robot_sysid.damiao.bus.clock import Clock
-from robot_sysid.damiao.bus.link import Link, LinkError
-from robot_sysid.damiao.protocol.bus_load import BusTiming
-from robot_sysid.damiao.protocol.frames import Frame
+from robot_sysid.damiao.bus.link import Clock, Link, LinkError
+from robot_sysid.damiao.protocol.frames import BusTiming, Frame
 from robot_sysid.errors import InputError, words_of
 from robot_sysid.records.options import OptionRecord, option
 
@@ -149,11 +148,7 @@ def _is_full(error: Exception) -> bool:
 
 
 def open_bus(address: BusAddress, timing: BusTiming, clock: Clock) -> Link:
-    """Open one CAN bus or several; socketcan takes its bit rates from ``ip link``.
-
-    Raises:
-        InputError: a bus cannot be opened, or not as CAN-FD.
-    """
+    """Open one CAN bus or several, or raise InputError; ``ip link`` sets the rates of socketcan."""
     if timing.fd and address.interface == SERIAL_ADAPTER:
         raise InputError("the maker's serial adapter sends classic CAN frames only; leave --fd off")
     links: list[BusLink] = []
@@ -172,7 +167,7 @@ def _open_one(address: BusAddress, channel: str, timing: BusTiming, clock: Clock
     options = {**_bus_options(can, interface, timing), **_own_options(address.bus_option)}
     try:
         if interface == SERIAL_ADAPTER:
-            from robot_sysid.damiao.serial_adapter.adapter_bus import DamiaoSerialBus
+            from robot_sysid.damiao.serial_adapter import DamiaoSerialBus
 
             return BusLink(DamiaoSerialBus(channel, **options), clock)
         bus = can.Bus(channel=channel, interface=interface, ignore_config=True, **options)
@@ -230,12 +225,7 @@ _PAUSE = 1e-4
 
 
 class SeveralBuses:
-    """Buses of one arm, or of two, behind one link.
-
-    Args:
-        links: the buses, in the order of ``Frame.bus``.
-        clock: for waiting.
-    """
+    """Buses of one arm, or of two, in the order of ``Frame.bus``, behind one link."""
 
     def __init__(self, links: Sequence[Link], clock: Clock) -> None:
         self._links, self._clock = tuple(links), clock
@@ -259,3 +249,47 @@ class SeveralBuses:
         """Release all buses."""
         for link in self._links:
             link.close()
+
+
+class RawFrameLog:
+    """Observes a link and writes its frames to a file, replacing one that is there.
+
+    The format follows the file's suffix: .log (candump), .asc, .blf, .csv, .trc, ... Time stamps
+    are seconds since 1970; ``clock`` is the one that frame times are in.
+    """
+
+    def __init__(self, path: Path, clock: Clock, channels: Sequence[str]) -> None:
+        self._can = import_can()
+        try:
+            self._writer: Any = self._can.Logger(str(path))
+        except ValueError as error:
+            raise InputError(f"cannot log frames to {path}: {error}") from None
+        except OSError as error:
+            raise InputError(f"cannot write {path}: {error.strerror}") from None
+        self._channels = tuple(channels)
+        self._offset = time.time() - clock.now()
+        self._waiting: list[tuple[Frame, bool]] = []
+
+    def __call__(self, frame: Frame, sent: bool) -> None:
+        """Take a frame."""
+        self._waiting.append((frame, sent))
+
+    def taken(self) -> list[tuple[Frame, bool]]:
+        """Return the frames that came since the last call, for ``write``."""
+        taken, self._waiting = self._waiting, []
+        return taken
+
+    def write(self, frames: list[tuple[Frame, bool]]) -> None:
+        """Write frames in order of time; may be called from another thread than the rest."""
+        for frame, sent in sorted(frames, key=lambda entry: entry[0].time):
+            stamp, channel = frame.time + self._offset, self._channels[frame.bus]
+            rest = {"timestamp": stamp, "is_rx": not sent, "channel": channel}
+            self._writer.on_message_received(message_of(self._can, frame, **rest))
+        file: Any = getattr(self._writer, "file", None)
+        if file is not None:
+            file.flush()
+
+    def close(self) -> None:
+        """Finish the file, if there is room for it."""
+        with contextlib.suppress(Exception):
+            self._writer.stop()

@@ -1,18 +1,156 @@
-"""Inspecting the motors on a bus without any effect on them: who is there, registers, state."""
+"""Asking motors, never while commands stream: who is there, registers, state.
+
+Inspecting has no effect on the motors. Register replies and feedback come on the same id. They are
+told apart by the one request that is outstanding: a reply repeats its motor's id, an operation and
+the register's number.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import contextlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from robot_sysid.damiao.bus.clock import Clock
-from robot_sysid.damiao.bus.link import GuardedLink
-from robot_sysid.damiao.bus.register_client import RegisterClient
+from robot_sysid.damiao.bus.link import Clock, GuardedLink
 from robot_sysid.damiao.protocol import registers as reg
 from robot_sysid.damiao.protocol.codec import Feedback, Scaling, decode_feedback
-from robot_sysid.damiao.protocol.frames import Address
+from robot_sysid.damiao.protocol.frames import (
+    READ,
+    WRITE,
+    Address,
+    Frame,
+    read_frame,
+    refresh_frame,
+    write_frame,
+)
+from robot_sysid.errors import HardwareAbort
+
+_TRIES = 3
+# Answers that take longer are of no use to a control loop [s].
+_LONGEST_CYCLE = 0.1
+
+
+class RegisterReply(NamedTuple):
+    """A register's value and the id it was answered on."""
+
+    value: float
+    reply_id: int
+
+
+class RegisterClient:
+    """Talks about registers over a link; an answer may take ``timeout`` [s]."""
+
+    def __init__(self, link: GuardedLink, clock: Clock, timeout: float = 0.02) -> None:
+        self._link, self._clock, self._timeout = link, clock, timeout
+        self.error_frames = 0
+
+    def read(self, motor: Address, register: int) -> RegisterReply | None:
+        """Return a register's value, or None where the motor does not answer."""
+        for _ in range(_TRIES):
+            reply = next(self._replies(read_frame(motor, register)), None)
+            if reply is not None:
+                return reply
+        return None
+
+    def read_all(self, motor: Address, register: int) -> list[RegisterReply]:
+        """Return every answer to one request: more than one means that motors share an id."""
+        for _ in range(_TRIES):
+            replies = list(self._replies(read_frame(motor, register)))
+            if replies:
+                return replies
+        return []
+
+    def write(self, motor: Address, register: int, value: float) -> None:
+        """Write a register (lost at power-off), or raise HardwareAbort.
+
+        A motor refuses a value by answering with the old one, so the answer is compared.
+        """
+        raw = reg.bytes_from_value(register, value)
+        name = reg.REGISTERS[register].name
+        for _ in range(_TRIES):
+            reply = next(self._replies(write_frame(motor, register, raw)), None)
+            if reply is not None and reg.bytes_from_value(register, reply.value) == raw:
+                return
+            if reply is not None:
+                raise HardwareAbort(
+                    f"motor {motor.can_id} refused {name} = {value:g} and keeps {reply.value:g}"
+                )
+        raise HardwareAbort(f"motor {motor.can_id} did not answer to writing {name}")
+
+    def tell(self, motor: Address, register: int, value: float) -> None:
+        """Write a register after which the motor cannot be heard any more."""
+        self._link.send(write_frame(motor, register, reg.bytes_from_value(register, value)))
+
+    def refresh(self, motor: Address, master_id: int) -> Frame | None:
+        """Return a feedback frame without any effect on the motor, or None."""
+        for _ in range(_TRIES):
+            for frame in self._frames_after(refresh_frame(motor)):
+                if frame.id == master_id and frame.data[0] & 0xF == motor.can_id & 0xF:
+                    return frame
+        return None
+
+    def seconds_to_refresh(self, motors: Sequence[tuple[Address, int]]) -> float | None:
+        """Ask motors for their state at once, as a control cycle does; each with its reply id.
+
+        Returns the time until the last answer [s]; None where one did not come.
+        """
+        self._link.drain()
+        start = self._clock.now()
+        for motor, _ in motors:
+            self._link.send(refresh_frame(motor))
+        missing = {(motor.bus, reply_id) for motor, reply_id in motors}
+        while missing and (frame := self._link.receive(start + _LONGEST_CYCLE)) is not None:
+            if not frame.echo and not frame.error:
+                missing.discard((frame.bus, frame.id))
+        return None if missing else self._clock.now() - start
+
+    def _replies(self, request: Frame) -> Iterator[RegisterReply]:
+        # Most firmware answers a write with 0x55, some with 0x33.
+        operations = (READ, WRITE) if request.data[2] == WRITE else (READ,)
+        heads = [request.data[:2] + bytes([each, request.data[3]]) for each in operations]
+        for frame in self._frames_after(request):
+            if frame.data[:4] in heads:
+                value = reg.value_from_bytes(request.data[3], frame.data[4:8])
+                yield RegisterReply(value, frame.id)
+
+    def _frames_after(self, request: Frame) -> Iterator[Frame]:
+        """Send a request and yield what motors say until the timeout."""
+        self._link.drain()
+        self._link.send(request)
+        until = self._clock.now() + self._timeout
+        while (frame := self._link.receive(until)) is not None:
+            self.error_frames += frame.error
+            sound = not frame.error and not frame.echo and len(frame.data) == 8
+            if sound and frame.bus == request.bus:
+                yield frame
+
+
+@contextlib.contextmanager
+def watchdogs_set_to(
+    client: RegisterClient,
+    before: Mapping[Address, float],
+    seconds: float,
+    is_off: Callable[[Address], bool],
+) -> Iterator[None]:
+    """Write the watchdog register of each motor, and its old value when the block ends.
+
+    A motor that may still be running keeps the new value: without a watchdog it would go on for
+    ever. Nothing is stored to flash: after a power cycle the motors have their own values again.
+    ``is_off`` tells, at the end, whether a motor is surely disabled.
+    """
+    try:
+        for address in before:
+            client.write(address, reg.TIMEOUT, float(round(seconds / reg.TIMEOUT_UNIT)))
+        yield
+    finally:
+        for address in filter(is_off, before):
+            # A motor that does not answer any more keeps the safer value until power-off.
+            with contextlib.suppress(HardwareAbort):
+                client.write(address, reg.TIMEOUT, before[address])
+
 
 _ALL_IDS = range(1, 16)
 _LISTEN = 0.05
@@ -25,12 +163,9 @@ _ROUNDS = 20
 class InspectedMotor:
     """What one motor said.
 
-    Attributes:
-        address: bus and id it was asked under.
-        reply_ids: ids on which answers came; several mean several motors.
-        registers: register number to value; only those that were answered.
-        feedback: its state (one joint), or None where it does not answer a refresh.
-        channel: name of its bus where there are several, or "".
+    Several ids on which answers came mean several motors. Only registers that were answered are
+    there; feedback (one joint) is None where it does not answer a refresh, and the channel is named
+    where there are several.
     """
 
     address: Address
@@ -70,12 +205,9 @@ class InspectedMotor:
 class Inspection:
     """What the motors on a bus said.
 
-    Attributes:
-        motors: those that answered.
-        unsolicited: frames seen before anything was asked; motors only speak when spoken to.
-        error_frames: error frames seen while asking.
-        round_trip: time in which all motors asked at once have answered, nearly always [s]; None
-            where some did not answer.
+    ``unsolicited`` frames came before anything was asked: motors only speak when spoken to.
+    ``round_trip`` is the time in which all motors asked at once have answered, nearly always [s];
+    None where some did not answer.
     """
 
     motors: Mapping[Address, InspectedMotor]
@@ -86,15 +218,21 @@ class Inspection:
 
 def inspect_bus(link: GuardedLink, clock: Clock) -> Inspection:
     """Ask every id on every bus for its registers and state; enables nothing."""
-    unsolicited = _listen(link, clock)
+    until, unsolicited = clock.now() + _LISTEN, 0
+    while (frame := link.receive(until)) is not None:
+        unsolicited += not frame.echo
     client = RegisterClient(link, clock, timeout=_ASK_TIMEOUT)
     motors = {}
     for address in (Address(bus, i) for bus in range(len(link.channels)) for i in _ALL_IDS):
         answers = client.read_all(address, reg.ESC_ID)
-        if answers:
-            reply_ids = tuple(answer.reply_id for answer in answers)
-            channel = link.channels[address.bus] if len(link.channels) > 1 else ""
-            motors[address] = _inspect_motor(client, address, reply_ids, channel)
+        if not answers:
+            continue
+        replies = {number: client.read(address, number) for number in reg.LOGGED}
+        registers = {number: reply.value for number, reply in replies.items() if reply is not None}
+        reply_ids = tuple(answer.reply_id for answer in answers)
+        channel = link.channels[address.bus] if len(link.channels) > 1 else ""
+        motor = InspectedMotor(address, reply_ids, registers, None, channel)
+        motors[address] = replace(motor, feedback=state_of(client, motor))
     return Inspection(motors, unsolicited, client.error_frames, _round_trip(client, motors))
 
 
@@ -105,22 +243,6 @@ def _round_trip(client: RegisterClient, motors: Mapping[Address, InspectedMotor]
     times = [client.seconds_to_refresh(asked) for _ in range(_ROUNDS)]
     answered = [time for time in times if time is not None]
     return float(np.percentile(answered, 90.0)) if len(answered) > _ROUNDS // 2 else None
-
-
-def _listen(link: GuardedLink, clock: Clock) -> int:
-    until, heard = clock.now() + _LISTEN, 0
-    while (frame := link.receive(until)) is not None:
-        heard += not frame.echo
-    return heard
-
-
-def _inspect_motor(
-    client: RegisterClient, address: Address, reply_ids: tuple[int, ...], channel: str
-) -> InspectedMotor:
-    replies = {number: client.read(address, number) for number in reg.LOGGED}
-    registers = {number: reply.value for number, reply in replies.items() if reply is not None}
-    motor = InspectedMotor(address, reply_ids, registers, None, channel)
-    return replace(motor, feedback=state_of(client, motor))
 
 
 def state_of(client: RegisterClient, motor: InspectedMotor) -> Feedback | None:

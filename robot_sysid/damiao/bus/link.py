@@ -1,12 +1,58 @@
-"""What a bus has to offer, and the guard that every frame we send goes through."""
+"""What a bus has to offer, the guard that every frame we send goes through, and time."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from robot_sysid.damiao.protocol.frames import Frame, refuse_harmful
 from robot_sysid.errors import HardwareAbort
+
+
+class Clock(Protocol):
+    """A clock that never runs backwards; a live one moves by itself, whatever this program does."""
+
+    live: bool
+
+    def now(self) -> float:
+        """Return the time [s]; only differences mean anything."""
+
+    def sleep_until(self, moment: float) -> None:
+        """Return at ``moment`` [s], or at once if it has passed."""
+
+
+class SystemClock:
+    """The computer's monotonic clock."""
+
+    live = True
+
+    def now(self) -> float:
+        """Return the monotonic time [s]."""
+        return time.monotonic()
+
+    def sleep_until(self, moment: float) -> None:
+        """Sleep until ``moment`` [s]."""
+        left = moment - time.monotonic()
+        if left > 0.0:
+            time.sleep(left)
+
+
+class SimulatedClock:
+    """A clock that moves only when someone sleeps."""
+
+    live = False
+
+    def __init__(self) -> None:
+        self._now = 0.0
+
+    def now(self) -> float:
+        """Return the simulated time [s]."""
+        return self._now
+
+    def sleep_until(self, moment: float) -> None:
+        """Move to ``moment`` [s], unless it has passed."""
+        self._now = max(self._now, moment)
 
 
 class LinkError(HardwareAbort):
@@ -29,16 +75,9 @@ class Link(Protocol):
 class GuardedLink:
     """Passes frames on, refuses the harmful ones, and shows each one to an observer.
 
-    Args:
-        link: the bus.
-        now: returns the time that a sent frame is shown with [s].
-        fd: send CAN-FD frames.
-        channels: names of the buses behind the link.
-        refuse: raises for frames that must not be sent.
-
-    Attributes:
-        channels: as given.
-        observer: called with every frame sent or received, and whether it was sent; must not raise.
+    ``now`` returns the time that a sent frame is shown with [s]; ``refuse`` raises for frames that
+    must not be sent; ``channels`` are the names of the buses behind the link. The observer is
+    called with every frame and whether it was sent; it must not raise.
     """
 
     def __init__(

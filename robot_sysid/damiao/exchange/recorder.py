@@ -4,29 +4,88 @@ Comment lines say how it was made (motors, register values, gains, time stamps).
 control cycle: ``time``, position, velocity and torque of each joint, and per joint the time stamp
 of its own sample, the command in force when it was sampled, status and temperatures. Cells of a
 joint that did not answer are empty.
+
+Printing and recording happen beside a run: never in its way, and never a reason to let an arm drop.
+A terminal that is gone, held (Ctrl-S) or full, a reader that went away, a disk that is full or does
+not answer: a control loop that printed by itself would fail or wait with it, and the motors'
+watchdogs would let the arm go. So what is to be said and written is handed over here.
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterable, Mapping, Sequence
+import queue
+import threading
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from robot_sysid.damiao.bus.can_log import RawFrameLog
-from robot_sysid.damiao.exchange.aside import Aside
+from robot_sysid.damiao.bus.can_bus import RawFrameLog
 from robot_sysid.damiao.exchange.session import Replies
 from robot_sysid.damiao.exchange.settings import PlaySettings
 from robot_sysid.damiao.protocol.codec import MitCommand
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.protocol.registers import text_of
-from robot_sysid.damiao.trajectory.csv_file import trajectory_columns
+from robot_sysid.damiao.trajectory import trajectory_columns
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 from robot_sysid.records.options import OptionRecord, option
+
+Action = Callable[[], object]
+_PATIENCE = 2.0
+
+
+class Aside:
+    """Does things one after the other; what goes wrong is kept as ``failure`` instead of raised.
+
+    After a failure nothing more is done. Threaded, it has a thread of its own; without, things are
+    done at once (for simulated time, where nobody waits).
+    """
+
+    def __init__(self, threaded: bool) -> None:
+        self.failure: BaseException | None = None
+        self._waiting: queue.SimpleQueue[Action | None] = queue.SimpleQueue()
+        self._thread: threading.Thread | None = None
+        if threaded:
+            self._thread = threading.Thread(target=self._work, daemon=True)
+            self._thread.start()
+
+    def __call__(self, action: Action) -> None:
+        """Have something done."""
+        if self._thread is None:
+            self._do(action)
+        else:
+            self._waiting.put(action)
+
+    def if_idle(self, action: Action) -> None:
+        """Have something done that is not worth waiting for, such as moving a progress bar."""
+        if self._waiting.empty():
+            self(action)
+
+    def finish(self, patience: float = _PATIENCE) -> None:
+        """Wait until all is done, or until ``patience`` [s] is at an end."""
+        if self._thread is None:
+            return
+        self._waiting.put(None)
+        self._thread.join(patience)
+        if self._thread.is_alive() and self.failure is None:
+            self.failure = TimeoutError("it takes nothing any more")
+
+    def _work(self) -> None:
+        while (action := self._waiting.get()) is not None:
+            self._do(action)
+
+    def _do(self, action: Action) -> None:
+        if self.failure is not None:
+            return
+        try:
+            action()
+        except BaseException as error:
+            self.failure = error
+
 
 _EXTRA = (
     *("time", "cmd_pos", "cmd_vel", "cmd_tau", "cmd_step"),
@@ -62,8 +121,7 @@ class RecordingOptions(OptionRecord):
     def require_free(self, *read: Path) -> None:
         """Raise InputError where a file is there that must not be replaced.
 
-        Args:
-            read: files that the run reads; they stay even with --overwrite.
+        Files that the run reads stay even with --overwrite.
         """
         taken = {os.path.realpath(path) for path in read}
         for path in filter(None, (self.record, self.frames)):
@@ -78,12 +136,8 @@ class RecordingOptions(OptionRecord):
 class RecordingHead:
     """What the comment lines of a recording say.
 
-    Attributes:
-        joints: the motors, base to terminal.
-        registers: per joint, register number to value; these are what the codec used.
-        settings: of the run.
-        options: how measured values are treated, see ``torque_step`` for the centring.
-        source: the trajectory file.
+    The registers are, per joint, number to value; these are what the codec used. For the centring
+    see ``torque_step``.
     """
 
     joints: Sequence[DamiaoJoint]
@@ -94,7 +148,7 @@ class RecordingHead:
 
     def lines(self) -> list[str]:
         """Return the comment lines without their mark."""
-        run = self.settings
+        run, options = self.settings, self.options
         lines = ["robot-sysid motors recording", f"trajectory={self.source}"]
         for joint in self.joints:
             lines.append(
@@ -104,37 +158,28 @@ class RecordingHead:
         for j, values in enumerate(self.registers):
             texts = ",".join(text_of(number, values[number]) for number in sorted(values))
             lines.append(f"registers_j{j}: {texts}")
-        lines.append(f"rate_hz={run.rate:g},speed={run.speed:g}")
-        lines.append("kp=" + " ".join(f"{x:g}" for x in run.kp))
-        lines.append("kd=" + " ".join(f"{x:g}" for x in run.kd))
-        half_step, centred = not self.options.no_half_step, not self.options.no_centring
+        half_step, centred = not options.no_half_step, not options.no_centring
         added = "added to" if half_step else "not added to"
-        lines.append(
-            f"half_step={int(half_step)}: half a quantisation step {added} measured position, "
-            "velocity and torque, because motors drop the fraction"
-        )
         halved = "with half of jN_cmd_step added" if centred else "as measured"
-        lines.append(f"centred={int(centred)}: jN_tau is the torque {halved}")
-        lines.append(
-            "jN_cmd_step is the torque step that the command answered by this sample then made"
-        )
-        lines.append(
-            "jN_time is when joint N was sampled, jN_cmd_* the command in force at that moment"
-        )
-        return lines
+        return [
+            *lines,
+            f"rate_hz={run.rate:g},speed={run.speed:g}",
+            "kp=" + " ".join(f"{x:g}" for x in run.kp),
+            "kd=" + " ".join(f"{x:g}" for x in run.kd),
+            f"half_step={int(half_step)}: half a quantisation step {added} measured position, "
+            "velocity and torque, because motors drop the fraction",
+            f"centred={int(centred)}: jN_tau is the torque {halved}",
+            "jN_cmd_step is the torque step that the command answered by this sample then made",
+            "jN_time is when joint N was sampled, jN_cmd_* the command in force at that moment",
+        ]
 
 
 class MeasurementRecorder:
     """Writes a run to a new CSV file, each row at once but aside of the control loop.
 
     A context manager; the file's last line says how the run ended. Only opening raises: what goes
-    wrong later is kept in ``failure``, and the arm is brought to rest first.
-
-    Args:
-        path: the file; must not exist unless it may be overwritten.
-        head: what to write above the rows.
-        aside: does the writing.
-        frames: written with every row, if given.
+    wrong later is kept in ``failure``, and the arm is brought to rest first. ``aside`` does the
+    writing; the frames are written with every row, if given.
     """
 
     def __init__(
@@ -171,13 +216,10 @@ class MeasurementRecorder:
                 self._file.close()
 
     def write(self, time: float, origin: float, replies: Replies, acted: MitCommand) -> None:
-        """Write one cycle.
+        """Write one cycle at a time since the trajectory's start [s].
 
-        Args:
-            time: since the trajectory's start [s].
-            origin: the trajectory's start in the link's clock [s].
-            replies: what the joints answered.
-            acted: the command in force when they were sampled.
+        ``origin`` is that start in the link's clock [s], ``acted`` the command in force when the
+        replies were sampled.
         """
         self._aside(lambda: self._file.write(self._row(time, origin, replies, acted)))
 

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.damiao.bus.clock import Clock
-from robot_sysid.damiao.bus.link import GuardedLink
+from robot_sysid.damiao.bus.link import Clock, GuardedLink
 from robot_sysid.damiao.protocol.codec import (
     Bytes,
     Feedback,
@@ -27,8 +26,7 @@ from robot_sysid.damiao.protocol.frames import (
     disable_frame,
     enable_frame,
 )
-from robot_sysid.damiao.protocol.joint_space import JointSpace
-from robot_sysid.damiao.protocol.joints import DamiaoJoint
+from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace
 from robot_sysid.damiao.protocol.registers import DISABLED, ENABLED, describe
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
@@ -45,14 +43,12 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Replies:
-    """What came back in one cycle.
+    """What came back in one cycle; status -1 and NaN values where a joint did not answer.
 
     Attributes:
         answered: (n,) which joints answered.
         time: (n,) when each joint took its sample, in the link's clock [s]: when its command was
-            on the bus where the adapter reports that, else when the reply arrived. NaN where the
-            joint did not answer.
-        feedback: all joints; status -1 and NaN values where a joint did not answer.
+            on the bus where the adapter reports that, else when the reply arrived.
         command: what each joint is under now, as the motors read it; None where none was sent.
         asked: (n,) which joints were sent something; None means all.
     """
@@ -108,14 +104,8 @@ class MotorSession:
     A context manager: however the block is left, every motor that could be enabled is told five
     times to disable, and has to confirm it. Before ``enable`` nothing is sent on the way out.
 
-    Commands and measurements are in joint space, see ``joint_space``.
-
-    Args:
-        link: the bus.
-        clock: for deadlines.
-        joints: the motors, base to terminal.
-        scaling: PMAX, VMAX, TMAX read from their registers.
-        half_step: whether half a quantisation step is added to what they measure.
+    Commands and measurements are in joint space, see ``JointSpace``. The scaling is that of the
+    motors' registers; half a quantisation step may be added to what they measure.
 
     Attributes:
         last_replies: what the last exchange collected, also where it was cut short by an error.
@@ -181,8 +171,7 @@ class MotorSession:
     def enable(self) -> Array:
         """Enable every motor and return where each one was just then (n,) [rad].
 
-        Raises:
-            HardwareAbort: a motor did not enable; names it.
+        One that does not enable raises HardwareAbort.
         """
         self.unconfirmed = tuple(range(self.n_joints))
         position = np.empty(self.n_joints)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from robot_sysid.damiao.protocol.bus_load import BusTiming, default_rate
 from robot_sysid.damiao.protocol.codec import KD_MAX, KD_STEP, KP_MAX
+from robot_sysid.damiao.protocol.frames import BusTiming, default_rate
 from robot_sysid.damiao.protocol.motors import MotorSpec
 from robot_sysid.records import Array
 from robot_sysid.records.options import (
@@ -27,6 +28,10 @@ _STIFFNESS, _DAMPING, _LEAST_DAMPING = 20.0, 0.025, 0.05
 _PUSH = 2.0 / 3.0
 # Models often lack the rotors' inertia: never less than this share of the usual damping.
 _LEAST_SHARE = 0.4
+_EACH = "one for all or one per joint"
+_BY_TYPE: dict[str, Any] = {"several": True, "usual": "by motor type"}
+_ANGLE: dict[str, Any] = {"unit": "rad", "metavar": "ANGLE", "check": not_negative}
+_SPEED: dict[str, Any] = {"unit": "rad/s", "metavar": "V", "check": positive}
 
 
 def milliseconds(text: str) -> float:
@@ -46,9 +51,7 @@ def _damping(value: float) -> str | None:
 
 @dataclass(frozen=True)
 class PlaySettings(OptionRecord):
-    """Gains, speeds and limits of a run.
-
-    ``for_motors`` fills in what was left open: kp, kd and rate.
+    """Gains, speeds and limits of a run; ``for_motors`` fills in what was left open.
 
     Attributes:
         ramp_time: how long the gains take to rise [s]; short, because meanwhile the arm sinks under
@@ -59,22 +62,10 @@ class PlaySettings(OptionRecord):
     """
 
     kp: tuple[float, ...] = option(
-        (),
-        "stiffness, one for all or one per joint",
-        unit="N·m/rad",
-        metavar="KP",
-        check=_stiffness,
-        several=True,
-        usual="by motor type",
+        (), f"stiffness, {_EACH}", unit="N·m/rad", metavar="KP", check=_stiffness, **_BY_TYPE
     )
     kd: tuple[float, ...] = option(
-        (),
-        "damping, one for all or one per joint",
-        unit="N·m·s/rad",
-        metavar="KD",
-        check=_damping,
-        several=True,
-        usual="by motor type",
+        (), f"damping, {_EACH}", unit="N·m·s/rad", metavar="KD", check=_damping, **_BY_TYPE
     )
     rate: float | None = option(
         None,
@@ -87,29 +78,15 @@ class PlaySettings(OptionRecord):
     speed: float = option(
         1.0, "1 plays as exported, 0.3 slower", metavar="FACTOR", check=speed_factor
     )
-    approach_speed: float = option(
-        0.2, "joint speed on the way to the first point", unit="rad/s", metavar="V", check=positive
-    )
-    start_tolerance: float = option(
-        0.5,
-        "how far a joint may be from the first point",
-        unit="rad",
-        metavar="ANGLE",
-        check=not_negative,
-    )
-    max_tracking_error: float = option(
-        0.2, "how far a joint may leave its path", unit="rad", metavar="ANGLE", check=not_negative
-    )
+    approach_speed: float = option(0.2, "joint speed on the way to the first point", **_SPEED)
+    start_tolerance: float = option(0.5, "how far a joint may be from the first point", **_ANGLE)
+    max_tracking_error: float = option(0.2, "how far a joint may leave its path", **_ANGLE)
     max_speed_error: float = option(
-        1.0,
-        "how much a joint may be faster or slower than commanded",
-        unit="rad/s",
-        metavar="V",
-        check=positive,
+        1.0, "how much a joint may be faster or slower than commanded", **_SPEED
     )
     max_torque_error: tuple[float, ...] = option(
         (),
-        "how far a joint's torque may be from the trajectory's, one for all or one per joint",
+        f"how far a joint's torque may be from the trajectory's, {_EACH}",
         unit="N·m",
         metavar="TAU",
         check=positive,
@@ -158,12 +135,7 @@ class PlaySettings(OptionRecord):
         whose model is a third of that off sags by a degree. Damping is what such stiffness takes
         at the motors that carry arms of this kind. Where the arm's inertia is known, a light joint
         is damped less, so that its speed does not settle within a cycle: it would have used up the
-        torque step that is to be measured.
-
-        Args:
-            specs: the motors.
-            timing: the bus.
-            inertia: (n,) that each joint moves [kg m^2]; None where it is not known.
+        torque step that is to be measured. ``inertia`` (n,) is what each joint moves [kg m^2].
         """
         n = len(specs)
         rate = self.rate or default_rate(n, timing)

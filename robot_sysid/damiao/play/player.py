@@ -9,17 +9,17 @@ from __future__ import annotations
 import contextlib
 import gc
 import sys
+from array import array
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple, Union
 
 import numpy as np
 
-from robot_sysid.damiao.bus.clock import Clock
+from robot_sysid.damiao.bus.link import Clock
 from robot_sysid.damiao.exchange.recorder import MeasurementRecorder
 from robot_sysid.damiao.exchange.session import MotorSession, Replies
 from robot_sysid.damiao.exchange.settings import PlaySettings
-from robot_sysid.damiao.play.cycle_timer import CycleTimer
 from robot_sysid.damiao.play.sampler import (
     LONGEST,
     Lowering,
@@ -29,12 +29,59 @@ from robot_sysid.damiao.play.sampler import (
     come_to_rest,
     hold,
 )
-from robot_sysid.damiao.play.scaling_checks import TorqueScalingCheck, VelocityScalingCheck
-from robot_sysid.damiao.play.stop_request import StopRequest
-from robot_sysid.damiao.play.supervision import Supervisor
+from robot_sysid.damiao.play.supervision import (
+    StopRequest,
+    Supervisor,
+    TorqueScalingCheck,
+    VelocityScalingCheck,
+)
 from robot_sysid.damiao.protocol.codec import MitCommand
 from robot_sysid.errors import HardwareAbort, words_of
 from robot_sysid.records import Array
+
+
+class CycleTimer:
+    """Hands out absolute deadlines [s]: a late cycle is skipped, lateness does not add up.
+
+    A cycle that is later than ``max_lateness`` stops the run.
+    """
+
+    def __init__(self, clock: Clock, period: float, max_lateness: float) -> None:
+        self._clock, self.period, self.max_lateness = clock, period, max_lateness
+        self._start = clock.now() + period
+        self._index = 0
+        self.skipped = 0
+        self._lateness = array("f")
+
+    @property
+    def next_deadline(self) -> float:
+        """When the next cycle is due [s]."""
+        return self._start + self._index * self.period
+
+    def wait(self, lenient: bool = False) -> float:
+        """Sleep until the next cycle is due and return its deadline [s].
+
+        Whole cycles that have already passed are skipped, never replayed. Unless ``lenient``, one
+        that is too late raises HardwareAbort.
+        """
+        deadline = self.next_deadline
+        self._clock.sleep_until(deadline)
+        late = self._clock.now() - deadline
+        self._lateness.append(late)
+        skip = max(int(late / self.period), 0)
+        self.skipped += skip
+        self._index += skip + 1
+        if late > self.max_lateness and not lenient:
+            raise HardwareAbort(
+                f"the computer was {1e3 * late:.1f} ms late for a control cycle, limit "
+                f"{1e3 * self.max_lateness:g} ms; close other programs or lower --rate"
+            )
+        return deadline + skip * self.period
+
+    def lateness(self, percentile: float) -> float:
+        """Return a percentile of how late cycles started [s]."""
+        return float(np.percentile(self._lateness, percentile)) if self._lateness else 0.0
+
 
 # The torque that carries the arm is there early in the ramp, before the arm has sunk.
 _LIFT_SHARE = 0.2
@@ -52,14 +99,9 @@ _DEAF = 0.15
 
 @dataclass(frozen=True)
 class PlayReport:
-    """How a run went.
+    """How a run went: cycles while playing, and those skipped because the computer was late.
 
-    Attributes:
-        cycles: control cycles while playing.
-        skipped: cycles left out because the computer was late.
-        lateness_p50, lateness_p99: how late cycles started [s].
-        missed: (n,) unanswered commands.
-        worst_tracking: (n,) largest distance from the path [rad].
+    Lateness is in [s]; commands that were missed and the tracking error [rad] are (n,).
     """
 
     cycles: int
@@ -74,12 +116,7 @@ Park = Union[str, Array, None]
 
 
 class Told(NamedTuple):
-    """Who is told how a run goes; neither may raise or wait.
-
-    Attributes:
-        on_phase: called with a sentence when a new phase begins.
-        on_progress: called with the time played so far [s].
-    """
+    """Who is told of new phases and of the time played so far [s]; neither may raise or wait."""
 
     on_phase: Callable[[str], None]
     on_progress: Callable[[float], None]
@@ -89,12 +126,8 @@ class Player:
     """Plays references through a session.
 
     Args:
-        session: the motors.
-        clock: for the deadlines.
-        settings: gains and limits.
         stop: polled in every cycle.
         recorder: gets every cycle of the trajectory itself; None keeps nothing.
-        told: who is told how it goes.
         park: where to leave the arm: "rest", "start", or (n,) positions [rad]; None where it ends.
         pose_check: called with positions and torques (n,) of the arm held still where it stood and
             at the first point; may raise HardwareAbort.
@@ -134,12 +167,8 @@ class Player:
     def play(self, trajectory: ReferenceFunction, duration: float) -> PlayReport:
         """Enable the motors, play ``trajectory`` and come to rest; disabling is the session's job.
 
-        Args:
-            trajectory: reference as a function of time; asked at times that never go back.
-            duration: its length [s].
-
-        Raises:
-            HardwareAbort: with the cause; motors that still answer have been brought to rest.
+        The trajectory is asked at times that never go back, up to its duration [s]. HardwareAbort
+        tells the cause when motors that still answer have been brought to rest.
         """
         with _undisturbed():
             try:
@@ -149,7 +178,10 @@ class Player:
                 if isinstance(error, HardwareAbort):
                     raise
                 raise HardwareAbort(f"{type(error).__name__}: {words_of(error)}") from error
-        return self._report()
+        timer, watched = self._timer, self._supervisor
+        late = timer.lateness(50.0), timer.lateness(99.0)
+        counts = self._played, timer.skipped
+        return PlayReport(*counts, *late, watched.total_missed, watched.worst_tracking)
 
     def _run_phases(self, trajectory: ReferenceFunction, duration: float) -> None:
         settings = self._settings
@@ -380,16 +412,6 @@ class Player:
         self._note(replies)
         if self._recorder:
             self._recorder.end_cycle()
-
-    def _report(self) -> PlayReport:
-        return PlayReport(
-            self._played,
-            self._timer.skipped,
-            self._timer.lateness(50.0),
-            self._timer.lateness(99.0),
-            self._supervisor.total_missed,
-            self._supervisor.worst_tracking,
-        )
 
 
 @contextlib.contextmanager

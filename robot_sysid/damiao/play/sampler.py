@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robot_sysid.damiao.trajectory.csv_file import DamiaoTrajectory
+from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.records import Array
 
 # Small, so that parsing the next piece takes a fraction of a control cycle.
@@ -31,10 +31,6 @@ class TrajectorySampler:
     Played at ``speed`` s the joints pass the same positions with s times the velocity. The
     feed-forward torque is the file's: at reduced speed its inertial part is too large, which the
     position control makes up for.
-
-    Args:
-        trajectory: the file.
-        speed: 0 < speed <= 1.
     """
 
     def __init__(self, trajectory: DamiaoTrajectory, speed: float) -> None:
@@ -72,14 +68,9 @@ def approach(
 ) -> tuple[ReferenceFunction, float]:
     """Return a motion from rest at ``start`` to rest at the target, and its duration [s].
 
-    The path is the quintic 10 s^3 - 15 s^4 + 6 s^5, whose peak speed is 15/8 of the mean.
-
-    Args:
-        start: (n,) where the joints are [rad].
-        target: where to go, with the torque to feed forward on the way.
-        speed: highest joint speed [rad/s].
-        shortest: least duration [s].
-        torque: (n,) fed forward at ``start``; the target's where none is given [N m].
+    The path is the quintic 10 s^3 - 15 s^4 + 6 s^5, whose peak speed is 15/8 of the mean. No joint
+    goes faster than ``speed`` [rad/s], and it takes no less than ``shortest`` [s]. The target's
+    torque is fed forward all the way, or comes in for ``torque`` (n,) [N m] at the start.
     """
     distance = target.position - start
     fed = target.torque if torque is None else torque
@@ -127,16 +118,8 @@ class Lowering:
 
     What is fed forward fades within a second, so that the position control carries the load and
     the measured torque tells it. Each reference position then moves against that torque, no faster
-    than ``speed``, until the arm lies or hangs.
-
-    Args:
-        begin: where the arm is held.
-        speed: highest joint speed [rad/s].
-        peak: (n,) the motors' peak torques [N m].
-
-    Attributes:
-        torque: (n,) measured last [N m]; NaN where unknown. To be set in every cycle.
-        done: whether no joint has yielded for half a second.
+    than ``speed`` [rad/s], until the arm lies or hangs. ``torque`` (n,), as measured last [N m], is
+    to be set in every cycle; NaN where it is unknown.
     """
 
     def __init__(self, begin: Reference, speed: float, peak: Array) -> None:
@@ -158,5 +141,5 @@ class Lowering:
 
     @property
     def done(self) -> bool:
-        """See the class."""
+        """Whether no joint has yielded for half a second."""
         return self._time - self._moved_at > _STILL_TIME

@@ -37,13 +37,7 @@ _MEASURED = [0, 1, 4]
 
 @dataclass(frozen=True)
 class Scaling:
-    """What the integers in each joint's frames mean.
-
-    Attributes:
-        position: (n,) PMAX [rad].
-        velocity: (n,) VMAX [rad/s].
-        torque: (n,) TMAX [N m].
-    """
+    """What the integers in each joint's frames mean: (n,) PMAX [rad], VMAX [rad/s], TMAX [N m]."""
 
     position: Array
     velocity: Array
@@ -81,12 +75,7 @@ class Scaling:
 class MitCommand(NamedTuple):
     """What a joint is told: torque = kp (position - q) + kd (velocity - qd) + torque.
 
-    Attributes:
-        position: (..., n) [rad].
-        velocity: (..., n) [rad/s].
-        kp: (..., n) stiffness, 0 to 500 [N m/rad].
-        kd: (..., n) damping, 0 to 5 [N m s/rad].
-        torque: (..., n) feed-forward [N m].
+    All are (..., n) [rad, rad/s, N m/rad, N m s/rad, N m]; kp is 0 to 500 and kd 0 to 5.
     """
 
     position: Array
@@ -104,13 +93,10 @@ class MitCommand(NamedTuple):
 
 @dataclass(frozen=True)
 class Feedback:
-    """What joints answer; output-shaft quantities.
+    """What joints answer, each (..., n); output-shaft quantities [rad, rad/s, N m].
 
-    Attributes:
-        can_id: (..., n) low four bits of the motor's CAN id.
-        status: (..., n) status code, see ``registers.describe``.
-        position, velocity, torque: (..., n) [rad, rad/s, N m].
-        temperature_mos, temperature_rotor: (..., n) of the power stage and the winding [deg C].
+    ``can_id`` has the low four bits of the motor's; for ``status`` see ``registers.describe``. The
+    temperatures are those of the power stage and the winding [deg C].
     """
 
     can_id: Codes
@@ -181,11 +167,8 @@ def encode_feedback(feedback: Feedback, scaling: Scaling) -> Bytes:
 def decode_feedback(frames: Bytes, scaling: Scaling, half_step: bool = False) -> Feedback:
     """Return what feedback frames (..., n, 8) say.
 
-    Args:
-        frames: received data bytes.
-        scaling: the motors' own PMAX, VMAX, TMAX.
-        half_step: add half a quantisation step to position, velocity and torque. The motor drops
-            the fraction when it packs a value, so what arrives is on average half a step too low.
+    The motor drops the fraction when it packs a value, so what arrives is on average half a
+    quantisation step too low; ``half_step`` adds it to position, velocity and torque.
     """
     d = np.asarray(frames, dtype=np.int64)
     shift = 0.5 if half_step else 0.0

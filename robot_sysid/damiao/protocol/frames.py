@@ -1,10 +1,19 @@
-"""Frames on the bus: special commands, register requests, and what must never be sent."""
+"""Frames on the bus: special commands, register requests, what must never be sent, and bus load.
+
+Every control cycle puts two frames of eight bytes on the bus per motor: the command and its reply.
+An 8-byte standard frame has 44 + 64 bits of frame and 3 bits of gap, and at worst one stuff bit for
+every four of the 34 + 64 bits that are stuffed. CAN-FD sends the arbitration part at the nominal
+and the rest at the data bit rate.
+"""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
 
 from robot_sysid.errors import SysidError
+from robot_sysid.records.options import OptionRecord, option, positive
 
 REGISTER_ID = 0x7FF
 READ, WRITE, REFRESH, STORE = 0x33, 0x55, 0xCC, 0xAA
@@ -15,14 +24,8 @@ _SPECIAL = b"\xff" * 7
 class Frame(NamedTuple):
     """One CAN frame.
 
-    Attributes:
-        id: 11-bit arbitration id.
-        data: up to 8 bytes.
-        time: when it was on the bus, in the link's clock [s].
-        fd: whether it is a CAN-FD frame.
-        error: whether it is an error frame, which carries no data.
-        echo: whether it is one of our own, reported back when it was on the bus.
-        bus: number of the bus it is on, from 0.
+    It has an 11-bit id and up to 8 bytes, none in an error frame. ``time`` is when it was on the
+    bus, in the link's clock [s]; an ``echo`` is one of our own, reported back then.
     """
 
     id: int
@@ -41,54 +44,34 @@ class Address(NamedTuple):
     can_id: int
 
 
-def enable_frame(motor: Address) -> Frame:
-    """Return the frame that enables a motor in MIT mode."""
-    return command_frame(motor, _SPECIAL + bytes([ENABLE]))
-
-
-def disable_frame(motor: Address) -> Frame:
-    """Return the frame that disables a motor in MIT mode."""
-    return command_frame(motor, _SPECIAL + bytes([DISABLE]))
-
-
-def clear_error_frame(motor: Address) -> Frame:
-    """Return the frame that clears a motor's error."""
-    return command_frame(motor, _SPECIAL + bytes([CLEAR_ERROR]))
-
-
-def set_zero_frame(motor: Address) -> Frame:
-    """Return the frame that makes where a motor stands its zero, for good."""
-    return command_frame(motor, _SPECIAL + bytes([SET_ZERO]))
-
-
-def store_frame(motor: Address) -> Frame:
-    """Return the request to keep all registers when the power goes off."""
-    return _request(motor, STORE, 1)
-
-
 def command_frame(motor: Address, data: bytes) -> Frame:
     """Return the frame that carries eight bytes to a motor in MIT mode."""
     return Frame(motor.can_id, data, bus=motor.bus)
 
 
-def refresh_frame(motor: Address) -> Frame:
-    """Return the request for one feedback frame without any effect on the motor."""
-    return _request(motor, REFRESH, 0)
+def _special_frame(code: int, motor: Address) -> Frame:
+    return command_frame(motor, _SPECIAL + bytes([code]))
 
 
-def read_frame(motor: Address, register: int) -> Frame:
-    """Return the request for a register's value."""
-    return _request(motor, READ, register)
+enable_frame = partial(_special_frame, ENABLE)
+disable_frame = partial(_special_frame, DISABLE)
+clear_error_frame = partial(_special_frame, CLEAR_ERROR)
+set_zero_frame = partial(_special_frame, SET_ZERO)
+"""Makes where a motor stands its zero, for good."""
 
 
-def write_frame(motor: Address, register: int, value: bytes) -> Frame:
-    """Return the request that writes four bytes to a register; lost at power-off."""
-    return _request(motor, WRITE, register, value)
-
-
-def _request(motor: Address, operation: int, register: int, value: bytes = bytes(4)) -> Frame:
+def _request(operation: int, motor: Address, register: int, value: bytes = bytes(4)) -> Frame:
     head = bytes([motor.can_id & 0xFF, motor.can_id >> 8, operation, register])
     return Frame(REGISTER_ID, head + value, bus=motor.bus)
+
+
+read_frame = partial(_request, READ)
+write_frame = partial(_request, WRITE)
+"""Writes four bytes to a register; lost at power-off."""
+refresh_frame = partial(_request, REFRESH, register=0)
+"""Asks for one feedback frame without any effect on the motor."""
+store_frame = partial(_request, STORE, register=1)
+"""Keeps all registers when the power goes off."""
 
 
 def is_special(data: bytes) -> bool:
@@ -115,3 +98,58 @@ def refuse_motion(frame: Frame) -> None:
     on_registers = frame.id == REGISTER_ID
     if not on_registers and not (is_special(frame.data) and frame.data[7] != ENABLE):
         raise SysidError(f"refused to send {frame.data.hex(' ')} to {frame.id:#x}")
+
+
+PLANNING_LIMIT = 0.70
+HANDY_RATES = (1000.0, 500.0, 250.0, 200.0, 125.0, 100.0, 50.0, 40.0, 25.0, 20.0, 10.0)
+"""Cycle rates to propose [Hz], highest first."""
+_FRAMES_PER_CYCLE = 2
+_CLASSIC_BITS, _FD_NOMINAL_BITS, _FD_DATA_BITS = 111 + 24, 30 + 4, 96 + 17
+_CLASSIC_RATE_HZ, _FD_RATE_HZ = 250.0, 500.0
+_BIT_RATE: dict[str, Any] = {"unit": "bit/s", "metavar": "RATE", "check": positive}
+
+
+@dataclass(frozen=True)
+class BusTiming(OptionRecord):
+    """Bit rates of a bus."""
+
+    fd: bool = option(False, "use CAN-FD frames")
+    bitrate: float = option(1e6, "nominal bit rate", usual="1000000", **_BIT_RATE)
+    data_bitrate: float = option(
+        5e6, "bit rate of the data part of CAN-FD frames", usual="5000000", **_BIT_RATE
+    )
+
+    @property
+    def frame_time(self) -> float:
+        """Longest time one 8-byte frame occupies the bus [s]."""
+        if not self.fd:
+            return _CLASSIC_BITS / self.bitrate
+        return _FD_NOMINAL_BITS / self.bitrate + _FD_DATA_BITS / self.data_bitrate
+
+    @property
+    def name(self) -> str:
+        """How messages call this bus."""
+        return "CAN-FD" if self.fd else "classic CAN"
+
+
+def bus_load(n_motors: int, rate: float, timing: BusTiming) -> float:
+    """Return the worst-case share of the bus that n motors at ``rate`` [Hz] take (1 = full)."""
+    return n_motors * _FRAMES_PER_CYCLE * timing.frame_time * rate
+
+
+def highest_rate(n_motors: int, timing: BusTiming) -> float:
+    """Return the highest cycle rate [Hz] that keeps the bus load at or below 70 %."""
+    return PLANNING_LIMIT / (n_motors * _FRAMES_PER_CYCLE * timing.frame_time)
+
+
+def default_rate(n_motors: int, timing: BusTiming) -> float:
+    """Return the cycle rate to use [Hz]: 250 (classic) or 500 (FD), less where it does not fit."""
+    wanted = _FD_RATE_HZ if timing.fd else _CLASSIC_RATE_HZ
+    top = highest_rate(n_motors, timing)
+    return wanted if top >= wanted else suggested_rate(n_motors, timing)
+
+
+def suggested_rate(n_motors: int, timing: BusTiming) -> float:
+    """Return the highest handy rate [Hz] that the bus can carry for n motors."""
+    top = highest_rate(n_motors, timing)
+    return next((rate for rate in HANDY_RATES if rate <= top), top)

@@ -1,31 +1,52 @@
-"""Which motor drives which joint, and whether their ids can share one bus."""
+"""Which motor drives which joint, whether their ids can share a bus, and how they are mounted.
+
+A motor may turn the other way than its joint in the model, have its zero elsewhere, and deliver
+another torque than it believes:
+
+    motor position = direction * joint position + offset
+    motor velocity = direction * joint velocity
+    joint torque   = direction * torque ratio * motor torque
+
+Stiffness and damping ask for motor torque, so they are divided by the ratio. Everything above the
+frames is in joint space; only here and in the frames are motors' own numbers.
+
+A joint map is a small table in a file; only ``joint``, ``can_id`` and ``direction`` have to be
+there::
+
+    joint,bus,can_id,master_id,direction,offset,torque_ratio
+    shoulder,can0,1,0x11,+1,0.0,1.0
+    elbow,can0,2,0x12,-1,0.785,1.0
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+import csv
+import math
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from robot_sysid.damiao.protocol.codec import Feedback, MitCommand, Scaling
 from robot_sysid.damiao.protocol.frames import Address
 from robot_sysid.damiao.protocol.motors import MotorSpec, motor_spec, motor_specs
 from robot_sysid.errors import InputError
+from robot_sysid.records import Array
+from robot_sysid.records.atomic_files import write_whole
 
 MASTER_ID_OFFSET = 0x10
 
 
 @dataclass(frozen=True)
 class DamiaoJoint:
-    """Which motor drives a joint, and how it is mounted; see ``joint_space``.
+    """Which motor drives a joint, and how it is mounted; see the module's text.
 
-    Attributes:
-        motor_type: its type.
-        can_id: the id it listens to.
-        master_id: the id it answers on.
-        name: the joint's name in the model, or "".
-        bus: number of the bus it is on, from 0.
-        channel: name of that bus where there are several, or "".
-        direction: +1, or -1 where the motor turns the other way than the joint.
-        offset: motor position where the joint is at zero [rad].
-        torque_ratio: joint torque per torque that the motor believes in.
+    It listens to ``can_id`` and answers on ``master_id``. ``name`` is the joint's in the model, or
+    ""; buses are counted from 0, and ``channel`` names the bus where there are several. The offset
+    [rad] is the motor's position where the joint is at zero.
     """
 
     motor_type: str
@@ -65,15 +86,13 @@ def damiao_joints(
     """Return one checked DamiaoJoint per joint.
 
     Args:
-        motor_types: one type name per joint, base to terminal.
-        n_joints: number of joints of the chain.
+        motor_types, n_joints: one type name per joint of the chain, base to terminal.
         can_ids: 1 to 15 each; none counts from 1.
         master_ids: reply ids; none means CAN id + 0x10.
         names: of the joints in the model; none leaves them without. Blanks become underscores.
 
     Raises:
-        InputError: wrong number of types or ids, unknown type, or ids that would not work
-            together on one bus.
+        InputError: wrong number of types or ids, unknown type, or ids that clash on one bus.
     """
     specs = motor_specs(motor_types, n_joints)
     ids = list(range(1, n_joints + 1)) if not can_ids else list(can_ids)
@@ -112,3 +131,189 @@ def id_problems(can_ids: Sequence[int], master_ids: Sequence[int]) -> Iterator[s
                     f"replies of the motor with CAN id {i} (master id {master:#x}) would be taken "
                     f"as commands by the motor with CAN id {other}; use {i + MASTER_ID_OFFSET:#x}"
                 )
+
+
+@dataclass(frozen=True)
+class JointSpace:
+    """How n motors are mounted: (n,) each, the offset in [rad]; see the module's text."""
+
+    direction: Array
+    offset: Array
+    ratio: Array
+
+    @classmethod
+    def of(cls, joints: Sequence[Any]) -> JointSpace:
+        """Return how motors are mounted; each has a direction, an offset and a torque ratio."""
+        rows = [(joint.direction, joint.offset, joint.torque_ratio) for joint in joints]
+        return cls(*np.array(rows, dtype=float).reshape(-1, 3).T)
+
+    def to_motors(self, command: MitCommand) -> MitCommand:
+        """Return a command for joints as one for motors."""
+        return MitCommand(
+            self.motor_position(command.position),
+            self.direction * command.velocity,
+            command.kp / self.ratio,
+            command.kd / self.ratio,
+            self.motor_torque(command.torque),
+        )
+
+    def from_motors(self, command: MitCommand) -> MitCommand:
+        """Return a command for motors as one for joints."""
+        return MitCommand(
+            self.joint_position(command.position),
+            self.direction * command.velocity,
+            command.kp * self.ratio,
+            command.kd * self.ratio,
+            self.joint_torque(command.torque),
+        )
+
+    def measured(self, feedback: Feedback) -> Feedback:
+        """Return what motors measure as what their joints do."""
+        return replace(
+            feedback,
+            position=self.joint_position(feedback.position),
+            velocity=self.direction * feedback.velocity,
+            torque=self.joint_torque(feedback.torque),
+        )
+
+    def motor_position(self, q: Array) -> Array:
+        """Return the motors' positions (n,) at joint positions (n,) [rad]."""
+        return np.asarray(self.direction * q + self.offset)
+
+    def joint_position(self, position: Array) -> Array:
+        """Return the joint positions (n,) at motor positions (n,) [rad]."""
+        return np.asarray(self.direction * (position - self.offset))
+
+    def motor_torque(self, torque: Array) -> Array:
+        """Return what motors have to believe in for these joint torques (n,) [N m]."""
+        return np.asarray(self.direction * torque / self.ratio)
+
+    def joint_torque(self, torque: Array) -> Array:
+        """Return the joint torques (n,) of what motors believe in [N m]."""
+        return np.asarray(self.direction * self.ratio * torque)
+
+    def clipped(self, q: Array, qd: Array, tau: Array, scaling: Scaling) -> tuple[Array, ...]:
+        """Return positions, velocities and torques of joints (n,) that the motors' frames carry."""
+        motor = self.motor_position(q), self.direction * qd, self.motor_torque(tau)
+        limits = scaling.position, scaling.velocity, scaling.torque
+        p, v, t = (np.clip(x, -limit, limit) for x, limit in zip(motor, limits))
+        return self.joint_position(p), np.asarray(self.direction * v), self.joint_torque(t)
+
+
+_COLUMNS = ("joint", "bus", "can_id", "master_id", "direction", "offset", "torque_ratio")
+_NEEDED = ("joint", "can_id", "direction")
+
+
+@dataclass(frozen=True)
+class MappedJoint:
+    """One line of a joint map; see the module's text."""
+
+    joint: str
+    bus: str
+    can_id: int
+    master_id: int
+    direction: int
+    offset: float = 0.0
+    torque_ratio: float = 1.0
+
+
+def read_joint_map(path: str | os.PathLike[str]) -> tuple[MappedJoint, ...]:
+    """Read a joint map, or raise InputError; one that is about a line names it."""
+    try:
+        with open(path, encoding="utf-8-sig", newline="") as file:
+            lines = [line for line in file if line.strip() and not line.startswith("#")]
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cannot read {path}: {error}") from None
+    if any("\0" in line for line in lines):
+        raise InputError(f"{path} is not text: it has zero bytes")
+    table = csv.DictReader(lines, skipinitialspace=True)
+    titles = [title.strip() for title in table.fieldnames or ()]
+    if not set(_NEEDED) <= set(titles) <= set(_COLUMNS):
+        raise InputError(
+            f"{path}: expected the columns {', '.join(_COLUMNS)} (at least {', '.join(_NEEDED)})"
+        )
+    rows = tuple(_row(line, f"{path}, row {k}") for k, line in enumerate(table, start=1))
+    _require_sound(rows, path)
+    return rows
+
+
+def write_joint_map(path: Path, rows: Iterable[MappedJoint]) -> None:
+    """Write a joint map."""
+    lines = [",".join(_COLUMNS)]
+    for row in rows:
+        numbers = f"{row.direction:+d},{row.offset:.4f},{row.torque_ratio:g}"
+        lines.append(f"{row.joint},{row.bus},{row.can_id},{row.master_id:#x},{numbers}")
+    write_whole(path, "\n".join(lines) + "\n")
+
+
+def mapped(
+    joints: Sequence[DamiaoJoint],
+    rows: Sequence[MappedJoint],
+    channels: Sequence[str],
+    names: Sequence[str] = (),
+) -> tuple[DamiaoJoint, ...]:
+    """Return the joints of a trajectory, base to terminal, as a map says that they are mounted.
+
+    The map may have more rows only where the model's ``names`` are known. InputError where it does
+    not cover the joints, or names a bus that is not among the open ``channels``.
+    """
+    by_name = {row.joint: row for row in rows}
+    absent = [name for name in names if name not in by_name]
+    if absent:
+        raise InputError(f"the joint map has no line for {absent[0]}; it has {', '.join(by_name)}")
+    chosen = [by_name[name] for name in names] if names else list(rows)
+    if len(chosen) != len(joints):
+        raise InputError(
+            f"the joint map has {len(chosen)} joints but the trajectory {len(joints)}: give one "
+            "line per joint, base to terminal, or --model to choose them by name"
+        )
+    # An adapter may have got another name; but never play one arm's motion on the other arm.
+    several = len(channels) > 1 or len({row.bus for row in rows}) > 1
+    for row in chosen:
+        if several and row.bus and row.bus not in channels:
+            raise InputError(
+                f"the joint map puts {row.joint} on {row.bus}; open it with --channel {row.bus}"
+            )
+    mounted = []
+    for joint, row in zip(joints, chosen):
+        bus = channels.index(row.bus) if row.bus in channels else 0
+        channel = channels[bus] if len(channels) > 1 else ""
+        place = joint.motor_type, row.can_id, row.master_id, row.joint, bus, channel
+        mounted.append(DamiaoJoint(*place, row.direction, row.offset, row.torque_ratio))
+    return tuple(mounted)
+
+
+def _row(line: Mapping[str, str | None], where: str) -> MappedJoint:
+    cells = {key.strip(): (value or "").strip() for key, value in line.items() if key}
+    try:
+        can_id = int(cells["can_id"], 0)
+        row = MappedJoint(
+            cells["joint"],
+            cells.get("bus", ""),
+            can_id,
+            int(cells.get("master_id") or str(can_id + MASTER_ID_OFFSET), 0),
+            int(cells["direction"]),
+            float(cells.get("offset") or 0.0),
+            float(cells.get("torque_ratio") or 1.0),
+        )
+    except ValueError:
+        raise InputError(
+            f"{where}: expected a name and numbers, as in elbow,can0,2,0x12,-1,0,1"
+        ) from None
+    if row.direction not in (1, -1):
+        raise InputError(f"{where}: direction must be +1 or -1, got {row.direction}")
+    if not math.isfinite(row.offset) or not 0.0 < row.torque_ratio < math.inf:
+        raise InputError(f"{where}: offset must be a number and torque_ratio positive")
+    return row
+
+
+def _require_sound(rows: Sequence[MappedJoint], path: str | os.PathLike[str]) -> None:
+    names = [row.joint for row in rows]
+    twice = [name for name in names if names.count(name) > 1]
+    if twice or not rows:
+        raise InputError(f"{path} names {twice[0]} twice" if twice else f"{path} has no lines")
+    for bus in {row.bus for row in rows}:
+        on_it = [(row.can_id, row.master_id) for row in rows if row.bus == bus]
+        problem = next(id_problems(*zip(*on_it)), None)
+        if problem:
+            raise InputError(f"{path}: {problem}")

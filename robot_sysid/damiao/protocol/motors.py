@@ -23,16 +23,12 @@ class MotorSpec:
     """One motor type; all quantities are at the output shaft.
 
     Attributes:
-        name: type name as used with --motor-type.
-        position_limit: PMAX, frames carry positions in [-PMAX, PMAX] [rad].
-        velocity_limit: VMAX [rad/s].
-        torque_limit: TMAX [N m].
+        position_limit, velocity_limit, torque_limit: PMAX [rad], VMAX [rad/s], TMAX [N m].
         rated_torque: torque the motor can hold for good [N m], None where the maker states none.
         peak_torque: torque it reaches for a short time [N m], or None.
         supply: supply voltage the type is usually run at [V].
         no_load_rpm: (supply [V], no-load speed [rev/min]) pairs, ascending; empty where unknown.
         gear_ratio: motor turns per output turn, or None.
-        note: what a user should know about this row, or "".
     """
 
     name: str
@@ -59,8 +55,7 @@ class MotorSpec:
     def no_load_speed(self, supply: float | None = None) -> float | None:
         """Return the no-load speed [rad/s] at a supply voltage [V], or None where unknown.
 
-        No-load speed is proportional to voltage; between two data-sheet points it is
-        interpolated, outside them the nearest point is scaled.
+        Between two data-sheet points it is interpolated, outside them the nearest one is scaled.
         """
         if not self.no_load_rpm:
             return None
@@ -111,15 +106,7 @@ def motor_spec(name: str) -> MotorSpec:
 
 
 def motor_specs(names: Sequence[str], n_joints: int) -> tuple[MotorSpec, ...]:
-    """Return one MotorSpec per joint.
-
-    Args:
-        names: type names, base to terminal joint, as given with --motor-type.
-        n_joints: number of joints they have to cover.
-
-    Raises:
-        InputError: no type, an unknown type, or not one per joint.
-    """
+    """Return one MotorSpec per joint, base to terminal; raise InputError unless each has one."""
     if not names:
         raise InputError(
             "--export-damiao requires at least one --motor-type: give one per joint, base to "

@@ -15,51 +15,26 @@ TIMEOUT_UNIT = 50e-6
 MIT_MODE = 1
 MODES = {1: "MIT", 2: "POS_VEL", 3: "VEL", 4: "POS_FORCE"}
 FD_BITRATE_CODES_ABOVE = 4
-"""Bit-rate codes above this one make the motor answer in CAN-FD."""
-
-
-BIT_RATES = dict(
-    zip(
-        (125000, 200000, 250000, 500000, 10**6, 2 * 10**6, 2500000, 3200000, 4 * 10**6, 5 * 10**6),
-        range(10),
-    )
-)
+_KBIT = (125, 200, 250, 500, 1000, 2000, 2500, 3200, 4000, 5000)
+BIT_RATES = {1000 * rate: code for code, rate in enumerate(_KBIT)}
 """Bit rate [bit/s] to the code of register can_br; codes above 4 make the motor speak CAN-FD."""
 
 
 class Register(NamedTuple):
-    """One register: number, name, and whether it holds an unsigned integer or a float."""
+    """One register: its name, and whether it holds an unsigned integer or a float."""
 
-    number: int
     name: str
-    integer: bool = False
+    integer: bool
 
 
-_TABLE = (
-    Register(0, "UV_Value"),
-    Register(1, "KT_Value"),
-    Register(2, "OT_Value"),
-    Register(3, "OC_Value"),
-    Register(MST_ID, "MST_ID", True),
-    Register(ESC_ID, "ESC_ID", True),
-    Register(TIMEOUT, "TIMEOUT", True),
-    Register(CTRL_MODE, "CTRL_MODE", True),
-    Register(11, "Damp"),
-    Register(12, "Inertia"),
-    Register(14, "sw_ver", True),
-    Register(16, "NPP", True),
-    Register(17, "Rs"),
-    Register(19, "Flux"),
-    Register(GR, "Gr"),
-    Register(PMAX, "PMAX"),
-    Register(VMAX, "VMAX"),
-    Register(TMAX, "TMAX"),
-    Register(29, "OV_Value"),
-    Register(30, "GREF"),
-    Register(CAN_BR, "can_br", True),
-)
-
-REGISTERS = {register.number: register for register in _TABLE}
+_NAMES = {
+    0: "UV_Value", 1: "KT_Value", 2: "OT_Value", 3: "OC_Value", MST_ID: "MST_ID", ESC_ID: "ESC_ID",
+    TIMEOUT: "TIMEOUT", CTRL_MODE: "CTRL_MODE", 11: "Damp", 12: "Inertia", 14: "sw_ver", 16: "NPP",
+    17: "Rs", 19: "Flux", GR: "Gr", PMAX: "PMAX", VMAX: "VMAX", TMAX: "TMAX", 29: "OV_Value",
+    30: "GREF", CAN_BR: "can_br",
+}  # fmt: skip
+_INTEGERS = (MST_ID, ESC_ID, TIMEOUT, CTRL_MODE, 14, 16, CAN_BR)
+REGISTERS = {number: Register(name, number in _INTEGERS) for number, name in _NAMES.items()}
 SCALING = (PMAX, VMAX, TMAX)
 REQUIRED = (MST_ID, ESC_ID, TIMEOUT, CTRL_MODE, *SCALING)
 """Without these nothing is played."""

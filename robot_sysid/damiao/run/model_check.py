@@ -18,12 +18,12 @@ import numpy as np
 
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.run.preflight import OK, STOP, Check
-from robot_sysid.damiao.trajectory.csv_file import DamiaoTrajectory
+from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.excitation.limit_check import first_contact
 from robot_sysid.excitation.options import LimitOptions
 from robot_sysid.excitation.problem import build_problem
-from robot_sysid.excitation.static.pose_trajectory import straight_way
+from robot_sysid.excitation.trajectories import straight_way
 from robot_sysid.records import Array, Motion, MotionPlan, RobotModel
 from robot_sysid.simulator import ArmTorque
 
@@ -34,16 +34,10 @@ _PRINTED = 1e-4
 
 
 class SampledTrajectory:
-    """A motor trajectory as a motion plan, at a share of its speed.
+    """A motor trajectory as a motion plan, at a share of its speed; all rows are held in memory.
 
-    Args:
-        trajectory: the file; all its rows are held in memory.
-        speed: 0 < speed <= 1.
-
-    Attributes:
-        time: (N,) of the rows, from zero [s].
-        q, qd, tau: (N, n) rows [rad, rad/s, N m].
-        slope: (N - 1, n) velocity between the rows [rad/s].
+    These are time (N,) from zero [s], q, qd, tau (N, n) [rad, rad/s, N m] and the slope (N - 1, n)
+    between them [rad/s].
     """
 
     def __init__(self, trajectory: DamiaoTrajectory, speed: float) -> None:
@@ -71,14 +65,9 @@ def model_checks(
 ) -> Iterator[Check]:
     """Yield what a model of the arm says to a motor trajectory.
 
-    Args:
-        trajectory: the file, one joint per joint of the model's chain.
-        speed: share of its speed at which it is played.
-        robot: the arm; loaded without a speed limit, so that only its own holds.
-        pose: (n,) in which the arm is left afterwards; None where it ends [rad].
-
-    Raises:
-        InputError: the trajectory is for another number of joints.
+    It is played at a share of its speed. The arm is loaded without a speed limit, so that only its
+    own holds, and left in a pose (n,) afterwards [rad]; None where it ends. InputError where the
+    trajectory is for another number of joints.
     """
     if robot.n_joints != trajectory.n_joints:
         raise InputError(
@@ -147,12 +136,7 @@ _SHARE = 0.06
 
 
 class GravityCheck:
-    """Compares holding torques with the model's, by their signs.
-
-    Args:
-        robot: the arm.
-        joints: its motors.
-    """
+    """Compares holding torques with the model's, by their signs."""
 
     def __init__(self, robot: RobotModel, joints: tuple[DamiaoJoint, ...]) -> None:
         self._torque, self._joints, self._path = ArmTorque(robot), joints, robot.path
@@ -165,14 +149,7 @@ class GravityCheck:
         return np.asarray(self._torque(Motion(np.zeros(1), q[None], still, still))[0])
 
     def __call__(self, q: Array, tau: Array) -> None:
-        """Compare a pose that is held.
-
-        Args:
-            q, tau: (n,) measured positions and torques at rest [rad, N m].
-
-        Raises:
-            HardwareAbort: a torque has the opposite sign of the model's.
-        """
+        """Raise HardwareAbort where a torque (n,) [N m] at rest at q (n,) has the other sign."""
         model = self.holding(q)
         clear = (np.abs(model) > self._doubt) & (np.abs(tau) > self._doubt)
         for j in np.flatnonzero(clear & (np.sign(model) != np.sign(tau))):

@@ -10,13 +10,16 @@ from pathlib import Path
 
 import numpy as np
 
-from robot_sysid.damiao.bus.can_log import RawFrameLog
-from robot_sysid.damiao.bus.clock import Clock
-from robot_sysid.damiao.bus.inspection import InspectedMotor, Inspection
-from robot_sysid.damiao.bus.link import GuardedLink
-from robot_sysid.damiao.bus.register_client import RegisterClient, watchdogs_set_to
-from robot_sysid.damiao.exchange.aside import Aside
+from robot_sysid.damiao.bus.can_bus import RawFrameLog
+from robot_sysid.damiao.bus.inspection import (
+    InspectedMotor,
+    Inspection,
+    RegisterClient,
+    watchdogs_set_to,
+)
+from robot_sysid.damiao.bus.link import Clock, GuardedLink
 from robot_sysid.damiao.exchange.recorder import (
+    Aside,
     MeasurementRecorder,
     RecordingHead,
     RecordingOptions,
@@ -25,10 +28,9 @@ from robot_sysid.damiao.exchange.session import MotorSession
 from robot_sysid.damiao.exchange.settings import PlaySettings
 from robot_sysid.damiao.play.player import Park, Player, PlayReport, Told
 from robot_sysid.damiao.play.sampler import Reference, ReferenceFunction, TrajectorySampler
-from robot_sysid.damiao.play.stop_request import StopRequest
-from robot_sysid.damiao.protocol.bus_load import BusTiming
+from robot_sysid.damiao.play.supervision import StopRequest
 from robot_sysid.damiao.protocol.codec import Scaling
-from robot_sysid.damiao.protocol.frames import Address
+from robot_sysid.damiao.protocol.frames import Address, BusTiming
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.protocol.motors import matching_types
 from robot_sysid.damiao.protocol.registers import TIMEOUT
@@ -41,7 +43,7 @@ from robot_sysid.damiao.run.preflight import (
     plan_checks,
     require_no_stop,
 )
-from robot_sysid.damiao.trajectory.csv_file import DamiaoTrajectory, TrajectoryScan, scan_trajectory
+from robot_sysid.damiao.trajectory import DamiaoTrajectory, TrajectoryScan, scan_trajectory
 from robot_sysid.errors import InputError, SysidError, words_of
 from robot_sysid.records import Array
 
@@ -91,16 +93,9 @@ def alongside(reference: ReferenceFunction, positions: Array) -> ReferenceFuncti
 
 @dataclass(frozen=True)
 class Plan:
-    """What is to be played, and how.
+    """What is to be played, and how; settings left open are chosen for these motors and this bus.
 
-    Attributes:
-        trajectory: the file.
-        settings: gains and limits; what was left open is chosen for these motors and this bus.
-        timing: bit rates of the bus.
-        allowed: what the user allowed on purpose.
-        recording: what is recorded.
-        inertia: (n,) that each joint moves, where a model is known [kg m^2].
-        scan: the trajectory's extremes.
+    ``inertia`` is what each joint moves (n,), where a model is known [kg m^2].
     """
 
     trajectory: DamiaoTrajectory
@@ -146,11 +141,7 @@ class Plan:
 
     @property
     def pose(self) -> Array | None:
-        """Positions (n,) in which to leave the arm [rad]; None where --park names no file of them.
-
-        Raises:
-            InputError: the file is none.
-        """
+        """Positions (n,) in which to leave the arm [rad]; None where --park names no file."""
         where = self.settings.park
         if where is None or where in ("rest", "start"):
             return None
@@ -187,15 +178,8 @@ def run(
 ) -> PlayReport:
     """Play the plan on inspected motors.
 
-    Args:
-        link: the bus.
-        clock: for the deadlines.
-        plan: what to play.
-        inspection: what the motors said.
-        stop: polled in every cycle.
-        on_phase: gets a sentence when a phase begins.
-        on_progress: gets the time played so far [s].
-        pose_check: gets positions and torques of the arm (n,) held still in two poses.
+    For ``stop`` and ``pose_check`` see ``Player``; ``on_phase`` gets a sentence when a phase
+    begins, ``on_progress`` the time played so far [s].
 
     Raises:
         HardwareAbort: a check forbids it, or the run was stopped; says why.
@@ -210,6 +194,7 @@ def run(
     places = np.array([inspection.motors[joint.address].position for joint in held])
     session = MotorSession(link, clock, joints, scaling, not plan.recording.no_half_step)
     settings, park = with_held(plan.settings, held, plan.timing), plan.park(places)
+    check = pose_check and _of_the_arm(pose_check, plan.trajectory.n_joints)
     console, written = Aside(clock.live), Aside(clock.live)
     told = Told(
         lambda text: console(partial(on_phase, text)),
@@ -221,7 +206,6 @@ def run(
             if plan.allowed.watchdog is not None:
                 stack.enter_context(_watchdogs(link, clock, session, motors, plan.allowed.watchdog))
             stack.enter_context(session)
-            check = pose_check and _of_the_arm(pose_check, plan.trajectory.n_joints)
             player = Player(session, clock, settings, stop, recorder, told, park, check)
             sampler = TrajectorySampler(plan.trajectory, settings.speed)
             report = player.play(alongside(sampler, places), plan.duration)
@@ -238,11 +222,7 @@ def _of_the_arm(check: PoseCheck, n: int) -> PoseCheck:
 
 
 def _require_told(console: Aside, written: Aside) -> None:
-    """Say what went wrong beside a run that went well.
-
-    Raises:
-        SysidError: the recording is not complete, or the console does not work.
-    """
+    """Raise SysidError where something went wrong beside a run that went well."""
     for what, aside in (("the recording is not complete", written), ("cannot print", console)):
         if aside.failure is not None:
             raise SysidError(

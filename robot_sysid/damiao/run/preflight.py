@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -15,20 +16,18 @@ from robot_sysid.damiao.bus.inspection import InspectedMotor, Inspection
 from robot_sysid.damiao.exchange.session import PAUSE
 from robot_sysid.damiao.exchange.settings import PlaySettings
 from robot_sysid.damiao.protocol import registers as reg
-from robot_sysid.damiao.protocol.bus_load import (
+from robot_sysid.damiao.protocol.codec import Scaling
+from robot_sysid.damiao.protocol.frames import (
     HANDY_RATES,
     PLANNING_LIMIT,
+    Address,
     BusTiming,
     bus_load,
     suggested_rate,
 )
-from robot_sysid.damiao.protocol.codec import Scaling
-from robot_sysid.damiao.protocol.frames import Address
-from robot_sysid.damiao.protocol.joint_space import JointSpace
-from robot_sysid.damiao.protocol.joints import DamiaoJoint, id_problems
+from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace, id_problems
 from robot_sysid.damiao.protocol.motors import limits_agree, matching_types
-from robot_sysid.damiao.trajectory.clamping import rating_warnings
-from robot_sysid.damiao.trajectory.csv_file import TrajectoryScan
+from robot_sysid.damiao.trajectory import TrajectoryScan, rating_warnings
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
 from robot_sysid.records.options import OptionRecord, option
@@ -49,13 +48,14 @@ _SHAKEN = 0.3
 class Check:
     """One point of the list.
 
-    Attributes:
-        severity: "ok", "note" or "stop".
-        text: one line: what was found and, unless ok, what to do.
+    ``text`` is one line: what was found and, unless ok, what to do.
     """
 
     severity: str
     text: str
+
+
+_ok, _note, _stop = (partial(Check, severity) for severity in (OK, NOTE, STOP))
 
 
 def _watchdog_time(value: float) -> str | None:
@@ -94,13 +94,7 @@ def plan_checks(
 ) -> list[Check]:
     """Return what can be said without a bus: ids, limits, ends at rest, bus load.
 
-    Args:
-        scan: the trajectory's extremes.
-        joints: the motors.
-        settings: with gains and rate.
-        timing: the bus.
-        allowed: what the user allowed on purpose.
-        inertia: (n,) that each joint moves, where a model is known [kg m^2].
+    ``inertia`` (n,) is what each joint moves, where a model is known [kg m^2].
     """
     checks = [
         *_ids(joints),
@@ -118,10 +112,9 @@ def park_checks(pose: Array, joints: Sequence[DamiaoJoint]) -> Iterator[Check]:
     """Yield what the motors' types say to a pose (n,) in which the arm is to be left [rad]."""
     for joint, place in zip(joints, JointSpace.of(joints).motor_position(pose)):
         if abs(place) > joint.spec.position_limit:
-            yield Check(
-                STOP,
+            yield _stop(
                 f"{joint.label}: to be parked it would turn to {place:.4g} rad, beyond its type's "
-                f"limit {joint.spec.position_limit:g}; choose another --park pose",
+                f"limit {joint.spec.position_limit:g}; choose another --park pose"
             )
 
 
@@ -133,12 +126,12 @@ def bus_checks(
     allowed: Permissions,
 ) -> list[Check]:
     """Return what the motors on the bus say to the plan."""
-    checks = [*_quiet(inspection), *_ids_on_the_bus(inspection)]
+    checks = [*_bus_itself(inspection)]
     present = [(inspection.motors[j.address], j) for j in joints if j.address in inspection.motors]
     for joint in joints:
         if joint.address not in inspection.motors:
             text = f"{joint.label} does not answer; check power, wiring, its id, bit rate"
-            checks.append(Check(STOP, text))
+            checks.append(_stop(text))
     for motor, joint in present:
         if not _lacking(motor):
             checks += [*_identity(motor, joint), *_scaling(motor, joint, allowed)]
@@ -160,19 +153,19 @@ def other_checks(
     names = ", ".join(motor.name for motor in others)
     if settings.others == "limp":
         text = f"not in the trajectory and left limp: {names} (--others hold holds them)"
-        return [Check(NOTE, text)]
-    checks = [Check(NOTE, f"not in the trajectory and held where they are: {names}")]
+        return [_note(text)]
+    checks = [_note(f"not in the trajectory and held where they are: {names}")]
     for motor in others:
         checks += _condition(motor, settings, allowed)
         if motor.limits is None or not matching_types(motor.limits):
             text = f"{motor.name} is of no known type and cannot be held; use --others limp"
-            checks.append(Check(STOP, text))
+            checks.append(_stop(text))
     return checks
 
 
 def general_checks(inspection: Inspection, settings: PlaySettings) -> list[Check]:
     """Return what motors say on their own, without a trajectory to compare them with."""
-    checks = [*_quiet(inspection), *_ids_on_the_bus(inspection)]
+    checks = [*_bus_itself(inspection)]
     for motor in inspection.motors.values():
         checks += _shared_id(motor)
         checks += _condition(motor, settings, Permissions())
@@ -202,17 +195,17 @@ def _condition(motor: InspectedMotor, settings: PlaySettings, allowed: Permissio
 def _lacking(motor: InspectedMotor) -> list[Check]:
     lacking = [reg.REGISTERS[n].name for n in reg.REQUIRED if n not in motor.registers]
     text = f"{motor.name} does not answer for {', '.join(lacking)}; try again"
-    return [Check(STOP, text)] if lacking else []
+    return [_stop(text)] if lacking else []
 
 
 def _ids(joints: Sequence[DamiaoJoint]) -> Iterator[Check]:
     ids = [(j.address, j.master_id) for j in joints]
     problems = list(_id_problems(ids))
-    yield from (Check(STOP, problem) for problem in problems)
+    yield from (_stop(problem) for problem in problems)
     if not problems:
-        yield Check(OK, f"ids are unique: {', '.join(str(j.can_id) for j in joints)}")
+        yield _ok(f"ids are unique: {', '.join(str(j.can_id) for j in joints)}")
     if any(joint.master_id == 0 for joint in joints):
-        yield Check(NOTE, "a master id of 0 is a poor choice; set it to CAN id + 0x10")
+        yield _note("a master id of 0 is a poor choice; set it to CAN id + 0x10")
 
 
 def _id_problems(motors: Sequence[tuple[Address, int]]) -> Iterator[str]:
@@ -225,24 +218,22 @@ def _id_problems(motors: Sequence[tuple[Address, int]]) -> Iterator[str]:
 def _ends(scan: TrajectoryScan, settings: PlaySettings) -> Iterator[Check]:
     worst = float(np.max(scan.end_velocity)) * settings.speed
     if worst > _REST_SPEED:
-        yield Check(
-            STOP,
-            f"the trajectory starts or ends at {worst:.2f} rad/s; it has to start and end at rest",
+        yield _stop(
+            f"the trajectory starts or ends at {worst:.2f} rad/s; it has to start and end at rest"
         )
     else:
-        yield Check(OK, f"starts and ends at rest, {scan.duration / settings.speed:.1f} s")
+        yield _ok(f"starts and ends at rest, {scan.duration / settings.speed:.1f} s")
 
 
 def _columns(scan: TrajectoryScan, joints: Sequence[DamiaoJoint]) -> Iterator[Check]:
     found = scan.mismatch
     if found is None:
-        yield Check(OK, "velocities and positions agree")
+        yield _ok("velocities and positions agree")
         return
-    yield Check(
-        STOP,
+    yield _stop(
         f"line {found.line}: velocity {found.stated:.4g} rad/s of "
         f"{joints[found.joint].label}, but the positions change by {found.shown:.4g} rad/s; export "
-        "the file again, with at least four decimals",
+        "the file again, with at least four decimals"
     )
 
 
@@ -256,7 +247,7 @@ def _ratings(
         for text in rating_warnings(joint, velocity, torque):
             yield Check(STOP if beyond and "peak torque" in text else NOTE, text)
         if spec.note:
-            yield Check(NOTE, f"{joint.label}, {spec.name}: {spec.note}")
+            yield _note(f"{joint.label}, {spec.name}: {spec.note}")
 
 
 def _load(
@@ -267,7 +258,7 @@ def _load(
     load = bus_load(n_motors, 1.0 / settings.period, timing)
     text = f"{n_motors} motors at {settings.rate:g} Hz load {timing.name} to {100 * load:.0f} %"
     if load <= PLANNING_LIMIT:
-        yield Check(OK, text)
+        yield _ok(text)
         return
     handy = suggested_rate(n_motors, timing)
     text += f", limit {100 * PLANNING_LIMIT:.0f} %; use --rate {handy:g}"
@@ -282,11 +273,10 @@ def _light(
     steps = scaling.steps[2]
     for joint, step, moved in zip(joints, steps, [] if inertia is None else inertia):
         if step * settings.period / moved > _SHAKEN:
-            yield Check(
-                NOTE,
+            yield _note(
                 f"{joint.label} moves only {moved:.2g} kg m^2 in the model, and a step of a "
                 f"{joint.motor_type}'s torque is {step:.2g} N m: it will shake; give the model the "
-                "rotor's inertia (armature), or the joint a smaller motor",
+                "rotor's inertia (armature), or the joint a smaller motor"
             )
 
 
@@ -309,53 +299,45 @@ def _within_limits(
         for (what, unit, peaks), top in zip(asked, (*limit, limit[1])):
             if peaks[j] > top * (1.0 + 1e-6):
                 fine = False
-                yield Check(
-                    STOP,
+                yield _stop(
                     f"{joint.label}: {what} {peaks[j]:.4g} {unit} is beyond {whose} limit {top:g}; "
-                    "export a smaller trajectory",
+                    "export a smaller trajectory"
                 )
     if fine:
-        yield Check(OK, f"the trajectory stays within {whose} limits")
+        yield _ok(f"the trajectory stays within {whose} limits")
 
 
-def _quiet(inspection: Inspection) -> Iterator[Check]:
+def _bus_itself(inspection: Inspection) -> Iterator[Check]:
     if inspection.unsolicited:
-        yield Check(
-            STOP,
+        yield _stop(
             f"{inspection.unsolicited} frames came without being asked for: another program is "
-            "talking to these motors; end it first",
+            "talking to these motors; end it first"
         )
     if inspection.error_frames:
-        yield Check(
-            NOTE,
+        yield _note(
             f"{inspection.error_frames} error frames: two motors may share an id, or a motor is "
-            "set to CAN-FD (use --fd) or to another bit rate",
+            "set to CAN-FD (use --fd) or to another bit rate"
         )
-
-
-def _ids_on_the_bus(inspection: Inspection) -> Iterator[Check]:
-    found = list(inspection.motors.values())
-    ids = [(motor.address, motor.master_id) for motor in found]
-    yield from (Check(STOP, problem) for problem in _id_problems(ids))
+    ids = [(motor.address, motor.master_id) for motor in inspection.motors.values()]
+    yield from (_stop(problem) for problem in _id_problems(ids))
 
 
 def _shared_id(motor: InspectedMotor) -> Iterator[Check]:
     if len(motor.reply_ids) > 1:
-        yield Check(STOP, f"{len(motor.reply_ids)} motors answer to the id of {motor.name}")
+        yield _stop(f"{len(motor.reply_ids)} motors answer to the id of {motor.name}")
 
 
 def _identity(motor: InspectedMotor, joint: DamiaoJoint) -> Iterator[Check]:
     yield from _shared_id(motor)
     found = int(motor.registers[reg.ESC_ID])
     if found != joint.can_id:
-        yield Check(STOP, f"{motor.name} says that its CAN id is {found}; power-cycle it")
+        yield _stop(f"{motor.name} says that its CAN id is {found}; power-cycle it")
     stored = int(motor.registers[reg.MST_ID])
     if stored != joint.master_id or set(motor.reply_ids) != {joint.master_id}:
         answers = ", ".join(f"{i:#x}" for i in sorted(set(motor.reply_ids)))
-        yield Check(
-            STOP,
+        yield _stop(
             f"{motor.name} answers on {answers} (MST_ID {stored:#x}) but the trajectory expects "
-            f"{joint.master_id:#x}; set MST_ID, or export with --master-id",
+            f"{joint.master_id:#x}; set MST_ID, or export with --master-id"
         )
 
 
@@ -363,24 +345,24 @@ def _mode(motor: InspectedMotor) -> Iterator[Check]:
     mode = int(motor.registers[reg.CTRL_MODE])
     if mode != reg.MIT_MODE:
         said = reg.MODES.get(mode, "unknown")
-        yield Check(STOP, f"{motor.name} is in mode {mode} ({said}); set CTRL_MODE to 1 (MIT)")
+        yield _stop(f"{motor.name} is in mode {mode} ({said}); set CTRL_MODE to 1 (MIT)")
 
 
 def _scaling(motor: InspectedMotor, joint: DamiaoJoint, allowed: Permissions) -> Iterator[Check]:
     name, found = motor.name, motor.limits or (0.0, 0.0, 0.0)
     if min(found) <= 0.0:
-        yield Check(STOP, f"{name} has PMAX, VMAX, TMAX {_three(found)}: not usable")
+        yield _stop(f"{name} has PMAX, VMAX, TMAX {_three(found)}: not usable")
     elif not limits_agree(joint.spec.limits, found):
         text = (
             f"{name} has PMAX, VMAX, TMAX {_three(found)} but a {joint.motor_type} has "
             f"{_three(joint.spec.limits)}"
         )
         if allowed.register_limits:
-            yield Check(NOTE, f"{text}: the motor's own values are used")
+            yield _note(f"{text}: the motor's own values are used")
         else:
-            yield Check(STOP, f"{text}; if the motor is right, give --accept-register-limits")
+            yield _stop(f"{text}; if the motor is right, give --accept-register-limits")
     else:
-        yield Check(OK, f"{name} is scaled as a {joint.motor_type}: {_three(found)}")
+        yield _ok(f"{name} is scaled as a {joint.motor_type}: {_three(found)}")
 
 
 def _watchdog(
@@ -390,35 +372,35 @@ def _watchdog(
     timeout = stored if allowed.watchdog is None else allowed.watchdog
     if timeout == 0.0:
         text = f"{name} has no watchdog: it would go on for ever if this program died"
-        yield Check(STOP, f"{text}; give --set-watchdog 0.1 or set TIMEOUT")
+        yield _stop(f"{text}; give --set-watchdog 0.1 or set TIMEOUT")
     elif timeout > _NO_WATCHDOG:
         text = f"{name}'s watchdog of {timeout:g} s is none: the arm would go on that long"
-        yield Check(STOP, f"{text}; give --set-watchdog 0.1 or set TIMEOUT")
+        yield _stop(f"{text}; give --set-watchdog 0.1 or set TIMEOUT")
     elif timeout < _LEAST_WATCHDOG_CYCLES * settings.period:
         text = f"{name}'s watchdog of {1e3 * timeout:g} ms is too short for {settings.rate:g} Hz"
-        yield Check(STOP, f"{text}; give --set-watchdog 0.1")
+        yield _stop(f"{text}; give --set-watchdog 0.1")
     elif timeout > _LONG_WATCHDOG:
         text = f"{name}'s watchdog of {1e3 * timeout:g} ms is long; --set-watchdog 0.1 is better"
-        yield Check(NOTE, text)
+        yield _note(text)
     else:
-        yield Check(OK, f"{name}'s watchdog stops it after {1e3 * timeout:g} ms")
+        yield _ok(f"{name}'s watchdog stops it after {1e3 * timeout:g} ms")
 
 
 def _state(motor: InspectedMotor, settings: PlaySettings) -> Iterator[Check]:
     name = motor.name
     if motor.feedback is None:
-        yield Check(STOP, f"{name} does not tell its state; its firmware may be too old")
+        yield _stop(f"{name} does not tell its state; its firmware may be too old")
         return
     code = int(motor.feedback.status[0])
     if code == reg.ENABLED:
-        yield Check(STOP, f"{name} is enabled already; end the program that uses it")
+        yield _stop(f"{name} is enabled already; end the program that uses it")
     elif code != reg.DISABLED:
         text = f"{name} reports {reg.describe(code)}; find the cause, then clear it or power-cycle"
-        yield Check(STOP, text)
+        yield _stop(text)
     hot = int(max(motor.feedback.temperature_mos[0], motor.feedback.temperature_rotor[0]))
     if hot > settings.start_temperature:
         text = f"{name} is at {hot} deg C, above {settings.start_temperature:g}; let it cool down"
-        yield Check(STOP, text)
+        yield _stop(text)
 
 
 def _in_time(inspection: Inspection, settings: PlaySettings) -> Iterator[Check]:
@@ -428,13 +410,12 @@ def _in_time(inspection: Inspection, settings: PlaySettings) -> Iterator[Check]:
     took, waits = inspection.round_trip, _ANSWER_SHARE * settings.period
     text = f"all motors have answered after {1e3 * took:.1f} ms"
     if took <= waits:
-        yield Check(OK, f"{text}, in time for {settings.rate:g} Hz")
+        yield _ok(f"{text}, in time for {settings.rate:g} Hz")
         return
     fits = next((rate for rate in HANDY_RATES if rate * took <= _ANSWER_SHARE), HANDY_RATES[-1])
-    yield Check(
-        STOP,
+    yield _stop(
         f"{text}, too late for {settings.rate:g} Hz: commands and samples would be mixed up; use "
-        f"--rate {fits:g} or a faster adapter",
+        f"--rate {fits:g} or a faster adapter"
     )
 
 
@@ -450,10 +431,9 @@ def _near_start(
             turn = ""
             if abs(abs(here - first) - 2.0 * np.pi) < settings.start_tolerance:
                 turn = "; a whole turn apart: the motor lost its turn count when it was off"
-            yield Check(
-                STOP,
+            yield _stop(
                 f"{joint.label} is at {here:.3f} rad but the trajectory starts at {first:.3f}, "
-                f"more than {settings.start_tolerance:g} away; move it there by hand{turn}",
+                f"more than {settings.start_tolerance:g} away; move it there by hand{turn}"
             )
 
 

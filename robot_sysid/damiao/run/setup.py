@@ -1,20 +1,23 @@
-"""Changing what a motor holds: ids, mode, watchdog, bit rate, zero, and clearing an error.
+"""Changing what a motor holds, and finding out by hand which motor drives which joint.
 
-Everything here is asked for by name, for one motor, while it is disabled; each step says what was
-there before and reads back what is there now. Nothing of it ever happens in a run.
+Ids, mode, watchdog, bit rate, zero, and clearing an error: everything is asked for by name, for one
+motor, while it is disabled; each step says what was there before and reads back what is there now.
+Nothing of it ever happens in a run.
+
+For mapping, the arm is limp. A person moves one joint after the other the way the model calls
+positive; the motor that turned drives it. Then the arm is put into a pose that the model knows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from robot_sysid.damiao.bus.clock import Clock
-from robot_sysid.damiao.bus.inspection import InspectedMotor
-from robot_sysid.damiao.bus.link import GuardedLink
-from robot_sysid.damiao.bus.register_client import RegisterClient
+from robot_sysid.damiao.bus.inspection import InspectedMotor, RegisterClient
+from robot_sysid.damiao.bus.link import Clock, GuardedLink
 from robot_sysid.damiao.protocol import registers as reg
 from robot_sysid.damiao.protocol.codec import Scaling, decode_feedback
 from robot_sysid.damiao.protocol.frames import (
@@ -23,49 +26,42 @@ from robot_sysid.damiao.protocol.frames import (
     set_zero_frame,
     store_frame,
 )
+from robot_sysid.damiao.protocol.joints import MappedJoint
 from robot_sysid.errors import HardwareAbort, InputError
+from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.options import OptionRecord, option
 
 _STORE_TIME = 0.05
-_LARGEST_ID = 15
 
 
-def _id(value: int) -> str | None:
-    return None if 1 <= value <= _LARGEST_ID else f"must be from 1 to {_LARGEST_ID}"
-
-
-def _master(value: int) -> str | None:
-    return None if 0 <= value <= 0x7FE else "must be from 0 to 0x7fe"
-
-
-def _watchdog(value: float) -> str | None:
-    return None if 0.0 <= value <= 5.0 else "must be from 0 to 5 s"
+def _within(low: float, high: float, words: str) -> Callable[[float], str | None]:
+    return lambda value: None if low <= value <= high else f"must be from {words}"
 
 
 def _bit_rate(value: int) -> str | None:
-    return (
-        None if value in reg.BIT_RATES else f"must be one of {', '.join(map(str, reg.BIT_RATES))}"
-    )
+    listed = ", ".join(map(str, reg.BIT_RATES))
+    return None if value in reg.BIT_RATES else f"must be one of {listed}"
 
 
 def _whole(text: str) -> int:
     return int(text, 0)
 
 
+_ID: dict[str, Any] = {"metavar": "ID", "parse": _whole, "check": _within(1, 15, "1 to 15")}
+
+
 @dataclass(frozen=True)
 class SetupOptions(OptionRecord):
     """What ``motors setup`` changes in one motor; nothing lists the motors."""
 
-    motor: int | None = option(
-        None, "CAN id of the motor to change", metavar="ID", parse=_whole, check=_id
-    )
-    new_id: int | None = option(None, "new CAN id", metavar="ID", parse=_whole, check=_id)
+    motor: int | None = option(None, "CAN id of the motor to change", **_ID)
+    new_id: int | None = option(None, "new CAN id", **_ID)
     new_master_id: int | None = option(
-        None, "new id it answers on", metavar="ID", parse=_whole, check=_master
+        None, "new id it answers on", **{**_ID, "check": _within(0, 0x7FE, "0 to 0x7fe")}
     )
     mit: bool = option(False, "set the control mode to MIT")
     watchdog: float | None = option(
-        None, "set its watchdog, 0 for none", unit="s", metavar="S", check=_watchdog
+        None, "set its watchdog, 0 for none", unit="s", metavar="S", check=_within(0, 5, "0 to 5 s")
     )
     motor_bitrate: int | None = option(
         None,
@@ -88,15 +84,9 @@ class SetupOptions(OptionRecord):
 
 
 class MotorSetup:
-    """Changes one motor.
+    """Changes one motor; raises HardwareAbort where it is enabled, or does not tell.
 
-    Args:
-        link: the bus; has to let pass what a run never sends.
-        clock: for waiting.
-        motor: what it said when it was asked.
-
-    Raises:
-        HardwareAbort: the motor is enabled, or does not tell.
+    The link has to let pass what a run never sends.
     """
 
     def __init__(self, link: GuardedLink, clock: Clock, motor: InspectedMotor) -> None:
@@ -108,13 +98,8 @@ class MotorSetup:
     def apply(self, asked: SetupOptions, sure: Callable[[str], bool]) -> Iterator[str]:
         """Make the changes, in an order in which the motor stays reachable; yield what was done.
 
-        Args:
-            asked: the changes.
-            sure: asks a person whether he means it.
-
-        Raises:
-            HardwareAbort: the motor refused, does not answer any more, or is enabled.
-            InputError: the person did not mean it.
+        ``sure`` asks a person whether he means it; InputError where he does not, and HardwareAbort
+        where the motor refuses, does not answer any more, or is enabled.
         """
         if asked.clear_error:
             yield self._cleared()
@@ -133,12 +118,9 @@ class MotorSetup:
         if asked.store and asked.motor_bitrate is None:
             yield self._stored()
         if asked.motor_bitrate is not None:
-            yield from self._at_another_bit_rate(asked)
-
-    def _at_another_bit_rate(self, asked: SetupOptions) -> Iterator[str]:
-        yield self._written(reg.CAN_BR, reg.BIT_RATES[asked.motor_bitrate or 0], read_back=False)
-        if asked.store:
-            yield "not stored: open the bus at the new bit rate and give --store again"
+            yield self._written(reg.CAN_BR, reg.BIT_RATES[asked.motor_bitrate], read_back=False)
+            if asked.store:
+                yield "not stored: open the bus at the new bit rate and give --store again"
 
     def _written(self, register: int, value: float, read_back: bool = True) -> str:
         self._require_off()
@@ -205,3 +187,94 @@ class MotorSetup:
         if frame is None:
             raise HardwareAbort(f"{self._motor.name} does not tell its state; nothing more is done")
         return frame.data
+
+
+Positions = Mapping[Address, float]
+_MOVED, _CLEARLY = 0.15, 3.0
+_TRIES = 3
+_PROBE, _SEEN = 0.3, 0.02
+_AXES = ("x", "y", "z")
+_WAYS = {"+z": " (up)", "-z": " (down)"}
+
+
+def positive_ways(robot: RobotModel) -> list[str]:
+    """Return, per joint, what the model does when it moves the positive way, in words."""
+    # Imported here so that setting up and monitoring do not wait for MuJoCo.
+    from robot_sysid.simulation.stepper import ArmStepper
+
+    begin, words = ArmStepper(robot), []
+    for j in range(robot.n_joints):
+        q = robot.reference + _PROBE * (np.arange(robot.n_joints) == j)
+        shift = ArmStepper(robot, q).tip() - begin.tip()
+        if np.max(np.abs(shift)) > _SEEN:
+            words.append(f"the end of the arm moves towards {_way(shift)}")
+        else:
+            words.append(f"it turns counter-clockwise seen from {_way(begin.axis(j))}")
+    return words
+
+
+def _way(vector: Array) -> str:
+    k = int(np.argmax(np.abs(vector)))
+    way = f"{'+' if vector[k] > 0.0 else '-'}{_AXES[k]}"
+    return way + _WAYS.get(way, "")
+
+
+def map_by_hand(
+    robot: RobotModel,
+    motors: Sequence[InspectedMotor],
+    positions: Callable[[], Positions],
+    ask: Callable[[str], None],
+) -> list[MappedJoint]:
+    """Return the joint map that a person shows; all motors are limp.
+
+    ``positions`` reads where each motor is [rad]; ``ask`` says what to do and returns when it is
+    done. HardwareAbort where a movement could not be told from others three times.
+    """
+    by_address = {motor.address: motor for motor in motors}
+    found: list[tuple[str, Address, int]] = []
+    for name, way in zip(robot.joint_names, positive_ways(robot)):
+        left = set(by_address) - {address for _, address, _ in found}
+        found.append((name, *_moved_one(name, way, left, positions, ask)))
+    listed = ", ".join(f"{n} {q:.3f}" for n, q in zip(robot.joint_names, robot.reference))
+    ask(f"put the arm into the model's own pose ({listed} rad or m) and hold it there")
+    here = positions()
+    rows = []
+    for (name, address, direction), q in zip(found, robot.reference):
+        motor = by_address[address]
+        offset = round(here[address] - direction * float(q), 4)
+        rows.append(
+            MappedJoint(name, motor.channel, address.can_id, motor.master_id, direction, offset)
+        )
+    return rows
+
+
+def _moved_one(
+    name: str,
+    way: str,
+    left: set[Address],
+    positions: Callable[[], Positions],
+    ask: Callable[[str], None],
+) -> tuple[Address, int]:
+    again = ""
+    for _ in range(_TRIES):
+        before = positions()
+        ask(f"{again}move joint {name} alone, by 20 degrees or more, so that {way}")
+        after = positions()
+        turned = sorted(left, key=lambda each: -abs(after[each] - before[each]))
+        way_back = [after[each] - before[each] for each in turned]
+        if turned and abs(way_back[0]) > _MOVED:
+            if len(turned) == 1 or abs(way_back[0]) > _CLEARLY * abs(way_back[1]):
+                return turned[0], 1 if way_back[0] > 0.0 else -1
+            again = "several motors turned; "
+        else:
+            again = "no motor turned far enough; "
+    raise HardwareAbort(f"it cannot be told which motor drives {name}; nothing was written")
+
+
+def require_limp(motors: Sequence[InspectedMotor], n: int) -> None:
+    """Raise InputError for fewer than n motors, HardwareAbort where one is not off for sure."""
+    if len(motors) < n:
+        raise InputError(f"{len(motors)} motors answer but the model's chain has {n} joints")
+    for motor in motors:
+        if motor.feedback is None or motor.feedback.status[0] == 1:
+            raise HardwareAbort(f"{motor.name} is enabled or does not tell; the arm has to be limp")

@@ -1,17 +1,27 @@
-"""A simulated arm on a bus: in simulated time, exact and without waiting, or in real time."""
+"""A simulated arm on a bus: in simulated time, exact and without waiting, or in real time.
+
+In real time it may sit behind a pseudo-terminal that acts as a serial CAN adapter. Whoever opens
+its device (python-can's slcan interface, for instance) talks to this process; nothing leaves the
+computer. Needs a Unix system.
+
+The slcan protocol is lines of text that end with a carriage return: ``tIIILDD..`` is a classic
+frame (id, length, data), ``d`` a CAN-FD frame, ``b`` one with bit-rate switch; O, L, C, S, Y, s set
+the adapter up.
+"""
 
 from __future__ import annotations
 
 import heapq
 import itertools
+import os
+import select
 from collections import defaultdict, deque
 from collections.abc import Callable
 
-from robot_sysid.damiao.bus.clock import Clock, SimulatedClock
-from robot_sysid.damiao.bus.link import Link
-from robot_sysid.damiao.protocol.bus_load import BusTiming
-from robot_sysid.damiao.protocol.frames import Frame
+from robot_sysid.damiao.bus.link import Clock, Link, LinkError, SimulatedClock
+from robot_sysid.damiao.protocol.frames import BusTiming, Frame
 from robot_sysid.damiao.simulated.arm import SimulatedArm
+from robot_sysid.errors import InputError
 
 _TURNAROUND = 50e-6
 
@@ -19,15 +29,12 @@ _TURNAROUND = 50e-6
 class SimulatedLink:
     """Carries frames one after the other, each as long as its bits take.
 
-    A burst of commands goes out before any reply, because commands have the lower ids.
+    A burst of commands goes out before any reply, because commands have the lower ids. A classic
+    host sees an error frame where a motor answers in CAN-FD. The clock is moved by waiting.
 
-    Args:
-        clock: moved by waiting.
-        arm: who answers.
-        timing: bit rates; a classic host sees an error frame where a motor answers in CAN-FD.
-        echo: report each sent frame back when it was on the bus, as SocketCAN does.
-        adapter: how long the adapter takes to hand an answer over [s], asked for each one; answers
-            never overtake one another.
+    With ``echo`` each sent frame is reported back when it was on the bus, as SocketCAN does.
+    ``adapter`` tells how long the adapter takes to hand an answer over [s], asked for each one;
+    answers never overtake one another.
     """
 
     def __init__(
@@ -111,3 +118,82 @@ def serve(arm: SimulatedArm, link: Link, clock: Clock, running: Callable[[], boo
             for reply in arm.handle(frame, now):
                 link.send(reply)
     return left_out
+
+
+class SlcanTerminal:
+    """The adapter's end of the line, as a link; ``device`` is what to give to ``--channel``."""
+
+    def __init__(self, clock: Clock) -> None:
+        try:
+            import tty
+        except ImportError:
+            raise InputError("pseudo-terminals need a Unix system") from None
+        self._clock = clock
+        # The far end stays open here too, so that a client may come and go.
+        self._near, self._far = os.openpty()
+        tty.setraw(self._far)
+        os.set_blocking(self._near, False)
+        self.device = os.ttyname(self._far)
+        self._text = b""
+        self._frames: list[Frame] = []
+
+    def receive(self, until: float) -> Frame | None:
+        """Return the next frame, or None at ``until`` [s]."""
+        while not self._frames:
+            left = max(until - self._clock.now(), 0.0)
+            readable, _, _ = select.select([self._near], [], [], left)
+            if not readable:
+                return None
+            self._take(os.read(self._near, 4096))
+        return self._frames.pop(0)
+
+    def send(self, frame: Frame) -> None:
+        """Write a frame; one that nobody reads is dropped, as on a bus."""
+        self._write(line_from_frame(frame).encode() + END)
+
+    def close(self) -> None:
+        """Close the terminal."""
+        os.close(self._near)
+        os.close(self._far)
+
+    def _take(self, data: bytes) -> None:
+        *lines, self._text = (self._text + data).split(END)
+        for line in lines:
+            frame = frame_from_line(line.decode("ascii", errors="replace"))
+            if frame is None:
+                self._write(END)
+            else:
+                self._frames.append(frame._replace(time=self._clock.now()))
+
+    def _write(self, data: bytes) -> None:
+        try:
+            os.write(self._near, data)
+        except BlockingIOError:
+            return  # a full buffer: nobody has the terminal open
+        except OSError as error:
+            raise LinkError(f"the pseudo-terminal is closed: {error.strerror}") from error
+
+
+END = b"\r"
+
+
+def frame_from_line(line: str) -> Frame | None:
+    """Return the frame that a line stands for, or None where it is a set-up command or broken."""
+    kind = line[:1]
+    if kind not in ("t", "d", "b"):
+        return None
+    try:
+        length = int(line[4], 16)
+        data = bytes.fromhex(line[5 : 5 + 2 * length])
+        identifier = int(line[1:4], 16)
+    except (ValueError, IndexError):
+        return None
+    if length > 8 or len(data) != length:
+        return None
+    return Frame(identifier, data, fd=kind != "t")
+
+
+def line_from_frame(frame: Frame) -> str:
+    """Return the line for a frame of up to eight bytes."""
+    kind = "b" if frame.fd else "t"
+    return f"{kind}{frame.id:03X}{len(frame.data):X}{frame.data.hex().upper()}"

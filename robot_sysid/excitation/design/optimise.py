@@ -19,14 +19,9 @@ from functools import cached_property
 
 import numpy as np
 
+from robot_sysid.dynamics.screws import ChainMotion
 from robot_sysid.errors import InputError
-from robot_sysid.excitation.design.budget import UNLIMITED, Budget, OutOfTime
-from robot_sysid.excitation.design.constraints import (
-    ConstraintCache,
-    MotionConstraints,
-    constraint_count,
-)
-from robot_sysid.excitation.fourier import FourierBasis, FourierTrajectory
+from robot_sysid.excitation.design.workers import UNLIMITED, Budget, OutOfTime
 from robot_sysid.excitation.information import (
     CRITERIA,
     Criterion,
@@ -35,7 +30,9 @@ from robot_sysid.excitation.information import (
 )
 from robot_sysid.excitation.limit_check import excess_times, keeps_limits, tight_times
 from robot_sysid.excitation.options import ExcitationOptions
-from robot_sysid.excitation.problem import LIMIT_NAMES, ExcitationProblem
+from robot_sysid.excitation.prediction import visible_coordinates
+from robot_sysid.excitation.problem import LIMIT_NAMES, OBSTACLE_LENGTH, ExcitationProblem
+from robot_sysid.excitation.trajectories import FourierBasis, FourierTrajectory
 from robot_sysid.records import Array
 from robot_sysid.trajectory import TrajectoryOptions
 
@@ -46,6 +43,22 @@ PLAIN_ROUNDS = 2
 MEMORY = 20
 """Gradient pairs L-BFGS keeps."""
 MOST_EXTRA_TIMES = 60
+_TORQUE_STEP = 1e-6
+REPAIRS = (1.0, 0.999, 0.998, 0.996, 0.992, 0.985, 0.97, 0.94, 0.9, 0.8, 0.6, 0.4, 0.2, 0.1)
+"""Factors tried until a motion keeps all limits."""
+GRID_PER_CYCLE = 25
+"""Grid points per period of the highest frequency; see docs/excitation.md for why."""
+FEWEST_GRID_POINTS = 60
+LIMIT_SHARE = 0.99
+"""Share of the limits the search uses; the rest covers peaks between grid points."""
+EXTRA_SLACK = 0.003
+"""Distance the search keeps beside the required one [m]."""
+SMOOTHING_SHARE = 0.03
+"""Share of the speed limit below which the search rounds off Coulomb friction's jump."""
+MOST_MEMORY, COPIES = 2e9, 3
+"""Most memory that a search may take [bytes], and how often each process holds its functions."""
+_WORST = 1e6
+"""Stands for an infinite criterion: the optimiser needs a number."""
 
 
 @dataclass(frozen=True)
@@ -55,22 +68,20 @@ class Candidate:
     Attributes:
         number: which start it came from.
         x: (n, M) free coefficients, possibly beyond a limit.
-        multipliers: (N + E, 4 n + 2).
-        extra_times: (E,) [s].
+        multipliers: (N + E, 4 n + 2) on the grid and at the extra times (E,) [s].
         weight: of the penalty.
         rounds: how many are done.
-        feasible_x: (n, M) the best one so far that obeys everything, or None.
-        feasible_score: its criterion.
+        feasible_x: (n, M) the best one so far that obeys everything, or None; and its criterion.
     """
 
     number: int
     x: Array
     multipliers: Array
     extra_times: Array
-    weight: float
-    rounds: int
-    feasible_x: Array | None
-    feasible_score: float
+    weight: float = FIRST_WEIGHT
+    rounds: int = 0
+    feasible_x: Array | None = None
+    feasible_score: float = np.inf
 
     @property
     def prices(self) -> dict[str, float]:
@@ -93,25 +104,20 @@ def first_candidate(design: Design, number: int, x: Array) -> Candidate:
 def unchecked_candidate(design: Design, number: int, x: Array) -> Candidate:
     """Return a candidate at free coefficients x (n, M) of which nothing is known yet."""
     none = np.zeros((len(design.grid), constraint_count(design.problem.n_joints)))
-    return Candidate(number, x, none, np.zeros(0), FIRST_WEIGHT, 0, None, np.inf)
+    return Candidate(number, x, none, np.zeros(0))
 
 
 def improve(design: Design, candidate: Candidate, budget: Budget = UNLIMITED) -> Candidate:
     """Return the candidate after one more round, or after as much of it as there was time for."""
-    objective = PenalisedDesign(
-        design, candidate.extra_times, candidate.multipliers, candidate.weight
-    )
+    extra, multipliers, weight = candidate.extra_times, candidate.multipliers, candidate.weight
+    objective = PenalisedDesign(design, extra, multipliers, weight)
     x, is_whole = _minimise(objective, candidate.x, design, budget)
     if not is_whole:
         return _checked(design, replace(candidate, x=x), budget)
     multipliers = objective.updated_multipliers(objective.evaluate(x).constraints.value)
     grow = WEIGHT_GROWTH if candidate.rounds >= PLAIN_ROUNDS else 1.0
     moved = replace(
-        candidate,
-        x=x,
-        multipliers=multipliers,
-        weight=grow * candidate.weight,
-        rounds=candidate.rounds + 1,
+        candidate, x=x, multipliers=multipliers, weight=grow * weight, rounds=candidate.rounds + 1
     )
     return _checked(design, _with_extra_times(design, moved), budget)
 
@@ -170,30 +176,8 @@ def _checked(design: Design, candidate: Candidate, budget: Budget = UNLIMITED) -
     return candidate
 
 
-REPAIRS = (1.0, 0.999, 0.998, 0.996, 0.992, 0.985, 0.97, 0.94, 0.9, 0.8, 0.6, 0.4, 0.2, 0.1)
-"""Factors tried until a motion keeps all limits."""
-GRID_PER_CYCLE = 25
-"""Grid points per period of the highest frequency; see docs/excitation.md for why."""
-FEWEST_GRID_POINTS = 60
-LIMIT_SHARE = 0.99
-"""Share of the limits the search uses; the rest covers peaks between grid points."""
-EXTRA_SLACK = 0.003
-"""Distance the search keeps beside the required one [m]."""
-SMOOTHING_SHARE = 0.03
-"""Share of the speed limit below which the search rounds off Coulomb friction's jump."""
-MOST_MEMORY, COPIES = 2e9, 3
-"""Most memory that a search may take [bytes], and how often each process holds its functions."""
-_WORST = 1e6
-"""Stands for an infinite criterion: the optimiser needs a number."""
-
-
 class Design:
     """Everything about one problem that does not change during the search.
-
-    Args:
-        problem: the arm.
-        options: criterion, basis, and how long to search.
-        motion: duration and sample rate.
 
     Attributes:
         unit: (M,) of each free coefficient in the optimiser's eyes [rad].
@@ -209,24 +193,25 @@ class Design:
         self.problem, self.options, self.sample_rate = problem, options, motion.sample_rate
         self.basis: FourierBasis = options.basis(motion.duration)
         _require_sampled(self.basis, motion.sample_rate)
-        self.memory = _memory(self.basis, options.n_workers)
+        wanted = GRID_PER_CYCLE * self.basis.top_frequency_hz * self.basis.duration
+        points = max(FEWEST_GRID_POINTS, int(np.ceil(wanted)))
+        self.memory = _memory(self.basis, points, options.n_workers)
         self.directions = self.basis.free_directions()
-        self.unit = _unit(self.basis, self.n_free)
-        self.grid = _grid(self.basis)
+        # All harmonics are alike as speeds, so L-BFGS needs fewer steps; the directions of a
+        # periodic trajectory are mixtures of harmonics.
+        alike = np.concatenate(([1.0], np.tile(1.0 / self.basis.order, 2)))
+        self.unit = alike if self.basis.fade > 0.0 else np.ones(self.n_free)
+        self.grid = (np.arange(points) + 0.5) * self.basis.duration / points
         self.criterion: Criterion = CRITERIA[options.criterion]
         self.coordinates = visible_coordinates(problem)
-        samples = motion.duration * motion.sample_rate / len(self.grid)
-        smoothing = SMOOTHING_SHARE * problem.limits.velocity
-        self.information = PredictedInformation(
-            problem.chain,
-            RowSettings(
-                problem.rows,
-                problem.sigma / np.sqrt(samples),
-                smoothing,
-                self.coordinates,
-                problem.rotors_sought,
-            ),
+        settings = RowSettings(
+            problem.rows,
+            problem.sigma / np.sqrt(motion.duration * motion.sample_rate / points),
+            SMOOTHING_SHARE * problem.limits.velocity,
+            self.coordinates,
+            problem.rotors_sought,
         )
+        self.information = PredictedInformation(problem.chain, settings)
 
     @property
     def n_free(self) -> int:
@@ -247,11 +232,8 @@ class Design:
         position, velocity, acceleration = self.basis.evaluate(time)
         if self.basis.fade > 0.0:  # All coefficients are free.
             return position, velocity, acceleration
-        return (
-            position @ self.directions,
-            velocity @ self.directions,
-            acceleration @ self.directions,
-        )
+        free = self.directions
+        return position @ free, velocity @ free, acceleration @ free
 
     def criterion_of(self, x: Array) -> float:
         """Return the criterion of free coefficients x (n, M) alone."""
@@ -261,15 +243,138 @@ class Design:
 
 
 @dataclass(frozen=True)
-class Evaluation:
-    """The objective at one point.
+class ConstraintCache:
+    """Constraint values of a motion, and what their gradient needs.
+
+    Six families in the columns of one array: position, velocity, acceleration and torque of each
+    joint and the speed of the tool as share of the limit minus one, and the slack towards obstacles
+    over a length.
 
     Attributes:
-        value: criterion plus penalty.
-        gradient: (n, M).
-        criterion: alone.
-        constraints: on the grid and the extra times.
+        value: (N, 4 n + 2) g; fulfilled where <= 0.
+        motion: (q, qd, qdd), each (N, n).
+        slack_gradient: (N, n) of the slack with respect to q.
+        tool: motion of the terminal body; None where its speed has no limit.
     """
+
+    value: Array
+    motion: tuple[Array, Array, Array]
+    torque: Array
+    slack_gradient: Array
+    tool: ChainMotion | None = None
+
+
+def constraint_count(joints: int) -> int:
+    """Return the number of columns for so many joints."""
+    return 4 * joints + 2
+
+
+class MotionConstraints:
+    """Evaluates the constraints of one problem.
+
+    Args:
+        problem: the arm and its limits.
+        share: of the limits to use; less than 1 leaves room for peaks between grid points.
+        extra_slack: distance to keep beside the obstacles' own requirement [m].
+    """
+
+    def __init__(self, problem: ExcitationProblem, share: float, extra_slack: float) -> None:
+        self._problem, self._extra = problem, extra_slack
+        self._center, self._allowed = problem.limits.center, share * problem.limits.largest
+        self._tool_speed = share * problem.limits.tool_speed
+        self._nearby = _SlackMemory(problem)
+
+    def evaluate(self, motion: tuple[Array, Array, Array]) -> ConstraintCache:
+        """Return all constraints of a motion (q, qd, qdd), each (N, n)."""
+        q, qd, qdd = motion
+        torque = np.zeros_like(q)
+        if np.any(np.isfinite(self._allowed[3])):
+            torque = self._problem.torque_at(*motion)
+        signals = (q - self._center, qd, qdd, torque)
+        shares = [np.abs(signal) / allowed - 1.0 for signal, allowed in zip(signals, self._allowed)]
+        slack, gradient = self._nearby.slack(q)
+        fast, tool = -np.ones(len(q)), None
+        if np.isfinite(self._tool_speed):
+            tool = self._problem.chain.evaluate(*motion)
+            fast = self._problem.tool.speed(tool.velocity) / self._tool_speed - 1.0
+        towards = (self._extra - slack) / OBSTACLE_LENGTH
+        value = np.hstack((*shares, fast[:, None], towards[:, None]))
+        return ConstraintCache(value, motion, torque, gradient, tool)
+
+    def vjp(self, cache: ConstraintCache, weight: Array) -> tuple[Array, Array, Array]:
+        """Return the gradient (N, n) of sum(weight * g) with respect to q, qd and qdd."""
+        n = self._problem.n_joints
+        q, qd, qdd = cache.motion
+        signals = (q - self._center, qd, qdd, cache.torque)
+        adjoints = [
+            weight[:, i * n : (i + 1) * n] * np.sign(signal) / allowed
+            for i, (signal, allowed) in enumerate(zip(signals, self._allowed))
+        ]
+        adjoints[0] = adjoints[0] - weight[:, -1:] * cache.slack_gradient / OBSTACLE_LENGTH
+        parts = zip(adjoints, self._torque_vjp(cache, adjoints[3]))
+        position, velocity, acceleration = (a + b for a, b in parts)
+        if cache.tool is None or not np.any(weight[:, -2]):
+            return position, velocity, acceleration
+        twist, none = cache.tool.velocity, np.zeros_like(cache.tool.jacobian)
+        adjoint = self._problem.tool.speed_vjp(twist, weight[:, -2] / self._tool_speed)
+        from_tool = cache.tool.vjp(none, adjoint, np.zeros_like(twist))
+        return position + from_tool[0], velocity + from_tool[1], acceleration + from_tool[2]
+
+    def _torque_vjp(self, cache: ConstraintCache, adjoint: Array) -> tuple[Array, Array, Array]:
+        """Gradient through the torque by one-sided differences, at the active samples only."""
+        active = np.flatnonzero(np.any(adjoint != 0.0, axis=1))
+        result = (np.zeros_like(adjoint), np.zeros_like(adjoint), np.zeros_like(adjoint))
+        if len(active) == 0:
+            return result
+        at = [signal[active] for signal in cache.motion]
+        # The friction torque jumps where a joint reverses; a step across the jump would be noise.
+        for which in range(3):
+            for joint in range(self._problem.n_joints):
+                moved = [signal.copy() for signal in at]
+                moved[which][:, joint] += _TORQUE_STEP * _away(moved[which][:, joint])
+                change = (self._problem.torque_at(*moved) - cache.torque[active]) / _TORQUE_STEP
+                change *= _away(at[which][:, joint])[:, None]
+                result[which][active, joint] = np.sum(change * adjoint[active], axis=1)
+        return result
+
+
+class _SlackMemory:
+    """Slack along a trajectory that changes little from one call to the next.
+
+    A sample whose joints have moved by less than its last known slack allows cannot have become
+    tight; it keeps what is certain of its slack and needs no collision test.
+    """
+
+    def __init__(self, problem: ExcitationProblem) -> None:
+        self._obstacles = problem.obstacles
+        # Slack that no constraint will ever ask for [m].
+        self._enough = 0.5 * problem.obstacles.horizon
+        self._q = np.zeros((0, problem.n_joints))
+        self._budget = np.zeros((0, len(problem.obstacles.rates)))
+
+    def slack(self, q: Array) -> tuple[Array, Array]:
+        """Return slack (N,), exact where it is small, and its gradient (N, n)."""
+        if self._q.shape != q.shape:
+            self._q, self._budget = q.copy(), np.full((len(q), self._budget.shape[1]), -np.inf)
+        moved = np.abs(q - self._q) @ self._obstacles.rates.T
+        certain = np.min(self._budget - moved, axis=1)
+        gradient = np.zeros_like(q)
+        tight = np.flatnonzero(~(certain > self._enough))
+        if len(tight):
+            found = self._obstacles.slack(q[tight])
+            certain[tight], gradient[tight] = found.value, found.gradient
+            self._q[tight], self._budget[tight] = q[tight], found.budget
+        return certain, gradient
+
+
+def _away(value: Array) -> Array:
+    """Return the direction (+1 or -1) that leads away from zero."""
+    return np.where(value < 0.0, -1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """The objective at one point: criterion plus penalty, its gradient (n, M), and its parts."""
 
     value: float
     gradient: Array
@@ -278,13 +383,9 @@ class Evaluation:
 
 
 class PenalisedDesign:
-    """Objective of one inner minimisation, for fixed multipliers and times.
+    """Objective of one inner minimisation, for fixed multipliers (N + E, 4 n + 2) and weight.
 
-    Args:
-        design: the problem.
-        extra_times: (E,) times at which constraints hold beside those of the grid [s].
-        multipliers: (N + E, 4 n + 2), non-negative.
-        weight: of the quadratic penalty.
+    Constraints hold on the grid and at the extra times (E,) [s].
     """
 
     def __init__(
@@ -317,18 +418,6 @@ class PenalisedDesign:
         return np.maximum(0.0, self._multipliers + self._weight * value)
 
 
-def _unit(basis: FourierBasis, count: int) -> Array:
-    """Return units (M,) in which all harmonics are alike as speeds: so L-BFGS needs fewer steps."""
-    if basis.fade == 0.0:  # Its directions are mixtures of harmonics.
-        return np.ones(count)
-    return np.concatenate(([1.0], np.tile(1.0 / basis.order, 2)))
-
-
-def _grid_points(basis: FourierBasis) -> int:
-    wanted = GRID_PER_CYCLE * basis.top_frequency_hz * basis.duration
-    return max(FEWEST_GRID_POINTS, int(np.ceil(wanted)))
-
-
 def _require_sampled(basis: FourierBasis, rate: float) -> None:
     """Raise InputError where samples [Hz] cannot show the highest harmonic."""
     if basis.top_frequency_hz > 0.5 * rate:
@@ -339,9 +428,9 @@ def _require_sampled(basis: FourierBasis, rate: float) -> None:
         )
 
 
-def _memory(basis: FourierBasis, processes: int) -> float:
+def _memory(basis: FourierBasis, points: int, processes: int) -> float:
     """Return about how much a search will hold [bytes]: basis functions, three times each."""
-    held = processes * COPIES * 3.0 * 8.0 * _grid_points(basis) * basis.size
+    held = processes * COPIES * 3.0 * 8.0 * points * basis.size
     if held > MOST_MEMORY:
         fewer = int(basis.harmonics * np.sqrt(MOST_MEMORY / held))
         raise InputError(
@@ -350,31 +439,3 @@ def _memory(basis: FourierBasis, processes: int) -> float:
             f"--harmonics to {fewer}, or make the motion shorter and repeat it"
         )
     return held
-
-
-def _grid(basis: FourierBasis) -> Array:
-    """Return the time grid [s]: midpoints of equal intervals."""
-    count = _grid_points(basis)
-    return (np.arange(count) + 0.5) * basis.duration / count
-
-
-def visible_coordinates(problem: ExcitationProblem) -> Array:
-    """Return (10, r): scaled directions of theta that some motion of this arm can show.
-
-    Found from unrelated positions, velocities and accelerations, a fixed set of random numbers.
-    What such data cannot see, no trajectory of these joints can.
-    """
-    scale = np.diag(problem.scale)
-    settings = RowSettings(
-        problem.rows,
-        np.ones(len(problem.rows)),
-        np.zeros(problem.n_joints),
-        scale,
-        problem.rotors_sought,
-    )
-    rng = np.random.default_rng(0)
-    q, qd, qdd = rng.normal(size=(3, 400, problem.n_joints))
-    q = np.clip(problem.rest + 2.0 * q, problem.limits.lower, problem.limits.upper)
-    matrix = PredictedInformation(problem.chain, settings).evaluate(q, qd, qdd).information
-    values, vectors = np.linalg.eigh(matrix)
-    return scale @ vectors[:, values > 1e-9 * values[-1]]

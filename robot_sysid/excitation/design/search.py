@@ -4,6 +4,12 @@ Random feasible trajectories first; the best of them are improved by L-BFGS roun
 is counted in trajectories, rounds and iterations, never in seconds: the same seed and options give
 the same trajectory on a fast and on a slow machine, with one worker or with several. The time
 budget only cuts the search short, which the result then says.
+
+For a whole arm, out of random feasible trajectories the one is taken whose torques hold most of all
+that a whole-arm fit looks for, every link, every rotor and every joint's friction together:
+log det of Y^T Y / sigma^2 + P, with P what the model knows beforehand, so that what no motion shows
+does not count (Bayesian D-optimality; Chaloner, Verdinelli, "Bayesian experimental design: a
+review", Statistical Science 10(3), 1995).
 """
 
 from __future__ import annotations
@@ -13,32 +19,37 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
+from operator import itemgetter
 
 import numpy as np
 
+from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.friction import friction_model
+from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.errors import InputError
-from robot_sysid.excitation.design.budget import UNLIMITED, Budget, Clock
-from robot_sysid.excitation.design.constraints import MotionConstraints
 from robot_sysid.excitation.design.optimise import (
     GRID_PER_CYCLE,
     REPAIRS,
     Candidate,
     Design,
+    MotionConstraints,
     first_candidate,
     improve,
     unchecked_candidate,
 )
-from robot_sysid.excitation.design.workers import WorkerPool
-from robot_sysid.excitation.fourier import FourierTrajectory
+from robot_sysid.excitation.design.workers import UNLIMITED, Budget, Clock, WorkerPool
 from robot_sysid.excitation.limit_check import (
     EXACT_UP_TO,
     LimitCheck,
     breaks_limits_at_few,
     check_limits,
     checked_time,
+    keeps_limits,
 )
-from robot_sysid.excitation.problem import LIMIT_NAMES, OBSTACLE_LENGTH, ROUNDING
-from robot_sysid.records import Array
+from robot_sysid.excitation.problem import LIMIT_NAMES, OBSTACLE_LENGTH, ROUNDING, ExcitationProblem
+from robot_sysid.excitation.trajectories import FourierTrajectory
+from robot_sysid.records import Array, MotionPlan
+from robot_sysid.records.progress import Progress
 
 DRAWS_PER_JOB = 5
 """An interruption loses no more of them than one job holds."""
@@ -50,13 +61,7 @@ RAISED, NEARER, WORTH_TELLING = 0.1, 0.005, 0.005
 
 @dataclass(frozen=True)
 class SearchState:
-    """How far a search is.
-
-    Attributes:
-        done, total: jobs.
-        objective: exp of the criterion of the best trajectory so far; smaller is better.
-        best: what it stands for.
-    """
+    """How many jobs are done, and exp of the criterion of the best so far; and what that is."""
 
     done: int
     total: int
@@ -72,6 +77,29 @@ OBJECTIVES = {
     "cond": "condition number",
 }
 """Criterion to what exp of its value is; deviations relative to m, m L and m L^2."""
+_CUT: Mapping[str, tuple[str, ...]] = {
+    "": (),
+    "interrupted": (
+        "the search was interrupted; this is the best trajectory it had found until then",
+    ),
+    "time budget": (
+        "the time budget ended the search; the same seed may give another trajectory on another "
+        "machine, so keep this one with --save-trajectory or raise --excitation-time-budget",
+    ),
+}
+"""What a reader is told of a search that was cut."""
+SHRINK = (1.0, 0.8, 0.6, 0.4, 0.2, 0.1, 0.04, 0.01, 0.003, 0.001)
+"""Factors tried until a drawn motion obeys torque limits and touches nothing."""
+FULL = 0.99 * np.cos(np.pi / GRID_PER_CYCLE)
+"""Share of the limits of motion that a draw uses: as much may be seen of a peak between points."""
+FEW = 6
+"""Every how many grid points are looked at first."""
+RATE_HZ = 20.0
+"""How densely a candidate for a whole arm is looked at."""
+KNOWN = 0.3
+"""How well the model is taken to know each link, as a share of its numbers."""
+_OWN = friction_model("coulomb-viscous-offset-armature")
+_UNIT_ROTOR = 0.1
 
 
 @dataclass(frozen=True)
@@ -79,13 +107,9 @@ class ExcitationResult:
     """A designed trajectory.
 
     Attributes:
-        trajectory: it.
-        criterion: name of the criterion.
-        objective: exp of its value.
+        objective: exp of the criterion's value.
         start_objective: that of the best random trajectory.
-        limit_check: that all limits are kept.
         n_feasible: random trajectories that obey all limits, of ``n_drawn``.
-        n_drawn: random trajectories.
         prices: by how much the criterion falls per share that a family of limits is raised by.
         stopped: "" where the search was finished, else what cut it.
         notes: what the reader should know.
@@ -118,13 +142,8 @@ def design_excitation(
 ) -> ExcitationResult:
     """Search for the trajectory that makes the predicted uncertainty smallest.
 
-    Ctrl-C ends the search and keeps the best trajectory so far, a random one if need be.
-
-    Args:
-        design: the arm, its limits, and what is wanted.
-        rng: source of randomness.
-        progress: told after every job.
-        clock: gives the time [s].
+    Ctrl-C ends the search and keeps the best trajectory so far, a random one if need be. Progress
+    is told after every job.
 
     Raises:
         InputError: no drawn trajectory obeys all limits; names the one that is in the way.
@@ -175,10 +194,8 @@ class _Search:
             for _ in range(self._options.rounds):
                 if self._is_late():
                     return
-                jobs = [
-                    partial(improve, candidate=c, budget=self._budget)
-                    for c in self._candidates.values()
-                ]
+                job = partial(improve, budget=self._budget)
+                jobs = [partial(job, candidate=c) for c in self._candidates.values()]
                 for candidate in self._counted(pool.run(jobs)):
                     self._candidates[candidate.number] = candidate
 
@@ -211,16 +228,10 @@ class _Search:
         return sorted((d for d in self._draws if np.isfinite(d.score)), key=lambda d: d.score)
 
     def _draw_jobs(self) -> list[partial[list[Draw]]]:
+        draw = partial(draw_trajectories, seed=self._seed, budget=self._budget)
         numbers = range(self._options.draws)
-        return [
-            partial(
-                draw_trajectories,
-                seed=self._seed,
-                numbers=numbers[k : k + DRAWS_PER_JOB],
-                budget=self._budget,
-            )
-            for k in range(0, len(numbers), DRAWS_PER_JOB)
-        ]
+        firsts = range(0, len(numbers), DRAWS_PER_JOB)
+        return [partial(draw, numbers=numbers[k : k + DRAWS_PER_JOB]) for k in firsts]
 
     def _check_starts(self, pool: WorkerPool) -> None:
         """Take the best draws as starts; without a feasible one there is no search."""
@@ -230,11 +241,8 @@ class _Search:
         if self._is_late():
             self.settle_for_a_draw()
             return
-        jobs = [
-            partial(first_candidate, number=k, x=draw.x)
-            for k, draw in enumerate(feasible[: self._options.n_starts])
-        ]
-        for candidate in pool.run(jobs):
+        starts = enumerate(feasible[: self._options.n_starts])
+        for candidate in pool.run([partial(first_candidate, number=k, x=d.x) for k, d in starts]):
             self._candidates[candidate.number] = candidate
             self._tell()
 
@@ -257,20 +265,17 @@ class _Search:
         best = self.best
         if best is None or best.feasible_x is None:
             raise InputError(_why_none(self._draws, self._design))
-        trajectory = self._design.trajectory(best.feasible_x)
-        check = self._check or self._check_of(best.feasible_x)
-        feasible = sum(bool(np.isfinite(draw.score)) for draw in self._draws)
         return ExcitationResult(
-            trajectory=trajectory,
+            trajectory=self._design.trajectory(best.feasible_x),
             criterion=self._options.criterion,
             objective=float(np.exp(best.feasible_score)),
             start_objective=float(np.exp(_smallest_score(self._draws))),
-            limit_check=check,
-            n_feasible=feasible,
+            limit_check=self._check or self._check_of(best.feasible_x),
+            n_feasible=len(self._feasible()),
             n_drawn=len(self._draws),
             prices=best.prices,
             stopped=self.stopped,
-            notes=self._design.problem.notes + _price_note(best.prices) + _cut_note(self.stopped),
+            notes=self._design.problem.notes + _price_note(best.prices) + _CUT[self.stopped],
         )
 
 
@@ -295,17 +300,6 @@ def _price_note(prices: Mapping[str, float]) -> tuple[str, ...]:
     return (f"limits that keep the errors from being smaller, and by about how much: {listed}",)
 
 
-def _cut_note(stopped: str) -> tuple[str, ...]:
-    if stopped == "interrupted":
-        return ("the search was interrupted; this is the best trajectory it had found until then",)
-    if not stopped:
-        return ()
-    return (
-        "the time budget ended the search; the same seed may give another trajectory on another "
-        "machine, so keep this one with --save-trajectory or raise --excitation-time-budget",
-    )
-
-
 def _why_none(draws: list[Draw], design: Design) -> str:
     """Say which limit is in the way of all drawn trajectories."""
     reasons = [draw.obstacle for draw in draws if draw.obstacle]
@@ -322,17 +316,6 @@ def _why_none(draws: list[Draw], design: Design) -> str:
         f"are stopped by the {names[worst]}; relax that limit or change the model's reference "
         "configuration"
     )
-
-
-SHRINK = (1.0, 0.8, 0.6, 0.4, 0.2, 0.1, 0.04, 0.01, 0.003, 0.001)
-"""Factors tried until a drawn motion obeys torque limits and touches nothing."""
-
-FULL = 0.99 * np.cos(np.pi / GRID_PER_CYCLE)
-"""Share of the limits of motion that a draw uses: as much may be seen of a peak between points."""
-FEW = 6
-"""Every how many grid points are looked at first."""
-
-Functions = tuple[Array, Array, Array]
 
 
 @dataclass(frozen=True)
@@ -357,49 +340,40 @@ def draw_trajectories(
 
     Where time is up, those up to the first feasible one.
     """
-    functions = design.on_grid
-    checks = _Checks(design)
+    # Two, because each remembers the slack of the grid it was last asked about.
+    few, whole = (MotionConstraints(design.problem, share=1.0, extra_slack=0.0) for _ in range(2))
     draws = []
     for number in numbers:
-        rng = np.random.default_rng([seed, number])
-        full = _within_motion_limits(design, functions, rng)
-        draws.append(_shrunk(design, functions, checks, full))
+        full = _within_motion_limits(design, np.random.default_rng([seed, number]))
+        draws.append(_shrunk(design, few, whole, full))
         if budget.is_over and np.isfinite(draws[-1].score):
             break
     return draws
 
 
-def _random_shape(design: Design, rng: np.random.Generator) -> Array:
-    """Return free coefficients (n, M) of harmonics whose speeds, not angles, are alike."""
-    size = (design.problem.n_joints, design.basis.size)
-    falling = np.tile(1.0 / design.basis.order, 2) ** rng.uniform(0.0, 1.0)
-    shape = rng.normal(size=size) * rng.uniform(0.2, 1.0, size=size)
-    shape[:, 1:] *= falling
-    shape[:, 0] = 0.0
-    return shape @ design.directions
+def _within_motion_limits(design: Design, rng: np.random.Generator) -> Array:
+    """Return a random motion, each joint as large as position, speed and acceleration allow.
 
-
-def _random_offset(design: Design, functions: Functions, rng: np.random.Generator) -> Array:
-    """Return free coefficients (n, M) that move each joint to a random middle and back.
-
-    Only a faded trajectory has such an offset; the offset of a periodic one follows from the rest.
+    A faded trajectory moves each joint to a random middle and back, besides; the offset of a
+    periodic one follows from the rest. Of harmonics the speeds, not the angles, are alike.
     """
     limits, rest = design.problem.limits, design.problem.rest
-    x = np.zeros((design.problem.n_joints, design.n_free))
+    offset = np.zeros((len(rest), design.n_free))
     middle = rng.uniform(0.2, 0.8, size=len(rest))
     if design.basis.fade > 0.0:
-        x[:, 0] = limits.lower + middle * (limits.upper - limits.lower) - rest
-    return x * np.minimum(1.0, 0.7 * _room(design, functions, np.zeros_like(x), x))[:, None]
+        offset[:, 0] = limits.lower + middle * (limits.upper - limits.lower) - rest
+    room = _room(design, np.zeros_like(offset), offset)
+    offset *= np.minimum(1.0, 0.7 * room)[:, None]
+    size = (len(rest), design.basis.size)
+    falling = np.tile(1.0 / design.basis.order, 2) ** rng.uniform(0.0, 1.0)
+    harmonics = rng.normal(size=size) * rng.uniform(0.2, 1.0, size=size)
+    harmonics[:, 1:] *= falling
+    harmonics[:, 0] = 0.0
+    shape = harmonics @ design.directions
+    return offset + shape * (FULL * _room(design, offset, shape))[:, None]
 
 
-def _within_motion_limits(design: Design, functions: Functions, rng: np.random.Generator) -> Array:
-    """Return a random motion, each joint as large as position, speed and acceleration allow."""
-    offset = _random_offset(design, functions, rng)
-    shape = _random_shape(design, rng)
-    return offset + shape * (FULL * _room(design, functions, offset, shape))[:, None]
-
-
-def _room(design: Design, functions: Functions, base: Array, x: Array) -> Array:
+def _room(design: Design, base: Array, x: Array) -> Array:
     """Return the largest factors (n,) for which base + factor x keeps the motion limits."""
     limits, rest = design.problem.limits, design.problem.rest
     ranges = (
@@ -408,7 +382,7 @@ def _room(design: Design, functions: Functions, base: Array, x: Array) -> Array:
         (-limits.acceleration, limits.acceleration),
     )
     factor = np.full(len(rest), np.inf)
-    for function, (low, high) in zip(functions, ranges):
+    for function, (low, high) in zip(design.on_grid, ranges):
         at, step = function @ base.T, function @ x.T
         room = np.where(step > 0.0, high - at, low - at)
         share = np.abs(step) > 1e-12
@@ -417,28 +391,20 @@ def _room(design: Design, functions: Functions, base: Array, x: Array) -> Array:
     return np.where(np.isfinite(factor), np.maximum(factor, 0.0), 0.0)
 
 
-class _Checks:
-    """Constraints of a motion on a few grid points first: most that is infeasible shows there."""
+def _shrunk(design: Design, few: MotionConstraints, whole: MotionConstraints, full: Array) -> Draw:
+    """Return the largest tried multiple of a motion that is feasible on the grid.
 
-    def __init__(self, design: Design) -> None:
-        self._few = MotionConstraints(design.problem, share=1.0, extra_slack=0.0)
-        self._all = MotionConstraints(design.problem, share=1.0, extra_slack=0.0)
-
-    def worst(self, motion: Functions) -> tuple[Array, Array]:
-        """Return constraint values (k, 4 n + 2), of all points if the few are feasible, and q."""
-        q, qd, qdd = (signal[::FEW] for signal in motion)
-        value = self._few.evaluate((q, qd, qdd)).value
-        if np.max(value) > ROUNDING:
-            return value, q
-        return self._all.evaluate(motion).value, motion[0]
-
-
-def _shrunk(design: Design, functions: Functions, checks: _Checks, full: Array) -> Draw:
-    """Return the largest tried multiple of a motion that is feasible on the grid."""
-    b, db, ddb = functions
+    A few grid points are looked at first: most that is infeasible shows there.
+    """
+    b, db, ddb = design.on_grid
     for factor in SHRINK:
         x = factor * full
-        value, q = checks.worst((design.problem.rest + b @ x.T, db @ x.T, ddb @ x.T))
+        motion = (design.problem.rest + b @ x.T, db @ x.T, ddb @ x.T)
+        q, qd, qdd = (signal[::FEW] for signal in motion)
+        value = few.evaluate((q, qd, qdd)).value
+        if np.max(value) > ROUNDING:
+            continue
+        value, q = whole.evaluate(motion).value, motion[0]
         if np.max(value) <= ROUNDING:
             return Draw(design.criterion_of(x), x, "")
     return Draw(np.inf, np.zeros_like(full), _obstacle(design, value, q))
@@ -453,3 +419,63 @@ def _obstacle(design: Design, value: Array, q: Array) -> str:
     if column == value.shape[1] - 2:
         return "speed limit of the tool"
     return f"clearance of {design.problem.obstacles.closest(q[sample]).label}"
+
+
+def design_for_arm(
+    design: Design, rng: np.random.Generator, progress: Progress
+) -> FourierTrajectory:
+    """Return the best of the random trajectories that keep all limits.
+
+    Raises:
+        InputError: none does.
+    """
+    budget = Budget(clocks.monotonic() + design.options.time_budget)
+    scored = _scored(design, int(rng.integers(2**62)), budget, progress)
+    for _, plan in sorted(scored, key=itemgetter(0)):
+        if keeps_limits(design.problem, plan):
+            return plan
+    raise InputError(
+        f"none of {design.options.draws} random trajectories keeps all limits; relax one, or "
+        "change the rest position with --keyframe"
+    )
+
+
+def _scored(
+    design: Design, seed: int, budget: Budget, progress: Progress
+) -> Iterator[tuple[float, FourierTrajectory]]:
+    total, found = design.options.draws, 0
+    for number in range(total):
+        for draw in draw_trajectories(design, seed, [number]):
+            if np.isfinite(draw.score):
+                found += 1
+                plan = design.trajectory(draw.x)
+                yield -information(design.problem, plan), plan
+        progress.advance("Designing the trajectory", number + 1, total, f"{found} feasible")
+        if budget.is_over and found:
+            return
+
+
+def information(problem: ExcitationProblem, plan: MotionPlan) -> float:
+    """Return log det of what the torques of a motion say of all links, rotors and friction."""
+    motion = plan.evaluate(np.arange(0.0, plan.duration, 1.0 / RATE_HZ))
+    robot = problem.robot
+    links = [k for k, link in enumerate(robot.links) if link.has_mass]
+    columns = LinkDynamics(robot).motion(motion.q, motion.qd, motion.qdd).columns(links)
+    scale = []
+    for theta in (robot.links[k].theta for k in links):
+        length = max(spatial.characteristic_length(theta), 1e-3)
+        scale.append(KNOWN * spatial.parameter_scale(float(theta[0]), length))
+    columns = columns * np.concatenate(scale)
+    sigma = np.full(problem.n_joints, np.inf)
+    sigma[list(problem.rows)] = problem.sigma
+    size = np.where(np.array(_OWN.terms) == "armature", _UNIT_ROTOR, 1.0)
+    total = np.eye(columns.shape[-1] + len(size) * problem.n_joints)
+    for joint in range(problem.n_joints):
+        nothing = np.zeros(len(motion.time))
+        own = _OWN.columns(motion.qd[:, joint], motion.qdd[:, joint], nothing) * size
+        rows = np.zeros((len(motion.time), len(total)))
+        rows[:, : columns.shape[-1]] = columns[:, joint]
+        place = columns.shape[-1] + joint * len(size)
+        rows[:, place : place + len(size)] = own
+        total += rows.T @ rows / sigma[joint] ** 2
+    return float(np.linalg.slogdet(total)[1])

@@ -1,4 +1,4 @@
-"""Jobs on one shared object, in this process or in a pool of workers.
+"""Jobs on one shared object, in this process or in a pool of workers, and the time for them.
 
 Worker processes are started afresh ("spawn"), so nothing depends on what this process has loaded;
 each receives the object once and keeps it. Results do not depend on how many workers there are.
@@ -11,10 +11,11 @@ import multiprocessing
 import os
 import signal
 import threading
+import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from types import TracebackType
+from dataclasses import dataclass
 from typing import Any, Callable
 
 from robot_sysid.interrupts import held_back
@@ -24,16 +25,40 @@ _THREAD_COUNTS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 Job = Callable[[Any], Any]
 """A function of the shared object; ``functools.partial`` of a module's function, to be sent."""
 
+Clock = Callable[[], float]
+"""Gives the time [s]."""
+
+
+class OutOfTime(Exception):
+    """The budget is used up in the middle of something."""
+
+
+@dataclass(frozen=True)
+class Budget:
+    """When a search ends.
+
+    The clock [s] is that of the machine, so that it can be asked in other processes too.
+    """
+
+    deadline: float
+    clock: Clock = time.monotonic
+
+    @property
+    def is_over(self) -> bool:
+        """Whether time is up."""
+        return self.clock() > self.deadline
+
+
+UNLIMITED = Budget(float("inf"))
+
 # What the jobs of this process work on, where this process is a worker.
 _received: Any = None
 
 
 class WorkerPool:
-    """Does jobs; use it as a context manager so that its processes end with it.
+    """Does jobs on ``shared``; a context manager, so that its processes end with it.
 
-    Args:
-        shared: what every job gets as its argument.
-        workers: number of processes; 1 uses the present one.
+    With one worker it uses the present process.
     """
 
     def __init__(self, shared: Any, workers: int) -> None:
@@ -50,12 +75,7 @@ class WorkerPool:
                 self._pool = ProcessPoolExecutor(self._workers, context, _receive, (self._shared,))
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *failure: object) -> None:
         self._close()
 
     def _close(self) -> None:
@@ -77,7 +97,9 @@ class WorkerPool:
         if self._pool is None:
             yield from (job(self._shared) for job in jobs)
             return
-        left = self._handed_out(self._pool, jobs)
+        # The first jobs start the processes, as far as the system lets them.
+        with held_back((signal.SIGINT,)), _one_thread_each():
+            left = {_submitted(self._pool, job): job for job in jobs}
         try:
             for future in as_completed(tuple(left)):
                 result = future.result()
@@ -92,12 +114,6 @@ class WorkerPool:
             for future in left if self._pool is not None else ():
                 future.cancel()
             raise
-
-    @staticmethod
-    def _handed_out(pool: ProcessPoolExecutor, jobs: Sequence[Job]) -> dict[Future[Any], Job]:
-        """Hand out all jobs; the first ones start the processes, as far as the system lets them."""
-        with held_back((signal.SIGINT,)), _one_thread_each():
-            return {_submitted(pool, job): job for job in jobs}
 
 
 def _receive(shared: Any) -> None:

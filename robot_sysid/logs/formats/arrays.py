@@ -1,5 +1,6 @@
 """Recordings kept as named arrays: NumPy's .npz, MATLAB's .mat, HDF5 as ALOHA and robomimic write
-it, and the records of 200 Hz that an xArm's controller sends."""
+it, and the records of 200 Hz that an xArm's controller sends.
+"""
 
 from __future__ import annotations
 
@@ -13,17 +14,14 @@ from typing import Any, cast
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.column_file import ColumnChoices, Units
-from robot_sysid.logs.formats.extras import as_input_errors, library
-from robot_sysid.logs.formats.table import ArrayTable, titled_arrays
+from robot_sysid.logs.column_map import ColumnChoices, Units
+from robot_sysid.logs.formats.table import ArrayTable, as_input_errors, library, titled_arrays
 
 LARGEST = 1e9
 """Largest recording of arrays that is unpacked [bytes]: four hours of seven joints at 1 kHz."""
 ALOHA_RATE = 50.0
 """Rows per second of ALOHA's recorder [Hz]; its files hold no time."""
-_ALOHA = (
-    *("waist", "shoulder", "elbow", "forearm_roll", "wrist_angle", "wrist_rotate", "gripper"),
-)
+_ALOHA = [*("waist", "shoulder", "elbow", "forearm_roll", "wrist_angle", "wrist_rotate", "gripper")]
 _ROBOMIMIC = {"joint_pos": "position", "joint_vel": "velocity", "joint_torque": "torque"}
 
 
@@ -41,28 +39,12 @@ _XARM_LENGTHS = range(256, 4096)
 _MATRIX, _COMPRESSED, _STRUCT = 14, 15, 2
 """Types of an element of a .mat file, and the class of a matrix that is a struct (MAT-File Format,
 MathWorks, version 5). SciPy's reader ends the process on some damaged files, so it is not used."""
+NPZ = b"PK\x03\x04"
+MATLAB = b"MATLAB 5.0"
+HDF5 = (b"\x89HDF\r\n\x1a\n", b"MATLAB 7.3")
+"""How files begin; .mat files are HDF5 since version 7.3."""
 _MAT_NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8"}
 _MAT_NUMBERS.update({12: "i8", 13: "u8"})
-
-
-def is_npz(start: bytes) -> bool:
-    """Return whether a file that begins so is a zip archive, as .npz files are."""
-    return start.startswith(b"PK\x03\x04")
-
-
-def is_hdf5(start: bytes) -> bool:
-    """Return whether a file that begins so is HDF5."""
-    return start.startswith(b"\x89HDF\r\n\x1a\n")
-
-
-def is_matlab(start: bytes) -> bool:
-    """Return whether a file that begins so is a .mat file of version 5, 6 or 7."""
-    return start.startswith(b"MATLAB 5.0")
-
-
-def is_matlab_hdf5(start: bytes) -> bool:
-    """Return whether a file that begins so is a .mat file of version 7.3."""
-    return start.startswith(b"MATLAB 7.3")
 
 
 def npz_table(path: Path) -> ArrayTable:
@@ -101,11 +83,7 @@ def _stated_bytes(packed: zipfile.ZipFile, name: str) -> int:
 
 
 def matlab_table(path: Path) -> ArrayTable:
-    """Return the arrays of a .mat file, also those in its structs.
-
-    Raises:
-        InputError: it cannot be read, unpacks to more than is read, or holds no rows.
-    """
+    """Return the arrays of a .mat file, also those in its structs."""
     _refuse_bomb(path, path.stat().st_size)
     with as_input_errors(path, "a MATLAB .mat file"):
         data = memoryview(path.read_bytes())
@@ -170,11 +148,7 @@ def is_xarm(path: Path, start: bytes) -> bool:
 
 
 def xarm_table(path: Path) -> ArrayTable:
-    """Return what an xArm's controller sent, as it came from the socket.
-
-    Raises:
-        InputError: it cannot be read, or bytes are missing in it.
-    """
+    """Return what an xArm's controller sent, as it came from the socket."""
     _refuse_bomb(path, path.stat().st_size)
     with as_input_errors(path, "an xArm report"):
         data = path.read_bytes()
@@ -200,11 +174,7 @@ def xarm_table(path: Path) -> ArrayTable:
 
 
 def hdf5_table(path: Path, commanded: bool = False) -> ArrayTable:
-    """Return the joint states in an HDF5 file; with ``commanded`` actions, and no torque.
-
-    Raises:
-        InputError: it cannot be read, or holds none.
-    """
+    """Return the joint states in an HDF5 file; with ``commanded`` actions, and no torque."""
     h5py = library("h5py", "hdf5", "an HDF5 file")
     with as_input_errors(path, "an HDF5 file"), h5py.File(path, "r") as file:
         if "observations/qpos" in file:
@@ -214,15 +184,17 @@ def hdf5_table(path: Path, commanded: bool = False) -> ArrayTable:
             return _robomimic(path, file["data"])
         found: dict[str, Any] = {}
         # What is called #refs# holds the cells of a MATLAB file.
-        file.visititems(lambda n, d: found.update({n: d}) if _is_data(h5py, n, d) else None)
+        file.visititems(
+            lambda name, member: (
+                found.update({name: member})
+                if isinstance(member, h5py.Dataset) and not name.startswith("#")
+                else None
+            )
+        )
         _refuse_bomb(path, sum(data.nbytes for data in found.values()))
         arrays = {name: data[()] for name, data in found.items()}
     titles, cells = titled_arrays(path, arrays)
     return ArrayTable(path, "HDF5", titles, (cells,))
-
-
-def _is_data(h5py: Any, name: str, member: Any) -> bool:
-    return isinstance(member, h5py.Dataset) and not name.startswith("#")
 
 
 def _refuse_bomb(path: Path, size: float) -> None:
@@ -249,22 +221,14 @@ def _aloha(path: Path, group: Any, action: Any = None) -> ArrayTable:
     arrays = {n: _whole(path, group[n]) for n in ("qpos", "qvel", "effort") if n in group}
     arrays.update({} if action is None else {"command": action})
     width = arrays["qpos"].shape[1]
-    titles, cells = [], []
-    for quantity, values in arrays.items():
-        titles += [f"{name} {quantity}" for name in _aloha_names(width)]
-        cells.append(np.asarray(values, float))
+    both = [f"{side}/{joint}" for side in ("left", "right") for joint in _ALOHA]
+    known = {len(_ALOHA): _ALOHA, len(both): both}
+    names = known.get(width, [f"joint{k}" for k in range(width)])
+    titles = tuple(f"{name} {quantity}" for quantity in arrays for name in names)
+    cells = np.hstack([np.asarray(values, float) for values in arrays.values()])
     rate = ColumnChoices(rate=ALOHA_RATE)
     layout = f"ALOHA HDF5, without time stamps: rows taken to be {ALOHA_RATE:g} Hz"
-    return ArrayTable(path, layout, tuple(titles), (np.hstack(cells),), rate)
-
-
-def _aloha_names(width: int) -> list[str]:
-    """Return the names of ALOHA's columns, where they are those of one arm or of two."""
-    if width == len(_ALOHA):
-        return list(_ALOHA)
-    if width == 2 * len(_ALOHA):
-        return [f"{side}/{joint}" for side in ("left", "right") for joint in _ALOHA]
-    return [f"joint{k}" for k in range(width)]
+    return ArrayTable(path, layout, titles, (cells,), rate)
 
 
 def _robomimic(path: Path, group: Any) -> ArrayTable:

@@ -35,14 +35,9 @@ class LogDialect:
     """Layout of one log file.
 
     Attributes:
-        path: the file.
-        encoding: text encoding.
         separator: "," ";" tab, or " " for any run of blanks.
-        decimal_comma: whether numbers use a comma as the decimal mark.
         header: column titles as written; empty where the file has none.
         header_line: file line of the header; 0 where there is none.
-        first_row: the cells of the first row of data.
-        quoted: whether cells may be quoted.
     """
 
     path: Path
@@ -81,11 +76,7 @@ class LogDialect:
         return self._read[0]
 
     def number(self, cell: str) -> float:
-        """Return the value of a cell, NaN where it is empty or marked missing.
-
-        Raises:
-            ValueError: the cell is not a number.
-        """
+        """Return the value of a cell, NaN where it is empty or marked missing, or ValueError."""
         text = cell.strip()
         if text.lower() in _MISSING:
             return float("nan")
@@ -93,11 +84,7 @@ class LogDialect:
 
 
 def read_dialect(path: Path) -> LogDialect:
-    """Look at the beginning of a log and return its layout.
-
-    Raises:
-        InputError: the file cannot be read, is not text, or holds no rows.
-    """
+    """Look at the beginning of a log and return its layout."""
     encoding = _encoding(path)
     comments, lines = _beginning(path, encoding)
     if not lines:
@@ -107,20 +94,16 @@ def read_dialect(path: Path) -> LogDialect:
         )
     separator = _separator(lines[0][1])
     cells = _cells(path, lines[0][1], separator)
-    if not _mostly_numbers(cells):
-        header_line, header = lines[0][0], _without_last_gap(cells)
-        if len(lines) < 2:
-            raise InputError(f"{path} has a header but no rows; check that the recording ran")
-        first = lines[1][1]
+    whole, first = _without_last_gap(cells), lines[-1][1]
+    if _mostly_numbers(cells):
+        header_line, header, first = 0, _commented_header(comments, len(whole)), lines[0][1]
+    elif len(lines) < 2:
+        raise InputError(f"{path} has a header but no rows; check that the recording ran")
     else:
-        width = len(_without_last_gap(cells))
-        header_line, header, first = 0, _commented_header(comments, width), lines[0][1]
-    decimal_comma = separator != "," and "," in first
-    quoted = '"' in first
-    first_row = _without_last_gap(_cells(path, first, separator))
-    return LogDialect(
-        path, encoding, separator, decimal_comma, header, header_line, first_row, quoted
-    )
+        header_line, header = lines[0][0], whole
+    comma = separator != "," and "," in first
+    row = _without_last_gap(_cells(path, first, separator))
+    return LogDialect(path, encoding, separator, comma, header, header_line, row, '"' in first)
 
 
 def split_line(line: str, separator: str) -> list[str] | None:
@@ -155,27 +138,21 @@ def _encoding(path: Path) -> str:
     return "utf-8-sig"
 
 
-def _content_lines(
-    path: Path, encoding: str, read: list[float] | None = None
-) -> Iterator[tuple[int, str]]:
+def _content_lines(path: Path, encoding: str, read: list[float]) -> Iterator[tuple[int, str]]:
     """Yield (file line number, text) of lines that are neither empty nor comments.
 
-    Args:
-        path: the file.
-        encoding: its encoding.
-        read: its first entry becomes the share of the file that was read.
+    The first entry of ``read`` becomes the share of the file that was read.
     """
     size = max(1, path.stat().st_size)
     # Titles may hold a degree sign in any encoding; numbers never do, so replacing is harmless.
     with path.open("rb") as binary, TextIOWrapper(binary, encoding, errors="replace") as stream:
         for number, line in enumerate(_lines(stream), start=1):
-            if read is not None and number % _COUNTED == 1:
+            if number % _COUNTED == 1:
                 read[0] = binary.tell() / size
             text = line.strip("\r\n")
             if text and not text.isspace() and not text.lstrip().startswith(_COMMENT_MARKS):
                 yield number, text
-    if read is not None:
-        read[0] = 1.0
+    read[0] = 1.0
 
 
 def _lines(stream: TextIO) -> Iterator[str]:
@@ -189,7 +166,7 @@ def _lines(stream: TextIO) -> Iterator[str]:
 
 def _beginning(path: Path, encoding: str) -> tuple[list[str], list[tuple[int, str]]]:
     """Return the comment lines above the data and the first two content lines."""
-    content = _content_lines(path, encoding)
+    content = _content_lines(path, encoding, [0.0])
     lines = list(islice((pair for pair in content if _is_text(pair[1])), 2))
     last = lines[0][0] if lines else 0
     with path.open(encoding=encoding, errors="replace") as stream:

@@ -10,21 +10,14 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.json_files import read_json
-from robot_sysid.logs.formats.extras import as_input_errors, library
-from robot_sysid.logs.formats.joint_titles import renamed
-from robot_sysid.logs.formats.table import ArrayTable
+from robot_sysid.logs.formats.table import ArrayTable, as_input_errors, library, renamed
 from robot_sysid.records import Array
 
 WHAT = "a LeRobot data set"
 STATE = "observation.state"
 # What a name in a feature ends in, and the title that says quantity and unit.
-_ENDINGS = {
-    "pos": "position [deg]",
-    "vel": "velocity [deg/s]",
-    "torque": "torque [Nm]",
-    "effort": "torque [Nm]",
-    "current": "current",
-}
+_ENDINGS = {"pos": "position [deg]", "vel": "velocity [deg/s]", "current": "current"}
+_ENDINGS.update(torque="torque [Nm]", effort="torque [Nm]")
 # Features of their own, whose names are joints.
 _FEATURES = {"observation.velocity": "velocity", "observation.effort": "torque"}
 ACTION = "action"
@@ -38,24 +31,13 @@ def is_lerobot(path: Path) -> bool:
 def lerobot_table(
     path: Path, joint_names: Sequence[str], episodes: Sequence[int] = (), commanded: bool = False
 ) -> ArrayTable:
-    """Return the episodes of a data set.
-
-    Args:
-        path: its folder.
-        joint_names: the n chain joints.
-        episodes: which ones; empty takes all.
-        commanded: whether the actions are wanted, and no torque.
-
-    Raises:
-        InputError: it cannot be read, has no torque or not these episodes.
-    """
-    info = _info(path)
+    """Return some episodes of a data set, or all where none are given."""
+    info = _mapping(read_json(path / "meta" / "info.json", "download the data set whole"))
     features = _mapping(info.get("features"))
     read = (STATE, ACTION) if commanded else (STATE, *_FEATURES)
     titles = {name: _titles(features, name, joint_names) for name in read}
-    if not commanded and not any(
-        "torque" in t or "current" in t for names in titles.values() for t in names
-    ):
+    said = " ".join(title for names in titles.values() for title in names)
+    if not commanded and "torque" not in said and "current" not in said:
         raise InputError(
             f"{path} holds no torque ({STATE}: {', '.join(titles[STATE]) or 'nothing'}); record it "
             "too: for OpenArm use_velocity_and_torque=true of the robot's configuration, for other "
@@ -87,11 +69,6 @@ def _wanted(path: Path, episodes: Sequence[int], index: Array) -> list[int]:
     if missing:
         raise InputError(f"{path} has no episode {missing[0]}; it has {found[0]} to {found[-1]}")
     return list(episodes) or found
-
-
-def _info(path: Path) -> Mapping[str, Any]:
-    content = read_json(path / "meta" / "info.json", "download the data set whole")
-    return _mapping(content)
 
 
 def _mapping(value: Any) -> Mapping[str, Any]:

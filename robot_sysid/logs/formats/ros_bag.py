@@ -4,6 +4,9 @@ Read are sensor_msgs/JointState, control_msgs/DynamicJointState and Franka's Fra
 joint is found by its name in each message: the order may change from message to message, several
 publishers may share a topic, and a message may hold a gripper only. Time is that of the message's
 header, or where that is empty the time at which the message was recorded.
+
+``rosbags`` unpacks each chunk, message or file whole, whatever comes out: a few kilobytes may
+become the computer's whole memory, or disk. So what it unpacks with gets a bound.
 """
 
 from __future__ import annotations
@@ -11,6 +14,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -18,26 +22,20 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.column_file import ColumnChoices
+from robot_sysid.logs.column_map import ColumnChoices
 from robot_sysid.logs.formats import table
-from robot_sysid.logs.formats.extras import as_input_errors, library
-from robot_sysid.logs.formats.joint_titles import renamed
-from robot_sysid.logs.formats.table import Block
-from robot_sysid.logs.formats.unpacking import bound_unpacking
+from robot_sysid.logs.formats.table import Block, as_input_errors, library, renamed
 
 WHAT = "a ROS bag"
 QUANTITIES = ("position", "velocity", "effort", "current")
 # So many messages of a topic are looked at to find out which joints it has.
 _LOOKED_AT = 200
 # control_msgs is not among the types that the reader knows by itself.
-_DYNAMIC = (
-    ("control_msgs/msg/InterfaceValue", "string[] interface_names\nfloat64[] values\n"),
-    (
-        "control_msgs/msg/DynamicJointState",
-        "std_msgs/Header header\nstring[] joint_names\n"
-        "control_msgs/InterfaceValue[] interface_values\n",
-    ),
-)
+_DYNAMIC = {
+    "control_msgs/msg/InterfaceValue": "string[] interface_names\nfloat64[] values\n",
+    "control_msgs/msg/DynamicJointState": "std_msgs/Header header\nstring[] joint_names\n"
+    "control_msgs/InterfaceValue[] interface_values\n",
+}
 
 Sample = Mapping[tuple[str, str], float]
 """(joint, quantity) to value."""
@@ -63,14 +61,10 @@ def _dynamic_joint_state(message: Any) -> Sample:
     }
 
 
-def _franka_robot_state(message: Any) -> Sample:
-    return _joint_state(message.measured_joint_state)
-
-
 _READERS: Mapping[str, Callable[[Any], Sample]] = {
     "sensor_msgs/msg/JointState": _joint_state,
     "control_msgs/msg/DynamicJointState": _dynamic_joint_state,
-    "franka_msgs/msg/FrankaRobotState": _franka_robot_state,
+    "franka_msgs/msg/FrankaRobotState": lambda message: _joint_state(message.measured_joint_state),
 }
 Stamped = tuple[int, int, Sample]
 """When a message was sampled and when it was recorded [ns], and what it says."""
@@ -81,7 +75,6 @@ class BagTable:
     """One topic of a bag.
 
     Attributes:
-        path: the bag.
         topic, kind: the topic and its type.
         columns: (joint, quantity) of each column after the time.
         titles: time, and one title per joint and quantity, in the model's spelling.
@@ -114,40 +107,43 @@ class BagTable:
             total = max(1, sum(c.msgcount for c in connections))
             messages = _messages(bag, connections, self.kind)
             done = 0
-            while rows := _rows(messages, place, len(self.titles), self.clock, self.start):
-                lines = np.arange(done, done + len(rows)) + 1
-                done += len(rows)
-                yield Block(lines, np.array(rows)[:, list(columns)], done=done / total)
+            while batch := list(islice(messages, table.BLOCK)):
+                cells = np.full((len(batch), len(self.titles)), np.nan)
+                for row, (sampled, recorded, sample) in zip(cells, batch):
+                    row[0] = 1e-9 * ((recorded if self.clock else sampled) - self.start)
+                    known = [key for key in sample if key in place]
+                    row[[place[key] for key in known]] = [sample[key] for key in known]
+                lines = np.arange(done, done + len(batch)) + 1
+                done += len(batch)
+                yield Block(lines, cells[:, list(columns)], done=done / total)
 
 
 def bag_table(path: Path, joint_names: Sequence[str], topic: str | None) -> BagTable:
-    """Return the topic of a bag that holds the arm's joints.
-
-    Args:
-        path: folder, .mcap, .db3 or .bag file.
-        joint_names: the n chain joints.
-        topic: which one; None takes the only one that fits.
-
-    Raises:
-        InputError: there is none that fits, or several.
-    """
+    """Return the topic of a bag with the arm's joints: ``topic``, or the only one that fits."""
     with _opened(path) as bag:
         known = {c.topic: c.msgtype for c in bag.connections if c.msgtype in _READERS}
+        topics = sorted({f"{c.topic} ({c.msgtype})" for c in bag.connections})
+        listed = f"its topics: {', '.join(topics) or 'none'}"
         if topic is not None and topic not in known:
-            raise InputError(
-                f"{path} has no joint states in topic {topic!r}; {_topics(bag.connections)}"
-            )
+            raise InputError(f"{path} has no joint states in topic {topic!r}; {listed}")
         wanted = [topic] if topic else sorted(known)
         tables = [_topic(path, bag, name, known[name], joint_names) for name in wanted]
         found = [each for each in tables if each is not None]
         if not found:
-            raise InputError(f"{path} holds no joint states; {_topics(bag.connections)}")
+            raise InputError(f"{path} holds no joint states; {listed}")
     fitting = [each for each in found if _has_all(each, joint_names)] or found
     measured = [each for each in fitting if _has_torque(each, joint_names)] or fitting
     if len(measured) > 1:
         listed = ", ".join(f"{each.topic} ({each.kind})" for each in measured)
         raise InputError(f"{path}: several topics could be the arm: {listed}; choose with --topic")
-    return _with_torque(measured[0], joint_names)
+    chosen = measured[0]
+    if _has_all(chosen, joint_names) and not _has_torque(chosen, joint_names):
+        raise InputError(
+            f"{path}: topic {chosen.topic} has no effort of joint {joint_names[-1]}; without "
+            "measured torque nothing can be identified: let the driver publish effort and record "
+            "again"
+        )
+    return chosen
 
 
 def is_bag(path: Path) -> bool:
@@ -168,22 +164,6 @@ def _has_torque(found: BagTable, joint_names: Sequence[str]) -> bool:
     return any({f"{joint} {q}" for joint in joint_names} <= titles for q in QUANTITIES[2:])
 
 
-def _with_torque(found: BagTable, joint_names: Sequence[str]) -> BagTable:
-    """Return a topic that has torque in it, or raise InputError."""
-    if _has_all(found, joint_names) and not _has_torque(found, joint_names):
-        raise InputError(
-            f"{found.path}: topic {found.topic} has no effort of joint {joint_names[-1]}; without "
-            "measured torque nothing can be identified: let the driver publish effort and record "
-            "again"
-        )
-    return found
-
-
-def _topics(connections: Sequence[Any]) -> str:
-    listed = ", ".join(sorted({f"{c.topic} ({c.msgtype})" for c in connections})) or "none"
-    return f"its topics: {listed}"
-
-
 def _topic(
     path: Path, bag: Any, topic: str, kind: str, joint_names: Sequence[str]
 ) -> BagTable | None:
@@ -199,26 +179,6 @@ def _topic(
     spelling = dict(zip(names, renamed(names, joint_names)))
     titles = tuple(f"{spelling[joint]} {quantity}" for joint, quantity in seen)
     return BagTable(path, topic, kind, tuple(seen), ("time", *titles), clock, start)
-
-
-def _rows(
-    messages: Iterator[Stamped],
-    place: Mapping[tuple[str, str], int],
-    width: int,
-    clock: int,
-    start: int,
-) -> list[list[float]]:
-    rows: list[list[float]] = []
-    for sampled, recorded, sample in messages:
-        row = [np.nan] * width
-        row[0] = 1e-9 * ((recorded if clock else sampled) - start)
-        for key, value in sample.items():
-            if key in place:
-                row[place[key]] = value
-        rows.append(row)
-        if len(rows) == table.BLOCK:
-            break
-    return rows
 
 
 def _messages(bag: Any, connections: Sequence[Any], kind: str) -> Iterator[Stamped]:
@@ -240,8 +200,100 @@ def _opened(path: Path) -> Iterator[Any]:
     bound_unpacking()
     with as_input_errors(path, WHAT):
         store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-        for name, text in _DYNAMIC:
+        for name, text in _DYNAMIC.items():
             store.register(typesys.get_types_from_msg(text, name))
         bag = highlevel.AnyReader([path.parent if single else path], default_typestore=store)
         with bag:
             yield bag
+
+
+MOST_RATIO, ALWAYS = 100, 10**8
+"""Recordings shrink to a tenth; a piece may unpack to 100 times its size, or to 100 MB."""
+_BLOCK = 2**20
+
+
+class TooMuchError(Exception):
+    """A piece of a bag unpacks to more than the bound."""
+
+
+def bound_unpacking() -> None:
+    """Have ``rosbags`` unpack no more than the bound, in this process from now on."""
+    import bz2
+
+    import lz4.frame
+    from rosbags.rosbag1 import reader as ros1
+    from rosbags.rosbag2 import reader as ros2
+    from rosbags.rosbag2 import storage_mcap as mcap
+
+    two = {"bz2": Bounded(bz2).decompress, "lz4": Bounded(lz4.frame).decompress}
+    getattr(ros1, "decompressors", {}).update(two)
+    for module, name in ((ros1, "bz2"), (ros1, "lz4"), (mcap, "lz4")):
+        setattr(module, f"{name}_decompress", two[name])
+    for module in (mcap, ros2):
+        library = getattr(module, "zstd", None)
+        if library is not None and not isinstance(library, Bounded):
+            setattr(module, "zstd", Bounded(library))  # noqa: B010
+    # The last rosbags for Python 3.9 unpacks with zstandard.
+    library = getattr(ros2, "zstandard", None)
+    if library is not None and not isinstance(library, Bounded):
+        setattr(ros2, "zstandard", Bounded(library))  # noqa: B010
+        mcap.DECOMPRESSORS["zstd"] = Bounded(library).decompress
+
+
+class Bounded:
+    """A compression library, a module like ``bz2``, that reads within the bound."""
+
+    def __init__(self, library: Any) -> None:
+        self._library = library
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._library, name)
+
+    def decompress(self, packed: bytes, _: int = 0) -> bytes:
+        """Return the content of packed bytes, or raise TooMuchError."""
+        content = BytesIO()
+        self.copy_stream(BytesIO(packed), content)
+        return content.getvalue()
+
+    def ZstdDecompressor(self) -> Bounded:
+        """Return what ``zstandard`` has its functions in."""
+        return self
+
+    def copy_stream(self, packed: Any, content: Any) -> None:
+        """Write the content of a packed file to another, or raise TooMuchError."""
+        with self.open(packed) as stream:
+            while piece := stream.read(_BLOCK):
+                content.write(piece)
+
+    def open(self, file: Any, mode: str = "rb", **options: Any) -> Any:
+        """Open a file as the library does; reading on beyond the bound raises TooMuchError."""
+        stream = self._library.open(file, mode, **options)
+        if mode != "rb" or not hasattr(file, "seek"):
+            return stream
+        size = file.seek(0, 2)
+        file.seek(0)
+        return _Stream(stream, max(ALWAYS, MOST_RATIO * size))
+
+
+class _Stream:
+    """What comes out of a packed stream, up to ``most`` bytes."""
+
+    def __init__(self, stream: Any, most: int) -> None:
+        self._stream, self._most, self._read = stream, most, 0
+
+    def __enter__(self) -> _Stream:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stream.close()
+
+    def read(self, size: int) -> bytes:
+        """Return the next bytes, at most ``size``."""
+        piece: bytes = self._stream.read(size)
+        self._read += len(piece)
+        if self._read > self._most:
+            raise TooMuchError(
+                f"a piece of it unpacks to more than {self._most / 1e6:g} MB, far more than any "
+                "recording would; record it again without compression"
+            )
+        return piece

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import importlib
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,8 +13,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.errors import InputError
-from robot_sysid.logs.column_file import ColumnChoices
+from robot_sysid.errors import InputError, SysidError, words_of
+from robot_sysid.logs.column_map import ColumnChoices
 from robot_sysid.logs.columns import read_title
 from robot_sysid.records import Array
 
@@ -79,12 +82,7 @@ class LogTable(Protocol):
 
 @dataclass(frozen=True)
 class ArrayTable:
-    """A recording that is in memory already.
-
-    Attributes:
-        path, layout, word, titles, first_row, choices: see ``LogTable``.
-        pieces: (N, W) cells of each piece.
-    """
+    """A recording that is in memory already, in pieces with cells (N, W); see ``LogTable``."""
 
     path: Path
     layout: str
@@ -121,8 +119,21 @@ def titled_arrays(path: Path, arrays: Mapping[str, Any]) -> tuple[tuple[str, ...
     Raises:
         InputError: there is no array with rows.
     """
-    sized = {n: a for n, a in _by_last_name(arrays).items() if _is_table(a)}
-    rows = _number_of_rows(path, sized, arrays)
+    last = [name.rsplit("/", 1)[-1] for name in arrays]
+    ends = zip(last, arrays.items())
+    named = {end if last.count(end) == 1 else name: a for end, (name, a) in ends}
+    sized = {
+        name: a
+        for name, a in named.items()
+        if a.dtype.kind in "fiub" and a.ndim in (1, 2) and a.size > 1
+    }
+    # As many samples as times, else what most arrays have.
+    times = [max(a.shape) for name, a in sized.items() if read_title(name).kind == "time"]
+    lengths = times or [max(a.shape) for a in sized.values()]
+    if not lengths:
+        shapes = ", ".join(f"{name} {np.shape(a)}" for name, a in arrays.items()) or "nothing"
+        raise InputError(f"{path} holds no arrays with a row per sample: {shapes}")
+    rows = max(set(lengths), key=lengths.count)
     titles: list[str] = []
     columns: list[Array] = []
     for name, values in sized.items():
@@ -136,26 +147,62 @@ def titled_arrays(path: Path, arrays: Mapping[str, Any]) -> tuple[tuple[str, ...
     return tuple(titles), np.hstack(columns)
 
 
-def _by_last_name(arrays: Mapping[str, Any]) -> dict[str, Any]:
-    last = [name.rsplit("/", 1)[-1] for name in arrays]
-    return {
-        end if last.count(end) == 1 else name: values
-        for (name, values), end in zip(arrays.items(), last)
-    }
+def model_names(names: Sequence[str], joint_names: Sequence[str]) -> Mapping[str, str]:
+    """Return the recording's name to the model's, for joints that only differ in a prefix.
+
+    ``fr3_joint1`` is ``joint1`` where no other name ends in it; upper case and underscores make no
+    difference. A name that two joints could have stays as it is.
+    """
+    found = {}
+    for name in names:
+        if name in joint_names:
+            continue
+        owners = [joint for joint in joint_names if _alike(name, joint)]
+        if len(owners) == 1:
+            rivals = [n for n in names if n == owners[0] or _alike(n, owners[0])]
+            if len(rivals) == 1:
+                found[name] = owners[0]
+    return found
 
 
-def _number_of_rows(path: Path, sized: Mapping[str, Array], arrays: Mapping[str, Any]) -> int:
-    """Return how many samples there are: as many as times, else what most arrays have."""
-    times = [max(a.shape) for name, a in sized.items() if read_title(name).kind == "time"]
-    lengths = times or [max(a.shape) for a in sized.values()]
-    if not lengths:
-        raise InputError(f"{path} holds no arrays with a row per sample: {_shapes(arrays)}")
-    return max(set(lengths), key=lengths.count)
+def renamed(names: Sequence[str], joint_names: Sequence[str]) -> Iterator[str]:
+    """Yield the names with those of ``model_names`` in the model's spelling."""
+    known = model_names(names, joint_names)
+    yield from (known.get(name, name) for name in names)
 
 
-def _is_table(values: Any) -> bool:
-    return values.dtype.kind in "fiub" and values.ndim in (1, 2) and values.size > 1
+def _alike(first: str, second: str) -> bool:
+    """Return whether one name is the end of the other."""
+    a, b = _pieces(first), _pieces(second)
+    short, long = sorted((a, b), key=len)
+    return bool(short) and long[-len(short) :] == short and not short[0].isdigit()
 
 
-def _shapes(arrays: Mapping[str, Any]) -> str:
-    return ", ".join(f"{name} {np.shape(values)}" for name, values in arrays.items()) or "nothing"
+def _pieces(name: str) -> list[str]:
+    return re.findall(r"[a-z]+|\d+", name.lower())
+
+
+def library(module: str, extra: str, what: str) -> Any:
+    """Return a module that is not always installed."""
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        name = module.split(".")[0]
+        raise InputError(
+            f"reading {what} needs {name}: pip install 'robot-sysid[{extra}]'"
+        ) from None
+
+
+@contextlib.contextmanager
+def as_input_errors(path: Path, what: str) -> Iterator[None]:
+    """Turn whatever a library complains about in a file into an InputError."""
+    try:
+        yield
+    except SysidError:
+        raise
+    except MemoryError:
+        raise InputError(
+            f"{path} asks for more memory than there is; it is damaged, or too long"
+        ) from None
+    except Exception as error:
+        raise InputError(f"cannot read {path} as {what}: {words_of(error)}") from error

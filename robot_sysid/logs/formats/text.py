@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -9,10 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from robot_sysid.logs.column_file import ColumnChoices
+from robot_sysid.errors import InputError
+from robot_sysid.logs.column_map import ColumnChoices, Units
 from robot_sysid.logs.formats import table
 from robot_sysid.logs.formats.dialect import SEPARATOR_NAMES, LogDialect
-from robot_sysid.logs.formats.table import NO_LINES, Block
+from robot_sysid.logs.formats.table import NO_LINES, Block, renamed
 from robot_sysid.records import Array
 
 Batch = list[tuple[int, str]]
@@ -20,13 +23,7 @@ Batch = list[tuple[int, str]]
 
 @dataclass(frozen=True)
 class TextTable:
-    """A text log.
-
-    Attributes:
-        dialect: its layout.
-        program: what wrote it, where the titles tell.
-        choices: what that program says of its columns.
-    """
+    """A text log."""
 
     dialect: LogDialect
     program: str = ""
@@ -44,8 +41,8 @@ class TextTable:
         dialect = self.dialect
         program = f"{self.program}, " if self.program else ""
         decimal = ", decimal comma" if dialect.decimal_comma else ""
-        commented = "" if dialect.header_line or not dialect.header else ", titles in a comment"
-        commented += " line" if commented else ""
+        in_comment = dialect.header and not dialect.header_line
+        commented = ", titles in a comment line" if in_comment else ""
         separator = SEPARATOR_NAMES[dialect.separator]
         return f"{program}{dialect.width} columns separated by {separator}{decimal}{commented}"
 
@@ -76,7 +73,8 @@ class TextTable:
     def _careful(self, columns: Sequence[int], batch: Batch, last: bool) -> Block:
         """Parse rows cell by cell; a last row of the file that is cut off is left out."""
         dialect, cut_off = self.dialect, NO_LINES
-        if last and _is_short(dialect, batch[-1][1]):
+        end = dialect.split(batch[-1][1])
+        if last and end is not None and len(end) < dialect.width:
             cut_off = np.array([batch[-1][0]])
             batch = batch[:-1]
         parsed = [_row(dialect, columns, text) for _, text in batch]
@@ -87,11 +85,6 @@ class TextTable:
         complaint = f"line {lines[bad[0]]}{parsed[bad[0]]}" if bad else ""
         shaped = cells.reshape(len(batch), len(columns))
         return Block(lines, shaped, lines[bad], cut_off, complaint)
-
-
-def _is_short(dialect: LogDialect, text: str) -> bool:
-    cells = dialect.split(text)
-    return cells is not None and len(cells) < dialect.width
 
 
 def _row(dialect: LogDialect, columns: Sequence[int], text: str) -> list[float] | str:
@@ -111,23 +104,142 @@ def _row(dialect: LogDialect, columns: Sequence[int], text: str) -> list[float] 
 
 def _fast(dialect: LogDialect, columns: Sequence[int], texts: list[str]) -> Array | None:
     """Parse rows with numpy; None where a row needs a closer look."""
-    blank = dialect.separator == " "
-    if dialect.quoted or not all(
-        len(text.split()) == dialect.width
-        if blank
-        else text.count(dialect.separator) == dialect.width - 1
-        for text in texts
-    ):
+    mark = None if dialect.separator == " " else dialect.separator
+    if dialect.quoted or any(len(text.split(mark)) != dialect.width for text in texts):
         return None
     if dialect.decimal_comma:
         texts = [text.replace(",", ".") for text in texts]
     try:
-        return np.loadtxt(
-            texts,
-            delimiter=None if blank else dialect.separator,
-            usecols=list(columns),
-            comments=None,
-            ndmin=2,
-        )
+        return np.loadtxt(texts, delimiter=mark, usecols=list(columns), comments=None, ndmin=2)
     except ValueError:
         return None
+
+
+UR_TORQUE, UR_CURRENT = "actual_current_as_torque", "actual_current"
+
+
+def known_text(
+    titles: Sequence[str], joint_names: Sequence[str], currents: bool
+) -> tuple[str, ColumnChoices]:
+    """Return (program that wrote the log, what it says of its columns); ("", nothing) if unknown.
+
+    ``currents``: whether torque constants were given, so that currents are wanted.
+    """
+    if {"time", "state.q[0]", "state.tau_J[0]"} <= set(titles):
+        return "libfranka's logToCSV, time in ms", ColumnChoices(units=Units(time="ms"))
+    if {"timestamp", "actual_q_0"} <= set(titles):
+        return "Universal Robots RTDE record", _rtde(titles, joint_names, currents)
+    return "", ColumnChoices()
+
+
+def merged(own: ColumnChoices, known: ColumnChoices) -> ColumnChoices:
+    """Return what is known of a form with what the user says himself, which comes first."""
+    units = Units(own.units.angle or known.units.angle, own.units.time or known.units.time)
+    columns = {**known.columns, **own.columns}
+    rate = own.rate or (None if own.time else known.rate)
+    return replace(own, time=own.time or known.time, columns=columns, units=units, rate=rate)
+
+
+def _rtde(titles: Sequence[str], joint_names: Sequence[str], currents: bool) -> ColumnChoices:
+    """Return the columns of RTDE's fields; ``target_moment`` is computed, not measured."""
+    torque = UR_CURRENT if currents else UR_TORQUE
+    fields = {"position": "actual_q", "velocity": "actual_qd", "torque": torque}
+    columns = {
+        quantity: {joint: f"{field}_{k}" for k, joint in enumerate(joint_names)}
+        for quantity, field in fields.items()
+    }
+    there = {q: c for q, c in columns.items() if set(c.values()) <= set(titles)}
+    if "torque" not in there:
+        raise InputError(
+            f"this RTDE recording has no {torque}_0 to {torque}_{len(joint_names) - 1}: "
+            "actual_current is in amperes and target_moment is the controller's model, no "
+            "measurement; record actual_current_as_torque (PolyScope 5.23 or 10.11 and later), or "
+            "record actual_current and give --torque-constants"
+        )
+    return ColumnChoices(time="timestamp", columns=there)
+
+
+SAGE_HEADER = ("type", "timestamp", "positions", "velocities", "torques")
+_NAMES_FILE = "joint_list.txt"
+# The simulation writes STATE_MOTOR and seconds, the recorder of a real robot StateMotor and us.
+_TIMES = {"STATE_MOTOR": "s", "StateMotor": "us"}
+
+
+@dataclass(frozen=True)
+class SageTable:
+    """A recording of SAGE."""
+
+    dialect: LogDialect
+    titles: tuple[str, ...]
+    choices: ColumnChoices
+    word: str = "line"
+    layout: str = "SAGE state_motor.csv"
+    first_row: tuple[str, ...] = ()
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return self.dialect.path
+
+    def blocks(self, columns: Sequence[int]) -> Iterator[Block]:
+        """Yield the rows of measured states."""
+        rows = self.dialect.data_lines()
+        while batch := list(islice(rows, table.BLOCK)):
+            parsed = [(line, _numbers(text, len(self.titles))) for line, text in batch]
+            kept = [(line, cells) for line, cells in parsed if cells is None or len(cells)]
+            lines = np.array([line for line, _ in kept], np.int64)
+            nothing = [np.nan] * len(self.titles)
+            cells = np.array([nothing if c is None else c for _, c in kept], float)
+            wanted = cells.reshape(len(kept), len(self.titles))[:, list(columns)]
+            unreadable = lines[[c is None for _, c in kept]] if kept else table.NO_LINES
+            yield Block(lines, wanted, unreadable, done=self.dialect.share_read())
+
+
+def sage_table(dialect: LogDialect, joint_names: Sequence[str]) -> SageTable:
+    """Return a recording of SAGE; the joints' names stand in a file beside it."""
+    rows = (_cells(text) for _, text in islice(dialect.data_lines(), table.BLOCK))
+    cells = next((row for row in rows if row and row[0] in _TIMES), None)
+    if cells is None:
+        raise InputError(f"{dialect.path} holds no rows of type {' or '.join(_TIMES)}")
+    try:
+        count = len(_list(cells[2]))
+    except (IndexError, ValueError):
+        raise InputError(
+            f"{dialect.path}: its first row of type {cells[0]} lists no positions; record it again"
+        ) from None
+    names = _names(dialect.path.parent / _NAMES_FILE, count)
+    shown = [f"{name} " for name in renamed(names, joint_names)] if names else [""] * count
+    titles = ["timestamp"]
+    for quantity in ("position", "velocity", "torque"):
+        titles += [f"{n}{quantity}" + ("" if n else f"[{k}]") for k, n in enumerate(shown)]
+    return SageTable(dialect, tuple(titles), ColumnChoices(units=Units(time=_TIMES[cells[0]])))
+
+
+def _names(path: Path, count: int) -> list[str]:
+    text = path.read_text("utf-8-sig", errors="replace") if path.is_file() else ""
+    names = [line.strip() for line in text.splitlines() if line.strip()]
+    return names if len(names) == count else []
+
+
+def _cells(text: str) -> list[str]:
+    try:
+        return next(csv.reader(io.StringIO(text)), [])
+    except csv.Error:
+        return []
+
+
+def _list(text: str) -> list[float]:
+    return [float(cell) for cell in text.strip(" []").replace(",", " ").split()]
+
+
+def _numbers(text: str, width: int) -> list[float] | None:
+    """Return a row's numbers; nothing for another type of row, None for no row at all."""
+    cells = _cells(text)
+    if cells and cells[0] not in _TIMES and len(cells) >= len(SAGE_HEADER):
+        return []
+    try:
+        lists = [number for cell in cells[2:5] for number in _list(cell)]
+        row = [float(cells[1]), *lists]
+    except (ValueError, IndexError):
+        return None
+    return row if len(row) == width else None

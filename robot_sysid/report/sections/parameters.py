@@ -1,83 +1,113 @@
-"""Before -> after, what each number's error is made of, and what the torques do not show."""
+"""Before -> after, what each number's error is made of, what does not show; payloads as cards."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.records import Array
-from robot_sysid.records.figures import THETA, percent
-from robot_sysid.report.drawing import AFTER, BEFORE, INK, NARROW, SERIES, TRUTH, drawn, legend
-from robot_sysid.report.elements import Figure, Section, Table, plus_minus, table, text
-from robot_sysid.report.runs import PAYLOAD, Body, Run, listed
+from robot_sysid.records.figures import THETA, percent, with_error
+from robot_sysid.report import drawing
+from robot_sysid.report.drawing import (
+    AFTER,
+    BEFORE,
+    HATCHES,
+    MEASURED,
+    NARROW,
+    SERIES,
+    Figure,
+    Section,
+    Table,
+    drawn,
+    legend,
+    plus_minus,
+    shortened,
+    table,
+    text,
+)
+from robot_sysid.report.runs import Body, Run, figure, listed, mapping, mappings, number
+from robot_sysid.results.record import PAYLOAD
 
-GROUPS = ((0, 1, "mass"), (1, 4, "first moment"), (4, 10, "inertia about the origin"))
+_GROUPS = ((0, 1, "mass"), (1, 4, "first moment"), (4, 10, "inertia about the origin"))
+_MARKS: dict[str, dict[str, Any]] = {
+    "before": {"marker": "D", "mfc": "none", "mec": drawing.BEFORE},
+    "in the file": {"marker": "s", "mfc": "none", "mec": drawing.OTHER},
+    "truth": {"marker": "x", "mew": 1.8, "color": drawing.TRUTH},
+}
 
 
 def parameters(run: Run) -> Section:
     """Return the ten parameters of every body, before and after."""
     figures, bodies = [], run.bodies()
-    for number, body in enumerate(bodies):
-        figures.append(_before_after(body, f"parameters-{number}"))
+    for place, body in enumerate(bodies):
+        figures.append(_before_after(body, f"parameters-{place}"))
         if body.budget:
-            figures.append(_causes(body, f"errors-{number}"))
-    frame = "flange" if run.kind == PAYLOAD else "body"
-    return Section(
-        "parameters",
-        "The numbers" if run.kind == PAYLOAD else "Before and after",
-        sentences=(
-            "m is the mass, h the first moment (mass times centre of mass), I the inertia about "
-            f"the origin of the {frame}'s frame. Bars are ± one standard error, all causes "
-            "together; a value without a bar has an error that is not known.",
-        ),
-        figures=tuple(figures),
-        tables=(_com_table(bodies),),
+            figures.append(_causes(body, f"errors-{place}"))
+    carried = run.question == PAYLOAD
+    words = (
+        "m is the mass, h the first moment (mass times centre of mass), I the inertia about the "
+        f"origin of the {'flange' if carried else 'body'}'s frame. Bars are ± one standard error, "
+        "all causes together; a value without a bar has an error that is not known."
     )
+    title = "The numbers" if carried else "Before and after"
+    return Section("parameters", title, (words,), (masses(bodies),), tuple(figures))
+
+
+def masses(bodies: Sequence[Body]) -> Table:
+    """Return mass and centre of mass of some bodies: before, after, as written and in truth."""
+    header = ("body", "", "mass [kg]", *(f"centre {axis} [m]" for axis in "xyz"))
+    rows = [
+        (
+            *(body.title, when),
+            with_error(float(theta[0]), body.errors[0] if when == "after" else None),
+            *(f"{c + 0.0:.4f}" for c in theta[1:4] / theta[0]),
+        )
+        for body in bodies
+        for when, theta in body.thetas.items()
+        if theta[0] != 0.0
+    ]
+    return table(header, rows)
 
 
 def _before_after(body: Body, name: str) -> Figure:
-    columns = {"before": body.before, "after": body.after, "truth": body.truth}
-    told = {what: theta for what, theta in columns.items() if theta is not None}
+    told = body.thetas
     rows = [
         (
             f"{label} [{unit}]",
-            *(text(theta[k], body.errors[k]) for theta in told.values()),
+            *(text(float(theta[k]), body.errors[k]) for theta in told.values()),
             plus_minus(body.errors[k]),
         )
         for k, (label, unit) in enumerate(zip(PARAMETER_NAMES, THETA))
     ]
     numbers = table(("parameter", *told, "± standard error"), rows)
-    against = "" if body.before is None else " against the model's values before"
-    known = "" if body.truth is None else " and the truth of the simulated arm"
+    against = " against the model's values before" if "before" in told else ""
+    known = " and the truth of the simulated arm" if "truth" in told else ""
     caption = f"{body.title}: identified parameters{against}{known}, ± one standard error."
     return drawn(name, caption, numbers, (NARROW, 4.6), lambda canvas: _draw(canvas, body))
 
 
 def _draw(canvas: Any, body: Body) -> None:
-    heights = [end - start + 0.6 for start, end, _ in GROUPS]
+    heights = [end - start + 0.6 for start, end, _ in _GROUPS]
     axes = canvas.subplots(3, 1, height_ratios=heights)
-    for (start, end, title), ax in zip(GROUPS, axes):
+    errors = np.where(np.isfinite(body.errors), body.errors, 0.0)
+    for (start, end, title), ax in zip(_GROUPS, axes):
         places = -np.arange(end - start, dtype=float)
         part = slice(start, end)
-        if body.before is not None:
-            hollow: Any = {"marker": "D", "mfc": "none", "mec": BEFORE, "ls": "none"}
-            ax.plot(body.before[part], places + 0.16, label="before", **hollow)
-        errors = np.where(np.isfinite(body.errors[part]), body.errors[part], 0.0)
+        for (what, style), shift in zip(_MARKS.items(), (0.16, -0.16, -0.16)):
+            if what in body.thetas:
+                ax.plot(body.thetas[what][part], places + shift, label=what, ls="none", **style)
         bar: Any = {"fmt": "o", "color": AFTER, "ms": 5, "capsize": 3, "label": "after"}
-        ax.errorbar(body.after[part], places, xerr=errors, **bar)
-        if body.truth is not None:
-            cross: Any = {"marker": "x", "mew": 1.8, "color": TRUTH, "ls": "none"}
-            ax.plot(body.truth[part], places - 0.16, label="truth", **cross)
+        ax.errorbar(body.after[part], places, xerr=errors[part], **bar)
         ax.set_yticks(places, PARAMETER_NAMES[part])
         ax.set_ylim(places[-1] - 0.6, 0.6)
         ax.set_xlabel(f"{title} [{THETA[start]}]")
         ax.margins(x=0.08)
         ax.locator_params(axis="x", nbins=6)
         _room(ax, body.after[part])
-    legend(canvas, axes[0])
+    legend(canvas, axes[0], 4)
 
 
 def _room(ax: Any, values: Array) -> None:
@@ -91,8 +121,7 @@ def _room(ax: Any, values: Array) -> None:
 
 def _causes(body: Body, name: str) -> Figure:
     causes = list(body.budget)
-    squares = np.array([np.square(body.budget[cause]) for cause in causes])
-    squares = np.where(np.isfinite(squares), squares, 0.0)
+    squares = np.square(np.nan_to_num(np.array(list(body.budget.values()))))
     total = np.sum(squares, axis=0)
     shares = np.divide(squares, total, out=np.zeros_like(squares), where=total > 0.0)
     rows = [
@@ -108,10 +137,14 @@ def _causes(body: Body, name: str) -> Figure:
     def draw(canvas: Any) -> None:
         ax = canvas.subplots()
         left, places = np.zeros(10), -np.arange(10.0)
-        hatches = ("", "///", "...", "xxx", "\\\\\\", "++", "oo")
         for k, (cause, share) in enumerate(zip(causes, shares)):
-            style = {"facecolor": SERIES[k % len(SERIES)][0], "edgecolor": INK, "alpha": 0.75}
-            ax.barh(places, 100.0 * share, left=left, label=cause, hatch=hatches[k % 7], **style)
+            style = {
+                "facecolor": SERIES[k % len(SERIES)][0],
+                "edgecolor": drawing.INK,
+                "alpha": 0.75,
+            }
+            hatch = HATCHES[k % len(HATCHES)]
+            ax.barh(places, 100.0 * share, left=left, label=cause, hatch=hatch, **style)
             left = left + 100.0 * share
         ax.set_yticks(places, PARAMETER_NAMES)
         ax.set_xlabel("share of the error's variance [%]")
@@ -121,56 +154,33 @@ def _causes(body: Body, name: str) -> Figure:
     return drawn(name, caption, numbers, (NARROW, 4.6), draw)
 
 
-def _com_table(bodies: Sequence[Body]) -> Table:
-    """Return the centres of mass before and after, and in truth where it is known."""
-    columns: dict[str, list[Array | None]] = {
-        "before": [body.before for body in bodies],
-        "after": [body.after for body in bodies],
-        "truth": [body.truth for body in bodies],
-    }
-    told = [what for what, thetas in columns.items() if any(t is not None for t in thetas)]
-    rows = [
-        (body.title, *(_com(columns[what][k]) for what in told)) for k, body in enumerate(bodies)
-    ]
-    return table(("centre of mass", *(f"{what} (x, y, z) [m]" for what in told)), rows)
-
-
-def _com(theta: Array | None) -> str:
-    if theta is None or theta[0] == 0.0:
-        return "–"
-    return ", ".join(f"{c + 0.0:.4f}" for c in theta[1:4] / theta[0])
-
-
 def visibility(run: Run) -> Section:
     """Return what is identified, what was kept from the model, and what does not show."""
-    body = run.bodies()[0]
+    body, content = run.bodies()[0], run.content
     rows = [
-        (label, _source(body, k), _share(body.share[k]), plus_minus(body.errors[k]))
+        (label, _source(body, k), percent(body.share[k]), plus_minus(body.errors[k]))
         for k, label in enumerate(PARAMETER_NAMES)
     ]
-    hidden = listed(run.content, "unidentifiable_combinations")
-    base = run.content.get("base_parameters")
-    sentences = list(_base_sentences(run, base))
-    if hidden:
-        sentences.append("These torques do not show: " + "; ".join(hidden) + ".")
-    elif run.kind != "arm":
-        sentences.append("All parameters that were asked for show in these torques.")
-    tables = [] if run.kind == "arm" else [table(("parameter", "comes from", "data", "±"), rows)]
-    if isinstance(base, list):
-        tables.append(_base_table(base))
-    return Section("visible", "Identified, kept, not visible", tuple(sentences), tuple(tables))
-
-
-def _base_sentences(run: Run, base: Any) -> Iterator[str]:
-    if isinstance(base, list):
-        yield (
+    tables, sentences = [table((body.title, "comes from", "data", "±"), rows)], []
+    base, sensors = mappings(content, "base_parameters"), mapping(content, "sensors")
+    if base:
+        sentences.append(
             f"The torques show {len(base)} combinations of the links' parameters; any motion of "
-            f"this arm could show {run.content.get('structural_rank', 'as many')}. Numbers of a "
+            f"this arm could show {content.get('structural_rank') or 'as many'}. Numbers of a "
             "single link beyond these combinations lean on the model."
         )
+        tables.append(_base_table(base))
+    if sensors:
+        found = [(name, with_error(*figure(sensors, name))) for name in sensors]
+        tables.append(table(("sensor", "found beside them"), found))
+    hidden = "; ".join(listed(content, "unidentifiable_combinations"))
+    every = "All parameters that were asked for show in these torques."
+    sentences.append(f"These torques do not show: {hidden}." if hidden else every)
+    title = "Identified, kept, not visible"
+    return Section("visible", title, tuple(sentences), tuple(tables))
 
 
-def _base_table(base: list[Any]) -> Table:
+def _base_table(base: Sequence[Any]) -> Table:
     rows = [
         (
             str(each["combination"]),
@@ -191,5 +201,66 @@ def _source(body: Body, k: int) -> str:
     return "the data" if np.isfinite(body.errors[k]) or not body.budget else "partly the model"
 
 
-def _share(share: float) -> str:
-    return "–" if not np.isfinite(share) else f"{100.0 * share:.0f} %"
+def card(run: Run) -> Section | None:
+    """Return the payload as controllers take it; None of other questions."""
+    if run.question != PAYLOAD:
+        return None
+    payload = mapping(run.content, "payload")
+    cards, scales = mapping(payload, "cards"), mapping(payload, "torque_scale")
+    rows = [(joint, with_error(*figure(scales, joint))) for joint in scales]
+    tables = (table(("joint", "torque scale"), rows),) if rows else ()
+    if not cards:
+        known = payload.get("known_mass") is not None
+        reason = "no card was written, because the payload is not to be used"
+        reason = "this run calibrated the torques; it writes no card" if known else reason
+        return Section("card", "Payload card", tables=tables, missing=(reason,))
+    flange = mapping(payload, "flange")
+    words = (
+        f"In the frame of the flange {flange.get('name', '?')} on body "
+        f"{flange.get('in_body', '?')}. Check that the controller means the same frame."
+    )
+    blocks = []
+    for entry in cards.values():
+        about = (str(entry.get("explanation", "")), *listed(entry, "notes"))
+        comment = "\n".join(f"# {line}" for line in about if line)
+        blocks.append((str(entry.get("title", "card")), f"{comment}\n{entry.get('text', '')}"))
+    return Section("card", "Payload card", (words,), tables, blocks=tuple(blocks))
+
+
+def scatter(run: Run) -> Section | None:
+    """Return the payload according to each recording alone, or None where nothing is known."""
+    payload = mapping(run.content, "payload")
+    found = mappings(payload, "scatter")
+    if not found:
+        return None
+    mass = number(mapping(payload, "body").get("mass"))
+    names = [str(one.get("name", "?")) for one in found]
+    keys = ("mass", "noise_error", "error")
+    masses, noise, whole = np.array([[number(one.get(k)) for one in found] for k in keys])
+    header = ("recording", "kind", "mass [kg]", "± noise alone [kg]", "± all [kg]")
+    kinds = ["loaded" if one.get("is_loaded") else "empty" for one in found]
+    cells = (map(text, masses, noise), map(plus_minus, noise), map(plus_minus, whole))
+    caption = (
+        "Mass of the payload according to each recording against all of the other kind [kg]: thin "
+        "bars ± the whole error, thick bars ± noise alone. The line is the result of all."
+    )
+
+    def draw(canvas: Any) -> None:
+        ax = canvas.subplots()
+        places = -np.arange(len(names), dtype=float)
+        ax.axvline(mass, color=MEASURED, label="all together")
+        thin: Any = {"fmt": "none", "ecolor": BEFORE, "lw": 1.0, "capsize": 3}
+        ax.errorbar(masses, places, xerr=np.nan_to_num(whole), **thin)
+        thick: Any = {"fmt": "o", "color": AFTER, "elinewidth": 3.0, "label": "one alone"}
+        ax.errorbar(masses, places, xerr=np.nan_to_num(noise), **thick)
+        ax.set_yticks(places, [shortened(name, 26) for name in names])
+        ax.set_xlabel("mass [kg]")
+        legend(canvas, ax)
+
+    numbers = table(header, zip(names, kinds, *cells))
+    masses_drawn = drawn("scatter", caption, numbers, (NARROW, 1.6 + 0.3 * len(names)), draw)
+    words = (
+        "If one recording says something else than the others, it was made with another payload, "
+        "or something was changed between them."
+    )
+    return Section("scatter", "Each recording alone", (words,), figures=(masses_drawn,))

@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 
 from robot_sysid.mjcf.inertial import rmse_words
 from robot_sysid.records.figures import percent, with_error
 from robot_sysid.records.results import MODEL_NAMES
-from robot_sysid.report.elements import Section
-from robot_sysid.report.runs import ARM, LINK, PAYLOAD, Run, listed, mapping, number
+from robot_sysid.report.drawing import Section
+from robot_sysid.report.runs import Run, listed, mapping, mappings, number
+from robot_sysid.results.record import LINK, PAYLOAD
 
 _KINDS = {
-    LINK: "the terminal link",
+    LINK: "the terminal link, with the other links around it",
     PAYLOAD: "a payload, from recordings without and with it",
-    ARM: "every link of the arm",
 }
 _LESS = {
     "noise": "record longer, or move faster and wider (`robot-sysid plan` designs such a motion)",
-    "links": "identify the other links too (`robot-sysid arm`), or weigh a payload by difference "
-    "(`robot-sysid payload`), which needs no knowledge of them",
+    "links": "move the other joints too, so that the other links show (`robot-sysid identify "
+    "--links` says how well they do), or weigh a payload by difference (`robot-sysid payload`), "
+    "which needs no knowledge of them",
     "other links": "record the empty arm as long and as widely as the loaded one",
     "torque scale": "calibrate the torques with a known weight (`robot-sysid payload "
     "--known-mass KG --save-torque-scale FILE`)",
@@ -38,17 +38,13 @@ _LARGE = 0.02
 
 def verdict(run: Run) -> Section:
     """Return what was found, whether it may be used, and why not."""
-    content = run.content
-    good = run.trustworthy
-    words = "may be used" if good else "must not be used"
+    content, good = run.content, run.trustworthy
+    words = f"This result {'may be used' if good else 'must not be used'}"
+    status = f"{words}: {content.get('status_text', 'no status is given')}."
     return Section(
         "verdict",
         "Verdict",
-        sentences=(
-            f"This result {words}: {content.get('status_text', 'no status is given')}.",
-            *_found(run),
-            *_came_from(run),
-        ),
+        sentences=(status, *_masses(run), *_predicted(run), *_came_from(run)),
         points=(*listed(content, "reasons"), *listed(content, "limitations")),
         missing=run.missing,
         verdict="good" if good else "bad",
@@ -56,39 +52,38 @@ def verdict(run: Run) -> Section:
     )
 
 
-def _found(run: Run) -> Iterator[str]:
-    if run.kind == ARM:
-        yield from _predicted(run)
-        return
-    for body in run.bodies():
+def _masses(run: Run) -> Iterator[str]:
+    bodies = run.bodies()
+    for body in bodies if run.question == PAYLOAD else bodies[:1]:
         mass, error = float(body.after[0]), float(body.errors[0])
-        relative = f" ({percent(error / mass)})" if np.isfinite(error) and mass > 0.0 else ""
+        known = number(run.content.get("known_to")) if body is bodies[0] else error / mass
+        relative = f" ({percent(known)})" if np.isfinite(known) else ""
         if run.is_itself:
             relative = " (the model's own value, which had to come back)"
         yield f"Mass of {body.title}: {with_error(mass, error, 'kg')}{relative}."
 
 
 def _predicted(run: Run) -> Iterator[str]:
-    error = number(mapping(run.content, "held_out").get("relative_error"))
-    before = number(run.content.get("held_out_error_of_the_model"))
-    if np.isfinite(error) and np.isfinite(before):
-        yield (
-            f"Torques that were not fitted are predicted to {percent(error)} of their size; by the "
-            f"model's own links, with friction fitted, to {percent(before)}."
-        )
+    errors = mapping(mapping(run.content, "file"), "torque_error")
+    before, after = (number(errors.get(when)) for when in ("before", "after"))
+    if np.isfinite(before):
+        written = percent(after) if np.isfinite(after) else "not known, no model was written"
+        yield f"Torque error of the model on held-out data: {percent(before)} -> {written}."
 
 
 def _came_from(run: Run) -> Iterator[str]:
     content = run.content
     model = mapping(content, "model").get("path", "an unknown model")
-    joint = content.get("joint_name")
+    joint, duration = content.get("joint_name"), number(content.get("duration"))
     place = f", joint {joint}" if joint else ""
-    duration = number(content.get("duration"))
     length = f", {duration:.3g} s" if np.isfinite(duration) else ""
     source = content.get("source") or "recordings"
-    names = [name for names in mapping(content, "recordings").values() for name in names]
-    listing = f" {', '.join(map(str, names))}" if names else ""
-    yield f"Identified: {_KINDS[run.kind]}{place}. Model: {model}. Data: {source}{listing}{length}."
+    names = [
+        n for kind in mapping(mapping(content, "payload"), "recordings").values() for n in kind
+    ]
+    given = f" {', '.join(map(str, names))}" if names else ""
+    kind = _KINDS[run.question]
+    yield f"Identified: {kind}{place}. Model: {model}. Data: {source}{given}{length}."
     rmse = number(content.get("rmse"))
     if np.isfinite(rmse):
         yield f"Root mean square of the torque that is left over: {rmse:.3g} N·m."
@@ -114,7 +109,7 @@ def _steps(run: Run) -> Iterator[str]:
     yield from _smaller_errors(run)
     if run.trustworthy:
         yield from _uses(run)
-    if run.kind != PAYLOAD and not any(_other_logs(run)):
+    if run.question == LINK and len(mappings(run.content, "validation")) < 2:
         yield (
             "Test the result on a log that was not fitted, with another motion: "
             "`--validation-measurements LOG`."
@@ -122,25 +117,21 @@ def _steps(run: Run) -> Iterator[str]:
 
 
 def _uses(run: Run) -> Iterator[str]:
-    for name in MODEL_NAMES.values():
-        if (run.folder / name).is_file():
-            ours = _is_of(run.folder / name, run)
-            older = f"Do not load {name}: it is from another run, and this one wrote none."
-            yield f"Load {name} in place of the model." if ours else older
-    if mapping(run.content, "cards"):
+    tests = (run.content, *mappings(run.content, "validation")[:1])
+    ours = [rmse_words(number(test.get("rmse"))) for test in tests]
+    for path in (run.folder / name for name in MODEL_NAMES.values()):
+        if path.is_file():
+            text = path.read_text("utf-8", errors="replace")
+            older = f"Do not load {path.name}: it is from another run, and this one wrote none."
+            own = any(words in text for words in ours)
+            yield f"Load {path.name} in place of the model." if own else older
+    if mapping(mapping(run.content, "payload"), "cards"):
         yield "Copy the payload into the controller from the card below; mind the frame it names."
-    kept = [body.title for body in run.bodies() if any(body.kept)]
-    if kept:
+    if any(run.bodies()[0].kept):
         yield (
             "Some values are the model's own, because these torques do not show them: use "
             "`--torques chain` and a designed motion (`robot-sysid plan`) to see more."
         )
-
-
-def _is_of(model: Path, run: Run) -> bool:
-    """Tell whether a written model states the residual of a run in its comments."""
-    held = mapping(run.content, "held_out") if run.kind == ARM else run.content
-    return rmse_words(number(held.get("rmse"))) in model.read_text("utf-8", errors="replace")
 
 
 def _smaller_errors(run: Run) -> Iterator[str]:
@@ -149,15 +140,8 @@ def _smaller_errors(run: Run) -> Iterator[str]:
     mass, error = float(body.after[0]), float(body.errors[0])
     if not np.isfinite(error) or error <= _LARGE * abs(mass):
         return
-    parts = {cause: float(values[0]) for cause, values in body.budget.items()}
-    known = sorted((c for c in parts if np.isfinite(parts[c])), key=lambda c: -parts[c])
-    for cause in known[:2]:
+    parts = {cause: float(np.nan_to_num(values[0])) for cause, values in body.budget.items()}
+    for cause in sorted(parts, key=lambda c: -parts[c])[:2]:
         if cause in _LESS and parts[cause] > 0.3 * error:
             share = percent(parts[cause] / abs(mass)) if mass else ""
             yield f"To know the mass better: {_LESS[cause]} ({cause} is {share} of it)."
-
-
-def _other_logs(run: Run) -> Iterator[str]:
-    for test in run.content.get("validation") or ():
-        if isinstance(test, dict) and "not fitted for it" not in str(test.get("source")):
-            yield str(test.get("source"))

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.records import Array, RobotModel
-from robot_sysid.simulation.rollout.batch import Inputs, roll, rollout_copy
+from robot_sysid.simulation.rollout.playback import Inputs, roll, rollout_copy
 
 _JOINT_KINDS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 NONE = -1
@@ -190,8 +190,6 @@ def played_servos(
     """Return positions (C, W, S + 1, n) of every choice of servos in every window.
 
     Args:
-        robot: the arm.
-        actuators: what drives it.
         choices: C servos and joints.
         windows: W of them, all of one length.
         edges: (S + 1,) ends of the steps, from the start of a window [s].

@@ -1,4 +1,4 @@
-"""The same arm behind python-can."""
+"""The same arm behind python-can, several buses behind one link, and the log of all frames."""
 
 from __future__ import annotations
 
@@ -7,17 +7,25 @@ import sys
 import time
 
 import can
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.bus.can_bus import INTERFACES, SERIAL_ADAPTER, BusAddress, BusLink, open_bus
-from robot_sysid.damiao.bus.clock import SimulatedClock, SystemClock
+from robot_sysid.damiao.bus.can_bus import (
+    INTERFACES,
+    SERIAL_ADAPTER,
+    BusAddress,
+    BusLink,
+    RawFrameLog,
+    SeveralBuses,
+    open_bus,
+)
 from robot_sysid.damiao.bus.inspection import inspect_bus
-from robot_sysid.damiao.bus.link import GuardedLink, LinkError
-from robot_sysid.damiao.protocol.bus_load import BusTiming
-from robot_sysid.damiao.protocol.frames import Frame
+from robot_sysid.damiao.bus.link import GuardedLink, LinkError, SimulatedClock, SystemClock
+from robot_sysid.damiao.protocol.frames import BusTiming, Frame
 from robot_sysid.errors import InputError
+from tests.support.can_frames import FRAMES
 from tests.support.damiao_rig import two_motor_arm
 from tests.support.links import served_in_background
 
@@ -199,3 +207,76 @@ sys.exit(main(["motors", "check", "--channel", "can0"]))
     assert done.returncode == 2
     assert done.stderr.strip().endswith('pip install "robot-sysid[can]"')
     assert len(done.stderr.strip().splitlines()) == 1
+
+
+class OneBus:
+    """Remembers what is sent, and delivers frames at their times."""
+
+    def __init__(self, clock, *frames):
+        self._clock, self._frames = clock, list(frames)
+        self.sent, self.closed = [], False
+
+    def send(self, frame):
+        self.sent.append(frame)
+
+    def receive(self, until):
+        if self._frames and self._frames[0].time <= self._clock.now():
+            return self._frames.pop(0)
+        return None
+
+    def close(self):
+        self.closed = True
+
+
+def test_frames_go_to_their_bus_and_come_back_with_its_number():
+    clock = SimulatedClock()
+    buses = [OneBus(clock, Frame(17, b"a", 0.2)), OneBus(clock, Frame(17, b"b", 0.1))]
+    several = SeveralBuses(buses, clock)
+    for bus in (0, 1, 1):
+        several.send(Frame(1, bytes([bus]), bus=bus))
+    assert [len(bus.sent) for bus in buses] == [1, 2]
+    assert [frame.data[0] for frame in buses[1].sent] == [1, 1]
+    received = [several.receive(1.0) for _ in range(2)]
+    assert [(frame.bus, frame.data) for frame in received] == [(1, b"b"), (0, b"a")]
+    assert clock.now() == pytest.approx(0.2, abs=2e-4)
+    assert several.receive(0.5) is None and clock.now() == 0.5
+    several.close()
+    assert all(bus.closed for bus in buses)
+
+
+@given(st.lists(st.tuples(FRAMES, st.booleans()), min_size=1, max_size=20))
+def test_the_frame_log_is_lossless(tmp_path_factory, frames):
+    path = tmp_path_factory.mktemp("raw") / "measured.log"
+    clock = SimulatedClock()
+    log = RawFrameLog(path, clock, ["can0"])
+    for k, (frame, sent) in enumerate(frames):
+        log(frame._replace(time=0.001 * k), sent)
+    log.write(log.taken())
+    with can.LogReader(path) as reader:
+        messages = list(reader)
+    log.close()
+    assert len(messages) == len(frames)
+    for message, (frame, sent) in zip(messages, frames):
+        assert message.arbitration_id == frame.id and bytes(message.data) == frame.data
+        assert message.is_fd == frame.fd and message.is_rx == (not sent)
+    stamps = np.array([message.timestamp for message in messages])
+    np.testing.assert_allclose(np.diff(stamps), 0.001, atol=2e-6)
+
+
+def test_frames_are_logged_in_the_order_of_their_time(tmp_path):
+    clock = SimulatedClock()
+    log = RawFrameLog(tmp_path / "measured.log", clock, ["can0"])
+    for stamp in (0.3, 0.1, 0.2):
+        log(Frame(round(10 * stamp), b"", stamp), False)
+    log.write(log.taken())
+    log.close()
+    with can.LogReader(tmp_path / "measured.log") as reader:
+        assert [message.arbitration_id for message in reader] == [1, 2, 3]
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("x.unknown", "cannot log frames"), ("no/folder.log", "cannot write")]
+)
+def test_a_frame_log_that_cannot_be_made_is_said(tmp_path, name, words):
+    with pytest.raises(InputError, match=words):
+        RawFrameLog(tmp_path / name, SimulatedClock(), ["can0"])

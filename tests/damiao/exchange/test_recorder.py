@@ -1,8 +1,9 @@
-"""What is recorded is what was measured."""
+"""The recording, and what is done beside a run."""
 
 from __future__ import annotations
 
 import csv
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.exchange.aside import Aside
 from robot_sysid.damiao.exchange.recorder import (
+    Aside,
     MeasurementRecorder,
     RecordingHead,
     RecordingOptions,
@@ -27,8 +28,8 @@ from robot_sysid.damiao.protocol.codec import (
 )
 from robot_sysid.damiao.protocol.joints import damiao_joints
 from robot_sysid.damiao.protocol.motors import MOTORS
-from robot_sysid.damiao.simulated.motor import simulated_motor
-from robot_sysid.errors import InputError
+from robot_sysid.damiao.simulated.arm import simulated_motor
+from robot_sysid.errors import InputError, words_of
 from tests.support.log_files import read_measurements
 from tests.support.recordings import read_recording
 
@@ -384,3 +385,41 @@ def test_a_centred_torque_is_the_mean_of_both_sides_of_the_step(
         assert abs(columns["j0_cmd_step"] - (after - before)[0]) < digits
     taken_back = recorded[False]["j0_tau"] - 0.5 * recorded[False]["j0_cmd_step"]
     assert abs(taken_back - recorded[True]["j0_tau"]) < 3 * digits
+
+
+@pytest.mark.parametrize("threaded", [False, True])
+def test_everything_is_done_in_order(threaded):
+    done, aside = [], Aside(threaded)
+    for k in range(100):
+        aside(lambda k=k: done.append(k))
+    aside.finish()
+    assert done == list(range(100)) and aside.failure is None
+
+
+@pytest.mark.parametrize("threaded", [False, True])
+@pytest.mark.parametrize(
+    "error", [OSError(28, "full"), RuntimeError(), SystemExit(), MemoryError()]
+)
+def test_what_goes_wrong_is_kept_and_nothing_is_done_after_it(threaded, error):
+    def fail():
+        raise error
+
+    done, aside = [], Aside(threaded)
+    aside(fail)
+    aside(lambda: done.append(1))
+    aside.finish()
+    assert aside.failure is error and done == []
+    assert words_of(error) == ("full" if isinstance(error, OSError) else type(error).__name__)
+
+
+def test_somebody_who_does_not_answer_is_not_waited_for():
+    """A terminal held with Ctrl-S: handing over goes on at once, and the end does not wait long."""
+    held, moved = threading.Event(), []
+    aside = Aside(threaded=True)
+    aside(held.wait)
+    for _ in range(10):
+        aside(lambda: None)
+        aside.if_idle(lambda: moved.append(1))
+    aside.finish(patience=0.01)
+    assert isinstance(aside.failure, TimeoutError) and moved == []
+    held.set()

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.damiao.exchange.settings import PlaySettings
-from robot_sysid.damiao.protocol.bus_load import PLANNING_LIMIT, BusTiming, bus_load, default_rate
 from robot_sysid.damiao.protocol.codec import KD_MAX, KP_MAX, MitCommand, Scaling, encode_mit
+from robot_sysid.damiao.protocol.frames import PLANNING_LIMIT, BusTiming, bus_load, default_rate
 from robot_sysid.damiao.protocol.motors import MOTORS
 from robot_sysid.errors import InputError
 from robot_sysid.records.options import options_of

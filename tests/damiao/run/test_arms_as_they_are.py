@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 
 from robot_sysid.cli import main
-from robot_sysid.damiao.protocol.joint_map import MappedJoint, mapped, write_joint_map
-from robot_sysid.damiao.protocol.joints import damiao_joints
+from robot_sysid.damiao.protocol.joints import MappedJoint, damiao_joints, mapped, write_joint_map
 from robot_sysid.damiao.protocol.motors import MOTORS
 from robot_sysid.damiao.protocol.registers import DISABLED
 from robot_sysid.damiao.run.model_check import GravityCheck
 from robot_sysid.damiao.run.preflight import Permissions
-from robot_sysid.damiao.simulated.motor import simulated_motor
+from robot_sysid.damiao.simulated.arm import simulated_motor
 from robot_sysid.errors import HardwareAbort, InputError
 from tests.support.damiao_rig import GRAVITY, Rig, swing
 from tests.support.places import ROOT

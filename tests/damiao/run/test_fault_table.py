@@ -20,7 +20,7 @@ from robot_sysid.damiao.bus.link import LinkError
 from robot_sysid.damiao.exchange.session import MotorSession
 from robot_sysid.damiao.protocol import registers as reg
 from robot_sysid.damiao.run.preflight import Permissions
-from robot_sysid.damiao.simulated.faults import Fault
+from robot_sysid.damiao.simulated.arm import Fault
 from robot_sysid.errors import SysidError
 from tests.support.damiao_rig import GRAVITY, Rig, swing
 

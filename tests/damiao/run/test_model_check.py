@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from robot_sysid.damiao.run.model_check import model_checks
 from robot_sysid.damiao.run.preflight import OK, STOP
-from robot_sysid.damiao.trajectory.csv_file import export_damiao_trajectory, read_damiao_trajectory
+from robot_sysid.damiao.trajectory import export_damiao_trajectory, read_damiao_trajectory
 from robot_sysid.errors import InputError
 from robot_sysid.records import JointLimits
 from tests.support import arms

@@ -12,16 +12,14 @@ import numpy as np
 import pytest
 
 from robot_sysid.damiao.bus.link import LinkError
-from robot_sysid.damiao.play.scaling_checks import VelocityScalingCheck
+from robot_sysid.damiao.play.supervision import VelocityScalingCheck
 from robot_sysid.damiao.protocol import registers as reg
-from robot_sysid.damiao.protocol.bus_load import BusTiming
 from robot_sysid.damiao.protocol.codec import Scaling
-from robot_sysid.damiao.protocol.frames import REGISTER_ID, Frame, is_special
+from robot_sysid.damiao.protocol.frames import REGISTER_ID, BusTiming, Frame, is_special
 from robot_sysid.damiao.protocol.motors import MOTORS
 from robot_sysid.damiao.protocol.registers import DISABLED, ENABLED, LOST_COMMUNICATION
 from robot_sysid.damiao.run.preflight import Permissions
-from robot_sysid.damiao.simulated.faults import Fault
-from robot_sysid.damiao.simulated.motor import simulated_motor
+from robot_sysid.damiao.simulated.arm import Fault, simulated_motor
 from robot_sysid.errors import HardwareAbort, InputError
 from tests.support.damiao_rig import Rig, swing
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.damiao.exchange.settings import PlaySettings
-from robot_sysid.damiao.protocol.bus_load import BusTiming, bus_load
+from robot_sysid.damiao.protocol.frames import BusTiming, bus_load
 from robot_sysid.damiao.protocol.joints import damiao_joints
 from robot_sysid.damiao.protocol.motors import MOTORS
 from robot_sysid.damiao.run.preflight import (
@@ -23,7 +23,7 @@ from robot_sysid.damiao.run.preflight import (
     plan_checks,
     stops,
 )
-from robot_sysid.damiao.trajectory.csv_file import TrajectoryScan
+from robot_sysid.damiao.trajectory import TrajectoryScan
 
 # Beside the limit, so that rounding does not decide.
 SHARES = st.floats(0.0, 0.999) | st.floats(1.001, 4.0)

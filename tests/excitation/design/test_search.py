@@ -1,4 +1,4 @@
-"""The whole search: limits hold for any seed, it is repeatable, and it can be cut at any time."""
+"""Searches: what is found keeps all limits, is the same for a seed, and survives an end."""
 
 from __future__ import annotations
 
@@ -11,11 +11,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
-from robot_sysid.excitation.design.constraints import MotionConstraints
-from robot_sysid.excitation.design.optimise import Design
-from robot_sysid.excitation.design.search import design_excitation, draw_trajectories
-from robot_sysid.excitation.problem import ROUNDING
+from robot_sysid.excitation.design.optimise import Design, MotionConstraints
+from robot_sysid.excitation.design.search import (
+    design_excitation,
+    design_for_arm,
+    draw_trajectories,
+    information,
+)
+from robot_sysid.excitation.limit_check import keeps_limits
+from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
+from robot_sysid.excitation.problem import ROUNDING, build_problem
 from robot_sysid.model.contacts import find_new_contacts
+from robot_sysid.records.progress import Progress
 from robot_sysid.trajectory import TrajectoryOptions, motion_chunks
 from tests.support import arms
 from tests.support.arms import SEEDS
@@ -310,3 +317,34 @@ def test_a_draw_that_fits_nowhere_names_what_is_in_the_way():
 def test_the_score_is_the_criterion(some):
     draw = min(draw_trajectories(some, 1, range(5)), key=lambda d: d.score)
     assert draw.score == some.criterion_of(draw.x)
+
+
+ROBOT = arms.robot_of(arms.serial_arm((arms.Z, arms.Y, arms.X)))
+DRAWS = 5
+
+
+def design_of(**limits):
+    problem = build_problem(ROBOT, LimitOptions(**limits))
+    options = ExcitationOptions(kind="optimal", draws=DRAWS, time_budget=1e6)
+    return Design(problem, options, TrajectoryOptions(duration=4.0, sample_rate=100.0))
+
+
+def test_the_best_draw_is_taken():
+    design = design_of()
+    plan = design_for_arm(design, np.random.default_rng(3), Progress())
+    assert keeps_limits(design.problem, plan)
+    seed = int(np.random.default_rng(3).integers(2**62))
+    draws = draw_trajectories(design, seed, range(DRAWS))
+    told = [information(design.problem, design.trajectory(d.x)) for d in draws]
+    assert information(design.problem, plan) == pytest.approx(max(told), rel=1e-12)
+
+
+def test_a_larger_motion_tells_more():
+    design = design_of()
+    plan = design_for_arm(design, np.random.default_rng(3), Progress())
+    assert information(design.problem, plan.scaled(0.5)) < information(design.problem, plan)
+
+
+def test_limits_that_nothing_keeps_are_said():
+    with pytest.raises(InputError, match="keeps all limits"):
+        design_for_arm(design_of(max_torque=(0.01,)), np.random.default_rng(0), Progress())

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.formats import unpacking
+from robot_sysid.logs.formats import ros_bag
 from tests.support import recorded
 from tests.support.log_files import JOINTS, motion, read_measurements
 
@@ -44,8 +44,8 @@ def test_a_bag_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch, form):
     files = [path] if path.is_file() else list(path.iterdir())
     assert sum(each.stat().st_size for each in files) < BYTES / 10
     assert len(read_measurements(path, JOINTS).samples) == 40
-    monkeypatch.setattr(unpacking, "ALWAYS", 10**5)
-    monkeypatch.setattr(unpacking, "MOST_RATIO", 2)
+    monkeypatch.setattr(ros_bag, "ALWAYS", 10**5)
+    monkeypatch.setattr(ros_bag, "MOST_RATIO", 2)
     with pytest.raises(InputError, match="log.bag|bag as a ROS bag: a piece of it unpacks"):
         read_measurements(path, JOINTS)
 
@@ -58,21 +58,21 @@ def library(request):
 
 def test_what_fits_is_unpacked_whole(library):
     content = bytes(range(256)) * 10_000
-    assert unpacking.Bounded(library).decompress(library.compress(content)) == content
+    assert ros_bag.Bounded(library).decompress(library.compress(content)) == content
 
 
 def test_a_few_bytes_never_become_the_whole_memory(library):
-    packed = library.compress(bytes(2 * unpacking.ALWAYS))
-    assert len(packed) < unpacking.ALWAYS / 100
-    with pytest.raises(unpacking.TooMuchError, match="more than 100 MB"):
-        unpacking.Bounded(library).decompress(packed)
+    packed = library.compress(bytes(2 * ros_bag.ALWAYS))
+    assert len(packed) < ros_bag.ALWAYS / 100
+    with pytest.raises(ros_bag.TooMuchError, match="more than 100 MB"):
+        ros_bag.Bounded(library).decompress(packed)
 
 
 def test_the_reader_of_mcap_for_python_3_9_is_bounded():
     mcap = pytest.importorskip("rosbags.rosbag2.storage_mcap")
     if not hasattr(mcap, "zstandard"):
         pytest.skip("this rosbags has another library for zstd")
-    unpacking.bound_unpacking()
-    packed = mcap.zstandard.compress(bytes(2 * unpacking.ALWAYS))
-    with pytest.raises(unpacking.TooMuchError):
-        mcap.DECOMPRESSORS["zstd"](packed, 2 * unpacking.ALWAYS)
+    ros_bag.bound_unpacking()
+    packed = mcap.zstandard.compress(bytes(2 * ros_bag.ALWAYS))
+    with pytest.raises(ros_bag.TooMuchError):
+        mcap.DECOMPRESSORS["zstd"](packed, 2 * ros_bag.ALWAYS)

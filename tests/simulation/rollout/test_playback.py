@@ -3,9 +3,18 @@
 import numpy as np
 import pytest
 
-from robot_sysid.simulation.rollout.batch import Inputs, roll, rollout_copy
-from robot_sysid.simulation.rollout.playback import STEP, Piece, played, starts, stated_servo
-from tests.support.arms import X, Y, Z, robot_of, serial_arm
+from robot_sysid.simulation.rollout import playback
+from robot_sysid.simulation.rollout.playback import (
+    STEP,
+    Inputs,
+    Piece,
+    played,
+    roll,
+    rollout_copy,
+    starts,
+    stated_servo,
+)
+from tests.support.arms import SEVEN, X, Y, Z, robot_of, serial_arm
 
 JOINT = 'range="-2.5 2.5" armature="{}" damping="3" frictionloss=".5"'
 SECONDS = 1.2
@@ -55,3 +64,46 @@ def test_a_piece_has_no_window_that_is_longer():
     piece = recording(arm())
     assert starts([piece], 1.3) == []
     assert len(starts([piece, piece], 0.1)) == 24
+
+
+STEPS, COUNT = 30, 4
+
+
+def inputs(robot, seed=0):
+    rng = np.random.default_rng(seed)
+    shape = (COUNT, robot.n_joints)
+    torque = rng.normal(0.0, 5.0, (COUNT, STEPS, robot.n_joints))
+    return Inputs(rng.uniform(-1.0, 1.0, shape), rng.normal(size=shape), torque)
+
+
+def test_rollouts_on_threads_are_the_same_as_single_steps(monkeypatch):
+    robot = robot_of(SEVEN)
+    models = [rollout_copy(robot, 0.002) for _ in range(COUNT)]
+    for number, model in enumerate(models):
+        model.dof_armature[:] = 0.1 * number
+    threads = roll(robot, models, inputs(robot))
+    monkeypatch.setattr(playback, "_has_threads", lambda: False)
+    np.testing.assert_array_equal(threads, roll(robot, models, inputs(robot)))
+
+
+def test_few_at_a_time_are_the_same_as_all_at_once(monkeypatch):
+    robot = robot_of(SEVEN)
+    models = [rollout_copy(robot, 0.002)] * COUNT
+    whole = roll(robot, models, inputs(robot))
+    monkeypatch.setattr(playback, "MOST_NUMBERS", 1)
+    np.testing.assert_array_equal(roll(robot, models, inputs(robot)), whole)
+
+
+def test_a_rollout_that_diverges_ends_there_and_disturbs_no_other(monkeypatch):
+    robot = robot_of(SEVEN)
+    models = [rollout_copy(robot, 0.002)] * COUNT
+    usual = inputs(robot)
+    whole = roll(robot, models, usual)
+    torque = usual.torque.copy()
+    torque[1, 10:] = 1e15
+    for has_threads in (playback._has_threads(), False):
+        monkeypatch.setattr(playback, "_has_threads", lambda has=has_threads: has)
+        found = roll(robot, models, Inputs(usual.q, usual.qd, torque))
+        np.testing.assert_array_equal(found[[0, 2, 3]], whole[[0, 2, 3]])
+        np.testing.assert_array_equal(found[1, :10], whole[1, :10])
+        assert np.all(np.isnan(found[1, 13:]))

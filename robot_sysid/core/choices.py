@@ -1,0 +1,192 @@
+"""What the recordings decide: couplings, each joint's friction, how far links may be off.
+
+One rule for all questions: a joint starts with the simplest candidate and moves on as long as
+another one is clearly better on its own held-out torques (``held_out.is_clearly_lower``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from robot_sysid.core.couplings import Coupling
+from robot_sysid.core.fit import Fit, Fitter
+from robot_sysid.core.held_out import HeldOut, held_out, is_clearly_lower
+from robot_sysid.core.unknowns import Choice, Question, same_for_all, unknowns
+from robot_sysid.dynamics.friction import BENT, FrictionModel, friction_model
+from robot_sysid.records import Array
+
+CANDIDATES = (
+    "coulomb-viscous-offset-armature",
+    "coulomb-viscous-offset-armature-sqrt",
+    "coulomb-viscous-offset-armature-stribeck",
+    "coulomb-viscous-offset-armature-load",
+    "sigmoid-viscous-offset-armature",
+    "coulomb-viscous-offset-armature-quadratic-cubic",
+    "coulomb-viscous-offset-armature-sqrt-load",
+    "coulomb-viscous-offset-armature-stribeck-load",
+)
+"""Friction models that are tried, the same for every joint of every arm, simplest first."""
+FILE_CANDIDATES = (CANDIDATES[0], CANDIDATES[5])
+"""Those that a model file can hold."""
+SCALES = (1.0, 2.0, 4.0, 8.0, 16.0)
+"""Factors of the other links' uncertainty that are tried."""
+AS_GOOD = 1.02
+"""Squared errors up to this ratio are as good as equal."""
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A choice, and what it was made by.
+
+    Attributes:
+        choice: the choice.
+        errors: joint to friction model to its held-out root mean square error [N m].
+    """
+
+    choice: Choice
+    errors: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+
+def choose(
+    fitter: Fitter, question: Question, given: FrictionModel | None, offered: tuple[Coupling, ...]
+) -> tuple[Chosen, Fit]:
+    """Return what the recordings decide, and a fit to begin with.
+
+    Args:
+        fitter: of the recordings.
+        question: what is asked.
+        given: friction terms of every joint, where the user says them.
+        offered: couplings that the recordings may decide for.
+    """
+    robot = fitter.columns.robot
+    choice = Choice(same_for_all(given or friction_model(CANDIDATES[0]), robot))
+    if fitter.columns.couplings and not offered:
+        choice = replace(choice, couplings=fitter.columns.couplings)
+    fit = fitter.fit(question, choice, rounds=1)
+    if offered:
+        choice = _with_couplings(fit, question, choice, offered)
+    errors: Mapping[str, Mapping[str, float]] = {}
+    if given is None and fitter.columns.torques == "chain":
+        choice, errors, fit = _with_friction(fitter, question, choice, fit)
+    elif choice.couplings != fit.choice.couplings:
+        fit = fitter.fit(question, choice, fit.point, rounds=2)
+    choice = replace(choice, prior_scale=prior_scale(fit, question, choice))
+    return Chosen(choice, errors), fit
+
+
+def _squared(judge: HeldOut, fit: Fit, question: Question, choice: Choice) -> Array:
+    sought = unknowns(fit.columns, question, choice, fit.evidence.torque, fit.evidence.shown)
+    return judge.squared(sought)
+
+
+def _with_couplings(
+    fit: Fit, question: Question, choice: Choice, offered: tuple[Coupling, ...]
+) -> Choice:
+    """Let neighbours share a motor where that predicts held-out torques clearly better."""
+    judge, left = held_out(fit), list(offered)
+    best = judge.score(_squared(judge, fit, question, choice))
+    while left:
+        trials = [replace(choice, couplings=(*choice.couplings, each)) for each in left]
+        scores = [judge.score(_squared(judge, fit, question, each)) for each in trials]
+        found = int(np.argmin([float(np.mean(score)) for score in scores]))
+        if not is_clearly_lower(scores[found], best):
+            break
+        best, choice = scores[found], trials[found]
+        del left[found]
+    return choice
+
+
+def _with_friction(
+    fitter: Fitter, question: Question, choice: Choice, fit: Fit
+) -> tuple[Choice, Mapping[str, Mapping[str, float]], Fit]:
+    """Give each joint the terms that predict its held-out torques clearly better."""
+    joints, robot = fitter.columns.joints, fitter.columns.robot
+    squared, speeds = _tried(fitter, question, choice, fit)
+    models, errors = _per_joint(joints, squared, held_out(fit).counts)
+    friction, speed = list(choice.friction), dict(fit.point.speed or {})
+    for place, joint in enumerate(joints):
+        index = robot.joint_names.index(joint)
+        friction[index] = friction_model(models[joint])
+        for term in friction[index].bent:
+            speed[term] = speed[term].copy()
+            speed[term][index] = speeds[models[joint]][place]
+    choice = replace(choice, friction=tuple(friction))
+    point = replace(fit.point, speed=speed, values=fit.values)
+    return choice, errors, fitter.fit(question, choice, point, rounds=1)
+
+
+def _tried(
+    fitter: Fitter, question: Question, choice: Choice, fit: Fit
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Return candidate to its squared errors (blocks, joints), and to the speeds (joints,).
+
+    A term that is nonlinear in a speed is tried at several; each joint keeps its best.
+    """
+    robot = fitter.columns.robot
+    squared: dict[str, Array] = {}
+    speeds: dict[str, Array] = {}
+    for number in range(max(len(bent.tried) for bent in BENT.values())):
+        tried = {term: np.full(robot.n_joints, bent.tried[number]) for term, bent in BENT.items()}
+        point = replace(fit.point, speed=tried, values=fit.values, exact_load=True)
+        _, data = fitter.around(point)
+        judge, around = HeldOut(data, fit.weighted.noise), replace(fit, evidence=data)
+        for name in CANDIDATES:
+            model = friction_model(name)
+            if number and not model.bent:
+                continue
+            each = replace(choice, friction=same_for_all(model, robot))
+            error = _squared(judge, around, question, each)
+            speed = tried[model.bent[0]][0] if model.bent else 0.0
+            before = squared.get(name, np.full_like(error, np.inf))
+            lower = error.sum(axis=0) < before.sum(axis=0)
+            squared[name] = np.where(lower, error, before)
+            speeds[name] = np.where(lower, speed, speeds.get(name, np.zeros(error.shape[1])))
+    return squared, speeds
+
+
+def _per_joint(
+    joints: tuple[str, ...], squared: Mapping[str, Array], counts: Array
+) -> tuple[dict[str, str], dict[str, dict[str, float]]]:
+    """Return (joint to its candidate, joint to candidate to its root mean square error)."""
+    mean = {name: each / np.maximum(counts, 1.0) for name, each in squared.items()}
+    total = np.maximum(counts.sum(axis=0), 1.0)
+    models, errors = {}, {}
+    for place, joint in enumerate(joints):
+        models[joint] = clearly_best({name: each[:, place] for name, each in mean.items()})
+        errors[joint] = {
+            name: float(np.sqrt(each[:, place].sum() / total[place]))
+            for name, each in squared.items()
+        }
+    return models, errors
+
+
+def clearly_best(scores: Mapping[str, Array]) -> str:
+    """Return the candidate to take, from its squared errors per block (blocks,)."""
+    chosen = next(iter(scores))
+    while True:
+        better = [name for name in scores if is_clearly_lower(scores[name], scores[chosen])]
+        if not better:
+            return chosen
+        fewest = min(len(friction_model(name).terms) for name in better)
+        short = [name for name in better if len(friction_model(name).terms) == fewest]
+        chosen = min(short, key=lambda name: float(np.mean(scores[name])))
+
+
+def prior_scale(fit: Fit, question: Question, choice: Choice) -> float:
+    """Return the least factor of the links' uncertainty that predicts about as well as any.
+
+    It grows for as long as that does not predict worse.
+    """
+    judge, scores = held_out(fit), []
+    for scale in SCALES:
+        each = replace(choice, prior_scale=scale)
+        sought = unknowns(fit.columns, question, each, fit.evidence.torque, fit.evidence.shown)
+        sought = replace(sought, at_bound=())
+        squared = judge.of(replace(fit, unknowns=sought))
+        scores.append(float(np.mean(judge.score(squared))))
+        if scores[-1] > AS_GOOD * min(scores):
+            break
+    return SCALES[int(np.flatnonzero(np.array(scores) <= AS_GOOD * min(scores))[0])]

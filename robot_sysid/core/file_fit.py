@@ -1,0 +1,147 @@
+"""What a model file is given: bodies, friction, rotors and gravity, fitted as a file holds them.
+
+What a file cannot hold (torque scales, encoder zeros, a delay, friction that grows with the load)
+is left out of the model of the torque, but for sensor offsets of joints. A part is written where
+the held-out error of all that is written together says so.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from robot_sysid.core.choices import AS_GOOD, CANDIDATES, FILE_CANDIDATES, prior_scale
+from robot_sysid.core.columns import PAYLOAD_NAMES
+from robot_sysid.core.errors import FitErrors, fit_errors
+from robot_sysid.core.fit import Fit, Fitter
+from robot_sysid.core.held_out import OWN_SOURCE, HeldOut, held_out, is_clearly_lower
+from robot_sysid.core.unknowns import Choice, Question, Unknowns, unknowns
+from robot_sysid.dynamics.friction import FrictionModel, friction_model
+from robot_sysid.estimation.options import EstimationOptions
+from robot_sysid.records import Array, RobotModel, Validation
+
+FRICTION, ROTORS, GRAVITY, LINKS = "friction", "rotors", "gravity", "links"
+"""Parts of a file that may be kept as they are."""
+_ROUNDS = 2
+
+
+@dataclass(frozen=True)
+class FileFit:
+    """The best file for some recordings.
+
+    Attributes:
+        fit: its parameters.
+        before, after: held-out error of the model as it was and of the file, each joint's sensor
+            offset taken out.
+        kept: parts that were to stay as they are.
+        errors: how far off its parameters may be.
+    """
+
+    fit: Fit
+    before: Validation
+    after: Validation
+    kept: tuple[str, ...]
+    errors: FitErrors
+
+
+def fit_file(
+    fitter: Fitter,
+    options: EstimationOptions,
+    kept: tuple[str, ...],
+    start: Array | None = None,
+    pull: Array | None = None,
+    carried: Array | None = None,
+) -> FileFit:
+    """Return the file that predicts held-out torques best.
+
+    Args:
+        fitter: of the recordings.
+        options: how far the arm's links may be off.
+        kept: parts that stay as they are.
+        start: (p,) values to begin with.
+        pull: see ``errors.fit_errors``.
+        carried: the payload (10,) of loaded recordings.
+    """
+    question = Question(options, in_file=True, kept_parts=kept, carried=carried)
+    choice = Choice(tuple(_friction(fitter.columns.robot, question, CANDIDATES[0])))
+    before = _as_it_was(fitter, question, choice)
+    point = fitter.columns.start()
+    if start is not None:
+        point = replace(point, values=_without_sensors(fitter, start))
+    fit = fitter.fit(question, choice, point, rounds=1)
+    choice = replace(choice, friction=_polynomials(fit, question, choice))
+    choice = replace(choice, prior_scale=prior_scale(fit, question, choice))
+    fit = fitter.fit(question, choice, fit.next_point, _ROUNDS)
+    squared = held_out(fit).of(fit)
+    if GRAVITY not in kept and fit.unknowns.settle:
+        level = replace(question, kept_parts=(*kept, GRAVITY))
+        other = fitter.fit(level, choice, replace(point, values=fit.values), _ROUNDS)
+        errors = held_out(other).of(other)
+        judge = held_out(fit)
+        pair = [float(np.mean(judge.score(each))) for each in (errors, squared)]
+        if pair[0] <= AS_GOOD * pair[1]:
+            fit, squared = other, errors
+    after = held_out(fit).validation(squared, OWN_SOURCE)
+    return FileFit(fit, before, after, kept, fit_errors(fit, (), pull))
+
+
+def _without_sensors(fitter: Fitter, values: Array) -> Array:
+    """Return values (p,) of which a file can hold all."""
+    start = values.copy()
+    for name, place in fitter.columns.place.items():
+        if name.partition("[")[0] in ("scale", "drift", "zero", "load") or "[" not in name:
+            start[place] = fitter.columns.prior[place]
+    return start
+
+
+def _friction(robot: RobotModel, question: Question, name: str) -> list[FrictionModel]:
+    """Return each joint's terms that a file can hold, beside a sensor's offset."""
+    gone = (
+        {"coulomb", "viscous", "quadratic", "cubic"} if FRICTION in question.kept_parts else set()
+    )
+    if ROTORS in question.kept_parts or robot.kind == "urdf":
+        gone |= {"armature"}
+    terms = tuple(term for term in friction_model(name).terms if term not in gone)
+    return [FrictionModel(terms)] * robot.n_joints
+
+
+def _as_it_was(fitter: Fitter, question: Question, choice: Choice) -> Validation:
+    """Return the held-out error of the model as it is, with sensor offsets of its own."""
+    columns = fitter.columns
+    _, data = fitter.around(columns.start())
+    sought = unknowns(columns, question, choice, data.torque, data.shown)
+    offsets = [columns.place[f"offset[{joint}]"] for joint in columns.joints]
+    kept = np.array([place for place in offsets if data.shown[place]], dtype=np.int64)
+    held = columns.prior.copy()
+    if question.carried is not None:
+        held[columns.at(PAYLOAD_NAMES)] = question.carried
+    only = Unknowns(columns.names, kept, held, (), sought.lower, sought.upper, {})
+    judge = HeldOut(data, np.ones(len(columns.joints)))
+    return judge.validation(judge.squared(only), OWN_SOURCE)
+
+
+def holds_polynomial(robot: RobotModel, joint: int) -> bool:
+    """Tell whether the file can hold nonlinear damping of a joint, and has none of its own."""
+    own = getattr(robot.mj_model, "dof_dampingpoly", None)
+    return robot.kind == "mjcf" and own is not None and not np.any(own[robot.dof_index[joint]])
+
+
+def _polynomials(fit: Fit, question: Question, choice: Choice) -> tuple[FrictionModel, ...]:
+    """Give nonlinear damping to the joints whose held-out torques it predicts clearly better."""
+    robot, found = fit.columns.robot, list(choice.friction)
+    if FRICTION in question.kept_parts:
+        return choice.friction
+    judge = held_out(fit)
+    wider = tuple(_friction(robot, question, FILE_CANDIDATES[1]))
+    squared = []
+    for each in (choice, replace(choice, friction=wider)):
+        data = fit.evidence
+        squared.append(
+            judge.squared(unknowns(fit.columns, question, each, data.torque, data.shown))
+        )
+    for place, joint in enumerate(fit.columns.rows_of):
+        better = is_clearly_lower(squared[1][:, place], squared[0][:, place])
+        if better and holds_polynomial(robot, joint):
+            found[joint] = wider[joint]
+    return tuple(found)

@@ -1,0 +1,241 @@
+"""From recordings to an answer: filter, choose, fit, and the file that follows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from robot_sysid.core.answer import Answer
+from robot_sysid.core.choices import choose
+from robot_sysid.core.columns import PAYLOAD_NAMES, Columns
+from robot_sysid.core.couplings import Coupling, neighbours, read_couplings
+from robot_sysid.core.dataset import Dataset, JoinedSamples, Mask, mean_torque
+from robot_sysid.core.errors import fit_errors
+from robot_sysid.core.file_fit import fit_file
+from robot_sysid.core.fit import Fit, Fitter
+from robot_sysid.core.held_out import validation_of
+from robot_sysid.core.recordings import logs_compared
+from robot_sysid.core.unknowns import Choice, Question
+from robot_sysid.dynamics.friction import FrictionModel
+from robot_sysid.dynamics.nuisances import gravity, tilt_axes
+from robot_sysid.errors import InputError
+from robot_sysid.estimation.information import sample_counts
+from robot_sysid.estimation.options import EstimationOptions
+from robot_sysid.logs.checks import sign_check
+from robot_sysid.records import Measurement, RobotModel, Validation
+from robot_sysid.records.progress import Progress
+from robot_sysid.results.model import CHECKPOINTS
+from robot_sysid.signals.process import ProcessedSignals, process
+from robot_sysid.signals.repetition import visits
+from robot_sysid.simulator import ArmTorque
+
+AT_REST = FrictionModel(("offset",))
+"""What is left of friction at rest, approached from both sides."""
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A stretch of a recording without long holes, as it was measured.
+
+    Attributes:
+        name: what the recording is called in messages.
+        samples: the stretch.
+        is_loaded: whether the recording carries the payload.
+        place: its place in the order of recording, see ``Dataset``.
+        least_deadband: (n,) see ``signals.process.process``.
+    """
+
+    name: str
+    samples: Measurement
+    is_loaded: bool = False
+    place: float = 0.0
+    least_deadband: tuple[float, ...] = ()
+
+
+def filtered(
+    robot: RobotModel, pieces: Sequence[Piece], options: EstimationOptions
+) -> tuple[list[Dataset], tuple[str, ...]]:
+    """Return recordings, each filtered on its own, with the lowest cut-off that one asks for.
+
+    Returns:
+        (they; what there is to say of them, one sentence each).
+
+    Raises:
+        InputError: one is too short, or a joint's torque runs against the model's.
+    """
+
+    def processed(piece: Piece, cutoff: float | None) -> ProcessedSignals:
+        band = options.velocity_deadband
+        try:
+            return process(piece.samples, robot.joint_names, cutoff, band, piece.least_deadband)
+        except InputError as error:
+            raise InputError(f"{piece.name}: {error}" if piece.name else str(error)) from None
+
+    pairs = [(piece, processed(piece, options.cutoff)) for piece in pieces]
+    lowest = min(each.cutoff for _, each in pairs)
+    if options.cutoff is None:
+        pairs = [(p, s if s.cutoff == lowest else processed(p, lowest)) for p, s in pairs]
+    found = [Dataset(p.name, each, p.is_loaded, p.place) for p, each in pairs]
+    told: dict[str, tuple[str, ...]] = {}
+    for piece, each in pairs:
+        notes = (*told.get(piece.name, ()), *each.notes, *_against_model(robot, each))
+        told[piece.name] = tuple(dict.fromkeys(notes))
+    return found, tuple(shared_notes(told))
+
+
+def _against_model(robot: RobotModel, signals: ProcessedSignals) -> tuple[str, ...]:
+    """Return a sentence per joint whose torque goes against the model's."""
+    at = signals.spread(CHECKPOINTS)
+    torque = ArmTorque(robot)(signals.motion(at))
+    return sign_check(signals.tau[at], torque, robot.joint_names)
+
+
+def shared_notes(told: Mapping[str, Sequence[str]]) -> Iterator[str]:
+    """Yield each note once, with the recordings that it is about where there are several."""
+    for note in dict.fromkeys(note for notes in told.values() for note in notes):
+        about = [name for name, notes in told.items() if note in notes]
+        where = "all recordings" if len(about) == len(told) else ", ".join(about)
+        yield note if len(told) == 1 else f"{where}: {note}"
+
+
+def answer_link(
+    robot: RobotModel,
+    datasets: Sequence[Dataset],
+    options: EstimationOptions,
+    progress: Progress,
+    kept: tuple[str, ...] | None = (),
+    tests: Mapping[str, Sequence[Dataset]] | None = None,
+) -> Answer:
+    """Identify an arm from recordings of it alone.
+
+    Args:
+        robot: the arm as its model describes it.
+        datasets: the recordings.
+        options: how.
+        progress: where to tell how far it is.
+        kept: parts of the model file that stay as they are; None asks for no file.
+        tests: name to recordings that only test the result.
+
+    Raises:
+        InputError: a recording is too short, or the couplings do not fit the arm.
+        SysidError: a delay or a tilt that is sought keeps moving.
+    """
+    fitter, offered = _fitter(robot, datasets, options)
+    question = Question(options)
+    progress.stage("Choosing friction, couplings and how far links may be off...")
+    chosen, start = choose(fitter, question, options.friction, offered)
+    progress.stage("Solving for parameters...")
+    fit = fitter.fit(question, chosen.choice, start.point)
+    file = None
+    if kept is not None and options.torques == "chain":
+        progress.stage("Fitting the model file...")
+        file = fit_file(fitter, options, kept, fit.values)
+    errors = fit_errors(fit)
+    answer = Answer(fit, chosen, file, errors, acceleration_error=_coarsest(datasets))
+    notes = [
+        note
+        for each in datasets
+        if each.signals is not None
+        for note in _one_way(chosen.choice, robot, each.signals)
+    ]
+    names = [each.name for each in datasets]
+    said, apart = logs_compared(fit, names, answer.stretch())
+    others = tuple(tested(fit, each, name) for name, each in (tests or {}).items())
+    notes = list(dict.fromkeys((*notes, *said)))
+    return replace(answer, notes=tuple(notes), tests=(*others, *apart))
+
+
+def answer_payload(
+    robot: RobotModel,
+    datasets: Sequence[Dataset],
+    question: Question,
+    progress: Progress,
+    kept: tuple[str, ...] | None = (),
+) -> tuple[Answer, Answer]:
+    """Identify a payload from recordings without and with it.
+
+    Args:
+        robot: the arm as its model describes it.
+        datasets: the recordings.
+        question: what is asked.
+        progress: where to tell how far it is.
+        kept: parts of the model file that stay as they are; None asks for no file.
+
+    Returns:
+        (the answer, with the known mass where there is one; the one as if it were not known).
+    """
+    options = question.options
+    fitter, offered = _fitter(robot, datasets, options)
+    progress.stage("Estimating arm, friction and payload together...")
+    given = AT_REST if question.resting else options.friction
+    weighing = replace(question, known_mass=None, scale_prior=None)
+    chosen, start = choose(fitter, weighing, given, () if question.resting else offered)
+    free = fitter.fit(weighing, chosen.choice, start.point)
+    progress.stage("Finding out how far off it may be...")
+    weighed = Answer(free, chosen, None, fit_errors(free))
+    if question.known_mass is None:
+        if kept is not None and options.torques == "chain" and not question.resting:
+            progress.stage("Fitting the model file...")
+            carried = free.values[fitter.columns.at(PAYLOAD_NAMES)]
+            file = fit_file(fitter, options, kept, free.values, carried=carried)
+            weighed = replace(weighed, file=file)
+        return weighed, weighed
+    fit = fitter.fit(question, chosen.choice, free.point)
+    return Answer(fit, chosen, None, fit_errors(fit)), weighed
+
+
+def refit(answer: Answer, used: Sequence[Mask], kept: tuple[str, ...]) -> Answer:
+    """Return the answer of some rows of its recordings alone, everything chosen anew."""
+    fit = answer.fit
+    datasets = [replace(each, used=mask) for each, mask in zip(fit.columns.datasets, used)]
+    return answer_link(answer.robot, datasets, fit.question.options, Progress(), kept)
+
+
+def _fitter(
+    robot: RobotModel, datasets: Sequence[Dataset], options: EstimationOptions
+) -> tuple[Fitter, tuple[Coupling, ...]]:
+    """Return what fits, and the couplings that the recordings may decide for."""
+    if options.tilt == "auto":
+        tilt_axes(gravity(robot))  # which there have to be
+    couplings: tuple[Coupling, ...] = ()
+    offered: tuple[Coupling, ...] = ()
+    if options.coupling is not None:
+        couplings = read_couplings(options.coupling, robot)
+    elif options.torques == "chain" and options.friction is None:
+        couplings = offered = tuple(neighbours(robot))
+    columns = Columns(robot, datasets, options.torques, couplings)
+    again = None
+    if all(each.signals is not None for each in datasets):
+        again = visits([each.motion for each in datasets])
+    return Fitter(columns, mean_torque(datasets), again), offered
+
+
+def _coarsest(datasets: Sequence[Dataset]) -> float:
+    """Return the largest expected error of the acceleration, as a part of it."""
+    signals = [each.signals for each in datasets if each.signals is not None]
+    return max((each.acceleration_error for each in signals), default=0.0)
+
+
+def _one_way(choice: Choice, robot: RobotModel, signals: ProcessedSignals) -> Iterator[str]:
+    """Yield a sentence per joint whose Coulomb friction looks like an offset in this log."""
+    if any({"coulomb", "offset"} <= set(model.terms) for model in choice.friction):
+        yield from signals.one_way_joints(robot.joint_names)
+
+
+def tested(fit: Fit, datasets: Sequence[Dataset], source: str) -> Validation:
+    """Return the error with which a fit predicts other recordings.
+
+    Raises:
+        InputError: they hold no usable samples.
+    """
+    columns = Columns(fit.columns.robot, datasets, fit.columns.torques, fit.columns.couplings)
+    samples = columns.samples(replace(fit.point, values=fit.values))
+    part = JoinedSamples(samples).information()
+    counts = sample_counts(part)
+    if not np.any(counts):
+        raise InputError(f"no usable torque samples to validate on in {source}")
+    wrong, squares = part.squared_residuals(fit.values), JoinedSamples(samples).squared_torque()
+    joints = [joint.joint for joint in part.joints]
+    return validation_of(joints, wrong, squares, counts, source)

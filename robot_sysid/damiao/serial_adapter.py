@@ -1,0 +1,133 @@
+"""The maker's serial USB-CAN adapter (921600 baud) as a python-can bus: ``interface="damiao"``.
+
+python-can finds the class by its entry point; it is made on first use, because python-can is an
+extra.
+
+To the adapter, 30 bytes per CAN frame:
+
+======  =========================================================
+0, 1    55 AA
+2       1E, the length
+3       03, send
+4-7     how often, little endian: 1
+8-11    pause between repetitions, little endian: 10
+12      id type, 0 for 11 bits
+13-16   CAN id, little endian
+17      frame type, 0 for data
+18      number of data bytes, 8
+19, 20  no filters: 0
+21-28   data
+29      check byte, not looked at: 0
+======  =========================================================
+
+From the adapter, 16 bytes: AA, kind (11 for a received frame), format, CAN id in four bytes little
+endian, eight bytes of data, 55.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Iterator
+from functools import cache
+from typing import Any, NamedTuple
+
+SENT, RECEIVED = 30, 16
+_HEAD = bytes([0x55, 0xAA, SENT, 0x03, 1, 0, 0, 0, 10, 0, 0, 0, 0])
+_BEGIN, _END, _A_FRAME = 0xAA, 0x55, 0x11
+_DATA = 8
+
+
+class Received(NamedTuple):
+    """A CAN frame from the adapter."""
+
+    id: int
+    data: bytes
+
+
+def packet(identifier: int, data: bytes) -> bytes:
+    """Return the 30 bytes that send a frame of up to eight bytes, or raise ValueError."""
+    if len(data) > _DATA or not 0 <= identifier <= 0x7FF:
+        raise ValueError("the adapter sends classic frames with 11-bit ids and up to 8 bytes")
+    body = identifier.to_bytes(4, "little") + bytes([0, len(data), 0, 0])
+    return _HEAD + body + data.ljust(_DATA, b"\0") + b"\0"
+
+
+class PacketReader:
+    """Finds packets in what comes over the line, also after garbage or a packet's loss."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+
+    def take(self, piece: bytes) -> Iterator[Received]:
+        """Yield the frames that are complete now."""
+        self._rest += piece
+        while len(self._rest) >= RECEIVED:
+            begin = self._rest.find(_BEGIN)
+            if begin < 0:
+                self._rest = b""
+                return
+            whole = self._rest[begin : begin + RECEIVED]
+            if len(whole) < RECEIVED:
+                self._rest = whole
+                return
+            sound = whole[-1] == _END
+            self._rest = self._rest[begin + (RECEIVED if sound else 1) :]
+            if sound and whole[1] == _A_FRAME:
+                yield Received(int.from_bytes(whole[3:7], "little"), whole[7:15])
+
+
+BAUD = 921_600
+# Longest wait for the line to take a packet: longer, and the motors' watchdogs are near [s].
+_WRITE_TIMEOUT = 0.02
+
+
+def __getattr__(name: str) -> Any:
+    if name == "DamiaoSerialBus":
+        return _bus_class()
+    raise AttributeError(name)
+
+
+@cache
+def _bus_class() -> Any:
+    import can
+    import serial
+
+    class DamiaoSerialBus(can.BusABC):
+        """Classic CAN over the adapter's serial line; the bit rate is set in the adapter."""
+
+        def __init__(
+            self,
+            channel: str,
+            baudrate: int = BAUD,
+            write_timeout: float = _WRITE_TIMEOUT,
+            **rest: Any,
+        ) -> None:
+            self._port = serial.Serial(channel, baudrate, timeout=0, write_timeout=write_timeout)
+            self._reader, self._waiting = PacketReader(), deque[Any]()
+            self.channel_info = f"Damiao serial adapter at {channel}"
+            super().__init__(channel=channel, **rest)
+
+        def send(self, msg: Any, timeout: float | None = None) -> None:
+            """Send a frame; the adapter does not say when it was on the bus."""
+            self._port.write(packet(msg.arbitration_id, bytes(msg.data)))
+
+        def _recv_internal(self, timeout: float | None) -> tuple[Any, bool]:
+            until = None if timeout is None else time.monotonic() + timeout
+            while not self._waiting:
+                self._port.timeout = until and max(until - time.monotonic(), 0.0)
+                # The rest of what has come already, or the first byte of what comes next.
+                piece = self._port.read(max(self._port.in_waiting, 1))
+                self._waiting.extend(self._reader.take(piece))
+                if not self._waiting and until is not None and time.monotonic() >= until:
+                    return None, False
+            frame = self._waiting.popleft()
+            told = {"timestamp": time.time(), "arbitration_id": frame.id, "data": frame.data}
+            return can.Message(is_extended_id=False, **told), False
+
+        def shutdown(self) -> None:
+            """Close the serial line."""
+            super().shutdown()
+            self._port.close()
+
+    return DamiaoSerialBus

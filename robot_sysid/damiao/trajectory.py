@@ -1,0 +1,474 @@
+"""The trajectory file that Damiao motors play: written in a stream, read back, its extremes.
+
+::
+
+    # motor_type=DM4340,can_id=1,mode=MIT          one line per joint, base to terminal
+    time,j0_pos,j0_vel,j0_tau,j1_pos,...           s, rad, rad/s, N m
+    0.000,0.0000,0.0000,0.0000,0.0000,...
+
+A joint whose replies do not come on CAN id + 0x10 has ``,master_id=...`` appended to its line.
+
+Values are kept within the motors' limits, and what had to change is told.
+
+Does the velocity column say how the positions change? A motor is told both; where they disagree it
+follows neither. Two comparisons, because rounded positions hide much from row to row and next to
+nothing over a longer time:
+
+row      each velocity lies among the slopes of the positions around it
+window   over a tenth of a second, what the velocities add up to is how far the positions came
+
+A difference quotient instead of the derivative (half a row early or late) passes both.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain, islice
+from pathlib import Path
+from typing import NamedTuple, TextIO
+
+import numpy as np
+
+from robot_sysid.damiao.protocol.frames import PLANNING_LIMIT, BusTiming, bus_load, suggested_rate
+from robot_sysid.damiao.protocol.joints import MASTER_ID_OFFSET, DamiaoJoint, damiao_joints
+from robot_sysid.damiao.protocol.motors import motor_spec
+from robot_sysid.errors import InputError
+from robot_sysid.records import Array
+from robot_sysid.records.atomic_files import whole_file
+
+_PAIR = re.compile(r"\s*([a-z_]+)\s*=\s*([^,\s]+)\s*")
+
+MotionChunk = tuple[Array, Array, Array, Array]
+"""Time (N,), position, velocity, feed-forward torque (N, n) [s, rad, rad/s, N m]."""
+
+
+@dataclass(frozen=True)
+class DamiaoExportReport:
+    """What the export did; per joint, which share of samples has a clamped value [%]."""
+
+    joints: tuple[DamiaoJoint, ...]
+    clamped_percent: Array
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class DamiaoTrajectory:
+    """A trajectory file, read lazily; ``first_data_line`` counts the lines before its rows."""
+
+    path: Path
+    joints: tuple[DamiaoJoint, ...]
+    first_data_line: int
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints n."""
+        return len(self.joints)
+
+    def chunks(self, rows: int = 4096) -> Iterator[MotionChunk]:
+        """Yield the rows, at most ``rows`` at a time; raise InputError at one that is malformed."""
+        last, line = -np.inf, self.first_data_line
+        with _opened(self.path) as file:
+            lines = islice(file, line, None)
+            while text := list(islice(lines, rows)):
+                table = _table(text, self.path, line, 1 + 3 * self.n_joints)
+                if len(table):
+                    _check_time(table[:, 0], last, self.path, line)
+                    last = float(table[-1, 0])
+                    yield table[:, 0], table[:, 1::3], table[:, 2::3], table[:, 3::3]
+                line += len(text)
+
+
+def export_damiao_trajectory(
+    motion_chunks: Iterable[MotionChunk],
+    motor_types: Sequence[str],
+    path_or_file: str | os.PathLike[str] | TextIO,
+    can_ids: Sequence[int] | None = None,
+    master_ids: Sequence[int] | None = None,
+    supply: float | None = None,
+    joint_names: Sequence[str] = (),
+) -> DamiaoExportReport:
+    """Write a trajectory for Damiao motors, clamped to what their frames can carry.
+
+    The chunks are written as they come, so a long trajectory needs no memory; a path gets its file
+    only once everything is written.
+
+    Args:
+        motion_chunks: the motion, see ``MotionChunk``.
+        motor_types, can_ids, master_ids: see ``damiao_joints``.
+        path_or_file: where to write.
+        supply: voltage that the no-load speeds are compared at [V]; None takes each type's own.
+        joint_names: of the joints in the model, for the warnings.
+
+    Raises:
+        InputError: motor types or ids do not fit, no samples, or values that are not finite.
+    """
+    chunks = iter(motion_chunks)
+    first = next(chunks, None)
+    if first is None or len(first[0]) == 0:
+        raise InputError("the trajectory to export has no samples")
+    joints = damiao_joints(motor_types, np.shape(first[1])[1], can_ids, master_ids, joint_names)
+    tally = ClampTally(joints)
+    # Milliseconds where all moments are on their grid.
+    decimals = 3 if np.all(np.abs(first[0] - np.round(first[0], 3)) < 1e-9) else 6
+    with whole_file(path_or_file) as file:
+        file.write(_head(joints))
+        for chunk in chain([first], chunks):
+            file.write(_rows(chunk, tally, decimals))
+    warnings = (*tally.warnings(supply), *_rate_warnings(first[0], len(joints)))
+    return DamiaoExportReport(joints, tally.clamped_percent, warnings)
+
+
+def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
+    """Read the head of a trajectory file, or raise InputError; rows come from its ``chunks``."""
+    path = Path(path)
+    joints: list[DamiaoJoint] = []
+    with _opened(path) as file:
+        for number, line in enumerate(file, start=1):
+            if not line.startswith("#"):
+                _check_columns(line, len(joints), path, number)
+                return DamiaoTrajectory(path, tuple(joints), number)
+            if "motor_type" in line:
+                joints.append(_parse_joint(line, path, number))
+    raise InputError(f"{path} has no column line; it is not a Damiao trajectory")
+
+
+def _head(joints: Sequence[DamiaoJoint]) -> str:
+    lines = []
+    for joint in joints:
+        line = f"# motor_type={joint.motor_type},can_id={joint.can_id},mode=MIT"
+        if joint.master_id != joint.can_id + MASTER_ID_OFFSET:
+            line += f",master_id={joint.master_id}"
+        lines.append(line)
+    lines.append(",".join(["time", *trajectory_columns(len(joints))]))
+    return "\n".join(lines) + "\n"
+
+
+def trajectory_columns(n_joints: int) -> list[str]:
+    """Return j0_pos, j0_vel, j0_tau, j1_pos, ... for n joints."""
+    return [f"j{j}_{what}" for j in range(n_joints) for what in ("pos", "vel", "tau")]
+
+
+def _rows(chunk: MotionChunk, tally: ClampTally, decimals: int) -> str:
+    time, q, qd, tau = (np.asarray(x, dtype=float) for x in chunk)
+    n = len(tally.joints)
+    if time.ndim != 1 or not q.shape == qd.shape == tau.shape == (len(time), n):
+        raise InputError(f"motion chunks must be (N,), (N, {n}), (N, {n}), (N, {n}) arrays")
+    if not all(np.all(np.isfinite(x)) for x in (time, q, qd, tau)):
+        raise InputError("the trajectory to export contains values that are not finite")
+    q, qd, tau = tally.clamp(q, qd, tau)
+    table = np.empty((len(time), 1 + 3 * n))
+    table[:, 0] = time
+    for offset, values in enumerate((q, qd, tau)):
+        table[:, 1 + offset :: 3] = values
+    # Adding zero turns the -0.0 that rounding leaves into 0.0.
+    table[:, 1:] = np.round(table[:, 1:], 4) + 0.0
+    row = ",".join([f"%.{decimals}f"] + ["%.4f"] * (3 * n)) + "\n"
+    return (row * len(time)) % tuple(table.ravel())
+
+
+def _rate_warnings(time: Array, n_joints: int) -> Iterator[str]:
+    if len(time) < 2:
+        return
+    rate = 1.0 / float(np.median(np.diff(time)))
+    classic, fast = BusTiming(), BusTiming(fd=True)
+    load = bus_load(n_joints, rate, classic)
+    if load > PLANNING_LIMIT:
+        fits, fits_fd = suggested_rate(n_joints, classic), suggested_rate(n_joints, fast)
+        yield (
+            f"{rate:g} Hz would fill {100 * load:.0f} % of a classic CAN bus "
+            f"({100 * bus_load(n_joints, rate, fast):.0f} % of CAN-FD): play the file at "
+            f"{fits:g} Hz (CAN-FD: {fits_fd:g} Hz), or export it with --damiao-rate {fits:g}"
+        )
+
+
+def _parse_joint(line: str, path: Path, number: int) -> DamiaoJoint:
+    pairs = dict(_PAIR.findall(line.lstrip("# ")))
+    try:
+        can_id = int(pairs["can_id"], 0)
+        master_id = int(pairs.get("master_id", str(can_id + MASTER_ID_OFFSET)), 0)
+        motor_type, mode = motor_spec(pairs["motor_type"]).name, pairs["mode"]
+    except InputError as error:
+        raise InputError(f"{path}, line {number}: {error}") from None
+    except (KeyError, ValueError):
+        raise InputError(
+            f"{path}, line {number}: expected '# motor_type=TYPE,can_id=NUMBER,mode=MIT'"
+        ) from None
+    if mode != "MIT":
+        raise InputError(f"{path}, line {number}: mode {mode!r} cannot be played, only MIT")
+    return DamiaoJoint(motor_type, can_id, master_id)
+
+
+def _check_columns(line: str, n_joints: int, path: Path, number: int) -> None:
+    if n_joints == 0:
+        raise InputError(f"{path} has no '# motor_type=...' lines; it is not a Damiao trajectory")
+    names = [name.strip() for name in line.strip().split(",")]
+    if names != ["time", *trajectory_columns(n_joints)]:
+        raise InputError(
+            f"{path}, line {number}: expected the columns time,j0_pos,j0_vel,j0_tau,... for "
+            f"{n_joints} joints"
+        )
+
+
+def _table(text: list[str], path: Path, before: int, width: int) -> Array:
+    filled = [line for line in text if line.strip()]
+    if not filled:
+        return np.empty((0, width))
+    table = _finite_rows(filled, width)
+    if table is None:
+        lines = enumerate(text, start=before + 1)
+        bad = next(n for n, line in lines if line.strip() and _finite_rows([line], width) is None)
+        raise InputError(f"{path}, line {bad}: expected {width} finite numbers")
+    return table
+
+
+def _finite_rows(lines: list[str], width: int) -> Array | None:
+    """Return the numbers (N, width) of lines, or None where they are no such rows."""
+    if any("_" in line for line in lines):
+        # NumPy before 1.23 reads 1_0 as 10, as Python does.
+        return None
+    try:
+        table = np.loadtxt(lines, delimiter=",", ndmin=2)
+    except ValueError:
+        return None
+    fits = table.shape == (len(lines), width) and np.all(np.isfinite(table))
+    return np.asarray(table) if fits else None
+
+
+def _check_time(time: Array, last: float, path: Path, before: int) -> None:
+    falling = np.flatnonzero(np.diff(time, prepend=last) <= 0.0)
+    if len(falling):
+        raise InputError(
+            f"{path}, near line {before + int(falling[0]) + 1}: time does not increase"
+        )
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[TextIO]:
+    try:
+        with open(path, encoding="utf-8-sig") as file:
+            yield file
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path} is not a text file") from None
+
+
+@dataclass(frozen=True)
+class TrajectoryScan:
+    """What a trajectory asks of the motors; arrays are (n,) [rad, rad/s, N m].
+
+    Attributes:
+        duration: from first to last row [s].
+        end_velocity: larger of the speeds at the first and the last row.
+        peak_step: largest position change per time between two rows [rad/s].
+        mismatch: where the velocity column does not say how the positions change, or None.
+    """
+
+    duration: float
+    first: Array
+    end_velocity: Array
+    lowest: Array
+    highest: Array
+    peak_velocity: Array
+    peak_torque: Array
+    peak_step: Array
+    mismatch: Mismatch | None = None
+
+
+def scan_trajectory(trajectory: DamiaoTrajectory) -> TrajectoryScan:
+    """Return the extremes of a trajectory file; memory does not grow with its length."""
+    peaks, lowest, highest = np.zeros((3, trajectory.n_joints)), np.inf, -np.inf
+    columns = VelocityColumns(trajectory.first_data_line + 1)
+    samples, last_time, last_q = 0, np.empty(0), np.empty((0, trajectory.n_joints))
+    for time, q, qd, tau in trajectory.chunks():
+        if samples == 0:
+            start, first, first_speed = time[0], q[0], qd[0]
+        steps = np.diff(q, axis=0, prepend=last_q) / np.diff(time, prepend=last_time)[:, None]
+        largest = [np.abs(x).max(axis=0, initial=0.0) for x in (qd, tau, steps)]
+        peaks = np.maximum(peaks, largest)
+        lowest, highest = np.minimum(lowest, q.min(axis=0)), np.maximum(highest, q.max(axis=0))
+        columns.add(time, q, qd)
+        samples += len(time)
+        last_time, last_q, last_speed = time[-1:], q[-1:], qd[-1]
+    if samples < 2:
+        raise InputError(f"{trajectory.path} needs at least two rows to be played")
+    end_velocity = np.maximum(np.abs(first_speed), np.abs(last_speed))
+    return TrajectoryScan(
+        last_time[0] - start,
+        first,
+        end_velocity,
+        np.asarray(lowest),
+        np.asarray(highest),
+        *(peaks[0], peaks[1], peaks[2]),
+        mismatch=columns.mismatch,
+    )
+
+
+_RPM_PER_RAD_S = 60.0 / (2.0 * np.pi)
+
+
+class ClampTally:
+    """Clamps chunks to the motors' limits and counts what it changed.
+
+    ``clamped`` (n,) counts rows in which at least one value of the joint was changed; the peaks
+    (n,) are largest magnitudes before that [rad/s, N m].
+    """
+
+    def __init__(self, joints: tuple[DamiaoJoint, ...]) -> None:
+        self.joints, self.samples = joints, 0
+        self.clamped, self.peak_velocity, self.peak_torque = np.zeros((3, len(joints)))
+
+    def clamp(self, q: Array, qd: Array, tau: Array) -> tuple[Array, Array, Array]:
+        """Return the chunk within the motors' limits, counting what had to change."""
+        limits = np.array([joint.spec.limits for joint in self.joints]).T
+        self.peak_velocity = np.maximum(self.peak_velocity, np.abs(qd).max(axis=0))
+        self.peak_torque = np.maximum(self.peak_torque, np.abs(tau).max(axis=0))
+        inside = [np.clip(x, -limit, limit) for x, limit in zip((q, qd, tau), limits)]
+        changed = np.any([a != b for a, b in zip((q, qd, tau), inside)], axis=0)
+        self.clamped += changed.sum(axis=0)
+        self.samples += len(q)
+        return inside[0], inside[1], inside[2]
+
+    @property
+    def clamped_percent(self) -> Array:
+        """Share of rows (n,) with a changed value [%]."""
+        return np.asarray(100.0 * self.clamped / max(self.samples, 1))
+
+    def warnings(self, supply: float | None) -> Iterator[str]:
+        """Yield a sentence per joint and limit or rating that the trajectory exceeds."""
+        for j, joint in enumerate(self.joints):
+            if self.clamped[j]:
+                yield (
+                    f"{joint.label}: {self.clamped_percent[j]:.2f} % of the samples were clamped "
+                    f"to the limits of a {joint.motor_type}; use a stronger motor or a slower "
+                    "trajectory"
+                )
+            yield from rating_warnings(joint, self.peak_velocity[j], self.peak_torque[j], supply)
+
+
+def rating_warnings(
+    joint: DamiaoJoint, velocity: float, torque: float, supply: float | None = None
+) -> Iterator[str]:
+    """Yield a sentence for each rating of a motor that a peak velocity or torque exceeds.
+
+    No-load speeds are taken at a supply voltage [V]; None takes the type's own.
+    """
+    spec = joint.spec
+    for limit, name, remedy in (
+        (spec.peak_torque, "peak", "it cannot follow"),
+        (spec.rated_torque, "rated", "fine for a moment, too hot for long"),
+    ):
+        if limit is not None and torque > limit:
+            yield (
+                f"{joint.label}: {torque:.2f} N m exceeds the {name} torque of a {spec.name}, "
+                f"{limit:g} N m; {remedy}"
+            )
+            break
+    top = spec.no_load_speed(supply)
+    if top is not None and velocity > top:
+        volts = spec.supply if supply is None else supply
+        yield (
+            f"{joint.label}: {velocity:.2f} rad/s ({velocity * _RPM_PER_RAD_S:.0f} rpm) exceeds "
+            f"the no-load speed of a {spec.name} at {volts:g} V, {top:.2f} rad/s; "
+            "it cannot follow"
+        )
+
+
+# Numbers with four decimals, as the export writes them, are this far from what was meant.
+_ROUNDING = 0.5e-4
+_WINDOW, _LEAST_ROWS = 0.1, 4
+# Rows on either side whose slopes count as around.
+_AROUND = 2
+
+
+class Mismatch(NamedTuple):
+    """Where the velocity column is wrong: line, without empty ones, and joint, from 0.
+
+    It states a velocity, and the positions show another [rad/s].
+    """
+
+    line: int
+    joint: int
+    stated: float
+    shown: float
+
+
+class VelocityColumns:
+    """Compares the velocity columns with the positions, up to the first mismatch."""
+
+    def __init__(self, first_line: int = 1) -> None:
+        self.mismatch: Mismatch | None = None
+        self._rows: Array | None = None
+        self._first_line, self._begun = first_line, False
+
+    def add(self, time: Array, q: Array, qd: Array) -> None:
+        """Add rows (N,), (N, n), (N, n) [s, rad, rad/s]."""
+        if self.mismatch is not None:
+            return
+        table = np.hstack([time[:, None], q, qd])
+        self._rows = table if self._rows is None else np.vstack([self._rows, table])
+        time, (q, qd) = self._rows[:, 0], np.split(self._rows[:, 1:], 2, axis=1)
+        found = next(_mismatches(time, q, qd, self._begun), None)
+        self._begun = True
+        if found is not None:
+            self.mismatch = found._replace(line=found.line + self._first_line)
+        # The end of this chunk is the beginning of the windows that reach into the next one.
+        kept = int(np.searchsorted(time, time[-1] - 2.0 * _WINDOW))
+        kept = max(min(kept, len(time) - 2 * _LEAST_ROWS), 0)
+        self._rows, self._first_line = self._rows[kept:], self._first_line + kept
+
+
+def _mismatches(time: Array, q: Array, qd: Array, begun: bool) -> Iterator[Mismatch]:
+    if len(time) > 1:
+        step = np.diff(time)[:, None]
+        slope = np.diff(q, axis=0) / step
+        yield from _rows_off(step, slope, qd, _AROUND if begun else 0)
+        yield from _windows_off(time, q, qd, slope)
+
+
+def _rows_off(step: Array, slope: Array, qd: Array, first: int) -> Iterator[Mismatch]:
+    # Rows without neighbours were compared before, or will be with the next chunk.
+    padded = np.pad(slope, ((_AROUND, _AROUND), (0, 0)), mode="edge")
+    around = np.lib.stride_tricks.sliding_window_view(padded, 2 * _AROUND, axis=0)
+    low, high = around.min(axis=-1), around.max(axis=-1)
+    # Two rounded positions, of the slope and of what it is compared with, over the shortest step.
+    steps = np.pad(step, ((_AROUND, _AROUND), (0, 0)), mode="edge")
+    shortest = np.lib.stride_tricks.sliding_window_view(steps, 2 * _AROUND, axis=0).min(axis=-1)
+    slack = 4.0 * _ROUNDING / shortest + _ROUNDING + (high - low)
+    off = np.maximum(low - slack - qd, qd - high - slack)
+    off[:first] = off[len(off) - _AROUND :] = 0.0
+    for row, joint in np.argwhere(off > 0.0)[:1]:
+        shown = slope[min(row, len(slope) - 1), joint]
+        yield Mismatch(int(row), int(joint), float(qd[row, joint]), float(shown))
+
+
+def _windows_off(time: Array, q: Array, qd: Array, slope: Array) -> Iterator[Mismatch]:
+    step = np.diff(time)[:, None]
+    longest = float(np.max(step))
+    ends = np.searchsorted(time, time + max(_WINDOW, _LEAST_ROWS * longest))
+    starts = np.flatnonzero(ends < len(slope))
+    ends = ends[starts]
+    way = _summed(0.5 * (qd[1:] + qd[:-1]) * step)
+    came, said = q[ends] - q[starts], way[ends] - way[starts]
+    turns = _summed(np.abs(np.diff(qd, axis=0)))
+    # Half a row early or late; then what trapezoids leave out where the velocity bends.
+    before = np.vstack([slope[:1], slope])
+    sped_up = [np.abs(each[ends] - each[starts]) for each in (slope, before)]
+    shifted = 0.6 * longest * np.maximum(*sped_up) + 2.0 * _ROUNDING
+    bent = longest / 6.0 * (turns[ends] - turns[starts])
+    length = (time[ends] - time[starts])[:, None]
+    allowed = shifted + bent + 2.0 * _ROUNDING + _ROUNDING * length
+    for k, joint in np.argwhere(np.abs(came - said) > allowed * (1.0 + 1e-9))[:1]:
+        span = float(length[k, 0])
+        yield Mismatch(
+            int(starts[k]), int(joint), float(said[k, joint]) / span, float(came[k, joint]) / span
+        )
+
+
+def _summed(parts: Array) -> Array:
+    """Return the sums (N, n) of the first 0, 1, ... of (N - 1, n) parts."""
+    return np.vstack([np.zeros(parts.shape[1]), np.cumsum(parts, axis=0)])

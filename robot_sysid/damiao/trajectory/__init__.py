@@ -1,1 +1,0 @@
-"""The trajectory file that motors play, and what had to be clamped in it."""

@@ -1,1 +1,0 @@
-"""Estimating all links of an arm together."""

@@ -1,1 +1,0 @@
-"""Motions that are slow, or at rest: starts, resting poses for payloads, sweeps for friction."""

@@ -1,0 +1,312 @@
+"""Kinds of trajectories beside random sinusoids: Fourier series, poses, and sweeps.
+
+Of a Fourier series joint j follows q_j(t) = r_j + w(t) (o_j + sum_k a_jk sin(k W t) + b_jk cos(k W
+t)), W = 2 pi f0, as in Swevers, Ganseman, Tukel, De Schutter, Van Brussel, "Optimal robot
+excitation and identification", IEEE Trans. Robotics and Automation 13(5), 1997, eq. 5. Rest at both
+ends comes from one of two places:
+
+- faded: a window w rises smoothly from 0 to 1 and falls back (``trajectory.window``);
+- periodic (fade = 0): w = 1, and the coefficients obey sum b = -o, sum k a = 0, sum k^2 b = 0, so
+  that the motion can be repeated without a stop.
+
+Because q is linear in (o, a, b), so are velocity and acceleration, and all joints share one matrix
+of basis functions. Poses and sweeps follow straight lines in joint space; poses rest, sweeps keep
+their speed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from robot_sysid.errors import InputError
+from robot_sysid.records import Array, Motion, checked_array
+from robot_sysid.trajectory import faded, smooth_step, window
+
+END_TOLERANCE = 1e-9
+"""Largest velocity and acceleration a periodic trajectory may have at its ends [rad/s, rad/s^2]."""
+PEAK_SPEED, PEAK_ACCELERATION = 2.1875, 7.5132
+"""Largest first and second derivative of a smooth step from 0 to 1 in unit time."""
+PEAK_OF_RAMP = 1.875
+"""Largest derivative of the rise of a sweep's speed from 0 to 1 in unit time."""
+
+
+@dataclass(frozen=True)
+class FourierBasis:
+    """The functions a Fourier series trajectory is made of: 1, sin(k W t), cos(k W t), k = 1..K.
+
+    Attributes:
+        duration: length [s].
+        base_frequency_hz: frequency f0 of the first harmonic [Hz].
+        harmonics: number of harmonics K.
+        fade: time the window takes to rise and to fall [s]; 0 for a periodic trajectory.
+    """
+
+    duration: float
+    base_frequency_hz: float
+    harmonics: int
+    fade: float
+
+    def __post_init__(self) -> None:
+        if not (0.0 < self.duration < np.inf and 0.0 < self.base_frequency_hz < np.inf):
+            raise InputError("a Fourier series needs a finite positive duration and base frequency")
+        least = 1 if self.fade > 0.0 else 3
+        if self.harmonics < least:
+            raise InputError(
+                f"--harmonics {self.harmonics} is too few: a trajectory that is at rest at both "
+                f"ends this way needs at least {least}"
+            )
+        if not 0.0 <= 2.0 * self.fade <= self.duration:
+            raise InputError(f"fade {self.fade} s does not fit twice into {self.duration} s")
+        periods = self.duration * self.base_frequency_hz
+        if self.fade == 0.0 and (round(periods) < 1 or abs(periods - round(periods)) > 1e-12):
+            raise InputError(
+                f"--base-frequency {self.base_frequency_hz:g}: a periodic trajectory of "
+                f"{self.duration:g} s must hold a whole number of periods (it holds {periods:g})"
+            )
+
+    @property
+    def size(self) -> int:
+        """Number of functions 2 K + 1."""
+        return 2 * self.harmonics + 1
+
+    @property
+    def top_frequency_hz(self) -> float:
+        """Frequency of the last harmonic [Hz]."""
+        return self.harmonics * self.base_frequency_hz
+
+    @property
+    def order(self) -> Array:
+        """Harmonic numbers k = 1..K."""
+        return np.arange(1.0, self.harmonics + 1.0)
+
+    def evaluate(self, time: Array) -> tuple[Array, Array, Array]:
+        """Return the functions and their first and second derivatives (N, 2 K + 1)."""
+        time = np.asarray(time, dtype=float)
+        omega, (sine, cosine) = self.omega, self.waves(time)
+        one, zero = np.ones((len(time), 1)), np.zeros((len(time), 1))
+        series = (
+            np.hstack((one, sine, cosine)),
+            np.hstack((zero, omega * cosine, -omega * sine)),
+            np.hstack((zero, -(omega**2) * sine, -(omega**2) * cosine)),
+        )
+        if self.fade == 0.0:
+            return series
+        return faded(window(time, self.duration, self.fade), series)
+
+    @property
+    def omega(self) -> Array:
+        """Angular frequencies (K,) [rad/s]."""
+        return 2.0 * np.pi * self.base_frequency_hz * self.order
+
+    def waves(self, time: Array) -> tuple[Array, Array]:
+        """Return sin(k W t) and cos(k W t) (N, K), by sums of angles: far cheaper than sines."""
+        angle, k = 2.0 * np.pi * self.base_frequency_hz * time, self.harmonics
+        sine, cosine = np.empty((2, k, len(time)))
+        sine[0], cosine[0], done = np.sin(angle), np.cos(angle), 1
+        while done < k:
+            more = min(done, k - done)
+            low, new, top = slice(0, more), slice(done, done + more), done - 1
+            sine[new] = sine[low] * cosine[top] + cosine[low] * sine[top]
+            cosine[new] = cosine[low] * cosine[top] - sine[low] * sine[top]
+            done += more
+        return sine.T, cosine.T
+
+    def free_directions(self) -> Array:
+        """Return (2 K + 1, M) orthonormal directions that keep both ends at rest.
+
+        All of them where a window does that; otherwise those of o + sum b = 0, sum k a = 0,
+        sum k^2 b = 0.
+        """
+        if self.fade > 0.0:
+            return np.eye(self.size)
+        k, none = self.order / self.harmonics, np.zeros(self.harmonics)
+        ends = (([1.0], none, none + 1.0), ([0.0], k, none), ([0.0], none, k**2))
+        return np.linalg.svd([np.concatenate(row) for row in ends])[2][3:].T
+
+
+@dataclass(frozen=True)
+class FourierTrajectory:
+    """A Fourier series per joint, starting and ending at rest in the same configuration.
+
+    Attributes:
+        rest: (n,) position at both ends [rad].
+        coefficients: (n, 2 K + 1) per joint offset, K sine and K cosine coefficients [rad].
+    """
+
+    basis: FourierBasis
+    rest: Array
+    coefficients: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rest", checked_array(self.rest, (None,), "rest"))
+        shape = (len(self.rest), self.basis.size)
+        value = checked_array(self.coefficients, shape, "Fourier coefficients")
+        object.__setattr__(self, "coefficients", value)
+        # Without a window the coefficients must start at rest; 0 at time 0 is 0 after each period.
+        for row in self.basis.evaluate(np.zeros(1)) if self.basis.fade == 0.0 else ():
+            worst = float(np.max(np.abs(row @ self.coefficients.T)))
+            if worst > END_TOLERANCE:
+                raise InputError(
+                    f"the coefficients of a periodic trajectory do not start at rest (off by "
+                    f"{worst:.1e}); use a trajectory with a fade, or design it again"
+                )
+
+    @property
+    def duration(self) -> float:
+        """Length [s]."""
+        return self.basis.duration
+
+    @property
+    def cycle(self) -> tuple[float, float]:
+        """Period after which it repeats itself, but for so much time at both ends [s]."""
+        return 1.0 / self.basis.base_frequency_hz, self.basis.fade
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints n."""
+        return len(self.rest)
+
+    def evaluate(self, time: Array) -> Motion:
+        """Return position, velocity and acceleration at times (N,) [s]."""
+        time = np.asarray(time, dtype=float)
+        n, omega = self.n_joints, self.basis.omega
+        offset, (a, b) = self.coefficients[:, 0], np.split(self.coefficients[:, 1:], 2, axis=1)
+        sine, cosine = self.basis.waves(time)
+        # Series and derivatives of all joints in one product each, before any window.
+        s, ds, dds = np.split(
+            sine @ np.vstack((a, -omega * b, -(omega**2) * a)).T
+            + cosine @ np.vstack((b, omega * a, -(omega**2) * b)).T,
+            (n, 2 * n),
+            axis=1,
+        )
+        s = offset + s
+        if self.basis.fade > 0.0:
+            s, ds, dds = faded(window(time, self.duration, self.basis.fade), (s, ds, dds))
+        return Motion(time, self.rest + s, ds, dds)
+
+    def scaled(self, factor: float) -> FourierTrajectory:
+        """Return the trajectory with all departures from rest times ``factor``."""
+        return replace(self, coefficients=factor * self.coefficients)
+
+
+@dataclass(frozen=True)
+class _Lines:
+    """Straight lines in joint space; the arm rests at the first and the last point.
+
+    Attributes:
+        points: (P, n) [rad].
+        moves: (P - 1,) how long the way from each point to the next takes [s].
+    """
+
+    points: Array
+    moves: Array
+
+    def _check(self, **sizes: int) -> None:
+        object.__setattr__(self, "points", checked_array(self.points, (None, None), "points"))
+        for name, size in sizes.items():
+            object.__setattr__(self, name, checked_array(getattr(self, name), (size,), name))
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints n."""
+        return int(self.points.shape[1])
+
+
+@dataclass(frozen=True)
+class PoseTrajectory(_Lines):
+    """Lines with a smooth step for each, and rests of ``dwells`` (P,) [s] at the points."""
+
+    dwells: Array
+
+    def __post_init__(self) -> None:
+        count = len(self.points)
+        self._check(moves=count - 1, dwells=count)
+        if count < 2 or np.any(self.moves <= 0.0) or np.any(self.dwells < 0.0):
+            raise InputError("moves between poses take time, and rests are not negative")
+
+    @property
+    def duration(self) -> float:
+        """Length [s]."""
+        return float(np.sum(self.moves) + np.sum(self.dwells))
+
+    @property
+    def arrivals(self) -> Array:
+        """When each point is reached (P,) [s]."""
+        return np.concatenate(([0.0], np.cumsum(self.dwells[:-1] + self.moves)))
+
+    def evaluate(self, time: Array) -> Motion:
+        """Return the motion at times (N,) [s]; exact derivatives."""
+        time = np.asarray(time, dtype=float)
+        at = np.clip(np.searchsorted(self.arrivals, time, side="right") - 1, 0, len(self.moves) - 1)
+        step, length = np.diff(self.points, axis=0)[at], self.moves[at]
+        x = np.clip((time - self.arrivals[at] - self.dwells[at]) / length, 0.0, 1.0)
+        w, dw, ddw = smooth_step(x)
+        return Motion(
+            time,
+            self.points[at] + w[:, None] * step,
+            (dw / length)[:, None] * step,
+            (ddw / length**2)[:, None] * step,
+        )
+
+
+def straight_way(begin: Array, end: Array) -> PoseTrajectory:
+    """Return the motion from one pose (n,) to another in a straight line, at about 1 rad/s."""
+    seconds = max(1.0, float(np.max(np.abs(end - begin))))
+    return PoseTrajectory(np.stack((begin, end)), np.array([seconds]), np.zeros(2))
+
+
+@dataclass(frozen=True)
+class SweepTrajectory(_Lines):
+    """Lines between turning points; speed rises smoothly, stays the same, and falls.
+
+    It takes ``ramps`` (P - 1,) [s] to rise, and to fall; at most half the way.
+    """
+
+    ramps: Array
+
+    def __post_init__(self) -> None:
+        count = len(self.points)
+        self._check(moves=count - 1, ramps=count - 1)
+        if count < 2 or np.any(self.ramps <= 0.0) or np.any(2.0 * self.ramps > self.moves):
+            raise InputError("a sweep takes time, and its ramps fit into it twice")
+
+    @property
+    def duration(self) -> float:
+        """Length [s]."""
+        return float(np.sum(self.moves))
+
+    @property
+    def speeds(self) -> Array:
+        """Constant part of each line's velocity (P - 1, n) [rad/s]."""
+        return np.asarray(np.diff(self.points, axis=0) / (self.moves - self.ramps)[:, None])
+
+    def evaluate(self, time: Array) -> Motion:
+        """Return the motion at times (N,) [s]; exact derivatives."""
+        time = np.asarray(time, dtype=float)
+        start = np.concatenate(([0.0], np.cumsum(self.moves)[:-1]))
+        at = np.clip(np.searchsorted(start, time, side="right") - 1, 0, len(start) - 1)
+        ramp, left = self.ramps[at], np.clip(time - start[at], 0.0, self.moves[at])
+        right = self.moves[at] - left
+        rise, rising, bend = _rise(np.minimum(left / ramp, 1.0))
+        fall, falling, brake = _rise(np.minimum(right / ramp, 1.0))
+        early, late = left < ramp, right < ramp
+        # The way at unit speed: ramps count half.
+        way = np.where(early, ramp * rise, left - 0.5 * ramp)
+        way = np.where(late, self.moves[at] - ramp - ramp * fall, way)
+        speed = np.where(early, rising, np.where(late, falling, 1.0))
+        change = np.where(early, bend / ramp, np.where(late, -brake / ramp, 0.0))
+        velocity = self.speeds[at]
+        return Motion(
+            time,
+            self.points[at] + way[:, None] * velocity,
+            speed[:, None] * velocity,
+            change[:, None] * velocity,
+        )
+
+
+def _rise(x: Array) -> tuple[Array, Array, Array]:
+    """Return integral, value and slope (N,) of 10 x^3 - 15 x^4 + 6 x^5, which rises from 0 to 1."""
+    integral = x**4 * (2.5 + x * (x - 3.0))
+    return integral, x**3 * (10.0 + x * (6.0 * x - 15.0)), 30.0 * (x * (1.0 - x)) ** 2

@@ -1,1 +1,0 @@
-"""Identifications by where the torques come from, and the fit they share."""

@@ -1,1 +1,0 @@
-"""Identifying every link of an arm from its logs."""

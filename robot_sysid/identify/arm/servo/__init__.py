@@ -1,1 +1,0 @@
-"""Arms without torque sensors: servos, rotor inertia and friction from commands and positions."""

@@ -1,1 +1,0 @@
-"""What may be believed of an identification."""

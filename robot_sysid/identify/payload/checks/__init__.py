@@ -1,1 +1,0 @@
-"""Whether a payload may be believed: agreement, prediction, plausibility."""

@@ -1,1 +1,0 @@
-"""What is printed of a result: tables before -> after, and the blocks they stand in."""

@@ -1,0 +1,265 @@
+"""The stages of ``robot-sysid payload`` in order: load, record, identify, write."""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from robot_sysid.checks.run import look_at
+from robot_sysid.core.answer import traces_of
+from robot_sysid.core.dataset import Dataset, RestingPoses
+from robot_sysid.core.identify import Piece, answer_payload, filtered, shared_notes
+from robot_sysid.core.result import payload_of
+from robot_sysid.core.unknowns import Question
+from robot_sysid.errors import InputError
+from robot_sysid.excitation.plan import MotionRequest, make_plan
+from robot_sysid.export import locked_folder, save
+from robot_sysid.logs.reader import join_measurements, open_log
+from robot_sysid.model.flange import find_flange
+from robot_sysid.parser import load_robot_model
+from robot_sysid.payload_config import LOADED, PayloadConfig, PayloadOptions
+from robot_sysid.pipeline import Analysis, Outcome
+from robot_sysid.records import Array, DataOrigin, Measurement, MotionPlan, RobotModel, Source
+from robot_sysid.records.progress import Progress
+from robot_sysid.records.torque_scale import write_torque_scale
+from robot_sysid.signals.poses import resting_poses
+from robot_sysid.simulation.closed_loop import PlantSimulation
+from robot_sysid.simulation.loading import load_plant
+from robot_sysid.simulation.sensors import SimulatedArmOptions
+
+SIMULATED_ORDER = "ABBA"
+_NOISE_STREAM = 1
+LEAST_WITHIN = 0.15
+"""Share of the spread of places within one kind of recording below which a drift and the payload
+cannot be told apart: nothing for A B, 1 for A B B A."""
+SCALE_PRIOR = 3.0
+"""How far torque scales may be off where a known mass is to tell them [%]."""
+
+
+@dataclass(frozen=True)
+class RawRecording:
+    """A log as it was read or simulated.
+
+    Attributes:
+        name: what it is called in messages.
+        is_loaded: whether the payload was on the arm.
+        samples: the log.
+        pieces: it, cut at long holes.
+        least_deadband: (n,) see ``signals.process.process``.
+        notes: what reading it had to say, one sentence each.
+    """
+
+    name: str
+    is_loaded: bool
+    samples: Measurement
+    pieces: tuple[Measurement, ...]
+    least_deadband: tuple[float, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def run(config: PayloadConfig, progress: Progress | None = None) -> Outcome:
+    """Identify a payload and write it.
+
+    Args:
+        config: what to do.
+        progress: where to tell how far it is; None stays silent.
+
+    Raises:
+        SysidError: with the exit code that fits, see ``errors``.
+    """
+    progress = progress or Progress()
+    with locked_folder(config.output.output_dir, progress):
+        robot = load(config, progress)
+        return written(config, robot, weighed(config, robot, progress), progress)
+
+
+def load(config: PayloadConfig, progress: Progress) -> RobotModel:
+    """Load the model and find its terminal joint."""
+    model, speed = config.model, config.limits.max_velocity
+    progress.stage(f"Loading robot model from {model.path}...")
+    robot = load_robot_model(model.path, model.mesh_dir, model.joint, speed, model.keyframe)
+    progress.stage(f"Identified terminal joint: {robot.terminal_joint}")
+    for note in robot.notes:
+        progress.note(note)
+    return robot
+
+
+def weighed(config: PayloadConfig, robot: RobotModel, progress: Progress) -> Analysis:
+    """Identify a payload and write nothing."""
+    options = config.payload
+    flange = find_flange(robot, options.flange)
+    if flange.note:
+        progress.note(flange.note)
+    raw = _recordings(config, robot, progress)
+    at = places(raw, options.order if options.empty else SIMULATED_ORDER)
+    drifts = not options.static and at is not None and drift_shows(raw, at)
+    datasets, notes = _datasets(config, robot, raw, at)
+    if not drifts and not options.static:
+        notes = (*notes, _no_drift(raw, at is not None))
+    for note in notes:
+        progress.note(note)
+    scale = None if options.known_mass is None else options.scale_prior or SCALE_PRIOR
+    question = Question(
+        config.estimation,
+        loaded=True,
+        drifts=drifts,
+        known_mass=options.known_mass,
+        scale_prior=scale,
+        resting=options.static,
+    )
+    answer, free = answer_payload(robot, datasets, question, progress, config.output.kept)
+    duration = sum(float(np.ptp(each.samples.time)) for each in raw)
+    rate = sum(len(each.samples) - 1 for each in raw) / duration
+    origin = DataOrigin(Source.LOG, ", ".join(each.name for each in raw), duration, rate)
+    result = payload_of(answer, free, flange, origin, options.static, config.output.write_offset)
+    for note in result.notes[len(robot.notes) :]:
+        progress.note(note)
+    return Analysis(result, datasets[-1].motion, lambda: traces_of(answer), answer)
+
+
+def _datasets(
+    config: PayloadConfig, robot: RobotModel, raw: Sequence[RawRecording], at: Array | None
+) -> tuple[list[Dataset], tuple[str, ...]]:
+    """Return what is fitted, and what there is to say of it."""
+    place = np.zeros(len(raw)) if at is None else at
+    pairs = list(zip(raw, place.tolist()))
+    if config.payload.static:
+        found, told = [], {}
+        for each, where in pairs:
+            try:
+                poses, used = resting_poses(each.samples, robot.joint_names)
+            except InputError as error:
+                raise InputError(f"{each.name}: {error}") from None
+            found.append(Dataset(each.name, RestingPoses(poses, used), each.is_loaded, where))
+            told[each.name] = (*each.notes, f"{len(poses)} poses, each approached from both sides")
+        return found, tuple(shared_notes(told))
+    pieces = []
+    for each, where in pairs:
+        for number, samples in enumerate(each.pieces, start=1):
+            part = f" (part {number})" if len(each.pieces) > 1 else ""
+            name = f"{each.name}{part}"
+            pieces.append(Piece(name, samples, each.is_loaded, where, each.least_deadband))
+    datasets, said = filtered(robot, pieces, config.estimation)
+    return datasets, (*shared_notes({each.name: each.notes for each in raw}), *said)
+
+
+def _no_drift(raw: Sequence[RawRecording], known: bool) -> str:
+    order = (
+        "their order does not tell it from the payload"
+        if known
+        else "the order in which they were recorded is not known (--order ABBA tells it)"
+    )
+    return (
+        f"a drift of friction over the {len(raw)} logs is not estimated: {order}; record in the "
+        "order empty, loaded, loaded, empty"
+    )
+
+
+def _recordings(config: PayloadConfig, robot: RobotModel, progress: Progress) -> list[RawRecording]:
+    """Return all recordings, empty ones first."""
+    options, found = config.payload, []
+    if not options.empty:
+        return _simulated(config, robot, progress)
+    kinds = [(path, False) for path in options.empty] + [(path, True) for path in options.loaded]
+    for path, is_loaded in kinds:
+        progress.stage(f"Reading {'loaded' if is_loaded else 'empty'} log {path}...")
+        log = open_log(robot, path, config.log, progress)
+        if not options.static:  # an arm at rest shows none of what is looked for
+            look_at(robot, log, config.log.accept, progress, links_known=False)
+        found.append(RawRecording(str(path), is_loaded, log.samples, log.pieces, notes=log.notes))
+    return found
+
+
+def _simulated(config: PayloadConfig, robot: RobotModel, progress: Progress) -> list[RawRecording]:
+    chosen, rate = config.trajectory.seed, config.trajectory.sample_rate
+    seed = secrets.randbelow(2**31) if chosen is None else chosen
+    request = MotionRequest(config.trajectory, config.excitation, config.limits)
+    checked = make_plan(request, robot, seed, progress)
+    if checked.failure:
+        raise InputError(f"{checked.failure}; relax that limit, or try another --seed")
+    return simulate_recordings(
+        robot, config.payload, config.arm, checked.plan, rate, seed, progress
+    )
+
+
+def simulate_recordings(
+    robot: RobotModel,
+    options: PayloadOptions,
+    arm: SimulatedArmOptions,
+    plan: MotionPlan,
+    rate: float,
+    seed: int,
+    progress: Progress,
+) -> list[RawRecording]:
+    """Let two models play the arm without and with the payload, in the order ABBA."""
+    assert options.empty_model is not None and options.loaded_model is not None
+    found = []
+    for number, letter in enumerate(SIMULATED_ORDER):
+        is_loaded = letter == LOADED
+        path = options.loaded_model if is_loaded else options.empty_model
+        progress.stage(f"Running MuJoCo simulation of {path}...")
+        plant = load_plant(robot, path)
+        rng = np.random.default_rng([seed, _NOISE_STREAM, number])
+        simulation = PlantSimulation(plant, plan, arm, rate, rng)
+        samples = join_measurements(simulation)
+        least = tuple(1.005 * speed for speed in simulation.least_deadband())
+        found.append(RawRecording(f"{path} ({number + 1})", is_loaded, samples, (samples,), least))
+    return sorted(found, key=lambda each: each.is_loaded)
+
+
+def places(recordings: Sequence[RawRecording], order: str | None) -> Array | None:
+    """Return each recording's place (k,) from -1, the first, to 1, the last.
+
+    Args:
+        recordings: empty ones first.
+        order: letters of ``--order``; None goes by the logs' clocks where they share one.
+
+    Returns:
+        None where the order is not known.
+    """
+    if order is not None:
+        kinds = [letter == LOADED for letter in order]
+        turns = {kind: iter(np.flatnonzero(np.equal(kinds, kind))) for kind in (False, True)}
+        return _scaled(np.array([float(next(turns[each.is_loaded])) for each in recordings]))
+    spans = sorted((float(r.samples.time[0]), float(r.samples.time[-1])) for r in recordings)
+    if any(after[0] <= before[1] for before, after in zip(spans, spans[1:])):
+        return None
+    return _scaled(np.array([np.mean(r.samples.time[[0, -1]]) for r in recordings]))
+
+
+def drift_shows(recordings: Sequence[RawRecording], at: Array) -> bool:
+    """Tell whether the order lets a drift be told from the payload."""
+    kinds = np.array([each.is_loaded for each in recordings])
+    within = sum(np.sum((at[kinds == kind] - np.mean(at[kinds == kind])) ** 2) for kind in (0, 1))
+    return bool(within >= LEAST_WITHIN * np.sum((at - np.mean(at)) ** 2) > 0.0)
+
+
+def _scaled(at: Array) -> Array:
+    low, high = float(np.min(at)), float(np.max(at))
+    return 2.0 * (at - low) / (high - low) - 1.0 if high > low else 0.0 * at
+
+
+def written(
+    config: PayloadConfig, robot: RobotModel, analysis: Analysis, progress: Progress
+) -> Outcome:
+    """Write params.json, and model and card where the result may be used."""
+    folder, options, result = config.output.output_dir, config.payload, analysis.result
+    saved = save(
+        result,
+        robot,
+        folder,
+        analysis.checkpoints,
+        mesh_dir=config.model.mesh_dir,
+        as_body=options.as_body,
+        inputs=[Path(path) for path in (*options.empty, *options.loaded)],
+    )
+    if options.save_torque_scale is not None and saved.failure is None and result.payload:
+        scales = {joint: each.value for joint, each in result.payload.torque_scale.items()}
+        write_torque_scale(options.save_torque_scale, scales)
+    for note in saved.notes:
+        progress.note(note)
+    return Outcome(result, saved, folder, traces=analysis.traces)

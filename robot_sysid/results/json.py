@@ -1,0 +1,307 @@
+"""params.json: what was identified and how far to trust it, the same of every question.
+
+Strict JSON in full precision: what is not a finite number becomes null. Inertia is about the body
+ORIGIN in ``inertia_tensor`` and about the centre of mass in ``inertia_about_com``, in the frame of
+the body; of a payload in the flange frame.
+
+The torque that friction takes is the sum of all terms' values times ``friction_formulas``, with
+``qd`` the joint's speed and ``load`` the torque its gear transmits (that of the links alone).
+``bam`` holds a joint's numbers under the names of BAM ("better actuator models", Duclusaud,
+Passault, Padois, Ly, "Extended friction models for the physics simulation of servo actuators",
+ICRA 2025), its models m1 to m4. BAM takes the sum of motor and external torque for the load, which
+at rest is twice what the gear transmits, so that its loss per load is half of ours. It also wants
+the name of an actuator, which says how voltage makes torque and is not identified here.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, is_dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.records import InertialParameters
+from robot_sysid.records.atomic_files import write_whole
+from robot_sysid.results.cards import Card, card_entries, load_errors
+from robot_sysid.results.console import PRIOR_SHARE, limitations
+from robot_sysid.results.record import BodyEstimate, Figure, JointEstimate, Result
+from robot_sysid.results.rollout import rollout_entry
+
+SCHEMA_VERSION = 4
+FORMULAS = {
+    "coulomb": "sign(qd)",
+    "viscous": "qd",
+    "offset": "1",
+    "sqrt": "sign(qd) * sqrt(abs(qd))",
+    "stribeck": "sign(qd) * exp(-(qd / stribeck_speed)**2)",
+    "load": "sign(qd) * abs(load)",
+    "quadratic": "qd * abs(qd)",
+    "cubic": "qd**3",
+    "sigmoid": "tanh(qd / sigmoid_speed)",
+}
+_SURE = 1.96
+_SIX = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
+_IN_BAM = {
+    "viscous": ("friction_viscous", 1.0),
+    "stribeck": ("friction_stribeck", 1.0),
+    "stribeck_speed": ("dtheta_stribeck", 1.0),
+    "load": ("load_friction_base", 0.5),
+    "armature": ("armature", 1.0),
+}
+
+
+def export_params_json(result: Result, path: Path, notes: Sequence[str] = ()) -> None:
+    """Write params.json; ``notes`` come beside those of the result, one sentence each.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    write_whole(path, params_json_text(result, notes=notes))
+
+
+def params_json_text(result: Result, cards: Sequence[Card] = (), notes: Sequence[str] = ()) -> str:
+    """Return the text of params.json, with the payload's cards; notes as in the file's writer."""
+    found = replace(result, notes=(*result.notes, *notes))
+    content = {
+        "schema_version": SCHEMA_VERSION,
+        **_asked(found),
+        "file": _file(found),
+        "payload": _payload(found, cards),
+        "links": [_link(found, body) for body in found.links],
+        "joints": {name: _joint(found, name, each) for name, each in found.joints.items()},
+        "couplings": {name: {"terms": each.terms} for name, each in found.couplings.items()},
+        "friction_formulas": FORMULAS,
+        "sensors": found.sensors,
+        **_fit(found),
+        **_beside(found),
+    }
+    return json_text(content)
+
+
+def json_text(content: Mapping[str, Any]) -> str:
+    """Return strict JSON: arrays as lists, numbers that are not finite as null."""
+    return json.dumps(_strict(content), indent=2, allow_nan=False) + "\n"
+
+
+def inertial_entries(inertial: InertialParameters) -> dict[str, Any]:
+    """Return the ten parameters and what follows from them as JSON entries."""
+    return {
+        "mass": inertial.mass,
+        "center_of_mass_moment": inertial.first_moment,
+        "inertia_tensor": dict(zip(_SIX, inertial.theta[4:])),
+        "center_of_mass": inertial.com,
+        "inertia_about_com": dict(zip(_SIX, spatial.six_from_symmetric(inertial.inertia_com))),
+        "principal_moments": inertial.principal_moments,
+    }
+
+
+def _asked(result: Result) -> dict[str, Any]:
+    estimate, joint = result.estimate, result.joint_name
+    entries = inertial_entries(
+        estimate.inertial if result.payload is None else result.payload.total.inertial
+    )
+    return {
+        "joint_name": joint,
+        **{key: entries.pop(key) for key in list(entries)[:3]},
+        "coulomb_friction": estimate.value(f"coulomb[{joint}]"),
+        "viscous_friction": estimate.value(f"viscous[{joint}]"),
+        "rmse": estimate.rmse,
+        "condition_number": estimate.identifiability.condition_number,
+        "n_base_params": estimate.identifiability.rank,
+        "question": result.question,
+        "body_name": result.body_name,
+        **entries,
+        "status": result.verdict.name,
+        "status_text": result.verdict.value,
+        "reasons": result.reasons,
+        "known_to": result.known_to,
+        "valid": {
+            "physically_consistent": result.asked.is_consistent,
+            "all_identified": not result.estimate.identifiability.unidentifiable
+            if result.payload is None
+            else bool(np.all(result.payload.body.shown)),
+            "trustworthy": result.verdict.is_trustworthy,
+        },
+    }
+
+
+def _file(result: Result) -> dict[str, Any] | None:
+    file = result.file
+    if file is None:
+        return None
+    errors = [None if test is None else test.relative_error for test in (file.before, file.after)]
+    return {
+        "torque_error": dict(zip(("before", "after"), errors)),
+        "before": file.before,
+        "after": file.after,
+        "others": [dict(zip(("before", "after"), pair)) for pair in file.others],
+        "gravity": file.gravity,
+        "kept": file.kept,
+    }
+
+
+def _payload(result: Result, cards: Sequence[Card]) -> dict[str, Any] | None:
+    found = result.payload
+    if found is None:
+        return None
+    return {
+        "flange": {
+            "name": found.flange.name,
+            "in_body": found.flange.terminal,
+            "translation": found.flange.translation,
+            "rotation": found.flange.rotation,
+        },
+        **{name: _body(getattr(found, name)) for name in ("body", "link", "total")},
+        "recordings": found.recordings,
+        "scatter": found.scatter,
+        "known_mass": found.known_mass,
+        "torque_scale": found.torque_scale,
+        "cards": card_entries(cards),
+    }
+
+
+def _body(body: BodyEstimate) -> dict[str, Any]:
+    def named(values: Any) -> dict[str, Any]:
+        return dict(zip(PARAMETER_NAMES, values))
+
+    from_data = body.shown & (body.data_share >= PRIOR_SHARE)
+    return {
+        "name": body.name,
+        **inertial_entries(body.inertial),
+        "model": None if body.before is None else inertial_entries(body.before),
+        "standard_errors": {**named(body.errors), **load_errors(body)},
+        "standard_errors_noise": named(body.noise_errors),
+        "error_budget": {
+            "noise": named(body.noise_errors),
+            **{cause: named(part) for cause, part in body.budget.items()},
+        },
+        "data_share": named(body.data_share),
+        "source": named(np.where(from_data, "identified", "from_model").tolist()),
+    }
+
+
+def _link(result: Result, body: BodyEstimate) -> dict[str, Any]:
+    written = None
+    if result.file is not None and body.joint is not None:
+        theta = result.file.thetas[result.joint_names.index(body.joint)]
+        written = inertial_entries(InertialParameters(theta)) if np.any(theta) else None
+    return {"name": body.name, "joint": body.joint, **_body(body), "in_the_file": written}
+
+
+def _joint(result: Result, name: str, joint: JointEstimate) -> dict[str, Any]:
+    written = {} if result.file is None else result.file.joints.get(name, {})
+    ways = joint.two_ways
+    return {
+        "friction_model": joint.friction_model,
+        "terms": joint.terms,
+        "model": joint.before,
+        "in_the_file": written,
+        "held_out_rmse_by_friction_model": joint.candidates,
+        "two_ways": None if ways is None else dict(zip(("forward", "backward"), ways)),
+        "torque_noise": joint.noise,
+        "bam": _bam(joint, written),
+    }
+
+
+def _bam(joint: JointEstimate, written: Mapping[str, Figure]) -> dict[str, Any] | None:
+    """Return what BAM's load_model_from_dict reads, but for the actuator's name."""
+    terms, figures = set(joint.friction_model.split("-")) - {"none"}, joint.terms
+    if terms - {"coulomb", "viscous", "offset", "armature", "stribeck", "load"}:
+        # BAM has no such curve: the nearest Coulomb and viscous friction, as in the file.
+        terms, figures = {"coulomb", "viscous", "armature"}, written
+    if "coulomb" not in figures:
+        return None
+    number = 1 + ("stribeck" in terms) + 2 * ("load" in terms)
+    found: dict[str, Any] = {
+        "model": f"m{number}",
+        "friction_base": figures["coulomb"].value,
+        "friction_viscous": 0.0,
+    }
+    for term, (name, share) in _IN_BAM.items():
+        if term in figures:
+            found[name] = share * figures[term].value
+    if "stribeck" in terms:
+        found["alpha"] = 2.0
+    if number == 4:
+        found["load_friction_stribeck"] = 0.0
+    return found
+
+
+def _fit(result: Result) -> dict[str, Any]:
+    estimate, errors = result.estimate, result.estimate.standard_errors
+    seen = estimate.identifiability
+    words = {True: "identified", False: "from_model"}
+    return {
+        "method": estimate.method,
+        "torques": result.torques,
+        "parameter_source": {
+            name: words[bool(known)] for name, known in zip(estimate.names, seen.identified)
+        },
+        "unidentifiable_combinations": seen.unidentifiable,
+        "rmse_per_joint": estimate.rmse_per_joint,
+        "condition_number_scaled": seen.scaled_condition_number,
+        "constrained": estimate.constrained,
+        "standard_errors": None if errors is None else dict(zip(estimate.names, errors)),
+        "prior_conflicts": result.conflicts,
+        "prior_scale": result.prior_scale,
+        "noise_per_joint": estimate.noise_per_joint,
+        "samples_per_joint": estimate.samples,
+        "effective_samples_per_joint": estimate.effective_samples,
+    }
+
+
+def _beside(result: Result) -> dict[str, Any]:
+    base = result.base
+    names = ("combination", "value", "standard_error", "essential")
+    return {
+        "base_parameters": None
+        if base is None
+        else [
+            dict(zip(names, row))
+            for row in zip(base.combinations, base.values, base.standard_errors, base.essential)
+        ],
+        "structural_rank": None if base is None else base.structural_rank,
+        "validation": result.validation,
+        "rollout": rollout_entry(result.rollout),
+        "delay": result.delay,
+        "tilt": result.tilt,
+        "cutoff": result.cutoff,
+        "friction_model": result.friction_model,
+        "limitations": limitations(result),
+        "notes": result.notes,
+        "source": result.data.words,
+        "logs": result.data.files,
+        "model": {"path": str(result.model_path), "sha256": result.model_sha256},
+        "joint_names": result.joint_names,
+        "seed": result.data.seed,
+        "duration": result.data.duration,
+        "sample_rate": result.data.sample_rate,
+        "versions": result.versions,
+    }
+
+
+def _strict(value: Any) -> Any:
+    """Return what strict JSON can hold: a figure gets its 95 % interval, a record its names."""
+    if isinstance(value, Figure):
+        reach = _SURE * value.error
+        interval = [value.value - reach, value.value + reach]
+        return _strict({"value": value.value, "standard_error": value.error, "interval": interval})
+    if is_dataclass(value) and not isinstance(value, type):
+        return _strict(asdict(value))
+    if isinstance(value, Mapping):
+        return {str(key): _strict(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [_strict(item) for item in value]
+    if isinstance(value, (bool, np.bool_)):
+        return bool(value)
+    if isinstance(value, np.integer):
+        return int(value)
+    if isinstance(value, (float, np.floating)):
+        return float(value) if math.isfinite(value) else None
+    return value

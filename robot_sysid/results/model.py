@@ -1,0 +1,302 @@
+"""Writing what was identified into a model: links, joints and gravity, and a payload on top.
+
+Each model is compiled again and compared before it counts: the written numbers are there, nothing
+else has changed, and it takes the torques that the identification predicts.
+"""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from robot_sysid import __version__
+from robot_sysid.dynamics.kinematics import MUJOCO_VERSION
+from robot_sysid.errors import ExportError
+from robot_sysid.mjcf.documents import read_document
+from robot_sysid.mjcf.inertial import bound_inertia
+from robot_sysid.mjcf.updated_model import changed_model_text
+from robot_sysid.mjcf.write_back import (
+    ActuatorChange,
+    BodyChange,
+    JointChange,
+    ModelChange,
+    Tolerance,
+    WeldedBody,
+    WriteBack,
+    plan_write_back,
+)
+from robot_sysid.model.chain import body_label
+from robot_sysid.model.compilation import CompiledModel
+from robot_sysid.model.flange import place_in_carrier
+from robot_sysid.model.inertia import body_theta, link_bodies
+from robot_sysid.records import Array, Motion, RobotModel, SubtreeBody
+from robot_sysid.records.atomic_files import WholeFiles
+from robot_sysid.results.record import Figure, Payload, Result
+from robot_sysid.results.verification import (
+    compiled_again,
+    reads_fullinertia_exactly,
+    require_one_more_body,
+    require_reproduction,
+    verify_written_model,
+)
+
+_MOMENTS = [4, 7, 9]
+_IN_MJCF = {"armature": "armature", "viscous": "damping", "coulomb": "frictionloss"}
+_NOT_IN_URDF = {"rotor inertia": "armature", "nonlinear damping": "polynomial", "offsets": "offset"}
+_ONLY_MUJOCO = (
+    "the written URDF states gravity in its <mujoco> part, which MuJoCo reads and other readers "
+    "ignore"
+)
+
+
+@dataclass(frozen=True)
+class ModelTarget:
+    """Where a model is written to, and what it is checked with.
+
+    Attributes:
+        checkpoints: motion on which the model must reproduce the predicted torque.
+        rmse: of the identification [N m], for the comments.
+    """
+
+    files: WholeFiles
+    path: Path
+    checkpoints: Motion
+    rmse: float
+    mesh_dir: Path | None = None
+
+
+def write_model(
+    result: Result, robot: RobotModel, target: ModelTarget, as_body: str | None = None
+) -> tuple[str, ...]:
+    """Write a model with what was identified: what ``result.file`` holds, and the payload on top.
+
+    Links that are the model's own to the last digit are left alone. Where there is no
+    ``result.file``, a payload is written onto the model's own links, or else the terminal link
+    alone. Returns notes, one sentence each.
+
+    Args:
+        as_body: name of a new body for the payload; None merges it into the terminal link.
+
+    Raises:
+        ExportError: the model cannot hold it; the draft is withdrawn.
+    """
+    thetas, errors = _links(result, robot)
+    found = {} if result.file is None else result.file.joints
+    joints, notes = _that_fit(robot, _joint_changes(robot, found))
+    payload, welded, words, beside = result.payload, None, "", np.zeros(10)
+    if payload is not None:
+        carried = payload.flange.from_flange(payload.body.inertial.theta)
+        words = f"a payload of {payload.body.inertial.mass:.4g} kg"
+        if as_body is not None:
+            welded, beside = _welded(robot, payload, as_body, words), carried
+            words = "without the payload"
+        else:
+            thetas[-1] += carried
+            errors[-1], words = payload.total.errors, f"with {words} in it"
+    bodies, held = _body_changes(robot, thetas, errors, joints, words)
+    held[-1] += beside
+    change = ModelChange(bodies, target.rmse, joints, welded)
+    if result.file is not None and result.file.gravity is not None:
+        x, y, z = (float(value) for value in result.file.gravity)
+        change = replace(change, gravity=(x, y, z))
+        notes += (_ONLY_MUJOCO,) if robot.kind == "urdf" else ()
+    return notes + _write(robot, change, target, held)
+
+
+def write_joints(
+    robot: RobotModel,
+    joints: Sequence[JointChange],
+    actuators: Sequence[ActuatorChange],
+    target: ModelTarget,
+) -> tuple[str, ...]:
+    """Write a model with new numbers for its joints and servos; errors as in ``write_model``."""
+    fitting, notes = _that_fit(robot, joints)
+    change = ModelChange((), target.rmse, fitting, None, tuple(actuators))
+    return notes + _write(robot, change, target, np.array([link.theta for link in robot.links]))
+
+
+def moment_tolerance(robot: RobotModel, errors: Array) -> Tolerance:
+    """Return how far moments of inertia may be inflated: within their standard errors (10,)."""
+    finite = [float(error) for error in np.asarray(errors)[_MOMENTS] if np.isfinite(error)]
+    return Tolerance(bound_inertia(read_document(robot.path)), min(finite, default=0.0))
+
+
+def _links(result: Result, robot: RobotModel) -> tuple[Array, Array]:
+    """Return what the links get without the payload and its standard errors, both (n, 10)."""
+    if result.file is not None:
+        return result.file.thetas.copy(), result.file.errors.copy()
+    thetas = np.array([link.theta for link in robot.links])
+    errors = np.full(thetas.shape, np.inf)
+    if result.payload is not None:
+        return thetas, errors
+    thetas[-1] = result.estimate.inertial.theta
+    if result.estimate.standard_errors is not None:
+        errors[-1] = result.estimate.standard_errors[:10]
+    return thetas, errors
+
+
+def _joint_changes(
+    robot: RobotModel, joints: Mapping[str, Mapping[str, Figure]]
+) -> tuple[JointChange, ...]:
+    """Return what the joints get, with words on how well it is known."""
+    own = dict(zip(robot.joint_names, robot.friction.viscous.tolist()))
+    changes = []
+    for joint, terms in joints.items():
+        values = {term: figure.value for term, figure in terms.items()}
+        polynomial = None
+        if "quadratic" in values or "cubic" in values:
+            polynomial = values.get("quadratic", 0.0), values.get("cubic", 0.0)
+            # One attribute holds all three numbers, so that the one that stays is written again.
+            values.setdefault("viscous", own[joint])
+        armature, damping, coulomb = (values.get(term) for term in _IN_MJCF)
+        words = ", ".join(_words(term, figure) for term, figure in terms.items())
+        offset = values.get("offset")
+        change = JointChange(joint, armature, damping, coulomb, polynomial, offset, words)
+        changes.append(change)
+    return tuple(changes)
+
+
+def _words(term: str, figure: Figure) -> str:
+    """Return a number and its standard error, for a comment."""
+    what = f"{_IN_MJCF.get(term, f'{term} damping')} {figure.value:.4g}"
+    if term == "offset":
+        what = f"offset, as a spring tensioned far away, {figure.value:.4g}"
+    return f"{what} ± {figure.error:.2g}" if np.isfinite(figure.error) else what
+
+
+def _that_fit(
+    robot: RobotModel, joints: Sequence[JointChange]
+) -> tuple[tuple[JointChange, ...], tuple[str, ...]]:
+    """Return the changes that the kind of file can hold, and a note on what it cannot."""
+    if robot.kind != "urdf":
+        return tuple(joints), ()
+    lost = [
+        what
+        for what, name in _NOT_IN_URDF.items()
+        if any(np.any(getattr(change, name) or 0.0) for change in joints)
+    ]
+    kept = (
+        replace(change, armature=None, polynomial=None, offset=None, words="") for change in joints
+    )
+    note = f"a URDF cannot hold {' or '.join(lost)}, so the written model lacks it"
+    return tuple(kept), (note,) if lost else ()
+
+
+def _body_changes(
+    robot: RobotModel, thetas: Array, errors: Array, joints: Sequence[JointChange], addition: str
+) -> tuple[tuple[BodyChange, ...], Array]:
+    """Return (what the bodies get, the links (n, 10) as they are then)."""
+    bodies = [link.body_id for link in robot.links]
+    changes: list[BodyChange] = []
+    held = np.array(thetas, dtype=float)
+    written = [k for k, link in enumerate(robot.links) if np.any(thetas[k] != link.theta)]
+    words = _joint_words(robot, written, joints)
+    words[len(bodies) - 1][:0] = [addition] if addition else []
+    for k in written:
+        link = robot.links[k]
+        parts = link_bodies(robot.mj_model, robot.reference_qpos, link.body_id, bodies[k + 1 :])
+        if not parts:
+            raise ExportError(
+                f"joint {robot.joint_names[k]} moves no link of its own, because a later joint "
+                f"moves body '{link.body_name}' too; its parameters belong to that joint's link"
+            )
+        plan = plan_write_back(thetas[k], parts, moment_tolerance(robot, errors[k]))
+        held[k] = plan.written(thetas[k])
+        comment = "; ".join(words[k]) or None
+        changes.append(BodyChange(link.body_name, link.body_id, plan, comment))
+        changes += _scaled(robot, plan)
+    return tuple(changes), held
+
+
+def _joint_words(
+    robot: RobotModel, written: Sequence[int], joints: Sequence[JointChange]
+) -> list[list[str]]:
+    """Return per link what its comment says of joints: its own, the last link's also of others.
+
+    Those are the joints whose link is not among the written ones, so that it has no comment.
+    """
+    place = {robot.links[k].body_id: k for k in written}
+    body = {name: link.body_id for name, link in zip(robot.joint_names, robot.links)}
+    words: list[list[str]] = [[] for _ in robot.links]
+    for change in joints:
+        what = change.words or ", ".join(change.numbers)
+        if what and change.label in body:
+            at = place.get(body[change.label], len(robot.links) - 1)
+            words[at].append(f"{what} of joint '{change.label}'")
+    return words
+
+
+def _scaled(robot: RobotModel, plan: WriteBack) -> list[BodyChange]:
+    """Return what the bodies get of which only a part is left."""
+    words = f"mass and inertia {plan.scale:.4g} of the model's, for want of room in its link"
+    return [
+        BodyChange(
+            part.name,
+            part.body_id,
+            WriteBack(plan.scale * body_theta(robot.mj_model, part.body_id)),
+            words,
+        )
+        for part in plan.scaled
+    ]
+
+
+def _welded(robot: RobotModel, payload: Payload, name: str, words: str) -> WeldedBody:
+    """Return the payload as a body of its own."""
+    flange = payload.flange
+    rotation, translation = place_in_carrier(robot, flange)
+    carrier = body_label(robot.mj_model, flange.carrier)
+    nothing = SubtreeBody(0, name, np.zeros(10), True)
+    theta = plan_write_back(payload.body.inertial.theta, [nothing]).theta
+    return WeldedBody(name, carrier, rotation, translation, theta, f"{words} at {flange.name}")
+
+
+def _write(
+    robot: RobotModel, change: ModelChange, target: ModelTarget, thetas: Array
+) -> tuple[str, ...]:
+    """Write the draft, compile it and compare with links (n, 10); withdraw it where it fails."""
+    try:
+        compiled = _verified(robot, change, target).mj_model
+        require_reproduction(robot, thetas, change, compiled, target.checkpoints, target.path)
+    except BaseException:
+        target.files.withdraw(target.path)
+        raise
+    return tuple(body.plan.note for body in change.bodies if body.plan.note)
+
+
+def _verified(robot: RobotModel, change: ModelChange, target: ModelTarget) -> CompiledModel:
+    """Return the written model, compiled, once it is the original with the change alone."""
+    thetas = [body.plan.theta for body in change.bodies]
+    thetas += [change.welded.theta] if change.welded is not None else []
+    principal = not all(reads_fullinertia_exactly(theta) for theta in thetas)
+    folder = target.path.absolute().parent
+
+    def draft(what: ModelChange) -> Path:
+        text = changed_model_text(robot.path, what, folder, target.mesh_dir, principal)
+        target.files.withdraw(target.path)
+        return target.files.write(target.path, text)
+
+    without = replace(change, welded=None)
+    compiled = verify_written_model(robot.mj_model, draft(without), without)
+    if change.welded is None:
+        return compiled
+    written = compiled_again(draft(change))
+    require_one_more_body(compiled.mj_model, written.mj_model, change.welded)
+    return written
+
+
+CHECKPOINTS = 400
+"""On how many samples of the motion a written model is compared with the prediction."""
+
+
+def versions() -> dict[str, str]:
+    """Return the versions that a result depends on."""
+    return {
+        "robot_sysid": __version__,
+        "mujoco": MUJOCO_VERSION,
+        "numpy": np.__version__,
+        "python": platform.python_version(),
+    }

@@ -1,0 +1,341 @@
+"""The one result of all questions: what files, console, report and Python programs read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.records import (
+    Array,
+    DataOrigin,
+    Estimate,
+    Flange,
+    InertialParameters,
+    PriorConflict,
+    SubtreeBody,
+    Validation,
+)
+from robot_sysid.records.results import RolloutTest
+
+LINK, PAYLOAD = "link", "payload"
+"""Questions: the terminal link with every other link around it, or what came on to it."""
+
+
+class Verdict(Enum):
+    """How an identification ended: cause and remedy."""
+
+    OK = "all requested parameters are identified from the data"
+    PARTLY_FROM_MODEL = (
+        "some parameter combinations do not show in these torques and keep the model's values; "
+        "use --torques chain, a longer --duration or another --seed to see more"
+    )
+    BETTER = "the written model predicts torques that were not fitted clearly better than before"
+    AS_GOOD = (
+        "the model predicted torques that were not fitted about as well as noise allows before, "
+        "and so does the written one"
+    )
+    INCONSISTENT = (
+        "the estimate is not a possible rigid body (its pseudo-inertia is not positive definite); "
+        "use --torques chain, a longer or faster motion, or --consistency enforce"
+    )
+    TOO_WEAK = (
+        "the data does not tell the link's mass from zero (it is less than two standard errors); "
+        "move faster, wider or longer (--excitation optimal)"
+    )
+    NO_BETTER = (
+        "torques that were not fitted are predicted no better than the model does already; check "
+        "that the log belongs to this arm, its units and signs, or record a richer motion"
+    )
+    IMPLAUSIBLE = (
+        "the result is not what a link of this arm can be, so the log, its units or the rest of "
+        "the model are not what they are taken for"
+    )
+    UNEXPLAINED = (
+        "the torques do not follow from the motion as far as noise would let them, so the log, its "
+        "units, its friction or the rest of the model are not what they are taken for"
+    )
+    SWAPPED = (
+        "the loaded recordings weigh less than the empty ones: --empty and --loaded look swapped; "
+        "exchange them"
+    )
+    NOT_SEEN = (
+        "the recordings do not tell the payload's mass: move joints that lift it, faster, wider or "
+        "longer, or check that the loaded recordings were made with the payload"
+    )
+    DISAGREE = (
+        "the recordings contradict each other about the payload: one of them was made with "
+        "another payload, or is listed on the wrong side"
+    )
+    WRONG_WEIGHT = (
+        "the known mass does not fit the recordings: weighed with torques as they are it comes "
+        "out far from what --known-mass says; check the weight, its unit (kg), and that nothing "
+        "else was changed between empty and loaded"
+    )
+
+    @property
+    def is_trustworthy(self) -> bool:
+        """Whether the result may go into a model or a controller."""
+        return self in (Verdict.OK, Verdict.PARTLY_FROM_MODEL, Verdict.BETTER, Verdict.AS_GOOD)
+
+
+class Figure(NamedTuple):
+    """A number and its whole standard error.
+
+    Attributes:
+        value: the number.
+        error: infinite where the data does not show it, NaN where it was held at a bound.
+    """
+
+    value: float
+    error: float
+
+
+@dataclass(frozen=True)
+class BodyEstimate:
+    """Ten inertial parameters of one body and how far they may be off.
+
+    Attributes:
+        name: the body's.
+        inertial: the parameters, in the body's frame; of a payload in the flange frame.
+        covariance: (10, 10) of their whole error, as far as anything shows it.
+        shown: (10,) whether data and priors show a parameter at all.
+        noise_errors: (10,) the part of the standard errors that torque noise explains.
+        budget: cause to the part of the standard errors (10,) that it explains.
+        data_share: (10,) how much of each value comes from the data: 1 all, 0 all from the model.
+        before: what the model says; None of a payload.
+        joint: the chain joint that moves it; None of a payload.
+    """
+
+    name: str
+    inertial: InertialParameters
+    covariance: Array
+    shown: NDArray[np.bool_]
+    noise_errors: Array
+    budget: Mapping[str, Array] = field(default_factory=dict)
+    data_share: Array = field(default_factory=lambda: np.ones(10))
+    before: InertialParameters | None = None
+    joint: str | None = None
+
+    @property
+    def errors(self) -> Array:
+        """Standard errors (10,), all causes together; infinite where nothing shows a parameter."""
+        spread = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        return np.where(self.shown, spread, np.inf)
+
+
+@dataclass(frozen=True)
+class JointEstimate:
+    """Friction and rotor inertia of one joint, or of a motor that turns with several.
+
+    Attributes:
+        friction_model: its terms joined by "-", "none" where nothing was sought.
+        terms: friction term ("coulomb", "viscous", "offset", "armature", ...) or the speed of a
+            nonlinear one ("stribeck_speed") to its value.
+        before: "coulomb", "viscous" and "armature" as the model has them.
+        candidates: friction model to the held-out root mean square error [N m] with it; empty where
+            it was given.
+        noise: standard deviation of the joint's torque noise after filtering [N m]; NaN if unknown.
+        two_ways: Coulomb friction forward and backward, which differ by twice the offset.
+    """
+
+    friction_model: str
+    terms: Mapping[str, Figure]
+    before: Mapping[str, float] = field(default_factory=dict)
+    candidates: Mapping[str, float] = field(default_factory=dict)
+    noise: float = float("nan")
+    two_ways: tuple[Figure, Figure] | None = None
+
+
+@dataclass(frozen=True)
+class BaseParameters:
+    """Combinations of the links' parameters that torques can show.
+
+    Attributes:
+        combinations: in words, such as ``Izz(link_1) + 0.25*m(link_2)``; the first parameter of
+            each is the one it is named after.
+        values, standard_errors: (r,).
+        structural_rank: how many combinations any motion of this arm can show.
+        essential: (r,) whether backward elimination keeps it.
+    """
+
+    combinations: tuple[str, ...]
+    values: Array
+    standard_errors: Array
+    structural_rank: int
+    essential: tuple[bool, ...]
+
+    @property
+    def rank(self) -> int:
+        """How many combinations the data shows."""
+        return len(self.combinations)
+
+
+@dataclass(frozen=True)
+class ModelFile:
+    """What the written model holds, fitted as such, and how well a file with it predicts.
+
+    Attributes:
+        thetas: (n, 10) links as in ``RobotModel.links``; rows of links without mass are zero.
+        errors: (n, 10) their standard errors.
+        joints: joint to what its joint element gets: "coulomb", "viscous", "armature",
+            "quadratic", "cubic", "offset"; only what is written.
+        gravity: (3,) in the model's world frame [m/s^2]; None where the file's own stays.
+        before: held-out error of the model as it was, each joint's sensor offset taken out.
+        after: the same of the written file; None until it is known.
+        others: the same pairs on whole other logs.
+        kept: parts that were left alone, in words ("friction", "gravity", "other links").
+    """
+
+    thetas: Array
+    errors: Array
+    joints: Mapping[str, Mapping[str, Figure]]
+    gravity: Array | None
+    before: Validation
+    after: Validation | None
+    others: tuple[tuple[Validation, Validation], ...] = ()
+    kept: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class OneRecording:
+    """The payload according to one recording alone, against all of the other kind.
+
+    Attributes:
+        name: the recording.
+        is_loaded: of which kind it is.
+        mass: of the payload [kg].
+        com: (3,) its centre of mass in the flange frame [m].
+        noise_error, error: standard errors of the mass [kg]: of noise alone, and whole.
+    """
+
+    name: str
+    is_loaded: bool
+    mass: float
+    com: Array
+    noise_error: float
+    error: float
+
+
+@dataclass(frozen=True)
+class Payload:
+    """What came on between recordings.
+
+    Attributes:
+        flange: the frame in which it is stated.
+        body: in the FLANGE frame, inertia about its origin.
+        link, total: the terminal link without and with it, in the terminal body's frame.
+        recordings: "empty" and "loaded" to their names.
+        scatter: it according to each recording alone.
+        torque_scale: joint to its scale, where a known mass was given.
+        known_mass: that mass [kg], or None.
+    """
+
+    flange: Flange
+    body: BodyEstimate
+    link: BodyEstimate
+    total: BodyEstimate
+    recordings: Mapping[str, tuple[str, ...]]
+    scatter: tuple[OneRecording, ...] = ()
+    torque_scale: Mapping[str, Figure] = field(default_factory=dict)
+    known_mass: float | None = None
+
+
+@dataclass(frozen=True)
+class Result:
+    """Everything that files, console, report and Python programs read.
+
+    Attributes:
+        question: ``LINK`` or ``PAYLOAD``.
+        model_path, model_sha256: which model file.
+        joint_name, body_name: terminal joint and body.
+        joint_names: all chain joints.
+        slides: the chain joints that are slides, whose friction is a force.
+        prior: the model's own parameters of the terminal link.
+        estimate: all parameters, the terminal link's first (of a payload: without it).
+        verdict, reasons: how it ended; one phrase each on what is wrong.
+        torques: "chain" or "terminal".
+        data: where the torques came from.
+        versions: package name to version.
+        bodies: what the terminal link is made of in the model, the terminal body first.
+        links: every link with mass, base to terminal; empty of the model's own simulation.
+        joints: chain joint to its friction and rotor inertia.
+        couplings: combined speed, such as ``joint_5+joint_6``, to its motor.
+        sensors: torque scale ("scale[joint]"), zeros, drift, tilt and delay, and so on.
+        base: what the torques show of all links; None of the model's own simulation.
+        file: what the written model holds; None where nothing was learnt of it.
+        payload: what came on; None of other questions.
+        validation: of the fit itself, on its own held-out stretches first, then on other logs.
+        friction_model: name of the friction model, or "per joint".
+        delay: by which torque lags position, where it was sought [s].
+        tilt: angle between the model's gravity and the estimated one, where it was sought [rad].
+        cutoff: of the low-pass [Hz]; None of a simulation and of resting poses.
+        prior_scale: by how much the other links' uncertainty was widened.
+        conflicts: what the data asks for that the model does not have.
+        notes: one sentence each: what the user should know.
+        rollout: how the model before and after move beside the arm, where that was asked for.
+    """
+
+    question: str
+    model_path: Path
+    model_sha256: str
+    joint_name: str
+    body_name: str
+    joint_names: tuple[str, ...]
+    prior: InertialParameters
+    estimate: Estimate
+    verdict: Verdict
+    torques: str
+    data: DataOrigin
+    versions: Mapping[str, str]
+    reasons: tuple[str, ...] = ()
+    slides: tuple[str, ...] = ()
+    bodies: tuple[SubtreeBody, ...] = ()
+    links: tuple[BodyEstimate, ...] = ()
+    joints: Mapping[str, JointEstimate] = field(default_factory=dict)
+    couplings: Mapping[str, JointEstimate] = field(default_factory=dict)
+    sensors: Mapping[str, Figure] = field(default_factory=dict)
+    base: BaseParameters | None = None
+    file: ModelFile | None = None
+    payload: Payload | None = None
+    validation: tuple[Validation, ...] = ()
+    friction_model: str | None = None
+    delay: float | None = None
+    tilt: float | None = None
+    cutoff: float | None = None
+    prior_scale: float = 1.0
+    conflicts: tuple[PriorConflict, ...] = ()
+    notes: tuple[str, ...] = ()
+    rollout: RolloutTest | None = None
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether the data says something that the model does not know already."""
+        return self.data.source.is_measured
+
+    @property
+    def asked(self) -> InertialParameters:
+        """The body that was asked for: the payload, else the terminal link."""
+        return self.estimate.inertial if self.payload is None else self.payload.body.inertial
+
+    @property
+    def known_to(self) -> float | None:
+        """Whole standard error of the asked body's mass, as a part of it; None where not known."""
+        if self.payload is not None:
+            error = float(self.payload.body.errors[0])
+        else:
+            error = float("inf") if not self.is_measured else self.estimate.error("m") or 0.0
+        mass = self.asked.mass
+        return error / mass if np.isfinite(error) and mass > 0.0 else None
+
+    @property
+    def failure(self) -> str | None:
+        """Why the result must not be used, or None."""
+        if self.verdict.is_trustworthy:
+            return None
+        return "; ".join((*self.reasons, self.verdict.value))

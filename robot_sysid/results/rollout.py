@@ -1,0 +1,257 @@
+"""The model before and the one to be written, played on logs that were not fitted, and the figures.
+
+Files are played: the new model is written into a folder that is gone afterwards, and loaded. The
+torques that a file predicts are told beside it, judged as a file too: compiled, by MuJoCo alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.dynamics.kinematics import ArmDynamics
+from robot_sysid.errors import ExportError, InputError
+from robot_sysid.model.compilation import compile_model
+from robot_sysid.parser import load_robot_model
+from robot_sysid.records import Motion, RobotModel, Validation
+from robot_sysid.records.atomic_files import temporary_folder, whole_files
+from robot_sysid.records.results import CLOSED, MODEL_NAMES, OPEN, RolloutError, RolloutTest
+from robot_sysid.results.model import CHECKPOINTS, ModelTarget
+from robot_sysid.results.record import Result
+from robot_sysid.signals.process import ProcessedSignals
+from robot_sysid.simulation.rollout import playback
+
+HORIZONS = (0.1, 0.3, 1.0, 3.0)
+"""Lengths of time over which the models are played [s]."""
+HELD_OUT_SHARE, LAST_FIFTH = 0.2, "the last fifth of every log, which was not fitted for it"
+"""Part of each log, its end, that is not fitted."""
+SERVO_WORDS = (
+    f"measured torques and a critically damped servo of {playback.SERVO_RATE:g} Hz towards the "
+    "measured motion"
+)
+
+Write = Callable[[ModelTarget], object]
+
+
+def play_held_out(
+    robot: RobotModel,
+    signals: Sequence[ProcessedSignals],
+    refit: Callable[[Sequence[NDArray[np.bool_]]], Result],
+    write_of: Callable[[Result], Write],
+    mesh_dir: Path | None,
+) -> RolloutTest:
+    """Fit the beginning of every log, and play its end with the model before and with that one.
+
+    Everything is chosen anew from the beginning alone. What is written in the end comes from all
+    that was recorded.
+
+    Args:
+        refit: fits some of the decimated rows (K,) of each log.
+        write_of: returns what writes a result into a model.
+    """
+
+    def test() -> RolloutTest:
+        write = write_of(refit([fitted_rows(log) for log in signals]))
+        pieces = [p for log in signals for p in playback.pieces_of_signals(log, split_time(log))]
+        after = as_written(robot, write, _checkpoints(signals), mesh_dir)
+        return compare(robot, after, pieces, LAST_FIFTH)
+
+    return played_or_reason(robot, test)
+
+
+def play_other(
+    robot: RobotModel, others: Sequence[ProcessedSignals], write: Write, mesh_dir: Path | None
+) -> RolloutTest:
+    """Play a validation log with the model before and with the one that ``write`` writes."""
+
+    def test() -> RolloutTest:
+        pieces = [piece for log in others for piece in playback.pieces_of_signals(log)]
+        after = as_written(robot, write, _checkpoints(others), mesh_dir)
+        return compare(robot, after, pieces, "the validation log")
+
+    return played_or_reason(robot, test)
+
+
+def _checkpoints(signals: Sequence[ProcessedSignals]) -> Motion:
+    return signals[0].motion(signals[0].spread(CHECKPOINTS))
+
+
+def played_or_reason(robot: RobotModel, test: Callable[[], RolloutTest]) -> RolloutTest:
+    """Return a test, or one without figures that says why there are none."""
+    try:
+        return test()
+    except (ExportError, InputError) as error:
+        return RolloutTest(robot.joint_names, "held-out pieces", "", (), (str(error),))
+
+
+def refusal(test: RolloutTest | None, accepted: Collection[str]) -> str | None:
+    """Return why a model that was played must not be written, or None."""
+    refused = None if test is None or "rollout" in accepted else test.refusal
+    return (
+        refused and f"no model was written: {refused}; to write it all the same: --accept rollout"
+    )
+
+
+def as_written(
+    robot: RobotModel, write: Write, checkpoints: Motion, mesh_dir: Path | None
+) -> RobotModel:
+    """Return the model that ``write`` writes, read back from a folder that is gone afterwards.
+
+    Raises:
+        ExportError: the model cannot hold what is to be written.
+    """
+    with temporary_folder() as folder:
+        path = folder / MODEL_NAMES[robot.kind]
+        with whole_files() as files:
+            write(ModelTarget(files, path, checkpoints, 0.0, mesh_dir))
+        return load_robot_model(path, joint=robot.terminal_joint)
+
+
+def compare(
+    before: RobotModel, after: RobotModel, pieces: Sequence[playback.Piece], held_out: str
+) -> RolloutTest:
+    """Play two models of an arm on the same pieces."""
+    errors, notes = [], []
+    servo = playback.stated_servo((before, after), pieces) if pieces else None
+    for horizon in HORIZONS:
+        windows = playback.starts(pieces, horizon)
+        if not windows:
+            notes.append(f"no held-out piece is as long as {horizon:g} s")
+            continue
+        for loop, own in ((OPEN, None), (CLOSED, servo)):
+            old, new = (playback.played(robot, windows, horizon, own) for robot in (before, after))
+            away = (old[1], new[1])
+            errors.append(RolloutError(loop, horizon, len(windows), old[0], new[0], away))
+    notes += [
+        f"{e.loop}, {e.horizon:g} s: {e.diverged[0]} of {e.windows} windows run away with the "
+        f"model before, {e.diverged[1]} with the new one"
+        for e in errors
+        if any(e.diverged)
+    ]
+    return RolloutTest(before.joint_names, held_out, SERVO_WORDS, tuple(errors), tuple(notes))
+
+
+def split_time(signals: ProcessedSignals) -> float:
+    """Return from when on a log is held out [s]."""
+    start, end = float(signals.time[0]), float(signals.time[-1])
+    return end - HELD_OUT_SHARE * (end - start)
+
+
+def fitted_rows(signals: ProcessedSignals) -> NDArray[np.bool_]:
+    """Return which decimated rows (K,) share no sample with what is held out."""
+    reach = signals.low_pass.half_width / signals.rate
+    return np.asarray(signals.decimated_time() < split_time(signals) - 2.0 * reach)
+
+
+def rollout_lines(test: RolloutTest, verbose: bool = False) -> Iterator[str]:
+    """Yield the lines of the result block; ``verbose`` adds every joint."""
+    yield (
+        f"Played on {test.held_out}: root mean square position error [rad or m], model before -> "
+        "new model"
+    )
+    for error in test.errors:
+        ratio = "" if error.ratio is None else f", {error.ratio:.3g} times"
+        old, new = error.overall
+        yield (
+            f"  {error.loop}, {error.horizon:g} s ({error.windows} windows): {old:.3g} -> "
+            f"{new:.3g}{ratio}"
+        )
+        if verbose:
+            for name, one, other in zip(test.joint_names, error.before, error.after):
+                yield f"    {name}: {one:.3g} -> {other:.3g}"
+    yield from (f"  {note}" for note in test.notes)
+    worse = []
+    for last in test.errors[-1:]:
+        pairs = zip(test.joint_names, last.before, last.after)
+        worse = [f"{n} ({last.loop}, {new / old:.2g} times)" for n, old, new in pairs if new > old]
+    if worse:
+        yield f"  worse than before over the longest horizon: {', '.join(worse)}"
+
+
+def rollout_entry(test: RolloutTest | None) -> dict[str, Any] | None:
+    """Return the entry of params.json; None where nothing was played."""
+    if test is None:
+        return None
+    return {
+        "held_out": test.held_out,
+        "closed_loop_is": test.servo,
+        "is_better": test.is_better,
+        "score": test.score,
+        "errors": [_entry(test, error) for error in test.errors],
+        "notes": list(test.notes),
+    }
+
+
+def _entry(test: RolloutTest, error: RolloutError) -> dict[str, Any]:
+    before, after = error.overall
+    return {
+        "loop": error.loop,
+        "horizon": error.horizon,
+        "windows": error.windows,
+        "diverged": {"before": error.diverged[0], "after": error.diverged[1]},
+        "overall": _figures(before, after),
+        "joints": {
+            name: _figures(float(old), float(new))
+            for name, old, new in zip(test.joint_names, error.before, error.after)
+        },
+    }
+
+
+def _figures(before: float, after: float) -> dict[str, float | None]:
+    ratio = after / before if before > 0.0 else None
+    return {"before": before, "after": after, "ratio": ratio}
+
+
+_CHUNK = 2048
+
+
+def torque_error(
+    model: Path | Any, robot: RobotModel, signals: ProcessedSignals, source: str
+) -> Validation:
+    """Return the torque error of a model file, with each joint's sensor offset beside it alone.
+
+    The model's inverse dynamics holds its links, gravity, rotor inertia, springs and all damping;
+    its dry friction is Coulomb's. It passes the same low-pass as the measured torque. Of what is
+    left, each joint's mean is taken out.
+
+    Args:
+        robot: the arm, which says where the chain's joints are; their places are the same in
+            ``model``.
+
+    Raises:
+        InputError: the file cannot be loaded.
+    """
+    compiled = compile_model(model).mj_model if isinstance(model, Path) else model
+    dofs, dynamics = robot.dof_index, ArmDynamics(robot, compiled)
+    decimators, parts = (signals.decimator(), signals.decimator()), []
+    for motion, tau in signals.chunks(_CHUNK):
+        predicted = dynamics.torque(motion.q, motion.qd, motion.qdd)
+        predicted += compiled.dof_damping[dofs] * motion.qd
+        predicted += compiled.dof_frictionloss[dofs] * np.sign(motion.qd)
+        parts.append([d.push(each) for d, each in zip(decimators, (tau, predicted))])
+    tau, predicted = (np.concatenate(same) for same in zip(*parts))
+    usable = signals.usable()
+    residual = np.where(usable, tau - predicted, 0.0)
+    counts = np.count_nonzero(usable, axis=0)
+    offsets = np.sum(residual, axis=0) / np.maximum(counts, 1)
+    residual = np.where(usable, residual - offsets, 0.0)
+    errors = np.sum(residual**2, axis=0)
+    sizes = np.sum(np.where(usable, tau, 0.0) ** 2, axis=0)
+    names = robot.joint_names
+    return Validation(
+        source=source,
+        n_samples=int(np.max(counts, initial=0)),
+        rmse=_root(np.sum(errors), np.sum(counts)) or 0.0,
+        relative_error=_root(np.sum(errors), np.sum(sizes)),
+        rmse_per_joint={n: _root(e, c) or 0.0 for n, e, c in zip(names, errors, counts)},
+        relative_error_per_joint={n: _root(e, s) for n, e, s in zip(names, errors, sizes)},
+    )
+
+
+def _root(squares: float, size: float) -> float | None:
+    """Return the square root of a quotient; None of nothing."""
+    return float(np.sqrt(squares / size)) if size > 0.0 else None

@@ -1,0 +1,359 @@
+"""An arm without torque sensors, from the files to the files, and what is said of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.errors import ExportError, InputError
+from robot_sysid.export import locked_folder, remove_earlier
+from robot_sysid.logs.options import LogOptions
+from robot_sysid.logs.reader import MeasurementLog, open_log, origin_of
+from robot_sysid.mjcf.documents import read_document
+from robot_sysid.mjcf.write_back import ActuatorChange, JointChange
+from robot_sysid.records import Array, DataOrigin, Motion, RobotModel
+from robot_sysid.records.atomic_files import refuse_overwriting, whole_files
+from robot_sysid.records.progress import Progress
+from robot_sysid.records.results import MODEL_NAMES, RolloutTest
+from robot_sysid.results.console import folder_text
+from robot_sysid.results.json import json_text
+from robot_sysid.results.model import ModelTarget, versions, write_joints
+from robot_sysid.results.rollout import LAST_FIFTH, refusal, rollout_entry, rollout_lines
+from robot_sysid.servo import fit as search
+from robot_sysid.servo.commands import MOST_PERIODS, commanded_pieces, moving
+from robot_sysid.servo.fit import ServoFit, model_servos
+from robot_sysid.signals.resampling import usual_period
+from robot_sysid.simulation.rollout.servo import HOLDS_DELAY, Actuators, Servos, actuators_of
+
+SERVO_NAME, SERVO_SCHEMA = "servo.json", "robot-sysid servo 1"
+WITHOUT_TORQUE = (
+    "No torque was measured: all of this follows from commanded and measured positions, and from "
+    "the masses of the model, which fix its scale"
+)
+UNITS = {"gain": "N·m/rad", "damping": "N·m·s/rad", "frictionloss": "N·m", "armature": "kg·m²"}
+"""What is found of a joint, in the order of ``Servos``, and its unit."""
+_KEYS = ("before", "value", "standard_error", "data_share")
+OFTEN = 0.2
+"""Share of time at its limit from which on a servo's gain is hardly seen."""
+UNSURE = 0.1
+"""Relative error of a gain from which on only ratios are seen."""
+
+
+@dataclass(frozen=True)
+class ServoIdentification:
+    """Everything that is told of an arm identified from commands and positions alone.
+
+    Attributes:
+        fit: what was found; joints that do not move keep the model's numbers.
+        moves: (n,) whether a joint moves in the logs.
+        at_limit: (n,) share of time in which a servo asks for more than its limit.
+        rollout: the model before and after, played on held-out pieces.
+    """
+
+    robot: RobotModel
+    fit: ServoFit
+    moves: NDArray[np.bool_]
+    at_limit: Array
+    data: DataOrigin
+    rollout: RolloutTest
+    notes: tuple[str, ...] = ()
+
+    @property
+    def has_servo(self) -> NDArray[np.bool_]:
+        """Whether the model has a position actuator that takes the gain (n,)."""
+        return np.isfinite(actuators_of(self.robot).stiffness)
+
+    @property
+    def numbers(self) -> dict[str, dict[str, dict[str, float]]]:
+        """Joint to name, as in ``UNITS``, to what was found; before is NaN where there is none."""
+        names, before = self.robot.joint_names, model_servos(self.robot, actuators_of(self.robot))
+        vectors = (s.vector() for s in (before, self.fit.servos, self.fit.errors))
+        columns = np.stack([*vectors, self.fit.share], axis=1)[:-1]
+        tables = columns.reshape(len(UNITS), len(names), 4).tolist()
+        return {
+            joint: {name: dict(zip(_KEYS, table[k])) for name, table in zip(UNITS, tables)}
+            for k, joint in enumerate(names)
+        }
+
+
+def servo_lines(found: ServoIdentification, verbose: bool = False) -> list[str]:
+    """Return the block line by line; ``verbose`` adds the rollouts of every joint."""
+    delay, error = found.fit.servos.delay, found.fit.errors.delay
+    return [
+        "Servos, friction and rotor inertia, before -> after, ± one standard error:",
+        f"  {WITHOUT_TORQUE}.",
+        f"  delay of the commands: {1e3 * delay:.1f} ± {1e3 * error:.1g} ms "
+        "(--write-delay puts it into the model)",
+        *(f"  {joint}: {'; '.join(_figures(found, joint))}" for joint in found.robot.joint_names),
+        *rollout_lines(found.rollout, verbose),
+    ]
+
+
+def _figures(found: ServoIdentification, joint: str) -> Iterator[str]:
+    if not found.moves[found.robot.joint_names.index(joint)]:
+        yield "does not move in these logs; all as in the model"
+        return
+    for name, number in found.numbers[joint].items():
+        before, value, error, share = number.values()
+        old = "" if np.isnan(before) else f"{before:.3g} -> "
+        doubt = "" if share > 0.5 else ", hardly seen"
+        yield f"{name} {old}{value:.3g} ± {error:.1g} {UNITS[name]}{doubt}"
+
+
+def servo_entries(found: ServoIdentification) -> dict[str, Any]:
+    """Return the content of servo.json."""
+    joints = {
+        joint: {
+            **{name: {**n, "unit": UNITS[name]} for name, n in numbers.items()},
+            **{name: getattr(found, name)[k] for name in ("moves", "has_servo", "at_limit")},
+        }
+        for k, (joint, numbers) in enumerate(found.numbers.items())
+    }
+    return {
+        "schema": SERVO_SCHEMA,
+        "torque": "none measured; from position error",
+        "meaning": WITHOUT_TORQUE,
+        "delay": {"value": found.fit.servos.delay, "standard_error": found.fit.errors.delay},
+        "joints": joints,
+        "rollout": rollout_entry(found.rollout),
+        "position_errors": dict(zip(found.robot.joint_names, found.fit.sigma)),
+        "source": found.data.words,
+        "duration": found.data.duration,
+        "model": {"path": str(found.robot.path), "sha256": found.robot.sha256},
+        "versions": versions(),
+        "notes": found.notes,
+    }
+
+
+def servo_notes(found: ServoIdentification, period: float) -> Iterator[str]:
+    """Yield a sentence on each thing that the numbers do not say.
+
+    Args:
+        period: between samples [s].
+    """
+    outside = found.robot.mj_model.nv - found.robot.n_joints
+    if outside:
+        yield (
+            f"{outside} joints outside the arm (a gripper's, say) are held at rest: what their "
+            "servos do is not looked at"
+        )
+    yield (
+        "damping is that of joint and servo together, which look alike: the servo keeps the share "
+        "of it that it has in the model"
+    )
+    if found.fit.servos.delay > 0.95 * MOST_PERIODS * period:
+        yield (
+            f"the delay is at the end of what is sought ({MOST_PERIODS} samples): check the time "
+            "stamps of the commands"
+        )
+    limit, has_servo = actuators_of(found.robot).limit, found.has_servo
+    for k, (joint, numbers) in enumerate(found.numbers.items()):
+        gain, error = numbers["gain"]["value"], numbers["gain"]["standard_error"]
+        if not found.moves[k]:
+            yield f"{joint} does not move in these logs: it keeps the model's numbers"
+            continue
+        if found.at_limit[k] > OFTEN:
+            yield (
+                f"the servo of {joint} asks for more than its limit of {limit[k]:.3g} N·m (the "
+                f"model's) in {100.0 * found.at_limit[k]:.0f} % of the time: its gain is then "
+                "hardly seen, and its limit matters"
+            )
+        if error > UNSURE * gain:
+            yield (
+                "these logs hardly show the absolute size of gain, friction and rotor inertia of "
+                f"{joint}, only their ratios (gravity and the links' inertia would); the size "
+                "stays near where the search began"
+            )
+        if not has_servo[k]:
+            yield (
+                f"the model has no position actuator on {joint}: its gain of {gain:.4g} "
+                "N·m/rad is told, not written"
+            )
+
+
+MOST_WINDOWS = 24
+"""Windows that are fitted, spread evenly over the logs."""
+SHORTEST_STEP = 5e-4
+"""Time step down to which a written delay is kept [s]; MuJoCo shortens it below."""
+PROVEN = 2.0
+"""Standard errors from which on a delay is there."""
+_POSITIONS = 200
+
+
+@dataclass(frozen=True)
+class ServoOutcome:
+    """What a run produced."""
+
+    identification: ServoIdentification
+    output_dir: Path
+    files: tuple[Path, ...]
+    failure: str | None
+
+    def report_lines(self, verbose: bool) -> list[str]:
+        """Return what the command line prints at the end."""
+        saved = f"Results saved to {folder_text(self.output_dir)}"
+        return [*servo_lines(self.identification, verbose), saved]
+
+
+def run_servo(
+    robot: RobotModel,
+    logs: LogOptions,
+    folder: Path,
+    mesh_dir: Path | None,
+    progress: Progress,
+    write_delay: bool = False,
+) -> ServoOutcome:
+    """Identify servos, friction and rotor inertia from commands and positions; write the results.
+
+    Args:
+        robot: the arm, whose links are trusted.
+        write_delay: also write the delay of the commands into the model's position actuators.
+
+    Raises:
+        SysidError: with the exit code that fits, see ``errors``.
+    """
+    if write_delay and not HOLDS_DELAY:
+        raise InputError(
+            "--write-delay: the actuators of the installed MuJoCo cannot act late; install a newer "
+            "mujoco, or leave it off"
+        )
+    given = (robot.path, *logs.measurements, logs.validation_measurements, logs.columns)
+    read = [path for path in given if path is not None]
+    names = (SERVO_NAME, *MODEL_NAMES.values())
+    refuse_overwriting(read, (("--output-dir", folder / name) for name in names))
+    with locked_folder(folder, progress):
+        found, rest = identify_servos(robot, logs, progress)
+        for note in found.notes:
+            progress.note(note)
+        with whole_files() as files:
+            target = ModelTarget(files, folder / MODEL_NAMES[robot.kind], rest, 0.0, mesh_dir)
+            refused = refusal(found.rollout, logs.accept)
+            outcome = _write(robot, found, target, write_delay, refused)
+            read += [file.path for file in read_document(robot.path).files]
+            removed = remove_earlier(files, folder, outcome.files, read)
+    for note in (*outcome.identification.notes[len(found.notes) :], *removed):
+        progress.note(note)
+    return outcome
+
+
+def identify_servos(
+    robot: RobotModel, logs: LogOptions, progress: Progress
+) -> tuple[ServoIdentification, Motion]:
+    """Identify from logs; returns (result, some poses at rest)."""
+
+    def read(path: Path) -> MeasurementLog:
+        progress.stage(f"Reading commands and positions from {path}...")
+        return open_log(robot, path, replace(logs, commanded=True), progress)
+
+    opened, other = [read(path) for path in logs.measurements], logs.validation_measurements
+    pieces, words = commanded_pieces(opened, robot.joint_names), LAST_FIFTH
+    fitted, held = search.parted(pieces)
+    if other is not None:
+        held, words = commanded_pieces([read(other)], robot.joint_names), "the validation log"
+        fitted = pieces
+    own, moves = actuators_of(robot), moving(pieces)
+    period = float(np.median([usual_period(piece.time) for piece in pieces]))
+    q = np.concatenate([piece.q for piece in pieces])
+    q = q[np.linspace(0, len(q) - 1, _POSITIONS).astype(int)]
+    start = search.first_servos(robot, own, q, period, moves)
+    progress.stage("Searching for servos, friction and rotor inertia...")
+    problem = search.problem_of(robot, own, fitted, MOST_WINDOWS)
+    fit = search.fit_servos(problem, search.better_start(problem, start), progress)
+    rollout = search.play_servos(
+        robot, own, held, (_before(robot, own, fit.servos), fit.servos), words
+    )
+    if other is None:
+        # What was held out has done its work; the numbers come from all that was recorded.
+        problem = search.problem_of(robot, own, pieces, MOST_WINDOWS)
+        fit = search.fit_servos(problem, replace(start, start=fit.servos), progress)
+    found = ServoIdentification(
+        robot,
+        search.with_links_error(fit, search.links_share(robot, pieces, fit.servos)),
+        moves,
+        search.at_limit(problem, fit.servos),
+        origin_of(opened),
+        rollout,
+    )
+    notes = [note for log in opened for note in log.notes]
+    notes += servo_notes(found, period)
+    rest = Motion(np.arange(len(q), dtype=float), q, 0.0 * q, 0.0 * q)
+    return replace(found, notes=tuple(dict.fromkeys(notes))), rest
+
+
+def _before(robot: RobotModel, actuators: Actuators, found: Servos) -> Servos:
+    """Return the model before, with the delay that was found; gains it does not have, too."""
+    own, known = search.model_servos(robot, actuators), np.isfinite(actuators.stiffness)
+    stiffness = np.where(known, own.stiffness, found.stiffness)
+    damping = np.where(known, own.damping, found.damping)
+    return replace(own, stiffness=stiffness, damping=damping, delay=found.delay)
+
+
+def changes(
+    found: ServoIdentification, delay: float | None = None
+) -> tuple[list[JointChange], list[ActuatorChange]]:
+    """Return what the joints and the position actuators of the model get.
+
+    Args:
+        delay: by which the actuators are to act late [s]; None leaves the model's.
+    """
+    own, joints, servos = actuators_of(found.robot), [], []
+    # So many commands an actuator has to remember, at shorter time steps too.
+    step = min(found.robot.mj_model.opt.timestep, SHORTEST_STEP)
+    late = () if delay is None else (delay, math.ceil(delay / step) + 2)
+    for k in np.flatnonzero(found.moves).tolist():
+        gain, damping, friction, armature = found.fit.servos.vector()[:-1].reshape(4, -1)[:, k]
+        kv, gear = float(own.share[k] * damping), float(own.gear[k]) ** 2
+        rest = float(armature), float(damping) - kv, float(friction)
+        joints.append(JointChange(found.robot.joint_names[k], *rest))
+        if found.has_servo[k]:
+            gains = float(gain) / gear, kv / gear
+            servos.append(ActuatorChange(int(own.index[k]), *gains, *late))
+    return joints, servos
+
+
+def delay_to_write(
+    found: ServoIdentification, wanted: bool
+) -> tuple[float | None, tuple[str, ...]]:
+    """Return the delay that the model gets [s], None for its own, and what there is to say."""
+    delay = found.fit.servos.delay
+    if not wanted:
+        return None, ()
+    if not np.any(found.moves & found.has_servo):
+        return None, ("the model has no position actuator that could hold the delay",)
+    if delay < PROVEN * found.fit.errors.delay:
+        return None, ("the delay is not proven: the model's actuators keep theirs",)
+    return delay, (
+        f"the actuators of the written model act {1e3 * delay:.3g} ms late, also after each "
+        "reset, when they hold the command 0 that long unless mj_initCtrlHistory gives them "
+        "another; simulators other than MuJoCo may not read it",
+    )
+
+
+def _write(
+    robot: RobotModel,
+    found: ServoIdentification,
+    target: ModelTarget,
+    write_delay: bool,
+    refused: str | None,
+) -> ServoOutcome:
+    """Write servo.json and, where the new model moves more like the arm, that."""
+    path, failure, notes = target.path.parent / SERVO_NAME, refused, found.notes
+    written = [path]
+    if refused is None:
+        target.files.reserve_last(target.path)
+        delay, said = delay_to_write(found, write_delay)
+        try:
+            said += write_joints(robot, *changes(found, delay), target)
+            notes, written = (*notes, *said), [target.path, path]
+        except ExportError as error:
+            target.files.withdraw(target.path)
+            failure = f"{error} (the identified numbers are in {SERVO_NAME})"
+    final = replace(found, notes=notes)
+    target.files.write(path, json_text(servo_entries(final)))
+    return ServoOutcome(final, path.parent, tuple(written), failure)

@@ -1,0 +1,235 @@
+"""One zero-phase low-pass for positions, torques and regressor columns alike; derivatives; shifts.
+
+A least-squares fit does not care about a linear filter as long as both sides of Y theta = tau pass
+the same one (parallel filtering: Gautier, "Dynamic identification of robots with power model",
+ICRA 1997). The filter is a symmetric window of finite length, a sinc times a Kaiser window, so that
+it delays nothing, needs no assumption about what happens beyond the ends of a log (the ends are cut
+off), and gives the same numbers whether the rows come at once or in chunks.
+
+Derivatives and shifts are symmetric finite stencils, exact for polynomials up to their order, which
+suits signals that a low-pass has already been over: at a tenth of the sample rate an eighth-order
+difference is exact to 4e-5, one of order sixteen to 2e-9. On low-passed encoder data they leave
+only the noise inside the pass band; on the same data a Savitzky-Golay window over the raw positions
+leaves nearly three times as much, a Fourier derivative more than ten times, and a recursive filter
+run both ways as much, but errs near the ends (tests/benchmarks/differentiation_accuracy.py).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.lib.stride_tricks import as_strided
+from numpy.typing import NDArray
+
+from robot_sysid.errors import InputError
+from robot_sysid.records import Array, checked_array
+
+# Kaiser's design formulas (Oppenheim, Schafer, "Discrete-Time Signal Processing", sec. 7.5.3).
+ATTENUATION = 90.0
+"""Usual attenuation [dB]: within 1e-4 of one below 0.4 times the cut-off, below 1e-4 above 1.6
+times. That is 80 dB; the rest makes up for the formulas being approximate for short kernels."""
+_TRANSITION = 1.2
+_LONGEST = 1e7
+HIGHEST_CUTOFF = 0.3
+"""Largest cut-off, as a part of the sample rate, whose stop band still fits below Nyquist."""
+
+
+@dataclass(frozen=True)
+class LowPass:
+    """A zero-phase low-pass that also decimates samples out to its own bandwidth.
+
+    Attributes:
+        cutoff: frequency passed with half its amplitude [Hz].
+        rate: sample rate it works at [Hz].
+        kernel: (2 M + 1,) symmetric weights that add up to one.
+        step: every how many samples one filtered sample is kept when decimating.
+    """
+
+    cutoff: float
+    rate: float
+    kernel: Array
+    step: int
+
+    def __post_init__(self) -> None:
+        kernel = checked_array(self.kernel, (None,), "filter kernel")
+        if len(kernel) % 2 == 0 or not np.array_equal(kernel, kernel[::-1]):
+            raise InputError("a zero-phase filter kernel must be symmetric and of odd length")
+        object.__setattr__(self, "kernel", kernel)
+
+    @property
+    def half_width(self) -> int:
+        """Samples M lost at each end."""
+        return len(self.kernel) // 2
+
+    def filtered(self, values: Array) -> Array:
+        """Return (N - 2 M, ...) filtered samples of values (N, ...), one per inner sample."""
+        from scipy.signal import oaconvolve
+
+        if len(values) < len(self.kernel):
+            return np.empty((0, *np.shape(values)[1:]))
+        kernel = self.kernel.reshape(-1, *(1,) * (np.ndim(values) - 1))
+        return oaconvolve(values, kernel, mode="valid", axes=0)
+
+    def decimated(self, values: Array) -> Array:
+        """Return (K, ...) filtered samples of values (N, ...), one per ``step``."""
+        return Decimator(self).push(values)
+
+    def centres(self, n_samples: int) -> NDArray[np.int64]:
+        """Return (K,) which of ``n_samples`` each decimated sample is centred on."""
+        return np.arange(self.half_width, n_samples - self.half_width, self.step)
+
+
+def design_low_pass(cutoff: float, rate: float, attenuation: float = ATTENUATION) -> LowPass:
+    """Return the low-pass with this cut-off.
+
+    Decimated samples come at about twice the cut-off, so that white noise stays nearly white and
+    their number says how much the data really holds.
+
+    Args:
+        cutoff: [Hz].
+        rate: sample rate [Hz].
+        attenuation: of the stop band, and how flat the pass band is [dB].
+
+    Raises:
+        InputError: the cut-off is not between zero and 0.3 times the sample rate.
+    """
+    from scipy.signal import firwin, kaiser_beta
+
+    if not 0.0 < cutoff <= HIGHEST_CUTOFF * rate:
+        raise InputError(
+            f"cut-off {cutoff:g} Hz does not fit a sample rate of {rate:g} Hz; choose --cutoff "
+            f"between 0 and {HIGHEST_CUTOFF * rate:g} Hz"
+        )
+    width = 2.0 * math.pi * _TRANSITION * cutoff / rate
+    half = (attenuation - 8.0) / (2.285 * width) / 2.0
+    if half > _LONGEST:
+        raise InputError(
+            f"cut-off {cutoff:g} Hz would average over {2.0 * half / rate:.3g} s, longer than any "
+            "log; choose a higher --cutoff"
+        )
+    half = math.ceil(half)
+    kernel = firwin(2 * half + 1, cutoff, window=("kaiser", kaiser_beta(attenuation)), fs=rate)
+    return LowPass(cutoff, rate, kernel, max(1, int(rate / (2.0 * cutoff))))
+
+
+class Decimator:
+    """Filters and decimates a stream of samples that arrives in chunks of any size."""
+
+    def __init__(self, low_pass: LowPass) -> None:
+        self._kernel = low_pass.kernel
+        self._step = low_pass.step
+        self._waiting: Array | None = None
+        self._skip = 0
+
+    def push(self, values: Array) -> Array:
+        """Take the next samples (N, ...) and return the decimated ones (K, ...) they complete."""
+        waiting = np.asarray(values, dtype=float)
+        if self._waiting is not None:
+            waiting = np.concatenate((self._waiting, waiting))
+        skipped = min(self._skip, len(waiting))
+        self._skip -= skipped
+        waiting = waiting[skipped:]
+        count = max(0, (len(waiting) - len(self._kernel)) // self._step + 1)
+        span = count * self._step
+        flat = waiting.reshape(len(waiting), math.prod(waiting.shape[1:]))
+        rows, columns = flat.strides
+        # What each result sees, (count, taps, columns), without a copy of it.
+        size = (count, len(self._kernel), flat.shape[1])
+        seen = as_strided(flat, size, (self._step * rows, rows, columns), writeable=False)
+        # Not by BLAS: a column comes out alike beside whatever others, with any number of threads.
+        out = np.einsum("t,ktc->kc", self._kernel, seen).reshape(count, *waiting.shape[1:])
+        self._skip += max(0, span - len(waiting))
+        self._waiting = waiting[span:].copy()
+        return out
+
+
+REACH = 4
+"""Samples lost at each end by a derivative of the usual order, eight."""
+
+FINE_REACH = 8
+"""The same where positions are nearly free of noise, and the order is sixteen."""
+
+SHIFT_REACH = 32
+"""Samples lost at each end by a shift, besides the shift itself."""
+
+# Of the shift's Kaiser window [dB]: flat to 1e-5 up to 0.8 times the Nyquist frequency.
+_SHIFT_ATTENUATION = 100.0
+
+
+def first_derivative(values: Array, rate: float, reach: int = REACH) -> Array:
+    """Return the time derivative of values (N, ...) sampled at ``rate`` [Hz], (N - 2 reach, ...).
+
+    Of order 2 reach: weights w_k / k, w_k = (-1)^(k + 1) C(2 reach, reach - k) / C(2 reach, reach),
+    of the samples k later, and their negatives of those k earlier (Fornberg, "Generation of finite
+    difference formulas", Math. Comp. 51, 1988).
+    """
+    ahead, weights = _central_weights(reach)
+    later = weights / ahead
+    return _of_differences(values, np.concatenate((-later[::-1], [0.0], later)), 1) * rate
+
+
+def second_derivative(values: Array, rate: float, reach: int = REACH) -> Array:
+    """Return the second time derivative of values (N, ...), (N - 2 reach, ...).
+
+    With the same w_k: weights 2 w_k / k^2 on both sides, and what makes their sum zero between.
+    """
+    ahead, weights = _central_weights(reach)
+    later = 2.0 * weights / ahead**2
+    stencil = np.concatenate((later[::-1], [-2.0 * np.sum(later)], later))
+    return _of_differences(values, stencil, 2) * rate**2
+
+
+def _central_weights(reach: int) -> tuple[Array, Array]:
+    """Return k = 1 ... reach and w_k."""
+    ahead = np.arange(1.0, reach + 1.0)
+    weights = [-((-1) ** k) * math.comb(2 * reach, reach - k) for k in range(1, reach + 1)]
+    return ahead, np.array(weights) / math.comb(2 * reach, reach)
+
+
+def advanced(values: Array, samples: float) -> tuple[Array, int]:
+    """Return values at fractional later instants: result[k] = values(k + first + samples).
+
+    A band-limited signal is shifted exactly by its sinc series, here cut off by a window; whole
+    samples are shifted by slicing, without any loss.
+
+    Args:
+        values: (N, ...) evenly sampled.
+        samples: how many sampling periods later; negative for earlier.
+
+    Returns:
+        (K, ...) shifted values, and the index ``first`` that the first one replaces. The same
+        ``first`` and K hold for every shift of the same number of whole samples.
+    """
+    from scipy.signal import kaiser_beta
+
+    whole = math.floor(samples + 0.5)
+    fraction = samples - whole
+    at = np.arange(-SHIFT_REACH, SHIFT_REACH + 1) - fraction
+    inside = np.maximum(0.0, 1.0 - (at / (SHIFT_REACH + 1)) ** 2)
+    window = np.i0(kaiser_beta(_SHIFT_ATTENUATION) * np.sqrt(inside))
+    stencil = np.sinc(at) * window
+    inner = _correlated(values, stencil / stencil.sum())
+    first = SHIFT_REACH + max(0, -whole)
+    start, stop = max(0, whole), len(inner) + min(0, whole)
+    return inner[start:stop], first
+
+
+def _of_differences(values: Array, stencil: Array, order: int) -> Array:
+    """Return ``_correlated`` of a stencil that is blind to polynomials below an order.
+
+    Sum_k s_k x_k = -sum_k S_k (x_(k+1) - x_k), S_k = s_0 + ... + s_k. Neighbours' differences have
+    no rounding errors, which the square of the rate would make large.
+    """
+    for _ in range(order):
+        values, stencil = np.diff(values, axis=0), -np.cumsum(stencil)[:-1]
+    return _correlated(values, stencil)
+
+
+def _correlated(values: Array, stencil: Array) -> Array:
+    count = max(0, len(values) - len(stencil) + 1)
+    out = np.zeros((count, *np.shape(values)[1:]))
+    for offset, weight in enumerate(stencil):
+        out += weight * values[offset : offset + count]
+    return out

@@ -1,0 +1,41 @@
+"""Recordings and fits made once for all tests that look at them."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.support.core_fits import fitted
+from tests.support.measured_logs import guessed, log_of, true_arm
+from tests.support.payload_logs import TrueArm, four_joint_arm
+
+SIGMA = 0.05
+
+
+@pytest.fixture(scope="session")
+def plant():
+    """The arm that makes logs: three joints with friction."""
+    return true_arm()
+
+
+@pytest.fixture(scope="session")
+def robot(plant):
+    """Its model: a lighter last link and no idea of friction."""
+    return guessed(plant)
+
+
+@pytest.fixture(scope="session")
+def noisy(plant):
+    """A log of it."""
+    return log_of(plant, noise_torque=0.1, encoder_resolution=1e-4)
+
+
+@pytest.fixture(scope="session")
+def recordings():
+    """Four recordings of another arm in the order empty, loaded, loaded, empty."""
+    return TrueArm(four_joint_arm(), 7, wrong=0.03).abba(7, sigma=SIGMA)
+
+
+@pytest.fixture(scope="session")
+def payload_fit(recordings):
+    """What they say of the payload."""
+    return fitted(four_joint_arm(), recordings, loaded=True)

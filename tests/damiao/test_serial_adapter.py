@@ -1,0 +1,121 @@
+"""The adapter's packets, byte by byte, and over a pseudo-terminal: the bytes that go and come."""
+
+from __future__ import annotations
+
+import os
+
+import can
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_sysid.damiao import serial_adapter
+from robot_sysid.damiao.bus.can_bus import BusAddress, open_bus
+from robot_sysid.damiao.bus.link import LinkError, SystemClock
+from robot_sysid.damiao.protocol.frames import Address, BusTiming, Frame, disable_frame
+from robot_sysid.damiao.serial_adapter import PacketReader, Received, packet
+from robot_sysid.errors import InputError
+
+FRAMES = st.lists(st.builds(Received, st.integers(0, 0x7FF), st.binary(min_size=8, max_size=8)))
+
+
+def answer(frame):
+    """What the adapter says about a frame that it received."""
+    return b"\xaa\x11\x08" + frame.id.to_bytes(4, "little") + frame.data + b"\x55"
+
+
+def test_a_packet_is_as_the_maker_writes_it():
+    """Typed from the maker's description: enabling motor 0x123."""
+    assert packet(0x123, bytes.fromhex("ffffffffffffff fc")) == bytes.fromhex(
+        "55aa1e03 01000000 0a000000 00 23010000 00 08 00 00 ffffffffffffff fc 00"
+    )
+
+
+@given(FRAMES, st.integers(1, 40))
+def test_frames_come_through_in_whatever_pieces(frames, size):
+    line, reader, found = b"".join(map(answer, frames)), PacketReader(), []
+    for start in range(0, len(line), size):
+        found += reader.take(line[start : start + size])
+    assert found == frames
+
+
+@given(st.binary(max_size=40).filter(lambda b: b"\xaa" not in b), FRAMES)
+def test_garbage_before_frames_is_passed_over(garbage, frames):
+    assert list(PacketReader().take(garbage + b"".join(map(answer, frames)))) == frames
+
+
+def test_other_packets_and_broken_ones_are_passed_over():
+    one = Received(0x11, bytes(range(8)))
+    status = b"\xaa\x01" + bytes(13) + b"\x55"
+    torn = answer(one)[:9]
+    # A torn packet swallows at most what looks like its own rest.
+    found = list(PacketReader().take(status + answer(one) + torn + answer(one) + answer(one)))
+    assert found.count(one) >= 2 and set(found) == {one}
+
+
+@pytest.mark.parametrize(("identifier", "size"), [(0x800, 8), (-1, 8), (1, 9)])
+def test_what_the_adapter_cannot_send_is_refused(identifier, size):
+    with pytest.raises(ValueError, match="11-bit ids"):
+        packet(identifier, bytes(size))
+
+
+NEEDS_TERMINALS = pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals")
+
+
+@pytest.fixture
+def line():
+    """(link, our end of its serial line)."""
+    import tty
+
+    near, far = os.openpty()
+    tty.setraw(far)
+    address = BusAddress("damiao", (os.ttyname(far),), ("write_timeout=5",))
+    link = open_bus(address, BusTiming(), SystemClock())
+    yield link, near
+    link.close()
+    for end in (near, far):
+        os.close(end)
+
+
+@NEEDS_TERMINALS
+def test_thirty_bytes_go_out_per_frame(line):
+    link, near = line
+    link.send(disable_frame(Address(0, 3)))
+    assert os.read(near, 100) == bytes.fromhex(
+        "55aa1e03 01000000 0a000000 00 03000000 00 08 00 00 ffffffffffffff fd 00"
+    )
+
+
+@NEEDS_TERMINALS
+def test_sixteen_bytes_come_in_per_frame(line):
+    link, near = line
+    clock = SystemClock()
+    sent = bytes.fromhex("aa1108 13000000 138b217d3866231f 55")
+    os.write(near, b"\x00\x55" + sent + sent[:7])
+    frame = link.receive(clock.now() + 1.0)
+    assert (frame.id, frame.data.hex(), frame.echo) == (0x13, "138b217d3866231f", False)
+    assert abs(frame.time - clock.now()) < 0.5
+    assert link.receive(clock.now() + 0.01) is None
+    os.write(near, sent[7:])
+    assert link.receive(clock.now() + 1.0).data == frame.data
+
+
+@NEEDS_TERMINALS
+def test_can_fd_is_refused_because_it_would_be_classic_frames():
+    with pytest.raises(InputError, match="leave --fd off"):
+        open_bus(BusAddress("damiao", ("/dev/null",)), BusTiming(fd=True), SystemClock())
+
+
+@NEEDS_TERMINALS
+def test_a_line_that_breaks_is_our_error(line):
+    link, _ = line
+    link.close()
+    with pytest.raises(LinkError):
+        link.send(Frame(1, bytes(8)))
+
+
+@NEEDS_TERMINALS
+def test_python_can_takes_it_for_a_bus():
+    assert issubclass(serial_adapter.DamiaoSerialBus, can.BusABC)
+    with pytest.raises(AttributeError):
+        serial_adapter.no_such_name  # noqa: B018

@@ -1,0 +1,434 @@
+"""The trajectory file, written and read; what is clamped; velocities against positions."""
+
+from __future__ import annotations
+
+import io
+import tracemalloc
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from robot_sysid.damiao.protocol.joints import damiao_joints
+from robot_sysid.damiao.protocol.motors import MOTORS
+from robot_sysid.damiao.trajectory import (
+    ClampTally,
+    VelocityColumns,
+    export_damiao_trajectory,
+    rating_warnings,
+    read_damiao_trajectory,
+    scan_trajectory,
+)
+from robot_sysid.errors import InputError
+from tests.support.damiao_rig import trajectory_file
+
+
+def motion(samples=5, joints=2, dt=0.001, scale=1.0):
+    time = dt * np.arange(samples)
+    phase = time[:, None] + np.arange(joints)
+    return time, scale * np.sin(phase), scale * np.cos(phase), scale * np.sin(2 * phase)
+
+
+def exported(chunks, types, **options):
+    text = io.StringIO()
+    report = export_damiao_trajectory(chunks, types, text, **options)
+    return report, text.getvalue()
+
+
+def reread(path):
+    chunks = list(read_damiao_trajectory(path).chunks())
+    return [np.concatenate(part) for part in zip(*chunks)]
+
+
+def test_the_file_looks_as_specified():
+    time = np.array([0.0, 0.001, 0.002])
+    q = np.array([[0.0, 0.0], [0.0012, 0.0008], [0.0024, 0.0016]])
+    qd = np.array([[0.0, 0.0], [0.31, 0.22], [0.315, 0.225]])
+    tau = np.array([[0.0, -0.00001], [0.05, 0.03], [0.051, 0.0305]])
+    report, text = exported([(time, q, qd, tau)], ["DM4340", "DM4340"])
+    assert text == (
+        "# motor_type=DM4340,can_id=1,mode=MIT\n"
+        "# motor_type=DM4340,can_id=2,mode=MIT\n"
+        "time,j0_pos,j0_vel,j0_tau,j1_pos,j1_vel,j1_tau\n"
+        "0.000,0.0000,0.0000,0.0000,0.0000,0.0000,0.0000\n"
+        "0.001,0.0012,0.3100,0.0500,0.0008,0.2200,0.0300\n"
+        "0.002,0.0024,0.3150,0.0510,0.0016,0.2250,0.0305\n"
+    )
+    np.testing.assert_array_equal(report.clamped_percent, [0.0, 0.0])
+
+
+@given(data=st.data())
+def test_what_is_written_is_read_back_within_the_printed_digits(data, tmp_path_factory):
+    types = data.draw(st.lists(st.sampled_from(sorted(MOTORS)), min_size=1, max_size=7))
+    samples = data.draw(st.integers(1, 30))
+    rate = data.draw(st.sampled_from([1000.0, 500.0, 300.0, 250.0, 123.4, 4000.0]))
+    limits = np.array([MOTORS[t].limits for t in types]).T
+    share = hnp.arrays(float, (3, samples, len(types)), elements=st.floats(-1.3, 1.3))
+    wanted = data.draw(share) * limits[:, None, :]
+    time = np.arange(samples) / rate
+    path = tmp_path_factory.mktemp("csv") / "damiao_trajectory.csv"
+    report = export_damiao_trajectory([(time, *wanted)], types, path)
+    inside = np.clip(wanted, -limits[:, None, :], limits[:, None, :])
+    got_time, *got = reread(path)
+    np.testing.assert_allclose(got_time, time, rtol=0, atol=5.1e-7)
+    np.testing.assert_allclose(got, inside, rtol=0, atol=5.1e-5)
+    assert np.all(np.abs(got) <= limits[:, None, :])
+    changed = np.any(wanted != inside, axis=0).mean(axis=0) * 100
+    np.testing.assert_allclose(report.clamped_percent, changed, rtol=0, atol=1e-9)
+
+
+@given(cuts=st.lists(st.integers(1, 39), max_size=5), rows=st.integers(1, 50))
+def test_the_chunk_size_changes_nothing(cuts, rows, tmp_path_factory):
+    whole = motion(40)
+    edges = [0, *sorted(set(cuts)), 40]
+    pieces = (tuple(x[a:b] for x in whole) for a, b in zip(edges, edges[1:]))
+    one = exported([whole], ["DM4340"] * 2)[1]
+    assert exported(pieces, ["DM4340"] * 2)[1] == one
+    path = tmp_path_factory.mktemp("csv") / "t.csv"
+    path.write_text(one)
+    parts = list(read_damiao_trajectory(path).chunks(rows))
+    assert all(len(part[0]) <= rows for part in parts)
+    np.testing.assert_array_equal(np.concatenate([p[0] for p in parts]), np.round(whole[0], 3))
+
+
+def test_ids_are_written_read_and_default_to_an_offset_of_sixteen(tmp_path):
+    path = tmp_path / "t.csv"
+    export_damiao_trajectory(
+        [motion()], ["DM4340", "DM4310"], path, can_ids=[5, 3], master_ids=[0x15, 0x33]
+    )
+    lines = path.read_text().splitlines()
+    assert lines[0] == "# motor_type=DM4340,can_id=5,mode=MIT"
+    assert lines[1] == "# motor_type=DM4310,can_id=3,mode=MIT,master_id=51"
+    joints = read_damiao_trajectory(path).joints
+    assert [(j.motor_type, j.can_id, j.master_id) for j in joints] == [
+        ("DM4340", 5, 0x15),
+        ("DM4310", 3, 0x33),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"can_ids": [1, 1]}, "CAN id 0x01 is used by more than one motor"),
+        ({"can_ids": [0, 1]}, "CAN id 0 is outside 1 to 15"),
+        ({"can_ids": [1, 16]}, "CAN id 16 is outside 1 to 15"),
+        ({"can_ids": [1]}, "--can-id was given 1 times but the chain has 2 joints"),
+        ({"master_ids": [17, 17]}, "master id 0x11 is used by more than one motor"),
+        ({"master_ids": [0x102, 0x12]}, "would be taken as commands by the motor with CAN id 2"),
+        ({"master_ids": [0x800, 0x12]}, "outside 0 to 0x7fe"),
+    ],
+)
+def test_ids_that_cannot_share_a_bus_are_refused(options, words):
+    with pytest.raises(InputError, match=words):
+        exported([motion()], ["DM4340"] * 2, **options)
+
+
+def test_clamping_is_counted_per_joint_and_reported():
+    time, q, qd, tau = motion(100)
+    tau = tau.copy()
+    tau[:25, 1] = 40.0
+    report, _ = exported([(time, q, qd, tau)], ["DM4340"] * 2)
+    np.testing.assert_allclose(report.clamped_percent, [0.0, 25.0])
+    assert any("motor 2: 25.00 % of the samples were clamped" in w for w in report.warnings)
+
+
+def test_ratings_are_compared_at_the_given_supply():
+    time, q, qd, tau = motion(10)
+    fast, strong = qd * 0 + 6.0, tau * 0 + 10.0
+    warned = exported([(time, q, fast, strong)], ["DM4340"] * 2)[0].warnings
+    assert any("exceeds the no-load speed of a DM4340 at 24 V" in w for w in warned)
+    assert any("exceeds the rated torque of a DM4340, 9 N m" in w for w in warned)
+    at_48 = exported([(time, q, fast, strong)], ["DM4340"] * 2, supply=48.0)[0].warnings
+    assert not any("no-load" in w for w in at_48)
+
+
+def test_a_rate_the_bus_cannot_carry_comes_with_one_that_it_can():
+    (warning,) = exported([motion(10, 7)], ["DM4340"] * 7)[0].warnings
+    assert "189 % of a classic CAN bus" in warning and "--damiao-rate 250" in warning
+    assert exported([motion(10, 7, 0.004)], ["DM4340"] * 7)[0].warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("types", "words"),
+    [
+        ([], "--export-damiao requires at least one --motor-type"),
+        (["DM4340"] * 3, "--motor-type was given 3 times but the chain has 2 joints"),
+        (["DM4340", "X"], "unknown Damiao motor type 'X'; valid types: DM4310"),
+    ],
+)
+def test_wrong_types_leave_no_file(types, words, tmp_path):
+    with pytest.raises(InputError, match=words):
+        export_damiao_trajectory([motion()], types, tmp_path / "t.csv")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_failure_half_way_leaves_the_old_file_alone(tmp_path):
+    path = tmp_path / "t.csv"
+    path.write_text("old")
+
+    def failing():
+        yield motion()
+        raise RuntimeError("half way")
+
+    with pytest.raises(RuntimeError):
+        export_damiao_trajectory(failing(), ["DM4340"] * 2, path)
+    assert [p.read_text() for p in tmp_path.iterdir()] == ["old"]
+
+
+@pytest.mark.parametrize("where", [1, 2, 3])
+def test_values_that_are_not_finite_are_refused(where, tmp_path):
+    chunk = [np.array(x) for x in motion()]
+    chunk[where][2, 1] = np.nan
+    with pytest.raises(InputError, match="not finite"):
+        export_damiao_trajectory([tuple(chunk)], ["DM4340"] * 2, tmp_path / "t.csv")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_no_samples_are_refused():
+    with pytest.raises(InputError, match="no samples"):
+        exported([], ["DM4340"])
+
+
+def test_a_long_trajectory_needs_no_memory(tmp_path):
+    """Peak memory of writing and reading does not grow with the number of chunks."""
+
+    def peak(chunks):
+        pieces = (
+            (t + 0.25 * k, q, qd, tau) for k in range(chunks) for t, q, qd, tau in [motion(250, 7)]
+        )
+        tracemalloc.start()
+        export_damiao_trajectory(pieces, ["DM4340"] * 7, tmp_path / "t.csv")
+        for _ in read_damiao_trajectory(tmp_path / "t.csv").chunks(250):
+            pass
+        used = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return used
+
+    assert peak(40) < 1.3 * peak(4)
+
+
+GOOD = "# motor_type=DM4340,can_id=1,mode=MIT\ntime,j0_pos,j0_vel,j0_tau\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "no column line"),
+        ("time,j0_pos,j0_vel,j0_tau\n0,0,0,0\n", "no '# motor_type=...' lines"),
+        ("# motor_type=DM1,can_id=1,mode=MIT\n", "line 1: unknown Damiao motor type 'DM1'"),
+        ("# motor_type=DM4340,can_id=x,mode=MIT\n", "line 1: expected"),
+        ("# motor_type=DM4340,mode=MIT\n", "line 1: expected"),
+        ("# motor_type=DM4340,can_id=1,mode=VEL\n", "mode 'VEL' cannot be played"),
+        (GOOD.replace("j0_tau", "j0_torque"), "line 2: expected the columns"),
+        (GOOD + "0,0,0,0\n1,2,x,4\n", "line 4: expected 4 finite numbers"),
+        (GOOD + "0,0,0,0\n1,2,3\n", "line 4: expected 4 finite numbers"),
+        (GOOD + "0,0,0,0\n1,2,1_0,4\n", "line 4: expected 4 finite numbers"),
+        (GOOD + "0,0,0,0\n1,2,nan,4\n", "line 4: expected 4 finite numbers"),
+        (GOOD + "0,0,0,0\n0,0,0,0\n", "line 4: time does not increase"),
+    ],
+)
+def test_bad_files_are_refused_with_the_line(text, words, tmp_path):
+    path = tmp_path / "bad.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=words):
+        list(read_damiao_trajectory(path).chunks())
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(InputError, match="cannot read .*nothing.csv: No such file"):
+        read_damiao_trajectory(tmp_path / "nothing.csv")
+
+
+def test_windows_line_ends_and_blank_lines_are_fine(tmp_path):
+    path = tmp_path / "t.csv"
+    path.write_bytes((GOOD + "0,0,0,0\n\n1,1,1,1\n\n").replace("\n", "\r\n").encode("utf-8-sig"))
+    np.testing.assert_array_equal(reread(path)[0], [0.0, 1.0])
+
+
+# --- scan ---------------------------------------------------------------------------------------
+
+
+@given(rows=st.integers(2, 30), seed=st.integers(0, 1000))
+def test_a_scan_finds_the_extremes(rows, seed, tmp_path_factory):
+    rng = np.random.default_rng(seed)
+    q, qd, tau = np.round(rng.uniform(-5, 5, (3, rows, 2)), 4)
+    scan = scan_trajectory(
+        trajectory_file(tmp_path_factory.mktemp("scan"), (0.01 * np.arange(rows), q, qd, tau))
+    )
+    assert scan.duration == pytest.approx(0.01 * (rows - 1))
+    np.testing.assert_allclose(scan.first, q[0])
+    np.testing.assert_allclose(scan.lowest, q.min(axis=0))
+    np.testing.assert_allclose(scan.highest, q.max(axis=0))
+    np.testing.assert_allclose(scan.peak_velocity, np.abs(qd).max(axis=0))
+    np.testing.assert_allclose(scan.peak_torque, np.abs(tau).max(axis=0))
+    np.testing.assert_allclose(scan.peak_step, np.abs(np.diff(q, axis=0)).max(axis=0) / 0.01)
+    np.testing.assert_allclose(scan.end_velocity, np.maximum(np.abs(qd[0]), np.abs(qd[-1])))
+
+
+def test_a_scan_sees_jumps_between_its_pieces(tmp_path):
+    rows = 4097
+    q = np.zeros((rows, 1))
+    q[4096] = 0.5
+    scan = scan_trajectory(trajectory_file(tmp_path, (0.01 * np.arange(rows), q, 0 * q, 0 * q)))
+    assert scan.peak_step[0] == pytest.approx(50.0)
+
+
+def test_one_row_cannot_be_played(tmp_path):
+    one = np.zeros((1, 1))
+    with pytest.raises(InputError, match="at least two rows"):
+        scan_trajectory(trajectory_file(tmp_path, (np.zeros(1), one, one, one)))
+
+
+TYPES = st.lists(st.sampled_from(sorted(MOTORS)), min_size=1, max_size=4)
+RATED = [name for name, spec in MOTORS.items() if spec.peak_torque is not None]
+
+
+@st.composite
+def motions(draw):
+    """Motors, and (q, qd, tau) that now and then exceed their limits, as one array."""
+    names = draw(TYPES)
+    joints = damiao_joints(names, len(names))
+    rows = draw(st.integers(1, 12))
+    shares = hnp.arrays(float, (3, rows, len(joints)), elements=st.floats(-3.0, 3.0))
+    return joints, draw(shares) * np.array([joint.spec.limits for joint in joints]).T[:, None, :]
+
+
+@given(motions())
+def test_what_comes_out_is_inside_the_limits_and_as_near_as_it_can_be(case):
+    joints, asked = case
+    limits = np.array([joint.spec.limits for joint in joints]).T[:, None, :]
+    tally = ClampTally(joints)
+    given_out = np.array(tally.clamp(*asked))
+    assert np.all(np.abs(given_out) <= limits)
+    inside = np.abs(asked) <= limits
+    np.testing.assert_array_equal(given_out[inside], asked[inside])
+    np.testing.assert_array_equal(np.abs(given_out) == limits, np.abs(asked) >= limits)
+    changed = np.count_nonzero(np.any(~inside, axis=0), axis=0)
+    np.testing.assert_allclose(tally.clamped_percent, 100.0 * changed / asked.shape[1], rtol=1e-12)
+
+
+@given(motions())
+def test_peaks_are_those_that_were_asked_for_not_those_that_are_left(case):
+    joints, asked = case
+    tally = ClampTally(joints)
+    tally.clamp(*asked)
+    np.testing.assert_array_equal(tally.peak_velocity, np.abs(asked[1]).max(axis=0))
+    np.testing.assert_array_equal(tally.peak_torque, np.abs(asked[2]).max(axis=0))
+
+
+@given(motions(), st.data())
+def test_pieces_add_up_to_the_whole(case, data):
+    joints, asked = case
+    cut = data.draw(st.integers(1, asked.shape[1]))
+    whole, pieces = ClampTally(joints), ClampTally(joints)
+    whole.clamp(*asked)
+    for piece in (asked[:, :cut], asked[:, cut:]):
+        if piece.shape[1]:
+            pieces.clamp(*piece)
+    assert pieces.samples == whole.samples
+    for name in ("clamped", "peak_velocity", "peak_torque"):
+        np.testing.assert_array_equal(getattr(pieces, name), getattr(whole, name))
+    assert list(pieces.warnings(None)) == list(whole.warnings(None))
+
+
+@pytest.mark.parametrize("name", RATED)
+def test_a_torque_beyond_the_peak_is_told_with_its_own_value(name):
+    """Some types can be told no more than their peak torque; that must not hide the excess."""
+    spec = MOTORS[name]
+    asked = 2.0 * max(spec.torque_limit, spec.peak_torque)
+    tally = ClampTally(damiao_joints([name], 1))
+    tally.clamp(np.zeros((1, 1)), np.zeros((1, 1)), np.full((1, 1), asked))
+    clamped, rating = tally.warnings(None)
+    assert clamped.startswith("motor 1: 100.00 % of the samples were clamped")
+    assert rating == (
+        f"motor 1: {asked:.2f} N m exceeds the peak torque of a {name}, {spec.peak_torque:g} N m; "
+        "it cannot follow"
+    )
+
+
+@pytest.mark.parametrize("name", RATED)
+def test_each_rating_has_its_own_sentence(name):
+    (joint,), spec = damiao_joints([name], 1), MOTORS[name]
+    between = 0.5 * (spec.rated_torque + spec.peak_torque)
+    for torque, words in (
+        (spec.rated_torque, []),
+        (between, [f"{between:.2f} N m exceeds the rated torque"]),
+        (spec.peak_torque, [f"{spec.peak_torque:.2f} N m exceeds the rated torque"]),
+        (1.01 * spec.peak_torque, ["exceeds the peak torque"]),
+    ):
+        said = list(rating_warnings(joint, 0.0, torque))
+        assert len(said) == len(words)
+        assert all(word in line and line.startswith("motor 1: ") for word, line in zip(words, said))
+
+
+@pytest.mark.parametrize("name", [n for n, spec in MOTORS.items() if spec.no_load_rpm])
+@pytest.mark.parametrize("supply", [None, 24.0, 48.0])
+def test_a_speed_beyond_the_no_load_speed_is_told(name, supply):
+    (joint,), spec = damiao_joints([name], 1), MOTORS[name]
+    top = spec.no_load_speed(supply)
+    assert list(rating_warnings(joint, top, 0.0, supply)) == []
+    (line,) = rating_warnings(joint, 1.01 * top, 0.0, supply)
+    assert f"exceeds the no-load speed of a {name} at {supply or spec.supply:g} V" in line
+
+
+RATES = st.sampled_from([50.0, 100.0, 250.0, 500.0, 1000.0])
+
+
+def smooth_motion(rate, seed, seconds=3.0):
+    """(time, q, qd) of two joints from rest to rest, with up to 2 Hz in it."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(round(seconds * rate) + 1) / rate
+    w = 2.0 * np.pi / seconds * rng.integers(1, 7, (3, 1, 2))
+    a = rng.uniform(0.05, 0.3, (3, 1, 2)) * rng.choice([-1.0, 1.0], (3, 1, 2))
+    phase = w * time[:, None]
+    return time, (a * (1.0 - np.cos(phase))).sum(axis=0), (a * w * np.sin(phase)).sum(axis=0)
+
+
+def mismatch(time, q, qd, pieces=1):
+    columns = VelocityColumns()
+    for rows in np.array_split(np.arange(len(time)), pieces):
+        columns.add(time[rows], np.round(q[rows], 4), np.round(qd[rows], 4))
+    return columns.mismatch
+
+
+def differences(time, q, how):
+    slope = np.diff(q, axis=0) / np.diff(time)[:, None]
+    still = np.zeros((1, q.shape[1]))
+    return np.vstack([slope, still] if how == "forward" else [still, slope])
+
+
+@given(rate=RATES, seed=st.integers(0, 10**6), pieces=st.integers(1, 9))
+def test_a_derivative_is_left_alone_however_the_file_is_read(rate, seed, pieces):
+    assert mismatch(*smooth_motion(rate, seed), pieces) is None
+
+
+@given(rate=RATES, seed=st.integers(0, 10**6), how=st.sampled_from(["forward", "backward"]))
+def test_a_difference_quotient_is_left_alone(rate, seed, how):
+    time, q, _ = smooth_motion(rate, seed)
+    assert mismatch(time, q, differences(time, q, how)) is None
+
+
+@given(rate=RATES, seed=st.integers(0, 10**6), factor=st.sampled_from([-1.0, 0.0, 0.8, 1.25, 57.3]))
+def test_another_scale_or_sign_is_found(rate, seed, factor):
+    time, q, qd = smooth_motion(rate, seed)
+    qd = qd * [1.0, factor]
+    assert mismatch(time, q, qd).joint == 1
+
+
+@given(rate=RATES, seed=st.integers(0, 10**6), place=st.floats(0.2, 0.8), pieces=st.integers(1, 9))
+def test_a_jump_of_the_positions_is_found(rate, seed, place, pieces):
+    time, q, qd = smooth_motion(rate, seed)
+    row = round(place * len(time))
+    q[row:, 0] += 0.02 if rate > 200.0 else 0.15
+    found = mismatch(time, q, qd, pieces)
+    assert found.joint == 0 and abs(found.line - row) <= 0.2 * rate + 8
+
+
+@pytest.mark.parametrize("pieces", [1, 3])
+def test_velocities_of_a_joint_that_stands_are_found_with_their_line(pieces):
+    time, q, qd = np.arange(400) / 250.0, np.zeros((400, 1)), np.zeros((400, 1))
+    qd[100:200] = 9.0
+    found = mismatch(time, q, qd, pieces)
+    assert (found.line, found.joint, found.stated, found.shown) == (101, 0, 9.0, 0.0)

@@ -1,0 +1,370 @@
+"""The text of a written model: one inertia, or gravity, goes in, all else stays as it was."""
+
+from __future__ import annotations
+
+import difflib
+import struct
+import zlib
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.errors import ExportError
+from robot_sysid.mjcf.updated_model import changed_model_text, updated_model_text
+from robot_sysid.mjcf.write_back import BodyChange, ModelChange, WriteBack, plan_write_back
+from robot_sysid.model.chain import find_terminal_joint
+from robot_sysid.model.compilation import compile_model
+from robot_sysid.model.inertia import composite_theta, subtree_bodies
+from robot_sysid.results.verification import reads_fullinertia_exactly, verify_written_model
+from tests.support.model_files import (
+    ARM,
+    INERTIAL,
+    TETRAHEDRON,
+    random_theta,
+    urdf_inertial,
+    urdf_joint,
+    urdf_link,
+    urdf_mesh,
+    urdf_robot,
+    write_files,
+)
+from tests.support.places import SHARED
+from tests.support.releases import since
+
+seeds = st.integers(0, 2**32 - 1)
+THETA = random_theta(np.random.default_rng(1), 2.0)
+URDF = urdf_robot(
+    urdf_link("base"),
+    urdf_link("l1", urdf_inertial()),
+    urdf_link("l2", "\n" + urdf_inertial(2.0, "0.1 0.2 0.3") + urdf_mesh("visual", "a.dae")),
+    urdf_link("tool", urdf_inertial(0.2)),
+    urdf_joint("base", "l1"),
+    urdf_joint("l1", "l2"),
+    urdf_joint("l2", "tool", "fixed"),
+)
+
+
+def exported(source, label, composite, target, mesh_dir=None, original=None):
+    """Write as the results are; return the plan and the verified compiled model."""
+    original = original or compile_model(source, mesh_dir).mj_model
+    body = mujoco.mj_name2id(original, int(mujoco.mjtObj.mjOBJ_BODY), label)
+    body = int(label[1:]) if label.startswith("#") else body
+    plan = plan_write_back(composite, subtree_bodies(original, original.qpos0, body))
+    write(source, label, plan, target, mesh_dir)
+    return plan, verify_written_model(original, target, change_of(label, plan, body)).mj_model, body
+
+
+def change_of(label, plan, body):
+    return ModelChange((BodyChange(label, body, plan),), 1.23e-4)
+
+
+def write(source, label, plan, target, mesh_dir=None):
+    principal = not reads_fullinertia_exactly(plan.theta)
+    folder = target.absolute().parent
+    text = updated_model_text(source, label, plan, 1.23e-4, folder, mesh_dir, principal)
+    folder.mkdir(parents=True, exist_ok=True)
+    target.write_bytes(text)
+
+
+@pytest.fixture(scope="module")
+def arm_files(tmp_path_factory):
+    """Suffix to file and compiled model."""
+    path = write_files(tmp_path_factory.mktemp("arm"), {"arm.xml": ARM, "arm.urdf": URDF})
+    files = [path, path.with_suffix(".urdf")]
+    return {file.suffix: (file, compile_model(file).mj_model) for file in files}
+
+
+@pytest.mark.parametrize(("suffix", "label"), [(".xml", "link2"), (".urdf", "l2")])
+@given(seed=seeds)
+def test_the_compiled_composite_is_the_identified_one(arm_files, suffix, label, seed):
+    rng = np.random.default_rng(seed)
+    source, original = arm_files[suffix]
+    before = composite_theta(original, original.qpos0, original.body(label).id)
+    theta = before + random_theta(rng, 10.0 ** rng.uniform(-2, 1))
+    target = source.parent / "out" / f"updated{suffix}"
+    _, mj_model, body = exported(source, label, theta, target, original=original)
+    scale = spatial.parameter_scale(theta[0], spatial.characteristic_length(theta))
+    assert np.max(np.abs(composite_theta(mj_model, mj_model.qpos0, body) - theta) / scale) < 1e-12
+
+
+def test_only_the_inertial_and_the_comment_change(tmp_path):
+    source = write_files(tmp_path, {"m.xml": ARM})
+    plan = WriteBack(THETA)
+    text = updated_model_text(source, "link2", plan, 1.23e-4, tmp_path / "out").decode()
+    difference = list(difflib.ndiff(ARM.splitlines(), text.splitlines()))
+    removed = [line[2:].split() for line in difference if line.startswith("- ")]
+    comment, inertial = [line[2:] for line in difference if line.startswith("+ ")]
+    assert [words[0] for words in removed] == ["<inertial", 'diaginertia="2e-3']
+    assert comment == ("        <!-- System ID: body 'link2' identified with RMSE 0.000123 Nm -->")
+    assert inertial.startswith("          <inertial pos=") and "fullinertia=" in inertial
+    assert "quat" not in inertial and "diaginertia" not in inertial
+
+
+def test_line_endings_and_the_rest_of_the_bytes_stay(tmp_path):
+    source = tmp_path / "m.xml"
+    source.write_bytes(ARM.replace("\n", "\r\n").encode())
+    text = updated_model_text(source, "link2", WriteBack(THETA), 0.0, tmp_path)
+    assert text.count(b"\n") == text.count(b"\r\n") == ARM.count("\n")
+
+
+def test_its_own_output_can_be_exported_again(tmp_path):
+    source = write_files(tmp_path, {"m.xml": ARM})
+    first, second = tmp_path / "a" / "m.xml", tmp_path / "b" / "c" / "m.xml"
+    exported(source, "link2", 2.0 * THETA, first)
+    exported(first, "link2", 2.0 * THETA, second)
+    assert second.read_bytes() == first.read_bytes()
+    assert second.read_bytes().count(b"System ID") == 1
+
+
+def test_the_input_file_may_be_overwritten(tmp_path):
+    source = write_files(tmp_path, {"m.xml": ARM})
+    original = compile_model(source).mj_model
+    write(source, "link2", WriteBack(THETA), source)
+    change = change_of("link2", WriteBack(THETA), original.body("link2").id)
+    verify_written_model(original, source, change)
+
+
+MASSLESS = ARM.replace(
+    """<inertial pos="0 0 0.1" quat="0.9 0.1 0.2 0.3" mass="1.5"
+                    diaginertia="2e-3 3e-3 4e-3"/>
+          <geom type="capsule" size="0.02 0.1"/>""",
+    "",
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "label"), [("m.xml", MASSLESS, "link2"), ("m.urdf", URDF, "l2")]
+)
+def test_a_group_can_be_lumped_into_the_terminal_body(tmp_path, name, text, label):
+    source = write_files(tmp_path, {name: text})
+    original = compile_model(source).mj_model
+    before = composite_theta(original, original.qpos0, original.body(label).id)
+    tool = subtree_bodies(original, original.qpos0, original.body(label).id)[1].theta
+    # A little less than the tool, with the mass of the terminal link gone.
+    composite = before - 0.5 * tool if name == "m.xml" else 0.5 * tool
+    plan, mj_model, body = exported(source, label, composite, tmp_path / "out" / name)
+    assert [b.name for b in plan.lumped] == ["tool"]
+    assert mj_model.body("tool").mass == 0.0
+    np.testing.assert_allclose(
+        composite_theta(mj_model, mj_model.qpos0, body), composite, atol=1e-12
+    )
+    assert "'tool' weigh nothing" in (tmp_path / "out" / name).read_text()
+
+
+INCLUDING = {
+    "scene.xml": '<mujoco>\n<include file="parts/arm.xml"/>\n<include file="parts/size.xml"/>\n'
+    '<asset><texture name="t" type="2d" file="t.png"/></asset><worldbody/></mujoco>',
+    "parts/arm.xml": '<mujoco><compiler assetdir="files"/><asset><mesh name="m" file="m.obj"/>'
+    '</asset><worldbody><include file="link.xml"/></worldbody></mujoco>',
+    "parts/link.xml": f"<all><body><joint/>{INERTIAL}<geom type='mesh' mesh='m'/></body></all>",
+    "parts/size.xml": '<mujoco><size memory="1M"/><!-- kept --></mujoco>',
+    "files/m.obj": TETRAHEDRON,
+}
+
+
+def png(red: int) -> bytes:
+    """A picture of one point."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        check = zlib.crc32(kind + data)
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", check)
+
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", 1, 1, 8, 2, 0, 0, 0))
+    image = chunk(b"IDAT", zlib.compress(bytes([0, red, 0, 0])))
+    return b"\x89PNG\r\n\x1a\n" + header + image + chunk(b"IEND", b"")
+
+
+@pytest.mark.parametrize("folder", ["out", "in/parts", "in"])
+@since(3, 1, 6)
+def test_a_nameless_body_in_an_include_is_changed_and_its_files_are_found(tmp_path, folder):
+    source = write_files(tmp_path / "in", INCLUDING)
+    (tmp_path / "in" / "files" / "t.png").write_bytes(png(200))
+    before = source.read_bytes(), (tmp_path / "in/parts/link.xml").read_bytes()
+    target = tmp_path / folder / "updated.xml"
+    exported(source, "#1", THETA, target)
+    assert before == (source.read_bytes(), (tmp_path / "in/parts/link.xml").read_bytes())
+    assert b"size.xml" in target.read_bytes() and b"link.xml" not in target.read_bytes()
+
+
+def test_the_users_mesh_folder_goes_into_the_written_model(tmp_path):
+    arm = ARM.replace('<geom size="0.1"/>', '<geom type="mesh" mesh="m"/>')
+    arm = arm.replace("<worldbody>", '<asset><mesh name="m" file="x/m.obj"/></asset><worldbody>')
+    source = write_files(tmp_path, {"m.xml": arm, "mine/m.obj": TETRAHEDRON})
+    exported(source, "link2", 2.0 * THETA, tmp_path / "out" / "m.xml", tmp_path / "mine")
+
+
+def test_a_relative_output_folder_works(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    source = write_files(tmp_path, {"in/m.urdf": URDF}).relative_to(tmp_path)
+    exported(source, "l2", 2.0 * THETA, source.parent.parent / "out" / "deep" / "m.urdf")
+
+
+def test_nothing_is_written_when_the_body_is_not_in_the_file(tmp_path):
+    source = write_files(tmp_path, {"m.xml": ARM})
+    with pytest.raises(ExportError, match="'link9' is not written out"):
+        write(source, "link9", WriteBack(THETA), tmp_path / "out" / "m.xml")
+    assert not (tmp_path / "out").exists()
+
+
+WITHOUT_ONE_TERMINAL = (
+    "left/gripper_link",
+    "openarm_left_ee_base_link",
+    "moving_jaw_so101_v1",
+    "moving_jaw_so101_v1_link",
+)
+
+
+def terminal_label(mj_model) -> str:
+    """The terminal body of a public model; one of them where the tool would ask."""
+    names = [mj_model.body(i).name for i in range(mj_model.nbody)]
+    chosen = [name for name in WITHOUT_ONE_TERMINAL if name in names]
+    return chosen[0] if chosen else names[mj_model.jnt_bodyid[find_terminal_joint(mj_model)]]
+
+
+MODELS = [
+    path
+    for path in (*sorted(SHARED.glob("models/**/*.xml")), *sorted(SHARED.glob("**/*.urdf")))
+    if not path.stem.endswith(("actuators", "keyframe_ctrl", "no_act", "properties", "hand"))
+    or path.stem.endswith("nohand")
+]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not MODELS, reason="no public models here")
+@pytest.mark.parametrize("path", MODELS, ids=lambda p: f"{p.parent.name}/{p.name}")
+def test_public_models_keep_everything_but_the_inertia(tmp_path, path):
+    original = compile_model(path).mj_model
+    label = terminal_label(original)
+    theta = composite_theta(original, original.qpos0, original.body(label).id) + 0.2 * THETA
+    first, second = tmp_path / "a" / path.name, tmp_path / "b" / "c" / path.name
+    exported(path, label, theta, first)
+    exported(first, label, theta, second)
+    assert second.read_bytes().count(b"System ID") == 1
+
+
+def test_a_link_that_weighs_nothing_does_not_keep_the_written_urdf_from_loading(tmp_path):
+    light = URDF.replace(urdf_inertial(), "", 1)
+    source, target = write_files(tmp_path, {"m.urdf": light}), tmp_path / "out" / "u.urdf"
+    with pytest.raises(ValueError, match="mjMINVAL"):
+        mujoco.MjModel.from_xml_path(str(source))
+    write(source, "l2", WriteBack(random_theta(np.random.default_rng(1))), target)
+    assert mujoco.MjModel.from_xml_path(str(target)).njnt == 2
+
+
+TURNED = (0.1 + 0.2, -1.5, -9.6)
+CHANGE = ModelChange((), 1.23e-4, gravity=TURNED)
+WRITTEN = 'gravity="0.30000000000000004 -1.5 -9.6"'
+
+
+def changed(tmp_path, files, change=CHANGE):
+    """The text that is written, after MuJoCo has read it with this gravity in another folder."""
+    source = write_files(tmp_path / "in", files)
+    target = tmp_path / "out" / source.name
+    target.parent.mkdir(exist_ok=True)
+    target.write_bytes(changed_model_text(source, change, target.parent))
+    np.testing.assert_array_equal(
+        mujoco.MjModel.from_xml_path(str(target)).opt.gravity, change.gravity
+    )
+    np.testing.assert_array_equal(compile_model(target).mj_model.opt.gravity, change.gravity)
+    return target.read_text()
+
+
+def with_options(*options):
+    return ARM.replace("  <worldbody>", "\n".join([*options, "  <worldbody>"]))
+
+
+def test_an_option_is_added_and_nothing_else(tmp_path):
+    difference = list(
+        difflib.ndiff(ARM.splitlines(), changed(tmp_path, {"m.xml": ARM}).splitlines())
+    )
+    assert [line for line in difference if line.startswith(("- ", "? "))] == []
+    assert [line[2:] for line in difference if line.startswith("+ ")] == [
+        "  <!-- System ID: gravity identified with RMSE 0.000123 Nm; in place of 0 0 -9.81, "
+        "because the arm does not stand as the file said -->",
+        f"  <option {WRITTEN}/>",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (["  <option timestep='0.001'/>"], [f"  <option timestep='0.001' {WRITTEN}/>"]),
+        (
+            ["  <option gravity='0 0 -9.8'/>", "  <option timestep='0.001'/>"],
+            [f"  <option {WRITTEN}/>", "  <option timestep='0.001'/>"],
+        ),
+        (
+            ["  <option gravity='0 0 -9.7'/>", '  <option  gravity = "0 0 -9.8"></option>'],
+            [
+                "  <option gravity='0 0 -9.7'/>",
+                f"  <option  {WRITTEN.replace('=', ' = ')}></option>",
+            ],
+        ),
+    ],
+)
+def test_the_option_that_counts_is_changed(tmp_path, options, expected):
+    text = changed(tmp_path, {"m.xml": with_options(*options)})
+    lines = [line for line in text.splitlines() if "option" in line]
+    assert lines == expected
+    before = "0 0 -9.8" if "9.8" in "".join(options) else "0 0 -9.81"
+    assert f"in place of {before}, because" in text
+
+
+def test_an_option_in_an_include_is_changed_in_the_written_file(tmp_path):
+    scene = '<mujoco><include file="o/own.xml"/><option timestep="0.001"/><worldbody/></mujoco>'
+    files = {
+        "scene.xml": scene,
+        "o/own.xml": '<mujoco><option gravity="0 0 -5"/><include file="arm.xml"/></mujoco>',
+        "o/arm.xml": ARM,
+    }
+    text = changed(tmp_path, files)
+    assert "in place of 0 0 -5" in text and text.count("gravity=") == 1
+    assert (tmp_path / "in" / "o" / "own.xml").read_text() == files["o/own.xml"]
+
+
+def test_its_own_output_can_be_changed_again(tmp_path):
+    for options in ([], ["  <option timestep='0.001'/>"]):
+        first = changed(tmp_path, {"m.xml": with_options(*options)})
+        second = changed(tmp_path, {"m.xml": first})
+        assert second.count("System ID") == second.count("gravity=") == 1
+        assert f"in place of {WRITTEN[9:-1]}, because" in second
+
+
+@pytest.mark.parametrize(
+    "part",
+    [
+        "",
+        "<mujoco/>",
+        "<mujoco></mujoco>",
+        '<mujoco><compiler angle="radian" balanceinertia="true"/></mujoco>',
+        '<mujoco><compiler balanceinertia="true"/><option timestep="0.001"/></mujoco>',
+        '<mujoco><option timestep="0.001" gravity="0 0 -9.7"/></mujoco>',
+    ],
+)
+@pytest.mark.parametrize("nested", [True, False])
+def test_a_urdf_states_it_in_the_part_that_mujoco_reads(tmp_path, part, nested):
+    mesh = urdf_mesh("visual", "meshes/none.stl") if nested else ""
+    links = urdf_link("base"), urdf_link("l1", urdf_inertial() + mesh), urdf_joint("base", "l1")
+    source = write_files(tmp_path / "in", {"m.urdf": urdf_robot(part, *links)})
+    text = changed_model_text(source, CHANGE, tmp_path)
+    written = tmp_path / "m.urdf"
+    written.write_bytes(text)
+    found = compile_model(written).mj_model
+    np.testing.assert_array_equal(found.opt.gravity, TURNED)
+    assert text.count(b"<mujoco") == text.count(b"<option") == text.count(b"System ID") == 1
+    assert found.opt.timestep == (0.001 if "timestep" in part else 0.002)
+    assert (b'balanceinertia="true"' in text) == ("balanceinertia" in part)
+    again = changed_model_text(written, CHANGE, tmp_path)
+    assert again.count(b"System ID") == again.count(b"gravity=") == 1
+
+
+def test_gravity_that_is_switched_off_or_no_vector_is_refused(tmp_path):
+    off = with_options('<option><flag gravity="disable"/></option>')
+    with pytest.raises(ExportError, match="switches gravity off"):
+        changed(tmp_path, {"m.xml": off})
+    with pytest.raises(ExportError, match="no vector"):
+        changed(tmp_path, {"m.xml": ARM}, ModelChange((), 0.0, gravity=(np.nan, 0.0, -9.8)))

@@ -1,0 +1,181 @@
+"""A bundle stands alone: it loads as the same model wherever it is put."""
+
+from __future__ import annotations
+
+import os
+import shutil
+
+import mujoco
+import pytest
+
+from robot_sysid.errors import ExportError, InputError
+from robot_sysid.records.atomic_files import only_run_in
+from robot_sysid.results import bundle as bundles
+from robot_sysid.results.bundle import write_bundle
+from robot_sysid.results.verification import require_same_model
+from tests.support.command_line import files_in
+from tests.support.places import EXAMPLE, GUESS
+
+STL = EXAMPLE / "model" / "meshes" / "gripper.stl"
+MESHES = """
+<mujoco>
+  <compiler meshdir="parts" strippath="false"/>
+  <include file="more.xml"/>
+  <asset><mesh name="a" file="left/part.stl"/><mesh name="b" file="right/part.stl"/></asset>
+  <worldbody>
+    <body name="arm"><joint name="turn"/><geom type="mesh" mesh="a"/>
+      <body><joint/><geom type="mesh" mesh="b"/></body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def moved(bundle, tmp_path):
+    """The bundle's model in another place, everything else gone."""
+    place = tmp_path / "elsewhere"
+    shutil.move(bundle.parent, place)
+    return mujoco.MjModel.from_xml_path(str(place / bundle.name))
+
+
+def test_two_meshes_of_one_name_and_an_include(tmp_path):
+    source = tmp_path / "source"
+    for side in ("left", "right"):
+        (source / "parts" / side).mkdir(parents=True)
+        shutil.copy(STL, source / "parts" / side / "part.stl")
+    (source / "more.xml").write_text("<mujoco><option timestep='0.001'/></mujoco>")
+    (source / "updated_model.xml").write_text(MESHES)
+    before = mujoco.MjModel.from_xml_path(str(source / "updated_model.xml"))
+    bundle = write_bundle(source / "updated_model.xml", tmp_path)
+    assert bundle == tmp_path / "bundle" / "updated_model.xml"
+    shutil.rmtree(source)
+    require_same_model(before, moved(bundle, tmp_path), ())
+
+
+def test_a_second_bundle_replaces_the_first(tmp_path):
+    write_bundle(GUESS, tmp_path)
+    (tmp_path / "bundle" / "old").touch()
+    bundle = write_bundle(GUESS, tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {"bundle"}
+    assert {path.name for path in bundle.parent.iterdir()} == {GUESS.name, "assets"}
+
+
+def a_corner(side):
+    """A mesh file's text: the corner of a cube of that side, a sixth of it."""
+    corners = (f"v 0 0 0\nv {side} 0 0\nv 0 {side} 0\nv 0 0 {side}",)
+    return "\n".join((*corners, "f 1 3 2", "f 1 2 4", "f 1 4 3", "f 2 3 4"))
+
+
+@pytest.fixture
+def corners(tmp_path):
+    """Two models of one name, each with another mesh of one name."""
+    for side in (1, 2):
+        folder = tmp_path / str(side)
+        folder.mkdir()
+        write(folder / "corner.obj", a_corner(side))
+        write(folder / "updated_model.xml", ONE_MESH)
+    return [tmp_path / str(side) / "updated_model.xml" for side in (1, 2)]
+
+
+STEPS = [(os, name) for name in ("replace", "unlink", "rmdir", "mkdir")]
+
+
+def test_at_every_instant_the_bundle_is_the_old_model_or_the_new_one(
+    corners, tmp_path, monkeypatch
+):
+    first, second = (mujoco.MjModel.from_xml_path(str(model)) for model in corners)
+    assert second.body_mass[1] == pytest.approx(8.0 * first.body_mass[1], rel=1e-6)
+    out = tmp_path / "out"
+    out.mkdir()
+    write_bundle(corners[0], out)
+    seen = []
+
+    def watched(step):
+        def call(*arguments, **rest):
+            for act in (lambda: None, lambda: step(*arguments, **rest)):
+                result = act()
+                there = mujoco.MjModel.from_xml_path(str(out / "bundle" / "updated_model.xml"))
+                seen.append(there.body_mass[1])
+            return result
+
+        return call
+
+    with monkeypatch.context() as patch:
+        for module, name in STEPS:
+            patch.setattr(module, name, watched(getattr(module, name)))
+        write_bundle(corners[1], out)
+    assert seen == sorted(seen) and set(seen) == {first.body_mass[1], second.body_mass[1]}
+    assert {path.name for path in out.rglob("*")} == {
+        *("bundle", "assets", "updated_model.xml", "corner_2.obj")
+    }
+    write_bundle(corners[1], out)
+    assert (out / "bundle" / "assets" / "corner.obj").is_file()
+    assert not (out / "bundle" / "assets" / "corner_2.obj").exists()
+
+
+def test_a_bundle_that_fails_leaves_the_old_one(corners, tmp_path, monkeypatch):
+    bundle = write_bundle(corners[0], tmp_path)
+    before = files_in(tmp_path)
+    monkeypatch.setattr(bundles, "compiled_again", lambda path: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        write_bundle(corners[1], tmp_path)
+    assert files_in(tmp_path) == before
+    assert bundle.is_file()
+
+
+def test_a_link_is_no_place_for_a_bundle(tmp_path):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "file").touch()
+    (tmp_path / "bundle").symlink_to(tmp_path / "mine")
+    with pytest.raises(InputError, match="cannot write .*bundle: Not a directory"):
+        write_bundle(GUESS, tmp_path)
+    assert (tmp_path / "mine" / "file").is_file()
+
+
+def test_another_run_in_the_folder_is_waited_for(tmp_path):
+    refused = pytest.raises(InputError, match="another run is writing to")
+    with only_run_in(tmp_path), refused:
+        write_bundle(GUESS, tmp_path)
+
+
+def write(path, text):
+    path.write_text(text)
+    return path
+
+
+ONE_MESH = """
+<mujoco>
+  <asset><mesh name="corner" file="corner.obj"/></asset>
+  <worldbody><body><joint/><geom type="mesh" mesh="corner"/></body></worldbody>
+</mujoco>
+"""
+URDF = """
+<robot name="r">
+  <link name="base"/>
+  <link name="arm">
+    <inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+    <visual><geometry><mesh filename="package://thing/meshes/part.stl"/></geometry></visual>
+    <collision><geometry><mesh filename="package://thing/meshes/part.stl"/></geometry></collision>
+  </link>
+  <joint name="turn" type="revolute"><parent link="base"/><child link="arm"/>
+    <axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+</robot>
+"""
+
+
+def test_a_urdf_takes_its_meshes_along(tmp_path):
+    meshes = tmp_path / "thing" / "meshes"
+    meshes.mkdir(parents=True)
+    shutil.copy(STL, meshes / "part.stl")
+    bundle = write_bundle(write(tmp_path / "thing" / "updated_model.urdf", URDF), tmp_path)
+    shutil.rmtree(tmp_path / "thing")
+    assert moved(bundle, tmp_path).nmesh >= 1
+
+
+def test_a_model_that_attaches_others_is_refused_and_leaves_nothing(tmp_path):
+    (tmp_path / "other.xml").write_text("<mujoco><worldbody><body name='b'/></worldbody></mujoco>")
+    text = "<mujoco><asset><model name='o' file='other.xml'/></asset><worldbody/></mujoco>"
+    model = write(tmp_path / "updated_model.xml", text)
+    with pytest.raises(ExportError, match="attaches other model files"):
+        write_bundle(model, tmp_path)
+    assert not list(tmp_path.glob("*bundle*"))

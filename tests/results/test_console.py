@@ -1,0 +1,370 @@
+"""What is printed: the specified block first, no number without its error; and every limit."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_sysid.dynamics.spatial import PARAMETER_NAMES, characteristic_length, parameter_scale
+from robot_sysid.records import SubtreeBody
+from robot_sysid.records.figures import percent
+from robot_sysid.results.console import (
+    COLOURED,
+    SURE,
+    WORSE,
+    block_lines,
+    folder_text,
+    limitations,
+    more_lines,
+    result_lines,
+)
+from robot_sysid.results.record import Figure, JointEstimate, PriorConflict, Verdict
+from tests.support.results import (
+    NAMES,
+    THETA,
+    VALUES,
+    body,
+    estimate,
+    found,
+    itself,
+    model_file,
+    payload,
+    validation_of,
+    whole,
+    with_value,
+    without_mass,
+)
+
+
+def line(lines, start):
+    (match,) = [text for text in lines if text.startswith(start)]
+    return match
+
+
+def test_the_readmes_block_line_by_line():
+    assert block_lines(found()) == [
+        "Identified parameters:",
+        "  Mass: 2.000 kg",
+        "  CoM moment: [0.000, 0.020, 0.200] kg·m",
+        "  Inertia: [0.030, 0.000, 0.000, 0.032, -0.002, 0.005] kg·m²",
+        "  Coulomb friction: 0.40 N·m",
+        "  Viscous friction: 0.10 N·m·s/rad",
+        "  RMSE: 0.0300 N·m",
+        "  Condition number: 50.0",
+        "  Base parameters: 12",
+    ]
+
+
+def test_the_numbers_of_a_gripper_jaw_are_not_all_zero():
+    jaw = estimate(values=VALUES * np.array([6e-3] * 10 + [1e-3] * 4))
+    lines = block_lines(found(jaw))
+    assert lines[1:5] == [
+        "  Mass: 0.012 kg",
+        "  CoM moment: [0.0000, 0.0001, 0.0012] kg·m",
+        "  Inertia: [0.00018, 0.00000, 0.00000, 0.00019, -0.00001, 0.00003] kg·m²",
+        "  Coulomb friction: 0.0004 N·m",
+    ]
+
+
+def test_rounding_beside_the_bodys_size_is_zero():
+    centred = VALUES.copy()
+    centred[1:4] = [4e-17, -2e-17, 9e-18]
+    lines = block_lines(found(estimate(values=centred)))
+    assert lines[2] == "  CoM moment: [0.000, 0.000, 0.000] kg·m"
+
+
+def test_what_stands_under_it_of_measured_data():
+    lines = more_lines(found(validation=(validation_of(0.05),)))
+    assert lines[0] == "Before -> after, ± one standard error of all causes (noise, links):"
+    assert lines[1].split() == ["model", "identified", "±", "unit", "change"]
+    assert line(lines, "  mass").split()[1:5] == ["1.0000", "2.0000", "0.0020", "kg"]
+    assert line(lines, "  CoM moment x").split()[3:] == ["0", "0", "0.000010", "kg·m", "none"]
+    end = lines[lines.index("Error of the mass by cause, kg: links 0.0016, noise 0.0012") + 1 :]
+    assert end == [
+        "Friction of the joints (coulomb-viscous), model -> identified ± error:",
+        "  j5: coulomb 0.3 -> 0.50000 ± 0.00050 N·m, viscous 0.1 -> 0.20000 ± 0.00020 N·m·s/rad",
+        "  j6: coulomb 0.2 -> 0.40000 ± 0.00040 N·m, viscous 0 -> 0.10000 ± 0.00010 N·m·s/rad",
+        "Validation on other.csv: 0.0500 N·m (2 %)",
+        f"Result: {Verdict.BETTER.value}",
+        "The mass is known to 0.1 %",
+        "  Limit: torques of other.csv are predicted 1.7 times worse than the fitted ones: "
+        "the model misses something that motion shows",
+    ]
+
+
+def test_the_models_own_simulation_has_no_errors():
+    lines = more_lines(itself())
+    assert lines[0] == "Before -> after:"
+    assert lines[-2].split()[:2] == ["viscous", "friction"]
+    assert lines[-1] == f"Result: {Verdict.OK.value}"
+    unseen = more_lines(itself(without_mass()), verbose=True)
+    assert "  Not visible in these torques, kept from the model: mass" in unseen
+    assert not any("inf" in text or "±" in text for text in unseen)
+
+
+def test_the_file_is_told_by_its_errors_before_and_after():
+    lines = more_lines(whole())
+    told = [text for text in lines if text.startswith("Torque error")]
+    assert told == [
+        "Torque error of the model on held-out data: 27 % -> 0.25 %; the fit itself reaches 0.22 %",
+        "Torque error of the model on other.csv: 30 % -> 1.2 %",
+    ]
+    assert "Left in the file as it was: rotor inertia" in lines
+    assert not any(text.startswith("Validation") for text in lines)
+
+
+@pytest.mark.parametrize(("fit", "is_told"), [(0.0027, False), (0.0028, True), (0.0022, True)])
+def test_the_fit_is_told_beside_the_file_where_it_is_another(fit, is_told):
+    lines = more_lines(whole(validation=(validation_of(0.02, "fifths", fit),)))
+    told = line(lines, "Torque error of the model on held-out data: 27 % -> 0.25 %")
+    assert ("the fit itself reaches" in told) == is_told
+
+
+def test_a_file_that_was_not_written_has_only_an_error_before():
+    lines = more_lines(whole(file=model_file(after=None, others=(), kept=())))
+    assert "Torque error of the model on held-out data: 27 %" in lines
+    assert "Validation on other.csv: 0.0300 N·m (1.2 %)" in lines
+
+
+@pytest.mark.parametrize(
+    ("result", "sentence"),
+    [
+        (found(with_value("m", 2.0, 0.12)), "The mass is known to 6 %"),
+        (found(without_mass()), "The mass is not known: these torques do not show it"),
+        (
+            found(with_value("m", 2.0, 1.0)),
+            "The mass is not known: 2.0 ± 1.0 kg does not tell it from zero",
+        ),
+        (
+            payload(body(-1.0)),
+            "The mass is not known: -1.000 ± 0.010 kg does not tell it from zero",
+        ),
+    ],
+)
+def test_the_number_has_a_verdict_of_its_own(result, sentence):
+    assert sentence in more_lines(result)
+
+
+def test_reasons_stand_under_the_verdict():
+    lines = more_lines(found(verdict=Verdict.NO_BETTER, reasons=("the units",)))
+    place = lines.index(f"Result: {Verdict.NO_BETTER.value}")
+    assert lines[place + 2] == "  Problem: the units"
+
+
+def test_every_link_on_request():
+    lines = result_lines(whole(), links=True)
+    assert lines[:9] == block_lines(whole())
+    assert lines[9].startswith("Links, before -> after, ± one standard error")
+    assert line(lines, "  link5 mass").split()[2:5] == ["1.0000", "2.0000", "0.0020"]
+    assert not any(text.startswith("  mass ") for text in lines)
+    assert line(lines, "  j5:").startswith("  j5: coulomb 0.3 -> 0.50000 ± 0.00050 N,")
+    assert "  motor that turns with j5+j6: viscous 0.0500 ± 0.0020 N·m·s/rad" in lines
+    assert result_lines(itself(), links=True) == result_lines(itself())
+
+
+def test_what_the_data_does_not_see_has_no_error_but_a_reason():
+    lines = more_lines(found(without_mass()))
+    assert line(lines, "  mass").endswith("  not seen")
+    assert not any("inf" in text for text in lines)
+    lines = more_lines(found(with_value("coulomb[j5]", 0.0, np.inf)))
+    assert line(lines, "  j5:").startswith("  j5: coulomb not visible, viscous 0.1 -> 0.2")
+
+
+def part(name, mass, welded=True):
+    return SubtreeBody(0, name, mass / 2.0 * THETA, welded)
+
+
+def test_a_link_of_several_bodies_says_what_its_mass_is_the_mass_of():
+    parts = (part("link7", 0.7), part("hand", 0.3), part("finger", 0.2, False), part("eye", 0.0))
+    told = line(more_lines(found(bodies=parts)), "The mass is that")
+    assert told == (
+        "The mass is that of link7 + hand + finger = 2 kg; link7 alone, as written in the file: "
+        "1.5 kg"
+    )
+    # The file's own terminal link weighs 1.8 kg.
+    told = line(more_lines(whole(bodies=parts)), "The mass is that")
+    assert told.endswith("= 2 kg; link7 alone, as written in the file: 1.3 kg")
+    assert not any("The mass is that" in text for text in more_lines(found(bodies=parts[:1])))
+    many = (*parts, *(part(f"pad{k}", 0.01) for k in range(6)))
+    told = line(more_lines(found(bodies=many)), "The mass is that")
+    assert "link7 + hand + finger + 6 more = 2 kg; link7 alone" in told
+
+
+def test_a_group_that_is_written_as_one_body_is_said_to_be_one():
+    """With two kilograms in all, the hand's own three cannot stand beside link7's rest."""
+    heavy = (part("link7", 0.7), part("hand", 3.0), part("finger", 0.2, False))
+    told = line(more_lines(found(bodies=heavy)), "The mass is that")
+    assert told.endswith("link7 + hand together, as written in the file: 1.8 kg")
+
+
+def test_delay_and_tilt_have_errors():
+    lines = more_lines(whole())
+    assert "Delay of torque behind position: 3.200 ± 0.02 ms" in lines
+    assert "Tilt of the base: 0.500 ± 0.05 degrees" in lines
+    assert not any("Delay" in text or "Tilt" in text for text in more_lines(found()))
+
+
+def test_a_validation_without_torque_has_no_percentage():
+    silent = replace(validation_of(0.04), relative_error=None)
+    assert "Validation on other.csv: 0.0400 N·m" in more_lines(found(validation=(silent,)))
+
+
+def test_no_friction_leaves_the_friction_lines_out():
+    bare = estimate(names=(*PARAMETER_NAMES, *(f"x{k}" for k in range(len(NAMES) - 10))))
+    assert not any("riction" in text for text in result_lines(found(bare)))
+
+
+def test_a_rollout_is_told():
+    lines = more_lines(whole())
+    assert line(lines, "Played on last fifths: root mean square position error")
+    assert line(lines, "  open loop, 0.2 s (5 windows): 0.158 -> 0.0791, 0.5 times")
+    assert "  worse than before over the longest horizon: j6 (closed loop, 1.1 times)" in lines
+    assert "    j5: 0.2 -> 0.02" in more_lines(whole(), verbose=True)
+
+
+def test_more_is_said_on_request():
+    brief, lines = more_lines(whole()), more_lines(whole(), verbose=True)
+    more = [text for text in lines if text not in brief]
+    assert "    j5: 3.00e-02 N·m, noise 0.03" in more
+    assert line(more, "  Standard errors of noise alone: m 0.0012 kg, hx 6e-06 kg·m")
+    assert "    scale[j5]: 1.0100 ± 0.0040" in more and "    zero[j6]: 0 (held)" in more
+    assert "  Held-out error of j5 by friction model, N·m: coulomb-viscous 0.03, none 0.4" in more
+    assert line(more, "  Base parameters of all links: 2 of 9 that any motion can show; 1 of them")
+    assert "    0.020 ± 0.030 = hx(link6) (not essential)" in more
+
+
+def test_a_payloads_block():
+    lines = result_lines(payload())
+    assert lines[0] == "Identified payload, in the frame of site 'flange':"
+    table = [re.split(r"  +", text.strip()) for text in lines[1:11]]
+    assert table[0] == ["identified", "±", "unit"]
+    assert table[1] == ["mass", "1.200", "0.010", "kg"]
+    assert table[2][:2] == ["centre of mass x", "0.03000"] and table[2][3] == "m"
+    assert table[5][:2] == ["inertia xx about it", "0.00600"] and table[5][3] == "kg·m²"
+    assert lines[12] == "Error of the mass by cause, kg: torque scale 0.008, noise 0.006"
+    assert line(lines, "Terminal link without it: 0.800 ± 0.010 kg, centre of mass [0.03, -0.02")
+    assert line(lines, "Terminal link with it: 2.000 ± 0.010 kg")
+    assert "  b.csv (loaded): 1.190 ± 0.010 kg" in lines
+    assert "The mass is known to 0.83 %" in lines
+
+
+def test_an_inertia_that_is_not_seen_is_not_told_as_if_it_were():
+    told = "\n".join(result_lines(payload(body(shown=False))))
+    assert "Inertia: not seen" in told and "about it" not in told
+
+
+def test_a_mass_that_cannot_be_is_told_alone():
+    told = "\n".join(block_lines(payload(body(-1.0), verdict=Verdict.SWAPPED)))
+    assert "-1.000  0.010  kg" in told and "centre of mass" not in told
+
+
+def test_torque_scales_have_intervals():
+    scales = {"joint0": Figure(1.02, 0.01)}
+    lines = more_lines(payload(known_mass=2.0, torque_scale=scales))
+    assert line(lines, "Torque scales by the known mass of 2 kg")
+    assert "  joint0: 1.0200 [1.0004, 1.0396]" in lines
+
+
+@pytest.mark.parametrize(
+    ("folder", "text"),
+    [("out", "./out/"), ("./out", "./out/"), ("../out", "../out/"), ("/a/b", "/a/b/"), (".", "./")],
+)
+def test_a_folder_reads_like_a_folder(folder, text):
+    assert folder_text(Path(folder)) == text
+
+
+def only(result):
+    (sentence,) = limitations(result)
+    return sentence
+
+
+def test_a_result_without_fault_has_no_limits():
+    assert limitations(found(validation=(validation_of(0.03),))) == ()
+    assert limitations(payload()) == ()
+
+
+def test_what_is_not_visible_is_told_once():
+    assert only(found(without_mass())) == (
+        "not visible in these torques, kept from the model: mass"
+    )
+
+
+@given(st.sampled_from(PARAMETER_NAMES), st.floats(0.01, 10.0))
+def test_a_weak_parameter_is_named_with_its_error(name, share):
+    """Errors of 0.01 to 10 times what a body of 2 kg and this size has; 10 % is the limit."""
+    values = estimate().values
+    scale = parameter_scale(2.0, characteristic_length(values[:10]))
+    k = PARAMETER_NAMES.index(name)
+    said = limitations(found(with_value(name, values[k], share * scale[k])))
+    assert bool(said) == (share > 0.1)
+    assert not said or f"{name} (± {percent(share)})" in said[0]
+
+
+def test_of_a_payload_it_is_its_own_numbers_that_count():
+    weak = replace(body(), covariance=np.diag([0.6**2] + [1e-6] * 3 + [1e-8] * 6))
+    assert "m (± 50 %)" in only(payload(weak))
+
+
+def test_a_prior_that_outweighs_the_data_is_told():
+    share = np.ones(len(NAMES))
+    share[[4, 9]] = 0.3, 0.49
+    assert "more model than data in Ixx, Izz" in only(found(estimate(data_share=share)))
+
+
+def test_links_that_do_not_fit_are_named():
+    asked = PriorConflict("links", ("elbow", "wrist"), 2.5, 1.0)
+    said = only(found(conflicts=(asked,)))
+    assert "other links do not fit this arm (most: elbow, wrist)" in said and "allow for" in said
+    said = only(found(conflicts=(replace(asked, scale=2.5),)))
+    assert "2.5 times as far off as was allowed" in said
+    assert "clock" in only(found(conflicts=(replace(asked, cause="clock"),)))
+
+
+def test_a_torque_before_its_motion_is_told_where_it_is_sure():
+    sensors = {"delay": Figure(-0.003, 0.001)}
+    assert "come 3 ms before the motion" in only(found(delay=-0.003, sensors=sensors))
+    assert limitations(found(delay=-0.0019, sensors=sensors)) == ()
+    assert limitations(found(delay=0.003, sensors=sensors)) == ()
+
+
+@given(st.sampled_from(["coulomb", "viscous"]), st.floats(-1.0, 1.0), st.floats(0.01, 1.0))
+def test_friction_that_drives_is_told_where_it_is_sure(term, value, error):
+    said = limitations(found(with_value(f"{term}[j5]", value, error)))
+    assert bool(said) == (value < -SURE * error)
+    assert not said or f"{term} {value:.2g} of j5" in said[0]
+
+
+def test_a_square_root_term_may_bend_either_way():
+    terms = {"viscous": Figure(-1.0, 0.01), "sqrt": Figure(-1.0, 0.01), "x_speed": Figure(-1, 0.1)}
+    joint = JointEstimate("coulomb-viscous-sqrt", terms)
+    assert limitations(found(joints={"j5": joint})) == ()
+
+
+@given(st.floats(0.01, 1.0))
+def test_slow_residuals_are_told(share):
+    result = estimate(effective_samples={"j5": 200.0 * share, "j6": 200.0})
+    said = limitations(found(result))
+    assert bool(said) == (result.independent_share["j5"] < COLOURED)
+    assert not said or "residuals of j5 are correlated in time" in said[0]
+
+
+@given(st.floats(0.5, 5.0))
+def test_a_prediction_worse_than_the_fit_is_told(factor):
+    said = limitations(found(validation=(validation_of(0.03), validation_of(0.03 * factor))))
+    assert bool(said) == (0.03 * factor > WORSE * 0.03)
+    assert not said or f"torques of other.csv are predicted {factor:.1f} times worse" in said[0]
+
+
+def test_a_result_moved_to_a_possible_body_is_told():
+    assert "was no possible rigid body" in only(found(estimate(constrained=True)))
+
+
+@pytest.mark.parametrize("seen", [estimate(), without_mass()])
+def test_the_models_own_simulation_has_none(seen):
+    assert limitations(itself(seen)) == ()

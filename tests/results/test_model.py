@@ -1,0 +1,593 @@
+"""What was identified in the user's model: it is there, and nothing else has changed."""
+
+from __future__ import annotations
+
+import difflib
+from contextlib import contextmanager
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.errors import ExportError
+from robot_sysid.mjcf.write_back import ActuatorChange, JointChange
+from robot_sysid.model.compilation import compile_model
+from robot_sysid.model.flange import find_flange
+from robot_sysid.model.inertia import body_theta, composite_theta, subtree_bodies
+from robot_sysid.parser import load_robot_model
+from robot_sysid.records import (
+    DataOrigin,
+    Estimate,
+    Identifiability,
+    InertialParameters,
+    Motion,
+    Source,
+    Validation,
+)
+from robot_sysid.records.atomic_files import whole_files
+from robot_sysid.results import model as model_module
+from robot_sysid.results.model import ModelTarget, moment_tolerance, write_joints, write_model
+from robot_sysid.results.record import (
+    LINK,
+    PAYLOAD,
+    BodyEstimate,
+    Figure,
+    ModelFile,
+    Payload,
+    Result,
+    Verdict,
+)
+from robot_sysid.simulator import ArmTorque
+from tests.support import arms
+from tests.support.model_files import (
+    ARM,
+    INERTIAL,
+    random_theta,
+    urdf_inertial,
+    urdf_joint,
+    urdf_link,
+    urdf_robot,
+    write_files,
+)
+from tests.support.releases import since
+
+MJCF = ARM.replace(
+    '<body name="tool" pos="0 0 0.1" euler="10 20 30">',
+    '<body name="tool" pos="0 0 0.1" euler="10 20 30"><site name="flange" pos="0 0.02 0.05" '
+    'quat="1 0.2 0.3 -0.4"/>',
+)
+URDF = urdf_robot(
+    urdf_link("base"),
+    urdf_link("l1", urdf_inertial()),
+    urdf_link("l2", "\n" + urdf_inertial(2.0, "0.1 0.2 0.3")),
+    urdf_link("tool", urdf_inertial(0.2)),
+    urdf_link("flange"),
+    urdf_joint("base", "l1"),
+    urdf_joint("l1", "l2"),
+    urdf_joint("l2", "tool", "fixed"),
+    urdf_joint("tool", "flange", "fixed"),
+)
+JOINTS = {"xml": "j2", "urdf": "l1_l2"}
+SUFFIXES = pytest.mark.parametrize("suffix", list(JOINTS))
+TERMS = {"armature": "armature", "viscous": "damping", "coulomb": "frictionloss"}
+TURNED = np.array([1.1, -0.7, -9.6])
+
+
+@pytest.fixture(scope="module")
+def robots(tmp_path_factory):
+    """Suffix to the arm in a file of that kind."""
+    folder = tmp_path_factory.mktemp("arm")
+    write_files(folder, {"arm.xml": MJCF, "arm.urdf": URDF})
+    return {
+        suffix: load_robot_model(folder / f"arm.{suffix}", joint=joint)
+        for suffix, joint in JOINTS.items()
+    }
+
+
+def checkpoints(robot, seed=0):
+    q, qd, qdd = arms.random_motion(np.random.default_rng(seed), robot.n_joints, 5)
+    return Motion(np.arange(5.0), 0.3 * q, qd, qdd)
+
+
+@contextmanager
+def target_of(robot, folder=None):
+    """Where a model goes to; the file is there when the block ends."""
+    path = (folder or robot.path.parent / "out") / f"updated{robot.path.suffix}"
+    with whole_files() as files:
+        yield ModelTarget(files, path, checkpoints(robot), 1.23e-4)
+
+
+def own_thetas(robot):
+    return np.array([link.theta for link in robot.links])
+
+
+def body_estimate(theta, errors=None):
+    errors = np.full(10, 1e-4) if errors is None else errors
+    inertial, covariance = InertialParameters(theta), np.diag(np.square(errors))
+    return BodyEstimate("b", inertial, covariance, np.ones(10, bool), 0.5 * errors)
+
+
+def file_of(robot, thetas=None, joints=None, gravity=None):
+    """What a written model should hold."""
+    thetas = own_thetas(robot) if thetas is None else thetas
+    said = Validation("a log", 10, 0.1, 0.2, {}, {})
+    return ModelFile(thetas, np.full(thetas.shape, np.inf), joints or {}, gravity, said, None)
+
+
+def payload_of(robot, theta, place=None, link=None):
+    """A payload of these parameters in the flange frame."""
+    flange = find_flange(robot, place)
+    link = robot.prior.theta if link is None else link
+    total = body_estimate(link + flange.from_flange(theta))
+    names = {"empty": ("a",), "loaded": ("b", "c")}
+    return Payload(flange, body_estimate(theta), body_estimate(link), total, names)
+
+
+def result_of(robot, theta=None, file=None, payload=None, **changes):
+    """A result that found theta of the terminal link."""
+    theta = robot.prior.theta if theta is None else theta
+    seen = Identifiability(10, 10, 5.0, 2.0, (True,) * 10, ())
+    estimate = Estimate(PARAMETER_NAMES, theta, seen, 1e-4, {})
+    fields = {
+        "question": LINK if payload is None else PAYLOAD,
+        "model_path": robot.path,
+        "model_sha256": robot.sha256,
+        "joint_name": robot.terminal_joint,
+        "body_name": robot.body_name,
+        "joint_names": robot.joint_names,
+        "prior": robot.prior,
+        "estimate": estimate,
+        "verdict": Verdict.OK,
+        "torques": "chain",
+        "data": DataOrigin(Source.ITSELF if file is None else Source.LOG, "", 10.0, 100.0),
+        "versions": {},
+        "file": file,
+        "payload": payload,
+    }
+    return Result(**{**fields, **changes})
+
+
+def written(robot, result, folder=None, **options):
+    """The compiled model that was written, and the notes."""
+    with target_of(robot, folder) as target:
+        notes = write_model(result, robot, target, **options)
+    return compile_model(target.path).mj_model, notes
+
+
+def text_of(robot, result, **options):
+    written(robot, result, **options)
+    return (robot.path.parent / "out" / f"updated{robot.path.suffix}").read_text()
+
+
+def some_payload(rng):
+    return random_theta(rng, 10.0 ** rng.uniform(-2.0, 1.0))
+
+
+def whole(mj_model, robot):
+    """The terminal link with all that hangs on it, as a model has it."""
+    terminal = mj_model.body(robot.body_name).id
+    return composite_theta(mj_model, robot.reference_qpos, terminal)
+
+
+def assert_same_theta(found, expected, rtol=1e-11):
+    scale = spatial.parameter_scale(expected[0], spatial.characteristic_length(expected))
+    assert np.max(np.abs(found - expected) / scale) < rtol
+
+
+@SUFFIXES
+def test_without_a_file_the_terminal_link_alone_is_written(robots, suffix):
+    robot = robots[suffix]
+    theta = robot.prior.theta + random_theta(np.random.default_rng(1), 0.5)
+    found, notes = written(robot, result_of(robot, theta))
+    assert notes == ()
+    assert_same_theta(whole(found, robot), theta)
+    before = robot.mj_model.body_mass.copy()
+    before[robot.body_id] = found.body_mass[robot.body_id]
+    np.testing.assert_array_equal(found.body_mass, before)
+    np.testing.assert_array_equal(found.opt.gravity, robot.mj_model.opt.gravity)
+
+
+@SUFFIXES
+@pytest.mark.parametrize("seed", range(2))
+def test_a_payload_is_merged_into_the_terminal_link(robots, suffix, seed):
+    robot, theta = robots[suffix], some_payload(np.random.default_rng(seed))
+    payload = payload_of(robot, theta)
+    found, notes = written(robot, result_of(robot, payload=payload))
+    assert notes == ()
+    assert_same_theta(whole(found, robot), payload.total.inertial.theta)
+    assert f"with a payload of {theta[0]:.4g} kg in it" in text_of(
+        robot, result_of(robot, payload=payload)
+    )
+
+
+@SUFFIXES
+@pytest.mark.parametrize("seed", range(2))
+def test_a_payload_becomes_a_body_of_its_own(robots, suffix, seed):
+    robot, theta = robots[suffix], some_payload(np.random.default_rng(seed))
+    payload = payload_of(robot, theta)
+    found, notes = written(robot, result_of(robot, payload=payload), as_body="load & co")
+    assert notes == ()
+    new = found.body("load & co")
+    assert_same_theta(body_theta(found, new.id), theta)
+    assert found.body(int(new.parentid[0])).name == ("tool" if suffix == "xml" else "flange")
+    assert_same_theta(whole(found, robot), payload.total.inertial.theta)
+    # Everything else is as it was: the terminal link alone weighs what the model says.
+    terminal = found.body(robot.body_name).id
+    assert_same_theta(body_theta(found, terminal), body_theta(robot.mj_model, robot.body_id))
+
+
+@SUFFIXES
+@pytest.mark.parametrize("name", [None, "load"])
+@pytest.mark.parametrize("with_file", [False, True])
+def test_a_payload_goes_onto_the_links_of_the_file_or_model(robots, suffix, name, with_file):
+    robot, rng = robots[suffix], np.random.default_rng(3)
+    link = robot.prior.theta + random_theta(rng, 0.4)
+    payload = payload_of(robot, some_payload(rng), link=link)
+    file, thetas = None, own_thetas(robot)
+    if with_file:  # what it says of the terminal link counts, not what the payload does
+        thetas[0] += random_theta(rng, 0.3)
+        thetas[-1] = link = link + random_theta(rng, 0.1)
+        joints = {joint: {"coulomb": Figure(0.25, 0.01)} for joint in robot.joint_names}
+        file = file_of(robot, thetas, joints, TURNED)
+    result = result_of(robot, file=file, payload=payload)
+    found, notes = written(robot, result, as_body=name)
+    beneath = link if with_file else robot.prior.theta  # without a file the model's own stays
+    expected = beneath + payload.flange.from_flange(payload.body.inertial.theta)
+    assert_same_theta(whole(found, robot), expected)
+    if name is not None and with_file:
+        assert "without the payload" in text_of(robot, result, as_body=name)
+    if with_file:
+        np.testing.assert_array_equal(found.opt.gravity, TURNED)
+        np.testing.assert_array_equal(found.dof_frictionloss[robot.dof_index], 0.25)
+        path = robot.path.parent / "out" / f"updated.{suffix}"
+        again = load_robot_model(path, joint=JOINTS[suffix])
+        assert_same_theta(again.links[0].theta, thetas[0])
+        assert (len(notes) == 1) == (suffix == "urdf")
+
+
+def test_only_lines_are_added_for_a_body_of_its_own(robots):
+    robot = robots["xml"]
+    payload = payload_of(robot, some_payload(np.random.default_rng(0)))
+    folder = robot.path.parent
+    with target_of(robot, folder) as target:
+        write_model(result_of(robot, payload=payload), robot, target, "load")
+    difference = list(difflib.ndiff(MJCF.splitlines(), target.path.read_text().splitlines()))
+    assert [line for line in difference if line.startswith(("- ", "? "))] == []
+    comment, opened, inertial, closed = [line[2:] for line in difference if line[:2] == "+ "]
+    indent = " " * 12
+    assert comment.startswith(f"{indent}<!-- System ID: body 'load' identified with RMSE 0.000123")
+    assert "at site 'flange' -->" in comment
+    assert opened.startswith(f'{indent}<body name="load" pos="0.0 0.02 0.05" quat="0.88')
+    assert inertial.startswith(f"{indent}  <inertial pos=") and closed == f"{indent}</body>"
+    target.path.unlink()
+
+
+def test_the_flanges_place_is_written_without_rounding_dust(robots):
+    robot = robots["xml"]
+    payload = payload_of(robot, some_payload(np.random.default_rng(0)), "0.1,0.2,0.3,90,0,0")
+    text = text_of(robot, result_of(robot, payload=payload), as_body="x")
+    assert '<body name="x" pos="0.1 0.2 0.3" quat="0.70710678' in text
+
+
+@SUFFIXES
+@pytest.mark.parametrize("name", ["tool", "world", "", " "])
+def test_a_name_that_is_taken_is_refused_and_leaves_nothing(robots, suffix, name):
+    robot = robots[suffix]
+    folder = robot.path.parent / "refused"
+    result = result_of(robot, payload=payload_of(robot, some_payload(np.random.default_rng(0))))
+    with pytest.raises(ExportError, match="cannot be called") as error:
+        written(robot, result, folder, as_body=name)
+    assert "tool" in str(error.value) and not folder.exists()
+
+
+def test_a_joint_name_of_a_urdf_that_is_taken_is_refused(tmp_path):
+    text = URDF.replace("l2_tool", "load_joint")
+    robot = load_robot_model(write_files(tmp_path, {"arm.urdf": text}), joint="l1_l2")
+    result = result_of(robot, payload=payload_of(robot, some_payload(np.random.default_rng(0))))
+    with pytest.raises(ExportError, match="called 'load'"):
+        written(robot, result, as_body="load")
+
+
+def test_an_impossible_payload_is_refused(robots):
+    robot = robots["xml"]
+    theta = spatial.theta_from_com(1.0, np.zeros(3), np.diag([1.0, 1.0, 3.0]))
+    with pytest.raises(ExportError, match="'load' are not a possible rigid body"):
+        written(robot, result_of(robot, payload=payload_of(robot, theta)), as_body="load")
+
+
+def test_a_compiler_that_would_fuse_the_body_is_refused_by_name(tmp_path):
+    text = arms.THREE.replace("<compiler ", '<compiler fusestatic="true" ')
+    robot = load_robot_model(write_files(tmp_path, {"arm.xml": text}))
+    result = result_of(robot, payload=payload_of(robot, some_payload(np.random.default_rng(0))))
+    with pytest.raises(ExportError, match="compiler setting fusestatic"):
+        written(robot, result, as_body="load")
+
+
+def test_a_body_that_comes_with_something_else_is_refused(robots, monkeypatch):
+    robot, text = robots["xml"], model_module.changed_model_text
+
+    def with_a_site(source, change, *rest):
+        new = text(source, change, *rest)
+        return new.replace(b"<inertial", b"<site/><inertial") if change.welded else new
+
+    monkeypatch.setattr(model_module, "changed_model_text", with_a_site)
+    result = result_of(robot, payload=payload_of(robot, some_payload(np.random.default_rng(0))))
+    with pytest.raises(ExportError, match="new body 'load' changes nsite"):
+        written(robot, result, as_body="load")
+
+
+INCLUDING = {
+    "scene.xml": '<mujoco><include file="parts/arm.xml"/><worldbody/></mujoco>',
+    "parts/arm.xml": '<mujoco><worldbody><include file="link.xml"/></worldbody></mujoco>',
+    "parts/link.xml": f"<all><body name='a'><joint name='one'/>{INERTIAL}<body name='b'>"
+    f"<joint axis='0 1 0'/>{INERTIAL}<body pos='0 0 .1'/></body></body></all>",
+}
+
+
+@since(3, 1, 6)
+def test_a_nameless_empty_body_in_an_include_can_carry_it(tmp_path):
+    robot = load_robot_model(write_files(tmp_path, INCLUDING))
+    before = (tmp_path / "parts/link.xml").read_bytes()
+    payload = payload_of(robot, some_payload(np.random.default_rng(0)), "#3")
+    found, _ = written(robot, result_of(robot, payload=payload), as_body="load")
+    assert found.body("load").parentid[0] == 3
+    assert (tmp_path / "parts/link.xml").read_bytes() == before
+
+
+def new_links(robot, rng):
+    """Every link as the model has it, with something bolted to it."""
+    return np.array(
+        [
+            link.theta + random_theta(rng, 0.5) if link.has_mass else link.theta
+            for link in robot.links
+        ]
+    )
+
+
+def new_joints(robot, rng, terms=tuple(TERMS)):
+    return {
+        joint: {term: Figure(value, 0.01) for term, value in zip(terms, rng.uniform(0.1, 2.0, 3))}
+        for joint in robot.joint_names
+    }
+
+
+@pytest.mark.parametrize("name", sorted(set(arms.MODELS) - {"no gravity"}))
+def test_all_links_joints_and_gravity_are_written(tmp_path, name):
+    rng = np.random.default_rng(7)
+    robot = load_robot_model(write_files(tmp_path, {"arm.xml": arms.MODELS[name]}))
+    thetas, joints = new_links(robot, rng), new_joints(robot, rng)
+    text = text_of(robot, result_of(robot, file=file_of(robot, thetas, joints, TURNED)))
+    again = load_robot_model(tmp_path / "out" / "updated.xml")
+    for before, after in zip(thetas, again.links):
+        if np.any(before):
+            assert_same_theta(after.theta, before)
+    for term, field in TERMS.items():
+        expected = [joints[joint][term].value for joint in robot.joint_names]
+        np.testing.assert_array_equal(
+            getattr(again.mj_model, f"dof_{field}")[robot.dof_index], expected
+        )
+    np.testing.assert_array_equal(again.mj_model.opt.gravity, TURNED)
+    assert "System ID: gravity identified with" in text
+    if all(name[0] != "#" for name in robot.joint_names):
+        assert text.count("System ID: body") == sum(link.has_mass for link in robot.links)
+        last = joints[robot.terminal_joint]["coulomb"].value
+        assert f"frictionloss {last:.4g} ± 0.01 of joint '{robot.terminal_joint}'" in text
+
+
+def test_gravity_does_nothing_where_the_file_switches_it_off(tmp_path):
+    robot = load_robot_model(write_files(tmp_path, {"arm.xml": arms.NO_GRAVITY}))
+    with pytest.raises(ExportError, match="switches gravity off"):
+        written(robot, result_of(robot, file=file_of(robot, gravity=TURNED)))
+
+
+def test_links_that_are_the_models_own_are_left_alone_and_their_joints_told_of_with_the_last(
+    tmp_path,
+):
+    robot = load_robot_model(write_files(tmp_path, {"arm.xml": arms.THREE}))
+    rng, thetas = np.random.default_rng(2), own_thetas(robot)
+    thetas[-1] += random_theta(rng, 0.2)
+    joints = {name: {"coulomb": Figure(0.3, np.nan)} for name in robot.joint_names}
+    text = text_of(robot, result_of(robot, file=file_of(robot, thetas, joints)))
+    assert text.count("System ID") == 1
+    parts = (f"frictionloss 0.3 of joint '{name}'" for name in robot.joint_names)
+    assert f"; {'; '.join(parts)} -->" in text
+    assert text.count(arms.LINK) == arms.THREE.count(arms.LINK) == 2
+
+
+def test_a_urdf_gets_friction_and_gravity_but_says_what_it_cannot_hold(robots):
+    robot, rng = robots["urdf"], np.random.default_rng(7)
+    thetas, joints = new_links(robot, rng), new_joints(robot, rng)
+    joints["l1_l2"]["offset"] = Figure(0.1, 0.01)
+    result = result_of(robot, file=file_of(robot, thetas, joints, TURNED))
+    found, notes = written(robot, result)
+    assert len(notes) == 2 and "a URDF cannot hold rotor inertia or offsets" in notes[0]
+    assert "other readers ignore" in notes[1]
+    again = load_robot_model(robot.path.parent / "out" / "updated.urdf", joint="l1_l2")
+    values = {term: [joints[j][term].value for j in robot.joint_names] for term in TERMS}
+    np.testing.assert_array_equal(again.friction.viscous, values["viscous"])
+    np.testing.assert_array_equal(again.friction.coulomb, values["coulomb"])
+    np.testing.assert_array_equal(found.opt.gravity, TURNED)
+    assert "armature" not in again.path.read_text()
+    for before, after in zip(thetas, again.links):
+        assert_same_theta(after.theta, before)
+
+
+def test_a_joint_that_is_not_named_keeps_its_numbers(tmp_path):
+    robot = load_robot_model(write_files(tmp_path, {"arm.xml": arms.DRY_FRICTION}))
+    joints = {"joint1": {"viscous": Figure(0.25, 0.01)}}
+    found, _ = written(robot, result_of(robot, file=file_of(robot, joints=joints)))
+    np.testing.assert_array_equal(found.dof_damping, [2.0, 0.25, 2.0])
+    np.testing.assert_array_equal(found.dof_frictionloss, [1.5, 1.5, 1.5])
+
+
+@since(3, 7)
+def test_nonlinear_damping_stands_behind_the_linear_one(tmp_path):
+    robot = load_robot_model(write_files(tmp_path, {"arm.xml": arms.DRY_FRICTION}))
+    joints = {
+        "joint0": {"quadratic": Figure(0.3, 0.1), "cubic": Figure(0.2, 0.1)},
+        "joint1": {"viscous": Figure(0.25, 0.01), "cubic": Figure(0.1, 0.1)},
+    }
+    found, _ = written(robot, result_of(robot, file=file_of(robot, joints=joints)))
+    np.testing.assert_array_equal(found.dof_damping, [2.0, 0.25, 2.0])
+    np.testing.assert_array_equal(found.dof_dampingpoly, [[0.3, 0.2], [0.0, 0.1], [0.0, 0.0]])
+
+
+@pytest.mark.parametrize("name", sorted(arms.MODELS))
+def test_an_offset_is_a_torque_that_motion_takes_both_ways(tmp_path, name):
+    robot = load_robot_model(write_files(tmp_path, {"arm.xml": arms.MODELS[name]}))
+    own = robot.mj_model.jnt_stiffness[robot.mj_model.dof_jntid[robot.dof_index]]
+    offsets = np.where(own == 0.0, np.linspace(-0.4, 0.5, robot.n_joints), np.nan)
+    joints = {
+        joint: {"offset": Figure(float(offset), 0.01)}
+        for joint, offset in zip(robot.joint_names, offsets)
+        if np.isfinite(offset)
+    }
+    with target_of(robot) as target:
+        write_model(result_of(robot, file=file_of(robot, joints=joints)), robot, target)
+    motion = checkpoints(robot, seed=4)
+    before, after = (ArmTorque(each)(motion) for each in (robot, load_robot_model(target.path)))
+    np.testing.assert_allclose(after - before, np.tile(np.nan_to_num(offsets), (5, 1)), atol=5e-3)
+
+
+def test_a_joint_of_another_name_than_in_the_file_is_refused(robots):
+    robot = robots["xml"]
+    joints = {"j9": {"viscous": Figure(0.25, 0.01)}}
+    with pytest.raises(ExportError, match="joint 'j9' is not written out"):
+        written(robot, result_of(robot, file=file_of(robot, joints=joints)))
+
+
+def test_a_link_is_not_written_where_a_later_joint_moves_its_body(tmp_path):
+    robot = load_robot_model(write_files(tmp_path, {"arm.xml": arms.SHARED_BODIES}))
+    thetas = new_links(robot, np.random.default_rng(0))
+    thetas[0] = thetas[2]
+    with pytest.raises(ExportError, match="joint yaw moves no link of its own"):
+        written(robot, result_of(robot, file=file_of(robot, thetas)))
+
+
+RIGHT_ANGLES = [
+    f"0,0,0.1,{r},{p},{y}" for r in (0, 90) for p in (90, -90, 89.99979) for y in (0, 7)
+]
+
+
+@pytest.mark.parametrize("place", RIGHT_ANGLES)
+def test_a_urdf_can_hold_a_flange_at_a_right_angle(robots, place):
+    """Where roll and yaw turn about one axis, or nearly so."""
+    robot = robots["urdf"]
+    payload = payload_of(robot, some_payload(np.random.default_rng(0)), place)
+    written(robot, result_of(robot, payload=payload), as_body="load")
+
+
+def test_a_springdamper_is_stronger_than_a_damping_and_says_so(tmp_path):
+    text = arms.THREE.replace('<joint name="joint1"', '<joint name="joint1" springdamper=".1 1"')
+    robot = load_robot_model(write_files(tmp_path, {"arm.xml": text}))
+    joints = {"joint1": {"viscous": Figure(0.25, 0.01)}}
+    with pytest.raises(ExportError, match="springdamper"):
+        written(robot, result_of(robot, file=file_of(robot, joints=joints)))
+
+
+def test_a_result_that_the_file_does_not_reproduce_is_withdrawn(robots, monkeypatch):
+    robot, rng = robots["xml"], np.random.default_rng(0)
+    folder = robot.path.parent / "withdrawn"
+    monkeypatch.setattr(model_module, "changed_model_text", lambda *_: MJCF.encode())
+    for result, options in (
+        (result_of(robot, 2.0 * robot.prior.theta), {}),
+        (result_of(robot, file=file_of(robot, new_links(robot, rng))), {}),
+        (result_of(robot, file=file_of(robot, gravity=TURNED)), {}),
+        (result_of(robot, payload=payload_of(robot, some_payload(rng))), {"as_body": "load"}),
+    ):
+        with pytest.raises(ExportError):
+            written(robot, result, folder, **options)
+        assert not folder.exists()
+
+
+def lopsided(text):
+    """The model with a gripper that says more of its fingers than there is."""
+    return text.replace('mass=".03"', 'mass=".6"')
+
+
+@pytest.mark.parametrize("also_welded", [False, True])
+def test_fingers_that_leave_no_possible_gripper_are_made_lighter(tmp_path, also_welded):
+    cover = '<body name="cover"><geom size=".02" mass=".3"/></body>' if also_welded else ""
+    text = lopsided(arms.serial_arm(("0 0 1", "0 1 0"), tip=cover + arms.fingers()))
+    robot = load_robot_model(write_files(tmp_path, {"arm.xml": text}), joint="joint1")
+    # In truth the fingers weigh 0.1 kg each, and the gripper as much as the model says.
+    parts = {
+        part.name: part.theta
+        for part in subtree_bodies(robot.mj_model, robot.reference_qpos, robot.body_id)
+    }
+    fingers = ("left_finger", "right_finger")
+    theta = 0.3 * parts[robot.body_name] + sum(parts[name] for name in fingers) / 6.0
+    found, notes = written(robot, result_of(robot, theta))
+    assert_same_theta(whole(found, robot), theta, 1e-9)
+    shares = [found.body(name).mass[0] / 0.6 for name in fingers]
+    assert 1.0 / 6.0 < shares[0] < 1.0 and shares[0] == pytest.approx(shares[1], rel=1e-12)
+    for name in fingers:
+        of_model, there = (body_theta(m, m.body(name).id) for m in (robot.mj_model, found))
+        assert_same_theta(there, shares[0] * of_model)
+    assert "'left_finger', 'right_finger' on joints of their own" in notes[0]
+    assert f"{shares[0]:.4g} of the model's" in notes[0]
+    assert ("'cover' weigh nothing" in notes[0]) == also_welded
+    text = (tmp_path / "out" / "updated.xml").read_text()
+    assert text.count(f"mass and inertia {shares[0]:.4g} of the model's") == 2
+    # Any more of the fingers would leave an impossible gripper.
+    more = 1.001 * shares[0] * sum(parts[name] for name in fingers)
+    assert not spatial.is_consistent(theta - more)
+
+
+@since(3, 1)
+def test_servos_get_their_gains(tmp_path):
+    text = arms.THREE.replace(
+        "</mujoco>", '<actuator><position joint="joint2" kp="10"/></actuator></mujoco>'
+    )
+    robot = load_robot_model(write_files(tmp_path, {"arm.xml": text}))
+    with target_of(robot) as target:
+        joints = [JointChange("joint1", frictionloss=0.4)]
+        assert write_joints(robot, joints, [ActuatorChange(0, 12.0, 0.5)], target) == ()
+    found = compile_model(target.path).mj_model
+    assert found.actuator_gainprm[0, 0] == 12.0 and found.dof_frictionloss[1] == 0.4
+    assert found.actuator_biasprm[0, 2] == -0.5
+
+
+@pytest.mark.slow
+@given(arms.random_chain(), arms.SEEDS, st.sampled_from(["links", "merged", "own body"]))
+def test_any_arm_takes_any_links_and_any_payload(tmp_path_factory, xml, seed, what):
+    """Several joints to a body, slides, fingers, any frame: every written model is compiled,
+    compared and moved by the writing itself."""
+    rng = np.random.default_rng(seed)
+    path = write_files(tmp_path_factory.mktemp("any"), {"arm.xml": xml})
+    compiled = mujoco.MjModel.from_xml_string(xml)
+    carried = [compiled.body(body).name for body in compiled.jnt_bodyid]
+    last = max(k for k, name in enumerate(carried) if not name.endswith("finger"))
+    robot = load_robot_model(path, joint=f"#{last}")
+    place = ", ".join(str(value) for value in (*rng.uniform(-1.0, 1.0, 3), 10, 20, 30))
+    file = file_of(robot, new_links(robot, rng), new_joints(robot, rng), 9.8 * rng.normal(size=3))
+    payload = None if what == "links" else payload_of(robot, some_payload(rng), place)
+    result = result_of(robot, file=file, payload=payload)
+    written(robot, result, as_body="load" if what == "own body" else None)
+    assert (path.parent / "out" / "updated.xml").is_file()
+
+
+@given(st.floats(0.0, 1.0), arms.SEEDS)
+def test_errors_say_how_far_moments_may_be_inflated(robots, error, seed):
+    errors = np.random.default_rng(seed).uniform(2.0, 3.0, 10)
+    errors[7] = error
+    assert moment_tolerance(robots["xml"], errors).most_inflated == error
+    assert moment_tolerance(robots["xml"], np.full(10, np.inf)).most_inflated == 0.0
+
+
+def test_the_errors_of_what_is_written_count(tmp_path):
+    """A compiler's bound on moments is kept by inflating what is not known any better."""
+    text = arms.THREE.replace("<compiler ", '<compiler boundinertia="2e-4" ')
+    robot = load_robot_model(write_files(tmp_path, {"arm.xml": text}))
+    thin = spatial.theta_from_com(1.0, np.zeros(3), np.diag([1e-2, 1e-2, 1e-4]))
+    with pytest.raises(ExportError, match="boundinertia"):
+        written(robot, result_of(robot, thin))
+    estimate = replace(result_of(robot, thin).estimate, standard_errors=np.full(10, 1e-3))
+    found, notes = written(robot, result_of(robot, estimate=estimate))
+    assert "larger; that is less than their standard errors" in notes[0]
+    np.testing.assert_allclose(whole(found, robot)[[4, 9]], [1.01e-2, 2e-4], rtol=1e-9)

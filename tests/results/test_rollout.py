@@ -1,0 +1,213 @@
+"""The better model is found, what cannot be played is said; a file is judged by its own torques."""
+
+import json
+from types import SimpleNamespace
+
+import mujoco
+import numpy as np
+import pytest
+
+from robot_sysid.errors import ExportError, InputError
+from robot_sysid.parser import load_robot_model
+from robot_sysid.records import Measurement, Motion
+from robot_sysid.records.results import OPEN, RolloutError, RolloutTest
+from robot_sysid.results.rollout import (
+    compare,
+    play_held_out,
+    play_other,
+    played_or_reason,
+    refusal,
+    rollout_entry,
+    rollout_lines,
+    split_time,
+    torque_error,
+)
+from robot_sysid.signals.process import process
+from robot_sysid.simulator import ArmTorque
+from tests.simulation.rollout import test_playback
+from tests.simulation.rollout.test_playback import JOINT, SECONDS, arm, recording
+from tests.support import arms
+from tests.support.arms import X, Y, Z, serial_arm
+from tests.support.model_files import write_files
+from tests.support.releases import since
+
+TRUTH = serial_arm((Z, Y, X), joint=JOINT.format(0.2))
+
+
+def test_the_model_that_is_the_arm_wins_whichever_comes_first():
+    truth, wrong = arm(), arm(0.5)
+    pieces = [recording(truth)]
+    good, bad = (compare(*pair, pieces, "a piece") for pair in ((wrong, truth), (truth, wrong)))
+    assert good.is_better and good.refusal is None
+    assert not bad.is_better and "not better" in bad.refusal
+    assert good.score == pytest.approx(1.0 / bad.score)
+    # The piece is too short for the longest horizon.
+    assert SECONDS < 3.0 and good.notes == ("no held-out piece is as long as 3 s",)
+    assert {error.horizon for error in good.errors} == {0.1, 0.3, 1.0}
+
+
+@pytest.fixture
+def signals(monkeypatch):
+    """What the true arm does for a while, processed."""
+    monkeypatch.setattr(test_playback, "SECONDS", 12.0)
+    piece = recording(arm())
+    log = Measurement(piece.time, piece.q, None, piece.tau)
+    return process(log, arm().joint_names, 20.0)
+
+
+def writes(xml):
+    return lambda target: target.files.write(target.path, xml)
+
+
+def test_what_is_played_was_not_fitted_for_it(signals):
+    """The written file is played, on the end of the log."""
+    seen = []
+
+    def refit(masks):
+        seen.extend(masks)
+        return "found"
+
+    test = play_held_out(arm(0.5), [signals], refit, {"found": writes(TRUTH)}.get, None)
+    assert test.is_better and {error.horizon for error in test.errors} == {0.1, 0.3, 1.0}
+    (rows,), time = seen, signals.decimated_time()
+    reach = signals.low_pass.half_width / signals.rate
+    assert 0.7 < np.mean(rows) < 0.8
+    assert np.max(time[rows]) + reach < split_time(signals) - reach
+
+
+def test_another_log_is_played_whole(signals):
+    test = play_other(arm(0.5), [signals], writes(TRUTH), None)
+    assert test.is_better and test.held_out == "the validation log"
+    assert 3.0 in {error.horizon for error in test.errors}
+
+
+def test_a_model_that_cannot_be_written_is_no_proof(signals):
+    def fails(_):
+        raise ExportError("it cannot hold this")
+
+    test = play_other(arm(), [signals], fails, None)
+    assert "it cannot hold this" in test.refusal
+
+
+def test_numbers_stand_in_json_and_in_the_lines():
+    found = compare(arm(0.5), arm(), [recording(arm())], "a piece")
+    entry = json.loads(json.dumps(rollout_entry(found), allow_nan=False))
+    first = entry["errors"][0]
+    figures = first["joints"]["joint0"]
+    assert figures["ratio"] == pytest.approx(figures["after"] / figures["before"])
+    assert entry["is_better"] is True and first["diverged"] == {"before": 0, "after": 0}
+    lines = list(rollout_lines(found, verbose=True))
+    assert "a piece" in lines[0] and any("joint2" in line for line in lines)
+
+
+def test_a_joint_that_follows_less_well_is_named():
+    error = RolloutError(OPEN, 1.0, 3, np.array([1.0, 0.1]), np.array([0.1, 0.2]))
+    test = RolloutTest(("base", "wrist"), "a piece", "", (error,))
+    assert test.is_better
+    assert "wrist (open loop, 2 times)" in list(rollout_lines(test))[-1]
+
+
+@pytest.mark.parametrize("error", [InputError, ExportError])
+def test_nothing_played_is_no_proof(error):
+    def fails():
+        raise error("the log is too short")
+
+    test = played_or_reason(arm(), fails)
+    assert test.score is None and not test.is_better
+    assert "the log is too short" in refusal(test, ())
+    assert refusal(test, ("rollout",)) is None
+    assert refusal(None, ()) is None
+
+
+OFFSETS = np.array([3.0, -2.0, 0.5])
+
+
+def a_motion(joints=3, samples=40):
+    return Motion(
+        np.arange(samples), *arms.random_motion(np.random.default_rng(0), joints, samples)
+    )
+
+
+def error_on(model, robot, motion, tau, usable, source="a log"):
+    """The error on samples as they are: nothing is filtered or decimated."""
+    signals = SimpleNamespace(
+        chunks=lambda size: [(motion, tau)],
+        decimator=lambda: SimpleNamespace(push=np.asarray),
+        usable=lambda: usable,
+    )
+    return torque_error(model, robot, signals, source)
+
+
+def by_inverse_dynamics(mj_model, motion):
+    """Torque of smooth damping and links by MuJoCo itself, and Coulomb's friction."""
+    model = mujoco.MjModel.from_xml_string(mj_model) if isinstance(mj_model, str) else mj_model
+    data, tau = mujoco.MjData(model), np.empty_like(motion.q)
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+    for k in range(len(tau)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = motion.q[k], motion.qd[k], motion.qdd[k]
+        mujoco.mj_inverse(model, data)
+        tau[k] = data.qfrc_inverse
+    return tau + model.dof_frictionloss * np.sign(motion.qd)
+
+
+@pytest.mark.parametrize(
+    "name", ["three", "armature", "dry friction", "springs", "tendon spring", "tilted gravity"]
+)
+def test_a_perfect_file_is_off_by_its_sensors_offsets_alone(tmp_path, name):
+    path, motion = write_files(tmp_path, {"arm.xml": arms.MODELS[name]}), a_motion()
+    robot = load_robot_model(path)
+    tau = by_inverse_dynamics(arms.MODELS[name], motion) + OFFSETS
+    found = error_on(path, robot, motion, tau, np.ones(tau.shape, bool))
+    assert found.relative_error < 1e-12 and found.rmse < 1e-11 and found.n_samples == 40
+    assert max(found.relative_error_per_joint.values()) < 1e-10
+
+
+@since(3, 7)
+def test_nonlinear_damping_belongs_to_the_file():
+    motion = a_motion()
+    robot = arms.robot_of(arms.NONLINEAR_DAMPING)
+    tau = by_inverse_dynamics(arms.NONLINEAR_DAMPING, motion)
+    usable = np.ones(tau.shape, bool)
+    assert error_on(robot.mj_model, robot, motion, tau, usable).relative_error < 1e-12
+    linear = arms.serial_arm((arms.Z, arms.Y, arms.X), joint='range="-2 2" damping=".5"')
+    assert error_on(arms.compile_xml(linear), robot, motion, tau, usable).relative_error > 0.01
+
+
+@pytest.mark.parametrize(
+    "attribute", ['damping="2.1"', 'frictionloss="1.6"', 'armature=".01"', 'stiffness="1"']
+)
+def test_each_number_of_a_joint_counts(attribute):
+    motion, robot = a_motion(), arms.robot_of(arms.DRY_FRICTION)
+    tau = ArmTorque(robot)(motion)
+    name = attribute.split("=")[0]
+    text = arms.DRY_FRICTION
+    old = {"damping": 'damping="2"', "frictionloss": 'frictionloss="1.5"'}.get(name)
+    text = text.replace(old, attribute) if old else text.replace("<joint ", f"<joint {attribute} ")
+    found = error_on(arms.compile_xml(text), robot, motion, tau, np.ones(tau.shape, bool))
+    added = {
+        "damping": 0.1 * motion.qd,
+        "frictionloss": 0.1 * np.sign(motion.qd),
+        "armature": 0.01 * motion.qdd,
+        "stiffness": motion.q,
+    }[name]
+    errors = added - added.mean(axis=0)
+    np.testing.assert_allclose(found.rmse, np.sqrt(np.mean(errors**2)), rtol=1e-9)
+    sizes = np.linalg.norm(tau, axis=0)
+    np.testing.assert_allclose(found.relative_error, np.linalg.norm(errors) / np.linalg.norm(sizes))
+    for k, joint in enumerate(robot.joint_names):
+        error = np.linalg.norm(errors[:, k])
+        assert found.relative_error_per_joint[joint] == pytest.approx(error / sizes[k])
+        assert found.rmse_per_joint[joint] == pytest.approx(error / np.sqrt(len(errors)))
+
+
+def test_what_is_not_usable_does_not_count():
+    motion, robot = a_motion(), arms.robot_of(arms.THREE)
+    usable = np.random.default_rng(1).uniform(size=motion.q.shape) < 0.7
+    usable[:, 0] = False
+    tau = np.where(usable, ArmTorque(robot)(motion) + OFFSETS, np.nan)
+    found = error_on(robot.mj_model, robot, motion, tau, usable, "a log")
+    assert found.source == "a log" and found.relative_error < 1e-12
+    assert found.relative_error_per_joint["joint0"] is None
+    assert found.n_samples == np.max(np.count_nonzero(usable, axis=0))
+    nothing = error_on(robot.mj_model, robot, motion, tau, np.zeros_like(usable))
+    assert (nothing.relative_error, nothing.rmse, nothing.n_samples) == (None, 0.0, 0)

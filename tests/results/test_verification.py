@@ -1,0 +1,341 @@
+"""A difference that matters is found and named; what follows from the inertia is not one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.errors import ExportError
+from robot_sysid.mjcf.inertial import mjcf_inertial
+from robot_sysid.mjcf.updated_model import changed_model_text
+from robot_sysid.mjcf.write_back import (
+    BodyChange,
+    JointChange,
+    ModelChange,
+    WeldedBody,
+    WriteBack,
+    plan_write_back,
+)
+from robot_sysid.model.compilation import compile_model
+from robot_sysid.model.inertia import subtree_bodies
+from robot_sysid.parser import load_robot_model
+from robot_sysid.records import Motion
+from robot_sysid.results.verification import (
+    reads_fullinertia_exactly,
+    require_one_more_body,
+    require_reproduction,
+    require_same_model,
+    require_theta,
+    verify_written_model,
+)
+from tests.support import arms
+from tests.support.model_files import ARM, random_theta, write_files
+
+# Damping ratios came with MuJoCo 3.1.
+RATIO = "" if mujoco.__version__.startswith("3.0.") else 'dampratio="1"'
+EXTRAS = f"""<option gravity="0 0 -9.7"/><visual><global azimuth="30"/></visual>
+<tendon><fixed name="t"><joint joint="j2" coef="1"/></fixed></tendon>
+<actuator><position joint="j2" kp="10" {RATIO}/><motor tendon="t"/></actuator>
+<keyframe><key qpos="0.1 0.2 0"/></keyframe></mujoco>"""
+FULL = ARM.replace("</mujoco>", EXTRAS).replace(
+    '<joint name="j2"', '<camera mode="trackcom"/><light mode="trackcom"/><joint name="j2"'
+)
+
+
+def model(text=FULL):
+    return mujoco.MjModel.from_xml_string(text)
+
+
+def compare(before: str, after: str):
+    original = model()
+    require_same_model(original, model(FULL.replace(before, after)), {original.body("link2").id})
+
+
+def with_servo(bias):
+    """The model with an actuator whose force is affine in length and speed."""
+    servo = f'<general joint="j2" biastype="affine" gainprm="10" biasprm="{bias}"/></actuator>'
+    return model(FULL.replace("</actuator>", servo))
+
+
+@pytest.mark.parametrize("bias", ["1 -10 0", "0 -11 0"])
+def test_an_actuators_own_force_and_stiffness_may_not_change(bias):
+    require_same_model(with_servo("0 -10 0"), with_servo("0 -10 0"), set())
+    with pytest.raises(ExportError, match="differs from the original in actuator_biasprm"):
+        require_same_model(with_servo("0 -10 0"), with_servo(bias), set())
+
+
+@pytest.mark.skipif(not RATIO, reason="this MuJoCo knows no damping ratios")
+def test_a_damping_that_follows_from_the_inertia_may_change():
+    heavier = model(FULL.replace('mass="1.5"', 'mass="9.5"'))
+    damping = [m.actuator_biasprm[0, 2] for m in (model(), heavier)]
+    assert damping[1] < damping[0] < 0.0
+    require_same_model(model(), heavier, {heavier.body("link2").id})
+
+
+def test_a_model_is_the_same_as_itself():
+    require_same_model(model(), model(), set())
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ('pos="0 0 0.1" quat="0.9 0.1 0.2 0.3"', 'pos="0.3 0 0.1"'),
+        ('mass="1.5"', 'mass="2.5"'),
+        ('diaginertia="2e-3 3e-3 4e-3"/>\n          <geom', 'diaginertia="9 9 9"/>\n<geom'),
+        ('quat="0.9 0.1 0.2 0.3" mass="1.5"', 'mass="1.5"'),
+    ],
+)
+def test_the_inertia_of_the_terminal_body_may_differ_with_all_that_follows(before, after):
+    compare(before, after)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "field"),
+    [
+        ('mass="0.2"', 'mass="0.21"', "body_mass"),
+        ('mass="0.1"', 'mass="0.11"', "body_mass"),
+        ('pos="0 0 0.3"', 'pos="0 0 0.31"', "body_pos"),
+        ('name="j2" axis="1 0 0"', 'name="j2" axis="0 1 0"', "jnt_axis"),
+        ('name="j2" axis', 'name="j2" damping="1" axis', "dof_damping"),
+        ('name="tool"', 'name="tuul"', "names"),
+        ('size="0.02 0.1"', 'size="0.02 0.11"', "geom_"),
+        ('kp="10"', 'kp="11"', "actuator_"),
+        ("-9.7", "-9.8", "opt.gravity"),
+        ('azimuth="30"', 'azimuth="31"', "vis.global_.azimuth"),
+        ('qpos="0.1', 'qpos="0.2', "key_"),
+        ('<geom size="0.1"/>', '<geom size="0.1"/><site/>', "n"),
+    ],
+)
+def test_every_other_difference_is_named(before, after, field):
+    assert before in FULL
+    with pytest.raises(ExportError, match=f"differs from the original in {field}") as caught:
+        compare(before, after)
+    assert "\n" not in str(caught.value)
+
+
+THETA = random_theta(np.random.default_rng(3), 1.5)
+
+
+def compiled(theta):
+    inertial = mjcf_inertial(theta, principal=True)
+    return model(f"<mujoco><worldbody><body name='b'>{inertial}</body></worldbody></mujoco>")
+
+
+@pytest.mark.parametrize("k", range(10))
+def test_a_parameter_that_is_off_by_more_than_a_billionth_is_found(k):
+    require_theta(compiled(THETA), 1, THETA, THETA)
+    off = THETA.copy()
+    off[k] += 3e-9 * spatial.parameter_scale(THETA[0], spatial.characteristic_length(THETA))[k]
+    with pytest.raises(ExportError, match=r"body 'b' has an inertia that is off by"):
+        require_theta(compiled(THETA), 1, off, THETA)
+
+
+def test_a_small_inertia_far_from_the_origin_is_held_to_its_own_size():
+    small = spatial.theta_from_com(1.0, np.array([1.0, 0.0, 0.0]), 1e-6 * np.eye(3))
+    other = spatial.theta_from_com(1.0, np.array([1.0, 0.0, 0.0]), 1.001e-6 * np.eye(3))
+    with pytest.raises(ExportError, match="off by 1.0e-03"):
+        require_theta(compiled(other), 1, small, small)
+
+
+def test_a_file_that_does_not_load_or_was_tampered_with_is_refused(tmp_path):
+    source = write_files(tmp_path, {"m.xml": FULL})
+    original = mujoco.MjModel.from_xml_path(str(source))
+    body = original.body("link2").id
+    change = ModelChange((BodyChange("link2", body, WriteBack(THETA)),), 0.0)
+    with pytest.raises(ExportError, match="'link2' has an inertia that is off"):
+        verify_written_model(original, source, change)
+    source.write_text(FULL.replace('axis="1 0 0"', 'axis="0 0 0"'))
+    with pytest.raises(ExportError, match="the written model cannot be loaded: MuJoCo cannot"):
+        verify_written_model(original, source, change)
+
+
+def test_gravity_may_differ_only_where_it_was_written_and_only_as_written(tmp_path):
+    source = write_files(tmp_path, {"m.xml": FULL.replace("-9.7", "-9.8")})
+    original = model()
+    for asked, words in (
+        (None, "differs from the original in opt.gravity"),
+        ((0.0, 0.0, -9.8 + 1e-8), "gravity is .* instead of"),
+    ):
+        with pytest.raises(ExportError, match=words):
+            verify_written_model(original, source, ModelChange((), 0.0, gravity=asked))
+    verify_written_model(original, source, ModelChange((), 0.0, gravity=(0.0, 0.0, -9.8)))
+    with pytest.raises(ExportError, match="gravity is .* instead of"):
+        require = ModelChange((), 0.0, gravity=(1e-8, 0.0, -9.8))
+        verify_written_model(original, source, require)
+
+
+def test_whether_mujoco_finds_axes_accurately_is_measured():
+    diagonal = spatial.theta_from_com(1.0, np.zeros(3), np.diag([1.0, 2.0, 2.5]))
+    assert reads_fullinertia_exactly(diagonal)
+    text = f"<mujoco><worldbody><body>{mjcf_inertial(THETA)}</body></worldbody></mujoco>"
+    try:
+        require_theta(model(text), 1, THETA, THETA, 1e-12)
+        accurate = True
+    except ExportError:
+        accurate = False
+    assert reads_fullinertia_exactly(THETA) == accurate
+
+
+def test_a_difference_that_a_springdamper_makes_says_so():
+    with pytest.raises(ExportError, match="springdamper computes it from the inertia"):
+        compare('<joint name="j2"', '<joint damping="3" name="j2"')
+
+
+def some_motion(seed: int, joints: int) -> Motion:
+    q, qd, qdd = arms.random_motion(np.random.default_rng(seed), joints, 20)
+    return Motion(np.arange(20.0), q, qd, qdd)
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    """A three-joint arm as a file."""
+    path = tmp_path_factory.mktemp("law5") / "arm.xml"
+    path.write_text(arms.THREE)
+    return load_robot_model(path)
+
+
+def own_thetas(robot):
+    return np.array([link.theta for link in robot.links])
+
+
+@given(theta=arms.rigid_bodies(), seed=arms.SEEDS)
+def test_any_possible_link_moves_as_predicted_once_written_and_loaded(arm, theta, seed):
+    plan = plan_write_back(theta, subtree_bodies(arm.mj_model, arm.reference_qpos, arm.body_id))
+    gravity = tuple(9.8 * np.random.default_rng(seed).normal(size=3))
+    bodies = (BodyChange(arm.body_name, arm.body_id, plan),)
+    change = ModelChange(bodies, 0.0, (JointChange("joint1", armature=0.3),), gravity=gravity)
+    principal = not reads_fullinertia_exactly(plan.theta)
+    text = changed_model_text(arm.path, change, arm.path.parent, principal=principal)
+    written = arm.path.with_name("written.xml")
+    written.write_bytes(text)
+    compiled = verify_written_model(arm.mj_model, written, change).mj_model
+    thetas = own_thetas(arm)
+    thetas[-1] = plan.written(theta)
+    require_reproduction(arm, thetas, change, compiled, some_motion(seed, 3), written)
+
+
+def torque_refused(robot, mj_model, thetas=None, change=None):
+    """Whether a compiled model is refused for its torque."""
+    thetas, change = own_thetas(robot) if thetas is None else thetas, change or ModelChange((), 0.0)
+    motion = some_motion(1, robot.n_joints)
+    try:
+        require_reproduction(robot, thetas, change, mj_model, motion, Path("updated_model.xml"))
+    except ExportError as error:
+        assert "does not reproduce the identified torques" in str(error)
+        return True
+    return False
+
+
+@pytest.mark.parametrize("name", sorted(arms.MODELS))
+def test_the_prediction_of_the_models_own_numbers_is_its_inverse_dynamics(name):
+    robot = arms.robot_of(arms.MODELS[name])
+    assert not torque_refused(robot, robot.mj_model)
+
+
+@pytest.mark.parametrize("link", range(3))
+@pytest.mark.parametrize("parameter", range(10))
+def test_a_model_that_is_off_in_any_parameter_is_refused(arm, parameter, link):
+    """One part in a million of the link's own size is enough, where its joint can tell."""
+    thetas = own_thetas(arm)
+    thetas[link, parameter] += 1e-6 * (1.0 if parameter < 4 else 0.1)
+    # A link that turns about the vertical shows its moment about it alone.
+    shows = link > 0 or parameter == 9
+    assert torque_refused(arm, compile_model(arm.path).mj_model, thetas) == shows
+
+
+SMALL = 1e-7
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        ModelChange((), 0.0, gravity=(SMALL, 0.0, -9.81)),
+        ModelChange((), 0.0, gravity=(0.0, 0.0, -9.81 + SMALL)),
+        ModelChange((), 0.0, (JointChange("joint2", armature=SMALL),)),
+        ModelChange((), 0.0, (JointChange("joint2", polynomial=(0.0, SMALL)),)),
+        ModelChange((), 0.0, (JointChange("joint2", offset=SMALL),)),
+    ],
+)
+def test_what_is_not_in_the_file_is_missed_in_its_torque(arm, change):
+    if (
+        change.joints
+        and change.joints[0].polynomial
+        and not hasattr(arm.mj_model, "dof_dampingpoly")
+    ):
+        pytest.skip("this MuJoCo knows no nonlinear damping")
+    assert torque_refused(arm, compile_model(arm.path).mj_model, change=change)
+
+
+LOAD = random_theta(np.random.default_rng(0), 0.7)
+BODY = WeldedBody("load", "tool", np.eye(3), np.array([0.0, 0.1, 0.2]), LOAD)
+NEW = f'<body name="load" pos="0 0.1 0.2">{mjcf_inertial(LOAD, principal=True)}</body>'
+# Bodies, sites and contacts after the new body: their numbers move on by one.
+WITH_CUP = ARM.replace(
+    "</worldbody>", "<body name='cup'><geom name='g' size='.1'/></body></worldbody>"
+)
+WITH_CUP = WITH_CUP.replace(
+    "</mujoco>",
+    "<contact><exclude body1='finger' body2='cup'/></contact><sensor><framepos objtype='body' "
+    "objname='cup'/></sensor><equality><weld body1='cup' body2='base'/></equality></mujoco>",
+)
+PLACE = '<inertial pos="0 0 0" mass="0.2" diaginertia="1e-4 1e-4 1e-4"/>'
+
+
+def with_load(new=NEW, before="", after=""):
+    text = WITH_CUP.replace(PLACE, PLACE + new)
+    assert before in text
+    return mujoco.MjModel.from_xml_string(text.replace(before, after, 1) if before else text)
+
+
+def test_one_more_body_is_all_that_is_new():
+    require_one_more_body(with_load(""), with_load(), BODY)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "field"),
+    [
+        ('mass="1.5"', 'mass="1.6"', "body_mass"),
+        ('mass="0.1"', 'mass="0.11"', "body_mass"),
+        ('pos="0 0.05 0.1"', 'pos="0 0.06 0.1"', "body_pos"),
+        ("size='.1'", "size='.1' friction='2'", "geom_friction"),
+        ('name="j2" axis', 'name="j2" damping="1" axis', "dof_damping"),
+        ("<geom name='g'", "<site/><geom name='g'", "nsite"),
+        ("objname='cup'", "objname='base'", "sensor_objid"),
+        ("body1='cup' body2='base'", "body1='cup' body2='tool'", "eq_"),
+        ('name="grip" type="slide"', 'name="grip" type="hinge"', "jnt_type"),
+    ],
+)
+def test_everything_else_that_is_new_is_named(before, after, field):
+    with pytest.raises(ExportError, match=f"new body 'load' changes {field}"):
+        require_one_more_body(with_load(""), with_load(before=before, after=after), BODY)
+
+
+@pytest.mark.parametrize(
+    ("new", "words"),
+    [
+        ("", "no body 'load'"),
+        (NEW.replace('name="load"', 'name="other"'), "no body 'load'"),
+        (NEW + '<body name="second"/>', "no body 'load'"),
+        (NEW.replace("0.1 0.2", "0.1 0.2001"), "not fixed to 'tool' where it should be"),
+        (NEW.replace('pos="0 0.1 0.2"', 'pos="0 0.1 0.2" quat="1 1e-5 0 0"'), "not fixed to"),
+        (NEW.replace(str(LOAD[0]), str(LOAD[0] + 1e-8)), "an inertia that is off"),
+    ],
+)
+def test_a_body_that_is_not_the_wanted_one_is_refused(new, words):
+    with pytest.raises(ExportError, match=words):
+        require_one_more_body(with_load(""), with_load(new), BODY)
+
+
+def test_a_body_below_another_one_or_with_a_joint_is_refused():
+    moved = with_load("", before='<joint name="grip"', after=f'{NEW}<joint name="grip"')
+    with pytest.raises(ExportError, match="not fixed to 'tool'"):
+        require_one_more_body(with_load(""), moved, BODY)
+    with pytest.raises(ExportError, match="new body 'load' changes"):
+        require_one_more_body(
+            with_load(""), with_load(NEW.replace("<inertial", "<joint/><inertial")), BODY
+        )

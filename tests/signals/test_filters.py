@@ -1,0 +1,118 @@
+"""A pass and a stop band, derivatives exact for polynomials, shifts for band-limited signals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_sysid.errors import InputError
+from robot_sysid.signals.filters import (
+    FINE_REACH,
+    REACH,
+    Decimator,
+    advanced,
+    design_low_pass,
+    first_derivative,
+    second_derivative,
+)
+from tests.support.swing import Swing, seconds
+
+
+@given(st.floats(1.0, 60.0), st.lists(st.integers(1, 90), min_size=1, max_size=12), st.integers(0))
+def test_chunks_of_any_size_give_the_same_decimated_samples(cutoff, sizes, seed):
+    low_pass = design_low_pass(cutoff, 200.0)
+    values = np.random.default_rng(seed).normal(size=(sum(sizes) + 500, 2, 3))
+    stream = Decimator(low_pass)
+    cuts = [0, *np.cumsum(sizes), len(values)]
+    pieces = [stream.push(values[a:b]) for a, b in zip(cuts, cuts[1:])]
+    np.testing.assert_array_equal(np.concatenate(pieces), low_pass.decimated(values))
+    every = low_pass.filtered(values)[:: low_pass.step]
+    np.testing.assert_allclose(low_pass.decimated(values), every, rtol=0.0, atol=1e-12)
+    assert len(low_pass.centres(len(values))) == len(every)
+
+
+@given(st.floats(1.0, 60.0), st.floats(-5.0, 5.0), st.floats(-5.0, 5.0))
+def test_a_straight_line_passes_unchanged(cutoff, start, slope):
+    low_pass = design_low_pass(cutoff, 200.0)
+    line = start + slope * seconds(5.0, 200.0)
+    inner = line[low_pass.half_width : len(line) - low_pass.half_width]
+    np.testing.assert_allclose(low_pass.filtered(line), inner, rtol=0.0, atol=1e-11)
+
+
+@given(st.integers(0, 2**32), st.floats(2.0, 60.0))
+def test_an_equation_survives_the_filter(seed, cutoff):
+    """Y theta = tau stays exact when rows and torque pass the same filter."""
+    rng = np.random.default_rng(seed)
+    rows, theta = rng.normal(size=(700, 4)), rng.normal(size=4)
+    low_pass = design_low_pass(cutoff, 200.0)
+    both = low_pass.decimated(rows) @ theta - low_pass.decimated(rows @ theta)
+    assert np.max(np.abs(both)) < 1e-12
+
+
+@given(st.floats(1.0, 60.0), st.floats(0.0, 1.0), st.floats(0.0, 6.0))
+def test_pass_band_and_stop_band_keep_their_promise(cutoff, where, phase):
+    rate = 200.0
+    low_pass = design_low_pass(cutoff, rate)
+    time = seconds(12.0, rate)
+    half = low_pass.half_width
+    slow = np.sin(2.0 * np.pi * 0.4 * cutoff * where * time + phase)
+    assert np.max(np.abs(low_pass.filtered(slow) - slow[half : len(slow) - half])) < 1e-4
+    stop = 1.6 * cutoff + where * max(0.0, 0.49 * rate - 1.6 * cutoff)
+    assert np.max(np.abs(low_pass.filtered(np.sin(2.0 * np.pi * stop * time + phase)))) < 1e-4
+
+
+@given(st.floats(90.0, 150.0), st.floats(2.0, 50.0), st.floats(0.0, 1.0), st.floats(0.0, 6.0))
+def test_the_pass_band_is_as_flat_as_it_is_asked_for(attenuation, cutoff, where, phase):
+    low_pass = design_low_pass(cutoff, 200.0, attenuation)
+    time = seconds(12.0, 200.0)
+    slow = np.sin(2.0 * np.pi * 0.4 * cutoff * where * time + phase)
+    half = low_pass.half_width
+    off = np.max(np.abs(low_pass.filtered(slow) - slow[half : len(slow) - half]))
+    # Kaiser's formulas are approximate for short kernels.
+    assert off < 10.0 ** (-(attenuation - 10.0) / 20.0)
+
+
+@pytest.mark.parametrize("cutoff", [0.0, -1.0, 61.0, np.nan])
+def test_a_cutoff_outside_the_sample_rate_is_refused(cutoff):
+    with pytest.raises(InputError, match="between 0 and 60 Hz"):
+        design_low_pass(cutoff, 200.0)
+
+
+@given(st.sampled_from([REACH, FINE_REACH]), st.lists(st.floats(-1.0, 1.0), min_size=17))
+def test_derivatives_are_exact_for_polynomials_of_their_order(reach, coefficients):
+    polynomial = np.polynomial.Polynomial(coefficients[: 2 * reach + 1])
+    time = seconds(2.0, 20.0) - 1.0
+    inner = time[reach:-reach]
+    for function, order in ((first_derivative, 1), (second_derivative, 2)):
+        expected = polynomial.deriv(order)(inner)
+        np.testing.assert_allclose(function(polynomial(time), 20.0, reach), expected, atol=5e-9)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_high_rate_does_not_make_rounding_large(order):
+    """What is left of the positions' own rounding is as fast as the samples are."""
+    swing, rate = Swing(), 20000.0
+    function = (first_derivative, second_derivative)[order - 1]
+    true = swing.q(seconds(2.0, rate), order)[FINE_REACH:-FINE_REACH]
+    wrong = function(swing.q(seconds(2.0, rate)), rate, FINE_REACH) - true
+    left = design_low_pass(12.0, rate).filtered(wrong)
+    assert np.max(np.abs(left)) < 2e-11 * np.max(np.abs(true))
+
+
+@given(st.floats(-40.0, 40.0), st.integers(0, 1000))
+def test_a_shift_evaluates_the_signal_at_later_instants(samples, seed):
+    swing, rate = Swing(seed, np.array([1.0, 7.0, 23.0])), 100.0
+    time = seconds(6.0, rate)
+    shifted, first = advanced(swing.q(time), samples)
+    expected = swing.q(time[first : first + len(shifted)] + samples / rate)
+    np.testing.assert_allclose(shifted, expected, rtol=0.0, atol=2e-5)
+
+
+@given(st.integers(-50, 50), st.integers(0, 2**32))
+def test_whole_samples_are_shifted_without_loss(samples, seed):
+    noise = np.random.default_rng(seed).normal(size=300)
+    shifted, first = advanced(noise, float(samples))
+    start = first + samples
+    np.testing.assert_allclose(shifted, noise[start : start + len(shifted)], atol=1e-14)

@@ -1,0 +1,66 @@
+"""Fits of small arms whose truth is known, for tests of the core."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from robot_sysid.core.choices import CANDIDATES
+from robot_sysid.core.columns import Columns
+from robot_sysid.core.dataset import mean_torque
+from robot_sysid.core.fit import Fitter
+from robot_sysid.core.identify import Piece, answer_link, filtered
+from robot_sysid.core.result import result_of
+from robot_sysid.core.unknowns import Choice, Question, same_for_all
+from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.friction import friction_model
+from robot_sysid.estimation.options import EstimationOptions
+from robot_sysid.records import DataOrigin, Source
+from robot_sysid.records.progress import Progress
+from robot_sysid.signals.repetition import visits
+from tests.support.measured_logs import CUTOFF
+
+BASIC = CANDIDATES[0]
+KNOWN = {f"{cause}_uncertainty": 0.0 for cause in ("link", "scale", "zero", "gravity", "friction")}
+"""Noise is all that is not known."""
+SURE = EstimationOptions(zero_uncertainty=0.0, gravity_uncertainty=0.0)
+"""Encoders and level are exact, so that nothing can turn a body."""
+ORIGIN = DataOrigin(Source.LOG, "a log", 10.0, 200.0)
+
+
+def fitter_of(robot, recordings, torques="chain", couplings=()):
+    """A fitter of recordings that tells motion that repeats."""
+    columns = Columns(robot, recordings, torques, couplings)
+    again = visits([each.motion for each in recordings])
+    return Fitter(columns, mean_torque(recordings), again)
+
+
+def choice_of(robot, friction=BASIC, couplings=()):
+    """The same friction in all joints."""
+    return Choice(same_for_all(friction_model(friction), robot), tuple(couplings))
+
+
+def fitted(robot, recordings, options=None, friction=BASIC, couplings=(), **question):
+    """The fit of recordings, nothing chosen by them; ``question`` as in ``Question``."""
+    asked = Question(options or EstimationOptions(), **question)
+    fitter = fitter_of(robot, recordings, asked.options.torques, couplings)
+    return fitter.fit(asked, choice_of(robot, friction, couplings))
+
+
+def result_of_logs(robot, logs, options, kept=None):
+    """The result of logs of an arm alone; without a file unless some parts of it are kept."""
+    pieces = [Piece(f"log{number}", log) for number, log in enumerate(logs)]
+    datasets, _ = filtered(robot, pieces, options)
+    return result_of(answer_link(robot, datasets, options, Progress(), kept), ORIGIN)
+
+
+def datasets_of(robot, *logs, **options):
+    """(logs filtered, the options)."""
+    chosen = EstimationOptions(**{"cutoff": CUTOFF, **options})
+    pieces = [Piece(f"log{number}", log) for number, log in enumerate(logs)]
+    return filtered(robot, pieces, chosen)[0], chosen
+
+
+def off_by(found, truth):
+    """Largest error of a body (10,), relative to its mass and size."""
+    scale = spatial.parameter_scale(truth[0], spatial.characteristic_length(truth))
+    return float(np.max(np.abs(found - truth) / scale))
