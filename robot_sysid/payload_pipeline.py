@@ -20,9 +20,8 @@ from robot_sysid.excitation.plan import MotionRequest, make_plan
 from robot_sysid.export import locked_folder, save
 from robot_sysid.logs.reader import join_measurements, open_log
 from robot_sysid.model.flange import find_flange
-from robot_sysid.parser import load_robot_model
 from robot_sysid.payload_config import LOADED, PayloadConfig, PayloadOptions
-from robot_sysid.pipeline import Analysis, Outcome
+from robot_sysid.pipeline import Analysis, Outcome, loaded
 from robot_sysid.records import Array, DataOrigin, Measurement, MotionPlan, RobotModel, Source
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.torque_scale import write_torque_scale
@@ -73,19 +72,8 @@ def run(config: PayloadConfig, progress: Progress | None = None) -> Outcome:
     """
     progress = progress or Progress()
     with locked_folder(config.output.output_dir, progress):
-        robot = load(config, progress)
+        robot = loaded(config.model, config.limits, progress)
         return written(config, robot, weighed(config, robot, progress), progress)
-
-
-def load(config: PayloadConfig, progress: Progress) -> RobotModel:
-    """Load the model and find its terminal joint."""
-    model, speed = config.model, config.limits.max_velocity
-    progress.stage(f"Loading robot model from {model.path}...")
-    robot = load_robot_model(model.path, model.mesh_dir, model.joint, speed, model.keyframe)
-    progress.stage(f"Identified terminal joint: {robot.terminal_joint}")
-    for note in robot.notes:
-        progress.note(note)
-    return robot
 
 
 def weighed(config: PayloadConfig, robot: RobotModel, progress: Progress) -> Analysis:

@@ -13,14 +13,16 @@ from typing import TYPE_CHECKING, TextIO
 import numpy as np
 
 from robot_sysid.checks.run import look_at
-from robot_sysid.config import SysidConfig
+from robot_sysid.config import ModelOptions, SysidConfig
 from robot_sysid.core.answer import Answer, traces_of
 from robot_sysid.core.dataset import Dataset
 from robot_sysid.core.identify import Piece, answer_link, filtered, refit
 from robot_sysid.core.itself import identify_itself
 from robot_sysid.core.result import result_of
+from robot_sysid.core.unknowns import FILE_FRICTION, FILE_ROTORS
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.options import EstimationOptions
+from robot_sysid.excitation.options import LimitOptions
 from robot_sysid.excitation.plan import CheckedPlan, MotionRequest, make_plan
 from robot_sysid.export import MotorFile, Saved, locked_folder, save
 from robot_sysid.interrupts import only_the_first
@@ -165,9 +167,12 @@ def run(config: SysidConfig, progress: Progress | None = None) -> Outcome | Plan
 
 def designed(config: SysidConfig, robot: RobotModel, progress: Progress) -> tuple[CheckedPlan, int]:
     """Return the motion that was asked for, checked, and the seed it was drawn with."""
-    chosen = config.trajectory.seed
+    chosen, arm = config.trajectory.seed, config.arm
     seed = secrets.randbelow(2**31) if chosen is None else chosen
-    return make_plan(_request(config), robot, seed, progress), seed
+    played = config.motors.export_damiao or arm.simulation == "forward"
+    options = config.trajectory, config.excitation, config.limits, config.estimation.torques
+    request = MotionRequest(*options, arm.noise_torque, played, config.poses)
+    return make_plan(request, robot, seed, progress), seed
 
 
 def analysed(
@@ -182,7 +187,10 @@ def analysed(
     with only_the_first():
         checked, seed = designed(config, robot, progress)
         if checked.failure:
-            raise InputError(f"{checked.failure}; {_remedy(config)}")
+            remedy = "try another --seed, or use --excitation optimal"
+            if config.trajectory.file is not None:
+                remedy = "slow the motion down with --speed, or design one for this arm"
+            raise InputError(f"{checked.failure}; relax that limit, {remedy}")
         with whole_files() as files:
             save_plan(files, config, robot, checked.plan)
     source = _of_itself if config.arm.plant_model is None else _of_plant
@@ -191,34 +199,26 @@ def analysed(
 
 def load(config: SysidConfig, progress: Progress) -> RobotModel:
     """Load the model and find its terminal joint."""
-    model = config.model
-    progress.stage(f"Loading robot model from {model.path}...")
-    speed = config.limits.max_velocity
-    robot = load_robot_model(model.path, model.mesh_dir, model.joint, speed, model.keyframe)
+    robot = loaded(config.model, config.limits, progress)
     if config.motors.export_damiao:
         from robot_sysid.damiao.protocol.joints import damiao_joints
 
         # Refused before any work where the export could not be done.
         motors = config.motors
         damiao_joints(motors.motor_type, robot.n_joints, motors.can_id, motors.master_id)
+    return robot
+
+
+def loaded(model: ModelOptions, limits: LimitOptions, progress: Progress) -> RobotModel:
+    """Load a model, find its terminal joint and tell of it."""
+    progress.stage(f"Loading robot model from {model.path}...")
+    speed = limits.max_velocity
+    robot = load_robot_model(model.path, model.mesh_dir, model.joint, speed, model.keyframe)
     progress.stage(f"Identified terminal joint: {robot.terminal_joint}")
     for note in robot.notes:
         progress.note(note)
     progress.detail(f"Joints that carry it: {', '.join(robot.joint_names)}")
     return robot
-
-
-def _request(config: SysidConfig) -> MotionRequest:
-    played = config.motors.export_damiao or config.arm.simulation == "forward"
-    torques, noise = config.estimation.torques, config.arm.noise_torque
-    options = config.trajectory, config.excitation, config.limits
-    return MotionRequest(*options, torques, noise, played, config.poses)
-
-
-def _remedy(config: SysidConfig) -> str:
-    if config.trajectory.file is not None:
-        return "relax that limit, slow the motion down with --speed, or design one for this arm"
-    return "relax that limit, try another --seed, or use --excitation optimal"
 
 
 def save_plan(
@@ -382,7 +382,7 @@ def _identified(
     for log in tests:
         parts = [Piece(str(log.path), part) for part in log.pieces]
         others[str(log.path)] = filtered(robot, parts, same)[0]
-    kept = config.output.kept + (("friction", "rotors") if options.no_friction else ())
+    kept = config.output.kept + ((FILE_FRICTION, FILE_ROTORS) if options.no_friction else ())
     answer = answer_link(robot, datasets, options, progress, kept, others)
     answer = replace(answer, notes=(*notes, *said, *answer.notes))
     result = result_of(answer, origin, config.output.write_offset)

@@ -24,6 +24,7 @@ from robot_sysid.parser import load_robot_model as load
 from robot_sysid.payload_config import payload_config_from
 from robot_sysid.pipeline import Analysis, analysed, designed, promise, written
 from robot_sysid.pipeline import load as link_load
+from robot_sysid.pipeline import loaded as load_arm
 from robot_sysid.records import Measurement, RobotModel
 from robot_sysid.records.options import record_from, refuse_unknown
 from robot_sysid.records.progress import Progress
@@ -247,7 +248,7 @@ def payload(
     values.update({} if loaded is None else {"loaded": as_logs(loaded)})
     config = payload_config_from(Path(model), **values)
     with quietly() as notes:
-        robot = payload_stages.load(config, notes)
+        robot = load_arm(config.model, config.limits, notes)
         analysis = payload_stages.weighed(config, robot, notes)
 
     def write(folder: Path) -> Saved:

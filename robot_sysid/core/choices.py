@@ -14,7 +14,7 @@ import numpy as np
 from robot_sysid.core.couplings import Coupling
 from robot_sysid.core.fit import Fit, Fitter
 from robot_sysid.core.held_out import HeldOut, held_out, is_clearly_lower
-from robot_sysid.core.unknowns import Choice, Question, same_for_all, unknowns
+from robot_sysid.core.unknowns import Choice, Question, Unknowns, same_for_all, unknowns
 from robot_sysid.dynamics.friction import BENT, FrictionModel, friction_model
 from robot_sysid.records import Array
 
@@ -29,7 +29,7 @@ CANDIDATES = (
     "coulomb-viscous-offset-armature-stribeck-load",
 )
 """Friction models that are tried, the same for every joint of every arm, simplest first."""
-FILE_CANDIDATES = (CANDIDATES[0], CANDIDATES[5])
+IN_FILE, WITH_POLYNOMIAL = CANDIDATES[0], CANDIDATES[5]
 """Those that a model file can hold."""
 SCALES = (1.0, 2.0, 4.0, 8.0, 16.0)
 """Factors of the other links' uncertainty that are tried."""
@@ -77,9 +77,13 @@ def choose(
     return Chosen(choice, errors), fit
 
 
-def _squared(judge: HeldOut, fit: Fit, question: Question, choice: Choice) -> Array:
-    sought = unknowns(fit.columns, question, choice, fit.evidence.torque, fit.evidence.shown)
-    return judge.squared(sought)
+def _sought(fit: Fit, question: Question, choice: Choice) -> Unknowns:
+    return unknowns(fit.columns, question, choice, fit.evidence.torque, fit.evidence.shown)
+
+
+def squared_errors(judge: HeldOut, fit: Fit, question: Question, choice: Choice) -> Array:
+    """Return held-out squared errors (blocks, joints) of a choice, around a fit's point."""
+    return judge.squared(_sought(fit, question, choice))
 
 
 def _with_couplings(
@@ -87,10 +91,10 @@ def _with_couplings(
 ) -> Choice:
     """Let neighbours share a motor where that predicts held-out torques clearly better."""
     judge, left = held_out(fit), list(offered)
-    best = judge.score(_squared(judge, fit, question, choice))
+    best = judge.score(squared_errors(judge, fit, question, choice))
     while left:
         trials = [replace(choice, couplings=(*choice.couplings, each)) for each in left]
-        scores = [judge.score(_squared(judge, fit, question, each)) for each in trials]
+        scores = [judge.score(squared_errors(judge, fit, question, each)) for each in trials]
         found = int(np.argmin([float(np.mean(score)) for score in scores]))
         if not is_clearly_lower(scores[found], best):
             break
@@ -138,7 +142,7 @@ def _tried(
             if number and not model.bent:
                 continue
             each = replace(choice, friction=same_for_all(model, robot))
-            error = _squared(judge, around, question, each)
+            error = squared_errors(judge, around, question, each)
             speed = tried[model.bent[0]][0] if model.bent else 0.0
             before = squared.get(name, np.full_like(error, np.inf))
             lower = error.sum(axis=0) < before.sum(axis=0)
@@ -183,9 +187,7 @@ def prior_scale(fit: Fit, question: Question, choice: Choice) -> float:
     judge, scores = held_out(fit), []
     for scale in SCALES:
         each = replace(choice, prior_scale=scale)
-        sought = unknowns(fit.columns, question, each, fit.evidence.torque, fit.evidence.shown)
-        sought = replace(sought, at_bound=())
-        squared = judge.of(replace(fit, unknowns=sought))
+        squared = judge.of(replace(fit, unknowns=_sought(fit, question, each)))
         scores.append(float(np.mean(judge.score(squared))))
         if scores[-1] > AS_GOOD * min(scores):
             break

@@ -172,9 +172,7 @@ class Columns:
 
     def samples(self, point: Point) -> tuple[DecimatedSamples, ...]:
         """Return the rows of each recording around a point."""
-        if self._arm is None or not np.array_equal(self._arm[0], point.gravity):
-            self._arm = point.gravity, with_gravity(self.robot, point.gravity)
-        arm = self._arm[1]
+        arm = self._arm_at(point.gravity)
         delayed = [each.delayed(point.delay) for each in self.datasets]
         same = self._base is not None and np.array_equal(self._base[0], point.gravity)
         if self._base is None or not same or self._base[1] != point.delay:
@@ -187,6 +185,12 @@ class Columns:
             self._linearised(base, each, point, *self._by_links(number, arm, each, point))
             for number, (each, base) in enumerate(pairs)
         )
+
+    def _arm_at(self, down: Array) -> RobotModel:
+        """Return the arm under some gravity (3,) [m/s^2]."""
+        if self._arm is None or not np.array_equal(self._arm[0], down):
+            self._arm = down, with_gravity(self.robot, down)
+        return self._arm[1]
 
     def _motors(self, motion: Motion, place: slice) -> Array:
         return np.concatenate([each.columns(motion) for each in self.couplings], axis=-1)
@@ -201,7 +205,7 @@ class Columns:
     def arm_torque(self, point: Point, is_loaded: bool) -> tuple[Equations, Array]:
         """Return equations of the motion alone and the arm's values (q,) in them."""
         values = self._arm_values(point, is_loaded)
-        return self._equations(with_gravity(self.robot, point.gravity)), values
+        return self._equations(self._arm_at(point.gravity)), values
 
     def _arm_values(self, point: Point, is_loaded: bool) -> Array:
         values = point.values[: len(self._arm_names)].copy()

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.core.columns import Columns, Point
-from robot_sysid.core.dataset import Dataset, DecimatedSamples
-from robot_sysid.core.fit import Fit
+from robot_sysid.core.dataset import Dataset, DecimatedSamples, JoinedSamples
+from robot_sysid.core.fit import ChosenRows, Fit
 from robot_sysid.core.unknowns import COMMON, SCALES
 from robot_sysid.dynamics.equations import Equations
 from robot_sysid.estimation.autocorrelation import JointResiduals, collect_residuals
@@ -33,7 +33,7 @@ from robot_sysid.estimation.uncertainty import (
 )
 from robot_sysid.records import Array, Measurement, Motion, PriorConflict
 
-FILTERING, NOISE, HELD = "filtering", "noise", "friction at its bound"
+FILTERING, HELD = "filtering", "friction at its bound"
 """What these causes of error are called in results."""
 _ROUNDING = 1e-9
 
@@ -49,6 +49,7 @@ class FitErrors:
         data: (k, k) normal matrix of the data alone, weighted.
         effective: (joints,) number of independent samples.
         common: how far all torque scales may be off together, where nothing tells it (a share).
+        conflicts: causes that the data asks for more clearly than chance does.
     """
 
     whole: Uncertainty
@@ -57,6 +58,7 @@ class FitErrors:
     data: Array
     effective: tuple[float, ...]
     common: float = 0.0
+    conflicts: tuple[PriorConflict, ...] = ()
 
     def white(self, change: Array) -> Array:
         """Return (m,) what the noise errors would be if the noise were white."""
@@ -126,27 +128,19 @@ def fit_errors(
         for group in fit.unknowns.groups
     }
     noise = whole.covariance - sum(causes.values(), np.zeros_like(whole.covariance))
-    for name, part in _more(fit, whole.inverse, causes):
-        causes[name] = causes.get(name, 0.0) + part
-        covariance = whole.covariance + part
-        spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        hidden = np.isinf(whole.standard_errors)
-        spread = np.where(hidden, np.inf, spread)
-        whole = replace(whole, covariance=covariance, standard_errors=spread)
-    matrix = replace(information, prior=None).stacked(weights)[0]
-    moved = filtering(fit) if pull is None else pull
+    moved, found = filtering(fit) if pull is None else pull, _conflicts(fit)
     bias = whole.inverse @ (weights**2 @ moved[:, fit.unknowns.kept])
-    causes[FILTERING] = np.outer(bias, bias)
-    whole = replace(
-        whole,
-        covariance=whole.covariance + causes[FILTERING],
-        standard_errors=np.hypot(whole.standard_errors, bias),
-    )
+    more = _more(fit, whole.inverse, causes, found)
+    for name, part in (*more, (FILTERING, np.outer(bias, bias))):
+        causes[name] = causes.get(name, 0.0) + part
+        spread = np.hypot(whole.standard_errors, np.sqrt(np.maximum(np.diag(part), 0.0)))
+        whole = replace(whole, covariance=whole.covariance + part, standard_errors=spread)
+    matrix = replace(information, prior=None).stacked(weights)[0]
     counts = tuple(n / d for n, d in zip(effective, fit.inflation.tolist()))
-    return FitErrors(whole, noise, causes, matrix.T @ matrix, counts, _common(fit))
+    return FitErrors(whole, noise, causes, matrix.T @ matrix, counts, _common(fit), found)
 
 
-def conflicts(fit: Fit) -> tuple[PriorConflict, ...]:
+def _conflicts(fit: Fit) -> tuple[PriorConflict, ...]:
     """Return the causes that the data asks for more clearly than chance does."""
     if fit.question.loaded or fit.question.in_file:
         return ()
@@ -154,13 +148,15 @@ def conflicts(fit: Fit) -> tuple[PriorConflict, ...]:
     return misfits(plain, fit.weighted.noise, fit.unknowns.groups)
 
 
-def _more(fit: Fit, inverse: Array, causes: Mapping[str, Array]) -> Iterator[tuple[str, Array]]:
+def _more(
+    fit: Fit, inverse: Array, causes: Mapping[str, Array], found: Sequence[PriorConflict]
+) -> Iterator[tuple[str, Array]]:
     """Yield (cause, (k, k) covariance) of what stands in no prior.
 
     A prior that the data contradicts counts as wide as the data asks for. What is held at a bound
     counts as if it were free: the bound may be where noise has pushed it.
     """
-    for conflict in conflicts(fit):
+    for conflict in found:
         asked = (conflict.asked / conflict.scale) ** 2 - 1.0
         if asked > 0.0:
             yield conflict.cause, asked * causes[conflict.cause]
@@ -174,13 +170,19 @@ def _more(fit: Fit, inverse: Array, causes: Mapping[str, Array]) -> Iterator[tup
         yield HELD, moved @ np.linalg.pinv(left, rcond=1e-12, hermitian=True) @ moved.T
 
 
-def residuals_of(fit: Fit, to_add: bool = False) -> list[JointResiduals]:
-    """Return each joint's sums over lags of residuals, from one pass over the rows."""
+def residuals_of(fit: Fit, to_add: Sequence[DecimatedSamples] = ()) -> list[JointResiduals]:
+    """Return each joint's sums over lags of residuals, from one pass over the rows.
+
+    Args:
+        fit: the fit.
+        to_add: other rows than its own, whose sums are to be added to those of further ones.
+    """
     information, weights = fit.information, 1.0 / fit.weighted.noise
     root = joint_space(information, weights).inverse_root()
-    clip = fit.weighted.clip if not to_add else no_clip(information)
+    rows = ChosenRows(JoinedSamples(tuple(to_add)), fit.unknowns) if to_add else fit.rows
+    clip = no_clip(information) if to_add else fit.weighted.clip
     found = fit.values[fit.unknowns.kept]
-    return collect_residuals(information, fit.rows, found, clip, root, weights, to_add)
+    return collect_residuals(information, rows, found, clip, root, weights, bool(to_add))
 
 
 def _common(fit: Fit) -> float:

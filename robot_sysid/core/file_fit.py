@@ -11,18 +11,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robot_sysid.core.choices import AS_GOOD, CANDIDATES, FILE_CANDIDATES, prior_scale
+from robot_sysid.core.choices import AS_GOOD, IN_FILE, WITH_POLYNOMIAL, prior_scale, squared_errors
 from robot_sysid.core.columns import PAYLOAD_NAMES
 from robot_sysid.core.errors import FitErrors, fit_errors
 from robot_sysid.core.fit import Fit, Fitter
 from robot_sysid.core.held_out import OWN_SOURCE, HeldOut, held_out, is_clearly_lower
-from robot_sysid.core.unknowns import Choice, Question, Unknowns, unknowns
+from robot_sysid.core.unknowns import (
+    FILE_FRICTION,
+    FILE_GRAVITY,
+    FILE_ROTORS,
+    Choice,
+    Question,
+    Unknowns,
+    unknowns,
+)
 from robot_sysid.dynamics.friction import FrictionModel, friction_model
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.records import Array, RobotModel, Validation
 
-FRICTION, ROTORS, GRAVITY, LINKS = "friction", "rotors", "gravity", "links"
-"""Parts of a file that may be kept as they are."""
 _ROUNDS = 2
 
 
@@ -64,7 +70,7 @@ def fit_file(
         carried: the payload (10,) of loaded recordings.
     """
     question = Question(options, in_file=True, kept_parts=kept, carried=carried)
-    choice = Choice(tuple(_friction(fitter.columns.robot, question, CANDIDATES[0])))
+    choice = Choice(tuple(_friction(fitter.columns.robot, question, IN_FILE)))
     before = _as_it_was(fitter, question, choice)
     point = fitter.columns.start()
     if start is not None:
@@ -74,8 +80,8 @@ def fit_file(
     choice = replace(choice, prior_scale=prior_scale(fit, question, choice))
     fit = fitter.fit(question, choice, fit.next_point, _ROUNDS)
     squared = held_out(fit).of(fit)
-    if GRAVITY not in kept and fit.unknowns.settle:
-        level = replace(question, kept_parts=(*kept, GRAVITY))
+    if FILE_GRAVITY not in kept and fit.unknowns.settle:
+        level = replace(question, kept_parts=(*kept, FILE_GRAVITY))
         other = fitter.fit(level, choice, replace(point, values=fit.values), _ROUNDS)
         errors = held_out(other).of(other)
         judge = held_out(fit)
@@ -97,10 +103,10 @@ def _without_sensors(fitter: Fitter, values: Array) -> Array:
 
 def _friction(robot: RobotModel, question: Question, name: str) -> list[FrictionModel]:
     """Return each joint's terms that a file can hold, beside a sensor's offset."""
-    gone = (
-        {"coulomb", "viscous", "quadratic", "cubic"} if FRICTION in question.kept_parts else set()
-    )
-    if ROTORS in question.kept_parts or robot.kind == "urdf":
+    gone: set[str] = set()
+    if FILE_FRICTION in question.kept_parts:
+        gone |= {"coulomb", "viscous", "quadratic", "cubic"}
+    if FILE_ROTORS in question.kept_parts or robot.kind == "urdf":
         gone |= {"armature"}
     terms = tuple(term for term in friction_model(name).terms if term not in gone)
     return [FrictionModel(terms)] * robot.n_joints
@@ -130,16 +136,12 @@ def holds_polynomial(robot: RobotModel, joint: int) -> bool:
 def _polynomials(fit: Fit, question: Question, choice: Choice) -> tuple[FrictionModel, ...]:
     """Give nonlinear damping to the joints whose held-out torques it predicts clearly better."""
     robot, found = fit.columns.robot, list(choice.friction)
-    if FRICTION in question.kept_parts:
+    if FILE_FRICTION in question.kept_parts:
         return choice.friction
     judge = held_out(fit)
-    wider = tuple(_friction(robot, question, FILE_CANDIDATES[1]))
-    squared = []
-    for each in (choice, replace(choice, friction=wider)):
-        data = fit.evidence
-        squared.append(
-            judge.squared(unknowns(fit.columns, question, each, data.torque, data.shown))
-        )
+    wider = tuple(_friction(robot, question, WITH_POLYNOMIAL))
+    tried = choice, replace(choice, friction=wider)
+    squared = [squared_errors(judge, fit, question, each) for each in tried]
     for place, joint in enumerate(fit.columns.rows_of):
         better = is_clearly_lower(squared[1][:, place], squared[0][:, place])
         if better and holds_polynomial(robot, joint):

@@ -134,6 +134,11 @@ class Fit:
         return self.weighted.information
 
     @property
+    def noise(self) -> Array:
+        """Standard deviation (joints,) of the torque noise of one sample [N m]."""
+        return np.asarray(self.weighted.noise / np.sqrt(self.inflation))
+
+    @property
     def constrained(self) -> bool:
         """Whether the plain estimate was replaced by the best possible bodies."""
         return bool(np.any(self.values != self.free))
@@ -221,7 +226,7 @@ class Fitter:
             fit = solved(
                 self.columns, question, choice, point, data, samples, self.visits, noise=noise
             )
-            noise = fit.weighted.noise / np.sqrt(fit.inflation)
+            noise = fit.noise
             after = fit.next_point
             if _rests(fit, point, after):
                 return fit

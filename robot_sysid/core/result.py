@@ -11,10 +11,9 @@ import numpy as np
 from robot_sysid.core import verdict
 from robot_sysid.core.answer import Answer, base_parameters, estimate_of
 from robot_sysid.core.columns import PAYLOAD_NAMES
-from robot_sysid.core.errors import conflicts
-from robot_sysid.core.file_fit import FRICTION
 from robot_sysid.core.fit import Fit
 from robot_sysid.core.recordings import contradictions, disagreeing, each_recording
+from robot_sysid.core.unknowns import FILE_FRICTION
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.nuisances import gravity
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
@@ -51,7 +50,7 @@ def model_file(answer: Answer, write_offset: bool) -> tuple[ModelFile, tuple[str
     kept = set(answer.file.kept)
     for index, (joint, each) in enumerate(list(own.joints())[: robot.n_joints]):
         written = {name: figure for name, figure in each.terms.items() if name != "offset"}
-        if write_offset and "offset" in each.terms and FRICTION not in kept:
+        if write_offset and "offset" in each.terms and FILE_FRICTION not in kept:
             reason = _why_no_offset(robot, index, each.terms)
             notes += [f"{joint}: no offset is written, {reason}"] if reason else []
             written.update({} if reason else {"offset": each.terms["offset"]})
@@ -67,7 +66,7 @@ def model_file(answer: Answer, write_offset: bool) -> tuple[ModelFile, tuple[str
         turned = None
     tested = answer.file.before, answer.file.after
     found = ModelFile(thetas, spread, joints, turned, *tested, kept=tuple(sorted(kept)))
-    return found, tuple(notes if FRICTION not in kept else ())
+    return found, tuple(notes if FILE_FRICTION not in kept else ())
 
 
 def _why_no_offset(robot: RobotModel, index: int, terms: Mapping[str, Figure]) -> str | None:
@@ -94,18 +93,15 @@ def result_of(answer: Answer, data: DataOrigin, write_offset: bool = False) -> R
     fit, robot = answer.fit, answer.robot
     links = tuple(answer.links())
     tests, notes = (answer.validation, *answer.tests), answer.notes
-    findings: Iterator[verdict.Finding] = iter(())
-    file = None
+    file, judged = None, _file_verdict(answer)
     if answer.file is not None:
         file, said = model_file(answer, write_offset)
         notes += said
-    findings = _findings(answer, links[-1], file, tests)
+    findings = _findings(answer, links[-1], file, tests, judged)
     common = _common(answer, data)
     seen = common.estimate.identifiability
     ended = Verdict.OK if seen.rank >= seen.n_parameters else Verdict.PARTLY_FROM_MODEL
-    if file is not None and file.after is not None:
-        ended = verdict.of_file(file.before, file.after, verdict.noise_share(answer.fit))[0]
-    status, reasons = verdict.first(findings, ended)
+    status, reasons = verdict.first(findings, ended if judged is None else judged[0])
     return replace(
         common,
         verdict=status,
@@ -118,18 +114,28 @@ def result_of(answer: Answer, data: DataOrigin, write_offset: bool = False) -> R
     )
 
 
+def _file_verdict(answer: Answer) -> verdict.Finding | None:
+    """Return how the written file predicts beside the one before; None where none is asked for."""
+    if answer.file is None:
+        return None
+    noise = verdict.noise_share(answer.fit)
+    return verdict.of_file(answer.file.before, answer.file.after, noise)
+
+
 def _findings(
-    answer: Answer, link: BodyEstimate, file: ModelFile | None, tests: Sequence[Validation]
+    answer: Answer,
+    link: BodyEstimate,
+    file: ModelFile | None,
+    tests: Sequence[Validation],
+    judged: verdict.Finding | None,
 ) -> Iterator[verdict.Finding]:
     yield from verdict.inconsistent(answer.fit)
     yield from verdict.unexplained(answer.fit, tests, answer.acceleration_error)
     yield from verdict.implausible_link(answer.robot, link)
-    if file is None or file.after is None:
-        return
-    yield from verdict.implausible_links(answer.robot, file.thetas)
-    ended = verdict.of_file(file.before, file.after, verdict.noise_share(answer.fit))
-    if not ended[0].is_trustworthy:
-        yield ended
+    if file is not None:
+        yield from verdict.implausible_links(answer.robot, file.thetas)
+    if judged is not None and not judged[0].is_trustworthy:
+        yield judged
 
 
 def _common(answer: Answer, data: DataOrigin) -> Result:
@@ -158,7 +164,7 @@ def _common(answer: Answer, data: DataOrigin) -> Result:
         friction_model=models.pop() if len(models) == 1 else "per joint",
         cutoff=_cutoff(fit),
         prior_scale=fit.choice.prior_scale,
-        conflicts=conflicts(fit),
+        conflicts=answer.errors.conflicts,
         **_alignment(fit),
     )
 
@@ -266,14 +272,10 @@ def payload_of(
 
 def _arm_file(answer: Answer, write_offset: bool) -> tuple[ModelFile | None, tuple[str, ...]]:
     """Return what is written of the arm beneath its payload, and sentences on it."""
-    if answer.file is None:
-        return None, ()
-    better, words = verdict.of_file(
-        answer.file.before, answer.file.after, verdict.noise_share(answer.fit)
-    )
-    if better.is_trustworthy:
-        return model_file(answer, write_offset)
-    return None, (f"the written model is the arm's own with the payload on it: {words}",)
+    judged = _file_verdict(answer)
+    if judged is None or judged[0].is_trustworthy:
+        return (None, ()) if judged is None else model_file(answer, write_offset)
+    return None, (f"the written model is the arm's own with the payload on it: {judged[1]}",)
 
 
 def _scales(answer: Answer) -> dict[str, Figure]:

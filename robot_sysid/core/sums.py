@@ -21,20 +21,18 @@ from robot_sysid.core.answer import Answer
 from robot_sysid.core.choices import CANDIDATES, Chosen, prior_scale
 from robot_sysid.core.columns import Columns, Point
 from robot_sysid.core.couplings import read_couplings
-from robot_sysid.core.dataset import Dataset, DecimatedSamples, JoinedSamples
-from robot_sysid.core.errors import filtering_bias, fit_errors
-from robot_sysid.core.file_fit import GRAVITY, fit_file
-from robot_sysid.core.fit import ChosenRows, Evidence, Fit, Fitter, evidence, solved
+from robot_sysid.core.dataset import Dataset, DecimatedSamples
+from robot_sysid.core.errors import filtering_bias, fit_errors, residuals_of
+from robot_sysid.core.file_fit import fit_file
+from robot_sysid.core.fit import Evidence, Fit, Fitter, evidence, solved
 from robot_sysid.core.held_out import validation_of
 from robot_sysid.core.identify import Piece, filtered
-from robot_sysid.core.unknowns import Choice, Question, same_for_all
+from robot_sysid.core.unknowns import FILE_GRAVITY, Choice, Question, same_for_all
 from robot_sysid.dynamics.friction import friction_model
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.autocorrelation import JointResiduals, collect_residuals
+from robot_sysid.estimation.autocorrelation import JointResiduals
 from robot_sysid.estimation.information import combined, sample_counts
-from robot_sysid.estimation.least_squares import no_clip
 from robot_sysid.estimation.options import CHOSEN, EstimationOptions
-from robot_sysid.estimation.uncertainty import joint_space
 from robot_sysid.records import (
     Array,
     DataOrigin,
@@ -242,7 +240,10 @@ def log_information(
     torque = np.sum([np.sum(each.torque**2, axis=0) for each in datasets], axis=0)
     count = sum(len(each.torque) for each in datasets)
     pairs = list(zip(datasets, samples))
-    residuals = () if first is None else tuple(_residuals(first, samples))
+    residuals: tuple[JointResiduals, ...] = ()
+    if first is not None:
+        each = [residuals_of(first, [part]) for part in samples]
+        residuals = tuple(reduce(add, same) for same in zip(*each))
     return LogInformation(
         settled=settled,
         evidence=evidence(samples, np.sqrt(torque / count)),
@@ -286,20 +287,6 @@ def _fitted(robot: RobotModel, found: LogInformation) -> Fit:
     return fit if scale == 1.0 else fitter.fit(question, replace(choice, prior_scale=scale))
 
 
-def _residuals(fit: Fit, samples: Sequence[DecimatedSamples]) -> list[JointResiduals]:
-    """Return what the first round's estimate leaves unexplained in all parts of a log."""
-    weights = 1.0 / fit.weighted.noise
-    root = joint_space(fit.information, weights).inverse_root()
-    given = fit.values[fit.unknowns.kept], no_clip(fit.information), root, weights
-    each = [
-        collect_residuals(
-            fit.information, ChosenRows(JoinedSamples((part,)), fit.unknowns), *given, to_add=True
-        )
-        for part in samples
-    ]
-    return [reduce(add, same) for same in zip(*each)]
-
-
 def _sampled(dataset: Dataset, part: DecimatedSamples, values: Array) -> RowSample:
     pairs = zip(part, part.columns)
     left = [tau - rows @ values[columns] for (_, rows, tau), columns in pairs]
@@ -337,7 +324,7 @@ def answer_from(
     file = None
     if options.torques == "chain":
         fixed = _Fixed(robot, found, fit.point)
-        file = fit_file(fixed, options, (GRAVITY,), fit.values, found.pull)
+        file = fit_file(fixed, options, (FILE_GRAVITY,), fit.values, found.pull)
     tests = () if validation is None else (_validated(fit, validation),)
     chosen = Chosen(fit.choice)
     return Answer(fit, chosen, file, errors, tests, found.acceleration_error, found.notes)

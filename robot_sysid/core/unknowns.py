@@ -27,6 +27,8 @@ LINKS, SCALES, ZEROS, TILT = "links", "torque scale", "joint offsets", "gravity"
 DELAY, DRIFT, FRICTION = "delay", "drift of friction", "friction model"
 COMMON, WEIGHT = "common torque scale", "known mass"
 """Causes of error, as they are called in results."""
+FILE_FRICTION, FILE_ROTORS, FILE_GRAVITY, FILE_LINKS = "friction", "rotors", "gravity", "links"
+"""Parts of a model file that may be kept as they are."""
 LACKING = ("load", "sqrt")
 """Friction terms that a real joint has and a simpler model of it lacks."""
 CURVATURE, LEAST_COULOMB = 5.0, 0.02
@@ -57,7 +59,7 @@ class Question:
         known_mass: of the payload [kg], where torque scales are sought with it.
         scale_prior: how far torque scales may be off then [%].
         in_file: whether what is sought has to fit into a model file; which parts of it are kept as
-            they are ("friction", "rotors", "gravity", "links").
+            they are, see ``FILE_FRICTION``.
         kept_parts: those parts.
         carried: the payload (10,) that loaded recordings carry, where it is known.
         resting: whether the recordings are poses at rest.
@@ -223,7 +225,7 @@ def _settled(columns: Columns, question: Question, choice: Choice) -> Iterator[s
     """Yield the names of what moves into the point that the rows are made around."""
     tilts = [name for name in TILT_NAMES if name in columns.place]
     if question.in_file:
-        yield from tilts if "gravity" not in question.kept_parts else ()
+        yield from tilts if FILE_GRAVITY not in question.kept_parts else ()
         return
     if question.options.delay == "auto":
         yield DELAY_NAME
@@ -243,7 +245,7 @@ def _held(columns: Columns, question: Question, choice: Choice) -> Array:
         held[columns.at(PAYLOAD_NAMES)] = question.carried
     keeps = question.kept_parts
     for joint, model in zip(columns.robot.joint_names, choice.friction):
-        own = () if model.terms and "friction" not in keeps else ("coulomb", "viscous")
+        own = () if model.terms and FILE_FRICTION not in keeps else ("coulomb", "viscous")
         armature = "armature" not in model.terms and not _lacks_rotor(columns.robot, question)
         for term in (*own, *(("armature",) if armature else ())):
             place = columns.place.get(f"{term}[{joint}]")
@@ -262,7 +264,7 @@ def _bodies(
 ) -> Iterator[tuple[str, tuple[NDArray[np.int64], Array]]]:
     """Yield each body that is sought, with where it stands and a usual body of its kind."""
     last, options = columns.robot.body_name, question.options
-    only_last = options.link_uncertainty == 0.0 or "links" in question.kept_parts
+    only_last = options.link_uncertainty == 0.0 or FILE_LINKS in question.kept_parts
     usual = usual_bodies(columns.robot)
     for name, places in columns.bodies().items():
         if name == "payload":
@@ -308,7 +310,7 @@ def _groups(
         yield links
     tilts = tuple(name for name in TILT_NAMES if name in columns.place)
     if question.in_file:
-        if tilts and "gravity" not in question.kept_parts:
+        if tilts and FILE_GRAVITY not in question.kept_parts:
             yield independent(TILT, tilts, ("the base",) * 2, FILE_TILT)
         return
     options, wide, joints = question.options, question.loaded, columns.joints

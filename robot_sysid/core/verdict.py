@@ -93,9 +93,8 @@ def unexplained(
 
 def noise_per_joint(fit: Fit) -> dict[str, float]:
     """Return joint to standard deviation of its torque noise [N m], of joints with samples."""
-    noise = fit.weighted.noise / np.sqrt(fit.inflation)
-    joints = fit.information.joints
-    return {j.joint: float(value) for j, value in zip(joints, noise) if j.n_samples}
+    pairs = zip(fit.information.joints, fit.noise.tolist())
+    return {each.joint: noise for each, noise in pairs if each.n_samples}
 
 
 def _odd_joints(noise: Mapping[str, float], torque: Mapping[str, float]) -> Iterator[str]:
@@ -176,10 +175,9 @@ def _size(robot: RobotModel, index: int) -> float:
 
 def noise_share(fit: Fit) -> float:
     """Return the torque noise of a fit as a part of the torque."""
-    noise = fit.weighted.noise / np.sqrt(fit.inflation)
-    counts = sample_counts(fit.information)
+    squares = float(np.sum(fit.noise**2 * sample_counts(fit.information)))
     torque = float(np.sum(fit.evidence.squared_torque))
-    return float(np.sqrt(np.sum(noise**2 * counts) / torque)) if torque > 0.0 else 0.0
+    return float(np.sqrt(squares / torque)) if torque > 0.0 else 0.0
 
 
 def of_file(before: Validation, after: Validation, noise: float = 0.0) -> Finding:

@@ -10,7 +10,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from robot_sysid.core.file_fit import FRICTION, GRAVITY, LINKS, ROTORS, fit_file, holds_polynomial
+from robot_sysid.core.file_fit import fit_file, holds_polynomial
+from robot_sysid.core.unknowns import FILE_FRICTION as FRICTION
+from robot_sysid.core.unknowns import FILE_GRAVITY as GRAVITY
+from robot_sysid.core.unknowns import FILE_LINKS as LINKS
+from robot_sysid.core.unknowns import FILE_ROTORS as ROTORS
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.nuisances import gravity, with_gravity
 from robot_sysid.results.rollout import torque_error

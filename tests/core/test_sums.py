@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robot_sysid.core.file_fit import GRAVITY
 from robot_sysid.core.identify import answer_link
 from robot_sysid.core.sums import answer_from, log_information, settled_options
+from robot_sysid.core.unknowns import FILE_GRAVITY as GRAVITY
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.records.progress import Progress
