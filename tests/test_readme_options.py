@@ -85,7 +85,9 @@ def test_arm_takes_what_identify_takes():
 def test_payload_takes_the_groups_it_is_said_to_take():
     whole = ("payload", "model and output", "measurements", "trajectory", "excitation", "limits")
     of_estimation = {"--cutoff", "--velocity-deadband", "--friction-model"}
-    of_estimation |= {f"--{what}-uncertainty" for what in ("link", "scale", "zero", "gravity")}
+    of_estimation |= {
+        f"--{what}-uncertainty" for what in ("link", "scale", "zero", "gravity", "delay")
+    }
     left_out = {"--measurements", "--validation-measurements", "--plan-only", "--save-trajectory"}
     left_out |= {"--append", "--plant-model", "--save-measurements", "--verify-rollout", "--links"}
     expected = group(*whole, "simulated plant") | of_estimation

@@ -44,7 +44,8 @@ SAMPLE_RATE = 1000.0
 ENCODER_STEP = 1e-4
 NORMAL_95 = 1.96
 KNOWN = dict.fromkeys(
-    (f"{cause}_uncertainty" for cause in ("link", "scale", "zero", "gravity", "friction")), 0.0
+    (f"{cause}_uncertainty" for cause in ("link", "scale", "zero", "gravity", "delay", "friction")),
+    0.0,
 )
 """All that is not noise is known."""
 

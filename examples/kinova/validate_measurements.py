@@ -29,7 +29,8 @@ MASS, FRICTION = 0.002, 0.02
 DELAY, TILT = 0.1, 0.02
 """Largest errors of delay [ms] and tilt [degrees] without torque noise."""
 KNOWN = tuple(
-    f"--{cause}-uncertainty=0" for cause in ("link", "scale", "zero", "gravity", "friction")
+    f"--{cause}-uncertainty=0"
+    for cause in ("link", "scale", "zero", "gravity", "delay", "friction")
 )
 INJECTED = ((0.0, 0.0), (2.0, 0.25), (5.0, 0.5), (10.0, 1.0))
 

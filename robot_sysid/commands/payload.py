@@ -25,7 +25,7 @@ MAIN = (
 )
 ESTIMATION = (
     *("cutoff", "velocity_deadband", "friction_model", "link_uncertainty"),
-    *("scale_uncertainty", "zero_uncertainty", "gravity_uncertainty"),
+    *("scale_uncertainty", "zero_uncertainty", "gravity_uncertainty", "delay_uncertainty"),
 )
 NOT_WRITTEN = ("links",)
 NOT_PLANNED = ("plan_only", "save_trajectory")

@@ -17,6 +17,7 @@ import numpy as np
 
 from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.errors import InputError
+from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.json_files import read_json
 from robot_sysid.records import Array, Motion, RobotModel
 
@@ -67,6 +68,20 @@ def neighbours(robot: RobotModel) -> Iterator[Coupling]:
             ratios = np.zeros(robot.n_joints)
             ratios[joint], ratios[joint + 1] = 1.0, sign
             yield coupling(robot, ratios)
+
+
+def couplings_of(
+    robot: RobotModel, options: EstimationOptions
+) -> tuple[tuple[Coupling, ...], tuple[Coupling, ...]]:
+    """Return (the couplings that have columns, those of them that recordings decide for).
+
+    Raises:
+        InputError: the file that states them cannot be read, or does not fit the arm.
+    """
+    if options.coupling is not None:
+        return read_couplings(options.coupling, robot), ()
+    offered = tuple(neighbours(robot)) if options.torques == "chain" else ()
+    return offered, offered
 
 
 def read_couplings(path: Path, robot: RobotModel) -> tuple[Coupling, ...]:

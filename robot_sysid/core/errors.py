@@ -170,19 +170,38 @@ def _more(
         yield HELD, moved @ np.linalg.pinv(left, rcond=1e-12, hermitian=True) @ moved.T
 
 
-def residuals_of(fit: Fit, to_add: Sequence[DecimatedSamples] = ()) -> list[JointResiduals]:
-    """Return each joint's sums over lags of residuals, from one pass over the rows.
+def residuals_of(fit: Fit) -> list[JointResiduals]:
+    """Return each joint's sums over lags of residuals, from one pass over the rows."""
+    weights, found = 1.0 / fit.weighted.noise, fit.values[fit.unknowns.kept]
+    root = joint_space(fit.information, weights).inverse_root()
+    return collect_residuals(fit.information, fit.rows, found, fit.weighted.clip, root, weights)
 
-    Args:
-        fit: the fit.
-        to_add: other rows than its own, whose sums are to be added to those of further ones.
+
+def residuals_to_add(fit: Fit, samples: DecimatedSamples) -> list[JointResiduals]:
+    """Return the same of other rows than the fit's, in the columns of all parameters.
+
+    A fit of their sum may hold other friction at its bound than this one.
     """
-    information, weights = fit.information, 1.0 / fit.weighted.noise
-    root = joint_space(information, weights).inverse_root()
-    rows = ChosenRows(JoinedSamples(tuple(to_add)), fit.unknowns) if to_add else fit.rows
-    clip = no_clip(information) if to_add else fit.weighted.clip
-    found = fit.values[fit.unknowns.kept]
-    return collect_residuals(information, rows, found, clip, root, weights, bool(to_add))
+    sought, weights = fit.unknowns, 1.0 / fit.weighted.noise
+    every = replace(sought, kept=np.union1d(sought.kept, fit.columns.at(sought.at_bound)))
+    names, own = fit.columns.names, joint_space(fit.information, weights).inverse_root()
+    root = np.zeros((len(names), own.shape[1]))
+    root[sought.kept] = own
+    given = restricted(fit.evidence.whole, every.kept_names, sought.held), fit.values[every.kept]
+    rows = ChosenRows(JoinedSamples((samples,)), every)
+    clip = no_clip(given[0])
+    found = collect_residuals(given[0], rows, given[1], clip, root[every.kept], weights, True)
+    return [replace(each, columns=every.kept[each.columns]) for each in found]
+
+
+def residuals_within(fit: Fit, residuals: Sequence[JointResiduals]) -> list[JointResiduals]:
+    """Return sums in the columns of all parameters as those in the columns of a fit."""
+    kept, found = fit.unknowns.kept, []
+    for each in residuals:
+        stay = np.isin(each.columns, kept)
+        at = np.searchsorted(kept, each.columns[stay])
+        found.append(replace(each, columns=at, sums=each.sums[:, stay][:, :, stay]))
+    return found
 
 
 def _common(fit: Fit) -> float:

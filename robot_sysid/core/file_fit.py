@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robot_sysid.core.choices import AS_GOOD, IN_FILE, WITH_POLYNOMIAL, prior_scale, squared_errors
+from robot_sysid.core.choices import IN_FILE, WITH_POLYNOMIAL, prior_scale, squared_errors
 from robot_sysid.core.columns import PAYLOAD_NAMES
 from robot_sysid.core.errors import FitErrors, fit_errors
 from robot_sysid.core.fit import Fit, Fitter
@@ -85,8 +85,7 @@ def fit_file(
         other = fitter.fit(level, choice, replace(point, values=fit.values), _ROUNDS)
         errors = held_out(other).of(other)
         judge = held_out(fit)
-        pair = [float(np.mean(judge.score(each))) for each in (errors, squared)]
-        if pair[0] <= AS_GOOD * pair[1]:
+        if not is_clearly_lower(judge.score(squared), judge.score(errors)):
             fit, squared = other, errors
     after = held_out(fit).validation(squared, OWN_SOURCE)
     return FileFit(fit, before, after, kept, fit_errors(fit, (), pull))

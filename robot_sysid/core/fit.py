@@ -297,7 +297,7 @@ def _bounded(
     noise: Array | None,
 ) -> tuple[Unknowns, WeightedEquations, Array]:
     """Return (what is sought in the end, the weighted equations, values (p,)) within bounds."""
-    for _ in range(_MOST_BOUNDS):
+    while True:  # each round holds at least one more parameter
         prior = columns.prior[sought.kept]
         plain = restricted(data.whole, sought.kept_names, sought.held)
         source = ChosenRows(JoinedSamples(samples), sought) if method == "robust" else None
@@ -311,9 +311,8 @@ def _bounded(
         values = sought.full(least_squares(found.information, prior, 1.0 / found.noise))
         inside = sought.bounded(values)
         if inside is None:
-            break
+            return sought, found, np.clip(values, sought.lower, sought.upper)
         sought = inside
-    return sought, found, np.clip(values, sought.lower, sought.upper)
 
 
 def _sharpened(found: WeightedEquations, prior: Array) -> WeightedEquations:

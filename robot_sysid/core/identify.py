@@ -10,7 +10,7 @@ import numpy as np
 from robot_sysid.core.answer import Answer
 from robot_sysid.core.choices import choose
 from robot_sysid.core.columns import PAYLOAD_NAMES, Columns
-from robot_sysid.core.couplings import Coupling, neighbours, read_couplings
+from robot_sysid.core.couplings import Coupling, couplings_of
 from robot_sysid.core.dataset import Dataset, JoinedSamples, Mask, mean_torque
 from robot_sysid.core.errors import fit_errors
 from robot_sysid.core.file_fit import fit_file
@@ -199,12 +199,7 @@ def _fitter(
     """Return what fits, and the couplings that the recordings may decide for."""
     if options.tilt == "auto":
         tilt_axes(gravity(robot))  # which there have to be
-    couplings: tuple[Coupling, ...] = ()
-    offered: tuple[Coupling, ...] = ()
-    if options.coupling is not None:
-        couplings = read_couplings(options.coupling, robot)
-    elif options.torques == "chain" and options.friction is None:
-        couplings = offered = tuple(neighbours(robot))
+    couplings, offered = couplings_of(robot, options)
     columns = Columns(robot, datasets, options.torques, couplings)
     again = None
     if all(each.signals is not None for each in datasets):

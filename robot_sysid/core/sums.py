@@ -18,17 +18,16 @@ from operator import add
 import numpy as np
 
 from robot_sysid.core.answer import Answer
-from robot_sysid.core.choices import CANDIDATES, Chosen, prior_scale
+from robot_sysid.core.choices import CANDIDATES, Chosen, choose
 from robot_sysid.core.columns import Columns, Point
-from robot_sysid.core.couplings import read_couplings
+from robot_sysid.core.couplings import couplings_of
 from robot_sysid.core.dataset import Dataset, DecimatedSamples
-from robot_sysid.core.errors import filtering_bias, fit_errors, residuals_of
+from robot_sysid.core.errors import filtering_bias, fit_errors, residuals_to_add, residuals_within
 from robot_sysid.core.file_fit import fit_file
 from robot_sysid.core.fit import Evidence, Fit, Fitter, evidence, solved
 from robot_sysid.core.held_out import validation_of
 from robot_sysid.core.identify import Piece, filtered
-from robot_sysid.core.unknowns import FILE_GRAVITY, Choice, Question, same_for_all
-from robot_sysid.dynamics.friction import friction_model
+from robot_sysid.core.unknowns import FILE_GRAVITY, Choice, Question
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.autocorrelation import JointResiduals
 from robot_sysid.estimation.information import combined, sample_counts
@@ -191,13 +190,16 @@ class _Fixed(Fitter):
     Args:
         robot: the arm.
         found: what logs say.
-        point: around which their rows were.
+        point: around which their rows were; None for the model.
     """
 
-    def __init__(self, robot: RobotModel, found: LogInformation, point: Point) -> None:
-        columns = _columns(robot, found.settled.estimation, ())
+    def __init__(
+        self, robot: RobotModel, found: LogInformation, point: Point | None = None
+    ) -> None:
+        options = found.settled.estimation
+        columns = Columns(robot, (), options.torques, couplings_of(robot, options)[0])
         super().__init__(columns, found.evidence.torque)
-        self._found, self._point = found, point
+        self._found, self._point = found, point or columns.start()
 
     def around(self, point: Point) -> tuple[tuple[DecimatedSamples, ...], Evidence]:
         """Return no rows, and what they said."""
@@ -233,7 +235,7 @@ def log_information(
     """
     settled = _settled(robot, options, around)
     datasets, said = filtered(robot, [Piece("", log) for log in logs], options)
-    columns = _columns(robot, options, datasets)
+    columns = Columns(robot, datasets, options.torques, couplings_of(robot, options)[0])
     first = None if around is None else _fitted(robot, around)
     point = columns.start() if first is None else replace(columns.start(), values=first.values)
     samples = columns.samples(point)
@@ -242,7 +244,7 @@ def log_information(
     pairs = list(zip(datasets, samples))
     residuals: tuple[JointResiduals, ...] = ()
     if first is not None:
-        each = [residuals_of(first, [part]) for part in samples]
+        each = [residuals_to_add(first, part) for part in samples]
         residuals = tuple(reduce(add, same) for same in zip(*each))
     return LogInformation(
         settled=settled,
@@ -259,11 +261,6 @@ def log_information(
     )
 
 
-def _columns(robot: RobotModel, options: EstimationOptions, datasets: Sequence[Dataset]) -> Columns:
-    couplings = () if options.coupling is None else read_couplings(options.coupling, robot)
-    return Columns(robot, datasets, options.torques, couplings)
-
-
 def _settled(
     robot: RobotModel, options: EstimationOptions, around: LogInformation | None
 ) -> Settled:
@@ -277,14 +274,10 @@ def _settled(
 
 
 def _fitted(robot: RobotModel, found: LogInformation) -> Fit:
-    options = found.settled.estimation
-    question = Question(options)
-    fitter = _Fixed(robot, found, _columns(robot, options, ()).start())
-    model = options.friction or friction_model(CANDIDATES[0])
-    choice = Choice(same_for_all(model, robot), fitter.columns.couplings)
-    fit = fitter.fit(question, choice)
-    scale = prior_scale(fit, question, choice)
-    return fit if scale == 1.0 else fitter.fit(question, replace(choice, prior_scale=scale))
+    options, fitter = found.settled.estimation, _Fixed(robot, found)
+    question, (_, offered) = Question(options), couplings_of(robot, options)
+    chosen, _ = choose(fitter, question, options.friction, offered)
+    return fitter.fit(question, chosen.choice)
 
 
 def _sampled(dataset: Dataset, part: DecimatedSamples, values: Array) -> RowSample:
@@ -320,7 +313,8 @@ def answer_from(
             "information of all logs again with around= this sum, and identify from their sum"
         )
     fit, options = _fitted(robot, found), found.settled.estimation
-    errors = fit_errors(fit, [each.shortened() for each in found.residuals], found.pull)
+    residuals = [each.shortened() for each in residuals_within(fit, found.residuals)]
+    errors = fit_errors(fit, residuals, found.pull)
     file = None
     if options.torques == "chain":
         fixed = _Fixed(robot, found, fit.point)

@@ -36,9 +36,9 @@ CURVATURE, LEAST_COULOMB = 5.0, 0.02
 the gear's torque; Coulomb friction is at least so much of the joint's usual torque."""
 LARGEST_LOSS = 0.3
 """Share of its load that a gear loses at most."""
-LAG, DRIFTS, LOADED_LOSS = 5e-3, 0.2, 0.1
-"""Standard deviations: of the torque's lag behind the position [s], of friction's drift from the
-middle of the recordings to their ends (a share), of a gear's loss where loads differ."""
+DRIFTS, LOADED_LOSS = 0.2, 0.1
+"""Standard deviations: of friction's drift from the middle of the recordings to their ends (a
+share), of a gear's loss where loads differ."""
 FILE_TILT = np.radians(2.0)
 """Standard deviation of the direction of gravity that a file is given [rad]."""
 PLACEHOLDER = 1e-3
@@ -278,19 +278,23 @@ def usual_bodies(robot: RobotModel) -> dict[str, Array]:
     """Return body name to a body (10,) that such a link could be.
 
     That is the model's own; where that is only a placeholder, without weight beside the other
-    links, a ball of aluminium of a tenth of their usual mass at its place.
+    links, a ball at its place with their usual mass and moment per mass.
     """
-    with_mass = [link for link in robot.links if link.has_mass]
-    typical = float(np.median([link.theta[0] for link in with_mass]))
-    found = {}
-    for link in with_mass:
-        theta = link.theta
-        if theta[0] < PLACEHOLDER * typical or not spatial.is_consistent(theta):
-            mass = max(0.1 * typical, float(theta[0]))
+    found = {link.body_name: link.theta for link in robot.links if link.has_mass}
+    heaviest = max(theta[0] for theta in found.values())
+    believed = [
+        theta
+        for theta in found.values()
+        if theta[0] >= PLACEHOLDER * heaviest and spatial.is_consistent(theta)
+    ]
+    usual = float(np.median([theta[0] for theta in believed]))
+    apart = [spatial.com_from_theta(theta) for theta in believed]
+    gyration = float(np.median([np.trace(inertia) / (3.0 * mass) for mass, _, inertia in apart]))
+    for name, theta in found.items():
+        if theta[0] < PLACEHOLDER * usual or not spatial.is_consistent(theta):
+            mass = max(usual, float(theta[0]))
             com = theta[1:4] / theta[0] if theta[0] > 0.0 else np.zeros(3)
-            radius = (3.0 * mass / (4.0 * np.pi * 2700.0)) ** (1.0 / 3.0)
-            theta = spatial.theta_from_com(mass, com, 0.4 * mass * radius**2 * np.eye(3))
-        found[link.body_name] = theta
+            found[name] = spatial.theta_from_com(mass, com, mass * gyration * np.eye(3))
     return found
 
 
@@ -324,8 +328,9 @@ def _groups(
         names = tuple(f"{kind}[{joint}]" for joint in members)
         if size > 0.0:
             yield independent(cause, names, members, size, wide)
-    if options.delay == "off" and not question.resting:
-        yield independent(DELAY, (DELAY_NAME,), ("the torque",), LAG, wide)
+    late = 0.0 if question.resting else MILLI * options.delay_uncertainty
+    if options.delay == "off" and late > 0.0:
+        yield independent(DELAY, (DELAY_NAME,), ("the torque",), late, wide)
     if tilts and options.tilt == "off" and options.gravity_uncertainty > 0.0:
         size = float(np.radians(options.gravity_uncertainty))
         yield independent(TILT, tilts, ("the base",) * 2, size, wide)
@@ -359,7 +364,7 @@ def _friction_group(
 def _link_group(columns: Columns, question: Question, choice: Choice) -> NuisanceGroup | None:
     """Return what the model knows of the links but the terminal one; None where nothing is sought.
 
-    A placeholder is not believed: it may be anything up to a usual body.
+    A placeholder is not believed: it may be anything between nothing and two usual bodies.
     """
     robot, sought = columns.robot, dict(_bodies(columns, question))
     links = [k for k in other_links(robot) if robot.links[k].body_name in sought]
@@ -370,16 +375,18 @@ def _link_group(columns: Columns, question: Question, choice: Choice) -> Nuisanc
     usual = [sought[name][1] for name in names]
     ends = [link.translation for link in robot.links[1:]]
     lengths = [float(np.linalg.norm(ends[link])) for link in links]
-    factor = link_factor(usual, share * choice.prior_scale, lengths)
-    for place, (link, theta) in enumerate(zip(links, usual)):
-        if theta is not robot.links[link].theta:
-            block = slice(10 * place, 10 * place + 10)
-            factor[block] = 0.0
-            factor[block, block] = link_factor([theta], 1.0, [lengths[place]])
+    factor = np.zeros((10 * len(links), 10 * len(links)))
+    believed = [usual[k] is robot.links[link].theta for k, link in enumerate(links)]
+    kinds = [(np.flatnonzero(believed), share * choice.prior_scale)]
+    kinds += [(np.array([k]), 1.0) for k in np.flatnonzero(np.logical_not(believed))]
+    for alike, size in (each for each in kinds if len(each[0])):
+        at = np.add.outer(10 * alike, np.arange(10)).ravel()
+        spread = link_factor([usual[k] for k in alike], size, [lengths[k] for k in alike])
+        factor[np.ix_(at, at)] = spread
     places = np.concatenate([sought[name][0] for name in names])
     members = tuple(name for name in names for _ in PARAMETER_NAMES)
     own = tuple(columns.names[k] for k in places)
-    return NuisanceGroup(LINKS, own, columns.prior[places], factor, members)
+    return NuisanceGroup(LINKS, own, np.concatenate(usual), factor, members)
 
 
 def _no_common_scale(columns: Columns) -> NuisanceGroup:

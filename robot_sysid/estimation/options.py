@@ -135,6 +135,14 @@ class EstimationOptions(OptionRecord):
         check=not_negative,
         needs="measured",
     )
+    delay_uncertainty: float = option(
+        5.0,
+        "how late or early the torque may be beside the position",
+        unit="ms",
+        metavar="P",
+        check=not_negative,
+        needs="measured",
+    )
     friction_uncertainty: float = option(
         2.0,
         "how much friction may grow with the torque of the gear where the friction model has no "

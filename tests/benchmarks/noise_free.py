@@ -29,7 +29,7 @@ from robot_sysid.cli import main as robot_sysid
 from robot_sysid.dynamics import spatial
 from tests.support.arms import LINK, SEVEN_AXES, TIP, hinge, link, world
 
-UNCERTAIN = ("link", "scale", "zero", "gravity", "friction")
+UNCERTAIN = ("link", "scale", "zero", "gravity", "delay", "friction")
 EXACT = [word for cause in UNCERTAIN for word in (f"--{cause}-uncertainty", "0")]
 ACCEPTED = ("--accept", "computed")
 WRONG = 0.7
