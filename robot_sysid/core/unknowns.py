@@ -19,7 +19,7 @@ from robot_sysid.dynamics.equations import other_links
 from robot_sysid.dynamics.friction import BENT, FrictionModel, speed_name
 from robot_sysid.dynamics.nuisances import TILT_NAMES
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.estimation.nuisances import NuisanceGroup, link_factor
+from robot_sysid.estimation.nuisances import NuisanceGroup, link_aspects, link_factor
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.records import DELAY_NAME, Array, RobotModel
 
@@ -156,6 +156,7 @@ def _without(group: NuisanceGroup, names: set[str]) -> Iterator[NuisanceGroup]:
             mean=group.mean[stay],
             factor=group.factor[np.ix_(stay, stay)],
             members=tuple(group.members[k] for k in stay),
+            aspects=(),
         )
 
 
@@ -386,7 +387,8 @@ def _link_group(columns: Columns, question: Question, choice: Choice) -> Nuisanc
     places = np.concatenate([sought[name][0] for name in names])
     members = tuple(name for name in names for _ in PARAMETER_NAMES)
     own = tuple(columns.names[k] for k in places)
-    return NuisanceGroup(LINKS, own, np.concatenate(usual), factor, members)
+    means, aspects = np.concatenate(usual), link_aspects(usual, lengths)
+    return NuisanceGroup(LINKS, own, means, factor, members, aspects=aspects)
 
 
 def _no_common_scale(columns: Columns) -> NuisanceGroup:

@@ -45,6 +45,7 @@ class NuisanceGroup:
         members: (k,) whose they are: the link's or the joint's name.
         may_widen: whether the data may ask for more than the prior allows.
         widened: alpha, by how much it did.
+        aspects: (m, k) combinations each that may be off while all others are not.
     """
 
     cause: str
@@ -54,6 +55,7 @@ class NuisanceGroup:
     members: tuple[str, ...]
     may_widen: bool = False
     widened: float = 1.0
+    aspects: tuple[Array, ...] = ()
 
     def rows(self, names: Sequence[str]) -> Array:
         """Return the prior as equations of unit variance, (k, p+1) [A b] in these parameters."""
@@ -112,6 +114,16 @@ def link_factor(thetas: Sequence[Array], share: float, lengths: Sequence[float])
         common[block, 0] = share * theta
         common[block, 1] = moved @ com / distance if distance > 0.0 else 0.0
     return np.linalg.cholesky(own @ own.T + common @ common.T)
+
+
+def link_aspects(thetas: Sequence[Array], lengths: Sequence[float]) -> tuple[Array, ...]:
+    """Return what picks masses, centres of mass and inertias of L links, (m, 10 L) each."""
+    whole = np.zeros((10 * len(thetas), 10 * len(thetas)))
+    for place, (theta, length) in enumerate(zip(thetas, lengths)):
+        block = slice(10 * place, 10 * (place + 1))
+        whole[block, block] = np.linalg.inv(own_errors(theta, 1.0, length)[0])
+    kinds = np.tile(np.repeat((0, 1, 2), (1, 3, 6)), len(thetas))
+    return tuple(whole[kinds == kind] for kind in range(3))
 
 
 def own_errors(theta: Array, share: float, length: float) -> tuple[Array, Array]:
@@ -178,17 +190,28 @@ class _Problem:
 
 def _asked(group: NuisanceGroup, names: Sequence[str], values: Array, covariance: Array) -> float:
     """Return the factor by which the data asks to widen a prior."""
-    off = group.deviations(names, values)
-    determined = float(np.sum(_determined(group, names, covariance)))
+    every = np.eye(len(group.names))
+    return _asked_of(group, every, names, values, covariance)
+
+
+def _asked_of(
+    group: NuisanceGroup, some: Array, names: Sequence[str], values: Array, covariance: Array
+) -> float:
+    """Return the same of some combinations (m, k) alone."""
+    root = np.linalg.cholesky(some @ group.factor @ group.factor.T @ some.T)
+    off = np.linalg.solve(root, some @ (values[group.places(names)] - group.mean))
+    determined = float(np.sum(_determined(group, some, names, covariance)))
     return float(min(np.sqrt(np.sum(off**2) / max(determined, 1.0)), WIDEST))
 
 
-def _determined(group: NuisanceGroup, names: Sequence[str], covariance: Array) -> Array:
-    """Return (k,) how much of each direction the data determines, between 0 and 1."""
+def _determined(
+    group: NuisanceGroup, some: Array, names: Sequence[str], covariance: Array
+) -> Array:
+    """Return (m,) how much of each direction the data determines, between 0 and 1."""
     places = group.places(names)
-    inverse = np.linalg.inv(group.widened * group.factor)
-    left = inverse @ covariance[np.ix_(places, places)] @ inverse.T
-    return np.clip(1.0 - np.diag(left), 0.0, 1.0)
+    root = group.widened * np.linalg.cholesky(some @ group.factor @ group.factor.T @ some.T)
+    left = np.linalg.solve(root, some @ covariance[np.ix_(places, places)] @ some.T)
+    return np.clip(1.0 - np.diag(np.linalg.solve(root, left.T)), 0.0, 1.0)
 
 
 def misfits(
@@ -197,7 +220,8 @@ def misfits(
     """Return the causes that the data asks for more clearly than chance does.
 
     A cause is asked for where leaving it at what it is thought to be makes the misfit worse by more
-    than chi-square allows.
+    than chi-square allows. It is as wide then as its worst aspect asks for: links of another
+    density contradict their masses alone, which would be lost among ten numbers of each.
 
     Args:
         information: the data.
@@ -209,15 +233,19 @@ def misfits(
     problem = _Problem(information, noise)
     values, covariance, with_all = problem.solve(groups)
     wanted = widened_groups(information, noise, groups, _NARROWEST)
+    wider = problem.solve(wanted)[:2]
     found = []
     for index, group in enumerate(groups):
         fixed = [*groups[:index], replace(group, widened=_FIXED), *groups[index + 1 :]]
         gained = problem.solve(fixed)[2] - with_all
-        freedom = max(float(np.sum(_determined(group, problem.names, covariance))), 1.0)
+        every = np.eye(len(group.names))
+        freedom = max(float(np.sum(_determined(group, every, problem.names, covariance))), 1.0)
         if gained > chi2.ppf(SURE, freedom):
             off = group.deviations(problem.names, values)
-            worst = _worst_members(group, off)
-            found.append(PriorConflict(group.cause, worst, wanted[index].widened, group.widened))
+            worst, wide = _worst_members(group, off), wanted[index]
+            alone = [_asked_of(wide, some, problem.names, *wider) for some in group.aspects]
+            asked = max(wide.widened, *alone) if alone else wide.widened
+            found.append(PriorConflict(group.cause, worst, asked, group.widened))
     return tuple(found)
 
 

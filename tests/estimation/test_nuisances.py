@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import assume, given
@@ -14,6 +16,7 @@ from robot_sysid.estimation.least_squares import least_squares
 from robot_sysid.estimation.nuisances import (
     WIDEST,
     NuisanceGroup,
+    link_aspects,
     link_factor,
     misfits,
     widened_groups,
@@ -23,6 +26,7 @@ from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.estimation.uncertainty import white_uncertainty
 from robot_sysid.solver import identify_parameters
 from tests.support.arms import SEEDS, rigid_bodies
+from tests.support.model_files import random_theta
 
 NAMES = (*spatial.PARAMETER_NAMES, "d0", "d1", "d2", "d3", "e0", "e1")
 ROWS = 60
@@ -160,3 +164,28 @@ def test_data_without_noise_gives_the_truth_whatever_the_prior(method):
 def test_a_negative_share_is_refused():
     with pytest.raises(InputError, match="--link-uncertainty"):
         EstimationOptions(link_uncertainty=-1.0)
+
+
+def test_what_one_aspect_contradicts_is_not_lost_among_the_others():
+    """Masses alone are off, by six times what was thought; everything else is as it was."""
+    rng, lengths = np.random.default_rng(0), [0.3, 0.2, 0.1]
+    thetas = [random_theta(rng) for _ in lengths]
+    names = tuple(f"p{k}" for k in range(30))
+    group = NuisanceGroup(
+        "links",
+        names,
+        np.concatenate(thetas),
+        link_factor(thetas, 0.05, lengths),
+        tuple("abc"[k // 10] for k in range(30)),
+    )
+    truth = np.concatenate([1.3 * thetas[0], 0.7 * thetas[1], 1.3 * thetas[2]])
+    rows = rng.normal(size=(400, 30)) / np.abs(np.concatenate(thetas))
+    tau = rows @ truth + 0.5 * rng.normal(size=400)
+    accumulator = InformationAccumulator(names, ("j",), (np.arange(30),))
+    accumulator.add(0, rows, tau)
+    asked = []
+    for aspects in ((), link_aspects(thetas, lengths)):
+        told = replace(group, aspects=aspects)
+        (found,) = misfits(accumulator.result(), np.array([0.5]), (told,))
+        asked.append(found.asked)
+    assert asked[0] < 3.0 and asked[1] == pytest.approx(6.0, rel=0.2)
