@@ -33,11 +33,8 @@ KINOVA_OUTPUT = re.compile(r"<!-- kinova output -->\n```text\n(.*?)```", re.DOTA
 
 def parsers() -> list[argparse.ArgumentParser]:
     """Return the parsers of all commands."""
-    played = [motors.build_parser(name) for name in ("check", "play", "simulate")]
-    others = [motors.build_setup_parser(name) for name in ("setup", "monitor", "map")]
-    motors_parsers = [*played, *others]
     whole = [module.build_parser() for module in (run, plan, identify, arm, payload)]
-    return [*whole, *motors_parsers]
+    return [*whole, *(motors.build_parser(name) for name in motors.COMMANDS)]
 
 
 def options() -> set[str]:

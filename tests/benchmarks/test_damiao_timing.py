@@ -63,7 +63,7 @@ def arm_and_plan(folder, rate: float) -> tuple[SimulatedArm, Plan]:
     recording = RecordingOptions(folder / "measured.csv", overwrite=True)
     allowed = Permissions(bus_load=True)
     plan = Plan(read_damiao_trajectory(path), settings, BusTiming(), allowed, recording)
-    motors = [simulated_motor(j.spec, j.can_id, j.master_id, watchdog=3.0) for j in joints]
+    motors = [simulated_motor(j, watchdog=3.0) for j in joints]
     return SimulatedArm(Pendulums(JOINTS), motors), plan
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from robot_sysid.commands import motors
+from robot_sysid.commands.motors import asked as motors_asked
 from robot_sysid.config import config_from
 from robot_sysid.damiao.simulated.simulated_link import SimulatedLink
 from tests.support.clocks import ScriptedClock
@@ -51,6 +51,6 @@ class SimulatedBus:
 @pytest.fixture
 def bus(monkeypatch):
     simulated = SimulatedBus()
-    monkeypatch.setattr(motors, "SystemClock", lambda: simulated.clock)
-    monkeypatch.setattr(motors, "open_bus", simulated.open)
+    monkeypatch.setattr(motors_asked, "SystemClock", lambda: simulated.clock)
+    monkeypatch.setattr(motors_asked, "open_bus", simulated.open)
     return simulated

@@ -21,7 +21,6 @@ from robot_sysid.damiao.protocol.frames import (
     is_special,
 )
 from robot_sysid.damiao.protocol.joints import damiao_joints
-from robot_sysid.damiao.protocol.motors import MOTORS
 from robot_sysid.damiao.protocol.registers import DISABLED, ESC_ID, MST_ID
 from robot_sysid.damiao.run.plan import Plan, run
 from robot_sysid.damiao.run.preflight import Permissions
@@ -29,7 +28,7 @@ from robot_sysid.damiao.simulated.arm import SimulatedArm, simulated_motor
 from robot_sysid.damiao.simulated.simulated_link import SimulatedLink
 from robot_sysid.damiao.trajectory import export_damiao_trajectory, read_damiao_trajectory
 from tests.support.clocks import ScriptedClock
-from tests.support.links import RememberingLink
+from tests.support.links import RememberingLink, SlowAdapter
 from tests.support.recordings import read_recording
 
 INERTIA, GRAVITY = 0.1, 2.0
@@ -67,7 +66,7 @@ def swing(n_joints=3, duration=2.0, rate=250.0, amplitude=0.4):
 
 def two_motor_arm(watchdog=0.1):
     """Two pendulums with their motors."""
-    motors = [simulated_motor(MOTORS["DM4340"], i, i + 16, watchdog) for i in (1, 2)]
+    motors = [simulated_motor(joint, watchdog) for joint in damiao_joints(["DM4340"] * 2, 2)]
     return SimulatedArm(Pendulums(2), motors)
 
 
@@ -100,7 +99,7 @@ class Rig:
         watchdog=0.1,
         motion=None,
         name="measured",
-        adapter=lambda: 0.0,
+        adapter=None,
         console=lambda sentence: None,
         pose_check=None,
         **settings,
@@ -109,13 +108,14 @@ class Rig:
         joints = damiao_joints(types, n_joints)
         path = folder / "damiao_trajectory.csv"
         export_damiao_trajectory([motion or swing(n_joints)], types, path)
-        self.motors = [simulated_motor(j.spec, j.can_id, j.master_id, watchdog) for j in joints]
+        self.motors = [simulated_motor(joint, watchdog) for joint in joints]
         mechanism = Pendulums(n_joints, start)
         self.arm = SimulatedArm(mechanism, [*self.motors, *extra_motors], faults)
         self.clock = ScriptedClock()
-        self.bus = SimulatedLink(self.clock, self.arm, timing, echo, adapter)
+        self.bus = SimulatedLink(self.clock, self.arm, timing, echo)
+        self.adapter = SlowAdapter(self.bus, self.clock, adapter)
         self.console, self.pose_check = console, pose_check
-        self.wire = RememberingLink(self.bus, self.clock)
+        self.wire = RememberingLink(self.adapter, self.clock)
         self.link = GuardedLink(self.wire, self.clock.now, timing.fd)
         self.record_path = folder / f"{name}.csv"
         self.plan = Plan(
@@ -135,8 +135,7 @@ class Rig:
         motor, joints = self.motors[j], list(self.plan.trajectory.joints)
         ids = {"can_id": can_id or joints[j].can_id, "master_id": master_id or joints[j].master_id}
         joints[j] = replace(joints[j], **ids, **how)
-        for name in ("bus", "direction", "offset", "torque_ratio"):
-            setattr(motor, name, getattr(joints[j], name))
+        motor.joint = joints[j]
         motor.registers[ESC_ID], motor.registers[MST_ID] = ids["can_id"], ids["master_id"]
         trajectory = replace(self.plan.trajectory, joints=tuple(joints))
         self.plan = replace(self.plan, trajectory=trajectory)

@@ -42,6 +42,30 @@ class RememberingLink:
         self._link.close()
 
 
+class SlowAdapter:
+    """Hands answers over so many seconds late as ``delay()`` says; none overtakes another."""
+
+    def __init__(self, link, clock, delay=None):
+        self._link, self._clock, self.delay = link, clock, delay
+        self._held = []
+
+    def send(self, frame):
+        self._link.send(frame)
+
+    def receive(self, until):
+        if self.delay is None:
+            return self._link.receive(until)
+        while not self._held or self._held[0].time > self._clock.now():
+            due = self._held[0].time if self._held else float("inf")
+            frame = self._link.receive(min(until, due))
+            if frame is None and due > until or frame is not None and frame.echo:
+                return frame
+            if frame is not None:
+                last = self._held[-1].time if self._held else 0.0
+                self._held.append(frame._replace(time=max(frame.time + self.delay(), last)))
+        return self._held.pop(0)
+
+
 @contextlib.contextmanager
 def served_in_background(arm, link, clock, close=True):
     """Serve the arm in a thread for as long as the block runs, then, if asked, close its link."""

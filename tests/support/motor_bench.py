@@ -8,7 +8,7 @@ from robot_sysid.damiao.bus.inspection import RegisterClient
 from robot_sysid.damiao.bus.link import GuardedLink
 from robot_sysid.damiao.exchange.session import MotorSession
 from robot_sysid.damiao.protocol.codec import MitCommand, Scaling
-from robot_sysid.damiao.protocol.frames import BusTiming
+from robot_sysid.damiao.protocol.frames import REGISTER_ID, WRITE, BusTiming
 from robot_sysid.damiao.protocol.joints import damiao_joints
 from robot_sysid.damiao.protocol.motors import MOTORS
 from robot_sysid.damiao.simulated.arm import SimulatedArm, simulated_motor
@@ -24,7 +24,8 @@ class Bench:
     """Motors of one type, and everything that talks to them."""
 
     def __init__(self, n=2, echo=False):
-        self.motors = [simulated_motor(SPEC, i + 1, i + 17) for i in range(n)]
+        joints = damiao_joints(["DM4340"] * n, n)
+        self.motors = [simulated_motor(joint) for joint in joints]
         self.clock = ScriptedClock()
         self.arm = SimulatedArm(Pendulums(n), self.motors)
         bus = SimulatedLink(self.clock, self.arm, BusTiming(), echo)
@@ -32,14 +33,23 @@ class Bench:
         self.link = GuardedLink(self.bus, self.clock.now)
         self.client = RegisterClient(self.link, self.clock)
         self.session = MotorSession(
-            self.link,
-            self.clock,
-            damiao_joints(["DM4340"] * n, n),
-            Scaling.from_limits([SPEC.limits] * n),
-            half_step=True,
+            self.link, self.clock, joints, Scaling.from_limits([SPEC.limits] * n), half_step=True
         )
 
     def command(self, q=0.0, kp=20.0):
         n = len(self.motors)
         full = np.full(n, 1.0)
         return MitCommand(q * full, 0 * full, kp * full, full, 0 * full)
+
+
+def answering_writes_with(opcode, motor):
+    """Let a motor answer a write with this operation: firmware differs."""
+    answer = motor.handle
+
+    def handle(frame, time):
+        said = answer(frame, time)
+        if said is None or frame.id != REGISTER_ID or frame.data[2] != WRITE:
+            return said
+        return said._replace(data=said.data[:2] + bytes([opcode]) + said.data[3:])
+
+    motor.handle = handle

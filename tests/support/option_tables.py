@@ -8,11 +8,10 @@ writes them anew. A table stands between ``<!-- options: NAME -->`` and ``<!-- e
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from robot_sysid.commands import motors, run
 from robot_sysid.commands.arguments import ConsoleOptions, default_text
-from robot_sysid.commands.motors import setup as motors_setup
 from robot_sysid.damiao.bus.can_bus import BusAddress
 from robot_sysid.damiao.exchange.recorder import RecordingOptions
 from robot_sysid.damiao.exchange.settings import PlaySettings
@@ -25,7 +24,7 @@ from tests.support.places import ROOT
 
 PAGES = (ROOT / "README.md", ROOT / "docs" / "options.md")
 RUN = tuple(record for _, records in run.GROUPS for record in records)
-TABLES: Mapping[str, tuple[type, ...]] = {
+TABLES: Mapping[str, Sequence[type]] = {
     **dict(run.GROUPS),
     "main": (*RUN, ConsoleOptions),
     "preview": (PreviewOptions,),
@@ -35,9 +34,9 @@ TABLES: Mapping[str, tuple[type, ...]] = {
     "motors: motion and limits": (PlaySettings,),
     "motors: what to allow": (Permissions,),
     "motors: recording": (RecordingOptions,),
-    "motors: setup": motors_setup.GROUPS["setup"],
-    "motors: monitor": motors_setup.GROUPS["monitor"],
-    "motors: map": motors_setup.GROUPS["map"],
+    "motors: setup": motors.COMMANDS["setup"].groups["setup"],
+    "motors: monitor": motors.COMMANDS["monitor"].groups["monitor"],
+    "motors: map": motors.COMMANDS["map"].groups["map"],
     "motors: play and simulate": (motors.PlayChoices, motors.SimulatedMotorOptions),
 }
 """Name of a table to the records whose options it lists; of "main" only the main options."""

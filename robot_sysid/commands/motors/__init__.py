@@ -4,26 +4,26 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 from robot_sysid.commands.arguments import PROGRAM, Parser, parsed
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.motors import setup as motors_setup
+from robot_sysid.commands.motors.asked import Asked
 from robot_sysid.config import ModelOptions
-from robot_sysid.damiao.bus.can_bus import BusAddress, open_bus
+from robot_sysid.damiao.bus.can_bus import BusAddress
 from robot_sysid.damiao.bus.inspection import inspect_bus
-from robot_sysid.damiao.bus.link import Clock, GuardedLink, Link, SimulatedClock, SystemClock
+from robot_sysid.damiao.bus.link import Clock, GuardedLink, Link, SimulatedClock
 from robot_sysid.damiao.exchange.recorder import RecordingOptions
 from robot_sysid.damiao.exchange.settings import PlaySettings
 from robot_sysid.damiao.play.supervision import StopRequest
 from robot_sysid.damiao.protocol.frames import BusTiming, default_rate
-from robot_sysid.damiao.protocol.joints import DamiaoJoint, mapped, read_joint_map
 from robot_sysid.damiao.report_lines import check_lines, load_line, motor_table, run_lines
-from robot_sysid.damiao.run.plan import Plan, PoseCheck, run
+from robot_sysid.damiao.run.plan import Plan, run
 from robot_sysid.damiao.run.preflight import (
     Check,
     Permissions,
@@ -39,17 +39,8 @@ from robot_sysid.damiao.simulated.arm import (
     simulated_motor,
 )
 from robot_sysid.damiao.simulated.simulated_link import SimulatedLink, SlcanTerminal, serve
-from robot_sysid.damiao.trajectory import DamiaoTrajectory, read_damiao_trajectory
 from robot_sysid.errors import InputError
-from robot_sysid.records import Array
-from robot_sysid.records.options import (
-    OptionRecord,
-    given_options,
-    option,
-    options_of,
-    positive,
-    record_from,
-)
+from robot_sysid.records.options import OptionRecord, option, options_of, positive, record_from
 
 INTERRUPTED = "interrupted; no motor is enabled"
 _CODES = (0, 1, 2, 3, 130)
@@ -85,95 +76,22 @@ class SimulatedMotorOptions(OptionRecord):
     )
 
 
-class _Run:
-    """One command line of ``motors``, as records."""
-
-    def __init__(self, values: Mapping[str, Any], console: Console) -> None:
-        self.values, self.console = values, console
-        self.address = record_from(BusAddress, values)
-        self.timing = record_from(BusTiming, values)
-        self.settings = record_from(PlaySettings, values)
-        self.allowed = record_from(Permissions, values)
-        self.recording = record_from(RecordingOptions, values)
-
-    def plan(self) -> Plan:
-        """Return the trajectory and how to play it."""
-        trajectory = read_damiao_trajectory(self.values["trajectory"])
-        trajectory = replace(trajectory, joints=self.mounted(trajectory.joints))
-        chosen = self.settings, self.timing, self.allowed, self.recording
-        return Plan(trajectory, *chosen, self.inertia(trajectory))
-
-    def inertia(self, trajectory: DamiaoTrajectory) -> Array | None:
-        """Return what each joint moves at the first point, where a model is known [kg m^2]."""
-        if self.values.get("model") is None or self.robot.n_joints != trajectory.n_joints:
-            return None
-        from robot_sysid.simulation.stepper import ArmStepper
-
-        _, q, _, _ = next(trajectory.chunks(1))
-        return ArmStepper(self.robot, q[0]).moved_inertia()
-
-    def mounted(self, joints: Sequence[DamiaoJoint]) -> tuple[DamiaoJoint, ...]:
-        """Return the trajectory's joints with what is known about how they are mounted."""
-        names = self.robot.joint_names if self.values.get("model") else ()
-        path = self.values.get("joint_map")
-        if path is not None:
-            return mapped(joints, read_joint_map(path), self.address.channel, names)
-        if len(names) != len(joints):
-            return tuple(joints)
-        return tuple(replace(joint, name=name) for joint, name in zip(joints, names))
-
-    def checks(self, plan: Plan) -> list[Check]:
-        """Return the checks that need no bus, those of a model of the arm included."""
-        if self.values.get("model") is None:
-            for given in given_options(record_from(ModelOptions, self.values)):
-                raise InputError(f"{given.flag} is about a model; add --model")
-            return plan.checks()
-        # Imported here so that playing on real motors does not wait for MuJoCo.
-        from robot_sysid.damiao.run.model_check import model_checks
-
-        played = plan.trajectory, plan.settings.speed
-        return [*plan.checks(), *model_checks(*played, self.robot, plan.pose)]
-
-    def pose_check(self, plan: Plan) -> PoseCheck | None:
-        """Return what compares the arm, held still, with the model's gravity; None without one."""
-        if self.values.get("model") is None:
-            return None
-        from robot_sysid.damiao.run.model_check import GravityCheck
-
-        return GravityCheck(self.robot, plan.trajectory.joints)
-
-    @cached_property
-    def robot(self) -> Any:
-        """The arm of the model file."""
-        from robot_sysid.parser import load_robot_model
-
-        chosen, path = record_from(ModelOptions, self.values), self.values["model"]
-        choice = chosen.mesh_dir, chosen.joint, float("inf"), chosen.keyframe
-        return load_robot_model(path, *choice)
-
-    @contextlib.contextmanager
-    def bus(self, clock: Clock) -> Iterator[GuardedLink]:
-        """Open the bus for as long as the block runs."""
-        with contextlib.closing(open_bus(self.address, self.timing, clock)) as link:
-            yield GuardedLink(link, clock.now, self.timing.fd, self.address.channel)
-
-
-def check(asked: _Run) -> int:
+def check(asked: Asked) -> int:
     """Inspect the motors; return 0 where a trajectory could be played."""
-    clock, console = SystemClock(), asked.console
+    console = asked.console
     if not asked.address.channel:
         raise InputError("check needs --channel, for instance --channel can0")
     plan = asked.plan() if asked.values.get("trajectory") else None
     if plan is None and asked.values.get("model"):
         raise InputError("--model needs a TRAJECTORY to check")
     checks = asked.checks(plan) if plan else []
-    with asked.bus(clock) as link:
-        inspection = inspect_bus(link, clock)
+    with asked.bus() as link:
+        inspection = inspect_bus(link, asked.clock)
     motors = len(inspection.motors)
     if not motors:
         console.lines([*check_lines(checks), "no motor answers: check power, wiring and bit rate"])
         return 1
-    rate = asked.settings.rate or default_rate(motors, asked.timing)
+    rate = record_from(PlaySettings, asked.values).rate or default_rate(motors, asked.timing)
     settings = plan.settings if plan else PlaySettings(rate=rate)
     checks += plan.bus_checks(inspection) if plan else general_checks(inspection, settings)
     console.lines(motor_table(inspection, plan.trajectory.joints if plan else ()))
@@ -183,21 +101,20 @@ def check(asked: _Run) -> int:
     return 1 if to_change else 0
 
 
-def play(asked: _Run) -> int:
+def play(asked: Asked) -> int:
     """Play a trajectory on the motors."""
     choices, plan = record_from(PlayChoices, asked.values), asked.plan()
     checks = asked.checks(plan)
     if asked.address.channel:
-        clock = SystemClock()
-        with asked.bus(clock) as link:
-            return _play_on(link, clock, plan, checks, choices, asked)
+        with asked.bus() as link:
+            return _play_on(link, asked.clock, plan, checks, choices, asked)
     if not choices.dry_run:
         raise InputError("play needs --channel, for instance --channel can0 (or --dry-run)")
     asked.console.lines(check_lines(checks))
     return _verdict(checks, asked.console)
 
 
-def simulate(asked: _Run) -> int:
+def simulate(asked: Asked) -> int:
     """Put a simulated arm on a bus, or play on it at once."""
     options, plan = record_from(SimulatedMotorOptions, asked.values), asked.plan()
     checks = asked.checks(plan)
@@ -208,8 +125,8 @@ def simulate(asked: _Run) -> int:
         return _play_on(link, clock, plan, checks, PlayChoices(yes=True), asked)
     require_no_stop(checks, "not rehearsed")
     arm = _simulated_arm(asked, plan, options, _REAL_TIME_STEP)
-    system, stop = SystemClock(), StopRequest()
-    with contextlib.closing(_simulated_end(asked, system)) as end, stop.on_signals():
+    system, stop = asked.clock, StopRequest()
+    with contextlib.closing(_simulated_end(asked)) as end, stop.on_signals():
         ends = system.now() + (options.lifetime or float("inf"))
         left_out = serve(arm, end, system, lambda: not stop.count and system.now() < ends)
     if left_out > 0.0:
@@ -217,45 +134,62 @@ def simulate(asked: _Run) -> int:
     return 0
 
 
-_COMMANDS: Mapping[str, tuple[Callable[[_Run], int], str, str]] = {
-    "check": (
+class _Command(NamedTuple):
+    """What a subcommand does, an example, what its help says, and its own options by group."""
+
+    run: Callable[[Asked], int]
+    example: str
+    description: str
+    groups: Mapping[str, Sequence[type]]
+
+
+_MOTION = {"motion and limits": (PlaySettings,), "what to allow": (Permissions,)}
+_PLAYED = {
+    "check": _Command(
         check,
         "damiao_trajectory.csv --channel can0",
         "Ask every id from 1 to 15, print what the motors say, and tell what has to change before "
         "a trajectory can be played. Enables no motor and writes nothing.",
+        _MOTION,
     ),
-    "play": (
+    "play": _Command(
         play,
         "damiao_trajectory.csv --channel can0 --speed 0.3 --record measured.csv",
         "Go through all checks, ask for confirmation, enable the motors, move slowly to the first "
         "point, play, come to rest, and disable. A disabled arm sinks: support it or park it where "
         "it cannot fall.",
+        {**_MOTION, "recording": (RecordingOptions,), "asking": (PlayChoices,)},
     ),
-    "simulate": (
+    "simulate": _Command(
         simulate,
         "damiao_trajectory.csv --model arm.xml --play --record measured.csv",
         "Simulate the arm of a model with Damiao motors. Without --play it sits behind a "
         "pseudo-terminal that acts as a serial CAN adapter, or on the bus of --interface and "
         "--channel; the line to give to 'play' is printed.",
+        {"simulated motors": (SimulatedMotorOptions,), **_MOTION, "recording": (RecordingOptions,)},
     ),
 }
-_SETUP: Mapping[str, tuple[Callable[..., int], str, str]] = {
-    "setup": (
+COMMANDS: Mapping[str, _Command] = {
+    **_PLAYED,
+    "setup": _Command(
         motors_setup.setup,
         "--channel can0 --motor 1 --new-id 2 --new-master-id 0x12 --mit --watchdog 0.1 --store",
         "List the motors on a bus, or change one: ids, mode, watchdog, bit rate, zero, error. "
         "Never while it is enabled.",
+        {"setup": (motors_setup.FindOptions, motors_setup.SetupOptions)},
     ),
-    "monitor": (
+    "monitor": _Command(
         motors_setup.monitor,
         "--channel can0",
         "Show what the motors measure, again and again. Enables nothing.",
+        {"monitor": (motors_setup.MonitorOptions,)},
     ),
-    "map": (
+    "map": _Command(
         motors_setup.map_joints,
         "--channel can0 --model arm.xml --output joint_map.csv",
         "Find out by hand which motor drives which joint of a model, which way, and where its "
         "zero is. The arm is limp: support it, and move one joint at a time when you are asked.",
+        {"map": (motors_setup.MapOptions,)},
     ),
 }
 _MAIN = (
@@ -265,64 +199,48 @@ _MAIN = (
 _MAIN_ON_MOTORS = (*_MAIN, "joint_map", "accept_register_limits", "set_watchdog")
 
 
-def _parser(command: str, said: tuple[Any, str, str], main_options: Sequence[str] | None) -> Parser:
-    _, example, description = said
-    usage = f"{PROGRAM} motors {command} {example}"
-    return Parser(f"motors {command}", usage, description, main_options, codes=_CODES)
-
-
 def build_parser(command: str, full: bool = True) -> Parser:
     """Return the parser of a subcommand; without ``full``, its help shows the main options only."""
-    main_options = _MAIN if command == "simulate" else _MAIN_ON_MOTORS
-    parser = _parser(command, _COMMANDS[command], None if full else main_options)
-    nargs = "?" if command == "check" else None
-    help_file = "damiao_trajectory.csv"
-    parser.add_argument("trajectory", metavar="TRAJECTORY", type=Path, help=help_file, nargs=nargs)
-    group = parser.add("arm", ModelOptions)
-    help_model = "MJCF or URDF of the arm; the trajectory is checked against its limits"
-    required = command == "simulate"
-    help_map = "how each joint's motor is mounted (see: motors map)"
-    group.add_argument("--joint-map", metavar="FILE", type=Path, help=help_map)
+    _, example, description, groups = COMMANDS[command]
+    main_options: Sequence[str] = _MAIN if command == "simulate" else _MAIN_ON_MOTORS
+    if command not in _PLAYED:
+        own = (name for records in groups.values() for each in records for name in options_of(each))
+        main_options = ("interface", "channel", "fd", *own)
+    usage, shown = f"{PROGRAM} motors {command} {example}", None if full else main_options
+    parser = Parser(f"motors {command}", usage, description, shown, codes=_CODES)
+    if command in _PLAYED:
+        nargs = "?" if command == "check" else None
+        help_file = "damiao_trajectory.csv"
+        parser.add_argument(
+            "trajectory", metavar="TRAJECTORY", type=Path, help=help_file, nargs=nargs
+        )
+    if command in (*_PLAYED, "map"):
+        _add_arm(parser, command)
+    parser.add("bus", BusAddress, BusTiming)
+    for title, records in groups.items():
+        parser.add(title, *records)
+    parser.add_console()
+    return parser
+
+
+def _add_arm(parser: Parser, command: str) -> None:
+    group, help_model = parser.add("arm", ModelOptions), "of the arm"
+    if command in _PLAYED:
+        help_model = "MJCF or URDF of the arm; the trajectory is checked against its limits"
+        help_map = "how each joint's motor is mounted (see: motors map)"
+        group.add_argument("--joint-map", metavar="FILE", type=Path, help=help_map)
+    required = command in ("simulate", "map")
     group.add_argument("--model", metavar="MODEL", type=Path, required=required, help=help_model)
-    parser.add("bus", BusAddress, BusTiming)
-    if command == "simulate":
-        parser.add("simulated motors", SimulatedMotorOptions)
-    parser.add("motion and limits", PlaySettings)
-    parser.add("what to allow", Permissions)
-    if command != "check":
-        parser.add("recording", RecordingOptions)
-    if command == "play":
-        parser.add("asking", PlayChoices)
-    parser.add_console()
-    return parser
-
-
-def build_setup_parser(command: str, full: bool = True) -> Parser:
-    """Return the parser of a subcommand that plays nothing."""
-    options = [name for record in motors_setup.GROUPS[command] for name in options_of(record)]
-    main_options = ["interface", "channel", "fd", *options]
-    parser = _parser(command, _SETUP[command], None if full else main_options)
-    if command == "map":
-        group = parser.add("arm", ModelOptions)
-        group.add_argument("--model", metavar="MODEL", type=Path, required=True, help="of the arm")
-    parser.add("bus", BusAddress, BusTiming)
-    parser.add(command, *motors_setup.GROUPS[command])
-    parser.add_console()
-    return parser
 
 
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     name = arguments[0] if arguments else "--help"
-    if name in _SETUP:
-        values, options = parsed(partial(build_setup_parser, name), arguments[1:])
-        asked = _Run(values, Console(options.quiet, options.verbose))
-        return _SETUP[name][0](asked, SystemClock(), open_bus)
-    if name not in _COMMANDS:
+    if name not in COMMANDS:
         _overview().parse_args(arguments or ["--help"])
-        raise InputError(f"unknown command {name!r}; valid: {', '.join([*_COMMANDS, *_SETUP])}")
+        raise InputError(f"unknown command {name!r}; valid: {', '.join(COMMANDS)}")
     values, options = parsed(partial(build_parser, name), arguments[1:])
-    return _COMMANDS[name][0](_Run(values, Console(options.quiet, options.verbose)))
+    return COMMANDS[name].run(Asked(values, Console(options.quiet, options.verbose)))
 
 
 def _overview() -> Parser:
@@ -334,7 +252,7 @@ def _overview() -> Parser:
         "joints. Each command has its own --help.",
         codes=_CODES,
     )
-    parser.add_argument("command", metavar="|".join([*_COMMANDS, *_SETUP]), help="what to do")
+    parser.add_argument("command", metavar="|".join(COMMANDS), help="what to do")
     parser.add_console()
     return parser
 
@@ -345,7 +263,7 @@ def _play_on(
     plan: Plan,
     checks: Sequence[Check],
     choices: PlayChoices,
-    asked: _Run,
+    asked: Asked,
 ) -> int:
     console = asked.console
     inspection = inspect_bus(link, clock)
@@ -376,37 +294,28 @@ def _play_on(
 
 
 def _simulated_arm(
-    asked: _Run, plan: Plan, options: SimulatedMotorOptions, timestep: float | None = None
+    asked: Asked, plan: Plan, options: SimulatedMotorOptions, timestep: float | None = None
 ) -> SimulatedArm:
     from robot_sysid.simulation.stepper import DEFAULT_TIMESTEP, ArmStepper
 
-    joints = plan.trajectory.joints
-    motors = []
-    for joint in joints:
-        motor = simulated_motor(joint.spec, joint.can_id, joint.master_id, options.watchdog)
-        motor.bus, motor.direction = joint.bus, joint.direction
-        motor.offset, motor.torque_ratio = joint.offset, joint.torque_ratio
-        motors.append(motor)
+    motors = [simulated_motor(joint, options.watchdog) for joint in plan.trajectory.joints]
     mechanism = ArmStepper(asked.robot, plan.scan.first, timestep or DEFAULT_TIMESTEP)
     return SimulatedArm(mechanism, motors, [parse_fault(text) for text in options.fault])
 
 
-def _simulated_end(asked: _Run, clock: Clock) -> Link:
+def _simulated_end(asked: Asked) -> Link:
     """Open the simulated arm's end of the bus and say how to reach it."""
-    address = asked.address
-    if not address.channel:
-        if "interface" in asked.values:
-            raise InputError("--interface needs --channel")
-        terminal = SlcanTerminal(clock)
-        link: Link = terminal
-        reach = f"--interface slcan --channel {terminal.device}"
+    interface, channels = asked.address.interface, asked.address.channel
+    if channels:
+        link = asked.open()
+    elif "interface" in asked.values:
+        raise InputError("--interface needs --channel")
     else:
-        link = open_bus(address, asked.timing, clock)
-        channels = (f"--channel {channel}" for channel in address.channel)
-        reach = " ".join([f"--interface {address.interface}", *channels])
-    fd = " --fd" if asked.timing.fd else ""
-    if asked.values.get("joint_map"):
-        fd += f" --joint-map {asked.values['joint_map']}"
+        link = terminal = SlcanTerminal(asked.clock)
+        interface, channels = "slcan", (terminal.device,)
+    reach = " --channel ".join([f"--interface {interface}", *channels])
+    fd, mounted = " --fd" if asked.timing.fd else "", asked.values.get("joint_map")
+    fd += f" --joint-map {mounted}" if mounted else ""
     asked.console.lines(
         [
             "the simulated arm is parked at the first point until its motors are enabled; Ctrl-C "

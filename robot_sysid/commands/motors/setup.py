@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
-from robot_sysid.commands.console import Console
-from robot_sysid.damiao.bus.can_bus import BusAddress, open_bus
+from robot_sysid.commands.motors.asked import Asked
 from robot_sysid.damiao.bus.inspection import (
     InspectedMotor,
     Inspection,
@@ -18,8 +17,7 @@ from robot_sysid.damiao.bus.inspection import (
     inspect_bus,
     state_of,
 )
-from robot_sysid.damiao.bus.link import Clock, GuardedLink
-from robot_sysid.damiao.protocol.frames import BusTiming, refuse_motion
+from robot_sysid.damiao.protocol.frames import refuse_motion
 from robot_sysid.damiao.protocol.joints import write_joint_map
 from robot_sysid.damiao.protocol.registers import BIT_RATES
 from robot_sysid.damiao.report_lines import motor_table, state_table
@@ -69,49 +67,24 @@ class MapOptions(OptionRecord):
     output: Path = option(Path("joint_map.csv"), "where to write the map", metavar="FILE")
 
 
-class Asked(Protocol):
-    """A command line of ``motors``."""
-
-    values: Mapping[str, Any]
-    console: Console
-    address: BusAddress
-    timing: BusTiming
-    robot: Any
-
-
-Opener = Callable[[BusAddress, BusTiming, Clock], Any]
-
-
-@contextlib.contextmanager
-def _bus(
-    asked: Asked, clock: Clock, opened: Opener, timing: BusTiming | None = None
-) -> Iterator[GuardedLink]:
-    """Open the bus for setting up: what drives a motor is refused."""
-    if not asked.address.channel:
-        raise InputError("this command needs --channel, for instance --channel can0")
-    timing = timing or asked.timing
-    with contextlib.closing(opened(asked.address, timing, clock)) as link:
-        yield GuardedLink(link, clock.now, timing.fd, asked.address.channel, refuse_motion)
-
-
-def setup(asked: Asked, clock: Clock, opened: Opener = open_bus) -> int:
+def setup(asked: Asked) -> int:
     """Find motors, and change one of them."""
     options, find = record_from(SetupOptions, asked.values), record_from(FindOptions, asked.values)
     if options.changes and options.motor is None:
         raise InputError("--motor says which motor to change, for instance --motor 1")
     if find.scan:
-        return _scan(asked, clock, opened)
-    with _bus(asked, clock, opened) as link:
-        inspection = inspect_bus(link, clock)
+        return _scan(asked)
+    with asked.bus(refuse_motion) as link:
+        inspection = inspect_bus(link, asked.clock)
         asked.console.lines(motor_table(inspection))
         if options.changes:
             motor = _only(inspection, options)
-            for line in MotorSetup(link, clock, motor).apply(options, _sure):
+            for line in MotorSetup(link, asked.clock, motor).apply(options, _sure):
                 asked.console.stage(line)
         return 0 if inspection.motors else 1
 
 
-def _scan(asked: Asked, clock: Clock, opened: Opener) -> int:
+def _scan(asked: Asked) -> int:
     if asked.address.interface in _FIXED_RATE:
         raise InputError(
             f"the bit rate of {asked.address.interface} is set outside of this program (ip link, "
@@ -119,8 +92,8 @@ def _scan(asked: Asked, clock: Clock, opened: Opener) -> int:
         )
     heard = 0
     for rate in sorted((rate for rate in BIT_RATES if rate <= _CLASSIC_TOP), reverse=True):
-        with _bus(asked, clock, opened, replace(asked.timing, bitrate=float(rate))) as link:
-            inspection = inspect_bus(link, clock)
+        with asked.bus(refuse_motion, replace(asked.timing, bitrate=float(rate))) as link:
+            inspection = inspect_bus(link, asked.clock)
         found = len(inspection.motors)
         heard += found
         asked.console.stage(f"{rate} bit/s: {found} motors")
@@ -156,26 +129,23 @@ def _answer(prompt: str) -> str:
     raise InputError("standard input has ended")
 
 
-def monitor(asked: Asked, clock: Clock, opened: Opener = open_bus) -> int:
+def monitor(asked: Asked) -> int:
     """Show the motors' states again and again; enables nothing."""
     options, console = record_from(MonitorOptions, asked.values), asked.console
-    with _bus(asked, clock, opened) as link:
-        motors = list(inspect_bus(link, clock).motors.values())
+    with asked.bus(refuse_motion) as link:
+        motors = list(inspect_bus(link, asked.clock).motors.values())
         if not motors:
             console.stage("no motor answers: check power, wiring and bit rate")
             return 1
         with contextlib.suppress(KeyboardInterrupt):
-            _watch(RegisterClient(link, clock), motors, clock, options, console)
+            _watch(RegisterClient(link, asked.clock), motors, options, asked)
     return 0
 
 
 def _watch(
-    client: RegisterClient,
-    motors: Sequence[InspectedMotor],
-    clock: Clock,
-    options: MonitorOptions,
-    console: Console,
+    client: RegisterClient, motors: Sequence[InspectedMotor], options: MonitorOptions, asked: Asked
 ) -> None:
+    clock, console = asked.clock, asked.console
     ends = clock.now() + (options.lifetime or float("inf"))
     while True:
         lines = list(state_table([(motor, state_of(client, motor)) for motor in motors]))
@@ -186,7 +156,7 @@ def _watch(
         console.back(len(lines))
 
 
-def map_joints(asked: Asked, clock: Clock, opened: Opener = open_bus) -> int:
+def map_joints(asked: Asked) -> int:
     """Write the joint map that a person shows by moving the limp arm."""
     options, robot = record_from(MapOptions, asked.values), asked.robot
     if options.output.exists():
@@ -195,10 +165,10 @@ def map_joints(asked: Asked, clock: Clock, opened: Opener = open_bus) -> int:
     def ask(words: str) -> None:
         _answer(f"{words}; then press Enter: ")
 
-    with _bus(asked, clock, opened) as link:
-        motors = list(inspect_bus(link, clock).motors.values())
+    with asked.bus(refuse_motion) as link:
+        motors = list(inspect_bus(link, asked.clock).motors.values())
         require_limp(motors, robot.n_joints)
-        client = RegisterClient(link, clock)
+        client = RegisterClient(link, asked.clock)
 
         def positions() -> Mapping[Any, float]:
             states = {motor: state_of(client, motor) for motor in motors}
@@ -210,11 +180,3 @@ def map_joints(asked: Asked, clock: Clock, opened: Opener = open_bus) -> int:
     write_joint_map(options.output, rows)
     asked.console.stage(f"written to {options.output}; give it to play with --joint-map")
     return 0
-
-
-GROUPS: Mapping[str, Sequence[type]] = {
-    "setup": (FindOptions, SetupOptions),
-    "monitor": (MonitorOptions,),
-    "map": (MapOptions,),
-}
-"""Command to the records of its own options."""

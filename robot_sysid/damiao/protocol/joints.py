@@ -26,7 +26,6 @@ import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -142,8 +141,8 @@ class JointSpace:
     ratio: Array
 
     @classmethod
-    def of(cls, joints: Sequence[Any]) -> JointSpace:
-        """Return how motors are mounted; each has a direction, an offset and a torque ratio."""
+    def of(cls, joints: Sequence[DamiaoJoint]) -> JointSpace:
+        """Return how the motors of joints are mounted."""
         rows = [(joint.direction, joint.offset, joint.torque_ratio) for joint in joints]
         return cls(*np.array(rows, dtype=float).reshape(-1, 3).T)
 

@@ -25,8 +25,7 @@ from robot_sysid.damiao.protocol.codec import (
     encode_feedback,
 )
 from robot_sysid.damiao.protocol.frames import Frame
-from robot_sysid.damiao.protocol.joints import JointSpace
-from robot_sysid.damiao.protocol.motors import MotorSpec
+from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 
@@ -35,27 +34,28 @@ if TYPE_CHECKING:
 
 
 DEFAULT_WATCHDOG = 0.1
+_NOTHING = (0.0,) * 5
 
 
 @dataclass
 class SimulatedMotor:
-    """State of one motor; registers are number to value, p to t the command in force.
+    """State of one motor; registers are number to value, ``command`` holds p, v, kp, kd and t.
 
     Attributes:
+        joint: what it is and how it is mounted.
         peak_torque: what it can deliver [N m].
         brake: damping of the shorted windings while it is disabled [N m s/rad].
         position, velocity, torque: what its sensors read, set by the arm.
         fed_at: when it last got a frame of its own [s].
         jammed: its joint is blocked.
         silent: it hears nothing and says nothing.
-        loses_replies: it obeys but its answers do not arrive.
+        lost_replies: it obeys but its answers do not arrive.
         velocity_factor, torque_factor: factors on the velocity and the torque it reports.
         slip: angle by which the position it reports is off [rad].
-        write_echo: operation byte of its answer to a write.
         stored: registers that it keeps when the power goes off.
-        direction, offset, torque_ratio: how it is mounted, see ``protocol.joints``.
     """
 
+    joint: DamiaoJoint
     registers: dict[int, float]
     peak_torque: float
     brake: float
@@ -65,24 +65,15 @@ class SimulatedMotor:
     torque: float = 0.0
     temperature_mos: int = 31
     temperature_rotor: int = 29
-    p: float = 0.0
-    v: float = 0.0
-    kp: float = 0.0
-    kd: float = 0.0
-    t: float = 0.0
+    command: Sequence[float] = _NOTHING
     fed_at: float = 0.0
     jammed: bool = False
     silent: bool = False
-    loses_replies: bool = False
+    lost_replies: bool = False
     velocity_factor: float = 1.0
     torque_factor: float = 1.0
     slip: float = 0.0
-    write_echo: int = frames.WRITE
     stored: dict[int, float] = field(default_factory=dict)
-    bus: int = 0
-    direction: int = 1
-    offset: float = 0.0
-    torque_ratio: float = 1.0
     _scaling: tuple[tuple[float, ...], Scaling] | None = field(default=None, repr=False)
 
     @property
@@ -114,11 +105,11 @@ class SimulatedMotor:
     def fail(self, code: int) -> None:
         """Leave the enabled state with a fault."""
         self.status = code
-        self._forget_command()
+        self.command = _NOTHING
 
     def handle(self, frame: Frame, time: float) -> Frame | None:
         """Take a frame from the bus and return the answer, if there is one."""
-        if self.silent or len(frame.data) < 4 or frame.bus != self.bus:
+        if self.silent or len(frame.data) < 4 or frame.bus != self.joint.bus:
             return None
         if frame.id == frames.REGISTER_ID:
             data = self._register_answer(frame.data)
@@ -126,10 +117,10 @@ class SimulatedMotor:
             data = self._command_answer(frame.data, time)
         else:
             return None
-        if data is None or self.loses_replies:
+        if data is None or self.lost_replies:
             return None
         fd = self.registers[reg.CAN_BR] > reg.FD_BITRATE_CODES_ABOVE
-        return Frame(int(self.registers[reg.MST_ID]), data, fd=fd, bus=self.bus)
+        return Frame(int(self.registers[reg.MST_ID]), data, fd=fd, bus=self.joint.bus)
 
     def _command_answer(self, data: bytes, time: float) -> bytes:
         self.fed_at = time
@@ -139,8 +130,8 @@ class SimulatedMotor:
         # The answer to a command is the state before it acts.
         answer = self._feedback()
         if self.driving and self.registers[reg.CTRL_MODE] == reg.MIT_MODE:
-            command = decode_mit(np.frombuffer(data, dtype=np.uint8)[None], self.scaling)
-            self.p, self.v, self.kp, self.kd, self.t = (float(value[0]) for value in command)
+            told = decode_mit(np.frombuffer(data, dtype=np.uint8)[None], self.scaling)
+            self.command = [float(value[0]) for value in told]
         return answer
 
     def _special(self, code: int) -> None:
@@ -152,7 +143,7 @@ class SimulatedMotor:
             self.slip -= self.position + self.slip
         elif code in (frames.DISABLE, frames.CLEAR_ERROR):
             self.status = reg.DISABLED
-            self._forget_command()
+            self.command = _NOTHING
 
     def _register_answer(self, data: bytes) -> bytes | None:
         if data[0] | data[1] << 8 != self.can_id:
@@ -167,10 +158,7 @@ class SimulatedMotor:
             return None
         if operation == frames.WRITE and number in reg.WRITABLE:
             self.registers[number] = reg.value_from_bytes(number, data[4:8])
-        echo = self.write_echo if operation == frames.WRITE else frames.READ
-        return (
-            data[:2] + bytes([echo, number]) + reg.bytes_from_value(number, self.registers[number])
-        )
+        return data[:4] + reg.bytes_from_value(number, self.registers[number])
 
     def _feedback(self) -> bytes:
         one = np.ones(1)
@@ -185,39 +173,26 @@ class SimulatedMotor:
         )
         return encode_feedback(state, self.scaling)[0].tobytes()
 
-    def _forget_command(self) -> None:
-        self.p = self.v = self.kp = self.kd = self.t = 0.0
 
-
-def simulated_motor(
-    spec: MotorSpec, can_id: int, master_id: int, watchdog: float = DEFAULT_WATCHDOG
-) -> SimulatedMotor:
-    """Return a motor as it leaves the factory, apart from ids and watchdog [s]."""
-    peak, gear = spec.strongest, spec.gear_ratio or 1.0
+def simulated_motor(joint: DamiaoJoint, watchdog: float = DEFAULT_WATCHDOG) -> SimulatedMotor:
+    """Return a joint's motor as it leaves the factory, apart from ids and watchdog [s]."""
+    peak, gear = joint.spec.strongest, joint.spec.gear_ratio or 1.0
     registers: dict[int, float] = {
         0: 15.0, 1: 0.0, 2: 100.0, 3: 0.8, 11: 1.96e-4, 12: 1.97e-5, 14: 5013.0, 16: 14.0,
         17: 0.84, 19: 5.16e-3, 29: 32.0, 30: 1.0, reg.CAN_BR: 4.0, reg.GR: gear,
-        reg.MST_ID: float(master_id), reg.ESC_ID: float(can_id), reg.CTRL_MODE: float(reg.MIT_MODE),
+        reg.MST_ID: float(joint.master_id), reg.ESC_ID: float(joint.can_id),
+        reg.CTRL_MODE: float(reg.MIT_MODE),
         reg.TIMEOUT: float(round(watchdog / reg.TIMEOUT_UNIT)),
     }  # fmt: skip
-    registers.update(
-        zip((reg.PMAX, reg.VMAX, reg.TMAX), np.array(spec.limits, np.float32).tolist())
-    )
+    registers.update(zip(reg.SCALING, np.array(joint.spec.limits, np.float32).tolist()))
     # Shorted windings brake strongly: a full peak torque sinks at about 2 rad/s.
-    return SimulatedMotor(registers, peak, brake=0.5 * peak)
+    return SimulatedMotor(joint, registers, peak, brake=0.5 * peak)
 
 
-_ATTRIBUTES = {
-    "jammed": "jammed",
-    "silent": "silent",
-    "lost-replies": "loses_replies",
-    "temperature-mos": "temperature_mos",
-    "temperature-rotor": "temperature_rotor",
-    "velocity-factor": "velocity_factor",
-    "torque-factor": "torque_factor",
-    "slip": "slip",
-    "peak-torque": "peak_torque",
-}
+_ATTRIBUTES = (
+    *("jammed", "silent", "lost-replies", "temperature-mos", "temperature-rotor"),
+    *("velocity-factor", "torque-factor", "slip", "peak-torque"),
+)
 _REGISTERS = {"tmax": reg.TMAX, "vmax": reg.VMAX, "mode": reg.CTRL_MODE, "watchdog": reg.TIMEOUT}
 FAULT_KINDS = ("status", *_ATTRIBUTES, *_REGISTERS)
 
@@ -248,7 +223,7 @@ class Fault:
             unit = reg.TIMEOUT_UNIT if self.kind == "watchdog" else 1.0
             motor.registers[_REGISTERS[self.kind]] = self.value * (1.0 / unit)
         else:
-            name = _ATTRIBUTES[self.kind]
+            name = self.kind.replace("-", "_")
             setattr(motor, name, type(getattr(motor, name))(self.value))
 
 
@@ -288,11 +263,8 @@ class SimulatedArm:
         if any(not 0 <= fault.joint < len(motors) for fault in faults):
             raise InputError(f"faults name joints 0 to {len(motors) - 1}")
         self.mechanism, self.motors = mechanism, list(motors)
-        self._space = JointSpace.of(self.motors[: mechanism.n_joints])
+        self._space = JointSpace.of([m.joint for m in self.motors[: mechanism.n_joints]])
         self.time = 0.0
-        self._by_low_id: dict[int, list[SimulatedMotor]] = {}
-        for motor in self.motors:
-            self._by_low_id.setdefault(motor.can_id & 0xFF, []).append(motor)
         self._enabled_at: float | None = None
         self._faults = sorted(faults, key=lambda fault: fault.after)
         self._changed = True
@@ -323,25 +295,15 @@ class SimulatedArm:
         self._read_sensors()
         self._changed = True
         answers = []
-        for motor in self._listeners(frame):
+        for motor in self.motors:
             answer = motor.handle(frame, time)
             if answer is not None:
-                answers.append(answer)
-                answers += self._overheard(answer, motor, time)
+                # Another motor whose id matches that of an answer takes it for a command.
+                heard = [each.handle(answer, time) for each in self.motors if each is not motor]
+                answers += [answer, *filter(None, heard)]
         if self._enabled_at is None and any(motor.driving for motor in self.motors):
             self._enabled_at = time
         return answers
-
-    def _overheard(self, answer: Frame, sender: SimulatedMotor, time: float) -> list[Frame]:
-        """Let the other motors see an answer: one whose id matches takes it for a command."""
-        others = [m for m in self._listeners(answer) if m is not sender]
-        answers = [motor.handle(answer, time) for motor in others]
-        return [frame for frame in answers if frame is not None]
-
-    def _listeners(self, frame: Frame) -> list[SimulatedMotor]:
-        if frame.id == frames.REGISTER_ID:
-            return self.motors
-        return self._by_low_id.get(frame.id & 0xFF, [])
 
     def _apply_faults(self, elapsed: float) -> None:
         while self._faults and self._faults[0].after <= elapsed:
@@ -351,7 +313,7 @@ class SimulatedArm:
 
     def _gather(self) -> None:
         motors = self.motors[: self.mechanism.n_joints]
-        table = np.array([(m.p, m.v, m.kp, m.kd, m.t, m.brake, m.peak_torque) for m in motors])
+        table = np.array([(*m.command, m.brake, m.peak_torque) for m in motors])
         driving = np.array([m.driving for m in motors])
         *told, brake, peak = table.T
         self._p, v, kp, kd, t = self._space.from_motors(MitCommand(*told))
@@ -381,5 +343,5 @@ class SimulatedArm:
         torques = self._space.motor_torque(torque - damping * qd)
         for j, motor in enumerate(self.motors[: self.mechanism.n_joints]):
             motor.position = float(positions[j])
-            motor.velocity = float(motor.direction * qd[j])
+            motor.velocity = float(motor.joint.direction * qd[j])
             motor.torque = float(torques[j]) if motor.driving else 0.0

@@ -33,25 +33,18 @@ class SimulatedLink:
     host sees an error frame where a motor answers in CAN-FD. The clock is moved by waiting.
 
     With ``echo`` each sent frame is reported back when it was on the bus, as SocketCAN does.
-    ``adapter`` tells how long the adapter takes to hand an answer over [s], asked for each one;
-    answers never overtake one another.
     """
 
     def __init__(
-        self,
-        clock: SimulatedClock,
-        arm: SimulatedArm,
-        timing: BusTiming,
-        echo: bool = False,
-        adapter: Callable[[], float] = lambda: 0.0,
+        self, clock: SimulatedClock, arm: SimulatedArm, timing: BusTiming, echo: bool = False
     ) -> None:
         self.clock, self.arm = clock, arm
-        self._timing, self._echo, self.adapter = timing, echo, adapter
-        self._handed_over: deque[Frame] = deque()
+        self._timing, self._echo = timing, echo
         self._free_at: defaultdict[int, float] = defaultdict(float)
         self._order = itertools.count()
         # In the order of their times, as the bus carries one frame after the other.
         self._echoes: deque[Frame] = deque()
+        self._answers: deque[Frame] = deque()
         self._replies: list[tuple[float, int, int, Frame]] = []
 
     def send(self, frame: Frame) -> None:
@@ -67,10 +60,8 @@ class SimulatedLink:
     def receive(self, until: float) -> Frame | None:
         """Return the next frame that is through by ``until`` [s], or None at that time."""
         while (answer := self._next_answer(until)) is not None:
-            last = self._handed_over[-1].time if self._handed_over else 0.0
-            ready = max(answer.time + self.adapter(), last)
-            self._handed_over.append(answer._replace(time=ready))
-        queues = [queue for queue in (self._echoes, self._handed_over) if queue]
+            self._answers.append(answer)
+        queues = [queue for queue in (self._echoes, self._answers) if queue]
         first = min(queues, key=lambda queue: queue[0].time, default=None)
         if first is None or first[0].time > until:
             self.clock.sleep_until(until)

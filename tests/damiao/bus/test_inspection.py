@@ -9,7 +9,7 @@ from robot_sysid.damiao.protocol import registers as reg
 from robot_sysid.damiao.protocol.frames import REGISTER_ID, Address, Frame
 from robot_sysid.damiao.protocol.registers import DISABLED, ENABLED
 from robot_sysid.errors import HardwareAbort
-from tests.support.motor_bench import Bench
+from tests.support.motor_bench import Bench, answering_writes_with
 
 
 def test_inspection_reads_everything_and_changes_nothing():
@@ -43,7 +43,7 @@ def test_registers_are_read_and_written():
 @pytest.mark.parametrize("opcode", [0x33, 0x55])
 def test_a_write_may_be_echoed_with_either_opcode(opcode):
     bench = Bench()
-    bench.motors[0].write_echo = opcode
+    answering_writes_with(opcode, bench.motors[0])
     bench.client.write(Address(0, 1), reg.TIMEOUT, 4000.0)
     assert bench.motors[0].registers[reg.TIMEOUT] == 4000.0
 

@@ -36,7 +36,7 @@ from tests.support.recordings import read_recording
 
 def head_for(types, **options):
     joints = damiao_joints(types, len(types))
-    registers = [simulated_motor(j.spec, j.can_id, j.master_id).registers for j in joints]
+    registers = [simulated_motor(j).registers for j in joints]
     registers = [{k: v for k, v in r.items() if k in (7, 8, 9, 10, 21, 22, 23)} for r in registers]
     settings = PlaySettings(kp=(20.0,) * len(types), kd=(1.0,) * len(types), rate=250.0)
     return RecordingHead(joints, registers, settings, RecordingOptions(**options), "swing.csv")

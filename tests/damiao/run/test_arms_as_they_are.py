@@ -9,8 +9,13 @@ import numpy as np
 import pytest
 
 from robot_sysid.cli import main
-from robot_sysid.damiao.protocol.joints import MappedJoint, damiao_joints, mapped, write_joint_map
-from robot_sysid.damiao.protocol.motors import MOTORS
+from robot_sysid.damiao.protocol.joints import (
+    DamiaoJoint,
+    MappedJoint,
+    damiao_joints,
+    mapped,
+    write_joint_map,
+)
 from robot_sysid.damiao.protocol.registers import DISABLED
 from robot_sysid.damiao.run.model_check import GravityCheck
 from robot_sysid.damiao.run.preflight import Permissions
@@ -77,15 +82,15 @@ def test_a_motor_said_to_be_mirrored_that_is_not_is_stopped_by_its_torque(tmp_pa
 
 @pytest.mark.parametrize("how", ["limp", "hold"])
 def test_other_motors_are_left_limp_or_held_where_they_are(tmp_path, how):
-    gripper = simulated_motor(MOTORS["DM4310"], 8, 0x18)
+    gripper = simulated_motor(DamiaoJoint("DM4310", 8, 0x18))
     gripper.position = 0.3
     seen = []
     run = rig(tmp_path, extra_motors=[gripper], others=how)
-    run.during("playing", 0.3, lambda r: seen.append((gripper.status, gripper.p, gripper.kp))).run()
+    run.during("playing", 0.3, lambda r: seen.append((gripper.status, gripper.command))).run()
     assert run.error is None and run.states() == [DISABLED] * 3
     said = [check.text for check in run.checks if "not in the trajectory" in check.text]
     assert len(said) == 1 and how in said[0].replace("held", "hold")
-    ((status, position, kp),) = seen
+    ((status, (position, _, kp, *_)),) = seen
     assert (status, kp > 0.0) == ((1, True) if how == "hold" else (0, False))
     if how == "hold":
         assert position == pytest.approx(0.3, abs=1e-3)
@@ -93,14 +98,14 @@ def test_other_motors_are_left_limp_or_held_where_they_are(tmp_path, how):
 
 
 def test_an_unknown_motor_cannot_be_held(tmp_path):
-    odd = simulated_motor(MOTORS["DM4310"], 8, 0x18)
+    odd = simulated_motor(DamiaoJoint("DM4310", 8, 0x18))
     odd.registers[21] = 3.0
     run = rig(tmp_path, extra_motors=[odd], others="hold").run()
     assert "motor 8 is of no known type and cannot be held" in str(run.error)
 
 
 def test_a_fault_of_a_held_motor_stops_the_arm(tmp_path):
-    gripper = simulated_motor(MOTORS["DM4310"], 8, 0x18)
+    gripper = simulated_motor(DamiaoJoint("DM4310", 8, 0x18))
     run = rig(tmp_path, extra_motors=[gripper], others="hold")
     run.during("playing", 0.3, lambda r: gripper.fail(0xA)).run()
     assert "motor 8 reports status A" in str(run.error)

@@ -78,7 +78,7 @@ def fault(kind, joint, value=1.0):
 
 
 def slow_adapter(rig):
-    rig.bus.adapter = iter(np.random.default_rng(0).uniform(5e-3, 16e-3, 10**5)).__next__
+    rig.adapter.delay = iter(np.random.default_rng(0).uniform(5e-3, 16e-3, 10**5)).__next__
 
 
 def motion(change=None):
@@ -276,7 +276,7 @@ def test_what_a_slow_adapter_delivers_is_never_paired_with_another_command(tmp_p
 
     def slow(rig):
         delays = np.random.default_rng(seed).uniform(5e-3, 16e-3, 10**5)
-        rig.bus.adapter = iter(delays).__next__
+        rig.adapter.delay = iter(delays).__next__
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(MotorSession, "exchange", watched)

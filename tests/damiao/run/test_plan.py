@@ -16,12 +16,14 @@ from robot_sysid.damiao.play.supervision import VelocityScalingCheck
 from robot_sysid.damiao.protocol import registers as reg
 from robot_sysid.damiao.protocol.codec import Scaling
 from robot_sysid.damiao.protocol.frames import REGISTER_ID, BusTiming, Frame, is_special
+from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.protocol.motors import MOTORS
 from robot_sysid.damiao.protocol.registers import DISABLED, ENABLED, LOST_COMMUNICATION
 from robot_sysid.damiao.run.preflight import Permissions
 from robot_sysid.damiao.simulated.arm import Fault, simulated_motor
 from robot_sysid.errors import HardwareAbort, InputError
 from tests.support.damiao_rig import Rig, swing
+from tests.support.motor_bench import answering_writes_with
 
 MID_PLAY = 1.0  # seconds after enabling: 0.3 s ramp, 0.3 s approach, 0.1 s rest, then playing
 SIGNALS = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
@@ -99,7 +101,7 @@ def test_a_short_stall_skips_cycles_and_never_replays_them(rig):
 def test_a_missing_watchdog_is_set_for_the_run_and_put_back(rig, echo_opcode):
     run = rig(watchdog=0.0, allowed=Permissions(watchdog=0.1))
     for motor in run.motors:
-        motor.write_echo = echo_opcode
+        answering_writes_with(echo_opcode, motor)
     seen = []
     run.during("playing", 0.1, lambda r: seen.append(r.motors[1].registers[reg.TIMEOUT])).run()
     assert run.error is None and run.states() == [DISABLED] * 2
@@ -168,17 +170,17 @@ def test_a_motor_with_another_reply_id_is_refused(rig):
 
 
 def test_two_motors_with_one_id_are_refused(rig):
-    twin = simulated_motor(MOTORS["DM4340"], 2, 0x12)
+    twin = simulated_motor(DamiaoJoint("DM4340", 2, 0x12))
     refused(rig(extra_motors=[twin]), "2 motors answer to the id of motor 2")
 
 
 def test_an_extra_motor_whose_replies_are_commands_to_ours_is_refused(rig):
-    extra = simulated_motor(MOTORS["DM4310"], 9, 0x102)
+    extra = simulated_motor(DamiaoJoint("DM4310", 9, 0x102))
     refused(rig(extra_motors=[extra]), "would be taken as commands by the motor with CAN id 2")
 
 
 def test_an_extra_motor_with_the_same_reply_id_is_refused(rig):
-    extra = simulated_motor(MOTORS["DM4310"], 9, 0x12)
+    extra = simulated_motor(DamiaoJoint("DM4310", 9, 0x12))
     refused(rig(extra_motors=[extra]), "master id 0x12 is used by more than one motor")
 
 

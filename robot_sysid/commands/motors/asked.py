@@ -1,0 +1,110 @@
+"""One command line of ``robot-sysid motors``, as records, and the bus that it names."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+from robot_sysid.commands.console import Console
+from robot_sysid.config import ModelOptions
+from robot_sysid.damiao.bus.can_bus import BusAddress, open_bus
+from robot_sysid.damiao.bus.link import GuardedLink, Link, SystemClock
+from robot_sysid.damiao.exchange.recorder import RecordingOptions
+from robot_sysid.damiao.exchange.settings import PlaySettings
+from robot_sysid.damiao.protocol.frames import BusTiming, Frame, refuse_harmful
+from robot_sysid.damiao.protocol.joints import DamiaoJoint, mapped, read_joint_map
+from robot_sysid.damiao.run.plan import Plan, PoseCheck
+from robot_sysid.damiao.run.preflight import Check, Permissions
+from robot_sysid.damiao.trajectory import DamiaoTrajectory, read_damiao_trajectory
+from robot_sysid.errors import InputError
+from robot_sysid.records import Array
+from robot_sysid.records.options import given_options, record_from
+
+
+class Asked:
+    """One command line of ``motors``, as records."""
+
+    def __init__(self, values: Mapping[str, Any], console: Console) -> None:
+        self.values, self.console, self.clock = values, console, SystemClock()
+        self.address = record_from(BusAddress, values)
+        self.timing = record_from(BusTiming, values)
+
+    def plan(self) -> Plan:
+        """Return the trajectory and how to play it."""
+        trajectory = read_damiao_trajectory(self.values["trajectory"])
+        trajectory = replace(trajectory, joints=self._mounted(trajectory.joints))
+        return Plan(
+            trajectory,
+            record_from(PlaySettings, self.values),
+            self.timing,
+            record_from(Permissions, self.values),
+            record_from(RecordingOptions, self.values),
+            self._inertia(trajectory),
+        )
+
+    def _inertia(self, trajectory: DamiaoTrajectory) -> Array | None:
+        """Return what each joint moves at the first point, where a model is known [kg m^2]."""
+        if self.robot is None or self.robot.n_joints != trajectory.n_joints:
+            return None
+        from robot_sysid.simulation.stepper import ArmStepper
+
+        _, q, _, _ = next(trajectory.chunks(1))
+        return ArmStepper(self.robot, q[0]).moved_inertia()
+
+    def _mounted(self, joints: Sequence[DamiaoJoint]) -> tuple[DamiaoJoint, ...]:
+        """Return the trajectory's joints with what is known about how they are mounted."""
+        names = self.robot.joint_names if self.robot else ()
+        path = self.values.get("joint_map")
+        if path is not None:
+            return mapped(joints, read_joint_map(path), self.address.channel, names)
+        if len(names) != len(joints):
+            return tuple(joints)
+        return tuple(replace(joint, name=name) for joint, name in zip(joints, names))
+
+    def checks(self, plan: Plan) -> list[Check]:
+        """Return the checks that need no bus, those of a model of the arm included."""
+        if self.robot is None:
+            for given in given_options(record_from(ModelOptions, self.values)):
+                raise InputError(f"{given.flag} is about a model; add --model")
+            return plan.checks()
+        # Imported here so that playing on real motors does not wait for MuJoCo.
+        from robot_sysid.damiao.run.model_check import model_checks
+
+        played = plan.trajectory, plan.settings.speed
+        return [*plan.checks(), *model_checks(*played, self.robot, plan.pose)]
+
+    def pose_check(self, plan: Plan) -> PoseCheck | None:
+        """Return what compares the arm, held still, with the model's gravity; None without one."""
+        if self.robot is None:
+            return None
+        from robot_sysid.damiao.run.model_check import GravityCheck
+
+        return GravityCheck(self.robot, plan.trajectory.joints)
+
+    @cached_property
+    def robot(self) -> Any:
+        """The arm of the model file; None without one."""
+        if self.values.get("model") is None:
+            return None
+        from robot_sysid.parser import load_robot_model
+
+        chosen = record_from(ModelOptions, self.values)
+        choice = chosen.mesh_dir, chosen.joint, float("inf"), chosen.keyframe
+        return load_robot_model(self.values["model"], *choice)
+
+    def open(self, timing: BusTiming | None = None) -> Link:
+        """Open the bus, with other bit rates than those asked for if given."""
+        return open_bus(self.address, timing or self.timing, self.clock)
+
+    @contextlib.contextmanager
+    def bus(
+        self, refuse: Callable[[Frame], None] = refuse_harmful, timing: BusTiming | None = None
+    ) -> Iterator[GuardedLink]:
+        """Open the bus for as long as the block runs; what ``refuse`` raises for is not sent."""
+        if not self.address.channel:
+            raise InputError("this command needs --channel, for instance --channel can0")
+        with contextlib.closing(self.open(timing)) as link:
+            yield GuardedLink(link, self.clock.now, self.timing.fd, self.address.channel, refuse)
