@@ -21,8 +21,8 @@ from robot_sysid.damiao.protocol.codec import MitCommand, Scaling, decode_feedba
 from robot_sysid.damiao.protocol.frames import BusTiming
 from robot_sysid.damiao.protocol.joints import damiao_joints
 from robot_sysid.damiao.protocol.motors import MOTORS
-from robot_sysid.damiao.run.plan import Plan, run
-from robot_sysid.damiao.run.preflight import Permissions
+from robot_sysid.damiao.run.execution import run
+from robot_sysid.damiao.run.preflight import Permissions, Plan
 from robot_sysid.damiao.simulated.arm import SimulatedArm, simulated_motor
 from robot_sysid.damiao.trajectory import export_damiao_trajectory, read_damiao_trajectory
 from tests.support.damiao_rig import Pendulums, swing

@@ -22,8 +22,8 @@ from robot_sysid.damiao.protocol.frames import (
 )
 from robot_sysid.damiao.protocol.joints import damiao_joints
 from robot_sysid.damiao.protocol.registers import DISABLED, ESC_ID, MST_ID
-from robot_sysid.damiao.run.plan import Plan, run
-from robot_sysid.damiao.run.preflight import Permissions
+from robot_sysid.damiao.run.execution import run
+from robot_sysid.damiao.run.preflight import Permissions, Plan, bus_checks
 from robot_sysid.damiao.simulated.arm import SimulatedArm, simulated_motor
 from robot_sysid.damiao.simulated.simulated_link import SimulatedLink
 from robot_sysid.damiao.trajectory import export_damiao_trajectory, read_damiao_trajectory
@@ -178,7 +178,7 @@ class Rig:
     def run(self, settle=0.5):
         """Inspect, play, record; keep error or report; then let the arm be for a while."""
         inspection = inspect_bus(self.link, self.clock)
-        self.checks = self.plan.bus_checks(inspection)
+        self.checks = bus_checks(self.plan, inspection)
         told = self._phase, lambda time: None
         try:
             self.plan.recording.require_free()

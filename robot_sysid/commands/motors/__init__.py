@@ -23,10 +23,12 @@ from robot_sysid.damiao.exchange.settings import PlaySettings
 from robot_sysid.damiao.play.supervision import StopRequest
 from robot_sysid.damiao.protocol.frames import BusTiming, default_rate
 from robot_sysid.damiao.report_lines import check_lines, load_line, motor_table, run_lines
-from robot_sysid.damiao.run.plan import Plan, run
+from robot_sysid.damiao.run.execution import run
 from robot_sysid.damiao.run.preflight import (
     Check,
     Permissions,
+    Plan,
+    bus_checks,
     general_checks,
     require_no_stop,
     stops,
@@ -93,7 +95,7 @@ def check(asked: Asked) -> int:
         return 1
     rate = record_from(PlaySettings, asked.values).rate or default_rate(motors, asked.timing)
     settings = plan.settings if plan else PlaySettings(rate=rate)
-    checks += plan.bus_checks(inspection) if plan else general_checks(inspection, settings)
+    checks += bus_checks(plan, inspection) if plan else general_checks(inspection, settings)
     console.lines(motor_table(inspection, plan.trajectory.joints if plan else ()))
     console.lines(["", load_line(motors, rate, asked.timing), *check_lines(checks)])
     to_change = len(stops(checks))
@@ -267,7 +269,7 @@ def _play_on(
 ) -> int:
     console = asked.console
     inspection = inspect_bus(link, clock)
-    checks = [*checks, *plan.bus_checks(inspection)]
+    checks = [*checks, *bus_checks(plan, inspection)]
     console.lines([*motor_table(inspection, plan.trajectory.joints), *check_lines(checks)])
     if choices.dry_run:
         return _verdict(checks, console)

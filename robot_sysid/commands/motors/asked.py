@@ -16,8 +16,8 @@ from robot_sysid.damiao.exchange.recorder import RecordingOptions
 from robot_sysid.damiao.exchange.settings import PlaySettings
 from robot_sysid.damiao.protocol.frames import BusTiming, Frame, refuse_harmful
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, mapped, read_joint_map
-from robot_sysid.damiao.run.plan import Plan, PoseCheck
-from robot_sysid.damiao.run.preflight import Check, Permissions
+from robot_sysid.damiao.run.execution import PoseCheck
+from robot_sysid.damiao.run.preflight import Check, Permissions, Plan, plan_checks
 from robot_sysid.damiao.trajectory import DamiaoTrajectory, read_damiao_trajectory
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
@@ -69,12 +69,12 @@ class Asked:
         if self.robot is None:
             for given in given_options(record_from(ModelOptions, self.values)):
                 raise InputError(f"{given.flag} is about a model; add --model")
-            return plan.checks()
+            return plan_checks(plan)
         # Imported here so that playing on real motors does not wait for MuJoCo.
         from robot_sysid.damiao.run.model_check import model_checks
 
         played = plan.trajectory, plan.settings.speed
-        return [*plan.checks(), *model_checks(*played, self.robot, plan.pose)]
+        return [*plan_checks(plan), *model_checks(*played, self.robot, plan.pose)]
 
     def pose_check(self, plan: Plan) -> PoseCheck | None:
         """Return what compares the arm, held still, with the model's gravity; None without one."""

@@ -131,7 +131,7 @@ class RegisterClient:
 @contextlib.contextmanager
 def watchdogs_set_to(
     client: RegisterClient,
-    before: Mapping[Address, float],
+    motors: Sequence[InspectedMotor],
     seconds: float,
     is_off: Callable[[Address], bool],
 ) -> Iterator[None]:
@@ -141,6 +141,7 @@ def watchdogs_set_to(
     ever. Nothing is stored to flash: after a power cycle the motors have their own values again.
     ``is_off`` tells, at the end, whether a motor is surely disabled.
     """
+    before = {motor.address: motor.registers[reg.TIMEOUT] for motor in motors}
     try:
         for address in before:
             client.write(address, reg.TIMEOUT, float(round(seconds / reg.TIMEOUT_UNIT)))

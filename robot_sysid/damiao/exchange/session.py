@@ -109,8 +109,7 @@ class MotorSession:
 
     Attributes:
         last_replies: what the last exchange collected, also where it was cut short by an error.
-        unconfirmed: positions of the motors that could be enabled and have not said that they are
-            off.
+        unconfirmed: joints whose motors could be enabled and have not said that they are off.
     """
 
     def __init__(
@@ -124,7 +123,7 @@ class MotorSession:
         self._link, self._clock = link, clock
         self.joints, self.scaling, self._half_step = tuple(joints), scaling, half_step
         self.space = JointSpace.of(joints)
-        self.unconfirmed: tuple[int, ...] = ()
+        self.unconfirmed: tuple[DamiaoJoint, ...] = ()
         self.last_replies: Replies | None = None
         self._command: MitCommand | None = None
         self._outstanding = Outstanding(self.n_joints)
@@ -154,6 +153,10 @@ class MotorSession:
         """Return the nearest values (n,) that the joints' frames carry [rad, rad/s, N m]."""
         return self.space.clipped(q, qd, tau, self.scaling)
 
+    def is_off(self, motor: Address) -> bool:
+        """Tell whether a motor was never enabled or has confirmed that it is disabled."""
+        return motor not in [joint.address for joint in self.unconfirmed]
+
     def __enter__(self) -> MotorSession:
         return self
 
@@ -162,7 +165,7 @@ class MotorSession:
             return
         self.disable()
         if self.unconfirmed:
-            motors = ", ".join(self.joints[j].label for j in self.unconfirmed)
+            motors = ", ".join(joint.label for joint in self.unconfirmed)
             cause = f"{error}; " if error is not None else ""
             raise HardwareAbort(
                 f"{cause}no confirmation that these motors are disabled: {motors}. Cut their power"
@@ -173,7 +176,7 @@ class MotorSession:
 
         One that does not enable raises HardwareAbort.
         """
-        self.unconfirmed = tuple(range(self.n_joints))
+        self.unconfirmed = self.joints
         position = np.empty(self.n_joints)
         for j, joint in enumerate(self.joints):
             feedback = self._enable_one(j, joint)
@@ -261,7 +264,7 @@ class MotorSession:
             except Exception:
                 # Whatever a driver raises: it may recover, and the other motors still listen.
                 self._clock.sleep_until(self._clock.now() + _DISABLE_SPACING)
-            self.unconfirmed = tuple(np.flatnonzero(running).tolist())
+            self.unconfirmed = tuple(self.joints[j] for j in np.flatnonzero(running))
 
     def _enable_one(self, j: int, joint: DamiaoJoint) -> Feedback:
         only = np.arange(self.n_joints) == j

@@ -12,7 +12,7 @@ import sys
 from array import array
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple, Union
+from typing import Union
 
 import numpy as np
 
@@ -115,19 +115,14 @@ class PlayReport:
 Park = Union[str, Array, None]
 
 
-class Told(NamedTuple):
-    """Who is told of new phases and of the time played so far [s]; neither may raise or wait."""
-
-    on_phase: Callable[[str], None]
-    on_progress: Callable[[float], None]
-
-
 class Player:
     """Plays references through a session.
 
     Args:
         stop: polled in every cycle.
         recorder: gets every cycle of the trajectory itself; None keeps nothing.
+        on_phase, on_progress: told of new phases and of the time played so far [s]; neither may
+            raise or wait.
         park: where to leave the arm: "rest", "start", or (n,) positions [rad]; None where it ends.
         pose_check: called with positions and torques (n,) of the arm held still where it stood and
             at the first point; may raise HardwareAbort.
@@ -140,13 +135,14 @@ class Player:
         settings: PlaySettings,
         stop: StopRequest,
         recorder: MeasurementRecorder | None,
-        told: Told,
+        on_phase: Callable[[str], None],
+        on_progress: Callable[[float], None],
         park: Park = None,
         pose_check: Callable[[Array, Array], None] | None = None,
     ) -> None:
         self._session, self._clock, self._settings = session, clock, settings
         self._stop, self._recorder = stop, recorder
-        self._announce, self._on_progress = told
+        self._announce, self._on_progress = on_phase, on_progress
         _, velocity_step, torque_step = session.steps
         self._supervisor = Supervisor(session.joints, settings, velocity_step)
         self._velocity_check = VelocityScalingCheck(velocity_step)

@@ -1,4 +1,4 @@
-"""The list that is gone through before an arm may move.
+"""What is to be played, and the list that is gone through before an arm may move.
 
 Every point yields a check: ``ok``, ``note`` (worth knowing) or ``stop`` (nothing is played before
 it is put right), each with what was found and what to do.
@@ -7,12 +7,14 @@ it is put right), each with what was found and what to do.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
 from robot_sysid.damiao.bus.inspection import InspectedMotor, Inspection
+from robot_sysid.damiao.exchange.recorder import RecordingOptions
 from robot_sysid.damiao.exchange.session import PAUSE
 from robot_sysid.damiao.exchange.settings import PlaySettings
 from robot_sysid.damiao.protocol import registers as reg
@@ -27,8 +29,13 @@ from robot_sysid.damiao.protocol.frames import (
 )
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace, id_problems
 from robot_sysid.damiao.protocol.motors import limits_agree, matching_types
-from robot_sysid.damiao.trajectory import TrajectoryScan, rating_warnings
-from robot_sysid.errors import HardwareAbort
+from robot_sysid.damiao.trajectory import (
+    DamiaoTrajectory,
+    TrajectoryScan,
+    rating_warnings,
+    scan_trajectory,
+)
+from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.records import Array
 from robot_sysid.records.options import OptionRecord, option
 
@@ -84,33 +91,76 @@ class Permissions(OptionRecord):
     )
 
 
-def plan_checks(
-    scan: TrajectoryScan,
-    joints: Sequence[DamiaoJoint],
-    settings: PlaySettings,
-    timing: BusTiming,
-    allowed: Permissions,
-    inertia: Array | None = None,
-) -> list[Check]:
-    """Return what can be said without a bus: ids, limits, ends at rest, bus load.
+@dataclass(frozen=True)
+class Plan:
+    """What is to be played, and how; settings left open are chosen for these motors and this bus.
 
-    ``inertia`` (n,) is what each joint moves, where a model is known [kg m^2].
+    ``inertia`` is what each joint moves (n,), where a model is known [kg m^2].
     """
-    checks = [
-        *_ids(joints),
-        *_ends(scan, settings),
-        *_columns(scan, joints),
-        *_ratings(scan, joints, settings),
-        *_load(joints, settings, timing, allowed),
-        *_light(joints, settings, inertia),
+
+    trajectory: DamiaoTrajectory
+    settings: PlaySettings = PlaySettings()
+    timing: BusTiming = BusTiming()
+    allowed: Permissions = Permissions()
+    recording: RecordingOptions = RecordingOptions()
+    inertia: Array | None = None
+    scan: TrajectoryScan = field(init=False)
+
+    def __post_init__(self) -> None:
+        specs = [joint.spec for joint in self.trajectory.joints]
+        object.__setattr__(
+            self, "settings", self.settings.for_motors(specs, self.timing, self.inertia)
+        )
+        object.__setattr__(self, "scan", scan_trajectory(self.trajectory))
+
+    @property
+    def duration(self) -> float:
+        """How long playing takes [s]."""
+        return self.scan.duration / self.settings.speed
+
+    @property
+    def pose(self) -> Array | None:
+        """Positions (n,) in which to leave the arm [rad]; None where --park names no file."""
+        where, n = self.settings.park, self.trajectory.n_joints
+        if where is None or where in ("rest", "start"):
+            return None
+        try:
+            cells = Path(where).read_text(encoding="utf-8-sig").split(",")
+            pose = np.array([float(cell) for cell in cells])
+        except (OSError, ValueError) as error:
+            raise InputError(
+                f"--park takes rest, start or a file with a line of {n} positions; {where}: {error}"
+            ) from None
+        if pose.shape != (n,) or not np.all(np.isfinite(pose)):
+            raise InputError(f"{where} has to hold {n} positions in one line, separated by commas")
+        return pose
+
+    def others(self, inspection: Inspection) -> tuple[InspectedMotor, ...]:
+        """Return the motors that answer but drive no joint of the trajectory."""
+        known = {joint.address for joint in self.trajectory.joints}
+        return tuple(m for address, m in sorted(inspection.motors.items()) if address not in known)
+
+
+def plan_checks(plan: Plan) -> list[Check]:
+    """Return what can be said without a bus: ids, limits, ends at rest, bus load."""
+    limits = [joint.spec.limits for joint in plan.trajectory.joints]
+    return [
+        *_ids(plan.trajectory.joints),
+        *_ends(plan),
+        *_columns(plan),
+        *_ratings(plan),
+        *_load(plan),
+        *_light(plan),
+        *_within_limits(plan, limits, "its type's"),
+        *_parked(plan),
     ]
-    limits = [joint.spec.limits for joint in joints]
-    return checks + list(_within_limits(scan, joints, limits, settings, "its type's"))
 
 
-def park_checks(pose: Array, joints: Sequence[DamiaoJoint]) -> Iterator[Check]:
-    """Yield what the motors' types say to a pose (n,) in which the arm is to be left [rad]."""
-    for joint, place in zip(joints, JointSpace.of(joints).motor_position(pose)):
+def _parked(plan: Plan) -> Iterator[Check]:
+    """Yield what the motors' types say to the pose in which the arm is to be left."""
+    joints, pose = plan.trajectory.joints, plan.pose
+    turned = () if pose is None else JointSpace.of(joints).motor_position(pose)
+    for joint, place in zip(joints, turned):
         if abs(place) > joint.spec.position_limit:
             yield _stop(
                 f"{joint.label}: to be parked it would turn to {place:.4g} rad, beyond its type's "
@@ -118,49 +168,42 @@ def park_checks(pose: Array, joints: Sequence[DamiaoJoint]) -> Iterator[Check]:
             )
 
 
-def bus_checks(
-    inspection: Inspection,
-    scan: TrajectoryScan,
-    joints: Sequence[DamiaoJoint],
-    settings: PlaySettings,
-    allowed: Permissions,
-) -> list[Check]:
+def bus_checks(plan: Plan, inspection: Inspection) -> list[Check]:
     """Return what the motors on the bus say to the plan."""
-    checks = [*_bus_itself(inspection)]
-    present = [(inspection.motors[j.address], j) for j in joints if j.address in inspection.motors]
+    return [*_own_motors(plan, inspection), *_other_motors(plan, inspection)]
+
+
+def _own_motors(plan: Plan, inspection: Inspection) -> Iterator[Check]:
+    yield from _bus_itself(inspection)
+    joints, found = plan.trajectory.joints, inspection.motors
     for joint in joints:
-        if joint.address not in inspection.motors:
-            text = f"{joint.label} does not answer; check power, wiring, its id, bit rate"
-            checks.append(_stop(text))
+        if joint.address not in found:
+            yield _stop(f"{joint.label} does not answer; check power, wiring, its id, bit rate")
+    present = [(found[joint.address], joint) for joint in joints if joint.address in found]
     for motor, joint in present:
         if not _lacking(motor):
-            checks += [*_identity(motor, joint), *_scaling(motor, joint, allowed)]
-        checks += _condition(motor, settings, allowed)
+            yield from (*_identity(motor, joint), *_scaling(motor, joint, plan.allowed))
+        yield from _condition(motor, plan.settings, plan.allowed)
     limits = [motor.limits for motor, _ in present if motor.limits]
-    if len(limits) < len(joints):
-        return checks
-    checks += _within_limits(scan, joints, limits, settings, "its registers'")
-    checks += _in_time(inspection, settings)
-    return checks + list(_near_start([motor for motor, _ in present], joints, scan, settings))
+    if len(limits) == len(joints):
+        yield from _within_limits(plan, limits, "its registers'")
+        yield from _in_time(inspection, plan.settings)
+        yield from _near_start(plan, [motor for motor, _ in present])
 
 
-def other_checks(
-    others: Sequence[InspectedMotor], settings: PlaySettings, allowed: Permissions
-) -> list[Check]:
-    """Return what is said about motors that no joint of the trajectory has."""
-    if not others:
-        return []
+def _other_motors(plan: Plan, inspection: Inspection) -> Iterator[Check]:
+    """Yield what is said about motors that no joint of the trajectory has."""
+    others = plan.others(inspection)
     names = ", ".join(motor.name for motor in others)
-    if settings.others == "limp":
-        text = f"not in the trajectory and left limp: {names} (--others hold holds them)"
-        return [_note(text)]
-    checks = [_note(f"not in the trajectory and held where they are: {names}")]
-    for motor in others:
-        checks += _condition(motor, settings, allowed)
-        if motor.limits is None or not matching_types(motor.limits):
-            text = f"{motor.name} is of no known type and cannot be held; use --others limp"
-            checks.append(_stop(text))
-    return checks
+    if others and plan.settings.others == "limp":
+        yield _note(f"not in the trajectory and left limp: {names} (--others hold holds them)")
+    elif others:
+        yield _note(f"not in the trajectory and held where they are: {names}")
+        for motor in others:
+            yield from _condition(motor, plan.settings, plan.allowed)
+            if motor.limits is None or not matching_types(motor.limits):
+                text = f"{motor.name} is of no known type and cannot be held; use --others limp"
+                yield _stop(text)
 
 
 def general_checks(inspection: Inspection, settings: PlaySettings) -> list[Check]:
@@ -215,34 +258,32 @@ def _id_problems(motors: Sequence[tuple[Address, int]]) -> Iterator[str]:
         yield from id_problems(*zip(*on_it))
 
 
-def _ends(scan: TrajectoryScan, settings: PlaySettings) -> Iterator[Check]:
-    worst = float(np.max(scan.end_velocity)) * settings.speed
+def _ends(plan: Plan) -> Iterator[Check]:
+    worst = float(np.max(plan.scan.end_velocity)) * plan.settings.speed
     if worst > _REST_SPEED:
         yield _stop(
             f"the trajectory starts or ends at {worst:.2f} rad/s; it has to start and end at rest"
         )
     else:
-        yield _ok(f"starts and ends at rest, {scan.duration / settings.speed:.1f} s")
+        yield _ok(f"starts and ends at rest, {plan.duration:.1f} s")
 
 
-def _columns(scan: TrajectoryScan, joints: Sequence[DamiaoJoint]) -> Iterator[Check]:
-    found = scan.mismatch
+def _columns(plan: Plan) -> Iterator[Check]:
+    found = plan.scan.mismatch
     if found is None:
         yield _ok("velocities and positions agree")
         return
+    label = plan.trajectory.joints[found.joint].label
     yield _stop(
-        f"line {found.line}: velocity {found.stated:.4g} rad/s of "
-        f"{joints[found.joint].label}, but the positions change by {found.shown:.4g} rad/s; export "
-        "the file again, with at least four decimals"
+        f"line {found.line}: velocity {found.stated:.4g} rad/s of {label}, but the positions "
+        f"change by {found.shown:.4g} rad/s; export the file again, with at least four decimals"
     )
 
 
-def _ratings(
-    scan: TrajectoryScan, joints: Sequence[DamiaoJoint], settings: PlaySettings
-) -> Iterator[Check]:
-    for j, joint in enumerate(joints):
-        spec, torque = joint.spec, scan.peak_torque[j] / joint.torque_ratio
-        velocity = scan.peak_velocity[j] * settings.speed
+def _ratings(plan: Plan) -> Iterator[Check]:
+    for j, joint in enumerate(plan.trajectory.joints):
+        spec, torque = joint.spec, plan.scan.peak_torque[j] / joint.torque_ratio
+        velocity = plan.scan.peak_velocity[j] * plan.settings.speed
         beyond = spec.peak_torque is not None and torque > spec.peak_torque
         for text in rating_warnings(joint, velocity, torque):
             yield Check(STOP if beyond and "peak torque" in text else NOTE, text)
@@ -250,10 +291,9 @@ def _ratings(
             yield _note(f"{joint.label}, {spec.name}: {spec.note}")
 
 
-def _load(
-    joints: Sequence[DamiaoJoint], settings: PlaySettings, timing: BusTiming, allowed: Permissions
-) -> Iterator[Check]:
-    buses = [joint.bus for joint in joints]
+def _load(plan: Plan) -> Iterator[Check]:
+    settings, timing = plan.settings, plan.timing
+    buses = [joint.bus for joint in plan.trajectory.joints]
     n_motors = max(buses.count(bus) for bus in buses)
     load = bus_load(n_motors, 1.0 / settings.period, timing)
     text = f"{n_motors} motors at {settings.rate:g} Hz load {timing.name} to {100 * load:.0f} %"
@@ -262,17 +302,15 @@ def _load(
         return
     handy = suggested_rate(n_motors, timing)
     text += f", limit {100 * PLANNING_LIMIT:.0f} %; use --rate {handy:g}"
-    yield Check(NOTE if allowed.bus_load else STOP, text + " (or --force-bus-load)")
+    yield Check(NOTE if plan.allowed.bus_load else STOP, text + " (or --force-bus-load)")
 
 
-def _light(
-    joints: Sequence[DamiaoJoint], settings: PlaySettings, inertia: Array | None
-) -> Iterator[Check]:
+def _light(plan: Plan) -> Iterator[Check]:
     """Yield which joints one step of their motor's torque throws about within a cycle."""
-    scaling = Scaling.from_limits(joint.spec.limits for joint in joints)
-    steps = scaling.steps[2]
-    for joint, step, moved in zip(joints, steps, [] if inertia is None else inertia):
-        if step * settings.period / moved > _SHAKEN:
+    joints, inertia = plan.trajectory.joints, () if plan.inertia is None else plan.inertia
+    steps = Scaling.from_limits(joint.spec.limits for joint in joints).steps[2]
+    for joint, step, moved in zip(joints, steps, inertia):
+        if step * plan.settings.period / moved > _SHAKEN:
             yield _note(
                 f"{joint.label} moves only {moved:.2g} kg m^2 in the model, and a step of a "
                 f"{joint.motor_type}'s torque is {step:.2g} N m: it will shake; give the model the "
@@ -281,19 +319,16 @@ def _light(
 
 
 def _within_limits(
-    scan: TrajectoryScan,
-    joints: Sequence[DamiaoJoint],
-    limits: Sequence[tuple[float, float, float]],
-    settings: PlaySettings,
-    whose: str,
+    plan: Plan, limits: Sequence[tuple[float, float, float]], whose: str
 ) -> Iterator[Check]:
+    joints, scan, speed = plan.trajectory.joints, plan.scan, plan.settings.speed
     space, fine = JointSpace.of(joints), True
     ends = space.motor_position(scan.lowest), space.motor_position(scan.highest)
     asked = (
         ("position", "rad", np.max(np.abs(ends), axis=0)),
-        ("velocity", "rad/s", scan.peak_velocity * settings.speed),
+        ("velocity", "rad/s", scan.peak_velocity * speed),
         ("torque", "N m", np.abs(space.motor_torque(scan.peak_torque))),
-        ("position step", "rad/s", scan.peak_step * settings.speed),
+        ("position step", "rad/s", scan.peak_step * speed),
     )
     for j, (joint, limit) in enumerate(zip(joints, limits)):
         for (what, unit, peaks), top in zip(asked, (*limit, limit[1])):
@@ -419,21 +454,17 @@ def _in_time(inspection: Inspection, settings: PlaySettings) -> Iterator[Check]:
     )
 
 
-def _near_start(
-    motors: Sequence[InspectedMotor],
-    joints: Sequence[DamiaoJoint],
-    scan: TrajectoryScan,
-    settings: PlaySettings,
-) -> Iterator[Check]:
+def _near_start(plan: Plan, motors: Sequence[InspectedMotor]) -> Iterator[Check]:
+    joints, tolerance = plan.trajectory.joints, plan.settings.start_tolerance
     places = JointSpace.of(joints).joint_position(np.array([m.position for m in motors]))
-    for joint, here, first in zip(joints, places, scan.first):
-        if abs(here - first) > settings.start_tolerance:
+    for joint, here, first in zip(joints, places, plan.scan.first):
+        if abs(here - first) > tolerance:
             turn = ""
-            if abs(abs(here - first) - 2.0 * np.pi) < settings.start_tolerance:
+            if abs(abs(here - first) - 2.0 * np.pi) < tolerance:
                 turn = "; a whole turn apart: the motor lost its turn count when it was off"
             yield _stop(
                 f"{joint.label} is at {here:.3f} rad but the trajectory starts at {first:.3f}, "
-                f"more than {settings.start_tolerance:g} away; move it there by hand{turn}"
+                f"more than {tolerance:g} away; move it there by hand{turn}"
             )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,15 +15,7 @@ from robot_sysid.damiao.exchange.settings import PlaySettings
 from robot_sysid.damiao.protocol.frames import BusTiming, bus_load
 from robot_sysid.damiao.protocol.joints import damiao_joints
 from robot_sysid.damiao.protocol.motors import MOTORS
-from robot_sysid.damiao.run.preflight import (
-    NOTE,
-    OK,
-    STOP,
-    Permissions,
-    park_checks,
-    plan_checks,
-    stops,
-)
+from robot_sysid.damiao.run.preflight import NOTE, OK, STOP, Permissions, plan_checks, stops
 from robot_sysid.damiao.trajectory import TrajectoryScan
 
 # Beside the limit, so that rounding does not decide.
@@ -42,7 +35,14 @@ def checks_of(scan, types, allowed=None, timing=None, inertia=None, **settings):
     joints = damiao_joints(types, len(types))
     timing = timing or BusTiming()
     chosen = PlaySettings(**settings).for_motors([joint.spec for joint in joints], timing)
-    return plan_checks(scan, joints, chosen, timing, allowed or Permissions(), inertia)
+    return plan_checks(plan_of(joints, scan, chosen, timing, allowed or Permissions(), inertia))
+
+
+def plan_of(joints, scan, settings, timing, allowed, inertia=None, pose=None):
+    """What the checks look at of a plan, without a trajectory file."""
+    asked = {"settings": settings, "timing": timing, "allowed": allowed, "inertia": inertia}
+    trajectory, duration = SimpleNamespace(joints=joints), scan.duration / settings.speed
+    return SimpleNamespace(trajectory=trajectory, scan=scan, duration=duration, pose=pose, **asked)
 
 
 def beyond(checks):
@@ -112,6 +112,9 @@ def test_a_joint_that_its_motor_would_shake_is_noted():
 @given(place=st.floats(-12.4, 12.4) | st.floats(12.6, 30.0), offset=st.floats(-3.0, 3.0))
 def test_a_motor_cannot_be_parked_beyond_what_its_frames_carry(place, offset):
     joints = [replace(joint, offset=offset) for joint in damiao_joints(["DM4340"] * 2, 2)]
-    found = list(park_checks(np.array([-offset, place - offset]), joints))
+    asked = PlaySettings().for_motors([joint.spec for joint in joints], BusTiming())
+    pose = np.array([-offset, place - offset])
+    plan = plan_of(joints, scan_of(2), asked, BusTiming(), Permissions(), pose=pose)
+    found = [check for check in plan_checks(plan) if "parked" in check.text]
     assert [check.severity for check in found] == [STOP] * (place > 12.5)
     assert all(c.text.startswith("motor 2") and "limit 12.5" in c.text for c in found)
