@@ -178,8 +178,8 @@ def test_a_map_is_made_by_hand(capsys, bus, answers, tmp_path, arm_file):
     assert (code, err) == (0, "")
     assert "move joint joint0 alone" in asked[0] and "no motor turned far enough" in asked[1]
     first, second = read_joint_map(output)
-    assert (first.joint, first.can_id, first.master_id, first.direction) == ("joint0", 2, 18, -1)
-    assert (second.joint, second.can_id, second.direction) == ("joint1", 1, 1)
+    assert (first.name, first.can_id, first.master_id, first.direction) == ("joint0", 2, 18, -1)
+    assert (second.name, second.can_id, second.direction) == ("joint1", 1, 1)
     assert first.offset == pytest.approx(-0.1, abs=1e-3)
     assert second.offset == pytest.approx(0.3, abs=1e-3)
     assert only_asks(bus.wire.sent)

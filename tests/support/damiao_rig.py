@@ -20,7 +20,7 @@ from robot_sysid.damiao.protocol.frames import (
     BusTiming,
     is_special,
 )
-from robot_sysid.damiao.protocol.joints import damiao_joints
+from robot_sysid.damiao.protocol.joints import DamiaoJoint, damiao_joints
 from robot_sysid.damiao.protocol.registers import DISABLED, ESC_ID, MST_ID
 from robot_sysid.damiao.run.execution import run
 from robot_sysid.damiao.run.preflight import Permissions, Plan, bus_checks
@@ -62,6 +62,11 @@ def swing(n_joints=3, duration=2.0, rate=250.0, amplitude=0.4):
     qd = 0.5 * amplitude * w * np.sin(phase)
     qdd = 0.5 * amplitude * w**2 * np.cos(phase)
     return time, q, qd, INERTIA * qdd + GRAVITY * np.sin(q)
+
+
+def map_line(name, channel, can_id, master_id, *mounted):
+    """A line of a joint map."""
+    return DamiaoJoint("", can_id, master_id, name, 0, channel, *mounted)
 
 
 def two_motor_arm(watchdog=0.1):

@@ -10,22 +10,15 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
 
 from robot_sysid.damiao.bus.link import Clock, GuardedLink
+from robot_sysid.damiao.protocol import frames
 from robot_sysid.damiao.protocol import registers as reg
 from robot_sysid.damiao.protocol.codec import Feedback, Scaling, decode_feedback
-from robot_sysid.damiao.protocol.frames import (
-    READ,
-    WRITE,
-    Address,
-    Frame,
-    read_frame,
-    refresh_frame,
-    write_frame,
-)
 from robot_sysid.errors import HardwareAbort
 
 _TRIES = 3
@@ -47,52 +40,42 @@ class RegisterClient:
         self._link, self._clock, self._timeout = link, clock, timeout
         self.error_frames = 0
 
-    def read(self, motor: Address, register: int) -> RegisterReply | None:
+    def read(self, motor: frames.Address, register: int) -> RegisterReply | None:
         """Return a register's value, or None where the motor does not answer."""
-        for _ in range(_TRIES):
-            reply = next(self._replies(read_frame(motor, register)), None)
-            if reply is not None:
-                return reply
-        return None
+        return next(iter(self._answers(frames.read_frame(motor, register), 1)), None)
 
-    def read_all(self, motor: Address, register: int) -> list[RegisterReply]:
+    def read_all(self, motor: frames.Address, register: int) -> list[RegisterReply]:
         """Return every answer to one request: more than one means that motors share an id."""
-        for _ in range(_TRIES):
-            replies = list(self._replies(read_frame(motor, register)))
-            if replies:
-                return replies
-        return []
+        return self._answers(frames.read_frame(motor, register))
 
-    def write(self, motor: Address, register: int, value: float) -> None:
+    def write(self, motor: frames.Address, register: int, value: float) -> None:
         """Write a register (lost at power-off), or raise HardwareAbort.
 
         A motor refuses a value by answering with the old one, so the answer is compared.
         """
-        raw = reg.bytes_from_value(register, value)
-        name = reg.REGISTERS[register].name
-        for _ in range(_TRIES):
-            reply = next(self._replies(write_frame(motor, register, raw)), None)
-            if reply is not None and reg.bytes_from_value(register, reply.value) == raw:
-                return
-            if reply is not None:
-                raise HardwareAbort(
-                    f"motor {motor.can_id} refused {name} = {value:g} and keeps {reply.value:g}"
-                )
-        raise HardwareAbort(f"motor {motor.can_id} did not answer to writing {name}")
+        raw, name = reg.bytes_from_value(register, value), reg.REGISTERS[register].name
+        replies = self._answers(frames.write_frame(motor, register, raw), 1)
+        if not replies:
+            raise HardwareAbort(f"motor {motor.can_id} did not answer to writing {name}")
+        kept = replies[0].value
+        if reg.bytes_from_value(register, kept) != raw:
+            raise HardwareAbort(
+                f"motor {motor.can_id} refused {name} = {value:g} and keeps {kept:g}"
+            )
 
-    def tell(self, motor: Address, register: int, value: float) -> None:
+    def tell(self, motor: frames.Address, register: int, value: float) -> None:
         """Write a register after which the motor cannot be heard any more."""
-        self._link.send(write_frame(motor, register, reg.bytes_from_value(register, value)))
+        self._link.send(frames.write_frame(motor, register, reg.bytes_from_value(register, value)))
 
-    def refresh(self, motor: Address, master_id: int) -> Frame | None:
+    def refresh(self, motor: frames.Address, master_id: int) -> frames.Frame | None:
         """Return a feedback frame without any effect on the motor, or None."""
         for _ in range(_TRIES):
-            for frame in self._frames_after(refresh_frame(motor)):
+            for frame in self._frames_after(frames.refresh_frame(motor)):
                 if frame.id == master_id and frame.data[0] & 0xF == motor.can_id & 0xF:
                     return frame
         return None
 
-    def seconds_to_refresh(self, motors: Sequence[tuple[Address, int]]) -> float | None:
+    def seconds_to_refresh(self, motors: Sequence[tuple[frames.Address, int]]) -> float | None:
         """Ask motors for their state at once, as a control cycle does; each with its reply id.
 
         Returns the time until the last answer [s]; None where one did not come.
@@ -100,23 +83,33 @@ class RegisterClient:
         self._link.drain()
         start = self._clock.now()
         for motor, _ in motors:
-            self._link.send(refresh_frame(motor))
+            self._link.send(frames.refresh_frame(motor))
         missing = {(motor.bus, reply_id) for motor, reply_id in motors}
         while missing and (frame := self._link.receive(start + _LONGEST_CYCLE)) is not None:
             if not frame.echo and not frame.error:
                 missing.discard((frame.bus, frame.id))
         return None if missing else self._clock.now() - start
 
-    def _replies(self, request: Frame) -> Iterator[RegisterReply]:
+    def _answers(self, request: frames.Frame, most: int | None = None) -> list[RegisterReply]:
+        """Return up to ``most`` answers to a request; where there is none, it is repeated."""
+        for _ in range(_TRIES):
+            replies = list(islice(self._replies(request), most))
+            if replies:
+                return replies
+        return []
+
+    def _replies(self, request: frames.Frame) -> Iterator[RegisterReply]:
         # Most firmware answers a write with 0x55, some with 0x33.
-        operations = (READ, WRITE) if request.data[2] == WRITE else (READ,)
+        operations = (
+            (frames.READ, frames.WRITE) if request.data[2] == frames.WRITE else (frames.READ,)
+        )
         heads = [request.data[:2] + bytes([each, request.data[3]]) for each in operations]
         for frame in self._frames_after(request):
             if frame.data[:4] in heads:
                 value = reg.value_from_bytes(request.data[3], frame.data[4:8])
                 yield RegisterReply(value, frame.id)
 
-    def _frames_after(self, request: Frame) -> Iterator[Frame]:
+    def _frames_after(self, request: frames.Frame) -> Iterator[frames.Frame]:
         """Send a request and yield what motors say until the timeout."""
         self._link.drain()
         self._link.send(request)
@@ -133,7 +126,7 @@ def watchdogs_set_to(
     client: RegisterClient,
     motors: Sequence[InspectedMotor],
     seconds: float,
-    is_off: Callable[[Address], bool],
+    is_off: Callable[[frames.Address], bool],
 ) -> Iterator[None]:
     """Write the watchdog register of each motor, and its old value when the block ends.
 
@@ -169,7 +162,7 @@ class InspectedMotor:
     where there are several.
     """
 
-    address: Address
+    address: frames.Address
     reply_ids: tuple[int, ...]
     registers: Mapping[int, float]
     feedback: Feedback | None
@@ -211,7 +204,7 @@ class Inspection:
     None where some did not answer.
     """
 
-    motors: Mapping[Address, InspectedMotor]
+    motors: Mapping[frames.Address, InspectedMotor]
     unsolicited: int
     error_frames: int
     round_trip: float | None = None
@@ -224,7 +217,7 @@ def inspect_bus(link: GuardedLink, clock: Clock) -> Inspection:
         unsolicited += not frame.echo
     client = RegisterClient(link, clock, timeout=_ASK_TIMEOUT)
     motors = {}
-    for address in (Address(bus, i) for bus in range(len(link.channels)) for i in _ALL_IDS):
+    for address in (frames.Address(bus, i) for bus in range(len(link.channels)) for i in _ALL_IDS):
         answers = client.read_all(address, reg.ESC_ID)
         if not answers:
             continue
@@ -237,7 +230,9 @@ def inspect_bus(link: GuardedLink, clock: Clock) -> Inspection:
     return Inspection(motors, unsolicited, client.error_frames, _round_trip(client, motors))
 
 
-def _round_trip(client: RegisterClient, motors: Mapping[Address, InspectedMotor]) -> float | None:
+def _round_trip(
+    client: RegisterClient, motors: Mapping[frames.Address, InspectedMotor]
+) -> float | None:
     asked = [(address, motor.reply_ids[0]) for address, motor in motors.items()]
     if any(motor.feedback is None for motor in motors.values()):
         return None

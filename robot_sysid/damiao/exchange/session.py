@@ -10,22 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.damiao.bus.link import Clock, GuardedLink
-from robot_sysid.damiao.protocol.codec import (
-    Bytes,
-    Feedback,
-    MitCommand,
-    Scaling,
-    decode_feedback,
-    decode_mit,
-    encode_mit,
-)
-from robot_sysid.damiao.protocol.frames import (
-    Address,
-    Frame,
-    command_frame,
-    disable_frame,
-    enable_frame,
-)
+from robot_sysid.damiao.protocol import codec
+from robot_sysid.damiao.protocol.frames import Address, Frame, disable_frame, enable_frame
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace
 from robot_sysid.damiao.protocol.registers import DISABLED, ENABLED, describe
 from robot_sysid.errors import HardwareAbort
@@ -55,8 +41,8 @@ class Replies:
 
     answered: Mask
     time: Array
-    feedback: Feedback
-    command: MitCommand | None = None
+    feedback: codec.Feedback
+    command: codec.MitCommand | None = None
     asked: Mask | None = None
 
     @property
@@ -117,7 +103,7 @@ class MotorSession:
         link: GuardedLink,
         clock: Clock,
         joints: Sequence[DamiaoJoint],
-        scaling: Scaling,
+        scaling: codec.Scaling,
         half_step: bool,
     ) -> None:
         self._link, self._clock = link, clock
@@ -125,7 +111,7 @@ class MotorSession:
         self.space = JointSpace.of(joints)
         self.unconfirmed: tuple[DamiaoJoint, ...] = ()
         self.last_replies: Replies | None = None
-        self._command: MitCommand | None = None
+        self._command: codec.MitCommand | None = None
         self._outstanding = Outstanding(self.n_joints)
         self._regardless = True
         self._by_reply = {(joint.bus, joint.master_id): j for j, joint in enumerate(joints)}
@@ -151,7 +137,11 @@ class MotorSession:
 
     def clipped(self, q: Array, qd: Array, tau: Array) -> tuple[Array, ...]:
         """Return the nearest values (n,) that the joints' frames carry [rad, rad/s, N m]."""
-        return self.space.clipped(q, qd, tau, self.scaling)
+        space, scaling = self.space, self.scaling
+        motor = space.motor_position(q), space.direction * qd, space.motor_torque(tau)
+        limits = scaling.position, scaling.velocity, scaling.torque
+        p, v, t = (np.clip(x, -limit, limit) for x, limit in zip(motor, limits))
+        return space.joint_position(p), space.direction * v, space.joint_torque(t)
 
     def is_off(self, motor: Address) -> bool:
         """Tell whether a motor was never enabled or has confirmed that it is disabled."""
@@ -189,7 +179,7 @@ class MotorSession:
 
     def exchange(
         self,
-        command: MitCommand,
+        command: codec.MitCommand,
         until: float,
         joints: Mask | None = None,
         regardless: bool = False,
@@ -210,21 +200,22 @@ class MotorSession:
             LinkError: the bus does not work.
         """
         self.last_replies, self._regardless = None, regardless
-        frames = encode_mit(self.space.to_motors(command), self.scaling)
+        packed = codec.encode_mit(self.space.to_motors(command), self.scaling)
         wanted = np.ones(self.n_joints, bool) if joints is None else joints
         self._take_late_ones()
         told = wanted if regardless else self._outstanding.may_be_told(wanted)
-        self._command = self._in_force(decode_mit(frames, self.scaling), told)
+        self._command = self._in_force(codec.decode_mit(packed, self.scaling), told)
         for j in np.flatnonzero(told):
-            self._link.send(command_frame(self.joints[j].address, frames[j].tobytes()))
+            bus, can_id = self.joints[j].address
+            self._link.send(Frame(can_id, packed[j].tobytes(), bus=bus))
         return self._collect(told, until, self._command)
 
-    def _in_force(self, motor: MitCommand, told: Mask) -> MitCommand:
+    def _in_force(self, motor: codec.MitCommand, told: Mask) -> codec.MitCommand:
         """Return what each joint is under once the joints ``told`` have their new command."""
         new, old = self.space.from_motors(motor), self._command
         if old is None:
             return new
-        return MitCommand(*(np.where(told, *pair) for pair in zip(new, old)))
+        return codec.MitCommand(*(np.where(told, *pair) for pair in zip(new, old)))
 
     def _take_late_ones(self) -> None:
         """Drop what has arrived since the last exchange, but know whose answer it was."""
@@ -266,7 +257,7 @@ class MotorSession:
                 self._clock.sleep_until(self._clock.now() + _DISABLE_SPACING)
             self.unconfirmed = tuple(self.joints[j] for j in np.flatnonzero(running))
 
-    def _enable_one(self, j: int, joint: DamiaoJoint) -> Feedback:
+    def _enable_one(self, j: int, joint: DamiaoJoint) -> codec.Feedback:
         only = np.arange(self.n_joints) == j
         for _ in range(_ENABLE_TRIES):
             self._link.drain()
@@ -276,7 +267,9 @@ class MotorSession:
                 break
         return replies.feedback
 
-    def _collect(self, wanted: Mask, until: float, command: MitCommand | None = None) -> Replies:
+    def _collect(
+        self, wanted: Mask, until: float, command: codec.MitCommand | None = None
+    ) -> Replies:
         raw = np.zeros((self.n_joints, 8), dtype=np.uint8)
         received = np.full(self.n_joints, np.nan)
         sent = np.full(self.n_joints, np.nan)
@@ -288,7 +281,9 @@ class MotorSession:
             self.last_replies = self._replies(wanted, raw, received, sent, command)
         return self.last_replies
 
-    def _take(self, frame: Frame, wanted: Mask, raw: Bytes, received: Array, sent: Array) -> bool:
+    def _take(
+        self, frame: Frame, wanted: Mask, raw: codec.Bytes, received: Array, sent: Array
+    ) -> bool:
         """File a frame where it belongs; return whether it is an answer that was missing."""
         if frame.echo:
             if (address := Address(frame.bus, frame.id)) in self._by_command:
@@ -314,10 +309,15 @@ class MotorSession:
         return j
 
     def _replies(
-        self, asked: Mask, raw: Bytes, received: Array, sent: Array, command: MitCommand | None
+        self,
+        asked: Mask,
+        raw: codec.Bytes,
+        received: Array,
+        sent: Array,
+        command: codec.MitCommand | None,
     ) -> Replies:
         answered = np.isfinite(received)
-        feedback = self.space.measured(decode_feedback(raw, self.scaling, self._half_step))
+        feedback = self.space.measured(codec.decode_feedback(raw, self.scaling, self._half_step))
         for values in (feedback.position, feedback.velocity, feedback.torque):
             values[~answered] = np.nan
         feedback.status[~answered] = NO_STATUS

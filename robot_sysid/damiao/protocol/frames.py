@@ -44,13 +44,8 @@ class Address(NamedTuple):
     can_id: int
 
 
-def command_frame(motor: Address, data: bytes) -> Frame:
-    """Return the frame that carries eight bytes to a motor in MIT mode."""
-    return Frame(motor.can_id, data, bus=motor.bus)
-
-
 def _special_frame(code: int, motor: Address) -> Frame:
-    return command_frame(motor, _SPECIAL + bytes([code]))
+    return Frame(motor.can_id, _SPECIAL + bytes([code]), bus=motor.bus)
 
 
 enable_frame = partial(_special_frame, ENABLE)

@@ -26,10 +26,11 @@ import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from robot_sysid.damiao.protocol.codec import Feedback, MitCommand, Scaling
+from robot_sysid.damiao.protocol.codec import Feedback, MitCommand
 from robot_sysid.damiao.protocol.frames import Address
 from robot_sysid.damiao.protocol.motors import MotorSpec, motor_spec, motor_specs
 from robot_sysid.errors import InputError
@@ -45,7 +46,7 @@ class DamiaoJoint:
 
     It listens to ``can_id`` and answers on ``master_id``. ``name`` is the joint's in the model, or
     ""; buses are counted from 0, and ``channel`` names the bus where there are several. The offset
-    [rad] is the motor's position where the joint is at zero.
+    [rad] is the motor's position where the joint is at zero. A line of a joint map tells no type.
     """
 
     motor_type: str
@@ -102,24 +103,29 @@ def damiao_joints(
                 f"{option} was given {len(values)} times but the chain has {n_joints} joints: "
                 "give it once per joint or not at all"
             )
-    problem = next(id_problems(ids, replies), None)
-    if problem:
+    for problem in id_problems([(0, *pair) for pair in zip(ids, replies)]):
         raise InputError(problem)
     called = ["_".join(name.split()) for name in names] or [""] * n_joints
     return tuple(DamiaoJoint(s.name, i, m, n) for s, i, m, n in zip(specs, ids, replies, called))
 
 
-def id_problems(can_ids: Sequence[int], master_ids: Sequence[int]) -> Iterator[str]:
-    """Yield a sentence for each way in which these ids cannot share one bus.
+def id_problems(motors: Sequence[tuple[Any, int, int]]) -> Iterator[str]:
+    """Yield a sentence for each way in which motors (bus, CAN id, master id) clash on their buses.
 
     A motor compares the low eight bits of every frame's id, replies of other motors included, and
     a reply carries only the low four bits of the sender's id.
     """
+    for bus in sorted({each[0] for each in motors}):
+        can_ids, master_ids = zip(*(each[1:] for each in motors if each[0] == bus))
+        yield from _clashes(can_ids, master_ids)
+
+
+def _clashes(can_ids: Sequence[int], master_ids: Sequence[int]) -> Iterator[str]:
     for i in can_ids:
         if not 1 <= i <= 15:
             yield f"CAN id {i} is outside 1 to 15, where replies can be told apart"
     for name, values in (("CAN", can_ids), ("master", master_ids)):
-        for i in sorted({i for i in values if list(values).count(i) > 1}):
+        for i in sorted({i for i in values if values.count(i) > 1}):
             yield f"{name} id {i:#04x} is used by more than one motor; each needs its own"
     for i, master in zip(can_ids, master_ids):
         if not 0 <= master <= 0x7FE:
@@ -191,32 +197,12 @@ class JointSpace:
         """Return the joint torques (n,) of what motors believe in [N m]."""
         return np.asarray(self.direction * self.ratio * torque)
 
-    def clipped(self, q: Array, qd: Array, tau: Array, scaling: Scaling) -> tuple[Array, ...]:
-        """Return positions, velocities and torques of joints (n,) that the motors' frames carry."""
-        motor = self.motor_position(q), self.direction * qd, self.motor_torque(tau)
-        limits = scaling.position, scaling.velocity, scaling.torque
-        p, v, t = (np.clip(x, -limit, limit) for x, limit in zip(motor, limits))
-        return self.joint_position(p), np.asarray(self.direction * v), self.joint_torque(t)
-
 
 _COLUMNS = ("joint", "bus", "can_id", "master_id", "direction", "offset", "torque_ratio")
 _NEEDED = ("joint", "can_id", "direction")
 
 
-@dataclass(frozen=True)
-class MappedJoint:
-    """One line of a joint map; see the module's text."""
-
-    joint: str
-    bus: str
-    can_id: int
-    master_id: int
-    direction: int
-    offset: float = 0.0
-    torque_ratio: float = 1.0
-
-
-def read_joint_map(path: str | os.PathLike[str]) -> tuple[MappedJoint, ...]:
+def read_joint_map(path: str | os.PathLike[str]) -> tuple[DamiaoJoint, ...]:
     """Read a joint map, or raise InputError; one that is about a line names it."""
     try:
         with open(path, encoding="utf-8-sig", newline="") as file:
@@ -236,18 +222,18 @@ def read_joint_map(path: str | os.PathLike[str]) -> tuple[MappedJoint, ...]:
     return rows
 
 
-def write_joint_map(path: Path, rows: Iterable[MappedJoint]) -> None:
+def write_joint_map(path: Path, rows: Iterable[DamiaoJoint]) -> None:
     """Write a joint map."""
     lines = [",".join(_COLUMNS)]
     for row in rows:
         numbers = f"{row.direction:+d},{row.offset:.4f},{row.torque_ratio:g}"
-        lines.append(f"{row.joint},{row.bus},{row.can_id},{row.master_id:#x},{numbers}")
+        lines.append(f"{row.name},{row.channel},{row.can_id},{row.master_id:#x},{numbers}")
     write_whole(path, "\n".join(lines) + "\n")
 
 
 def mapped(
     joints: Sequence[DamiaoJoint],
-    rows: Sequence[MappedJoint],
+    rows: Sequence[DamiaoJoint],
     channels: Sequence[str],
     names: Sequence[str] = (),
 ) -> tuple[DamiaoJoint, ...]:
@@ -256,7 +242,7 @@ def mapped(
     The map may have more rows only where the model's ``names`` are known. InputError where it does
     not cover the joints, or names a bus that is not among the open ``channels``.
     """
-    by_name = {row.joint: row for row in rows}
+    by_name = {row.name: row for row in rows}
     absent = [name for name in names if name not in by_name]
     if absent:
         raise InputError(f"the joint map has no line for {absent[0]}; it has {', '.join(by_name)}")
@@ -267,33 +253,34 @@ def mapped(
             "line per joint, base to terminal, or --model to choose them by name"
         )
     # An adapter may have got another name; but never play one arm's motion on the other arm.
-    several = len(channels) > 1 or len({row.bus for row in rows}) > 1
+    several = len(channels) > 1 or len({row.channel for row in rows}) > 1
     for row in chosen:
-        if several and row.bus and row.bus not in channels:
+        where = row.channel
+        if several and where and where not in channels:
             raise InputError(
-                f"the joint map puts {row.joint} on {row.bus}; open it with --channel {row.bus}"
+                f"the joint map puts {row.name} on {where}; open it with --channel {where}"
             )
     mounted = []
     for joint, row in zip(joints, chosen):
-        bus = channels.index(row.bus) if row.bus in channels else 0
+        bus = channels.index(row.channel) if row.channel in channels else 0
         channel = channels[bus] if len(channels) > 1 else ""
-        place = joint.motor_type, row.can_id, row.master_id, row.joint, bus, channel
-        mounted.append(DamiaoJoint(*place, row.direction, row.offset, row.torque_ratio))
+        mounted.append(replace(row, motor_type=joint.motor_type, bus=bus, channel=channel))
     return tuple(mounted)
 
 
-def _row(line: Mapping[str, str | None], where: str) -> MappedJoint:
+def _row(line: Mapping[str, str | None], where: str) -> DamiaoJoint:
     cells = {key.strip(): (value or "").strip() for key, value in line.items() if key}
     try:
         can_id = int(cells["can_id"], 0)
-        row = MappedJoint(
-            cells["joint"],
-            cells.get("bus", ""),
-            can_id,
-            int(cells.get("master_id") or str(can_id + MASTER_ID_OFFSET), 0),
-            int(cells["direction"]),
-            float(cells.get("offset") or 0.0),
-            float(cells.get("torque_ratio") or 1.0),
+        row = DamiaoJoint(
+            motor_type="",
+            can_id=can_id,
+            master_id=int(cells.get("master_id") or str(can_id + MASTER_ID_OFFSET), 0),
+            name=cells["joint"],
+            channel=cells.get("bus", ""),
+            direction=int(cells["direction"]),
+            offset=float(cells.get("offset") or 0.0),
+            torque_ratio=float(cells.get("torque_ratio") or 1.0),
         )
     except ValueError:
         raise InputError(
@@ -306,13 +293,10 @@ def _row(line: Mapping[str, str | None], where: str) -> MappedJoint:
     return row
 
 
-def _require_sound(rows: Sequence[MappedJoint], path: str | os.PathLike[str]) -> None:
-    names = [row.joint for row in rows]
+def _require_sound(rows: Sequence[DamiaoJoint], path: str | os.PathLike[str]) -> None:
+    names = [row.name for row in rows]
     twice = [name for name in names if names.count(name) > 1]
     if twice or not rows:
         raise InputError(f"{path} names {twice[0]} twice" if twice else f"{path} has no lines")
-    for bus in {row.bus for row in rows}:
-        on_it = [(row.can_id, row.master_id) for row in rows if row.bus == bus]
-        problem = next(id_problems(*zip(*on_it)), None)
-        if problem:
-            raise InputError(f"{path}: {problem}")
+    for problem in id_problems([(row.channel, row.can_id, row.master_id) for row in rows]):
+        raise InputError(f"{path}: {problem}")

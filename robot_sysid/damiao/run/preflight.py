@@ -22,7 +22,6 @@ from robot_sysid.damiao.protocol.codec import Scaling
 from robot_sysid.damiao.protocol.frames import (
     HANDY_RATES,
     PLANNING_LIMIT,
-    Address,
     BusTiming,
     bus_load,
     suggested_rate,
@@ -242,20 +241,12 @@ def _lacking(motor: InspectedMotor) -> list[Check]:
 
 
 def _ids(joints: Sequence[DamiaoJoint]) -> Iterator[Check]:
-    ids = [(j.address, j.master_id) for j in joints]
-    problems = list(_id_problems(ids))
+    problems = list(id_problems([(j.bus, j.can_id, j.master_id) for j in joints]))
     yield from (_stop(problem) for problem in problems)
     if not problems:
         yield _ok(f"ids are unique: {', '.join(str(j.can_id) for j in joints)}")
     if any(joint.master_id == 0 for joint in joints):
         yield _note("a master id of 0 is a poor choice; set it to CAN id + 0x10")
-
-
-def _id_problems(motors: Sequence[tuple[Address, int]]) -> Iterator[str]:
-    """Yield why motors, as addresses and master ids, cannot share the buses they are on."""
-    for bus in sorted({address.bus for address, _ in motors}):
-        on_it = [(address.can_id, master) for address, master in motors if address.bus == bus]
-        yield from id_problems(*zip(*on_it))
 
 
 def _ends(plan: Plan) -> Iterator[Check]:
@@ -353,8 +344,8 @@ def _bus_itself(inspection: Inspection) -> Iterator[Check]:
             f"{inspection.error_frames} error frames: two motors may share an id, or a motor is "
             "set to CAN-FD (use --fd) or to another bit rate"
         )
-    ids = [(motor.address, motor.master_id) for motor in inspection.motors.values()]
-    yield from (_stop(problem) for problem in _id_problems(ids))
+    ids = [(*address, motor.master_id) for address, motor in inspection.motors.items()]
+    yield from (_stop(problem) for problem in id_problems(ids))
 
 
 def _shared_id(motor: InspectedMotor) -> Iterator[Check]:

@@ -18,18 +18,13 @@ import numpy as np
 
 from robot_sysid.damiao.bus.inspection import InspectedMotor, RegisterClient
 from robot_sysid.damiao.bus.link import Clock, GuardedLink
+from robot_sysid.damiao.protocol import frames
 from robot_sysid.damiao.protocol import registers as reg
 from robot_sysid.damiao.protocol.codec import Scaling, decode_feedback
-from robot_sysid.damiao.protocol.frames import (
-    Address,
-    clear_error_frame,
-    set_zero_frame,
-    store_frame,
-)
-from robot_sysid.damiao.protocol.joints import MappedJoint
+from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.records import Array, RobotModel
-from robot_sysid.records.options import OptionRecord, option
+from robot_sysid.records.options import OptionRecord, given_options, option
 
 _STORE_TIME = 0.05
 
@@ -78,9 +73,7 @@ class SetupOptions(OptionRecord):
     @property
     def changes(self) -> bool:
         """Whether anything is to be changed."""
-        values = (self.new_id, self.new_master_id, self.watchdog, self.motor_bitrate)
-        asked = self.mit, self.set_zero, self.clear_error, self.store
-        return any(value is not None for value in values) or any(asked)
+        return any(given.key != "motor" for given in given_options(self))
 
 
 class MotorSetup:
@@ -114,7 +107,7 @@ class MotorSetup:
             self._master = asked.new_master_id
         if asked.new_id is not None:
             yield self._written(reg.ESC_ID, asked.new_id)
-            self._address = Address(self._address.bus, asked.new_id)
+            self._address = frames.Address(self._address.bus, asked.new_id)
         if asked.store and asked.motor_bitrate is None:
             yield self._stored()
         if asked.motor_bitrate is not None:
@@ -136,7 +129,7 @@ class MotorSetup:
         before = self._status()
         if not reg.is_fault(before):
             return f"{self._motor.name} has no error to clear ({reg.describe(before)})"
-        self._link.send(clear_error_frame(self._address))
+        self._link.send(frames.clear_error_frame(self._address))
         after = self._status()
         if reg.is_fault(after):
             raise HardwareAbort(f"{self._motor.name} still reports {reg.describe(after)}")
@@ -151,14 +144,14 @@ class MotorSetup:
             if not sure(question):
                 raise InputError("not confirmed; the zero is as it was")
         self._require_off()
-        self._link.send(set_zero_frame(self._address))
+        self._link.send(frames.set_zero_frame(self._address))
         self._clock.sleep_until(self._clock.now() + _STORE_TIME)
         after = self._position()
         return f"{self._motor.name}: {before:.4f} rad is now {after:.4f} rad; the motor keeps it"
 
     def _stored(self) -> str:
         self._require_off()
-        self._link.send(store_frame(self._address))
+        self._link.send(frames.store_frame(self._address))
         self._clock.sleep_until(self._clock.now() + _STORE_TIME)
         return f"{self._motor.name} keeps its values when the power goes off"
 
@@ -189,7 +182,7 @@ class MotorSetup:
         return frame.data
 
 
-Positions = Mapping[Address, float]
+Positions = Mapping[frames.Address, float]
 _MOVED, _CLEARLY = 0.15, 3.0
 _TRIES = 3
 _PROBE, _SEEN = 0.3, 0.02
@@ -224,14 +217,14 @@ def map_by_hand(
     motors: Sequence[InspectedMotor],
     positions: Callable[[], Positions],
     ask: Callable[[str], None],
-) -> list[MappedJoint]:
+) -> list[DamiaoJoint]:
     """Return the joint map that a person shows; all motors are limp.
 
     ``positions`` reads where each motor is [rad]; ``ask`` says what to do and returns when it is
     done. HardwareAbort where a movement could not be told from others three times.
     """
     by_address = {motor.address: motor for motor in motors}
-    found: list[tuple[str, Address, int]] = []
+    found: list[tuple[str, frames.Address, int]] = []
     for name, way in zip(robot.joint_names, positive_ways(robot)):
         left = set(by_address) - {address for _, address, _ in found}
         found.append((name, *_moved_one(name, way, left, positions, ask)))
@@ -242,19 +235,18 @@ def map_by_hand(
     for (name, address, direction), q in zip(found, robot.reference):
         motor = by_address[address]
         offset = round(here[address] - direction * float(q), 4)
-        rows.append(
-            MappedJoint(name, motor.channel, address.can_id, motor.master_id, direction, offset)
-        )
+        place = address.can_id, motor.master_id, name, 0, motor.channel
+        rows.append(DamiaoJoint("", *place, direction, offset))
     return rows
 
 
 def _moved_one(
     name: str,
     way: str,
-    left: set[Address],
+    left: set[frames.Address],
     positions: Callable[[], Positions],
     ask: Callable[[str], None],
-) -> tuple[Address, int]:
+) -> tuple[frames.Address, int]:
     again = ""
     for _ in range(_TRIES):
         before = positions()

@@ -7,13 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.protocol.joints import (
-    JointSpace,
-    MappedJoint,
-    read_joint_map,
-    write_joint_map,
-)
+from robot_sysid.damiao.protocol.joints import JointSpace, read_joint_map, write_joint_map
 from robot_sysid.errors import InputError
+from tests.support.damiao_rig import map_line
 
 WAYS = st.sampled_from([-1, 1])
 NUMBERS = st.floats(-10.0, 10.0)
@@ -48,7 +44,7 @@ def test_a_motor_makes_the_torque_that_its_joint_is_told(space, numbers):
 def test_a_map_is_read_as_it_was_written(tmp_path_factory, rows):
     path = tmp_path_factory.mktemp("map") / "map.csv"
     written = [
-        MappedJoint(f"j{k}", "can0", k + 1, k + 17, way, round(offset, 4), round(ratio, 3))
+        map_line(f"j{k}", "can0", k + 1, k + 17, way, round(offset, 4), round(ratio, 3))
         for k, (way, offset, ratio) in enumerate(rows)
     ]
     write_joint_map(path, written)
@@ -58,7 +54,7 @@ def test_a_map_is_read_as_it_was_written(tmp_path_factory, rows):
 def test_what_is_left_out_is_as_usual(tmp_path):
     path = tmp_path / "map.csv"
     path.write_text("# by hand\njoint, can_id, direction\nelbow, 3, -1\n")
-    assert read_joint_map(path) == (MappedJoint("elbow", "", 3, 19, -1),)
+    assert read_joint_map(path) == (map_line("elbow", "", 3, 19, -1),)
 
 
 @pytest.mark.parametrize(

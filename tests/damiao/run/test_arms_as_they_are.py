@@ -9,19 +9,13 @@ import numpy as np
 import pytest
 
 from robot_sysid.cli import main
-from robot_sysid.damiao.protocol.joints import (
-    DamiaoJoint,
-    MappedJoint,
-    damiao_joints,
-    mapped,
-    write_joint_map,
-)
+from robot_sysid.damiao.protocol.joints import DamiaoJoint, damiao_joints, mapped, write_joint_map
 from robot_sysid.damiao.protocol.registers import DISABLED
 from robot_sysid.damiao.run.model_check import GravityCheck
 from robot_sysid.damiao.run.preflight import Permissions
 from robot_sysid.damiao.simulated.arm import simulated_motor
 from robot_sysid.errors import HardwareAbort, InputError
-from tests.support.damiao_rig import GRAVITY, Rig, swing
+from tests.support.damiao_rig import GRAVITY, Rig, map_line, swing
 from tests.support.places import ROOT
 from tests.support.recordings import read_recording
 
@@ -233,7 +227,7 @@ def bimanual(tmp_path):
     table = tmp_path / "map.csv"
     mirrored = {"left_b": (-1, 0.4), "left_d": (-1, -0.2)}
     rows = [
-        MappedJoint(f"{side}_{name}", bus, k, k + 16, *mirrored.get(f"{side}_{name}", (1, 0.0)))
+        map_line(f"{side}_{name}", bus, k, k + 16, *mirrored.get(f"{side}_{name}", (1, 0.0)))
         for side, bus in (("right", "can1"), ("left", "can0"))
         for k, name in enumerate("abcd", start=1)
     ]
@@ -262,14 +256,14 @@ def test_the_loop_of_a_bimanual_arm_with_mirrored_joints(bimanual, tmp_path, cap
 
 def test_a_map_that_lacks_a_joint_of_the_model_is_refused(tmp_path):
     joints = damiao_joints(["DM4340"] * 2, 2)
-    rows = [MappedJoint("a", "", 1, 17, 1), MappedJoint("b", "", 2, 18, -1)]
+    rows = [map_line("a", "", 1, 17, 1), map_line("b", "", 2, 18, -1)]
     assert [j.direction for j in mapped(joints, rows, ["can0"])] == [1, -1]
     assert [j.name for j in mapped(joints, rows, ["can0"], ["b", "a"])] == ["b", "a"]
     with pytest.raises(InputError, match="no line for c; it has a, b"):
         mapped(joints, rows, ["can0"], ["a", "c"])
     with pytest.raises(InputError, match="2 joints but the trajectory 1"):
         mapped(joints[:1], rows, ["can0"])
-    far = [replace(row, bus="can7") for row in rows]
+    far = [replace(row, channel="can7") for row in rows]
     with pytest.raises(InputError, match="open it with --channel can7"):
         mapped(joints, far, ["can0", "can1"])
     # One adapter may have got another name since.
@@ -277,8 +271,8 @@ def test_a_map_that_lacks_a_joint_of_the_model_is_refused(tmp_path):
 
 
 def test_one_arm_of_a_map_is_never_played_on_the_bus_of_the_other():
-    rows = [MappedJoint(f"left_{k}", "can0", k, k + 16, 1) for k in (1, 2)]
-    rows += [MappedJoint(f"right_{k}", "can1", k, k + 16, 1) for k in (1, 2)]
+    rows = [map_line(f"left_{k}", "can0", k, k + 16, 1) for k in (1, 2)]
+    rows += [map_line(f"right_{k}", "can1", k, k + 16, 1) for k in (1, 2)]
     joints, right = damiao_joints(["DM4340"] * 2, 2), ["right_1", "right_2"]
     with pytest.raises(InputError, match="right_1 on can1; open it with --channel can1"):
         mapped(joints, rows, ["can0"], right)
