@@ -159,13 +159,9 @@ def _rows(chunk: MotionChunk, tally: ClampTally, decimals: int) -> str:
         raise InputError(f"motion chunks must be (N,), (N, {n}), (N, {n}), (N, {n}) arrays")
     if not all(np.all(np.isfinite(x)) for x in (time, q, qd, tau)):
         raise InputError("the trajectory to export contains values that are not finite")
-    q, qd, tau = tally.clamp(q, qd, tau)
-    table = np.empty((len(time), 1 + 3 * n))
-    table[:, 0] = time
-    for offset, values in enumerate((q, qd, tau)):
-        table[:, 1 + offset :: 3] = values
+    values = np.stack(tally.clamp(q, qd, tau), axis=2).reshape(len(time), 3 * n)
     # Adding zero turns the -0.0 that rounding leaves into 0.0.
-    table[:, 1:] = np.round(table[:, 1:], 4) + 0.0
+    table = np.column_stack([time, np.round(values, 4) + 0.0])
     row = ",".join([f"%.{decimals}f"] + ["%.4f"] * (3 * n)) + "\n"
     return (row * len(time)) % tuple(table.ravel())
 

@@ -44,7 +44,6 @@ class BusAddress(OptionRecord):
 
 
 SERIAL_ADAPTER = "damiao"
-_REPORTS_OWN_FRAMES = ("socketcan", "virtual")
 _SEND_TIMEOUT = 0.01
 # A queue that is full for longer than this is not going to empty within a control cycle.
 _FULL_PATIENCE, _FULL_PAUSE = 1.5e-3, 2e-4
@@ -152,13 +151,11 @@ def open_bus(address: BusAddress, timing: BusTiming, clock: Clock) -> Link:
     if timing.fd and address.interface == SERIAL_ADAPTER:
         raise InputError("the maker's serial adapter sends classic CAN frames only; leave --fd off")
     links: list[BusLink] = []
-    try:
+    with contextlib.ExitStack() as opened:
         for channel in address.channel:
             links.append(_open_one(address, channel, timing, clock))
-    except BaseException:
-        for link in links:
-            link.close()
-        raise
+            opened.callback(links[-1].close)
+        opened.pop_all()
     return links[0] if len(links) == 1 else SeveralBuses(links, clock)
 
 
@@ -198,26 +195,18 @@ def _value(text: str) -> Any:
 
 
 def _bus_options(can: Any, interface: str, timing: BusTiming) -> dict[str, Any]:
-    options: dict[str, Any] = {}
-    if interface in _REPORTS_OWN_FRAMES:
-        options["receive_own_messages"] = True
+    if interface == SERIAL_ADAPTER:
+        return {}
     if interface == "socketcan":
-        options["fd"] = timing.fd
-    elif interface == "virtual":
-        options["protocol"] = can.CanProtocol.CAN_FD if timing.fd else can.CanProtocol.CAN_20
-    elif interface == SERIAL_ADAPTER:
-        pass
-    elif timing.fd:
-        options["timing"] = can.BitTimingFd.from_sample_point(
-            f_clock=_FD_CLOCK,
-            nom_bitrate=int(timing.bitrate),
-            nom_sample_point=80.0,
-            data_bitrate=int(timing.data_bitrate),
-            data_sample_point=75.0,
-        )
-    else:
-        options["bitrate"] = int(timing.bitrate)
-    return options
+        return {"receive_own_messages": True, "fd": timing.fd}
+    if interface == "virtual":
+        protocol = can.CanProtocol.CAN_FD if timing.fd else can.CanProtocol.CAN_20
+        return {"receive_own_messages": True, "protocol": protocol}
+    if not timing.fd:
+        return {"bitrate": int(timing.bitrate)}
+    rates = {"nom_bitrate": int(timing.bitrate), "data_bitrate": int(timing.data_bitrate)}
+    points = {"nom_sample_point": 80.0, "data_sample_point": 75.0}
+    return {"timing": can.BitTimingFd.from_sample_point(f_clock=_FD_CLOCK, **rates, **points)}
 
 
 # How long to leave all buses alone between two looks at them [s].

@@ -42,11 +42,7 @@ class RegisterClient:
 
     def read(self, motor: frames.Address, register: int) -> RegisterReply | None:
         """Return a register's value, or None where the motor does not answer."""
-        return next(iter(self._answers(frames.read_frame(motor, register), 1)), None)
-
-    def read_all(self, motor: frames.Address, register: int) -> list[RegisterReply]:
-        """Return every answer to one request: more than one means that motors share an id."""
-        return self._answers(frames.read_frame(motor, register))
+        return next(iter(self.answers(frames.read_frame(motor, register), 1)), None)
 
     def write(self, motor: frames.Address, register: int, value: float) -> None:
         """Write a register (lost at power-off), or raise HardwareAbort.
@@ -54,7 +50,7 @@ class RegisterClient:
         A motor refuses a value by answering with the old one, so the answer is compared.
         """
         raw, name = reg.bytes_from_value(register, value), reg.REGISTERS[register].name
-        replies = self._answers(frames.write_frame(motor, register, raw), 1)
+        replies = self.answers(frames.write_frame(motor, register, raw), 1)
         if not replies:
             raise HardwareAbort(f"motor {motor.can_id} did not answer to writing {name}")
         kept = replies[0].value
@@ -90,8 +86,11 @@ class RegisterClient:
                 missing.discard((frame.bus, frame.id))
         return None if missing else self._clock.now() - start
 
-    def _answers(self, request: frames.Frame, most: int | None = None) -> list[RegisterReply]:
-        """Return up to ``most`` answers to a request; where there is none, it is repeated."""
+    def answers(self, request: frames.Frame, most: int | None = None) -> list[RegisterReply]:
+        """Return up to ``most`` answers to a request; where there is none, it is repeated.
+
+        More than one answer means that motors share an id.
+        """
         for _ in range(_TRIES):
             replies = list(islice(self._replies(request), most))
             if replies:
@@ -218,7 +217,7 @@ def inspect_bus(link: GuardedLink, clock: Clock) -> Inspection:
     client = RegisterClient(link, clock, timeout=_ASK_TIMEOUT)
     motors = {}
     for address in (frames.Address(bus, i) for bus in range(len(link.channels)) for i in _ALL_IDS):
-        answers = client.read_all(address, reg.ESC_ID)
+        answers = client.answers(frames.read_frame(address, reg.ESC_ID))
         if not answers:
             continue
         replies = {number: client.read(address, number) for number in reg.LOGGED}

@@ -202,7 +202,10 @@ class MotorSession:
         self.last_replies, self._regardless = None, regardless
         packed = codec.encode_mit(self.space.to_motors(command), self.scaling)
         wanted = np.ones(self.n_joints, bool) if joints is None else joints
-        self._take_late_ones()
+        # What has arrived since the last exchange is late, but it is known whose answer it was.
+        while (frame := self._link.receive(self._clock.now())) is not None:
+            if (sender := self._sender(frame)) is not None:
+                self._outstanding.heard(sender)
         told = wanted if regardless else self._outstanding.may_be_told(wanted)
         self._command = self._in_force(codec.decode_mit(packed, self.scaling), told)
         for j in np.flatnonzero(told):
@@ -216,13 +219,6 @@ class MotorSession:
         if old is None:
             return new
         return codec.MitCommand(*(np.where(told, *pair) for pair in zip(new, old)))
-
-    def _take_late_ones(self) -> None:
-        """Drop what has arrived since the last exchange, but know whose answer it was."""
-        while (frame := self._link.receive(self._clock.now())) is not None:
-            j = self._sender(frame)
-            if j is not None:
-                self._outstanding.heard(j)
 
     def disable(self) -> None:
         """Disable every motor; ``unconfirmed`` tells which ones did not confirm it.

@@ -222,7 +222,7 @@ class Player:
         if isinstance(self._park, str) and self._park == "rest":
             self._announce("lowering the arm")
             self._lowering = self._lower_from(last)
-            self._phase(self._lowering, LONGEST, until=lambda: self._lowering_is_done)
+            self._phase(self._lowering, LONGEST)
             return
         target = stood
         if not isinstance(self._park, str):
@@ -247,12 +247,11 @@ class Player:
         duration: float,
         ramp: bool = False,
         record: bool = False,
-        until: Callable[[], bool] = lambda: False,
     ) -> None:
         origin = self._timer.next_deadline
         # Half a period of slack keeps the last sample in spite of rounding.
         end = origin + duration + 0.5 * self._settings.period
-        while self._timer.next_deadline < end and not until():
+        while self._timer.next_deadline < end and not self._lowering_is_done:
             deadline = self._timer.wait()
             time = min(deadline - origin, duration)
             self._gain = time / duration if ramp else 1.0

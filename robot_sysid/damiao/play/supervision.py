@@ -92,7 +92,7 @@ class Supervisor:
         self._joints, self._settings = joints, settings
         self._speed_limit = settings.max_speed_error + _STEPS * velocity_step
         self._torque_limit = np.array(settings.max_torque_error)
-        self._last: tuple[Array, Array, Array] | None = None
+        self._last: tuple[Array, ...] | None = None
         # Commands without an answer in time, and cycles without one, in a row.
         self.missed = np.zeros(len(joints), dtype=int)
         self.silent = np.zeros(len(joints), dtype=int)
@@ -148,12 +148,8 @@ class Supervisor:
     def _check_jump(self, replies: Replies) -> None:
         """Compare how far each joint came with how fast it says that it was."""
         now = replies.time, replies.feedback.position, replies.feedback.velocity
-        before, self._last = self._last or now, now
-        self._last = (
-            np.where(replies.answered, now[0], before[0]),
-            np.where(replies.answered, now[1], before[1]),
-            np.where(replies.answered, now[2], before[2]),
-        )
+        before = self._last or now
+        self._last = tuple(np.where(replies.answered, *pair) for pair in zip(now, before))
         passed = now[0] - before[0]
         way = 0.5 * (now[2] + before[2]) * passed
         jump = np.abs(now[1] - before[1] - way)
@@ -193,7 +189,7 @@ class VelocityScalingCheck:
     def __init__(self, velocity_step: Array) -> None:
         n_joints = len(velocity_step)
         self._rounding = 0.5 * velocity_step * _WINDOW
-        self._last: tuple[Array, Array, Array] | None = None
+        self._last: tuple[Array, ...] | None = None
         self._begin = np.zeros((2, n_joints))
         self._integral = np.zeros(n_joints)
         # Per joint: count and sums of x, y, xx, xy, yy.
@@ -207,9 +203,9 @@ class VelocityScalingCheck:
                 self._last = time, q, qd
                 self._begin = np.stack([time, q])
             return
-        t0, q0, v0 = self._last
+        t0, _, v0 = self._last
         self._integral += np.where(fresh, 0.5 * (qd + v0) * (time - t0), 0.0)
-        self._last = (np.where(fresh, time, t0), np.where(fresh, q, q0), np.where(fresh, qd, v0))
+        self._last = tuple(np.where(fresh, *pair) for pair in zip((time, q, qd), self._last))
         self._close_windows(fresh & (time - self._begin[0] >= _WINDOW))
 
     def _close_windows(self, full: Array) -> None:

@@ -285,10 +285,6 @@ class SimulatedArm:
             torque, damping = self._law(ahead)
             self.mechanism.step(torque, np.where(self._jammed, _JAM, damping))
 
-    def skip_to(self, time: float) -> None:
-        """Set the clock without letting physics run: for a computer that fell behind."""
-        self.time = max(self.time, time)
-
     def handle(self, frame: Frame, time: float) -> list[Frame]:
         """Let all motors take a frame at ``time`` [s]; return their answers."""
         self.advance(time)
