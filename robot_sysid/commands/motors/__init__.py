@@ -23,23 +23,9 @@ from robot_sysid.damiao.exchange.settings import PlaySettings
 from robot_sysid.damiao.play.supervision import StopRequest
 from robot_sysid.damiao.protocol.frames import BusTiming, default_rate
 from robot_sysid.damiao.report_lines import check_lines, load_line, motor_table, run_lines
+from robot_sysid.damiao.run import preflight
 from robot_sysid.damiao.run.execution import run
-from robot_sysid.damiao.run.preflight import (
-    Check,
-    Permissions,
-    Plan,
-    bus_checks,
-    general_checks,
-    require_no_stop,
-    stops,
-)
-from robot_sysid.damiao.simulated.arm import (
-    DEFAULT_WATCHDOG,
-    FAULT_KINDS,
-    SimulatedArm,
-    parse_fault,
-    simulated_motor,
-)
+from robot_sysid.damiao.simulated import arm as simulated
 from robot_sysid.damiao.simulated.simulated_link import SimulatedLink, SlcanTerminal, serve
 from robot_sysid.errors import InputError
 from robot_sysid.records.options import OptionRecord, option, options_of, positive, record_from
@@ -67,12 +53,12 @@ class SimulatedMotorOptions(OptionRecord):
     play: bool = option(False, "play the trajectory at once, in simulated time, without a bus")
     lifetime: float | None = motors_setup.lifetime_option()
     watchdog: float = option(
-        DEFAULT_WATCHDOG, "of the simulated motors", unit="s", metavar="S", check=positive
+        simulated.DEFAULT_WATCHDOG, "of the simulated motors", unit="s", metavar="S", check=positive
     )
     fault: tuple[str, ...] = option(
         (),
         "let something go wrong, S seconds after the motors were enabled; may be repeated. Kinds: "
-        + ", ".join(FAULT_KINDS),
+        + ", ".join(simulated.FAULT_KINDS),
         metavar="KIND:JOINT[=VALUE][@S]",
         repeats=True,
     )
@@ -94,11 +80,13 @@ def check(asked: Asked) -> int:
         console.lines([*check_lines(checks), "no motor answers: check power, wiring and bit rate"])
         return 1
     rate = record_from(PlaySettings, asked.values).rate or default_rate(motors, asked.timing)
-    settings = plan.settings if plan else PlaySettings(rate=rate)
-    checks += bus_checks(plan, inspection) if plan else general_checks(inspection, settings)
+    if plan:
+        checks += preflight.bus_checks(plan, inspection)
+    else:
+        checks += preflight.general_checks(inspection, PlaySettings(rate=rate))
     console.lines(motor_table(inspection, plan.trajectory.joints if plan else ()))
     console.lines(["", load_line(motors, rate, asked.timing), *check_lines(checks)])
-    to_change = len(stops(checks))
+    to_change = len(preflight.stops(checks))
     console.lines(["", f"{to_change} to change before playing" if to_change else "ready to play"])
     return 1 if to_change else 0
 
@@ -121,12 +109,12 @@ def simulate(asked: Asked) -> int:
     options, plan = record_from(SimulatedMotorOptions, asked.values), asked.plan()
     checks = asked.checks(plan)
     if options.play:
-        arm, clock = _simulated_arm(asked, plan, options), SimulatedClock()
+        arm, clock = _simulated_arm(asked, plan), SimulatedClock()
         bus = SimulatedLink(clock, arm, asked.timing, echo=True)
         link = GuardedLink(bus, clock.now, asked.timing.fd, asked.address.channel or ("simulated",))
         return _play_on(link, clock, plan, checks, PlayChoices(yes=True), asked)
-    require_no_stop(checks, "not rehearsed")
-    arm = _simulated_arm(asked, plan, options, _REAL_TIME_STEP)
+    preflight.require_no_stop(checks, "not rehearsed")
+    arm = _simulated_arm(asked, plan, _REAL_TIME_STEP)
     system, stop = asked.clock, StopRequest()
     with contextlib.closing(_simulated_end(asked)) as end, stop.on_signals():
         ends = system.now() + (options.lifetime or float("inf"))
@@ -145,7 +133,7 @@ class _Command(NamedTuple):
     groups: Mapping[str, Sequence[type]]
 
 
-_MOTION = {"motion and limits": (PlaySettings,), "what to allow": (Permissions,)}
+_MOTION = {"motion and limits": (PlaySettings,), "what to allow": (preflight.Permissions,)}
 _PLAYED = {
     "check": _Command(
         check,
@@ -262,18 +250,18 @@ def _overview() -> Parser:
 def _play_on(
     link: GuardedLink,
     clock: Clock,
-    plan: Plan,
-    checks: Sequence[Check],
+    plan: preflight.Plan,
+    checks: Sequence[preflight.Check],
     choices: PlayChoices,
     asked: Asked,
 ) -> int:
     console = asked.console
     inspection = inspect_bus(link, clock)
-    checks = [*checks, *bus_checks(plan, inspection)]
+    checks = [*checks, *preflight.bus_checks(plan, inspection)]
     console.lines([*motor_table(inspection, plan.trajectory.joints), *check_lines(checks)])
     if choices.dry_run:
         return _verdict(checks, console)
-    require_no_stop(checks, "not played")
+    preflight.require_no_stop(checks, "not played")
     read = (plan.trajectory.path, asked.values.get("model"))
     plan.recording.require_free(*filter(None, read))
     if not choices.yes:
@@ -295,14 +283,14 @@ def _play_on(
     return 0
 
 
-def _simulated_arm(
-    asked: Asked, plan: Plan, options: SimulatedMotorOptions, timestep: float | None = None
-) -> SimulatedArm:
-    from robot_sysid.simulation.stepper import DEFAULT_TIMESTEP, ArmStepper
+def _simulated_arm(asked: Asked, plan: preflight.Plan, *timestep: float) -> simulated.SimulatedArm:
+    from robot_sysid.simulation.stepper import ArmStepper
 
-    motors = [simulated_motor(joint, options.watchdog) for joint in plan.trajectory.joints]
-    mechanism = ArmStepper(asked.robot, plan.scan.first, timestep or DEFAULT_TIMESTEP)
-    return SimulatedArm(mechanism, motors, [parse_fault(text) for text in options.fault])
+    options = record_from(SimulatedMotorOptions, asked.values)
+    motors = [simulated.simulated_motor(each, options.watchdog) for each in plan.trajectory.joints]
+    faults = [simulated.parse_fault(text) for text in options.fault]
+    mechanism = ArmStepper(asked.robot, plan.scan.first, *timestep)
+    return simulated.SimulatedArm(mechanism, motors, faults)
 
 
 def _simulated_end(asked: Asked) -> Link:
@@ -342,7 +330,7 @@ def _ask_for_confirmation() -> None:
         raise InputError("not confirmed; nothing was moved")
 
 
-def _verdict(checks: Sequence[Check], console: Console) -> int:
-    require_no_stop(checks, "would not be played")
+def _verdict(checks: Sequence[preflight.Check], console: Console) -> int:
+    preflight.require_no_stop(checks, "would not be played")
     console.stage("nothing speaks against playing (dry run: nothing was enabled)")
     return 0

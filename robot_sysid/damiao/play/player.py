@@ -20,6 +20,7 @@ from robot_sysid.damiao.bus.link import Clock
 from robot_sysid.damiao.exchange.recorder import MeasurementRecorder
 from robot_sysid.damiao.exchange.session import MotorSession, Replies
 from robot_sysid.damiao.exchange.settings import PlaySettings
+from robot_sysid.damiao.play import supervision
 from robot_sysid.damiao.play.sampler import (
     LONGEST,
     Lowering,
@@ -28,12 +29,6 @@ from robot_sysid.damiao.play.sampler import (
     approach,
     come_to_rest,
     hold,
-)
-from robot_sysid.damiao.play.supervision import (
-    StopRequest,
-    Supervisor,
-    TorqueScalingCheck,
-    VelocityScalingCheck,
 )
 from robot_sysid.damiao.protocol.codec import MitCommand
 from robot_sysid.errors import HardwareAbort, words_of
@@ -133,7 +128,7 @@ class Player:
         session: MotorSession,
         clock: Clock,
         settings: PlaySettings,
-        stop: StopRequest,
+        stop: supervision.StopRequest,
         recorder: MeasurementRecorder | None,
         on_phase: Callable[[str], None],
         on_progress: Callable[[float], None],
@@ -144,9 +139,9 @@ class Player:
         self._stop, self._recorder = stop, recorder
         self._announce, self._on_progress = on_phase, on_progress
         _, velocity_step, torque_step = session.steps
-        self._supervisor = Supervisor(session.joints, settings, velocity_step)
-        self._velocity_check = VelocityScalingCheck(velocity_step)
-        self._torque_check = TorqueScalingCheck(torque_step, session.peak_torque)
+        self._supervisor = supervision.Supervisor(session.joints, settings, velocity_step)
+        self._velocity_check = supervision.VelocityScalingCheck(velocity_step)
+        self._torque_check = supervision.TorqueScalingCheck(torque_step, session.peak_torque)
         self._timer: CycleTimer
         self._kp, self._kd = np.array(settings.kp), np.array(settings.kd)
         self._gain = 0.0

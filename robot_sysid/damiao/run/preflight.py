@@ -17,15 +17,9 @@ from robot_sysid.damiao.bus.inspection import InspectedMotor, Inspection
 from robot_sysid.damiao.exchange.recorder import RecordingOptions
 from robot_sysid.damiao.exchange.session import PAUSE
 from robot_sysid.damiao.exchange.settings import PlaySettings
+from robot_sysid.damiao.protocol import frames
 from robot_sysid.damiao.protocol import registers as reg
 from robot_sysid.damiao.protocol.codec import Scaling
-from robot_sysid.damiao.protocol.frames import (
-    HANDY_RATES,
-    PLANNING_LIMIT,
-    BusTiming,
-    bus_load,
-    suggested_rate,
-)
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace, id_problems
 from robot_sysid.damiao.protocol.motors import limits_agree, matching_types
 from robot_sysid.damiao.trajectory import (
@@ -99,7 +93,7 @@ class Plan:
 
     trajectory: DamiaoTrajectory
     settings: PlaySettings = PlaySettings()
-    timing: BusTiming = BusTiming()
+    timing: frames.BusTiming = frames.BusTiming()
     allowed: Permissions = Permissions()
     recording: RecordingOptions = RecordingOptions()
     inertia: Array | None = None
@@ -286,13 +280,13 @@ def _load(plan: Plan) -> Iterator[Check]:
     settings, timing = plan.settings, plan.timing
     buses = [joint.bus for joint in plan.trajectory.joints]
     n_motors = max(buses.count(bus) for bus in buses)
-    load = bus_load(n_motors, 1.0 / settings.period, timing)
+    load = frames.bus_load(n_motors, 1.0 / settings.period, timing)
     text = f"{n_motors} motors at {settings.rate:g} Hz load {timing.name} to {100 * load:.0f} %"
-    if load <= PLANNING_LIMIT:
+    if load <= frames.PLANNING_LIMIT:
         yield _ok(text)
         return
-    handy = suggested_rate(n_motors, timing)
-    text += f", limit {100 * PLANNING_LIMIT:.0f} %; use --rate {handy:g}"
+    handy = frames.suggested_rate(n_motors, timing)
+    text += f", limit {100 * frames.PLANNING_LIMIT:.0f} %; use --rate {handy:g}"
     yield Check(NOTE if plan.allowed.bus_load else STOP, text + " (or --force-bus-load)")
 
 
@@ -438,7 +432,8 @@ def _in_time(inspection: Inspection, settings: PlaySettings) -> Iterator[Check]:
     if took <= waits:
         yield _ok(f"{text}, in time for {settings.rate:g} Hz")
         return
-    fits = next((rate for rate in HANDY_RATES if rate * took <= _ANSWER_SHARE), HANDY_RATES[-1])
+    rates = frames.HANDY_RATES
+    fits = next((rate for rate in rates if rate * took <= _ANSWER_SHARE), rates[-1])
     yield _stop(
         f"{text}, too late for {settings.rate:g} Hz: commands and samples would be mixed up; use "
         f"--rate {fits:g} or a faster adapter"

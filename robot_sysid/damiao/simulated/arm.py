@@ -15,16 +15,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robot_sysid.damiao.protocol import frames
+from robot_sysid.damiao.protocol import codec, frames
 from robot_sysid.damiao.protocol import registers as reg
-from robot_sysid.damiao.protocol.codec import (
-    Feedback,
-    MitCommand,
-    Scaling,
-    decode_mit,
-    encode_feedback,
-)
-from robot_sysid.damiao.protocol.frames import Frame
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
@@ -74,7 +66,7 @@ class SimulatedMotor:
     torque_factor: float = 1.0
     slip: float = 0.0
     stored: dict[int, float] = field(default_factory=dict)
-    _scaling: tuple[tuple[float, ...], Scaling] | None = field(default=None, repr=False)
+    _scaling: tuple[tuple[float, ...], codec.Scaling] | None = field(default=None, repr=False)
 
     @property
     def can_id(self) -> int:
@@ -82,11 +74,11 @@ class SimulatedMotor:
         return int(self.registers[reg.ESC_ID])
 
     @property
-    def scaling(self) -> Scaling:
+    def scaling(self) -> codec.Scaling:
         """How it reads and writes frames."""
         limits = tuple(self.registers[number] for number in reg.SCALING)
         if self._scaling is None or self._scaling[0] != limits:
-            self._scaling = limits, Scaling(*np.array(limits)[:, None])
+            self._scaling = limits, codec.Scaling(*np.array(limits)[:, None])
         return self._scaling[1]
 
     @property
@@ -107,7 +99,7 @@ class SimulatedMotor:
         self.status = code
         self.command = _NOTHING
 
-    def handle(self, frame: Frame, time: float) -> Frame | None:
+    def handle(self, frame: frames.Frame, time: float) -> frames.Frame | None:
         """Take a frame from the bus and return the answer, if there is one."""
         if self.silent or len(frame.data) < 4 or frame.bus != self.joint.bus:
             return None
@@ -120,7 +112,7 @@ class SimulatedMotor:
         if data is None or self.lost_replies:
             return None
         fd = self.registers[reg.CAN_BR] > reg.FD_BITRATE_CODES_ABOVE
-        return Frame(int(self.registers[reg.MST_ID]), data, fd=fd, bus=self.joint.bus)
+        return frames.Frame(int(self.registers[reg.MST_ID]), data, fd=fd, bus=self.joint.bus)
 
     def _command_answer(self, data: bytes, time: float) -> bytes:
         self.fed_at = time
@@ -130,7 +122,7 @@ class SimulatedMotor:
         # The answer to a command is the state before it acts.
         answer = self._feedback()
         if self.driving and self.registers[reg.CTRL_MODE] == reg.MIT_MODE:
-            told = decode_mit(np.frombuffer(data, dtype=np.uint8)[None], self.scaling)
+            told = codec.decode_mit(np.frombuffer(data, dtype=np.uint8)[None], self.scaling)
             self.command = [float(value[0]) for value in told]
         return answer
 
@@ -162,7 +154,7 @@ class SimulatedMotor:
 
     def _feedback(self) -> bytes:
         one = np.ones(1)
-        state = Feedback(
+        state = codec.Feedback(
             np.array([self.can_id]),
             np.array([self.status]),
             one * (self.position + self.slip),
@@ -171,7 +163,7 @@ class SimulatedMotor:
             np.array([self.temperature_mos]),
             np.array([self.temperature_rotor]),
         )
-        return encode_feedback(state, self.scaling)[0].tobytes()
+        return codec.encode_feedback(state, self.scaling)[0].tobytes()
 
 
 def simulated_motor(joint: DamiaoJoint, watchdog: float = DEFAULT_WATCHDOG) -> SimulatedMotor:
@@ -285,7 +277,7 @@ class SimulatedArm:
             torque, damping = self._law(ahead)
             self.mechanism.step(torque, np.where(self._jammed, _JAM, damping))
 
-    def handle(self, frame: Frame, time: float) -> list[Frame]:
+    def handle(self, frame: frames.Frame, time: float) -> list[frames.Frame]:
         """Let all motors take a frame at ``time`` [s]; return their answers."""
         self.advance(time)
         self._read_sensors()
@@ -312,7 +304,7 @@ class SimulatedArm:
         table = np.array([(*m.command, m.brake, m.peak_torque) for m in motors])
         driving = np.array([m.driving for m in motors])
         *told, brake, peak = table.T
-        self._p, v, kp, kd, t = self._space.from_motors(MitCommand(*told))
+        self._p, v, kp, kd, t = self._space.from_motors(codec.MitCommand(*told))
         self._peak = peak * self._space.ratio
         self._kd = np.where(driving, kd, brake)
         self._offset = np.where(driving, kd * v + t, 0.0)
