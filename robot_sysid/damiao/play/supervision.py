@@ -43,7 +43,7 @@ class StopRequest:
         self.count = 0
         self.reason = ""
         self.insisted = False
-        self._interrupted_at: float | None = None
+        self._interrupted_at = float("inf")
 
     def __call__(self, reason: str, insist: bool = False) -> None:
         """Ask for a stop."""
@@ -64,13 +64,12 @@ class StopRequest:
                 signal.signal(number, handler)
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
-        self(f"stopped by {signal.Signals(number).name}", number == signal.SIGINT and self._again())
-
-    def _again(self) -> bool:
-        """Tell whether this key press is another one than the first."""
-        first, now = self._interrupted_at, time.monotonic()
-        self._interrupted_at = now if first is None else first
-        return first is not None and now - first > _SAME_WISH
+        again = False
+        if number == signal.SIGINT:
+            now = time.monotonic()
+            self._interrupted_at = min(self._interrupted_at, now)
+            again = now - self._interrupted_at > _SAME_WISH
+        self(f"stopped by {signal.Signals(number).name}", again)
 
 
 # What an arm's joints do at most from one sample to the next, beside going on as they were.

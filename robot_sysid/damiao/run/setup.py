@@ -24,7 +24,7 @@ from robot_sysid.damiao.protocol.codec import Scaling, decode_feedback
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.records import Array, RobotModel
-from robot_sysid.records.options import OptionRecord, given_options, option
+from robot_sysid.records.options import OptionRecord, given_options, option, whole_number
 
 _STORE_TIME = 0.05
 
@@ -38,11 +38,7 @@ def _bit_rate(value: int) -> str | None:
     return None if value in reg.BIT_RATES else f"must be one of {listed}"
 
 
-def _whole(text: str) -> int:
-    return int(text, 0)
-
-
-_ID: dict[str, Any] = {"metavar": "ID", "parse": _whole, "check": _within(1, 15, "1 to 15")}
+_ID: dict[str, Any] = {"metavar": "ID", "parse": whole_number, "check": _within(1, 15, "1 to 15")}
 
 
 @dataclass(frozen=True)
@@ -63,7 +59,7 @@ class SetupOptions(OptionRecord):
         "set its bit rate; it listens at the new one from then on",
         unit="bit/s",
         metavar="RATE",
-        parse=_whole,
+        parse=whole_number,
         check=_bit_rate,
     )
     set_zero: bool = option(False, "make where it stands its zero; asks twice")

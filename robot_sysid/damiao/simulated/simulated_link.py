@@ -14,6 +14,7 @@ from __future__ import annotations
 import heapq
 import itertools
 import os
+import re
 import select
 from collections import defaultdict, deque
 from collections.abc import Callable
@@ -170,18 +171,11 @@ END = b"\r"
 
 def frame_from_line(line: str) -> Frame | None:
     """Return the frame that a line stands for, or None where it is a set-up command or broken."""
-    kind = line[:1]
-    if kind not in ("t", "d", "b"):
+    parts = re.match("([tdb])([0-9A-Fa-f]{3})([0-8])([0-9A-Fa-f]*)", line)
+    digits = parts[4][: 2 * int(parts[3])] if parts else ""
+    if parts is None or len(digits) != 2 * int(parts[3]):
         return None
-    try:
-        length = int(line[4], 16)
-        data = bytes.fromhex(line[5 : 5 + 2 * length])
-        identifier = int(line[1:4], 16)
-    except (ValueError, IndexError):
-        return None
-    if length > 8 or len(data) != length:
-        return None
-    return Frame(identifier, data, fd=kind != "t")
+    return Frame(int(parts[2], 16), bytes.fromhex(digits), fd=parts[1] != "t")
 
 
 def line_from_frame(frame: Frame) -> str:

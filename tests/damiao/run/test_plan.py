@@ -169,19 +169,16 @@ def test_a_motor_with_another_reply_id_is_refused(rig):
     refused(run, "answers on 0x21 (MST_ID 0x21) but the trajectory expects 0x11")
 
 
-def test_two_motors_with_one_id_are_refused(rig):
-    twin = simulated_motor(DamiaoJoint("DM4340", 2, 0x12))
-    refused(rig(extra_motors=[twin]), "2 motors answer to the id of motor 2")
-
-
-def test_an_extra_motor_whose_replies_are_commands_to_ours_is_refused(rig):
-    extra = simulated_motor(DamiaoJoint("DM4310", 9, 0x102))
-    refused(rig(extra_motors=[extra]), "would be taken as commands by the motor with CAN id 2")
-
-
-def test_an_extra_motor_with_the_same_reply_id_is_refused(rig):
-    extra = simulated_motor(DamiaoJoint("DM4310", 9, 0x12))
-    refused(rig(extra_motors=[extra]), "master id 0x12 is used by more than one motor")
+@pytest.mark.parametrize(
+    ("extra", "words"),
+    [
+        (("DM4340", 2, 0x12), "2 motors answer to the id of motor 2"),
+        (("DM4310", 9, 0x102), "would be taken as commands by the motor with CAN id 2"),
+        (("DM4310", 9, 0x12), "master id 0x12 is used by more than one motor"),
+    ],
+)
+def test_an_extra_motor_that_cannot_share_the_bus_is_refused(rig, extra, words):
+    refused(rig(extra_motors=[simulated_motor(DamiaoJoint(*extra))]), words)
 
 
 def test_a_motor_that_somebody_else_enabled_is_refused_and_left_alone(rig):
@@ -298,31 +295,30 @@ def test_all_motors_failing_at_once_ends_in_a_hard_stop(rig):
     run.assert_nothing_lost()
 
 
-def test_a_motor_that_falls_silent_stops_the_run_and_its_watchdog_stops_it(rig):
-    run = rig(3, faults=[Fault("silent", 2, 1, MID_PLAY)]).run()
-    run.assert_stopped("motor 3 did not answer in time for ", {2: LOST_COMMUNICATION})
-    assert "disabled: motor 3. Cut their power" in str(run.error)
-    run.assert_nothing_lost()
-
-
-def test_a_motor_whose_replies_get_lost_is_disabled_all_the_same(rig):
-    run = rig(faults=[Fault("lost-replies", 1, 1, MID_PLAY)]).run()
-    run.assert_stopped("motor 2 did not answer in time for ")
+@pytest.mark.parametrize(
+    ("fault", "states"), [("silent", {1: LOST_COMMUNICATION}), ("lost-replies", {})]
+)
+def test_a_motor_that_is_not_heard_stops_the_run_and_is_disabled_or_stopped_by_its_watchdog(
+    rig, fault, states
+):
+    run = rig(3, faults=[Fault(fault, 1, 1, MID_PLAY)]).run()
+    run.assert_stopped("motor 2 did not answer in time for ", states)
     assert "disabled: motor 2. Cut their power" in str(run.error)
     run.assert_nothing_lost()
 
 
-@pytest.mark.parametrize("which", ["temperature-mos", "temperature-rotor"])
-def test_heat_stops_the_run(rig, which):
-    run = rig(faults=[Fault(which, 1, 81, MID_PLAY)]).run()
-    run.assert_stopped("motor 2 is at 81 deg C, limit 80")
-    run.assert_nothing_lost()
-
-
-@pytest.mark.parametrize("fault", [Fault("jammed", 1, 1, 0.8), Fault("peak-torque", 1, 0.05, 0.8)])
-def test_a_joint_that_leaves_its_path_stops_the_run(rig, fault):
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        (Fault("temperature-mos", 1, 81, MID_PLAY), "motor 2 is at 81 deg C, limit 80"),
+        (Fault("temperature-rotor", 1, 81, MID_PLAY), "motor 2 is at 81 deg C, limit 80"),
+        (Fault("jammed", 1, 1, 0.8), "off its speed, limit 1.0"),
+        (Fault("peak-torque", 1, 0.05, 0.8), "off its speed, limit 1.0"),
+    ],
+)
+def test_heat_and_a_joint_that_leaves_its_path_stop_the_run(rig, fault, words):
     run = rig(faults=[fault]).run()
-    run.assert_stopped("off its speed, limit 1.0")
+    run.assert_stopped(words)
     run.assert_nothing_lost()
 
 
@@ -332,17 +328,12 @@ def test_velocities_that_do_not_add_up_to_positions_stop_the_run(rig):
     run.assert_nothing_lost()
 
 
-def test_a_long_stall_stops_the_run_after_the_watchdogs_have(rig):
-    run = rig().during("playing", 0.4, lambda r: r.clock.stall(0.2)).run()
-    run.assert_stopped(
-        "ms late for a control cycle, limit 20 ms", {0: LOST_COMMUNICATION, 1: LOST_COMMUNICATION}
-    )
-    run.assert_nothing_lost()
-
-
-def test_a_stall_shorter_than_the_watchdogs_stops_the_run_gently(rig):
-    run = rig().during("playing", 0.4, lambda r: r.clock.stall(0.05)).run()
-    run.assert_stopped("ms late for a control cycle, limit 20 ms")
+@pytest.mark.parametrize(
+    ("seconds", "states"), [(0.2, {0: LOST_COMMUNICATION, 1: LOST_COMMUNICATION}), (0.05, {})]
+)
+def test_a_stall_stops_the_run_gently_or_after_the_watchdogs_have(rig, seconds, states):
+    run = rig().during("playing", 0.4, lambda r: r.clock.stall(seconds)).run()
+    run.assert_stopped("ms late for a control cycle, limit 20 ms", states)
     run.assert_nothing_lost()
 
 

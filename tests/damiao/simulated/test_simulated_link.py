@@ -110,7 +110,8 @@ def test_frames_survive_the_serial_text(frame):
 
 
 @pytest.mark.parametrize(
-    "line", ["", "O", "S8", "C", "t", "t12", "t0013", "t001zz", "t0019" + 18 * "0", "x"]
+    "line",
+    ["", "O", "S8", "C", "t", "t12", "t0013", "t001zz", "t0019" + 18 * "0", "x", "T000000010"],
 )
 def test_lines_that_are_no_frames_give_none(line):
     assert frame_from_line(line) is None
