@@ -274,7 +274,14 @@ class MotorSession:
             while missing and (frame := self._link.receive(until)) is not None:
                 missing -= self._take(frame, wanted, raw, received, sent)
         finally:
-            self.last_replies = self._replies(wanted, raw, received, sent, command)
+            answered = np.isfinite(received)
+            feedback = codec.decode_feedback(raw, self.scaling, self._half_step)
+            feedback = self.space.measured(feedback)
+            for values in (feedback.position, feedback.velocity, feedback.torque):
+                values[~answered] = np.nan
+            feedback.status[~answered] = NO_STATUS
+            stamps = np.where(answered & np.isfinite(sent), sent, received)
+            self.last_replies = Replies(answered, stamps, feedback, command, wanted)
         return self.last_replies
 
     def _take(
@@ -303,20 +310,3 @@ class MotorSession:
         if j is None or frame.data[0] & 0xF != self.joints[j].can_id & 0xF:
             return None
         return j
-
-    def _replies(
-        self,
-        asked: Mask,
-        raw: codec.Bytes,
-        received: Array,
-        sent: Array,
-        command: codec.MitCommand | None,
-    ) -> Replies:
-        answered = np.isfinite(received)
-        feedback = self.space.measured(codec.decode_feedback(raw, self.scaling, self._half_step))
-        for values in (feedback.position, feedback.velocity, feedback.torque):
-            values[~answered] = np.nan
-        feedback.status[~answered] = NO_STATUS
-        stamped = answered & np.isfinite(sent)
-        stamps = np.where(stamped, sent, received)
-        return Replies(answered, stamps, feedback, command, asked)
