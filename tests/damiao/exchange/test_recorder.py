@@ -34,12 +34,14 @@ from tests.support.log_files import read_measurements
 from tests.support.recordings import read_recording
 
 
-def head_for(types, **options):
+def recorder_for(path, types=("DM4340",), frames=None, **options):
+    """A recorder that writes at once, for motors of these types."""
     joints = damiao_joints(types, len(types))
     registers = [simulated_motor(j).registers for j in joints]
     registers = [{k: v for k, v in r.items() if k in (7, 8, 9, 10, 21, 22, 23)} for r in registers]
     settings = PlaySettings(kp=(20.0,) * len(types), kd=(1.0,) * len(types), rate=250.0)
-    return RecordingHead(joints, registers, settings, RecordingOptions(**options), "swing.csv")
+    head = RecordingHead(joints, registers, settings, RecordingOptions(**options), "swing.csv")
+    return MeasurementRecorder(path, head, Aside(threaded=False), frames)
 
 
 @st.composite
@@ -64,7 +66,7 @@ def test_every_frame_can_be_told_back_from_the_recording(data, tmp_path_factory)
     n, scaling = len(types), Scaling.from_limits(MOTORS[t].limits for t in types)
     rows = data.draw(cycles(n))
     path = tmp_path_factory.mktemp("rec") / "measured.csv"
-    with MeasurementRecorder(path, head_for(types), Aside(threaded=False)) as recorder:
+    with recorder_for(path, types) as recorder:
         for time, raw, answered, command, stamp in rows:
             feedback = decode_feedback(raw, scaling, half_step=True)
             for values in (feedback.position, feedback.velocity, feedback.torque):
@@ -104,7 +106,7 @@ def test_every_frame_can_be_told_back_from_the_recording(data, tmp_path_factory)
 def write_two_rows(path, gap=False):
     n, one = 2, np.ones(2)
     codes = np.ones(n, dtype=int)
-    with MeasurementRecorder(path, head_for(["DM4340"] * n), Aside(threaded=False)) as recorder:
+    with recorder_for(path, ["DM4340"] * n) as recorder:
         for k in range(40):
             answered = np.array([True, not (gap and k == 1)])
             q = np.where(answered, 0.1 * np.sin(0.3 * k) * one, np.nan)
@@ -170,18 +172,16 @@ jN_time is when joint N was sampled, jN_cmd_* the command in force at that momen
 )
 def test_the_head_tells_how_the_recording_was_made(tmp_path, options, half_step, centred):
     path = tmp_path / "measured.csv"
-    head = head_for(["DM4340", "DM4310"], **options)
-    with MeasurementRecorder(path, head, Aside(threaded=False)):
+    with recorder_for(path, ["DM4340", "DM4310"], **options):
         pass
     expected = HEAD.format(half_step=half_step, centred=centred).splitlines()
     assert list(read_recording(path).head) == expected
 
 
 def test_what_is_recorded_cannot_be_changed_underway():
-    head = head_for(["DM4340"])
-    for record, name in ((head, "source"), (head.options, "record")):
+    for record in (RecordingOptions(), RecordingHead((), (), None, None, "")):
         with pytest.raises(AttributeError):
-            setattr(record, name, None)
+            record.options = None
 
 
 def test_titles_name_each_joints_columns(tmp_path):
@@ -211,7 +211,7 @@ def one_cycle(n, value=1.0):
 
 def test_motors_that_are_only_held_are_not_recorded(tmp_path):
     path = tmp_path / "measured.csv"
-    with MeasurementRecorder(path, head_for(["DM4340"]), Aside(threaded=False)) as recorder:
+    with recorder_for(path) as recorder:
         recorder.write(*one_cycle(3))
     assert list(read_recording(path).columns)[-1] == "j0_temp_rotor"
     assert len(read_recording(path).columns["time"]) == 1
@@ -232,9 +232,9 @@ class Frames:
 
 
 def test_frames_are_written_with_each_cycle_and_at_the_end(tmp_path):
-    frames, aside = Frames(), Aside(threaded=False)
+    frames = Frames()
     path = tmp_path / "measured.csv"
-    with MeasurementRecorder(path, head_for(["DM4340"]), aside, frames) as recorder:
+    with recorder_for(path, frames=frames) as recorder:
         for k in range(2):
             frames.waiting.append(k)
             recorder.end_cycle()
@@ -262,9 +262,7 @@ class FullDisk:
 
 
 def test_a_disk_that_becomes_full_is_told_and_raises_nothing(tmp_path):
-    recorder = MeasurementRecorder(
-        tmp_path / "measured.csv", head_for(["DM4340"]), Aside(threaded=False)
-    )
+    recorder = recorder_for(tmp_path / "measured.csv")
     recorder._file.close()
     recorder._file = FullDisk()
     assert recorder.failure is None
@@ -276,7 +274,7 @@ def test_a_disk_that_becomes_full_is_told_and_raises_nothing(tmp_path):
 
 def test_rows_are_in_the_file_before_the_run_ends(tmp_path):
     path = tmp_path / "measured.csv"
-    recorder = MeasurementRecorder(path, head_for(["DM4340"]), Aside(threaded=False))
+    recorder = recorder_for(path)
     one = np.ones(1)
     feedback = Feedback(one, one, one, one, one, one, one)
     recorder.write(0.0, 0.0, Replies(one > 0, one, feedback), MitCommand(*[one] * 5))
@@ -289,10 +287,7 @@ def test_rows_are_in_the_file_before_the_run_ends(tmp_path):
 
 def test_an_error_is_written_at_the_end(tmp_path):
     path = tmp_path / "measured.csv"
-    with (
-        pytest.raises(RuntimeError),
-        MeasurementRecorder(path, head_for(["DM4340"]), Aside(threaded=False)),
-    ):
+    with pytest.raises(RuntimeError), recorder_for(path):
         raise RuntimeError("two\nlines")
     assert read_recording(path).ending == "stopped: two lines"
 
@@ -303,13 +298,13 @@ def test_an_error_is_written_at_the_end(tmp_path):
 def test_a_file_that_cannot_be_made_is_said(tmp_path, name, words):
     (tmp_path / "there.csv").write_text("precious")
     with pytest.raises(InputError, match=words):
-        MeasurementRecorder(tmp_path / name, head_for(["DM4340"]), Aside(threaded=False))
+        recorder_for(tmp_path / name)
 
 
 def test_a_file_that_may_be_overwritten_is(tmp_path):
     path = tmp_path / "there.csv"
     path.write_text("precious")
-    with MeasurementRecorder(path, head_for(["DM4340"], overwrite=True), Aside(threaded=False)):
+    with recorder_for(path, overwrite=True):
         pass
     assert read_recording(path).ending == "completed"
 
@@ -373,8 +368,7 @@ def test_a_centred_torque_is_the_mean_of_both_sides_of_the_step(
     recorded = {}
     for no_centring in (False, True):
         path = tmp_path_factory.mktemp("rec") / "measured.csv"
-        head = head_for(["DM4340"], no_centring=no_centring)
-        with MeasurementRecorder(path, head, Aside(threaded=False)) as recorder:
+        with recorder_for(path, no_centring=no_centring) as recorder:
             recorder.write(0.0, 0.0, replies, acted)
         recorded[no_centring] = {k: v[0] for k, v in read_recording(path).columns.items()}
     # Six decimals are printed.
