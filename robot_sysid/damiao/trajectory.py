@@ -293,15 +293,9 @@ def scan_trajectory(trajectory: DamiaoTrajectory) -> TrajectoryScan:
     if samples < 2:
         raise InputError(f"{trajectory.path} needs at least two rows to be played")
     end_velocity = np.maximum(np.abs(first_speed), np.abs(last_speed))
-    return TrajectoryScan(
-        last_time[0] - start,
-        first,
-        end_velocity,
-        np.asarray(lowest),
-        np.asarray(highest),
-        *(peaks[0], peaks[1], peaks[2]),
-        mismatch=columns.mismatch,
-    )
+    extremes = np.asarray(lowest), np.asarray(highest), peaks[0], peaks[1], peaks[2]
+    duration = last_time[0] - start
+    return TrajectoryScan(duration, first, end_velocity, *extremes, columns.mismatch)
 
 
 _RPM_PER_RAD_S = 60.0 / (2.0 * np.pi)

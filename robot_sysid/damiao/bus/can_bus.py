@@ -130,14 +130,9 @@ class BusLink:
         age = time.time() - message.timestamp
         # Where the adapter has another clock, a frame counts as just come.
         age = age if 0.0 <= age < _PLAUSIBLE_AGE else 0.0
-        return Frame(
-            message.arbitration_id,
-            bytes(message.data),
-            self._clock.now() - age,
-            message.is_fd,
-            message.is_error_frame,
-            not message.is_rx,
-        )
+        content, flags = bytes(message.data), (message.is_fd, message.is_error_frame)
+        time_then = self._clock.now() - age
+        return Frame(message.arbitration_id, content, time_then, *flags, not message.is_rx)
 
 
 def _is_full(error: Exception) -> bool:

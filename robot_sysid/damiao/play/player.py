@@ -332,13 +332,9 @@ class Player:
                 raise HardwareAbort(f"{self._session.joints[j].label} {words.format(factor)}")
 
     def _command_for(self, reference: Reference) -> MitCommand:
-        return MitCommand(
-            reference.position,
-            reference.velocity,
-            self._gain * self._kp,
-            self._kd,
-            min(self._gain / _LIFT_SHARE, 1.0) * reference.torque,
-        )
+        position, velocity, torque = reference
+        lift = min(self._gain / _LIFT_SHARE, 1.0)
+        return MitCommand(position, velocity, self._gain * self._kp, self._kd, lift * torque)
 
     def _reply_deadline(self, deadline: float) -> float:
         period = self._settings.period

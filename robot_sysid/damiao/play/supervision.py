@@ -93,9 +93,7 @@ class Supervisor:
         self._torque_limit = np.array(settings.max_torque_error)
         self._last: tuple[Array, ...] | None = None
         # Commands without an answer in time, and cycles without one, in a row.
-        self.missed = np.zeros(len(joints), dtype=int)
-        self.silent = np.zeros(len(joints), dtype=int)
-        self.total_missed = np.zeros(len(joints), dtype=int)
+        self.missed, self.silent, self.total_missed = np.zeros((3, len(joints)), dtype=int)
         self.worst_tracking = np.zeros(len(joints))
         self.failed = np.zeros(len(joints), dtype=bool)
 

@@ -154,23 +154,15 @@ class JointSpace:
 
     def to_motors(self, command: MitCommand) -> MitCommand:
         """Return a command for joints as one for motors."""
-        return MitCommand(
-            self.motor_position(command.position),
-            self.direction * command.velocity,
-            command.kp / self.ratio,
-            command.kd / self.ratio,
-            self.motor_torque(command.torque),
-        )
+        p, v, kp, kd, t = command
+        gains = kp / self.ratio, kd / self.ratio
+        return MitCommand(self.motor_position(p), self.direction * v, *gains, self.motor_torque(t))
 
     def from_motors(self, command: MitCommand) -> MitCommand:
         """Return a command for motors as one for joints."""
-        return MitCommand(
-            self.joint_position(command.position),
-            self.direction * command.velocity,
-            command.kp * self.ratio,
-            command.kd * self.ratio,
-            self.joint_torque(command.torque),
-        )
+        p, v, kp, kd, t = command
+        gains = kp * self.ratio, kd * self.ratio
+        return MitCommand(self.joint_position(p), self.direction * v, *gains, self.joint_torque(t))
 
     def measured(self, feedback: Feedback) -> Feedback:
         """Return what motors measure as what their joints do."""
