@@ -440,40 +440,12 @@ def test_check_and_play_over_the_virtual_bus(capsys, trajectory, tmp_path):
     assert read_recording(record).ending == "completed"
 
 
-@pytest.mark.realtime
-@pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals")
-def test_two_processes_over_a_pseudo_terminal(trajectory, model, tmp_path):
-    """What the user does: simulate in one terminal, play and stop it in the other."""
-    program = [sys.executable, "-m", "robot_sysid", "motors"]
-    server = subprocess.Popen(
-        [*program, "simulate", trajectory, "--model", model, "--watchdog", "5"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    try:
-        device = None
-        while device is None:
-            match = re.search(r"--channel (\S+)", server.stdout.readline())
-            device = match and match.group(1)
-        play = [
-            *program, "play", trajectory, "--interface", "slcan", "--channel", device, *SLOWLY,
-            "--yes", "--record", tmp_path / "measured.csv",
-        ]  # fmt: skip
-        done = subprocess.run(play, capture_output=True, text=True, timeout=60)
-        assert done.returncode == 0, done.stderr
-        assert read_recording(tmp_path / "measured.csv").ending == "completed"
-    finally:
-        server.send_signal(signal.SIGINT)
-        assert server.wait(timeout=20) == 0
-        server.stdout.close()
-        server.stderr.close()
-
-
 @contextlib.contextmanager
-def simulator(trajectory, model, *options):
+def simulator(trajectory, model, watchdog="2"):
     """A simulated arm in a process of its own; yields the device to reach it at."""
     program = [sys.executable, "-m", "robot_sysid", "motors", "simulate"]
     server = subprocess.Popen(
-        [*program, trajectory, "--model", model, "--watchdog", "2", *options],
+        [*program, trajectory, "--model", model, "--watchdog", watchdog],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:
@@ -484,9 +456,24 @@ def simulator(trajectory, model, *options):
         yield device
     finally:
         server.send_signal(signal.SIGINT)
-        server.wait(timeout=20)
+        assert server.wait(timeout=20) == 0
         server.stdout.close()
         server.stderr.close()
+
+
+@pytest.mark.realtime
+@pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals")
+def test_two_processes_over_a_pseudo_terminal(trajectory, model, tmp_path):
+    """What the user does: simulate in one terminal, play and stop it in the other."""
+    with simulator(trajectory, model, watchdog="5") as device:
+        play = [
+            sys.executable, "-m", "robot_sysid", "motors", "play", trajectory,
+            "--interface", "slcan", "--channel", device, *SLOWLY,
+            "--yes", "--record", tmp_path / "measured.csv",
+        ]  # fmt: skip
+        done = subprocess.run(play, capture_output=True, text=True, timeout=60)
+        assert done.returncode == 0, done.stderr
+        assert read_recording(tmp_path / "measured.csv").ending == "completed"
 
 
 def small_files_only():
