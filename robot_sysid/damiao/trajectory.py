@@ -35,7 +35,7 @@ import numpy as np
 
 from robot_sysid.damiao.protocol.frames import PLANNING_LIMIT, BusTiming, bus_load, suggested_rate
 from robot_sysid.damiao.protocol.joints import MASTER_ID_OFFSET, DamiaoJoint, damiao_joints
-from robot_sysid.damiao.protocol.motors import motor_spec
+from robot_sysid.damiao.protocol.motors import RPM, motor_spec
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 from robot_sysid.records.atomic_files import whole_file
@@ -298,9 +298,6 @@ def scan_trajectory(trajectory: DamiaoTrajectory) -> TrajectoryScan:
     return TrajectoryScan(duration, first, end_velocity, *extremes, columns.mismatch)
 
 
-_RPM_PER_RAD_S = 60.0 / (2.0 * np.pi)
-
-
 class ClampTally:
     """Clamps chunks to the motors' limits and counts what it changed.
 
@@ -362,7 +359,7 @@ def rating_warnings(
     if top is not None and velocity > top:
         volts = spec.supply if supply is None else supply
         yield (
-            f"{joint.label}: {velocity:.2f} rad/s ({velocity * _RPM_PER_RAD_S:.0f} rpm) exceeds "
+            f"{joint.label}: {velocity:.2f} rad/s ({velocity / RPM:.0f} rpm) exceeds "
             f"the no-load speed of a {spec.name} at {volts:g} V, {top:.2f} rad/s; "
             "it cannot follow"
         )

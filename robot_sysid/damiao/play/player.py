@@ -12,7 +12,6 @@ import sys
 from array import array
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Union
 
 import numpy as np
 
@@ -107,9 +106,6 @@ class PlayReport:
     worst_tracking: Array
 
 
-Park = Union[str, Array, None]
-
-
 class Player:
     """Plays references through a session.
 
@@ -132,7 +128,7 @@ class Player:
         recorder: MeasurementRecorder | None,
         on_phase: Callable[[str], None],
         on_progress: Callable[[float], None],
-        park: Park = None,
+        park: str | Array | None = None,
         pose_check: Callable[[Array, Array], None] | None = None,
     ) -> None:
         self._session, self._clock, self._settings = session, clock, settings

@@ -14,7 +14,8 @@ from math import pi
 
 from robot_sysid.errors import InputError
 
-_RPM = 2.0 * pi / 60.0
+RPM = 2.0 * pi / 60.0
+"""One revolution per minute [rad/s]."""
 _AGREEMENT = 1e-3
 
 
@@ -62,9 +63,9 @@ class MotorSpec:
         volts = self.supply if supply is None else supply
         for (low, slow), (high, fast) in zip(self.no_load_rpm, self.no_load_rpm[1:]):
             if low <= volts <= high:
-                return _RPM * (slow + (fast - slow) * (volts - low) / (high - low))
+                return RPM * (slow + (fast - slow) * (volts - low) / (high - low))
         nearest, rpm = min(self.no_load_rpm, key=lambda pair: abs(pair[0] - volts))
-        return _RPM * rpm * volts / nearest
+        return RPM * rpm * volts / nearest
 
 
 _SPECS = (
