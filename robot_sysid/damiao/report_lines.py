@@ -24,10 +24,8 @@ _MARKS = {"ok": "ok  ", "note": "note", "stop": "STOP"}
 def motor_table(inspection: Inspection, joints: Sequence[DamiaoJoint] = ()) -> Iterator[str]:
     """Yield a table of the motors found; ``joints`` names the types to compare with."""
     types = {joint.address: joint for joint in joints}
-    rows = [_HEADINGS]
-    for address, motor in sorted(inspection.motors.items()):
-        rows.append(_row(motor, types.get(address)))
-    yield from _columns(rows)
+    found = sorted(inspection.motors.items())
+    yield from _columns([_HEADINGS, *(_row(motor, types.get(place)) for place, motor in found)])
 
 
 def state_table(states: Iterable[tuple[InspectedMotor, Feedback | None]]) -> Iterator[str]:
