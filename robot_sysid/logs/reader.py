@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -28,12 +28,12 @@ from robot_sysid.logs.column_map import (
     recognise_columns,
 )
 from robot_sysid.logs.columns import joint_kind, read_title
-from robot_sysid.logs.formats import arrays
-from robot_sysid.logs.formats.dialect import is_number, read_dialect
-from robot_sysid.logs.formats.lerobot import is_lerobot, lerobot_table
-from robot_sysid.logs.formats.ros_bag import bag_table, is_bag
-from robot_sysid.logs.formats.table import ArrayTable, LogTable
-from robot_sysid.logs.formats.text import SAGE_HEADER, TextTable, known_text, merged, sage_table
+from robot_sysid.logs.formats.arrays import hdf5_table, matlab_table, npz_table
+from robot_sysid.logs.formats.dialect import is_number
+from robot_sysid.logs.formats.lerobot import lerobot_table
+from robot_sysid.logs.formats.ros_bag import bag_table
+from robot_sysid.logs.formats.table import ArrayTable, Asked, LogTable
+from robot_sysid.logs.formats.text import merged, text_table
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.rows import read_rows
 from robot_sysid.records import Array, DataOrigin, JointLimits, Measurement, RobotModel, Source
@@ -213,48 +213,29 @@ def write_measurement_csv(
             raise InputError("there are no samples to write")
 
 
-FORMS = (
-    "a text table (CSV), a ROS 1 or ROS 2 bag, a LeRobot data set, HDF5 (ALOHA, robomimic), "
-    "NumPy .npz, MATLAB .mat or an xArm report"
+_FORMS: tuple[Callable[[Asked], LogTable | None], ...] = (
+    *(bag_table, lerobot_table, matlab_table, hdf5_table, npz_table, text_table),
 )
 
 
 def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> LogTable:
     """Return a recording as a table."""
-    found = _binary_table(path, joint_names, options)
-    if found is not None:
+    asked = Asked(path, _start(path), joint_names, options)
+    for form in _FORMS:
+        found = form(asked)
+        if found is None:
+            continue
+        for given, own, name, what in (
+            (options.topic, bag_table, "--topic", "a ROS bag"),
+            (options.episode, lerobot_table, "--episode", "a LeRobot data set"),
+        ):
+            if given and form is not own:
+                raise InputError(f"{name} is about {what}, and {path} is none; leave it off")
         return found
-    dialect = read_dialect(path)
-    if tuple(title.lower() for title in dialect.header[:5]) == SAGE_HEADER:
-        return sage_table(dialect, joint_names)
-    currents = options.torque_constants is not None
-    return TextTable(dialect, *known_text(dialect.header, joint_names, currents))
-
-
-def _binary_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> LogTable | None:
-    """Return a recording that is no text file, or None."""
-    start = _start(path)
-    bag = is_bag(path)
-    lerobot = path.is_dir() and is_lerobot(path)
-    for given, fits, name, what in (
-        (options.topic, bag, "--topic", "a ROS bag"),
-        (options.episode, lerobot, "--episode", "a LeRobot data set"),
-    ):
-        if given and not fits:
-            raise InputError(f"{name} is about {what}, and {path} is none; leave it off")
-    if bag:
-        return bag_table(path, joint_names, options.topic)
-    if lerobot:
-        return lerobot_table(path, joint_names, options.episode, options.commanded)
-    if path.is_dir():
-        raise InputError(f"{path} is a folder of no known form; a log is {FORMS}")
-    if start.startswith(arrays.MATLAB):
-        return arrays.matlab_table(path)
-    if start.startswith(arrays.HDF5):
-        return arrays.hdf5_table(path, options.commanded)
-    if arrays.is_xarm(path, start):
-        return arrays.xarm_table(path)
-    return arrays.npz_table(path) if start.startswith(arrays.NPZ) else None
+    raise InputError(
+        f"{path} is a folder of no known form; a log is a text table (CSV), a ROS 1 or ROS 2 bag, "
+        "a LeRobot data set, HDF5 (ALOHA, robomimic), NumPy .npz or MATLAB .mat"
+    )
 
 
 def _start(path: Path) -> bytes:

@@ -22,10 +22,7 @@ from tests.support import log_files, recorded
 
 ROWS = 24
 _JOINTS = LogJoints(log_files.JOINTS, log_files.limits())
-_TEXT, _ARRAYS = (
-    ("libfranka", "RTDE", "PlotJuggler", "SAGE"),
-    ("npz", "robomimic", "ALOHA", "xArm", "MATLAB"),
-)
+_TEXT, _ARRAYS = (("libfranka", "RTDE", "PlotJuggler", "SAGE"), ("npz", "robomimic", "ALOHA"))
 _SLOW = (*(name for name in recorded.FORMS if "ROS" in name), "single mcap")
 _SLOW += ("DynamicJointState", "FrankaRobotState", "LeRobot v2")
 SLOW_SHARE = 0.02
@@ -48,7 +45,6 @@ def seeds() -> Mapping[str, tuple[str, Case]]:
         table = log_files.write(folder / "plain.csv", log_files.table(data).tolist()).read_bytes()
         made["plain"] = "plain.csv", {"plain.csv": table}
         made["ALOHA"] = "episode.hdf5", {"episode.hdf5": _aloha(folder / "episode.hdf5")}
-        made["xArm"] = "report.bin", {"report.bin": _xarm()}
     return made
 
 
@@ -66,13 +62,6 @@ def _aloha(path: Path) -> bytes:
         file["observations/qpos"].attrs["unit"] = "rad"
         file["action"] = motion
     return path.read_bytes()
-
-
-def _xarm() -> bytes:
-    data = log_files.motion(ROWS, 40.0)
-    four = np.zeros((len(data), 4, 7))
-    four[:, :, :3] = np.stack((data.q, data.qd, data.tau, data.tau), axis=1)
-    return b"".join(recorded.xarm_record(t, *row) for t, row in zip(data.time, four))
 
 
 def case(random: Random) -> Case:

@@ -82,14 +82,10 @@ def make_workshop(folder: Path) -> None:
 
 
 def add_recordings(folder: Path) -> None:
-    """Write log.csv again as the ROS bag and the xArm report that a page speaks of."""
+    """Write log.csv again as the ROS bag that a page speaks of."""
     titles = [f"joint{k}" for k in range(len(AXES))]
     time, *values = np.loadtxt(folder / "log.csv", delimiter=",", skiprows=1, unpack=True)
     q, tau = np.transpose(values[: len(AXES)]), np.transpose(values[len(AXES) :])
-    unused = ((0, 0), (0, 7 - len(AXES)))
-    rows = zip(1e5 + time, np.pad(q, unused), np.pad(tau, unused))
-    report = (recorded.xarm_record(when, at, 0.0 * at, by, 0.5 * by) for when, at, by in rows)
-    (folder / "run1.bin").write_bytes(b"".join(report))
     data, store = Measurement(time, q, np.zeros_like(q), tau), recorded.typestore()
     messages = recorded.shuffled_states(store.types, data, titles)
     topics = [("/joint_states", recorded.STATE, messages)]
@@ -103,7 +99,7 @@ def make_models(folder: Path) -> None:
     truth = arms.serial_arm(AXES, **ARM)
     texts = {"truth.xml": truth, "loaded.xml": arms.serial_arm(AXES, tip=load, **ARM)}
     model = arms.serial_arm(AXES, **MODEL)
-    names = ("my_arm.xml", "arm.xml", "guess.xml", "MODEL.xml", "xarm7.xml")
+    names = ("my_arm.xml", "arm.xml", "guess.xml", "MODEL.xml")
     texts.update(dict.fromkeys(names, model))
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -300,13 +299,3 @@ FORMS: dict[str, Callable[[Path, Measurement], Path]] = {
     "PlotJuggler": plotjuggler,
     "SAGE": sage,
 }
-
-
-def xarm_record(time, q, qd, tau, current, length=784):
-    """One record of port 30000, byte by byte as the controller's documentation lists it."""
-    record = bytearray(length)
-    record[0:4] = length.to_bytes(4, "big")
-    record[4:12] = round(1e6 * time).to_bytes(8, "big")
-    for place, values in ((116, q), (144, qd), (200, current), (228, tau)):
-        record[place : place + 28] = struct.pack("<7f", *values)
-    return bytes(record)

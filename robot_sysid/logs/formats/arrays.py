@@ -1,21 +1,30 @@
 """Recordings kept as named arrays: NumPy's .npz, MATLAB's .mat, HDF5 as ALOHA and robomimic write
-it, and the records of 200 Hz that an xArm's controller sends.
+it.
 """
 
 from __future__ import annotations
 
 import math
+import os
+import subprocess
+import sys
+import tempfile
 import zipfile
-import zlib
-from collections.abc import Iterator
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.column_map import ColumnChoices, Units
-from robot_sysid.logs.formats.table import ArrayTable, as_input_errors, library, titled_arrays
+from robot_sysid.logs.column_map import ColumnChoices
+from robot_sysid.logs.formats.table import (
+    ArrayTable,
+    Asked,
+    as_input_errors,
+    library,
+    titled_arrays,
+)
 
 LARGEST = 1e9
 """Largest recording of arrays that is unpacked [bytes]: four hours of seven joints at 1 kHz."""
@@ -24,33 +33,56 @@ ALOHA_RATE = 50.0
 _ALOHA = [*("waist", "shoulder", "elbow", "forearm_roll", "wrist_angle", "wrist_rotate", "gripper")]
 _ROBOMIMIC = {"joint_pos": "position", "joint_vel": "velocity", "joint_torque": "torque"}
 
-
-_XARM = {
-    "time": (">u8", 4),
-    "q": ("(7,)<f4", 116),
-    "qd": ("(7,)<f4", 144),
-    "current": ("(7,)<f4", 200),
-    "tau": ("(7,)<f4", 228),
-}
-"""Type and place [bytes] of what is read of a record of port 30000; it begins with its own length
-(firmware 2.1 and later: xArm-Developer/ufactory_docs, firmware/report)."""
-_XARM_LENGTHS = range(256, 4096)
-
-_MATRIX, _COMPRESSED, _STRUCT = 14, 15, 2
-"""Types of an element of a .mat file, and the class of a matrix that is a struct (MAT-File Format,
-MathWorks, version 5). SciPy's reader ends the process on some damaged files, so it is not used."""
 NPZ = b"PK\x03\x04"
 MATLAB = b"MATLAB 5.0"
 HDF5 = (b"\x89HDF\r\n\x1a\n", b"MATLAB 7.3")
 """How files begin; .mat files are HDF5 since version 7.3."""
-_MAT_NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8"}
-_MAT_NUMBERS.update({12: "i8", 13: "u8"})
+_UNPACK = """
+import sys
+import numpy as np
+from scipy.io import loadmat, whosmat
+
+def refuse(size):
+    if size > most:
+        text = f"it unpacks to {size / 1e9:.3g} GB, more than the {most / 1e9:g} GB that are read"
+        sys.exit(f"{text}; split the recording")
+
+def arrays(name, value):
+    if isinstance(value, dict):
+        for field, inner in value.items():
+            yield from arrays(f"{name}/{field}", inner)
+    elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
+        yield name, value
+
+path, unpacked, most = sys.argv[1], sys.argv[2], float(sys.argv[3])
+try:
+    import resource
+    resource.setrlimit(resource.RLIMIT_AS, (int(2.0 * most + 2e9),) * 2)
+except (ImportError, OSError, ValueError):
+    pass
+try:
+    refuse(sum(8.0 * float(np.prod(shape, dtype=float)) for _, shape, _ in whosmat(path)))
+    found = dict(arrays("", loadmat(path, simplify_cells=True)))
+    refuse(sum(float(each.nbytes) for each in found.values()))
+    np.savez(unpacked, *found.values(), names=np.array([*found], dtype=str))
+except MemoryError:
+    sys.exit("it asks for more memory than a recording takes; it is damaged, or too long")
+except Exception as error:
+    sys.exit(" ".join(str(error).split()) or type(error).__name__)
+"""
+"""Makes an .npz file of a .mat file; SciPy ends the process on some damaged ones."""
 
 
-def npz_table(path: Path) -> ArrayTable:
+def npz_table(asked: Asked) -> ArrayTable | None:
     """Return the arrays of an .npz file: time (N,), q, qd, tau (N, n), by these or like names."""
-    titles, cells = titled_arrays(path, npz_arrays(path))
-    return ArrayTable(path, "NumPy .npz", titles, (cells,))
+    if not asked.start.startswith(NPZ):
+        return None
+    return _table(asked.path, "NumPy .npz", npz_arrays(asked.path))
+
+
+def _table(path: Path, layout: str, arrays: Mapping[str, Any]) -> ArrayTable:
+    titles, cells = titled_arrays(path, arrays)
+    return ArrayTable(path, layout, titles, (cells,))
 
 
 def npz_arrays(path: Path) -> dict[str, Any]:
@@ -82,99 +114,27 @@ def _stated_bytes(packed: zipfile.ZipFile, name: str) -> int:
     return math.prod(shape) * kind.itemsize
 
 
-def matlab_table(path: Path) -> ArrayTable:
+def matlab_table(asked: Asked) -> ArrayTable | None:
     """Return the arrays of a .mat file, also those in its structs."""
-    _refuse_bomb(path, path.stat().st_size)
-    with as_input_errors(path, "a MATLAB .mat file"):
-        data = memoryview(path.read_bytes())
-        arrays = dict(_matrices(path, data[128:], "<" if data[126:128] == b"IM" else ">"))
-    titles, cells = titled_arrays(path, arrays)
-    return ArrayTable(path, "MATLAB .mat", titles, (cells,))
+    if not asked.start.startswith(MATLAB):
+        return None
+    with as_input_errors(asked.path, "a MATLAB .mat file"), tempfile.TemporaryDirectory() as folder:
+        unpacked = Path(folder, "log.npz")
+        call = [sys.executable, "-c", _UNPACK, str(asked.path), str(unpacked), str(LARGEST)]
+        one_thread = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+        ended = subprocess.run(call, capture_output=True, text=True, env=one_thread)
+        if ended.returncode:
+            raise ValueError((ended.stderr.splitlines() or ["it is damaged"])[-1])
+        cells = npz_arrays(unpacked)
+    named = {str(name): cells[f"arr_{k}"] for k, name in enumerate(cells["names"])}
+    return _table(asked.path, "MATLAB .mat", named)
 
 
-def _matrices(path: Path, data: memoryview, order: str) -> Iterator[tuple[str, Any]]:
-    size = 0
-    for kind, content in _elements(data, order):
-        if kind == _COMPRESSED:
-            unpacker = zlib.decompressobj()
-            unpacked = unpacker.decompress(content, int(LARGEST))
-            size += len(unpacked)
-            _refuse_bomb(path, math.inf if unpacker.unconsumed_tail else size)
-            content = memoryview(unpacked)[8:]
-        if kind in (_MATRIX, _COMPRESSED):
-            yield from _matrix(content, order)
-
-
-def _elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
-    """Yield (type, content); a small element has both, and its size, in eight bytes."""
-    at = 0
-    while at < len(data):
-        kind, size = (int(word) for word in np.frombuffer(data[at : at + 8], f"{order}u4"))
-        begin, after = at + 8, at + 8 + size + (0 if kind == _COMPRESSED else -size % 8)
-        if kind >= 1 << 16:
-            kind, size, begin, after = kind & 0xFFFF, kind >> 16, at + 4, at + 8
-        if begin + size > len(data):
-            raise ValueError("it is cut off")
-        yield kind, data[begin : begin + size]
-        at = after
-
-
-def _matrix(content: memoryview, order: str, name: str = "") -> Iterator[tuple[str, Any]]:
-    (_, flags), (_, sizes), (_, own), *parts = _elements(content, order)
-    name = name or bytes(own).decode("latin-1")
-    shape = tuple(np.frombuffer(sizes, f"{order}i4"))
-    is_struct = np.frombuffer(flags, f"{order}u4")[0] & 0xFF == _STRUCT
-    if is_struct and math.prod(shape) == 1:
-        (_, width), (_, names), *fields = parts
-        length = max(1, int(np.frombuffer(width, f"{order}i4")[0]))
-        for k, (_, field) in enumerate(fields):
-            called = bytes(names[k * length : (k + 1) * length]).split(b"\0")[0].decode("latin-1")
-            yield from _matrix(field, order, f"{name}/{called}") if len(field) else ()
-    elif not is_struct and parts and parts[0][0] in _MAT_NUMBERS:
-        kind, numbers = parts[0]
-        values = np.frombuffer(numbers, order + _MAT_NUMBERS[kind])
-        if math.prod(shape) == len(values):
-            yield name, values.reshape(shape, order="F")
-
-
-def is_xarm(path: Path, start: bytes) -> bool:
-    """Return whether a file is a row of records that each begin with their length."""
-    length = int.from_bytes(start[:4], "big")
-    if length not in _XARM_LENGTHS:
-        return False
-    with path.open("rb") as stream:
-        stream.seek(length)
-        return stream.read(4) == start[:4]
-
-
-def xarm_table(path: Path) -> ArrayTable:
-    """Return what an xArm's controller sent, as it came from the socket."""
-    _refuse_bomb(path, path.stat().st_size)
-    with as_input_errors(path, "an xArm report"):
-        data = path.read_bytes()
-    length = int.from_bytes(data[:4], "big")
-    fields = {"length": (">u4", 0), **_XARM}
-    formats, offsets = zip(*fields.values())
-    kind = {"names": [*fields], "formats": formats, "offsets": offsets, "itemsize": length}
-    records: Any = np.frombuffer(data, np.dtype(cast(Any, kind)), len(data) // length)
-    lost = np.flatnonzero(records["length"] != length)
-    if len(lost):
-        raise InputError(
-            f"{path}: record {lost[0] + 1} does not begin with its length, so bytes were lost "
-            "before it; record anew, every byte that the port sends"
-        )
-    # Joints that an arm of five or six does not have are sent as zeros.
-    there = np.any(records["q"] != 0.0, axis=0) | np.any(records["tau"] != 0.0, axis=0)
-    joints = ("q", "qd", "tau", "current")
-    arrays: dict[str, Any] = {name: records[name][:, there] for name in joints}
-    titles, cells = titled_arrays(path, {"time": records["time"], **arrays})
-    return ArrayTable(
-        path, "xArm report, time in us", titles, (cells,), ColumnChoices(units=Units(time="us"))
-    )
-
-
-def hdf5_table(path: Path, commanded: bool = False) -> ArrayTable:
-    """Return the joint states in an HDF5 file; with ``commanded`` actions, and no torque."""
+def hdf5_table(asked: Asked) -> ArrayTable | None:
+    """Return the joint states in an HDF5 file; where commands are asked for, actions too."""
+    path, commanded = asked.path, asked.options.commanded
+    if not asked.start.startswith(HDF5):
+        return None
     h5py = library("h5py", "hdf5", "an HDF5 file")
     with as_input_errors(path, "an HDF5 file"), h5py.File(path, "r") as file:
         if "observations/qpos" in file:
@@ -193,8 +153,7 @@ def hdf5_table(path: Path, commanded: bool = False) -> ArrayTable:
         )
         _refuse_bomb(path, sum(data.nbytes for data in found.values()))
         arrays = {name: data[()] for name, data in found.items()}
-    titles, cells = titled_arrays(path, arrays)
-    return ArrayTable(path, "HDF5", titles, (cells,))
+    return _table(path, "HDF5", arrays)
 
 
 def _refuse_bomb(path: Path, size: float) -> None:

@@ -9,7 +9,7 @@ it).
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from io import TextIOWrapper
 from itertools import islice
@@ -38,6 +38,7 @@ class LogDialect:
         separator: "," ";" tab, or " " for any run of blanks.
         header: column titles as written; empty where the file has none.
         header_line: file line of the header; 0 where there is none.
+        flattened: makes a row of plain cells of a line; None for a line that is passed over.
     """
 
     path: Path
@@ -48,6 +49,7 @@ class LogDialect:
     header_line: int
     first_row: tuple[str, ...]
     quoted: bool
+    flattened: Callable[[str], str | None] | None = None
     _read: list[float] = field(default_factory=lambda: [0.0], repr=False, compare=False)
 
     def split(self, line: str) -> list[str] | None:
@@ -68,8 +70,9 @@ class LogDialect:
     def data_lines(self) -> Iterator[tuple[int, str]]:
         """Yield (file line number, text) of each row of data."""
         for number, line in _content_lines(self.path, self.encoding, self._read):
-            if number != self.header_line:
-                yield number, line
+            row = self.flattened(line) if self.flattened else line
+            if number != self.header_line and row is not None:
+                yield number, row
 
     def share_read(self) -> float:
         """Return how much of the file ``data_lines`` has read so far."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.json_files import read_json
-from robot_sysid.logs.formats.table import ArrayTable, as_input_errors, library, renamed
+from robot_sysid.logs.formats.table import ArrayTable, Asked, as_input_errors, library, renamed
 from robot_sysid.records import Array
 
 WHAT = "a LeRobot data set"
@@ -23,16 +23,13 @@ _FEATURES = {"observation.velocity": "velocity", "observation.effort": "torque"}
 ACTION = "action"
 
 
-def is_lerobot(path: Path) -> bool:
-    """Return whether a folder is a LeRobot data set."""
-    return (path / "meta" / "info.json").is_file()
-
-
-def lerobot_table(
-    path: Path, joint_names: Sequence[str], episodes: Sequence[int] = (), commanded: bool = False
-) -> ArrayTable:
-    """Return some episodes of a data set, or all where none are given."""
-    info = _mapping(read_json(path / "meta" / "info.json", "download the data set whole"))
+def lerobot_table(asked: Asked) -> ArrayTable | None:
+    """Return the episodes of a data set that are asked for, or all."""
+    path, joint_names, commanded = asked.path, asked.joint_names, asked.options.commanded
+    described = path / "meta" / "info.json"
+    if not described.is_file():
+        return None
+    info = _mapping(read_json(described, "download the data set whole"))
     features = _mapping(info.get("features"))
     read = (STATE, ACTION) if commanded else (STATE, *_FEATURES)
     titles = {name: _titles(features, name, joint_names) for name in read}
@@ -46,7 +43,7 @@ def lerobot_table(
     present = [name for name in titles if titles[name]]
     columns = ["timestamp", "episode_index", *present]
     frames = _frames(path, columns)
-    wanted = _wanted(path, episodes, frames["episode_index"])
+    wanted = _wanted(path, asked.options.episode, frames["episode_index"])
     cells = np.column_stack([frames["timestamp"], *(frames[name] for name in present)])
     pieces = tuple(cells[frames["episode_index"] == episode] for episode in wanted)
     version, fps = info.get("codebase_version", "?"), info.get("fps", "unknown")

@@ -24,10 +24,11 @@ import numpy as np
 from robot_sysid.errors import InputError
 from robot_sysid.logs.column_map import ColumnChoices
 from robot_sysid.logs.formats import table
-from robot_sysid.logs.formats.table import Block, as_input_errors, library, renamed
+from robot_sysid.logs.formats.table import Asked, Block, as_input_errors, library, renamed
 
 WHAT = "a ROS bag"
 QUANTITIES = ("position", "velocity", "effort", "current")
+_BEGINNINGS = (b"\x89MCAP0", b"#ROSBAG V", b"SQLite format 3")
 # So many messages of a topic are looked at to find out which joints it has.
 _LOOKED_AT = 200
 # control_msgs is not among the types that the reader knows by itself.
@@ -118,8 +119,14 @@ class BagTable:
                 yield Block(lines, cells[:, list(columns)], done=done / total)
 
 
-def bag_table(path: Path, joint_names: Sequence[str], topic: str | None) -> BagTable:
-    """Return the topic of a bag with the arm's joints: ``topic``, or the only one that fits."""
+def bag_table(asked: Asked) -> BagTable | None:
+    """Return the topic of a bag with the arm's joints: that asked for, or the only one that fits.
+
+    A bag is known by its content.
+    """
+    path, joint_names, topic = asked.path, asked.joint_names, asked.options.topic
+    if not (asked.start.startswith(_BEGINNINGS) or (path / "metadata.yaml").is_file()):
+        return None
     with _opened(path) as bag:
         known = {c.topic: c.msgtype for c in bag.connections if c.msgtype in _READERS}
         topics = sorted({f"{c.topic} ({c.msgtype})" for c in bag.connections})
@@ -144,15 +151,6 @@ def bag_table(path: Path, joint_names: Sequence[str], topic: str | None) -> BagT
             "again"
         )
     return chosen
-
-
-def is_bag(path: Path) -> bool:
-    """Return whether a path is a ROS bag, by its content."""
-    if path.is_dir():
-        return (path / "metadata.yaml").is_file()
-    with path.open("rb") as stream:
-        start = stream.read(16)
-    return start.startswith((b"\x89MCAP0", b"#ROSBAG V", b"SQLite format 3"))
 
 
 def _has_all(found: BagTable, joint_names: Sequence[str]) -> bool:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from robot_sysid.errors import InputError, SysidError, words_of
 from robot_sysid.logs.column_map import ColumnChoices
 from robot_sysid.logs.columns import read_title
+from robot_sysid.logs.options import LogOptions
 from robot_sysid.records import Array
 
 Lines = NDArray[np.int64]
@@ -78,6 +79,21 @@ class LogTable(Protocol):
 
     def blocks(self, columns: Sequence[int]) -> Iterator[Block]:
         """Yield the rows in their order, with these columns."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A recording whose form is asked for; each form answers with a table, or None for another.
+
+    Attributes:
+        start: its first bytes; nothing of a folder.
+        joint_names: the model's joints.
+    """
+
+    path: Path
+    start: bytes
+    joint_names: Sequence[str]
+    options: LogOptions
 
 
 @dataclass(frozen=True)

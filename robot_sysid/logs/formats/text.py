@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -14,8 +12,8 @@ import numpy as np
 from robot_sysid.errors import InputError
 from robot_sysid.logs.column_map import ColumnChoices, Units
 from robot_sysid.logs.formats import table
-from robot_sysid.logs.formats.dialect import SEPARATOR_NAMES, LogDialect
-from robot_sysid.logs.formats.table import NO_LINES, Block, renamed
+from robot_sysid.logs.formats.dialect import SEPARATOR_NAMES, LogDialect, read_dialect, split_line
+from robot_sysid.logs.formats.table import NO_LINES, Asked, Block, renamed
 from robot_sysid.records import Array
 
 Batch = list[tuple[int, str]]
@@ -26,7 +24,7 @@ class TextTable:
     """A text log."""
 
     dialect: LogDialect
-    program: str = ""
+    layout: str
     choices: ColumnChoices = ColumnChoices()
     word: str = "line"
 
@@ -34,17 +32,6 @@ class TextTable:
     def path(self) -> Path:
         """The file."""
         return self.dialect.path
-
-    @property
-    def layout(self) -> str:
-        """The form in a few words."""
-        dialect = self.dialect
-        program = f"{self.program}, " if self.program else ""
-        decimal = ", decimal comma" if dialect.decimal_comma else ""
-        in_comment = dialect.header and not dialect.header_line
-        commented = ", titles in a comment line" if in_comment else ""
-        separator = SEPARATOR_NAMES[dialect.separator]
-        return f"{program}{dialect.width} columns separated by {separator}{decimal}{commented}"
 
     @property
     def titles(self) -> tuple[str, ...]:
@@ -115,6 +102,23 @@ def _fast(dialect: LogDialect, columns: Sequence[int], texts: list[str]) -> Arra
         return None
 
 
+def text_table(asked: Asked) -> TextTable | None:
+    """Return any other file as a table of text; None for a folder."""
+    if asked.path.is_dir():
+        return None
+    dialect = read_dialect(asked.path)
+    header = dialect.header
+    if tuple(title.lower() for title in header[:5]) == _SAGE_HEADER:
+        return sage_table(dialect, asked.joint_names)
+    currents = asked.options.torque_constants is not None
+    program, choices = known_text(header, asked.joint_names, currents)
+    decimal = ", decimal comma" if dialect.decimal_comma else ""
+    commented = ", titles in a comment line" if header and not dialect.header_line else ""
+    separator = SEPARATOR_NAMES[dialect.separator]
+    layout = f"{dialect.width} columns separated by {separator}{decimal}{commented}"
+    return TextTable(dialect, f"{program}, {layout}" if program else layout, choices)
+
+
 UR_TORQUE, UR_CURRENT = "actual_current_as_torque", "actual_current"
 
 
@@ -159,87 +163,42 @@ def _rtde(titles: Sequence[str], joint_names: Sequence[str], currents: bool) -> 
     return ColumnChoices(time="timestamp", columns=there)
 
 
-SAGE_HEADER = ("type", "timestamp", "positions", "velocities", "torques")
+_SAGE_HEADER = ("type", "timestamp", "positions", "velocities", "torques")
 _NAMES_FILE = "joint_list.txt"
 # The simulation writes STATE_MOTOR and seconds, the recorder of a real robot StateMotor and us.
 _TIMES = {"STATE_MOTOR": "s", "StateMotor": "us"}
+_LIST_MARKS = str.maketrans("[],", "   ")
 
 
-@dataclass(frozen=True)
-class SageTable:
-    """A recording of SAGE."""
-
-    dialect: LogDialect
-    titles: tuple[str, ...]
-    choices: ColumnChoices
-    word: str = "line"
-    layout: str = "SAGE state_motor.csv"
-    first_row: tuple[str, ...] = ()
-
-    @property
-    def path(self) -> Path:
-        """The file."""
-        return self.dialect.path
-
-    def blocks(self, columns: Sequence[int]) -> Iterator[Block]:
-        """Yield the rows of measured states."""
-        rows = self.dialect.data_lines()
-        while batch := list(islice(rows, table.BLOCK)):
-            parsed = [(line, _numbers(text, len(self.titles))) for line, text in batch]
-            kept = [(line, cells) for line, cells in parsed if cells is None or len(cells)]
-            lines = np.array([line for line, _ in kept], np.int64)
-            nothing = [np.nan] * len(self.titles)
-            cells = np.array([nothing if c is None else c for _, c in kept], float)
-            wanted = cells.reshape(len(kept), len(self.titles))[:, list(columns)]
-            unreadable = lines[[c is None for _, c in kept]] if kept else table.NO_LINES
-            yield Block(lines, wanted, unreadable, done=self.dialect.share_read())
-
-
-def sage_table(dialect: LogDialect, joint_names: Sequence[str]) -> SageTable:
+def sage_table(dialect: LogDialect, joint_names: Sequence[str]) -> TextTable:
     """Return a recording of SAGE; the joints' names stand in a file beside it."""
-    rows = (_cells(text) for _, text in islice(dialect.data_lines(), table.BLOCK))
+    rows = (split_line(text, ",") for _, text in islice(dialect.data_lines(), table.BLOCK))
     cells = next((row for row in rows if row and row[0] in _TIMES), None)
     if cells is None:
         raise InputError(f"{dialect.path} holds no rows of type {' or '.join(_TIMES)}")
     try:
-        count = len(_list(cells[2]))
+        count = len([float(cell) for cell in cells[2].translate(_LIST_MARKS).split()])
     except (IndexError, ValueError):
         raise InputError(
             f"{dialect.path}: its first row of type {cells[0]} lists no positions; record it again"
         ) from None
-    names = _names(dialect.path.parent / _NAMES_FILE, count)
-    shown = [f"{name} " for name in renamed(names, joint_names)] if names else [""] * count
+    listed = dialect.path.parent / _NAMES_FILE
+    text = listed.read_text("utf-8-sig", errors="replace") if listed.is_file() else ""
+    names = [line.strip() for line in text.splitlines() if line.strip()]
+    known = [f"{name} " for name in renamed(names, joint_names)] if len(names) == count else []
     titles = ["timestamp"]
     for quantity in ("position", "velocity", "torque"):
-        titles += [f"{n}{quantity}" + ("" if n else f"[{k}]") for k, n in enumerate(shown)]
-    return SageTable(dialect, tuple(titles), ColumnChoices(units=Units(time=_TIMES[cells[0]])))
+        titles += [f"{n}{quantity}" for n in known] or [f"{quantity}[{k}]" for k in range(count)]
+    flat = replace(
+        dialect, separator=" ", header=tuple(titles), first_row=(), quoted=False, flattened=_states
+    )
+    units = Units(time=_TIMES[cells[0]])
+    return TextTable(flat, "SAGE state_motor.csv", ColumnChoices(units=units))
 
 
-def _names(path: Path, count: int) -> list[str]:
-    text = path.read_text("utf-8-sig", errors="replace") if path.is_file() else ""
-    names = [line.strip() for line in text.splitlines() if line.strip()]
-    return names if len(names) == count else []
-
-
-def _cells(text: str) -> list[str]:
-    try:
-        return next(csv.reader(io.StringIO(text)), [])
-    except csv.Error:
-        return []
-
-
-def _list(text: str) -> list[float]:
-    return [float(cell) for cell in text.strip(" []").replace(",", " ").split()]
-
-
-def _numbers(text: str, width: int) -> list[float] | None:
-    """Return a row's numbers; nothing for another type of row, None for no row at all."""
-    cells = _cells(text)
-    if cells and cells[0] not in _TIMES and len(cells) >= len(SAGE_HEADER):
-        return []
-    try:
-        lists = [number for cell in cells[2:5] for number in _list(cell)]
-        row = [float(cells[1]), *lists]
-    except (ValueError, IndexError):
+def _states(text: str) -> str | None:
+    """Return the numbers of a row of measured states between blanks; None for a row of others."""
+    cells = split_line(text, ",") or []
+    if cells and cells[0] not in _TIMES and len(cells) >= len(_SAGE_HEADER):
         return None
-    return row if len(row) == width else None
+    return " ".join(cells[1 : len(_SAGE_HEADER)]).translate(_LIST_MARKS)

@@ -12,7 +12,6 @@ from scipy.io import savemat
 from robot_sysid.errors import InputError
 from robot_sysid.logs.formats import arrays
 from tests.support.log_files import motion, read_measurements
-from tests.support.recorded import xarm_record
 
 DATA = motion()
 JOINTS = ("a", "b", "c")[: DATA.q.shape[1]]
@@ -33,7 +32,7 @@ def test_a_pickled_object_is_never_loaded(tmp_path):
     path = tmp_path / "log.npz"
     np.savez(path, time=np.arange(3.0), q=np.array([Harmless()], dtype=object))
     with pytest.raises(InputError, match="cannot read .*log.npz as a NumPy .npz file"):
-        arrays.npz_table(path)
+        read_measurements(path, JOINTS)
     assert not Harmless.loaded
 
 
@@ -43,7 +42,7 @@ def test_an_archive_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
     assert path.stat().st_size < 10_000
     monkeypatch.setattr(arrays, "LARGEST", 1e6)
     with pytest.raises(InputError, match="unpacks to 0.0016 GB, more than"):
-        arrays.npz_table(path)
+        read_measurements(path, JOINTS)
 
 
 def test_an_array_that_only_says_it_is_huge_is_refused(tmp_path):
@@ -53,7 +52,7 @@ def test_an_array_that_only_says_it_is_huge_is_refused(tmp_path):
     with zipfile.ZipFile(tmp_path / "log.npz", "w") as packed:
         packed.writestr("q.npy", said)
     with pytest.raises(InputError, match=r"unpacks to 2.16e\+03 GB"):
-        arrays.npz_table(tmp_path / "log.npz")
+        read_measurements(tmp_path / "log.npz", JOINTS)
 
 
 def test_hdf5_whose_arrays_are_too_much_together_is_refused(tmp_path):
@@ -63,7 +62,7 @@ def test_hdf5_whose_arrays_are_too_much_together_is_refused(tmp_path):
         for name in ("a/q", "a/tau"):
             file.create_dataset(name, (10**7, 7), "f8", chunks=(1024, 7))
     with pytest.raises(InputError, match="unpacks to 1.12 GB"):
-        arrays.hdf5_table(path)
+        read_measurements(path, JOINTS)
 
 
 def test_hdf5_that_holds_nothing_but_a_size_is_refused(tmp_path):
@@ -73,39 +72,7 @@ def test_hdf5_that_holds_nothing_but_a_size_is_refused(tmp_path):
         for name in ("qpos", "effort"):
             file.create_dataset(f"observations/{name}", (10**10, 7), "f8", chunks=(1024, 7))
     with pytest.raises(InputError, match="unpacks to 560 GB"):
-        arrays.hdf5_table(path)
-
-
-def xarm_file(path, joints=7, length=784):
-    time = 1e5 + np.arange(4000) / 200.0
-    there = (np.arange(7) < joints).astype(float)
-    q = there * np.sin(np.outer(time, 1.0 + 0.3 * np.arange(7)))
-    tau = there * (5.0 * q + np.random.default_rng(0).normal(size=q.shape))
-    rows = zip(time, q, 0.1 * q, tau, 0.2 * tau)
-    path.write_bytes(b"".join(xarm_record(*row, length=length) for row in rows) + b"cut off")
-    return time, q.astype("f4"), tau.astype("f4")
-
-
-@pytest.mark.parametrize(("joints", "length"), [(7, 784), (6, 800)])
-def test_an_xarm_report_is_read_as_the_controller_sends_it(tmp_path, joints, length):
-    time, q, tau = xarm_file(tmp_path / "arm.bin", joints, length)
-    names = [f"joint{k + 1}" for k in range(joints)]
-    log = read_measurements(tmp_path / "arm.bin", names)
-    np.testing.assert_allclose(log.samples.time, time, rtol=0, atol=1e-6)
-    np.testing.assert_array_equal(log.samples.q, q[:, :joints])
-    np.testing.assert_array_equal(log.samples.tau, tau[:, :joints])
-    assert "log layout: xArm report, time in us" in log.notes
-    constants = (2.0,) * joints
-    currents = read_measurements(tmp_path / "arm.bin", names, torque_constants=constants)
-    np.testing.assert_allclose(currents.samples.tau, 0.4 * tau[:, :joints], rtol=1e-6)
-
-
-def test_an_xarm_report_that_lost_bytes_is_refused(tmp_path):
-    xarm_file(tmp_path / "arm.bin")
-    content = (tmp_path / "arm.bin").read_bytes()
-    (tmp_path / "arm.bin").write_bytes(content[:8000] + content[8010:])
-    with pytest.raises(InputError, match="record 12 does not begin with its length"):
-        read_measurements(tmp_path / "arm.bin", [f"joint{k + 1}" for k in range(7)])
+        read_measurements(path, JOINTS)
 
 
 def assert_read(path):
@@ -149,7 +116,10 @@ def test_a_matlab_file_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch
         read_measurements(tmp_path / "log.mat", JOINTS)
     several = {f"q{k}": np.zeros(100_000) for k in range(3)}
     savemat(tmp_path / "log.mat", several, do_compression=True)
-    with pytest.raises(InputError, match="unpacks to 0.0016 GB, more than"):
+    with pytest.raises(InputError, match="unpacks to 0.0024 GB, more than"):
+        read_measurements(tmp_path / "log.mat", JOINTS)
+    savemat(tmp_path / "log.mat", {"log": {"arm": several}}, do_compression=True)
+    with pytest.raises(InputError, match="unpacks to 0.0024 GB, more than"):
         read_measurements(tmp_path / "log.mat", JOINTS)
 
 
