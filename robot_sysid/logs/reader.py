@@ -41,6 +41,7 @@ from robot_sysid.records.atomic_files import whole_file
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.torque_scale import CONSTANTS, SCALE, joint_factors
 from robot_sysid.signals.pieces import piece_note, pieces_of
+from robot_sysid.signals.process import LogPiece
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ class MeasurementLog:
     path: Path
     columns: ColumnMap
     samples: Measurement
-    pieces: tuple[Measurement, ...]
+    pieces: tuple[LogPiece, ...]
     notes: tuple[str, ...]
 
     def __fspath__(self) -> str:
@@ -133,7 +134,7 @@ def read_log(
     rows = read_rows(table, found, slides, progress)
     context = LogContext(str(path), names, joints.limits, np.array(slides), found.angle_declared)
     checked = check_log(rows, context)
-    pieces = pieces_of(rows.samples)
+    pieces = tuple(LogPiece(**vars(piece)) for piece in pieces_of(rows.samples))
     notes = (f"log layout: {table.layout}", *found.describe(), *checked)
     return MeasurementLog(
         path, found, rows.samples, pieces, (*notes, *piece_note(rows.samples, pieces))

@@ -23,7 +23,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 from robot_sysid.records.figures import percent
 from robot_sysid.signals.filters import design_low_pass
@@ -69,17 +68,19 @@ class CutoffChoice:
 
 
 @dataclass(frozen=True)
-class _Spectra:
-    """Spectra of the acceleration of F frequencies [Hz], from ``length`` samples each.
+class Spectra:
+    """Spectra of the acceleration at F frequencies [Hz].
 
     Attributes:
         rate: sample rate of the readings [Hz].
+        count, length: of the readings, and of the parts of them that are averaged.
         frequency: (F,).
         motion, noise: (F, n) what is motion, what is not.
         level: (n,) spectrum of the noise of position.
     """
 
     rate: float
+    count: int
     length: int
     frequency: Array
     motion: Array
@@ -87,25 +88,12 @@ class _Spectra:
     level: Array
 
 
-def choose_cutoff(q: Array, rate: float, steps: Array) -> CutoffChoice:
-    """Choose one cut-off for all joints.
-
-    Args:
-        q: (N, n) positions on a uniform grid [rad].
-        rate: sample rate [Hz].
-        steps: (N, n) the part of q that comes from the steps of encoders [rad], see
-            ``encoder_steps``.
-    """
-    q, steps, rate = _without_repeats(q, steps, rate)
-    if len(q) < _SHORTEST:
-        raise InputError(
-            f"{len(q)} samples are too few to choose a cut-off from; record longer, or give "
-            "--cutoff HZ"
-        )
-    spectra = _spectra(q, rate, steps)
+def choose_cutoff(spectra: Spectra) -> CutoffChoice:
+    """Choose one cut-off for all joints."""
+    rate = spectra.rate
     highest = 0.2 * rate
     half_width_times_cutoff = design_low_pass(highest, rate).half_width * highest / rate
-    lowest = 4.0 * half_width_times_cutoff / (_TRIMMED * len(q) / rate)
+    lowest = 4.0 * half_width_times_cutoff / (_TRIMMED * spectra.count / rate)
     candidates = np.geomspace(min(lowest, highest), highest, 40)
     # The highest frequency that the arm moves at; all where it does not move.
     frequency, motion = spectra.frequency, spectra.motion
@@ -124,21 +112,29 @@ def choose_cutoff(q: Array, rate: float, steps: Array) -> CutoffChoice:
     return CutoffChoice(float(best), sigma, expected, reason)
 
 
-def noise_share(q: Array, rate: float, steps: Array, cutoff: float) -> float:
+def noise_share(spectra: Spectra | None, cutoff: float) -> float:
     """Return the noise that a cut-off [Hz] leaves in the acceleration, as a part of it.
 
-    Arguments as in ``choose_cutoff``. Infinite where nothing moves or the log is too short to tell.
+    Infinite where nothing moves or the log is too short to tell.
+    """
+    moved = 0.0 if spectra is None else np.sum(spectra.motion)
+    if spectra is None or moved <= 0.0:
+        return math.inf
+    return math.sqrt(np.sum(spectra.noise[spectra.frequency <= cutoff]) / moved)
+
+
+def spectra_of(q: Array, rate: float, steps: Array) -> Spectra | None:
+    """Return the spectra of all joints; None where there are too few samples for any.
+
+    Args:
+        q: (N, n) positions on a uniform grid [rad].
+        rate: sample rate [Hz].
+        steps: (N, n) the part of q that comes from the steps of encoders [rad], see
+            ``encoder_steps``.
     """
     q, steps, rate = _without_repeats(q, steps, rate)
     if len(q) < _SHORTEST:
-        return math.inf
-    spectra = _spectra(q, rate, steps)
-    passed = np.sum(spectra.noise[spectra.frequency <= cutoff])
-    moved = np.sum(spectra.motion)
-    return math.sqrt(passed / moved) if moved > 0.0 else math.inf
-
-
-def _spectra(q: Array, rate: float, steps: Array) -> _Spectra:
+        return None
     length = min((len(q) - 2) // 4, max(_SHORTEST, round(_LONGEST * rate)))
     frequency, power, shape = _acceleration_spectrum(q, rate, length)
     high = (frequency > 0.25 * rate) & (frequency < 0.475 * rate)
@@ -148,7 +144,7 @@ def _spectra(q: Array, rate: float, steps: Array) -> _Spectra:
     stairs = _acceleration_spectrum(steps, rate, length)[1]
     motion = _motion(frequency, power, np.maximum(noise, stairs))
     noise = np.maximum(noise, np.where(motion > 0.0, 0.0, power))
-    return _Spectra(rate, length, frequency, motion, noise, level)
+    return Spectra(rate, len(q), length, frequency, motion, noise, level)
 
 
 def _without_repeats(q: Array, steps: Array, rate: float) -> tuple[Array, Array, float]:
@@ -252,7 +248,7 @@ def _smooth(power: Array) -> Array:
     return (total[high] - total[low]) / (high - low)
 
 
-def _error(cutoff: float, spectra: _Spectra) -> float:
+def _error(cutoff: float, spectra: Spectra) -> float:
     """Return the expected squared error of acceleration as a part of its mean square."""
     kernel = design_low_pass(cutoff, spectra.rate).kernel
     gain = np.abs(np.fft.rfft(kernel, spectra.length))[1:, None]

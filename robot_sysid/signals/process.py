@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,14 @@ from numpy.typing import NDArray
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Measurement, Motion
 from robot_sysid.records.options import PerJoint, per_joint
-from robot_sysid.signals.cutoff import choose_cutoff, encoder_steps, noise_share
+from robot_sysid.signals.cutoff import (
+    CutoffChoice,
+    Spectra,
+    choose_cutoff,
+    encoder_steps,
+    noise_share,
+    spectra_of,
+)
 from robot_sysid.signals.filters import (
     ATTENUATION,
     FINE_REACH,
@@ -197,6 +205,28 @@ class ProcessedSignals:
         return moving & whole[:, None]
 
 
+@dataclass(frozen=True)
+class LogPiece(Measurement):
+    """A piece of a log whose spectra are taken once, however often it is processed."""
+
+    @cached_property
+    def spectra(self) -> Spectra | None:
+        """What a cut-off is chosen from; None where the piece is too short for that."""
+        uniform = resampled(self)
+        # Steps are seen in the readings themselves; interpolation rounds them off.
+        steps = resampled(replace(self, q=_steps(self))).q
+        return spectra_of(uniform.q, uniform.rate, steps)
+
+    def choice(self) -> CutoffChoice:
+        """Return the cut-off that suits the piece, or raise InputError where it is too short."""
+        if self.spectra is None:
+            raise InputError(
+                f"{len(resampled(self).q)} samples are too few to choose a cut-off from; record "
+                "longer, or give --cutoff HZ"
+            )
+        return choose_cutoff(self.spectra)
+
+
 def process(
     measurement: Measurement,
     joint_names: Sequence[str] = (),
@@ -217,10 +247,9 @@ def process(
         InputError: the log is too short for its cut-off, or the cut-off does not fit its rate.
     """
     uniform, expected = resampled(measurement), 0.0
-    # Steps are seen in the readings themselves; interpolation rounds them off.
-    steps = resampled(replace(measurement, q=_steps(measurement))).q
+    piece = measurement if isinstance(measurement, LogPiece) else LogPiece(**vars(measurement))
     if cutoff is None:
-        choice = choose_cutoff(uniform.q, uniform.rate, steps)
+        choice = piece.choice()
         cutoff, reason, expected = choice.cutoff, choice.reason, choice.acceleration_error
     else:
         reason = f"cut-off {cutoff:g} Hz as given"
@@ -235,7 +264,7 @@ def process(
     corners = _corners(uniform, low_pass)
     flat, reach = replace(low_pass, kernel=np.ones(1)), FINE_REACH
     if corners is None:
-        flat, reach = _exact_enough(low_pass, uniform, steps)
+        flat, reach = _exact_enough(low_pass, uniform, piece.spectra)
     q, lost = flat.filtered(uniform.q), flat.half_width + reach
     # Low-passed motion at each sample leans on those up to lost away.
     holes = np.concatenate(([0], np.cumsum(uniform.gap > _HARMLESS_GAP / cutoff)))
@@ -294,15 +323,16 @@ def _corners(uniform: UniformSignals, low_pass: LowPass) -> NDArray[np.bool_] | 
     return corners if np.mean(clean) >= _MOSTLY else None
 
 
-def _exact_enough(low_pass: LowPass, uniform: UniformSignals, steps: Array) -> tuple[LowPass, int]:
+def _exact_enough(
+    low_pass: LowPass, uniform: UniformSignals, spectra: Spectra | None
+) -> tuple[LowPass, int]:
     """Return the low-pass for positions and the reach of their derivatives.
 
     Equations do not care for ripples of a filter that both their sides pass. Positions pass theirs
     alone: it scales motion by up to 1 + ripple, and with it what is identified. So it is as flat as
     the noise of positions is low, at the cost of some more samples at the ends.
     """
-    noise = noise_share(uniform.q, uniform.rate, steps, low_pass.cutoff)
-    ripple = max(_UNSEEN * noise, 10.0 ** (-_FLATTEST / 20.0))
+    ripple = max(_UNSEEN * noise_share(spectra, low_pass.cutoff), 10.0 ** (-_FLATTEST / 20.0))
     wanted = -20.0 * math.log10(min(ripple, 1.0))
     if wanted <= ATTENUATION:
         return low_pass, REACH

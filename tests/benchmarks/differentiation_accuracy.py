@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import butter, savgol_filter, sosfiltfilt
 
-from robot_sysid.signals.cutoff import choose_cutoff, encoder_steps
+from robot_sysid.signals.cutoff import choose_cutoff, encoder_steps, spectra_of
 from robot_sysid.signals.filters import design_low_pass, second_derivative
 
 OMEGA = 2.0 * np.pi * np.array([0.13, 0.29, 0.43, 0.59])
@@ -59,7 +59,9 @@ def main() -> None:
             time, q, exact = motion(rate, np.random.default_rng(0))
             seen = np.round(q / resolution) * resolution if resolution else q
             steps = encoder_steps(seen[:, None])
-            cutoff = choose_cutoff(seen[:, None], rate, steps).cutoff if resolution else 10.0
+            cutoff = (
+                choose_cutoff(spectra_of(seen[:, None], rate, steps)).cutoff if resolution else 10.0
+            )
             inner = (time > EDGE) & (time < DURATION - EDGE)
             print(f"{rate:g} Hz, encoder {resolution:g} rad, cut-off {cutoff:.1f} Hz")
             for name, values in estimates(seen, rate, cutoff).items():

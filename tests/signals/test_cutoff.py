@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Measurement
-from robot_sysid.signals.cutoff import choose_cutoff, encoder_steps, noise_share
+from robot_sysid.signals.cutoff import choose_cutoff, encoder_steps, noise_share, spectra_of
 from robot_sysid.signals.filters import design_low_pass, second_derivative
 from robot_sysid.signals.process import process
 from tests.support.swing import FREQUENCIES, Swing, seconds
@@ -19,7 +19,7 @@ from tests.support.swing import FREQUENCIES, Swing, seconds
 
 def chosen(q, rate):
     """The choice for positions as they were read."""
-    return choose_cutoff(q, rate, encoder_steps(q))
+    return choose_cutoff(spectra_of(q, rate, encoder_steps(q)))
 
 
 @given(st.integers(0, 2**32), st.sampled_from([200.0, 1000.0]), st.floats(-4.5, -3.0))
@@ -133,7 +133,7 @@ def test_what_is_not_read_in_steps_has_none():
 
 def test_a_stretch_too_short_for_a_spectrum_is_refused():
     with pytest.raises(InputError, match="--cutoff HZ"):
-        chosen(np.zeros((20, 2)), 200.0)
+        process(Measurement(np.arange(20) / 200.0, *[np.zeros((20, 2)), None, np.zeros((20, 2))]))
 
 
 @pytest.mark.parametrize("held", [4, 8])
@@ -141,9 +141,9 @@ def test_readings_that_are_held_for_several_rows_cost_only_their_own_rate(held):
     """A controller's log at 1 kHz of positions that come at 125 or 250 Hz."""
     time = np.arange(15000) / 1000.0
     q = np.column_stack([np.sin(2.0 * np.pi * f * time) for f in (0.2, 0.5, 0.9)])
-    fine = choose_cutoff(q, 1000.0, encoder_steps(q))
+    fine = chosen(q, 1000.0)
     rows = q[held * (np.arange(len(q)) // held)]
-    slow = choose_cutoff(rows, 1000.0, encoder_steps(rows))
+    slow = chosen(rows, 1000.0)
     assert slow.acceleration_error < 1e-2
     assert 0.5 * fine.cutoff < slow.cutoff < 1.5 * fine.cutoff
 
@@ -155,7 +155,7 @@ def test_the_noise_that_a_cutoff_leaves_is_what_the_filter_leaves(seed, magnitud
     time = seconds(20.0, rate)
     motion = np.sin(2.0 * np.pi * 0.8 * time)[:, None]
     noise = sigma * rng.normal(size=motion.shape)
-    share = noise_share(motion + noise, rate, np.zeros_like(motion), cutoff)
+    share = noise_share(spectra_of(motion + noise, rate, np.zeros_like(motion)), cutoff)
     low_pass = design_low_pass(cutoff, rate)
     left, moved = (
         np.std(second_derivative(low_pass.filtered(part), rate)) for part in (noise, motion)
@@ -164,5 +164,5 @@ def test_the_noise_that_a_cutoff_leaves_is_what_the_filter_leaves(seed, magnitud
 
 
 def test_what_does_not_move_is_all_noise():
-    assert noise_share(np.zeros((500, 1)), 100.0, np.zeros((500, 1)), 10.0) == np.inf
-    assert noise_share(np.zeros((20, 1)), 100.0, np.zeros((20, 1)), 2.0) == np.inf
+    assert noise_share(spectra_of(np.zeros((500, 1)), 100.0, np.zeros((500, 1))), 10.0) == np.inf
+    assert noise_share(spectra_of(np.zeros((20, 1)), 100.0, np.zeros((20, 1))), 2.0) == np.inf

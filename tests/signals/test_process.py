@@ -11,8 +11,10 @@ from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Measurement
+from robot_sysid.signals import process as processing
+from robot_sysid.signals.cutoff import spectra_of
 from robot_sysid.signals.filters import FINE_REACH, REACH
-from robot_sysid.signals.process import LARGEST_SLOW_SHARE, process, with_delay
+from robot_sysid.signals.process import LARGEST_SLOW_SHARE, LogPiece, process, with_delay
 from tests.support.log_files import read_measurements
 from tests.support.places import DATA
 from tests.support.swing import Swing, seconds
@@ -262,3 +264,17 @@ def test_the_cutoff_of_real_logs_is_sensible(name, n_joints, lowest, highest):
     signals = process(read_measurements(DATA / name, joints).samples, joints)
     assert lowest < signals.cutoff < highest
     assert np.all(np.isfinite(signals.qdd))
+
+
+def test_the_spectra_of_a_piece_of_a_log_are_taken_once(monkeypatch):
+    log, taken = Swing().measured(seconds(15.0, 200.0), 1e-4), []
+
+    def counted(*given):
+        taken.append(given)
+        return spectra_of(*given)
+
+    monkeypatch.setattr(processing, "spectra_of", counted)
+    piece = LogPiece(**vars(log))
+    assert process(piece).cutoff == process(piece).cutoff
+    process(piece, cutoff=5.0)
+    assert len(taken) == 1
