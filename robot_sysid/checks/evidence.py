@@ -56,10 +56,6 @@ class Sample:
         q, qd, qdd, tau = (v[::every] for v in (self.q, self.qd, self.qdd, self.tau))
         return replace(self, q=q, qd=qd, qdd=qdd, tau=tau)
 
-    def turned_by(self, angles: Array) -> Sample:
-        """Return the sample with angles (n,) added to the positions [rad]."""
-        return replace(self, q=self.q + angles)
-
 
 @dataclass(frozen=True)
 class Evidence:
@@ -88,9 +84,7 @@ class Evidence:
 def evidence_of(
     robot: RobotModel, pieces: Sequence[Measurement], cutoff: float | None = None
 ) -> Evidence:
-    """Return what the checks look at.
-
-    ; a ``cutoff`` [Hz] of None is chosen from the data."""
+    """Return what the checks look at; a ``cutoff`` [Hz] of None is chosen from the data."""
     parts, noises, count = [], [], max(50, INSTANTS // len(pieces))
     for piece in pieces:
         signals = process(piece, robot.joint_names, cutoff)

@@ -41,14 +41,10 @@ class Hypothesis:
 def hypotheses(sample: Sample, robot: RobotModel) -> Iterator[Hypothesis]:
     """Yield every mistake that is tried."""
     to_radians = np.where(robot.is_slide, 1.0, np.pi / 180.0)
-    for factor, text in (
-        (to_radians, "positions look like degrees; pass --units deg"),
-        (
-            1.0 / to_radians,
-            "positions look like radians that were taken for degrees; drop --units deg",
-        ),
-    ):
-        yield Hypothesis("angle-unit", text, sample.with_motion(factor))
+    text = "positions look like degrees; pass --units deg"
+    yield Hypothesis("angle-unit", text, sample.with_motion(to_radians))
+    text = "positions look like radians that were taken for degrees; drop --units deg"
+    yield Hypothesis("angle-unit", text, sample.with_motion(1.0 / to_radians))
     yield from _signs(sample, robot.joint_names)
     yield from _orders(sample, robot.joint_names)
 

@@ -13,6 +13,7 @@ is wrong that could be seen in the torques.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,56 +77,43 @@ class ModelFit:
         self.links = np.array([link.theta for link in robot.links])
         self._armature = np.array(robot.mj_model.dof_armature)[robot.dof_index]
         self._scales = _link_scales(robot)
-        self.model_torque = self.rigid(evidence.sample)
+        sample = evidence.sample
+        self.model_torque = self.torque(sample, self.links) + self._springs(sample)
 
-    def rigid(self, sample: Sample) -> Array:
-        """Return (K, n) the model's torque without friction and armature."""
-        motion = self._dynamics.motion(sample.q, sample.qd, sample.qdd)
-        return motion.torque(self.links) + self._springs(sample)
-
-    def rest_torque(self, sample: Sample) -> Array:
-        """Return (K, n) the model's torque of all links but the terminal one."""
-        motion = self._dynamics.motion(sample.q, sample.qd, sample.qdd)
-        return motion.torque(self.links * np.array([[1.0]] * (len(self.links) - 1) + [[0.0]]))
-
-    def gravity(self, sample: Sample) -> Array:
-        """Return (K, n) the model's torque at rest."""
-        still = np.zeros_like(sample.q)
-        motion = self._dynamics.motion(sample.q, still, still)
-        return motion.torque(self.links)
+    def torque(self, sample: Sample, links: Array) -> Array:
+        """Return (K, n) the torque of links (n, 10), without friction, armature and springs."""
+        return self._dynamics.motion(sample.q, sample.qd, sample.qdd).torque(links)
 
     def fit(
         self,
         sample: Sample,
         extra: Array | None = None,
-        prior: Array | None = None,
+        prior: Sequence[float] | Array = (),
         weightless: bool = False,
         known_links: bool = False,
-        links_out: bool = False,
-        no_terminal: bool = False,
-        rotor: bool = True,
+        only_friction: bool = False,
     ) -> Fit:
         """Fit one sample.
 
         Args:
             extra: (K, n, e) further columns.
-            prior: (e,) standard deviations of their coefficients; None leaves them free.
+            prior: (e,) standard deviations of their coefficients.
             known_links: whether all links but the terminal one are taken to be right.
-            links_out: whether their torque is left to the extra columns.
+            only_friction: whether there is nothing but friction, neither links nor rotors.
         """
         count, n = sample.q.shape
         dynamics = self._weightless if weightless else self._dynamics
         links = dynamics.motion(sample.q, sample.qd, sample.qdd).columns(range(n))
         friction = _friction_columns(sample)
         rows = np.concatenate([links, friction] + ([] if extra is None else [extra]), axis=2)
-        free = rows.shape[2] - (10 + N_FRICTION) * n
-        known = self.links * np.array([[not links_out]] * (n - 1) + [[not no_terminal]])
-        scales = self._scales * np.array([[not known_links]] * (n - 1) + [[not no_terminal]])
-        own = np.tile([1.0, 1.0, 1.0, float(rotor)], n)
+        bodies = float(not only_friction)
+        scales = bodies * self._scales
+        scales[:-1] *= not known_links
+        own = np.tile([1.0, 1.0, 1.0, bodies], n)
         armature = np.outer(self._armature, [0.0, 0.0, 0.0, 1.0]).ravel()
-        start = np.concatenate((known.ravel(), own * armature, np.zeros(free)))
-        loose = np.full(free, np.inf) if prior is None else prior
-        spread = np.concatenate((scales.ravel(), own * self._friction_spread(sample), loose))
+        known = bodies * self.links.ravel()
+        start = np.concatenate((known, own * armature, np.zeros(len(prior))))
+        spread = np.concatenate((scales.ravel(), own * self._friction_spread(sample), prior))
         right = sample.tau - self._springs(sample) - rows @ start
         weight = np.sqrt(INDEPENDENT / count) / sample.sigma
         values, covariance = _ridge(rows, right, weight, spread)
@@ -144,9 +132,8 @@ class ModelFit:
     def _springs(self, sample: Sample) -> Array:
         """Return (K, n) the torque of springs, tendons and actuators."""
         still = np.zeros_like(sample.q)
-        if self._beyond is None:
-            return still
-        return self._beyond.beyond_rigid_bodies(sample.q, sample.qd, still)
+        beyond = self._beyond
+        return beyond.beyond_rigid_bodies(sample.q, sample.qd, still) if beyond else still
 
     def _friction_spread(self, sample: Sample) -> Array:
         """Return (4 n,) how large friction may be: up to about what the joint carries."""
@@ -170,14 +157,10 @@ def _ridge(rows: Array, right: Array, weight: Array, spread: Array) -> tuple[Arr
 
     Equations (K, n, p), (K, n) with a weight for each joint (n,); ``spread`` (p,) of the priors.
     """
-    scale = np.where(np.isfinite(spread), spread, 1.0)
-    scaled = (rows * weight[None, :, None]).reshape(-1, len(spread)) * scale
-    normal = scaled.T @ scaled
-    tiny = 1e-12 * float(np.trace(normal))
-    normal[np.diag_indices_from(normal)] += np.where(np.isfinite(spread), 1.0, tiny)
-    inverse = np.linalg.inv(normal)
+    scaled = (rows * weight[None, :, None]).reshape(-1, len(spread)) * spread
+    inverse = np.linalg.inv(scaled.T @ scaled + np.eye(len(spread)))
     values = inverse @ (scaled.T @ (right * weight).ravel())
-    return scale * values, inverse * np.outer(scale, scale)
+    return spread * values, inverse * np.outer(spread, spread)
 
 
 def _friction_columns(sample: Sample) -> Array:

@@ -53,8 +53,9 @@ def torque_scales(evidence: Evidence, fit: ModelFit) -> tuple[Array, Array]:
     It begins with the ratio of the usual torques. In each round the torque of the known links is
     one more column in each joint's equation; its coefficient is what is left of the joint's scale.
     """
-    sample = evidence.sample
-    rest, model = fit.rest_torque(sample), rms(fit.model_torque)
+    sample, known_links = evidence.sample, fit.links.copy()
+    known_links[-1] = 0.0
+    rest, model = fit.torque(sample, known_links), rms(fit.model_torque)
     loaded = rms(rest) > _LOADED * float(np.max(rms(rest)))
     floor = 1e-6 * float(np.max(model))
     scale = np.clip(rms(sample.tau) / np.maximum(model, floor), _LEAST, _MOST)
@@ -153,7 +154,7 @@ def gravity_findings(evidence: Evidence, fit: ModelFit, best: float) -> Iterator
     size = float(np.median((rms(sample.tau) / rms(fit.model_torque))[loaded(fit)]))
     if size > SMALL:
         return
-    alone = fit.fit(sample, known_links=True, links_out=True, no_terminal=True, rotor=False)
+    alone = fit.fit(sample, only_friction=True)
     weightless = fit.fit(sample, weightless=True)
     scale, _ = torque_scales(evidence, fit)
     scaled = fit.fit(sample.with_torque(1.0 / scale))
@@ -245,7 +246,7 @@ def joint_zeros(evidence: Evidence, fit: ModelFit) -> tuple[Array, Array, Fit]:
         found = fit.fit(sample, columns.zero(motion), np.full(joints, _LIKELY))
         step = np.clip(found.extra, -_LIKELY, _LIKELY)
         total, thetas = total + step, found.thetas
-        sample = sample.turned_by(-step)
+        sample = replace(sample, q=sample.q - step)
     return total, found.error, fit.fit(sample)
 
 
