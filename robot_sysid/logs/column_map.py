@@ -39,13 +39,11 @@ from robot_sysid.logs.columns import (
     UNITS,
     Found,
     Title,
-    commands_as_quantity,
-    currents_as_torque,
     joint_kind,
     match_joints,
     read_title,
     two_candidates,
-    units_beside_names,
+    with_meaning,
 )
 from robot_sysid.records import Array
 
@@ -106,12 +104,10 @@ def read_columns_file(path: Path, joint_names: Sequence[str]) -> ColumnChoices:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"cannot read the columns file {path}: {error}") from error
-    is_json = text.lstrip().startswith("{")
-    entries = (
-        dict(read_json(path, "write 'key = value' lines, or JSON"))
-        if is_json
-        else _lines(path, text)
-    )
+    if text.lstrip().startswith("{"):
+        entries = dict(read_json(path, "write 'key = value' lines, or JSON"))
+    else:
+        entries = _lines(path, text)
     columns: dict[str, dict[str, str]] = {}
     for key, value in entries.items():
         quantity = key.split(".", 1)[0]
@@ -268,18 +264,14 @@ def recognise_columns(
     Raises:
         InputError: a quantity is missing, has two candidates, or contradicts the declared units.
     """
-    parsed = [read_title(title) for title in titles]
-    if currents:
-        parsed = currents_as_torque(parsed, len(joint_names))
-    if commanded:
-        parsed = commands_as_quantity(parsed, joint_names)
-    parsed = units_beside_names(parsed, joint_names)
+    plain = [read_title(title) for title in titles]
+    parsed = with_meaning(plain, joint_names, currents, commanded)
     # What the file names in full need not be recognised, and cannot be ambiguous.
     settled = {k for k, c in chosen.columns.items() if len(c) == len(joint_names)}
     readable = [t if joint_kind(t) not in settled else read_title("") for t in parsed]
     found = match_joints(readable, joint_names, first_row)
     asked, other = ("command", "torque") if commanded else ("torque", "command")
-    columns = _Columns(titles, parsed, joint_names, chosen, is_slide, ("position", asked))
+    columns = _Columns(list(titles), parsed, joint_names, chosen, is_slide, ("position", asked))
     sources = {kind: columns.of_joints(kind, found) for kind in QUANTITIES if kind != other}
     time = columns.time()
     used = {s.index for group in sources.values() if group for s in group}
@@ -295,21 +287,16 @@ def recognise_columns(
     )  # fmt: skip
 
 
+@dataclass(frozen=True)
 class _Columns:
     """The columns of one log and what was declared of them; finds those of a quantity."""
 
-    def __init__(
-        self,
-        texts: Sequence[str],
-        titles: Sequence[Title],
-        joint_names: Sequence[str],
-        chosen: ColumnChoices,
-        is_slide: Sequence[bool],
-        needed: tuple[str, str],
-    ) -> None:
-        self._titles, self._joints, self._chosen = titles, joint_names, chosen
-        self._is_slide, self._needed = is_slide, needed
-        self._texts = list(texts)
+    _texts: list[str]
+    _titles: Sequence[Title]
+    _joints: Sequence[str]
+    _chosen: ColumnChoices
+    _is_slide: Sequence[bool]
+    _needed: tuple[str, str]
 
     def of_joints(self, kind: str, found: Found) -> tuple[Source, ...] | None:
         """Return one source per joint, or None where an optional quantity is not there for all."""
@@ -353,11 +340,11 @@ class _Columns:
     def _incomplete(self, kind: str) -> InputError:
         candidates = [title.text for title in self._titles if joint_kind(title) == kind]
         found = f"{len(candidates)} ({', '.join(candidates)})" if candidates else "none"
-        commanded = [title.text for title in self._titles if title.commanded]
+        commanded = [t.text for t in self._titles if t.commanded and t.stands_for != "command"]
         hint = f"; commanded columns are not measurements: {commanded[0]}, ..." if commanded else ""
         if kind == "command":
             hint = " (titles such as action, command, q_des or goal_position)"
-        currents = [title.text for title in self._titles if title.is_current]
+        currents = [t.text for t in self._titles if t.is_current and t.stands_for is None]
         if kind == "torque" and currents:
             hint += f"; {currents[0]}, ... are motor currents: give --torque-constants to use them"
         elif kind == "torque" and not candidates:
@@ -410,10 +397,7 @@ class _Columns:
 
 
 def _quoted(sources: Sequence[Source]) -> str:
-    factors = {s.factor for s in sources}
-    each = "" if len(factors) > 1 or factors == {1.0} else f" x {factors.pop():.6g}"
-    titles = [
-        f"'{s.title}'" + (f" x {s.factor:.6g}" if not each and s.factor != 1.0 else "")
-        for s in sources
-    ]
-    return ", ".join(titles) + (f" (each{each})" if each and len(sources) > 1 else each)
+    scaled = ["" if s.factor == 1.0 else f" x {s.factor:.6g}" for s in sources]
+    if len({s.factor for s in sources}) > 1 or len(sources) == 1:
+        return ", ".join(f"'{s.title}'{by}" for s, by in zip(sources, scaled))
+    return ", ".join(f"'{s.title}'" for s in sources) + (scaled[0] and f" (each{scaled[0]})")

@@ -12,6 +12,7 @@ have to be exactly 0..n-1 or 1..n. Two answers for one quantity are an error.
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -29,7 +30,6 @@ _KINDS = {
     "velocity": "qd dq qdot dqdt vel velocity velocities speed speeds qvel jvel",
     "acceleration": "qdd ddq qddot acc accel acceleration accelerations qacc jacc",
     "torque": "tau taus torque torques effort efforts eff trq tq force forces",
-    "command": "commandedposition",
 }
 KIND_OF_WORD = {word: kind for kind, words in _KINDS.items() for word in words.split()}
 """Word to the quantity it stands for."""
@@ -46,7 +46,7 @@ _NEUTRAL = _words(
     "sensor data values value currents"
 )
 _CURRENT = frozenset({"current", "currents"})
-_BRACKETED_AMPERES = re.compile(r"[\[(]\s*(A|amps?|amperes?)\s*[\])]", re.IGNORECASE)
+_AMPERES = _words("a amp amps ampere amperes")
 _JOINED = {("q", "dot"): "qd", ("q", "ddot"): "qdd", ("dot", "q"): "qd", ("ddot", "q"): "qdd"}
 
 UNITS = {
@@ -78,12 +78,21 @@ class Title:
     Attributes:
         words: lower-case words without units and numbers.
         unit: the unit written in it, squeezed ("deg/s" -> "degs"), or "".
+        stands_for: the quantity that it is taken for in spite of its words, or "" for none at all;
+            None where the words decide.
     """
 
     text: str
     words: tuple[str, ...]
     numbers: tuple[int, ...]
     unit: str
+    stands_for: str | None = None
+
+    @property
+    def foreign(self) -> bool:
+        """Whether it holds a word that says neither a quantity nor that it is commanded."""
+        known = (KIND_OF_WORD, _NEUTRAL, _COMMANDED)
+        return any(not any(word in words for words in known) for word in self.words)
 
     @property
     def commanded(self) -> bool:
@@ -94,8 +103,8 @@ class Title:
     def kind(self) -> str | None:
         """The measured quantity, or None where it is none, or a word is foreign."""
         kinds = {KIND_OF_WORD[word] for word in self.words if word in KIND_OF_WORD}
-        foreign = [w for w in self.words if w not in KIND_OF_WORD and w not in _NEUTRAL]
-        return kinds.pop() if len(kinds) == 1 and not foreign else None
+        plain = not self.foreign and not self.commanded
+        return kinds.pop() if len(kinds) == 1 and plain else None
 
     @property
     def is_current(self) -> bool:
@@ -104,67 +113,46 @@ class Title:
         return bool(_CURRENT & set(self.words)) and not other and not self.commanded
 
 
-def currents_as_torque(titles: Sequence[Title], joints: int) -> list[Title]:
-    """Return the titles with currents called torque and torques called something else.
+def with_meaning(
+    titles: Sequence[Title],
+    joint_names: Sequence[str],
+    currents: bool = False,
+    commanded: bool = False,
+) -> list[Title]:
+    """Return the titles with what they stand for, and with units that no joint's name holds.
 
-    Unchanged where there are fewer currents than joints: then the torque columns hold them.
+    A joint's own name may hold a unit (``right_s0``) or a word of command (``ref_joint_position``).
+
+    Args:
+        currents: whether motor currents stand for torque and torques for nothing; not where there
+            are fewer currents than joints: then the torque columns hold them.
+        commanded: whether commanded positions are looked for, such as ``q_des[0]``, ``action 1``.
     """
-    found = list(titles)
-    if sum(title.is_current for title in titles) < joints:
-        return found
-    for index, title in enumerate(titles):
-        if title.is_current:
-            text = _BRACKETED_AMPERES.sub("", title.text)
-            found[index] = read_title(re.sub(r"currents?", "torque", text, flags=re.I))
-        elif any(KIND_OF_WORD.get(word) == "torque" for word in title.words):
-            found[index] = read_title(f"{title.text} unused")
+    spellings = _spellings(joint_names)
+    currents = currents and sum(title.is_current for title in titles) >= len(joint_names)
+    found = []
+    for title in titles:
+        rests = (without(title, spelling) for _, spelling, without in spellings)
+        rest = min((r for r in rests if r), key=lambda rest: len(rest.words), default=title)
+        title = replace(title, unit=rest.unit)
+        if currents and title.is_current:
+            unit = "" if rest.unit in _AMPERES else rest.unit
+            title = replace(title, unit=unit, stands_for="torque")
+        elif currents and any(KIND_OF_WORD.get(word) == "torque" for word in title.words):
+            title = replace(title, stands_for="")
+        elif commanded and _is_command(rest):
+            title = replace(title, stands_for="command")
+        found.append(title)
     return found
 
 
-def commands_as_quantity(titles: Sequence[Title], joint_names: Sequence[str]) -> list[Title]:
-    """Return the titles with commanded positions called that, such as ``q_des[0]``, ``action 1``.
-
-    A joint's own name may hold such a word (``ref_joint_position``) and is left out of account.
-    """
-    spellings = _spellings(joint_names)
-    return [_as_command(t) if _is_command(_nameless(t, spellings)) else t for t in titles]
-
-
-def units_beside_names(titles: Sequence[Title], joint_names: Sequence[str]) -> list[Title]:
-    """Return the titles with their units, of which none is a part of a joint's name (right_s0)."""
-    spellings = _spellings(joint_names)
-    return [replace(title, unit=_nameless(title, spellings).unit) for title in titles]
-
-
-def _nameless(title: Title, spellings: Sequence[_Spelling]) -> Title:
-    rests = (without(title, spelling) for _, spelling, without in spellings)
-    return min((r for r in rests if r), key=lambda rest: len(rest.words), default=title)
-
-
 def _is_command(title: Title) -> bool:
-    words = {word for word in title.words if word in _COMMANDED}
+    """Return whether a title without its joint's name is that of a commanded position."""
+    said = {word for word in title.words if word in _COMMANDED} - _NO_POSITION
     kinds = {KIND_OF_WORD[word] for word in title.words if word in KIND_OF_WORD}
-    rest = [w for w in title.words if w not in words and w not in KIND_OF_WORD]
-    said = words - _NO_POSITION
     # A bare d is too short to stand for a command without a position beside it.
     plain = bool(said) and (said != {"d"} or kinds == {"position"})
-    known = all(word in _NEUTRAL for word in rest) and not _CURRENT & set(rest)
-    return plain and known and kinds <= {"position"}
-
-
-def _as_command(title: Title) -> Title:
-    """Return a commanded position under the one word that stands for it."""
-    words = re.compile(r"[A-Z]?[a-z]+|[A-Z]+")
-    said: list[str] = []
-
-    def plain(match: re.Match[str]) -> str:
-        word = match[0].lower()
-        if word in _COMMANDED and not said:
-            said.append(word)
-            return " commandedposition "
-        return "" if word in _COMMANDED or KIND_OF_WORD.get(word) == "position" else match[0]
-
-    return read_title(words.sub(plain, title.text))
+    return plain and not title.foreign and not _CURRENT & set(title.words) and kinds <= {"position"}
 
 
 def read_title(text: str) -> Title:
@@ -270,6 +258,8 @@ def match_joints(
 
 def joint_kind(title: Title) -> str | None:
     """Return the quantity of a title that belongs to one joint, or None."""
+    if title.stands_for is not None:
+        return None if title.foreign else title.stands_for or None
     if title.kind != "time":
         return title.kind
     # A bare "t" beside a joint could as well be its torque or temperature.
@@ -289,7 +279,9 @@ def _by_name(titles: Sequence[Title], joint_names: Sequence[str]) -> Found:
     for index, title in enumerate(titles):
         for joint, spelling, without in spellings:
             rest = without(title, spelling)
-            kind = joint_kind(rest) if rest and not rest.numbers else None
+            if rest is None or rest.numbers:
+                continue
+            kind = joint_kind(replace(rest, stands_for=title.stands_for))
             if kind:
                 found.setdefault((kind, joint), []).append(index)
                 break
@@ -312,20 +304,13 @@ def _aliases(joint_names: Sequence[str]) -> list[tuple[int, str]]:
     """Return (joint, spelling), longest first; a part all joints share may be left out."""
     full = list(enumerate(joint_names))
     pieces = [_pieces(name) for name in joint_names]
-    shared_start = _shared(pieces)
-    shared_end = _shared([p[::-1] for p in pieces])
+    shared_start = len(os.path.commonprefix(pieces))
+    shared_end = len(os.path.commonprefix([p[::-1] for p in pieces]))
     short = [" ".join(p[shared_start : len(p) - shared_end]) for p in pieces]
     # A bare number is left to counting, where the base (0 or 1) is checked.
     if len(set(short)) == len(short) > 1 and not any(s.isdigit() or not s for s in short):
         full += list(enumerate(short))
     return sorted(full, key=lambda pair: -len(_pieces(pair[1])))
-
-
-def _shared(pieces: Sequence[Sequence[str]]) -> int:
-    count = 0
-    while all(len(p) > count and p[count] == pieces[0][count] for p in pieces):
-        count += 1
-    return count
 
 
 def _by_number(

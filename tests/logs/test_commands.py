@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.columns import commands_as_quantity, joint_kind, read_title
+from robot_sysid.logs.columns import joint_kind, read_title, with_meaning
 from tests.support.log_files import JOINTS, motion, read_measurements, write
 
 COMMANDS = ("q_des[{}]", "action[{}]", "joint{}_command", "j{} goal_position", "jointTarget[{}]")
@@ -23,7 +23,7 @@ COMMANDS = ("q_des[{}]", "action[{}]", "joint{}_command", "j{} goal_position", "
     ],
 )
 def test_titles_of_commanded_positions_are_told_from_others(title, is_command):
-    found = commands_as_quantity([read_title(title)], ("ref_joint", "joint1"))[0]
+    found = with_meaning([read_title(title)], ("ref_joint", "joint1"), commanded=True)[0]
     assert (joint_kind(found) == "command") == is_command
 
 
