@@ -20,28 +20,70 @@ from robot_sysid.signals.resampling import GAP_STEPS, usual_period
 
 LARGEST_GARBAGE = 0.01
 """Share of rows that are no rows of numbers beyond which a log is refused."""
+_OUT = "; mend the recording, or keep a broken column out with --columns FILE"
+_MOST = f", more than {100.0 * LARGEST_GARBAGE:g} %; mend the recording"
+_TOO_MANY = (
+    ("missing", 0.05, "have empty or NaN cells", _OUT),
+    ("repeated", 0.05, "repeat the time stamp before them", "; write the time with more digits"),
+    ("unreadable", LARGEST_GARBAGE, "are no rows of numbers", _MOST),
+)
+_DONE = {
+    "unreadable": "left out {} rows that are no rows of numbers",
+    "missing": "left out {} rows with empty or NaN cells",
+    "repeated": "left out {} rows that repeat a time stamp",
+    "cut_off": "left out the last row, which is cut off",
+    "wrapped": "unwrapped positions that jump by a full turn",
+}
 
 
-def check_log(rows: LogRows, context: LogContext) -> tuple[str, ...]:
-    """Run every check over the rows of a log and return one sentence for what is worth knowing."""
+@dataclass(frozen=True)
+class LogJoints:
+    """The joints that a log is about.
+
+    Attributes:
+        names: the n chain joints, base to terminal.
+        limits: what they may do; None checks no limits.
+        is_slide: (n,) whether a joint is a slide, whose positions are metres; empty for none.
+    """
+
+    names: tuple[str, ...]
+    limits: JointLimits | None = None
+    is_slide: tuple[bool, ...] = ()
+
+    @property
+    def slides(self) -> NDArray[np.bool_]:
+        """Whether each joint is a slide (n,)."""
+        return np.array(self.is_slide or [False] * len(self.names))
+
+
+def check_log(name: str, rows: LogRows, joints: LogJoints, in_radians: bool) -> tuple[str, ...]:
+    """Run every check over the rows of a log and return one sentence for what is worth knowing.
+
+    Args:
+        name: what the log is called in errors.
+        in_radians: whether its positions are known to be radians by now.
+    """
     if not rows.n_read and rows.foreign:
         raise InputError(
-            f"{context.name}: none of its {rows.foreign} rows holds a position and a torque of "
-            f"{', '.join(context.joint_names)}"
+            f"{name}: none of its {rows.foreign} rows holds a position and a torque of "
+            f"{', '.join(joints.names)}"
         )
     if len(rows.lines) < 10:
         raise InputError(
-            f"{context.name} has only {len(rows.lines)} usable rows; an excitation of several "
-            "seconds is needed"
+            f"{name} has only {len(rows.lines)} usable rows; an excitation of several seconds is "
+            "needed"
         )
-    notes = [*_repair_notes(rows, context), *clock_notes(rows, context)]
-    require_radians(rows, context)
-    require_no_jumps(rows, context)
-    notes += [*rest_notes(rows, context), *limit_notes(rows, context)]
-    require_torque(rows, context)
-    require_no_motor_current(rows, context)
-    notes += velocity_notes(rows, context)
-    require_one_clock(rows, context)
+    try:
+        notes = [*_repair_notes(rows), *clock_notes(rows)]
+        if not in_radians:
+            require_radians(rows, joints)
+        require_no_jumps(rows, joints)
+        notes += [*rest_notes(rows, joints), *limit_notes(rows, joints)]
+        require_torque(rows, joints)
+        notes += velocity_notes(rows, joints)
+        require_one_clock(rows)
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from None
     return tuple(notes)
 
 
@@ -65,24 +107,13 @@ def sign_check(
     )
 
 
-def _repair_notes(rows: LogRows, context: LogContext) -> Iterator[str]:
-    if len(rows.missing) > 0.05 * rows.n_read:
-        raise InputError(
-            f"{context.name}: {len(rows.missing)} of {rows.n_read} rows have empty or NaN "
-            f"cells ({rows.listed(rows.missing)}); mend the recording, or keep a broken column out "
-            "with --columns FILE"
-        )
-    if len(rows.repeated) > 0.05 * rows.n_read:
-        raise InputError(
-            f"{context.name}: {len(rows.repeated)} of {rows.n_read} rows repeat the time "
-            f"stamp before them ({rows.listed(rows.repeated)}); write the time with more digits"
-        )
-    if len(rows.unreadable) > LARGEST_GARBAGE * rows.n_read:
-        raise InputError(
-            f"{context.name}: {len(rows.unreadable)} of {rows.n_read} rows are no rows of numbers "
-            f"({rows.complaint or rows.listed(rows.unreadable)}), more than "
-            f"{100.0 * LARGEST_GARBAGE:g} %; mend the recording"
-        )
+def _repair_notes(rows: LogRows) -> Iterator[str]:
+    touched = {kind: (len(lines), rows.listed(lines)) for kind, lines in rows.touched.items()}
+    for kind, most, what, remedy in _TOO_MANY:
+        count, where = touched[kind]
+        if count > most * rows.n_read:
+            where = rows.complaint or where if kind == "unreadable" else where
+            raise InputError(f"{count} of {rows.n_read} rows {what} ({where}){remedy}")
     if rows.foreign:
         yield f"left out {rows.foreign} rows that hold nothing of this arm"
     if rows.thinned > 1:
@@ -90,46 +121,28 @@ def _repair_notes(rows: LogRows, context: LogContext) -> Iterator[str]:
             f"a long log: every {rows.thinned} rows were low-passed and made one, which leaves "
             f"{len(rows.lines)}"
         )
-    said = (
-        (rows.unreadable, "left out {count} rows that are no rows of numbers ({lines})"),
-        (rows.missing, "left out {count} rows with empty or NaN cells ({lines})"),
-        (rows.repeated, "left out {count} rows that repeat a time stamp ({lines})"),
-        (rows.cut_off, "left out the last row, which is cut off ({lines})"),
-        (rows.wrapped, "unwrapped positions that jump by a full turn ({lines})"),
-    )
-    for lines, text in said:
-        if len(lines):
-            yield text.format(count=len(lines), lines=rows.listed(lines))
+    for kind, (count, where) in touched.items():
+        if count:
+            yield f"{_DONE[kind].format(count)} ({where})"
 
 
 # A sampling period outside this range is read in the wrong unit of time.
 _LONGEST_STEP, _SHORTEST_STEP = 0.5, 1e-5
 
 
-@dataclass(frozen=True)
-class LogContext:
-    """What the checks know about the log; its joints' limits are None where nobody knows them."""
-
-    name: str
-    joint_names: tuple[str, ...]
-    limits: JointLimits | None
-    is_slide: NDArray[np.bool_]
-    angle_declared: bool
-
-
-def clock_notes(rows: LogRows, context: LogContext) -> Iterator[str]:
+def clock_notes(rows: LogRows) -> Iterator[str]:
     """Yield notes on sampling period and gaps; refuse an implausible unit of time."""
     period = usual_period(rows.samples.time)
     if period > _LONGEST_STEP:
         unit = "ms" if period <= 50 else "us" if period <= 5e4 else "ns"
         raise InputError(
-            f"{context.name}: time steps of {period:.6g} s are too long for a motion; "
-            f"if time is in {unit}, pass --units {unit}"
+            f"time steps of {period:.6g} s are too long for a motion; if time is in {unit}, pass "
+            f"--units {unit}"
         )
     if period < _SHORTEST_STEP:
         raise InputError(
-            f"{context.name}: time steps of {period:.3g} s are too short for a "
-            "recording; declare the unit of time with --units (s, ms, us or ns)"
+            f"time steps of {period:.3g} s are too short for a recording; declare the unit of time "
+            "with --units (s, ms, us or ns)"
         )
     if period > 0.02:
         yield f"the log has only {1 / period:.3g} samples per second"
@@ -147,7 +160,7 @@ def clock_notes(rows: LogRows, context: LogContext) -> Iterator[str]:
         )
 
 
-def require_one_clock(rows: LogRows, context: LogContext) -> None:
+def require_one_clock(rows: LogRows) -> None:
     """Refuse joints' own time stamps that run backwards or belong to another clock."""
     stamps = rows.samples.joint_time
     if stamps is None:
@@ -155,15 +168,12 @@ def require_one_clock(rows: LogRows, context: LogContext) -> None:
     remedy = "keep them out with 'joint_time = none' in the columns file"
     backwards = rows.lines[1:][np.any(np.diff(stamps, axis=0) < 0.0, axis=1)]
     if len(backwards):
-        raise InputError(
-            f"{context.name}: a joint's own time stamp runs backwards at {rows.listed(backwards)}; "
-            f"{remedy}"
-        )
+        where = rows.listed(backwards)
+        raise InputError(f"a joint's own time stamp runs backwards at {where}; {remedy}")
     apart = np.max(np.abs(stamps - rows.samples.time[:, None]))
     if apart > 0.1:
         raise InputError(
-            f"{context.name}: the joints' own time stamps are up to {apart:.3g} s away "
-            f"from the row's; {remedy}"
+            f"the joints' own time stamps are up to {apart:.3g} s away from the row's; {remedy}"
         )
 
 
@@ -178,53 +188,52 @@ _LIMIT_MARGIN = 1e-3
 _CURRENT_STEP = 2.69
 
 
-def require_radians(rows: LogRows, context: LogContext) -> None:
-    """Refuse positions or speeds that only make sense in degrees, unless they were declared."""
+def require_radians(rows: LogRows, joints: LogJoints) -> None:
+    """Refuse positions or speeds that only make sense in degrees."""
     time, q = rows.samples.time, rows.samples.q
     largest = np.max(np.abs(q), axis=0)
     reach = np.full(len(largest), 4.0 * np.pi)
-    if context.limits is not None:
-        limit = np.maximum(np.abs(context.limits.lower), np.abs(context.limits.upper))
+    if joints.limits is not None:
+        limit = np.maximum(np.abs(joints.limits.lower), np.abs(joints.limits.upper))
         reach = np.where(np.isfinite(limit), np.maximum(2.0 * limit, 2.0 * np.pi), reach)
-    hinge = ~context.is_slide
+    hinge = ~joints.slides
     far = hinge & (largest > reach)
     too_fast = np.abs(np.diff(q, axis=0)) > _FAST * np.diff(time)[:, None]
     fast = hinge & (np.sum(too_fast, axis=0) > 0.01 * len(too_fast))
-    if context.angle_declared or not np.any(far | fast):
+    if not np.any(far | fast):
         return
-    joint = int(np.argmax(far if np.any(far) else fast))
-    often = f"would often exceed {_FAST:g} rad/s"
-    what = f"reaches {largest[joint]:.4g}" if np.any(far) else often
+    joint, what = int(np.argmax(fast)), f"would often exceed {_FAST:g} rad/s"
+    if np.any(far):
+        joint = int(np.argmax(far))
+        what = f"reaches {largest[joint]:.4g}"
     raise InputError(
-        f"{context.name}: positions look like degrees (joint {context.joint_names[joint]} {what}); "
+        f"positions look like degrees (joint {joints.names[joint]} {what}); "
         "pass --units deg, or --units rad if they are radians"
     )
 
 
-def require_no_jumps(rows: LogRows, context: LogContext) -> None:
+def require_no_jumps(rows: LogRows, joints: LogJoints) -> None:
     """Refuse single positions no joint can reach within one step."""
     step, time = np.abs(np.diff(rows.samples.q, axis=0)), np.diff(rows.samples.time)[:, None]
     jump = (step > _JUMP) & (step > _JUMP_SPEED * time)
     if np.any(jump):
-        joint = context.joint_names[np.argwhere(jump)[0, 1]]
+        joint, lines = joints.names[np.argwhere(jump)[0, 1]], rows.lines[1:][np.any(jump, axis=1)]
         raise InputError(
-            f"{context.name}: the position of joint {joint} jumps at "
-            f"{rows.listed(rows.lines[1:][np.any(jump, axis=1)])}; delete the bad rows, or cut the "
-            "log there"
+            f"the position of joint {joint} jumps at {rows.listed(lines)}; delete the bad rows, or "
+            "cut the log there"
         )
 
 
-def rest_notes(rows: LogRows, context: LogContext) -> Iterator[str]:
+def rest_notes(rows: LogRows, joints: LogJoints) -> Iterator[str]:
     """Yield notes on joints and moments without motion; refuse an arm that is at rest."""
     time, q = rows.samples.time, rows.samples.q
     span = np.ptp(q, axis=0)
     if np.all(span < _AT_REST):
         raise InputError(
-            f"{context.name}: the arm is at rest, no joint moves by more than "
-            f"{span.max():.2g} rad; record an excitation trajectory (if these are other "
-            "units, see --units)"
+            f"the arm is at rest, no joint moves by more than {span.max():.2g} rad; record an "
+            "excitation trajectory (if these are other units, see --units)"
         )
-    still = [n for n, s in zip(context.joint_names, span) if s < _AT_REST]
+    still = [n for n, s in zip(joints.names, span) if s < _AT_REST]
     if still:
         yield f"joints that do not move in this log: {', '.join(still)}"
     long = max(0.5, 0.02 * (time[-1] - time[0]))
@@ -241,17 +250,17 @@ def rest_notes(rows: LogRows, context: LogContext) -> Iterator[str]:
         yield f"the arm stands still from {rows.word} {rows.lines[last]} on ({after:.2f} s)"
 
 
-def limit_notes(rows: LogRows, context: LogContext) -> Iterator[str]:
+def limit_notes(rows: LogRows, joints: LogJoints) -> Iterator[str]:
     """Yield a note on positions outside what the model allows."""
-    if context.limits is None:
+    if joints.limits is None:
         return
-    over = np.maximum(rows.samples.q - context.limits.upper, context.limits.lower - rows.samples.q)
+    over = np.maximum(rows.samples.q - joints.limits.upper, joints.limits.lower - rows.samples.q)
     lines = rows.lines[np.any(over > _LIMIT_MARGIN, axis=1)]
     if not len(lines):
         return
     outside = [
         f"{name} by {excess:.3g} {position(slide)}"
-        for name, excess, slide in zip(context.joint_names, np.max(over, axis=0), context.is_slide)
+        for name, excess, slide in zip(joints.names, np.max(over, axis=0), joints.slides)
         if excess > _LIMIT_MARGIN
     ]
     yield (
@@ -260,30 +269,26 @@ def limit_notes(rows: LogRows, context: LogContext) -> Iterator[str]:
     )
 
 
-def require_torque(rows: LogRows, context: LogContext) -> None:
-    """Refuse torque columns that carry nothing."""
+def require_torque(rows: LogRows, joints: LogJoints) -> None:
+    """Refuse torque columns that carry nothing, or the raw currents that ALOHA's motors report."""
     tau = rows.samples.tau
     stuck = np.all(tau == tau[0], axis=0)
     if rows.samples.command is None and np.any(stuck):
         joint = int(np.argmax(stuck))
         what = "zero" if tau[0, joint] == 0.0 else f"the same ({tau[0, joint]:.6g} N m)"
         raise InputError(
-            f"{context.name}: the torque of joint {context.joint_names[joint]} is {what} in "
-            "every row; record it, or name the right column with --columns FILE"
+            f"the torque of joint {joints.names[joint]} is {what} in every row; record it, or "
+            "name the right column with --columns FILE"
         )
-
-
-def require_no_motor_current(rows: LogRows, context: LogContext) -> None:
-    """Refuse efforts that are the raw currents of Dynamixel motors, as ALOHA records them."""
-    steps = rows.samples.tau / _CURRENT_STEP
+    steps = tau / _CURRENT_STEP
     if np.all(np.abs(steps - np.round(steps)) < 1e-3) and np.max(np.abs(steps)) >= 1.0:
         raise InputError(
-            f"{context.name}: all torques are multiples of {_CURRENT_STEP}: these are the motors' "
-            "currents in mA; give N·m per mA with --torque-constants"
+            f"all torques are multiples of {_CURRENT_STEP}: these are the motors' currents in mA; "
+            "give N·m per mA with --torque-constants"
         )
 
 
-def velocity_notes(rows: LogRows, context: LogContext) -> Iterator[str]:
+def velocity_notes(rows: LogRows, joints: LogJoints) -> Iterator[str]:
     """Yield notes on velocity columns that do not integrate to the position columns.
 
     Over blocks of about 50 ms the change of position is regressed on the integral of velocity,
@@ -300,7 +305,7 @@ def velocity_notes(rows: LogRows, context: LogContext) -> Iterator[str]:
     edges = np.arange(0, len(step), max(1, round(0.05 / period)))
     a, b = np.add.reduceat(integral, edges), np.add.reduceat(change, edges)
     moments = (np.sum(product, axis=0) for product in (a * b, a * a, b * b))
-    for name, ab, aa, bb in zip(context.joint_names, *moments):
+    for name, ab, aa, bb in zip(joints.names, *moments):
         if bb < 1e-4:
             continue
         slope = ab / aa if aa > 0.0 else 0.0

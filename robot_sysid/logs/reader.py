@@ -18,7 +18,7 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.json_files import read_json
-from robot_sysid.logs.checks import LogContext, check_log
+from robot_sysid.logs.checks import LogJoints, check_log
 from robot_sysid.logs.column_map import (
     ColumnChoices,
     ColumnMap,
@@ -36,7 +36,7 @@ from robot_sysid.logs.formats.table import ArrayTable, Asked, LogTable
 from robot_sysid.logs.formats.text import merged, text_table
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.rows import read_rows
-from robot_sysid.records import Array, DataOrigin, JointLimits, Measurement, RobotModel, Source
+from robot_sysid.records import Array, DataOrigin, Measurement, RobotModel, Source
 from robot_sysid.records.atomic_files import whole_file
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.torque_scale import CONSTANTS, SCALE, joint_factors
@@ -82,26 +82,6 @@ def join_measurements(chunks: Iterable[Measurement]) -> Measurement:
     return Measurement(**joined)  # type: ignore[arg-type]
 
 
-@dataclass(frozen=True)
-class LogJoints:
-    """The joints that a log is about.
-
-    Attributes:
-        names: the n chain joints, base to terminal.
-        limits: what they may do; None checks no limits.
-        is_slide: (n,) whether a joint is a slide, whose positions are metres; empty for none.
-    """
-
-    names: tuple[str, ...]
-    limits: JointLimits | None = None
-    is_slide: tuple[bool, ...] = ()
-
-    @property
-    def slides(self) -> list[bool]:
-        """Whether each joint is a slide (n,)."""
-        return list(self.is_slide) or [False] * len(self.names)
-
-
 def read_log(
     source: Path | ArrayTable,
     joints: LogJoints,
@@ -113,7 +93,7 @@ def read_log(
     Raises:
         InputError: the log cannot be read, is ambiguous or cannot be what it seems to be.
     """
-    path, names, slides = Path(source), joints.names, joints.slides
+    path, names, slides = Path(source), joints.names, joints.slides.tolist()
     table: LogTable
     table = source if isinstance(source, ArrayTable) else open_table(path, names, options)
     choices = read_columns_file(Path(options.columns), names) if options.columns else None
@@ -132,8 +112,7 @@ def read_log(
     if factor is not None:
         found = found.with_torque_factor(factor)
     rows = read_rows(table, found, slides, progress)
-    context = LogContext(str(path), names, joints.limits, np.array(slides), found.angle_declared)
-    checked = check_log(rows, context)
+    checked = check_log(str(path), rows, joints, found.angle_declared)
     pieces = tuple(LogPiece(**vars(piece)) for piece in pieces_of(rows.samples))
     notes = (f"log layout: {table.layout}", *found.describe(), *checked)
     return MeasurementLog(

@@ -9,7 +9,7 @@ blocks; a log that is longer than any identification needs is low-passed and thi
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,25 +40,23 @@ class LogRows:
     Attributes:
         lines: (N,) file lines; of thinned rows, those in whose middle a row is.
         n_read: number of rows in the file, except one that is cut off and those of other joints.
-        missing, repeated: lines left out for an empty cell or for the time stamp before them.
-        unreadable: lines left out because they hold no row of numbers, or none that can be true.
-        cut_off: the last line, where it is incomplete; else nothing.
+        touched: which lines were left out as "missing" (an empty cell), "repeated" (the time stamp
+            before them), "unreadable" (no row of numbers, or none that can be true) or "cut_off"
+            (the last one, where it is incomplete), and which were "wrapped" by a full turn.
         complaint: what is wrong with the first of the unreadable lines.
+        foreign: number of rows that hold nothing of this arm.
         thinned: how many rows were made one.
+        word: what its rows are called.
     """
 
     lines: Lines
     samples: Measurement
     n_read: int
-    missing: Lines
-    repeated: Lines
-    unreadable: Lines
-    wrapped: Lines
-    cut_off: Lines
-    complaint: str = ""
-    foreign: int = 0
-    thinned: int = 1
-    word: str = "line"
+    touched: Mapping[str, Lines]
+    complaint: str
+    foreign: int
+    thinned: int
+    word: str
 
     def listed(self, lines: Lines) -> str:
         """Return lines in words: the first few and how many more."""
@@ -90,10 +88,9 @@ def read_rows(
     kept.clear()
     lines, samples = _samples(columns, cells)
     every = 1 if thinning is None else thinning.every
-    left_out = {kind: np.concatenate([NO_LINES, *parts]) for kind, parts in cleaner.found.items()}
-    rest = {"foreign": cleaner.foreign, "thinned": every, "word": table.word}
-    rest["complaint"] = cleaner.complaint
-    return LogRows(lines, samples, cleaner.n_read, **left_out, **rest)  # type: ignore[arg-type]
+    touched = {kind: np.concatenate([NO_LINES, *parts]) for kind, parts in cleaner.found.items()}
+    told = touched, cleaner.complaint, cleaner.foreign
+    return LogRows(lines, samples, cleaner.n_read, *told, every, table.word)
 
 
 def _followed(blocks: Iterator[Block], table: LogTable, progress: Progress) -> Iterator[Block]:
@@ -123,8 +120,6 @@ def _samples(columns: ColumnMap, cells: Array) -> tuple[Lines, Measurement]:
 class _Cleaner:
     """Leaves out and mends rows, block by block; a joint may be a slide (n,)."""
 
-    KINDS = ("missing", "repeated", "unreadable", "wrapped", "cut_off")
-
     def __init__(self, table: LogTable, columns: ColumnMap, is_slide: Sequence[bool]) -> None:
         self._name, self._word = table.path, table.word
         self._columns, self._turning = columns, ~np.array(is_slide)
@@ -134,11 +129,12 @@ class _Cleaner:
         self._last: Array | None = None
         self._turns = np.zeros(self._n)
         self.n_read, self.foreign, self.complaint = 0, 0, ""
-        self.found: dict[str, list[Lines]] = {kind: [] for kind in self.KINDS}
+        kinds = ("unreadable", "missing", "repeated", "cut_off", "wrapped")
+        self.found: dict[str, list[Lines]] = {kind: [] for kind in kinds}
 
     def clean(self, block: Block) -> Array:
         """Return the usable rows (R, 2 + C) of a block: line, time, then the wanted columns."""
-        self._note("cut_off", block.cut_off)
+        self.found["cut_off"].append(block.cut_off)
         self.complaint = self.complaint or block.complaint
         lines, cells = block.lines, block.cells * self._factors
         if self._columns.time is None:
@@ -150,7 +146,7 @@ class _Cleaner:
         self._new_piece(block.piece, cells)
         cells[:, 0] += self._offset
         later = self._later(lines, cells[:, 0])
-        self._note("repeated", lines[~later])
+        self.found["repeated"].append(lines[~later])
         lines, cells = lines[later], cells[later]
         if len(cells):
             self._unwrap(lines, cells)
@@ -165,8 +161,8 @@ class _Cleaner:
         self.foreign += int(np.count_nonzero(empty))
         self.n_read += int(np.count_nonzero(~empty))
         finite = np.isfinite(cells).all(axis=1)
-        self._note("unreadable", lines[noise])
-        self._note("missing", lines[~finite & ~noise & ~empty])
+        self.found["unreadable"].append(lines[noise])
+        self.found["missing"].append(lines[~finite & ~noise & ~empty])
         usable = finite & ~noise
         return lines[usable], cells[usable]
 
@@ -198,11 +194,7 @@ class _Cleaner:
         step = np.diff(q, axis=0, prepend=before)
         turns = np.round(step / _TURN) * self._turning
         turns[np.abs(step - turns * _TURN) > _WRAP_TOLERANCE] = 0.0
-        self._note("wrapped", lines[np.any(turns != 0.0, axis=1)])
+        self.found["wrapped"].append(lines[np.any(turns != 0.0, axis=1)])
         self._last = cells[-1, : 1 + self._n].copy()
         q -= _TURN * (self._turns + np.cumsum(turns, axis=0))
         self._turns = self._turns + turns.sum(axis=0)
-
-    def _note(self, kind: str, lines: Lines) -> None:
-        if len(lines):
-            self.found[kind].append(lines)
