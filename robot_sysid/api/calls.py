@@ -16,7 +16,7 @@ from robot_sysid.api.results import Identified, PlanResult, one_thread
 from robot_sysid.config import SysidConfig, config_from
 from robot_sysid.errors import InputError
 from robot_sysid.export import Saved
-from robot_sysid.logs.formats.table import ArrayTable, titled_arrays
+from robot_sysid.logs.formats.table import LogTable, arrays_table
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.reader import MeasurementLog, open_log
 from robot_sysid.model.compilation import warnings_as_notes
@@ -41,7 +41,7 @@ def as_log(log: Log) -> Any:
     Raises:
         InputError: it is none of the forms that are known.
     """
-    if isinstance(log, (MeasurementLog, ArrayTable)):
+    if isinstance(log, (MeasurementLog, LogTable)):
         return log
     if isinstance(log, (str, os.PathLike)):
         return Path(log)
@@ -63,10 +63,9 @@ def as_logs(logs: Any) -> tuple[Any, ...]:
     return tuple(as_log(log) for log in (logs if several else (logs,)))
 
 
-def _table(columns: Mapping[str, Any]) -> ArrayTable:
+def _table(columns: Mapping[str, Any]) -> LogTable:
     arrays = {str(name): np.asarray(values) for name, values in columns.items()}
-    titles, cells = titled_arrays(IN_MEMORY, arrays)
-    return ArrayTable(IN_MEMORY, "arrays in memory", titles, (cells,))
+    return arrays_table(IN_MEMORY, "arrays in memory", arrays)
 
 
 Model = Union[str, "os.PathLike[str]"]

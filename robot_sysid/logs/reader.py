@@ -32,7 +32,7 @@ from robot_sysid.logs.formats.arrays import hdf5_table, matlab_table, npz_table
 from robot_sysid.logs.formats.dialect import is_number
 from robot_sysid.logs.formats.lerobot import lerobot_table
 from robot_sysid.logs.formats.ros_bag import bag_table
-from robot_sysid.logs.formats.table import ArrayTable, Asked, LogTable
+from robot_sysid.logs.formats.table import Asked, LogTable
 from robot_sysid.logs.formats.text import merged, text_table
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.rows import read_rows
@@ -83,7 +83,7 @@ def join_measurements(chunks: Iterable[Measurement]) -> Measurement:
 
 
 def read_log(
-    source: Path | ArrayTable,
+    source: Path | LogTable,
     joints: LogJoints,
     options: LogOptions,
     progress: Progress | None = None,
@@ -94,8 +94,7 @@ def read_log(
         InputError: the log cannot be read, is ambiguous or cannot be what it seems to be.
     """
     path, names, slides = Path(source), joints.names, joints.slides.tolist()
-    table: LogTable
-    table = source if isinstance(source, ArrayTable) else open_table(path, names, options)
+    table = source if isinstance(source, LogTable) else open_table(path, names, options)
     choices = read_columns_file(Path(options.columns), names) if options.columns else None
     own = choices or ColumnChoices()
     given = parse_units(options.units) if options.units else Units()
@@ -122,7 +121,7 @@ def read_log(
 
 def open_log(
     robot: RobotModel,
-    source: Path | ArrayTable | MeasurementLog,
+    source: Path | LogTable | MeasurementLog,
     options: LogOptions,
     progress: Progress | None = None,
 ) -> MeasurementLog:

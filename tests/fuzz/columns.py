@@ -8,7 +8,7 @@ from pathlib import Path
 from random import Random
 
 from robot_sysid.damiao.protocol.joints import damiao_joints, mapped, read_joint_map
-from robot_sysid.logs.formats.table import ArrayTable
+from robot_sysid.logs.formats.table import LogTable, pieces_table
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.reader import LogJoints, read_log
 from robot_sysid.records.torque_scale import CONSTANTS, SCALE, joint_factors
@@ -44,11 +44,11 @@ wrist,can1,3,19,1,,
 
 
 @functools.cache
-def _log() -> ArrayTable:
+def _log() -> LogTable:
     """A log whose titles nobody would guess."""
     titles = ("Zeit", "A1", "A2", "A3", "M1", "M2", "M3")
     cells = log_files.table(log_files.motion(30, 40.0))
-    return ArrayTable(Path("log"), "arrays", titles, (cells,))
+    return pieces_table(Path("log"), "arrays", titles, (cells,))
 
 
 def case(random: Random) -> Case:

@@ -10,7 +10,6 @@ import subprocess
 import sys
 import tempfile
 import zipfile
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +18,12 @@ import numpy as np
 from robot_sysid.errors import InputError
 from robot_sysid.logs.column_map import ColumnChoices
 from robot_sysid.logs.formats.table import (
-    ArrayTable,
     Asked,
+    LogTable,
+    arrays_table,
     as_input_errors,
     library,
+    pieces_table,
     titled_arrays,
 )
 
@@ -73,16 +74,11 @@ except Exception as error:
 """Makes an .npz file of a .mat file; SciPy ends the process on some damaged ones."""
 
 
-def npz_table(asked: Asked) -> ArrayTable | None:
+def npz_table(asked: Asked) -> LogTable | None:
     """Return the arrays of an .npz file: time (N,), q, qd, tau (N, n), by these or like names."""
     if not asked.start.startswith(NPZ):
         return None
-    return _table(asked.path, "NumPy .npz", npz_arrays(asked.path))
-
-
-def _table(path: Path, layout: str, arrays: Mapping[str, Any]) -> ArrayTable:
-    titles, cells = titled_arrays(path, arrays)
-    return ArrayTable(path, layout, titles, (cells,))
+    return arrays_table(asked.path, "NumPy .npz", npz_arrays(asked.path))
 
 
 def npz_arrays(path: Path) -> dict[str, Any]:
@@ -114,7 +110,7 @@ def _stated_bytes(packed: zipfile.ZipFile, name: str) -> int:
     return math.prod(shape) * kind.itemsize
 
 
-def matlab_table(asked: Asked) -> ArrayTable | None:
+def matlab_table(asked: Asked) -> LogTable | None:
     """Return the arrays of a .mat file, also those in its structs."""
     if not asked.start.startswith(MATLAB):
         return None
@@ -127,10 +123,10 @@ def matlab_table(asked: Asked) -> ArrayTable | None:
             raise ValueError((ended.stderr.splitlines() or ["it is damaged"])[-1])
         cells = npz_arrays(unpacked)
     named = {str(name): cells[f"arr_{k}"] for k, name in enumerate(cells["names"])}
-    return _table(asked.path, "MATLAB .mat", named)
+    return arrays_table(asked.path, "MATLAB .mat", named)
 
 
-def hdf5_table(asked: Asked) -> ArrayTable | None:
+def hdf5_table(asked: Asked) -> LogTable | None:
     """Return the joint states in an HDF5 file; where commands are asked for, actions too."""
     path, commanded = asked.path, asked.options.commanded
     if not asked.start.startswith(HDF5):
@@ -153,7 +149,7 @@ def hdf5_table(asked: Asked) -> ArrayTable | None:
         )
         _refuse_bomb(path, sum(data.nbytes for data in found.values()))
         arrays = {name: data[()] for name, data in found.items()}
-    return _table(path, "HDF5", arrays)
+    return arrays_table(path, "HDF5", arrays)
 
 
 def _refuse_bomb(path: Path, size: float) -> None:
@@ -171,7 +167,7 @@ def _whole(path: Path, dataset: Any) -> Any:
     return dataset[()]
 
 
-def _aloha(path: Path, group: Any, action: Any = None) -> ArrayTable:
+def _aloha(path: Path, group: Any, action: Any = None) -> LogTable:
     if "effort" not in group and action is None:
         raise InputError(
             f"{path} has no /observations/effort; without measured torque nothing can be "
@@ -187,10 +183,10 @@ def _aloha(path: Path, group: Any, action: Any = None) -> ArrayTable:
     cells = np.hstack([np.asarray(values, float) for values in arrays.values()])
     rate = ColumnChoices(rate=ALOHA_RATE)
     layout = f"ALOHA HDF5, without time stamps: rows taken to be {ALOHA_RATE:g} Hz"
-    return ArrayTable(path, layout, titles, (cells,), rate)
+    return pieces_table(path, layout, titles, (cells,), rate)
 
 
-def _robomimic(path: Path, group: Any) -> ArrayTable:
+def _robomimic(path: Path, group: Any) -> LogTable:
     """Return every demonstration as a piece; arrays are called such as robot0_joint_pos."""
     titles: tuple[str, ...] = ()
     pieces = []
@@ -212,4 +208,4 @@ def _robomimic(path: Path, group: Any) -> ArrayTable:
         pieces.append(cells)
     if not pieces:
         raise InputError(f"{path} holds no demonstrations in /data")
-    return ArrayTable(path, f"robomimic HDF5, {len(pieces)} demonstrations", titles, tuple(pieces))
+    return pieces_table(path, f"robomimic HDF5, {len(pieces)} demonstrations", titles, pieces)

@@ -10,7 +10,14 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.json_files import read_json
-from robot_sysid.logs.formats.table import ArrayTable, Asked, as_input_errors, library, renamed
+from robot_sysid.logs.formats.table import (
+    Asked,
+    LogTable,
+    as_input_errors,
+    library,
+    pieces_table,
+    renamed,
+)
 from robot_sysid.records import Array
 
 WHAT = "a LeRobot data set"
@@ -23,7 +30,7 @@ _FEATURES = {"observation.velocity": "velocity", "observation.effort": "torque"}
 ACTION = "action"
 
 
-def lerobot_table(asked: Asked) -> ArrayTable | None:
+def lerobot_table(asked: Asked) -> LogTable | None:
     """Return the episodes of a data set that are asked for, or all."""
     path, joint_names, commanded = asked.path, asked.joint_names, asked.options.commanded
     described = path / "meta" / "info.json"
@@ -54,7 +61,7 @@ def lerobot_table(asked: Asked) -> ArrayTable | None:
             f"{path} names {len(flat)} numbers of a frame in meta/info.json and holds "
             f"{cells.shape[1] - 1}; download the data set whole"
         )
-    return ArrayTable(path, layout, ("timestamp [s]", *flat), pieces)
+    return pieces_table(path, layout, ("timestamp [s]", *flat), pieces)
 
 
 def _wanted(path: Path, episodes: Sequence[int], index: Array) -> list[int]:

@@ -14,6 +14,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
@@ -22,9 +23,8 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.column_map import ColumnChoices
 from robot_sysid.logs.formats import table
-from robot_sysid.logs.formats.table import Asked, Block, as_input_errors, library, renamed
+from robot_sysid.logs.formats.table import Asked, Block, LogTable, as_input_errors, library, renamed
 
 WHAT = "a ROS bag"
 QUANTITIES = ("position", "velocity", "effort", "current")
@@ -72,46 +72,41 @@ Stamped = tuple[int, int, Sample]
 
 
 @dataclass(frozen=True)
-class BagTable:
+class _Topic:
     """One topic of a bag.
 
     Attributes:
-        topic, kind: the topic and its type.
+        name, kind: the topic and its type.
         columns: (joint, quantity) of each column after the time.
         titles: time, and one title per joint and quantity, in the model's spelling.
         clock: 0 where the headers have time stamps, 1 where the time of recording stands in.
         start: the first time [ns].
     """
 
-    path: Path
-    topic: str
+    name: str
     kind: str
     columns: tuple[tuple[str, str], ...]
     titles: tuple[str, ...]
     clock: int
     start: int
-    choices: ColumnChoices = ColumnChoices()
-    word: str = "message"
-    first_row: tuple[str, ...] = ()
 
-    @property
-    def layout(self) -> str:
-        """The form in a few words."""
-        late = ", headers without time: when it was recorded" if self.clock else ""
-        return f"ROS bag, topic {self.topic} ({self.kind}), joints by name{late}"
+    def has(self, joint_names: Sequence[str], quantities: Sequence[str]) -> bool:
+        """Return whether it has one of the quantities for all joints."""
+        titles = set(self.titles)
+        return any({f"{joint} {q}" for joint in joint_names} <= titles for q in quantities)
 
-    def blocks(self, columns: Sequence[int]) -> Iterator[Block]:
+    def blocks(self, path: Path, columns: Sequence[int]) -> Iterator[Block]:
         """Yield the messages in their order."""
         place = {key: k + 1 for k, key in enumerate(self.columns)}
-        with _opened(self.path) as bag:
-            connections = [c for c in bag.connections if c.topic == self.topic]
+        with _opened(path) as bag:
+            connections = [c for c in bag.connections if c.topic == self.name]
             total = max(1, sum(c.msgcount for c in connections))
             messages = _messages(bag, connections, self.kind)
             done = 0
             while batch := list(islice(messages, table.BLOCK)):
                 cells = np.full((len(batch), len(self.titles)), np.nan)
-                for row, (sampled, recorded, sample) in zip(cells, batch):
-                    row[0] = 1e-9 * ((recorded if self.clock else sampled) - self.start)
+                for row, (*stamps, sample) in zip(cells, batch):
+                    row[0] = 1e-9 * (stamps[self.clock] - self.start)
                     known = [key for key in sample if key in place]
                     row[[place[key] for key in known]] = [sample[key] for key in known]
                 lines = np.arange(done, done + len(batch)) + 1
@@ -119,7 +114,7 @@ class BagTable:
                 yield Block(lines, cells[:, list(columns)], done=done / total)
 
 
-def bag_table(asked: Asked) -> BagTable | None:
+def bag_table(asked: Asked) -> LogTable | None:
     """Return the topic of a bag with the arm's joints: that asked for, or the only one that fits.
 
     A bag is known by its content.
@@ -134,37 +129,29 @@ def bag_table(asked: Asked) -> BagTable | None:
         if topic is not None and topic not in known:
             raise InputError(f"{path} has no joint states in topic {topic!r}; {listed}")
         wanted = [topic] if topic else sorted(known)
-        tables = [_topic(path, bag, name, known[name], joint_names) for name in wanted]
+        tables = [_topic(bag, name, known[name], joint_names) for name in wanted]
         found = [each for each in tables if each is not None]
         if not found:
             raise InputError(f"{path} holds no joint states; {listed}")
-    fitting = [each for each in found if _has_all(each, joint_names)] or found
-    measured = [each for each in fitting if _has_torque(each, joint_names)] or fitting
+    arm, torque = (joint_names, QUANTITIES[:1]), (joint_names, QUANTITIES[2:])
+    fitting = [each for each in found if each.has(*arm)] or found
+    measured = [each for each in fitting if each.has(*torque)] or fitting
     if len(measured) > 1:
-        listed = ", ".join(f"{each.topic} ({each.kind})" for each in measured)
+        listed = ", ".join(f"{each.name} ({each.kind})" for each in measured)
         raise InputError(f"{path}: several topics could be the arm: {listed}; choose with --topic")
     chosen = measured[0]
-    if _has_all(chosen, joint_names) and not _has_torque(chosen, joint_names):
+    if chosen.has(*arm) and not chosen.has(*torque):
         raise InputError(
-            f"{path}: topic {chosen.topic} has no effort of joint {joint_names[-1]}; without "
+            f"{path}: topic {chosen.name} has no effort of joint {joint_names[-1]}; without "
             "measured torque nothing can be identified: let the driver publish effort and record "
             "again"
         )
-    return chosen
+    late = ", headers without time: when it was recorded" if chosen.clock else ""
+    layout = f"ROS bag, topic {chosen.name} ({chosen.kind}), joints by name{late}"
+    return LogTable(path, layout, chosen.titles, partial(chosen.blocks, path), word="message")
 
 
-def _has_all(found: BagTable, joint_names: Sequence[str]) -> bool:
-    return {f"{joint} position" for joint in joint_names} <= set(found.titles)
-
-
-def _has_torque(found: BagTable, joint_names: Sequence[str]) -> bool:
-    titles = set(found.titles)
-    return any({f"{joint} {q}" for joint in joint_names} <= titles for q in QUANTITIES[2:])
-
-
-def _topic(
-    path: Path, bag: Any, topic: str, kind: str, joint_names: Sequence[str]
-) -> BagTable | None:
+def _topic(bag: Any, topic: str, kind: str, joint_names: Sequence[str]) -> _Topic | None:
     """Return a topic with the columns that its first messages have, or None if it has none."""
     connections = [c for c in bag.connections if c.topic == topic]
     first = list(islice(_messages(bag, connections, kind), _LOOKED_AT))
@@ -172,11 +159,10 @@ def _topic(
     if not seen:
         return None
     clock = 0 if any(sampled for sampled, _, _ in first) else 1
-    start = first[0][1] if clock else first[0][0]
     names = list(dict.fromkeys(joint for joint, _ in seen))
     spelling = dict(zip(names, renamed(names, joint_names)))
     titles = tuple(f"{spelling[joint]} {quantity}" for joint, quantity in seen)
-    return BagTable(path, topic, kind, tuple(seen), ("time", *titles), clock, start)
+    return _Topic(topic, kind, tuple(seen), ("time", *titles), clock, first[0][:2][clock])
 
 
 def _messages(bag: Any, connections: Sequence[Any], kind: str) -> Iterator[Stamped]:

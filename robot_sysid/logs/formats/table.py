@@ -5,10 +5,11 @@ from __future__ import annotations
 import contextlib
 import importlib
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,35 +51,33 @@ class Block:
     done: float = 1.0
 
 
-class LogTable(Protocol):
-    """A recording as a table."""
+@dataclass(frozen=True)
+class LogTable:
+    """A recording as a table, whatever its form.
 
-    @property
-    def path(self) -> Path:
-        """The file or folder."""
+    Attributes:
+        path: the file or folder.
+        layout: the form in a few words.
+        titles: of its columns; "#1", "#2", ... where there are none.
+        blocks: reads its rows in their order, with some of the columns.
+        choices: what the form itself says of its columns and units.
+        word: what its rows are called: "line", "message" or "row".
+        first_row: the cells of the first row as text, where it may hold names; else nothing.
+    """
 
-    @property
-    def layout(self) -> str:
-        """The form in a few words."""
+    path: Path
+    layout: str
+    titles: tuple[str, ...]
+    blocks: Callable[[Sequence[int]], Iterator[Block]]
+    choices: ColumnChoices = ColumnChoices()
+    word: str = "row"
+    first_row: tuple[str, ...] = ()
 
-    @property
-    def word(self) -> str:
-        """What its rows are called: "line", "message" or "row"."""
+    def __fspath__(self) -> str:
+        """The path, so that arrays may stand where a file is expected."""
+        return str(self.path)
 
-    @property
-    def titles(self) -> tuple[str, ...]:
-        """Column titles; "#1", "#2", ... where there are none."""
-
-    @property
-    def first_row(self) -> tuple[str, ...]:
-        """The cells of the first row as text, where it may hold names; else nothing."""
-
-    @property
-    def choices(self) -> ColumnChoices:
-        """What the form itself says of its columns and units."""
-
-    def blocks(self, columns: Sequence[int]) -> Iterator[Block]:
-        """Yield the rows in their order, with these columns."""
+    __str__ = __fspath__
 
 
 @dataclass(frozen=True)
@@ -96,33 +95,33 @@ class Asked:
     options: LogOptions
 
 
-@dataclass(frozen=True)
-class ArrayTable:
-    """A recording that is in memory already, in pieces with cells (N, W); see ``LogTable``."""
+def pieces_table(
+    path: Path,
+    layout: str,
+    titles: Sequence[str],
+    pieces: Sequence[Array],
+    choices: ColumnChoices | None = None,
+) -> LogTable:
+    """Return a recording that is in memory already, in pieces with cells (N, W)."""
+    return LogTable(
+        path, layout, tuple(titles), partial(_blocks_of, pieces), choices or ColumnChoices()
+    )
 
-    path: Path
-    layout: str
-    titles: tuple[str, ...]
-    pieces: tuple[Array, ...]
-    choices: ColumnChoices = ColumnChoices()
-    word: str = "row"
-    first_row: tuple[str, ...] = ()
 
-    def __fspath__(self) -> str:
-        """The path, so that arrays may stand where a file is expected."""
-        return str(self.path)
+def _blocks_of(pieces: Sequence[Array], columns: Sequence[int]) -> Iterator[Block]:
+    total, start = max(1, sum(map(len, pieces))), 0
+    for number, piece in enumerate(pieces):
+        for first in range(0, len(piece), BLOCK):
+            cells = piece[first : first + BLOCK, list(columns)]
+            start += len(cells)
+            lines = np.arange(start - len(cells), start) + 1
+            yield Block(lines, cells, piece=number, done=start / total)
 
-    __str__ = __fspath__
 
-    def blocks(self, columns: Sequence[int]) -> Iterator[Block]:
-        """Yield the rows in their order, with these columns."""
-        total, start = max(1, sum(map(len, self.pieces))), 0
-        for number, piece in enumerate(self.pieces):
-            for first in range(0, len(piece), BLOCK):
-                cells = piece[first : first + BLOCK, list(columns)]
-                start += len(cells)
-                lines = np.arange(start - len(cells), start) + 1
-                yield Block(lines, cells, piece=number, done=start / total)
+def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable:
+    """Return a recording that is named arrays, see ``titled_arrays``."""
+    titles, cells = titled_arrays(path, arrays)
+    return pieces_table(path, layout, titles, (cells,))
 
 
 def titled_arrays(path: Path, arrays: Mapping[str, Any]) -> tuple[tuple[str, ...], Array]:
@@ -163,39 +162,26 @@ def titled_arrays(path: Path, arrays: Mapping[str, Any]) -> tuple[tuple[str, ...
     return tuple(titles), np.hstack(columns)
 
 
-def model_names(names: Sequence[str], joint_names: Sequence[str]) -> Mapping[str, str]:
-    """Return the recording's name to the model's, for joints that only differ in a prefix.
+def renamed(names: Sequence[str], joint_names: Sequence[str]) -> list[str]:
+    """Return a recording's names in the model's spelling, for joints that only differ in a prefix.
 
     ``fr3_joint1`` is ``joint1`` where no other name ends in it; upper case and underscores make no
     difference. A name that two joints could have stays as it is.
     """
-    found = {}
+    found = []
     for name in names:
-        if name in joint_names:
-            continue
-        owners = [joint for joint in joint_names if _alike(name, joint)]
-        if len(owners) == 1:
-            rivals = [n for n in names if n == owners[0] or _alike(n, owners[0])]
-            if len(rivals) == 1:
-                found[name] = owners[0]
+        owners = [] if name in joint_names else [j for j in joint_names if _alike(name, j)]
+        owner = owners[0] if len(owners) == 1 else name
+        rivals = [n for n in names if n == owner or _alike(n, owner)]
+        found.append(owner if len(rivals) == 1 else name)
     return found
-
-
-def renamed(names: Sequence[str], joint_names: Sequence[str]) -> Iterator[str]:
-    """Yield the names with those of ``model_names`` in the model's spelling."""
-    known = model_names(names, joint_names)
-    yield from (known.get(name, name) for name in names)
 
 
 def _alike(first: str, second: str) -> bool:
     """Return whether one name is the end of the other."""
-    a, b = _pieces(first), _pieces(second)
-    short, long = sorted((a, b), key=len)
+    both = (re.findall(r"[a-z]+|\d+", name.lower()) for name in (first, second))
+    short, long = sorted(both, key=len)
     return bool(short) and long[-len(short) :] == short and not short[0].isdigit()
-
-
-def _pieces(name: str) -> list[str]:
-    return re.findall(r"[a-z]+|\d+", name.lower())
 
 
 def library(module: str, extra: str, what: str) -> Any:

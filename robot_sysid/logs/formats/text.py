@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from itertools import islice
-from pathlib import Path
 
 import numpy as np
 
@@ -13,65 +13,45 @@ from robot_sysid.errors import InputError
 from robot_sysid.logs.column_map import ColumnChoices, Units
 from robot_sysid.logs.formats import table
 from robot_sysid.logs.formats.dialect import SEPARATOR_NAMES, LogDialect, read_dialect, split_line
-from robot_sysid.logs.formats.table import NO_LINES, Asked, Block, renamed
+from robot_sysid.logs.formats.table import NO_LINES, Asked, Block, LogTable, renamed
 from robot_sysid.records import Array
 
 Batch = list[tuple[int, str]]
 
 
-@dataclass(frozen=True)
-class TextTable:
-    """A text log."""
+def _table(dialect: LogDialect, layout: str, choices: ColumnChoices) -> LogTable:
+    titles = dialect.header or tuple(f"#{k + 1}" for k in range(dialect.width))
+    read = partial(_blocks, dialect)
+    return LogTable(dialect.path, layout, titles, read, choices, "line", dialect.first_row)
 
-    dialect: LogDialect
-    layout: str
-    choices: ColumnChoices = ColumnChoices()
-    word: str = "line"
 
-    @property
-    def path(self) -> Path:
-        """The file."""
-        return self.dialect.path
+def _blocks(dialect: LogDialect, columns: Sequence[int]) -> Iterator[Block]:
+    """Yield the rows of a text log in their order, with these columns."""
+    rows = dialect.data_lines()
+    waiting, read = list(islice(rows, table.BLOCK)), dialect.share_read()
+    while waiting:
+        batch, done = waiting, read
+        waiting, read = list(islice(rows, table.BLOCK)), dialect.share_read()
+        cells = _fast(dialect, columns, [text for _, text in batch])
+        if cells is None:
+            yield replace(_careful(dialect, columns, batch, last=not waiting), done=done)
+        else:
+            yield Block(np.array([line for line, _ in batch]), cells, done=done)
 
-    @property
-    def titles(self) -> tuple[str, ...]:
-        """Column titles; "#1", "#2", ... where there are none."""
-        return self.dialect.header or tuple(f"#{k + 1}" for k in range(self.dialect.width))
 
-    @property
-    def first_row(self) -> tuple[str, ...]:
-        """The cells of the first row."""
-        return self.dialect.first_row
-
-    def blocks(self, columns: Sequence[int]) -> Iterator[Block]:
-        """Yield the rows in their order, with these columns."""
-        rows = self.dialect.data_lines()
-        waiting, read = list(islice(rows, table.BLOCK)), self.dialect.share_read()
-        while waiting:
-            batch, done = waiting, read
-            waiting, read = list(islice(rows, table.BLOCK)), self.dialect.share_read()
-            texts = [text for _, text in batch]
-            cells = _fast(self.dialect, columns, texts)
-            if cells is None:
-                yield replace(self._careful(columns, batch, last=not waiting), done=done)
-            else:
-                yield Block(np.array([line for line, _ in batch]), cells, done=done)
-
-    def _careful(self, columns: Sequence[int], batch: Batch, last: bool) -> Block:
-        """Parse rows cell by cell; a last row of the file that is cut off is left out."""
-        dialect, cut_off = self.dialect, NO_LINES
-        end = dialect.split(batch[-1][1])
-        if last and end is not None and len(end) < dialect.width:
-            cut_off = np.array([batch[-1][0]])
-            batch = batch[:-1]
-        parsed = [_row(dialect, columns, text) for _, text in batch]
-        lines = np.array([line for line, _ in batch], np.int64)
-        nothing = [np.nan] * len(columns)
-        cells = np.array([nothing if isinstance(row, str) else row for row in parsed], float)
-        bad = [k for k, row in enumerate(parsed) if isinstance(row, str)]
-        complaint = f"line {lines[bad[0]]}{parsed[bad[0]]}" if bad else ""
-        shaped = cells.reshape(len(batch), len(columns))
-        return Block(lines, shaped, lines[bad], cut_off, complaint)
+def _careful(dialect: LogDialect, columns: Sequence[int], batch: Batch, last: bool) -> Block:
+    """Parse rows cell by cell; a last row of the file that is cut off is left out."""
+    cut_off, end = NO_LINES, dialect.split(batch[-1][1])
+    if last and end is not None and len(end) < dialect.width:
+        cut_off = np.array([batch[-1][0]])
+        batch = batch[:-1]
+    parsed = [_row(dialect, columns, text) for _, text in batch]
+    lines = np.array([line for line, _ in batch], np.int64)
+    nothing = [np.nan] * len(columns)
+    cells = np.array([nothing if isinstance(row, str) else row for row in parsed], float)
+    bad = [k for k, row in enumerate(parsed) if isinstance(row, str)]
+    complaint = f"line {lines[bad[0]]}{parsed[bad[0]]}" if bad else ""
+    return Block(lines, cells.reshape(len(batch), len(columns)), lines[bad], cut_off, complaint)
 
 
 def _row(dialect: LogDialect, columns: Sequence[int], text: str) -> list[float] | str:
@@ -102,7 +82,7 @@ def _fast(dialect: LogDialect, columns: Sequence[int], texts: list[str]) -> Arra
         return None
 
 
-def text_table(asked: Asked) -> TextTable | None:
+def text_table(asked: Asked) -> LogTable | None:
     """Return any other file as a table of text; None for a folder."""
     if asked.path.is_dir():
         return None
@@ -116,7 +96,7 @@ def text_table(asked: Asked) -> TextTable | None:
     commented = ", titles in a comment line" if header and not dialect.header_line else ""
     separator = SEPARATOR_NAMES[dialect.separator]
     layout = f"{dialect.width} columns separated by {separator}{decimal}{commented}"
-    return TextTable(dialect, f"{program}, {layout}" if program else layout, choices)
+    return _table(dialect, f"{program}, {layout}" if program else layout, choices)
 
 
 UR_TORQUE, UR_CURRENT = "actual_current_as_torque", "actual_current"
@@ -170,7 +150,7 @@ _TIMES = {"STATE_MOTOR": "s", "StateMotor": "us"}
 _LIST_MARKS = str.maketrans("[],", "   ")
 
 
-def sage_table(dialect: LogDialect, joint_names: Sequence[str]) -> TextTable:
+def sage_table(dialect: LogDialect, joint_names: Sequence[str]) -> LogTable:
     """Return a recording of SAGE; the joints' names stand in a file beside it."""
     rows = (split_line(text, ",") for _, text in islice(dialect.data_lines(), table.BLOCK))
     cells = next((row for row in rows if row and row[0] in _TIMES), None)
@@ -193,7 +173,7 @@ def sage_table(dialect: LogDialect, joint_names: Sequence[str]) -> TextTable:
         dialect, separator=" ", header=tuple(titles), first_row=(), quoted=False, flattened=_states
     )
     units = Units(time=_TIMES[cells[0]])
-    return TextTable(flat, "SAGE state_motor.csv", ColumnChoices(units=units))
+    return _table(flat, "SAGE state_motor.csv", ColumnChoices(units=units))
 
 
 def _states(text: str) -> str | None:
