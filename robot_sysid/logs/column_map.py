@@ -76,6 +76,14 @@ class ColumnChoices:
     units: Units = Units()
     rate: float | None = None
 
+    def over(self, known: ColumnChoices) -> ColumnChoices:
+        """Return these choices, and what is known otherwise where they say nothing."""
+        units = Units(self.units.angle or known.units.angle, self.units.time or known.units.time)
+        rate = self.rate or (None if self.time else known.rate)
+        return ColumnChoices(
+            self.time or known.time, {**known.columns, **self.columns}, units, rate
+        )
+
 
 def parse_units(text: str) -> Units:
     """Return the units of a comma- or blank-separated list such as "deg,ms".

@@ -11,8 +11,9 @@ from __future__ import annotations
 import csv
 import os
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +34,7 @@ from robot_sysid.logs.formats.dialect import is_number
 from robot_sysid.logs.formats.lerobot import lerobot_table
 from robot_sysid.logs.formats.ros_bag import bag_table
 from robot_sysid.logs.formats.table import Asked, LogTable
-from robot_sysid.logs.formats.text import merged, text_table
+from robot_sysid.logs.formats.text import text_table
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.rows import read_rows
 from robot_sysid.records import Array, DataOrigin, Measurement, RobotModel, Source
@@ -74,12 +75,10 @@ class MeasurementLog:
 def join_measurements(chunks: Iterable[Measurement]) -> Measurement:
     """Return consecutive chunks as one measurement."""
     parts = list(chunks)
-    joined = {
-        name: None if getattr(parts[0], name) is None
-        else np.concatenate([getattr(part, name) for part in parts])
-        for name in ("time", "q", "qd", "tau", "qdd", "joint_time", "command")
-    }  # fmt: skip
-    return Measurement(**joined)  # type: ignore[arg-type]
+    there = [each.name for each in fields(Measurement) if getattr(parts[0], each.name) is not None]
+    joined: dict[str, Any] = {"qd": None}
+    joined |= {name: np.concatenate([getattr(part, name) for part in parts]) for name in there}
+    return Measurement(**joined)
 
 
 def read_log(
@@ -95,18 +94,17 @@ def read_log(
     """
     path, names, slides = Path(source), joints.names, joints.slides.tolist()
     table = source if isinstance(source, LogTable) else open_table(path, names, options)
-    choices = read_columns_file(Path(options.columns), names) if options.columns else None
-    own = choices or ColumnChoices()
-    given = parse_units(options.units) if options.units else Units()
-    units = Units(given.angle or own.units.angle, given.time or own.units.time)
-    own = merged(replace(own, units=units), table.choices)
-    if choices is None and table.titles[:1] == ("#1",):
+    choices = ColumnChoices(units=parse_units(options.units) if options.units else Units())
+    if options.columns:
+        choices = choices.over(read_columns_file(Path(options.columns), names))
+    elif table.titles[:1] == ("#1",):
         raise InputError(
             f"{table.path} has no column titles; say which of its {len(table.titles)} columns is "
             "what with --columns FILE, for instance 'time = #1' and 'position = #2, #3, ...'"
         )
     wanted = options.torque_constants is not None, options.commanded
-    found = recognise_columns(table.titles, names, own, table.first_row, slides, *wanted)
+    choices = choices.over(table.choices)
+    found = recognise_columns(table.titles, names, choices, table.first_row, slides, *wanted)
     factor = torque_factor(options, names)
     if factor is not None:
         found = found.with_torque_factor(factor)

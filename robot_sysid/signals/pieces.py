@@ -8,7 +8,7 @@ low-pass and are decimated, which leaves a log recorded at a lower rate behind a
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 
@@ -30,7 +30,6 @@ PART_TIME = 60.0
 """Length of these parts [s]."""
 _MOVING = 0.1
 """Share of the largest range of a joint in any part below which none moves in a part."""
-_FIELDS = ("time", "q", "qd", "tau", "qdd", "joint_time", "command")
 
 
 def longest_step(period: float) -> float:
@@ -96,7 +95,7 @@ def _cut(start: int, stop: int, most: int) -> list[tuple[int, int]]:
 
 def part_of(samples: Measurement, start: int, stop: int) -> Measurement:
     """Return some consecutive samples of a log."""
-    whole = {name: getattr(samples, name) for name in _FIELDS}
+    whole = {each.name: getattr(samples, each.name) for each in fields(Measurement)}
     return replace(samples, **{n: v[start:stop] for n, v in whole.items() if v is not None})
 
 

@@ -116,14 +116,6 @@ def known_text(
     return "", ColumnChoices()
 
 
-def merged(own: ColumnChoices, known: ColumnChoices) -> ColumnChoices:
-    """Return what is known of a form with what the user says himself, which comes first."""
-    units = Units(own.units.angle or known.units.angle, own.units.time or known.units.time)
-    columns = {**known.columns, **own.columns}
-    rate = own.rate or (None if own.time else known.rate)
-    return replace(own, time=own.time or known.time, columns=columns, units=units, rate=rate)
-
-
 def _rtde(titles: Sequence[str], joint_names: Sequence[str], currents: bool) -> ColumnChoices:
     """Return the columns of RTDE's fields; ``target_moment`` is computed, not measured."""
     torque = UR_CURRENT if currents else UR_TORQUE
