@@ -76,10 +76,6 @@ class Evidence:
     noise: Array
     cutoff: float
 
-    def with_later_torque(self, delay: float) -> Sample:
-        """Return the sample with the torque ``delay`` [s] later, one of ``DELAYS``."""
-        return replace(self.sample, tau=self.shifted[delay])
-
 
 def evidence_of(
     robot: RobotModel, pieces: Sequence[Measurement], cutoff: float | None = None

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.checks.evidence import DELAYS, Evidence, Sample
+from robot_sysid.checks.evidence import Evidence, Sample
 from robot_sysid.checks.finding import Finding, Level
 from robot_sysid.checks.hypotheses import explains
 from robot_sysid.checks.model_fit import Fit, ModelFit, plausible, rms, slow_speed
@@ -90,7 +90,7 @@ def scale_findings(evidence: Evidence, fit: ModelFit, base: Fit) -> Iterator[Fin
     if not _better(evidence, fit, scale, known):
         return
     weight = 1.0 / error[known] ** 2
-    typical = float(np.exp(np.sum(weight * np.log(scale[known])) / np.sum(weight)))
+    typical = float(np.exp(np.average(np.log(scale[known]), weights=weight)))
     spread = float(np.max(scale[known]) / np.min(scale[known]))
     listed = ", ".join(f"{evidence.robot.joint_names[j]} {scale[j]:.3g}" for j in known)
     yield Finding(
@@ -252,7 +252,8 @@ def joint_zeros(evidence: Evidence, fit: ModelFit) -> tuple[Array, Array, Fit]:
 
 def delay_findings(evidence: Evidence, fit: ModelFit, base: Fit) -> Iterator[Finding]:
     """Yield a finding where torque belongs to an earlier or later position."""
-    fits = {delay: fit.fit(evidence.with_later_torque(delay)) for delay in DELAYS}
+    sample = evidence.sample
+    fits = {delay: fit.fit(replace(sample, tau=tau)) for delay, tau in evidence.shifted.items()}
     delay = min(fits, key=lambda each: fits[each].cost)
     if not explains(base, fits[delay]):
         return
@@ -275,16 +276,14 @@ def model_findings(evidence: Evidence, fit: ModelFit) -> Iterator[Finding]:
     arm = float(np.sum(fit.links[:, 0]))
     mass = float(found.thetas[-1, 0])
     left = float(np.sqrt(np.sum(found.residual**2) / np.sum(evidence.sample.tau**2)))
-    remedy = (
-        "is the model of this arm, with what is fixed to its other links, and its base mounted as "
-        "the model says?"
-    )
     text = f"to fit this log, the terminal link would have {mass:.3g} kg on an arm of {arm:.3g} kg"
     if plausible(fit, found):
+        if left <= UNEXPLAINED:
+            return
         text = f"the model leaves {percent(left)} of the torque unexplained, whatever the "
         text += "terminal link is"
-    if not plausible(fit, found) or left > UNEXPLAINED:
-        yield Finding("model", Level.REFUSE, f"{text}: {remedy}")
+    text += ": is the model of this arm, with what is fixed to its other links, and its base "
+    yield Finding("model", Level.REFUSE, f"{text}mounted as the model says?")
 
 
 def contact_findings(evidence: Evidence, base: Fit) -> Iterator[Finding]:

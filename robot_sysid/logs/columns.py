@@ -49,20 +49,21 @@ _CURRENT = frozenset({"current", "currents"})
 _AMPERES = _words("a amp amps ampere amperes")
 _JOINED = {("q", "dot"): "qd", ("q", "ddot"): "qdd", ("dot", "q"): "qd", ("ddot", "q"): "qdd"}
 
-UNITS = {
-    "time": {"s": 1.0, "sec": 1.0, "secs": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3}
-    | {"msec": 1e-3, "millis": 1e-3, "us": 1e-6, "usec": 1e-6, "µs": 1e-6, "micros": 1e-6}
-    | {"ns": 1e-9, "nsec": 1e-9, "nanos": 1e-9},
-    "position": {"rad": 1.0, "deg": math.pi / 180, "degree": math.pi / 180, "mm": 1e-3}
-    | {"degrees": math.pi / 180, "°": math.pi / 180, "rads": 1.0, "radians": 1.0, "m": 1.0},
-    "velocity": {"rads": 1.0, "radsec": 1.0, "rad": 1.0, "degs": math.pi / 180, "ms": 1.0}
-    | {"deg": math.pi / 180, "dps": math.pi / 180, "°s": math.pi / 180, "mms": 1e-3}
-    | {"degsec": math.pi / 180, "rpm": math.pi / 30, "rads1": 1.0},
-    "acceleration": {"rads2": 1.0, "degs2": math.pi / 180, "rads": 1.0, "degs": math.pi / 180}
-    | {"deg": math.pi / 180, "rad": 1.0, "°s2": math.pi / 180, "ms2": 1.0},
-    "torque": {"nm": 1.0, "mnm": 1e-3, "ncm": 1e-2, "knm": 1e3, "n": 1.0},
+_DEGREE, _RPM = math.pi / 180, math.pi / 30
+_IN_SI = {
+    "time": {1.0: "s sec secs second seconds", 1e-3: "ms msec millis", 1e-6: "us usec µs micros"}
+    | {1e-9: "ns nsec nanos"},
+    "position": {1.0: "rad rads radians m", _DEGREE: "deg degree degrees °", 1e-3: "mm"},
+    "velocity": {1.0: "rads radsec rad rads1 ms", _DEGREE: "degs deg dps degsec °s"}
+    | {_RPM: "rpm", 1e-3: "mms"},
+    "acceleration": {1.0: "rads2 rads rad ms2", _DEGREE: "degs2 degs deg °s2"},
+    "torque": {1.0: "nm n", 1e-3: "mnm", 1e-2: "ncm", 1e3: "knm"},
 }
-UNITS["command"] = UNITS["position"]
+_IN_SI["command"] = _IN_SI["position"]
+UNITS = {
+    kind: {unit: factor for factor, units in known.items() for unit in units.split()}
+    for kind, known in _IN_SI.items()
+}
 """Quantity to squeezed unit to what turns a value into SI."""
 _UNIT_WORDS = _words(
     "s sec secs second seconds ms msec millis us usec µs micros ns nsec nanos rad rads radians deg "

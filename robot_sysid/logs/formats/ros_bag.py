@@ -213,15 +213,12 @@ def bound_unpacking() -> None:
     getattr(ros1, "decompressors", {}).update(two)
     for module, name in ((ros1, "bz2"), (ros1, "lz4"), (mcap, "lz4")):
         setattr(module, f"{name}_decompress", two[name])
-    for module in (mcap, ros2):
-        library = getattr(module, "zstd", None)
+    for module, name in ((mcap, "zstd"), (ros2, "zstd"), (ros2, "zstandard")):
+        library = getattr(module, name, None)
         if library is not None and not isinstance(library, Bounded):
-            setattr(module, "zstd", Bounded(library))  # noqa: B010
-    # The last rosbags for Python 3.9 unpacks with zstandard.
-    library = getattr(ros2, "zstandard", None)
-    if library is not None and not isinstance(library, Bounded):
-        setattr(ros2, "zstandard", Bounded(library))  # noqa: B010
-        mcap.DECOMPRESSORS["zstd"] = Bounded(library).decompress
+            setattr(module, name, Bounded(library))
+            if name == "zstandard":  # of the last rosbags for Python 3.9
+                mcap.DECOMPRESSORS["zstd"] = Bounded(library).decompress
 
 
 class Bounded:
