@@ -37,7 +37,6 @@ def test_a_good_log_draws_no_remark(tmp_path):
     assert odd(read(tmp_path, rows, titles, limits=limits())) == ""
 
 
-# Each fault changes the table and is an error that says the words.
 def text_cells(rows):
     return [[*r[:2], "oops", *r[3:]] if k in RUBBISH else r for k, r in enumerate(rows.tolist())]
 
@@ -46,98 +45,65 @@ def short_rows(rows):
     return [r[:5] if k in RUBBISH else r for k, r in enumerate(rows.tolist())]
 
 
-def absurd_cells(rows):
-    rows[list(RUBBISH), 4] = 1e30
-    return rows
+def changed(place, change):
+    """A fault that changes some cells of the table."""
+
+    def fault(rows):
+        rows[place] = change(rows[place])
+        return rows
+
+    return fault
 
 
-def backwards(rows):
-    rows[[20, 21], 0] = rows[[21, 20], 0]
-    return rows
+TIME, Q, TAU = np.s_[:, 0], np.s_[:, 1:4], np.s_[:, 4:]
+# Each fault changes the table and is an error that says the words.
+ERRORS: dict[str, tuple[Callable, list[str]]] = {
+    "text cells": (
+        text_cells,
+        ["5 of 400 rows", "line 11, column 'q2': 'oops' is not a number", "1 %"],
+    ),
+    "short rows": (short_rows, ["5 of 400 rows", "line 11: 5 cells instead of 7"]),
+    "absurd cells": (
+        changed((list(RUBBISH), 4), lambda tau: np.full(len(tau), 1e30)),
+        ["5 of 400 rows", "lines 11, 22, 33 and 2 more"],
+    ),
+    "backwards": (
+        changed(([20, 21], 0), lambda time: time[::-1].copy()),
+        ["log.csv: ", "line 23", "backwards", "0.005 s"],
+    ),
+    "many holes": (
+        changed(np.s_[::10, 2], lambda q: np.nan * q),
+        ["40 of 400 rows", "lines 2, 12, 22 and 37 more"],
+    ),
+    "coarse time": (
+        changed(TIME, lambda time: np.floor(time * 50) / 50),
+        ["repeat the time stamp", "more digits"],
+    ),
+    "milliseconds": (changed(TIME, lambda t: 1e3 * t), ["time steps of 5 s", "--units ms"]),
+    "microseconds": (changed(TIME, lambda t: 1e6 * t), ["--units us"]),
+    "nanoseconds since 1970": (changed(TIME, lambda t: 1.7e18 + 1e9 * t), ["--units ns"]),
+    "tiny time": (changed(TIME, lambda t: 1e-3 * t), ["time steps of 5e-06 s", "declare the unit"]),
+    "degrees": (changed(Q, np.degrees), ["look like degrees", "--units deg"]),
+    "at rest": (changed(Q, lambda q: 0.3 + 1e-3 * q), ["at rest", "no joint moves"]),
+    "spike": (changed((33, 3), lambda q: q + 2.0), ["joint wrist", "jumps at lines 35, 36"]),
+    "zero torque": (
+        changed(np.s_[:, 5], lambda tau: 0.0 * tau),
+        ["torque of joint elbow is zero in every row"],
+    ),
+    "motor current": (
+        changed(TAU, lambda tau: 2.69 * np.round(100.0 * tau)),
+        ["multiples of 2.69", "currents in mA", "--torque-constants"],
+    ),
+    "stuck torque": (
+        changed(np.s_[:, 6], lambda tau: np.full(len(tau), 1.25)),
+        ["torque of joint wrist is the same (1.25 N m)"],
+    ),
+}
 
 
-def many_holes(rows):
-    rows[::10, 2] = np.nan
-    return rows
-
-
-def coarse_time(rows):
-    rows[:, 0] = np.floor(rows[:, 0] * 50) / 50
-    return rows
-
-
-def milliseconds(rows):
-    rows[:, 0] *= 1e3
-    return rows
-
-
-def microseconds(rows):
-    rows[:, 0] *= 1e6
-    return rows
-
-
-def nanoseconds_since_1970(rows):
-    rows[:, 0] = 1.7e18 + rows[:, 0] * 1e9
-    return rows
-
-
-def tiny_time(rows):
-    rows[:, 0] *= 1e-3
-    return rows
-
-
-def degrees(rows):
-    rows[:, 1:4] = np.degrees(rows[:, 1:4])
-    return rows
-
-
-def at_rest(rows):
-    rows[:, 1:4] = 0.3 + 1e-3 * rows[:, 1:4]
-    return rows
-
-
-def spike(rows):
-    rows[33, 3] += 2.0
-    return rows
-
-
-def zero_torque(rows):
-    rows[:, 5] = 0.0
-    return rows
-
-
-def motor_current(rows):
-    rows[:, 4:] = 2.69 * np.round(100.0 * rows[:, 4:])
-    return rows
-
-
-def stuck_torque(rows):
-    rows[:, 6] = 1.25
-    return rows
-
-
-ERRORS: list[tuple[Callable, list[str]]] = [
-    (text_cells, ["5 of 400 rows", "line 11, column 'q2': 'oops' is not a number", "1 %"]),
-    (short_rows, ["5 of 400 rows", "line 11: 5 cells instead of 7"]),
-    (absurd_cells, ["5 of 400 rows", "lines 11, 22, 33 and 2 more"]),
-    (backwards, ["log.csv: ", "line 23", "backwards", "0.005 s"]),
-    (many_holes, ["40 of 400 rows", "lines 2, 12, 22 and 37 more"]),
-    (coarse_time, ["repeat the time stamp", "more digits"]),
-    (milliseconds, ["time steps of 5 s", "--units ms"]),
-    (microseconds, ["--units us"]),
-    (nanoseconds_since_1970, ["--units ns"]),
-    (tiny_time, ["time steps of 5e-06 s", "declare the unit"]),
-    (degrees, ["look like degrees", "--units deg"]),
-    (at_rest, ["at rest", "no joint moves"]),
-    (spike, ["joint wrist", "jumps at lines 35, 36"]),
-    (zero_torque, ["torque of joint elbow is zero in every row"]),
-    (motor_current, ["multiples of 2.69", "currents in mA", "--torque-constants"]),
-    (stuck_torque, ["torque of joint wrist is the same (1.25 N m)"]),
-]
-
-
-@pytest.mark.parametrize(("fault", "words"), ERRORS, ids=[f.__name__ for f, _ in ERRORS])
-def test_a_log_that_cannot_be_used_is_refused(tmp_path, fault, words):
+@pytest.mark.parametrize("name", ERRORS)
+def test_a_log_that_cannot_be_used_is_refused(tmp_path, name):
+    fault, words = ERRORS[name]
     with pytest.raises(InputError) as caught:
         read(tmp_path, fault(table(motion())))
     message = str(caught.value)
