@@ -6,8 +6,7 @@ not here.
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from textwrap import wrap
 from typing import Any
@@ -16,7 +15,7 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError
-from robot_sysid.mjcf.inertial import mjcf_inertial, numbers, urdf_inertial_about_com
+from robot_sysid.mjcf.inertial import mjcf_inertial, number, numbers, urdf_inertial_about_com
 from robot_sysid.records import Array, Flange, InertialParameters
 from robot_sysid.results.record import BodyEstimate
 
@@ -32,62 +31,55 @@ _NOTHING = 1e-12
 class Load:
     """A payload in flange axes: what every form is computed from.
 
+    The first four are exact, the others have the digits of a card.
+
     Attributes:
         theta: (10,) in the flange frame, inertia about its origin.
         mass: [kg].
         com: (3,) centre of mass [m].
         inertia: (3, 3) about the centre of mass, axes of the flange [kg m^2].
-        moments: (3,) principal moments [kg m^2].
-        axes: (3, 3) their axes as columns.
+        kg: the mass.
+        com_m, com_mm: centre of mass [m], [mm].
+        six: Ixx Iyy Izz Ixy Ixz Iyz about the centre of mass.
+        nine: the inertia about the centre of mass column by column.
+        moments: principal moments [kg m^2].
+        yaw_pitch_roll: of their axes [degrees].
+        turn: the quaternion w x y z of their axes.
     """
 
     theta: Array
     mass: float
     com: Array
     inertia: Array
-    moments: Array
-    axes: Array
-
-    @property
-    def kg(self) -> float:
-        """Mass with the digits of a card."""
-        return rounded([self.mass])[0]
-
-    @property
-    def com_m(self) -> list[float]:
-        """Centre of mass [m]."""
-        return rounded(self.com)
-
-    @property
-    def com_mm(self) -> list[float]:
-        """Centre of mass [mm]."""
-        return rounded(1e3 * self.com)
-
-    @property
-    def six(self) -> list[float]:
-        """Ixx Iyy Izz Ixy Ixz Iyz about the centre of mass."""
-        return rounded(spatial.fullinertia_from_symmetric(self.inertia))
-
-    @property
-    def nine(self) -> list[float]:
-        """The inertia about the centre of mass column by column."""
-        return rounded(self.inertia.T.ravel())
-
-
-_Filled = tuple[dict[str, Any], str]
-"""The numbers by name, and the text they make."""
+    kg: float
+    com_m: list[float]
+    com_mm: list[float]
+    six: list[float]
+    nine: list[float]
+    moments: list[float]
+    yaw_pitch_roll: list[float]
+    turn: list[float]
 
 
 @dataclass(frozen=True)
 class Form:
-    """One way to state a payload, named as in ``Card``; ``limits`` is what the target refuses."""
+    """One way to state a payload, named as in ``Card``.
+
+    Attributes:
+        values: the numbers by name.
+        text: with a %s for each of them, for all numbers of a list one; or what makes it.
+        exact: whether the text has all digits of the numbers.
+        most: largest element of an inertia matrix that the target takes [kg m^2].
+    """
 
     name: str
     title: str
-    fill: Callable[[Load], _Filled]
+    values: Callable[[Load], dict[str, Any]]
+    text: str | Callable[[Load], str]
     explanation: str
     in_mm: bool = False
-    limits: Callable[[Load], tuple[str, ...]] = lambda load: ()
+    exact: bool = False
+    most: float = np.inf
 
 
 def rounded(values: Sequence[float] | Array) -> list[float]:
@@ -107,126 +99,32 @@ def listed(values: Sequence[float]) -> str:
     return ", ".join(plain(value) for value in values)
 
 
-def _exact(values: Array) -> str:
-    return numbers(values).replace(" ", ", ")
+def _named(names: str, values: Iterable[Any]) -> dict[str, Any]:
+    return dict(zip(names.split(), values))
 
 
-def _franka_load(load: Load) -> _Filled:
-    values = {"load_mass": load.kg, "F_x_Cload": load.com_m, "load_inertia": load.nine}
-    text = (
-        f"robot.setLoad({plain(load.kg)}, {{{{{listed(load.com_m)}}}}}, "
-        f"{{{{{listed(load.nine)}}}}});"
-    )
-    return values, text
+def _texts(value: Any, text_of: Callable[[float], str]) -> list[str]:
+    """Return the texts of named or listed numbers, one for the numbers of a list together."""
+    if isinstance(value, dict) or (isinstance(value, list) and isinstance(value[0], list)):
+        parts = value.values() if isinstance(value, dict) else value
+        return [text for part in parts for text in _texts(part, text_of)]
+    return [", ".join(map(text_of, value if isinstance(value, list) else [value]))]
 
 
-def _franka_end_effector(load: Load) -> _Filled:
-    values = {
-        "mass": load.kg,
-        "centerOfMass": load.com_m,
-        "inertia": load.nine,
-        "transformation": np.eye(4).ravel().tolist(),
-    }
-    return values, json.dumps(values)
-
-
-def _ur_script(load: Load) -> _Filled:
-    values = {"m": load.kg, "cog": load.com_m, "inertia": load.six}
-    lists = f"[{listed(load.com_m)}], [{listed(load.six)}]"
-    return values, f"set_target_payload({plain(load.kg)}, {lists})"
-
-
-def _ur_message(load: Load) -> _Filled:
-    six = dict(zip(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), load.six))
-    centre = dict(zip("xyz", load.com_m))
-    values = {"mass": load.kg, "center_of_gravity": centre, **six}
-    where = ", ".join(f"{axis}: {plain(value)}" for axis, value in centre.items())
-    rest = ", ".join(f"{name}: {plain(value)}" for name, value in six.items())
-    return values, f"{{mass: {plain(load.kg)}, center_of_gravity: {{{where}}}, {rest}}}"
-
-
-def _ur_limits(load: Load) -> tuple[str, ...]:
-    if max(map(abs, load.six)) <= UR_LIMIT:
-        return ()
-    return (f"The controller refuses this: no element of the inertia may exceed {UR_LIMIT:g}.",)
-
-
-def _kuka(load: Load) -> _Filled:
-    roll, pitch, yaw = np.degrees(spatial.roll_pitch_yaw(load.axes))
-    centre = dict(zip("XYZABC", load.com_mm + rounded(np.array([yaw, pitch, roll]))))
-    moments = dict(zip("XYZ", rounded(load.moments)))
-    values = {"M": load.kg, "CM": centre, "J": moments}
-    cm, j = (", ".join(f"{k} {plain(v)}" for k, v in part.items()) for part in (centre, moments))
-    return values, f"{{M {plain(load.kg)}, CM {{{cm}}}, J {{{j}}}}}"
-
-
-def _abb(load: Load) -> _Filled:
-    turn, moments = rounded(spatial.quaternion(load.axes)), rounded(load.moments)
-    values = {
-        "mass": load.kg,
-        "cog": load.com_mm,
-        "aom": turn,
-        **dict(zip(("ix", "iy", "iz"), moments)),
-    }
-    parts = f"[{listed(load.com_mm)}], [{listed(turn)}], {listed(moments)}"
-    return values, f"[{plain(load.kg)}, {parts}]"
-
-
-def _xarm(load: Load) -> _Filled:
-    values = {"weight": load.kg, "center_of_gravity": load.com_mm}
-    return values, f"arm.set_tcp_load({plain(load.kg)}, [{listed(load.com_mm)}])"
-
-
-def _mecademic(load: Load) -> _Filled:
-    values = {"m": load.kg, **dict(zip(("cx", "cy", "cz"), load.com_mm))}
-    return values, f"SetPayload({plain(load.kg)}, {listed(load.com_mm)})"
-
-
-def _urdf(load: Load) -> _Filled:
-    six = spatial.six_from_symmetric(load.inertia).tolist()
-    values = {
-        "mass": load.mass,
-        "origin": load.com.tolist(),
-        **dict(zip(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), six)),
-    }
-    return values, urdf_inertial_about_com(load.mass, load.com, load.inertia)
-
-
-def _mjcf(load: Load) -> _Filled:
-    six = spatial.fullinertia_from_symmetric(load.inertia).tolist()
-    values = {"mass": load.mass, "pos": load.com.tolist(), "fullinertia": six}
+def _mjcf(load: Load) -> str:
     if np.any(load.inertia):
-        return values, mjcf_inertial(load.theta)
-    return values, f'<inertial pos="{numbers(load.com)}" mass="{load.mass!r}" diaginertia="0 0 0"/>'
+        return mjcf_inertial(load.theta)
+    return f'<inertial pos="{numbers(load.com)}" mass="{load.mass!r}" diaginertia="0 0 0"/>'
 
 
-def _pinocchio(load: Load) -> _Filled:
-    # m, m c, then xx xy yy xz yz zz: the lower triangle row by row.
-    order = [0, 1, 2, 3, 4, 5, 7, 6, 8, 9]
-    rows = ", ".join(f"[{_exact(row)}]" for row in load.inertia)
-    text = (
-        f"pinocchio.Inertia({load.mass!r}, np.array([{_exact(load.com)}]), np.array([{rows}]))\n"
-        f"pinocchio.Inertia.FromDynamicParameters(np.array([{_exact(load.theta[order])}]))"
-    )
-    values = {
-        "mass": load.mass,
-        "lever": load.com.tolist(),
-        "inertia": load.inertia.tolist(),
-        "dynamic_parameters": load.theta[order].tolist(),
-    }
-    return values, text
+def _central(load: Load, names: str) -> dict[str, Any]:
+    """Return mass, centre of mass and xx yy zz xy xz yz about it under these names."""
+    six = spatial.fullinertia_from_symmetric(load.inertia).tolist()
+    return _named(names, (load.mass, load.com.tolist(), six))
 
 
-def _drake(load: Load) -> _Filled:
-    six = spatial.fullinertia_from_symmetric(load.inertia)
-    text = (
-        f"SpatialInertia.MakeFromCentralInertia({load.mass!r}, [{_exact(load.com)}], "
-        f"RotationalInertia({_exact(six)}))"
-    )
-    values = {"mass": load.mass, "p_PScm_E": load.com.tolist(), "I_SScm_E": six.tolist()}
-    return values, text
-
-
+# m, m c, then xx xy yy xz yz zz: the lower triangle row by row.
+_PINOCCHIO = [0, 1, 2, 3, 4, 5, 7, 6, 8, 9]
 _ALL_OF_IT = (
     "The controller wants everything that is bolted to the flange: where the empty runs carried a "
     "tool already, that tool is not in these numbers and must be added."
@@ -235,7 +133,8 @@ FORMS = (
     Form(
         "franka_set_load",
         "Franka load: libfranka Robot::setLoad(load_mass, F_x_Cload, load_inertia)",
-        _franka_load,
+        lambda load: _named("load_mass F_x_Cload load_inertia", (load.kg, load.com_m, load.nine)),
+        "robot.setLoad(%s, {{%s}}, {{%s}});",
         "load_mass kg; F_x_Cload from the flange to the centre of mass, m; load_inertia 3x3 about "
         "the centre of mass, axes of the flange, column by column, kg m^2. franka_msgs/SetLoad "
         "takes the same three. The LOAD is what the hand holds, and the arm adds it to the END "
@@ -244,34 +143,51 @@ FORMS = (
     Form(
         "franka_end_effector",
         "Franka end effector: the mechanical data of endeffector-config.json, set in Desk",
-        _franka_end_effector,
+        lambda load: _named(
+            "mass centerOfMass inertia transformation",
+            (load.kg, load.com_m, load.nine, np.eye(4).ravel().tolist()),
+        ),
+        '{"mass": %s, "centerOfMass": [%s], "inertia": [%s], "transformation": [%s]}',
         "mass kg; centerOfMass from the flange, m; inertia 3x3 about the centre of mass, axes of "
         "the flange, column by column, kg m^2; transformation 4x4 flange to tool tip, column by "
         "column, m: not identified, the identity stands there, put your own in. The END EFFECTOR "
         "is the tool that stays mounted, not the load in its hand (see the card above). Desk adds "
         "nothing to it: these numbers have to be the whole tool.",
+        exact=True,
     ),
     Form(
         "ur_set_target_payload",
         "Universal Robots: set_target_payload(m, cog, inertia)",
-        _ur_script,
+        lambda load: {"m": load.kg, "cog": load.com_m, "inertia": load.six},
+        "set_target_payload(%s, [%s], [%s])",
         "m kg; cog from the tool flange, m; inertia [Ixx, Iyy, Izz, Ixy, Ixz, Iyz] about the "
         f"centre of gravity, axes of the tool flange, kg m^2. {_ALL_OF_IT}",
-        limits=_ur_limits,
+        most=UR_LIMIT,
     ),
     Form(
         "ur_msgs_set_payload",
         "Universal Robots under ROS 2: request of ur_msgs/srv/SetPayload",
-        _ur_message,
+        lambda load: {
+            "mass": load.kg,
+            "center_of_gravity": _named("x y z", load.com_m),
+            **_named("ixx iyy izz ixy ixz iyz", load.six),
+        },
+        "{mass: %s, center_of_gravity: {x: %s, y: %s, z: %s}, ixx: %s, iyy: %s, izz: %s, ixy: %s, "
+        "ixz: %s, iyz: %s}",
         "mass kg; center_of_gravity from the tool flange, m; ixx iyy izz ixy ixz iyz about the "
         "centre of gravity, axes of the tool flange, kg m^2. Older releases of the message have "
         f"mass and center_of_gravity only. {_ALL_OF_IT}",
-        limits=_ur_limits,
+        most=UR_LIMIT,
     ),
     Form(
         "kuka_load",
         "KUKA: LOAD_DATA[n] of type LOAD",
-        _kuka,
+        lambda load: {
+            "M": load.kg,
+            "CM": _named("X Y Z A B C", load.com_mm + load.yaw_pitch_roll),
+            "J": _named("X Y Z", load.moments),
+        },
+        "{M %s, CM {X %s, Y %s, Z %s, A %s, B %s, C %s}, J {X %s, Y %s, Z %s}}",
         "M kg; CM X, Y, Z centre of mass in the FLANGE coordinate system, mm; CM A, B, C turn of "
         "the principal axes, degrees: A about Z, then B about the new Y, then C about the new X; J "
         f"X, Y, Z principal moments about those axes, kg m^2. {_ALL_OF_IT}",
@@ -280,7 +196,10 @@ FORMS = (
     Form(
         "abb_loaddata",
         "ABB: loaddata [mass, cog, aom, ix, iy, iz]",
-        _abb,
+        lambda load: _named(
+            "mass cog aom ix iy iz", (load.kg, load.com_mm, load.turn, *load.moments)
+        ),
+        "[%s, [%s], [%s], %s, %s, %s]",
         "mass kg; cog x, y, z in mm; aom turn of the principal axes, quaternion q1 q2 q3 q4 with "
         "q1 the real part; ix, iy, iz moments about those axes through the centre of gravity, kg "
         "m^2. Right as it stands for the tload of a tooldata, which is stated in the wrist "
@@ -291,7 +210,8 @@ FORMS = (
     Form(
         "xarm_set_tcp_load",
         "UFACTORY xArm: set_tcp_load(weight, center_of_gravity)",
-        _xarm,
+        lambda load: {"weight": load.kg, "center_of_gravity": load.com_mm},
+        "arm.set_tcp_load(%s, [%s])",
         "weight kg; center_of_gravity x, y, z in the default tool coordinate system at the centre "
         f"of the flange, mm. It takes no inertia. {_ALL_OF_IT}",
         in_mm=True,
@@ -299,7 +219,8 @@ FORMS = (
     Form(
         "mecademic_set_payload",
         "Mecademic: SetPayload(m, cx, cy, cz)",
-        _mecademic,
+        lambda load: _named("m cx cy cz", (load.kg, *load.com_mm)),
+        "SetPayload(%s, %s, %s, %s)",
         "m kg; cx, cy, cz centre of mass in the flange reference frame (FRF), mm. It takes no "
         f"inertia. {_ALL_OF_IT}",
         in_mm=True,
@@ -307,13 +228,18 @@ FORMS = (
     Form(
         "urdf_inertial",
         "URDF: <inertial> of a link whose frame is the flange",
-        _urdf,
+        lambda load: {
+            **{"mass": load.mass, "origin": load.com.tolist()},
+            **_named("ixx ixy ixz iyy iyz izz", spatial.six_from_symmetric(load.inertia).tolist()),
+        },
+        lambda load: urdf_inertial_about_com(load.mass, load.com, load.inertia),
         "mass kg; origin xyz centre of mass, m; ixx ixy ixz iyy iyz izz about the centre of mass, "
         "axes of the link (rpy 0), kg m^2.",
     ),
     Form(
         "mjcf_inertial",
         "MuJoCo: <inertial> of a body whose frame is the flange",
+        lambda load: _central(load, "mass pos fullinertia"),
         _mjcf,
         "mass kg; pos centre of mass, m; fullinertia xx yy zz xy xz yz about the centre of mass, "
         "axes of the body, kg m^2.",
@@ -321,17 +247,27 @@ FORMS = (
     Form(
         "pinocchio_inertia",
         "Pinocchio: Inertia(mass, lever, inertia) and Inertia.FromDynamicParameters(v)",
-        _pinocchio,
+        lambda load: {
+            "mass": load.mass,
+            "lever": load.com.tolist(),
+            "inertia": load.inertia.tolist(),
+            "dynamic_parameters": load.theta[_PINOCCHIO].tolist(),
+        },
+        "pinocchio.Inertia(%s, np.array([%s]), np.array([[%s], [%s], [%s]]))\n"
+        "pinocchio.Inertia.FromDynamicParameters(np.array([%s]))",
         "In the frame of the flange: mass kg; lever centre of mass, m; inertia 3x3 about the "
         "centre of mass, kg m^2. The ten dynamic parameters are m, m cx, m cy, m cz, Ixx, Ixy, "
         "Iyy, Ixz, Iyz, Izz with the inertia about the ORIGIN of the flange; kg, kg m, kg m^2.",
+        exact=True,
     ),
     Form(
         "drake_spatial_inertia",
         "Drake: SpatialInertia.MakeFromCentralInertia(mass, p_PScm_E, I_SScm_E)",
-        _drake,
+        lambda load: _central(load, "mass p_PScm_E I_SScm_E"),
+        "SpatialInertia.MakeFromCentralInertia(%s, [%s], RotationalInertia(%s))",
         "P the origin and E the axes of the flange: mass kg; p_PScm_E centre of mass, m; I_SScm_E "
         "RotationalInertia(Ixx, Iyy, Izz, Ixy, Ixz, Iyz) about the centre of mass, kg m^2.",
+        exact=True,
     ),
 )
 
@@ -378,8 +314,15 @@ def payload_cards(
     load = _load(payload)
     cards = [_plain_card(load, flange, errors)]
     for form in FORMS:
-        values, text = form.fill(load)
-        notes = (*_error_notes(errors, form.in_mm), *form.limits(load))
+        values, text = form.values(load), form.text
+        if isinstance(text, str):
+            text %= tuple(_texts(values, number if form.exact else plain))
+        else:
+            text = text(load)
+        notes = _error_notes(errors, form.in_mm)
+        if max(map(abs, load.six)) > form.most:
+            refused = "The controller refuses this: no element of the inertia may exceed"
+            notes += (f"{refused} {form.most:g}.",)
         cards.append(Card(form.name, form.title, form.explanation, values, text, notes))
     return tuple(cards)
 
@@ -413,13 +356,7 @@ def card_text(cards: Sequence[Card], heading: Sequence[str] = ()) -> str:
 def card_entries(cards: Sequence[Card]) -> dict[str, Any]:
     """Return the cards as JSON entries by name."""
     return {
-        card.name: {
-            "title": card.title,
-            "explanation": card.explanation,
-            "values": dict(card.values),
-            "text": card.text,
-            "notes": list(card.notes),
-        }
+        card.name: {key: value for key, value in vars(card).items() if key != "name"}
         for card in cards
     }
 
@@ -439,7 +376,17 @@ def _load(payload: InertialParameters) -> Load:
             f"{', '.join(f'{moment:.4g}' for moment in moments)} kg m^2 is not a possible rigid "
             "body, so there is no card for a controller; record longer or faster motion"
         )
-    return Load(payload.theta, mass, com, inertia, moments, axes)
+    return Load(
+        *(payload.theta, mass, com, inertia),
+        kg=rounded([mass])[0],
+        com_m=rounded(com),
+        com_mm=rounded(1e3 * com),
+        six=rounded(spatial.fullinertia_from_symmetric(inertia)),
+        nine=rounded(inertia.T.ravel()),
+        moments=rounded(moments),
+        yaw_pitch_roll=rounded(np.degrees(spatial.roll_pitch_yaw(axes)[::-1])),
+        turn=rounded(spatial.quaternion(axes)),
+    )
 
 
 def _plain_card(load: Load, flange: Flange, errors: Mapping[str, float] | None) -> Card:
@@ -478,8 +425,8 @@ def _plain_card(load: Load, flange: Flange, errors: Mapping[str, float] | None) 
 def _known(errors: Mapping[str, float] | None) -> dict[str, float | None] | None:
     if errors is None:
         return None
-    found = {name: float(errors.get(name, np.inf)) for name in ERROR_NAMES}
-    return {name: value if np.isfinite(value) else None for name, value in found.items()}
+    finite = {name: float(error) for name, error in errors.items() if np.isfinite(error)}
+    return {name: finite.get(name) for name in ERROR_NAMES}
 
 
 def _error_notes(errors: Mapping[str, float] | None, in_mm: bool = False) -> tuple[str, ...]:
