@@ -48,7 +48,7 @@ def write_bundle(model: Path, folder: Path) -> Path:
                 shutil.copyfile(source, draft / name)
             (draft / model.name).write_bytes(text)
             same = compile_model(model).mj_model, compiled_again(draft / model.name).mj_model
-            require_same_model(*same, ())
+            require_same_model(*same, {})
             _take_place(draft, place, [*names.values(), model.name])
     except OSError as error:
         raise InputError(f"--bundle: cannot write {place}: {error.strerror or error}") from None

@@ -8,10 +8,11 @@ identification predicts.
 from __future__ import annotations
 
 import copy
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
+from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -21,13 +22,7 @@ from robot_sysid.dynamics.kinematics import ArmDynamics
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.errors import ExportError, InputError
 from robot_sysid.mjcf.inertial import mjcf_inertial
-from robot_sysid.mjcf.write_back import (
-    JOINT_NUMBERS,
-    ActuatorChange,
-    JointChange,
-    ModelChange,
-    WeldedBody,
-)
+from robot_sysid.mjcf.write_back import ActuatorChange, JointChange, ModelChange, WeldedBody
 from robot_sysid.model.chain import body_label, joint_label
 from robot_sysid.model.compilation import CompiledModel, captured_warnings, compile_model
 from robot_sysid.model.inertia import body_theta
@@ -38,13 +33,10 @@ TOLERANCE = 1e-9
 ACCURATE = 1e-12
 """Deviation below which MuJoCo's principal axes count as accurate; 4.0.0 stays below 1e-13."""
 
-# What was written, and whether body frame and inertial frame coincide. Compared row by row: only
-# the changed bodies may differ.
-_WRITTEN = {"body_mass", "body_inertia", "body_ipos", "body_iquat", "body_sameframe"}
-_WRITTEN_JOINT = {f"dof_{name}" for name in (*JOINT_NUMBERS, "dampingpoly")}
-_WRITTEN_SPRING = ("jnt_stiffness", "qpos_spring")
+# What is written of a body, and whether its frame and its inertial frame coincide. Compared row by
+# row: only the changed bodies may differ.
+BODY_FIELDS = ("body_mass", "body_inertia", "body_ipos", "body_iquat", "body_sameframe")
 _DELAY, _LINEAR = ("actuator_delay", "actuator_history"), 1
-_WRITTEN_ACTUATOR = ("actuator_gainprm", "actuator_biasprm", *_DELAY)
 # What MuJoCo computes from masses and inertias when it compiles.
 DERIVED = {
     *("body_subtreemass", "body_invweight0", "dof_M0", "dof_invweight0", "dof_length"),
@@ -80,6 +72,82 @@ _ADVICE = {
 _NUMBERS = (int, float, bytes, np.ndarray)
 
 
+class _Asked(NamedTuple):
+    """Numbers that a change asks for.
+
+    Attributes:
+        places: compiled fields and the place in each, its row first.
+        values: what has to stand there.
+        fault: what to say where something else does, with the numbers found as {0}, {1}, ...
+    """
+
+    places: tuple[tuple[str, tuple[Any, ...]], ...]
+    values: tuple[Any, ...]
+    fault: str
+
+    def require(self, mj_model: Any) -> None:
+        """Raise ExportError unless the numbers stand in a compiled model."""
+        found = [attrgetter(name)(mj_model)[at] for name, at in self.places]
+        pairs = zip(found, self.values)
+        if not all(np.allclose(*pair, rtol=TOLERANCE, atol=0.0) for pair in pairs):
+            raise ExportError("in the written model, " + self.fault.format(*found))
+
+    def put(self, mj_model: Any) -> None:
+        """Write the numbers into a compiled model."""
+        for (name, at), value in zip(self.places, self.values):
+            attrgetter(name)(mj_model)[at] = value
+
+
+def _asked(original: Any, change: ModelChange) -> Iterator[_Asked]:
+    """Yield what a change asks for of joints, actuators and gravity."""
+    for joint in change.joints:
+        yield from _of_joint(original, joint)
+    for actuator in change.actuators:
+        yield from _of_actuator(actuator)
+    if change.gravity is not None:
+        end = f"instead of {list(change.gravity)}; no model was written"
+        place = ("opt.gravity", ([0, 1, 2],))
+        yield _Asked((place,), (change.gravity,), f"gravity is {{0}} {end}")
+
+
+def _of_joint(original: Any, change: JointChange) -> Iterator[_Asked]:
+    labels = [joint_label(original, joint) for joint in range(original.njnt)]
+    joint = labels.index(change.label)
+    dof, rest = int(original.jnt_dofadr[joint]), int(original.jnt_qposadr[joint])
+    has = f"joint '{change.label}' has"
+    for name, value in change.numbers.items():
+        end = f"instead of {value:.9g}; {_ADVICE.get(f'dof_{name}', 'no model was written')}"
+        yield _Asked(((f"dof_{name}", (dof,)),), (value,), f"{has} {name} {{0:.9g}} {end}")
+    if change.polynomial is not None and hasattr(original, "dof_dampingpoly"):
+        end = f"instead of {change.polynomial}; {_ADVICE['dof_dampingpoly']}"
+        place = ("dof_dampingpoly", (dof,))
+        yield _Asked((place,), (change.polynomial,), f"{has} the nonlinear damping {{0}} {end}")
+    if change.spring is not None:
+        fault = (
+            f"{has} a spring of {{0:.9g}} that rests at {{1:.9g}}, which is not the offset of "
+            f"{change.offset:.9g}; leave --write-offset off"
+        )
+        places = ("jnt_stiffness", (joint,)), ("qpos_spring", (rest,))
+        yield _Asked(places, change.spring, fault)
+
+
+def _of_actuator(change: ActuatorChange) -> Iterator[_Asked]:
+    at, kp, kv = change.actuator, change.stiffness, change.damping
+    places = ("actuator_gainprm", (at, 0)), ("actuator_biasprm", (at, slice(3)))
+    fault = (
+        f"actuator number {at} has gains {{0:.9g}}, {{1}} instead of kp {kp:.9g} and kv "
+        f"{kv:.9g}; give it kp and kv of its own"
+    )
+    yield _Asked(places, (kp, (0.0, -kp, -kv)), fault)
+    if change.delay is not None:
+        fault = (
+            f"actuator number {at} acts late by {{0:.9g}} s instead of {change.delay:.9g}; give it "
+            "a delay of its own, or leave --write-delay off"
+        )
+        late = tuple((name, (at,)) for name in _DELAY)
+        yield _Asked(late, (change.delay, (change.samples, _LINEAR)), fault)
+
+
 def verify_written_model(original: Any, written: Path, change: ModelChange) -> CompiledModel:
     """Compile a written model, compare it with the original, and return it; no welded body yet.
 
@@ -89,31 +157,20 @@ def verify_written_model(original: Any, written: Path, change: ModelChange) -> C
     """
     compiled = compiled_again(written)
     found = compiled.mj_model
-    bodies = {body.body_id: body.plan for body in change.bodies}
-    lumped = {body.body_id for plan in bodies.values() for body in plan.lumped}
-    dofs = {joint: _dof(original, joint) for joint in change.joints}
-    servos = [servo.actuator for servo in change.actuators]
-    springs = [dof for joint, dof in dofs.items() if joint.spring is not None]
-    changed = {*bodies, *lumped}
-    turned = change.gravity is not None
-    require_same_model(original, found, changed, dofs.values(), servos, springs, turned)
-    for body, plan in bodies.items():
-        require_theta(found, body, plan.theta, plan.theta)
-        for other in plan.lumped:
-            require_theta(found, other.body_id, np.zeros(10), plan.theta)
-    for joint, dof in dofs.items():
-        _require_numbers(original, found, joint, dof)
-        _require_polynomial(original, found, joint, dof)
-        _require_spring(found, joint, dof)
-    for servo in change.actuators:
-        _require_gains(found, servo)
-        _require_delay(original, found, servo)
-    gravity, asked = found.opt.gravity, change.gravity
-    if asked is not None and not np.allclose(gravity, asked, rtol=0.0, atol=TOLERANCE):
-        raise ExportError(
-            f"in the written model, gravity is {gravity.tolist()} instead of {list(asked)}; no "
-            "model was written"
-        )
+    thetas = {
+        body: (theta, plan.theta)
+        for own, plan in ((change.body_id, change.plan) for change in change.bodies)
+        for body, theta in ((own, plan.theta), *((b.body_id, np.zeros(10)) for b in plan.lumped))
+    }
+    asked = list(_asked(original, change))
+    rows: dict[str, set[int]] = {name: set(thetas) for name in BODY_FIELDS}
+    for name, at in (place for each in asked for place in each.places):
+        rows.setdefault(name, set()).update(np.ravel(at[0]).tolist())
+    require_same_model(original, found, rows)
+    for body, (theta, size) in thetas.items():
+        require_theta(found, body, theta, size)
+    for each in asked:
+        each.require(found)
     return compiled
 
 
@@ -125,110 +182,17 @@ def compiled_again(written: Path) -> CompiledModel:
         raise ExportError(f"the written model cannot be loaded: {error}") from None
 
 
-def _dof(mj_model: Any, change: JointChange) -> int:
-    labels = [joint_label(mj_model, joint) for joint in range(mj_model.njnt)]
-    return int(mj_model.jnt_dofadr[labels.index(change.label)])
-
-
-def _require_numbers(original: Any, written: Any, change: JointChange, dof: int) -> None:
-    """Raise ExportError unless a joint has its new numbers, and its old ones beside them."""
-    for name in JOINT_NUMBERS:
-        asked = change.numbers.get(name, float(getattr(original, f"dof_{name}")[dof]))
-        found = float(getattr(written, f"dof_{name}")[dof])
-        if abs(found - asked) > TOLERANCE * abs(asked):
-            raise ExportError(
-                f"in the written model, joint '{change.label}' has {name} {found:.9g} instead of "
-                f"{asked:.9g}; {_ADVICE.get(f'dof_{name}', 'no model was written')}"
-            )
-
-
-def _require_polynomial(original: Any, written: Any, change: JointChange, dof: int) -> None:
-    """Raise ExportError unless a joint has its new nonlinear damping, or its old one."""
-    if not hasattr(original, "dof_dampingpoly"):
-        return
-    asked = original.dof_dampingpoly[dof] if change.polynomial is None else change.polynomial
-    found = written.dof_dampingpoly[dof]
-    if not np.allclose(found, asked, rtol=TOLERANCE, atol=0.0):
-        raise ExportError(
-            f"in the written model, joint '{change.label}' has the nonlinear damping {found} "
-            f"instead of {asked}; {_ADVICE['dof_dampingpoly']}"
-        )
-
-
-def _spring(mj_model: Any, dof: int) -> tuple[int, int]:
-    """Return the places of a degree of freedom's stiffness and of where its spring rests."""
-    joint = int(mj_model.dof_jntid[dof])
-    return joint, int(mj_model.jnt_qposadr[joint])
-
-
-def _require_spring(written: Any, change: JointChange, dof: int) -> None:
-    """Raise ExportError unless a joint has the spring that makes its offset."""
-    if change.spring is None:
-        return
-    values = zip((written.jnt_stiffness, written.qpos_spring), _spring(written, dof))
-    found = [float(value[place]) for value, place in values]
-    if not np.allclose(found, change.spring, rtol=TOLERANCE, atol=0.0):
-        raise ExportError(
-            f"in the written model, joint '{change.label}' has a spring of {found[0]:.9g} that "
-            f"rests at {found[1]:.9g}, which is not the offset of {change.offset:.9g}; leave "
-            "--write-offset off"
-        )
-
-
-def _require_gains(written: Any, change: ActuatorChange) -> None:
-    """Raise ExportError unless a position actuator has its new gains, and nothing else."""
-    kp, kv = change.stiffness, change.damping
-    at = change.actuator
-    found = np.array([written.actuator_gainprm[at, 0], *written.actuator_biasprm[at, :3]])
-    if not np.allclose(found, [kp, 0.0, -kp, -kv], rtol=TOLERANCE, atol=0.0):
-        raise ExportError(
-            f"in the written model, actuator number {at} has gains {found.tolist()} "
-            f"instead of kp {kp:.9g} and kv {kv:.9g}; give it kp and kv of its own"
-        )
-
-
-def _require_delay(original: Any, written: Any, change: ActuatorChange) -> None:
-    """Raise ExportError unless an actuator acts late by what was asked for, or as before."""
-    if not hasattr(original, _DELAY[0]):
-        return
-    asked: tuple[Any, ...] = tuple(getattr(original, name)[change.actuator] for name in _DELAY)
-    if change.delay is not None:
-        asked = change.delay, (change.samples, _LINEAR)
-    found = tuple(getattr(written, name)[change.actuator] for name in _DELAY)
-    if not all(np.allclose(*pair, rtol=TOLERANCE, atol=0.0) for pair in zip(found, asked)):
-        raise ExportError(
-            f"in the written model, actuator number {change.actuator} acts late by {found[0]:.9g} "
-            f"s instead of {asked[0]:.9g}; give it a delay of its own, or leave --write-delay off"
-        )
-
-
-def require_same_model(
-    original: Any,
-    other: Any,
-    changed: Collection[int],
-    dofs: Collection[int] = (),
-    actuators: Collection[int] = (),
-    springs: Collection[int] = (),
-    gravity: bool = False,
-) -> None:
+def require_same_model(original: Any, other: Any, changed: Mapping[str, Collection[int]]) -> None:
     """Raise ExportError naming the first compiled field that differs and may not.
 
     Args:
-        changed: ids of the bodies whose inertia may differ.
-        dofs: the degrees of freedom whose armature, damping and friction may differ.
-        actuators: ids of those whose gains may differ.
-        springs: the degrees of freedom whose springs may differ.
+        changed: compiled field to those of its rows that may differ.
     """
     theirs = dict(compiled_fields(other))
-    rows = {**dict.fromkeys(_WRITTEN, changed), **dict.fromkeys(_WRITTEN_JOINT, dofs)}
-    rows.update(dict.fromkeys(_WRITTEN_ACTUATOR, actuators))
-    places = zip(*(_spring(original, dof) for dof in springs))
-    rows.update(zip(_WRITTEN_SPRING, places))
-    skipped = DERIVED | PATHS | ({"opt.gravity"} if gravity else set())
     for name, value in compiled_fields(original):
-        if name in skipped:
+        if name in DERIVED | PATHS:
             continue
-        if name not in theirs or not _same(name, value, theirs[name], rows.get(name, ())):
+        if name not in theirs or not _same(name, value, theirs[name], changed.get(name, ())):
             raise ExportError(
                 f"the written model differs from the original in {name}, which should not have "
                 f"changed; {_ADVICE.get(name, 'no model was written')}"
@@ -324,7 +288,10 @@ def require_reproduction(
     Args:
         thetas: (n, 10) links that were identified, in their bodies' frames.
     """
-    asked = replace(robot, mj_model=_as_asked(robot.mj_model, change))
+    model = copy.copy(robot.mj_model)
+    for each in _asked(robot.mj_model, change):
+        each.put(model)
+    asked = replace(robot, mj_model=model)
     samples = motion.q, motion.qd, motion.qdd
     # What is no rigid body (springs, armature) does not depend on the links' inertia.
     predicted = LinkDynamics(asked).motion(*samples).torque(thetas)
@@ -341,23 +308,6 @@ def require_reproduction(
             f"{robot.joint_names[worst]} is off by {relative[worst]:.1e} relative (allowed "
             f"{TORQUE_TOLERANCE:.0e}); no model was written"
         )
-
-
-def _as_asked(original: Any, change: ModelChange) -> Any:
-    """Return a copy of the original model with joints and gravity as they should be written."""
-    model = copy.copy(original)
-    for joint in change.joints:
-        dof = _dof(original, joint)
-        if joint.armature is not None:
-            model.dof_armature[dof] = joint.armature
-        if joint.polynomial is not None and hasattr(model, "dof_dampingpoly"):
-            model.dof_dampingpoly[dof] = joint.polynomial
-        if joint.spring is not None:
-            at, rest = _spring(original, dof)
-            model.jnt_stiffness[at], model.qpos_spring[rest] = joint.spring
-    if change.gravity is not None:
-        model.opt.gravity[:] = change.gravity
-    return model
 
 
 PLACE = 1e-12

@@ -49,7 +49,7 @@ def test_two_meshes_of_one_name_and_an_include(tmp_path):
     bundle = write_bundle(source / "updated_model.xml", tmp_path)
     assert bundle == tmp_path / "bundle" / "updated_model.xml"
     shutil.rmtree(source)
-    require_same_model(before, moved(bundle, tmp_path), ())
+    require_same_model(before, moved(bundle, tmp_path), {})
 
 
 def test_a_second_bundle_replaces_the_first(tmp_path):
