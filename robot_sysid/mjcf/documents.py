@@ -67,10 +67,6 @@ class SourceFile:
         """Where each element stands in ``text``."""
         return markup.element_spans(self.text)
 
-    def span(self, element: Any) -> markup.Span:
-        """Return where one of this file's elements stands in ``text``."""
-        return self.spans[self.index[element]]
-
 
 @dataclass(frozen=True)
 class Node:
@@ -102,6 +98,15 @@ class Node:
         yield self
         for child in self.children():
             yield from child.walk()
+
+    @property
+    def span(self) -> markup.Span:
+        """Where it stands in the text of its file."""
+        return self.file.spans[self.file.index[self.element]]
+
+    def child(self, tag: str) -> Node | None:
+        """Return the first child with a tag."""
+        return next((child for child in self.children() if child.tag == tag), None)
 
     def holds(self, other: Node) -> bool:
         """Tell whether an element is this one or below it."""
@@ -153,10 +158,12 @@ class ModelDocument:
 
         Those of a URDF stand in its ``<mujoco>`` part.
         """
-        tops = list(self.root.children())
-        if self.kind == "urdf":
-            tops = [node for top in tops if top.tag == "mujoco" for node in top.children()]
-        return [node for node in tops if node.tag == tag]
+        tops = self.tagged("mujoco") if self.kind == "urdf" else [self.root]
+        return [node for top in tops for node in top.children() if node.tag == tag]
+
+    def tagged(self, tag: str) -> list[Node]:
+        """Return the children of the root with a tag."""
+        return [node for node in self.root.children() if node.tag == tag]
 
     def compilers(self) -> list[Node]:
         """Return the compiler elements."""
@@ -193,10 +200,9 @@ def _check_is_whole_model(document: ModelDocument) -> None:
             f"{name} is a fragment, not a whole model: its root is <{tag}>, expected <mujoco> "
             f"(MJCF) or <robot> (URDF); {advice}"
         )
-    tags = {child.tag for child in document.root.children()}
-    if document.kind == "mjcf" and "worldbody" not in tags:
+    if document.kind == "mjcf" and not document.tagged("worldbody"):
         raise ModelError(f"{name} is a fragment, not a whole model: no <worldbody>; {advice}")
-    if document.kind == "urdf" and "link" not in tags:
+    if document.kind == "urdf" and not document.tagged("link"):
         xacro = any("xacro" in str(uri) for uri in document.main.root.nsmap.values())
         hint = "run xacro on it first" if xacro else advice
         raise ModelError(f"{name} is a fragment, not a whole model: no <link>; {hint}")

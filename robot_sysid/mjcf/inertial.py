@@ -5,7 +5,7 @@ what compiler settings would change of it.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable
 from typing import NoReturn
 
 import numpy as np
@@ -14,10 +14,8 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf import markup
 from robot_sysid.mjcf.documents import ModelDocument, Node
-from robot_sysid.mjcf.markup import Edit
+from robot_sysid.mjcf.edits import Edits
 from robot_sysid.records import Array
-
-_OLD_COMMENT = re.compile(rb"<!--\s*System ID:(?:(?!-->).)*-->\s*\Z", re.DOTALL)
 
 _SMALLEST_NORMAL = float(np.finfo(float).tiny)
 
@@ -71,30 +69,16 @@ def number(value: float) -> str:
     return repr(float(value)) if abs(value) >= _SMALLEST_NORMAL else "0.0"
 
 
-def inertial_edit(body: Node, inertial: str) -> tuple[Node, Edit]:
-    """Return the edit that gives a body this inertial, and the element whose file it is in."""
-    old = next((child for child in body.children() if child.tag == "inertial"), None)
+def write_inertial(edits: Edits, body: Node, inertial: str) -> None:
+    """Give a body this inertial."""
+    old = body.child("inertial")
     if old is not None:
-        span = old.file.span(old.element)
-        return old, Edit(span.start, span.end, inertial.encode())
-    text, span = body.file.text, body.file.span(body.element)
+        edits.replace(old, inertial)
+        return
+    text, span = body.file.text, body.span
     indent = markup.line_break(text) + markup.indentation(text, span.start) + b"  "
     before = b"" if span.is_empty_tag else indent
-    return body, markup.insert_child(text, span, before + inertial.encode())
-
-
-def comment_edit(body: Node, label: str, rmse: float, addition: str | None) -> Edit:
-    """Return the edit that puts the comment before a body, in place of an older one."""
-    return comment_before(body, comment_text(f"body '{label}'", rmse, addition))
-
-
-def comment_before(node: Node, comment: str) -> Edit:
-    """Return the edit that puts a comment before an element, in place of an older one."""
-    text, start = node.file.text, node.file.span(node.element).start
-    old = _OLD_COMMENT.search(text[:start])
-    # What follows the comment repeats the element's own indentation.
-    between = markup.line_break(text) + markup.indentation(text, start)
-    return Edit(old.start() if old else start, start, comment.encode() + between)
+    edits.add(body, markup.insert_child(text, span, before + inertial.encode()))
 
 
 def comment_text(what: str, rmse: float, addition: str | None) -> str:
@@ -123,16 +107,26 @@ def find_body(document: ModelDocument, label: str) -> Node:
         ExportError: it is not written out in the file.
     """
     wanted = "link" if document.kind == "urdf" else "body"
-    named = [n for n in document.walk() if n.tag == wanted and n.get("name") == label]
-    if len(named) > 1:
-        raise ExportError(f"{document.path}: body '{label}' stands in the file {len(named)} times")
-    node = named[0] if named else _by_number(document, label)
+    node = find_named(document, (n for n in document.walk() if n.tag == wanted), "body", label)
+    node = node or _by_number(document, label)
     if any(n.tag == "replicate" and n.holds(node) for n in document.walk()):
         raise ExportError(
             f"{document.path}: body '{label}' is repeated by a <replicate>, so its inertia cannot "
             "be changed alone; write its copies out"
         )
     return node
+
+
+def find_named(
+    document: ModelDocument, nodes: Iterable[Node], kind: str, label: str
+) -> Node | None:
+    """Return the element with a name; ExportError where there are several."""
+    named = [node for node in nodes if node.get("name") == label]
+    if len(named) > 1:
+        raise ExportError(
+            f"{document.path}: {kind} '{label}' stands in the file {len(named)} times"
+        )
+    return named[0] if named else None
 
 
 def _by_number(document: ModelDocument, label: str) -> Node:
@@ -206,27 +200,24 @@ def check_settings(
             _refuse(document, name, f"{change}; lower it")
 
 
-def inertia_from_geometry_edits(
-    document: ModelDocument, written: Collection[Node]
-) -> Iterator[tuple[Node, Edit]]:
-    """Yield the edits that keep ``inertiafromgeom="true"`` from overriding what is written.
+def let_inertials_count(edits: Edits, written: Collection[Node]) -> None:
+    """Keep ``inertiafromgeom="true"`` from overriding what is written.
 
     The setting becomes "auto", which lets an ``<inertial>`` count; the other bodies lose the
     ``<inertial>`` that was ignored so far, so that their geoms still decide.
     """
+    document = edits.document
     if setting(document, "inertiafromgeom") != "true":
         return
     for node in document.compilers():
         if node.get("inertiafromgeom"):
-            span = node.file.span(node.element)
-            yield node, markup.set_attribute(node.file.text, span, "inertiafromgeom", "auto")
+            edits.set(node, "inertiafromgeom", "auto")
     kept = {node.element for node in written}
     for body in (n for n in document.walk() if n.tag == "body" and n.element not in kept):
         children = list(body.children())
         if any(_is_geom(child) for child in children):
             for child in (c for c in children if c.tag == "inertial"):
-                span = child.file.span(child.element)
-                yield child, Edit(span.start, span.end, b"")
+                edits.replace(child, "")
 
 
 def _is_geom(node: Node) -> bool:

@@ -10,21 +10,22 @@ from itertools import islice
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf import markup
 from robot_sysid.mjcf.documents import ModelDocument, Node
-from robot_sysid.mjcf.inertial import MULTIPLIERS, number, setting
-from robot_sysid.mjcf.markup import Edit
+from robot_sysid.mjcf.edits import Edits
+from robot_sysid.mjcf.inertial import MULTIPLIERS, find_named, number, setting
 from robot_sysid.mjcf.write_back import ActuatorChange, JointChange
 
 _IN_URDF = {"damping": "damping", "frictionloss": "friction"}
 _TAGS = ("joint", "freejoint")
 
 
-def joint_edits(document: ModelDocument, change: JointChange) -> Iterator[tuple[Node, Edit]]:
-    """Yield the edits that give a joint its new numbers.
+def write_joint(edits: Edits, change: JointChange) -> None:
+    """Give a joint its new numbers.
 
     Raises:
         ExportError: the joint is not written out in the file, a URDF cannot hold the number, or a
             joint with it would drive itself.
     """
+    document = edits.document
     further = {"nonlinear damping": min(change.polynomial)} if change.polynomial else {}
     for name, value in {**change.numbers, **further}.items():
         if not 0.0 <= value < math.inf:
@@ -34,34 +35,24 @@ def joint_edits(document: ModelDocument, change: JointChange) -> Iterator[tuple[
             )
     node = find_joint(document, change.label)
     if document.kind == "urdf":
-        yield from _urdf_edits(document, node, change)
+        _write_urdf(edits, node, change)
         return
     for name, value in change.numbers.items():
-        span = node.file.span(node.element)
         # Nonlinear damping stands behind the linear one; where none was found the model's stays.
         beyond = (node.get(name) or "").split()[1:]
         if name == "damping" and change.polynomial is not None:
             beyond = [number(each) for each in change.polynomial]
-        text = " ".join([number(value), *beyond])
-        yield node, markup.set_attribute(node.file.text, span, name, text)
-    yield from _spring_edits(document, node, change)
+        edits.set(node, name, " ".join([number(value), *beyond]))
+    if change.spring is not None:
+        stiffness, rest = change.spring
+        in_degrees = node.get("type") != "slide" and setting(document, "angle") != "radian"
+        edits.set(node, "stiffness", number(stiffness))
+        edits.set(node, "springref", number(math.degrees(rest) if in_degrees else rest))
 
 
-def _spring_edits(
-    document: ModelDocument, node: Node, change: JointChange
-) -> Iterator[tuple[Node, Edit]]:
-    if change.spring is None:
-        return
-    stiffness, rest = change.spring
-    in_degrees = node.get("type") != "slide" and setting(document, "angle") != "radian"
-    place = math.degrees(rest) if in_degrees else rest
-    for name, value in (("stiffness", stiffness), ("springref", place)):
-        span = node.file.span(node.element)
-        yield node, markup.set_attribute(node.file.text, span, name, number(value))
-
-
-def actuator_edits(document: ModelDocument, change: ActuatorChange) -> Iterator[tuple[Node, Edit]]:
-    """Yield the edits that give a position actuator its new gains."""
+def write_actuator(edits: Edits, change: ActuatorChange) -> None:
+    """Give a position actuator its new gains; ExportError where the file does not write it out."""
+    document = edits.document
     sections = (node for node in document.root.children() if node.tag == "actuator")
     written = (node for section in sections for node in section.children())
     node = next(islice(written, change.actuator, None), None)
@@ -79,28 +70,24 @@ def actuator_edits(document: ModelDocument, change: ActuatorChange) -> Iterator[
         attributes |= {"delay": number(change.delay), "nsample": str(change.samples)}
         attributes["interp"] = "linear"
     for name, value in attributes.items():
-        span = node.file.span(node.element)
-        yield node, markup.set_attribute(node.file.text, span, name, value)
+        edits.set(node, name, value)
 
 
-def _urdf_edits(
-    document: ModelDocument, node: Node, change: JointChange
-) -> Iterator[tuple[Node, Edit]]:
+def _write_urdf(edits: Edits, node: Node, change: JointChange) -> None:
     if change.armature is not None:
         raise ExportError(
-            f"{document.path}: a URDF cannot hold the rotor inertia of joint '{change.label}'; "
-            "convert the model to MJCF first"
+            f"{edits.document.path}: a URDF cannot hold the rotor inertia of joint "
+            f"'{change.label}'; convert the model to MJCF first"
         )
     values = {_IN_URDF[name]: number(value) for name, value in change.numbers.items()}
-    text, span = node.file.text, node.file.span(node.element)
-    old = next((child for child in node.children() if child.tag == "dynamics"), None)
+    old = node.child("dynamics")
     if old is not None:
-        place = old.file.span(old.element)
         for name, value in values.items():
-            yield old, markup.set_attribute(text, place, name, value)
+            edits.set(old, name, value)
     elif values:
         attributes = "".join(f' {name}="{value}"' for name, value in values.items())
-        yield node, markup.append_child(text, span, f"<dynamics{attributes}/>")
+        new = f"<dynamics{attributes}/>"
+        edits.add(node, markup.append_child(node.file.text, node.span, new))
 
 
 def find_joint(document: ModelDocument, label: str) -> Node:
@@ -113,19 +100,17 @@ def find_joint(document: ModelDocument, label: str) -> Node:
         ExportError: it is not written out in the file, or a <replicate> repeats it.
     """
     joints = list(_joints(document))
-    named = [node for node in joints if node.get("name") == label]
+    found = find_named(document, joints, "joint", label)
     by_number = re.fullmatch(r"#(\d+)", label)
-    if len(named) > 1:
-        raise ExportError(f"{document.path}: joint '{label}' stands in the file {len(named)} times")
-    if not named and by_number and document.kind == "mjcf" and not _multipliers(document):
-        named = joints[int(by_number.group(1)) :][:1]
-    repeated = [n for n in _multipliers(document) if named and n.holds(named[0])]
-    if not named or repeated:
+    multipliers = [node for node in document.walk() if node.tag in MULTIPLIERS]
+    if found is None and by_number and document.kind == "mjcf" and not multipliers:
+        found = next(islice(joints, int(by_number.group(1)), None), None)
+    if found is None or any(node.holds(found) for node in multipliers):
         raise ExportError(
             f"{document.path}: joint '{label}' is not written out in the file (it comes from an "
             "attached, repeated or generated part); write it out, with a name"
         )
-    return named[0]
+    return found
 
 
 def _joints(document: ModelDocument) -> Iterator[Node]:
@@ -151,7 +136,3 @@ def _without_frames(body: Node) -> Iterator[Node]:
     """Yield a body's children, those of a ``<frame>`` in its place."""
     for child in body.children():
         yield from _without_frames(child) if child.tag == "frame" else (child,)
-
-
-def _multipliers(document: ModelDocument) -> list[Node]:
-    return [node for node in document.walk() if node.tag in MULTIPLIERS]

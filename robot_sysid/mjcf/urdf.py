@@ -8,25 +8,21 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
-import re
-from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ModelError
 from robot_sysid.mjcf import markup
-from robot_sysid.mjcf.documents import ModelDocument, local_name
+from robot_sysid.mjcf.assets import SHAPES, Asset, find_assets
+from robot_sysid.mjcf.documents import ModelDocument, Node
+from robot_sysid.mjcf.edits import Edits
 from robot_sysid.mjcf.inertial import urdf_inertial_about_com
-from robot_sysid.mjcf.markup import Edit
-from robot_sysid.mjcf.relocation import reference, utf8_declaration
 from robot_sysid.records import Array
 
+READABLE_MESHES = (".stl", ".obj", ".msh")
 MINIMUM_MASS = 1e-6
 MINIMUM_INERTIA = 1e-9
 _SETTINGS = {"fusestatic": "false", "strippath": "false"}
@@ -43,46 +39,41 @@ def compilable_urdf(
     Raises:
         ModelError: a mesh that determines a link's inertia is missing.
     """
-    edits: list[Edit] = []
-    notes: list[str] = []
-    _use_absolute_meshes(document, mesh_dir, edits, notes)
-    edits += settings_edits(document, _SETTINGS)
-    edits += _level_inertials(document)
-    found = dict(minimum_inertia_edits(document)) if with_minimum else {}
-    edits += found.values()
+    edits = Edits(document)
+    # Line numbers in MuJoCo's messages must stay those of the file.
+    edits.lead = b""
+    notes = list(_use_absolute_meshes(edits, mesh_dir))
+    edits.set_compiler(_SETTINGS)
+    _level_inertials(edits)
+    found = give_minimum(edits) if with_minimum else []
     if found:
         links = ", ".join(f"'{name}'" for name in found)
         notes.append(
             f"moving link {links} has no mass, or no inertia, which MuJoCo refuses; where it has "
             f"none it was given {MINIMUM_MASS:g} kg and {MINIMUM_INERTIA:g} kg m^2"
         )
-    return markup.apply_edits(document.main.text, edits), tuple(notes)
+    return edits.text(), tuple(notes)
 
 
-def _use_absolute_meshes(
-    document: ModelDocument, mesh_dir: Path | None, edits: list[Edit], notes: list[str]
-) -> None:
-    file, dropped = document.main, {}
+def _use_absolute_meshes(edits: Edits, mesh_dir: Path | None) -> Iterator[str]:
+    """Name all meshes by their place; leave out shapes whose mesh is not usable. Yields notes."""
+    document, collisions = edits.document, set()
     from_geometry = any(c.get("inertiafromgeom") == "true" for c in document.compilers())
-    for use in mesh_uses(document, mesh_dir):
-        if use.is_usable:
-            path = str(use.path)
-            edits.append(markup.set_attribute(file.text, file.span(use.element), "filename", path))
-        elif use.shape not in dropped:
-            has_inertial = use.link.find("{*}inertial") is not None and not from_geometry
-            if local_name(use.shape) != "visual" and not has_inertial:
-                raise _cannot_drop(document, use)
-            span = file.span(use.shape)
-            # Line numbers in MuJoCo's messages must stay those of the file.
-            lines = file.text[span.start : span.end].count(b"\n")
-            edits.append(Edit(span.start, span.end, b"\n" * lines))
-            dropped[use.shape] = use
-    # A shape is dropped whole, so the edits inside it must go with it.
-    removed = [file.span(shape) for shape in dropped]
-    edits[:] = [e for e in edits if not any(s.start < e.start < s.end for s in removed)]
-    collisions = {u.name for u in dropped.values() if local_name(u.shape) == "collision"}
+    uses = find_assets(document, mesh_dir)
+    shapes = [(link, node) for link in document.tagged("link") for node in link.children()]
+    for link, shape in shapes:
+        meshes = [use for use in uses if shape.tag in SHAPES and shape.holds(use.node)]
+        unusable = [mesh for mesh in meshes if not _is_usable(mesh)]
+        for mesh in meshes if not unusable else ():
+            edits.set(mesh.node, "filename", str(mesh.path))
+        if unusable and shape.tag == "collision":
+            if link.child("inertial") is None or from_geometry:
+                raise _cannot_drop(document, link, unusable[0])
+            collisions.add(unusable[0].name)
+        if unusable:
+            edits.replace(shape, "", keep_lines=True)
     if collisions:
-        notes.append(
+        yield (
             "collision meshes that are missing or unreadable to MuJoCo were left out "
             f"({', '.join(sorted(collisions))}); "
             "the dynamics do not change, because these links have their own <inertial>; a written "
@@ -91,32 +82,35 @@ def _use_absolute_meshes(
         )
 
 
-def _cannot_drop(document: ModelDocument, use: MeshUse) -> ModelError:
-    why = "not found" if use.path is None else f"in a format MuJoCo cannot read ({use.path.suffix})"
+def _is_usable(mesh: Asset) -> bool:
+    """Whether the file exists in a format MuJoCo reads."""
+    return mesh.path is not None and mesh.path.suffix.lower() in READABLE_MESHES
+
+
+def _cannot_drop(document: ModelDocument, link: Node, mesh: Asset) -> ModelError:
+    unreadable = "" if mesh.path is None else mesh.path.suffix
+    why = f"in a format MuJoCo cannot read ({unreadable})" if mesh.path else "not found"
     return ModelError(
-        f"{document.path}: collision mesh {use.name} of link '{use.link.get('name')}' is {why}, "
+        f"{document.path}: collision mesh {mesh.name} of link '{link.get('name')}' is {why}, "
         "and the link has no <inertial> of its own; pass --mesh-dir FOLDER or add an <inertial>"
     )
 
 
-def minimum_inertia_edits(document: ModelDocument) -> Iterator[tuple[str, Edit]]:
-    """Yield (name of a moving link that weighs nothing, the edit that gives it a minimum)."""
-    file = document.main
-    for link in _moving_links_without_mass(document):
-        inertial = link.find("{*}inertial")
-        span = file.span(link)
-        if inertial is not None:
-            old = file.span(inertial)
-            com = _floats(inertial.find("{*}origin"), "xyz")
-            edit = Edit(old.start, old.end, _minimum(_mass(link), com))
+def give_minimum(edits: Edits, but: Collection[str | None] = ()) -> list[str]:
+    """Give moving links that weigh nothing a minimum, but for some; returns their names."""
+    found = [
+        link for link in _moving_links_without_mass(edits.document) if link.get("name") not in but
+    ]
+    for link in found:
+        com = _floats(_inner(link, "inertial", "origin"), "xyz")
+        inertia = MINIMUM_INERTIA * np.eye(3)
+        minimum = urdf_inertial_about_com(max(_mass(link), MINIMUM_MASS), com, inertia)
+        old = link.child("inertial")
+        if old is not None:
+            edits.replace(old, minimum)
         else:
-            edit = markup.insert_child(file.text, span, _minimum(0.0, np.zeros(3)))
-        yield str(link.get("name")), edit
-
-
-def _minimum(mass: float, com: Array) -> bytes:
-    inertia = MINIMUM_INERTIA * np.eye(3)
-    return urdf_inertial_about_com(max(mass, MINIMUM_MASS), com, inertia).encode()
+            edits.add(link, markup.insert_child(link.file.text, link.span, minimum.encode()))
+    return [str(link.get("name")) for link in found]
 
 
 _LARGEST = 1e12  # squares of far larger numbers overflow
@@ -127,12 +121,10 @@ def link_inertias(document: ModelDocument) -> dict[str, tuple[float, Array, Arra
     from scipy.spatial.transform import Rotation
 
     found = {}
-    for link in document.main.root.iterchildren("{*}link"):
-        inertial = link.find("{*}inertial")
-        inertia = inertial.find("{*}inertia") if inertial is not None else None
+    for link in document.tagged("link"):
+        inertia, origin = _inner(link, "inertial", "inertia"), _inner(link, "inertial", "origin")
         if inertia is None:
             continue
-        origin = inertial.find("{*}origin")
         com = _floats(origin, "xyz")
         # Rz(yaw) Ry(pitch) Rx(roll): about the fixed axes, x first.
         rotation = Rotation.from_euler("xyz", _floats(origin, "rpy")).as_matrix()
@@ -147,8 +139,8 @@ def link_inertias(document: ModelDocument) -> dict[str, tuple[float, Array, Arra
 def velocity_limits(document: ModelDocument) -> dict[str, float]:
     """Return joint name to the speed limit it states [rad/s or m/s]; MuJoCo drops these."""
     found = {}
-    for joint in document.main.root.iterchildren("{*}joint"):
-        limit = joint.find("{*}limit")
+    for joint in document.tagged("joint"):
+        limit = joint.child("limit")
         text = None if limit is None else limit.get("velocity")
         with contextlib.suppress(ValueError):
             value = float(text or "")
@@ -157,28 +149,32 @@ def velocity_limits(document: ModelDocument) -> dict[str, float]:
     return found
 
 
-def _floats(element: Any, name: str) -> Array:
-    text = element.get(name) if element is not None else None
+def _inner(link: Node, *tags: str) -> Node | None:
+    """Return the first child of the first child ... with these tags."""
+    found: Node | None = link
+    for tag in tags:
+        found = None if found is None else found.child(tag)
+    return found
+
+
+def _floats(node: Node | None, name: str) -> Array:
+    text = node.get(name) if node is not None else None
     return np.array([float(word) for word in text.split()]) if text else np.zeros(3)
 
 
-def _level_inertials(document: ModelDocument) -> Iterator[Edit]:
+def _level_inertials(edits: Edits) -> None:
     """Turn inertias into link axes: MuJoCo 3.3 ignores the ``rpy`` of an inertial."""
-    inertias, file = link_inertias(document), document.main
-    for link in document.main.root.iterchildren("{*}link"):
-        inertial = link.find("{*}inertial")
-        origin = inertial.find("{*}origin") if inertial is not None else None
-        if np.any(_floats(origin, "rpy")) and not _lacks_inertia(link):
-            span = file.span(inertial)
-            lines = b"\n" * file.text[span.start : span.end].count(b"\n")
+    inertias = link_inertias(edits.document)
+    for link in edits.document.tagged("link"):
+        inertial, origin = link.child("inertial"), _inner(link, "inertial", "origin")
+        if inertial and np.any(_floats(origin, "rpy")) and not _lacks_inertia(link):
             text = urdf_inertial_about_com(*inertias[str(link.get("name"))])
-            yield Edit(span.start, span.end, text.encode() + lines)
+            edits.replace(inertial, text, keep_lines=True)
 
 
-def _moving_links_without_mass(document: ModelDocument) -> Iterator[Any]:
-    root = document.main.root
-    links = {link.get("name"): link for link in root.iterchildren("{*}link")}
-    joints = list(root.iterchildren("{*}joint"))
+def _moving_links_without_mass(document: ModelDocument) -> Iterator[Node]:
+    links = {link.get("name"): link for link in document.tagged("link")}
+    joints = document.tagged("joint")
     for joint in joints:
         link = links.get(_end(joint, "child"))
         if joint.get("type") == "fixed" or link is None or not _lacks_inertia(link):
@@ -192,157 +188,22 @@ def _moving_links_without_mass(document: ModelDocument) -> Iterator[Any]:
             yield link
 
 
-def _lacks_inertia(link: Any) -> bool:
-    inertial = link.find("{*}inertial")
-    if inertial is None:
-        return link.find("{*}collision") is None
-    inertia = inertial.find("{*}inertia")
-    names = ("ixx", "iyy", "izz")
+def _lacks_inertia(link: Node) -> bool:
+    if link.child("inertial") is None:
+        return link.child("collision") is None
+    inertia, names = _inner(link, "inertial", "inertia"), ("ixx", "iyy", "izz")
     diagonal = [] if inertia is None else [float(inertia.get(n) or 0.0) for n in names]
     return _mass(link) <= 0.0 or max(diagonal, default=0.0) <= 0.0
 
 
-def _mass(link: Any) -> float:
-    mass = link.find("{*}inertial/{*}mass")
+def _mass(link: Node) -> float:
+    mass = _inner(link, "inertial", "mass")
     try:
         return float(mass.get("value") or 0.0) if mass is not None else 0.0
     except ValueError:
         return 0.0
 
 
-def _end(joint: Any, which: str) -> str | None:
-    end = joint.find("{*}" + which)
-    name = end.get("link") if end is not None else None
-    return str(name) if name is not None else None
-
-
-READABLE_MESHES = (".stl", ".obj", ".msh")
-_SCHEME = re.compile(r"^(package|model|file)://")
-
-
-@dataclass(frozen=True)
-class MeshUse:
-    """A ``<mesh filename>`` in a ``<visual>`` or ``<collision>``; no path if it was not found."""
-
-    element: Any
-    link: Any
-    shape: Any
-    name: str
-    path: Path | None
-
-    @property
-    def is_usable(self) -> bool:
-        """Whether the file exists in a format MuJoCo reads."""
-        return self.path is not None and self.path.suffix.lower() in READABLE_MESHES
-
-
-def mesh_uses(document: ModelDocument, mesh_dir: Path | None = None) -> tuple[MeshUse, ...]:
-    """Return every mesh reference of a URDF, resolved.
-
-    ``package://``, ``model://`` and plain names are looked up in ``mesh_dir``, then in the file's
-    folder and every folder above it, with and without the package's name.
-    """
-    uses = []
-    for link in document.main.root.iterchildren("{*}link"):
-        for shape in link.iterchildren("{*}visual", "{*}collision"):
-            for mesh in shape.iter("{*}mesh"):
-                name = mesh.get("filename") or ""
-                path = find_mesh(document, name, mesh_dir)
-                uses.append(MeshUse(mesh, link, shape, name, path))
-    return tuple(uses)
-
-
-def find_mesh(document: ModelDocument, name: str, mesh_dir: Path | None = None) -> Path | None:
-    """Return the file a URDF mesh name means, or None."""
-    if not name:
-        return None
-    candidates = _mesh_candidates(document, name.replace("\\", "/"), mesh_dir)
-    return next((path for path in candidates if os.path.isfile(path)), None)
-
-
-def _mesh_candidates(document: ModelDocument, name: str, mesh_dir: Path | None) -> Iterator[Path]:
-    scheme = _SCHEME.match(name)
-    rest = Path(name[scheme.end() :] if scheme else name)
-    if scheme and scheme.group(1) == "file":
-        rest = Path("/") / rest
-    inside = Path(*rest.parts[1:])
-    if mesh_dir is not None:
-        folder = Path(mesh_dir).absolute()
-        yield from (folder / rest, folder / inside, folder / rest.name)
-    own = document.folder
-    for setting in document.compilers():
-        own_meshes = own / (setting.get("meshdir") or ".")
-        yield from (own_meshes / rest, own_meshes / rest.name)
-    yield own / rest
-    if scheme:
-        for folder in (own, *own.parents):
-            yield from (folder / rest, folder / inside)
-    yield own / rest.name
-
-
-def settings_edits(
-    document: ModelDocument, settings: Mapping[str, str], line_break: bytes = b"", beside: str = ""
-) -> list[Edit]:
-    """Return the edits that set MuJoCo's compiler attributes in a URDF; its meshdir goes.
-
-    Args:
-        settings: attribute to value; nothing is set where there are none.
-        beside: an element to add to the ``<mujoco>`` part, of which MuJoCo reads one only.
-    """
-    file, compilers, edits = document.main, document.compilers(), []
-    for compiler in compilers if settings else ():
-        span = file.span(compiler.element)
-        edits += [markup.set_attribute(file.text, span, n, v) for n, v in settings.items()]
-        removal = markup.remove_attribute(file.text, span, "meshdir")
-        edits += [removal] if removal else []
-    attributes = "".join(f' {name}="{value}"' for name, value in settings.items())
-    new = (f"<compiler{attributes}/>" if attributes and not compilers else "") + beside
-    part = file.root.find("{*}mujoco")
-    if new and part is not None:
-        edits.append(markup.insert_child(file.text, file.span(part), new.encode()))
-    elif new:
-        place = file.spans[0].inner_start
-        edits.append(Edit(place, place, line_break + f"<mujoco>{new}</mujoco>".encode()))
-    return edits
-
-
-def relocated_urdf(
-    document: ModelDocument,
-    folder: Path,
-    mesh_dir: Path | None,
-    extra: Collection[Edit],
-    setting: str = "",
-) -> bytes:
-    """Return the UTF-8 text of a URDF as it must read in another folder.
-
-    Mesh names that can be found become paths from that folder; the others stay as they are.
-
-    ``setting``: an element to add to its ``<mujoco>`` part.
-    """
-    return _with_mesh_names(document, mesh_dir, extra, partial(reference, folder=folder), setting)
-
-
-def _with_mesh_names(
-    document: ModelDocument,
-    mesh_dir: Path | None,
-    extra: Collection[Edit],
-    named: Callable[[Path], str],
-    setting: str = "",
-) -> bytes:
-    file, edits, nested = document.main, list(extra), False
-    for use in mesh_uses(document, mesh_dir):
-        name = use.name if use.path is None else named(use.path)
-        nested |= "/" in name
-        if name != use.name:
-            edits.append(markup.set_attribute(file.text, file.span(use.element), "filename", name))
-    # MuJoCo before 3.7 drops the folders of a URDF's mesh names unless told otherwise.
-    compiler = {"strippath": "false"} if nested else {}
-    line = markup.line_break(file.text) + b"  "
-    # First, so that a comment stays beside the element that it is about.
-    edits[:0] = settings_edits(document, compiler, line, setting)
-    return utf8_declaration(markup.apply_edits(file.text, edits))
-
-
-def bundled_urdf(document: ModelDocument, names: Mapping[Path, str]) -> bytes:
-    """Return the text of a URDF that stands beside copies of its meshes, see ``bundled_text``."""
-    return _with_mesh_names(document, None, (), lambda path: names[path])
+def _end(joint: Node, which: str) -> str | None:
+    end = joint.child(which)
+    return end.get("link") if end is not None else None

@@ -21,8 +21,10 @@ import mujoco
 import numpy as np
 
 from robot_sysid.errors import ModelError
+from robot_sysid.mjcf.assets import Asset, check_assets, find_assets
 from robot_sysid.mjcf.documents import ModelDocument, Node, read_document
-from robot_sysid.mjcf.relocation import Asset, check_assets, find_assets, relocated_text
+from robot_sysid.mjcf.edits import Edits
+from robot_sysid.mjcf.relocation import relocated_text
 from robot_sysid.mjcf.urdf import compilable_urdf, link_inertias, velocity_limits
 from robot_sysid.model.inertia import inertia_about_com
 from robot_sysid.records import Array
@@ -114,7 +116,7 @@ def _compile_mjcf(document: ModelDocument, mesh_dir: Path | None) -> Any:
     try:
         if mesh_dir is None and all(file.is_utf8 for file in document.files):
             return mujoco.MjModel.from_xml_path(str(document.path))
-        text = relocated_text(document, None, mesh_dir)
+        text = relocated_text(Edits(document), None, mesh_dir)
         return mujoco.MjModel.from_xml_string(text.decode())
     except _FAILURES as error:
         # Asked only now, so that MuJoCo's own rules decide what is missing.

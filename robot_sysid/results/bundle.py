@@ -15,9 +15,9 @@ import mujoco
 from robot_sysid.drafts import draft_folder
 from robot_sysid.errors import ExportError, InputError
 from robot_sysid.interrupts import held_back
-from robot_sysid.mjcf.documents import ModelDocument, read_document
-from robot_sysid.mjcf.relocation import bundled_text, find_assets
-from robot_sysid.mjcf.urdf import bundled_urdf, mesh_uses
+from robot_sysid.mjcf.assets import find_assets
+from robot_sysid.mjcf.documents import read_document
+from robot_sysid.mjcf.relocation import bundled_text
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.records.atomic_files import only_run_in
 from robot_sysid.results.verification import compiled_again, require_same_model
@@ -88,21 +88,15 @@ def model_in_memory(model: Path) -> Any:
 def _bundled(model: Path, folder: str, earlier: Path | None) -> tuple[bytes, dict[Path, str]]:
     """Return (the text of a model that stands beside its assets, file to its name there)."""
     document = read_document(model)
-    names = _names(_assets(document), folder, earlier)
-    text = bundled_urdf if document.kind == "urdf" else bundled_text
-    return text(document, names), names
-
-
-def _assets(document: ModelDocument) -> Iterable[Path]:
-    if document.kind == "urdf":
-        return [use.path for use in mesh_uses(document) if use.path is not None]
     assets = find_assets(document)
     if any(asset.node.tag == "model" for asset in assets):
         raise ExportError(
             "--bundle: the model attaches other model files (<model file=...>), which a bundle "
             "cannot hold; send the folders as they are"
         )
-    return [asset.path for asset in assets if asset.path is not None]
+    paths = (asset.path for asset in assets if asset.path is not None)
+    names = _names(paths, folder, earlier)
+    return bundled_text(document, names), names
 
 
 def _names(paths: Iterable[Path], folder: str, earlier: Path | None) -> dict[Path, str]:

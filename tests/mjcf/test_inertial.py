@@ -11,18 +11,18 @@ from hypothesis import strategies as st
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError
 from robot_sysid.export import export_updated_xml
-from robot_sysid.mjcf.documents import Node, read_document
+from robot_sysid.mjcf.documents import read_document
+from robot_sysid.mjcf.edits import Edits
 from robot_sysid.mjcf.inertial import (
     check_settings,
-    comment_edit,
+    comment_text,
     find_body,
-    inertial_edit,
     mjcf_inertial,
     numbers,
     setting,
     urdf_inertial,
+    write_inertial,
 )
-from robot_sysid.mjcf.markup import apply_edits
 from robot_sysid.mjcf.write_back import BodyChange, ModelChange, WriteBack
 from robot_sysid.model.inertia import body_label, body_theta
 from robot_sysid.results.verification import reads_fullinertia_exactly, verify_written_model
@@ -67,9 +67,9 @@ def edited(tmp_path, body_text, make):
     text = f"<mujoco><worldbody>{body_text}</worldbody></mujoco>"
     document = read_document(write_files(tmp_path, {"m.xml": text}))
     body = next(node for node in document.walk() if node.tag == "body")
-    edit = make(body)
-    changed = apply_edits(body.file.text, [edit[1] if isinstance(edit, tuple) else edit])
-    return changed.decode().split("<worldbody>")[1].split("</worldbody>")[0]
+    edits = Edits(document)
+    make(edits, body)
+    return edits.text().decode().split("<worldbody>")[1].split("</worldbody>")[0]
 
 
 @pytest.mark.parametrize(
@@ -86,7 +86,9 @@ def edited(tmp_path, body_text, make):
     ],
 )
 def test_the_old_inertial_goes_and_a_missing_one_comes(tmp_path, before, after):
-    assert edited(tmp_path, before, lambda body: inertial_edit(body, "<NEW/>")) == after
+    assert (
+        edited(tmp_path, before, lambda edits, body: write_inertial(edits, body, "<NEW/>")) == after
+    )
 
 
 COMMENT = "<!-- System ID: body 'a' identified with RMSE 0.000123 Nm -->"
@@ -107,11 +109,13 @@ COMMENT = "<!-- System ID: body 'a' identified with RMSE 0.000123 Nm -->"
     ],
 )
 def test_one_comment_stands_before_the_body(tmp_path, before, after):
-    assert edited(tmp_path, before, lambda body: comment_edit(body, "a", 0.000123, None)) == after
+    comment = comment_text("body 'a'", 0.000123, None)
+    assert edited(tmp_path, before, lambda edits, body: edits.comment(body, comment)) == after
 
 
 def test_a_comment_is_legal_whatever_the_name(tmp_path):
-    text = edited(tmp_path, "<body/>", lambda b: comment_edit(b, "a--b", 1.5e-13, "said--so"))
+    comment = comment_text("body 'a--b'", 1.5e-13, "said--so")
+    text = edited(tmp_path, "<body/>", lambda edits, body: edits.comment(body, comment))
     assert text.count("--") == 2 and "RMSE 1.5e-13 Nm; said" in text
 
 
@@ -119,9 +123,9 @@ def test_an_inertial_in_an_included_file_is_found_there(tmp_path):
     main = "<mujoco><worldbody><body><include file='i.xml'/></body></worldbody></mujoco>"
     files = {"m.xml": main, "i.xml": "<x><inertial pos='0 0 0' mass='1'/></x>"}
     document = read_document(write_files(tmp_path, files))
-    body = next(node for node in document.walk() if node.tag == "body")
-    holder, _ = inertial_edit(body, "")
-    assert isinstance(holder, Node) and holder.file.path.name == "i.xml"
+    edits = Edits(document)
+    write_inertial(edits, next(node for node in document.walk() if node.tag == "body"), "<NEW/>")
+    assert edits.text().decode() == main.replace("<include file='i.xml'/>", "<NEW/>")
 
 
 # Each body carries its MuJoCo id as mass of its only geom.

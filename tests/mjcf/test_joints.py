@@ -8,8 +8,8 @@ import pytest
 
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.documents import read_document
-from robot_sysid.mjcf.joints import actuator_edits, find_joint, joint_edits
-from robot_sysid.mjcf.markup import apply_edits
+from robot_sysid.mjcf.edits import Edits
+from robot_sysid.mjcf.joints import find_joint, write_actuator, write_joint
 from robot_sysid.mjcf.write_back import ActuatorChange, JointChange
 from tests.support.model_files import (
     INERTIAL,
@@ -44,8 +44,10 @@ MIXED = f"""<mujoco>
 
 
 def changed(document, *changes):
-    edits = [edit for change in changes for _, edit in joint_edits(document, change)]
-    return apply_edits(document.main.text, edits).decode()
+    edits = Edits(document)
+    for change in changes:
+        write_joint(edits, change)
+    return edits.text().decode()
 
 
 @pytest.mark.parametrize("joint", [1, 2, 3, 4])
@@ -130,7 +132,7 @@ def test_a_urdf_gets_its_dynamics_element(tmp_path):
 def test_a_urdf_cannot_hold_rotor_inertia(tmp_path):
     document = read_document(write_files(tmp_path, {"m.urdf": URDF}))
     with pytest.raises(ExportError, match="cannot hold the rotor inertia of joint 'l1_l2'"):
-        list(joint_edits(document, JointChange("l1_l2", armature=0.1)))
+        write_joint(Edits(document), JointChange("l1_l2", armature=0.1))
 
 
 @pytest.mark.skipif(not hasattr(mujoco.MjModel, "dof_dampingpoly"), reason="MuJoCo before 3.7")
@@ -167,17 +169,17 @@ SERVOS = f"""<mujoco>
 @since(3, 1)
 def test_gains_are_written_into_the_actuator_that_mujoco_numbers(tmp_path):
     path = write_files(tmp_path, {"arm.xml": SERVOS})
-    document = read_document(path)
-    changes = (ActuatorChange(1, 40.0, 4.0), ActuatorChange(2, 50.0, 0.0))
-    edits = [edit for change in changes for _, edit in actuator_edits(document, change)]
-    model = mujoco.MjModel.from_xml_string(apply_edits(document.root.file.text, edits).decode())
+    edits = Edits(read_document(path))
+    for change in (ActuatorChange(1, 40.0, 4.0), ActuatorChange(2, 50.0, 0.0)):
+        write_actuator(edits, change)
+    model = mujoco.MjModel.from_xml_string(edits.text().decode())
     before = mujoco.MjModel.from_xml_string(SERVOS)
     assert model.actuator_gainprm[:, 0].tolist() == [1.0, 40.0, 50.0]
     assert model.actuator_biasprm[1:, :3].tolist() == [[0.0, -40.0, -4.0], [0.0, -50.0, 0.0]]
     np.testing.assert_array_equal(model.dof_damping, before.dof_damping)
     for number in (0, 3):
         with pytest.raises(ExportError, match=f"actuator number {number} is not written out"):
-            list(actuator_edits(document, ActuatorChange(number, 1.0, 1.0)))
+            write_actuator(edits, ActuatorChange(number, 1.0, 1.0))
 
 
 @pytest.mark.parametrize("angle", ["radian", "degree"])

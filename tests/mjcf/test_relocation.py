@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from robot_sysid.errors import ModelError
+from robot_sysid.mjcf.assets import check_assets, find_assets
 from robot_sysid.mjcf.documents import read_document
-from robot_sysid.mjcf.relocation import check_assets, find_assets, reference, relocated_text
+from robot_sysid.mjcf.edits import Edits, reference
+from robot_sysid.mjcf.relocation import relocated_text
 from tests.support.model_files import TETRAHEDRON, write_files
 
 MESH = "<asset><mesh name='m' file='{}'/></asset>"
@@ -56,14 +58,14 @@ def test_it_loads_from_its_new_folder(tmp_path, files, folder):
     source = write_files(tmp_path / "in", files)
     target = tmp_path / "in" / folder / "copy.xml"
     target.parent.mkdir(parents=True, exist_ok=True)
-    target.write_bytes(relocated_text(read_document(source), target.parent))
+    target.write_bytes(relocated_text(Edits(read_document(source)), target.parent))
     assert sizes(target) == sizes(source)
 
 
 def test_in_its_own_folder_nothing_changes(tmp_path):
     files = {"m.xml": CASES["meshdir"]["m.xml"], "d & e/m.obj": TETRAHEDRON}
     source = write_files(tmp_path, files)
-    assert relocated_text(read_document(source), tmp_path) == source.read_bytes()
+    assert relocated_text(Edits(read_document(source)), tmp_path) == source.read_bytes()
 
 
 def test_an_include_without_paths_stays_an_include(tmp_path):
@@ -72,7 +74,7 @@ def test_an_include_without_paths_stays_an_include(tmp_path):
         "s/a.xml": "<mujoco><size memory='1M'/></mujoco>",
     }
     source = write_files(tmp_path, files)
-    text = relocated_text(read_document(source), tmp_path / "out")
+    text = relocated_text(Edits(read_document(source)), tmp_path / "out")
     assert b'<include file="../s/a.xml"/>' in text
 
 
@@ -81,14 +83,16 @@ def test_the_users_mesh_folder_is_found_from_the_new_place(tmp_path):
     source = write_files(tmp_path, files)
     (tmp_path / "out").mkdir()
     target = tmp_path / "out" / "copy.xml"
-    target.write_bytes(relocated_text(read_document(source), target.parent, tmp_path / "mine"))
+    target.write_bytes(
+        relocated_text(Edits(read_document(source)), target.parent, tmp_path / "mine")
+    )
     assert mujoco.MjModel.from_xml_path(str(target)).nmesh == 1
 
 
 def test_absolute_text_needs_no_folder_at_all(tmp_path):
     files = {n: t or TETRAHEDRON for n, t in CASES["folder named in an include"].items()}
     source = write_files(tmp_path, files)
-    text = relocated_text(read_document(source), None)
+    text = relocated_text(Edits(read_document(source)), None)
     np.testing.assert_array_equal(
         mujoco.MjModel.from_xml_string(text.decode()).body_mass,
         mujoco.MjModel.from_xml_path(str(source)).body_mass,
@@ -107,7 +111,7 @@ def test_the_declared_encoding_becomes_the_real_one(tmp_path):
     path = tmp_path / "m.xml"
     text = "<?xml version='1.0' encoding='latin-1'?>\n<mujoco model='\u00e9'><worldbody/></mujoco>"
     path.write_bytes(text.encode("latin-1"))
-    moved = relocated_text(read_document(path), tmp_path / "out").decode("utf-8")
+    moved = relocated_text(Edits(read_document(path)), tmp_path / "out").decode("utf-8")
     assert moved == text.replace("latin-1", "utf-8")
 
 
@@ -116,7 +120,7 @@ def test_an_included_file_that_is_not_utf8_takes_its_place(tmp_path):
     (tmp_path / "part.xml").write_bytes(part.replace("<!--", "<size/><!--").encode("latin-1"))
     main = "<mujoco><include file='part.xml'/><worldbody/></mujoco>"
     (tmp_path / "m.xml").write_text(main)
-    moved = relocated_text(read_document(tmp_path / "m.xml"), tmp_path / "out")
+    moved = relocated_text(Edits(read_document(tmp_path / "m.xml")), tmp_path / "out")
     assert moved.decode() == "<mujoco><size/><!-- é --><worldbody/></mujoco>"
 
 

@@ -7,14 +7,11 @@ import numpy as np
 import pytest
 
 from robot_sysid.errors import ModelError
+from robot_sysid.mjcf.assets import find_mesh
 from robot_sysid.mjcf.documents import read_document
-from robot_sysid.mjcf.urdf import (
-    compilable_urdf,
-    find_mesh,
-    link_inertias,
-    mesh_uses,
-    relocated_urdf,
-)
+from robot_sysid.mjcf.edits import Edits
+from robot_sysid.mjcf.relocation import relocated_text
+from robot_sysid.mjcf.urdf import compilable_urdf, link_inertias
 from tests.support.model_files import (
     urdf_inertial,
     urdf_joint,
@@ -144,14 +141,14 @@ def test_the_users_mesh_folder_comes_first(tmp_path, place):
 def test_what_is_missing_or_unreadable_is_not_usable(tmp_path):
     write_files(tmp_path, {"robots/a.dae": "", "robots/b.STL": ""})
     shapes = [urdf_mesh("visual", name) for name in ("a.dae", "b.STL", "c.stl", "")]
-    uses = mesh_uses(document(tmp_path, urdf_link("l", "".join(shapes))))
-    assert [use.is_usable for use in uses] == [False, True, False, False]
+    text, _ = compilable_urdf(document(tmp_path, urdf_link("l", "".join(shapes))))
+    assert text.count(b"<visual>") == 1 and str(tmp_path / "robots/b.STL").encode() in text
 
 
 def test_names_are_rewritten_where_the_file_exists_and_kept_elsewhere(tmp_path):
     write_files(tmp_path, {"pack/a.stl": ""})
     shapes = urdf_mesh("visual", "package://pack/a.stl") + urdf_mesh("visual", "gone.dae")
-    text = relocated_urdf(document(tmp_path, urdf_link("l", shapes)), tmp_path / "out", None, [])
+    text = relocated_text(Edits(document(tmp_path, urdf_link("l", shapes))), tmp_path / "out")
     assert b'filename="../pack/a.stl"' in text and b'filename="gone.dae"' in text
     assert b'<mujoco><compiler strippath="false"/></mujoco>' in text
 
@@ -160,5 +157,5 @@ def test_a_mesh_folder_of_the_file_goes_when_the_names_say_it_all(tmp_path):
     write_files(tmp_path, {"robots/m/a.stl": ""})
     setting = '<mujoco><compiler meshdir="m" strippath="true"/></mujoco>'
     link = urdf_link("l", urdf_mesh("collision", "a.stl"))
-    text = relocated_urdf(document(tmp_path, setting, link), tmp_path / "out", None, [])
+    text = relocated_text(Edits(document(tmp_path, setting, link)), tmp_path / "out")
     assert b'<compiler strippath="false"/>' in text and b'"../robots/m/a.stl"' in text

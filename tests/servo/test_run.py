@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from robot_sysid.errors import InputError
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.mjcf.documents import read_document
-from robot_sysid.mjcf.joints import actuator_edits
-from robot_sysid.mjcf.markup import apply_edits
+from robot_sysid.mjcf.edits import Edits
+from robot_sysid.mjcf.joints import write_actuator
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Motion
 from robot_sysid.records.progress import Progress
@@ -140,9 +140,10 @@ def test_a_written_delay_is_the_one_that_acts(robots, delay, timestep, seed):
     """Kp (command(t - delay) - q) - kv qd; MuJoCo's shortest delay is one time step."""
     robot = robots["xml"]
     _, servos = changes(identified(robot), delay)
-    document = read_document(robot.path)
-    edits = [edit for change in servos for _, edit in actuator_edits(document, change)]
-    text = apply_edits(document.root.file.text, edits).decode()
+    edits = Edits(read_document(robot.path))
+    for change in servos:
+        write_actuator(edits, change)
+    text = edits.text().decode()
     model = mujoco.MjModel.from_xml_string(text.replace(' forcerange="-60 60"', ""))
     model.opt.timestep = timestep
     data, steps = mujoco.MjData(model), int(1.5 * delay / timestep) + 3
