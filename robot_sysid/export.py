@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, TextIO
 
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.documents import read_document
-from robot_sysid.mjcf.updated_model import updated_model_text
-from robot_sysid.mjcf.write_back import WriteBack
+from robot_sysid.mjcf.updated_model import changed_model_text
+from robot_sysid.mjcf.write_back import BodyChange, ModelChange, WriteBack
 from robot_sysid.model.compilation import warnings_as_notes
 from robot_sysid.records import Motion, RobotModel
 from robot_sysid.records.atomic_files import (
@@ -97,10 +97,16 @@ def export_updated_xml(
     mesh_dir: Path | None = None,
     principal: bool = False,
 ) -> None:
-    """Write an MJCF or URDF file with one body's inertia replaced; see ``updated_model_text``."""
+    """Write an MJCF or URDF file with one body's inertia replaced.
+
+    Args:
+        body: name of the terminal body, or "#7" for the nameless body with id 7.
+        rmse: of the identification [N m], for the comment.
+        mesh_dir, principal: as in ``changed_model_text``.
+    """
+    change = ModelChange((BodyChange(body, 0, plan),), rmse)
     folder = destination.absolute().parent
-    text = updated_model_text(source, body, plan, rmse, folder, mesh_dir, principal)
-    write_whole(destination, text)
+    write_whole(destination, changed_model_text(source, change, folder, mesh_dir, principal))
 
 
 def save(
@@ -149,15 +155,16 @@ def save(
             except ExportError as error:
                 failure = f"{error} (the identified numbers are in {PARAMS_NAME})"
             if result.payload is not None:
-                cards = _cards(result.payload)
-                text = card_text(cards, _heading(result, result.payload))
-                written.append(_place(files, folder / CARD_NAME, text))
+                cards, text = _card_file(result, result.payload)
+                written.append(folder / CARD_NAME)
+                files.write(written[-1], text)
         if motor_file is not None:
             written.append(folder / DAMIAO_NAME)
             with files.open(written[-1]) as file:
                 report = motor_file(file)
         text = params_json_text(result, cards, notes)
-        written.append(_place(files, folder / PARAMS_NAME, text))
+        written.append(folder / PARAMS_NAME)
+        files.write(written[-1], text)
         read = (*inputs, *(file.path for file in read_document(robot.path).files))
         notes += remove_earlier(files, folder, written, read)
     digest = hashlib.sha256(text.encode("utf-8")).hexdigest()
@@ -186,11 +193,6 @@ def remove_earlier(
     return tuple(f"{path} of an earlier run was removed" for path in told)
 
 
-def _place(files: WholeFiles, path: Path, text: str) -> Path:
-    files.write(path, text)
-    return path
-
-
 def _calibrates(result: Result) -> bool:
     """Whether a known mass weighed the torques, so that there is nothing to write of a payload."""
     return result.payload is not None and result.payload.known_mass is not None
@@ -200,19 +202,19 @@ def _refusal(result: Result) -> str | None:
     """Return why nothing may be used, or None."""
     if result.failure is None:
         return None
-    card = "no model" if result.payload is None else "no model and no card"
-    what = "no torque scales" if _calibrates(result) else card
-    return f"{what} {'were' if what != 'no model' else 'was'} written: {result.failure}"
+    if _calibrates(result):
+        return f"no torque scales were written: {result.failure}"
+    what = "no model was" if result.payload is None else "no model and no card were"
+    return f"{what} written: {result.failure}"
 
 
-def _cards(payload: Payload) -> tuple[Card, ...]:
-    return payload_cards(payload.body.inertial, payload.flange, load_errors(payload.body))
-
-
-def _heading(result: Result, payload: Payload) -> list[str]:
-    mass, recordings = payload.body.inertial.mass, payload.recordings
-    return [
-        f"Payload of {mass:.4f} ± {load_errors(payload.body)['mass']:.2g} kg, identified with "
+def _card_file(result: Result, payload: Payload) -> tuple[tuple[Card, ...], str]:
+    """Return (the cards of a payload, the text of their file)."""
+    errors, recordings = load_errors(payload.body), payload.recordings
+    cards = payload_cards(payload.body.inertial, payload.flange, errors)
+    heading = (
+        f"Payload of {payload.body.inertial.mass:.4f} ± {errors['mass']:.2g} kg, identified with "
         f"{result.model_path.name} from {len(recordings['empty'])} empty and "
         f"{len(recordings['loaded'])} loaded recordings."
-    ]
+    )
+    return cards, card_text(cards, [heading])

@@ -7,7 +7,7 @@ than in the others.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -19,6 +19,7 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.consistent_links import ConsistentLinks
 from robot_sysid.estimation.information import sample_counts, update_triangle
 from robot_sysid.records import Array, SquareRootInformation, Validation
+from robot_sysid.records.results import validation_of
 
 OWN_SOURCE = "the logs, each fifth predicted from the others"
 CLEAR_SHARE, CLEARLY = 0.1, 2.0
@@ -133,31 +134,6 @@ def _solved(normal: Array, right: Array) -> Array:
     scaled = scale[:, None] * normal * scale
     scaled[np.diag_indices_from(scaled)] += _RIDGE
     return np.asarray(scale * np.linalg.solve(scaled, scale * right))
-
-
-def validation_of(
-    joints: Sequence[str], wrong: Array, squares: Array, counts: Array, source: str
-) -> Validation:
-    """Return errors as a record.
-
-    Args:
-        joints: names of the joints.
-        wrong, squares: (joints,) sums of squared errors and of squared torque [N^2 m^2].
-        counts: (joints,) number of samples.
-        source: which data, in words.
-    """
-
-    def ratio(error: float, torque: float) -> float | None:
-        return float(np.sqrt(error / torque)) if torque > 0.0 else None
-
-    return Validation(
-        source=source,
-        n_samples=int(np.max(counts, initial=0)),
-        rmse=float(np.sqrt(np.sum(wrong) / max(np.sum(counts), 1.0))),
-        relative_error=ratio(float(np.sum(wrong)), float(np.sum(squares))),
-        rmse_per_joint=dict(zip(joints, np.sqrt(wrong / np.maximum(counts, 1.0)).tolist())),
-        relative_error_per_joint={j: ratio(*pair) for j, *pair in zip(joints, wrong, squares)},
-    )
 
 
 def is_clearly_lower(after: Array, before: Array) -> bool:

@@ -15,7 +15,6 @@ from robot_sysid.core.dataset import Dataset, JoinedSamples, Mask, mean_torque
 from robot_sysid.core.errors import fit_errors
 from robot_sysid.core.file_fit import fit_file
 from robot_sysid.core.fit import Fit, Fitter
-from robot_sysid.core.held_out import validation_of
 from robot_sysid.core.recordings import logs_compared
 from robot_sysid.core.unknowns import Choice, Question
 from robot_sysid.dynamics.friction import FrictionModel
@@ -26,6 +25,7 @@ from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.logs.checks import sign_check
 from robot_sysid.records import Measurement, RobotModel, Validation
 from robot_sysid.records.progress import Progress
+from robot_sysid.records.results import validation_of
 from robot_sysid.results.model import CHECKPOINTS
 from robot_sysid.signals.process import ProcessedSignals, process
 from robot_sysid.signals.repetition import visits

@@ -10,7 +10,7 @@ import numpy as np
 from robot_sysid.core.columns import PAYLOAD_NAMES
 from robot_sysid.core.dataset import DecimatedSamples, JoinedSamples, information_of
 from robot_sysid.core.fit import ChosenRows, Evidence, Fit
-from robot_sysid.core.held_out import HeldOut, validation_of
+from robot_sysid.core.held_out import HeldOut
 from robot_sysid.core.unknowns import WEIGHT
 from robot_sysid.dynamics.equations import N_INERTIAL
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
@@ -19,6 +19,7 @@ from robot_sysid.estimation.information import combined, restricted, sample_coun
 from robot_sysid.estimation.least_squares import least_squares, weighted
 from robot_sysid.estimation.nuisances import with_prior
 from robot_sysid.records import Array, Flange, SquareRootInformation, Validation
+from robot_sysid.records.results import validation_of
 from robot_sysid.results.record import OneRecording
 
 DISAGREE, SURE = 2.0, 3.0

@@ -25,7 +25,6 @@ from robot_sysid.core.dataset import Dataset, DecimatedSamples
 from robot_sysid.core.errors import filtering_bias, fit_errors, residuals_to_add, residuals_within
 from robot_sysid.core.file_fit import fit_file
 from robot_sysid.core.fit import Evidence, Fit, Fitter, evidence, solved
-from robot_sysid.core.held_out import validation_of
 from robot_sysid.core.identify import Piece, filtered
 from robot_sysid.core.unknowns import FILE_GRAVITY, Choice, Question
 from robot_sysid.errors import InputError
@@ -41,6 +40,7 @@ from robot_sysid.records import (
     Source,
     Validation,
 )
+from robot_sysid.records.results import validation_of
 from robot_sysid.results.model import CHECKPOINTS
 from robot_sysid.signals.repetition import RowSample, sampled
 

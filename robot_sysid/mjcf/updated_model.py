@@ -28,28 +28,8 @@ from robot_sysid.mjcf.joints import write_actuator, write_joint
 from robot_sysid.mjcf.markup import quoted
 from robot_sysid.mjcf.relocation import relocated_text
 from robot_sysid.mjcf.urdf import give_minimum
-from robot_sysid.mjcf.write_back import BodyChange, ModelChange, WeldedBody, WriteBack
+from robot_sysid.mjcf.write_back import ModelChange, WeldedBody
 from robot_sysid.records import Array
-
-
-def updated_model_text(
-    source: Path,
-    body: str,
-    plan: WriteBack,
-    rmse: float,
-    folder: Path,
-    mesh_dir: Path | None = None,
-    principal: bool = False,
-) -> bytes:
-    """Return the text of a model file with one body's inertia replaced.
-
-    Args:
-        body: name of the terminal body, or "#7" for the nameless body with id 7.
-        rmse: of the identification [N m], for the comment.
-        folder, mesh_dir, principal: as in ``changed_model_text``.
-    """
-    change = ModelChange((BodyChange(body, 0, plan),), rmse)
-    return changed_model_text(source, change, folder, mesh_dir, principal)
 
 
 def changed_model_text(
@@ -65,6 +45,8 @@ def changed_model_text(
     contain paths, take the place of their ``<include>``; the others stay included.
 
     Args:
+        folder: where the text will live.
+        mesh_dir: the user's mesh folder, if any.
         principal: see ``inertial.mjcf_inertial``.
 
     Raises:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -126,6 +126,31 @@ class Validation:
     relative_error: float | None
     rmse_per_joint: Mapping[str, float]
     relative_error_per_joint: Mapping[str, float | None]
+
+
+def validation_of(
+    joints: Sequence[str], wrong: Array, squares: Array, counts: Array, source: str
+) -> Validation:
+    """Return errors as a record.
+
+    Args:
+        joints: names of the joints.
+        wrong, squares: (joints,) sums of squared errors and of squared torque [N^2 m^2].
+        counts: (joints,) number of samples.
+        source: which data, in words.
+    """
+
+    def ratio(error: float, torque: float) -> float | None:
+        return float(np.sqrt(error / torque)) if torque > 0.0 else None
+
+    return Validation(
+        source=source,
+        n_samples=int(np.max(counts, initial=0)),
+        rmse=float(np.sqrt(np.sum(wrong) / max(np.sum(counts), 1.0))),
+        relative_error=ratio(float(np.sum(wrong)), float(np.sum(squares))),
+        rmse_per_joint=dict(zip(joints, np.sqrt(wrong / np.maximum(counts, 1.0)).tolist())),
+        relative_error_per_joint={j: ratio(*pair) for j, *pair in zip(joints, wrong, squares)},
+    )
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,14 @@ from robot_sysid.model.compilation import compile_model
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Motion, RobotModel, Validation
 from robot_sysid.records.atomic_files import temporary_folder, whole_files
-from robot_sysid.records.results import CLOSED, MODEL_NAMES, OPEN, RolloutError, RolloutTest
+from robot_sysid.records.results import (
+    CLOSED,
+    MODEL_NAMES,
+    OPEN,
+    RolloutError,
+    RolloutTest,
+    validation_of,
+)
 from robot_sysid.results.model import CHECKPOINTS, ModelTarget
 from robot_sysid.results.record import Result
 from robot_sysid.signals.process import ProcessedSignals
@@ -239,19 +246,5 @@ def torque_error(
     counts = np.count_nonzero(usable, axis=0)
     offsets = np.sum(residual, axis=0) / np.maximum(counts, 1)
     residual = np.where(usable, residual - offsets, 0.0)
-    errors = np.sum(residual**2, axis=0)
     sizes = np.sum(np.where(usable, tau, 0.0) ** 2, axis=0)
-    names = robot.joint_names
-    return Validation(
-        source=source,
-        n_samples=int(np.max(counts, initial=0)),
-        rmse=_root(np.sum(errors), np.sum(counts)) or 0.0,
-        relative_error=_root(np.sum(errors), np.sum(sizes)),
-        rmse_per_joint={n: _root(e, c) or 0.0 for n, e, c in zip(names, errors, counts)},
-        relative_error_per_joint={n: _root(e, s) for n, e, s in zip(names, errors, sizes)},
-    )
-
-
-def _root(squares: float, size: float) -> float | None:
-    """Return the square root of a quotient; None of nothing."""
-    return float(np.sqrt(squares / size)) if size > 0.0 else None
+    return validation_of(robot.joint_names, np.sum(residual**2, axis=0), sizes, counts, source)

@@ -10,8 +10,8 @@ from typing import Any
 from lxml import etree
 
 from robot_sysid.mjcf.markup import masked_comments
-from robot_sysid.mjcf.updated_model import updated_model_text
-from robot_sysid.mjcf.write_back import plan_write_back
+from robot_sysid.mjcf.updated_model import changed_model_text
+from robot_sysid.mjcf.write_back import BodyChange, ModelChange, plan_write_back
 from robot_sysid.model.compilation import captured_warnings
 from robot_sysid.model.inertia import subtree_bodies
 from robot_sysid.parser import load_robot_model
@@ -133,4 +133,5 @@ def use(case: Case, folder: Path) -> None:
         robot = load_robot_model(path)
         bodies = subtree_bodies(robot.mj_model, robot.reference_qpos, robot.body_id)
         plan = plan_write_back(robot.prior.theta, bodies)
-        updated_model_text(path, robot.body_name, plan, 0.1, folder / "out")
+        change = ModelChange((BodyChange(robot.body_name, 0, plan),), 0.1)
+        changed_model_text(path, change, folder / "out")

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError
-from robot_sysid.mjcf.updated_model import changed_model_text, updated_model_text
+from robot_sysid.mjcf.updated_model import changed_model_text
 from robot_sysid.mjcf.write_back import BodyChange, ModelChange, WriteBack, plan_write_back
 from robot_sysid.model.chain import find_terminal_joint
 from robot_sysid.model.compilation import compile_model
@@ -58,14 +58,14 @@ def exported(source, label, composite, target, mesh_dir=None, original=None):
     return plan, verify_written_model(original, target, change_of(label, plan, body)).mj_model, body
 
 
-def change_of(label, plan, body):
+def change_of(label, plan, body=0):
     return ModelChange((BodyChange(label, body, plan),), 1.23e-4)
 
 
 def write(source, label, plan, target, mesh_dir=None):
     principal = not reads_fullinertia_exactly(plan.theta)
     folder = target.absolute().parent
-    text = updated_model_text(source, label, plan, 1.23e-4, folder, mesh_dir, principal)
+    text = changed_model_text(source, change_of(label, plan), folder, mesh_dir, principal)
     folder.mkdir(parents=True, exist_ok=True)
     target.write_bytes(text)
 
@@ -94,7 +94,7 @@ def test_the_compiled_composite_is_the_identified_one(arm_files, suffix, label, 
 def test_only_the_inertial_and_the_comment_change(tmp_path):
     source = write_files(tmp_path, {"m.xml": ARM})
     plan = WriteBack(THETA)
-    text = updated_model_text(source, "link2", plan, 1.23e-4, tmp_path / "out").decode()
+    text = changed_model_text(source, change_of("link2", plan), tmp_path / "out").decode()
     difference = list(difflib.ndiff(ARM.splitlines(), text.splitlines()))
     removed = [line[2:].split() for line in difference if line.startswith("- ")]
     comment, inertial = [line[2:] for line in difference if line.startswith("+ ")]
@@ -107,7 +107,7 @@ def test_only_the_inertial_and_the_comment_change(tmp_path):
 def test_line_endings_and_the_rest_of_the_bytes_stay(tmp_path):
     source = tmp_path / "m.xml"
     source.write_bytes(ARM.replace("\n", "\r\n").encode())
-    text = updated_model_text(source, "link2", WriteBack(THETA), 0.0, tmp_path)
+    text = changed_model_text(source, change_of("link2", WriteBack(THETA)), tmp_path)
     assert text.count(b"\n") == text.count(b"\r\n") == ARM.count("\n")
 
 
