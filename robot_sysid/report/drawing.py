@@ -86,19 +86,22 @@ def text(value: Any, error: float | None = None) -> str:
 
 def plus_minus(error: float | None) -> str:
     """Return a standard error as a cell."""
-    if error is None or not math.isfinite(error):
-        return "not known"
-    return number_text(error, error)
+    return "not known" if error is None else number_text(error, error)
+
+
+def cells(value: float, error: float | None) -> tuple[str, str]:
+    """Return a number and its standard error as cells."""
+    return text(value, error), plus_minus(error)
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[Any]], note: str = "") -> Table:
     """Return a table of texts and numbers; with more than ``MOST_ROWS`` rows, some of them."""
-    cells = [tuple(c if isinstance(c, str) else text(c) for c in row) for row in rows]
-    step = -(-len(cells) // MOST_ROWS)
+    texts = [tuple(c if isinstance(c, str) else text(c) for c in row) for row in rows]
+    step = -(-len(texts) // MOST_ROWS)
     if step > 1:
-        said = f"every {step}th of {len(cells)} rows; report_data.npz holds all that is drawn"
+        said = f"every {step}th of {len(texts)} rows; report_data.npz holds all that is drawn"
         note = f"{note} {said}".strip()
-    return Table(tuple(header), tuple(cells[:: step or 1]), note)
+    return Table(tuple(header), tuple(texts[:: step or 1]), note)
 
 
 INK, GRID = "#1b1f24", "#d3d7dc"
@@ -165,20 +168,26 @@ def _styled(name: str) -> Iterator[None]:
 
 
 def drawn(
-    name: str, caption: str, numbers: Table, size: tuple[float, float], draw: Callable[[Any], None]
+    name: str,
+    caption: str,
+    numbers: tuple[Sequence[str], Iterable[Sequence[Any]]],
+    height: float,
+    draw: Callable[[Any], None],
+    width: float = NARROW,
 ) -> Figure:
     """Return a figure.
 
     Args:
         name: of its files, unique on the page.
-        size: width and height [inch].
+        numbers: header and rows of its table.
+        height, width: [inch].
     """
     from matplotlib.figure import Figure as Canvas
 
     with _styled(name):
-        canvas = Canvas(figsize=size, layout="constrained")
+        canvas = Canvas(figsize=(width, height), layout="constrained")
         draw(canvas)
-    return Figure(name, caption, numbers, canvas, wide=size[0] > NARROW)
+    return Figure(name, caption, table(*numbers), canvas, wide=width > NARROW)
 
 
 def svg(figure: Figure) -> str:

@@ -3,23 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import cycle
 from typing import Any
 
 import numpy as np
 
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.records.figures import THETA, with_error
-from robot_sysid.report.drawing import (
-    NARROW,
-    SERIES,
-    Figure,
-    Section,
-    drawn,
-    plus_minus,
-    shortened,
-    table,
-    text,
-)
+from robot_sysid.report import drawing
+from robot_sysid.report.drawing import Figure, Section, drawn, table
 from robot_sysid.report.runs import Run, mapping
 from robot_sysid.report.sections.signals import error_bars, error_sets
 
@@ -61,21 +53,20 @@ def _parameter(runs: dict[str, Run], k: int) -> Figure:
     label, unit = PARAMETER_NAMES[k], THETA[k]
     bodies = [run.bodies()[0] for run in runs.values()]
     found = [(float(body.after[k]), float(body.errors[k])) for body in bodies]
-    rows = [(name, text(*pair), plus_minus(pair[1])) for name, pair in zip(runs, found)]
-    numbers = table(("run", f"{label} [{unit}]", "± standard error"), rows)
+    rows = [(name, *drawing.cells(*pair)) for name, pair in zip(runs, found)]
+    numbers = ("run", f"{label} [{unit}]", "± standard error"), rows
 
     def draw(canvas: Any) -> None:
         ax = canvas.subplots()
-        for j, (value, error) in enumerate(found):
-            colour, marker = SERIES[j % len(SERIES)]
+        for j, ((value, error), (colour, marker)) in enumerate(zip(found, cycle(drawing.SERIES))):
             ax.errorbar(value, -j, xerr=np.nan_to_num(error), fmt=marker, color=colour, capsize=3)
-        ax.set_yticks([-j for j in range(len(runs))], [shortened(name) for name in runs])
+        ax.set_yticks([-j for j in range(len(runs))], [drawing.shortened(name) for name in runs])
         ax.set_ylim(0.4 - len(runs), 0.6)
         ax.set_xlabel(f"{label} [{unit}]")
         ax.locator_params(axis="x", nbins=4)
 
-    size = (NARROW, 1.0 + 0.3 * len(runs))
-    return drawn(f"compare-{label}", f"{label} of each run [{unit}].", numbers, size, draw)
+    caption = f"{label} of each run [{unit}]."
+    return drawn(f"compare-{label}", caption, numbers, 1.0 + 0.3 * len(runs), draw)
 
 
 def predicted(runs: Sequence[Run]) -> Section:
@@ -84,8 +75,8 @@ def predicted(runs: Sequence[Run]) -> Section:
     rows = [(name, each.words, *each.cells) for name, sets in every.items() for each in sets]
     header = ("run", "data", "error [N·m]", "of the torque")
     last = [
-        sets[-1]._replace(words=f"{name}: {sets[-1].words}", colour=SERIES[k % len(SERIES)][0])
-        for k, (name, sets) in enumerate(every.items())
+        sets[-1]._replace(words=f"{name}: {sets[-1].words}", colour=colour)
+        for (colour, _), (name, sets) in zip(cycle(drawing.SERIES), every.items())
         if sets
     ]
     words = "of every run on the data farthest from what it was fitted to."

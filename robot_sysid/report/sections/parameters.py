@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -11,23 +12,7 @@ from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.records import Array
 from robot_sysid.records.figures import THETA, percent, with_error
 from robot_sysid.report import drawing
-from robot_sysid.report.drawing import (
-    AFTER,
-    BEFORE,
-    HATCHES,
-    MEASURED,
-    NARROW,
-    SERIES,
-    Figure,
-    Section,
-    Table,
-    drawn,
-    legend,
-    plus_minus,
-    shortened,
-    table,
-    text,
-)
+from robot_sysid.report.drawing import AFTER, BEFORE, MEASURED, Figure, Section, Table, drawn, table
 from robot_sysid.report.runs import Body, Run, figure, listed, mapping, mappings, number
 from robot_sysid.results.record import PAYLOAD
 
@@ -77,16 +62,16 @@ def _before_after(body: Body, name: str) -> Figure:
     rows = [
         (
             f"{label} [{unit}]",
-            *(text(float(theta[k]), body.errors[k]) for theta in told.values()),
-            plus_minus(body.errors[k]),
+            *(drawing.text(float(theta[k]), body.errors[k]) for theta in told.values()),
+            drawing.plus_minus(body.errors[k]),
         )
         for k, (label, unit) in enumerate(zip(PARAMETER_NAMES, THETA))
     ]
-    numbers = table(("parameter", *told, "± standard error"), rows)
+    numbers = ("parameter", *told, "± standard error"), rows
     against = " against the model's values before" if "before" in told else ""
     known = " and the truth of the simulated arm" if "truth" in told else ""
     caption = f"{body.title}: identified parameters{against}{known}, ± one standard error."
-    return drawn(name, caption, numbers, (NARROW, 4.6), lambda canvas: _draw(canvas, body))
+    return drawn(name, caption, numbers, 4.6, lambda canvas: _draw(canvas, body))
 
 
 def _draw(canvas: Any, body: Body) -> None:
@@ -107,7 +92,7 @@ def _draw(canvas: Any, body: Body) -> None:
         ax.margins(x=0.08)
         ax.locator_params(axis="x", nbins=6)
         _room(ax, body.after[part])
-    legend(canvas, axes[0], 4)
+    drawing.legend(canvas, axes[0], 4)
 
 
 def _room(ax: Any, values: Array) -> None:
@@ -125,10 +110,9 @@ def _causes(body: Body, name: str) -> Figure:
     total = np.sum(squares, axis=0)
     shares = np.divide(squares, total, out=np.zeros_like(squares), where=total > 0.0)
     rows = [
-        (label, plus_minus(body.errors[k]), *(percent(float(share)) for share in shares[:, k]))
-        for k, label in enumerate(PARAMETER_NAMES)
+        (label, drawing.plus_minus(error), *map(percent, each))
+        for label, error, each in zip(PARAMETER_NAMES, body.errors, shares.T.tolist())
     ]
-    numbers = table(("parameter", "± standard error", *causes), rows)
     caption = (
         f"{body.title}: what each parameter's error is made of, in shares of its variance. Where "
         "noise is small, a longer recording does not help."
@@ -137,28 +121,25 @@ def _causes(body: Body, name: str) -> Figure:
     def draw(canvas: Any) -> None:
         ax = canvas.subplots()
         left, places = np.zeros(10), -np.arange(10.0)
-        for k, (cause, share) in enumerate(zip(causes, shares)):
-            style = {
-                "facecolor": SERIES[k % len(SERIES)][0],
-                "edgecolor": drawing.INK,
-                "alpha": 0.75,
-            }
-            hatch = HATCHES[k % len(HATCHES)]
-            ax.barh(places, 100.0 * share, left=left, label=cause, hatch=hatch, **style)
+        looks = zip(cycle(drawing.SERIES), cycle(drawing.HATCHES))
+        for cause, share, ((colour, _), hatch) in zip(causes, shares, looks):
+            style = {"facecolor": colour, "edgecolor": drawing.INK, "alpha": 0.75, "hatch": hatch}
+            ax.barh(places, 100.0 * share, left=left, label=cause, **style)
             left = left + 100.0 * share
         ax.set_yticks(places, PARAMETER_NAMES)
         ax.set_xlabel("share of the error's variance [%]")
         ax.set_xlim(0.0, 100.0)
-        legend(canvas, ax, 2)
+        drawing.legend(canvas, ax, 2)
 
-    return drawn(name, caption, numbers, (NARROW, 4.6), draw)
+    numbers = ("parameter", "± standard error", *causes), rows
+    return drawn(name, caption, numbers, 4.6, draw)
 
 
 def visibility(run: Run) -> Section:
     """Return what is identified, what was kept from the model, and what does not show."""
     body, content = run.bodies()[0], run.content
     rows = [
-        (label, _source(body, k), percent(body.share[k]), plus_minus(body.errors[k]))
+        (label, _source(body, k), percent(body.share[k]), drawing.plus_minus(body.errors[k]))
         for k, label in enumerate(PARAMETER_NAMES)
     ]
     tables, sentences = [table((body.title, "comes from", "data", "±"), rows)], []
@@ -184,8 +165,7 @@ def _base_table(base: Sequence[Any]) -> Table:
     rows = [
         (
             str(each["combination"]),
-            text(each["value"], each["standard_error"]),
-            plus_minus(each["standard_error"]),
+            *drawing.cells(each["value"], each["standard_error"]),
             "yes" if each["essential"] else "no",
         )
         for each in base
@@ -239,7 +219,10 @@ def scatter(run: Run) -> Section | None:
     masses, noise, whole = np.array([[number(one.get(k)) for one in found] for k in keys])
     header = ("recording", "kind", "mass [kg]", "± noise alone [kg]", "± all [kg]")
     kinds = ["loaded" if one.get("is_loaded") else "empty" for one in found]
-    cells = (map(text, masses, noise), map(plus_minus, noise), map(plus_minus, whole))
+    rows = [
+        (name, kind, *drawing.cells(*pair), drawing.plus_minus(error))
+        for name, kind, error, *pair in zip(names, kinds, whole, masses, noise)
+    ]
     caption = (
         "Mass of the payload according to each recording against all of the other kind [kg]: thin "
         "bars ± the whole error, thick bars ± noise alone. The line is the result of all."
@@ -253,12 +236,11 @@ def scatter(run: Run) -> Section | None:
         ax.errorbar(masses, places, xerr=np.nan_to_num(whole), **thin)
         thick: Any = {"fmt": "o", "color": AFTER, "elinewidth": 3.0, "label": "one alone"}
         ax.errorbar(masses, places, xerr=np.nan_to_num(noise), **thick)
-        ax.set_yticks(places, [shortened(name, 26) for name in names])
+        ax.set_yticks(places, [drawing.shortened(name, 26) for name in names])
         ax.set_xlabel("mass [kg]")
-        legend(canvas, ax)
+        drawing.legend(canvas, ax)
 
-    numbers = table(header, zip(names, kinds, *cells))
-    masses_drawn = drawn("scatter", caption, numbers, (NARROW, 1.6 + 0.3 * len(names)), draw)
+    masses_drawn = drawn("scatter", caption, (header, rows), 1.6 + 0.3 * len(names), draw)
     words = (
         "If one recording says something else than the others, it was made with another payload, "
         "or something was changed between them."

@@ -10,21 +10,7 @@ import numpy as np
 from robot_sysid.records import Array
 from robot_sysid.records.figures import percent, position, term_unit, torque, with_error
 from robot_sysid.report import drawing
-from robot_sysid.report.drawing import (
-    AFTER,
-    BEFORE,
-    MEASURED,
-    NARROW,
-    OTHER,
-    Figure,
-    Section,
-    Table,
-    bars,
-    drawn,
-    legend,
-    table,
-    text,
-)
+from robot_sysid.report.drawing import AFTER, BEFORE, MEASURED, OTHER, Figure, Section, Table, drawn
 from robot_sysid.report.runs import Run, listed, mapping, mappings, number
 from robot_sysid.report.saved import LONGEST_LAG, ReportData
 from robot_sysid.results.record import PAYLOAD
@@ -78,10 +64,15 @@ def _torque(data: ReportData, joint: int, before: str) -> Figure:
         upper.set_ylabel(f"torque [{unit}]")
         lower.set(xlabel="time [s]", ylabel=f"residual [{unit}]")
         canvas.align_ylabels()
-        legend(canvas, upper)
+        drawing.legend(canvas, upper)
 
-    numbers = table(header, zip(data.time, measured, after, earlier, left))
-    return drawn(f"torque-{joint}", caption, numbers, (NARROW, 3.6), draw)
+    return drawn(
+        f"torque-{joint}",
+        caption,
+        (header, zip(data.time, measured, after, earlier, left)),
+        3.6,
+        draw,
+    )
 
 
 def _rms(values: Array) -> float:
@@ -127,8 +118,8 @@ def _left_over(data: ReportData, joint: int) -> Figure:
         memory.plot(data.lags, memories, color=AFTER, marker=".", ms=3)
         memory.set_ylim(min(-0.3, float(np.min(memories)) - 0.05), 1.05)
 
-    numbers = table((speed, f"mean {left}", f"spread of the {left}"), zip(speeds, mean, spread))
-    return drawn(f"residual-{joint}", caption, numbers, (NARROW, 3.9), draw)
+    numbers = (speed, f"mean {left}", f"spread of the {left}"), zip(speeds, mean, spread)
+    return drawn(f"residual-{joint}", caption, numbers, 3.9, draw)
 
 
 def _dots(ax: Any, speed: Array, values: Array) -> None:
@@ -177,7 +168,7 @@ def _coefficients(
     rows = [(owner, *(values.get((owner, name), "–") for name in terms)) for owner in owners]
     mixed = slide and not all(slides.values())
     note = "Units are those of slides; of hinges N·m for N and rad for m." if mixed else ""
-    return table(header, rows, note)
+    return drawing.table(header, rows, note)
 
 
 def _curve(data: ReportData, joint: int) -> Figure:
@@ -195,10 +186,11 @@ def _curve(data: ReportData, joint: int) -> Figure:
         for side, label in ((speed < 0.0, None), (speed > 0.0, "identified")):
             ax.plot(speed[side], identified[side], color=AFTER, lw=1.8, label=label)
         ax.set(xlabel=header[0], ylabel=f"friction [{unit}]")
-        legend(canvas, ax)
+        drawing.legend(canvas, ax)
 
-    numbers = table(header, zip(speed, measured, identified))
-    return drawn(f"friction-{joint}", caption, numbers, (NARROW, 3.0), draw)
+    return drawn(
+        f"friction-{joint}", caption, (header, zip(speed, measured, identified)), 3.0, draw
+    )
 
 
 def excitation(run: Run) -> Section | None:
@@ -225,7 +217,7 @@ def _shares(data: ReportData) -> Figure:
         (name, *(f"{share[j]:.0f}" if share[j] > 0.0 else "no limit" for _, share, _ in series))
         for j, name in enumerate(data.joints)
     ]
-    numbers = table(("joint", *(f"{what} [% of limit]" for what, _, _ in series)), rows)
+    numbers = ("joint", *(f"{what} [% of limit]" for what, _, _ in series)), rows
     caption = (
         "Share of each limit that the motion used [%]; a joint without a bar has no limit of that "
         "kind in its model. Over 100 % the recording went beyond what the model allows."
@@ -235,7 +227,7 @@ def _shares(data: ReportData) -> Figure:
         ax = drawing.bars(canvas, data.joints, series, "share of limit [%]")
         ax.axhline(100.0, color=OTHER, ls="--", lw=1.0)
 
-    return drawn("excitation", caption, numbers, (drawing.WIDE, 3.2), draw)
+    return drawn("excitation", caption, numbers, 3.2, draw, drawing.WIDE)
 
 
 def _motion(data: ReportData, joint: int) -> Figure:
@@ -262,8 +254,7 @@ def _motion(data: ReportData, joint: int) -> Figure:
         axes[1].set_xlabel("time [s]")
         canvas.align_ylabels()
 
-    numbers = table(header, zip(data.time, q, qd))
-    return drawn(f"motion-{joint}", caption, numbers, (NARROW, 3.0), draw)
+    return drawn(f"motion-{joint}", caption, (header, zip(data.time, q, qd)), 3.0, draw)
 
 
 _MOST_SETS = 7
@@ -282,10 +273,10 @@ class ErrorSet(NamedTuple):
     colour: str
 
     @property
-    def cells(self) -> tuple[str, str]:
+    def cells(self) -> tuple[float, str]:
         """Error [N m] and its share of the torque, as cells of a table."""
         share = number(self.test.get("relative_error"))
-        return text(number(self.test.get("rmse"))), percent(share) if np.isfinite(share) else "–"
+        return number(self.test.get("rmse")), percent(share) if np.isfinite(share) else "–"
 
     def of(self, joints: Sequence[str]) -> list[float]:
         """Return the error [N m] of each joint; NaN where it is not known."""
@@ -315,12 +306,13 @@ def error_bars(name: str, sets: Sequence[ErrorSet], words: str) -> Figure:
     if len(sets) > _MOST_SETS:
         words += f" The figure shows the first {_MOST_SETS} of {len(sets)}, the table all."
     series = [(each.words, each.of(joints), each.colour) for each in sets[:_MOST_SETS]]
-    size = (drawing.WIDE if len(joints) > 2 else NARROW, 2.8 + 0.2 * len(series))
+    width = drawing.WIDE if len(joints) > 2 else drawing.NARROW
 
     def draw(canvas: Any) -> None:
-        bars(canvas, joints, series, "error [N·m]")
+        drawing.bars(canvas, joints, series, "error [N·m]")
 
-    return drawn(name, start + words, table(header, rows), size, draw)
+    height = 2.8 + 0.2 * len(series)
+    return drawn(name, start + words, (header, rows), height, draw, width)
 
 
 def error_sets(run: Run) -> Iterator[ErrorSet]:
@@ -362,14 +354,13 @@ def _played(test: Mapping[str, Any], place: int) -> Figure:
     joints = {"all": mapping(test, "overall"), **mapping(test, "joints")}
     pairs = {when: [number(each.get(when)) for each in joints.values()] for when in _WHEN}
     series = [(when, heights, _WHEN[when]) for when, heights in pairs.items()]
-    caption = (
-        f"{test.get('loop', 'loop')}, {text(number(test.get('horizon')))} s: root mean square "
-        "position error of the model before and after [rad, m for slides]."
-    )
+    played = f"{test.get('loop', 'loop')}, {drawing.text(number(test.get('horizon')))} s"
+    error = "root mean square position error of the model before and after [rad, m for slides]"
 
     def draw(canvas: Any) -> None:
-        bars(canvas, list(joints), series, "position error [rad]")
+        drawing.bars(canvas, list(joints), series, "position error [rad]")
 
     header = ("joint", *(f"{when} [rad or m]" for when in _WHEN))
-    numbers = table(header, zip(joints, *pairs.values()))
-    return drawn(f"rollout-{place}", caption, numbers, (NARROW, 3.2), draw)
+    return drawn(
+        f"rollout-{place}", f"{played}: {error}.", (header, zip(joints, *pairs.values())), 3.2, draw
+    )
