@@ -455,19 +455,17 @@ def _played(config: SysidConfig, robot: RobotModel, analysis: Analysis) -> Rollo
     answer, mesh_dir = analysis.answer, config.model.mesh_dir
     assert answer is not None
 
-    def write_of(result: Result) -> Callable[[ModelTarget], object]:
-        return partial(write_model, result, robot)
-
     if analysis.tests:
         signals = [each.signals for each in analysis.tests if each.signals is not None]
-        return play_other(robot, signals, write_of(analysis.result), mesh_dir)
+        return play_other(robot, signals, partial(write_model, analysis.result, robot), mesh_dir)
     signals = [each.signals for each in answer.fit.columns.datasets if each.signals is not None]
 
-    def again(masks: Sequence[np.ndarray]) -> Result:
+    def again(masks: Sequence[np.ndarray], target: ModelTarget) -> None:
         found = refit(answer, masks, config.output.kept)
-        return result_of(found, analysis.result.data, config.output.write_offset)
+        result = result_of(found, analysis.result.data, config.output.write_offset)
+        write_model(result, robot, target)
 
-    return play_held_out(robot, signals, again, write_of, mesh_dir)
+    return play_held_out(robot, signals, again, mesh_dir)
 
 
 def _motor_file(config: SysidConfig, robot: RobotModel, plan: MotionPlan) -> MotorFile | None:

@@ -139,8 +139,7 @@ def _by_number(document: ModelDocument, label: str) -> Node:
         )
     # MuJoCo numbers bodies depth first, and <frame> adds none.
     left = int(wanted.group(1))
-    worlds = (section for section in document.root.children() if section.tag == "worldbody")
-    for node in (n for world in worlds for n in world.walk()):
+    for node in (n for world in document.tagged("worldbody") for n in world.walk()):
         if node.tag in MULTIPLIERS:
             raise ExportError(
                 f"{document.path}: cannot count up to the nameless body {label} past a "

@@ -53,8 +53,7 @@ def write_joint(edits: Edits, change: JointChange) -> None:
 def write_actuator(edits: Edits, change: ActuatorChange) -> None:
     """Give a position actuator its new gains; ExportError where the file does not write it out."""
     document = edits.document
-    sections = (node for node in document.root.children() if node.tag == "actuator")
-    written = (node for section in sections for node in section.children())
+    written = (node for section in document.tagged("actuator") for node in section.children())
     node = next(islice(written, change.actuator, None), None)
     kp, kv = number(change.stiffness), number(change.damping)
     attributes = {
@@ -117,19 +116,10 @@ def _joints(document: ModelDocument) -> Iterator[Node]:
     """Yield the joints in the order in which MuJoCo numbers them: those of a body before those of
     the bodies in it."""
     if document.kind == "urdf":
-        yield from (node for node in document.root.children() if node.tag == "joint")
-        return
-    for section in document.root.children():
-        if section.tag == "worldbody":
-            yield from _of_body(section)
-
-
-def _of_body(body: Node) -> Iterator[Node]:
-    inside = list(_without_frames(body))
-    yield from (node for node in inside if node.tag in _TAGS)
-    for child in inside:
-        if child.tag in ("body", *MULTIPLIERS):
-            yield from _of_body(child)
+        yield from document.tagged("joint")
+    for world in document.tagged("worldbody"):
+        for body in (n for n in world.walk() if n.tag in ("worldbody", "body", *MULTIPLIERS)):
+            yield from (node for node in _without_frames(body) if node.tag in _TAGS)
 
 
 def _without_frames(body: Node) -> Iterator[Node]:

@@ -83,28 +83,24 @@ def plan_write_back(
         ExportError: the composite is no possible body itself, or nothing of the bodies on joints
             has room in it.
     """
-    terminal, others = bodies[0], bodies[1:]
-    mass = float(composite[0])
-    rest = composite - _sum(others)
-    alone = possible_body(rest, mass, tolerance)
-    if alone is not None:
-        inflated = float(alone[4] - rest[4])
-        return WriteBack(alone, (), _inflated_note(alone, inflated), inflated)
-    lumped = tuple(body for body in others if body.welded and np.any(body.theta))
-    hanging = tuple(body for body in others if not body.welded and np.any(body.theta))
-    scale = _largest_scale(composite, _sum(hanging), tolerance)
-    rest = composite - scale * _sum(hanging)
-    group = possible_body(rest, mass, tolerance)
-    if group is None or scale < NOTHING:
+    others, mass = tuple(bodies[1:]), float(composite[0])
+    lumped: tuple[SubtreeBody, ...] = ()
+    scale = 1.0
+    if possible_body(composite - _sum(others), mass, tolerance) is None:
+        lumped = tuple(body for body in others if body.welded and np.any(body.theta))
+        others = tuple(body for body in others if not body.welded and np.any(body.theta))
+        scale = _largest_scale(composite, _sum(others), tolerance)
+    rest = composite - scale * _sum(others)
+    own = possible_body(rest, mass, tolerance)
+    if own is None or scale < NOTHING:
         raise ExportError(
-            f"the identified parameters of body '{terminal.name}' are not a possible rigid body, "
+            f"the identified parameters of body '{bodies[0].name}' are not a possible rigid body, "
             "so no model was written; use --consistency enforce or a longer --duration"
         )
-    inflated = float(group[4] - rest[4])
-    scaled = hanging if scale < 1.0 else ()
-    notes = [*_shared_notes(terminal, lumped, scaled, scale), _inflated_note(group, inflated)]
-    note = "; ".join(part for part in notes if part)
-    return WriteBack(group, lumped, note, inflated, scaled, scale)
+    inflated = float(own[4] - rest[4])
+    scaled = others if scale < 1.0 else ()
+    notes = (*_shared_notes(bodies[0], lumped, scaled, scale), *_inflated_note(own, inflated))
+    return WriteBack(own, lumped, "; ".join(notes) or None, inflated, scaled, scale)
 
 
 def _largest_scale(composite: Array, hanging: Array, tolerance: Tolerance) -> float:
@@ -167,16 +163,15 @@ def possible_body(theta: Array, scale: float, tolerance: Tolerance = EXACT) -> A
     return spatial.theta_from_com(mass, com, inertia + inflated * np.eye(3))
 
 
-def _inflated_note(theta: Array, inflated: float) -> str | None:
-    """Return a sentence where moments of inertia were inflated by more than rounding."""
+def _inflated_note(theta: Array, inflated: float) -> Iterator[str]:
+    """Yield a sentence where moments of inertia were inflated by more than rounding."""
     moments = np.linalg.eigvalsh(spatial.com_from_theta(theta)[2])
-    if inflated <= SLACK * float(np.sum(moments)):
-        return None
-    return (
-        f"the model file cannot hold moments of inertia as small as identified (its compiler "
-        f"settings, or what other bodies hold already), so all three are written {inflated:.2g} "
-        "kg m^2 larger; that is less than their standard errors"
-    )
+    if inflated > SLACK * float(np.sum(moments)):
+        yield (
+            "the model file cannot hold moments of inertia as small as identified (its compiler "
+            "settings, or what other bodies hold already), so all three are written "
+            f"{inflated:.2g} kg m^2 larger; that is less than their standard errors"
+        )
 
 
 def _sum(bodies: Sequence[SubtreeBody]) -> Array:
@@ -185,8 +180,6 @@ def _sum(bodies: Sequence[SubtreeBody]) -> Array:
 
 JOINT_NUMBERS = ("armature", "damping", "frictionloss")
 """What may be written into a joint, by its name in MJCF."""
-
-
 FAR = 1000.0
 """Where the spring rests that makes an offset [rad or m]: over a turn it changes by 0.6 %."""
 

@@ -7,6 +7,7 @@ torques that a file predicts are told beside it, judged as a file too: compiled,
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from robot_sysid.dynamics.kinematics import ArmDynamics
 from robot_sysid.errors import ExportError, InputError
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Motion, RobotModel, Validation
+from robot_sysid.records import RobotModel, Validation
 from robot_sysid.records.atomic_files import temporary_folder, whole_files
 from robot_sysid.records.results import (
     CLOSED,
@@ -28,7 +29,6 @@ from robot_sysid.records.results import (
     validation_of,
 )
 from robot_sysid.results.model import CHECKPOINTS, ModelTarget
-from robot_sysid.results.record import Result
 from robot_sysid.signals.process import ProcessedSignals
 from robot_sysid.simulation.rollout import playback
 
@@ -41,14 +41,13 @@ SERVO_WORDS = (
     "measured motion"
 )
 
-Write = Callable[[ModelTarget], object]
+Masks = Sequence[NDArray[np.bool_]]
 
 
 def play_held_out(
     robot: RobotModel,
     signals: Sequence[ProcessedSignals],
-    refit: Callable[[Sequence[NDArray[np.bool_]]], Result],
-    write_of: Callable[[Result], Write],
+    write: Callable[[Masks, ModelTarget], object],
     mesh_dir: Path | None,
 ) -> RolloutTest:
     """Fit the beginning of every log, and play its end with the model before and with that one.
@@ -57,40 +56,43 @@ def play_held_out(
     that was recorded.
 
     Args:
-        refit: fits some of the decimated rows (K,) of each log.
-        write_of: returns what writes a result into a model.
+        write: fits some of the decimated rows (K,) of each log, and writes that into a model.
     """
-
-    def test() -> RolloutTest:
-        write = write_of(refit([fitted_rows(log) for log in signals]))
-        pieces = [p for log in signals for p in playback.pieces_of_signals(log, split_time(log))]
-        after = as_written(robot, write, _checkpoints(signals), mesh_dir)
-        return compare(robot, after, pieces, LAST_FIFTH)
-
-    return played_or_reason(robot, test)
+    masks = [fitted_rows(log) for log in signals]
+    return _played(robot, signals, partial(write, masks), mesh_dir, split_time, LAST_FIFTH)
 
 
 def play_other(
-    robot: RobotModel, others: Sequence[ProcessedSignals], write: Write, mesh_dir: Path | None
+    robot: RobotModel,
+    others: Sequence[ProcessedSignals],
+    write: Callable[[ModelTarget], object],
+    mesh_dir: Path | None,
 ) -> RolloutTest:
     """Play a validation log with the model before and with the one that ``write`` writes."""
-
-    def test() -> RolloutTest:
-        pieces = [piece for log in others for piece in playback.pieces_of_signals(log)]
-        after = as_written(robot, write, _checkpoints(others), mesh_dir)
-        return compare(robot, after, pieces, "the validation log")
-
-    return played_or_reason(robot, test)
+    return _played(robot, others, write, mesh_dir, lambda log: -np.inf, "the validation log")
 
 
-def _checkpoints(signals: Sequence[ProcessedSignals]) -> Motion:
-    return signals[0].motion(signals[0].spread(CHECKPOINTS))
+def _played(
+    robot: RobotModel,
+    signals: Sequence[ProcessedSignals],
+    write: Callable[[ModelTarget], object],
+    mesh_dir: Path | None,
+    since: Callable[[ProcessedSignals], float],
+    held_out: str,
+) -> RolloutTest:
+    """Return a test, or one without figures that says why there are none.
 
-
-def played_or_reason(robot: RobotModel, test: Callable[[], RolloutTest]) -> RolloutTest:
-    """Return a test, or one without figures that says why there are none."""
+    The model that is written is read back from a folder that is gone afterwards.
+    """
     try:
-        return test()
+        pieces = [p for log in signals for p in playback.pieces_of_signals(log, since(log))]
+        checkpoints = signals[0].motion(signals[0].spread(CHECKPOINTS))
+        with temporary_folder() as folder:
+            path = folder / MODEL_NAMES[robot.kind]
+            with whole_files() as files:
+                write(ModelTarget(files, path, checkpoints, 0.0, mesh_dir))
+            after = load_robot_model(path, joint=robot.terminal_joint)
+        return compare(robot, after, pieces, held_out)
     except (ExportError, InputError) as error:
         return RolloutTest(robot.joint_names, "held-out pieces", "", (), (str(error),))
 
@@ -101,21 +103,6 @@ def refusal(test: RolloutTest | None, accepted: Collection[str]) -> str | None:
     return (
         refused and f"no model was written: {refused}; to write it all the same: --accept rollout"
     )
-
-
-def as_written(
-    robot: RobotModel, write: Write, checkpoints: Motion, mesh_dir: Path | None
-) -> RobotModel:
-    """Return the model that ``write`` writes, read back from a folder that is gone afterwards.
-
-    Raises:
-        ExportError: the model cannot hold what is to be written.
-    """
-    with temporary_folder() as folder:
-        path = folder / MODEL_NAMES[robot.kind]
-        with whole_files() as files:
-            write(ModelTarget(files, path, checkpoints, 0.0, mesh_dir))
-        return load_robot_model(path, joint=robot.terminal_joint)
 
 
 def compare(
@@ -194,17 +181,14 @@ def rollout_entry(test: RolloutTest | None) -> dict[str, Any] | None:
 
 
 def _entry(test: RolloutTest, error: RolloutError) -> dict[str, Any]:
-    before, after = error.overall
+    pairs = zip(test.joint_names, error.before.tolist(), error.after.tolist())
     return {
         "loop": error.loop,
         "horizon": error.horizon,
         "windows": error.windows,
-        "diverged": {"before": error.diverged[0], "after": error.diverged[1]},
-        "overall": _figures(before, after),
-        "joints": {
-            name: _figures(float(old), float(new))
-            for name, old, new in zip(test.joint_names, error.before, error.after)
-        },
+        "diverged": dict(zip(("before", "after"), error.diverged)),
+        "overall": _figures(*error.overall),
+        "joints": {name: _figures(*pair) for name, *pair in pairs},
     }
 
 
