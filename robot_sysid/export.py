@@ -102,11 +102,12 @@ def export_updated_xml(
     Args:
         body: name of the terminal body, or "#7" for the nameless body with id 7.
         rmse: of the identification [N m], for the comment.
-        mesh_dir, principal: as in ``changed_model_text``.
+        mesh_dir: the user's mesh folder, if any.
+        principal: see ``mjcf.inertial.mjcf_inertial``.
     """
-    change = ModelChange((BodyChange(body, 0, plan),), rmse)
+    change = ModelChange((BodyChange(body, 0, plan),), rmse, principal=principal)
     folder = destination.absolute().parent
-    write_whole(destination, changed_model_text(source, change, folder, mesh_dir, principal))
+    write_whole(destination, changed_model_text(source, change, folder, mesh_dir))
 
 
 def save(

@@ -185,9 +185,9 @@ def read_document(path: Path) -> ModelDocument:
         InputError: the file is missing, a folder or unreadable.
         ModelError: it is not XML, only a fragment of a model, or an include fails.
     """
-    reader = _Reader(Path(path).absolute())
-    main = reader.read(reader.main_path)
-    document = ModelDocument(main, _KINDS.get(local_name(main.root), ""), tuple(reader.files))
+    known: dict[Path, SourceFile] = {}
+    main = _read(Path(path).absolute(), known)
+    document = ModelDocument(main, _KINDS.get(local_name(main.root), ""), tuple(known.values()))
     _check_is_whole_model(document)
     return document
 
@@ -208,54 +208,44 @@ def _check_is_whole_model(document: ModelDocument) -> None:
         raise ModelError(f"{name} is a fragment, not a whole model: no <link>; {hint}")
 
 
-class _Reader:
-    """Reads one model: remembers what has been included."""
+def _read(path: Path, known: dict[Path, SourceFile], depth: int = 0) -> SourceFile:
+    """Return a file with its includes, and note each with its real path, the main file first."""
+    raw = _read_bytes(path)
+    text = _as_utf8(raw, path)
+    elements = tuple(_parse(text, path).iter(etree.Element))
+    includes: dict[int, SourceFile] = {}
+    file = known[path.resolve()] = SourceFile(path, raw, text, elements, includes)
+    for i, element in enumerate(elements):
+        if local_name(element) == "include" and local_name(elements[0]) != "robot":
+            includes[i] = _read_include(file, element, known, depth + 1)
+    return file
 
-    def __init__(self, main_path: Path) -> None:
-        self.main_path = main_path
-        self.files: list[SourceFile] = []
-        self._seen: set[Path] = set()
-        self._depth = 0
 
-    def read(self, path: Path) -> SourceFile:
-        """Return the file at ``path`` with its includes."""
-        raw = _read_bytes(path)
-        self._seen.add(path.resolve())
-        text = _as_utf8(raw, path)
-        elements = tuple(_parse(text, path).iter(etree.Element))
-        includes: dict[int, SourceFile] = {}
-        file = SourceFile(path, raw, text, elements, includes)
-        self.files.append(file)
-        for i, element in enumerate(elements):
-            if local_name(element) == "include" and local_name(elements[0]) != "robot":
-                includes[i] = self._read_include(file, element)
-        return file
-
-    def _read_include(self, parent: SourceFile, element: Any) -> SourceFile:
-        where = f"{parent.path}, line {element.sourceline}"
-        name = element.get("file")
-        if not name:
-            raise ModelError(f"{where}: <include> without a file attribute")
-        folders = (self.main_path.parent, parent.path.parent)
-        candidates = (folder / name.replace("\\", "/") for folder in folders)
-        path = next((path for path in candidates if os.path.isfile(path)), None)
-        if path is None:
-            raise ModelError(
-                f"{where}: included file {name} not found (looked in {parent.path.parent})"
-            )
-        if path.resolve() in self._seen:
-            raise ModelError(
-                f"{where}: {name} is included twice or includes itself; each file may "
-                "be included once"
-            )
-        self._depth += 1
-        if self._depth > _DEEPEST:
-            raise ModelError(f"{where}: includes are nested more than {_DEEPEST} deep")
-        included = self.read(path)
-        self._depth -= 1
-        if next(included.root.iterchildren(etree.Element), None) is None:
-            raise ModelError(f"{where}: included file {name} is empty")
-        return included
+def _read_include(
+    parent: SourceFile, element: Any, known: dict[Path, SourceFile], depth: int
+) -> SourceFile:
+    where = f"{parent.path}, line {element.sourceline}"
+    name = element.get("file")
+    if not name:
+        raise ModelError(f"{where}: <include> without a file attribute")
+    main = next(iter(known.values()))
+    folders = (main.path.parent, parent.path.parent)
+    candidates = (folder / name.replace("\\", "/") for folder in folders)
+    path = next((path for path in candidates if os.path.isfile(path)), None)
+    if path is None:
+        raise ModelError(
+            f"{where}: included file {name} not found (looked in {parent.path.parent})"
+        )
+    if path.resolve() in known:
+        raise ModelError(
+            f"{where}: {name} is included twice or includes itself; each file may be included once"
+        )
+    if depth > _DEEPEST:
+        raise ModelError(f"{where}: includes are nested more than {_DEEPEST} deep")
+    included = _read(path, known, depth)
+    if next(included.root.iterchildren(etree.Element), None) is None:
+        raise ModelError(f"{where}: included file {name} is empty")
+    return included
 
 
 def _read_bytes(path: Path) -> bytes:

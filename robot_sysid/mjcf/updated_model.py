@@ -29,15 +29,10 @@ from robot_sysid.mjcf.markup import quoted
 from robot_sysid.mjcf.relocation import relocated_text
 from robot_sysid.mjcf.urdf import give_minimum
 from robot_sysid.mjcf.write_back import ModelChange, WeldedBody
-from robot_sysid.records import Array
 
 
 def changed_model_text(
-    source: Path,
-    change: ModelChange,
-    folder: Path,
-    mesh_dir: Path | None = None,
-    principal: bool = False,
+    source: Path, change: ModelChange, folder: Path, mesh_dir: Path | None = None
 ) -> bytes:
     """Return the text of a model file with a change made.
 
@@ -47,20 +42,19 @@ def changed_model_text(
     Args:
         folder: where the text will live.
         mesh_dir: the user's mesh folder, if any.
-        principal: see ``inertial.mjcf_inertial``.
 
     Raises:
         ExportError: a body or joint is not written out in the file, a name is taken, or a setting
             of the file changes inertias when it is compiled.
     """
     edits = Edits(read_document(source))
-    written = _write_bodies(edits, change, principal)
+    written = _write_bodies(edits, change)
     for joint in change.joints:
         write_joint(edits, joint)
     for actuator in change.actuators:
         write_actuator(edits, actuator)
     if change.welded is not None:
-        weld(edits, change.welded, change.rmse, principal)
+        weld(edits, change.welded, change)
     if change.gravity is not None:
         write_gravity(edits, change.gravity, change.rmse)
     if edits.document.kind == "urdf":
@@ -71,43 +65,36 @@ def changed_model_text(
     return relocated_text(edits, folder, mesh_dir)
 
 
-def _write_bodies(edits: Edits, change: ModelChange, principal: bool) -> list[Node]:
+def _write_bodies(edits: Edits, change: ModelChange) -> list[Node]:
     """Write new inertias with their comments, and return the bodies that have them."""
-    document, written = edits.document, []
+    document, principal, written = edits.document, change.principal, []
     for body in change.bodies:
         found, theta = find_body(document, body.label), body.plan.theta
         check_settings(document, found, theta)
         lumped = [find_body(document, other.name) for other in body.plan.lumped]
         edits.comment(found, comment_text(f"body '{body.label}'", change.rmse, body.comment))
         for node, parameters in ((found, theta), *((other, 0.0 * theta) for other in lumped)):
-            write_inertial(edits, node, _inertial(document, parameters, principal))
+            is_urdf = document.kind == "urdf"
+            text = urdf_inertial(parameters) if is_urdf else mjcf_inertial(parameters, principal)
+            write_inertial(edits, node, text)
         written += [found, *lumped]
     return written
 
 
-def _inertial(document: ModelDocument, theta: Array, principal: bool) -> str:
-    return urdf_inertial(theta) if document.kind == "urdf" else mjcf_inertial(theta, principal)
-
-
-def weld(edits: Edits, body: WeldedBody, rmse: float, principal: bool = False) -> None:
-    """Add a body.
-
-    Args:
-        rmse: of the identification [N m], for the comment.
-        principal: see ``inertial.mjcf_inertial``.
-    """
+def weld(edits: Edits, body: WeldedBody, change: ModelChange) -> None:
+    """Add the new body of a change."""
     document = edits.document
     carrier = find_body(document, body.carrier)
     check_settings(document, carrier, body.theta, gets_child=True)
     _check_name(document, body.name)
-    comment = comment_text(f"body '{body.name}'", rmse, body.words)
+    comment = comment_text(f"body '{body.name}'", change.rmse, body.words)
     if document.kind == "urdf":
         # All links of a URDF stand side by side.
         place, lines = document.root, [comment, *_urdf_lines(body)]
     else:
         turn = numbers(spatial.quaternion(body.rotation))
         pose = f'pos="{numbers(body.translation)}" quat="{turn}"'
-        inertial = f"  {mjcf_inertial(body.theta, principal)}"
+        inertial = f"  {mjcf_inertial(body.theta, change.principal)}"
         lines = [comment, f"<body name={quoted(body.name)} {pose}>", inertial, "</body>"]
         place = carrier
     edits.add(place, markup.append_child(place.file.text, place.span, "\n".join(lines)))

@@ -283,6 +283,7 @@ class ModelChange:
         rmse: of the identification [N m], for the comments.
         welded: a new body, or None.
         gravity: in the model's world frame [m/s^2]; None leaves what the file says.
+        principal: see ``inertial.mjcf_inertial``.
     """
 
     bodies: tuple[BodyChange, ...]
@@ -291,3 +292,4 @@ class ModelChange:
     welded: WeldedBody | None = None
     actuators: tuple[ActuatorChange, ...] = ()
     gravity: tuple[float, float, float] | None = None
+    principal: bool = False

@@ -23,40 +23,40 @@ from robot_sysid.report.sections.parameters import card, parameters, scatter, vi
 from robot_sysid.report.sections.picture import picture
 
 _TEMPLATE = Path(__file__).with_name("template.html")
-Maker = Callable[[Run], "Section | None"]
 
 
 def sections_of(run: Run, mesh_dir: Path | None = None) -> list[Section]:
     """Return all parts of a run's page."""
-    makers: tuple[Maker, ...] = (
+    makers = (
         *(verdict.verdict, card, scatter, parameters, visibility),
         *(signals.torques, signals.residuals, signals.friction, signals.excitation),
         *(signals.errors, signals.rollout),
         partial(picture, mesh_dir=mesh_dir),
         verdict.next_steps,
     )
-    return [each for maker in makers for each in _made(maker, run)]
-
-
-def _made(maker: Callable[[Any], Section | None], run: Run | Sequence[Run]) -> Iterator[Section]:
-    """Yield a part; where the result file holds something odd, what it was in its place."""
-    name = getattr(maker, "__name__", "picture")
-    try:
-        section = maker(run)
-    except (ArithmeticError, AttributeError, LookupError, OSError, TypeError, ValueError) as error:
-        cause = f"this part cannot be shown: the result holds {type(error).__name__}: {error}"
-        section = Section(name, name.capitalize().replace("_", " "), missing=(cause,))
-    if section is not None:
-        yield section
+    return list(_made(makers, run))
 
 
 def sections_comparing(runs: Sequence[Run]) -> list[Section]:
     """Return all parts of a page about several runs."""
-    makers = (
-        *(comparison.verdicts, comparison.compared, comparison.friction_beside),
-        comparison.predicted,
-    )
-    return [each for maker in makers for each in _made(maker, runs)]
+    makers = comparison.verdicts, comparison.compared, comparison.friction_beside
+    return list(_made((*makers, comparison.predicted), runs))
+
+
+def _made(
+    makers: Sequence[Callable[[Any], Section | None]], about: Run | Sequence[Run]
+) -> Iterator[Section]:
+    """Yield the parts; where the result file holds something odd, what it was in a part's place."""
+    odd = (ArithmeticError, AttributeError, LookupError, OSError, TypeError, ValueError)
+    for maker in makers:
+        name = getattr(maker, "__name__", "picture")
+        try:
+            section = maker(about)
+        except odd as error:
+            cause = f"this part cannot be shown: the result holds {type(error).__name__}: {error}"
+            section = Section(name, name.capitalize().replace("_", " "), missing=(cause,))
+        if section is not None:
+            yield section
 
 
 def html(title: str, sections: Sequence[Section]) -> str:

@@ -30,7 +30,6 @@ from robot_sysid.mjcf.write_back import (
     plan_write_back,
 )
 from robot_sysid.model.chain import body_label
-from robot_sysid.model.compilation import CompiledModel
 from robot_sysid.model.flange import place_in_carrier
 from robot_sysid.model.inertia import body_theta, link_bodies
 from robot_sysid.records import Array, Motion, RobotModel, SubtreeBody
@@ -257,35 +256,33 @@ def _welded(robot: RobotModel, payload: Payload, name: str, words: str) -> Welde
 def _write(
     robot: RobotModel, change: ModelChange, target: ModelTarget, thetas: Array
 ) -> tuple[str, ...]:
-    """Write the draft, compile it and compare with links (n, 10); withdraw it where it fails."""
+    """Write the draft, compile it and compare with links (n, 10); withdraw it where it fails.
+
+    It has to be the original with the change alone.
+    """
+    welded, written = change.welded, [body.plan.theta for body in change.bodies]
+    written += [] if welded is None else [welded.theta]
+    exact = all(map(reads_fullinertia_exactly, written))
+    without = replace(change, welded=None, principal=not exact)
     try:
-        compiled = _verified(robot, change, target).mj_model
-        require_reproduction(robot, thetas, change, compiled, target.checkpoints, target.path)
+        compiled = verify_written_model(robot.mj_model, _draft(robot, without, target), without)
+        if welded is not None:
+            alone, whole = compiled, replace(without, welded=welded)
+            compiled = compiled_again(_draft(robot, whole, target))
+            require_one_more_body(alone.mj_model, compiled.mj_model, welded)
+        final = compiled.mj_model
+        require_reproduction(robot, thetas, change, final, target.checkpoints, target.path)
     except BaseException:
         target.files.withdraw(target.path)
         raise
     return tuple(body.plan.note for body in change.bodies if body.plan.note)
 
 
-def _verified(robot: RobotModel, change: ModelChange, target: ModelTarget) -> CompiledModel:
-    """Return the written model, compiled, once it is the original with the change alone."""
-    thetas = [body.plan.theta for body in change.bodies]
-    thetas += [change.welded.theta] if change.welded is not None else []
-    principal = not all(reads_fullinertia_exactly(theta) for theta in thetas)
+def _draft(robot: RobotModel, change: ModelChange, target: ModelTarget) -> Path:
     folder = target.path.absolute().parent
-
-    def draft(what: ModelChange) -> Path:
-        text = changed_model_text(robot.path, what, folder, target.mesh_dir, principal)
-        target.files.withdraw(target.path)
-        return target.files.write(target.path, text)
-
-    without = replace(change, welded=None)
-    compiled = verify_written_model(robot.mj_model, draft(without), without)
-    if change.welded is None:
-        return compiled
-    written = compiled_again(draft(change))
-    require_one_more_body(compiled.mj_model, written.mj_model, change.welded)
-    return written
+    text = changed_model_text(robot.path, change, folder, target.mesh_dir)
+    target.files.withdraw(target.path)
+    return target.files.write(target.path, text)
 
 
 CHECKPOINTS = 400

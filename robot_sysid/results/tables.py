@@ -81,7 +81,7 @@ class BeforeAfter:
         )
 
 
-def table_lines(rows: Sequence[BeforeAfter], indent: str = "  ") -> list[str]:
+def table_lines(rows: Sequence[BeforeAfter]) -> list[str]:
     """Return rows as aligned lines under their headings; a column without entries is left out."""
     cells = [row.cells for row in rows]
     shown = [k for k in range(len(HEADINGS)) if any(row[k] for row in cells)]
@@ -89,7 +89,7 @@ def table_lines(rows: Sequence[BeforeAfter], indent: str = "  ") -> list[str]:
     widths = [max(map(len, column)) for column in zip(*cells)]
     numbers = {HEADINGS.index(name) for name in ("model", "identified", "±")}
     return [
-        indent
+        "  "
         + "  ".join(
             f"{cell:>{width}}" if k in numbers else f"{cell:<{width}}"
             for k, cell, width in zip(shown, row, widths)
@@ -100,16 +100,22 @@ def table_lines(rows: Sequence[BeforeAfter], indent: str = "  ") -> list[str]:
 
 def theta_rows(body: BodyEstimate, stated: bool = True) -> list[BeforeAfter]:
     """Return the rows of ten inertial parameters; without errors where none are ``stated``."""
-    size, nothing = _sizes(body.inertial.theta), [None] * 10
-    columns = zip(
-        spatial.PARAMETER_NAMES,
-        nothing if body.before is None else _without_rounding(body.before.theta, size),
-        _without_rounding(body.inertial.theta, size),
-        body.errors.tolist() if stated else nothing,
-        THETA,
-        body.data_share.tolist() if stated else [1.0] * 10,
-    )
-    return [BeforeAfter(LABELS[name], *rest) for name, *rest in columns]
+    theta = body.inertial.theta
+    before = None if body.before is None else body.before.theta
+    values = _from_to(before, theta, _sizes(theta)), body.errors.tolist() if stated else [None] * 10
+    shares = body.data_share.tolist() if stated else [1.0] * 10
+    return [
+        BeforeAfter(LABELS[name], *pair, error, unit, share)
+        for name, pair, error, unit, share in zip(spatial.PARAMETER_NAMES, *values, THETA, shares)
+    ]
+
+
+def _from_to(
+    before: Array | None, after: Array, size: Array | float
+) -> Iterator[tuple[float | None, float]]:
+    """Return pairs of numbers (before, after), zero where they are nothing but rounding."""
+    old = [None] * len(after) if before is None else _without_rounding(before, size)
+    return zip(old, _without_rounding(after, size))
 
 
 def shown(theta: Array) -> Array:
@@ -162,15 +168,10 @@ def _com_rows(body: BodyEstimate, stated: bool = True) -> Iterator[BeforeAfter]:
     if stated and not np.all(np.isfinite(errors)):
         return
     length = max(spatial.characteristic_length(body.inertial.theta), 1e-9)
-    nothing: list[None] = [None] * 3
-    columns = zip(
-        "xyz",
-        nothing if body.before is None else _without_rounding(body.before.com, length),
-        _without_rounding(body.inertial.com, length),
-        errors if stated else nothing,
-    )
-    for axis, old, new, error in columns:
-        yield BeforeAfter(f"centre of mass {axis}", old, new, error, "m")
+    before = None if body.before is None else body.before.com
+    pairs = _from_to(before, body.inertial.com, length)
+    for axis, pair, error in zip("xyz", pairs, errors):
+        yield BeforeAfter(f"centre of mass {axis}", *pair, error if stated else None, "m")
 
 
 def _inertia_rows(body: BodyEstimate) -> Iterator[BeforeAfter]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import struct
 import zlib
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -65,7 +66,8 @@ def change_of(label, plan, body=0):
 def write(source, label, plan, target, mesh_dir=None):
     principal = not reads_fullinertia_exactly(plan.theta)
     folder = target.absolute().parent
-    text = changed_model_text(source, change_of(label, plan), folder, mesh_dir, principal)
+    change = replace(change_of(label, plan), principal=principal)
+    text = changed_model_text(source, change, folder, mesh_dir)
     folder.mkdir(parents=True, exist_ok=True)
     target.write_bytes(text)
 
