@@ -161,12 +161,7 @@ def setting(document: ModelDocument, name: str) -> str | None:
     return values[-1] if values else None
 
 
-def bound_inertia(document: ModelDocument) -> float:
-    """Return the smallest principal moment of inertia the compiler leaves alone [kg m^2]."""
-    return _number(document, "boundinertia")
-
-
-def _number(document: ModelDocument, name: str) -> float:
+def setting_number(document: ModelDocument, name: str) -> float:
     """Return a compiler attribute as MuJoCo reads it, which takes hexadecimal numbers too."""
     text = setting(document, name) or "0"
     try:
@@ -184,7 +179,7 @@ def check_settings(
         theta: (10,) what is written.
         gets_child: whether it goes into a new body that is welded to ``body``.
     """
-    if _number(document, "settotalmass") > 0.0:
+    if setting_number(document, "settotalmass") > 0.0:
         _refuse(document, "settotalmass", "rescales the mass of every body; remove it")
     is_fused = setting(document, "fusestatic") == "true" and document.kind == "mjcf"
     if is_fused and (gets_child or _has_welded(body)):
@@ -192,7 +187,7 @@ def check_settings(
     mass, _, inertia = spatial.com_from_theta(theta)
     smallest = float(np.linalg.eigvalsh(inertia)[0])
     for name, value in (("boundmass", mass), ("boundinertia", smallest)):
-        bound = _number(document, name)
+        bound = setting_number(document, name)
         # A value that is at its bound but for rounding is written; the written model is checked.
         if bound > value * (1.0 + ROUNDING):
             change = f"raises the identified value {value:.9g} to {bound:g}"

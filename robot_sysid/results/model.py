@@ -17,7 +17,7 @@ from robot_sysid import __version__
 from robot_sysid.dynamics.kinematics import MUJOCO_VERSION
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.documents import read_document
-from robot_sysid.mjcf.inertial import bound_inertia
+from robot_sysid.mjcf.inertial import setting_number
 from robot_sysid.mjcf.updated_model import changed_model_text
 from robot_sysid.mjcf.write_back import (
     ActuatorChange,
@@ -121,7 +121,9 @@ def write_joints(
 def moment_tolerance(robot: RobotModel, errors: Array) -> Tolerance:
     """Return how far moments of inertia may be inflated: within their standard errors (10,)."""
     finite = [float(error) for error in np.asarray(errors)[_MOMENTS] if np.isfinite(error)]
-    return Tolerance(bound_inertia(read_document(robot.path)), min(finite, default=0.0))
+    return Tolerance(
+        setting_number(read_document(robot.path), "boundinertia"), min(finite, default=0.0)
+    )
 
 
 def _links(result: Result, robot: RobotModel) -> tuple[Array, Array]:

@@ -78,19 +78,22 @@ class _Asked(NamedTuple):
     Attributes:
         places: compiled fields and the place in each, its row first.
         values: what has to stand there.
-        fault: what to say where something else does, with the numbers found as {0}, {1}, ...
+        owner: whose numbers they are.
+        fault: what to say where others stand there, with the numbers found as {0}, {1}, ...
     """
 
     places: tuple[tuple[str, tuple[Any, ...]], ...]
     values: tuple[Any, ...]
+    owner: str
     fault: str
 
     def require(self, mj_model: Any) -> None:
         """Raise ExportError unless the numbers stand in a compiled model."""
-        found = [attrgetter(name)(mj_model)[at] for name, at in self.places]
+        found = [attrgetter(name)(mj_model)[at].tolist() for name, at in self.places]
         pairs = zip(found, self.values)
         if not all(np.allclose(*pair, rtol=TOLERANCE, atol=0.0) for pair in pairs):
-            raise ExportError("in the written model, " + self.fault.format(*found))
+            fault = self.fault.format(*found)
+            raise ExportError(f"in the written model, {self.owner} {fault}")
 
     def put(self, mj_model: Any) -> None:
         """Write the numbers into a compiled model."""
@@ -105,47 +108,48 @@ def _asked(original: Any, change: ModelChange) -> Iterator[_Asked]:
     for actuator in change.actuators:
         yield from _of_actuator(actuator)
     if change.gravity is not None:
-        end = f"instead of {list(change.gravity)}; no model was written"
-        place = ("opt.gravity", ([0, 1, 2],))
-        yield _Asked((place,), (change.gravity,), f"gravity is {{0}} {end}")
+        fault = f"is {{0}} instead of {list(change.gravity)}; no model was written"
+        yield _Asked((("opt.gravity", ([0, 1, 2],)),), (change.gravity,), "gravity", fault)
 
 
 def _of_joint(original: Any, change: JointChange) -> Iterator[_Asked]:
     labels = [joint_label(original, joint) for joint in range(original.njnt)]
     joint = labels.index(change.label)
     dof, rest = int(original.jnt_dofadr[joint]), int(original.jnt_qposadr[joint])
-    has = f"joint '{change.label}' has"
+    owner = f"joint '{change.label}'"
     for name, value in change.numbers.items():
-        end = f"instead of {value:.9g}; {_ADVICE.get(f'dof_{name}', 'no model was written')}"
-        yield _Asked(((f"dof_{name}", (dof,)),), (value,), f"{has} {name} {{0:.9g}} {end}")
+        advice = _ADVICE.get(f"dof_{name}", "no model was written")
+        fault = f"has {name} {{0:.9g}} instead of {value:.9g}; {advice}"
+        yield _Asked(((f"dof_{name}", (dof,)),), (value,), owner, fault)
     if change.polynomial is not None and hasattr(original, "dof_dampingpoly"):
-        end = f"instead of {change.polynomial}; {_ADVICE['dof_dampingpoly']}"
-        place = ("dof_dampingpoly", (dof,))
-        yield _Asked((place,), (change.polynomial,), f"{has} the nonlinear damping {{0}} {end}")
+        advice = _ADVICE["dof_dampingpoly"]
+        fault = f"has the nonlinear damping {{0}} instead of {change.polynomial}; {advice}"
+        yield _Asked((("dof_dampingpoly", (dof,)),), (change.polynomial,), owner, fault)
     if change.spring is not None:
         fault = (
-            f"{has} a spring of {{0:.9g}} that rests at {{1:.9g}}, which is not the offset of "
+            "has a spring of {0:.9g} that rests at {1:.9g}, which is not the offset of "
             f"{change.offset:.9g}; leave --write-offset off"
         )
         places = ("jnt_stiffness", (joint,)), ("qpos_spring", (rest,))
-        yield _Asked(places, change.spring, fault)
+        yield _Asked(places, change.spring, owner, fault)
 
 
 def _of_actuator(change: ActuatorChange) -> Iterator[_Asked]:
     at, kp, kv = change.actuator, change.stiffness, change.damping
-    places = ("actuator_gainprm", (at, 0)), ("actuator_biasprm", (at, slice(3)))
+    owner = f"actuator number {at}"
     fault = (
-        f"actuator number {at} has gains {{0:.9g}}, {{1}} instead of kp {kp:.9g} and kv "
-        f"{kv:.9g}; give it kp and kv of its own"
+        f"has gains [{{0}}, {{1[0]}}, {{1[1]}}, {{1[2]}}] instead of kp {kp:.9g} and kv {kv:.9g}; "
+        "give it kp and kv of its own"
     )
-    yield _Asked(places, (kp, (0.0, -kp, -kv)), fault)
+    gains = ("actuator_gainprm", (at, 0)), ("actuator_biasprm", (at, slice(3)))
+    yield _Asked(gains, (kp, (0.0, -kp, -kv)), owner, fault)
     if change.delay is not None:
         fault = (
-            f"actuator number {at} acts late by {{0:.9g}} s instead of {change.delay:.9g}; give it "
-            "a delay of its own, or leave --write-delay off"
+            f"acts late by {{0:.9g}} s instead of {change.delay:.9g}; give it a delay of its own, "
+            "or leave --write-delay off"
         )
         late = tuple((name, (at,)) for name in _DELAY)
-        yield _Asked(late, (change.delay, (change.samples, _LINEAR)), fault)
+        yield _Asked(late, (change.delay, (change.samples, _LINEAR)), owner, fault)
 
 
 def verify_written_model(original: Any, written: Path, change: ModelChange) -> CompiledModel:

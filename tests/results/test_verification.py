@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.inertial import mjcf_inertial
 from robot_sysid.mjcf.updated_model import changed_model_text
 from robot_sysid.mjcf.write_back import (
+    ActuatorChange,
     BodyChange,
     JointChange,
     ModelChange,
@@ -170,6 +172,24 @@ def test_gravity_may_differ_only_where_it_was_written_and_only_as_written(tmp_pa
     with pytest.raises(ExportError, match="gravity is .* instead of"):
         require = ModelChange((), 0.0, gravity=(1e-8, 0.0, -9.8))
         verify_written_model(original, source, require)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (JointChange("j{1}", armature=0.7), "joint 'j{1}' has armature 0 instead of 0.7"),
+        (JointChange("j{1}", damping=0.7), "joint 'j{1}' has damping 0 instead of 0.7"),
+        (JointChange("j{1}", offset=0.5), "a spring of 0 that rests at 0, which is not the offset"),
+        (ActuatorChange(0, 5.0, 1.0), "number 0 has gains [10.0, 0.0, -10.0, 0.0] instead of kp 5"),
+    ],
+)
+def test_a_number_that_is_not_there_is_named(tmp_path, change, words):
+    """Whatever the joint is called."""
+    text = FULL.replace('"j1"', '"j{1}"').replace(RATIO, "")
+    source = write_files(tmp_path, {"m.xml": text})
+    kind = "actuators" if isinstance(change, ActuatorChange) else "joints"
+    with pytest.raises(ExportError, match=re.escape(words)):
+        verify_written_model(model(text), source, ModelChange((), 0.0, **{kind: (change,)}))
 
 
 def test_whether_mujoco_finds_axes_accurately_is_measured():
