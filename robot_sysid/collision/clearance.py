@@ -25,8 +25,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from robot_sysid.collision.obstacles import Closest, RestPairs, Slack
-from robot_sysid.collision.solids import HalfSpace, HalfSpaces
+from robot_sysid.collision.obstacles import Closest, HalfSpace, RestPairs, Slack
+from robot_sysid.collision.solids import HalfSpaces
 from robot_sysid.dynamics.spatial import cross
 from robot_sysid.model.chain import body_label
 from robot_sysid.model.contacts import ContactFinder, joint_ranges, parts_of
@@ -72,6 +72,7 @@ class Clearance:
         clearance: distance to keep between bodies that are apart at rest [m].
 
     Attributes:
+        is_empty: whether nothing at all is looked at: a model without collision geometry.
         horizon: largest slack that is told apart [m]; what is farther away counts as this far.
         rates: approach bounds (P, n): pairs of row p approach at rates[p] @ abs(qd) [m/s] at most.
         at_rest: what is near or touches in the starting configuration.
@@ -94,7 +95,11 @@ class Clearance:
         self._required = np.full((self._model.nbody, self._model.nbody), clearance)
         self._place(rest)
         self._bounds = ApproachBounds(robot, self._data)
-        self.rates, part = self._bounds.rates, self._bounds.part
+        solid = np.any(self._model.geom_contype | self._model.geom_conaffinity)
+        self.is_empty = not (solid or self._model.npair or half_spaces)
+        # Where nothing is in the way, no motion uses up any of its room.
+        self.rates = self._bounds.rates * (not self.is_empty)
+        part = self._bounds.part
         self._rows = self._bounds.row(part[:, None], part)
         self._free = np.full(len(self.rates), np.inf)
         self._free[-1] = self.horizon

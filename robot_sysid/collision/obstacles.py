@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,50 +13,61 @@ from robot_sysid.records import Array
 
 
 @dataclass(frozen=True)
-class Box:
-    """An axis-aligned box in world coordinates [m]; infinite where a side is open."""
+class HalfSpace:
+    """Space some bodies must stay in: normal . x >= offset.
 
-    lower: tuple[float, ...]
-    upper: tuple[float, ...]
-
-    def __post_init__(self) -> None:
-        if len(self.lower) != 3 or len(self.upper) != 3:
-            raise InputError("--workspace takes six numbers: XMIN XMAX YMIN YMAX ZMIN ZMAX")
-        for axis, low, high in zip("xyz", self.lower, self.upper):
-            if not low < high:
-                raise InputError(
-                    f"--workspace is empty along {axis}: {low:g} is not below {high:g}; "
-                    "the order is XMIN XMAX YMIN YMAX ZMIN ZMAX"
-                )
-
-
-@dataclass(frozen=True)
-class Plane:
-    """A plane no part of the arm may cross: points x with normal . x >= offset [m] are allowed.
-
-    The normal is made a unit vector.
+    The normal (3,) is a unit vector of the world, the clearance the distance to keep from the
+    boundary [m].
     """
 
-    normal: tuple[float, float, float]
+    normal: Array
     offset: float
-
-    def __post_init__(self) -> None:
-        length = math.sqrt(sum(v * v for v in self.normal)) if len(self.normal) == 3 else 0.0
-        if not (length > 0.0 and math.isfinite(length) and math.isfinite(self.offset)):
-            raise InputError(
-                "--keep-out takes four numbers NX NY NZ OFFSET with a normal that is not zero; "
-                "0 0 1 0 keeps the arm above the floor"
-            )
-        unit = tuple(float(v) / length for v in self.normal)
-        object.__setattr__(self, "normal", unit)
-        object.__setattr__(self, "offset", float(self.offset) / length)
+    clearance: float
+    bodies: tuple[int, ...]
+    label: str
 
 
-def plane_from(values: tuple[float, ...]) -> Plane:
-    """Return the plane of four numbers NX NY NZ OFFSET (OFFSET in multiples of the normal)."""
+def plane_half_space(
+    values: Sequence[float], clearance: float, bodies: Sequence[int] = ()
+) -> HalfSpace:
+    """Return the allowed side of a keep-out plane: points x with N . x >= OFFSET.
+
+    It is told by four numbers NX NY NZ OFFSET (OFFSET in multiples of the normal); InputError where
+    they are no plane.
+    """
     if len(values) != 4:
         raise InputError("--keep-out takes four numbers: NX NY NZ OFFSET")
-    return Plane((values[0], values[1], values[2]), values[3])
+    length = math.sqrt(sum(v * v for v in values[:3]))
+    if not (length > 0.0 and math.isfinite(length) and math.isfinite(values[3])):
+        raise InputError(
+            "--keep-out takes four numbers NX NY NZ OFFSET with a normal that is not zero; "
+            "0 0 1 0 keeps the arm above the floor"
+        )
+    *normal, offset = (float(v) / length for v in values)
+    label = f"the keep-out plane {np.round(normal, 3).tolist()} at {offset:g} m"
+    return HalfSpace(np.array(normal), offset, clearance, tuple(bodies), label)
+
+
+def box_half_spaces(sides: Sequence[float], bodies: Sequence[int] = ()) -> tuple[HalfSpace, ...]:
+    """Return the finite sides of a workspace XMIN XMAX YMIN YMAX ZMIN ZMAX [m] in the world.
+
+    Its walls may be touched. InputError where it is no box.
+    """
+    if len(sides) != 6:
+        raise InputError("--workspace takes six numbers: XMIN XMAX YMIN YMAX ZMIN ZMAX")
+    found = []
+    for axis, low, high in zip(range(3), sides[0::2], sides[1::2]):
+        if not low < high:
+            raise InputError(
+                f"--workspace is empty along {'xyz'[axis]}: {low:g} is not below {high:g}; "
+                "the order is XMIN XMAX YMIN YMAX ZMIN ZMAX"
+            )
+        for sign, bound, side in ((1.0, low, "min"), (-1.0, high, "max")):
+            if np.isfinite(bound):
+                label = f"the workspace's {'xyz'[axis]}{side} = {bound:g} m"
+                normal = sign * np.eye(3)[axis]
+                found.append(HalfSpace(normal, sign * bound, 0.0, tuple(bodies), label))
+    return tuple(found)
 
 
 @dataclass(frozen=True)
@@ -104,32 +116,3 @@ class RestPairs:
     deep: tuple[str, ...] = ()
     touching: tuple[str, ...] = ()
     near: tuple[str, ...] = ()
-
-
-class NoObstacles:
-    """Empty space, for an arm whose model has no collision geometry; see ``Clearance``."""
-
-    horizon = 1.0
-    at_rest = RestPairs()
-    neighbours = Closest(horizon, math.inf, "")
-
-    def __init__(self, joints: int) -> None:
-        self.rates = np.zeros((1, joints))
-
-    def slack(self, q: Array) -> Slack:
-        """Return the horizon everywhere."""
-        full = np.full(len(q), self.horizon)
-        return Slack(full, np.zeros_like(q), full[:, None])
-
-    def slack_at(self, q: Array) -> tuple[float, Array]:
-        """Return the horizon."""
-        return self.horizon, np.full(1, self.horizon)
-
-    @property
-    def distances(self) -> NoObstacles:
-        """Itself."""
-        return self
-
-    def closest(self, q: Array) -> Closest:
-        """Return that nothing is near."""
-        return Closest(self.horizon, np.inf, "")

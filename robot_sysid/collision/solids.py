@@ -14,7 +14,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from robot_sysid.collision.obstacles import Box, Plane
+from robot_sysid.collision.obstacles import HalfSpace
 from robot_sysid.dynamics.kinematics import subtree
 from robot_sysid.model.chain import body_label
 from robot_sysid.model.contacts import parts_of
@@ -34,37 +34,27 @@ _MANY = 60
 
 @dataclass(frozen=True)
 class Shape:
-    """A geom with MuJoCo's type and size [m], or a body's origin (geom -1).
+    """A geom, or a body's origin (geom -1): an ellipsoid about each of its corners.
 
-    Its ``corners`` (P, 3) are in the geom's frame [m].
+    In the geom's frame the ``corners`` are (P, 3) and ``axes`` (3,) is half the size of what is
+    round about each, along the frame's axes [m].
     """
 
     geom: int
     body: int
-    kind: int
-    size: Array
     corners: Array
+    axes: Array
 
     @property
     def radius(self) -> float:
         """Radius of a ball that holds what is round about each corner [m]."""
-        if self.kind == _ELLIPSOID:
-            return float(np.max(self.size))
-        return float(self.size[0]) if self.kind in (_SPHERE, _CAPSULE, _CYLINDER) else 0.0
+        return float(np.max(self.axes))
 
     def extremes(self, directions: Array) -> Array:
         """Return the points (K, 3) farthest along unit directions (K, 3), in the geom's frame."""
         corner = self.corners[np.argmax(self.corners @ directions.T, axis=0)]
-        if self.kind in (_SPHERE, _CAPSULE):
-            return corner + self.size[0] * directions
-        if self.kind == _CYLINDER:
-            flat = directions * np.array([1.0, 1.0, 0.0])
-            wide = np.linalg.norm(flat, axis=1, keepdims=True)
-            return corner + self.size[0] * flat / np.where(wide > 0.0, wide, 1.0)
-        if self.kind == _ELLIPSOID:
-            length = np.linalg.norm(self.size * directions, axis=1, keepdims=True)
-            return corner + self.size**2 * directions / np.where(length > 0.0, length, 1.0)
-        return corner
+        length = np.linalg.norm(self.axes * directions, axis=1, keepdims=True)
+        return corner + self.axes**2 * directions / np.where(length > 0.0, length, 1.0)
 
 
 class Solids:
@@ -114,17 +104,21 @@ def _geoms(mj_model: Any, body: int) -> list[int]:
 
 
 def _shape(mj_model: Any, geom: int, body: int) -> Shape:
+    corners, axes = np.zeros((1, 3)), np.zeros(3)
     if geom < 0:
-        return Shape(geom, body, _SPHERE, np.zeros(3), np.zeros((1, 3)))
+        return Shape(geom, body, corners, axes)
     kind, size = int(mj_model.geom_type[geom]), mj_model.geom_size[geom].copy()
-    corners = np.zeros((1, 3))
     if kind in _MESHES:
         corners = _hull_vertices(mj_model, int(mj_model.geom_dataid[geom]))
     elif kind in (_CAPSULE, _CYLINDER):
         corners = size[1] * _ENDS
     elif kind == _BOX:
         corners = size * _CORNERS
-    return Shape(geom, body, kind, size, corners)
+    if kind == _ELLIPSOID:
+        axes = size
+    elif kind in (_SPHERE, _CAPSULE, _CYLINDER):
+        axes[: 2 if kind == _CYLINDER else 3] = size[0]
+    return Shape(geom, body, corners, axes)
 
 
 def _hull_vertices(mj_model: Any, mesh: int) -> Array:
@@ -139,40 +133,6 @@ def _hull_vertices(mj_model: Any, mesh: int) -> Array:
         return vertices
     hull = int(mj_model.mesh_graph[graph])
     return vertices[mj_model.mesh_graph[graph + 2 + hull : graph + 2 + 2 * hull]]
-
-
-@dataclass(frozen=True)
-class HalfSpace:
-    """Space some bodies must stay in: normal . x >= offset.
-
-    The normal (3,) is a unit vector of the world, the clearance the distance to keep from the
-    boundary [m].
-    """
-
-    normal: Array
-    offset: float
-    clearance: float
-    bodies: tuple[int, ...]
-    label: str
-
-
-def plane_half_space(plane: Plane, clearance: float, bodies: Sequence[int]) -> HalfSpace:
-    """Return the allowed side of a keep-out plane."""
-    label = f"the keep-out plane {np.round(plane.normal, 3).tolist()} at {plane.offset:g} m"
-    return HalfSpace(np.array(plane.normal), plane.offset, clearance, tuple(bodies), label)
-
-
-def box_half_spaces(box: Box, bodies: Sequence[int]) -> tuple[HalfSpace, ...]:
-    """Return the finite sides of a workspace box; its walls may be touched."""
-    found = []
-    for axis in range(3):
-        for sign, bound in ((1.0, box.lower[axis]), (-1.0, box.upper[axis])):
-            if np.isfinite(bound):
-                normal = sign * np.eye(3)[axis]
-                side = "min" if sign > 0.0 else "max"
-                label = f"the workspace's {'xyz'[axis]}{side} = {bound:g} m"
-                found.append(HalfSpace(normal, sign * bound, 0.0, tuple(bodies), label))
-    return tuple(found)
 
 
 class HalfSpaces:
@@ -238,11 +198,8 @@ def has_floor(robot: RobotModel) -> bool:
     model = robot.mj_model
     fixed = model.body_weldid[model.geom_bodyid] == 0
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    return bool(
-        np.any(
-            fixed & solid & np.isin(model.geom_type, (_TYPES.mjGEOM_PLANE, _TYPES.mjGEOM_HFIELD))
-        )
-    )
+    ground = np.isin(model.geom_type, (_PLANE, int(_TYPES.mjGEOM_HFIELD)))
+    return bool(np.any(fixed & solid & ground))
 
 
 def outermost_points(robot: RobotModel) -> tuple[Array, Array]:

@@ -18,7 +18,7 @@ from itertools import chain
 import numpy as np
 
 from robot_sysid.collision.clearance import Clearance
-from robot_sysid.collision.obstacles import Closest, NoObstacles
+from robot_sysid.collision.obstacles import Closest
 from robot_sysid.excitation.problem import LIMIT_NAMES, OBSTACLE_LENGTH, ROUNDING, ExcitationProblem
 from robot_sysid.records import Array, Motion, MotionPlan
 from robot_sysid.trajectory import SineTrajectory, sample_times
@@ -280,10 +280,7 @@ def _excesses(problem: ExcitationProblem, peaks: _Peaks) -> Iterator[Excess]:
 
 
 def _tightest(
-    obstacles: Clearance | NoObstacles,
-    plan: MotionPlan,
-    resolution: float,
-    stop_below: float = -np.inf,
+    obstacles: Clearance, plan: MotionPlan, resolution: float, stop_below: float = -np.inf
 ) -> tuple[Closest, float]:
     """Return the tightest configuration and its time [s].
 

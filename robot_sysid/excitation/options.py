@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from robot_sysid.collision.obstacles import Box, Plane, plane_from
+from robot_sysid.collision.obstacles import HalfSpace, box_half_spaces, plane_half_space
 from robot_sysid.errors import InputError
 from robot_sysid.excitation.information import CRITERIA
 from robot_sysid.excitation.trajectories import FourierBasis
@@ -113,18 +114,15 @@ class LimitOptions(OptionRecord):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        # Refused here, before any work, where the numbers make no box or plane.
-        _ = self.box, self.planes
+        self.half_spaces()  # Refused here, before any work, where the numbers make none.
 
-    @property
-    def box(self) -> Box | None:
-        """The workspace."""
-        return None if self.workspace is None else Box(self.workspace[0::2], self.workspace[1::2])
-
-    @property
-    def planes(self) -> tuple[Plane, ...]:
-        """The planes to keep out of."""
-        return tuple(plane_from(plane) for plane in self.keep_out)
+    def half_spaces(
+        self, moving: Sequence[int] = (), link: Sequence[int] = ()
+    ) -> tuple[HalfSpace, ...]:
+        """Return what moving bodies (planes) and those of the terminal link (box) stay in."""
+        planes = [plane_half_space(plane, self.clearance, moving) for plane in self.keep_out]
+        box = () if self.workspace is None else box_half_spaces(self.workspace, link)
+        return (*planes, *box)
 
 
 @dataclass(frozen=True)

@@ -8,14 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_sysid.collision.clearance import Clearance
-from robot_sysid.collision.obstacles import NoObstacles
-from robot_sysid.collision.solids import (
-    HalfSpace,
-    box_half_spaces,
-    has_floor,
-    outermost_points,
-    plane_half_space,
-)
+from robot_sysid.collision.solids import has_floor, outermost_points
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED
 from robot_sysid.dynamics.kinematics import ChainKinematics, subtree
@@ -192,7 +185,7 @@ class ExcitationProblem:
     prior: Array
     tool: Tool
     torque: LoadedTorque
-    obstacles: Clearance | NoObstacles
+    obstacles: Clearance
     rows: tuple[int, ...]
     sigma: Array
     origins: Mapping[str, tuple[str, ...]]
@@ -270,7 +263,7 @@ def build_problem(
         sigma=sigma,
         origins=limit_origins(robot, limits, motion_limits),
         notes=notes + more,
-        has_floor=bool(limits.planes or limits.box) or has_floor(robot),
+        has_floor=bool(limits.keep_out or limits.workspace) or has_floor(robot),
     )
 
 
@@ -368,14 +361,14 @@ def _moved_rest_note(robot: RobotModel, rest: Array) -> tuple[str, ...]:
 
 def _obstacles(
     robot: RobotModel, options: LimitOptions, rest: Array
-) -> tuple[Clearance | NoObstacles, tuple[str, ...]]:
+) -> tuple[Clearance, tuple[str, ...]]:
     model = robot.mj_model
-    spaces = _half_spaces(robot, options)
-    solid = bool(np.any(model.geom_contype | model.geom_conaffinity)) or model.npair > 0
-    if not solid and not spaces:
-        note = "the model has no collision geometry; nothing keeps the arm from touching itself"
-        return NoObstacles(robot.n_joints), (note,)
+    moving = subtree(model, int(model.jnt_bodyid[model.dof_jntid[robot.dof_index[0]]]))
+    spaces = options.half_spaces(moving, subtree(model, robot.body_id))
     clearance = Clearance(robot, rest, options.clearance, spaces)
+    if clearance.is_empty:
+        note = "the model has no collision geometry; nothing keeps the arm from touching itself"
+        return clearance, (note,)
     outside = clearance.half_spaces_left_at_rest()
     if outside:
         space, body, depth = max(outside, key=lambda entry: entry[2])
@@ -391,10 +384,3 @@ def _obstacles(
     )
     listed = map("; ".join, (pairs.ignored, pairs.touching, pairs.near))
     return clearance, tuple(f"{words}: {which}" for words, which in zip(said, listed) if which)
-
-
-def _half_spaces(robot: RobotModel, options: LimitOptions) -> tuple[HalfSpace, ...]:
-    model, box = robot.mj_model, options.box
-    moving = subtree(model, int(model.jnt_bodyid[model.dof_jntid[robot.dof_index[0]]]))
-    planes = tuple(plane_half_space(p, options.clearance, moving) for p in options.planes)
-    return planes if box is None else planes + box_half_spaces(box, subtree(model, robot.body_id))

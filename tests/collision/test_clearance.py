@@ -13,8 +13,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from robot_sysid.collision.clearance import HORIZON, KEPT_SHARE, MOST_GROUPS, Clearance, drop_pairs
-from robot_sysid.collision.obstacles import Plane
-from robot_sysid.collision.solids import plane_half_space
+from robot_sysid.collision.obstacles import plane_half_space
 from robot_sysid.dynamics.kinematics import subtree
 from robot_sysid.model.contacts import ContactFinder
 from tests.support.arms import SEEDS, X, Y, Z, compile_xml, hinge, link, world
@@ -77,7 +76,7 @@ def test_what_is_far_counts_as_the_horizon():
 
 @given(SEEDS)
 def test_gradient_equals_differences(seed):
-    found = clearance_of(TUBES_AND_POST, (Plane((0.1, 0.2, 1.0), -0.2),))
+    found = clearance_of(TUBES_AND_POST, ((0.1, 0.2, 1.0, -0.2),))
     rng = np.random.default_rng(seed)
     q, direction = rng.uniform(-1.0, 1.0, size=(2, 4))
     step = 1e-6
@@ -92,7 +91,7 @@ def test_gradient_equals_differences(seed):
 
 @given(SEEDS)
 def test_no_move_uses_up_more_slack_than_its_bound(seed):
-    found = clearance_of(TUBES_AND_POST, (Plane((0.0, 0.0, 1.0), -0.2),))
+    found = clearance_of(TUBES_AND_POST, ((0.0, 0.0, 1.0, -0.2),))
     rng = np.random.default_rng(seed)
     start = rng.uniform(-2.0, 2.0, size=4)
     end = start + rng.uniform(0.01, 0.3) * rng.normal(size=4)
@@ -200,7 +199,7 @@ def test_neighbours_that_cannot_come_nearer_need_no_test():
 
 
 def test_half_spaces_count_like_bodies():
-    found = clearance_of(TUBES_AND_POST.replace(POST, ""), (Plane((0.0, 0.0, 1.0), 0.0),))
+    found = clearance_of(TUBES_AND_POST.replace(POST, ""), ((0.0, 0.0, 1.0, 0.0),))
     straight_down = np.array([0.0, np.pi - 0.3, 0.0, 0.0])
     closest = found.closest(straight_down)
     assert closest.slack < 0.0
@@ -208,7 +207,7 @@ def test_half_spaces_count_like_bodies():
 
 
 def test_half_spaces_already_left_at_rest_are_named():
-    found = clearance_of(TUBES_AND_POST, (Plane((0.0, 0.0, -1.0), -0.8),))
+    found = clearance_of(TUBES_AND_POST, ((0.0, 0.0, -1.0, -0.8),))
     names = {body for _, body, _ in found.half_spaces_left_at_rest()}
     depths = [depth for _, _, depth in found.half_spaces_left_at_rest()]
     assert "link3" in names
@@ -217,7 +216,7 @@ def test_half_spaces_already_left_at_rest_are_named():
 
 
 def test_travels_to_another_process():
-    found = clearance_of(TUBES_AND_POST, (Plane((0.0, 0.0, 1.0), -0.2),))
+    found = clearance_of(TUBES_AND_POST, ((0.0, 0.0, 1.0, -0.2),))
     copied = pickle.loads(pickle.dumps(found))
     q = np.random.default_rng(0).uniform(-1.0, 1.0, size=(20, 4))
     assert np.array_equal(copied.slack(q).value, found.slack(q).value)

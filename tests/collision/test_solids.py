@@ -9,15 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from robot_sysid.collision.obstacles import Box, Plane
-from robot_sysid.collision.solids import (
-    HalfSpaces,
-    Solids,
-    box_half_spaces,
-    outermost_points,
-    plane_half_space,
-    swept_space,
-)
+from robot_sysid.collision.obstacles import box_half_spaces, plane_half_space
+from robot_sysid.collision.solids import HalfSpaces, Solids, outermost_points, swept_space
 from tests.support.arms import SEEDS, X, Y, Z, compile_xml, hinge, link, world
 from tests.support.excitation_arms import FLOOR, robot, tube_arm
 
@@ -125,8 +118,7 @@ def test_a_body_is_its_collision_geoms_else_its_visuals_else_its_origin():
 
 
 def test_a_box_has_one_half_space_per_finite_side():
-    box = Box((-1.0, -np.inf, 0.1), (np.inf, 2.0, 3.0))
-    spaces = box_half_spaces(box, [4])
+    spaces = box_half_spaces((-1.0, np.inf, -np.inf, 2.0, 0.1, 3.0), [4])
     inside, outside = np.array([0.0, 0.0, 1.0]), np.array([-2.0, 3.0, 0.0])
     assert len(spaces) == 4
     assert all(space.normal @ inside > space.offset for space in spaces)
@@ -134,7 +126,7 @@ def test_a_box_has_one_half_space_per_finite_side():
 
 
 def test_a_plane_keeps_its_distance_whatever_the_length_of_its_normal():
-    space = plane_half_space(Plane((0.0, 0.0, 2.0), 0.5), 0.01, [1])
+    space = plane_half_space((0.0, 0.0, 2.0, 0.5), 0.01, [1])
     assert np.array_equal(space.normal, [0.0, 0.0, 1.0])
     assert space.offset == 0.25
     assert "0.25 m" in space.label
@@ -147,8 +139,8 @@ def test_each_half_space_binds_its_own_bodies():
     )
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    floor = plane_half_space(Plane((0.0, 0.0, 1.0), 0.5), 0.01, [1, 2])
-    box = box_half_spaces(Box((-np.inf,) * 3, (np.inf, np.inf, 4.0)), [2])
+    floor = plane_half_space((0.0, 0.0, 1.0, 0.5), 0.01, [1, 2])
+    box = box_half_spaces((-np.inf, np.inf, -np.inf, np.inf, -np.inf, 4.0), [2])
     spaces = HalfSpaces(model, (floor, *box))
     (ball, block) = spaces.heights(data)
     assert np.allclose(ball[1], [0.4, 2.9]) and np.allclose(block[1], [1.2, 1.7])

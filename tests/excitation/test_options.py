@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.collision.obstacles import Box, Plane
 from robot_sysid.errors import InputError
 from robot_sysid.excitation.options import (
     LONGEST_PERIOD,
@@ -107,9 +106,11 @@ def test_the_workspace_and_the_planes_are_made_of_the_numbers():
     limits = LimitOptions(
         workspace=(-1.0, 1.0, -2.0, 2.0, 0.0, 3.0), keep_out=((0.0, 0.0, 2.0, 1.0),)
     )
-    assert limits.box == Box((-1, -2, 0), (1, 2, 3))
-    assert limits.planes == (Plane((0.0, 0.0, 1.0), 0.5),)
-    assert (LimitOptions().box, LimitOptions().planes) == (None, ())
+    plane, *box = limits.half_spaces([1, 2], [2])
+    assert (*plane.normal, plane.offset, plane.bodies) == (0.0, 0.0, 1.0, 0.5, (1, 2))
+    assert [side.offset for side in box] == [-1.0, -1.0, -2.0, -2.0, 0.0, -3.0]
+    assert all(side.bodies == (2,) for side in box)
+    assert LimitOptions().half_spaces([1], [1]) == ()
 
 
 @pytest.mark.parametrize(
