@@ -27,7 +27,6 @@ from robot_sysid.trajectory import (
 )
 
 if TYPE_CHECKING:
-    from robot_sysid.excitation.design.search import SearchState
     from robot_sysid.excitation.limit_check import LimitCheck
     from robot_sysid.excitation.problem import ExcitationProblem
 
@@ -201,12 +200,10 @@ def _designed(
     request: MotionRequest, robot: RobotModel, rng: np.random.Generator, progress: Progress
 ) -> CheckedPlan:
     from robot_sysid.excitation.design.optimise import Design
-    from robot_sysid.excitation.design.search import check_time, design_excitation, design_for_arm
+    from robot_sysid.excitation.design.search import check_time, design_excitation
 
-    problem = _problem(request, robot)
-    design = Design(problem, request.excitation, request.trajectory)
-    if request.poses.purpose == "arm":
-        return CheckedPlan(design_for_arm(design, rng, progress), problem)
+    problem, for_arm = _problem(request, robot), request.poses.purpose == "arm"
+    design = Design(problem, request.excitation, request.trajectory, for_arm)
     if design.memory > NOTABLE_MEMORY:
         progress.note(f"the search will hold about {design.memory / 1e9:.1f} GB of memory")
     if (seconds := check_time(design)) > request.excitation.time_budget:
@@ -215,18 +212,15 @@ def _designed(
             "--excitation-time-budget"
         )
 
-    def tell(state: SearchState) -> None:
-        text = f"{state.best} {state.objective:.3g}"
-        progress.advance("Designing the trajectory", state.done, state.total, text)
-
-    result = design_excitation(design, rng, tell)
+    result = design_excitation(design, rng, progress)
     for note in result.notes:
         progress.note(note)
-    gain = result.start_objective / result.objective
-    progress.detail(
-        f"Criterion {result.criterion}: {result.objective:.4g}, {gain:.2f} times better than the "
-        f"best of {result.n_feasible} feasible random trajectories"
-    )
+    gain, name = result.start_objective / result.objective, request.excitation.criterion
+    if not for_arm:
+        progress.detail(
+            f"Criterion {name}: {result.objective:.4g}, {gain:.2f} times better than the best of "
+            f"{result.n_feasible} feasible random trajectories"
+        )
     return CheckedPlan(result.trajectory, problem, result.limit_check)
 
 

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.friction import friction_model
+from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.estimation.identifiability import describe
 from robot_sysid.excitation.information import PredictedInformation, RowSettings
 from robot_sysid.excitation.problem import ExcitationProblem
@@ -17,6 +19,12 @@ PREDICTION_RATE_HZ = 100.0
 """Sampling of the motion for the prediction: far above its band, see docs/excitation.md."""
 MOST_INSTANTS = 60_000
 """Instants of the motion that are looked at: all of the first ten minutes, or spread over it."""
+ARM_RATE_HZ = 20.0
+"""How densely a candidate for a whole arm is looked at."""
+KNOWN = 0.3
+"""How well the model is taken to know each link, as a share of its numbers."""
+_OWN = friction_model("coulomb-viscous-offset-armature")
+_UNIT_ROTOR = 0.1
 LOOSE_SHARE = 0.2
 """A predicted standard deviation above this share of the parameter's size is called loose."""
 _INVISIBLE = 1e-10
@@ -180,3 +188,34 @@ def visible_coordinates(problem: ExcitationProblem) -> Array:
     matrix = PredictedInformation(problem.chain, settings).evaluate(q, qd, qdd).information
     values, vectors = np.linalg.eigh(matrix)
     return scale @ vectors[:, values > 1e-9 * values[-1]]
+
+
+def arm_criterion(problem: ExcitationProblem, plan: MotionPlan) -> float:
+    """Return -ln det L / 2r of what a motion says of all links, rotors and friction, r unknowns.
+
+    L = Y^T Y / sigma^2 + P, with P what the model knows beforehand, so that what no motion shows
+    does not count (Bayesian D-optimality; Chaloner, Verdinelli, "Bayesian experimental design: a
+    review", Statistical Science 10(3), 1995).
+    """
+    motion = plan.evaluate(np.arange(0.0, plan.duration, 1.0 / ARM_RATE_HZ))
+    robot = problem.robot
+    links = [k for k, link in enumerate(robot.links) if link.has_mass]
+    columns = LinkDynamics(robot).motion(motion.q, motion.qd, motion.qdd).columns(links)
+    scale = []
+    for theta in (robot.links[k].theta for k in links):
+        length = max(spatial.characteristic_length(theta), 1e-3)
+        scale.append(KNOWN * spatial.parameter_scale(float(theta[0]), length))
+    columns = columns * np.concatenate(scale)
+    sigma = np.full(problem.n_joints, np.inf)
+    sigma[list(problem.rows)] = problem.sigma
+    size = np.where(np.array(_OWN.terms) == "armature", _UNIT_ROTOR, 1.0)
+    total = np.eye(columns.shape[-1] + len(size) * problem.n_joints)
+    for joint in range(problem.n_joints):
+        nothing = np.zeros(len(motion.time))
+        own = _OWN.columns(motion.qd[:, joint], motion.qdd[:, joint], nothing) * size
+        rows = np.zeros((len(motion.time), len(total)))
+        rows[:, : columns.shape[-1]] = columns[:, joint]
+        place = columns.shape[-1] + joint * len(size)
+        rows[:, place : place + len(size)] = own
+        total += rows.T @ rows / sigma[joint] ** 2
+    return -float(np.linalg.slogdet(total)[1]) / (2.0 * len(total))

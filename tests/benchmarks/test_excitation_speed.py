@@ -52,7 +52,7 @@ def test_criterion_alone(benchmark):
 @pytest.mark.benchmark(group="excitation")
 def test_one_round(benchmark):
     design, x = kinova()
-    benchmark.pedantic(improve, (design, first_candidate(design, 0, x)), rounds=3)
+    benchmark.pedantic(improve, (design, first_candidate(design, x)), rounds=3)
 
 
 @pytest.mark.benchmark(group="excitation")

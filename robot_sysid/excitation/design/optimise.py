@@ -21,7 +21,7 @@ import numpy as np
 
 from robot_sysid.dynamics.screws import ChainMotion
 from robot_sysid.errors import InputError
-from robot_sysid.excitation.design.workers import UNLIMITED, Budget, OutOfTime
+from robot_sysid.excitation.design.workers import UNLIMITED, Budget
 from robot_sysid.excitation.information import (
     CRITERIA,
     Criterion,
@@ -30,7 +30,7 @@ from robot_sysid.excitation.information import (
 )
 from robot_sysid.excitation.limit_check import excess_times, keeps_limits, tight_times
 from robot_sysid.excitation.options import ExcitationOptions
-from robot_sysid.excitation.prediction import visible_coordinates
+from robot_sysid.excitation.prediction import arm_criterion, visible_coordinates
 from robot_sysid.excitation.problem import LIMIT_NAMES, OBSTACLE_LENGTH, ExcitationProblem
 from robot_sysid.excitation.trajectories import FourierBasis, FourierTrajectory
 from robot_sysid.records import Array
@@ -66,7 +66,6 @@ class Candidate:
     """A trajectory on its way to the optimum.
 
     Attributes:
-        number: which start it came from.
         x: (n, M) free coefficients, possibly beyond a limit.
         multipliers: (N + E, 4 n + 2) on the grid and at the extra times (E,) [s].
         weight: of the penalty.
@@ -74,7 +73,6 @@ class Candidate:
         feasible_x: (n, M) the best one so far that obeys everything, or None; and its criterion.
     """
 
-    number: int
     x: Array
     multipliers: Array
     extra_times: Array
@@ -96,15 +94,15 @@ class Candidate:
         return {name: float(value) for name, value in found}
 
 
-def first_candidate(design: Design, number: int, x: Array) -> Candidate:
+def first_candidate(design: Design, x: Array) -> Candidate:
     """Return a candidate at free coefficients x (n, M), checked against all limits."""
-    return _checked(design, unchecked_candidate(design, number, x))
+    return _checked(design, unchecked_candidate(design, x))
 
 
-def unchecked_candidate(design: Design, number: int, x: Array) -> Candidate:
+def unchecked_candidate(design: Design, x: Array) -> Candidate:
     """Return a candidate at free coefficients x (n, M) of which nothing is known yet."""
-    none = np.zeros((len(design.grid), constraint_count(design.problem.n_joints)))
-    return Candidate(number, x, none, np.zeros(0))
+    none = np.zeros((len(design.grid), 4 * design.problem.n_joints + 2))
+    return Candidate(x, none, np.zeros(0))
 
 
 def improve(design: Design, candidate: Candidate, budget: Budget = UNLIMITED) -> Candidate:
@@ -132,7 +130,7 @@ def _minimise(
 
     def function(flat: Array) -> tuple[float, Array]:
         if budget.is_over:
-            raise OutOfTime
+            raise TimeoutError
         evaluation = objective.evaluate(unit * flat.reshape(x.shape))
         return evaluation.value, (unit * evaluation.gradient).ravel()
 
@@ -143,7 +141,7 @@ def _minimise(
     start = (x / unit).ravel()
     try:
         minimize(function, start, jac=True, method="L-BFGS-B", callback=keep, options=options)
-    except OutOfTime:
+    except TimeoutError:
         return reached[-1], False
     return reached[-1], True
 
@@ -180,6 +178,7 @@ class Design:
     """Everything about one problem that does not change during the search.
 
     Attributes:
+        for_arm: whether the motion is for all links, rotors and friction, not the last link alone.
         unit: (M,) of each free coefficient in the optimiser's eyes [rad].
         memory: about how much a search will hold, in all its processes [bytes].
 
@@ -188,9 +187,14 @@ class Design:
     """
 
     def __init__(
-        self, problem: ExcitationProblem, options: ExcitationOptions, motion: TrajectoryOptions
+        self,
+        problem: ExcitationProblem,
+        options: ExcitationOptions,
+        motion: TrajectoryOptions,
+        for_arm: bool = False,
     ) -> None:
         self.problem, self.options, self.sample_rate = problem, options, motion.sample_rate
+        self.for_arm = for_arm
         self.basis: FourierBasis = options.basis(motion.duration)
         _require_sampled(self.basis, motion.sample_rate)
         wanted = GRID_PER_CYCLE * self.basis.top_frequency_hz * self.basis.duration
@@ -237,6 +241,8 @@ class Design:
 
     def criterion_of(self, x: Array) -> float:
         """Return the criterion of free coefficients x (n, M) alone."""
+        if self.for_arm:
+            return arm_criterion(self.problem, self.trajectory(x))
         b, db, ddb = self.on_grid
         q, qd, qdd = self.problem.rest + b @ x.T, db @ x.T, ddb @ x.T
         return self.criterion(self.information.evaluate(q, qd, qdd).information)[0]
@@ -262,11 +268,6 @@ class ConstraintCache:
     torque: Array
     slack_gradient: Array
     tool: ChainMotion | None = None
-
-
-def constraint_count(joints: int) -> int:
-    """Return the number of columns for so many joints."""
-    return 4 * joints + 2
 
 
 class MotionConstraints:

@@ -5,27 +5,20 @@ is counted in trajectories, rounds and iterations, never in seconds: the same se
 the same trajectory on a fast and on a slow machine, with one worker or with several. The time
 budget only cuts the search short, which the result then says.
 
-For a whole arm, out of random feasible trajectories the one is taken whose torques hold most of all
-that a whole-arm fit looks for, every link, every rotor and every joint's friction together:
-log det of Y^T Y / sigma^2 + P, with P what the model knows beforehand, so that what no motion shows
-does not count (Bayesian D-optimality; Chaloner, Verdinelli, "Bayesian experimental design: a
-review", Statistical Science 10(3), 1995).
+For a whole arm the best of the random feasible trajectories is taken, by
+``prediction.arm_criterion``.
 """
 
 from __future__ import annotations
 
 import time as clocks
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
-from operator import itemgetter
 
 import numpy as np
 
-from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.friction import friction_model
-from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.errors import InputError
 from robot_sysid.excitation.design.optimise import (
     GRID_PER_CYCLE,
@@ -44,11 +37,10 @@ from robot_sysid.excitation.limit_check import (
     breaks_limits_at_few,
     check_limits,
     checked_time,
-    keeps_limits,
 )
-from robot_sysid.excitation.problem import LIMIT_NAMES, OBSTACLE_LENGTH, ROUNDING, ExcitationProblem
+from robot_sysid.excitation.problem import LIMIT_NAMES, OBSTACLE_LENGTH, ROUNDING
 from robot_sysid.excitation.trajectories import FourierTrajectory
-from robot_sysid.records import Array, MotionPlan
+from robot_sysid.records import Array
 from robot_sysid.records.progress import Progress
 
 DRAWS_PER_JOB = 5
@@ -58,18 +50,6 @@ CHECK_COST, EXACT_COST = 1.0 / 40.0, 1.0 / 9.0
 RAISED, NEARER, WORTH_TELLING = 0.1, 0.005, 0.005
 """Change of a limit [share], of clearances [m], by which its worth is told; the least that is."""
 
-
-@dataclass(frozen=True)
-class SearchState:
-    """How many jobs are done, and exp of the criterion of the best so far; and what that is."""
-
-    done: int
-    total: int
-    objective: float
-    best: str
-
-
-ProgressCallback = Callable[[SearchState], None]
 
 OBJECTIVES = {
     "A": "root of summed variances",
@@ -94,12 +74,6 @@ FULL = 0.99 * np.cos(np.pi / GRID_PER_CYCLE)
 """Share of the limits of motion that a draw uses: as much may be seen of a peak between points."""
 FEW = 6
 """Every how many grid points are looked at first."""
-RATE_HZ = 20.0
-"""How densely a candidate for a whole arm is looked at."""
-KNOWN = 0.3
-"""How well the model is taken to know each link, as a share of its numbers."""
-_OWN = friction_model("coulomb-viscous-offset-armature")
-_UNIT_ROTOR = 0.1
 
 
 @dataclass(frozen=True)
@@ -116,7 +90,6 @@ class ExcitationResult:
     """
 
     trajectory: FourierTrajectory
-    criterion: str
     objective: float
     start_objective: float
     limit_check: LimitCheck
@@ -137,7 +110,7 @@ def check_time(design: Design) -> float:
 def design_excitation(
     design: Design,
     rng: np.random.Generator,
-    progress: ProgressCallback | None = None,
+    progress: Progress | None = None,
     clock: Clock = clocks.monotonic,
 ) -> ExcitationResult:
     """Search for the trajectory that makes the predicted uncertainty smallest.
@@ -149,7 +122,7 @@ def design_excitation(
         InputError: no drawn trajectory obeys all limits; names the one that is in the way.
         KeyboardInterrupt: interrupted before there was any trajectory.
     """
-    search = _Search(design, int(rng.integers(2**62)), progress, clock)
+    search = _Search(design, int(rng.integers(2**62)), progress or Progress(), clock)
     try:
         search.run()
     except KeyboardInterrupt:
@@ -163,24 +136,22 @@ def design_excitation(
 class _Search:
     """One search; what it has found so far survives an interruption."""
 
-    def __init__(
-        self, design: Design, seed: int, progress: ProgressCallback | None, clock: Clock
-    ) -> None:
+    def __init__(self, design: Design, seed: int, progress: Progress, clock: Clock) -> None:
         self._design, self._options, self._seed = design, design.options, seed
-        self._progress = progress
+        self._progress, self._rounds = progress, 0 if design.for_arm else design.options.rounds
         budget = design.options.time_budget
         reserve = min(0.5 * budget, check_time(design))
         self._budget = Budget(clock() + budget - reserve, clock)
         self._check: LimitCheck | None = None
         self._draws: list[Draw] = []
-        self._candidates: dict[int, Candidate] = {}
+        self._candidates: list[Candidate] = []
         self._done = 0
         self.stopped = ""
 
     @property
     def best(self) -> Candidate | None:
         """The best candidate that obeys everything; of equally good ones the first."""
-        fit = [c for _, c in sorted(self._candidates.items()) if c.feasible_x is not None]
+        fit = [c for c in self._candidates if c.feasible_x is not None]
         return min(fit, key=lambda c: c.feasible_score) if fit else None
 
     def run(self) -> None:
@@ -191,26 +162,26 @@ class _Search:
                 if self._is_late() and self._feasible():
                     break
             self._check_starts(pool)
-            for _ in range(self._options.rounds):
+            for _ in range(self._rounds):
                 if self._is_late():
                     return
                 job = partial(improve, budget=self._budget)
-                jobs = [partial(job, candidate=c) for c in self._candidates.values()]
-                for candidate in self._counted(pool.run(jobs)):
-                    self._candidates[candidate.number] = candidate
+                jobs = [partial(job, candidate=c) for c in self._candidates]
+                for k, candidate in enumerate(self._counted(pool.run(jobs))):
+                    self._candidates[k] = candidate
 
     def settle_for_a_draw(self) -> None:
         """Take the best draw that keeps all limits, where nothing better was found in time."""
         draws = self._feasible() if self.best is None else []
         for draw, factor in product(draws, REPAIRS):
-            found = unchecked_candidate(self._design, 0, factor * draw.x)
+            found = unchecked_candidate(self._design, factor * draw.x)
             trajectory = self._design.trajectory(found.x)
             if breaks_limits_at_few(self._design.problem, trajectory):
                 continue
             check = self._check_of(found.x)
             if check.holds:
                 score = self._design.criterion_of(found.x)
-                self._candidates[0] = replace(found, feasible_x=found.x, feasible_score=score)
+                self._candidates = [replace(found, feasible_x=found.x, feasible_score=score)]
                 self._check = check
                 return
 
@@ -241,9 +212,9 @@ class _Search:
         if self._is_late():
             self.settle_for_a_draw()
             return
-        starts = enumerate(feasible[: self._options.n_starts])
-        for candidate in pool.run([partial(first_candidate, number=k, x=d.x) for k, d in starts]):
-            self._candidates[candidate.number] = candidate
+        starts = feasible[: self._options.n_starts]
+        for candidate in pool.run([partial(first_candidate, x=draw.x) for draw in starts]):
+            self._candidates.append(candidate)
             self._tell()
 
     def _counted(self, results: Iterator) -> Iterator:
@@ -253,12 +224,11 @@ class _Search:
             self._tell()
 
     def _tell(self) -> None:
-        if self._progress is None:
-            return
-        jobs = len(self._draw_jobs()) + self._options.rounds * self._options.n_starts
+        jobs = len(self._draw_jobs()) + self._rounds * self._options.n_starts
         score = self.best.feasible_score if self.best else _smallest_score(self._draws)
-        name = OBJECTIVES[self._options.criterion]
-        self._progress(SearchState(self._done, jobs, float(np.exp(score)), name))
+        name = OBJECTIVES["D" if self._design.for_arm else self._options.criterion]
+        text = f"{name} {float(np.exp(score)):.3g}"
+        self._progress.advance("Designing the trajectory", self._done, jobs, text)
 
     def result(self) -> ExcitationResult:
         """Return the best trajectory with the check of its limits."""
@@ -267,7 +237,6 @@ class _Search:
             raise InputError(_why_none(self._draws, self._design))
         return ExcitationResult(
             trajectory=self._design.trajectory(best.feasible_x),
-            criterion=self._options.criterion,
             objective=float(np.exp(best.feasible_score)),
             start_objective=float(np.exp(_smallest_score(self._draws))),
             limit_check=self._check or self._check_of(best.feasible_x),
@@ -419,63 +388,3 @@ def _obstacle(design: Design, value: Array, q: Array) -> str:
     if column == value.shape[1] - 2:
         return "speed limit of the tool"
     return f"clearance of {design.problem.obstacles.closest(q[sample]).label}"
-
-
-def design_for_arm(
-    design: Design, rng: np.random.Generator, progress: Progress
-) -> FourierTrajectory:
-    """Return the best of the random trajectories that keep all limits.
-
-    Raises:
-        InputError: none does.
-    """
-    budget = Budget(clocks.monotonic() + design.options.time_budget)
-    scored = _scored(design, int(rng.integers(2**62)), budget, progress)
-    for _, plan in sorted(scored, key=itemgetter(0)):
-        if keeps_limits(design.problem, plan):
-            return plan
-    raise InputError(
-        f"none of {design.options.draws} random trajectories keeps all limits; relax one, or "
-        "change the rest position with --keyframe"
-    )
-
-
-def _scored(
-    design: Design, seed: int, budget: Budget, progress: Progress
-) -> Iterator[tuple[float, FourierTrajectory]]:
-    total, found = design.options.draws, 0
-    for number in range(total):
-        for draw in draw_trajectories(design, seed, [number]):
-            if np.isfinite(draw.score):
-                found += 1
-                plan = design.trajectory(draw.x)
-                yield -information(design.problem, plan), plan
-        progress.advance("Designing the trajectory", number + 1, total, f"{found} feasible")
-        if budget.is_over and found:
-            return
-
-
-def information(problem: ExcitationProblem, plan: MotionPlan) -> float:
-    """Return log det of what the torques of a motion say of all links, rotors and friction."""
-    motion = plan.evaluate(np.arange(0.0, plan.duration, 1.0 / RATE_HZ))
-    robot = problem.robot
-    links = [k for k, link in enumerate(robot.links) if link.has_mass]
-    columns = LinkDynamics(robot).motion(motion.q, motion.qd, motion.qdd).columns(links)
-    scale = []
-    for theta in (robot.links[k].theta for k in links):
-        length = max(spatial.characteristic_length(theta), 1e-3)
-        scale.append(KNOWN * spatial.parameter_scale(float(theta[0]), length))
-    columns = columns * np.concatenate(scale)
-    sigma = np.full(problem.n_joints, np.inf)
-    sigma[list(problem.rows)] = problem.sigma
-    size = np.where(np.array(_OWN.terms) == "armature", _UNIT_ROTOR, 1.0)
-    total = np.eye(columns.shape[-1] + len(size) * problem.n_joints)
-    for joint in range(problem.n_joints):
-        nothing = np.zeros(len(motion.time))
-        own = _OWN.columns(motion.qd[:, joint], motion.qdd[:, joint], nothing) * size
-        rows = np.zeros((len(motion.time), len(total)))
-        rows[:, : columns.shape[-1]] = columns[:, joint]
-        place = columns.shape[-1] + joint * len(size)
-        rows[:, place : place + len(size)] = own
-        total += rows.T @ rows / sigma[joint] ** 2
-    return float(np.linalg.slogdet(total)[1])

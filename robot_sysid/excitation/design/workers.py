@@ -13,7 +13,7 @@ import signal
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from typing import Any, Callable
@@ -27,10 +27,6 @@ Job = Callable[[Any], Any]
 
 Clock = Callable[[], float]
 """Gives the time [s]."""
-
-
-class OutOfTime(Exception):
-    """The budget is used up in the middle of something."""
 
 
 @dataclass(frozen=True)
@@ -89,31 +85,29 @@ class WorkerPool:
         self._pool = None
 
     def run(self, jobs: Sequence[Job]) -> Iterator[Any]:
-        """Yield each job's result as soon as it is there, in any order.
+        """Yield the results of the jobs, in their order.
 
         What workers that died, or could not be started, leave undone is done here, where an error
         in a job is seen.
         """
-        if self._pool is None:
-            yield from (job(self._shared) for job in jobs)
-            return
-        # The first jobs start the processes, as far as the system lets them.
-        with held_back((signal.SIGINT,)), _one_thread_each():
-            left = {_submitted(self._pool, job): job for job in jobs}
+        done, futures = 0, list[Future[Any]]()
         try:
-            for future in as_completed(tuple(left)):
-                result = future.result()
-                del left[future]
-                yield result
-        except BrokenProcessPool:
+            if self._pool is not None:
+                # The first jobs start the processes, as far as the system lets them.
+                with held_back((signal.SIGINT,)), _one_thread_each():
+                    futures = [self._pool.submit(_do, job) for job in jobs]
+            for future in futures:
+                yield future.result()
+                done += 1
+        except (BrokenProcessPool, OSError, RuntimeError):
             self._close()
-            yield from (job(self._shared) for job in tuple(left.values()))
         except GeneratorExit:
             # Not where all ends: the pool's thread fails with a traceback at a cancelled job whose
             # worker is ended.
-            for future in left if self._pool is not None else ():
+            for future in futures if self._pool is not None else ():
                 future.cancel()
             raise
+        yield from (job(self._shared) for job in jobs[done:])
 
 
 def _receive(shared: Any) -> None:
@@ -129,16 +123,6 @@ def _end_with_parent() -> None:
     if parent is not None:
         parent.join()
         os._exit(1)
-
-
-def _submitted(pool: ProcessPoolExecutor, job: Job) -> Future[Any]:
-    """Return the job's future; a broken one where no process can be started."""
-    try:
-        return pool.submit(_do, job)
-    except (BrokenProcessPool, OSError, RuntimeError) as error:
-        future: Future[Any] = Future()
-        future.set_exception(BrokenProcessPool(str(error)))
-        return future
 
 
 def _do(job: Job) -> Any:

@@ -39,7 +39,7 @@ def best_draw(some, seed=0):
 )
 def test_rounds_keep_the_best_that_keeps_all_limits(xml, ends):
     some = design(xml, ends=ends, iterations=15)
-    candidate = first_candidate(some, 0, best_draw(some).x)
+    candidate = first_candidate(some, best_draw(some).x)
     scores = [candidate.feasible_score]
     for _ in range(3):
         candidate = improve(some, candidate)
@@ -52,7 +52,7 @@ def test_rounds_keep_the_best_that_keeps_all_limits(xml, ends):
 
 def test_a_motion_beyond_its_limits_is_shrunk_until_it_obeys():
     some = design(TUBES_AND_POST)
-    candidate = first_candidate(some, 0, 3.0 * best_draw(some).x)
+    candidate = first_candidate(some, 3.0 * best_draw(some).x)
     assert not keeps_limits(some.problem, some.trajectory(candidate.x))
     assert keeps_limits(some.problem, some.trajectory(candidate.feasible_x))
     assert np.linalg.norm(candidate.feasible_x) < np.linalg.norm(candidate.x)
@@ -60,7 +60,7 @@ def test_a_motion_beyond_its_limits_is_shrunk_until_it_obeys():
 
 def test_times_of_excess_join_the_grid():
     some = design(TUBES_AND_POST, iterations=3)
-    candidate = improve(some, first_candidate(some, 0, 1.5 * best_draw(some).x))
+    candidate = improve(some, first_candidate(some, 1.5 * best_draw(some).x))
     assert len(candidate.extra_times) > 0
     assert candidate.multipliers.shape[0] == len(some.grid) + len(candidate.extra_times)
     assert len(np.unique(candidate.extra_times)) == len(candidate.extra_times)

@@ -12,14 +12,10 @@ from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
 from robot_sysid.excitation.design.optimise import Design, MotionConstraints
-from robot_sysid.excitation.design.search import (
-    design_excitation,
-    design_for_arm,
-    draw_trajectories,
-    information,
-)
+from robot_sysid.excitation.design.search import design_excitation, draw_trajectories
 from robot_sysid.excitation.limit_check import keeps_limits
 from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
+from robot_sysid.excitation.prediction import arm_criterion
 from robot_sysid.excitation.problem import ROUNDING, build_problem
 from robot_sysid.model.contacts import find_new_contacts
 from robot_sysid.records.progress import Progress
@@ -117,13 +113,27 @@ def test_more_rounds_are_never_worse():
     assert values[2] < 0.9 * values[0]
 
 
+class Told(Progress):
+    """Notes what it is told, and then does something."""
+
+    def __init__(self, then=lambda done: None):
+        self.done, self.totals, self.texts, self._then = [], set(), [], then
+
+    def advance(self, label, done, total, text):
+        self.done.append(done)
+        self.totals.add(total)
+        self.texts.append(text)
+        self._then(done)
+
+
 def test_progress_tells_the_objective():
-    seen = []
-    result = search(TUBES, 3, seen.append, rounds=2)
-    assert [state.done for state in seen] == sorted(state.done for state in seen)
-    assert seen[-1].done == seen[-1].total
-    assert seen[-1].objective == pytest.approx(result.objective)
-    assert all(a.objective >= b.objective for a, b in zip(seen[2:], seen[3:]))
+    seen = Told()
+    result = search(TUBES, 3, seen, rounds=2)
+    assert seen.done == sorted(seen.done)
+    assert seen.totals == {seen.done[-1]}
+    assert seen.texts[-1] == f"mean standard deviation {result.objective:.3g}"
+    told = [float(text.rpartition(" ")[2]) for text in seen.texts[2:]]
+    assert told == sorted(told, reverse=True)
 
 
 def test_time_budget_cuts_and_says_so():
@@ -136,11 +146,11 @@ def test_time_budget_cuts_and_says_so():
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_ctrl_c_keeps_the_best_so_far(workers):
-    def interrupt(state):
-        if state.done >= 2:
+    def interrupt(done):
+        if done >= 2:
             raise KeyboardInterrupt
 
-    result = search(TUBES, 3, interrupt, rounds=50, workers=workers)
+    result = search(TUBES, 3, Told(interrupt), rounds=50, workers=workers)
     assert result.stopped == "interrupted"
     assert any("interrupted" in note for note in result.notes)
     assert result.limit_check.holds
@@ -156,10 +166,10 @@ def test_ctrl_c_before_there_is_anything_is_an_interruption(monkeypatch):
 
 
 def test_ctrl_c_among_the_first_draws_keeps_the_best_of_them():
-    def interrupt(state):
+    def interrupt(done):
         raise KeyboardInterrupt
 
-    result = search(TUBES, 3, interrupt, draws=300)
+    result = search(TUBES, 3, Told(interrupt), draws=300)
     assert (result.stopped, result.n_drawn) == ("interrupted", 5)
     assert result.limit_check.holds
     assert result.objective == pytest.approx(result.start_objective)
@@ -323,28 +333,32 @@ ROBOT = arms.robot_of(arms.serial_arm((arms.Z, arms.Y, arms.X)))
 DRAWS = 5
 
 
-def design_of(**limits):
+def arm_design(**limits):
     problem = build_problem(ROBOT, LimitOptions(**limits))
-    options = ExcitationOptions(kind="optimal", draws=DRAWS, time_budget=1e6)
-    return Design(problem, options, TrajectoryOptions(duration=4.0, sample_rate=100.0))
+    options = ExcitationOptions(kind="optimal", draws=DRAWS, time_budget=1e6, workers=1)
+    motion = TrajectoryOptions(duration=4.0, sample_rate=100.0)
+    return Design(problem, options, motion, for_arm=True)
 
 
-def test_the_best_draw_is_taken():
-    design = design_of()
-    plan = design_for_arm(design, np.random.default_rng(3), Progress())
-    assert keeps_limits(design.problem, plan)
+def test_for_a_whole_arm_the_best_draw_is_taken():
+    design, seen = arm_design(), Told()
+    result = design_excitation(design, np.random.default_rng(3), seen)
+    assert keeps_limits(design.problem, result.trajectory)
     seed = int(np.random.default_rng(3).integers(2**62))
     draws = draw_trajectories(design, seed, range(DRAWS))
-    told = [information(design.problem, design.trajectory(d.x)) for d in draws]
-    assert information(design.problem, plan) == pytest.approx(max(told), rel=1e-12)
+    told = [arm_criterion(design.problem, design.trajectory(d.x)) for d in draws]
+    assert np.log(result.objective) == pytest.approx(min(told), rel=1e-12)
+    assert arm_criterion(design.problem, result.trajectory) == pytest.approx(min(told), rel=1e-12)
+    assert seen.texts[-1] == f"mean standard deviation {result.objective:.3g}"
 
 
 def test_a_larger_motion_tells_more():
-    design = design_of()
-    plan = design_for_arm(design, np.random.default_rng(3), Progress())
-    assert information(design.problem, plan.scaled(0.5)) < information(design.problem, plan)
+    design = arm_design()
+    plan = design_excitation(design, np.random.default_rng(3)).trajectory
+    smaller = arm_criterion(design.problem, plan.scaled(0.5))
+    assert smaller > arm_criterion(design.problem, plan)
 
 
-def test_limits_that_nothing_keeps_are_said():
-    with pytest.raises(InputError, match="keeps all limits"):
-        design_for_arm(design_of(max_torque=(0.01,)), np.random.default_rng(0), Progress())
+def test_limits_that_nothing_of_a_whole_arm_keeps_are_said():
+    with pytest.raises(InputError, match="no trajectory is feasible: 5 of 5 .* torque limit"):
+        design_excitation(arm_design(max_torque=(0.01,)), np.random.default_rng(0))

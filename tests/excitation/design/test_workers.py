@@ -7,7 +7,7 @@ import subprocess
 import sys
 import threading
 import time
-from concurrent.futures import as_completed
+from concurrent.futures import Future
 from functools import partial
 from pathlib import Path
 
@@ -85,13 +85,17 @@ def test_jobs_of_workers_that_die_are_done_here():
 def test_an_interrupt_makes_the_pool_say_nothing(monkeypatch):
     """Ctrl-C while results are waited for: workers end, and no thread of the pool fails."""
 
-    def interrupted(futures):
-        yield next(as_completed(futures))
-        raise KeyboardInterrupt
+    seen, result = [], Future.result
+
+    def interrupted(future):
+        if seen:
+            raise KeyboardInterrupt
+        seen.append(future)
+        return result(future)
 
     failed = []
     monkeypatch.setattr(threading, "excepthook", failed.append)
-    monkeypatch.setattr("robot_sysid.excitation.design.workers.as_completed", interrupted)
+    monkeypatch.setattr(Future, "result", interrupted)
     before = set(threading.enumerate())
     with pytest.raises(KeyboardInterrupt), WorkerPool(0, 2) as pool:
         list(pool.run([number] * 50))
