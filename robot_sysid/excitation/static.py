@@ -30,8 +30,7 @@ from robot_sysid.excitation.trajectories import (
     PEAK_ACCELERATION,
     PEAK_OF_RAMP,
     PEAK_SPEED,
-    PoseTrajectory,
-    SweepTrajectory,
+    LineTrajectory,
     straight_way,
 )
 from robot_sysid.excitation.trajectory_files import SlowedTrajectory
@@ -172,7 +171,7 @@ def _fits(problem: ExcitationProblem, poses: Array) -> Array:
 
 def design_poses(
     robot: RobotModel, problem: ExcitationProblem, options: PoseOptions, rng: np.random.Generator
-) -> PoseTrajectory:
+) -> LineTrajectory:
     """Return a motion through informative poses that keeps all limits.
 
     Raises:
@@ -239,7 +238,7 @@ def _is_free(problem: ExcitationProblem, start: Array, end: Array) -> bool:
 
 def _through(
     problem: ExcitationProblem, poses: list[Array], dwell: float, slower: float
-) -> PoseTrajectory:
+) -> LineTrajectory:
     """Return the motion: to below a pose, rest in it, to above it, rest in it again, and on."""
     points, dwells = [problem.rest], [0.0]
     for pose in poses:
@@ -251,13 +250,13 @@ def _through(
     by_speed = PEAK_SPEED * steps / np.minimum(limits.velocity, GENTLE)
     by_acceleration = np.sqrt(PEAK_ACCELERATION * steps / limits.acceleration)
     times = np.maximum(np.max(np.maximum(by_speed, by_acceleration), axis=1), SHORTEST_MOVE)
-    return PoseTrajectory(np.array(points), slower * RESERVE * times, np.array(dwells))
+    return LineTrajectory(np.array(points), slower * RESERVE * times, np.array(dwells))
 
 
 def pose_lines(robot: RobotModel, problem: ExcitationProblem, plan: MotionPlan) -> list[str]:
     """Return what the poses promise of a payload's mass, from noise alone."""
     poses = plan.plan if isinstance(plan, SlowedTrajectory) else plan
-    assert isinstance(poses, PoseTrajectory)
+    assert isinstance(poses, LineTrajectory)
     rests = poses.points[poses.dwells > 0.0][::2]
     rows = _gravity_rows(robot, problem, rests).reshape(-1, 4)
     # The payload is a difference of two recordings, each the mean of two rests.
@@ -270,7 +269,7 @@ def pose_lines(robot: RobotModel, problem: ExcitationProblem, plan: MotionPlan) 
     ]
 
 
-def design_sweeps(problem: ExcitationProblem) -> SweepTrajectory:
+def design_sweeps(problem: ExcitationProblem) -> LineTrajectory:
     """Return a motion that sweeps every joint that has room, within all limits.
 
     Raises:
@@ -288,7 +287,7 @@ def design_sweeps(problem: ExcitationProblem) -> SweepTrajectory:
 def sweep_lines(robot: RobotModel, problem: ExcitationProblem, plan: MotionPlan) -> list[str]:
     """Return which joints are swept how fast, and which have no room."""
     sweeps = plan.plan if isinstance(plan, SlowedTrajectory) else plan
-    assert isinstance(sweeps, SweepTrajectory)
+    assert isinstance(sweeps, LineTrajectory)
     speeds = np.abs(sweeps.speeds) * sweeps.duration / plan.duration
     fastest = np.max(speeds, axis=0)
     names = problem.joint_names
@@ -317,7 +316,7 @@ def _free_way(problem: ExcitationProblem, joint: int) -> Array:
     return found
 
 
-def _swept(problem: ExcitationProblem, wide: Array, share: float) -> SweepTrajectory:
+def _swept(problem: ExcitationProblem, wide: Array, share: float) -> LineTrajectory:
     """Return the sweeps of all joints; ``wide`` (n, 2) is how far each may go."""
     points, speeds = [problem.rest], [0.0]
     for joint, (down, up) in enumerate(wide):
@@ -344,7 +343,7 @@ def _swept(problem: ExcitationProblem, wide: Array, share: float) -> SweepTrajec
 
 def _timed(
     problem: ExcitationProblem, points: Array, speeds: Array, share: float
-) -> SweepTrajectory:
+) -> LineTrajectory:
     """Return the motion along lines at speeds (P - 1,), shorter ways at what is needed for them."""
     ways = np.diff(points, axis=0)
     kept = np.any(ways != 0.0, axis=1)
@@ -355,4 +354,4 @@ def _timed(
     ramps = np.maximum(PEAK_OF_RAMP * speeds / hardest, SHORTEST_RAMP)
     # Speed v over a way s takes s / v + ramp; where ramps do not fit, the way is ramps alone.
     moves = np.maximum(length / speeds + ramps, 2.0 * ramps)
-    return SweepTrajectory(points, moves, ramps)
+    return LineTrajectory(points, moves, np.zeros(len(points)), ramps)

@@ -192,39 +192,39 @@ class FourierTrajectory:
 
 
 @dataclass(frozen=True)
-class _Lines:
-    """Straight lines in joint space; the arm rests at the first and the last point.
+class LineTrajectory:
+    """Straight lines in joint space; the arm is at rest in every point.
 
     Attributes:
         points: (P, n) [rad].
         moves: (P - 1,) how long the way from each point to the next takes [s].
+        dwells: (P,) how long the arm stays in each point [s].
+        ramps: (P - 1,) [s] in which the speed rises smoothly to what it stays at, and falls again,
+            at most half the way each; None where each way is one smooth step.
     """
 
     points: Array
     moves: Array
+    dwells: Array
+    ramps: Array | None = None
 
-    def _check(self, **sizes: int) -> None:
-        object.__setattr__(self, "points", checked_array(self.points, (None, None), "points"))
-        for name, size in sizes.items():
-            object.__setattr__(self, name, checked_array(getattr(self, name), (size,), name))
+    def __post_init__(self) -> None:
+        points = checked_array(self.points, (None, None), "points")
+        moves = checked_array(self.moves, (len(points) - 1,), "moves")
+        dwells = checked_array(self.dwells, (len(points),), "dwells")
+        if len(points) < 2 or np.any(moves <= 0.0) or np.any(dwells < 0.0):
+            raise InputError("moves between poses take time, and rests are not negative")
+        fields = {"points": points, "moves": moves, "dwells": dwells}
+        if self.ramps is not None:
+            ramps = fields["ramps"] = checked_array(self.ramps, (len(moves),), "ramps")
+            if np.any(ramps <= 0.0) or np.any(2.0 * ramps > moves):
+                raise InputError("a sweep takes time, and its ramps fit into it twice")
+        self.__dict__.update(fields)
 
     @property
     def n_joints(self) -> int:
         """Number of joints n."""
         return int(self.points.shape[1])
-
-
-@dataclass(frozen=True)
-class PoseTrajectory(_Lines):
-    """Lines with a smooth step for each, and rests of ``dwells`` (P,) [s] at the points."""
-
-    dwells: Array
-
-    def __post_init__(self) -> None:
-        count = len(self.points)
-        self._check(moves=count - 1, dwells=count)
-        if count < 2 or np.any(self.moves <= 0.0) or np.any(self.dwells < 0.0):
-            raise InputError("moves between poses take time, and rests are not negative")
 
     @property
     def duration(self) -> float:
@@ -236,74 +236,48 @@ class PoseTrajectory(_Lines):
         """When each point is reached (P,) [s]."""
         return np.concatenate(([0.0], np.cumsum(self.dwells[:-1] + self.moves)))
 
-    def evaluate(self, time: Array) -> Motion:
-        """Return the motion at times (N,) [s]; exact derivatives."""
-        time = np.asarray(time, dtype=float)
-        at = np.clip(np.searchsorted(self.arrivals, time, side="right") - 1, 0, len(self.moves) - 1)
-        step, length = np.diff(self.points, axis=0)[at], self.moves[at]
-        x = np.clip((time - self.arrivals[at] - self.dwells[at]) / length, 0.0, 1.0)
-        w, dw, ddw = smooth_step(x)
-        return Motion(
-            time,
-            self.points[at] + w[:, None] * step,
-            (dw / length)[:, None] * step,
-            (ddw / length**2)[:, None] * step,
-        )
-
-
-def straight_way(begin: Array, end: Array) -> PoseTrajectory:
-    """Return the motion from one pose (n,) to another in a straight line, at about 1 rad/s."""
-    seconds = max(1.0, float(np.max(np.abs(end - begin))))
-    return PoseTrajectory(np.stack((begin, end)), np.array([seconds]), np.zeros(2))
-
-
-@dataclass(frozen=True)
-class SweepTrajectory(_Lines):
-    """Lines between turning points; speed rises smoothly, stays the same, and falls.
-
-    It takes ``ramps`` (P - 1,) [s] to rise, and to fall; at most half the way.
-    """
-
-    ramps: Array
-
-    def __post_init__(self) -> None:
-        count = len(self.points)
-        self._check(moves=count - 1, ramps=count - 1)
-        if count < 2 or np.any(self.ramps <= 0.0) or np.any(2.0 * self.ramps > self.moves):
-            raise InputError("a sweep takes time, and its ramps fit into it twice")
-
-    @property
-    def duration(self) -> float:
-        """Length [s]."""
-        return float(np.sum(self.moves))
-
     @property
     def speeds(self) -> Array:
-        """Constant part of each line's velocity (P - 1, n) [rad/s]."""
+        """Constant part of each line's velocity (P - 1, n), where there are ramps [rad/s]."""
+        assert self.ramps is not None
         return np.asarray(np.diff(self.points, axis=0) / (self.moves - self.ramps)[:, None])
 
     def evaluate(self, time: Array) -> Motion:
         """Return the motion at times (N,) [s]; exact derivatives."""
         time = np.asarray(time, dtype=float)
-        start = np.concatenate(([0.0], np.cumsum(self.moves)[:-1]))
-        at = np.clip(np.searchsorted(start, time, side="right") - 1, 0, len(start) - 1)
-        ramp, left = self.ramps[at], np.clip(time - start[at], 0.0, self.moves[at])
-        right = self.moves[at] - left
-        rise, rising, bend = _rise(np.minimum(left / ramp, 1.0))
-        fall, falling, brake = _rise(np.minimum(right / ramp, 1.0))
-        early, late = left < ramp, right < ramp
-        # The way at unit speed: ramps count half.
-        way = np.where(early, ramp * rise, left - 0.5 * ramp)
-        way = np.where(late, self.moves[at] - ramp - ramp * fall, way)
-        speed = np.where(early, rising, np.where(late, falling, 1.0))
-        change = np.where(early, bend / ramp, np.where(late, -brake / ramp, 0.0))
-        velocity = self.speeds[at]
-        return Motion(
-            time,
-            self.points[at] + way[:, None] * velocity,
-            speed[:, None] * velocity,
-            change[:, None] * velocity,
-        )
+        at = np.clip(np.searchsorted(self.arrivals, time, side="right") - 1, 0, len(self.moves) - 1)
+        length = self.moves[at]
+        gone = np.clip(time - self.arrivals[at] - self.dwells[at], 0.0, length)
+        if self.ramps is None:
+            step = np.diff(self.points, axis=0)[at]
+            w, dw, ddw = smooth_step(gone / length)
+            dw, ddw = dw / length, ddw / length**2
+        else:
+            step = self.speeds[at]
+            w, dw, ddw = _cruise(gone, length, self.ramps[at])
+        w, dw, ddw = w[:, None], dw[:, None], ddw[:, None]
+        return Motion(time, self.points[at] + w * step, dw * step, ddw * step)
+
+
+def straight_way(begin: Array, end: Array) -> LineTrajectory:
+    """Return the motion from one pose (n,) to another in a straight line, at about 1 rad/s."""
+    seconds = max(1.0, float(np.max(np.abs(end - begin))))
+    return LineTrajectory(np.stack((begin, end)), np.array([seconds]), np.zeros(2))
+
+
+def _cruise(gone: Array, length: Array, ramp: Array) -> tuple[Array, Array, Array]:
+    """Return way [s], speed and its change [1/s] (N,) at unit speed, ``gone`` [s] after the start.
+
+    A way takes ``length`` [s], rising and falling ``ramp`` [s] each; ramps count half.
+    """
+    left = length - gone
+    rise, rising, bend = _rise(np.minimum(gone / ramp, 1.0))
+    fall, falling, brake = _rise(np.minimum(left / ramp, 1.0))
+    early, late = gone < ramp, left < ramp
+    way = np.where(early, ramp * rise, gone - 0.5 * ramp)
+    way = np.where(late, length - ramp - ramp * fall, way)
+    speed = np.where(early, rising, np.where(late, falling, 1.0))
+    return way, speed, np.where(early, bend / ramp, np.where(late, -brake / ramp, 0.0))
 
 
 def _rise(x: Array) -> tuple[Array, Array, Array]:

@@ -15,12 +15,7 @@ from typing import Any, TextIO
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.excitation.trajectories import (
-    FourierBasis,
-    FourierTrajectory,
-    PoseTrajectory,
-    SweepTrajectory,
-)
+from robot_sysid.excitation.trajectories import FourierBasis, FourierTrajectory, LineTrajectory
 from robot_sysid.json_files import read_json
 from robot_sysid.records import Array, Motion, MotionPlan
 from robot_sysid.records.atomic_files import whole_file
@@ -31,8 +26,8 @@ VERSION = 1
 _KINDS: Mapping[str, tuple[Any, tuple[str, ...]]] = {
     "sines": (SineTrajectory, ("center", "amplitude", "frequency_hz", "phase")),
     "fourier": (FourierTrajectory, ("rest", "coefficients")),
-    "poses": (PoseTrajectory, ("points", "moves", "dwells")),
-    "sweeps": (SweepTrajectory, ("points", "moves", "ramps")),
+    "sweeps": (LineTrajectory, ("points", "moves", "ramps")),
+    "poses": (LineTrajectory, ("points", "moves", "dwells")),
 }
 """Each kind of trajectory, and what arrays make it."""
 
@@ -141,7 +136,7 @@ def _described(plan: MotionPlan) -> dict[str, Any]:
     if isinstance(plan, SlowedTrajectory):
         return {**_described(plan.plan), "speed": plan.speed}
     for kind, (made, arrays) in _KINDS.items():
-        if isinstance(plan, made):
+        if isinstance(plan, made) and all(getattr(plan, name) is not None for name in arrays):
             basis = asdict(plan.basis) if isinstance(plan, FourierTrajectory) else {}
             if isinstance(plan, SineTrajectory):
                 basis = {"duration": plan.duration, "fade": plan.fade}
@@ -189,6 +184,8 @@ def _read(path: Path) -> Mapping[str, Any]:
 def _built(kind: str, content: Mapping[str, Any]) -> MotionPlan:
     made, names = _KINDS[kind]
     given: dict[str, Any] = {name: np.array(content[name], dtype=float) for name in names}
+    if kind == "sweeps":
+        given["dwells"] = np.zeros(len(given["points"]))
     if kind == "sines":
         given |= {name: float(content[name]) for name in ("duration", "fade")}
     if kind == "fourier":

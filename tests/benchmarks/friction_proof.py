@@ -23,13 +23,12 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.excitation.design.optimise import Design
-from robot_sysid.excitation.design.search import design_for_arm
+from robot_sysid.excitation.design.search import design_excitation
 from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
 from robot_sysid.excitation.problem import build_problem
 from robot_sysid.excitation.static import design_sweeps
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
-from robot_sysid.records.progress import Progress
 from robot_sysid.simulation.sensors import quantised
 from robot_sysid.trajectory import TrajectoryOptions
 from tests.support.core_fits import result_of_logs
@@ -100,9 +99,9 @@ def plans(robot):
     """The designed motions: sweeps, then sines."""
     problem = build_problem(robot, LimitOptions(max_velocity=FASTEST))
     options = ExcitationOptions(kind="optimal", draws=DRAWS, time_budget=1e6)
-    design = Design(problem, options, TrajectoryOptions(duration=30.0))
-    sines = [design_for_arm(design, np.random.default_rng(seed), Progress()) for seed in SINES]
-    return [design_sweeps(problem), *sines]
+    design = Design(problem, options, TrajectoryOptions(duration=30.0), for_arm=True)
+    found = [design_excitation(design, np.random.default_rng(seed)) for seed in SINES]
+    return [design_sweeps(problem), *(each.trajectory for each in found)]
 
 
 def prove(name: str, path: str) -> None:

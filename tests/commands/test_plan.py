@@ -6,7 +6,7 @@ import pytest
 
 from robot_sysid.commands import plan as module
 from robot_sysid.config import config_from
-from robot_sysid.excitation.trajectories import PoseTrajectory
+from robot_sysid.excitation.trajectories import LineTrajectory
 from robot_sysid.excitation.trajectory_files import load_trajectory
 from robot_sysid.trajectory import SineTrajectory
 from tests.support import arms, option_samples, witness
@@ -82,7 +82,7 @@ def test_poses_can_be_planned_saved_and_checked_again(command, arm_file):
     assert "5 poses, each approached from both sides" in printed.out
     assert "Peaks (share of limit):" in printed.out
     plan = path.parent / "sysid_output" / "trajectory.json"
-    assert isinstance(load_trajectory(plan).plan, PoseTrajectory)
+    assert isinstance(load_trajectory(plan).plan, LineTrajectory)
     folder = ("--output-dir", "again", "--sample-rate", "100")
     assert "Trajectory saved" in command.run("plan", path, "--trajectory", plan, *folder).out
 

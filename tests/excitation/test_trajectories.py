@@ -14,8 +14,7 @@ from robot_sysid.excitation.trajectories import (
     PEAK_SPEED,
     FourierBasis,
     FourierTrajectory,
-    PoseTrajectory,
-    SweepTrajectory,
+    LineTrajectory,
 )
 from robot_sysid.trajectory import smooth_step
 from tests.support.arms import SEEDS
@@ -117,7 +116,7 @@ def random_poses(seed):
     rng = np.random.default_rng(seed)
     count = int(rng.integers(2, 7))
     moves, dwells = rng.uniform(0.3, 2.0, count - 1), rng.uniform(0.0, 1.0, count)
-    return PoseTrajectory(rng.normal(size=(count, 3)), moves, dwells)
+    return LineTrajectory(rng.normal(size=(count, 3)), moves, dwells)
 
 
 @given(SEEDS)
@@ -146,9 +145,9 @@ def test_peaks_of_the_step():
 
 def test_a_move_takes_time():
     with pytest.raises(InputError, match="take time"):
-        PoseTrajectory(np.zeros((1, 2)), np.zeros(0), np.ones(1))
+        LineTrajectory(np.zeros((1, 2)), np.zeros(0), np.ones(1))
     with pytest.raises(InputError, match="take time"):
-        PoseTrajectory(np.zeros((2, 1)), np.zeros(1), np.zeros(2))
+        LineTrajectory(np.zeros((2, 1)), np.zeros(1), np.zeros(2))
 
 
 def random_sweeps(seed):
@@ -156,7 +155,7 @@ def random_sweeps(seed):
     count = int(rng.integers(2, 7))
     ramps = rng.uniform(0.1, 0.5, count - 1)
     moves = ramps * rng.uniform(2.0, 6.0, count - 1)
-    return SweepTrajectory(rng.normal(size=(count, 3)), moves, ramps)
+    return LineTrajectory(rng.normal(size=(count, 3)), moves, np.zeros(count), ramps)
 
 
 @given(SEEDS)
@@ -185,4 +184,4 @@ def test_each_point_is_reached_at_rest_and_each_speed_held(seed):
 @pytest.mark.parametrize("ramps", [[0.0], [0.6], [-0.1]])
 def test_ramps_that_do_not_fit_are_refused(ramps):
     with pytest.raises(InputError, match="ramps fit into it twice"):
-        SweepTrajectory(np.array([[0.0], [1.0]]), np.array([1.0]), np.array(ramps))
+        LineTrajectory(np.array([[0.0], [1.0]]), np.array([1.0]), np.zeros(2), np.array(ramps))

@@ -18,12 +18,7 @@ from robot_sysid.damiao.trajectory import (
 )
 from robot_sysid.excitation.options import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.excitation.plan import MotionRequest, make_plan
-from robot_sysid.excitation.trajectories import (
-    FourierBasis,
-    FourierTrajectory,
-    PoseTrajectory,
-    SweepTrajectory,
-)
+from robot_sysid.excitation.trajectories import FourierBasis, FourierTrajectory, LineTrajectory
 from robot_sysid.excitation.trajectory_files import at_speed, load_trajectory, save_trajectory
 from robot_sysid.records.progress import Progress
 from robot_sysid.trajectory import (
@@ -57,8 +52,8 @@ def _texts() -> tuple[Any, ...]:
         sines,
         at_speed(sines, 0.5),
         FourierTrajectory(basis, np.zeros(2), 0.01 * np.ones((2, 7))),
-        PoseTrajectory(points, moves, np.array([0.1, 0.2, 0.1])),
-        SweepTrajectory(points, moves, 0.4 * moves),
+        LineTrajectory(points, moves, np.array([0.1, 0.2, 0.1])),
+        LineTrajectory(points, moves, np.zeros(len(points)), 0.4 * moves),
     )
     return tuple(_described(plan) for plan in plans)
 
