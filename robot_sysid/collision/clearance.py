@@ -18,14 +18,14 @@ link lengths in between plus the outer body's own extent.
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from robot_sysid.collision.obstacles import Closest, HalfSpace, RestPairs, Slack
+from robot_sysid.collision.obstacles import Closest, HalfSpace, Slack
 from robot_sysid.collision.solids import HalfSpaces
 from robot_sysid.dynamics.spatial import cross
 from robot_sysid.model.chain import body_label
@@ -75,7 +75,10 @@ class Clearance:
         is_empty: whether nothing at all is looked at: a model without collision geometry.
         horizon: largest slack that is told apart [m]; what is farther away counts as this far.
         rates: approach bounds (P, n): pairs of row p approach at rates[p] @ abs(qd) [m/s] at most.
-        at_rest: what is near or touches in the starting configuration.
+        at_rest: pairs of bodies that need words, each with its distance in the starting
+            configuration: "ignored" are neighbours inside each other, which are not looked at;
+            "deep" others inside each other, collisions; "touching" others that touch and never get
+            deeper; "near" those so near that they keep half that distance, not the clearance.
         neighbours: the least distance of links next to each other that keep theirs whatever the
             arm does, and so are not looked at any more.
     """
@@ -94,18 +97,17 @@ class Clearance:
         self._joints = self._model.dof_jntid[robot.dof_index]
         self._required = np.full((self._model.nbody, self._model.nbody), clearance)
         self._place(rest)
-        self._bounds = ApproachBounds(robot, self._data)
+        self._part = part = parts_of(robot)
         solid = np.any(self._model.geom_contype | self._model.geom_conaffinity)
         self.is_empty = not (solid or self._model.npair or half_spaces)
         # Where nothing is in the way, no motion uses up any of its room.
-        self.rates = self._bounds.rates * (not self.is_empty)
-        part = self._bounds.part
-        self._rows = self._bounds.row(part[:, None], part)
+        self.rates = approach_rates(robot, self._data, part) * (not self.is_empty)
+        self._rows = part[:, None] * (robot.n_joints + 1) + part
         self._free = np.full(len(self.rates), np.inf)
         self._free[-1] = self.horizon
         self.at_rest = self._learn_pairs(clearance)
         self.neighbours = self._settle_neighbours(rest)
-        drop_pairs(self._model, self._bounds.part, np.isneginf(self._required))
+        drop_pairs(self._model, self._part, np.isneginf(self._required))
         self._place(rest)
         self._spaces = HalfSpaces(robot.mj_model, half_spaces) if half_spaces else None
         if self._spaces is not None:
@@ -130,7 +132,7 @@ class Clearance:
         lever = np.where(self._robot.is_slide, normal, cross(point - anchors, normal))
         rates = np.sum(axes * lever, axis=0)
         # A joint changes the distance only if it moves one body and not the other.
-        part = self._bounds.part[np.array([near.bodies for near in nearest])]
+        part = self._part[np.array([near.bodies for near in nearest])]
         joint = np.arange(q.shape[1])
         side = (joint < part[:, 1:]).astype(float) - (joint < part[:, :1])
         return Slack(
@@ -190,12 +192,12 @@ class Clearance:
         solid = (contact.geom1 >= 0) & (contact.geom2 >= 0)
         return np.where(solid, contact.dist, np.inf), bodies
 
-    def _learn_pairs(self, clearance: float) -> RestPairs:
+    def _learn_pairs(self, clearance: float) -> Mapping[str, Sequence[str]]:
         """Settle the distance each pair has to keep, from what it has at rest, where the arm is.
 
         Bodies of one part do not move against each other.
         """
-        part, distances = self._bounds.part, dict[tuple[int, int], float]()
+        part, distances = self._part, dict[tuple[int, int], float]()
         for distance, bodies in zip(*self._contact_bodies()):
             a, b = sorted(int(body) for body in bodies)
             distances[a, b] = min(distances.get((a, b), np.inf), float(distance))
@@ -212,7 +214,7 @@ class Clearance:
             if kind:
                 pair = f"{self._label(a)} and {self._label(b)}"
                 found[kind].append(f"{pair} ({1e3 * abs(distance):.2g} mm {apart})")
-        return RestPairs(**{kind: tuple(names) for kind, names in found.items()})
+        return found
 
     def _settle_neighbours(self, rest: Array) -> Closest:
         """Drop pairs with one joint between them that keep their distance over all its range.
@@ -241,7 +243,7 @@ class Clearance:
         for q[joint] in positions:
             self._place(q)
             distance, bodies = self._contact_bodies()
-            part = np.sort(self._bounds.part[bodies], axis=1)
+            part = np.sort(self._part[bodies], axis=1)
             ours = (part[:, 0] == joint) & (part[:, 1] == joint + 1)
             first, second = np.sort(bodies[ours], axis=1).T
             np.minimum.at(least, (first, second), distance[ours])
@@ -274,7 +276,7 @@ class Clearance:
     def _add_half_spaces(self, near: _Nearest, spaces: HalfSpaces) -> None:
         for shape, height, lowest in spaces.heights(self._data, self.horizon):
             body, slack = int(spaces.body[shape]), height - spaces.required[shape]
-            row, k = self._bounds.row(0, self._bounds.part[body]), int(np.argmin(slack))
+            row, k = self._rows[0, body], int(np.argmin(slack))
             near.budget[row] = min(near.budget[row], slack[k])
             if slack[k] < near.slack:
                 near.slack, near.distance = float(slack[k]), float(height[k])
@@ -347,32 +349,23 @@ def _write(mj_model: Any, name: str, value: Any) -> None:
         np.bitwise_or.at(of_bodies, mj_model.geom_bodyid, value.astype(of_bodies.dtype))
 
 
-class ApproachBounds:
-    """Approach bounds between the parts of one arm.
+def approach_rates(robot: RobotModel, data: Any, part: Any) -> Array:
+    """Return how fast the parts (nbody,) of one arm can approach each other, (P, n).
 
-    Attributes:
-        part: (nbody,) part of each body, see ``model.contacts.parts_of``.
-        rates: (P, n) row ``row(a, b)`` bounds the approach of parts a and b [m/s] as rates @ |qd|;
-            the last row holds for all pairs.
+    Row a (n + 1) + b bounds the approach of parts a and b [m/s] as rates @ abs(qd); the last row
+    holds for all pairs.
     """
-
-    def __init__(self, robot: RobotModel, data: Any) -> None:
-        self._n = robot.n_joints
-        joints = robot.mj_model.dof_jntid[robot.dof_index]
-        self.part = parts_of(robot)
-        reach, joint, pairs = _reach(robot, data, joints, self.part), np.arange(self._n), []
-        for low, high in map(sorted, np.ndindex(self._n + 1, self._n + 1)):
-            pairs.append(np.where((low <= joint) & (joint < high), reach[:, high], 0.0))
-        self.rates = np.vstack((pairs, np.max(pairs, axis=0)))
-
-    def row(self, a: Any, b: Any) -> Any:
-        """Return the row of ``rates`` for parts a and b (numbers or arrays)."""
-        return a * (self._n + 1) + b
+    n = robot.n_joints
+    reach, joint, pairs = _reach(robot, data, part), np.arange(n), []
+    for low, high in map(sorted, np.ndindex(n + 1, n + 1)):
+        pairs.append(np.where((low <= joint) & (joint < high), reach[:, high], 0.0))
+    return np.vstack((pairs, np.max(pairs, axis=0)))
 
 
-def _reach(robot: RobotModel, data: Any, joints: Array, part: Any) -> Array:
+def _reach(robot: RobotModel, data: Any, part: Any) -> Array:
     """Return (n, n + 1): how far part l can get from the axis of joint j; 1 for a slide's rate."""
-    n, anchors, mj_model = robot.n_joints, data.xanchor[joints], robot.mj_model
+    n, mj_model = robot.n_joints, robot.mj_model
+    anchors = data.xanchor[mj_model.dof_jntid[robot.dof_index]]
     travel = np.where(robot.is_slide, robot.limits.upper - robot.limits.lower, 0.0)
     travel[~np.isfinite(travel)] = _UNLIMITED_TRAVEL
     links = np.linalg.norm(np.diff(anchors, axis=0), axis=1) + travel[1:]

@@ -78,11 +78,13 @@ class Closest:
         slack: distance minus the distance that must be kept [m]; negative where it is not kept.
         distance: [m]; infinite where nothing is near.
         label: between what.
+        time: when, along a motion [s].
     """
 
     slack: float
     distance: float
     label: str
+    time: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -99,20 +101,3 @@ class Slack:
     value: Array
     gradient: Array
     budget: Array
-
-
-@dataclass(frozen=True)
-class RestPairs:
-    """Pairs of bodies that need words, each with its distance where the motion starts.
-
-    Attributes:
-        ignored: neighbours inside each other, which are not looked at.
-        deep: others inside each other: collisions.
-        touching: others that touch; they never get deeper.
-        near: apart, but so near that they keep half that distance instead of the clearance.
-    """
-
-    ignored: tuple[str, ...] = ()
-    deep: tuple[str, ...] = ()
-    touching: tuple[str, ...] = ()
-    near: tuple[str, ...] = ()

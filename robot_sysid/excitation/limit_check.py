@@ -12,7 +12,7 @@ Of a motion that repeats itself one period and both ends are all there is to che
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
@@ -62,20 +62,18 @@ class Excess:
 
 
 @dataclass(frozen=True)
-class LimitCheck:
-    """Peaks of a trajectory against its limits.
+class Peaks:
+    """Peaks of a trajectory against its limits, clearances apart.
 
     Attributes:
+        share, share_time: (4, n) largest share of each limit, and when it is reached [s].
         lowest, highest: (n,) positions [rad].
         velocity, acceleration, torque: (n,) largest absolute values.
         tool_speed: largest speed of the tool's fastest point [m/s], and when [s].
-        closest: the pair with the least room left above what it has to keep, to a millimetre or
-            as exactly as below, and when [s].
-        nearest: the pair that comes nearest, whatever it has to keep, and when [s].
-        resolution: how exactly its distance is known: nothing comes nearer by more than this [m].
-        excesses: limits that are not kept; none for a trajectory that may be run.
     """
 
+    share: Array
+    share_time: Array
     lowest: Array
     highest: Array
     velocity: Array
@@ -83,10 +81,27 @@ class LimitCheck:
     torque: Array
     tool_speed: float
     tool_time: float
+
+    def keep(self, problem: ExcitationProblem) -> bool:
+        """Tell whether every limit but clearances is kept."""
+        fast = self.tool_speed > problem.limits.tool_speed * (1.0 + ROUNDING)
+        return bool(np.max(self.share) <= 1.0 + ROUNDING) and not fast
+
+
+@dataclass(frozen=True)
+class LimitCheck(Peaks):
+    """Peaks of a trajectory against all its limits.
+
+    Attributes:
+        closest: the pair with the least room left above what it has to keep, to a millimetre or
+            as exactly as below.
+        nearest: the pair that comes nearest, whatever it has to keep.
+        resolution: how exactly its distance is known: nothing comes nearer by more than this [m].
+        excesses: limits that are not kept; none for a trajectory that may be run.
+    """
+
     closest: Closest
-    closest_time: float
     nearest: Closest
-    nearest_time: float
     resolution: float
     excesses: tuple[Excess, ...]
 
@@ -105,25 +120,6 @@ class LimitCheck:
         return f"this trajectory must not be run: it breaks {limits}the {self.excesses[0]}"
 
 
-@dataclass(frozen=True)
-class _Peaks:
-    """Largest share of each limit (4, n), when it is reached (4, n), and extremes (5, n).
-
-    The same of the tool's speed: its largest value and when.
-    """
-
-    share: Array
-    time: Array
-    extremes: Array
-    tool_speed: float = 0.0
-    tool_time: float = 0.0
-
-    def keep(self, problem: ExcitationProblem) -> bool:
-        """Tell whether every limit but clearances is kept."""
-        fast = self.tool_speed > problem.limits.tool_speed * (1.0 + ROUNDING)
-        return bool(np.max(self.share) <= 1.0 + ROUNDING) and not fast
-
-
 def check_limits(
     problem: ExcitationProblem, plan: MotionPlan, sample_rate: float = 0.0
 ) -> LimitCheck:
@@ -132,17 +128,19 @@ def check_limits(
     coarser = max(1.0, checked_time(plan) / EXACT_UP_TO) ** 2
     resolution = min(LEAST_EXACT, coarser * DISTANCE_RESOLUTION)
     room = min(LEAST_EXACT, coarser * CLEARANCE_RESOLUTION)
-    closest, when = _tightest(problem.obstacles, plan, room)
-    nearest, at = _tightest(problem.obstacles.distances, plan, resolution)
+    closest = _tightest(problem.obstacles, plan, room)
+    nearest = _tightest(problem.obstacles.distances, plan, resolution)
     excesses = list(_excesses(problem, peaks))
     if closest.slack < 0.0:
         share = 1.0 - closest.slack / OBSTACLE_LENGTH
-        excesses.append(Excess(f"clearance of {closest.label}", share, when))
+        excesses.append(Excess(f"clearance of {closest.label}", share, closest.time))
     excesses.sort(key=lambda excess: -excess.share)
-    lowest, highest, velocity, acceleration, torque = peaks.extremes
-    tool, near = (peaks.tool_speed, peaks.tool_time), (closest, when, nearest, at)
     return LimitCheck(
-        lowest, highest, velocity, acceleration, torque, *tool, *near, resolution, tuple(excesses)
+        **vars(peaks),
+        closest=closest,
+        nearest=nearest,
+        resolution=resolution,
+        excesses=tuple(excesses),
     )
 
 
@@ -198,10 +196,10 @@ def excess_times(problem: ExcitationProblem, plan: MotionPlan) -> Array:
     return np.array([excess.time for excess in _excesses(problem, peaks)])
 
 
-def first_contact(problem: ExcitationProblem, plan: MotionPlan) -> float | None:
-    """Return the first time at which a clearance is not kept [s], or None."""
-    closest, when = _tightest(problem.obstacles, plan, np.inf, stop_below=0.0)
-    return when if closest.slack < 0.0 else None
+def first_contact(problem: ExcitationProblem, plan: MotionPlan) -> Closest | None:
+    """Return where and when a clearance is first not kept, or None."""
+    closest = _tightest(problem.obstacles, plan, np.inf, stop_below=0.0)
+    return closest if closest.slack < 0.0 else None
 
 
 def tight_times(problem: ExcitationProblem, plan: MotionPlan) -> Array:
@@ -243,37 +241,36 @@ def _motions(
 
 def _peaks(
     problem: ExcitationProblem, plan: MotionPlan, rate: float, with_tool: bool = False
-) -> _Peaks:
+) -> Peaks:
     """Return the peaks at a rate [Hz]; the tool's speed where it has a limit, or on demand."""
     center, allowed, n = problem.limits.center, problem.limits.largest, problem.n_joints
     with_tool = with_tool or np.isfinite(problem.limits.tool_speed)
     share, time, fastest, when = np.zeros((4, n)), np.zeros((4, n)), 0.0, 0.0
-    extremes = np.vstack((np.full(n, np.inf), np.full(n, -np.inf), np.zeros((3, n))))
+    lowest, highest, largest = np.full(n, np.inf), np.full(n, -np.inf), np.zeros((3, n))
     for motion in _motions(plan, rate, _spans(plan, rate)):
         torque = problem.torque(motion)
         signals = np.stack((motion.q - center, motion.qd, motion.qdd, torque))
         here = np.abs(signals) / allowed[:, None, :]
         where = np.argmax(here, axis=1)
-        largest = np.take_along_axis(here, where[:, None, :], axis=1)[:, 0]
-        time = np.where(largest > share, motion.time[where], time)
-        share = np.maximum(share, largest)
-        peaks = np.max(np.abs(signals[1:]), axis=1)
-        extremes[0] = np.minimum(extremes[0], np.min(motion.q, axis=0))
-        extremes[1] = np.maximum(extremes[1], np.max(motion.q, axis=0))
-        extremes[2:] = np.maximum(extremes[2:], peaks)
+        peak = np.take_along_axis(here, where[:, None, :], axis=1)[:, 0]
+        time = np.where(peak > share, motion.time[where], time)
+        share = np.maximum(share, peak)
+        lowest = np.minimum(lowest, np.min(motion.q, axis=0))
+        highest = np.maximum(highest, np.max(motion.q, axis=0))
+        largest = np.maximum(largest, np.max(np.abs(signals[1:]), axis=1))
         if not with_tool:
             continue
         body = problem.chain.evaluate(motion.q, motion.qd, motion.qdd)
         speed = problem.tool.speed(body.velocity)
         if np.max(speed) > fastest:
             fastest, when = float(np.max(speed)), float(motion.time[np.argmax(speed)])
-    return _Peaks(share, time, extremes, fastest, when)
+    return Peaks(share, time, lowest, highest, largest[0], largest[1], largest[2], fastest, when)
 
 
-def _excesses(problem: ExcitationProblem, peaks: _Peaks) -> Iterator[Excess]:
+def _excesses(problem: ExcitationProblem, peaks: Peaks) -> Iterator[Excess]:
     for i, j in np.argwhere(peaks.share > 1.0 + ROUNDING):
         limit = f"{LIMIT_NAMES[i]} limit of joint {problem.joint_names[j]}"
-        yield Excess(limit, float(peaks.share[i, j]), float(peaks.time[i, j]))
+        yield Excess(limit, float(peaks.share[i, j]), float(peaks.share_time[i, j]))
     share = peaks.tool_speed / problem.limits.tool_speed
     if share > 1.0 + ROUNDING:
         yield Excess("speed limit of the tool", share, peaks.tool_time)
@@ -281,8 +278,8 @@ def _excesses(problem: ExcitationProblem, peaks: _Peaks) -> Iterator[Excess]:
 
 def _tightest(
     obstacles: Clearance, plan: MotionPlan, resolution: float, stop_below: float = -np.inf
-) -> tuple[Closest, float]:
-    """Return the tightest configuration and its time [s].
+) -> Closest:
+    """Return the tightest configuration and its time.
 
     Nowhere is the slack negative without being found, nor smaller than that of the configuration
     returned by more than the resolution [m]. An end at ``stop_below`` saves the rest of the tests.
@@ -302,7 +299,7 @@ def _tightest(
             budget = path[at] + np.maximum(0.0, room - floor)
             at = max(at + 1, _used_up(path, budget))
         budget, known_until = budget - path[-1], motion.time[-1]
-    return obstacles.closest(at_q), when
+    return replace(obstacles.closest(at_q), time=when)
 
 
 def _used_up(path: Array, budget: Array) -> int:

@@ -144,13 +144,13 @@ def _space_lines(problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck
         yield f"The model has no floor: this motion {reach}; {advice}"
     nearest, tightest = check.nearest, check.closest
     if np.isfinite(nearest.distance):
-        place = f"between {nearest.label} at {check.nearest_time:.2f} s"
+        place = f"between {nearest.label} at {nearest.time:.2f} s"
         yield f"Clearance: {_at_least(nearest.distance, check.resolution)} mm {place}"
     else:
         yield "Clearance: nothing comes near"
     if np.isfinite(tightest.distance) and tightest.label != nearest.label:
         room = f"{1000.0 * tightest.slack:.1f} mm more than required"
-        yield f"Least room: {room}, between {tightest.label} at {check.closest_time:.2f} s"
+        yield f"Least room: {room}, between {tightest.label} at {tightest.time:.2f} s"
     neighbours = problem.obstacles.neighbours
     if np.isfinite(neighbours.distance):
         apart = _at_least(neighbours.distance)

@@ -382,5 +382,5 @@ def _obstacles(
         "touching already at rest, and never to get deeper",
         "so near at rest that they keep half that distance, not --clearance",
     )
-    listed = map("; ".join, (pairs.ignored, pairs.touching, pairs.near))
+    listed = ("; ".join(pairs[kind]) for kind in ("ignored", "touching", "near"))
     return clearance, tuple(f"{words}: {which}" for words, which in zip(said, listed) if which)

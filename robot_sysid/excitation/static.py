@@ -79,7 +79,7 @@ def startable(problem: ExcitationProblem) -> ExcitationProblem:
     Raises:
         InputError: no pose is free of collisions and held; says which bodies, or which joint.
     """
-    collisions = problem.obstacles.at_rest.deep
+    collisions = problem.obstacles.at_rest["deep"]
     share = _needed(problem, problem.rest[None])[0]
     worst = int(np.argmax(share))
     if share[worst] < 1.0 and not collisions:
@@ -113,11 +113,8 @@ def contact_on_the_way(problem: ExcitationProblem, start: Array) -> str | None:
 
     Straight in joint space; None where the way is free.
     """
-    way = straight_way(problem.robot.reference, start)
-    when = first_contact(problem, way)
-    if when is None:
-        return None
-    return problem.obstacles.closest(way.evaluate(np.array([when])).q[0]).label
+    touched = first_contact(problem, straight_way(problem.robot.reference, start))
+    return None if touched is None else touched.label
 
 
 def _needed(problem: ExcitationProblem, poses: Array) -> Array:

@@ -134,14 +134,14 @@ def test_links_that_overlap_whatever_the_joints_do_are_no_collision(offset, is_b
     cross = link(hinge("bend", Y, 'range="-3 3"'), tip, "cross", pos="0 0 0")
     socket = '<geom size=".1" pos=".05 0 0"/>' + cross
     found = clearance_of(world(link(hinge("turn", Z), socket, "socket", pos="0 0 0")))
-    assert len(found.at_rest.ignored) == is_by_design
-    assert len(found.at_rest.deep) == (not is_by_design)
+    assert len(found.at_rest["ignored"]) == is_by_design
+    assert len(found.at_rest["deep"]) == (not is_by_design)
 
 
 def test_what_stands_beside_the_arm_is_a_collision_in_every_position():
     block = '<body name="block"><geom type="box" size=".5 .5 .04"/></body>'
     arm = link(hinge("spin", Z), '<geom size=".1"/>' + link(hinge("tip", X), pos="0 0 .5"))
-    assert len(clearance_of(world(arm.replace("0 .02 .25", "0 0 0") + block)).at_rest.deep) == 1
+    assert len(clearance_of(world(arm.replace("0 .02 .25", "0 0 0") + block)).at_rest["deep"]) == 1
 
 
 def test_negative_slack_wherever_the_contact_finder_sees_a_contact():
@@ -165,13 +165,13 @@ def test_a_pair_nearer_than_the_clearance_keeps_half_its_distance_at_rest():
     closest = found.closest(np.zeros(2))
     assert closest.distance == pytest.approx(0.004, abs=1e-6)
     assert closest.slack == pytest.approx(KEPT_SHARE * 0.004, abs=1e-6)
-    assert found.at_rest.near == ("#1 and ball (4 mm apart)",)
+    assert found.at_rest["near"] == ["#1 and ball (4 mm apart)"]
 
 
 def test_what_only_grazes_at_rest_never_gets_deeper():
     """A table 0.5 mm too high is not a reason to go through it."""
     found = clearance_of(near_at_rest(-0.0005))
-    assert found.at_rest.touching == ("#1 and ball (0.5 mm deep)",)
+    assert found.at_rest["touching"] == ["#1 and ball (0.5 mm deep)"]
     assert found.slack(np.zeros((1, 2))).value[0] == pytest.approx(1e-4, abs=1e-6)
     away, deeper = found.slack(np.array([[-0.02, 0.0], [0.001, 0.0]])).value
     assert away > 0.0 > deeper
@@ -179,7 +179,7 @@ def test_what_only_grazes_at_rest_never_gets_deeper():
 
 def test_bodies_deep_inside_each_other_at_rest_are_a_collision():
     found = clearance_of(near_at_rest(-0.005))
-    assert found.at_rest.deep == ("#1 and ball (5 mm deep)",)
+    assert found.at_rest["deep"] == ["#1 and ball (5 mm deep)"]
     assert found.slack(np.zeros((1, 2))).value[0] == pytest.approx(-KEEP - 0.005, abs=1e-6)
 
 
@@ -187,7 +187,7 @@ def test_a_gap_is_no_smaller_for_where_the_arm_merely_could_be():
     """Only where the motion starts excuses a pair from the clearance."""
     arm = robot(near_at_rest(0.004))
     started = Clearance(arm, np.array([-0.3, 0.0]), KEEP, ())
-    assert started.at_rest.near == ()
+    assert started.at_rest["near"] == []
     assert started.closest(np.zeros(2)).slack == pytest.approx(0.004 - KEEP, abs=1e-6)
 
 

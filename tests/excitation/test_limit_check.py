@@ -125,7 +125,7 @@ def test_finds_a_wall_that_samples_step_over():
     check = check_limits(some, plan)
     assert not check.holds
     assert "clearance of arm and wall" in str(check.excesses[0])
-    assert first_contact(some, plan) == pytest.approx(check.closest_time, abs=3.0)
+    assert first_contact(some, plan).time == pytest.approx(check.closest.time, abs=3.0)
 
 
 class Unaware:

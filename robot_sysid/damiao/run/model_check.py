@@ -126,9 +126,9 @@ def _unit(what: str, robot: RobotModel, joint: int) -> str:
 def _contact(robot: RobotModel, motion: MotionPlan) -> Iterator[tuple[str, float]]:
     """Yield which bodies touch first on the way, and when [s], if any do."""
     problem = build_problem(robot, LimitOptions(clearance=0.0))
-    when = first_contact(problem, motion)
-    if when is not None:
-        yield problem.obstacles.closest(motion.evaluate(np.array([when])).q[0]).label, when
+    touched = first_contact(problem, motion)
+    if touched is not None:
+        yield touched.label, touched.time
 
 
 # Torque that says nothing about gravity: this share of the motor's peak, and dry friction.
