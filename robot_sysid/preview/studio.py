@@ -25,7 +25,6 @@ NO_RENDERER = (
     "no pictures of the arm: MuJoCo finds neither EGL nor OSMesa here (Debian: apt-get install "
     "libegl1 libosmesa6); MUJOCO_GL chooses one"
 )
-_MOST_GEOMS = 10_000
 _WHITE: Colour = (1.0, 1.0, 1.0, 1.0)
 _BONE: Colour = (0.55, 0.58, 0.62, 1.0)
 _PROBE = (
@@ -65,14 +64,12 @@ class Studio:
         self._model = copy.copy(robot.mj_model)
         shown = self._model.vis.global_
         shown.offwidth, shown.offheight = width, height
-        self._gl = importlib.import_module(f"mujoco.{name}").GLContext(width, height)
-        self._gl.make_current()
+        # MuJoCo has made its own choice when it was imported, without trying what works here.
+        chooser = sys.modules[mujoco.Renderer.__module__].gl_context
+        chooser.GLContext = importlib.import_module(f"mujoco.{name}").GLContext
         self.data = mujoco.MjData(self._model)
-        self._scene = mujoco.MjvScene(self._model, _MOST_GEOMS)
-        self._context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100)
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
-        self._view = mujoco.MjrRect(0, 0, width, height)
-        self._options, self.camera = mujoco.MjvOption(), mujoco.MjvCamera()
+        self._renderer = mujoco.Renderer(self._model, height, width)
+        self._scene, self.camera = self._renderer.scene, mujoco.MjvCamera()
         self.camera.azimuth, self.camera.elevation = 135.0, -15.0
         self.pose(robot.reference)
 
@@ -82,8 +79,7 @@ class Studio:
 
     def __exit__(self, *failure: object) -> None:
         """Let go of the graphics memory."""
-        self._context.free()
-        self._gl.free()
+        self._renderer.close()
 
     def pose(self, q: Array) -> None:
         """Put the arm at chain positions q (n,) [rad] and start a new picture with it."""
@@ -92,9 +88,7 @@ class Studio:
         mujoco.mj_kinematics(self._model, self.data)
         mujoco.mj_comPos(self._model, self.data)
         mujoco.mj_camlight(self._model, self.data)
-        everything = mujoco.mjtCatBit.mjCAT_ALL
-        update = (self._options, None, self.camera, everything, self._scene)
-        mujoco.mjv_updateScene(self._model, self.data, *update)
+        self._renderer.update_scene(self.data, self.camera)
         flags = mujoco.mjtRndFlag
         for flag in (flags.mjRND_SKYBOX, flags.mjRND_HAZE, flags.mjRND_SHADOW):
             self._scene.flags[flag] = False
@@ -187,11 +181,7 @@ class Studio:
 
     def picture(self) -> Picture:
         """Return the picture (height, width, 3)."""
-        height, width = self._view.height, self._view.width
-        pixels = np.empty((height, width, 3), dtype=np.uint8)
-        mujoco.mjr_render(self._view, self._scene, self._context)
-        mujoco.mjr_readPixels(pixels, None, self._view, self._context)
-        return pixels[::-1]
+        return self._renderer.render()
 
 
 def add_ghost(robot: RobotModel, q: Array, colour: Colour, scene: Any) -> None:
