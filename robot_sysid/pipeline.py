@@ -264,7 +264,7 @@ def promise(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> Ite
     made = checked.problem, checked.plan, checked.check
     if config.poses.sets_its_time:
         tell = pose_lines if config.poses.static else sweep_lines
-        yield from tell(robot, checked.problem, checked.plan)
+        yield from tell(checked.problem, checked.plan)
         yield from motion_lines(*made)
     else:
         rate = config.trajectory.sample_rate

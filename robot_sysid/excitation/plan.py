@@ -192,7 +192,7 @@ def _slow(
 
     problem = _problem(request, robot)
     if request.poses.static:
-        return CheckedPlan(design_poses(robot, problem, request.poses, rng), problem)
+        return CheckedPlan(design_poses(problem, request.poses, rng), problem)
     return CheckedPlan(design_sweeps(problem), problem)
 
 

@@ -84,6 +84,19 @@ class Seen:
     signal: float
 
 
+def predicted_information(
+    problem: ExcitationProblem, sigma: Array, coordinates: Array, smoothing: float = 0.0
+) -> PredictedInformation:
+    """Return what tells the information of motions about x, theta = coordinates @ x (10, r).
+
+    From torques with noise sigma (rows,) [N m]; Coulomb friction's jump is rounded off below a
+    share of the speed limits.
+    """
+    smooth = smoothing * problem.limits.velocity
+    settings = RowSettings(problem.rows, sigma, smooth, coordinates, problem.rotors_sought)
+    return PredictedInformation(problem.chain, settings)
+
+
 def predict(
     problem: ExcitationProblem, plan: MotionPlan, sample_rate: float, seen: Seen | None = None
 ) -> Prediction:
@@ -128,14 +141,8 @@ def parameter_sizes(problem: ExcitationProblem) -> Array:
 
 def _all_samples(problem: ExcitationProblem, plan: MotionPlan, n_samples: int) -> Seen:
     motion = spread_motion(plan, MOST_INSTANTS, PREDICTION_RATE_HZ)
-    settings = RowSettings(
-        joints=problem.rows,
-        sigma=problem.sigma / np.sqrt(n_samples / len(motion.q)),
-        smoothing=np.zeros(problem.n_joints),
-        coordinates=np.diag(problem.scale),
-        rotors=problem.rotors_sought,
-    )
-    information = PredictedInformation(problem.chain, settings)
+    sigma = problem.sigma / np.sqrt(n_samples / len(motion.q))
+    information = predicted_information(problem, sigma, np.diag(problem.scale))
     cache = information.evaluate(motion.q, motion.qd, motion.qdd)
     return Seen(cache.information, cache.signal)
 
@@ -175,17 +182,11 @@ def visible_coordinates(problem: ExcitationProblem) -> Array:
     What such data cannot see, no trajectory of these joints can.
     """
     scale = np.diag(problem.scale)
-    settings = RowSettings(
-        problem.rows,
-        np.ones(len(problem.rows)),
-        np.zeros(problem.n_joints),
-        scale,
-        problem.rotors_sought,
-    )
     rng = np.random.default_rng(0)
     q, qd, qdd = rng.normal(size=(3, 400, problem.n_joints))
     q = np.clip(problem.rest + 2.0 * q, problem.limits.lower, problem.limits.upper)
-    matrix = PredictedInformation(problem.chain, settings).evaluate(q, qd, qdd).information
+    information = predicted_information(problem, np.ones(len(problem.rows)), scale)
+    matrix = information.evaluate(q, qd, qdd).information
     values, vectors = np.linalg.eigh(matrix)
     return scale @ vectors[:, values > 1e-9 * values[-1]]
 

@@ -34,7 +34,7 @@ from robot_sysid.excitation.trajectories import (
     straight_way,
 )
 from robot_sysid.excitation.trajectory_files import SlowedTrajectory
-from robot_sysid.records import Array, MotionPlan, RobotModel
+from robot_sysid.records import Array, MotionPlan
 from robot_sysid.regressor import joint_regressor
 from robot_sysid.trajectory import TORQUE_MARGIN
 
@@ -167,7 +167,7 @@ def _fits(problem: ExcitationProblem, poses: Array) -> Array:
 
 
 def design_poses(
-    robot: RobotModel, problem: ExcitationProblem, options: PoseOptions, rng: np.random.Generator
+    problem: ExcitationProblem, options: PoseOptions, rng: np.random.Generator
 ) -> LineTrajectory:
     """Return a motion through informative poses that keeps all limits.
 
@@ -180,7 +180,7 @@ def design_poses(
     poses = lower + rng.uniform(size=(CANDIDATES, problem.n_joints)) * (upper - lower)
     sides = (-APPROACH, 0.0, APPROACH)
     poses = poses[np.all([_fits(problem, poses + side) for side in sides], axis=0)]
-    chosen = _chosen(problem, poses, _gravity_rows(robot, problem, poses), options.poses)
+    chosen = _chosen(problem, poses, _gravity_rows(problem, poses), options.poses)
     if len(chosen) < FEWEST_POSES:
         raise InputError(
             f"only {len(chosen)} of {len(poses)} poses within the limits can be reached in "
@@ -193,10 +193,10 @@ def design_poses(
     return plan
 
 
-def _gravity_rows(robot: RobotModel, problem: ExcitationProblem, poses: Array) -> Array:
+def _gravity_rows(problem: ExcitationProblem, poses: Array) -> Array:
     """Return (K, n, 4) torques per [m, hx, hy, hz] of a payload at rest, scaled by noise."""
     still = np.zeros_like(poses)
-    motion = ChainKinematics(robot).evaluate(poses, still, still)
+    motion = ChainKinematics(problem.robot).evaluate(poses, still, still)
     every = joint_regressor(motion, range(problem.n_joints)).transpose(1, 0, 2)
     length = problem.scale[1] / problem.scale[0]
     sigma = np.full(problem.n_joints, np.inf)
@@ -250,12 +250,12 @@ def _through(
     return LineTrajectory(np.array(points), slower * RESERVE * times, np.array(dwells))
 
 
-def pose_lines(robot: RobotModel, problem: ExcitationProblem, plan: MotionPlan) -> list[str]:
+def pose_lines(problem: ExcitationProblem, plan: MotionPlan) -> list[str]:
     """Return what the poses promise of a payload's mass, from noise alone."""
     poses = plan.plan if isinstance(plan, SlowedTrajectory) else plan
     assert isinstance(poses, LineTrajectory)
     rests = poses.points[poses.dwells > 0.0][::2]
-    rows = _gravity_rows(robot, problem, rests).reshape(-1, 4)
+    rows = _gravity_rows(problem, rests).reshape(-1, 4)
     # The payload is a difference of two recordings, each the mean of two rests.
     covariance = np.linalg.pinv(rows.T @ rows)
     return [
@@ -281,7 +281,7 @@ def design_sweeps(problem: ExcitationProblem) -> LineTrajectory:
     return plan
 
 
-def sweep_lines(robot: RobotModel, problem: ExcitationProblem, plan: MotionPlan) -> list[str]:
+def sweep_lines(problem: ExcitationProblem, plan: MotionPlan) -> list[str]:
     """Return which joints are swept how fast, and which have no room."""
     sweeps = plan.plan if isinstance(plan, SlowedTrajectory) else plan
     assert isinstance(sweeps, LineTrajectory)

@@ -79,7 +79,8 @@ class Studio:
 
     def __exit__(self, *failure: object) -> None:
         """Let go of the graphics memory."""
-        self._renderer.close()
+        # Early releases of MuJoCo 3 have no close; they let go when it is collected.
+        getattr(self._renderer, "close", lambda: None)()
 
     def pose(self, q: Array) -> None:
         """Put the arm at chain positions q (n,) [rad] and start a new picture with it."""

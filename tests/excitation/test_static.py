@@ -162,7 +162,7 @@ def posing():
 
 @pytest.fixture(scope="module")
 def poses(posing):
-    return design_poses(POSING, posing, OPTIONS, np.random.default_rng(0))
+    return design_poses(posing, OPTIONS, np.random.default_rng(0))
 
 
 @pytest.mark.slow
@@ -182,7 +182,7 @@ def test_each_pose_is_approached_from_both_sides(poses):
 
 
 def test_the_promise_tells_the_mass(posing, poses):
-    told = " ".join(pose_lines(POSING, posing, poses))
+    told = " ".join(pose_lines(posing, poses))
     assert "6 poses" in told and "mass to 0.0" in told
 
 
@@ -197,7 +197,7 @@ def test_a_saved_plan_is_the_same(poses, tmp_path):
 def test_where_nothing_can_be_reached_it_is_said(posing):
     lame = replace(posing.limits, torque=np.full(4, 1e-3))
     with pytest.raises(InputError, match="poses within the limits"):
-        design_poses(POSING, replace(posing, limits=lame), OPTIONS, np.random.default_rng(0))
+        design_poses(replace(posing, limits=lame), OPTIONS, np.random.default_rng(0))
 
 
 def test_a_few_poses_are_too_few():
@@ -241,7 +241,7 @@ def test_a_joint_without_room_is_left_out_and_said(sweeping):
     tight = replace(sweeping, limits=replace(sweeping.limits, lower=lower, upper=upper))
     sweeps = design_sweeps(tight)
     assert not np.any(sweeps.speeds[:, 0])
-    assert "No room to sweep joint0" in " ".join(sweep_lines(SWEEPING, tight, sweeps))
+    assert "No room to sweep joint0" in " ".join(sweep_lines(tight, sweeps))
     none = np.full(2, 0.005)
     shut = replace(tight.limits, lower=sweeping.rest - none, upper=sweeping.rest + none)
     with pytest.raises(InputError, match="no joint has room"):
@@ -255,4 +255,4 @@ def test_saved_sweeps_are_the_same_at_half_speed_too(sweeping, sweeps, tmp_path)
     again = load_trajectory(path).plan
     time = np.linspace(0.0, slow.duration, 50)
     np.testing.assert_array_equal(again.evaluate(time).q, slow.evaluate(time).q)
-    assert "joint1 0.5" in sweep_lines(SWEEPING, sweeping, again)[0]
+    assert "joint1 0.5" in sweep_lines(sweeping, again)[0]

@@ -22,15 +22,14 @@ import numpy as np
 from robot_sysid.dynamics.screws import ChainMotion
 from robot_sysid.errors import InputError
 from robot_sysid.excitation.design.workers import UNLIMITED, Budget
-from robot_sysid.excitation.information import (
-    CRITERIA,
-    Criterion,
-    PredictedInformation,
-    RowSettings,
-)
+from robot_sysid.excitation.information import CRITERIA, Criterion
 from robot_sysid.excitation.limit_check import excess_times, keeps_limits, tight_times
 from robot_sysid.excitation.options import ExcitationOptions
-from robot_sysid.excitation.prediction import arm_criterion, visible_coordinates
+from robot_sysid.excitation.prediction import (
+    arm_criterion,
+    predicted_information,
+    visible_coordinates,
+)
 from robot_sysid.excitation.problem import LIMIT_NAMES, OBSTACLE_LENGTH, ExcitationProblem
 from robot_sysid.excitation.trajectories import FourierBasis, FourierTrajectory
 from robot_sysid.records import Array
@@ -208,14 +207,8 @@ class Design:
         self.grid = (np.arange(points) + 0.5) * self.basis.duration / points
         self.criterion: Criterion = CRITERIA[options.criterion]
         self.coordinates = visible_coordinates(problem)
-        settings = RowSettings(
-            problem.rows,
-            problem.sigma / np.sqrt(motion.duration * motion.sample_rate / points),
-            SMOOTHING_SHARE * problem.limits.velocity,
-            self.coordinates,
-            problem.rotors_sought,
-        )
-        self.information = PredictedInformation(problem.chain, settings)
+        sigma = problem.sigma / np.sqrt(motion.duration * motion.sample_rate / points)
+        self.information = predicted_information(problem, sigma, self.coordinates, SMOOTHING_SHARE)
 
     @property
     def n_free(self) -> int:
