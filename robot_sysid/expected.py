@@ -8,7 +8,7 @@ model, which an identification states too, do not become smaller by moving more 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,7 +16,6 @@ from robot_sysid.core.choices import CANDIDATES
 from robot_sysid.core.dataset import DecimatedSamples, decimated_equations
 from robot_sysid.core.identify import Piece, answer_link, filtered
 from robot_sysid.dynamics.equations import TERMINAL_FRICTION, Equations, friction_per_joint
-from robot_sysid.dynamics.friction import friction_model
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.estimation.identifiability import analyse_identifiability
 from robot_sysid.estimation.options import EstimationOptions
@@ -39,27 +38,9 @@ MOST_SAMPLES = 200_000
 """Samples beyond which processing a motion beforehand would take too long."""
 
 
-@dataclass(frozen=True)
-class Expectation:
-    """What is to be expected of a recording of a planned motion.
-
-    Attributes:
-        prediction: from torque noise alone.
-        counted: what it counts, in words.
-        stated: (10,) the standard errors an identification will state, with all that is not known
-            of the arm; infinite where the model's value stays, empty where nothing can be said.
-        shown: what a run of the motion will say of its regressor.
-    """
-
-    prediction: Prediction
-    counted: str
-    stated: Array
-    shown: Identifiability
-
-
 def expect(
     problem: ExcitationProblem, plan: MotionPlan, sample_rate: float, options: EstimationOptions
-) -> Expectation:
+) -> Prediction:
     """Predict what an identification of a recording of a motion will deliver.
 
     Args:
@@ -71,20 +52,20 @@ def expect(
     rate = min(sample_rate, HIGHEST_RATE_HZ)
     shown = _shown(problem, plan, rate)
     sigma = problem.sigma * np.sqrt(rate / sample_rate)
+    given = options if options.friction else replace(options, friction_model=CANDIDATES[0])
     try:
         recording = _rehearsal(problem, plan, rate, sigma)
-        prediction = predict(problem, plan, sample_rate, _seen(problem, recording, sigma, options))
-        counted = COUNTED
+        prediction = predict(problem, plan, sample_rate, _seen(problem, recording, sigma, given))
     except InputError as error:
         prediction = predict(problem, plan, sample_rate)
-        return Expectation(prediction, f"{UNUSABLE}: {error}", np.zeros(0), shown)
+        return replace(prediction, counted=f"{UNUSABLE}: {error}", shown=shown)
+    prediction = replace(prediction, counted=COUNTED, shown=shown)
     try:
-        given = options if options.friction else replace(options, friction_model=CANDIDATES[0])
         datasets, _ = filtered(problem.robot, [Piece("", recording)], given)
         answer = answer_link(problem.robot, datasets, given, Progress(), None)
     except SysidError:
-        return Expectation(prediction, counted, np.zeros(0), shown)
-    return Expectation(prediction, counted, answer.errors.whole.standard_errors[:10], shown)
+        return prediction
+    return replace(prediction, stated=answer.errors.whole.standard_errors[:10])
 
 
 def _shown(problem: ExcitationProblem, plan: MotionPlan, rate: float) -> Identifiability:
@@ -123,8 +104,8 @@ def _seen(
     robot, band = problem.robot, options.velocity_deadband
     signals = process(recording, robot.joint_names, options.cutoff, band)
     torques = _torques(problem)
-    model = options.friction or friction_model(CANDIDATES[0])
-    friction = friction_per_joint(robot, torques, model)
+    assert options.friction is not None
+    friction = friction_per_joint(robot, torques, options.friction)
     samples = decimated_equations(Equations(robot, torques, friction), signals)
     # The rows are slow: what counts of white noise that passed the filter is its density at low
     # frequencies, which the filter leaves alone, spread over the samples each row stands for.

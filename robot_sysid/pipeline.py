@@ -268,9 +268,7 @@ def promise(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> Ite
         yield from motion_lines(*made)
     else:
         rate = config.trajectory.sample_rate
-        expected = expect(checked.problem, checked.plan, rate, config.estimation)
-        told = expected.counted, expected.stated, expected.shown
-        yield from plan_lines(*made, expected.prediction, *told)
+        yield from plan_lines(*made, expect(*made[:2], rate, config.estimation))
 
 
 def _of_itself(

@@ -49,7 +49,7 @@ def delivered(options, seed):
 def test_of_a_known_arm_the_promise_is_the_error_that_identifications_report():
     # One short recording knows its own noise, and how white it is, to a tenth or so.
     found = [delivered(KNOWN_ARM, seed).standard_errors[:10] for seed in range(4)]
-    ratio = np.mean(found, axis=0) / promised(KNOWN_ARM).prediction.deviation
+    ratio = np.mean(found, axis=0) / promised(KNOWN_ARM).deviation
     assert abs(np.median(ratio) - 1.0) < 0.2 and np.all(np.abs(ratio - 1.0) < 0.3)
 
 
@@ -57,7 +57,7 @@ def test_of_a_known_arm_the_promise_is_the_error_that_identifications_report():
 def test_of_a_known_arm_the_promise_is_the_spread_of_identifications():
     """Sixty runs know a spread to 9 %; ten parameters stay within three times that."""
     found = np.array([delivered(KNOWN_ARM, seed).values[:10] for seed in range(60)])
-    ratio = found.std(axis=0, ddof=1) / promised(KNOWN_ARM).prediction.deviation
+    ratio = found.std(axis=0, ddof=1) / promised(KNOWN_ARM).deviation
     assert np.all(np.abs(ratio - 1.0) < 0.27)
     assert abs(np.median(ratio) - 1.0) < 0.1
 
@@ -67,12 +67,12 @@ def test_of_an_arm_that_is_not_known_the_whole_error_is_promised_too():
     expected = promised(options)
     ratio = delivered(options, 0).standard_errors[:10] / expected.stated
     assert np.all(np.abs(ratio - 1.0) < 0.3)
-    assert np.all(expected.stated > 0.7 * expected.prediction.deviation)
+    assert np.all(expected.stated > 0.7 * expected.deviation)
 
 
 def test_the_promise_is_never_better_than_all_samples_allow():
     bound = predict(problem(ARM, noise_torque=SIGMA), PLAN, RATE)
-    prediction = promised(KNOWN_ARM).prediction
+    prediction = promised(KNOWN_ARM)
     assert np.all(prediction.deviation > bound.deviation)
     assert prediction.com_deviation > bound.com_deviation
 
@@ -84,7 +84,7 @@ def test_what_cannot_be_processed_gets_the_bound_and_the_reason(rate, words, mon
     monkeypatch.setattr("robot_sysid.expected.MOST_SAMPLES", 1999)
     some = problem(ARM)
     expected, bound = expect(some, PLAN, rate, EstimationOptions()), predict(some, PLAN, rate)
-    np.testing.assert_array_equal(expected.prediction.deviation, bound.deviation)
+    np.testing.assert_array_equal(expected.deviation, bound.deviation)
     assert expected.counted.startswith("if all samples could be used, but ")
     assert words in expected.counted
     assert len(expected.stated) == 0

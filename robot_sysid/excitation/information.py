@@ -26,39 +26,32 @@ _RIDGE = 1e-10
 
 
 @dataclass(frozen=True)
-class RowSettings:
-    """Which equations there will be.
+class PredictedInformation:
+    """Maps motions to information about x, theta = coordinates @ x, and says from which equations.
 
     Attributes:
         joints: chain joints whose torque is used.
         sigma: (len(joints),) standard deviation of their torque noise [N m].
         smoothing: (n,) speed below which sign(qd) is rounded off to tanh [rad/s]; 0 for none.
-        coordinates: (10, r) theta = coordinates @ x: scaling, and restriction to what can be seen.
+        coordinates: (10, r) scaling, and restriction to what can be seen.
         rotors: whether the inertia of each joint's rotor is a nuisance too.
     """
 
+    chain: ScrewChain
     joints: tuple[int, ...]
     sigma: Array
     smoothing: Array
     coordinates: Array
     rotors: bool = False
 
-
-class PredictedInformation:
-    """Maps motions to information about x, theta = coordinates @ x."""
-
-    def __init__(self, chain: ScrewChain, settings: RowSettings) -> None:
-        self._chain, self._settings = chain, settings
-        self._joints = list(settings.joints)
-
     def evaluate(self, q: Array, qd: Array, qdd: Array) -> InformationCache:
         """Return the information of one sample per row of q, qd, qdd (N, n)."""
-        motion = self._chain.evaluate(q, qd, qdd)
+        motion = self.chain.evaluate(q, qd, qdd)
         wrench = body_wrench(motion.velocity, motion.acceleration)
-        jacobian = motion.jacobian[:, self._joints]
+        jacobian = motion.jacobian[:, list(self.joints)]
         rows = np.einsum("ijn,ikn->jnk", jacobian, wrench, optimize=True)
-        rows = rows @ self._settings.coordinates / self._settings.sigma[:, None, None]
-        friction, slope = self._nuisances(qd[:, self._joints].T, qdd[:, self._joints].T)
+        rows = rows @ self.coordinates / self.sigma[:, None, None]
+        friction, slope = self._nuisances(qd[:, list(self.joints)].T, qdd[:, list(self.joints)].T)
         # The regression of each joint's rows on its nuisances.
         transposed = friction.transpose(0, 2, 1)
         normal = transposed @ friction
@@ -66,17 +59,15 @@ class PredictedInformation:
         gain = np.linalg.solve(normal + ridge, transposed @ rows)
         residual = rows - friction @ gain
         information = np.einsum("jnk,jnl->kl", residual, residual, optimize=True)
-        return InformationCache(
-            self._settings, motion, wrench, friction, slope, gain, residual, information
-        )
+        return InformationCache(self, motion, wrench, friction, slope, gain, residual, information)
 
     def _nuisances(self, qd: Array, qdd: Array) -> tuple[Array, Array]:
         """Return Z (rows, N, 3 or 4) and the derivative of its first column with respect to qd."""
-        speed = self._settings.smoothing[self._joints][:, None]
+        speed = self.smoothing[list(self.joints)][:, None]
         smooth = np.tanh(qd / np.where(speed > 0.0, speed, 1.0))
         sign = np.where(speed > 0.0, smooth, np.sign(qd))
         slope = np.where(speed > 0.0, (1.0 - smooth**2) / np.where(speed > 0.0, speed, 1.0), 0.0)
-        rotors = (qdd,) if self._settings.rotors else ()
+        rotors = (qdd,) if self.rotors else ()
         return np.stack((sign, qd, np.ones_like(qd), *rotors), axis=2), slope
 
 
@@ -94,7 +85,7 @@ class InformationCache:
         information: (r, r) L.
     """
 
-    settings: RowSettings
+    equations: PredictedInformation
     motion: ChainMotion
     wrench: Array
     friction: Array
@@ -114,11 +105,11 @@ class InformationCache:
         C needs no derivative: it minimises the residual. The adjoint (r, r) is the symmetric
         derivative of a scalar with respect to L.
         """
-        joints = list(self.settings.joints)
+        joints = list(self.equations.joints)
         rows_adjoint = 2.0 * self.residual @ information_adjoint
         friction_adjoint = -rows_adjoint @ self.gain.transpose(0, 2, 1)
-        scale = self.settings.coordinates.T
-        theta_adjoint = rows_adjoint @ scale / self.settings.sigma[:, None, None]
+        scale = self.equations.coordinates.T
+        theta_adjoint = rows_adjoint @ scale / self.equations.sigma[:, None, None]
         jacobian_adjoint = np.zeros_like(self.motion.jacobian)
         jacobian_adjoint[:, joints] = np.einsum(
             "jnk,ikn->ijn", theta_adjoint, self.wrench, optimize=True
@@ -131,7 +122,7 @@ class InformationCache:
         qd_adjoint[:, joints] += (
             friction_adjoint[..., 0] * self.slope + friction_adjoint[..., 1]
         ).T
-        if self.settings.rotors:
+        if self.equations.rotors:
             qdd_adjoint[:, joints] += friction_adjoint[..., 3].T
         return q_adjoint, qd_adjoint, qdd_adjoint
 

@@ -12,7 +12,7 @@ from robot_sysid.excitation.limit_check import DISTANCE_RESOLUTION, LimitCheck
 from robot_sysid.excitation.prediction import LOOSE_SHARE, Prediction
 from robot_sysid.excitation.problem import ASKED, ASSUMED, LIMIT_NAMES, MODEL, ExcitationProblem
 from robot_sysid.excitation.static import contact_on_the_way
-from robot_sysid.records import Array, Identifiability, MotionPlan
+from robot_sysid.records import MotionPlan
 from robot_sysid.records.figures import percent
 from robot_sysid.trajectory import TORQUE_MARGIN, spread_motion
 
@@ -23,29 +23,20 @@ _MOST_POSTURES = 3000
 
 
 def plan_lines(
-    problem: ExcitationProblem,
-    plan: MotionPlan,
-    check: LimitCheck,
-    prediction: Prediction,
-    counted: str = "",
-    stated: Array | None = None,
-    shown: Identifiability | None = None,
+    problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck, prediction: Prediction
 ) -> Iterator[str]:
     """Yield the lines ``--plan-only`` prints.
 
     Args:
         problem, plan: the arm with its limits, and the motion.
         check, prediction: of this motion.
-        counted: what the prediction counts, in words.
-        stated: (10,) standard errors that an identification will state; None or empty where
-            nothing is known of them.
-        shown: what a run of this motion will say of its regressor.
     """
     noise = ", ".join(f"{value:g}" for value in np.unique(problem.sigma))
     yield f"Predicted standard deviations ({prediction.n_samples} samples, noise {noise} N·m):"
-    if counted:
-        yield f"  {counted}"
-    yield from _parameter_lines(prediction, np.zeros(0) if stated is None else stated)
+    if prediction.counted:
+        yield f"  {prediction.counted}"
+    yield from _parameter_lines(prediction)
+    shown = prediction.shown
     if shown is not None:
         scaled = f"({shown.scaled_condition_number:.1f} with columns of unit length)"
         yield f"Condition number: {shown.condition_number:.1f} {scaled}"
@@ -64,7 +55,7 @@ def motion_lines(problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck
     yield from (f"NOT KEPT: {excess}" for excess in check.excesses)
 
 
-def _parameter_lines(prediction: Prediction, stated: Array) -> Iterator[str]:
+def _parameter_lines(prediction: Prediction) -> Iterator[str]:
     """Say what noise alone leaves, then what else an identification will not know of the arm."""
     units = ("kg", *["kg·m"] * 3, *["kg·m²"] * 6)
     rows = zip(spatial.PARAMETER_NAMES, prediction.deviation, prediction.share, units)
@@ -75,7 +66,7 @@ def _parameter_lines(prediction: Prediction, stated: Array) -> Iterator[str]:
             yield f"  {name:3s} not identified"
     if np.isfinite(prediction.com_deviation):
         yield f"  centre of mass {1000.0 * prediction.com_deviation:.3g} mm"
-    shares = zip(spatial.PARAMETER_NAMES, stated, prediction.size)
+    shares = zip(spatial.PARAMETER_NAMES, prediction.stated, prediction.size)
     known = [f"{name} {percent(e / size)}" for name, e, size in shares if np.isfinite(e)]
     if known:
         yield (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -10,9 +10,9 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.friction import friction_model
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.estimation.identifiability import describe
-from robot_sysid.excitation.information import PredictedInformation, RowSettings
+from robot_sysid.excitation.information import PredictedInformation
 from robot_sysid.excitation.problem import ExcitationProblem
-from robot_sysid.records import Array, MotionPlan
+from robot_sysid.records import Array, Identifiability, MotionPlan
 from robot_sysid.trajectory import sample_count, spread_motion
 
 PREDICTION_RATE_HZ = 100.0
@@ -45,6 +45,10 @@ class Prediction:
         com_deviation: standard deviation of the centre of mass, root of summed squares [m].
         never: what no motion of these joints can show, in words.
         unseen: what this motion does not show though another one would, in words.
+        counted: which errors it counts, in words.
+        stated: (10,) standard errors that an identification will state, with all that is not known
+            of the arm; infinite where the model's value stays, empty where nothing can be said.
+        shown: what a run of the motion will say of its regressor.
     """
 
     n_samples: int
@@ -53,6 +57,9 @@ class Prediction:
     com_deviation: float
     never: tuple[str, ...]
     unseen: tuple[str, ...]
+    counted: str = ""
+    stated: Array = field(default_factory=lambda: np.zeros(0))
+    shown: Identifiability | None = None
 
     @property
     def deviation(self) -> Array:
@@ -93,8 +100,8 @@ def predicted_information(
     share of the speed limits.
     """
     smooth = smoothing * problem.limits.velocity
-    settings = RowSettings(problem.rows, sigma, smooth, coordinates, problem.rotors_sought)
-    return PredictedInformation(problem.chain, settings)
+    rotors = problem.rotors_sought
+    return PredictedInformation(problem.chain, problem.rows, sigma, smooth, coordinates, rotors)
 
 
 def predict(

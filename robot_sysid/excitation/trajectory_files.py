@@ -26,8 +26,8 @@ VERSION = 1
 _KINDS: Mapping[str, tuple[Any, tuple[str, ...]]] = {
     "sines": (SineTrajectory, ("center", "amplitude", "frequency_hz", "phase")),
     "fourier": (FourierTrajectory, ("rest", "coefficients")),
-    "sweeps": (LineTrajectory, ("points", "moves", "ramps")),
     "poses": (LineTrajectory, ("points", "moves", "dwells")),
+    "sweeps": (LineTrajectory, ("points", "moves", "ramps")),
 }
 """Each kind of trajectory, and what arrays make it."""
 
@@ -135,8 +135,8 @@ def _described(plan: MotionPlan) -> dict[str, Any]:
     """Return a trajectory as plain numbers; repr of a float is exact."""
     if isinstance(plan, SlowedTrajectory):
         return {**_described(plan.plan), "speed": plan.speed}
-    for kind, (made, arrays) in _KINDS.items():
-        if isinstance(plan, made) and all(getattr(plan, name) is not None for name in arrays):
+    for kind, (made, arrays) in reversed(list(_KINDS.items())):
+        if isinstance(plan, made) and getattr(plan, arrays[-1]) is not None:
             basis = asdict(plan.basis) if isinstance(plan, FourierTrajectory) else {}
             if isinstance(plan, SineTrajectory):
                 basis = {"duration": plan.duration, "fade": plan.fade}

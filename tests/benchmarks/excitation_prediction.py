@@ -40,7 +40,7 @@ def line(path, runs, rate):
     problem = build_problem(robot, LimitOptions(), noise_torque=SIGMA)
     motion = TrajectoryOptions(sample_rate=rate)
     plan = design_excitation(Design(problem, QUICK, motion), np.random.default_rng(1)).trajectory
-    promised = expect(problem, plan, rate, KNOWN_ARM).prediction
+    promised = expect(problem, plan, rate, KNOWN_ARM)
     exact = join_measurements(simulate_inverse(robot, motion_chunks(plan, rate)))
     began, found = time.process_time(), []
     for seed in range(runs):

@@ -18,7 +18,7 @@ import numpy as np
 
 from robot_sysid.excitation.design.optimise import Design
 from robot_sysid.excitation.design.search import design_excitation
-from robot_sysid.excitation.information import PredictedInformation, RowSettings
+from robot_sysid.excitation.information import PredictedInformation
 from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
 from robot_sysid.excitation.prediction import predict
 from robot_sysid.excitation.problem import build_problem
@@ -77,15 +77,9 @@ def grid_errors(design, plan):
     def deviations(rate):
         time_grid = (np.arange(int(plan.duration * rate)) + 0.5) / rate
         motion = plan.evaluate(time_grid)
-        settings = RowSettings(
-            problem.rows,
-            problem.sigma * np.sqrt(len(time_grid)),
-            np.zeros(problem.n_joints),
-            design.coordinates,
-        )
-        cache = PredictedInformation(problem.chain, settings).evaluate(
-            motion.q, motion.qd, motion.qdd
-        )
+        sigma, still = problem.sigma * np.sqrt(len(time_grid)), np.zeros(problem.n_joints)
+        chosen = (problem.chain, problem.rows, sigma, still, design.coordinates)
+        cache = PredictedInformation(*chosen).evaluate(motion.q, motion.qd, motion.qdd)
         return np.sqrt(np.diag(np.linalg.inv(cache.information)))
 
     fine = deviations(RATE)

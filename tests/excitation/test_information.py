@@ -12,7 +12,7 @@ from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.dynamics.kinematics import ChainKinematics
 from robot_sysid.dynamics.screws import ScrewChain, bracket, bracket_transposed, exponential
 from robot_sysid.errors import AmbiguousJointError
-from robot_sysid.excitation.information import PredictedInformation, RowSettings
+from robot_sysid.excitation.information import PredictedInformation
 from robot_sysid.excitation.problem import screw_chain
 from robot_sysid.records import Measurement
 from tests.support import arms
@@ -26,10 +26,12 @@ NUISANCES = {
 SAMPLES = 60
 
 
-def settings_for(n, smoothing=0.0, rows=None, coordinates=None, rotors=False):
+def predicted(robot, smoothing=0.0, rows=None, coordinates=None, rotors=False):
+    n = robot.n_joints
     rows = tuple(range(n)) if rows is None else rows
     eye = np.eye(10) if coordinates is None else coordinates
-    return RowSettings(rows, np.linspace(0.5, 2.0, len(rows)), np.full(n, smoothing), eye, rotors)
+    sigma, smooth = np.linspace(0.5, 2.0, len(rows)), np.full(n, smoothing)
+    return PredictedInformation(screw_chain(robot), rows, sigma, smooth, eye, rotors)
 
 
 def eliminated_by_hand(robot, motion, torques, sigma, rotors=False):
@@ -52,8 +54,8 @@ def test_equals_the_schur_complement_of_the_tools_equations(xml, torques, rotors
     robot = robot_of(xml)
     motion = random_motion(np.random.default_rng(0), robot.n_joints, SAMPLES)
     rows = None if torques == "chain" else (robot.n_joints - 1,)
-    chosen = settings_for(robot.n_joints, rows=rows, rotors=rotors)
-    ours = PredictedInformation(screw_chain(robot), chosen).evaluate(*motion).information
+    chosen = predicted(robot, rows=rows, rotors=rotors)
+    ours = chosen.evaluate(*motion).information
     theirs = eliminated_by_hand(robot, motion, torques, chosen.sigma, rotors)
     assert np.max(np.abs(ours - theirs)) < 1e-8 * np.max(np.abs(theirs))
 
@@ -63,8 +65,7 @@ def test_equals_the_schur_complement_of_the_tools_equations(xml, torques, rotors
 def test_gradient_equals_differences(seed, smoothing, rotors):
     robot, rng = robot_of(arms.THREE), np.random.default_rng(seed)
     coordinates = rng.normal(size=(10, 4))
-    chosen = settings_for(3, smoothing, coordinates=coordinates, rotors=rotors)
-    information = PredictedInformation(screw_chain(robot), chosen)
+    information = predicted(robot, smoothing, coordinates=coordinates, rotors=rotors)
     motion, direction = rng.normal(size=(2, 3, 12, 3))
     weight = rng.normal(size=(4, 4))
     weight += weight.T
@@ -81,7 +82,7 @@ def test_gradient_equals_differences(seed, smoothing, rotors):
 def test_further_samples_only_add_information(seed):
     robot = robot_of(arms.THREE)
     q, qd, qdd = random_motion(np.random.default_rng(seed), 3, 30)
-    information = PredictedInformation(screw_chain(robot), settings_for(3))
+    information = predicted(robot)
     some = information.evaluate(q[:20], qd[:20], qdd[:20]).information
     all_of_it = information.evaluate(q, qd, qdd).information
     smallest = np.linalg.eigvalsh(all_of_it - some)[0]
@@ -92,8 +93,8 @@ def test_a_joint_at_rest_tells_no_less_than_its_offset_allows():
     robot = robot_of(arms.THREE)
     q, qd, qdd = random_motion(np.random.default_rng(1), 3, 40)
     qd[:, 0] = 0.0
-    information = PredictedInformation(screw_chain(robot), settings_for(3)).evaluate(q, qd, qdd)
-    by_hand = eliminated_by_hand(robot, (q, qd, qdd), "chain", settings_for(3).sigma)
+    information = predicted(robot).evaluate(q, qd, qdd)
+    by_hand = eliminated_by_hand(robot, (q, qd, qdd), "chain", predicted(robot).sigma)
     assert np.allclose(information.information, by_hand, rtol=1e-6, atol=1e-6)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -139,6 +140,7 @@ def test_what_an_identification_will_state_is_said_where_it_is_known():
     check, promised = check_limits(some, plan), predict(some, plan, 500.0)
     stated = np.full(10, np.inf)
     stated[0] = 0.02 * promised.size[0]
-    lines = list(plan_lines(some, plan, check, promised, "counted so", stated))
+    promised = replace(promised, counted="counted so", stated=stated)
+    lines = list(plan_lines(some, plan, check, promised))
     assert the(lines, "  counted so")
     assert the(lines, "An identification of one recording will state").endswith("friction: m 2 %")

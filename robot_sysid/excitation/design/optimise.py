@@ -111,7 +111,7 @@ def improve(design: Design, candidate: Candidate, budget: Budget = UNLIMITED) ->
     x, is_whole = _minimise(objective, candidate.x, design, budget)
     if not is_whole:
         return _checked(design, replace(candidate, x=x), budget)
-    multipliers = objective.updated_multipliers(objective.evaluate(x).constraints.value)
+    multipliers = objective.updated_multipliers(objective.evaluate(x)[2])
     grow = WEIGHT_GROWTH if candidate.rounds >= PLAIN_ROUNDS else 1.0
     moved = replace(
         candidate, x=x, multipliers=multipliers, weight=grow * weight, rounds=candidate.rounds + 1
@@ -130,8 +130,8 @@ def _minimise(
     def function(flat: Array) -> tuple[float, Array]:
         if budget.is_over:
             raise TimeoutError
-        evaluation = objective.evaluate(unit * flat.reshape(x.shape))
-        return evaluation.value, (unit * evaluation.gradient).ravel()
+        value, gradient, _ = objective.evaluate(unit * flat.reshape(x.shape))
+        return value, (unit * gradient).ravel()
 
     def keep(flat: Array) -> None:
         reached.append(unit * flat.reshape(x.shape))
@@ -366,16 +366,6 @@ def _away(value: Array) -> Array:
     return np.where(value < 0.0, -1.0, 1.0)
 
 
-@dataclass(frozen=True)
-class Evaluation:
-    """The objective at one point: criterion plus penalty, its gradient (n, M), and its parts."""
-
-    value: float
-    gradient: Array
-    criterion: float
-    constraints: ConstraintCache
-
-
 class PenalisedDesign:
     """Objective of one inner minimisation, for fixed multipliers (N + E, 4 n + 2) and weight.
 
@@ -390,8 +380,8 @@ class PenalisedDesign:
         self._functions = tuple(np.vstack(both) for both in zip(design.on_grid, extra))
         self._constraints = MotionConstraints(design.problem, LIMIT_SHARE, EXTRA_SLACK)
 
-    def evaluate(self, x: Array) -> Evaluation:
-        """Return value and gradient at free coefficients x (n, M)."""
+    def evaluate(self, x: Array) -> tuple[float, Array, Array]:
+        """Return value, gradient (n, M) and constraints at free coefficients x (n, M)."""
         b, db, ddb = self._functions
         q, qd, qdd = self._design.problem.rest + b @ x.T, db @ x.T, ddb @ x.T
         count = len(self._design.grid)
@@ -404,8 +394,7 @@ class PenalisedDesign:
         for adjoint, part in zip(adjoints, cache.vjp(slope)):
             adjoint[:count] += part
         gradient = adjoints[0].T @ b + adjoints[1].T @ db + adjoints[2].T @ ddb
-        value = min(criterion, _WORST) + penalty
-        return Evaluation(value, gradient, criterion, constraints)
+        return min(criterion, _WORST) + penalty, gradient, constraints.value
 
     def updated_multipliers(self, value: Array) -> Array:
         """Return the multipliers after a minimisation that ended with constraints ``value``."""
