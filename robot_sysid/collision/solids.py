@@ -86,11 +86,16 @@ class Solids:
 
     def extremes(self, data: Any, shape: int, directions: Array) -> Array:
         """Return the points (K, 3) of a shape farthest along unit directions (K, 3) [m], world."""
+        place, turn = self.frame(data, shape)
+        return place + self.shapes[shape].extremes(directions @ turn) @ turn.T
+
+    def frame(self, data: Any, shape: int) -> tuple[Array, Array]:
+        """Return position (3,) [m] and rotation (3, 3) of a shape's frame in the world."""
         one = self.shapes[shape]
+        places, turns, k = data.geom_xpos, data.geom_xmat, one.geom
         if one.geom < 0:
-            return np.broadcast_to(data.xpos[one.body], directions.shape)
-        rotation = data.geom_xmat[one.geom].reshape(3, 3)
-        return data.geom_xpos[one.geom] + one.extremes(directions @ rotation) @ rotation.T
+            places, turns, k = data.xpos, data.xmat, one.body
+        return places[k], turns[k].reshape(3, 3)
 
 
 def _geoms(mj_model: Any, body: int) -> list[int]:
@@ -212,13 +217,10 @@ def outermost_points(robot: RobotModel) -> tuple[Array, Array]:
     solids = Solids(robot.mj_model, subtree(robot.mj_model, body))
     axes = data.xmat[body].reshape(3, 3)
     points, radius = [np.zeros((0, 3))], [np.zeros(0)]
-    for shape in solids.shapes:
-        corners = data.xpos[[shape.body]]
-        if shape.geom >= 0:
-            turned = shape.corners @ data.geom_xmat[shape.geom].reshape(3, 3).T
-            corners = data.geom_xpos[shape.geom] + turned
-        points.append((corners - data.xpos[body]) @ axes)
-        radius.append(np.full(len(corners), shape.radius))
+    for k, shape in enumerate(solids.shapes):
+        place, turn = solids.frame(data, k)
+        points.append((place + shape.corners @ turn.T - data.xpos[body]) @ axes)
+        radius.append(np.full(len(shape.corners), shape.radius))
     return _on_the_hull(np.vstack(points), np.concatenate(radius))
 
 

@@ -178,7 +178,6 @@ class ExcitationProblem:
     """
 
     robot: RobotModel
-    joint_names: tuple[str, ...]
     rest: Array
     limits: MotionLimits
     chain: ScrewChain
@@ -199,9 +198,14 @@ class ExcitationProblem:
         object.__setattr__(self, "sigma", sigma)
 
     @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the chain joints."""
+        return self.robot.joint_names
+
+    @property
     def n_joints(self) -> int:
         """Number of chain joints n."""
-        return len(self.joint_names)
+        return self.robot.n_joints
 
     def torque_at(self, q: Array, qd: Array | float = 0.0, qdd: Array | float = 0.0) -> Array:
         """Return the torques (N, n) at positions (N, n), at rest if nothing else is said [N m]."""
@@ -251,7 +255,6 @@ def build_problem(
     sigma = per_joint(noise_torque, robot.n_joints, "--noise-torque")[list(rows)]
     return ExcitationProblem(
         robot=robot,
-        joint_names=robot.joint_names,
         rest=rest,
         limits=motion_limits,
         chain=chain,

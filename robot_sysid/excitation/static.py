@@ -252,8 +252,7 @@ def _through(
 
 def pose_lines(problem: ExcitationProblem, plan: MotionPlan) -> list[str]:
     """Return what the poses promise of a payload's mass, from noise alone."""
-    poses = plan.plan if isinstance(plan, SlowedTrajectory) else plan
-    assert isinstance(poses, LineTrajectory)
+    poses = _lines(plan)
     rests = poses.points[poses.dwells > 0.0][::2]
     rows = _gravity_rows(problem, rests).reshape(-1, 4)
     # The payload is a difference of two recordings, each the mean of two rests.
@@ -264,6 +263,12 @@ def pose_lines(problem: ExcitationProblem, plan: MotionPlan) -> list[str]:
         f"empty and loaded recordings of them show a payload's mass to "
         f"{float(np.sqrt(covariance[0, 0])):.2g} kg.",
     ]
+
+
+def _lines(plan: MotionPlan) -> LineTrajectory:
+    lines = plan.plan if isinstance(plan, SlowedTrajectory) else plan
+    assert isinstance(lines, LineTrajectory)
+    return lines
 
 
 def design_sweeps(problem: ExcitationProblem) -> LineTrajectory:
@@ -283,8 +288,7 @@ def design_sweeps(problem: ExcitationProblem) -> LineTrajectory:
 
 def sweep_lines(problem: ExcitationProblem, plan: MotionPlan) -> list[str]:
     """Return which joints are swept how fast, and which have no room."""
-    sweeps = plan.plan if isinstance(plan, SlowedTrajectory) else plan
-    assert isinstance(sweeps, LineTrajectory)
+    sweeps = _lines(plan)
     speeds = np.abs(sweeps.speeds) * sweeps.duration / plan.duration
     fastest = np.max(speeds, axis=0)
     names = problem.joint_names

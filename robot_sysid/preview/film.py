@@ -13,9 +13,9 @@ import mujoco
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.preview.motion import RATE, Shown
+from robot_sysid.preview.motion import RATE, Shown, at_times
 from robot_sysid.preview.studio import NO_RENDERER, Colour, Picture, Studio, add_ghost, backend
-from robot_sysid.records import Array, RobotModel
+from robot_sysid.records import RobotModel
 from robot_sysid.records.atomic_files import require_writable, whole_files
 from robot_sysid.records.progress import Progress
 
@@ -136,17 +136,13 @@ def _play_once(robot: RobotModel, shown: Shown, data: Any, window: Any) -> None:
         now = time.monotonic() - began
         if now > shown.time[-1] + _PAUSE:
             return
-        q = _at(shown.time, shown.q, now)
+        q = at_times(now, shown.time, shown.q)
         with window.lock():
             data.qpos[robot.qpos_index] = q
             mujoco.mj_forward(robot.mj_model, data)
             if shown.ghost is not None and window.user_scn is not None:
                 window.user_scn.ngeom = 0
-                ghost = _at(shown.time, shown.ghost, now)
+                ghost = at_times(now, shown.time, shown.ghost)
                 add_ghost(robot, ghost, GHOST, window.user_scn)
         window.sync()
         time.sleep(0.01)
-
-
-def _at(time_axis: Array, values: Array, now: float) -> Array:
-    return np.array([np.interp(now, time_axis, column) for column in values.T])

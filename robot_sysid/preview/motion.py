@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -78,12 +79,8 @@ def shown_plan(
     clearances = problem.obstacles.distances
     near = np.array([min(clearances.slack_at(q)[0], _FARTHEST) for q in motion.q])
     known = near if np.isfinite(clearances.closest(motion.q[0]).distance) else near * np.nan
-    strips = (
-        Strip("position [% of range]", _share(motion.q - limits.center, largest[0]), 100.0),
-        Strip("speed [% of limit]", _share(motion.qd, largest[1]), 100.0),
-        Strip("torque [% of limit]", _share(torque, largest[3]), 100.0),
-        Strip("clearance [mm]", 1000.0 * known, 0.0),
-    )
+    shares = _shares((motion.q - limits.center, motion.qd, torque), largest[[0, 1, 3]])
+    strips = (*shares, Strip("clearance [mm]", 1000.0 * known, 0.0))
     if log is None:
         return Shown(motion.time, motion.q, strips)
     ghost, note = _beside(motion, log, problem.joint_names)
@@ -94,33 +91,34 @@ def shown_log(robot: RobotModel, log: Measurement) -> Shown:
     """Return the motion of a log with the model's limits."""
     time = log.time - log.time[0]
     at = np.linspace(0.0, float(time[-1]), _count(float(time[-1])))
-    q, tau = (_at(at, time, values) for values in (log.q, log.tau))
-    qd = np.gradient(q, at, axis=0) if log.qd is None else _at(at, time, log.qd)
+    q, tau = (at_times(at, time, values) for values in (log.q, log.tau))
+    qd = np.gradient(q, at, axis=0) if log.qd is None else at_times(at, time, log.qd)
     limits = robot.limits
     span = 0.5 * (limits.upper - limits.lower)
     center = np.where(np.isfinite(span), limits.upper, 0.0) - np.where(np.isfinite(span), span, 0.0)
-    strips = (
-        Strip("position [% of range]", _share(q - center, span), 100.0),
-        Strip("speed [% of limit]", _share(qd, limits.velocity), 100.0),
-        Strip("torque [% of limit]", _share(tau, limits.torque), 100.0),
-    )
-    return Shown(at, q, strips)
+    largest = (span, limits.velocity, limits.torque)
+    return Shown(at, q, tuple(_shares((q - center, qd, tau), largest)))
 
 
 def _count(duration: float) -> int:
     return max(2, round(duration * RATE) + 1)
 
 
-def _share(values: Array, limit: Array) -> Array:
-    """Return the largest share of its limit that a joint has (T,) [%]; NaN without limits."""
-    if not np.any(np.isfinite(limit)):
-        return np.full(len(values), np.nan)
-    return np.asarray(100.0 * np.max(np.abs(values) / limit, axis=1))
+def _shares(signals: Iterable[Array], limits: Iterable[Array]) -> Iterator[Strip]:
+    """Yield the largest share of its limit that a joint has [%], NaN without limits, of each.
+
+    Signals (T, n) and limits (n,) are of position, speed and torque.
+    """
+    titles = ("position [% of range]", "speed [% of limit]", "torque [% of limit]")
+    for title, values, limit in zip(titles, signals, limits):
+        shares = 100.0 * np.max(np.abs(values) / limit, axis=1)
+        yield Strip(title, shares if np.any(np.isfinite(limit)) else shares * np.nan, 100.0)
 
 
-def _at(at: Array, time: Array, values: Array, outside: float | None = None) -> Array:
+def at_times(at: Array | float, time: Array, values: Array, outside: float | None = None) -> Array:
+    """Return values (N, n) at times (N,) at other times (M,) or one, ``outside`` beyond them."""
     columns = [np.interp(at, time, column, outside, outside) for column in values.T]
-    return np.stack(columns, axis=1)
+    return np.stack(columns, axis=-1)
 
 
 def _beside(motion: Motion, log: Measurement, joints: tuple[str, ...]) -> tuple[Array, str]:
@@ -134,9 +132,9 @@ def _beside(motion: Motion, log: Measurement, joints: tuple[str, ...]) -> tuple[
     shifts = np.arange(overlap - played, longest - overlap + _STEP, _STEP)
     thin = slice(None, None, max(1, len(motion.time) // 200))
     planned, when = motion.q[thin], motion.time[thin]
-    off_by = (planned - _at(when + shift, time, log.q, np.nan) for shift in shifts)
+    off_by = (planned - at_times(when + shift, time, log.q, np.nan) for shift in shifts)
     shift = float(shifts[int(np.argmin([np.nanmean(off**2) for off in off_by]))])
-    ghost = _at(motion.time + shift, time, log.q, np.nan)
+    ghost = at_times(motion.time + shift, time, log.q, np.nan)
     off = np.nanmax(np.abs(ghost - motion.q), axis=0)
     worst = int(np.argmax(off))
     note = (

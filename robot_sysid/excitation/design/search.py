@@ -49,8 +49,6 @@ CHECK_COST, EXACT_COST = 1.0 / 40.0, 1.0 / 9.0
 """Time that is left for the last check, per time of motion that it looks at; exactly, if short."""
 RAISED, NEARER, WORTH_TELLING = 0.1, 0.005, 0.005
 """Change of a limit [share], of clearances [m], by which its worth is told; the least that is."""
-
-
 OBJECTIVES = {
     "A": "root of summed variances",
     "D": "mean standard deviation",
@@ -145,6 +143,8 @@ class _Search:
         self._check: LimitCheck | None = None
         self._draws: list[Draw] = []
         self._candidates: list[Candidate] = []
+        drawn = range(self._options.draws)
+        self._numbers = [drawn[k : k + DRAWS_PER_JOB] for k in drawn[::DRAWS_PER_JOB]]
         self._done = 0
         self.stopped = ""
 
@@ -156,8 +156,10 @@ class _Search:
 
     def run(self) -> None:
         """Draw, choose, improve; stop early where time is up."""
+        draw = partial(draw_trajectories, seed=self._seed, budget=self._budget)
+        some = [partial(draw, numbers=numbers) for numbers in self._numbers]
         with WorkerPool(self._design, self._options.n_workers) as pool:
-            for draws in self._counted(pool.run(self._draw_jobs())):
+            for draws in self._counted(pool.run(some)):
                 self._draws += draws
                 if self._is_late() and self._feasible():
                     break
@@ -198,12 +200,6 @@ class _Search:
         """Return the feasible draws, best first."""
         return sorted((d for d in self._draws if np.isfinite(d.score)), key=lambda d: d.score)
 
-    def _draw_jobs(self) -> list[partial[list[Draw]]]:
-        draw = partial(draw_trajectories, seed=self._seed, budget=self._budget)
-        numbers = range(self._options.draws)
-        firsts = range(0, len(numbers), DRAWS_PER_JOB)
-        return [partial(draw, numbers=numbers[k : k + DRAWS_PER_JOB]) for k in firsts]
-
     def _check_starts(self, pool: WorkerPool) -> None:
         """Take the best draws as starts; without a feasible one there is no search."""
         feasible = self._feasible()
@@ -224,7 +220,7 @@ class _Search:
             self._tell()
 
     def _tell(self) -> None:
-        jobs = len(self._draw_jobs()) + self._rounds * self._options.n_starts
+        jobs = len(self._numbers) + self._rounds * self._options.n_starts
         score = self.best.feasible_score if self.best else _smallest_score(self._draws)
         name = OBJECTIVES["D" if self._design.for_arm else self._options.criterion]
         text = f"{name} {float(np.exp(score)):.3g}"
