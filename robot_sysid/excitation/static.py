@@ -308,7 +308,8 @@ def _free_way(problem: ExcitationProblem, joint: int) -> Array:
     found = np.zeros(2)
     ends = problem.limits.lower[joint], problem.limits.upper[joint]
     for side, (sign, end) in enumerate(zip((-1.0, 1.0), ends)):
-        steps = np.arange(0.0, min(abs(end - problem.rest[joint]), WIDEST), _STEP)
+        room = min(abs(end - problem.rest[joint]), WIDEST)
+        steps = np.arange(0.0, max(room, _STEP), _STEP)
         at = np.tile(problem.rest, (len(steps), 1))
         at[:, joint] += sign * steps
         fits = _fits(problem, at)
