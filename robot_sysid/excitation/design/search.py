@@ -70,8 +70,6 @@ SHRINK = (1.0, 0.8, 0.6, 0.4, 0.2, 0.1, 0.04, 0.01, 0.003, 0.001)
 """Factors tried until a drawn motion obeys torque limits and touches nothing."""
 FULL = 0.99 * np.cos(np.pi / GRID_PER_CYCLE)
 """Share of the limits of motion that a draw uses: as much may be seen of a peak between points."""
-FEW = 6
-"""Every how many grid points are looked at first."""
 
 
 @dataclass(frozen=True)
@@ -305,12 +303,10 @@ def draw_trajectories(
 
     Where time is up, those up to the first feasible one.
     """
-    # Two, because each remembers the slack of the grid it was last asked about.
-    few, whole = (MotionConstraints(design.problem, share=1.0, extra_slack=0.0) for _ in range(2))
-    draws = []
+    constraints, draws = MotionConstraints(design.problem, share=1.0, extra_slack=0.0), []
     for number in numbers:
         full = _within_motion_limits(design, np.random.default_rng([seed, number]))
-        draws.append(_shrunk(design, few, whole, full))
+        draws.append(_shrunk(design, constraints, full))
         if budget.is_over and np.isfinite(draws[-1].score):
             break
     return draws
@@ -356,23 +352,16 @@ def _room(design: Design, base: Array, x: Array) -> Array:
     return np.where(np.isfinite(factor), np.maximum(factor, 0.0), 0.0)
 
 
-def _shrunk(design: Design, few: MotionConstraints, whole: MotionConstraints, full: Array) -> Draw:
-    """Return the largest tried multiple of a motion that is feasible on the grid.
-
-    A few grid points are looked at first: most that is infeasible shows there.
-    """
+def _shrunk(design: Design, constraints: MotionConstraints, full: Array) -> Draw:
+    """Return the largest tried multiple of a motion that is feasible on the grid."""
     b, db, ddb = design.on_grid
     for factor in SHRINK:
         x = factor * full
         motion = (design.problem.rest + b @ x.T, db @ x.T, ddb @ x.T)
-        q, qd, qdd = (signal[::FEW] for signal in motion)
-        value = few.evaluate((q, qd, qdd)).value
-        if np.max(value) > ROUNDING:
-            continue
-        value, q = whole.evaluate(motion).value, motion[0]
+        value = constraints.evaluate(motion).value
         if np.max(value) <= ROUNDING:
             return Draw(design.criterion_of(x), x, "")
-    return Draw(np.inf, np.zeros_like(full), _obstacle(design, value, q))
+    return Draw(np.inf, np.zeros_like(full), _obstacle(design, value, motion[0]))
 
 
 def _obstacle(design: Design, value: Array, q: Array) -> str:
