@@ -321,7 +321,7 @@ def _fit_torque(
         for j in np.flatnonzero(hopeless)
     )
     if not np.any(excess(1.0)[~hopeless] > 1.0):
-        return trajectory.scaled(1.0), notes
+        return trajectory, notes
     low, high = np.log2(_SMALLEST_FACTOR), 0.0
     for _ in range(12):
         middle = 0.5 * (low + high)

@@ -82,11 +82,6 @@ class Peaks:
     tool_speed: float
     tool_time: float
 
-    def keep(self, problem: ExcitationProblem) -> bool:
-        """Tell whether every limit but clearances is kept."""
-        fast = self.tool_speed > problem.limits.tool_speed * (1.0 + ROUNDING)
-        return bool(np.max(self.share) <= 1.0 + ROUNDING) and not fast
-
 
 @dataclass(frozen=True)
 class LimitCheck(Peaks):
@@ -178,8 +173,8 @@ def keeps_limits(
     """Tell whether the whole motion keeps every limit, sampled at ``sample_rate`` [Hz]."""
     if breaks_limits_at_few(problem, plan):
         return False
-    peaks = _peaks(problem, plan, sample_rate)
-    return peaks.keep(problem) and first_contact(problem, plan) is None
+    broken = any(_excesses(problem, _peaks(problem, plan, sample_rate)))
+    return not broken and first_contact(problem, plan) is None
 
 
 def breaks_limits_at_few(problem: ExcitationProblem, plan: MotionPlan) -> bool:
@@ -187,7 +182,7 @@ def breaks_limits_at_few(problem: ExcitationProblem, plan: MotionPlan) -> bool:
 
     Most motions that break one break it there; those that do not have to be checked.
     """
-    return not _peaks(problem, plan, FEW_RATE_HZ).keep(problem)
+    return any(_excesses(problem, _peaks(problem, plan, FEW_RATE_HZ)))
 
 
 def excess_times(problem: ExcitationProblem, plan: MotionPlan) -> Array:
@@ -268,11 +263,12 @@ def _peaks(
 
 
 def _excesses(problem: ExcitationProblem, peaks: Peaks) -> Iterator[Excess]:
-    for i, j in np.argwhere(peaks.share > 1.0 + ROUNDING):
+    # What is no number at all keeps no limit.
+    for i, j in np.argwhere(~(peaks.share <= 1.0 + ROUNDING)):
         limit = f"{LIMIT_NAMES[i]} limit of joint {problem.joint_names[j]}"
         yield Excess(limit, float(peaks.share[i, j]), float(peaks.share_time[i, j]))
     share = peaks.tool_speed / problem.limits.tool_speed
-    if share > 1.0 + ROUNDING:
+    if not share <= 1.0 + ROUNDING:
         yield Excess("speed limit of the tool", share, peaks.tool_time)
 
 

@@ -57,6 +57,14 @@ def test_peaks_are_those_of_the_samples(seed, size):
     assert not (kept and breaks_limits_at_few(some, plan))
 
 
+def test_a_torque_that_is_no_number_keeps_no_limit():
+    some = problem(arms.THREE)
+    lost = dataclasses.replace(some, torque=lambda motion: np.full_like(motion.q, np.nan))
+    plan = plan_of(some, 0, 1e-3)
+    assert keeps_limits(some, plan) and not keeps_limits(lost, plan)
+    assert "torque limit of joint" in check_limits(lost, plan).failure
+
+
 @given(st.floats(-1.0, 1.0), st.floats(0.1, 1.0), st.floats(-2.0, 2.0))
 def test_position_limits_need_not_lie_around_zero(middle, reach, place):
     assume(abs(abs(place - middle) - reach) > 1e-6)

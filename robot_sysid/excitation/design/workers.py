@@ -72,9 +72,6 @@ class WorkerPool:
         return self
 
     def __exit__(self, *failure: object) -> None:
-        self._close()
-
-    def _close(self) -> None:
         if self._pool is None:
             return
         ours = [p for p in multiprocessing.active_children() if p not in self._others]
@@ -100,7 +97,7 @@ class WorkerPool:
                 yield future.result()
                 done += 1
         except (BrokenProcessPool, OSError, RuntimeError):
-            self._close()
+            self.__exit__()
         except GeneratorExit:
             # Not where all ends: the pool's thread fails with a traceback at a cancelled job whose
             # worker is ended.
