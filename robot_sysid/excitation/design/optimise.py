@@ -227,6 +227,8 @@ class Design:
     def functions(self, time: Array) -> tuple[Array, Array, Array]:
         """Return the basis of the free coefficients, and its derivatives (N, M)."""
         position, velocity, acceleration = self.basis.evaluate(time)
+        if self.basis.fade > 0.0:  # All coefficients are free.
+            return position, velocity, acceleration
         free = self.directions
         return position @ free, velocity @ free, acceleration @ free
 
