@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 STOPPING = tuple(getattr(signal, n) for n in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, n))
@@ -18,8 +18,24 @@ def held_back(signals: tuple[signal.Signals, ...] = STOPPING) -> Iterator[None]:
 
     A process that is started inside never gets them, where the system has signal masks.
     """
-    with _masked(signals), _put_off(signals):
+    late: dict[int, Any] = {}
+    with contextlib.ExitStack() as after:
+        if hasattr(signal, "pthread_sigmask"):  # Windows has no masks.
+            before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
+            after.callback(signal.pthread_sigmask, signal.SIG_SETMASK, before)
+        if threading.current_thread() is threading.main_thread():
+            # Python handles here what another thread takes.
+            known = [number for number in signals if signal.getsignal(number) is not None]
+            handlers = {number: signal.signal(number, late.setdefault) for number in known}
+            after.callback(_deliver, late, handlers)
         yield
+
+
+def _deliver(late: Mapping[int, Any], handlers: Mapping[signal.Signals, Any]) -> None:
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
+    for seen in late:
+        signal.raise_signal(seen)
 
 
 @contextlib.contextmanager
@@ -48,38 +64,3 @@ def only_the_first() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-@contextlib.contextmanager
-def _masked(signals: tuple[signal.Signals, ...]) -> Iterator[None]:
-    """Keep signals from this thread; Windows has no masks."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-@contextlib.contextmanager
-def _put_off(signals: tuple[signal.Signals, ...]) -> Iterator[None]:
-    """Remember signals that another thread takes: Python handles them in this one all the same."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    late: list[int] = []
-
-    def remember(number: int, frame: Any) -> None:
-        late.append(number)
-
-    known = [number for number in signals if signal.getsignal(number) is not None]
-    before = {number: signal.signal(number, remember) for number in known}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-        for seen in dict.fromkeys(late):
-            signal.raise_signal(seen)

@@ -56,7 +56,6 @@ LAYERS = (
     # The conversions that the records themselves need.
     ("dynamics.spatial",),
     ("json_files",),
-    ("drafts",),
     ("errors", "interrupts"),
     # Nothing but the version.
     ("",),

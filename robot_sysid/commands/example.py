@@ -13,8 +13,8 @@ import robot_sysid
 from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.console import Console
 from robot_sysid.config import config_from
-from robot_sysid.drafts import draft_folder
 from robot_sysid.errors import InputError
+from robot_sysid.records.atomic_files import draft_folder
 from robot_sysid.records.options import OptionRecord, folder, option, record_from
 
 INTERRUPTED = "interrupted; no unfinished file is left"

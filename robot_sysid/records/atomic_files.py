@@ -1,23 +1,34 @@
 """Output files that appear whole or not at all, one at a time or several together.
 
-An older file stays in its place, whole, until the very moment in which the new one takes it.
-What cannot be written, or is held by another run, raises InputError.
+What is written is a draft by a hidden name in the same folder: an older file stays in its place,
+whole, until the very moment in which the new one takes it. What cannot be written, or is held by
+another run, raises InputError.
 """
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
+import secrets
+import shutil
+import stat
+import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TextIO, TypeVar
 
-from robot_sysid.drafts import Drafts, has_lock, leads_to
 from robot_sysid.errors import InputError
 from robot_sysid.interrupts import held_back
 
-LOCK_NAME = ".robot-sysid.lock"
+LOCK_NAME, PREFIX = ".robot-sysid.lock", ".robot-sysid-"
+STALE = 86400.0
+"""Age of a draft from which whoever wrote it must have been killed [s]."""
+_MOST = 25
+"""Characters of stem and suffix, of four bytes at most, that a draft has in its name: names have at
+most 255 bytes."""
 Place = TypeVar("Place")
 
 
@@ -107,25 +118,49 @@ def temporary_folder() -> Iterator[Path]:
 
 
 @contextlib.contextmanager
+def draft_folder(path: Path) -> Iterator[Path]:
+    """Yield a new folder beside a path, to be renamed inside the block; else it is gone after it.
+
+    Raises:
+        OSError: it cannot be made.
+    """
+    draft = _hidden(path)
+    try:
+        draft.mkdir()
+        yield draft
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+
+
+def _hidden(path: Path, end: str = "") -> Path:
+    """Return a new name beside a path, with its suffix; what killed processes left there goes."""
+    for left in path.parent.glob(f"{PREFIX}{'[0-9a-f]' * 8}.*"):
+        with contextlib.suppress(OSError):
+            status = left.lstat()
+            if time.time() - status.st_ctime > STALE:
+                shutil.rmtree(left) if stat.S_ISDIR(status.st_mode) else left.unlink()
+    name = f"{path.stem[:_MOST]}{path.suffix[-_MOST:]}{end}"
+    return path.with_name(f"{PREFIX}{secrets.token_hex(4)}.{name}")
+
+
+@contextlib.contextmanager
 def only_run_in(folder: Path) -> Iterator[None]:
     """Keep a second run out of an output folder while the block runs.
 
     The folder is created; an empty one goes again when the block ends with an error.
     """
-    outputs = WholeFiles()
-    lock = folder / LOCK_NAME
+    outputs, lock = WholeFiles(), folder / LOCK_NAME
     try:
-        outputs.create_folder(folder)
-        handle = _locked(lock)
-    except OSError as error:
-        outputs.discard()
-        raise InputError(_cannot_write(folder, error)) from None
-    try:
-        yield
+        with _refusals(folder):
+            outputs.create_folder(folder)
+            handle = _locked(lock)
+        try:
+            yield
+        finally:
+            with contextlib.suppress(OSError):  # Windows keeps what is open
+                lock.unlink()
+            os.close(handle)
     finally:
-        with contextlib.suppress(OSError):  # Windows keeps what is open
-            lock.unlink()
-        os.close(handle)
         outputs.discard()
 
 
@@ -133,10 +168,11 @@ def _locked(lock: Path) -> int:
     """Return the handle of a file that this process holds."""
     while True:
         handle = os.open(lock, os.O_CREAT | os.O_RDWR, 0o666)
-        taken = has_lock(handle) is False
-        # A run that ended meanwhile may have removed it.
-        if leads_to(lock, handle) and not taken:
-            return handle
+        taken = not _has_lock(handle)
+        with contextlib.suppress(FileNotFoundError):
+            # A run that ended meanwhile may have removed it.
+            if not taken and os.path.samestat(os.fstat(handle), os.stat(lock)):
+                return handle
         os.close(handle)
         if taken:
             raise InputError(
@@ -145,12 +181,30 @@ def _locked(lock: Path) -> int:
             )
 
 
+def _has_lock(handle: int) -> bool:
+    """Lock an open file until this process ends, however it ends; False where another has it.
+
+    A file system without locks is no obstacle.
+    """
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        return error.errno not in (errno.EAGAIN, errno.EACCES, errno.EDEADLK)
+    return True
+
+
 class WholeFiles:
     """Drafts beside their final paths, renamed together."""
 
     def __init__(self) -> None:
         self._drafts: dict[Path, Path] = {}
-        self._hidden = Drafts()
         self._last: Path | None = None
         self._unwanted: list[Path] = []
         self._created_folders: list[Path] = []
@@ -162,23 +216,19 @@ class WholeFiles:
         """
         if os.path.isdir(path):
             raise InputError(f"cannot write {path}: it is a folder; choose another name")
-        try:
+        with _refusals(path):
             self.create_folder(path.parent)
-            with held_back():  # What is there has to be known, to be removed.
-                self._drafts[path] = self._hidden.file(path)
-        except OSError as error:
-            raise InputError(_cannot_write(path, error)) from None
+            self._drafts[path] = _hidden(path)
+            # Not a private temporary file: whom the user's umask says may read it.
+            self._drafts[path].touch(exist_ok=False)
         return self._drafts[path]
 
     @contextlib.contextmanager
     def open(self, path: Path) -> Iterator[TextIO]:
         """Yield the draft of ``path`` as an open text file."""
         draft = self.draft(path)
-        try:
-            with open(draft, "w", encoding="utf-8", newline="\n") as file:
-                yield file
-        except OSError as error:
-            raise InputError(_cannot_write(path, error)) from None
+        with _refusals(path), open(draft, "w", encoding="utf-8", newline="\n") as file:
+            yield file
 
     def reserve_last(self, path: Path) -> Path:
         """Return ``path``, whose file will take its place after all others."""
@@ -188,11 +238,8 @@ class WholeFiles:
     def write(self, path: Path, content: str | bytes) -> Path:
         """Write the draft of ``path`` and return where it is."""
         draft = self.draft(path)
-        data = content.encode("utf-8") if isinstance(content, str) else content
-        try:
-            draft.write_bytes(data)
-        except OSError as error:
-            raise InputError(_cannot_write(path, error)) from None
+        with _refusals(path):
+            draft.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
         return draft
 
     def withdraw(self, path: Path) -> None:
@@ -207,41 +254,44 @@ class WholeFiles:
 
     def commit(self) -> None:
         """Give every draft its final name; what stood there before comes back if one fails."""
+        for path, draft in self._drafts.items():
+            with _refusals(path), open(draft, "rb+") as file:
+                os.fsync(file.fileno())
         order = sorted(self._drafts, key=lambda path: path == self._last)
         backups: dict[Path, Path | None] = {}
         with held_back():
             try:
-                for path in order:
-                    backups[path] = self._hidden.second_name(path) if path.exists() else None
-                    os.replace(self._drafts[path], path)
-                for path in self._unwanted:
-                    backups[path] = self._hidden.second_name(path)
-                    path.unlink()
-            except BaseException as error:
+                for path in (*order, *self._unwanted):
+                    self._take_place(path, backups)
+            except BaseException:
                 for done, backup in backups.items():
-                    _restore(done, backup, self._drafts.get(done, done))
-                if isinstance(error, OSError):
-                    raise InputError(_cannot_write(path, error)) from None
+                    _restore(done, backup)
                 raise
-            for backup in backups.values():
-                if backup is not None:
-                    backup.unlink()
+            for backup in filter(None, backups.values()):
+                backup.unlink()
             self._forget()
+
+    def _take_place(self, path: Path, backups: dict[Path, Path | None]) -> None:
+        with _refusals(path):
+            backups[path] = _second_name(path)
+            if path in self._drafts:
+                os.replace(self._drafts[path], path)
+            else:
+                path.unlink()
 
     def discard(self) -> None:
         """Remove the drafts and the folders made for them."""
         for draft in self._drafts.values():
-            draft.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):  # it may not have been made
+                draft.unlink()
         for folder in reversed(self._created_folders):
             with contextlib.suppress(OSError):  # somebody else has put a file there
                 folder.rmdir()
         self._forget()
 
     def _forget(self) -> None:
-        self._hidden.close()
-        self._drafts.clear()
-        self._unwanted.clear()
-        self._created_folders.clear()
+        for remembered in (self._drafts, self._unwanted, self._created_folders):
+            remembered.clear()
 
     def create_folder(self, folder: Path) -> None:
         """Create a folder and those above it; ``discard`` removes them if they stay empty."""
@@ -251,16 +301,34 @@ class WholeFiles:
             self._created_folders.append(new)
 
 
-def _restore(path: Path, backup: Path | None, draft: Path) -> None:
-    if backup is not None:
+def _second_name(path: Path) -> Path | None:
+    """Give a file a second name, or make a copy where the file system has no links."""
+    if not path.exists():
+        return None
+    second = _hidden(path, ".old")
+    try:
+        os.link(path, second)
+    except OSError:
+        shutil.copy2(path, second)
+    return second
+
+
+def _restore(path: Path, backup: Path | None) -> None:
+    if backup is None:
+        path.unlink(missing_ok=True)
+    else:
         os.replace(backup, path)
         backup.unlink(missing_ok=True)  # two names of one file are left as they are
-    elif not draft.exists():
-        path.unlink(missing_ok=True)
 
 
-def _cannot_write(path: Path, error: OSError) -> str:
-    return f"cannot write {path}: {error.strerror or error}; choose another folder"
+@contextlib.contextmanager
+def _refusals(path: Path) -> Iterator[None]:
+    """Let what the system refuses be one line."""
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or error
+        raise InputError(f"cannot write {path}: {reason}; choose another folder") from None
 
 
 def require_utf8(path: Path) -> None:

@@ -19,6 +19,9 @@ from robot_sysid.interrupts import STOPPING
 from robot_sysid.records import atomic_files as files
 from robot_sysid.records.atomic_files import (
     LOCK_NAME,
+    PREFIX,
+    STALE,
+    draft_folder,
     only_run_in,
     refuse_overwriting,
     require_writable,
@@ -282,7 +285,9 @@ def test_a_process_that_is_killed_leaves_whole_files_and_the_old_set(old_set, mo
         for name in NAMES:
             assert all_new or "old" in [text for n, text in found.items() if name in n]
         write_new(folder)
-        assert everything_in(folder) == NEW
+        seen = everything_in(folder)
+        assert {name: seen.pop(name) for name in NAMES} == NEW
+        assert all(name.startswith(PREFIX) for name in seen)
 
 
 def test_only_one_run_at_a_time_has_a_folder(tmp_path):
@@ -319,7 +324,7 @@ def test_a_run_that_fails_leaves_no_folder(tmp_path):
 
 
 def test_a_lock_that_was_removed_while_it_was_taken_does_not_count(tmp_path, monkeypatch):
-    take, taken = files.has_lock, []
+    take, taken = files._has_lock, []
 
     def take_late(handle):
         """The other run ends between opening the file and locking it."""
@@ -328,7 +333,7 @@ def test_a_lock_that_was_removed_while_it_was_taken_does_not_count(tmp_path, mon
         taken.append(handle)
         return take(handle)
 
-    monkeypatch.setattr(files, "has_lock", take_late)
+    monkeypatch.setattr(files, "_has_lock", take_late)
     with only_run_in(tmp_path):
         assert len(taken) == 2
         assert os.path.samestat(os.fstat(taken[-1]), os.stat(tmp_path / LOCK_NAME))
@@ -355,3 +360,45 @@ def test_a_disk_that_fills_up_is_one_line_and_leaves_nothing(tmp_path):
     with full, whole_files() as outputs, outputs.open(tmp_path / "new" / "a.csv") as file:
         fill(file)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_killed_processes_left_goes_after_a_day(tmp_path, monkeypatch):
+    draft, folder = tmp_path / f"{PREFIX}0123abcd.a.json", tmp_path / f"{PREFIX}89abcdef.bundle"
+    others = (f"{PREFIX}mine.json", f"{PREFIX}0123abcd", ".a-0123abcd.json", LOCK_NAME)
+    for path in (draft, *(tmp_path / name for name in others)):
+        path.touch()
+    (folder / "assets").mkdir(parents=True)
+    now = files.time.time()
+    for later, left in ((0.9 * STALE, {draft, folder}), (1.1 * STALE, set())):
+        monkeypatch.setattr(files.time, "time", lambda later=later: now + later)
+        write_whole(tmp_path / f"{later}.json", "new")
+        assert {path for path in (draft, folder) if path.exists()} == left
+    assert set(others) < set(everything_in(tmp_path))
+
+
+@pytest.mark.parametrize("made", ["touch", "mkdir"])
+def test_an_interrupt_while_a_draft_is_made_leaves_none(tmp_path, monkeypatch, made):
+    make = getattr(Path, made)
+
+    def interrupted(path, **options):
+        make(path, **options)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, made, interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        if made == "touch":
+            write_whole(tmp_path / "a.json", "new")
+        else:
+            draft_folder(tmp_path / "kinova").__enter__()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_is_there_in_the_block_and_may_be_renamed(tmp_path):
+    with draft_folder(tmp_path / "kinova") as draft:
+        (draft / "a").touch()
+        os.rename(draft, tmp_path / "kinova")
+    with pytest.raises(ZeroDivisionError), draft_folder(tmp_path / "other") as draft:
+        (draft / "a").touch()
+        raise ZeroDivisionError
+    assert [path.relative_to(tmp_path) for path in tmp_path.rglob("a")] == [Path("kinova/a")]
+    assert [path.name for path in tmp_path.iterdir()] == ["kinova"]
