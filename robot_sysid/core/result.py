@@ -34,7 +34,6 @@ from robot_sysid.results.record import (
 WIDER = 2.0
 """Factor beyond which a prior that had to be widened is told of."""
 _CLEAR = 3.0
-_BALL_DENSITY = 2700.0
 
 
 def model_file(answer: Answer, write_offset: bool) -> tuple[ModelFile, tuple[str, ...]]:
@@ -308,6 +307,5 @@ def _with_ball(fit: Fit, values: Array) -> Array:
     """
     places, found = fit.columns.at(PAYLOAD_NAMES), values.copy()
     mass, com, _ = spatial.com_from_theta(values[places])
-    radius = (3.0 * mass / (4.0 * np.pi * _BALL_DENSITY)) ** (1.0 / 3.0)
-    found[places] = spatial.theta_from_com(mass, com, 0.4 * mass * radius**2 * np.eye(3))
+    found[places] = spatial.aluminium_ball(mass, com)
     return found

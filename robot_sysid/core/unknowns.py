@@ -287,7 +287,7 @@ def usual_bodies(robot: RobotModel) -> dict[str, Array]:
         theta
         for theta in found.values()
         if theta[0] >= PLACEHOLDER * heaviest and spatial.is_consistent(theta)
-    ]
+    ] or list(found.values())
     usual = float(np.median([theta[0] for theta in believed]))
     apart = [spatial.com_from_theta(theta) for theta in believed]
     gyration = float(np.median([np.trace(inertia) / (3.0 * mass) for mass, _, inertia in apart]))

@@ -53,8 +53,6 @@ class Equations:
             rows brings their columns.
         links: numbers of other links whose parameters are sought too; the model's are known of the
             rest.
-        values: (p,) what is known so far of all parameters, which makes the load that gears carry;
-            None takes the model's.
     """
 
     def __init__(
@@ -64,7 +62,6 @@ class Equations:
         friction: Sequence[FrictionModel],
         shared: Sequence[str] = (),
         links: Sequence[int] = (),
-        values: Array | None = None,
     ) -> None:
         self._robot = robot
         self._friction = tuple(friction)
@@ -80,10 +77,8 @@ class Equations:
         others = [name for link in self._links for name in link_names(robot, link)]
         self.names = (*PARAMETER_NAMES, *own, *self.shared, *others)
         self.columns = tuple(self._columns_of(j) for j in self.rows_of)
-        self._values = self.prior if values is None else values
-        place = {name: index for index, name in enumerate(self.names)}
-        of_links = [place[name] for name in others]
-        self._prior_links, self._known_links = self.prior[of_links], self._values[of_links]
+        thetas = [robot.links[link].theta for link in self._links]
+        self._known_links = np.concatenate([np.zeros(0), *thetas])
 
     def _friction_names(self, joint: int) -> tuple[str, ...]:
         return self._friction[joint].parameter_names(self._robot.joint_names[joint])
@@ -131,11 +126,10 @@ class Equations:
         others = np.zeros((*qd.shape, 0))
         if self._others is not None:
             others = self._others.motion(measurement.q, qd, qdd).columns(self._links)
-        known -= others @ self._prior_links
-        # What the gear carries, by what is known: the measured torque has friction in it already.
-        load = motion.tau_rest + others @ (self._known_links - self._prior_links)
+        known -= others @ self._known_links
         for block, j in zip(inertial, self.rows_of):
-            carried = load[:, j] + block @ self._values[:N_INERTIAL]
+            # The model's own: the measured torque has friction in it already.
+            carried = motion.tau_rest[:, j] + block @ self._robot.prior.theta
             own = self._friction[j].columns(qd[:, j], qdd[:, j], carried)
             beyond = others[:, j, N_INERTIAL * sum(link < j for link in self._links) :]
             common = () if shared is None else (shared[:, j],)

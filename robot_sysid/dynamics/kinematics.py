@@ -37,6 +37,14 @@ def analysis_copy(mj_model: Any) -> Any:
     return model
 
 
+def posed(mj_model: Any, qpos: Array) -> Any:
+    """Return MuJoCo's data of a model held at ``qpos`` (nq,), with all frames where they are."""
+    data = mujoco.MjData(mj_model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(mj_model, data)
+    return data
+
+
 def without_link(mj_model: Any, body_id: int) -> Any:
     """Return a copy whose body ``body_id`` and everything below it weighs nothing."""
     model = copy.copy(mj_model)

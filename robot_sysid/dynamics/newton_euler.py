@@ -23,7 +23,7 @@ import mujoco
 import numpy as np
 
 from robot_sysid.dynamics.screws import bracket, exponential
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES, cross, symmetric_from_six
+from robot_sysid.dynamics.spatial import PARAMETER_NAMES, cross, skew, symmetric_from_six
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.regressor import wrench_regressor
 
@@ -137,6 +137,5 @@ def _wrench(theta: Array, velocity: Array, acceleration: Array) -> Array:
 
 def _spatial_inertia(theta: Array) -> Array:
     """Return G = [[I, [h]x], [-[h]x, m 1]] (6, 6)."""
-    x, y, z = theta[1:4]
-    hat = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    hat = skew(theta[1:4])
     return np.block([[symmetric_from_six(theta[4:]), hat], [-hat, theta[0] * np.eye(3)]])

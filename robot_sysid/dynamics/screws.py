@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot_sysid.dynamics.spatial import cross
+from robot_sysid.dynamics.spatial import cross, skew
 from robot_sysid.records import Array, checked_array
 
 
@@ -126,9 +126,7 @@ def exponential(twist: Array, angle: Array) -> tuple[Array, Array]:
     omega, linear = twist[:3], twist[3:]
     if not np.any(omega):
         return np.repeat(np.eye(3)[:, :, None], len(angle), axis=2), np.outer(linear, angle)
-    hat = np.array(
-        [[0.0, -omega[2], omega[1]], [omega[2], 0.0, -omega[0]], [-omega[1], omega[0], 0.0]]
-    )
+    hat = skew(omega)
     square = hat @ hat
     sine, versine = np.sin(angle), 1.0 - np.cos(angle)
     rotation = np.eye(3)[:, :, None] + np.multiply.outer(hat, sine)

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+ALUMINIUM = 2700.0
+"""Density [kg/m^3]."""
 _LOCKED = 1e-14
 """Cosine of the pitch below which roll and yaw turn about one axis."""
 PARAMETER_NAMES = ("m", "hx", "hy", "hz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
@@ -26,6 +28,12 @@ def cross(a: Array, b: Array) -> Array:
     return np.stack(
         (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
     )
+
+
+def skew(vector: Array) -> Array:
+    """Return [v]x (3, 3), for which [v]x b = v x b."""
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def symmetric_from_six(six: Array) -> Array:
@@ -59,6 +67,12 @@ def com_from_theta(theta: Array) -> tuple[float, Array, Array]:
     com = h / mass if mass != 0.0 else np.zeros(3)
     steiner = mass * (com @ com * np.eye(3) - np.outer(com, com))
     return mass, com, symmetric_from_six(theta[4:10]) - steiner
+
+
+def aluminium_ball(mass: float, com: Array) -> Array:
+    """Return theta (10,) of a solid ball of aluminium, I = 0.4 m r^2, around com (3,)."""
+    radius = (3.0 * mass / (4.0 * np.pi * ALUMINIUM)) ** (1.0 / 3.0)
+    return theta_from_com(mass, com, 0.4 * mass * radius**2 * np.eye(3))
 
 
 def principal_axes(inertia: Array) -> tuple[Array, Array]:

@@ -18,6 +18,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from robot_sysid.dynamics.kinematics import posed
 from robot_sysid.errors import AmbiguousJointError, ModelError
 from robot_sysid.records import Array, JointLimits
 from robot_sysid.records.options import PerJoint, per_joint
@@ -58,20 +59,8 @@ class SerialRun:
 
 def parent_joint(mj_model: Any, joint: int) -> int | None:
     """Return the next joint towards the world, or None."""
-    body = int(mj_model.jnt_bodyid[joint])
-    if joint > int(mj_model.body_jntadr[body]):
-        return joint - 1
-    return last_joint_of(mj_model, int(mj_model.body_parentid[body]))
-
-
-def last_joint_of(mj_model: Any, body: int) -> int | None:
-    """Return the joint that moves a body: its own last one or that of its nearest ancestor."""
-    while body > 0:
-        count = int(mj_model.body_jntnum[body])
-        if count:
-            return int(mj_model.body_jntadr[body]) + count - 1
-        body = int(mj_model.body_parentid[body])
-    return None
+    dof = int(mj_model.dof_parentid[mj_model.jnt_dofadr[joint]])
+    return None if dof < 0 else int(mj_model.dof_jntid[dof])
 
 
 def chain_to(mj_model: Any, joint: int) -> tuple[int, ...]:
@@ -221,8 +210,9 @@ def resolve_joint(mj_model: Any, name: str) -> int:
         known = ", ".join(joint_label(mj_model, j) for j in usable) or "none"
         raise ModelError(f"--joint {name}: no such joint; the model has: {known}")
     joint = labels[name]
-    last = last_joint_of(mj_model, int(mj_model.jnt_bodyid[joint]))
-    if last is not None and last != joint:
+    body = mj_model.jnt_bodyid[joint]
+    last = int(mj_model.body_jntadr[body] + mj_model.body_jntnum[body]) - 1
+    if last != joint:
         raise ModelError(
             f"--joint {name}: joint {joint_label(mj_model, last)} moves the same body after it; "
             f"choose {joint_label(mj_model, last)}"
@@ -252,9 +242,7 @@ def _is_planar_base(mj_model: Any, joints: tuple[int, ...]) -> bool:
     hinges = kinds == int(mujoco.mjtJoint.mjJNT_HINGE)
     if np.any(mj_model.jnt_limited[ids]) or np.sum(slides) != 2 or np.sum(hinges) != 1:
         return False
-    data = mujoco.MjData(mj_model)
-    mujoco.mj_kinematics(mj_model, data)
-    axes = data.xaxis[ids]
+    axes = posed(mj_model, mj_model.qpos0).xaxis[ids]
     return bool(np.max(np.abs(axes @ axes.T - np.eye(N_JOINTS))) <= _PERPENDICULAR)
 
 

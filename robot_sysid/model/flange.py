@@ -13,6 +13,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from robot_sysid.dynamics.kinematics import posed
 from robot_sysid.errors import ModelError
 from robot_sysid.model.chain import body_label
 from robot_sysid.model.inertia import subtree_bodies
@@ -89,9 +90,7 @@ def _flange(robot: RobotModel, frame: _Frame) -> Flange:
 def _fixed_frames(robot: RobotModel) -> Iterator[_Frame]:
     """Yield all sites and bodies that are fixed to the terminal body, sites first."""
     mj_model, top = robot.mj_model, robot.body_id
-    data = mujoco.MjData(mj_model)
-    data.qpos[:] = robot.reference_qpos
-    mujoco.mj_kinematics(mj_model, data)
+    data = posed(mj_model, robot.reference_qpos)
     axes, origin = data.xmat[top].reshape(3, 3), data.xpos[top]
     bodies = subtree_bodies(mj_model, robot.reference_qpos, top)
     fixed = [body for body in bodies if body.welded]

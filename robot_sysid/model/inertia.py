@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.kinematics import subtree
+from robot_sysid.dynamics.kinematics import posed, subtree
 from robot_sysid.model.chain import body_label
 from robot_sysid.records import ArmLink, Array, SubtreeBody
 
@@ -30,9 +30,7 @@ def inertia_about_com(mj_model: Any, body_id: int) -> Array:
 
 def subtree_bodies(mj_model: Any, qpos: Array, body_id: int) -> tuple[SubtreeBody, ...]:
     """Return a body and everything below it, held at ``qpos`` (nq,), in that body's frame."""
-    data = mujoco.MjData(mj_model)
-    data.qpos[:] = qpos
-    mujoco.mj_kinematics(mj_model, data)
+    data = posed(mj_model, qpos)
     top_rotation = data.xmat[body_id].reshape(3, 3)
     bodies: dict[int, SubtreeBody] = {}
     for i in subtree(mj_model, body_id):
@@ -60,9 +58,7 @@ def link_reach(mj_model: Any, qpos: Array, body_id: int) -> float:
     The farthest point of its geoms' bounding spheres, and at least the length of the uniform rod
     whose mass is as far from its end.
     """
-    data = mujoco.MjData(mj_model)
-    data.qpos[:] = qpos
-    mujoco.mj_kinematics(mj_model, data)
+    data = posed(mj_model, qpos)
     geoms = np.isin(mj_model.geom_bodyid, subtree(mj_model, body_id))
     away = np.linalg.norm(data.geom_xpos[geoms] - data.xpos[body_id], axis=1)
     spheres = away + mj_model.geom_rbound[geoms]
@@ -80,9 +76,7 @@ def arm_links(mj_model: Any, qpos: Array, chain: Sequence[int]) -> tuple[ArmLink
         qpos: (nq,) reference configuration, at which joints outside the chain are held.
         chain: joint ids, base to terminal.
     """
-    data = mujoco.MjData(mj_model)
-    data.qpos[:] = qpos
-    mujoco.mj_kinematics(mj_model, data)
+    data = posed(mj_model, qpos)
     mujoco.mj_comPos(mj_model, data)
     bodies = [int(mj_model.jnt_bodyid[joint]) for joint in chain]
     rotations = [np.eye(3), *(data.xmat[body].reshape(3, 3).copy() for body in bodies)]

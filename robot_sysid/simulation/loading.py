@@ -6,9 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 
+from robot_sysid.dynamics.kinematics import posed
 from robot_sysid.errors import InputError
 from robot_sysid.model.chain import find_terminal_joint, is_hinge_or_slide, joint_label
 from robot_sysid.model.compilation import compile_model
@@ -103,8 +103,6 @@ def _geometry_notes(robot: RobotModel, plant: RobotModel) -> tuple[str, ...]:
 
 def terminal_position(robot: RobotModel, q: Array) -> Array:
     """Return where the terminal body is in the world (3,) [m] at chain positions q (n,)."""
-    data = mujoco.MjData(robot.mj_model)
-    data.qpos[:] = robot.reference_qpos
-    data.qpos[robot.qpos_index] = q
-    mujoco.mj_kinematics(robot.mj_model, data)
-    return np.array(data.xpos[robot.body_id])
+    qpos = robot.reference_qpos.copy()
+    qpos[robot.qpos_index] = q
+    return np.array(posed(robot.mj_model, qpos).xpos[robot.body_id])
