@@ -52,26 +52,23 @@ class ModelOptions(OptionRecord):
 class OutputOptions(OptionRecord):
     """Where results go."""
 
+    NEEDS: ClassVar[str] = "measured"
     output_dir: Path = option(
-        Path("sysid_output"), "folder for the results", metavar="DIR", parse=folder
+        Path("sysid_output"), "folder for the results", metavar="DIR", parse=folder, needs=""
     )
     keep_friction: bool = option(
         False, "leave the friction of the model's joints as it is", needs="friction"
     )
-    keep_rotors: bool = option(
-        False, "leave the rotor inertia of the model's joints as it is", needs="measured"
-    )
-    keep_gravity: bool = option(False, "leave the model's gravity as it is", needs="measured")
-    keep_links: bool = option(
-        False, "leave all links but the terminal one as they are", needs="measured"
-    )
+    keep_rotors: bool = option(False, "leave the rotor inertia of the model's joints as it is")
+    keep_gravity: bool = option(False, "leave the model's gravity as it is")
+    keep_links: bool = option(False, "leave all links but the terminal one as they are")
     write_offset: bool = option(
         False,
         "also write the offset of each joint's friction (unequal in the two directions), as a soft "
         "spring that is tensioned far away",
         needs="friction",
     )
-    links: bool = option(False, "print every link, not only the last one", needs="measured")
+    links: bool = option(False, "print every link, not only the last one")
     bundle: bool = option(
         False,
         "also write the updated model with its meshes and textures into DIR/bundle, to send it",
@@ -217,40 +214,27 @@ class SysidConfig:
 
     def _check_pairs(self) -> None:
         """Refuse options that exclude each other."""
-        log, plan = bool(self.log.measurements), self.trajectory
-        for first, second, both in (
-            ("--measurements", "--plant-model", log and self.arm.plant_model is not None),
-            (
-                "--trajectory",
-                "--excitation optimal",
-                plan.file is not None and self.excitation.kind == "optimal",
+        plan, estimation, logs = self.trajectory, self.estimation, self.log.measurements
+        has_file, optimal = plan.file is not None, self.excitation.kind == "optimal"
+        timed = has_file or plan.duration != TrajectoryOptions.duration or optimal
+        poses = "--static" if self.poses.static else "--for friction"
+        playing = self.log.verify_rollout and bool(logs)
+        copied = self.arm.save_measurements is not None
+        exclude = {
+            ("--measurements", "--plant-model"): logs and self.arm.plant_model is not None,
+            ("--trajectory", "--excitation optimal"): has_file and optimal,
+            (poses, "--trajectory, --duration and --excitation optimal"): (
+                self.poses.sets_its_time and timed
             ),
-            (
-                "--static" if self.poses.static else "--for friction",
-                "--trajectory, --duration and --excitation optimal",
-                self.poses.sets_its_time
-                and (
-                    plan.file is not None
-                    or plan.duration != TrajectoryOptions.duration
-                    or self.excitation.kind == "optimal"
-                ),
+            ("--consistency off", "--prior entropic"): (
+                estimation.consistency == "off" and estimation.prior == "entropic"
             ),
-            (
-                "--consistency off",
-                "--prior entropic",
-                self.estimation.consistency == "off" and self.estimation.prior == "entropic",
+            ("--verify-rollout", "--torques terminal"): (
+                playing and estimation.torques == "terminal"
             ),
-            (
-                "--verify-rollout",
-                "--torques terminal",
-                log and self.log.verify_rollout and self.estimation.torques == "terminal",
-            ),
-            (
-                "--save-measurements",
-                "several --measurements",
-                self.arm.save_measurements is not None and len(self.log.measurements) > 1,
-            ),
-        ):
+            ("--save-measurements", "several --measurements"): copied and len(logs) > 1,
+        }
+        for (first, second), both in exclude.items():
             if both:
                 raise InputError(f"{first} and {second} exclude each other; choose one")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, ClassVar
 
 from robot_sysid.dynamics.friction import DEFAULT_TERMINAL, FrictionModel, friction_model
 from robot_sysid.errors import InputError
@@ -15,7 +16,6 @@ from robot_sysid.records.options import (
     OptionRecord,
     PerJoint,
     given_options,
-    levels,
     not_negative,
     option,
     positive,
@@ -31,14 +31,20 @@ CHOSEN = "auto"
 _OF_SERVOS = ("torque_from", "write_delay")
 
 
+def _uncertainty(usual: float, help: str, unit: str = "%") -> Any:
+    return option(usual, help, unit=unit, metavar="P", check=not_negative)
+
+
 @dataclass(frozen=True)
 class EstimationOptions(OptionRecord):
     """How parameters are estimated from torques."""
 
+    NEEDS: ClassVar[str] = "measured"
     torques: str = option(
         "chain",
         "use the torques of all joints that carry the link, or of the last joint only",
         choices=TORQUE_CHOICES,
+        needs="",
     )
     no_friction: bool = option(
         False, "leave friction out and identify the 10 inertial parameters only", needs="estimate"
@@ -68,7 +74,6 @@ class EstimationOptions(OptionRecord):
         "friction terms of every joint, such as coulomb-viscous-offset, or auto",
         metavar="TERMS",
         usual=f"auto: each joint's by held-out torques; {DEFAULT_TERMINAL} with --torques terminal",
-        needs="measured",
     )
     cutoff: float | None = option(
         None,
@@ -77,7 +82,6 @@ class EstimationOptions(OptionRecord):
         metavar="HZ",
         check=positive,
         usual="from the data",
-        needs="measured",
     )
     velocity_deadband: PerJoint | None = option(
         None,
@@ -85,79 +89,40 @@ class EstimationOptions(OptionRecord):
         "joint",
         unit="rad/s",
         metavar="V",
-        parse=levels,
         check=not_negative,
         usual="0.5 % of its peak speed",
-        needs="measured",
     )
     delay: str = option(
-        "off",
-        "estimate how much the torque lags behind the position",
-        choices=("off", "auto"),
-        needs="measured",
+        "off", "estimate how much the torque lags behind the position", choices=("off", "auto")
     )
     tilt: str = option(
-        "off",
-        "estimate how much the base is tilted against gravity",
-        choices=("off", "auto"),
-        needs="measured",
+        "off", "estimate how much the base is tilted against gravity", choices=("off", "auto")
     )
-    link_uncertainty: float = option(
+    link_uncertainty: float = _uncertainty(
         5.0,
         "how well the model knows the other links: their mass, their centre of mass as part of "
         "their size, half of what their inertia is off by",
-        unit="%",
-        metavar="P",
-        check=not_negative,
-        needs="measured",
     )
-    scale_uncertainty: float = option(
-        2.0,
-        "how far each joint's torque scale may be off",
-        unit="%",
-        metavar="P",
-        check=not_negative,
-        needs="measured",
+    scale_uncertainty: float = _uncertainty(2.0, "how far each joint's torque scale may be off")
+    zero_uncertainty: float = _uncertainty(
+        2.0, "how far each joint's zero position may be off", "mrad"
     )
-    zero_uncertainty: float = option(
-        2.0,
-        "how far each joint's zero position may be off",
-        unit="mrad",
-        metavar="P",
-        check=not_negative,
-        needs="measured",
+    gravity_uncertainty: float = _uncertainty(
+        0.3, "how far the base may be tilted against gravity", "deg"
     )
-    gravity_uncertainty: float = option(
-        0.3,
-        "how far the base may be tilted against gravity",
-        unit="deg",
-        metavar="P",
-        check=not_negative,
-        needs="measured",
+    delay_uncertainty: float = _uncertainty(
+        5.0, "how late or early the torque may be beside the position", "ms"
     )
-    delay_uncertainty: float = option(
-        5.0,
-        "how late or early the torque may be beside the position",
-        unit="ms",
-        metavar="P",
-        check=not_negative,
-        needs="measured",
-    )
-    friction_uncertainty: float = option(
+    friction_uncertainty: float = _uncertainty(
         2.0,
         "how much friction may grow with the torque of the gear where the friction model has no "
         "term for it; it may also be curved by five times that part of its Coulomb friction",
-        unit="%",
-        metavar="P",
-        check=not_negative,
-        needs="measured",
     )
     coupling: Path | None = option(
         None,
         "JSON file of motors that turn with several joints",
         metavar="FILE",
         usual="found where it shows",
-        needs="measured",
     )
     torque_from: str | None = option(
         None,

@@ -34,7 +34,8 @@ class Option:
         flag: as it is typed; "" for a positional argument.
         metavar: stands for the value in the help; one per value where it takes several.
         parse: turns text into a value; by default the type that the field's annotation names.
-        needs: what else must be there for the option to make sense, see ``config``; "" for nothing.
+        needs: what else must be there for the option to make sense, see ``config``; "" for nothing,
+            None for what its record says.
         usual: what stands in the place of a default that is found later.
     """
 
@@ -45,7 +46,7 @@ class Option:
     choices: tuple[str, ...] = ()
     parse: Callable[[str], Any] | None = None
     check: Check | None = None
-    needs: str = ""
+    needs: str | None = None
     usual: str = ""
     repeats: bool = False
     several: bool = False
@@ -94,7 +95,7 @@ def options_of(record: Any) -> Mapping[str, Option]:
         if "option" in each.metadata:
             stated: Option = each.metadata["option"]
             flag = stated.flag or "--" + each.name.replace("_", "-")
-            needs = stated.needs or record.NEEDS
+            needs = record.NEEDS if stated.needs is None else stated.needs
             parse = stated.parse or _type_named_in(str(each.type))
             found[each.name] = replace(stated, flag=flag, needs=needs, parse=parse)
     return found
@@ -103,7 +104,7 @@ def options_of(record: Any) -> Mapping[str, Option]:
 def _type_named_in(annotation: str) -> Callable[[str], Any] | None:
     """Return float for "tuple[float, ...] | None"."""
     types: Mapping[str, Callable[[str], Any]] = {
-        "float": float, "int": int, "str": str, "Path": Path
+        "PerJoint": levels, "float": float, "int": int, "str": str, "Path": Path
     }  # fmt: skip
     return next((types[word] for word in re.findall(r"\w+", annotation) if word in types), None)
 

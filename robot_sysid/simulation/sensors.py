@@ -16,7 +16,7 @@ from typing import ClassVar
 import numpy as np
 
 from robot_sysid.records import Array, Measurement
-from robot_sysid.records.options import OptionRecord, PerJoint, levels, not_negative, option
+from robot_sysid.records.options import OptionRecord, PerJoint, not_negative, option
 
 LONGEST_DELAY = 1.0
 """Longest torque delay that is accepted [s]; more is surely a slip of the unit."""
@@ -57,7 +57,6 @@ class SimulatedArmOptions(OptionRecord):
         "standard deviation of the torque noise, one number or one per joint",
         unit="N·m",
         metavar="S",
-        parse=levels,
         check=not_negative,
         needs="plant or plan",
     )
@@ -66,7 +65,6 @@ class SimulatedArmOptions(OptionRecord):
         "standard deviation of the position noise, one number or one per joint",
         unit="rad",
         metavar="S",
-        parse=levels,
         check=not_negative,
     )
     encoder_resolution: float = option(
