@@ -19,6 +19,8 @@ from robot_sysid.interrupts import STOPPING
 
 COMMANDS = ("plan", "identify", "arm", "payload", "log", "report", "motors", "example")
 """Subcommands, each a module of its name; any other first word is a model file."""
+UNFINISHED = "interrupted; no unfinished file is left"
+"""What an interrupted command says that says nothing else by its ``INTERRUPTED``."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -34,7 +36,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             if name == "run":
                 _refuse_misspelt(arguments)
             command = importlib.import_module(f"robot_sysid.commands.{name}")
-            interrupted = command.INTERRUPTED
+            interrupted = getattr(command, "INTERRUPTED", UNFINISHED)
             return int(command.main(arguments))
         except SysidError as error:
             return _report(str(error), error.exit_code, debug)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Union
 
@@ -15,7 +15,6 @@ from robot_sysid import payload_pipeline as payload_stages
 from robot_sysid.api.results import Identified, PlanResult, one_thread
 from robot_sysid.config import SysidConfig, config_from
 from robot_sysid.errors import InputError
-from robot_sysid.export import Saved
 from robot_sysid.logs.formats.table import LogTable, arrays_table
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.reader import MeasurementLog, open_log
@@ -178,12 +177,8 @@ def identified(
     config: SysidConfig, robot: RobotModel, analysis: Analysis, notes: Sequence[str]
 ) -> Identified:
     """Return an analysis with what writes it."""
-
-    def write(folder: Path) -> Saved:
-        there = replace(config, output=replace(config.output, output_dir=folder))
-        return written(there, robot, analysis, None, Progress()).saved
-
-    return Identified(robot, analysis, write, tuple(notes), config.output.links)
+    stage = partial(written, motor_file=None)
+    return Identified(robot, analysis, config, stage, tuple(notes))
 
 
 def identify_arm(
@@ -250,11 +245,7 @@ def payload(
         robot = load_arm(config.model, config.limits, notes)
         analysis = payload_stages.weighed(config, robot, notes)
 
-    def write(folder: Path) -> Saved:
-        there = replace(config, output=replace(config.output, output_dir=folder))
-        return payload_stages.written(there, robot, analysis, Progress()).saved
-
-    return Identified(robot, analysis, write, tuple(notes.notes))
+    return Identified(robot, analysis, config, payload_stages.written, tuple(notes.notes))
 
 
 def plain(options: Mapping[str, Any]) -> dict[str, Any]:

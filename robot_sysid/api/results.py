@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -40,9 +40,6 @@ def one_thread() -> AbstractContextManager[Any]:
     return threadpool_limits(1, user_api="blas")
 
 
-Write = Callable[[Path], Saved]
-
-
 @dataclass(frozen=True, repr=False)
 class Identified:
     """What ``identify`` or ``payload`` found.
@@ -50,16 +47,16 @@ class Identified:
     Attributes:
         robot: the arm as its model describes it.
         analysis: what the pipeline returned.
-        write: writes all files into a folder.
+        config: what was asked for.
+        stage: the pipeline's last, which writes the files.
         notes: one sentence each: what the commands would have printed as notes.
-        links_shown: whether every link is printed.
     """
 
     robot: RobotModel
     analysis: Analysis
-    write: Write
+    config: Any
+    stage: Callable[..., Any]
     notes: tuple[str, ...] = ()
-    links_shown: bool = False
 
     @property
     def result(self) -> Result:
@@ -133,7 +130,7 @@ class Identified:
 
     def lines(self) -> list[str]:
         """Return what the command would have printed."""
-        return result_lines(self.result, self.links_shown)
+        return result_lines(self.result, self.config.output.links)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content of params.json (see docs/formats.md), without cards."""
@@ -154,10 +151,15 @@ class Identified:
         """
         place = Path(folder)
         with one_thread(), locked_folder(place, Progress()):
-            files = self.write(place).files
+            files = self._write(place).files
         models = [path for path in files if path.name in MODEL_NAMES.values()]
         copies = [write_bundle(model, place) for model in models if bundle]
         return (*files, *copies)
+
+    def _write(self, folder: Path) -> Saved:
+        there = replace(self.config, output=replace(self.config.output, output_dir=folder))
+        saved: Saved = self.stage(there, self.robot, self.analysis, progress=Progress()).saved
+        return saved
 
     def spec(self) -> Any:
         """Return a ``mujoco.MjSpec`` with the result applied; meshes and textures are in memory.
@@ -166,7 +168,7 @@ class Identified:
             SysidError: the result must not be used, or the model cannot hold it; says why.
         """
         with one_thread(), temporary_folder() as folder:
-            saved = self.write(folder)
+            saved = self._write(folder)
             models = [path for path in saved.files if path.name in MODEL_NAMES.values()]
             if not models:
                 raise SysidError(saved.failure or "this result is written into no model")

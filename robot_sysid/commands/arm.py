@@ -7,9 +7,7 @@ from collections.abc import Sequence
 from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.identify import parser_of
-from robot_sysid.commands.run import INTERRUPTED, identify
-
-__all__ = ["INTERRUPTED", "build_parser", "main"]
+from robot_sysid.commands.run import identify
 
 
 def build_parser(full: bool = True) -> Parser:

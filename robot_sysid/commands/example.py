@@ -17,7 +17,6 @@ from robot_sysid.errors import InputError
 from robot_sysid.records.atomic_files import draft_folder
 from robot_sysid.records.options import OptionRecord, folder, option, record_from
 
-INTERRUPTED = "interrupted; no unfinished file is left"
 EXAMPLES = ("kinova",)
 MAIN = ("output_dir",)
 GUESS, TRUTH, EMPTY = (

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from robot_sysid.commands.arguments import Parser, parsed
-from robot_sysid.commands.run import INTERRUPTED, add_logs, identify
+from robot_sysid.commands.run import add_logs, identify
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.logs.options import LogOptions
-
-__all__ = ["INTERRUPTED", "build_parser", "main"]
 
 MAIN = (
     *("mesh_dir", "joint", "output_dir", "columns", "units", "torque_scale", "delay", "cutoff"),

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.report import require_report
-from robot_sysid.commands.run import INTERRUPTED, add_model, told, warnings_as_notes
+from robot_sysid.commands.run import add_model, told, warnings_as_notes
 from robot_sysid.config import ModelOptions, OutputOptions
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
@@ -15,8 +15,6 @@ from robot_sysid.logs.options import LogOptions
 from robot_sysid.payload_config import PayloadOptions, payload_config_from
 from robot_sysid.simulation.sensors import SimulatedArmOptions
 from robot_sysid.trajectory import TrajectoryOptions
-
-__all__ = ["INTERRUPTED", "build_parser", "main"]
 
 MAIN = (
     *("mesh_dir", "joint", "output_dir", "empty", "loaded", "order", "flange", "as_body"),

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.console import Console
-from robot_sysid.commands.run import INTERRUPTED, add_model, identify
+from robot_sysid.commands.run import add_model, identify
 from robot_sysid.config import ModelOptions, MotorOptions, OutputOptions
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.excitation.options import ExcitationOptions, LimitOptions, PoseOptions
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from robot_sysid.preview.motion import Shown
     from robot_sysid.records import RobotModel
 
-__all__ = ["INTERRUPTED", "build_parser", "main"]
 
 MAIN = (
     *("mesh_dir", "joint", "output_dir", "duration", "seed", "speed", "trajectory"),

@@ -14,8 +14,6 @@ from robot_sysid.errors import SysidError
 from robot_sysid.records.data import Traces
 from robot_sysid.records.options import OptionRecord, folder, option, record_from
 
-INTERRUPTED = "interrupted; no unfinished file is left"
-
 
 @dataclass(frozen=True)
 class PageOptions(OptionRecord):

@@ -6,7 +6,7 @@ import contextlib
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from robot_sysid.commands.arguments import ConsoleOptions, Parser, parsed
 from robot_sysid.commands.console import Console
@@ -22,7 +22,6 @@ from robot_sysid.simulation.sensors import SimulatedArmOptions
 from robot_sysid.trajectory import TrajectoryOptions
 
 EXAMPLE = "robot-sysid examples/kinova/model/kinova_fullinertia_guess.xml"
-INTERRUPTED = "interrupted; no unfinished file is left"
 ABOUT_TORQUE = (
     *("report", "plots", "keep_friction", "keep_rotors", "keep_gravity", "keep_links"),
     *("write_offset", "links", "torque_scale", "torque_constants", "append", "save_measurements"),
@@ -127,29 +126,17 @@ def _of_servos(config: SysidConfig, console: Console) -> Any:
     return run_servo(robot, config.log, *where, config.estimation.write_delay)
 
 
-class Told(Protocol):
-    """What a run has to say at its end."""
-
-    @property
-    def files(self) -> tuple[Path, ...]:
-        """What was written."""
-
-    @property
-    def failure(self) -> str | None:
-        """Why there is nothing to use, or None."""
-
-    def report_lines(self, verbose: bool) -> list[str]:
-        """Return what is printed."""
-
-
 def told(
-    outcome: Told,
+    outcome: Any,
     console: Console,
     verbose: bool,
     output: OutputOptions,
     mesh_dir: Path | None = None,
 ) -> int:
     """Print what a run has to say, write report and bundle, return the exit code 0.
+
+    Args:
+        outcome: of a pipeline, with ``files``, ``failure`` and ``report_lines(verbose)``.
 
     Raises:
         SysidError: there is nothing to use, or no report.

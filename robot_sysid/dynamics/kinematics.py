@@ -77,6 +77,24 @@ def has_only_armature(mj_model: Any) -> bool:
     return not any(np.any(getattr(mj_model, name, 0.0)) for name in fields)
 
 
+def inverse_dynamics(
+    model: Any, data: Any, chain: tuple[Any, Any], q: Array, qd: Array, qdd: Array
+) -> Array:
+    """Return MuJoCo's joint torques (N, n) for motions (N, n) of a chain.
+
+    Args:
+        chain: addresses (n,) of its joints in qpos and qvel; the others stay as ``data`` has them.
+    """
+    tau = np.empty_like(q)
+    qpos, qvel, qacc = data.qpos, data.qvel, data.qacc
+    at_q, at_v = chain
+    for k in range(len(q)):
+        qpos[at_q], qvel[at_v], qacc[at_v] = q[k], qd[k], qdd[k]
+        mujoco.mj_inverse(model, data)
+        tau[k] = data.qfrc_inverse[at_v]
+    return tau
+
+
 class ArmDynamics:
     """Inverse dynamics of the whole arm, sample by sample.
 
@@ -93,15 +111,7 @@ class ArmDynamics:
 
     def torque(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return joint torques (N, n) without friction for motions (N, n)."""
-        tau = np.empty_like(q)
-        data, model = self.data, self.model
-        qpos, qvel, qacc = data.qpos, data.qvel, data.qacc
-        at_q, at_v = self._chain
-        for k in range(len(q)):
-            qpos[at_q], qvel[at_v], qacc[at_v] = q[k], qd[k], qdd[k]
-            mujoco.mj_inverse(model, data)
-            tau[k] = data.qfrc_inverse[at_v]
-        return tau
+        return inverse_dynamics(self.model, self.data, self._chain, q, qd, qdd)
 
     def beyond_rigid_bodies(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the torque (N, n) of armature, springs, tendons and actuators alone."""

@@ -25,6 +25,7 @@ from robot_sysid.records.options import PerJoint, per_joint
 
 _JAW_JOINT = re.compile(r"grip|finger|jaw|claw|knuckle|pinch", re.IGNORECASE)
 _JAW_BODY = re.compile(r"finger|jaw|claw|knuckle", re.IGNORECASE)
+_AT_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 RIVAL_SHARE = 0.6
 """A run beside the longest one that has at least this share of its joints may be an arm too."""
 
@@ -176,12 +177,11 @@ def _require_drive(mj_model: Any, arm: SerialRun) -> None:
 
 def driven_joints(mj_model: Any) -> set[int]:
     """Return the ids of joints that an actuator moves, directly, by a tendon or by a coupling."""
-    kind = mujoco.mjtTrn
     joints: set[int] = set()
     for transmission, target in zip(mj_model.actuator_trntype, mj_model.actuator_trnid[:, 0]):
-        if int(transmission) in (int(kind.mjTRN_JOINT), int(kind.mjTRN_JOINTINPARENT)):
+        if int(transmission) in _AT_JOINT:
             joints.add(int(target))
-        elif int(transmission) == int(kind.mjTRN_TENDON):
+        elif int(transmission) == int(mujoco.mjtTrn.mjTRN_TENDON):
             first = int(mj_model.tendon_adr[target])
             wraps = slice(first, first + int(mj_model.tendon_num[target]))
             of_joints = mj_model.wrap_type[wraps] == int(mujoco.mjtWrap.mjWRAP_JOINT)
@@ -282,14 +282,17 @@ def _torque_limit(mj_model: Any, joint: int) -> float:
 
 def _actuator_limit(mj_model: Any, joint: int) -> float:
     """Return what all actuators on a joint can give together."""
-    kinds = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
     limits = [
         abs(float(mj_model.actuator_gear[a, 0])) * _force_limit(mj_model, a)
-        for a in range(mj_model.nu)
-        if int(mj_model.actuator_trntype[a]) in kinds
-        and int(mj_model.actuator_trnid[a, 0]) == joint
+        for a in actuators_on(mj_model, joint)
     ]
     return sum(limits) if limits else np.inf
+
+
+def actuators_on(mj_model: Any, joint: int) -> list[int]:
+    """Return the ids of the actuators that pull at a joint directly."""
+    direct = np.isin(mj_model.actuator_trntype, _AT_JOINT)
+    return [int(a) for a in np.flatnonzero(direct & (mj_model.actuator_trnid[:, 0] == joint))]
 
 
 def _force_limit(mj_model: Any, actuator: int) -> float:

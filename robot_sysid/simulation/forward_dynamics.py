@@ -28,9 +28,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics.kinematics import analysis_copy
+from robot_sysid.dynamics.kinematics import analysis_copy, inverse_dynamics
 from robot_sysid.errors import SimulationError
-from robot_sysid.records import Array, RobotModel, checked_array
+from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.options import PerJoint
 from robot_sysid.signals.process import USUAL_DEADBAND
 
@@ -131,15 +131,9 @@ class ForwardPlant:
 
     def inverse(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the torques (N, n) of a motion (N, n), MuJoCo's dry friction included."""
-        data, at_v = mujoco.MjData(self.model), self._plant.dof_index
+        data, chain = mujoco.MjData(self.model), (self._plant.qpos_index, self._plant.dof_index)
         data.qpos[:] = self._plant.reference_qpos
-        tau = np.empty_like(q)
-        for k in range(len(q)):
-            data.qpos[self._plant.qpos_index] = q[k]
-            data.qvel[at_v], data.qacc[at_v] = qd[k], qdd[k]
-            mujoco.mj_inverse(self.model, data)
-            tau[k] = data.qfrc_inverse[at_v]
-        return tau
+        return inverse_dynamics(self.model, data, chain, q, qd, qdd)
 
     def _read_friction(self) -> tuple[NDArray[np.int64], FrictionRamp]:
         """Return which constraint rows are dry friction, they never change, and the ramps.
@@ -224,11 +218,6 @@ class FrictionRamp:
     coulomb: Array
     inertia: Array
     rate: Array
-
-    def __post_init__(self) -> None:
-        size = np.shape(self.coulomb)[0]
-        for name in ("coulomb", "inertia", "rate"):
-            object.__setattr__(self, name, checked_array(getattr(self, name), (size,), name))
 
     @property
     def viscous(self) -> Array:

@@ -19,10 +19,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_sysid.model.chain import actuators_on
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.simulation.rollout.playback import Inputs, roll, rollout_copy
 
-_JOINT_KINDS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 NONE = -1
 HOLDS_DELAY = hasattr(mujoco.MjModel, "actuator_delay")
 """Whether the installed MuJoCo's actuators can act late."""
@@ -95,10 +95,8 @@ def _of_joint(model: Any, joint: int) -> tuple[int, float, float, float, float]:
     """Return (id, gear, Kp, kv, limit) of what drives a joint."""
     own = [
         a
-        for a in range(model.nu)
-        if int(model.actuator_trntype[a]) in _JOINT_KINDS
-        and int(model.actuator_trnid[a, 0]) == joint
-        and int(model.actuator_dyntype[a]) == int(mujoco.mjtDyn.mjDYN_NONE)
+        for a in actuators_on(model, joint)
+        if int(model.actuator_dyntype[a]) == int(mujoco.mjtDyn.mjDYN_NONE)
         and model.actuator_gear[a, 0] != 0.0
     ]
     own.sort(key=lambda a: not _is_position(model, a))
