@@ -17,7 +17,6 @@ from robot_sysid.records.options import (
     folder,
     given_options,
     option,
-    positive,
     record_from,
     refuse_unknown,
     whole_number,
@@ -39,11 +38,11 @@ class ModelOptions(OptionRecord):
 
     path: Path = Path()
     mesh_dir: Path | None = option(None, "folder of the mesh files", usual="what the model says")
-    joint: str | None = option(None, "terminal joint", metavar="NAME", usual="found automatically")
+    joint: str | None = option(None, "terminal joint", "NAME", usual="found automatically")
     keyframe: str | None = option(
         None,
         "keyframe in which the arm is at rest, where motions start",
-        metavar="NAME",
+        "NAME",
         usual="home, or the only one",
     )
 
@@ -54,7 +53,7 @@ class OutputOptions(OptionRecord):
 
     NEEDS: ClassVar[str] = "measured"
     output_dir: Path = option(
-        Path("sysid_output"), "folder for the results", metavar="DIR", parse=folder, needs=""
+        Path("sysid_output"), "folder for the results", "DIR", parse=folder, needs=""
     )
     keep_friction: bool = option(
         False, "leave the friction of the model's joints as it is", needs="friction"
@@ -100,15 +99,12 @@ class MotorOptions(OptionRecord):
         False, "also write the trajectory for Damiao motors", needs="motion"
     )
     motor_type: tuple[str, ...] = option(
-        (),
-        "Damiao motor type, such as DM4340; once per joint, base first",
-        metavar="TYPE",
-        repeats=True,
+        (), "Damiao motor type, such as DM4340; once per joint, base first", "TYPE", repeats=True
     )
     can_id: tuple[int, ...] = option(
         (),
         "CAN id of a motor; once per joint, base first",
-        metavar="ID",
+        "ID",
         parse=whole_number,
         repeats=True,
         usual="1, 2, 3, ...",
@@ -116,25 +112,18 @@ class MotorOptions(OptionRecord):
     master_id: tuple[int, ...] = option(
         (),
         "id on which a motor answers; once per joint, base first",
-        metavar="ID",
+        "ID",
         parse=whole_number,
         repeats=True,
         usual="CAN id + 0x10",
     )
     damiao_rate: float | None = option(
-        None,
-        "rows per second in the file",
-        unit="Hz",
-        metavar="HZ",
-        check=positive,
-        usual="the sample rate",
+        None, "rows per second in the file", "HZ [Hz] > 0", usual="the sample rate"
     )
     supply: float | None = option(
         None,
         "supply voltage that the motors' no-load speeds are compared at",
-        unit="V",
-        metavar="V",
-        check=positive,
+        "V [V] > 0",
         usual="by type",
     )
 

@@ -13,7 +13,7 @@ from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.records.atomic_files import refuse_overwriting
-from robot_sysid.records.options import OptionRecord, given_options, option, positive
+from robot_sysid.records.options import OptionRecord, given_options, option
 from robot_sysid.records.results import CARD_NAME, MODEL_NAMES, PARAMS_NAME
 from robot_sysid.simulation.sensors import SimulatedArmOptions
 from robot_sysid.trajectory import TrajectoryOptions
@@ -30,54 +30,46 @@ EMPTY, LOADED = "A", "B"
 class PayloadOptions(OptionRecord):
     """Which recordings are empty and which are loaded, and what is wanted of the payload."""
 
-    empty: tuple[Path, ...] = option(
-        (), "logs of the arm without the payload", metavar="LOG", several=True
-    )
-    loaded: tuple[Path, ...] = option(
-        (), "logs of the arm with the payload", metavar="LOG", several=True
-    )
+    empty: tuple[Path, ...] = option((), "logs of the arm without the payload", "LOG", several=True)
+    loaded: tuple[Path, ...] = option((), "logs of the arm with the payload", "LOG", several=True)
     empty_model: Path | None = option(
-        None, "instead of logs: model that plays the arm without the payload", metavar="XML"
+        None, "instead of logs: model that plays the arm without the payload", "XML"
     )
     loaded_model: Path | None = option(
-        None, "instead of logs: model that plays the arm with the payload", metavar="XML"
+        None, "instead of logs: model that plays the arm with the payload", "XML"
     )
     order: str | None = option(
         None,
         "order in which the logs were recorded, A for the next empty one and B for the next "
         "loaded one, such as ABBA; a drift of friction is then estimated",
-        metavar="LETTERS",
+        "LETTERS",
         usual="from the logs' clock, where they share one",
     )
     flange: str | None = option(
         None,
         "frame of the payload: a site or body fixed to the terminal body, or x,y,z in metres",
-        metavar="FRAME",
+        "FRAME",
         usual="found by its name, else the terminal body's",
     )
     as_body: str | None = option(
         None,
         "write the payload as a welded body of this name instead of merging it into the terminal "
         "link",
-        metavar="NAME",
+        "NAME",
     )
     known_mass: float | None = option(
         None,
         "the payload is a weight of this mass: estimate each joint's torque scale with it",
-        unit="kg",
-        metavar="KG",
-        check=positive,
+        "KG [kg] > 0",
     )
     scale_prior: float | None = option(
         None,
         "with --known-mass, how far each joint's torque scale may be off",
-        unit="%",
-        metavar="P",
-        check=positive,
+        "P [%] > 0",
         usual="3",
     )
     save_torque_scale: Path | None = option(
-        None, "with --known-mass, write the scales as a file for --torque-scale", metavar="FILE"
+        None, "with --known-mass, write the scales as a file for --torque-scale", "FILE"
     )
     static: bool = option(
         False, "use resting poses only, each approached from both sides: mass and centre of mass"

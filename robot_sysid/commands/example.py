@@ -48,7 +48,7 @@ class ExampleOptions(OptionRecord):
     """Where an example goes."""
 
     output_dir: Path | None = option(
-        None, "folder for the copy", metavar="DIR", parse=folder, usual="the example's name"
+        None, "folder for the copy", "DIR", parse=folder, usual="the example's name"
     )
 
 

@@ -22,7 +22,7 @@ class PageOptions(OptionRecord):
     output_dir: Path | None = option(
         None,
         "folder for the page",
-        metavar="DIR",
+        "DIR",
         parse=folder,
         usual="the run's own, of several the first one's",
     )

@@ -12,14 +12,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.estimation.least_squares import WeightedEquations, ordinary, weighted
 from robot_sysid.estimation.robust import huber
 from robot_sysid.records import TORQUE_CHOICES
-from robot_sysid.records.options import (
-    OptionRecord,
-    PerJoint,
-    given_options,
-    not_negative,
-    option,
-    positive,
-)
+from robot_sysid.records.options import OptionRecord, PerJoint, given_options, option
 
 Estimator = Callable[..., WeightedEquations]
 """Takes information, prior values (p,), its rows (or None) and noise to begin with (or None)."""
@@ -32,7 +25,7 @@ _OF_SERVOS = ("torque_from", "write_delay")
 
 
 def _uncertainty(usual: float, help: str, unit: str = "%") -> Any:
-    return option(usual, help, unit=unit, metavar="P", check=not_negative)
+    return option(usual, help, "P >= 0", unit=unit)
 
 
 @dataclass(frozen=True)
@@ -68,28 +61,24 @@ class EstimationOptions(OptionRecord):
         choices=("none", "entropic"),
         needs="estimate",
     )
-    prior_weight: float = option(1.0, "how strongly", metavar="W", check=positive, needs="prior")
+    prior_weight: float = option(1.0, "how strongly", "W > 0", needs="prior")
     friction_model: str | None = option(
         None,
         "friction terms of every joint, such as coulomb-viscous-offset, or auto",
-        metavar="TERMS",
+        "TERMS",
         usual=f"auto: each joint's by held-out torques; {DEFAULT_TERMINAL} with --torques terminal",
     )
     cutoff: float | None = option(
         None,
         "cut-off of the low-pass that all signals go through",
-        unit="Hz",
-        metavar="HZ",
-        check=positive,
+        "HZ [Hz] > 0",
         usual="from the data",
     )
     velocity_deadband: PerJoint | None = option(
         None,
         "leave out rows with moments in which a joint is slower than this, one number or one per "
         "joint",
-        unit="rad/s",
-        metavar="V",
-        check=not_negative,
+        "V [rad/s] >= 0",
         usual="0.5 % of its peak speed",
     )
     delay: str = option(
@@ -121,7 +110,7 @@ class EstimationOptions(OptionRecord):
     coupling: Path | None = option(
         None,
         "JSON file of motors that turn with several joints",
-        metavar="FILE",
+        "FILE",
         usual="found where it shows",
     )
     torque_from: str | None = option(

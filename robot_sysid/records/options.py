@@ -24,6 +24,7 @@ PerJoint = Union[float, tuple[float, ...]]
 Check = Callable[[Any], Optional[str]]
 """What is wrong with a value, as the end of a sentence that begins with the option; or None."""
 Record = TypeVar("Record")
+_VALUE = re.compile(r"(\S*)(?: \[(.*)\])?(?: (>=?) 0)?")
 
 
 @dataclass(frozen=True)
@@ -79,13 +80,19 @@ class OptionRecord:
                     raise InputError(f"{each.flag} {complaint}")
 
 
-def option(default: Any, help: str, flag: str = "", **rest: Any) -> Any:
+def option(default: Any, help: str, value: str = "", flag: str = "", **rest: Any) -> Any:
     """Return a dataclass field that is an option of the command line.
 
     Args:
+        value: what stands for the value in the help, its unit and its least size, where it has
+            them: "FILE" or "V [rad/s] > 0".
         flag: where it is not the field's name with dashes.
     """
-    return field(default=default, metadata={"option": Option(flag, help, **rest)})
+    parts = _VALUE.fullmatch(value)
+    assert parts, value
+    said = {"metavar": parts[1], "unit": parts[2], "check": _LEAST.get(parts[3])}
+    given = {name: each for name, each in said.items() if each}
+    return field(default=default, metadata={"option": Option(flag, help, **{**given, **rest})})
 
 
 def options_of(record: Any) -> Mapping[str, Option]:
@@ -145,6 +152,9 @@ def not_negative(value: float) -> str | None:
     """Complain unless a number is zero or more and finite."""
     fits = value >= 0.0 and math.isfinite(value)
     return None if fits else f"must be a number that is not negative (got {value:g})"
+
+
+_LEAST = {">": positive, ">=": not_negative}
 
 
 def speed_factor(value: float) -> str | None:

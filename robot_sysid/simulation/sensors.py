@@ -42,10 +42,7 @@ class SimulatedArmOptions(OptionRecord):
 
     NEEDS: ClassVar[str] = "plant"
     plant_model: Path | None = option(
-        None,
-        "model that plays the real arm and makes the torques",
-        metavar="TRUTH.xml",
-        needs="estimate",
+        None, "model that plays the real arm and makes the torques", "TRUTH.xml", needs="estimate"
     )
     simulation: str = option(
         "inverse",
@@ -55,28 +52,20 @@ class SimulatedArmOptions(OptionRecord):
     noise_torque: PerJoint = option(
         0.0,
         "standard deviation of the torque noise, one number or one per joint",
-        unit="N·m",
-        metavar="S",
-        check=not_negative,
+        "S [N·m] >= 0",
         needs="plant or plan",
     )
     noise_position: PerJoint = option(
-        0.0,
-        "standard deviation of the position noise, one number or one per joint",
-        unit="rad",
-        metavar="S",
-        check=not_negative,
+        0.0, "standard deviation of the position noise, one number or one per joint", "S [rad] >= 0"
     )
-    encoder_resolution: float = option(
-        0.0, "step of the encoders", unit="rad", metavar="R", check=not_negative
-    )
+    encoder_resolution: float = option(0.0, "step of the encoders", "R [rad] >= 0")
     torque_delay: float = option(
-        0.0, "how much the measured torque lags", unit="s", metavar="S", check=_plausible_delay
+        0.0, "how much the measured torque lags", "S [s]", check=_plausible_delay
     )
     save_measurements: Path | None = option(
         None,
         "write the measurements in the form that --measurements reads",
-        metavar="FILE",
+        "FILE",
         needs="estimate",
     )
 
