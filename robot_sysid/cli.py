@@ -106,18 +106,12 @@ def _one_blas_thread() -> None:
 def _report(message: str, code: int, debug: bool) -> int:
     if debug:
         traceback.print_exc()
-    one_line = _shortened(" ".join(message.split()))
+    one_line, beginning, end = " ".join(message.split()), 1500, 400
+    if len(one_line) > beginning + end:  # Nobody would read it all.
+        one_line = f"{one_line[:beginning]} [...] {one_line[-end:]}"
     with contextlib.suppress(InputError):
         print_line(f"robot-sysid: error: {one_line}", sys.stderr)
     return code
-
-
-def _shortened(line: str) -> str:
-    """Return a line with its middle left out where nobody would read it all."""
-    beginning, end = 1500, 400
-    if len(line) <= beginning + end:
-        return line
-    return f"{line[:beginning]} [...] {line[-end:]}"
 
 
 if __name__ == "__main__":

@@ -17,9 +17,8 @@ from robot_sysid.config import SysidConfig
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.excitation.plan import CheckedPlan
-from robot_sysid.excitation.trajectory_files import save_samples, save_trajectory
 from robot_sysid.export import Saved, locked_folder
-from robot_sysid.pipeline import Analysis
+from robot_sysid.pipeline import Analysis, save_plan
 from robot_sysid.records import Array, InertialParameters, Motion, RobotModel
 from robot_sysid.records.atomic_files import temporary_folder, whole_files
 from robot_sysid.records.progress import Progress
@@ -268,14 +267,10 @@ class PlanResult:
         """
         if self.failure:
             raise SysidError(f"{self.failure}; nothing was written")
-        plan, names = self.checked.plan, self.robot.joint_names
-        place = Path(path), Path(path).with_suffix(".csv")
+        config = replace(self.config, trajectory=replace(self.config.trajectory, save=Path(path)))
         with one_thread(), whole_files() as files:
-            with files.open(place[0]) as file:
-                save_trajectory(file, plan, names, self.robot.sha256)
-            with files.open(place[1]) as file:
-                save_samples(file, plan, names, self.config.trajectory.sample_rate)
-        return place
+            written, samples = save_plan(files, config, self.robot, self.checked.plan)
+        return written, samples
 
     def __str__(self) -> str:
         return "\n".join(self.promised)

@@ -45,15 +45,6 @@ def posed(mj_model: Any, qpos: Array) -> Any:
     return data
 
 
-def without_link(mj_model: Any, body_id: int) -> Any:
-    """Return a copy whose body ``body_id`` and everything below it weighs nothing."""
-    model = copy.copy(mj_model)
-    for body in subtree(mj_model, body_id):
-        model.body_mass[body] = 0.0
-        model.body_inertia[body] = 0.0
-    return model
-
-
 def subtree(mj_model: Any, body_id: int) -> list[int]:
     """Return the ids of a body and all its descendants."""
     inside = {body_id}
@@ -134,7 +125,9 @@ class ChainKinematics:
     def __init__(self, robot: RobotModel) -> None:
         full = analysis_copy(robot.mj_model)
         self._robot = robot
-        self._model = without_link(full, robot.body_id)
+        self._model = copy.copy(full)
+        self._model.body_mass[subtree(full, robot.body_id)] = 0.0
+        self._model.body_inertia[subtree(full, robot.body_id)] = 0.0
         self._data = mujoco.MjData(self._model)
         self._data.qpos[:] = robot.reference_qpos
         self._chain = _as_slice(robot.qpos_index), _as_slice(robot.dof_index)

@@ -65,20 +65,16 @@ def turned(vector: Array, angles: Array) -> Array:
     return np.asarray(Rotation.from_rotvec(angles @ tilt_axes(vector)).apply(vector))
 
 
-class TiltColumns:
-    """Columns of two tilt angles around the arm's gravity, at what is known of links (n, 10)."""
+def tilt_columns(robot: RobotModel, thetas: Array, q: Array) -> Array:
+    """Return (N, n, 2) torque per radian of tilt around the arm's gravity [N m/rad].
 
-    def __init__(self, robot: RobotModel, thetas: Array) -> None:
-        here = gravity(robot)
-        changes = [np.cross(axis, here) for axis in tilt_axes(here)]
-        self._arms = [LinkDynamics(with_gravity(robot, change)) for change in changes]
-        self._thetas = thetas
-
-    def evaluate(self, q: Array) -> Array:
-        """Return (N, n, 2) torque per radian of tilt at positions q (N, n) [N m/rad]."""
-        still = np.zeros_like(q)
-        torques = [arm.motion(q, still, still).torque(self._thetas) for arm in self._arms]
-        return np.stack(torques, axis=-1)
+    Args:
+        thetas: (n, 10) what is known of the links.
+        q: (N, n) positions.
+    """
+    here, still = gravity(robot), np.zeros_like(q)
+    arms = [LinkDynamics(with_gravity(robot, np.cross(axis, here))) for axis in tilt_axes(here)]
+    return np.stack([arm.motion(q, still, still).torque(thetas) for arm in arms], axis=-1)
 
 
 _STEP = 1e-5
@@ -135,8 +131,8 @@ class NuisanceColumns:
         return columns
 
     def tilt(self, motion: Motion) -> Array:
-        """Return (K, n, 2) torque per radian of tilt, see ``gravity.TiltColumns`` [N m/rad]."""
-        return TiltColumns(self._robot, self._thetas).evaluate(motion.q)
+        """Return (K, n, 2) torque per radian of tilt, see ``tilt_columns`` [N m/rad]."""
+        return tilt_columns(self._robot, self._thetas, motion.q)
 
     def _torque(self, motion: Motion) -> Array:
         return self._dynamics.motion(motion.q, motion.qd, motion.qdd).torque(self._thetas)

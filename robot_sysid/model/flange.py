@@ -6,8 +6,8 @@ A site or a body of the model, or plain numbers. What moves against the terminal
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 import mujoco
@@ -29,25 +29,6 @@ REACH = 3.0
 """Distance of a flange from its link beyond which the numbers must be millimetres [m]."""
 
 
-@dataclass(frozen=True)
-class _Frame:
-    """A named frame of the model, in the terminal body's frame."""
-
-    kind: str
-    name: str
-    carrier: int
-    rotation: Array
-    translation: Array
-
-    @property
-    def words(self) -> str:
-        return f"{self.kind} '{self.name}'"
-
-    def is_at(self, other: _Frame) -> bool:
-        both = ((self.rotation, other.rotation), (self.translation, other.translation))
-        return all(np.allclose(ours, theirs, rtol=0.0, atol=1e-9) for ours, theirs in both)
-
-
 def find_flange(robot: RobotModel, text: str | None = None) -> Flange:
     """Return the frame that a user named, or the one that looks like a flange.
 
@@ -63,11 +44,11 @@ def find_flange(robot: RobotModel, text: str | None = None) -> Flange:
     frames = tuple(_fixed_frames(robot))
     if text is None:
         chosen, note = _likely(robot, frames)
-        return replace(_flange(robot, chosen), note=note)
+        return replace(chosen, note=note)
     wanted = text.strip()
-    named = [frame for frame in frames if frame.name == wanted]
-    if named:
-        return _flange(robot, named[0])
+    for _, name, flange in frames:
+        if name == wanted:
+            return flange
     if "," in wanted:
         return _from_numbers(robot, wanted)
     raise ModelError(_unknown(robot, wanted, frames))
@@ -75,16 +56,15 @@ def find_flange(robot: RobotModel, text: str | None = None) -> Flange:
 
 def place_in_carrier(robot: RobotModel, flange: Flange) -> tuple[Array, Array]:
     """Return (rotation (3, 3), translation (3,)) of a flange in the frame of its carrier [m]."""
-    frames = (f for f in _fixed_frames(robot) if f.kind == "body" and f.carrier == flange.carrier)
-    carrier = next(frames)
+    carrier = _frame_of(flange.carrier, _fixed_frames(robot))
     turned = carrier.rotation.T @ flange.rotation
     moved = carrier.rotation.T @ (flange.translation - carrier.translation)
     # What is left of a distance after adding and subtracting it is no distance.
     return np.round(turned, 15), np.round(moved, 15)
 
 
-def _flange(robot: RobotModel, frame: _Frame) -> Flange:
-    return Flange(frame.words, frame.rotation, frame.translation, robot.body_name, frame.carrier)
+_Frame = tuple[str, str, Flange]
+"""Kind and name of what a frame belongs to, and the frame."""
 
 
 def _fixed_frames(robot: RobotModel) -> Iterator[_Frame]:
@@ -93,19 +73,28 @@ def _fixed_frames(robot: RobotModel) -> Iterator[_Frame]:
     data = posed(mj_model, robot.reference_qpos)
     axes, origin = data.xmat[top].reshape(3, 3), data.xpos[top]
     bodies = subtree_bodies(mj_model, robot.reference_qpos, top)
-    fixed = [body for body in bodies if body.welded]
+    fixed = {body.body_id: body.name for body in bodies if body.welded}
 
     def frame(kind: str, name: str, carrier: int, xmat: Array, xpos: Array) -> _Frame:
         rotation, translation = axes.T @ xmat.reshape(3, 3), axes.T @ (xpos - origin)
-        return _Frame(kind, name, carrier, rotation, translation)
+        words = f"{kind} '{name}'"
+        return kind, name, Flange(words, rotation, translation, robot.body_name, carrier)
 
     for name, site in _sites(mj_model).items():
         carrier = int(mj_model.site_bodyid[site])
-        if any(body.body_id == carrier for body in fixed):
+        if carrier in fixed:
             yield frame("site", name, carrier, data.site_xmat[site], data.site_xpos[site])
-    for body in fixed:
-        i = body.body_id
-        yield frame("body", body.name, i, data.xmat[i], data.xpos[i])
+    for i, name in fixed.items():
+        yield frame("body", name, i, data.xmat[i], data.xpos[i])
+
+
+def _frame_of(body: int, frames: Iterable[_Frame]) -> Flange:
+    return next(f for kind, _, f in frames if kind == "body" and f.carrier == body)
+
+
+def _is_at(ours: Flange, theirs: Flange) -> bool:
+    pairs = ((ours.rotation, theirs.rotation), (ours.translation, theirs.translation))
+    return all(np.allclose(*pair, rtol=0.0, atol=1e-9) for pair in pairs)
 
 
 def _sites(mj_model: Any) -> Mapping[str, int]:
@@ -114,21 +103,21 @@ def _sites(mj_model: Any) -> Mapping[str, int]:
     return {name: i for i, name in enumerate(names) if name}
 
 
-def _likely(robot: RobotModel, frames: tuple[_Frame, ...]) -> tuple[_Frame, str]:
+def _likely(robot: RobotModel, frames: tuple[_Frame, ...]) -> tuple[Flange, str]:
     """Return the frame that is called like a flange, and a sentence on the choice."""
-    terminal = next(f for f in frames if f.kind == "body" and f.carrier == robot.body_id)
-    others = [frame for frame in frames if frame is not terminal]
+    terminal = _frame_of(robot.body_id, frames)
+    others = [each for each in frames if each[2] is not terminal]
     for pattern in _LIKELY:
-        found = [frame for frame in others if pattern.fullmatch(frame.name)]
-        sites = [frame for frame in found if frame.kind == "site"]
-        found = sites or found
-        if found and not all(frame.is_at(found[0]) for frame in found):
-            listed = ", ".join(frame.words for frame in found)
+        called = [each for each in others if pattern.fullmatch(each[1])]
+        sites = [flange for kind, _, flange in called if kind == "site"]
+        found = sites or [flange for _, _, flange in called]
+        if found and not all(_is_at(flange, found[0]) for flange in found):
+            listed = ", ".join(flange.name for flange in found)
             raise ModelError(f"{listed} could each be the flange; choose one by its name")
         if found:
-            words = f"{found[0].words} was taken for the flange, because of its name"
+            words = f"{found[0].name} was taken for the flange, because of its name"
             return found[0], words + _DOUBT * (pattern is _LIKELY[-1])
-    listed = ", ".join(frame.words for frame in others) or "none"
+    listed = ", ".join(flange.name for _, _, flange in others) or "none"
     return terminal, (
         f"no site or body that is fixed to body '{robot.body_name}' is called like a flange, so "
         f"the frame of that body is taken; others that can be named: {listed}"
@@ -161,7 +150,9 @@ def _from_numbers(robot: RobotModel, text: str) -> Flange:
 def _unknown(robot: RobotModel, name: str, frames: tuple[_Frame, ...]) -> str:
     mj_model = robot.mj_model
     bodies = {body_label(mj_model, i) for i in range(mj_model.nbody)}
-    known = f"fixed to body '{robot.body_name}' are: {', '.join(frame.words for frame in frames)}"
+    known = (
+        f"fixed to body '{robot.body_name}' are: {', '.join(flange.name for *_, flange in frames)}"
+    )
     if name in bodies or name in _sites(mj_model):
         kind = "body" if name in bodies else "site"
         return (

@@ -10,7 +10,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import MISSING, Field, dataclass, field, fields, replace
+from dataclasses import MISSING, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, ClassVar, Optional, TypeVar, Union
 
@@ -118,8 +118,8 @@ def _type_named_in(annotation: str) -> Callable[[str], Any] | None:
 
 def default_of(record: Any, name: str) -> Any:
     """Return a field's default."""
-    each: Field = next(f for f in fields(record) if f.name == name)
-    return None if each.default is MISSING else each.default
+    default = record.__dataclass_fields__[name].default
+    return None if default is MISSING else default
 
 
 def given_options(record: Any) -> Iterator[Option]:

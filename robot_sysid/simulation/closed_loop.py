@@ -195,13 +195,10 @@ class PlantSimulation:
 
     def __iter__(self) -> Iterator[Measurement]:
         """Yield what the sensors report, chunk by chunk in constant memory."""
-        return self._sensors.read(self.exact())
-
-    def exact(self) -> Iterator[Measurement]:
-        """Yield what perfect sensors would report."""
         if self._loop is not None:
-            return self._loop.run()
-        return simulate_inverse(self._plant, motion_chunks(self._plan, self._sample_rate))
+            return self._sensors.read(self._loop.run())
+        motions = motion_chunks(self._plan, self._sample_rate)
+        return self._sensors.read(simulate_inverse(self._plant, motions))
 
     def notes(self, deadband: PerJoint | None = None) -> tuple[str, ...]:
         """Return what the last reading showed, one sentence each; ask once it is at its end.
