@@ -16,14 +16,7 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Motion, MotionPlan, RobotModel, checked_array
-from robot_sysid.records.options import (
-    OptionRecord,
-    not_negative,
-    option,
-    positive,
-    speed_factor,
-    whole_number,
-)
+from robot_sysid.records.options import OptionRecord, option, speed_factor, whole_number
 
 FREQUENCY_BAND_HZ = (0.1, 0.6)
 TERMS_PER_JOINT = (3, 5)
@@ -51,38 +44,28 @@ class TrajectoryOptions(OptionRecord):
 
     NEEDS: ClassVar[str] = "motion"
     duration: float = option(
-        15.0,
-        "length; longer gives better conditioning",
-        unit="s",
-        check=positive,
-        needs="new motion",
+        15.0, "length; longer gives better conditioning", "[s] > 0", needs="new motion"
     )
     sample_rate: float = option(
-        1000.0,
-        "samples per second; higher gives more equations",
-        unit="Hz",
-        metavar="RATE",
-        check=positive,
+        1000.0, "samples per second; higher gives more equations", "RATE [Hz] > 0"
     )
     seed: int | None = option(
         None,
         "seed of the random trajectory and of simulated noise",
+        ">= 0",
         parse=whole_number,
-        check=not_negative,
         usual="a fresh one",
         needs="draw",
     )
     speed: float = option(
-        1.0, "slow the whole motion down, for a first run", metavar="FACTOR", check=speed_factor
+        1.0, "slow the whole motion down, for a first run", "FACTOR", check=speed_factor
     )
-    file: Path | None = option(
-        None, "use a trajectory that was saved", flag="--trajectory", metavar="FILE"
-    )
+    file: Path | None = option(None, "use a trajectory that was saved", "FILE", flag="--trajectory")
     save: Path | None = option(
         None,
         "write the trajectory as JSON (coefficients), and as CSV (samples) beside it",
+        "FILE",
         flag="--save-trajectory",
-        metavar="FILE",
     )
     plan_only: bool = option(False, "make, check and write the trajectory, then stop")
 

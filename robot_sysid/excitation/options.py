@@ -17,9 +17,7 @@ from robot_sysid.records.options import (
     OptionRecord,
     PerJoint,
     levels,
-    not_negative,
     option,
-    positive,
     processors,
     whole_number,
 )
@@ -50,46 +48,33 @@ class LimitOptions(OptionRecord):
     max_velocity: PerJoint = option(
         DEFAULT_MAX_VELOCITY,
         "speed limit of hinge joints, one number or one per joint",
-        unit="rad/s",
-        metavar="V",
+        "V [rad/s] > 0",
         parse=levels,
-        check=positive,
     )
     max_acceleration: float | None = option(
         None,
         "acceleration limit of hinge joints",
-        unit="rad/s²",
-        metavar="A",
-        check=positive,
+        "A [rad/s²] > 0",
         usual="none; for a new motion, what full speed at 0.6 Hz needs, or at its top frequency "
         "if lower",
     )
     max_torque: PerJoint | None = option(
         None,
         "torque limit beside the model's own, one number or one per joint",
-        unit="N·m",
-        metavar="T",
+        "T [N·m] > 0",
         parse=levels,
-        check=positive,
         usual="the model's own",
     )
     ignore_torque_limit: tuple[str, ...] = option(
-        (), "joint whose torque limit is not obeyed; may be repeated", metavar="JOINT", repeats=True
+        (), "joint whose torque limit is not obeyed; may be repeated", "JOINT", repeats=True
     )
     payload_reserve: float = option(
         0.0,
         "leave torque for an unknown load up to this mass at the tip of the tool",
-        unit="kg",
-        metavar="KG",
-        check=not_negative,
+        "KG [kg] >= 0",
     )
     max_tool_speed: float | None = option(
-        None,
-        "speed limit of the tool's fastest point",
-        unit="m/s",
-        metavar="V",
-        check=positive,
-        usual="none",
+        None, "speed limit of the tool's fastest point", "V [m/s] > 0", usual="none"
     )
     workspace: tuple[float, ...] | None = option(
         None,
@@ -105,11 +90,7 @@ class LimitOptions(OptionRecord):
         repeats=True,
     )
     clearance: float = option(
-        0.01,
-        "least distance between parts that are apart at rest",
-        unit="m",
-        metavar="D",
-        check=not_negative,
+        0.01, "least distance between parts that are apart at rest", "D [m] >= 0"
     )
 
     def __post_init__(self) -> None:
@@ -154,27 +135,15 @@ class ExcitationOptions(OptionRecord):
     time_budget: float = option(
         60.0,
         "stop designing after this time and keep the best",
+        "S [s] > 0",
         flag="--excitation-time-budget",
-        unit="s",
-        metavar="S",
-        check=positive,
         needs="design",
     )
     harmonics: int | None = option(
-        None,
-        "harmonics of a designed trajectory",
-        metavar="K",
-        usual="up to 0.6 Hz",
-        needs="design",
+        None, "harmonics of a designed trajectory", "K", usual="up to 0.6 Hz", needs="design"
     )
     base_frequency: float | None = option(
-        None,
-        "first harmonic",
-        unit="Hz",
-        metavar="F",
-        check=positive,
-        usual="one period, of at most 60 s",
-        needs="design",
+        None, "first harmonic", "F [Hz] > 0", usual="one period, of at most 60 s", needs="design"
     )
     ends: str = option(
         "faded",
@@ -247,18 +216,13 @@ class PoseOptions(OptionRecord):
     poses: int = option(
         12,
         "with --static, number of poses",
-        metavar="N",
+        "N",
         parse=whole_number,
         check=_enough,
         needs="static plan",
     )
     dwell: float = option(
-        1.5,
-        "with --static, how long each rest lasts",
-        unit="s",
-        metavar="S",
-        check=positive,
-        needs="static plan",
+        1.5, "with --static, how long each rest lasts", "S [s] > 0", needs="static plan"
     )
 
     @property

@@ -37,21 +37,19 @@ class LogOptions(OptionRecord):
     measurements: tuple[Path, ...] = option(
         (),
         "identify from this log of the real arm; may be repeated",
-        metavar="LOG.csv",
+        "LOG.csv",
         repeats=True,
         needs="estimate",
     )
-    append: Path | None = option(None, "also use the logs of an earlier run", metavar="PARAMS.json")
+    append: Path | None = option(None, "also use the logs of an earlier run", "PARAMS.json")
     columns: Path | None = option(
-        None, "file that says which column is what", metavar="FILE", usual="recognised"
+        None, "file that says which column is what", "FILE", usual="recognised"
     )
-    units: str | None = option(
-        None, "units of the log, such as deg or deg,ms", metavar="UNITS", usual="SI"
-    )
+    units: str | None = option(None, "units of the log, such as deg or deg,ms", "UNITS", usual="SI")
     torque_scale: Factors | None = option(
         None,
         "divide torques by this: a number, one per joint, or a file",
-        metavar="SCALE",
+        "SCALE",
         parse=factors_in,
         check=usable_factor,
     )
@@ -59,26 +57,25 @@ class LogOptions(OptionRecord):
         None,
         "the log holds motor currents: torque at the joint per ampere, gear included; a number, "
         "one per joint, or a file",
-        unit="N·m/A",
-        metavar="K",
+        "K [N·m/A]",
         parse=factors_in,
         check=usable_factor,
     )
     topic: str | None = option(
-        None, "topic of a ROS bag, where several fit", metavar="TOPIC", usual="found"
+        None, "topic of a ROS bag, where several fit", "TOPIC", usual="found"
     )
     episode: tuple[int, ...] = option(
-        (), "episode of a LeRobot data set; may be repeated", metavar="N", repeats=True, usual="all"
+        (), "episode of a LeRobot data set; may be repeated", "N", repeats=True, usual="all"
     )
     accept: tuple[str, ...] = option(
         (),
         "go on in spite of what this check warns of; may be repeated",
-        metavar="CHECK",
+        "CHECK",
         choices=tuple(CHECKS),
         repeats=True,
     )
     validation_measurements: Path | None = option(
-        None, "another log that only tests the result", metavar="LOG.csv"
+        None, "another log that only tests the result", "LOG.csv"
     )
     verify_rollout: bool = option(
         False,

@@ -40,7 +40,7 @@ class PreviewOptions(OptionRecord):
     video: Path | None = option(
         None,
         "render the motion as a film (.mp4 or .gif), with limits, clearance and torque over time",
-        metavar="FILE",
+        "FILE",
         parse=film_path,
     )
 

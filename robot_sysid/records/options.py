@@ -24,7 +24,7 @@ PerJoint = Union[float, tuple[float, ...]]
 Check = Callable[[Any], Optional[str]]
 """What is wrong with a value, as the end of a sentence that begins with the option; or None."""
 Record = TypeVar("Record")
-_VALUE = re.compile(r"(\S*)(?: \[(.*)\])?(?: (>=?) 0)?")
+_VALUE = re.compile(r"((?![\[>])\S+)? ?(?:\[(.*)\])? ?(?:(>=?) 0)?")
 
 
 @dataclass(frozen=True)

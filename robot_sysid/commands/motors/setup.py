@@ -23,7 +23,7 @@ from robot_sysid.damiao.protocol.registers import BIT_RATES
 from robot_sysid.damiao.report_lines import motor_table, state_table
 from robot_sysid.damiao.run.setup import MotorSetup, SetupOptions, map_by_hand, require_limp
 from robot_sysid.errors import HardwareAbort, InputError
-from robot_sysid.records.options import OptionRecord, option, positive, record_from
+from robot_sysid.records.options import OptionRecord, option, record_from
 
 # Where the bit rate is not ours to choose.
 _FIXED_RATE = ("socketcan", "damiao", "virtual")
@@ -32,15 +32,7 @@ _CLASSIC_TOP = 1_000_000
 
 def lifetime_option() -> Any:
     """Return the option that ends what would go on until Ctrl-C."""
-    return option(
-        None,
-        "end after this time",
-        flag="--for",
-        unit="s",
-        metavar="S",
-        check=positive,
-        usual="Ctrl-C",
-    )
+    return option(None, "end after this time", "S [s] > 0", flag="--for", usual="Ctrl-C")
 
 
 @dataclass(frozen=True)
@@ -55,16 +47,14 @@ class MonitorOptions(OptionRecord):
     """How ``motors monitor`` watches."""
 
     lifetime: float | None = lifetime_option()
-    interval: float = option(
-        0.2, "time between two looks", unit="s", metavar="S", check=positive, flag="--every"
-    )
+    interval: float = option(0.2, "time between two looks", "S [s] > 0", flag="--every")
 
 
 @dataclass(frozen=True)
 class MapOptions(OptionRecord):
     """What ``motors map`` writes."""
 
-    output: Path = option(Path("joint_map.csv"), "where to write the map", metavar="FILE")
+    output: Path = option(Path("joint_map.csv"), "where to write the map", "FILE")
 
 
 def setup(asked: Asked) -> int:

@@ -27,18 +27,15 @@ class BusAddress(OptionRecord):
     """Where the bus is."""
 
     interface: str = option(
-        "socketcan", "kind of adapter: " + ", ".join(INTERFACES), choices=INTERFACES, metavar="NAME"
+        "socketcan", "kind of adapter: " + ", ".join(INTERFACES), "NAME", choices=INTERFACES
     )
     channel: tuple[str, ...] = option(
-        (),
-        "the bus, for instance can0 or /dev/ttyACM0; once per bus",
-        metavar="CHANNEL",
-        repeats=True,
+        (), "the bus, for instance can0 or /dev/ttyACM0; once per bus", "CHANNEL", repeats=True
     )
     bus_option: tuple[str, ...] = option(
         (),
         "hand an option of the adapter's own to python-can, for instance f_clock_mhz=80",
-        metavar="NAME=VALUE",
+        "NAME=VALUE",
         repeats=True,
     )
 

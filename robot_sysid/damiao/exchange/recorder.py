@@ -97,11 +97,11 @@ _EXTRA = (
 class RecordingOptions(OptionRecord):
     """What is recorded, and where."""
 
-    record: Path | None = option(None, "write the measurement CSV", metavar="FILE")
+    record: Path | None = option(None, "write the measurement CSV", "FILE")
     raw_log: Path | None = option(
         None,
         "write every frame, format by suffix: .log .asc .blf .trc",
-        metavar="FILE",
+        "FILE",
         usual="beside --record",
     )
     overwrite: bool = option(False, "replace existing recordings")

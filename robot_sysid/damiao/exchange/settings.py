@@ -62,22 +62,18 @@ class PlaySettings(OptionRecord):
     """
 
     kp: tuple[float, ...] = option(
-        (), f"stiffness, {_EACH}", unit="N·m/rad", metavar="KP", check=_stiffness, **_BY_TYPE
+        (), f"stiffness, {_EACH}", "KP [N·m/rad]", check=_stiffness, **_BY_TYPE
     )
     kd: tuple[float, ...] = option(
-        (), f"damping, {_EACH}", unit="N·m·s/rad", metavar="KD", check=_damping, **_BY_TYPE
+        (), f"damping, {_EACH}", "KD [N·m·s/rad]", check=_damping, **_BY_TYPE
     )
     rate: float | None = option(
         None,
         "control cycles per second",
-        unit="Hz",
-        metavar="HZ",
-        check=positive,
+        "HZ [Hz] > 0",
         usual="250, with --fd 500, less where the bus is full",
     )
-    speed: float = option(
-        1.0, "1 plays as exported, 0.3 slower", metavar="FACTOR", check=speed_factor
-    )
+    speed: float = option(1.0, "1 plays as exported, 0.3 slower", "FACTOR", check=speed_factor)
     approach_speed: float = option(0.2, "joint speed on the way to the first point", **_SPEED)
     start_tolerance: float = option(0.5, "how far a joint may be from the first point", **_ANGLE)
     max_tracking_error: float = option(0.2, "how far a joint may leave its path", **_ANGLE)
@@ -87,39 +83,31 @@ class PlaySettings(OptionRecord):
     max_torque_error: tuple[float, ...] = option(
         (),
         f"how far a joint's torque may be from the trajectory's, {_EACH}",
-        unit="N·m",
-        metavar="TAU",
-        check=positive,
+        "TAU [N·m] > 0",
         several=True,
         usual="two thirds of the motor's peak torque",
     )
-    max_temperature: float = option(
-        80.0, "of power stage and winding", unit="°C", metavar="T", check=not_negative
-    )
-    max_missed: int = option(
-        3, "unanswered commands in a row that stop the run", metavar="N", check=positive
-    )
+    max_temperature: float = option(80.0, "of power stage and winding", "T [°C] >= 0")
+    max_missed: int = option(3, "unanswered commands in a row that stop the run", "N > 0")
     max_lateness: float = option(
         0.02,
         "how late a control cycle may be",
+        "MS [ms] >= 0",
         flag="--max-lateness-ms",
-        unit="ms",
-        metavar="MS",
         parse=milliseconds,
-        check=not_negative,
         usual="20",
     )
     park: str | None = option(
         None,
         "where to leave it: rest (lowered), start (where it stood), or a file of positions",
-        metavar="WHERE",
+        "WHERE",
         usual="disabled where it ends",
     )
     others: str = option(
         "limp",
         "motors on the bus that are not in the trajectory: limp or hold (where they are)",
+        "HOW",
         choices=("limp", "hold"),
-        metavar="HOW",
     )
     ramp_time: float = 0.3
     approach_time: float = 1.0

@@ -76,9 +76,8 @@ class Permissions(OptionRecord):
     watchdog: float | None = option(
         None,
         "set the motors' watchdogs for this run; nothing is stored in them",
+        "S [s]",
         flag="--set-watchdog",
-        unit="s",
-        metavar="S",
         check=_watchdog_time,
         usual="as they are",
     )
