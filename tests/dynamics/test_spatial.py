@@ -47,6 +47,20 @@ def test_theta_from_com_is_the_sum_over_point_masses(seed):
 
 
 @given(SEEDS)
+def test_skew_is_the_cross_product_as_a_matrix(seed):
+    a, b = np.random.default_rng(seed).normal(size=(2, 3))
+    np.testing.assert_allclose(spatial.skew(a) @ b, np.cross(a, b), rtol=0.0, atol=1e-14)
+
+
+def test_a_ball_of_aluminium_of_one_litre():
+    radius = (3e-3 / (4.0 * np.pi)) ** (1.0 / 3.0)
+    mass, com, inertia = spatial.com_from_theta(spatial.aluminium_ball(2.7, np.array([1, 2, 3])))
+    assert mass == 2.7
+    np.testing.assert_allclose(com, [1.0, 2.0, 3.0], rtol=1e-15)
+    np.testing.assert_allclose(inertia, 0.4 * 2.7 * radius**2 * np.eye(3), rtol=0.0, atol=1e-13)
+
+
+@given(SEEDS)
 def test_pseudo_inertia_is_the_second_moment_of_the_points(seed):
     masses, points = point_masses(np.random.default_rng(seed))
     homogeneous = np.column_stack((points, np.ones(len(points))))
