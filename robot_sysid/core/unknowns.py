@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -156,7 +157,7 @@ def _without(group: NuisanceGroup, names: set[str]) -> Iterator[NuisanceGroup]:
             mean=group.mean[stay],
             factor=group.factor[np.ix_(stay, stay)],
             members=tuple(group.members[k] for k in stay),
-            aspects=(),
+            aspects=tuple,
         )
 
 
@@ -387,7 +388,7 @@ def _link_group(columns: Columns, question: Question, choice: Choice) -> Nuisanc
     places = np.concatenate([sought[name][0] for name in names])
     members = tuple(name for name in names for _ in PARAMETER_NAMES)
     own = tuple(columns.names[k] for k in places)
-    means, aspects = np.concatenate(usual), link_aspects(usual, lengths)
+    means, aspects = np.concatenate(usual), partial(link_aspects, usual, lengths)
     return NuisanceGroup(LINKS, own, means, factor, members, aspects=aspects)
 
 

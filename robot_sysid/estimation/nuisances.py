@@ -12,7 +12,7 @@ Computation 4(3), 1992, eq. 22 and 33), C the covariance of the estimate; never 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,7 +45,7 @@ class NuisanceGroup:
         members: (k,) whose they are: the link's or the joint's name.
         may_widen: whether the data may ask for more than the prior allows.
         widened: alpha, by how much it did.
-        aspects: (m, k) combinations each that may be off while all others are not.
+        aspects: makes (m, k) combinations each that may be off while all others are not.
     """
 
     cause: str
@@ -55,7 +55,7 @@ class NuisanceGroup:
     members: tuple[str, ...]
     may_widen: bool = False
     widened: float = 1.0
-    aspects: tuple[Array, ...] = ()
+    aspects: Callable[[], tuple[Array, ...]] = tuple
 
     def rows(self, names: Sequence[str]) -> Array:
         """Return the prior as equations of unit variance, (k, p+1) [A b] in these parameters."""
@@ -243,7 +243,7 @@ def misfits(
         if gained > chi2.ppf(SURE, freedom):
             off = group.deviations(problem.names, values)
             worst, wide = _worst_members(group, off), wanted[index]
-            alone = [_asked_of(wide, some, problem.names, *wider) for some in group.aspects]
+            alone = [_asked_of(wide, some, problem.names, *wider) for some in group.aspects()]
             asked = max(wide.widened, *alone) if alone else wide.widened
             found.append(PriorConflict(group.cause, worst, asked, group.widened))
     return tuple(found)

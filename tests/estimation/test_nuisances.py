@@ -184,7 +184,7 @@ def test_what_one_aspect_contradicts_is_not_lost_among_the_others():
     accumulator = InformationAccumulator(names, ("j",), (np.arange(30),))
     accumulator.add(0, rows, tau)
     asked = []
-    for aspects in ((), link_aspects(thetas, lengths)):
+    for aspects in (tuple, lambda: link_aspects(thetas, lengths)):
         told = replace(group, aspects=aspects)
         (found,) = misfits(accumulator.result(), np.array([0.5]), (told,))
         asked.append(found.asked)
