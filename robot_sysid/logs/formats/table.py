@@ -136,7 +136,8 @@ def titled_arrays(path: Path, arrays: Mapping[str, Any]) -> tuple[tuple[str, ...
     """
     last = [name.rsplit("/", 1)[-1] for name in arrays]
     ends = zip(last, arrays.items())
-    named = {end if last.count(end) == 1 else name: a for end, (name, a) in ends}
+    # What a file holds beside arrays, such as text, has no numbers in it either.
+    named = {end if last.count(end) == 1 else name: np.asarray(a) for end, (name, a) in ends}
     sized = {
         name: a
         for name, a in named.items()

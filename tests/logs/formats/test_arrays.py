@@ -55,6 +55,14 @@ def test_an_array_that_only_says_it_is_huge_is_refused(tmp_path):
         read_measurements(tmp_path / "log.npz", JOINTS)
 
 
+def test_a_member_of_an_archive_that_is_no_array_is_no_column(tmp_path):
+    path = tmp_path / "log.npz"
+    np.savez(path, **COLUMNS)
+    with zipfile.ZipFile(path, "a") as packed:
+        packed.writestr("notes.txt", "recorded on a Monday")
+    np.testing.assert_array_equal(read_measurements(path, JOINTS).samples.tau, DATA.tau)
+
+
 def test_hdf5_whose_arrays_are_too_much_together_is_refused(tmp_path):
     h5py = pytest.importorskip("h5py")
     path = tmp_path / "log.hdf5"
