@@ -26,9 +26,6 @@ from robot_sysid.estimation.options import ESTIMATORS, EstimationOptions
 from robot_sysid.records import DELAY_NAME, Array, SquareRootInformation
 from robot_sysid.signals.repetition import Visits
 
-BARRIER = 0.1
-"""Weight of what keeps bodies possible, in units of squared whitened residuals: below what data can
-resolve, and enough to keep what it does not show near a usual body."""
 DEFAULT_METHOD = "wls"
 _MOST_ROUNDS, _MOST_BOUNDS, _WIDENING_ROUNDS = 8, 6, 2
 # Rounds of a delay or tilt that is sought; what no longer counts as movement: of the prediction, in
@@ -350,7 +347,7 @@ def possible(
         return free
     matrix, right = weighted.whitened()
     problem = links_problem(columns, sought, options.entropic_weight)
-    return sought.full(ConsistentLinks(matrix, right, problem).solve(BARRIER))
+    return sought.full(ConsistentLinks(matrix, right, problem).best())
 
 
 def links_problem(columns: Columns, sought: Unknowns, entropic: float = 0.0) -> LinksProblem:

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from robot_sysid.core.fit import BARRIER, Evidence, Fit, links_problem
+from robot_sysid.core.fit import Evidence, Fit, links_problem
 from robot_sysid.core.unknowns import Unknowns
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.consistent_links import ConsistentLinks
@@ -90,7 +90,7 @@ class HeldOut:
             if places and not all(spatial.is_consistent(values[at]) for at in places):
                 equations = _reduced(self._rests[number], sought)
                 rows = np.vstack((np.column_stack(equations), _prior_rows(sought)))
-                found = ConsistentLinks(rows[:, :-1], rows[:, -1], problem).solve(BARRIER)
+                found = ConsistentLinks(rows[:, :-1], rows[:, -1], problem).best()
                 values = sought.full(found)
             errors.append(self.data.blocks[number].squared_residuals(values))
         return np.array(errors)

@@ -32,6 +32,9 @@ from robot_sysid.estimation.cones import Cone, ScaledCone
 from robot_sysid.estimation.consistency import lifted_body
 from robot_sysid.records import Array
 
+GAMMAS, HARDLY = (0.1, 0.01, 1e-3, 1e-4), 3.0
+"""Weights of usual bodies that are tried, and how many squared residuals of unit variance hardly
+count: chance alone makes as many as there are parameters."""
 # Eigenvalues of an impossible model's body are lifted to this share of the largest.
 _FLOOR = 1e-6
 # What nothing shows stays at zero: 1 would be as strong as the data's sight of a column.
@@ -80,6 +83,7 @@ class ConsistentLinks:
     """
 
     def __init__(self, matrix: Array, right: Array, problem: LinksProblem) -> None:
+        self._matrix, self._right = matrix, right
         self._origin = possible_links(problem)
         self._unit = _units(matrix, problem)
         scaled = matrix @ self._unit
@@ -103,6 +107,16 @@ class ConsistentLinks:
             SysidError: the method did not converge.
         """
         return next(self.path((gamma,)))
+
+    def best(self) -> Array:
+        """Return the minimiser (p,) for the largest gamma that hardly costs the data anything.
+
+        What the data does not show stays near usual bodies then, and what it does show is not
+        pulled towards them, however much larger a tool is than the model's link.
+        """
+        found = list(self.path(GAMMAS))
+        costs = [float(np.sum((self._matrix @ each - self._right) ** 2)) for each in found]
+        return next(x for x, cost in zip(found, costs) if cost <= costs[-1] + HARDLY)
 
     def path(self, gammas: Sequence[float]) -> Iterator[Array]:
         """Yield the minimiser (p,) for each of several gammas, largest first.

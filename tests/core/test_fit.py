@@ -11,12 +11,14 @@ from scipy.spatial.transform import Rotation
 
 from robot_sysid.core import fit as fit_module
 from robot_sysid.core.columns import PAYLOAD_NAMES
-from robot_sysid.core.fit import BARRIER, Fitter
+from robot_sysid.core.errors import fit_errors
+from robot_sysid.core.fit import Fitter
 from robot_sysid.core.unknowns import LARGEST_LOSS, Question
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.friction import BENT
 from robot_sysid.dynamics.nuisances import gravity, with_gravity
 from robot_sysid.errors import SysidError
+from robot_sysid.estimation.consistent_links import GAMMAS
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.records import DELAY_NAME
 from tests.support import arms
@@ -268,7 +270,7 @@ def test_no_estimate_is_an_impossible_body_and_a_possible_one_stays(plant, robot
             moved = (forced.values - plain.values)[forced.unknowns.kept]
             cost = 0.5 * np.sum((forced.weighted.whitened()[0] @ moved) ** 2)
             gained = penalty(plain.values, robot) - penalty(forced.values, robot)
-            assert 0.0 <= cost <= BARRIER * gained
+            assert 0.0 <= cost <= GAMMAS[0] * gained
     assert 0 < impossible < 4
 
 
@@ -322,3 +324,18 @@ def test_a_placeholder_link_is_found_all_the_same(link):
     rows, tau = fit.samples[0].rows[1], fit.samples[0].tau[1]
     left = tau - rows @ fit.values[fit.samples[0].columns[1]]
     assert np.std(left) < 0.03
+
+
+def test_a_tool_far_larger_than_the_models_link_is_not_pulled_towards_it():
+    """Its mass is known to what the errors say also where noise makes an impossible body of it."""
+    small = spatial.theta_from_com(0.1, np.array([0.0, 0.0, 0.01]), 1e-6 * np.eye(3))
+    model = arms.compile_xml(arms.serial_arm((arms.Z, arms.Y, arms.Y, arms.X)))
+    arms.write_body(model, ROBOT.links[-1].body_id, small)
+    guess, off, moved = arms.robot_of(model), [], 0
+    for seed in range(6):
+        arm = TrueArm(ROBOT, seed, wrong=0.0)
+        recording = with_noise(arm.recording(wide_motion(seed), False), 1.0, seed)
+        fit = fitted(guess, [recording])
+        moved += fit.constrained
+        off.append((fit.values[0] - fit.free[0]) / fit_errors(fit).whole.standard_errors[0])
+    assert moved and np.max(np.abs(off)) < 1.0
