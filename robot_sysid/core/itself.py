@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 from robot_sysid.core.answer import traced
 from robot_sysid.core.dataset import DecimatedSamples
+from robot_sysid.core.result import about
 from robot_sysid.core.verdict import of_own_simulation
 from robot_sysid.dynamics.equations import (
     N_INERTIAL,
@@ -16,11 +17,9 @@ from robot_sysid.dynamics.equations import (
     friction_per_joint,
 )
 from robot_sysid.estimation.options import EstimationOptions
-from robot_sysid.model.inertia import subtree_bodies
 from robot_sysid.records import DataOrigin, Estimate, MotionPlan, RobotModel, Source
 from robot_sysid.records.data import Traces
 from robot_sysid.records.progress import Progress
-from robot_sysid.results.model import versions
 from robot_sysid.results.record import LINK, JointEstimate, Result
 from robot_sysid.simulator import collect_sysid_data, simulate_inverse
 from robot_sysid.solver import identify_parameters
@@ -68,20 +67,12 @@ def identify_itself(
     own = zip(equations.names[N_INERTIAL:], equations.prior[N_INERTIAL:].tolist())
     before = {name.partition("[")[0]: value for name, value in own}
     result = Result(
+        **about(robot),
         question=LINK,
-        model_path=robot.path,
-        model_sha256=robot.sha256,
-        joint_name=robot.terminal_joint,
-        body_name=robot.body_name,
-        joint_names=robot.joint_names,
-        prior=robot.prior,
         estimate=estimate,
         verdict=of_own_simulation(estimate),
         torques=options.torques,
         data=DataOrigin(Source.ITSELF, "", plan.duration, rate, seed),
-        versions=versions(),
-        slides=robot.slides,
-        bodies=subtree_bodies(robot.mj_model, robot.reference_qpos, robot.body_id),
         joints={robot.terminal_joint: JointEstimate(model.name, {}, before)},
         notes=robot.notes,
     )

@@ -137,26 +137,33 @@ def _findings(
         yield judged
 
 
+def about(robot: RobotModel) -> dict[str, Any]:
+    """Return what a result says of the arm itself, whatever was asked of it."""
+    return {
+        "model_path": robot.path,
+        "model_sha256": robot.sha256,
+        "joint_name": robot.terminal_joint,
+        "body_name": robot.body_name,
+        "joint_names": robot.joint_names,
+        "prior": robot.prior,
+        "versions": versions(),
+        "slides": robot.slides,
+        "bodies": subtree_bodies(robot.mj_model, robot.reference_qpos, robot.body_id),
+    }
+
+
 def _common(answer: Answer, data: DataOrigin) -> Result:
     """Return what results of all questions have in common."""
     fit, robot = answer.fit, answer.robot
     joints = dict(answer.joints())
     models = {model.name for model in fit.choice.friction}
     return Result(
+        **about(robot),
         question=PAYLOAD if fit.question.loaded else LINK,
-        model_path=robot.path,
-        model_sha256=robot.sha256,
-        joint_name=robot.terminal_joint,
-        body_name=robot.body_name,
-        joint_names=robot.joint_names,
-        prior=robot.prior,
         estimate=estimate_of(answer),
         verdict=Verdict.OK,
         torques=fit.columns.torques,
         data=data,
-        versions=versions(),
-        slides=robot.slides,
-        bodies=subtree_bodies(robot.mj_model, robot.reference_qpos, robot.body_id),
         joints={name: joints[name] for name in robot.joint_names},
         couplings={name: each for name, each in joints.items() if name not in robot.joint_names},
         sensors=answer.sensors(),
@@ -178,10 +185,14 @@ def _alignment(fit: Fit) -> dict[str, Any]:
     if fit.question.options.delay == "auto":
         found["delay"] = fit.value(DELAY_NAME)
     if fit.question.options.tilt == "auto":
-        here, there = fit.point.gravity, gravity(fit.columns.robot)
-        cross = np.linalg.norm(np.cross(here, there))
-        found["tilt"] = float(np.arctan2(cross, here @ there))
+        found["tilt"] = _turned(fit.columns.robot, fit.point.gravity)
     return found
+
+
+def _turned(robot: RobotModel, down: Array) -> float:
+    """Return the angle between some gravity (3,) and the model's [rad]."""
+    there = gravity(robot)
+    return float(np.arctan2(np.linalg.norm(np.cross(down, there)), down @ there))
 
 
 def _said(answer: Answer, file: ModelFile | None) -> Iterator[str]:
@@ -209,8 +220,7 @@ def _said(answer: Answer, file: ModelFile | None) -> Iterator[str]:
                 "positions"
             )
     if file is not None and file.gravity is not None:
-        here, there = file.gravity, gravity(answer.robot)
-        angle = np.degrees(np.arctan2(np.linalg.norm(np.cross(here, there)), here @ there))
+        angle = np.degrees(_turned(answer.robot, file.gravity))
         yield (
             f"the written model's gravity is turned by {angle:.2f} degrees: the base is tilted by "
             "that, or encoder zeros look like it (--keep-gravity leaves it alone)"

@@ -97,17 +97,6 @@ class ConsistentLinks:
         self._start = np.zeros(len(self._origin))
         self._cones = (_cone(problem),)
 
-    def solve(self, gamma: float) -> Array:
-        """Return the minimiser (p,).
-
-        Args:
-            gamma: weight of the divergence from the model, > 0.
-
-        Raises:
-            SysidError: the method did not converge.
-        """
-        return next(self.path((gamma,)))
-
     def best(self) -> Array:
         """Return the minimiser (p,) for the largest gamma that hardly costs the data anything.
 
@@ -122,6 +111,9 @@ class ConsistentLinks:
         """Yield the minimiser (p,) for each of several gammas, largest first.
 
         None of them is followed below what rounding of the data's part can resolve.
+
+        Raises:
+            SysidError: the method did not converge.
         """
         least = _RESOLUTION * float(self._seen @ self._seen)
         gammas = [max(gamma, least) for gamma in gammas]

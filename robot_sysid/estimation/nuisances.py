@@ -161,7 +161,13 @@ def widened_groups(
         values, covariance, _ = problem.solve(found)
         before = found
         found = tuple(
-            replace(group, widened=max(_asked(group, problem.names, values, covariance), least))
+            replace(
+                group,
+                widened=max(
+                    _asked(group, np.eye(len(group.names)), problem.names, values, covariance),
+                    least,
+                ),
+            )
             if group.may_widen or least < 1.0
             else group
             for group in before
@@ -188,16 +194,10 @@ class _Problem:
         return values, space.inverse(), misfit
 
 
-def _asked(group: NuisanceGroup, names: Sequence[str], values: Array, covariance: Array) -> float:
-    """Return the factor by which the data asks to widen a prior."""
-    every = np.eye(len(group.names))
-    return _asked_of(group, every, names, values, covariance)
-
-
-def _asked_of(
+def _asked(
     group: NuisanceGroup, some: Array, names: Sequence[str], values: Array, covariance: Array
 ) -> float:
-    """Return the same of some combinations (m, k) alone."""
+    """Return the factor by which the data asks to widen a prior, of combinations (m, k) of it."""
     root = np.linalg.cholesky(some @ group.factor @ group.factor.T @ some.T)
     off = np.linalg.solve(root, some @ (values[group.places(names)] - group.mean))
     determined = float(np.sum(_determined(group, some, names, covariance)))
@@ -243,8 +243,8 @@ def misfits(
         if gained > chi2.ppf(SURE, freedom):
             off = group.deviations(problem.names, values)
             worst, wide = _worst_members(group, off), wanted[index]
-            alone = [_asked_of(wide, some, problem.names, *wider) for some in group.aspects()]
-            asked = max(wide.widened, *alone) if alone else wide.widened
+            alone = [_asked(wide, some, problem.names, *wider) for some in group.aspects()]
+            asked = max((wide.widened, *alone))
             found.append(PriorConflict(group.cause, worst, asked, group.widened))
     return tuple(found)
 
