@@ -162,6 +162,27 @@ def characteristic_length(theta: Array) -> float:
     return float(np.sqrt(max(half_trace, 0.0) / theta[0])) or 1.0
 
 
+def lifted_body(theta: Array, scale_of: Array, floor: float) -> Array:
+    """Return a safely possible body (10,) near theta.
+
+    Eigenvalues of the pseudo-inertia, made dimensionless with mass and size of another body, are
+    lifted to ``floor`` times the largest magnitude.
+
+    Args:
+        theta: (10,) parameters, possible or not.
+        scale_of: (10,) body whose mass and size set the scale.
+        floor: smallest eigenvalue relative to the largest magnitude (but at least 1).
+    """
+    mass = float(scale_of[0]) if scale_of[0] > 0.0 else 1.0
+    length = characteristic_length(scale_of)
+    units = np.sqrt(mass) * np.array([length, length, length, 1.0])
+    values, vectors = np.linalg.eigh(pseudo_inertia(theta) / np.outer(units, units))
+    lifted = np.maximum(values, floor * max(float(np.max(np.abs(values))), 1.0))
+    if lifted[0] == values[0]:
+        return np.array(theta, dtype=float)
+    return theta_from_pseudo_inertia((vectors * lifted) @ vectors.T * np.outer(units, units))
+
+
 def _build_pseudo_basis() -> Array:
     basis = np.zeros((10, 4, 4))
     for matrix, unit in zip(basis, np.eye(10)):

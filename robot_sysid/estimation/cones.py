@@ -1,8 +1,9 @@
 """Symmetric matrices of one size that have to stay positive definite, many of them at once.
 
-A cone stands for K_i(z) = K0_i + sum_k z_ik B_ik > 0 of m matrices together with their duals Z_i,
-which stand for t K_i^-1. In the scaling of Nesterov and Todd both become the same diagonal matrix D
-(Toh, Todd, Tutuncu, "SDPT3 - a MATLAB software package for semidefinite programming", 1999).
+A cone stands for K_i(z) = K0_i + sum_k z_ik B_ik > 0 of m matrices with k coordinates each, and for
+their duals Z_i, which are to be t K_i^-1. In the scaling of Nesterov and Todd both become the same
+diagonal matrix D (Toh, Todd, Tutuncu, "SDPT3 - a MATLAB software package for semidefinite
+programming", 1999).
 """
 
 from __future__ import annotations
@@ -21,14 +22,12 @@ class Cone:
     """The matrices and what the objective says of them: w(t) (linear_i^T z_i - log det K_i).
 
     Attributes:
-        columns: (m, k) which coordinates each matrix depends on.
         constant: (m, s, s) K0.
         basis: (m, k, s, s) B.
         linear: (m, k) in units of w(t).
         least: (m,) w(t) = t, at least this.
     """
 
-    columns: NDArray[np.int64]
     constant: Array
     basis: Array
     linear: Array
@@ -40,25 +39,23 @@ class Cone:
 
     def matrices(self, z: Array) -> Array:
         """Return K(z) (m, s, s)."""
-        return self.constant + self._combined(z)
+        return self.constant + _combined(z, self.basis)
 
-    def _combined(self, z: Array) -> Array:
-        return np.einsum("mk,mkij->mij", z[self.columns], self.basis)
+    def dual_roots(self, z: Array, t: float) -> Array:
+        """Return R (m, s, s) with R R^T = w(t) K^-1."""
+        return np.linalg.cholesky(self.weight(t)[:, None, None] * np.linalg.inv(self.matrices(z)))
 
-    def duals(self, z: Array, t: float) -> Array:
-        """Return w(t) K^-1 (m, s, s)."""
-        return np.asarray(self.weight(t)[:, None, None] * np.linalg.inv(self.matrices(z)))
-
-    def scaled(self, z: Array, duals: Array) -> ScaledCone:
+    def scaled(self, z: Array, dual_roots: Array) -> ScaledCone:
         """Return the cone in coordinates in which K and its dual are the same diagonal matrix.
+
+        Duals are known by their roots: squared, rounding would hide their least eigenvalues.
 
         Raises:
             numpy.linalg.LinAlgError: one of them is not positive definite.
         """
         primal_root = np.linalg.cholesky(self.matrices(z))
-        dual_root = np.linalg.cholesky(duals)
-        left, diagonal, _ = np.linalg.svd(_transposed(dual_root) @ primal_root)
-        inverse = _transposed(left / np.sqrt(diagonal)[:, None, :]) @ _transposed(dual_root)
+        left, diagonal, _ = np.linalg.svd(_transposed(dual_roots) @ primal_root)
+        inverse = _transposed(left / np.sqrt(diagonal)[:, None, :]) @ _transposed(dual_roots)
         turned = inverse[:, None] @ self.basis @ _transposed(inverse)[:, None]
         return ScaledCone(self, diagonal, inverse, turned)
 
@@ -79,24 +76,22 @@ class ScaledCone:
     inverse: Array
     basis: Array
 
-    def add_curvature(self, hessian: Array) -> None:
-        """Add the second derivative of the barrier to (p, p)."""
-        columns = self.cone.columns
-        bend = np.einsum("mkij,mlij->mkl", self.basis, self.basis)
-        np.add.at(hessian, (columns[:, :, None], columns[:, None, :]), bend)
+    def rows(self) -> Array:
+        """Return (m s s, m k) rows whose squares are the barrier's curvature."""
+        count, k, size, _ = self.basis.shape
+        rows = np.zeros((count, size * size, count, k))
+        each = np.arange(count)
+        rows[each, :, each] = np.swapaxes(self.basis.reshape(count, k, -1), 1, 2)
+        return rows.reshape(count * size * size, count * k)
 
-    def add_slope(self, gradient: Array, t: float, correction: Array) -> None:
-        """Add the gradient (p,) as it is where the duals have got to where a step aims."""
-        pull = self._aim(t) - correction
-        slope = self.cone.weight(t)[:, None] * self.cone.linear - np.einsum(
-            "mkij,mij->mk", self.basis, pull
-        )
-        np.add.at(gradient, self.cone.columns, slope)
+    def slope(self, t: float) -> Array:
+        """Return the gradient (m k,) of the linear term."""
+        return (self.cone.weight(t)[:, None] * self.cone.linear).ravel()
 
     def changes(self, step: Array, t: float, correction: Array) -> tuple[Array, Array]:
-        """Return what a step (p,) does to K and to the duals, scaled, (m, s, s) each."""
-        primal = np.einsum("mk,mkij->mij", step[self.cone.columns], self.basis)
-        return primal, self._aim(t) - self._here() - correction - primal
+        """Return what a step (m k,) does to K and to the duals, scaled, (m, s, s) each."""
+        primal = _combined(step, self.basis)
+        return primal, self.aim(t) - self._here() - correction - primal
 
     def second_order(self, primal: Array, dual: Array) -> Array:
         """Return the correction (m, s, s) for the product of both changes."""
@@ -122,15 +117,20 @@ class ScaledCone:
         return float(np.min(products / np.mean(products, axis=1, keepdims=True)))
 
     def moved(self, change: Array) -> Array:
-        """Return the duals (m, s, s) after a scaled change."""
-        return _transposed(self.inverse) @ (self._here() + change) @ self.inverse
+        """Return roots of the duals (m, s, s) after a scaled change."""
+        return _transposed(self.inverse) @ np.linalg.cholesky(self._here() + change)
 
     def _here(self) -> Array:
         return self.diagonal[:, :, None] * np.eye(self.diagonal.shape[1])
 
-    def _aim(self, t: float) -> Array:
+    def aim(self, t: float) -> Array:
+        """Return K and its duals (m, s, s) as they are to be at t, scaled."""
         size = self.diagonal.shape[1]
         return (self.cone.weight(t)[:, None] / self.diagonal)[:, :, None] * np.eye(size)
+
+
+def _combined(z: Array, basis: Array) -> Array:
+    return np.einsum("mk,mkij->mij", z.reshape(len(basis), -1), basis)
 
 
 def _transposed(matrices: NDArray[Any]) -> NDArray[Any]:

@@ -11,10 +11,10 @@ below what data can resolve and only keeps bodies possible, unless a link is to 
 
 The problem is convex. A primal-dual method follows g down from where P0 alone decides, in
 the scaling of Nesterov and Todd with Mehrotra's predictor and corrector; a step is one
-factorisation for all links. Two changes of coordinates keep steps accurate however weak a direction
-is. Each link is measured in its usual body's own pseudo-inertia, P_i = L_i (1 + Z_i) L_i^T with
-P0_i = L_i L_i^T. Then everything is turned into the singular directions of A, where the data's part
-of the second derivative is diagonal.
+factorisation for all links, of rows and not of their squares. Two changes of coordinates keep steps
+accurate however weak a direction is. Each link is measured in the pseudo-inertia of a body like it,
+P_i = L_i (1 + Z_i) L_i^T: its usual body's where nothing better is known. Then everything is turned
+into the singular directions of A, where the data's part of the second derivative is diagonal.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,6 @@ from numpy.typing import NDArray
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import SysidError
 from robot_sysid.estimation.cones import Cone, ScaledCone
-from robot_sysid.estimation.consistency import lifted_body
 from robot_sysid.records import Array
 
 GAMMAS, HARDLY = (0.1, 0.01, 1e-3, 1e-4), 3.0
@@ -38,7 +38,7 @@ count: chance alone makes as many as there are parameters."""
 # Eigenvalues of an impossible model's body are lifted to this share of the largest.
 _FLOOR = 1e-6
 # What nothing shows stays at zero: 1 would be as strong as the data's sight of a column.
-_RIDGE = 1e-10
+_RIDGE = 1e-5
 # Where the path of gamma begins, and how small a step is none, in units of gamma.
 _EASY, _CONVERGED, _MOST_STEPS = 1e4, 1e-6, 1000
 _TO_THE_WALL = 0.95
@@ -48,8 +48,8 @@ _CENTRALITY = 0.02
 _SHORT = 0.5
 # By which share gamma goes down after a step of full length, whatever a bold step promises.
 _EAGER = 0.8
-# What rounding resolves of squared residuals.
-_RESOLUTION = 1e-13
+# What rounding resolves of squared residuals, and of the squared length of a step.
+_RESOLUTION, _SHORTEST = 1e-15, 1e-18
 
 
 @dataclass(frozen=True)
@@ -60,17 +60,19 @@ class LinksProblem:
         links: per link, where its ten parameters stand among all.
         prior: (p,) usual bodies at those places, zero elsewhere.
         weights: (links,) least weight of each link's divergence from its usual body.
+        start: (p,) bodies closer to what will be found than the usual ones; None for those.
     """
 
     links: tuple[NDArray[np.int64], ...]
     prior: Array
     weights: Array
+    start: Array | None = None
 
     @cached_property
     def bodies(self) -> tuple[tuple[Array, Array], ...]:
-        """Each usual body made possible where it is not (10,), and the units of Z there."""
-        thetas = [self.prior[link] for link in self.links]
-        return tuple(_body(lifted_body(theta, theta, _FLOOR)) for theta in thetas)
+        """Where each link starts (10,), possible, and the units of Z there."""
+        like = self.prior if self.start is None else self.start
+        return tuple(_body(_lifted(like[link])) for link in self.links)
 
 
 class ConsistentLinks:
@@ -84,18 +86,35 @@ class ConsistentLinks:
 
     def __init__(self, matrix: Array, right: Array, problem: LinksProblem) -> None:
         self._matrix, self._right = matrix, right
-        self._origin = possible_links(problem)
+        self._bodies = np.concatenate(problem.links)
+        self._origin = np.zeros(len(problem.prior))
+        for link, (theta, _) in zip(problem.links, problem.bodies):
+            self._origin[link] = theta
         self._unit = _units(matrix, problem)
-        scaled = matrix @ self._unit
-        missing = max(scaled.shape[1] - len(scaled), 0)
-        padded = np.pad(scaled, ((0, missing), (0, 0)))
-        left, self._singular, directions = np.linalg.svd(padded, full_matrices=False)
-        self._turn = directions.T
-        self._seen = left.T @ np.append(right - matrix @ self._origin, np.zeros(missing))
-        self._ridge = np.full(len(self._origin), _RIDGE)
-        self._ridge[np.concatenate(problem.links)] = 0.0
-        self._start = np.zeros(len(self._origin))
-        self._cones = (_cone(problem),)
+        self._others = np.delete(np.arange(len(self._origin)), self._bodies)
+        self._free, rest = self._eliminated()
+        left, singular, directions = np.linalg.svd(rest[:-1, :-1])
+        self._turn, self._singular, self._seen = directions.T, singular, left.T @ rest[:-1, -1]
+        self._squared, self._unseen = float(self._seen @ self._seen), float(rest[-1, -1] ** 2)
+        self._cone = _cone(problem)
+
+    def _eliminated(self) -> tuple[Array, Array]:
+        """Return (triangular rows of what is no body, those of bodies alone), right sides last."""
+        count, scaled = len(self._others), self._matrix @ self._unit
+        right = self._right - self._matrix @ self._origin
+        rows = np.column_stack((scaled[:, self._others], scaled[:, self._bodies], right))
+        ridge = np.pad(
+            _RIDGE * np.eye(count), ((0, len(self._bodies) + 1), (0, len(rows.T) - count))
+        )
+        triangle = np.asarray(np.linalg.qr(np.vstack((rows, ridge)), mode="r"))
+        return triangle[:count], triangle[count:, count:]
+
+    def _all(self, z: Array) -> Array:
+        """Return all parameters (p,) for coordinates of the bodies (k,)."""
+        count, found = len(self._others), np.zeros(len(self._origin))
+        goal = self._free[:, -1] - self._free[:, count:-1] @ z
+        found[self._bodies], found[self._others] = z, np.linalg.solve(self._free[:, :count], goal)
+        return self._origin + self._unit @ found
 
     def best(self) -> Array:
         """Return the minimiser (p,) for the largest gamma that hardly costs the data anything.
@@ -103,9 +122,18 @@ class ConsistentLinks:
         What the data does not show stays near usual bodies then, and what it does show is not
         pulled towards them, however much larger a tool is than the model's link.
         """
-        found = list(self.path(GAMMAS))
-        costs = [float(np.sum((self._matrix @ each - self._right) ** 2)) for each in found]
-        return next(x for x, cost in zip(found, costs) if cost <= costs[-1] + HARDLY)
+        ends = self.path((GAMMAS[0], GAMMAS[-1]))
+        most = next(ends)
+        # Nothing leaves less than what is not seen, possible bodies or not.
+        if self._left(most) <= self._unseen + HARDLY:
+            return most
+        allowed = self._left(next(ends)) + HARDLY
+        each = chain((most,), self.path(GAMMAS[1:]))
+        return next(values for values in each if self._left(values) <= allowed)
+
+    def _left(self, values: Array) -> float:
+        """Return the sum of squared residuals."""
+        return float(np.sum((self._matrix @ values - self._right) ** 2))
 
     def path(self, gammas: Sequence[float]) -> Iterator[Array]:
         """Yield the minimiser (p,) for each of several gammas, largest first.
@@ -115,93 +143,82 @@ class ConsistentLinks:
         Raises:
             SysidError: the method did not converge.
         """
-        least = _RESOLUTION * float(self._seen @ self._seen)
+        least = _RESOLUTION * self._squared
         gammas = [max(gamma, least) for gamma in gammas]
-        t, z = max(_EASY, *gammas, 0.0), self._start
-        duals = [cone.duals(z, t) for cone in self._cones]
+        t, z = max(_EASY, *gammas, 0.0), np.zeros(len(self._bodies))
+        dual_roots = self._cone.dual_roots(z, t)
         for gamma in gammas:
-            z, duals = self._follow(z, duals, t, gamma)
+            z, dual_roots = self._follow(z, dual_roots, t, gamma)
             t = gamma
-            yield self._origin + self._unit @ z
+            yield self._all(z)
 
-    def _follow(
-        self, z: Array, duals: list[Array], t: float, gamma: float
-    ) -> tuple[Array, list[Array]]:
-        """Return coordinates and duals at gamma, coming from those at t."""
-        length = 1.0
+    def _follow(self, z: Array, dual_roots: Array, t: float, gamma: float) -> tuple[Array, Array]:
+        """Return coordinates and roots of the duals at gamma, coming from those at t."""
+        length, least = 1.0, max(_CONVERGED * gamma, _SHORTEST * self._squared)
         for _ in range(_MOST_STEPS):
             try:
-                cones = [cone.scaled(z, dual) for cone, dual in zip(self._cones, duals)]
-                newton = _Newton(cones, *self._derivatives(z), self._turn)
+                cone = self._cone.scaled(z, dual_roots)
             except np.linalg.LinAlgError:
                 break
+            unexplained = self._seen - self._singular * (self._turn.T @ z)
+            newton = _Newton(cone, self._singular, unexplained, self._turn)
             bold = newton.step(gamma)
             # Where a bold step finds no room but the last one did well, t goes down all the same.
             left = min((1.0 - min(1.0, newton.room(bold))) ** 2, 1.0 - _EAGER * length)
             t = max(gamma, left * t)
             step, length = newton.best(t, bold)
             z = z + length * step.direction
-            duals = [c.moved(length * dual) for c, dual in zip(cones, step.duals)]
-            if t == gamma and step.size <= _CONVERGED * gamma:
-                return z, duals
+            dual_roots = cone.moved(length * step.dual)
+            if t == gamma and step.size <= least:
+                return z, dual_roots
         raise SysidError(
             "the fit of all links did not converge; check the units of the torques and of the "
             "model's inertias"
         )
 
-    def _derivatives(self, z: Array) -> tuple[Array, Array]:
-        """Return gradient (p,) and second derivative (p,) of the data's part, in turned axes."""
-        misfit = self._singular * (self._turn.T @ z) - self._seen
-        gradient = self._singular * misfit + self._turn.T @ (self._ridge * z)
-        return gradient, self._singular**2
-
 
 @dataclass(frozen=True)
 class _Step:
-    """A change of the coordinates (p,) and of each cone's K and duals, and its squared length."""
+    """A change of the coordinates (k,), of K and of its duals, and its squared length."""
 
     direction: Array
-    primals: list[Array]
-    duals: list[Array]
+    primal: Array
+    dual: Array
     size: float
 
 
 class _Newton:
-    """Newton's equations at one point."""
+    """Newton's equations at one point, as least squares: squared, rounding would hide what is weak.
 
-    def __init__(
-        self, cones: list[ScaledCone], gradient: Array, diagonal: Array, turn: Array
-    ) -> None:
-        self._cones, self._gradient, self._turn = cones, gradient, turn
-        curvature = np.full(turn.shape[0], _RIDGE) * np.eye(turn.shape[0])
-        for cone in cones:
-            cone.add_curvature(curvature)
-        hessian = turn.T @ curvature @ turn
-        hessian[np.diag_indices_from(hessian)] += diagonal
-        self._scale = 1.0 / np.sqrt(np.diag(hessian))
-        self._inverse = np.linalg.inv(hessian * self._scale * self._scale[:, None])
+    Args:
+        cone: scaled there.
+        singular: (k,) singular values of the data.
+        unexplained: (k,) what is left there of what they see.
+        turn: (k, k) the axes they belong to, as columns.
+    """
+
+    def __init__(self, cone: ScaledCone, singular: Array, unexplained: Array, turn: Array) -> None:
+        self._cone, self._unexplained, self._turn = cone, unexplained, turn
+        rows = np.vstack((np.diag(singular), cone.rows() @ turn))
+        self._orthogonal, triangle = np.linalg.qr(rows)
+        self._inverse = np.linalg.inv(triangle)
 
     def step(self, t: float, bold: _Step | None = None) -> _Step:
         """Return the step towards t, corrected for what a bolder one showed of second order."""
+        cone = self._cone
         if bold is None:
-            corrections = [np.zeros_like(cone.inverse) for cone in self._cones]
+            correction = np.zeros_like(cone.inverse)
         else:
-            pairs = zip(self._cones, bold.primals, bold.duals)
-            corrections = [cone.second_order(*changes) for cone, *changes in pairs]
-        slope = np.zeros(len(self._gradient))
-        for cone, correction in zip(self._cones, corrections):
-            cone.add_slope(slope, t, correction)
-        gradient = self._scale * (self._gradient + self._turn.T @ slope)
-        scaled = -self._inverse @ gradient
-        direction = self._turn @ (self._scale * scaled)
-        both = [cone.changes(direction, t, c) for cone, c in zip(self._cones, corrections)]
-        primals, duals = [p for p, _ in both], [d for _, d in both]
-        return _Step(direction, primals, duals, -float(scaled @ gradient))
+            correction = cone.second_order(bold.primal, bold.dual)
+        goal = np.append(self._unexplained, cone.aim(t) - correction)
+        slope = self._inverse.T @ (self._turn.T @ cone.slope(t))
+        scaled = self._orthogonal.T @ goal - slope
+        direction = self._turn @ (self._inverse @ scaled)
+        return _Step(direction, *cone.changes(direction, t, correction), float(scaled @ scaled))
 
     def room(self, step: _Step) -> float:
-        """Return which part of a step stays inside all cones."""
-        changes = zip(self._cones, step.primals, step.duals)
-        return min(min(cone.room(p), cone.room(d)) for cone, p, d in changes)
+        """Return which part of a step stays inside."""
+        return min(self._cone.room(step.primal), self._cone.room(step.dual))
 
     def best(self, t: float, bold: _Step) -> tuple[_Step, float]:
         """Return (step towards t, its length), corrected for second order where that goes far."""
@@ -217,28 +234,26 @@ class _Newton:
         """Return a step length that leaves no eigenvalue of K Z far behind the others."""
         length = min(1.0, _TO_THE_WALL * self.room(step))
         for _ in range(_MOST_STEPS):
-            changes = zip(self._cones, step.primals, step.duals)
-            if all(c.centrality(length * p, length * d) >= _CENTRALITY for c, p, d in changes):
+            if self._cone.centrality(length * step.primal, length * step.dual) >= _CENTRALITY:
                 break
             length *= 0.7
         return length
 
 
 def _cone(problem: LinksProblem) -> Cone:
-    """Return the cone of the links: 1 + Z_i, pulled to the usual body by w(t) tr Z_i."""
+    """Return the cone of the links: 1 + Z_i, pulled to the usual body by w(t) tr P0_i^-1 P_i."""
     count = len(problem.links)
+    linear = []
+    for link, (_, units) in zip(problem.links, problem.bodies):
+        usual = np.linalg.inv(spatial.pseudo_inertia(_lifted(problem.prior[link])))
+        linear.append(np.einsum("kij,ij->k", spatial.pseudo_inertia(units.T), usual))
     basis = np.repeat(_BASIS[None], count, axis=0)
     constant = np.repeat(np.eye(4)[None], count, axis=0)
-    linear = np.einsum("mkii->mk", basis)
-    return Cone(np.array(problem.links), constant, basis, linear, problem.weights)
+    return Cone(constant, basis, np.array(linear), problem.weights)
 
 
-def possible_links(problem: LinksProblem) -> Array:
-    """Return (p,) the usual bodies, made possible where they are not, and nothing else."""
-    origin = np.zeros(len(problem.prior))
-    for link, (theta, _) in zip(problem.links, problem.bodies):
-        origin[link] = theta
-    return origin
+def _lifted(theta: Array) -> Array:
+    return spatial.lifted_body(theta, theta, _FLOOR)
 
 
 def _body(theta: Array) -> tuple[Array, Array]:

@@ -75,40 +75,29 @@ class VisibleSpace:
         return root @ root.T
 
 
-def visible_space(matrix: Array, scale: Array | None = None, inertial: bool = True) -> VisibleSpace:
-    """Decompose a stacked regressor (M, p) into what it can and cannot see.
-
-    Args:
-        matrix: (M, p) regressor.
-        scale: (p,) column scaling to use instead of ``column_scale``, where the matrix is what
-            remains of another one whose scaling decides what is small; the cut is absolute then.
-        inertial: whether the first ten columns are those of the inertial parameters.
-    """
-    is_absolute = scale is not None
-    if scale is None:
-        scale, zero = column_scale(matrix, inertial)
-    else:
-        zero = np.linalg.norm(matrix * scale, axis=0) <= RELATIVE_CUT
+def visible_space(matrix: Array) -> VisibleSpace:
+    """Decompose a stacked regressor (M, p), inertial columns first, into what it can (not) see."""
+    scale, zero = column_scale(matrix)
     scaled = np.where(zero, 0.0, matrix * scale)
     missing = max(matrix.shape[1] - len(matrix), 0)
     left, singular, right = np.linalg.svd(np.pad(scaled, ((0, missing), (0, 0))), False)
-    largest = 1.0 if is_absolute else np.max(singular, initial=0.0)
-    rank = int(np.count_nonzero(singular > RELATIVE_CUT * largest))
+    rank = int(np.count_nonzero(singular > RELATIVE_CUT * np.max(singular, initial=0.0)))
     left = left[: len(matrix), :rank]
     return VisibleSpace(scale, left, singular[:rank], right[:rank].T, right[rank:].T, zero)
 
 
-def column_scale(matrix: Array, inertial: bool = True) -> tuple[Array, np.ndarray]:
+def column_scale(matrix: Array) -> tuple[Array, np.ndarray]:
     """Return (scale (p,), zero (p,)): 1 / length of the columns, and which are rounding noise.
+
+    The first ten columns are those of the inertial parameters; those of one unit share the scale
+    of the longest.
 
     Args:
         matrix: (M, p) regressor.
-        inertial: whether the first ten columns are those of the inertial parameters; those of one
-            unit then share the scale of the longest.
     """
     length = np.linalg.norm(matrix, axis=0)
     zero = length <= RELATIVE_CUT * np.max(length, initial=0.0)
-    for group in _SAME_UNIT if inertial else ():
+    for group in _SAME_UNIT:
         length[group] = np.max(length[group], initial=0.0)
     return 1.0 / np.where(zero, 1.0, length), zero
 

@@ -22,7 +22,6 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.autocorrelation import JointResiduals
-from robot_sysid.estimation.consistency import lifted_body
 from robot_sysid.estimation.identifiability import N_INERTIAL, VisibleSpace, visible_space
 from robot_sysid.records import Array, SquareRootInformation
 
@@ -114,7 +113,7 @@ def with_body_prior(
         body: (10,) the model's link.
         pull: weight of the divergence, in units of squared whitened residuals.
     """
-    safe = lifted_body(body, body, _SAFE_FLOOR)
+    safe = spatial.lifted_body(body, body, _SAFE_FLOOR)
     inverse = np.linalg.inv(spatial.pseudo_inertia(safe))
     product = inverse @ spatial.pseudo_inertia(np.eye(N_INERTIAL))
     precision = 0.5 * pull * np.einsum("kij,lji->kl", product, product)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimation.consistency import YIELDING, consistent_least_squares, lifted_body
+from robot_sysid.estimation.consistency import YIELDING, consistent_least_squares
 from tests.support.synthetic_data import (
     arm_equations,
     body_divergence,
@@ -51,7 +51,7 @@ def test_a_consistent_plain_estimate_stays_unchanged(seed):
     matrix, right, prior = noisy_problem(seed, noise=1e-4, spread=1.0)
     unconstrained = plain(matrix, right)
     if not spatial.is_consistent(
-        unconstrained[:10] - 1e-8 * lifted_body(prior[:10], prior[:10], 0.01)
+        unconstrained[:10] - 1e-8 * spatial.lifted_body(prior[:10], prior[:10], 0.01)
     ):
         return
     values = consistent_least_squares(matrix, right, prior)

@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimation.consistency import consistent_least_squares
 from robot_sysid.estimation.consistent_links import ConsistentLinks, LinksProblem
 from tests.support import arms
 
@@ -101,17 +100,6 @@ def test_nothing_nearby_is_better(bodies, weights, seed):
         for size in (1e-3, 0.1, 1.0):
             other = objective(matrix, right, problem, gammas, found + size * step)
             assert other >= best - 1e-6 * gamma
-
-
-@given(bodies=st.lists(links(), min_size=2, max_size=2), seed=SEEDS, held=st.booleans())
-def test_of_one_link_it_is_the_fit_of_one_link(bodies, seed, held):
-    """The same two terms, of which the other solver does not halve the first."""
-    rng = np.random.default_rng(seed)
-    matrix, right = scaled(rng, 30, bodies[:1]), 30.0 * rng.normal(size=30)
-    problem = problem_of(bodies[:1], (2.0 if held else 0.0,))
-    found = minimiser(ConsistentLinks(matrix, right, problem), 2.0 if not held else 1e-3)
-    expected = consistent_least_squares(matrix, right, problem.prior, 4.0)
-    assert np.linalg.norm(matrix @ (found - expected)) < 1e-4 * np.linalg.norm(right)
 
 
 @given(bodies=st.lists(links(), min_size=2, max_size=2), seed=SEEDS)
