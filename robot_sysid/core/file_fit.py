@@ -105,7 +105,9 @@ def _friction(robot: RobotModel, question: Question, name: str) -> list[Friction
     gone: set[str] = set()
     if FILE_FRICTION in question.kept_parts:
         gone |= {"coulomb", "viscous", "quadratic", "cubic"}
-    if FILE_ROTORS in question.kept_parts or robot.kind == "urdf":
+    # The last joint's torque alone cannot tell its rotor from its link.
+    alone = question.options.torques == "terminal"
+    if FILE_ROTORS in question.kept_parts or robot.kind == "urdf" or alone:
         gone |= {"armature"}
     terms = tuple(term for term in friction_model(name).terms if term not in gone)
     return [FrictionModel(terms)] * robot.n_joints

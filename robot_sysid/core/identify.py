@@ -129,7 +129,7 @@ def answer_link(
     progress.stage("Solving for parameters...")
     fit = fitter.fit(question, chosen.choice, start.point)
     file = None
-    if kept is not None and options.torques == "chain":
+    if kept is not None:
         progress.stage("Fitting the model file...")
         file = fit_file(fitter, options, kept, fit.values)
     errors = fit_errors(fit)

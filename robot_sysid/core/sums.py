@@ -315,10 +315,8 @@ def answer_from(
     fit, options = _fitted(robot, found), found.settled.estimation
     residuals = [each.shortened() for each in residuals_within(fit, found.residuals)]
     errors = fit_errors(fit, residuals, found.pull)
-    file = None
-    if options.torques == "chain":
-        fixed = _Fixed(robot, found, fit.point)
-        file = fit_file(fixed, options, (FILE_GRAVITY,), fit.values, found.pull)
+    fixed = _Fixed(robot, found, fit.point)
+    file = fit_file(fixed, options, (FILE_GRAVITY,), fit.values, found.pull)
     tests = () if validation is None else (_validated(fit, validation),)
     chosen = Chosen(fit.choice)
     return Answer(fit, chosen, file, errors, tests, found.acceleration_error, found.notes)

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import SysidError
 from robot_sysid.estimation.cones import Cone, ScaledCone
+from robot_sysid.estimation.identifiability import RELATIVE_CUT, visible_space
 from robot_sysid.records import Array
 
 GAMMAS, HARDLY = (0.1, 0.01, 1e-3, 1e-4), 3.0
@@ -48,6 +49,8 @@ _CENTRALITY = 0.02
 _SHORT = 0.5
 # By which share gamma goes down after a step of full length, whatever a bold step promises.
 _EAGER = 0.8
+# How strongly what is not seen is held, beside what is seen.
+_PIN = 1e3
 # What rounding resolves of squared residuals, and of the squared length of a step.
 _RESOLUTION, _SHORTEST = 1e-15, 1e-18
 
@@ -85,7 +88,7 @@ class ConsistentLinks:
     """
 
     def __init__(self, matrix: Array, right: Array, problem: LinksProblem) -> None:
-        self._matrix, self._right = matrix, right
+        self._matrix, self._right, self._problem = matrix, right, problem
         self._bodies = np.concatenate(problem.links)
         self._origin = np.zeros(len(problem.prior))
         for link, (theta, _) in zip(problem.links, problem.bodies):
@@ -95,6 +98,7 @@ class ConsistentLinks:
         self._free, rest = self._eliminated()
         left, singular, directions = np.linalg.svd(rest[:-1, :-1])
         self._turn, self._singular, self._seen = directions.T, singular, left.T @ rest[:-1, -1]
+        self._least_seen = np.min(singular) / np.max(singular, initial=_RIDGE)
         self._squared, self._unseen = float(self._seen @ self._seen), float(rest[-1, -1] ** 2)
         self._cone = _cone(problem)
 
@@ -119,17 +123,29 @@ class ConsistentLinks:
     def best(self) -> Array:
         """Return the minimiser (p,) for the largest gamma that hardly costs the data anything.
 
-        What the data does not show stays near usual bodies then, and what it does show is not
-        pulled towards them, however much larger a tool is than the model's link.
+        What the data does not show stays with usual bodies then, exactly where that hardly costs
+        anything, and what it does show is not pulled towards them, however much larger a tool is
+        than the model's link.
         """
-        ends = self.path((GAMMAS[0], GAMMAS[-1]))
-        most = next(ends)
-        # Nothing leaves less than what is not seen, possible bodies or not.
-        if self._left(most) <= self._unseen + HARDLY:
-            return most
+        firsts, solvers = [], [*self._pinned(), self]
+        for each in solvers:
+            ends = each.path((GAMMAS[0], GAMMAS[-1]))
+            firsts.append(next(ends))
+            # Nothing leaves less than what no body explains, possible or not.
+            if self._left(firsts[-1]) <= self._unseen + HARDLY:
+                return firsts[-1]
         allowed = self._left(next(ends)) + HARDLY
-        each = chain((most,), self.path(GAMMAS[1:]))
-        return next(values for values in each if self._left(values) <= allowed)
+        weaker = chain.from_iterable(each.path(GAMMAS[1:]) for each in solvers)
+        return next(found for found in chain(firsts, weaker) if self._left(found) <= allowed)
+
+    def _pinned(self) -> Iterator[ConsistentLinks]:
+        """Yield the same with all that the data does not show held at the usual bodies."""
+        if self._least_seen > RELATIVE_CUT:
+            return
+        space = visible_space(self._matrix)
+        rows = _PIN * space.null.T / space.scale
+        matrix = np.vstack((self._matrix, rows))
+        yield ConsistentLinks(matrix, np.append(self._right, rows @ self._origin), self._problem)
 
     def _left(self, values: Array) -> float:
         """Return the sum of squared residuals."""

@@ -82,6 +82,34 @@ def test_links_are_possible_bodies_whatever_the_data(bodies, seed):
         assert all(spatial.is_consistent(found[10 * k : 10 * k + 10]) for k in range(LINKS))
 
 
+def seen_by_the_last_joint(sums_to, error):
+    """What its torque shows: hx and hy, Ixz and Iyz, Izz well and the rest of Ixx - Iyy weakly."""
+    body = spatial.theta_from_com(1.0, np.array([0.0, 0.0, 0.1]), np.diag([0.01, 0.01, 0.001]))
+    matrix = np.zeros((7, 10))
+    matrix[range(6), (1, 2, 5, 6, 8, 9)] = 1e4, 1e4, error, 1e4, 1e4, 1e4
+    matrix[6, [4, 7]] = 1e4, -1e4
+    truth = body.copy()
+    truth[5], truth[9] = 0.003, sums_to
+    problem = LinksProblem((np.arange(10),), body, np.zeros(1))
+    return body, ConsistentLinks(matrix, matrix @ truth, problem).best()
+
+
+def test_what_nothing_shows_stays_where_a_possible_body_hardly_costs_anything():
+    """Ixy, weakly seen, is larger than a body as slim as this can have."""
+    body, found = seen_by_the_last_joint(0.001, error=100.0)
+    assert spatial.is_consistent(found) and found[5] < 0.001
+    np.testing.assert_allclose(found[[0, 3]], body[[0, 3]], rtol=1e-5)
+    assert found[4] + found[7] == pytest.approx(body[4] + body[7], rel=1e-5)
+
+
+def test_what_nothing_shows_gives_way_to_what_is_well_seen():
+    """No body has an Izz above the sum of the others."""
+    body, found = seen_by_the_last_joint(0.1, error=100.0)
+    assert spatial.is_consistent(found)
+    assert found[9] == pytest.approx(0.1, rel=1e-2)
+    assert found[4] + found[7] > 2.0 * (body[4] + body[7])
+
+
 @given(
     bodies=st.lists(links(), min_size=2, max_size=2),
     weights=st.tuples(*[st.sampled_from([0.0, 30.0])] * 2),
