@@ -82,14 +82,14 @@ def test_links_are_possible_bodies_whatever_the_data(bodies, seed):
         assert all(spatial.is_consistent(found[10 * k : 10 * k + 10]) for k in range(LINKS))
 
 
-def seen_by_the_last_joint(sums_to, error):
+def seen_by_the_last_joint(izz, error):
     """What its torque shows: hx and hy, Ixz and Iyz, Izz well and the rest of Ixx - Iyy weakly."""
-    body = spatial.theta_from_com(1.0, np.array([0.0, 0.0, 0.1]), np.diag([0.01, 0.01, 0.001]))
+    body = spatial.theta_from_com(1.0, np.array([0.0, 0.02, 0.1]), np.diag([0.01, 0.01, 0.001]))
     matrix = np.zeros((7, 10))
     matrix[range(6), (1, 2, 5, 6, 8, 9)] = 1e4, 1e4, error, 1e4, 1e4, 1e4
     matrix[6, [4, 7]] = 1e4, -1e4
     truth = body.copy()
-    truth[5], truth[9] = 0.003, sums_to
+    truth[2], truth[5], truth[9] = 0.01, 0.003, izz
     problem = LinksProblem((np.arange(10),), body, np.zeros(1))
     return body, ConsistentLinks(matrix, matrix @ truth, problem).best()
 
