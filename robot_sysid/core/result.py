@@ -195,16 +195,19 @@ def _turned(robot: RobotModel, down: Array) -> float:
     return float(np.arctan2(np.linalg.norm(np.cross(down, there)), down @ there))
 
 
+_ASKED = "held-out torques ask for it"
+
+
 def _said(answer: Answer, file: ModelFile | None) -> Iterator[str]:
     """Yield sentences on what the user should know of the estimate."""
     scale = answer.fit.choice.prior_scale
     if scale > 1.0:
         yield (
-            f"the other links are allowed to be off by {scale:g} times --link-uncertainty: "
-            "held-out torques ask for it"
+            f"the other links are allowed to be off by {scale:g} times --link-uncertainty: {_ASKED}"
         )
+    given = answer.fit.question.options.coupling is not None
     for motor in answer.fit.choice.couplings:
-        yield f"a motor turns with {motor.name}: held-out torques ask for it"
+        yield f"a motor turns with {motor.name}: {'as given' if given else _ASKED}"
     for group in answer.fit.unknowns.groups:
         if group.may_widen and group.widened > WIDER:
             yield (
