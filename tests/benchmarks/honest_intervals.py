@@ -3,9 +3,10 @@
     python -m tests.benchmarks.honest_intervals MODELS_FOLDER [--runs 40] [--arms kinova panda]
 
 Each run draws an arm: the other links off by 2 % (mass, centre of mass as part of the link's size,
-twice that for the inertia; each link for itself), torque scales, encoder zeros and the base's tilt
-off as the cell says, torque noise of 1 % of each joint's largest torque, encoder steps of 1e-4 rad.
-Everything is then identified with priors as wide as what was drawn. Printed per arm and cell, for
+twice that for the inertia; each link for itself, and all alike), torque scales, encoder zeros and
+the base's tilt off as the cell says, torque noise of 1 % of each joint's largest torque, encoder
+steps of 1e-4 rad. Everything is then identified with priors as wide as what was drawn. Printed per
+arm and cell, for
 the mass of the terminal link and of one in the middle, and Coulomb friction of all joints:
 coverage, root mean square error, and that error over the stated one.
 """
@@ -22,7 +23,7 @@ import numpy as np
 from robot_sysid.dynamics.equations import other_links
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.nuisances import gravity, turned, with_gravity
-from robot_sysid.estimation.nuisances import own_errors
+from robot_sysid.estimation.nuisances import link_factor
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement, RobotModel
@@ -72,15 +73,11 @@ def log_of(
     motion = plan.evaluate(np.arange(int(RATE * DURATION)) / RATE)
     exact = next(iter(simulate_inverse(arm, iter([motion]))))
     links = other_links(robot)
-    wrong = []
-    for link in links:
-        length = float(np.linalg.norm(robot.links[link + 1].translation))
-        factor, _ = own_errors(robot.links[link].theta, 0.01 * cell.links, length)
-        wrong.append(factor @ rng.standard_normal(10))
+    lengths = [float(np.linalg.norm(robot.links[link + 1].translation)) for link in links]
+    factor = link_factor([robot.links[link].theta for link in links], 0.01 * cell.links, lengths)
+    wrong = factor @ rng.standard_normal(len(factor))
     motion = LinkDynamics(arm).motion(exact.q, exact.qd, exact.qdd)
-    rigid = (
-        exact.tau - arm.friction.torque(exact.qd) + motion.columns(links) @ np.concatenate(wrong)
-    )
+    rigid = exact.tau - arm.friction.torque(exact.qd) + motion.columns(links) @ wrong
     scales = 1.0 + 0.01 * cell.scale * rng.standard_normal(robot.n_joints)
     dry = 0.03 * np.max(np.abs(rigid), axis=0)
     viscous = dry / np.max(np.abs(exact.qd), axis=0)
@@ -88,7 +85,7 @@ def log_of(
     tau += 0.01 * np.max(np.abs(tau), axis=0) * rng.standard_normal(tau.shape)
     q = exact.q + 1e-3 * cell.zero * rng.standard_normal(robot.n_joints)
     truth = np.array([link.theta for link in robot.links])
-    for link, change in zip(links, wrong):
+    for link, change in zip(links, wrong.reshape(-1, 10)):
         truth[link] += change
     return Measurement(exact.time, np.round(q / STEP) * STEP, None, tau), truth, dry
 
