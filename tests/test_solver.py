@@ -20,6 +20,7 @@ from robot_sysid.records import Identifiability, SquareRootInformation
 from robot_sysid.results.record import Verdict
 from robot_sysid.solver import identify_parameters, solve
 from tests.support import results
+from tests.support.estimates import identified
 from tests.support.synthetic_data import (
     arm_equations,
     body_divergence,
@@ -124,7 +125,7 @@ def test_a_log_played_again_tells_no_more_than_once(seed, count):
     prior = np.zeros(len(once.names))
     again = combined([once] * count)
     first = identify_parameters(once, prior, "wls")
-    found = identify_parameters(again, prior, "wls", inflation=np.full(3, float(count)))
+    found = identified(again, prior, "wls", inflation=np.full(3, float(count)))
     np.testing.assert_allclose(found.standard_errors, first.standard_errors, rtol=0.2)
     scale = np.abs(first.values) + first.standard_errors
     assert np.all(np.abs(found.values - first.values) < 0.2 * scale)
@@ -143,15 +144,10 @@ def test_an_unknown_method_is_refused_with_the_valid_ones():
     assert str(refused.value) == "unknown method 'magic'; valid: ols, wls, robust"
 
 
-@given(SEEDS, METHODS, st.booleans(), st.lists(st.floats(1.0, 9.0), min_size=3, max_size=3))
-def test_an_estimate_carries_what_it_was_made_of(seed, method, coloured, inflation):
+@given(SEEDS, st.sampled_from(["ols", "wls"]))
+def test_an_estimate_carries_what_it_was_made_of(seed, method):
     samples, names, _, rng = noisy_samples(seed, noises=(0.1, 0.2, 0.3), count=40)
-    information = samples.information(names)
-    source = samples if coloured or method == "robust" else None
-    fewer = np.array(inflation)
-    estimate = identify_parameters(
-        information, rng.normal(size=16), method, samples=source, inflation=fewer
-    )
+    estimate = identify_parameters(samples.information(names), rng.normal(size=16), method)
     joints = ("joint0", "joint1", "joint2")
     assert (estimate.names, estimate.method, estimate.n_nuisances) == (names, method, 0)
     assert estimate.samples == dict.fromkeys(joints, 40)
@@ -165,9 +161,7 @@ def test_an_estimate_carries_what_it_was_made_of(seed, method, coloured, inflati
     rmse = [np.sqrt(np.mean(r**2)) for r in residuals]
     assert list(estimate.rmse_per_joint.values()) == pytest.approx(rmse, rel=1e-9)
     assert estimate.rmse == pytest.approx(np.sqrt(np.mean(np.square(rmse))), rel=1e-9)
-    if source is None:
-        independent = [40.0 / less for less in inflation]
-        assert list(estimate.effective_samples.values()) == pytest.approx(independent, rel=1e-12)
+    assert estimate.effective_samples == dict.fromkeys(joints, 40.0)
 
 
 @given(SEEDS, st.booleans(), st.floats(1.0, 9.0))
@@ -176,7 +170,7 @@ def test_samples_that_count_less_make_errors_larger_by_the_root(seed, coloured, 
     information, prior = samples.information(names), rng.normal(size=16)
     source = samples if coloured else None
     plain, again, fewer = (
-        identify_parameters(information, prior, samples=source, inflation=inflation)
+        identified(information, prior, samples=source, inflation=inflation)
         for inflation in (None, np.ones(3), np.full(3, less))
     )
     np.testing.assert_array_equal(again.standard_errors, plain.standard_errors)
@@ -203,7 +197,7 @@ def test_what_a_pass_over_the_samples_left_serves_as_well_as_they_do(seed, metho
     root = joint_space(equations.information, weights).inverse_root()
     left = collect_residuals(information, samples, values, equations.clip, root, weights)
     one, other, white = (
-        identify_parameters(information, prior, method, nuisances=[known], **how)
+        identified(information, prior, method, nuisances=[known], **how)
         for how in ({"samples": samples}, {"residuals": left}, {})
     )
     np.testing.assert_allclose(other.standard_errors, one.standard_errors, rtol=1e-9)
@@ -273,7 +267,7 @@ def test_squares_of_the_causes_add_up_to_that_of_the_whole_error(seed, spreads):
         NuisanceGroup(cause, (name,), np.zeros(1), np.array([[spread]]), (name,))
         for cause, name, spread in zip(("scales", "zeros"), names[16:], spreads)
     ]
-    estimate = identify_parameters(information, np.zeros(18), nuisances=groups)
+    estimate = identified(information, np.zeros(18), nuisances=groups)
     assert tuple(estimate.error_budget) == ("scales", "zeros")
     assert (estimate.n_nuisances, len(estimate.names)) == (2, 18)
     assert len(estimate.identifiability.identified) == 16

@@ -10,9 +10,9 @@ import pytest
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.options import EstimationOptions
-from robot_sysid.solver import identify_parameters
 from tests.benchmarks.example_study import noise_study
 from tests.benchmarks.smooth_arm import SmoothArm, information_of_samples, samples_of
+from tests.support.estimates import identified
 
 DRAWS = 200
 
@@ -32,11 +32,11 @@ def test_intervals_cover(method, memory):
     hits, naive = [], []
     for seed in range(DRAWS):
         arm, _, samples, information = draw(seed, memory)
-        estimate = identify_parameters(information, np.zeros(31), method, samples=samples)
+        estimate = identified(information, np.zeros(31), method, samples=samples)
         error = np.abs(estimate.values - arm.truth)
         hits.append(error < 1.96 * estimate.standard_errors)
         if method != "robust":
-            white = identify_parameters(information, np.zeros(31), method).standard_errors
+            white = identified(information, np.zeros(31), method).standard_errors
             naive.append(error < 1.96 * white)
     share = np.mean(hits, axis=0)
     print(
@@ -61,9 +61,7 @@ def test_weighted_estimates_reach_the_cramer_rao_bound():
         samples = samples_of(base, base.torques(base.noise(rng, sigma, 0.0)))
         information = information_of_samples(base, samples)
         for method in names:
-            errors[method].append(
-                identify_parameters(information, np.zeros(31), method).values - base.truth
-            )
+            errors[method].append(identified(information, np.zeros(31), method).values - base.truth)
     bound = np.sqrt(np.diag(noise_study.cramer_rao_bound(information, sigma)))
     ratios = {m: np.sqrt(np.mean(np.square(errors[m]), axis=0)) / bound for m in names}
     for method in names:
@@ -79,8 +77,8 @@ def test_automatic_consistency_never_returns_an_impossible_body():
     for seed in range(DRAWS):
         arm, _, _, information = draw(seed, 0.1)
         prior = np.concatenate((arm.truth[:10] * 1.2, np.zeros(21)))
-        plain = identify_parameters(information, prior, "wls")
-        fitted = identify_parameters(information, prior, "wls", options)
+        plain = identified(information, prior, "wls")
+        fitted = identified(information, prior, "wls", options)
         plain_possible += spatial.is_consistent(plain.values[:10])
         assert spatial.is_consistent(fitted.values[:10])
         assert fitted.constrained == (not spatial.is_consistent(plain.values[:10]))

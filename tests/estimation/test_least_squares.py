@@ -11,6 +11,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.estimation.least_squares import joint_noise, leverage
 from robot_sysid.estimation.options import ESTIMATORS
 from robot_sysid.solver import identify_parameters
+from tests.support.estimates import identified
 from tests.support.synthetic_data import Samples, arm_equations, information_of, noisy_samples
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -20,7 +21,7 @@ PRIOR = np.zeros(16)
 @pytest.mark.parametrize("method", ESTIMATORS)
 def test_noise_free_data_is_recovered_by_every_method(method):
     samples, names, truth, _ = noisy_samples(0, noises=(0.0, 0.0, 0.0))
-    estimate = identify_parameters(samples.information(names), PRIOR, method, samples=samples)
+    estimate = identified(samples.information(names), PRIOR, method, samples=samples)
     np.testing.assert_allclose(estimate.values, truth, rtol=0.0, atol=1e-9)
     assert np.all(np.isfinite(estimate.covariance))
     assert np.max(estimate.standard_errors) < 1e-6
@@ -35,8 +36,8 @@ def test_wls_does_not_care_about_the_unit_of_one_joint(seed, power):
         [(factor * rows if j == 1 else rows, c) for j, (rows, c) in enumerate(samples.equations)],
         [factor * tau if j == 1 else tau for j, tau in enumerate(samples.torques)],
     )
-    one = identify_parameters(samples.information(names), PRIOR, "wls")
-    other = identify_parameters(rescaled.information(names), PRIOR, "wls")
+    one = identified(samples.information(names), PRIOR, "wls")
+    other = identified(rescaled.information(names), PRIOR, "wls")
     np.testing.assert_allclose(other.values, one.values, rtol=0.0, atol=1e-6)
 
 
@@ -46,11 +47,11 @@ def test_wls_reports_each_joints_noise_and_beats_ols_where_joints_differ():
         samples, names, truth, _ = noisy_samples(seed, noises)
         information = samples.information(names)
         ordinary, weighted = (
-            np.linalg.norm((identify_parameters(information, PRIOR, method).values - truth)[:10])
+            np.linalg.norm((identified(information, PRIOR, method).values - truth)[:10])
             for method in ("ols", "wls")
         )
         ratios.append(weighted / ordinary)
-    reported = identify_parameters(information, PRIOR, "wls").noise_per_joint
+    reported = identified(information, PRIOR, "wls").noise_per_joint
     assert np.median(ratios) < 0.3
     np.testing.assert_allclose(list(reported.values()), noises, rtol=0.2)
 
@@ -69,7 +70,7 @@ def test_noise_is_unbiased_with_few_samples():
     for seed in range(300):
         samples, names, _, _ = noisy_samples(seed, (0.5, 0.5, 0.5), count=15)
         information = samples.information(names)
-        values = identify_parameters(information, PRIOR).values
+        values = identified(information, PRIOR).values
         squares.append(joint_noise(information, values, np.ones(3)) ** 2)
     assert np.mean(squares) == pytest.approx(0.25, rel=0.05)
 

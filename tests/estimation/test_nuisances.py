@@ -24,8 +24,8 @@ from robot_sysid.estimation.nuisances import (
 )
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.estimation.uncertainty import white_uncertainty
-from robot_sysid.solver import identify_parameters
 from tests.support.arms import SEEDS, rigid_bodies
+from tests.support.estimates import identified
 from tests.support.model_files import random_theta
 
 NAMES = (*spatial.PARAMETER_NAMES, "d0", "d1", "d2", "d3", "e0", "e1")
@@ -155,7 +155,7 @@ def test_data_without_noise_gives_the_truth_whatever_the_prior(method):
     truth = np.concatenate((body, groups[0].mean + 3.0, [0.5, -0.5]))
     information, _ = information_of(rng, truth, 0.0)
     options = EstimationOptions()
-    found = identify_parameters(information, np.zeros(16), method, options, None, groups)
+    found = identified(information, np.zeros(16), method, options, None, groups)
     np.testing.assert_allclose(found.values, truth, rtol=0.0, atol=1e-5)
     assert len(found.names) - found.n_nuisances == 10
     assert set(found.error_budget) == {"links", "scale"}

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.robust import _binned_median
-from robot_sysid.solver import identify_parameters
+from tests.support.estimates import identified
 from tests.support.synthetic_data import Samples, noisy_samples
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -27,10 +27,10 @@ def with_outliers(samples, rng, share=0.1, size=20.0):
 def test_robust_ignores_gross_outliers():
     samples, names, truth, rng = noisy_samples(1)
     spoiled = with_outliers(samples, rng)
-    clean = identify_parameters(samples.information(names), PRIOR, "wls").values
+    clean = identified(samples.information(names), PRIOR, "wls").values
     information = spoiled.information(names)
-    robust = identify_parameters(information, PRIOR, "robust", samples=spoiled)
-    plain = identify_parameters(information, PRIOR, "wls").values
+    robust = identified(information, PRIOR, "robust", samples=spoiled)
+    plain = identified(information, PRIOR, "wls").values
     reach = np.linalg.norm(clean - truth)
     assert np.linalg.norm(robust.values - truth) < 3.0 * reach
     assert np.linalg.norm(plain - truth) > 10.0 * reach
@@ -40,8 +40,8 @@ def test_robust_ignores_gross_outliers():
 def test_robust_agrees_with_wls_where_there_are_no_outliers():
     samples, names, _, _ = noisy_samples(2, count=2000)
     information = samples.information(names)
-    robust = identify_parameters(information, PRIOR, "robust", samples=samples)
-    plain = identify_parameters(information, PRIOR, "wls", samples=samples)
+    robust = identified(information, PRIOR, "robust", samples=samples)
+    plain = identified(information, PRIOR, "wls", samples=samples)
     assert np.max(np.abs(robust.values - plain.values) / plain.standard_errors) < 1.5
     np.testing.assert_allclose(robust.standard_errors, plain.standard_errors, rtol=0.25)
     np.testing.assert_allclose(list(robust.noise_per_joint.values()), 0.1, rtol=0.06)
@@ -56,15 +56,15 @@ def test_samples_that_are_left_out_do_not_count():
         [h[np.isfinite(h)] for h in holes],
     )
     information = kept.information(names)
-    one = identify_parameters(information, PRIOR, "robust", samples=partial)
-    two = identify_parameters(information, PRIOR, "robust", samples=kept)
+    one = identified(information, PRIOR, "robust", samples=partial)
+    two = identified(information, PRIOR, "robust", samples=kept)
     np.testing.assert_allclose(one.values, two.values, rtol=0.0, atol=1e-9)
 
 
 def test_robust_without_samples_says_so():
     samples, names, _, _ = noisy_samples(4)
     with pytest.raises(InputError, match="needs the samples"):
-        identify_parameters(samples.information(names), PRIOR, "robust")
+        identified(samples.information(names), PRIOR, "robust")
 
 
 @given(SEEDS, st.floats(1e-3, 1e3))

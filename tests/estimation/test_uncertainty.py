@@ -12,6 +12,7 @@ from robot_sysid.estimation.uncertainty import white_uncertainty, with_body_prio
 from robot_sysid.solver import identify_parameters
 from tests.benchmarks.smooth_arm import SmoothArm, information_of_samples, samples_of
 from tests.support.arms import SEEDS
+from tests.support.estimates import identified
 from tests.support.synthetic_data import (
     arm_equations,
     information_of,
@@ -63,7 +64,7 @@ def test_no_weights_beat_the_cramer_rao_bound(seed):
 def test_unidentifiable_parameters_have_no_error_bars_and_no_share_of_the_data():
     rng = np.random.default_rng(0)
     truth = np.append(random_body(rng), [0.4, 0.1])
-    estimate = identify_parameters(terminal_information(rng, truth), np.append(truth[:10], [0, 0]))
+    estimate = identified(terminal_information(rng, truth), np.append(truth[:10], [0, 0]))
     unseen = [0, 3, 4, 7]
     seen = [1, 2, 5, 6, 8, 9, 10, 11]
     assert np.all(np.isinf(estimate.standard_errors[unseen]))
@@ -115,7 +116,7 @@ def test_nothing_to_explain_leaves_no_nan(duration):
     arm = SmoothArm(rng, rate=100.0, duration=duration)
     samples = samples_of(arm, arm.torques(np.zeros((arm.count, 7))))
     information = information_of_samples(arm, samples)
-    estimate = identify_parameters(information, arm.truth, "wls", samples=samples)
+    estimate = identified(information, arm.truth, "wls", samples=samples)
     assert np.all(np.isfinite(estimate.covariance))
     assert not np.any(np.isnan(estimate.standard_errors))
     assert all(np.isfinite(list(estimate.effective_samples.values())))
@@ -134,7 +135,7 @@ def test_standard_errors_follow_the_unit_of_torque(seed, power):
         samples = samples_of(arm, torques)
         information = information_of_samples(arm, samples)
         prior = scale * np.ones(31)
-        errors.append(identify_parameters(information, prior, samples=samples).standard_errors)
+        errors.append(identified(information, prior, samples=samples).standard_errors)
     known = np.isfinite(errors[0])
     np.testing.assert_allclose(errors[1][known], factor * errors[0][known], rtol=1e-5)
 
@@ -149,8 +150,8 @@ def test_intervals_cover_under_white_and_under_slow_noise(memory):
         arm = SmoothArm(rng, rate=100.0)
         samples = samples_of(arm, arm.torques(arm.noise(rng, rng.uniform(0.1, 0.5, 7), memory)))
         information = information_of_samples(arm, samples)
-        aware = identify_parameters(information, np.zeros(31), "wls", samples=samples)
-        white = identify_parameters(information, np.zeros(31), "wls")
+        aware = identified(information, np.zeros(31), "wls", samples=samples)
+        white = identified(information, np.zeros(31), "wls")
         error = np.abs(aware.values - arm.truth)
         hits.append(error < 1.96 * aware.standard_errors)
         naive.append(error < 1.96 * white.standard_errors)

@@ -1,0 +1,78 @@
+"""The solver with what the core knows beside the data: samples, nuisances, motion that repeats."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from robot_sysid.estimation.autocorrelation import collect_residuals
+from robot_sysid.estimation.identifiability import analyse_identifiability
+from robot_sysid.estimation.information import joint_rmse, restricted, sample_counts
+from robot_sysid.estimation.nuisances import with_prior
+from robot_sysid.estimation.options import ESTIMATORS, EstimationOptions
+from robot_sysid.estimation.uncertainty import coloured_uncertainty, joint_space, white_uncertainty
+from robot_sysid.solver import identify_parameters, solve
+
+
+def identified(
+    information,
+    prior,
+    method="ols",
+    options=None,
+    samples=None,
+    nuisances=(),
+    inflation=None,
+    residuals=None,
+):
+    """An estimate as ``solver.identify_parameters`` makes it, of more than the data's triangles.
+
+    ``samples`` (or what a pass over them left, ``residuals``) are for noise that is correlated in
+    time and for "robust"; ``nuisances`` are what is known of the last parameters; ``inflation``
+    (joints,) is by how much less than independent samples each joint's count.
+    """
+    chosen = options or EstimationOptions(consistency="off")
+    information = with_prior(information, nuisances)
+    fewer = np.ones(len(information.joints)) if inflation is None else inflation
+    equations = ESTIMATORS[method](information, prior, samples)
+    equations = replace(equations, noise=equations.noise * np.sqrt(fewer))
+    values, constrained = solve(equations, prior, chosen)
+    known = sum(len(group.names) for group in nuisances)
+    interest = information.names[: len(information.names) - known]
+    left = residuals if samples is None else _residuals(information, equations, values, samples)
+    errors, effective = _errors(information, equations, left, fewer)
+    plain = identify_parameters(information, prior, "wls" if method == "robust" else method)
+    counts = plain.samples
+    noise = dict(zip(counts, (equations.noise / np.sqrt(fewer)).tolist()))
+    return replace(
+        plain,
+        values=values,
+        identifiability=analyse_identifiability(restricted(information, interest)),
+        rmse_per_joint=dict(zip(counts, joint_rmse(information, values).tolist())),
+        method=method,
+        covariance=errors.covariance,
+        standard_errors=errors.standard_errors,
+        noise_errors=errors.noise_errors,
+        error_budget={g.cause: errors.budget(g.precision(information.names)) for g in nuisances},
+        noise_per_joint={joint: noise[joint] for joint, count in counts.items() if count},
+        effective_samples=dict(zip(counts, effective)),
+        constrained=constrained,
+        n_nuisances=known,
+    )
+
+
+def _errors(information, equations, residuals, inflation):
+    """Return (uncertainty, effective number of samples per joint)."""
+    weights = 1.0 / equations.noise
+    if residuals is None:
+        counts = (sample_counts(information) / inflation).tolist()
+        return white_uncertainty(information, weights, equations.noise), counts
+    repeated = [replace(r, products=d * r.products) for r, d in zip(residuals, inflation)]
+    found, effective = coloured_uncertainty(information, weights, repeated)
+    return found, [n / d for n, d in zip(effective, inflation.tolist())]
+
+
+def _residuals(information, equations, values, samples):
+    weights = 1.0 / equations.noise
+    root = joint_space(information, weights).inverse_root()
+    return collect_residuals(information, samples, values, equations.clip, root, weights)
