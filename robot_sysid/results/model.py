@@ -36,9 +36,7 @@ from robot_sysid.records import Array, Motion, RobotModel, SubtreeBody
 from robot_sysid.records.atomic_files import WholeFiles
 from robot_sysid.results.record import Figure, Payload, Result
 from robot_sysid.results.verification import (
-    compiled_again,
     reads_fullinertia_exactly,
-    require_one_more_body,
     require_reproduction,
     verify_written_model,
 )
@@ -264,27 +262,17 @@ def _write(
     """
     welded, written = change.welded, [body.plan.theta for body in change.bodies]
     written += [] if welded is None else [welded.theta]
-    exact = all(map(reads_fullinertia_exactly, written))
-    without = replace(change, welded=None, principal=not exact)
+    exact, folder = all(map(reads_fullinertia_exactly, written)), target.path.absolute().parent
+    change = replace(change, principal=not exact)
+    text = changed_model_text(robot.path, change, folder, target.mesh_dir)
     try:
-        compiled = verify_written_model(robot.mj_model, _draft(robot, without, target), without)
-        if welded is not None:
-            alone, whole = compiled, replace(without, welded=welded)
-            compiled = compiled_again(_draft(robot, whole, target))
-            require_one_more_body(alone.mj_model, compiled.mj_model, welded)
-        final = compiled.mj_model
-        require_reproduction(robot, thetas, change, final, target.checkpoints, target.path)
+        draft = target.files.write(target.path, text)
+        compiled = verify_written_model(robot.mj_model, draft, change).mj_model
+        require_reproduction(robot, thetas, change, compiled, target.checkpoints, target.path)
     except BaseException:
         target.files.withdraw(target.path)
         raise
     return tuple(body.plan.note for body in change.bodies if body.plan.note)
-
-
-def _draft(robot: RobotModel, change: ModelChange, target: ModelTarget) -> Path:
-    folder = target.path.absolute().parent
-    text = changed_model_text(robot.path, change, folder, target.mesh_dir)
-    target.files.withdraw(target.path)
-    return target.files.write(target.path, text)
 
 
 CHECKPOINTS = 400

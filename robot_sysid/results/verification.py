@@ -153,14 +153,20 @@ def _of_actuator(change: ActuatorChange) -> Iterator[_Asked]:
 
 
 def verify_written_model(original: Any, written: Path, change: ModelChange) -> CompiledModel:
-    """Compile a written model, compare it with the original, and return it; no welded body yet.
+    """Compile a written model, compare it with the original, and return it.
 
     Raises:
         ExportError: it does not load, something else changed, or a number is not what was asked
             for; names the field.
     """
     compiled = compiled_again(written)
-    found = compiled.mj_model
+    require_change(original, compiled.mj_model, change)
+    return compiled
+
+
+def require_change(original: Any, found: Any, change: ModelChange) -> None:
+    """Raise ExportError unless a compiled model is the original one with a change made."""
+    new = None if change.welded is None else _new_body(original, found, change.welded)
     thetas = {
         body: (theta, plan.theta)
         for own, plan in ((change.body_id, change.plan) for change in change.bodies)
@@ -170,12 +176,14 @@ def verify_written_model(original: Any, written: Path, change: ModelChange) -> C
     rows: dict[str, set[int]] = {name: set(thetas) for name in BODY_FIELDS}
     for name, at in (place for each in asked for place in each.places):
         rows.setdefault(name, set()).update(np.ravel(at[0]).tolist())
-    require_same_model(original, found, rows)
+    require_same_model(original, found, rows, new)
     for body, (theta, size) in thetas.items():
-        require_theta(found, body, theta, size)
+        require_theta(found, body + (new is not None and body >= new), theta, size)
     for each in asked:
         each.require(found)
-    return compiled
+    if change.welded is not None and new is not None:
+        _require_place(found, new, change.welded)
+        require_theta(found, new, change.welded.theta, change.welded.theta)
 
 
 def compiled_again(written: Path) -> CompiledModel:
@@ -186,17 +194,22 @@ def compiled_again(written: Path) -> CompiledModel:
         raise ExportError(f"the written model cannot be loaded: {error}") from None
 
 
-def require_same_model(original: Any, other: Any, changed: Mapping[str, Collection[int]]) -> None:
+def require_same_model(
+    original: Any, other: Any, changed: Mapping[str, Collection[int]], new: int | None = None
+) -> None:
     """Raise ExportError naming the first compiled field that differs and may not.
 
     Args:
         changed: compiled field to those of its rows that may differ.
+        new: id of the one body that the other model has more, if any.
     """
-    theirs = dict(compiled_fields(other))
+    theirs, skipped = dict(compiled_fields(other)), DERIVED | PATHS
+    if new is not None:
+        skipped |= _BOOKKEEPING | {name for name in theirs if name.startswith(_OF_NAMES)}
     for name, value in compiled_fields(original):
-        if name in DERIVED | PATHS:
+        if name in skipped:
             continue
-        if name not in theirs or not _same(name, value, theirs[name], changed.get(name, ())):
+        if not _same(name, value, theirs.get(name), changed.get(name, ()), new):
             raise ExportError(
                 f"the written model differs from the original in {name}, which should not have "
                 f"changed; {_ADVICE.get(name, 'no model was written')}"
@@ -261,11 +274,16 @@ def _public(holder: Any) -> list[str]:
     return [name for name in dir(holder) if not name.startswith("_")]
 
 
-def _same(name: str, ours: Any, theirs: Any, changed: Collection[int]) -> bool:
-    if not isinstance(ours, np.ndarray):
+def _same(name: str, ours: Any, theirs: Any, changed: Collection[int], new: int | None) -> bool:
+    if not isinstance(ours, np.ndarray) or not isinstance(theirs, np.ndarray):
         return bool(ours == theirs)
+    if new is not None and name.startswith("body_"):
+        theirs = np.delete(theirs, new, axis=0)
     if ours.shape != theirs.shape:
         return False
+    if new is not None and ours.dtype.kind != "f":
+        # What comes after the new body has a number that is larger by one.
+        theirs = np.where((theirs == ours + 1) & (ours >= new), ours, theirs)
     if changed:
         keep = [i for i in range(len(ours)) if i not in changed]
         ours, theirs = ours[keep], theirs[keep]
@@ -324,33 +342,12 @@ _BOOKKEEPING = {
 _OF_NAMES = ("name_", "B_")
 
 
-def require_one_more_body(without: Any, written: Any, body: WeldedBody) -> None:
-    """Raise ExportError unless a model has one welded body more, and is the same beside it."""
+def _new_body(original: Any, written: Any, body: WeldedBody) -> int:
+    """Return the id of a welded body; ExportError where it is not the only one more."""
     new = mujoco.mj_name2id(written, int(mujoco.mjtObj.mjOBJ_BODY), body.name)
-    if new < 0 or written.nbody != without.nbody + 1:
+    if new < 0 or written.nbody != original.nbody + 1:
         raise ExportError(f"the written model has no body '{body.name}' of its own")
-    theirs = dict(compiled_fields(written))
-    for name, value in compiled_fields(without):
-        skipped = name in DERIVED | PATHS | _BOOKKEEPING or name.startswith(_OF_NAMES)
-        if not skipped and not _is_same(value, theirs.get(name), new, without.nbody):
-            raise ExportError(
-                f"the new body '{body.name}' changes {name} of the model; no model was written"
-            )
-    _require_place(written, new, body)
-    require_theta(written, new, body.theta, body.theta)
-
-
-def _is_same(ours: Any, theirs: Any, new: int, bodies: int) -> bool:
-    """Tell whether a field is the same beside the row of body ``new`` and the numbers after it."""
-    if not isinstance(ours, np.ndarray) or not isinstance(theirs, np.ndarray):
-        return bool(ours == theirs)
-    if ours.shape != theirs.shape and ours.shape[:1] == (bodies,):
-        theirs = np.delete(theirs, new, axis=0)
-    if ours.shape != theirs.shape:
-        return False
-    if ours.dtype.kind == "f":
-        return bool(np.array_equal(ours, theirs, equal_nan=True))
-    return bool(np.all((theirs == ours) | ((theirs == ours + 1) & (ours >= new))))
+    return new
 
 
 def _require_place(written: Any, new: int, body: WeldedBody) -> None:

@@ -317,7 +317,7 @@ def test_a_body_that_comes_with_something_else_is_refused(robots, monkeypatch):
 
     monkeypatch.setattr(model_module, "changed_model_text", with_a_site)
     result = result_of(robot, payload=payload_of(robot, some_payload(np.random.default_rng(0))))
-    with pytest.raises(ExportError, match="new body 'load' changes nsite"):
+    with pytest.raises(ExportError, match="differs from the original in nsite"):
         written(robot, result, as_body="load")
 
 
