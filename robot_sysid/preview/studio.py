@@ -157,14 +157,18 @@ class Studio:
         mujoco.mjv_initGeom(geom, kind, size, place, np.ascontiguousarray(turn).ravel(), rgba)
         self._scene.ngeom += 1
 
+    def _connect(self, kind: Any, width: float, colour: Colour, start: Array, end: Array) -> None:
+        """Add a shape that reaches from one place (3,) to another one, if they differ."""
+        if np.any(start != end) and self._scene.ngeom < self._scene.maxgeom:
+            self._add(kind, np.ones(3), start, np.eye(3), colour)
+            geom = self._scene.geoms[self._scene.ngeom - 1]
+            mujoco.mjv_connector(geom, kind, width, start, end)
+
     def _add_wall(self) -> None:
         """Close the view with a white wall; MuJoCo's own background is black."""
-        azimuth, elevation = np.radians((self.camera.azimuth, self.camera.elevation))
-        level = np.cos(elevation) * np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
-        ahead = level + np.array([0.0, 0.0, np.sin(elevation)])
-        far = 4.0 * float(self.camera.distance)
-        size, place = np.array([4.0 * far, 4.0 * far, 0.01]), self.camera.lookat + far * ahead
-        self._add(mujoco.mjtGeom.mjGEOM_BOX, size, place, _turned_to(ahead), _WHITE)
+        ahead, far = self._scene.camera[0].forward, 4.0 * float(self.camera.distance)
+        near, behind = (self.camera.lookat + (far + side) * ahead for side in (-0.01, 0.01))
+        self._connect(mujoco.mjtGeom.mjGEOM_CYLINDER, 4.0 * far, _WHITE, near, behind)
         self._scene.geoms[self._scene.ngeom - 1].emission = 1.0
 
     def _add_bones(self) -> None:
@@ -173,12 +177,8 @@ class Studio:
         if np.any(np.isin(self._model.geom_bodyid, ids)):
             return
         places = self.data.xpos[ids]
-        along = np.linalg.norm(np.diff(places, axis=0), axis=1)
-        for start, end, length in zip(places[:-1], places[1:], along):
-            if length > 0.0:
-                middle, size = 0.5 * (start + end), np.array([0.015, 0.015, 0.5 * length])
-                turn = _turned_to((end - start) / length)
-                self._add(mujoco.mjtGeom.mjGEOM_CAPSULE, size, middle, turn, _BONE)
+        for start, end in zip(places[:-1], places[1:]):
+            self._connect(mujoco.mjtGeom.mjGEOM_CAPSULE, 0.015, _BONE, start, end)
 
     def picture(self) -> Picture:
         """Return the picture (height, width, 3)."""
@@ -199,11 +199,3 @@ def add_ghost(robot: RobotModel, q: Array, colour: Colour, scene: Any) -> None:
     for geom in scene.geoms[first : scene.ngeom]:
         geom.rgba[:] = colour
         geom.matid = -1
-
-
-def _turned_to(direction: Array) -> Array:
-    """Return a rotation (3, 3) whose z axis is a unit vector."""
-    other = np.eye(3)[int(np.argmin(np.abs(direction)))]
-    x = np.cross(other, direction)
-    x /= np.linalg.norm(x)
-    return np.stack((x, np.cross(direction, x), direction), axis=1)
