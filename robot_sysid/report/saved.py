@@ -7,7 +7,7 @@ them: residuals by size, by time lag and by speed.
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -85,15 +85,10 @@ def report_data(traces: Traces, result: str = "") -> ReportData:
     """Return what a report draws of some traces; ``result`` is the hash of their JSON file."""
     count = len(traces.time)
     kept = np.unique(np.linspace(0, count - 1, min(count, MOST)).round().astype(int))
-    residual, limits = traces.residual, traces.limits
+    residual = traces.residual
     # The logs one after the other, a second apart.
     steps = np.diff(traces.time, prepend=traces.time[:1])
     time = np.cumsum(np.where(steps < 0.0, 1.0, steps))
-    edges, counts = histogram(residual)
-    lags, correlation, independent = autocorrelation(time, residual)
-    speed, (mean, measured, predicted), spread = by_speed(
-        traces.qd, (residual, traces.friction + residual, traces.friction)
-    )
     drawn: dict[str, Any] = {
         name: np.asarray(getattr(traces, name)[kept], dtype=np.float32) for name in SIGNALS
     }
@@ -103,17 +98,10 @@ def report_data(traces: Traces, result: str = "") -> ReportData:
         time=time[kept],
         **drawn,
         n_samples=count,
-        edges=edges,
-        counts=counts,
-        lags=lags,
-        correlation=correlation,
-        independent=independent,
-        speed=speed,
-        residual_mean=mean,
-        residual_spread=spread,
-        friction_measured=measured,
-        friction_predicted=predicted,
-        **vars(limits),
+        **histogram(residual),
+        **autocorrelation(time, residual),
+        **by_speed(traces.qd, residual, traces.friction),
+        **vars(traces.limits),
         truth=np.zeros(0) if traces.truth is None else traces.truth.theta,
         result=result,
     )
@@ -150,17 +138,14 @@ def load_data(path: Path) -> ReportData:
 
 
 def _restored(content: Mapping[str, Array]) -> ReportData:
-    values: dict[str, object] = {}
-    for each in fields(ReportData):
-        array = content[each.name]
-        values[each.name] = array
-        if each.name not in ("joints", "is_slide", "n_samples", "result"):
-            values[each.name] = np.asarray(array, dtype=float)
-    values["joints"] = tuple(str(name) for name in content["joints"])
-    values["is_slide"] = tuple(bool(slide) for slide in content["is_slide"])
-    values["n_samples"] = int(content["n_samples"])
-    values["result"] = str(content["result"])
-    return ReportData(**values)  # type: ignore[arg-type]
+    values: dict[str, Any] = {each.name: content[each.name] for each in fields(ReportData)}
+    kinds: dict[str, Callable[[Any], Any]] = {
+        **{"n_samples": int, "result": str},
+        **{"joints": lambda a: tuple(map(str, a)), "is_slide": lambda a: tuple(map(bool, a))},
+    }
+    for name, array in values.items():
+        values[name] = kinds[name](array) if name in kinds else np.asarray(array, dtype=float)
+    return ReportData(**values)
 
 
 BINS, SPEED_BINS = 31, 24
@@ -171,8 +156,8 @@ _WIDE = 4.0
 _LEAST_IN_BIN = 4
 
 
-def histogram(residual: Array) -> tuple[Array, Array]:
-    """Return (edges (n, B + 1), counts (n, B)) of residuals (K, n), out to four times their rms.
+def histogram(residual: Array) -> dict[str, Array]:
+    """Return edges (n, B + 1) and counts (n, B) of residuals (K, n), out to four times their rms.
 
     What is farther out is counted in the outermost bins.
     """
@@ -184,11 +169,11 @@ def histogram(residual: Array) -> tuple[Array, Array]:
         limits = np.linspace(-reach, reach, BINS + 1)
         edges.append(limits)
         counts.append(np.histogram(np.clip(known, -reach, reach), limits)[0])
-    return np.array(edges), np.array(counts, dtype=float)
+    return {"edges": np.array(edges), "counts": np.array(counts, dtype=float)}
 
 
-def autocorrelation(time: Array, residual: Array) -> tuple[Array, Array, Array]:
-    """Return (lags (L,) [s], correlation (n, L), independent (n,)) of residuals (K, n).
+def autocorrelation(time: Array, residual: Array) -> dict[str, Array]:
+    """Return lags (L,) [s], correlation (n, L) and independent (n,) of residuals (K, n).
 
     r(l) = mean(e_k e_{k+l}) / mean(e_k^2) over the pairs of samples that were both used. Noise
     without memory exceeds 1.96 / sqrt(pairs) in one lag of twenty (Box, Jenkins, "Time Series
@@ -213,32 +198,37 @@ def autocorrelation(time: Array, residual: Array) -> tuple[Array, Array, Array]:
         scale = power * np.maximum(pairs, 1)
         found[:, k] = np.divide(total, scale, out=np.zeros_like(total), where=scale > 0.0)
     independent = 1.96 / np.sqrt(np.maximum(np.sum(used, axis=0), 1))
-    return shifts * step, found, independent
+    return {"lags": shifts * step, "correlation": found, "independent": independent}
 
 
-def by_speed(qd: Array, quantities: Sequence[Array]) -> tuple[Array, tuple[Array, ...], Array]:
-    """Return the means of quantities (K, n) in bins of each joint's own speed.
+BY_SPEED = (
+    *("speed", "residual_mean", "residual_spread"),
+    *("friction_measured", "friction_predicted"),
+)
+
+
+def by_speed(qd: Array, residual: Array, friction: Array) -> dict[str, Array]:
+    """Return means in bins of each joint's own speed, and the residual's standard deviation.
+
+    Args:
+        qd, residual, friction: (K, n); the residual is NaN where a sample was not used.
 
     Returns:
-        (middles (n, S), NaN where a bin has hardly any samples; means (n, S) per quantity;
-        standard deviation (n, S) of the first quantity).
+        ``BY_SPEED`` to (n, S); NaN where a bin has hardly any samples.
     """
-    shape = (qd.shape[1], SPEED_BINS)
-    middles, spread = np.full(shape, np.nan), np.full(shape, np.nan)
-    means = tuple(np.full(shape, np.nan) for _ in quantities)
+    found = {name: np.full((qd.shape[1], SPEED_BINS), np.nan) for name in BY_SPEED}
     for joint, speed in enumerate(qd.T):
-        used = np.isfinite(quantities[0][:, joint])
-        if not np.any(used):
-            continue
-        fastest = float(np.max(np.abs(speed[used]))) or 1.0
+        used = np.isfinite(residual[:, joint])
+        fastest = float(np.max(np.abs(speed), initial=0.0, where=used)) or 1.0
         edges = np.linspace(-fastest, fastest, SPEED_BINS + 1)
         place = np.clip(np.digitize(speed, edges) - 1, 0, SPEED_BINS - 1)
         for k in range(SPEED_BINS):
             here = used & (place == k)
             if np.count_nonzero(here) < _LEAST_IN_BIN:
                 continue
-            middles[joint, k] = np.mean(speed[here])
-            spread[joint, k] = np.std(quantities[0][here, joint])
-            for mean, quantity in zip(means, quantities):
-                mean[joint, k] = np.mean(quantity[here, joint])
-    return middles, means, spread
+            left, predicted = residual[here, joint], friction[here, joint]
+            means = (np.mean(each) for each in (predicted + left, predicted))
+            numbers = np.mean(speed[here]), np.mean(left), np.std(left), *means
+            for name, number in zip(BY_SPEED, numbers):
+                found[name][joint, k] = number
+    return found

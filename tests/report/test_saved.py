@@ -122,7 +122,7 @@ def test_every_sample_in_use_is_counted_once(seed, count, missing):
     rng = np.random.default_rng(seed)
     residual = rng.standard_t(2.0, (count, 2))
     residual[rng.random((count, 2)) < missing] = np.nan
-    edges, counts = histogram(residual)
+    edges, counts = histogram(residual).values()
     np.testing.assert_array_equal(np.sum(counts, axis=1), np.sum(np.isfinite(residual), axis=0))
     assert np.all(np.diff(edges, axis=1) > 0.0)
 
@@ -131,7 +131,7 @@ def test_every_sample_in_use_is_counted_once(seed, count, missing):
 def test_noise_without_memory_stays_in_its_band(seed):
     noise = np.random.default_rng(seed).normal(size=(2000, 2))
     noise[100:140, 0] = np.nan
-    lags, found, band = autocorrelation(np.arange(2000) * 0.01, noise)
+    lags, found, band = autocorrelation(np.arange(2000) * 0.01, noise).values()
     np.testing.assert_allclose(found[:, 0], 1.0)
     assert np.mean(np.abs(found[:, 1:]) > band[:, None]) < 0.2
     assert lags[0] == 0.0 and lags[-1] <= 2.0
@@ -141,7 +141,7 @@ def test_slow_residuals_have_the_memory_that_they_have():
     rng, slow = np.random.default_rng(0), np.zeros((20000, 1))
     for k in range(1, len(slow)):
         slow[k] = 0.9 * slow[k - 1] + rng.normal()
-    lags, found, _ = autocorrelation(np.arange(20000) * 0.1, slow)
+    lags, found, _ = autocorrelation(np.arange(20000) * 0.1, slow).values()
     np.testing.assert_allclose(found[0], 0.9 ** (lags / 0.1), atol=0.05)
 
 
@@ -149,7 +149,7 @@ def test_means_by_speed_are_those_of_the_samples_in_use():
     qd = np.linspace(-2.0, 2.0, 4001)[:, None]
     torque = 3.0 * qd + 1.0
     torque[qd > 1.0] = np.nan
-    speed, (mean,), spread = by_speed(qd, (torque,))
+    speed, mean, spread, *_ = by_speed(qd, torque, qd).values()
     known = np.isfinite(speed)
     np.testing.assert_allclose(mean[known], 3.0 * speed[known] + 1.0, atol=1e-9)
     assert np.nanmax(speed) <= 1.0 and np.all(spread[known] < 0.3)
@@ -159,4 +159,4 @@ def test_nothing_at_all_is_no_reason_to_fail():
     nothing = np.full((3, 1), np.nan)
     histogram(nothing)
     autocorrelation(np.zeros(3), nothing)
-    assert np.all(np.isnan(by_speed(nothing, (nothing,))[0]))
+    assert np.all(np.isnan(by_speed(nothing, nothing, nothing)["speed"]))
