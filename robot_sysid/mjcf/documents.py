@@ -104,9 +104,19 @@ class Node:
         """Where it stands in the text of its file."""
         return self.file.spans[self.file.index[self.element]]
 
-    def child(self, tag: str) -> Node | None:
-        """Return the first child with a tag."""
-        return next((child for child in self.children() if child.tag == tag), None)
+    def child(self, *tags: str) -> Node | None:
+        """Return the first child with a tag, of that one the first with the next tag, and so on."""
+        found: Node | None = self
+        for tag in tags:
+            children = () if found is None else found.children()
+            found = next((child for child in children if child.tag == tag), None)
+        return found
+
+    def inner(self, *path: str) -> str | None:
+        """Return an attribute, the last one named, of the child with these tags."""
+        *tags, name = path
+        node = self.child(*tags)
+        return None if node is None else node.get(name)
 
     def holds(self, other: Node) -> bool:
         """Tell whether an element is this one or below it."""

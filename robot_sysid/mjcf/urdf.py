@@ -63,7 +63,7 @@ def _use_absolute_meshes(edits: Edits, mesh_dir: Path | None) -> Iterator[str]:
     shapes = [(link, node) for link in document.tagged("link") for node in link.children()]
     for link, shape in shapes:
         meshes = [use for use in uses if shape.tag in SHAPES and shape.holds(use.node)]
-        unusable = [mesh for mesh in meshes if not _is_usable(mesh)]
+        unusable = [m for m in meshes if not m.path or m.path.suffix.lower() not in READABLE_MESHES]
         for mesh in meshes if not unusable else ():
             edits.set(mesh.node, "filename", str(mesh.path))
         if unusable and shape.tag == "collision":
@@ -82,14 +82,9 @@ def _use_absolute_meshes(edits: Edits, mesh_dir: Path | None) -> Iterator[str]:
         )
 
 
-def _is_usable(mesh: Asset) -> bool:
-    """Whether the file exists in a format MuJoCo reads."""
-    return mesh.path is not None and mesh.path.suffix.lower() in READABLE_MESHES
-
-
 def _cannot_drop(document: ModelDocument, link: Node, mesh: Asset) -> ModelError:
-    unreadable = "" if mesh.path is None else mesh.path.suffix
-    why = f"in a format MuJoCo cannot read ({unreadable})" if mesh.path else "not found"
+    unreadable = f"in a format MuJoCo cannot read ({mesh.path.suffix})" if mesh.path else ""
+    why = unreadable or "not found"
     return ModelError(
         f"{document.path}: collision mesh {mesh.name} of link '{link.get('name')}' is {why}, "
         "and the link has no <inertial> of its own; pass --mesh-dir FOLDER or add an <inertial>"
@@ -102,7 +97,7 @@ def give_minimum(edits: Edits, but: Collection[str | None] = ()) -> list[str]:
         link for link in _moving_links_without_mass(edits.document) if link.get("name") not in but
     ]
     for link in found:
-        com = _floats(_inner(link, "inertial", "origin"), "xyz")
+        com = _floats(link.inner("inertial", "origin", "xyz"))
         inertia = MINIMUM_INERTIA * np.eye(3)
         minimum = urdf_inertial_about_com(max(_mass(link), MINIMUM_MASS), com, inertia)
         old = link.child("inertial")
@@ -122,12 +117,12 @@ def link_inertias(document: ModelDocument) -> dict[str, tuple[float, Array, Arra
 
     found = {}
     for link in document.tagged("link"):
-        inertia, origin = _inner(link, "inertial", "inertia"), _inner(link, "inertial", "origin")
+        inertia = link.child("inertial", "inertia")
         if inertia is None:
             continue
-        com = _floats(origin, "xyz")
+        com, turn = (_floats(link.inner("inertial", "origin", name)) for name in ("xyz", "rpy"))
         # Rz(yaw) Ry(pitch) Rx(roll): about the fixed axes, x first.
-        rotation = Rotation.from_euler("xyz", _floats(origin, "rpy")).as_matrix()
+        rotation = Rotation.from_euler("xyz", turn).as_matrix()
         six = [float(inertia.get(n) or 0.0) for n in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")]
         matrix = rotation @ spatial.symmetric_from_six(np.array(six)) @ rotation.T
         if not np.all(np.abs([*matrix.ravel(), *com]) <= _LARGEST):
@@ -140,25 +135,14 @@ def velocity_limits(document: ModelDocument) -> dict[str, float]:
     """Return joint name to the speed limit it states [rad/s or m/s]; MuJoCo drops these."""
     found = {}
     for joint in document.tagged("joint"):
-        limit = joint.child("limit")
-        text = None if limit is None else limit.get("velocity")
         with contextlib.suppress(ValueError):
-            value = float(text or "")
+            value = float(joint.inner("limit", "velocity") or "")
             if value > 0.0 and math.isfinite(value):
                 found[str(joint.get("name"))] = value
     return found
 
 
-def _inner(link: Node, *tags: str) -> Node | None:
-    """Return the first child of the first child ... with these tags."""
-    found: Node | None = link
-    for tag in tags:
-        found = None if found is None else found.child(tag)
-    return found
-
-
-def _floats(node: Node | None, name: str) -> Array:
-    text = node.get(name) if node is not None else None
+def _floats(text: str | None) -> Array:
     return np.array([float(word) for word in text.split()]) if text else np.zeros(3)
 
 
@@ -166,8 +150,8 @@ def _level_inertials(edits: Edits) -> None:
     """Turn inertias into link axes: MuJoCo 3.3 ignores the ``rpy`` of an inertial."""
     inertias = link_inertias(edits.document)
     for link in edits.document.tagged("link"):
-        inertial, origin = link.child("inertial"), _inner(link, "inertial", "origin")
-        if inertial and np.any(_floats(origin, "rpy")) and not _lacks_inertia(link):
+        inertial, turn = link.child("inertial"), link.inner("inertial", "origin", "rpy")
+        if inertial and np.any(_floats(turn)) and not _lacks_inertia(link):
             text = urdf_inertial_about_com(*inertias[str(link.get("name"))])
             edits.replace(inertial, text, keep_lines=True)
 
@@ -176,13 +160,13 @@ def _moving_links_without_mass(document: ModelDocument) -> Iterator[Node]:
     links = {link.get("name"): link for link in document.tagged("link")}
     joints = document.tagged("joint")
     for joint in joints:
-        link = links.get(_end(joint, "child"))
+        link = links.get(joint.inner("child", "link"))
         if joint.get("type") == "fixed" or link is None or not _lacks_inertia(link):
             continue
         welded = (
-            links.get(_end(j, "child"))
-            for j in joints
-            if j.get("type") == "fixed" and _end(j, "parent") == link.get("name")
+            links.get(other.inner("child", "link"))
+            for other in joints
+            if other.get("type") == "fixed" and other.inner("parent", "link") == link.get("name")
         )
         if not any(child is not None and _mass(child) > 0.0 for child in welded):
             yield link
@@ -191,19 +175,12 @@ def _moving_links_without_mass(document: ModelDocument) -> Iterator[Node]:
 def _lacks_inertia(link: Node) -> bool:
     if link.child("inertial") is None:
         return link.child("collision") is None
-    inertia, names = _inner(link, "inertial", "inertia"), ("ixx", "iyy", "izz")
-    diagonal = [] if inertia is None else [float(inertia.get(n) or 0.0) for n in names]
-    return _mass(link) <= 0.0 or max(diagonal, default=0.0) <= 0.0
+    moments = (link.inner("inertial", "inertia", name) for name in ("ixx", "iyy", "izz"))
+    return _mass(link) <= 0.0 or max(float(moment or 0.0) for moment in moments) <= 0.0
 
 
 def _mass(link: Node) -> float:
-    mass = _inner(link, "inertial", "mass")
     try:
-        return float(mass.get("value") or 0.0) if mass is not None else 0.0
+        return float(link.inner("inertial", "mass", "value") or 0.0)
     except ValueError:
         return 0.0
-
-
-def _end(joint: Node, which: str) -> str | None:
-    end = joint.child(which)
-    return end.get("link") if end is not None else None

@@ -27,23 +27,6 @@ _MOMENTS = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
-class Tolerance:
-    """What may be done to moments of inertia that a model file cannot hold as identified.
-
-    Attributes:
-        least_moment: smallest principal moment the file's compiler leaves alone [kg m^2].
-        most_inflated: by how much all three moments may be inflated, because they are not known any
-            better [kg m^2].
-    """
-
-    least_moment: float = 0.0
-    most_inflated: float = 0.0
-
-
-EXACT = Tolerance()
-
-
-@dataclass(frozen=True)
 class WriteBack:
     """What to write into the model.
 
@@ -69,7 +52,10 @@ class WriteBack:
 
 
 def plan_write_back(
-    composite: Array, bodies: Sequence[SubtreeBody], tolerance: Tolerance = EXACT
+    composite: Array,
+    bodies: Sequence[SubtreeBody],
+    least_moment: float = 0.0,
+    most_inflated: float = 0.0,
 ) -> WriteBack:
     """Share an identified composite among the bodies of the terminal link.
 
@@ -77,7 +63,9 @@ def plan_write_back(
         composite: (10,) identified parameters of the terminal body and all below it, in the
             terminal body's frame.
         bodies: those bodies as the model describes them, the terminal body first.
-        tolerance: what may be done to moments that the file cannot hold.
+        least_moment: smallest principal moment the file's compiler leaves alone [kg m^2].
+        most_inflated: by how much all three moments may be inflated, because they are not known any
+            better [kg m^2].
 
     Raises:
         ExportError: the composite is no possible body itself, or nothing of the bodies on joints
@@ -85,13 +73,14 @@ def plan_write_back(
     """
     others, mass = tuple(bodies[1:]), float(composite[0])
     lumped: tuple[SubtreeBody, ...] = ()
-    scale = 1.0
-    if possible_body(composite - _sum(others), mass, tolerance) is None:
+    scale, tolerance = 1.0, (least_moment, most_inflated)
+    if possible_body(composite - _sum(others), mass, *tolerance) is None:
         lumped = tuple(body for body in others if body.welded and np.any(body.theta))
         others = tuple(body for body in others if not body.welded and np.any(body.theta))
-        scale = _largest_scale(composite, _sum(others), tolerance)
+        if possible_body(composite - _sum(others), mass, *tolerance) is None:
+            scale = _largest_scale(composite, _sum(others))
     rest = composite - scale * _sum(others)
-    own = possible_body(rest, mass, tolerance)
+    own = possible_body(rest, mass, *tolerance)
     if own is None or scale < NOTHING:
         raise ExportError(
             f"the identified parameters of body '{bodies[0].name}' are not a possible rigid body, "
@@ -103,20 +92,14 @@ def plan_write_back(
     return WriteBack(own, lumped, "; ".join(notes) or None, inflated, scaled, scale)
 
 
-def _largest_scale(composite: Array, hanging: Array, tolerance: Tolerance) -> float:
-    """Return the largest part, at most 1, of bodies that leaves a possible rest; 0 for none."""
-
-    def leaves_a_body(part: float, tolerance: Tolerance = EXACT) -> bool:
-        rest = composite - part * hanging
-        return possible_body(rest, float(composite[0]), tolerance) is not None
-
-    if leaves_a_body(1.0, tolerance):
-        return 1.0
+def _largest_scale(composite: Array, hanging: Array) -> float:
+    """Return the largest part, below 1, of bodies that leaves a possible rest; 0 for none."""
     # Possible bodies are a convex set: what leaves one is an interval that begins at nothing.
     low, high = 0.0, 1.0
     for _ in range(60):
         middle = (low + high) / 2.0
-        low, high = (middle, high) if leaves_a_body(middle) else (low, middle)
+        leaves_a_body = possible_body(composite - middle * hanging, float(composite[0])) is not None
+        low, high = (middle, high) if leaves_a_body else (low, middle)
     return low
 
 
@@ -140,12 +123,15 @@ def _shared_notes(
         )
 
 
-def possible_body(theta: Array, scale: float, tolerance: Tolerance = EXACT) -> Array | None:
+def possible_body(
+    theta: Array, scale: float, least_moment: float = 0.0, most_inflated: float = 0.0
+) -> Array | None:
     """Return theta, moved inside the possible where rounding left it on the edge, or None.
 
     Args:
         theta: (10,) a difference of two bodies.
         scale: mass of the larger of them [kg]; what is tiny beside it is nothing.
+        least_moment, most_inflated: as in ``plan_write_back``.
     """
     mass, com, inertia = spatial.com_from_theta(theta)
     size = float(np.trace(inertia)) / 2.0
@@ -156,9 +142,9 @@ def possible_body(theta: Array, scale: float, tolerance: Tolerance = EXACT) -> A
     smallest = 1.0 - float(moments[-1]) / size
     # Adding s to each second moment adds 2 s to each moment of inertia.
     inflated = 2.0 * max(0.0, MARGIN - smallest) * size
-    if tolerance.most_inflated >= tolerance.least_moment - float(moments[0]):
-        inflated = max(inflated, tolerance.least_moment - float(moments[0]))
-    if inflated > max(2.0 * (SLACK + MARGIN) * size, tolerance.most_inflated):
+    if most_inflated >= least_moment - float(moments[0]):
+        inflated = max(inflated, least_moment - float(moments[0]))
+    if inflated > max(2.0 * (SLACK + MARGIN) * size, most_inflated):
         return None
     return spatial.theta_from_com(mass, com, inertia + inflated * np.eye(3))
 

@@ -21,10 +21,9 @@ import mujoco
 import numpy as np
 
 from robot_sysid.errors import ModelError
-from robot_sysid.mjcf.assets import Asset, check_assets, find_assets
+from robot_sysid.mjcf.assets import Asset, check_assets, find_assets, relocated_text
 from robot_sysid.mjcf.documents import ModelDocument, Node, read_document
 from robot_sysid.mjcf.edits import Edits
-from robot_sysid.mjcf.relocation import relocated_text
 from robot_sysid.mjcf.urdf import compilable_urdf, link_inertias, velocity_limits
 from robot_sysid.model.inertia import inertia_about_com
 from robot_sysid.records import Array

@@ -14,9 +14,8 @@ import mujoco
 
 from robot_sysid.errors import ExportError, InputError
 from robot_sysid.interrupts import held_back
-from robot_sysid.mjcf.assets import find_assets
+from robot_sysid.mjcf.assets import bundled_text, find_assets
 from robot_sysid.mjcf.documents import read_document
-from robot_sysid.mjcf.relocation import bundled_text
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.records.atomic_files import draft_folder, only_run_in
 from robot_sysid.results.verification import compiled_again, require_same_model

@@ -24,7 +24,6 @@ from robot_sysid.mjcf.write_back import (
     BodyChange,
     JointChange,
     ModelChange,
-    Tolerance,
     WeldedBody,
     WriteBack,
     plan_write_back,
@@ -116,12 +115,9 @@ def write_joints(
     return notes + _write(robot, change, target, np.array([link.theta for link in robot.links]))
 
 
-def moment_tolerance(robot: RobotModel, errors: Array) -> Tolerance:
+def most_inflated(errors: Array) -> float:
     """Return how far moments of inertia may be inflated: within their standard errors (10,)."""
-    finite = [float(error) for error in np.asarray(errors)[_MOMENTS] if np.isfinite(error)]
-    return Tolerance(
-        setting_number(read_document(robot.path), "boundinertia"), min(finite, default=0.0)
-    )
+    return min((float(e) for e in np.asarray(errors)[_MOMENTS] if np.isfinite(e)), default=0.0)
 
 
 def _links(result: Result, robot: RobotModel) -> tuple[Array, Array]:
@@ -191,6 +187,7 @@ def _body_changes(
     """Return (what the bodies get, the links (n, 10) as they are then)."""
     bodies = [link.body_id for link in robot.links]
     changes: list[BodyChange] = []
+    bound = setting_number(read_document(robot.path), "boundinertia")
     held = np.array(thetas, dtype=float)
     written = [k for k, link in enumerate(robot.links) if np.any(thetas[k] != link.theta)]
     words = _joint_words(robot, written, joints)
@@ -203,7 +200,7 @@ def _body_changes(
                 f"joint {robot.joint_names[k]} moves no link of its own, because a later joint "
                 f"moves body '{link.body_name}' too; its parameters belong to that joint's link"
             )
-        plan = plan_write_back(thetas[k], parts, moment_tolerance(robot, errors[k]))
+        plan = plan_write_back(thetas[k], parts, bound, most_inflated(errors[k]))
         held[k] = plan.written(thetas[k])
         comment = "; ".join(words[k]) or None
         changes.append(BodyChange(link.body_name, link.body_id, plan, comment))

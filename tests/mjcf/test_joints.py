@@ -9,7 +9,7 @@ import pytest
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.edits import Edits
-from robot_sysid.mjcf.joints import find_joint, write_actuator, write_joint
+from robot_sysid.mjcf.updated_model import find_joint, write_actuator, write_joint
 from robot_sysid.mjcf.write_back import ActuatorChange, JointChange
 from tests.support.model_files import (
     INERTIAL,

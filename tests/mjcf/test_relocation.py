@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from robot_sysid.errors import ModelError
-from robot_sysid.mjcf.assets import check_assets, find_assets
+from robot_sysid.mjcf.assets import check_assets, find_assets, relocated_text
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.edits import Edits, reference
-from robot_sysid.mjcf.relocation import relocated_text
 from tests.support.model_files import TETRAHEDRON, write_files
 
 MESH = "<asset><mesh name='m' file='{}'/></asset>"

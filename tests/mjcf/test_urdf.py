@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from robot_sysid.errors import ModelError
-from robot_sysid.mjcf.assets import find_mesh
+from robot_sysid.mjcf.assets import find_mesh, relocated_text
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.edits import Edits
-from robot_sysid.mjcf.relocation import relocated_text
 from robot_sysid.mjcf.urdf import compilable_urdf, link_inertias
 from tests.support.model_files import (
     urdf_inertial,

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError
-from robot_sysid.mjcf.write_back import Tolerance, plan_write_back, possible_body
+from robot_sysid.mjcf.write_back import plan_write_back, possible_body
 from robot_sysid.records import SubtreeBody
 from tests.support.arms import random_rotation
 from tests.support.model_files import random_theta
@@ -130,7 +130,7 @@ def rod(rng, mass=1.0):
 @given(seed=seeds, bound=st.floats(1e-9, 1e-4))
 def test_moments_below_the_files_bound_are_raised_where_they_are_not_known_better(seed, bound):
     identified = rod(np.random.default_rng(seed))
-    plan = plan_write_back(identified, [body(1, NOTHING)], Tolerance(bound, 2.0 * bound))
+    plan = plan_write_back(identified, [body(1, NOTHING)], bound, 2.0 * bound)
     smallest = np.linalg.eigvalsh(spatial.com_from_theta(plan.theta)[2])[0]
     # Rounding of an inertia about an origin metres away, which is of the order of ten.
     np.testing.assert_allclose(smallest, bound, rtol=0, atol=1e-13)
@@ -141,7 +141,7 @@ def test_moments_below_the_files_bound_are_raised_where_they_are_not_known_bette
 @given(seed=seeds)
 def test_moments_that_are_known_better_are_left_for_the_compiler_check_to_refuse(seed):
     identified = rod(np.random.default_rng(seed))
-    plan = plan_write_back(identified, [body(1, NOTHING)], Tolerance(1e-4, 1e-5))
+    plan = plan_write_back(identified, [body(1, NOTHING)], 1e-4, 1e-5)
     assert plan.note is None
     np.testing.assert_allclose(plan.theta, identified, rtol=0, atol=1e-11)
 
@@ -151,7 +151,7 @@ def test_a_small_body_below_a_rod_is_kept_where_the_moments_allow(seed):
     """A compiler gives massless frames 1e-6 kg m^2; the rod minus that is impossible by as much."""
     rng = np.random.default_rng(seed)
     identified, frame = rod(rng), spatial.theta_from_com(1e-6, np.zeros(3), 1e-6 * np.eye(3))
-    plan = plan_write_back(identified, [body(1, NOTHING), body(2, frame)], Tolerance(0.0, 1e-3))
+    plan = plan_write_back(identified, [body(1, NOTHING), body(2, frame)], 0.0, 1e-3)
     assert plan.lumped == () and spatial.is_consistent(plan.theta)
     np.testing.assert_allclose(plan.theta + frame, plan.written(identified), rtol=0, atol=1e-13)
     assert 1e-7 < plan.inflated < 1e-3

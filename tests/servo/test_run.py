@@ -14,7 +14,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.edits import Edits
-from robot_sysid.mjcf.joints import write_actuator
+from robot_sysid.mjcf.updated_model import write_actuator
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Motion
 from robot_sysid.records.progress import Progress
