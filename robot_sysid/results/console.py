@@ -18,14 +18,7 @@ from robot_sysid.records import DELAY_NAME, Array, Validation
 from robot_sysid.records.figures import THETA, figure, percent, term_unit, with_error
 from robot_sysid.results.record import BaseParameters, BodyEstimate, Payload, Result
 from robot_sysid.results.rollout import rollout_lines
-from robot_sysid.results.tables import (
-    asked_body,
-    asked_rows,
-    friction_text,
-    link_rows,
-    shown,
-    table_lines,
-)
+from robot_sysid.results.tables import asked_rows, friction_text, link_rows, shown, table_lines
 
 if TYPE_CHECKING:
     from robot_sysid.damiao.trajectory import DamiaoExportReport
@@ -68,7 +61,7 @@ def more_lines(result: Result, links: bool = False, verbose: bool = False) -> li
     """Return what stands under that block; ``verbose`` adds what only an expert reads."""
     return [
         *_tables(result, links),
-        *_causes(asked_body(result)),
+        *_causes(result.body),
         *([] if result.payload is None else _payload_lines(result.payload)),
         *(_joint_lines(result) if result.is_measured else []),
         *_sensor_lines(result),
@@ -113,7 +106,7 @@ def _two_decimals(value: float) -> str:
 
 
 def _tables(result: Result, links: bool) -> Iterator[str]:
-    causes = ", ".join(["noise", *asked_body(result).budget])
+    causes = ", ".join(["noise", *result.body.budget])
     if links and result.links:
         yield f"Links, before -> after, ± one standard error of all causes ({causes}), body axes:"
         yield from table_lines(link_rows(result))
@@ -248,7 +241,7 @@ def _verdict_lines(result: Result) -> Iterator[str]:
 
 def _known(result: Result) -> str:
     """Return in a sentence how well the mass that was asked for is known."""
-    share, body = result.known_to, asked_body(result)
+    share, body = result.known_to, result.body
     if share is not None and share < UNKNOWN:
         return f"The mass is known to {percent(share)}"
     if not np.isfinite(body.errors[0]):
@@ -267,7 +260,7 @@ def _details(result: Result) -> Iterator[str]:
         noise = estimate.noise_per_joint.get(joint)
         yield f"    {joint}: {value:.2e} N·m" + ("" if noise is None else f", noise {noise:.2g}")
     if result.is_measured:
-        named = zip(estimate.names, asked_body(result).noise_errors, THETA)
+        named = zip(estimate.names, result.body.noise_errors, THETA)
         listed = ", ".join(f"{name} {error:.2g} {unit}" for name, error, unit in named)
         yield f"  Standard errors of noise alone: {listed}"
     if result.sensors:
@@ -338,7 +331,7 @@ def limitations(result: Result) -> tuple[str, ...]:
 
 
 def _sentences(result: Result) -> Iterator[str]:
-    estimate, body = result.estimate, asked_body(result)
+    estimate, body = result.estimate, result.body
     if estimate.identifiability.unidentifiable:
         listed = "; ".join(estimate.identifiability.unidentifiable)
         yield f"not visible in these torques, kept from the model: {listed}"

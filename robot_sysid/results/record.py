@@ -319,19 +319,25 @@ class Result:
         return self.data.source.is_measured
 
     @property
+    def body(self) -> BodyEstimate:
+        """What was asked for: the payload, else the terminal link with all that hangs on it."""
+        if self.payload is not None:
+            return self.payload.body
+        if self.links:
+            return self.links[-1]
+        exact = np.zeros((10, 10)), np.ones(10, dtype=bool), np.zeros(10)
+        return BodyEstimate(self.body_name, self.estimate.inertial, *exact, before=self.prior)
+
+    @property
     def asked(self) -> InertialParameters:
-        """The body that was asked for: the payload, else the terminal link."""
-        return self.estimate.inertial if self.payload is None else self.payload.body.inertial
+        """The parameters of that body."""
+        return self.body.inertial
 
     @property
     def known_to(self) -> float | None:
         """Whole standard error of the asked body's mass, as a part of it; None where not known."""
-        if self.payload is not None:
-            error = float(self.payload.body.errors[0])
-        else:
-            error = float("inf") if not self.is_measured else self.estimate.error("m") or 0.0
-        mass = self.asked.mass
-        return error / mass if np.isfinite(error) and mass > 0.0 else None
+        error, mass = float(self.body.errors[0]), self.asked.mass
+        return error / mass if self.is_measured and np.isfinite(error) and mass > 0.0 else None
 
     @property
     def failure(self) -> str | None:

@@ -128,22 +128,9 @@ def _sizes(theta: Array) -> Array:
     return spatial.parameter_scale(mass, length)
 
 
-def asked_body(result: Result) -> BodyEstimate:
-    """Return what was asked for: the payload, else the terminal link with all that hangs on it."""
-    if result.payload is not None:
-        return result.payload.body
-    if result.links:
-        return result.links[-1]
-    nothing, seen = np.zeros(10), np.ones(10, dtype=bool)
-    whole = np.zeros((10, 10))
-    return BodyEstimate(
-        result.body_name, result.estimate.inertial, whole, seen, nothing, before=result.prior
-    )
-
-
 def asked_rows(result: Result) -> list[BeforeAfter]:
     """Return the rows of a payload, or of the terminal link with its joint's friction."""
-    body = asked_body(result)
+    body = result.body
     if result.payload is not None:
         inertial = [theta_rows(body)[0], *_com_rows(body)]
         return [*inertial, *(_inertia_rows(body) if len(inertial) > 1 else [])]
