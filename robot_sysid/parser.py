@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +27,8 @@ from robot_sysid.records.options import PerJoint
 
 
 def load_robot_model(
-    path: Path,
-    mesh_dir: Path | None = None,
+    model: str | os.PathLike[str],
+    mesh_dir: str | os.PathLike[str] | None = None,
     joint: str | None = None,
     max_velocity: PerJoint = DEFAULT_MAX_VELOCITY,
     keyframe: str | None = None,
@@ -35,7 +36,7 @@ def load_robot_model(
     """Load an MJCF or URDF file and find the arm in it.
 
     Args:
-        path: model file.
+        model: the file.
         mesh_dir: folder of its meshes; default what the file says.
         joint: name of the terminal joint; default found automatically.
         max_velocity: speed limit of hinge joints, one number or one per joint [rad/s].
@@ -46,8 +47,8 @@ def load_robot_model(
         AmbiguousJointError: several joints could be the terminal one.
         InputError: there is no such keyframe; lists those there are.
     """
-    compiled = compile_model(Path(path), mesh_dir)
-    return robot_from_compiled(compiled, Path(path), joint, max_velocity, keyframe)
+    compiled = compile_model(Path(model), None if mesh_dir is None else Path(mesh_dir))
+    return robot_from_compiled(compiled, Path(model), joint, max_velocity, keyframe)
 
 
 def robot_from_compiled(

@@ -8,7 +8,7 @@ from operator import add
 from pathlib import Path
 from typing import Any
 
-from robot_sysid.api.calls import Log, Model, as_logs, identified, plain, quietly
+from robot_sysid.api.calls import LINK_FILES, Log, Model, as_logs, quietly
 from robot_sysid.api.results import Identified
 from robot_sysid.config import ModelOptions, SysidConfig
 from robot_sysid.core.result import result_of
@@ -17,7 +17,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.reader import open_log
-from robot_sysid.parser import load_robot_model as load
+from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline import Analysis, checked
 from robot_sysid.records import RobotModel
 from robot_sysid.records.data import Traces
@@ -46,8 +46,10 @@ def information(
     Raises:
         InputError: an option, the model or the log cannot be used, or does not add.
     """
-    values = {**plain(options), "measurements": as_logs(log)}
-    robot, logs, chosen = _settled(model, options, values)
+    for name in _NOT_HERE:
+        if name in options:
+            raise InputError(f"{name} is not for information, which holds one log or several alike")
+    robot, logs, chosen = _settled(model, {**options, "measurements": as_logs(log)})
     config = SysidConfig(ModelOptions(Path(model)), log=logs, estimation=settled_options(chosen))
     found = []
     with quietly() as notes:
@@ -74,16 +76,14 @@ def identify_from(
         InputError: it is the sum of a first round, or was made with another model.
     """
     refuse_unknown(options, ModelOptions)
-    robot, _, _ = _settled(model, options, plain(options))
-    chosen = record_from(ModelOptions, {**plain(options), "path": Path(model)})
-    config = SysidConfig(
-        chosen, log=LogOptions(measurements=(_ADDED,)), estimation=found.settled.estimation
-    )
+    robot, *_ = _settled(model, options)
+    arm, logs = record_from(ModelOptions, options), LogOptions(measurements=(_ADDED,))
+    config = SysidConfig(arm, log=logs, estimation=found.settled.estimation)
     with quietly() as notes:
         answer = answer_from(robot, found, validation)
         result = result_of(answer, found.origin)
     analysis = Analysis(result, found.checkpoints, _no_traces, answer)
-    return identified(config, robot, analysis, (*found.notes, *notes.notes))
+    return Identified(robot, analysis, config, LINK_FILES, (*found.notes, *notes.notes))
 
 
 def _no_traces() -> Traces:
@@ -94,13 +94,10 @@ def _no_traces() -> Traces:
 
 
 def _settled(
-    model: Model, given: Mapping[str, Any], values: Mapping[str, Any]
+    model: Model, values: Mapping[str, Any]
 ) -> tuple[RobotModel, LogOptions, EstimationOptions]:
     """Return the arm, its logs and how they are fitted."""
     refuse_unknown(values, ModelOptions, LogOptions, EstimationOptions)
-    for name in _NOT_HERE:
-        if name in given:
-            raise InputError(f"{name} is not for information, which holds one log or several alike")
     chosen = record_from(ModelOptions, values)
-    robot = load(Path(model), chosen.mesh_dir, chosen.joint, keyframe=chosen.keyframe)
+    robot = load_robot_model(model, chosen.mesh_dir, chosen.joint, keyframe=chosen.keyframe)
     return robot, record_from(LogOptions, values), record_from(EstimationOptions, values)

@@ -13,15 +13,15 @@ import numpy as np
 
 from robot_sysid import payload_pipeline as payload_stages
 from robot_sysid.api.results import Identified, PlanResult, one_thread
-from robot_sysid.config import SysidConfig, config_from
+from robot_sysid.config import config_from
 from robot_sysid.errors import InputError
 from robot_sysid.logs.formats.table import LogTable, arrays_table
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.reader import MeasurementLog, open_log
 from robot_sysid.model.compilation import warnings_as_notes
-from robot_sysid.parser import load_robot_model as load
+from robot_sysid.parser import load_robot_model
 from robot_sysid.payload_config import payload_config_from
-from robot_sysid.pipeline import Analysis, analysed, designed, promise, written
+from robot_sysid.pipeline import analysed, designed, promise, written
 from robot_sysid.pipeline import load as link_load
 from robot_sysid.pipeline import loaded as load_arm
 from robot_sysid.records import Measurement, RobotModel
@@ -31,7 +31,6 @@ from robot_sysid.records.progress import Progress
 Log = Union[str, "os.PathLike[str]", Mapping[str, Any], Measurement, MeasurementLog, Any]
 """A path; arrays time (N,), q, tau and perhaps qd (N, n) by these or like names [s, rad, N m,
 rad/s]; a data frame with a column per joint and quantity; or a log that was read."""
-IN_MEMORY = Path("arrays")
 
 
 def as_log(log: Log) -> Any:
@@ -45,15 +44,14 @@ def as_log(log: Log) -> Any:
     if isinstance(log, (str, os.PathLike)):
         return Path(log)
     if isinstance(log, Measurement):
-        given = {name: getattr(log, name) for name in ("time", "q", "qd", "tau")}
-        return _table({name: values for name, values in given.items() if values is not None})
-    if isinstance(log, Mapping):
-        return _table(log)
-    if hasattr(log, "columns") and hasattr(log, "__getitem__"):
-        return _table({str(column): log[column] for column in log.columns})
-    raise InputError(
-        f"a log is a path, arrays by name, a data frame or a Measurement, not {type(log).__name__}"
-    )
+        log = {name: getattr(log, name) for name in ("time", "q", "qd", "tau")}
+    elif hasattr(log, "columns") and hasattr(log, "__getitem__"):
+        log = {column: log[column] for column in log.columns}
+    if not isinstance(log, Mapping):
+        known = "a path, arrays by name, a data frame or a Measurement"
+        raise InputError(f"a log is {known}, not {type(log).__name__}")
+    arrays = {str(name): np.asarray(v) for name, v in log.items() if v is not None}
+    return arrays_table(Path("arrays"), "arrays in memory", arrays)
 
 
 def as_logs(logs: Any) -> tuple[Any, ...]:
@@ -62,18 +60,10 @@ def as_logs(logs: Any) -> tuple[Any, ...]:
     return tuple(as_log(log) for log in (logs if several else (logs,)))
 
 
-def _table(columns: Mapping[str, Any]) -> LogTable:
-    arrays = {str(name): np.asarray(values) for name, values in columns.items()}
-    return arrays_table(IN_MEMORY, "arrays in memory", arrays)
-
-
 Model = Union[str, "os.PathLike[str]"]
 """Path of an MJCF or URDF file."""
-_PATHS = (
-    *("mesh_dir", "columns", "torque_scale", "torque_constants", "plant_model", "coupling"),
-    *("trajectory", "empty_model", "loaded_model", "save_measurements", "save_trajectory"),
-    *("append", "save_torque_scale"),
-)
+LINK_FILES = partial(written, motor_file=None)
+"""Writes the files of ``identify``."""
 
 
 class _Notes(Progress):
@@ -92,24 +82,6 @@ def quietly() -> Iterator[_Notes]:
     notes = _Notes()
     with one_thread(), warnings_as_notes(notes):
         yield notes
-
-
-def load_robot_model(
-    model: Model, *, joint: str | None = None, mesh_dir: Model | None = None, **options: Any
-) -> RobotModel:
-    """Load an MJCF or URDF file and find the arm in it.
-
-    Args:
-        model: the file.
-        joint: name of the terminal joint; None finds it.
-        mesh_dir: folder of the meshes; None takes what the file says.
-        options: ``max_velocity`` [rad/s] and ``keyframe``, see ``parser.load_robot_model``.
-
-    Raises:
-        ModelError: the file cannot be used.
-        AmbiguousJointError: several joints could be the terminal one.
-    """
-    return load(Path(model), None if mesh_dir is None else Path(mesh_dir), joint, **options)
 
 
 def read_log(log: Log, model: Model | RobotModel, **options: Any) -> MeasurementLog:
@@ -156,7 +128,7 @@ def identify(
     Raises:
         InputError: an option, the model or a log cannot be used; says why.
     """
-    values = plain(options)
+    values = dict(options)
     if log is not None:
         values["measurements"] = as_logs(log)
     if validation is not None:
@@ -170,15 +142,7 @@ def identify(
     with quietly() as notes:
         robot = link_load(config, notes)
         analysis, _ = analysed(config, robot, notes)
-    return identified(config, robot, analysis, notes.notes)
-
-
-def identified(
-    config: SysidConfig, robot: RobotModel, analysis: Analysis, notes: Sequence[str]
-) -> Identified:
-    """Return an analysis with what writes it."""
-    stage = partial(written, motor_file=None)
-    return Identified(robot, analysis, config, stage, tuple(notes))
+    return Identified(robot, analysis, config, LINK_FILES, tuple(notes.notes))
 
 
 def identify_arm(
@@ -211,7 +175,7 @@ def plan(model: Model, **options: Any) -> PlanResult:
         InputError: an option or the model cannot be used.
     """
     usual = {} if {"trajectory", "static"} & options.keys() else {"excitation": "optimal"}
-    config = config_from(Path(model), **{**usual, **plain(options), "plan_only": True})
+    config = config_from(Path(model), **{**usual, **options, "plan_only": True})
     with quietly() as notes:
         robot = link_load(config, notes)
         checked, _ = designed(config, robot, notes)
@@ -237,26 +201,11 @@ def payload(
     Raises:
         InputError: an option, the model or a recording cannot be used.
     """
-    values = plain(options)
+    values = dict(options)
     values.update({} if empty is None else {"empty": as_logs(empty)})
     values.update({} if loaded is None else {"loaded": as_logs(loaded)})
     config = payload_config_from(Path(model), **values)
     with quietly() as notes:
         robot = load_arm(config.model, config.limits, notes)
         analysis = payload_stages.weighed(config, robot, notes)
-
     return Identified(robot, analysis, config, payload_stages.written, tuple(notes.notes))
-
-
-def plain(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return options with paths as paths and lists as tuples."""
-    values = dict(options)
-    for name, value in values.items():
-        if isinstance(value, list):
-            values[name] = tuple(value)
-        elif name in _PATHS and isinstance(value, str):
-            # Numbers, as in ``torque_scale="1.0,1.1"``, are no path.
-            parts = value.split(",")
-            if not all(part.replace(".", "", 1).strip().isdigit() for part in parts):
-                values[name] = Path(value)
-    return values

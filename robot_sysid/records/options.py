@@ -130,9 +130,18 @@ def given_options(record: Any) -> Iterator[Option]:
 
 
 def record_from(record: type[Record], values: Mapping[str, Any]) -> Record:
-    """Return a record whose options have the values of their keys, where there are any."""
-    known = {name: each.key for name, each in options_of(record).items()}
-    return record(**{name: values[key] for name, key in known.items() if key in values})
+    """Return a record whose options have the values of their keys, where there are any.
+
+    A text counts as what it is on the command line, a list as a tuple.
+    """
+    stated = {name: each for name, each in options_of(record).items() if each.key in values}
+    return record(**{name: _value(each, values[each.key]) for name, each in stated.items()})
+
+
+def _value(stated: Option, given: Any) -> Any:
+    if isinstance(given, str) and stated.parse is not None:
+        return stated.parse(given)
+    return tuple(given) if isinstance(given, list) else given
 
 
 def refuse_unknown(values: Mapping[str, Any], *records: Any) -> None:
