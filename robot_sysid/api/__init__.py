@@ -5,8 +5,15 @@ Nothing is printed, and no file is written unless a result is asked to ``save``.
 
 from __future__ import annotations
 
-from robot_sysid.api.adding import identify_from, information
-from robot_sysid.api.calls import identify, identify_arm, payload, plan, read_log
+from robot_sysid.api.calls import (
+    identify,
+    identify_arm,
+    identify_from,
+    information,
+    payload,
+    plan,
+    read_log,
+)
 from robot_sysid.parser import load_robot_model
 
 __all__ = [

@@ -1,11 +1,16 @@
-"""The functions of the face: the commands' pipelines, with arrays in and nothing printed."""
+"""The functions of the face: the commands' pipelines, with arrays in and nothing printed.
+
+Of many logs on many machines, what each log says is a record that adds; a result follows from the
+sum.
+"""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import partial
+from functools import partial, reduce
+from operator import add
 from pathlib import Path
 from typing import Any, Union
 
@@ -13,18 +18,22 @@ import numpy as np
 
 from robot_sysid import payload_pipeline as payload_stages
 from robot_sysid.api.results import Identified, PlanResult, one_thread
-from robot_sysid.config import config_from
+from robot_sysid.config import ModelOptions, SysidConfig, config_from
+from robot_sysid.core.result import result_of
+from robot_sysid.core.sums import LogInformation, answer_from, log_information, settled_options
 from robot_sysid.errors import InputError
+from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.logs.formats.table import LogTable, arrays_table
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.reader import MeasurementLog, open_log
 from robot_sysid.model.compilation import warnings_as_notes
 from robot_sysid.parser import load_robot_model
 from robot_sysid.payload_config import payload_config_from
-from robot_sysid.pipeline import analysed, designed, promise, written
+from robot_sysid.pipeline import Analysis, analysed, checked, designed, promise, written
 from robot_sysid.pipeline import load as link_load
 from robot_sysid.pipeline import loaded as load_arm
 from robot_sysid.records import Measurement, RobotModel
+from robot_sysid.records.data import Traces
 from robot_sysid.records.options import record_from, refuse_unknown
 from robot_sysid.records.progress import Progress
 
@@ -178,9 +187,9 @@ def plan(model: Model, **options: Any) -> PlanResult:
     config = config_from(Path(model), **{**usual, **options, "plan_only": True})
     with quietly() as notes:
         robot = link_load(config, notes)
-        checked, _ = designed(config, robot, notes)
-        lines = tuple(promise(config, robot, checked))
-    return PlanResult(config, robot, checked, lines, tuple(notes.notes))
+        made, _ = designed(config, robot, notes)
+        lines = tuple(promise(config, robot, made))
+    return PlanResult(config, robot, made, lines, tuple(notes.notes))
 
 
 def payload(
@@ -209,3 +218,83 @@ def payload(
         robot = load_arm(config.model, config.limits, notes)
         analysis = payload_stages.weighed(config, robot, notes)
     return Identified(robot, analysis, config, payload_stages.written, tuple(notes.notes))
+
+
+_ADDED = Path("added information")
+_NOT_HERE = ("measurements", "append", "validation_measurements", "verify_rollout", "torque_from")
+
+
+def information(
+    model: Model, log: Log | Sequence[Log], *, around: LogInformation | None = None, **options: Any
+) -> LogInformation:
+    """Return what one log or several say of the terminal link, as a record that adds (``+``).
+
+    For all equations [Y tau] = Q R of a joint it holds R, and sums over lags of residuals: its size
+    does not grow with the log (Bierman, "Factorization Methods for Discrete Sequential
+    Estimation", 1977, ch. IV).
+
+    Args:
+        model: MJCF or URDF file.
+        log: see ``api.calls.Log``.
+        around: the sum of a first round over all logs, for the second round.
+        options: those of ``identify`` that tell how a log is read and fitted. ``cutoff`` [Hz] is
+            needed; what would be chosen from all logs together is refused.
+
+    Raises:
+        InputError: an option, the model or the log cannot be used, or does not add.
+    """
+    for name in _NOT_HERE:
+        if name in options:
+            raise InputError(f"{name} is not for information, which holds one log or several alike")
+    robot, logs, chosen = _settled(model, {**options, "measurements": as_logs(log)})
+    config = SysidConfig(ModelOptions(Path(model)), log=logs, estimation=settled_options(chosen))
+    found = []
+    with quietly() as notes:
+        for path in logs.measurements:
+            read = open_log(robot, path, logs, notes)
+            checked(config, robot, [read], notes)
+            told = robot, read.pieces, config.estimation, around, read.notes
+            found.append(log_information(*told))
+    return reduce(add, found)
+
+
+def identify_from(
+    model: Model, found: LogInformation, *, validation: LogInformation | None = None, **options: Any
+) -> Identified:
+    """Identify the terminal link from the sum of what logs say.
+
+    Args:
+        model: MJCF or URDF file.
+        found: the sum of a second round.
+        validation: the sum of other logs in that round, to test the result on.
+        options: ``joint``, ``mesh_dir`` and ``keyframe``, as they were given to ``information``.
+
+    Raises:
+        InputError: it is the sum of a first round, or was made with another model.
+    """
+    refuse_unknown(options, ModelOptions)
+    robot, *_ = _settled(model, options)
+    arm, logs = record_from(ModelOptions, options), LogOptions(measurements=(_ADDED,))
+    config = SysidConfig(arm, log=logs, estimation=found.settled.estimation)
+    with quietly() as notes:
+        answer = answer_from(robot, found, validation)
+        result = result_of(answer, found.origin)
+    analysis = Analysis(result, found.checkpoints, _no_traces, answer)
+    return Identified(robot, analysis, config, LINK_FILES, (*found.notes, *notes.notes))
+
+
+def _no_traces() -> Traces:
+    raise InputError(
+        "added information holds no samples, so there are no torques to draw; identify one of the "
+        "logs to see them"
+    )
+
+
+def _settled(
+    model: Model, values: Mapping[str, Any]
+) -> tuple[RobotModel, LogOptions, EstimationOptions]:
+    """Return the arm, its logs and how they are fitted."""
+    refuse_unknown(values, ModelOptions, LogOptions, EstimationOptions)
+    chosen = record_from(ModelOptions, values)
+    robot = load_robot_model(model, chosen.mesh_dir, chosen.joint, keyframe=chosen.keyframe)
+    return robot, record_from(LogOptions, values), record_from(EstimationOptions, values)

@@ -1,4 +1,4 @@
-"""Model files as XML: safe reading, which kind they are, and what they include.
+"""Model files as XML: safe reading, where each element stands, which kind and what is included.
 
 Includes are resolved the way MuJoCo does: relative to the main file's folder, else relative to the
 including file's; the children of the included root take the place of the ``<include>``.
@@ -14,17 +14,33 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
+from xml.parsers import expat
 
 from lxml import etree
 
 from robot_sysid.errors import InputError, ModelError
-from robot_sysid.mjcf import markup
 from robot_sysid.records.atomic_files import require_utf8
 
 _ENCODING = re.compile(rb"^\s*<\?xml[^>]*encoding\s*=\s*[\"']([A-Za-z0-9._-]+)[\"']")
 _KINDS = {"mujoco": "mjcf", "robot": "urdf"}
 _SUFFIXES = (".xml", ".mjcf", ".urdf")
 _DEEPEST = 50
+_START_TAG = re.compile(rb"""<[^\s/>]+(?:[^>"']|"[^"]*"|'[^']*')*>""")
+
+
+@dataclass(frozen=True)
+class Span:
+    """Byte offsets of one element and of what lies between its tags; for ``<a/>`` both its end."""
+
+    start: int
+    inner_start: int
+    inner_end: int
+    end: int
+
+    @property
+    def is_empty_tag(self) -> bool:
+        """Whether the element is written as ``<a/>``."""
+        return self.inner_start == self.end
 
 
 @dataclass(frozen=True)
@@ -63,9 +79,9 @@ class SourceFile:
         return {element: i for i, element in enumerate(self.elements)}
 
     @cached_property
-    def spans(self) -> tuple[markup.Span, ...]:
+    def spans(self) -> tuple[Span, ...]:
         """Where each element stands in ``text``."""
-        return markup.element_spans(self.text)
+        return element_spans(self.text)
 
 
 @dataclass(frozen=True)
@@ -100,7 +116,7 @@ class Node:
             yield from child.walk()
 
     @property
-    def span(self) -> markup.Span:
+    def span(self) -> Span:
         """Where it stands in the text of its file."""
         return self.file.spans[self.file.index[self.element]]
 
@@ -298,7 +314,50 @@ def _parse(text: bytes, path: Path) -> Any:
         resolve_entities=False, no_network=True, load_dtd=False, encoding="utf-8"
     )
     try:
-        return etree.fromstring(markup.masked_comments(text), parser)
+        return etree.fromstring(masked_comments(text), parser)
     except etree.XMLSyntaxError as error:
         reason = " ".join(str(error.msg).split())
         raise ModelError(f"Expected an XML model file, but {path} is not XML: {reason}") from None
+
+
+def masked_comments(text: bytes) -> bytes:
+    """Return the text with the dashes inside comments replaced, every offset unchanged.
+
+    MuJoCo's reader accepts ``--`` inside a comment, which strict XML parsers refuse.
+    """
+    pieces, position = [], 0
+    while (start := text.find(b"<!--", position)) >= 0:
+        end = text.find(b"-->", start + 4)
+        if end < 0:  # a search for each further comment would take the square of the length
+            break
+        pieces += [text[position : start + 4], text[start + 4 : end].replace(b"-", b"~")]
+        position = end
+    return b"".join([*pieces, text[position:]])
+
+
+def element_spans(text: bytes) -> tuple[Span, ...]:
+    """Return the span of every element of a well-formed UTF-8 text, in document order."""
+    starts: list[int] = []
+    closings: dict[int, int] = {}
+    open_elements: list[int] = []
+    parser = expat.ParserCreate("utf-8")
+
+    def opened(name: str, attributes: dict[str, str]) -> None:
+        open_elements.append(len(starts))
+        starts.append(parser.CurrentByteIndex)
+
+    def closed(name: str) -> None:
+        closings[open_elements.pop()] = parser.CurrentByteIndex
+
+    parser.StartElementHandler = opened
+    parser.EndElementHandler = closed
+    parser.Parse(masked_comments(text), True)
+    return tuple(_span(text, start, closings[i]) for i, start in enumerate(starts))
+
+
+def _span(text: bytes, start: int, closing: int) -> Span:
+    match = _START_TAG.match(text, start)
+    assert match is not None
+    if match.group().endswith(b"/>"):
+        return Span(start, match.end(), match.end(), match.end())
+    return Span(start, match.end(), closing, text.index(b">", closing) + 1)

@@ -12,9 +12,8 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError
-from robot_sysid.mjcf import markup
 from robot_sysid.mjcf.documents import ModelDocument, Node
-from robot_sysid.mjcf.edits import Edits
+from robot_sysid.mjcf.edits import Edits, indentation, line_break
 from robot_sysid.records import Array
 
 _SMALLEST_NORMAL = float(np.finfo(float).tiny)
@@ -76,9 +75,9 @@ def write_inertial(edits: Edits, body: Node, inertial: str) -> None:
         edits.replace(old, inertial)
         return
     text, span = body.file.text, body.span
-    indent = markup.line_break(text) + markup.indentation(text, span.start) + b"  "
+    indent = line_break(text) + indentation(text, span.start) + b"  "
     before = b"" if span.is_empty_tag else indent
-    edits.add(body, markup.insert_child(text, span, before + inertial.encode()))
+    edits.insert(body, before + inertial.encode())
 
 
 def comment_text(what: str, rmse: float, addition: str | None) -> str:

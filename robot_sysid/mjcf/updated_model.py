@@ -15,10 +15,9 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError
-from robot_sysid.mjcf import markup
 from robot_sysid.mjcf.assets import relocated_text
 from robot_sysid.mjcf.documents import ModelDocument, Node, read_document
-from robot_sysid.mjcf.edits import Edits
+from robot_sysid.mjcf.edits import Edits, quoted
 from robot_sysid.mjcf.inertial import (
     MULTIPLIERS,
     check_settings,
@@ -33,7 +32,6 @@ from robot_sysid.mjcf.inertial import (
     urdf_inertial,
     write_inertial,
 )
-from robot_sysid.mjcf.markup import quoted
 from robot_sysid.mjcf.urdf import give_minimum
 from robot_sysid.mjcf.write_back import ActuatorChange, JointChange, ModelChange, WeldedBody
 
@@ -104,7 +102,7 @@ def weld(edits: Edits, body: WeldedBody, change: ModelChange) -> None:
         inertial = f"  {mjcf_inertial(body.theta, change.principal)}"
         lines = [comment, f"<body name={quoted(body.name)} {pose}>", inertial, "</body>"]
         place = carrier
-    edits.add(place, markup.append_child(place.file.text, place.span, "\n".join(lines)))
+    edits.append(place, "\n".join(lines))
 
 
 def _urdf_lines(body: WeldedBody) -> list[str]:
@@ -237,7 +235,7 @@ def _write_urdf(edits: Edits, node: Node, change: JointChange) -> None:
     elif values:
         attributes = "".join(f' {name}="{value}"' for name, value in values.items())
         new = f"<dynamics{attributes}/>"
-        edits.add(node, markup.append_child(node.file.text, node.span, new))
+        edits.append(node, new)
 
 
 def find_joint(document: ModelDocument, label: str) -> Node:

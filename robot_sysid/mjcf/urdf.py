@@ -15,7 +15,6 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ModelError
-from robot_sysid.mjcf import markup
 from robot_sysid.mjcf.assets import SHAPES, Asset, find_assets
 from robot_sysid.mjcf.documents import ModelDocument, Node
 from robot_sysid.mjcf.edits import Edits
@@ -104,7 +103,7 @@ def give_minimum(edits: Edits, but: Collection[str | None] = ()) -> list[str]:
         if old is not None:
             edits.replace(old, minimum)
         else:
-            edits.add(link, markup.insert_child(link.file.text, link.span, minimum.encode()))
+            edits.insert(link, minimum.encode())
     return [str(link.get("name")) for link in found]
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from lxml import etree
 
-from robot_sysid.mjcf.markup import masked_comments
+from robot_sysid.mjcf.documents import masked_comments
 from robot_sysid.mjcf.updated_model import changed_model_text
 from robot_sysid.mjcf.write_back import BodyChange, ModelChange, plan_write_back
 from robot_sysid.model.compilation import captured_warnings

@@ -5,13 +5,12 @@ from __future__ import annotations
 import pytest
 from lxml import etree
 
-from robot_sysid.mjcf.markup import (
+from robot_sysid.mjcf.documents import element_spans, masked_comments
+from robot_sysid.mjcf.edits import (
     Edit,
     append_child,
     apply_edits,
-    element_spans,
     indentation,
-    masked_comments,
     remove_attribute,
     set_attribute,
 )
