@@ -230,27 +230,16 @@ def _new_name(asset: Asset, folders: AssetFolders, folder: Path | None) -> str |
 
 
 def _move_folders(edits: Edits, folders: AssetFolders, tags: set[str]) -> None:
-    """Make the compiler elements name the asset folders as seen from the new place."""
-    ours = {"meshdir": folders.mesh, "texturedir": folders.texture}
-    places = {name: reference(place, edits.folder) for name, place in ours.items()}
+    """Make one compiler element name the asset folders as seen from the new place."""
+    used = {"meshdir": bool(tags - {"texture", "model"}), "texturedir": "texture" in tags}
     compilers = edits.document.compilers()
-    for node in compilers:
-        for name, value in _new_folder_attributes(node, places).items():
-            edits.set_path(node, name, value)
-    needed = {"meshdir"} if tags - {"texture", "model"} else set()
-    needed |= {"texturedir"} if "texture" in tags else set()
-    named = {n for node in compilers for n in needed if node.get(n) or node.get("assetdir")}
-    missing = {name: places[name] for name in sorted(needed - named) if places[name] != "."}
-    if missing:
-        edits.set_compiler(missing)
-
-
-def _new_folder_attributes(node: Node, places: Mapping[str, str]) -> dict[str, str | None]:
-    """Return what a compiler element's folder attributes become; None removes one."""
-    values: dict[str, str | None] = {name: places[name] for name in places if node.get(name)}
-    if (node.get("strippath") or "").lower() == "true":
-        values["strippath"] = "false"
-    if node.get("assetdir"):
-        # meshdir and texturedir may have to differ now, so both are named.
-        values.update({"assetdir": None, **places})
-    return values
+    named = {n for node in compilers for n in used if node.get(n) or node.get("assetdir")}
+    places = dict(zip(used, (reference(f, edits.folder) for f in (folders.mesh, folders.texture))))
+    places = {n: p for n, p in places.items() if n in named or (used[n] and p != ".")}
+    for number, node in enumerate(compilers):
+        for name in ("assetdir", "meshdir", "texturedir"):
+            edits.set_path(node, name, None if number else places.get(name))
+        if folders.strip and node.get("strippath"):
+            edits.set(node, "strippath", "false")
+    if places and not compilers:
+        edits.set_compiler(places)
