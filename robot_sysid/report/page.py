@@ -16,8 +16,7 @@ from robot_sysid import __version__
 from robot_sysid.records.atomic_files import require_writable, whole_files
 from robot_sysid.records.data import Traces
 from robot_sysid.report.drawing import Figure, Section, inline, png, svg
-from robot_sysid.report.runs import Run, load_run
-from robot_sysid.report.saved import DATA_NAME, data_bytes, report_data
+from robot_sysid.report.runs import DATA_NAME, Run, data_bytes, load_run, report_data
 from robot_sysid.report.sections import comparison, signals, verdict
 from robot_sysid.report.sections.parameters import card, parameters, scatter, visibility
 from robot_sysid.report.sections.picture import picture

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from robot_sysid.errors import InputError
 from robot_sysid.records import JointLimits
 from robot_sysid.records.data import Traces
-from robot_sysid.report.saved import (
+from robot_sysid.report.runs import (
     DATA_NAME,
     MOST,
     autocorrelation,

@@ -11,8 +11,7 @@ from robot_sysid.records import Array
 from robot_sysid.records.figures import percent, position, term_unit, torque, with_error
 from robot_sysid.report import drawing
 from robot_sysid.report.drawing import AFTER, BEFORE, MEASURED, OTHER, Figure, Section, Table, drawn
-from robot_sysid.report.runs import Run, listed, mapping, mappings, number
-from robot_sysid.report.saved import LONGEST_LAG, ReportData
+from robot_sysid.report.runs import LONGEST_LAG, ReportData, Run, listed, mapping, mappings, number
 from robot_sysid.results.record import PAYLOAD
 
 _SCATTERED = 400
