@@ -13,8 +13,9 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from robot_sysid.errors import ModelError
@@ -74,21 +75,24 @@ def find_assets(document: ModelDocument, mesh_dir: Path | None = None) -> tuple[
     In a URDF, ``package://``, ``model://`` and plain names are looked up in ``mesh_dir``, then in
     the file's folder and every folder above it, with and without the package's name.
     """
+    candidates: Callable[[Node, str], Iterator[Path]]
     if document.kind == "urdf":
         shapes = (node for link in document.tagged("link") for node in link.children())
-        meshes = (n for shape in shapes if shape.tag in SHAPES for n in shape.walk())
-        named = [(n, n.get("filename") or "") for n in meshes if n.tag == "mesh"]
-        return tuple(
-            Asset(node, "filename", name, find_mesh(document, name, mesh_dir), ())
-            for node, name in named
-        )
-    folders = asset_folders(document, mesh_dir)
-    return tuple(
-        _resolve(document, folders, node, attribute, node.get(attribute) or "")
-        for node in document.walk()
-        for attribute in _ATTRIBUTES.get(node.tag, ())
-        if node.get(attribute)
-    )
+        inner = (node for shape in shapes if shape.tag in SHAPES for node in shape.walk())
+        uses = [(node, "filename") for node in inner if node.tag == "mesh"]
+        candidates = partial(_mesh_candidates, document, mesh_dir)
+    else:
+        every = ((n, name) for n in document.walk() for name in _ATTRIBUTES.get(n.tag, ()))
+        uses = [(node, name) for node, name in every if node.get(name)]
+        candidates = partial(_candidates, document, asset_folders(document, mesh_dir))
+    found = []
+    for node, attribute in uses:
+        name = node.get(attribute) or ""
+        tried = dict.fromkeys(candidates(node, name.replace("\\", "/")) if name else ())
+        path = next((path for path in tried if os.path.isfile(path)), None)
+        looked_in = tuple(dict.fromkeys(path.parent for path in tried))
+        found.append(Asset(node, attribute, name, path, looked_in))
+    return tuple(found)
 
 
 def check_assets(document: ModelDocument, mesh_dir: Path | None = None) -> None:
@@ -103,20 +107,11 @@ def check_assets(document: ModelDocument, mesh_dir: Path | None = None) -> None:
             )
 
 
-def _resolve(
-    document: ModelDocument, folders: AssetFolders, node: Node, attribute: str, name: str
-) -> Asset:
-    wanted = name.replace("\\", "/")
-    if folders.strip and node.tag != "model":
-        wanted = Path(wanted).name
-    tried = tuple(dict.fromkeys(_candidates(document, folders, node, wanted)))
-    path = next((p for p in tried if os.path.isfile(p)), None)
-    return Asset(node, attribute, name, path, tuple(dict.fromkeys(p.parent for p in tried)))
-
-
 def _candidates(
     document: ModelDocument, folders: AssetFolders, node: Node, name: str
 ) -> Iterator[Path]:
+    if folders.strip and node.tag != "model":
+        name = Path(name).name
     own = {"model": document.folder, "texture": folders.texture}
     yield _joined(own.get(node.tag, folders.mesh), name)
     if folders.mesh_overridden and node.tag != "model":
@@ -132,15 +127,9 @@ def _joined(folder: Path, name: str) -> Path:
     return Path(os.path.normpath(folder / name.replace("\\", "/")))
 
 
-def find_mesh(document: ModelDocument, name: str, mesh_dir: Path | None = None) -> Path | None:
-    """Return the file a URDF mesh name means, or None."""
-    if not name:
-        return None
-    candidates = _mesh_candidates(document, name.replace("\\", "/"), mesh_dir)
-    return next((path for path in candidates if os.path.isfile(path)), None)
-
-
-def _mesh_candidates(document: ModelDocument, name: str, mesh_dir: Path | None) -> Iterator[Path]:
+def _mesh_candidates(
+    document: ModelDocument, mesh_dir: Path | None, node: Node, name: str
+) -> Iterator[Path]:
     scheme = _SCHEME.match(name)
     rest = Path(name[scheme.end() :] if scheme else name)
     if scheme and scheme.group(1) == "file":

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.errors import ModelError
-from robot_sysid.mjcf.assets import find_mesh, relocated_text
+from robot_sysid.mjcf.assets import find_assets, relocated_text
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.edits import Edits
 from robot_sysid.mjcf.urdf import compilable_urdf, link_inertias
@@ -108,6 +108,12 @@ def document(tmp_path, *parts, name="robots/arm.urdf"):
     return read_document(write_files(tmp_path, {name: urdf_robot(*parts, urdf_link("base"))}))
 
 
+def mesh_found(tmp_path, name, mesh_dir=None):
+    """The file that a mesh of this name is."""
+    (mesh,) = find_assets(document(tmp_path, urdf_link("l1", urdf_mesh("visual", name))), mesh_dir)
+    return mesh.path
+
+
 @pytest.mark.parametrize(
     ("name", "place"),
     [
@@ -122,18 +128,18 @@ def document(tmp_path, *parts, name="robots/arm.urdf"):
 )
 def test_a_mesh_is_found_in_the_folders_above(tmp_path, name, place):
     write_files(tmp_path, {place: ""})
-    assert find_mesh(document(tmp_path), name) == tmp_path / place
+    assert mesh_found(tmp_path, name) == tmp_path / place
 
 
 def test_a_file_address_is_absolute(tmp_path):
     write_files(tmp_path, {"a.stl": ""})
-    assert find_mesh(document(tmp_path), f"file://{tmp_path}/a.stl") == tmp_path / "a.stl"
+    assert mesh_found(tmp_path, f"file://{tmp_path}/a.stl") == tmp_path / "a.stl"
 
 
 @pytest.mark.parametrize("place", ["pack/meshes/a.stl", "meshes/a.stl", "a.stl"])
 def test_the_users_mesh_folder_comes_first(tmp_path, place):
     write_files(tmp_path, {f"mine/{place}": "", "robots/meshes/a.stl": ""})
-    found = find_mesh(document(tmp_path), "package://pack/meshes/a.stl", tmp_path / "mine")
+    found = mesh_found(tmp_path, "package://pack/meshes/a.stl", tmp_path / "mine")
     assert found == tmp_path / "mine" / place
 
 
