@@ -66,7 +66,7 @@ def _writer(path: Path, rate: float) -> Any:
 def _arm(studio: Studio, shown: Shown, k: int) -> Picture:
     studio.pose(shown.q[k])
     if shown.ghost is not None:
-        studio.add_arm(shown.ghost[k], GHOST)
+        add_ghost(studio.robot, shown.ghost[k], GHOST, studio.scene)
     return studio.picture()
 
 

@@ -69,7 +69,7 @@ class Studio:
         chooser.GLContext = importlib.import_module(f"mujoco.{name}").GLContext
         self.data = mujoco.MjData(self._model)
         self._renderer = mujoco.Renderer(self._model, height, width)
-        self._scene, self.camera = self._renderer.scene, mujoco.MjvCamera()
+        self.scene, self.camera = self._renderer.scene, mujoco.MjvCamera()
         self.camera.azimuth, self.camera.elevation = 135.0, -15.0
         self.pose(robot.reference)
 
@@ -92,7 +92,7 @@ class Studio:
         self._renderer.update_scene(self.data, self.camera)
         flags = mujoco.mjtRndFlag
         for flag in (flags.mjRND_SKYBOX, flags.mjRND_HAZE, flags.mjRND_SHADOW):
-            self._scene.flags[flag] = False
+            self.scene.flags[flag] = False
         self._add_wall()
         self._add_bones()
 
@@ -121,13 +121,9 @@ class Studio:
 
     def glass(self, opacity: float) -> None:
         """Make what is in the picture so far transparent, floor and wall apart."""
-        for geom in self._scene.geoms[: self._scene.ngeom]:
+        for geom in self.scene.geoms[: self.scene.ngeom]:
             if geom.type != mujoco.mjtGeom.mjGEOM_PLANE and geom.emission < 1.0:
                 geom.rgba[3] *= opacity
-
-    def add_arm(self, q: Array, colour: Colour) -> None:
-        """Add the arm at other chain positions (n,) [rad] in one colour, like a ghost."""
-        add_ghost(self.robot, q, colour, self._scene)
 
     def add_ellipsoid(self, body: int, theta: Array, colour: Colour) -> bool:
         """Add the homogeneous ellipsoid of a body's mass and inertia, its centre as a dot.
@@ -150,26 +146,26 @@ class Studio:
         return possible
 
     def _add(self, kind: Any, size: Array, place: Array, turn: Array, colour: Colour) -> None:
-        if self._scene.ngeom >= self._scene.maxgeom:
+        if self.scene.ngeom >= self.scene.maxgeom:
             return
-        geom = self._scene.geoms[self._scene.ngeom]
+        geom = self.scene.geoms[self.scene.ngeom]
         rgba = np.array(colour, dtype=np.float32)
         mujoco.mjv_initGeom(geom, kind, size, place, np.ascontiguousarray(turn).ravel(), rgba)
-        self._scene.ngeom += 1
+        self.scene.ngeom += 1
 
     def _connect(self, kind: Any, width: float, colour: Colour, start: Array, end: Array) -> None:
         """Add a shape that reaches from one place (3,) to another one, if they differ."""
-        if np.any(start != end) and self._scene.ngeom < self._scene.maxgeom:
+        if np.any(start != end) and self.scene.ngeom < self.scene.maxgeom:
             self._add(kind, np.ones(3), start, np.eye(3), colour)
-            geom = self._scene.geoms[self._scene.ngeom - 1]
+            geom = self.scene.geoms[self.scene.ngeom - 1]
             mujoco.mjv_connector(geom, kind, width, start, end)
 
     def _add_wall(self) -> None:
         """Close the view with a white wall; MuJoCo's own background is black."""
-        ahead, far = self._scene.camera[0].forward, 4.0 * float(self.camera.distance)
+        ahead, far = self.scene.camera[0].forward, 4.0 * float(self.camera.distance)
         near, behind = (self.camera.lookat + (far + side) * ahead for side in (-0.01, 0.01))
         self._connect(mujoco.mjtGeom.mjGEOM_CYLINDER, 4.0 * far, _WHITE, near, behind)
-        self._scene.geoms[self._scene.ngeom - 1].emission = 1.0
+        self.scene.geoms[self.scene.ngeom - 1].emission = 1.0
 
     def _add_bones(self) -> None:
         """Join the links' origins where the model has no shapes to show, as many URDF files."""

@@ -31,12 +31,10 @@ _NOTHING = 1e-12
 class Load:
     """A payload in flange axes: what every form is computed from.
 
-    The first four are exact, the others have the digits of a card.
+    The first two are exact, the others have the digits of a card.
 
     Attributes:
-        theta: (10,) in the flange frame, inertia about its origin.
-        mass: [kg].
-        com: (3,) centre of mass [m].
+        body: in the flange frame.
         inertia: (3, 3) about the centre of mass, axes of the flange [kg m^2].
         kg: the mass.
         com_m, com_mm: centre of mass [m], [mm].
@@ -47,9 +45,7 @@ class Load:
         turn: the quaternion w x y z of their axes.
     """
 
-    theta: Array
-    mass: float
-    com: Array
+    body: InertialParameters
     inertia: Array
     kg: float
     com_m: list[float]
@@ -113,14 +109,16 @@ def _texts(value: Any, text_of: Callable[[float], str]) -> list[str]:
 
 def _mjcf(load: Load) -> str:
     if np.any(load.inertia):
-        return mjcf_inertial(load.theta)
-    return f'<inertial pos="{numbers(load.com)}" mass="{load.mass!r}" diaginertia="0 0 0"/>'
+        return mjcf_inertial(load.body.theta)
+    return (
+        f'<inertial pos="{numbers(load.body.com)}" mass="{load.body.mass!r}" diaginertia="0 0 0"/>'
+    )
 
 
 def _central(load: Load, names: str) -> dict[str, Any]:
     """Return mass, centre of mass and xx yy zz xy xz yz about it under these names."""
     six = spatial.fullinertia_from_symmetric(load.inertia).tolist()
-    return _named(names, (load.mass, load.com.tolist(), six))
+    return _named(names, (load.body.mass, load.body.com.tolist(), six))
 
 
 # m, m c, then xx xy yy xz yz zz: the lower triangle row by row.
@@ -229,10 +227,10 @@ FORMS = (
         "urdf_inertial",
         "URDF: <inertial> of a link whose frame is the flange",
         lambda load: {
-            **{"mass": load.mass, "origin": load.com.tolist()},
+            **{"mass": load.body.mass, "origin": load.body.com.tolist()},
             **_named("ixx ixy ixz iyy iyz izz", spatial.six_from_symmetric(load.inertia).tolist()),
         },
-        lambda load: urdf_inertial_about_com(load.mass, load.com, load.inertia),
+        lambda load: urdf_inertial_about_com(load.body.mass, load.body.com, load.inertia),
         "mass kg; origin xyz centre of mass, m; ixx ixy ixz iyy iyz izz about the centre of mass, "
         "axes of the link (rpy 0), kg m^2.",
     ),
@@ -248,10 +246,10 @@ FORMS = (
         "pinocchio_inertia",
         "Pinocchio: Inertia(mass, lever, inertia) and Inertia.FromDynamicParameters(v)",
         lambda load: {
-            "mass": load.mass,
-            "lever": load.com.tolist(),
+            "mass": load.body.mass,
+            "lever": load.body.com.tolist(),
             "inertia": load.inertia.tolist(),
-            "dynamic_parameters": load.theta[_PINOCCHIO].tolist(),
+            "dynamic_parameters": load.body.theta[_PINOCCHIO].tolist(),
         },
         "pinocchio.Inertia(%s, np.array([%s]), np.array([[%s], [%s], [%s]]))\n"
         "pinocchio.Inertia.FromDynamicParameters(np.array([%s]))",
@@ -377,7 +375,8 @@ def _load(payload: InertialParameters) -> Load:
             "body, so there is no card for a controller; record longer or faster motion"
         )
     return Load(
-        *(payload.theta, mass, com, inertia),
+        payload,
+        inertia,
         kg=rounded([mass])[0],
         com_m=rounded(com),
         com_mm=rounded(1e3 * com),
@@ -396,8 +395,8 @@ def _plain_card(load: Load, flange: Flange, errors: Mapping[str, float] | None) 
         "terminal_body": flange.terminal,
         "flange_position": place.tolist(),
         "flange_quaternion": turn.tolist(),
-        "mass": load.mass,
-        "center_of_mass": load.com.tolist(),
+        "mass": load.body.mass,
+        "center_of_mass": load.body.com.tolist(),
         "inertia_about_com": spatial.six_from_symmetric(load.inertia).tolist(),
         "standard_errors": _known(errors),
     }
