@@ -308,6 +308,16 @@ def test_a_compiler_that_would_fuse_the_body_is_refused_by_name(tmp_path):
         written(robot, result, as_body="load")
 
 
+@since(3, 1)
+def test_a_body_of_its_own_changes_a_damping_that_follows_from_the_inertia(tmp_path):
+    servo = '<actuator><position joint="j2" kp="10" dampratio="1"/></actuator></mujoco>'
+    source = write_files(tmp_path, {"in/m.xml": MJCF.replace("</mujoco>", servo)})
+    robot = load_robot_model(source, joint="j2")
+    payload = payload_of(robot, some_payload(np.random.default_rng(0)))
+    found, _ = written(robot, result_of(robot, payload=payload), as_body="load")
+    assert found.actuator_biasprm[0, 2] < robot.mj_model.actuator_biasprm[0, 2] < 0.0
+
+
 def test_a_body_that_comes_with_something_else_is_refused(robots, monkeypatch):
     robot, text = robots["xml"], model_module.changed_model_text
 
