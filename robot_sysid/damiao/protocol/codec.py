@@ -24,15 +24,33 @@ Codes = NDArray[np.int64]
 
 KP_MAX = 500.0
 KD_MAX = 5.0
-_POSITION_FULL = 0xFFFF
-_TWELVE_FULL = 0xFFF
-KD_STEP = KD_MAX / _TWELVE_FULL
+KD_STEP = KD_MAX / 0xFFF
 """The least damping that a frame can carry [N m s/rad]."""
 # A register holds float32: 12.566 comes back as 12.5659999..., which must not refuse 12.566.
 _FLOAT32_SLACK = 1e-6
-_FULL = np.array([[_POSITION_FULL], *[[_TWELVE_FULL]] * 4])
-_HAS_SIGN = np.array([[-1.0], [-1.0], [0.0], [0.0], [-1.0]])
+_HAS_SIGN = np.array([-1.0, -1.0, 0.0, 0.0, -1.0])
+# Position, velocity and torque among the fields of a command.
 _MEASURED = [0, 1, 4]
+
+
+class _Layout:
+    """What the 64 bits of a frame hold: F fields, the most significant first."""
+
+    def __init__(self, *bits: int) -> None:
+        self.full, self._shifts = (1 << np.array(bits)) - 1, 64 - np.cumsum(bits)
+
+    def pack(self, fields: Codes) -> Bytes:
+        """Return frames (..., n, 8) of fields (..., n, F), of which the lowest bits count."""
+        words = np.bitwise_or.reduce((fields & self.full) << self._shifts, axis=-1)
+        return words.astype(">i8")[..., None].view(np.uint8)
+
+    def unpack(self, frames: Bytes) -> Codes:
+        """Return the fields (..., n, F) of frames (..., n, 8)."""
+        words = np.ascontiguousarray(frames, dtype=np.uint8).view(">i8").astype(np.int64)
+        return np.asarray((words >> self._shifts) & self.full)
+
+
+_COMMAND, _FEEDBACK = _Layout(16, 12, 12, 12, 12), _Layout(4, 4, 16, 12, 12, 8, 8)
 
 
 @dataclass(frozen=True)
@@ -42,7 +60,7 @@ class Scaling:
     position: Array
     velocity: Array
     torque: Array
-    # Ranges (5, n) of the command's fields: position, velocity, kp, kd, torque.
+    # Ranges (n, 5) of the command's fields: position, velocity, kp, kd, torque.
     _low: Array = field(init=False, repr=False, compare=False)
     _high: Array = field(init=False, repr=False, compare=False)
 
@@ -52,7 +70,7 @@ class Scaling:
             if not np.all(np.isfinite(value) & (value > 0.0)):
                 raise InputError(f"{name} scaling must be positive numbers, got {value.tolist()}")
         gains = np.full_like(self.position, KP_MAX), np.full_like(self.position, KD_MAX)
-        high = np.stack([self.position, self.velocity, *gains, self.torque])
+        high = np.column_stack([self.position, self.velocity, *gains, self.torque])
         object.__setattr__(self, "_high", high)
         object.__setattr__(self, "_low", high * _HAS_SIGN)
 
@@ -65,11 +83,32 @@ class Scaling:
     @property
     def steps(self) -> tuple[Array, Array, Array]:
         """One quantisation step (n,) of position [rad], velocity [rad/s] and torque [N m]."""
-        return (
-            2.0 * self.position / _POSITION_FULL,
-            2.0 * self.velocity / _TWELVE_FULL,
-            2.0 * self.torque / _TWELVE_FULL,
+        position, velocity, torque = ((self._high - self._low) / _COMMAND.full).T[_MEASURED]
+        return position, velocity, torque
+
+    def _codes(self, values: Array, offset: float, rows: Any = slice(None)) -> Codes:
+        """Return floor(code + offset) of values (..., n, F) of some fields, saturated."""
+        low, high, full = self._low[:, rows], self._high[:, rows], _COMMAND.full[rows]
+        exact = (values - low) * (full / (high - low)) + offset
+        return np.clip(np.floor(exact), 0, full).astype(np.int64)
+
+    def _values(self, codes: Any, rows: Any = slice(None)) -> Array:
+        """Return what codes (..., n, F) of some fields mean, as (F, ..., n)."""
+        low, high, full = self._low[:, rows], self._high[:, rows], _COMMAND.full[rows]
+        return np.moveaxis(codes * ((high - low) / full) + low, -1, 0)
+
+    def _refuse_outside(self, values: Array) -> None:
+        slack = _FLOAT32_SLACK * self._high
+        # Written so that a NaN counts as outside.
+        outside = np.moveaxis(
+            ~((values >= self._low - slack) & (values <= self._high + slack)), -1, 0
         )
+        for where in np.argwhere(outside)[:1]:
+            what, bad = where[0], np.moveaxis(values, -1, 0)[tuple(where)]
+            raise InputError(
+                f"{MitCommand._fields[what]} {bad:g} {_place(outside)} is outside its range, "
+                f"limit {self._high[where[-1], what]:g}"
+            )
 
 
 class MitCommand(NamedTuple):
@@ -116,18 +155,16 @@ def encode_mit(command: MitCommand, scaling: Scaling) -> Bytes:
             kd > 0 in its frame (the motor would oscillate), or a frame's first seven bytes would
             all be 0xFF (the motor would take it for enable, disable, zero or clear).
     """
-    values = np.array(np.broadcast_arrays(*command))
-    _refuse_outside(values, scaling)
+    values = _last_axis(*command)
+    scaling._refuse_outside(values)
     # floor(x + 1/2): numpy's rint rounds halves to even, which differs in the last bit.
-    p, v, kp, kd, t = _codes(values, scaling, slice(None), 0.5)
-    unstable = (values[2] > 0.0) & (kd == 0)
+    codes = scaling._codes(values, 0.5)
+    unstable = (values[..., 2] > 0.0) & (codes[..., 3] == 0)
     if np.any(unstable):
         raise InputError(
             f"kp > 0 needs kd of at least {KD_STEP:.2g} {_place(unstable)}: less is sent as 0"
         )
-    frames = _pack(
-        p.shape, p >> 8, p, v >> 4, (v << 4) | (kp >> 8), kp, kd >> 4, (kd << 4) | (t >> 8), t
-    )
+    frames = _COMMAND.pack(codes)
     special = np.all(frames[..., :7] == 0xFF, axis=-1)
     if np.any(special):
         raise InputError(
@@ -139,29 +176,15 @@ def encode_mit(command: MitCommand, scaling: Scaling) -> Bytes:
 
 def decode_mit(frames: Bytes, scaling: Scaling) -> MitCommand:
     """Return what MIT frames (..., n, 8) command; the motor's side of ``encode_mit``."""
-    d = np.asarray(frames, dtype=np.int64)
-    p = (d[..., 0] << 8) | d[..., 1]
-    v = (d[..., 2] << 4) | (d[..., 3] >> 4)
-    kp = ((d[..., 3] & 0xF) << 8) | d[..., 4]
-    kd = (d[..., 5] << 4) | (d[..., 6] >> 4)
-    t = ((d[..., 6] & 0xF) << 8) | d[..., 7]
-    return MitCommand(
-        _values(p, scaling.position, _POSITION_FULL),
-        _values(v, scaling.velocity, _TWELVE_FULL),
-        np.asarray(kp * (KP_MAX / _TWELVE_FULL)),
-        np.asarray(kd * (KD_MAX / _TWELVE_FULL)),
-        _values(t, scaling.torque, _TWELVE_FULL),
-    )
+    return MitCommand(*scaling._values(_COMMAND.unpack(frames)))
 
 
 def encode_feedback(feedback: Feedback, scaling: Scaling) -> Bytes:
     """Return feedback frames (..., n, 8) as a motor sends them: truncated and saturated."""
-    fields = (feedback.position, feedback.velocity, feedback.torque)
-    values = np.array(np.broadcast_arrays(*fields))
-    p, v, t = _codes(values, scaling, _MEASURED, 0.0)
-    head = (np.asarray(feedback.status) << 4) | (np.asarray(feedback.can_id) & 0xF)
-    hot = np.asarray(feedback.temperature_mos), np.asarray(feedback.temperature_rotor)
-    return _pack(p.shape, head, p >> 8, p, v >> 4, (v << 4) | (t >> 8), t, *hot)
+    measured = _last_axis(feedback.position, feedback.velocity, feedback.torque)
+    codes = np.moveaxis(scaling._codes(measured, 0.0, _MEASURED), -1, 0)
+    hot = feedback.temperature_mos, feedback.temperature_rotor
+    return _FEEDBACK.pack(_last_axis(feedback.status, feedback.can_id, *codes, *hot))
 
 
 def decode_feedback(frames: Bytes, scaling: Scaling, half_step: bool = False) -> Feedback:
@@ -170,60 +193,14 @@ def decode_feedback(frames: Bytes, scaling: Scaling, half_step: bool = False) ->
     The motor drops the fraction when it packs a value, so what arrives is on average half a
     quantisation step too low; ``half_step`` adds it to position, velocity and torque.
     """
-    d = np.asarray(frames, dtype=np.int64)
-    shift = 0.5 if half_step else 0.0
-    p = ((d[..., 1] << 8) | d[..., 2]) + shift
-    v = ((d[..., 3] << 4) | (d[..., 4] >> 4)) + shift
-    t = (((d[..., 4] & 0xF) << 8) | d[..., 5]) + shift
-    return Feedback(
-        d[..., 0] & 0xF,
-        d[..., 0] >> 4,
-        _values(p, scaling.position, _POSITION_FULL),
-        _values(v, scaling.velocity, _TWELVE_FULL),
-        _values(t, scaling.torque, _TWELVE_FULL),
-        d[..., 6],
-        d[..., 7],
-    )
+    codes = _FEEDBACK.unpack(frames)
+    p, v, t = scaling._values(codes[..., 2:5] + (0.5 if half_step else 0.0), _MEASURED)
+    status, can_id, *_, mos, rotor = np.moveaxis(codes, -1, 0)
+    return Feedback(can_id, status, p, v, t, mos, rotor)
 
 
-def _ranges(scaling: Scaling, rows: Any, dimensions: int) -> tuple[Array, Array, Array]:
-    """Return (low, high, full) of some fields, shaped to broadcast with (fields, ..., n)."""
-    low, high = scaling._low[rows], scaling._high[rows]
-    shape = (len(low), *[1] * (dimensions - 2))
-    full = _FULL[rows].reshape(*shape, 1)
-    return low.reshape(*shape, -1), high.reshape(*shape, -1), full
-
-
-def _refuse_outside(values: Array, scaling: Scaling) -> None:
-    low, high, _ = _ranges(scaling, slice(None), values.ndim)
-    slack = _FLOAT32_SLACK * high
-    # Written so that a NaN counts as outside.
-    outside = ~((values >= low - slack) & (values <= high + slack))
-    if np.any(outside):
-        where = np.argwhere(outside)[0]
-        bad, limit = values[tuple(where)], np.broadcast_to(high, values.shape)[tuple(where)]
-        raise InputError(
-            f"{MitCommand._fields[where[0]]} {bad:g} {_place(outside)} is outside its range, "
-            f"limit {limit:g}"
-        )
-
-
-def _codes(values: Array, scaling: Scaling, rows: Any, offset: float) -> Codes:
-    """Return floor(code + offset) of (fields, ..., n) values, saturated."""
-    low, high, full = _ranges(scaling, rows, values.ndim)
-    exact = (values - low) * (full / (high - low)) + offset
-    return np.clip(np.floor(exact), 0, full).astype(np.int64)
-
-
-def _values(codes: Any, limit: Array, full: int) -> Array:
-    return np.asarray(codes * (2.0 * limit / full) - limit)
-
-
-def _pack(shape: tuple[int, ...], *columns: Any) -> Bytes:
-    frames = np.empty((*shape, 8), dtype=np.uint8)
-    for k, column in enumerate(columns):
-        frames[..., k] = column & 0xFF
-    return frames
+def _last_axis(*fields: Any) -> Any:
+    return np.stack(np.broadcast_arrays(*fields), axis=-1)
 
 
 def _place(mask: Any) -> str:
