@@ -26,23 +26,18 @@ endian, eight bytes of data, 55.
 
 from __future__ import annotations
 
+import re
 import time
 from collections import deque
-from collections.abc import Iterator
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
-SENT, RECEIVED = 30, 16
-_HEAD = bytes([0x55, 0xAA, SENT, 0x03, 1, 0, 0, 0, 10, 0, 0, 0, 0])
-_BEGIN, _END, _A_FRAME = 0xAA, 0x55, 0x11
+from robot_sysid.damiao.protocol.frames import Frame
+
+_HEAD = bytes([0x55, 0xAA, 30, 0x03, 1, 0, 0, 0, 10, 0, 0, 0, 0])
+_RECEIVED, _A_FRAME = 16, b"\x11"
+_PACKET = re.compile(rb"\xaa(.).(.{4})(.{8})\x55", re.DOTALL)
 _DATA = 8
-
-
-class Received(NamedTuple):
-    """A CAN frame from the adapter."""
-
-    id: int
-    data: bytes
 
 
 def packet(identifier: int, data: bytes) -> bytes:
@@ -59,22 +54,16 @@ class PacketReader:
     def __init__(self) -> None:
         self._rest = b""
 
-    def take(self, piece: bytes) -> Iterator[Received]:
-        """Yield the frames that are complete now."""
-        self._rest += piece
-        while len(self._rest) >= RECEIVED:
-            begin = self._rest.find(_BEGIN)
-            if begin < 0:
-                self._rest = b""
-                return
-            whole = self._rest[begin : begin + RECEIVED]
-            if len(whole) < RECEIVED:
-                self._rest = whole
-                return
-            sound = whole[-1] == _END
-            self._rest = self._rest[begin + (RECEIVED if sound else 1) :]
-            if sound and whole[1] == _A_FRAME:
-                yield Received(int.from_bytes(whole[3:7], "little"), whole[7:15])
+    def take(self, piece: bytes) -> list[Frame]:
+        """Return the frames that are complete now."""
+        line, frames = self._rest + piece, []
+        rest = max(len(line) - _RECEIVED + 1, 0)
+        for found in _PACKET.finditer(line):
+            rest = max(rest, found.end())
+            if found[1] == _A_FRAME:
+                frames.append(Frame(int.from_bytes(found[2], "little"), found[3]))
+        self._rest = line[rest:]
+        return frames
 
 
 BAUD = 921_600
