@@ -49,7 +49,7 @@ class RegisterClient:
 
         A motor refuses a value by answering with the old one, so the answer is compared.
         """
-        raw, name = reg.bytes_from_value(register, value), reg.REGISTERS[register].name
+        raw, name = reg.bytes_from_value(register, value), reg.NAMES[register]
         replies = self.answers(frames.write_frame(motor, register, raw), 1)
         if not replies:
             raise HardwareAbort(f"motor {motor.can_id} did not answer to writing {name}")

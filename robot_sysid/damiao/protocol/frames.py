@@ -8,6 +8,7 @@ and the rest at the data bit rate.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -139,12 +140,10 @@ def highest_rate(n_motors: int, timing: BusTiming) -> float:
 
 def default_rate(n_motors: int, timing: BusTiming) -> float:
     """Return the cycle rate to use [Hz]: 250 (classic) or 500 (FD), less where it does not fit."""
-    wanted = _FD_RATE_HZ if timing.fd else _CLASSIC_RATE_HZ
-    top = highest_rate(n_motors, timing)
-    return wanted if top >= wanted else suggested_rate(n_motors, timing)
+    return suggested_rate(n_motors, timing, _FD_RATE_HZ if timing.fd else _CLASSIC_RATE_HZ)
 
 
-def suggested_rate(n_motors: int, timing: BusTiming) -> float:
-    """Return the highest handy rate [Hz] that the bus can carry for n motors."""
+def suggested_rate(n_motors: int, timing: BusTiming, most: float = math.inf) -> float:
+    """Return the highest handy rate [Hz] up to ``most`` that the bus can carry for n motors."""
     top = highest_rate(n_motors, timing)
-    return next((rate for rate in HANDY_RATES if rate <= top), top)
+    return next((rate for rate in HANDY_RATES if rate <= min(top, most)), top)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from typing import NamedTuple
 
 from robot_sysid.errors import InputError
 
@@ -20,21 +19,14 @@ BIT_RATES = {1000 * rate: code for code, rate in enumerate(_KBIT)}
 """Bit rate [bit/s] to the code of register can_br; codes above 4 make the motor speak CAN-FD."""
 
 
-class Register(NamedTuple):
-    """One register: its name, and whether it holds an unsigned integer or a float."""
-
-    name: str
-    integer: bool
-
-
-_NAMES = {
+NAMES = {
     0: "UV_Value", 1: "KT_Value", 2: "OT_Value", 3: "OC_Value", MST_ID: "MST_ID", ESC_ID: "ESC_ID",
     TIMEOUT: "TIMEOUT", CTRL_MODE: "CTRL_MODE", 11: "Damp", 12: "Inertia", 14: "sw_ver", 16: "NPP",
     17: "Rs", 19: "Flux", GR: "Gr", PMAX: "PMAX", VMAX: "VMAX", TMAX: "TMAX", 29: "OV_Value",
     30: "GREF", CAN_BR: "can_br",
 }  # fmt: skip
-_INTEGERS = (MST_ID, ESC_ID, TIMEOUT, CTRL_MODE, 14, 16, CAN_BR)
-REGISTERS = {number: Register(name, number in _INTEGERS) for number, name in _NAMES.items()}
+INTEGERS = (MST_ID, ESC_ID, TIMEOUT, CTRL_MODE, 14, 16, CAN_BR)
+"""Registers that hold an unsigned integer; the others hold a float."""
 SCALING = (PMAX, VMAX, TMAX)
 REQUIRED = (MST_ID, ESC_ID, TIMEOUT, CTRL_MODE, *SCALING)
 """Without these nothing is played."""
@@ -45,23 +37,20 @@ LOGGED = (*REQUIRED, GR, 2, 3, 0, 29, 1, 30, 11, 12, 14, 16, 17, 19)
 
 def value_from_bytes(number: int, raw: bytes) -> float:
     """Return a register's value from its four little-endian bytes."""
-    integer = REGISTERS[number].integer
-    return float(struct.unpack("<I" if integer else "<f", raw)[0])
+    return float(struct.unpack("<I" if number in INTEGERS else "<f", raw)[0])
 
 
 def bytes_from_value(number: int, value: float) -> bytes:
     """Return the four little-endian bytes of a register's value, or raise InputError."""
-    register = REGISTERS[number]
     try:
-        return struct.pack("<I", int(value)) if register.integer else struct.pack("<f", value)
+        return struct.pack("<I", int(value)) if number in INTEGERS else struct.pack("<f", value)
     except (struct.error, OverflowError, ValueError):
-        raise InputError(f"{register.name} = {value:g} does not fit into its register") from None
+        raise InputError(f"{NAMES[number]} = {value:g} does not fit into its register") from None
 
 
 def text_of(number: int, value: float) -> str:
     """Return NAME=value as written into a recording's header."""
-    register = REGISTERS[number]
-    return f"{register.name}={int(value) if register.integer else format(value, '.9g')}"
+    return f"{NAMES[number]}={int(value) if number in INTEGERS else format(value, '.9g')}"
 
 
 DISABLED, ENABLED = 0, 1

@@ -228,7 +228,7 @@ def _condition(motor: InspectedMotor, settings: PlaySettings, allowed: Permissio
 
 
 def _lacking(motor: InspectedMotor) -> list[Check]:
-    lacking = [reg.REGISTERS[n].name for n in reg.REQUIRED if n not in motor.registers]
+    lacking = [reg.NAMES[n] for n in reg.REQUIRED if n not in motor.registers]
     text = f"{motor.name} does not answer for {', '.join(lacking)}; try again"
     return [_stop(text)] if lacking else []
 
