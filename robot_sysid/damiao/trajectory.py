@@ -70,16 +70,17 @@ class DamiaoTrajectory:
 
     def chunks(self, rows: int = 4096) -> Iterator[MotionChunk]:
         """Yield the rows, at most ``rows`` at a time; raise InputError at one that is malformed."""
-        last, line = -np.inf, self.first_data_line
+        last, width = -np.inf, 1 + 3 * self.n_joints
         with _opened(self.path) as file:
-            lines = islice(file, line, None)
-            while text := list(islice(lines, rows)):
-                table = _table(text, self.path, line, 1 + 3 * self.n_joints)
-                if len(table):
-                    _check_time(table[:, 0], last, self.path, line)
-                    last = float(table[-1, 0])
-                    yield table[:, 0], table[:, 1::3], table[:, 2::3], table[:, 3::3]
-                line += len(text)
+            numbered = islice(enumerate(file, start=1), self.first_data_line, None)
+            filled = ((number, line) for number, line in numbered if line.strip())
+            while piece := list(islice(filled, rows)):
+                table = _table(piece, width, self.path)
+                for row in np.flatnonzero(np.diff(table[:, 0], prepend=last) <= 0.0)[:1]:
+                    where = f"{self.path}, near line {piece[row][0]}"
+                    raise InputError(f"{where}: time does not increase")
+                last = float(table[-1, 0])
+                yield table[:, 0], table[:, 1::3], table[:, 2::3], table[:, 3::3]
 
 
 def export_damiao_trajectory(
@@ -209,37 +210,18 @@ def _check_columns(line: str, n_joints: int, path: Path, number: int) -> None:
         )
 
 
-def _table(text: list[str], path: Path, before: int, width: int) -> Array:
-    filled = [line for line in text if line.strip()]
-    if not filled:
-        return np.empty((0, width))
-    table = _finite_rows(filled, width)
-    if table is None:
-        lines = enumerate(text, start=before + 1)
-        bad = next(n for n, line in lines if line.strip() and _finite_rows([line], width) is None)
-        raise InputError(f"{path}, line {bad}: expected {width} finite numbers")
-    return table
-
-
-def _finite_rows(lines: list[str], width: int) -> Array | None:
-    """Return the numbers (N, width) of lines, or None where they are no such rows."""
-    if any("_" in line for line in lines):
-        # NumPy before 1.23 reads 1_0 as 10, as Python does.
-        return None
-    try:
-        table = np.loadtxt(lines, delimiter=",", ndmin=2)
-    except ValueError:
-        return None
-    fits = table.shape == (len(lines), width) and np.all(np.isfinite(table))
-    return np.asarray(table) if fits else None
-
-
-def _check_time(time: Array, last: float, path: Path, before: int) -> None:
-    falling = np.flatnonzero(np.diff(time, prepend=last) <= 0.0)
-    if len(falling):
-        raise InputError(
-            f"{path}, near line {before + int(falling[0]) + 1}: time does not increase"
-        )
+def _table(piece: Sequence[tuple[int, str]], width: int, path: Path) -> Array:
+    """Return the numbers (N, width) of numbered lines, or raise InputError naming a bad one."""
+    lines = [line for _, line in piece]
+    # NumPy before 1.23 reads 1_0 as 10, as Python does.
+    if not any("_" in line for line in lines):
+        with contextlib.suppress(ValueError):
+            table = np.loadtxt(lines, delimiter=",", ndmin=2)
+            if table.shape == (len(lines), width) and np.all(np.isfinite(table)):
+                return np.asarray(table)
+    if len(piece) == 1:
+        raise InputError(f"{path}, line {piece[0][0]}: expected {width} finite numbers")
+    return np.vstack([_table([each], width, path) for each in piece])
 
 
 @contextlib.contextmanager
