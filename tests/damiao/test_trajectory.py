@@ -114,7 +114,7 @@ def test_ids_are_written_read_and_default_to_an_offset_of_sixteen(tmp_path):
         ({"can_ids": [1, 1]}, "CAN id 0x01 is used by more than one motor"),
         ({"can_ids": [0, 1]}, "CAN id 0 is outside 1 to 15"),
         ({"can_ids": [1, 16]}, "CAN id 16 is outside 1 to 15"),
-        ({"can_ids": [1]}, "--can-id was given 1 times but the chain has 2 joints"),
+        ({"can_ids": [1]}, "--can-id was given once but the chain has 2 joints"),
         ({"master_ids": [17, 17]}, "master id 0x11 is used by more than one motor"),
         ({"master_ids": [0x102, 0x12]}, "would be taken as commands by the motor with CAN id 2"),
         ({"master_ids": [0x800, 0x12]}, "outside 0 to 0x7fe"),

@@ -95,7 +95,8 @@ class BusLink:
                 return self._bus.send(message, timeout=_SEND_TIMEOUT)
             except Exception as error:
                 # Whatever a driver raises: the caller has to go on with the other motors.
-                if not _is_full(error):
+                codes = getattr(error, "error_code", None), getattr(error, "errno", None)
+                if errno.ENOBUFS not in codes:
                     raise LinkError(
                         f"the CAN bus does not take frames: {words_of(error)}"
                     ) from error
@@ -130,12 +131,6 @@ class BusLink:
         content, flags = bytes(message.data), (message.is_fd, message.is_error_frame)
         time_then = self._clock.now() - age
         return Frame(message.arbitration_id, content, time_then, *flags, not message.is_rx)
-
-
-def _is_full(error: Exception) -> bool:
-    """Tell whether the transmit queue is full, which passes, or stays so if nobody listens."""
-    codes = getattr(error, "error_code", None), getattr(error, "errno", None)
-    return errno.ENOBUFS in codes
 
 
 def open_bus(address: BusAddress, timing: BusTiming, clock: Clock) -> Link:

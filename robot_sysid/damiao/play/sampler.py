@@ -42,17 +42,10 @@ class TrajectorySampler:
     def __call__(self, time: float) -> Reference:
         """Return the reference at ``time`` [s] after the start; the end is held."""
         moment = self._start + time * self._speed
-        while moment > self._table[-1, 0] and self._read_on():
-            pass
+        while moment > self._table[-1, 0] and (rows := next(self._tables, None)) is not None:
+            self._table = np.vstack([self._table[-1:], rows])
         position, velocity, torque = np.split(_interpolate(self._table, moment)[1:], 3)
         return Reference(position, velocity * self._speed, torque)
-
-    def _read_on(self) -> bool:
-        rows = next(self._tables, None)
-        if rows is None:
-            return False
-        self._table = np.vstack([self._table[-1:], rows])
-        return True
 
 
 def _interpolate(table: Array, moment: float) -> Array:

@@ -32,7 +32,7 @@ import numpy as np
 
 from robot_sysid.damiao.protocol.codec import Feedback, MitCommand
 from robot_sysid.damiao.protocol.frames import Address
-from robot_sysid.damiao.protocol.motors import MotorSpec, motor_spec, motor_specs
+from robot_sysid.damiao.protocol.motors import MOTORS, MotorSpec, motor_spec
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 from robot_sysid.records.atomic_files import write_whole
@@ -94,19 +94,29 @@ def damiao_joints(
     Raises:
         InputError: wrong number of types or ids, unknown type, or ids that clash on one bus.
     """
-    specs = motor_specs(motor_types, n_joints)
+    if not motor_types:
+        raise InputError(
+            "--export-damiao requires at least one --motor-type: give one per joint, base to "
+            f"terminal, out of {', '.join(MOTORS)}"
+        )
+    types = [motor_spec(name).name for name in motor_types]
     ids = list(range(1, n_joints + 1)) if not can_ids else list(can_ids)
     replies = [i + MASTER_ID_OFFSET for i in ids] if not master_ids else list(master_ids)
-    for option, values in (("--can-id", ids), ("--master-id", replies)):
+    for option, values, how in (
+        ("--motor-type", types, ", base to terminal"),
+        ("--can-id", ids, " or not at all"),
+        ("--master-id", replies, " or not at all"),
+    ):
         if len(values) != n_joints:
+            times = "once" if len(values) == 1 else f"{len(values)} times"
             raise InputError(
-                f"{option} was given {len(values)} times but the chain has {n_joints} joints: "
-                "give it once per joint or not at all"
+                f"{option} was given {times} but the chain has {n_joints} joints: give it once "
+                f"per joint{how}"
             )
     for problem in id_problems([(0, *pair) for pair in zip(ids, replies)]):
         raise InputError(problem)
     called = ["_".join(name.split()) for name in names] or [""] * n_joints
-    return tuple(DamiaoJoint(s.name, i, m, n) for s, i, m, n in zip(specs, ids, replies, called))
+    return tuple(DamiaoJoint(*each) for each in zip(types, ids, replies, called))
 
 
 def id_problems(motors: Sequence[tuple[Any, int, int]]) -> Iterator[str]:

@@ -8,7 +8,6 @@ register values are used.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from math import pi
 
@@ -104,23 +103,6 @@ def motor_spec(name: str) -> MotorSpec:
     except KeyError:
         valid = ", ".join(MOTORS)
         raise InputError(f"unknown Damiao motor type {name!r}; valid types: {valid}") from None
-
-
-def motor_specs(names: Sequence[str], n_joints: int) -> tuple[MotorSpec, ...]:
-    """Return one MotorSpec per joint, base to terminal; raise InputError unless each has one."""
-    if not names:
-        raise InputError(
-            "--export-damiao requires at least one --motor-type: give one per joint, base to "
-            f"terminal, out of {', '.join(MOTORS)}"
-        )
-    specs = tuple(motor_spec(name) for name in names)
-    if len(specs) != n_joints:
-        times = "once" if len(specs) == 1 else f"{len(specs)} times"
-        raise InputError(
-            f"--motor-type was given {times} but the chain has {n_joints} joints: "
-            "give it once per joint, base to terminal"
-        )
-    return specs
 
 
 def matching_types(limits: tuple[float, float, float]) -> tuple[str, ...]:

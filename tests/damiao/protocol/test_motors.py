@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robot_sysid.damiao.protocol.motors import MOTORS, matching_types, motor_spec, motor_specs
+from robot_sysid.damiao.protocol.joints import damiao_joints
+from robot_sysid.damiao.protocol.motors import MOTORS, matching_types, motor_spec
 from robot_sysid.errors import InputError
 
 # Type, then what scales its frames: position [rad], speed [rad/s], torque [N m].
@@ -49,7 +50,7 @@ def test_an_unknown_type_lists_the_valid_ones():
 )
 def test_motor_types_have_to_match_the_chain(names, words):
     with pytest.raises(InputError, match=words):
-        motor_specs(names, 7)
+        damiao_joints(names, 7)
 
 
 @pytest.mark.parametrize("name", list(MOTORS))
