@@ -110,7 +110,7 @@ def test_over_the_virtual_bus(benchmark, tmp_path, rate):
 
 
 def test_encoding_and_decoding_one_cycle_of_all_joints(benchmark):
-    scaling = Scaling.from_limits([MOTORS["DM4340"].limits] * JOINTS)
+    scaling = Scaling([MOTORS["DM4340"].limits] * JOINTS)
     zero = np.zeros(JOINTS)
     command = MitCommand(zero + 0.1, zero + 0.2, zero + 20.0, zero + 1.0, zero + 0.3)
     replies = np.random.default_rng(0).integers(0, 256, (JOINTS, 8), dtype=np.uint8)

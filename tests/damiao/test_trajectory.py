@@ -337,7 +337,7 @@ def test_pieces_add_up_to_the_whole(case, data):
 def test_a_torque_beyond_the_peak_is_told_with_its_own_value(name):
     """Some types can be told no more than their peak torque; that must not hide the excess."""
     spec = MOTORS[name]
-    asked = 2.0 * max(spec.torque_limit, spec.peak_torque)
+    asked = 2.0 * max(spec.limits[2], spec.peak_torque)
     tally = ClampTally(damiao_joints([name], 1))
     tally.clamp(np.zeros((1, 1)), np.zeros((1, 1)), np.full((1, 1), asked))
     clamped, rating = tally.warnings(None)

@@ -142,7 +142,7 @@ def _codec(frames: list[Frame]) -> None:
     limits = [tuple(np.resize(numbers, 3))] if numbers.size else [(1.0, 1.0, 1.0)]
     for each in ([(12.5, 10.0, 28.0)], limits):
         try:
-            scaling = Scaling.from_limits(each)
+            scaling = Scaling(each)
             assert np.all(np.isfinite(decode_feedback(raw, scaling, True).position))
             again = encode_feedback(decode_feedback(raw, scaling), scaling)
             assert again.shape == raw.shape
@@ -194,7 +194,7 @@ def _through_driver(frames: list[Frame]) -> None:
 def _session(frames: list[Frame]) -> None:
     clock = SimulatedClock()
     link = GuardedLink(TalkativeBus(frames, clock), clock.now)
-    scaling = Scaling.from_limits([(12.5, 10.0, 28.0)] * N)
+    scaling = Scaling([(12.5, 10.0, 28.0)] * N)
     zeros = np.zeros(N)
     with MotorSession(link, clock, _joints(), scaling, half_step=True) as session:
         session.enable()

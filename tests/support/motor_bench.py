@@ -33,7 +33,7 @@ class Bench:
         self.link = GuardedLink(self.bus, self.clock.now)
         self.client = RegisterClient(self.link, self.clock)
         self.session = MotorSession(
-            self.link, self.clock, joints, Scaling.from_limits([SPEC.limits] * n), half_step=True
+            self.link, self.clock, joints, Scaling([SPEC.limits] * n), half_step=True
         )
 
     def command(self, q=0.0, kp=20.0):

@@ -166,7 +166,7 @@ COMMANDS: Mapping[str, _Command] = {
         "--channel can0 --motor 1 --new-id 2 --new-master-id 0x12 --mit --watchdog 0.1 --store",
         "List the motors on a bus, or change one: ids, mode, watchdog, bit rate, zero, error. "
         "Never while it is enabled.",
-        {"setup": (motors_setup.FindOptions, motors_setup.SetupOptions)},
+        {"setup": (motors_setup.SetupOptions,)},
     ),
     "monitor": _Command(
         motors_setup.monitor,

@@ -36,13 +36,6 @@ def lifetime_option() -> Any:
 
 
 @dataclass(frozen=True)
-class FindOptions(OptionRecord):
-    """How ``motors setup`` looks for motors."""
-
-    scan: bool = option(False, "look for motors at every bit rate that the adapter can be set to")
-
-
-@dataclass(frozen=True)
 class MonitorOptions(OptionRecord):
     """How ``motors monitor`` watches."""
 
@@ -59,10 +52,10 @@ class MapOptions(OptionRecord):
 
 def setup(asked: Asked) -> int:
     """Find motors, and change one of them."""
-    options, find = record_from(SetupOptions, asked.values), record_from(FindOptions, asked.values)
+    options = record_from(SetupOptions, asked.values)
     if options.changes and options.motor is None:
         raise InputError("--motor says which motor to change, for instance --motor 1")
-    if find.scan:
+    if options.scan:
         return _scan(asked)
     with asked.bus(refuse_motion) as link:
         inspection = inspect_bus(link, asked.clock)

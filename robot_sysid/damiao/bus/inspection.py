@@ -44,13 +44,17 @@ class RegisterClient:
         """Return a register's value, or None where the motor does not answer."""
         return next(iter(self.answers(frames.read_frame(motor, register), 1)), None)
 
-    def write(self, motor: frames.Address, register: int, value: float) -> None:
+    def write(self, motor: frames.Address, register: int, value: float, heard: bool = True) -> None:
         """Write a register (lost at power-off), or raise HardwareAbort.
 
-        A motor refuses a value by answering with the old one, so the answer is compared.
+        A motor refuses a value by answering with the old one, so the answer is compared; unless it
+        cannot be ``heard`` any more.
         """
         raw, name = reg.bytes_from_value(register, value), reg.NAMES[register]
-        replies = self.answers(frames.write_frame(motor, register, raw), 1)
+        request = frames.write_frame(motor, register, raw)
+        if not heard:
+            return self._link.send(request)
+        replies = self.answers(request, 1)
         if not replies:
             raise HardwareAbort(f"motor {motor.can_id} did not answer to writing {name}")
         kept = replies[0].value
@@ -58,10 +62,6 @@ class RegisterClient:
             raise HardwareAbort(
                 f"motor {motor.can_id} refused {name} = {value:g} and keeps {kept:g}"
             )
-
-    def tell(self, motor: frames.Address, register: int, value: float) -> None:
-        """Write a register after which the motor cannot be heard any more."""
-        self._link.send(frames.write_frame(motor, register, reg.bytes_from_value(register, value)))
 
     def refresh(self, motor: frames.Address, master_id: int) -> frames.Frame | None:
         """Return a feedback frame without any effect on the motor, or None."""
@@ -246,4 +246,4 @@ def state_of(client: RegisterClient, motor: InspectedMotor) -> Feedback | None:
     if frame is None or motor.limits is None or min(motor.limits) <= 0.0:
         return None
     raw = np.frombuffer(frame.data, dtype=np.uint8)[None]
-    return decode_feedback(raw, Scaling.from_limits([motor.limits]))
+    return decode_feedback(raw, Scaling([motor.limits]))

@@ -133,14 +133,13 @@ class MotorSession:
         """What each joint's motor delivers at most (n,) [N m]."""
         peaks = [joint.spec.strongest for joint in self.joints]
         # A frame cannot say more than the scale's end either.
-        return np.asarray(np.minimum(peaks, self.scaling.torque) * self.space.ratio)
+        return np.asarray(np.minimum(peaks, self.scaling.limits[:, 2]) * self.space.ratio)
 
     def clipped(self, q: Array, qd: Array, tau: Array) -> tuple[Array, ...]:
         """Return the nearest values (n,) that the joints' frames carry [rad, rad/s, N m]."""
-        space, scaling = self.space, self.scaling
+        space, limits = self.space, self.scaling.limits.T
         motor = space.motor_position(q), space.direction * qd, space.motor_torque(tau)
-        limits = scaling.position, scaling.velocity, scaling.torque
-        p, v, t = (np.clip(x, -limit, limit) for x, limit in zip(motor, limits))
+        p, v, t = np.clip(motor, -limits, limits)
         return space.joint_position(p), space.direction * v, space.joint_torque(t)
 
     def is_off(self, motor: Address) -> bool:

@@ -128,7 +128,7 @@ class PlaySettings(OptionRecord):
         n = len(specs)
         rate = self.rate or default_rate(n, timing)
         light = np.full(n, np.inf) if inertia is None else inertia * rate
-        rated = np.array([s.rated_torque or 0.3 * s.torque_limit for s in specs])
+        rated = np.array([s.rated_torque or 0.3 * s.limits[2] for s in specs])
         peak = np.array([spec.strongest for spec in specs])
         usual = np.minimum(_STIFFNESS * rated, KP_MAX)
         least = np.maximum(_LEAST_SHARE * _DAMPING * usual, _LEAST_DAMPING)

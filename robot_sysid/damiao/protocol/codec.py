@@ -9,8 +9,8 @@ Arrays are (..., n): any leading shape, n joints last; frames are (..., n, 8) by
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -53,32 +53,25 @@ class _Layout:
 _COMMAND, _FEEDBACK = _Layout(16, 12, 12, 12, 12), _Layout(4, 4, 16, 12, 12, 8, 8)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Scaling:
-    """What the integers in each joint's frames mean: (n,) PMAX [rad], VMAX [rad/s], TMAX [N m]."""
+    """What the integers in each joint's frames mean.
 
-    position: Array
-    velocity: Array
-    torque: Array
+    ``limits`` are the PMAX [rad], VMAX [rad/s] and TMAX [N m] (n, 3) of n joints.
+    """
+
+    limits: Array
     # Ranges (n, 5) of the command's fields: position, velocity, kp, kd, torque.
-    _low: Array = field(init=False, repr=False, compare=False)
-    _high: Array = field(init=False, repr=False, compare=False)
+    _low: Array
+    _high: Array
 
-    def __post_init__(self) -> None:
-        for name in ("position", "velocity", "torque"):
-            value = getattr(self, name)
+    def __init__(self, limits: Iterable[Sequence[float]]) -> None:
+        table = np.array(list(limits), dtype=float).reshape(-1, 3)
+        for name, value in zip(("position", "velocity", "torque"), table.T):
             if not np.all(np.isfinite(value) & (value > 0.0)):
                 raise InputError(f"{name} scaling must be positive numbers, got {value.tolist()}")
-        gains = np.full_like(self.position, KP_MAX), np.full_like(self.position, KD_MAX)
-        high = np.column_stack([self.position, self.velocity, *gains, self.torque])
-        object.__setattr__(self, "_high", high)
-        object.__setattr__(self, "_low", high * _HAS_SIGN)
-
-    @classmethod
-    def from_limits(cls, limits: Iterable[tuple[float, float, float]]) -> Scaling:
-        """Build the scaling of n joints from their (PMAX, VMAX, TMAX)."""
-        table = np.array(list(limits), dtype=float).reshape(-1, 3)
-        return cls(table[:, 0], table[:, 1], table[:, 2])
+        high = np.insert(table, [2, 2], (KP_MAX, KD_MAX), axis=1)
+        vars(self).update(limits=table, _low=high * _HAS_SIGN, _high=high)
 
     @property
     def steps(self) -> tuple[Array, Array, Array]:

@@ -23,7 +23,7 @@ class MotorSpec:
     """One motor type; all quantities are at the output shaft.
 
     Attributes:
-        position_limit, velocity_limit, torque_limit: PMAX [rad], VMAX [rad/s], TMAX [N m].
+        limits: PMAX [rad], VMAX [rad/s], TMAX [N m].
         rated_torque: torque the motor can hold for good [N m], None where the maker states none.
         peak_torque: torque it reaches for a short time [N m], or None.
         supply: supply voltage the type is usually run at [V].
@@ -32,9 +32,7 @@ class MotorSpec:
     """
 
     name: str
-    position_limit: float
-    velocity_limit: float
-    torque_limit: float
+    limits: tuple[float, float, float]
     rated_torque: float | None = None
     peak_torque: float | None = None
     supply: float = 24.0
@@ -43,14 +41,9 @@ class MotorSpec:
     note: str = ""
 
     @property
-    def limits(self) -> tuple[float, float, float]:
-        """(PMAX, VMAX, TMAX)."""
-        return self.position_limit, self.velocity_limit, self.torque_limit
-
-    @property
     def strongest(self) -> float:
         """Peak torque, or the largest that a frame carries where the maker states none [N m]."""
-        return self.peak_torque or self.torque_limit
+        return self.peak_torque or self.limits[2]
 
     def no_load_speed(self, supply: float | None = None) -> float | None:
         """Return the no-load speed [rad/s] at a supply voltage [V], or None where unknown.
@@ -67,31 +60,32 @@ class MotorSpec:
         return RPM * rpm * volts / nearest
 
 
+_DM4340_RPM = ((24.0, 52.0), (48.0, 100.0))
 _SPECS = (
-    MotorSpec("DM4310", 12.5, 30.0, 10.0, 3.0, 7.0, 24.0, ((24.0, 200.0),), 10.0),
-    MotorSpec("DM4340", 12.5, 10.0, 28.0, 9.0, 27.0, 24.0, ((24.0, 52.0), (48.0, 100.0)), 40.0),
-    MotorSpec("DM4340_48V", 12.5, 20.0, 28.0, 9.0, 27.0, 48.0, ((24.0, 52.0), (48.0, 100.0)), 40.0),
-    MotorSpec("DM6006", 12.5, 45.0, 12.0, 4.0, 12.0, 24.0, ((24.0, 240.0), (48.0, 408.0)), 6.0),
-    MotorSpec("DM8006", 12.5, 45.0, 20.0, 8.0, 20.0, 24.0, ((24.0, 200.0), (48.0, 393.0)), 6.0),
+    MotorSpec("DM4310", (12.5, 30.0, 10.0), 3.0, 7.0, 24.0, ((24.0, 200.0),), 10.0),
+    MotorSpec("DM4340", (12.5, 10.0, 28.0), 9.0, 27.0, 24.0, _DM4340_RPM, 40.0),
+    MotorSpec("DM4340_48V", (12.5, 20.0, 28.0), 9.0, 27.0, 48.0, _DM4340_RPM, 40.0),
+    MotorSpec("DM6006", (12.5, 45.0, 12.0), 4.0, 12.0, 24.0, ((24.0, 240.0), (48.0, 408.0)), 6.0),
+    MotorSpec("DM8006", (12.5, 45.0, 20.0), 8.0, 20.0, 24.0, ((24.0, 200.0), (48.0, 393.0)), 6.0),
     MotorSpec(
-        "DM10010L", 12.5, 25.0, 200.0, 40.0, 120.0, 24.0, ((24.0, 100.0), (48.0, 200.0)), 10.0
+        "DM10010L", (12.5, 25.0, 200.0), 40.0, 120.0, 24.0, ((24.0, 100.0), (48.0, 200.0)), 10.0
     ),
-    MotorSpec("DM8009", 12.5, 45.0, 54.0, 20.0, 40.0, 24.0, ((24.0, 160.0), (48.0, 320.0)), 9.0),
-    MotorSpec("DM3507", 12.566, 50.0, 5.0, 0.8, 3.0, 24.0, ((24.0, 460.0), (48.0, 910.0)), 7.0),
+    MotorSpec("DM8009", (12.5, 45.0, 54.0), 20.0, 40.0, 24.0, ((24.0, 160.0), (48.0, 320.0)), 9.0),
+    MotorSpec("DM3507", (12.566, 50.0, 5.0), 0.8, 3.0, 24.0, ((24.0, 460.0), (48.0, 910.0)), 7.0),
     MotorSpec(
-        *("DM4310_48V", 12.5, 50.0, 10.0, 3.0, 7.0, 48.0, ((48.0, 400.0),), 10.0),
+        *("DM4310_48V", (12.5, 50.0, 10.0), 3.0, 7.0, 48.0, ((48.0, 400.0),), 10.0),
         note="the maker's sources disagree about VMAX (30 or 50 rad/s)",
     ),
-    MotorSpec("DM6248", 12.566, 20.0, 120.0, 30.0, 97.0, 48.0, (), 48.0),
-    MotorSpec("DM10010", 12.5, 20.0, 200.0, 40.0, 150.0, 48.0, ((48.0, 150.0),), 10.0),
-    MotorSpec("DMH3510", 12.5, 280.0, 1.0, 0.18, 0.45, 24.0, (), 1.0),
-    MotorSpec("DMH6215", 12.5, 45.0, 10.0, 1.0, 2.0, 24.0, (), 1.0),
+    MotorSpec("DM6248", (12.566, 20.0, 120.0), 30.0, 97.0, 48.0, (), 48.0),
+    MotorSpec("DM10010", (12.5, 20.0, 200.0), 40.0, 150.0, 48.0, ((48.0, 150.0),), 10.0),
+    MotorSpec("DMH3510", (12.5, 280.0, 1.0), 0.18, 0.45, 24.0, (), 1.0),
+    MotorSpec("DMH6215", (12.5, 45.0, 10.0), 1.0, 2.0, 24.0, (), 1.0),
     MotorSpec(
-        *("DMS3519", 12.5, 2000.0, 2.0, 3.5, 7.8, 24.0, (), 19.2),
+        *("DMS3519", (12.5, 2000.0, 2.0), 3.5, 7.8, 24.0, (), 19.2),
         note="its TMAX is below the motor's rated torque and its VMAX leaves steps of 1 rad/s: "
         "compare with the registers before using torques or velocities",
     ),
-    MotorSpec("DMG6220", 12.5, 45.0, 10.0, 1.3, 2.7, 24.0, (), 1.0),
+    MotorSpec("DMG6220", (12.5, 45.0, 10.0), 1.3, 2.7, 24.0, (), 1.0),
 )
 MOTORS = {spec.name: spec for spec in _SPECS}
 

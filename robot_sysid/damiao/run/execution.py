@@ -53,7 +53,7 @@ def run(
     held, n, pose = _held(plan, inspection), plan.trajectory.n_joints, plan.pose
     joints = (*plan.trajectory.joints, *held)
     motors = [inspection.motors[joint.address] for joint in joints]
-    scaling = Scaling.from_limits(motor.limits or (0.0, 0.0, 0.0) for motor in motors)
+    scaling = Scaling(motor.limits or (0.0, 0.0, 0.0) for motor in motors)
     places = np.array([motor.position for motor in motors[n:]])
     session = MotorSession(link, clock, joints, scaling, not plan.recording.no_half_step)
     settings = _with_held(plan, held)

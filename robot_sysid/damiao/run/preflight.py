@@ -153,10 +153,10 @@ def _parked(plan: Plan) -> Iterator[Check]:
     joints, pose = plan.trajectory.joints, plan.pose
     turned = () if pose is None else JointSpace.of(joints).motor_position(pose)
     for joint, place in zip(joints, turned):
-        if abs(place) > joint.spec.position_limit:
+        if abs(place) > joint.spec.limits[0]:
             yield _stop(
                 f"{joint.label}: to be parked it would turn to {place:.4g} rad, beyond its type's "
-                f"limit {joint.spec.position_limit:g}; choose another --park pose"
+                f"limit {joint.spec.limits[0]:g}; choose another --park pose"
             )
 
 
@@ -292,7 +292,7 @@ def _load(plan: Plan) -> Iterator[Check]:
 def _light(plan: Plan) -> Iterator[Check]:
     """Yield which joints one step of their motor's torque throws about within a cycle."""
     joints, inertia = plan.trajectory.joints, () if plan.inertia is None else plan.inertia
-    steps = Scaling.from_limits(joint.spec.limits for joint in joints).steps[2]
+    steps = Scaling(joint.spec.limits for joint in joints).steps[2]
     for joint, step, moved in zip(joints, steps, inertia):
         if step * plan.settings.period / moved > _SHAKEN:
             yield _note(

@@ -45,6 +45,7 @@ _ID: dict[str, Any] = {"metavar": "ID", "parse": whole_number, "check": _within(
 class SetupOptions(OptionRecord):
     """What ``motors setup`` changes in one motor; nothing lists the motors."""
 
+    scan: bool = option(False, "look for motors at every bit rate that the adapter can be set to")
     motor: int | None = option(None, "CAN id of the motor to change", **_ID)
     new_id: int | None = option(None, "new CAN id", **_ID)
     new_master_id: int | None = option(
@@ -69,7 +70,7 @@ class SetupOptions(OptionRecord):
     @property
     def changes(self) -> bool:
         """Whether anything is to be changed."""
-        return any(given.key != "motor" for given in given_options(self))
+        return any(given.key not in ("scan", "motor") for given in given_options(self))
 
 
 class MotorSetup:
@@ -107,17 +108,14 @@ class MotorSetup:
         if asked.store and asked.motor_bitrate is None:
             yield self._stored()
         if asked.motor_bitrate is not None:
-            yield self._written(reg.CAN_BR, reg.BIT_RATES[asked.motor_bitrate], read_back=False)
+            yield self._written(reg.CAN_BR, reg.BIT_RATES[asked.motor_bitrate], heard=False)
             if asked.store:
                 yield "not stored: open the bus at the new bit rate and give --store again"
 
-    def _written(self, register: int, value: float, read_back: bool = True) -> str:
+    def _written(self, register: int, value: float, heard: bool = True) -> str:
         self._require_off()
         before = self._client.read(self._address, register)
-        if read_back:
-            self._client.write(self._address, register, value)
-        else:
-            self._client.tell(self._address, register, value)
+        self._client.write(self._address, register, value, heard)
         old = "unknown" if before is None else reg.text_of(register, before.value)
         return f"{self._motor.name}: {old} is now {reg.text_of(register, value)}"
 
@@ -169,7 +167,7 @@ class MotorSetup:
                 "the zero is as it was"
             )
         raw = np.frombuffer(self._feedback(), dtype=np.uint8)[None]
-        return float(decode_feedback(raw, Scaling.from_limits([limits])).position[0])
+        return float(decode_feedback(raw, Scaling([limits])).position[0])
 
     def _feedback(self) -> bytes:
         frame = self._client.refresh(self._address, self._master)

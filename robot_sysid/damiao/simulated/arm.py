@@ -78,7 +78,7 @@ class SimulatedMotor:
         """How it reads and writes frames."""
         limits = tuple(self.registers[number] for number in reg.SCALING)
         if self._scaling is None or self._scaling[0] != limits:
-            self._scaling = limits, codec.Scaling(*np.array(limits)[:, None])
+            self._scaling = limits, codec.Scaling([limits])
         return self._scaling[1]
 
     @property

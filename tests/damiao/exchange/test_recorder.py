@@ -63,7 +63,7 @@ def cycles(draw, n):
 def test_every_frame_can_be_told_back_from_the_recording(data, tmp_path_factory):
     """The printed digits suffice to find the very codes the motor sent."""
     types = data.draw(st.lists(st.sampled_from(sorted(MOTORS)), min_size=1, max_size=4))
-    n, scaling = len(types), Scaling.from_limits(MOTORS[t].limits for t in types)
+    n, scaling = len(types), Scaling(MOTORS[t].limits for t in types)
     rows = data.draw(cycles(n))
     path = tmp_path_factory.mktemp("rec") / "measured.csv"
     with recorder_for(path, types) as recorder:

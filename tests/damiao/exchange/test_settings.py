@@ -40,7 +40,7 @@ def test_default_gains_fit_into_the_frames_of_every_type(name):
     chosen = PlaySettings().for_motors([MOTORS[name]], BusTiming())
     zero = np.zeros(1)
     command = MitCommand(zero, zero, np.array(chosen.kp), np.array(chosen.kd), zero)
-    assert encode_mit(command, Scaling.from_limits([MOTORS[name].limits])).shape == (1, 8)
+    assert encode_mit(command, Scaling([MOTORS[name].limits])).shape == (1, 8)
     assert chosen.kp[0] > 0.0 and chosen.kd[0] > 0.0
 
 

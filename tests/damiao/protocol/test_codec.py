@@ -28,7 +28,7 @@ KP_STEP, KD_STEP = KP_MAX / 4095, KD_MAX / 4095
 
 
 def scaling_of(*names: str) -> Scaling:
-    return Scaling.from_limits(MOTORS[name].limits for name in names)
+    return Scaling(MOTORS[name].limits for name in names)
 
 
 def command(position, velocity, kp, kd, torque) -> MitCommand:
@@ -55,7 +55,7 @@ def refusal(*arguments):
     ],
 )
 def test_known_commands_have_known_bytes(values, limits, expected):
-    assert hexed(encode_mit(command(*values), Scaling.from_limits([limits]))[0]) == expected
+    assert hexed(encode_mit(command(*values), Scaling([limits]))[0]) == expected
 
 
 @pytest.mark.parametrize(
@@ -68,7 +68,7 @@ def test_known_commands_have_known_bytes(values, limits, expected):
 )
 def test_known_feedback_has_known_values(limits, p, v, t):
     frame = np.frombuffer(bytes.fromhex("138B217D3866231F"), dtype=np.uint8)[None]
-    feedback = decode_feedback(frame, Scaling.from_limits([limits]))
+    feedback = decode_feedback(frame, Scaling([limits]))
     assert (feedback.can_id[0], feedback.status[0]) == (3, 1)
     assert feedback.position[0] == pytest.approx(p, abs=5e-6)
     assert feedback.velocity[0] == pytest.approx(v, abs=5e-6)
@@ -81,8 +81,8 @@ def test_known_feedback_has_known_values(limits, p, v, t):
 def test_command_survives_within_half_a_step(name, p, v, kp, kd, t):
     spec, scaling = MOTORS[name], scaling_of(name)
     sent = command(
-        p * spec.position_limit, v * spec.velocity_limit, kp * KP_MAX, kd * KD_MAX,
-        min(t, 0.8) * spec.torque_limit,
+        p * spec.limits[0], v * spec.limits[1], kp * KP_MAX, kd * KD_MAX,
+        min(t, 0.8) * spec.limits[2],
     )  # fmt: skip
     back = decode_mit(encode_mit(sent, scaling), scaling)
     steps = dict(zip(("position", "velocity", "torque"), scaling.steps), kp=KP_STEP, kd=KD_STEP)
@@ -130,9 +130,9 @@ def test_feedback_survives_within_a_step_and_half_a_step_centred(name, p, v, t, 
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_out_of_range_is_refused_and_the_limit_itself_is_not(name, field, sign):
     spec, scaling = MOTORS[name], scaling_of(name)
-    low, high = {"kp": (0.0, KP_MAX), "kd": (0.0, KD_MAX)}.get(
-        field, (-getattr(spec, f"{field}_limit", 1.0), getattr(spec, f"{field}_limit", 1.0))
-    )
+    tops = (*spec.limits, KP_MAX, KD_MAX)
+    high = dict(zip(("position", "velocity", "torque", "kp", "kd"), tops))[field]
+    low = 0.0 if field in ("kp", "kd") else -high
     values = {"position": 0.0, "velocity": 0.0, "kp": 0.0, "kd": 1.0, "torque": 0.0}
     values[field] = low if sign < 0 else high
     encode_mit(command(*values.values()), scaling)
@@ -148,7 +148,7 @@ def test_values_that_are_not_finite_are_refused(bad):
 
 
 def test_a_limit_that_went_through_a_float32_register_is_still_inside():
-    scaling = Scaling.from_limits([tuple(map(float, np.float32(MOTORS["DM3507"].limits)))])
+    scaling = Scaling([tuple(map(float, np.float32(MOTORS["DM3507"].limits)))])
     assert hexed(encode_mit(command(12.566, 0, 0, 0, 0), scaling)[0]).startswith("FF FF 80 00")
 
 
@@ -157,7 +157,7 @@ def test_a_limit_that_went_through_a_float32_register_is_still_inside():
 def test_a_limit_may_be_off_by_a_millionth(field, sign):
     """Of itself, whether it is 5 or 500; what is sent is the limit."""
     limits = {"position": 12.5, "velocity": 0.3, "torque": 28.0, "kp": KP_MAX, "kd": KD_MAX}
-    scaling = Scaling.from_limits([(12.5, 0.3, 28.0)])
+    scaling = Scaling([(12.5, 0.3, 28.0)])
     values = {"position": 0.0, "velocity": 0.0, "kp": 0.0, "kd": 1.0, "torque": 0.0}
     low = 0.0 if field in ("kp", "kd") else -limits[field]
     exact = values | {field: limits[field] if sign > 0 else low}
@@ -232,7 +232,7 @@ def test_the_message_names_the_joint_that_is_out_of_range(field, value, limit):
     values = dict.fromkeys(("position", "velocity", "kp", "kd", "torque"), np.ones((2, 3)))
     values[field] = values[field].copy()
     values[field][1, 1] = value
-    scaling = Scaling.from_limits([(13.0, 40.0, 29.0), (12.5, 30.0, 10.0), (13.0, 40.0, 29.0)])
+    scaling = Scaling([(13.0, 40.0, 29.0), (12.5, 30.0, 10.0), (13.0, 40.0, 29.0)])
     expected = f"{field} {value} of motor number 2 is outside its range, limit {limit}"
     assert refusal(MitCommand(**values), scaling) == expected
 
@@ -254,7 +254,7 @@ def test_scaling_has_to_be_positive(bad, place):
     limits[place] = bad
     name = ("position", "velocity", "torque")[place]
     with pytest.raises(InputError) as refused:
-        Scaling.from_limits([(1.0, 2.0, 3.0), limits])
+        Scaling([(1.0, 2.0, 3.0), limits])
     good = float(place + 1)
     words = f"{name} scaling must be positive numbers, got [{good}, {bad}]"
     assert str(refused.value) == words
@@ -277,8 +277,7 @@ def test_a_trajectory_at_once_equals_its_samples_one_by_one(seed, shape, n):
     rng = np.random.default_rng(seed)
     names = rng.choice(TYPES, n)
     scaling = scaling_of(*names)
-    p, v, t = (rng.uniform(-0.9, 0.9, (*shape, n)) * x for x in
-               (scaling.position, scaling.velocity, scaling.torque))  # fmt: skip
+    p, v, t = (rng.uniform(-0.9, 0.9, (*shape, n)) * x for x in scaling.limits.T)
     kp, kd = rng.uniform(0.0, KP_MAX, (*shape, n)), rng.uniform(0.01, KD_MAX, (*shape, n))
     frames = encode_mit(MitCommand(p, v, kp, kd, t), scaling)
     code = np.ones((*shape, n), dtype=int)
@@ -304,12 +303,12 @@ def test_a_trajectory_at_once_equals_its_samples_one_by_one(seed, shape, n):
 def test_a_motor_says_its_limit_where_the_truth_is_beyond_it(beyond):
     scaling, code = scaling_of("DM4340"), np.ones(1, dtype=int)
     for sign in (-1.0, 1.0):
-        values = [sign * beyond * x for x in (scaling.position, scaling.velocity, scaling.torque)]
+        values = [sign * beyond * x for x in scaling.limits.T]
         frame = encode_feedback(Feedback(code, code, *values, code, code), scaling)
         told = decode_feedback(frame, scaling)
-        assert told.position[0] == sign * scaling.position[0]
-        assert told.velocity[0] == sign * scaling.velocity[0]
-        assert told.torque[0] == pytest.approx(sign * scaling.torque[0], rel=1e-15)
+        assert told.position[0] == sign * scaling.limits[0, 0]
+        assert told.velocity[0] == sign * scaling.limits[0, 1]
+        assert told.torque[0] == pytest.approx(sign * scaling.limits[0, 2], rel=1e-15)
 
 
 # --- what a command asks for --------------------------------------------------------------------

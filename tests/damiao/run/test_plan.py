@@ -61,7 +61,7 @@ def test_an_undisturbed_run_plays_everything_and_disables(rig):
     assert recording.ending == "completed"
     assert len(recording.columns["time"]) == run.report.cycles == 251
     assert np.all(np.isfinite(recording.joint_values("pos")))
-    check = VelocityScalingCheck(Scaling.from_limits([MOTORS["DM4340"].limits] * 3).steps[1])
+    check = VelocityScalingCheck(Scaling([MOTORS["DM4340"].limits] * 3).steps[1])
     for sample in zip(*(recording.joint_values(what) for what in ("time", "pos", "vel"))):
         check.add(*sample)
     np.testing.assert_allclose(check.slopes()[0], 1.0, atol=0.01)
