@@ -26,7 +26,7 @@ from robot_sysid.servo.commands import MOST_PERIODS
 from robot_sysid.signals.pieces import part_of
 from robot_sysid.signals.resampling import usual_period
 from robot_sysid.simulation.rollout import playback
-from robot_sysid.simulation.rollout.servo import Actuators, Servos, Window, played_servos
+from robot_sysid.simulation.rollout.servo import Servos, Window, actuators_of, played_servos
 
 STEP = 0.002
 """Time step of the rollouts [s], at most."""
@@ -73,7 +73,6 @@ class Problem:
     """
 
     robot: RobotModel
-    actuators: Actuators
     windows: tuple[tuple[Window, Array, Array], ...]
     edges: Array
 
@@ -85,7 +84,7 @@ class Problem:
     def played(self, choices: Sequence[Servos]) -> Array:
         """Return positions (C, W, S + 1, n) of each choice in every window."""
         windows = [window for window, _, _ in self.windows]
-        return played_servos(self.robot, self.actuators, choices, windows, self.edges)
+        return played_servos(self.robot, choices, windows, self.edges)
 
     def errors(self, choices: Sequence[Servos]) -> Array:
         """Return position errors (C, M, n) of all windows [rad]; pi where a rollout diverges."""
@@ -104,7 +103,6 @@ class Problem:
 
 def problem_of(
     robot: RobotModel,
-    actuators: Actuators,
     pieces: Sequence[Measurement],
     most: int,
     length: float = LENGTH,
@@ -130,7 +128,7 @@ def problem_of(
     if not windows:
         raise InputError(f"no piece of the log is as long as {length:g} s; record longer")
     edges = np.linspace(0.0, length, max(1, round(length / STEP)) + 1)
-    return Problem(robot, actuators, tuple(windows), edges).some(most)
+    return Problem(robot, tuple(windows), edges).some(most)
 
 
 def smoothed(piece: Measurement) -> tuple[Array, Array]:
@@ -152,17 +150,13 @@ def parted(pieces: Sequence[Measurement]) -> tuple[list[Measurement], list[Measu
 
 
 def play_servos(
-    robot: RobotModel,
-    actuators: Actuators,
-    pieces: Sequence[Measurement],
-    pair: tuple[Servos, Servos],
-    held_out: str,
+    robot: RobotModel, pieces: Sequence[Measurement], pair: tuple[Servos, Servos], held_out: str
 ) -> RolloutTest:
     """Play two models (before, after) on held-out pieces, over every horizon that is there."""
     errors, notes = [], ["open loop was not played: no torque was measured"]
     for horizon in HORIZONS:
         try:
-            problem = problem_of(robot, actuators, pieces, playback.MOST_WINDOWS, horizon, 0.0)
+            problem = problem_of(robot, pieces, playback.MOST_WINDOWS, horizon, 0.0)
         except InputError:
             notes.append(f"no held-out piece is as long as {horizon:g} s")
             continue
@@ -220,18 +214,16 @@ class ServoFit:
     sigma: Array
 
 
-def model_servos(robot: RobotModel, actuators: Actuators) -> Servos:
+def model_servos(robot: RobotModel) -> Servos:
     """Return the model's own numbers, never late; gains are NaN where it has no position servo."""
-    model, dofs = robot.mj_model, robot.dof_index
+    model, dofs, actuators = robot.mj_model, robot.dof_index, actuators_of(robot)
     damping = model.dof_damping[dofs] + np.nan_to_num(actuators.damping)
     return Servos(
         actuators.stiffness, damping, model.dof_frictionloss[dofs], model.dof_armature[dofs], 0.0
     )
 
 
-def first_servos(
-    robot: RobotModel, actuators: Actuators, q: Array, period: float, moves: NDArray[np.bool_]
-) -> Scale:
+def first_servos(robot: RobotModel, q: Array, period: float, moves: NDArray[np.bool_]) -> Scale:
     """Return where a search starts: the model's numbers, or usual ones where it has none.
 
     Args:
@@ -239,7 +231,7 @@ def first_servos(
         period: between samples [s].
         moves: (n,) which joints move; the others' numbers are left as they are.
     """
-    own, (gravity, inertia) = model_servos(robot, actuators), _gravity_and_inertia(robot, q)
+    own, (gravity, inertia) = model_servos(robot), _gravity_and_inertia(robot, q)
     inertia += own.armature
     stiffness, usual = inertia * _UNKNOWN_RATE**2, 0.2 * inertia * _UNKNOWN_RATE
     stiffness = np.where(np.isnan(own.stiffness), stiffness, own.stiffness)
@@ -401,8 +393,8 @@ def with_links_error(fit: ServoFit, share: Array) -> ServoFit:
 
 def at_limit(problem: Problem, servos: Servos) -> Array:
     """Return (n,) the share of time in which each servo asks for more than its limit."""
-    over = []
+    over, limit = [], actuators_of(problem.robot).limit
     for (window, _, _), q in zip(problem.windows, problem.played([servos])[0]):
         asked = window.controls(servos.delay, problem.edges) - q[:-1]
-        over.append(np.abs(servos.stiffness * asked) > problem.actuators.limit)
+        over.append(np.abs(servos.stiffness * asked) > limit)
     return np.mean(np.concatenate(over), axis=0)

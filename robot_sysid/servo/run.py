@@ -29,7 +29,7 @@ from robot_sysid.servo import fit as search
 from robot_sysid.servo.commands import MOST_PERIODS, commanded_pieces, moving
 from robot_sysid.servo.fit import ServoFit, model_servos
 from robot_sysid.signals.resampling import usual_period
-from robot_sysid.simulation.rollout.servo import HOLDS_DELAY, Actuators, Servos, actuators_of
+from robot_sysid.simulation.rollout.servo import HOLDS_DELAY, Servos, actuators_of
 
 SERVO_NAME, SERVO_SCHEMA = "servo.json", "robot-sysid servo 1"
 WITHOUT_TORQUE = (
@@ -72,7 +72,7 @@ class ServoIdentification:
     @property
     def numbers(self) -> dict[str, dict[str, dict[str, float]]]:
         """Joint to name, as in ``UNITS``, to what was found; before is NaN where there is none."""
-        names, before = self.robot.joint_names, model_servos(self.robot, actuators_of(self.robot))
+        names, before = self.robot.joint_names, model_servos(self.robot)
         vectors = (s.vector() for s in (before, self.fit.servos, self.fit.errors))
         columns = np.stack([*vectors, self.fit.share], axis=1)[:-1]
         tables = columns.reshape(len(UNITS), len(names), 4).tolist()
@@ -257,20 +257,19 @@ def identify_servos(
     if other is not None:
         held, words = commanded_pieces([read(other)], robot.joint_names), "the validation log"
         fitted = pieces
-    own, moves = actuators_of(robot), moving(pieces)
+    moves = moving(pieces)
     period = float(np.median([usual_period(piece.time) for piece in pieces]))
     q = np.concatenate([piece.q for piece in pieces])
     q = q[np.linspace(0, len(q) - 1, _POSITIONS).astype(int)]
-    start = search.first_servos(robot, own, q, period, moves)
+    start = search.first_servos(robot, q, period, moves)
     progress.stage("Searching for servos, friction and rotor inertia...")
-    problem = search.problem_of(robot, own, fitted, MOST_WINDOWS)
+    problem = search.problem_of(robot, fitted, MOST_WINDOWS)
     fit = search.fit_servos(problem, search.better_start(problem, start), progress)
-    rollout = search.play_servos(
-        robot, own, held, (_before(robot, own, fit.servos), fit.servos), words
-    )
+    pair = _before(robot, fit.servos), fit.servos
+    rollout = search.play_servos(robot, held, pair, words)
     if other is None:
         # What was held out has done its work; the numbers come from all that was recorded.
-        problem = search.problem_of(robot, own, pieces, MOST_WINDOWS)
+        problem = search.problem_of(robot, pieces, MOST_WINDOWS)
         fit = search.fit_servos(problem, replace(start, start=fit.servos), progress)
     found = ServoIdentification(
         robot,
@@ -286,9 +285,10 @@ def identify_servos(
     return replace(found, notes=tuple(dict.fromkeys(notes))), rest
 
 
-def _before(robot: RobotModel, actuators: Actuators, found: Servos) -> Servos:
+def _before(robot: RobotModel, found: Servos) -> Servos:
     """Return the model before, with the delay that was found; gains it does not have, too."""
-    own, known = search.model_servos(robot, actuators), np.isfinite(actuators.stiffness)
+    own = model_servos(robot)
+    known = np.isfinite(own.stiffness)
     stiffness = np.where(known, own.stiffness, found.stiffness)
     damping = np.where(known, own.damping, found.damping)
     return replace(own, stiffness=stiffness, damping=damping, delay=found.delay)

@@ -24,7 +24,6 @@ from robot_sysid.records.progress import Progress
 from robot_sysid.servo.commands import commanded_pieces
 from robot_sysid.servo.fit import model_servos, parted, play_servos
 from robot_sysid.servo.run import UNITS, run_servo
-from robot_sysid.simulation.rollout.servo import actuators_of
 from tests.support import servo_arm
 from tests.support.places import MODELS
 
@@ -56,7 +55,7 @@ def main(*names: str) -> None:
 
 def report(name, arm, robot, outcome, held, spent) -> None:
     """Print one arm."""
-    found, own = outcome.identification, actuators_of(robot)
+    found = outcome.identification
     servos, delay_error = found.fit.servos, found.fit.errors.delay
     print(f"{name}: {spent:.0f} s; {outcome.failure or 'model written'}")
     print(f"  delay {1e3 * servos.delay:.2f} ± {1e3 * delay_error:.2f} ms, true 20")
@@ -69,8 +68,8 @@ def report(name, arm, robot, outcome, held, spent) -> None:
         )
         print(f"  {term} [{unit}]: model {before}\n    true {values}")
         print(f"    found {after}\n    error {errors}")
-    pair = model_servos(robot, own), servos
-    without = play_servos(robot, own, held, pair, "").errors
+    pair = model_servos(robot), servos
+    without = play_servos(robot, held, pair, "").errors
     for error, bare in zip(found.rollout.errors, without):
         (late, new), (old, _) = error.overall, bare.overall
         print(

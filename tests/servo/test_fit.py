@@ -17,7 +17,7 @@ from robot_sysid.servo.fit import (
     parted,
     with_links_error,
 )
-from robot_sysid.simulation.rollout.servo import Servos, actuators_of
+from robot_sysid.simulation.rollout.servo import Servos
 from tests.support.arms import robot_of
 from tests.support.servo_logs import SERVOS, TRUTH, XML
 
@@ -27,7 +27,7 @@ NUMBERS = st.lists(st.floats(0.0, 30.0), min_size=9, max_size=9)
 def scale(xml=XML, moves=(True, True)):
     robot = robot_of(xml)
     q = np.random.default_rng(0).uniform(-1.0, 1.0, (20, 2))
-    return first_servos(robot, actuators_of(robot), q, 0.02, np.array(moves))
+    return first_servos(robot, q, 0.02, np.array(moves))
 
 
 SCALE = scale()

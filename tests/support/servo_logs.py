@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from robot_sysid.simulation.rollout.servo import Servos, Window, actuators_of, played_servos
+from robot_sysid.simulation.rollout.servo import Servos, Window, played_servos
 from tests.support.arms import Y, Z, serial_arm
 
 RATE = 50.0
@@ -37,7 +37,7 @@ def positions(robot, time, command):
     """What an encoder of 1 mrad reads of the true arm."""
     start = Window(float(time[0]), command[0], 0.0 * command[0], time, command)
     edges = np.linspace(0.0, time[-1] - time[0], 10 * (len(time) - 1) + 1)
-    q = played_servos(robot, actuators_of(robot), [TRUTH], [start], edges)[0, 0]
+    q = played_servos(robot, [TRUTH], [start], edges)[0, 0]
     return np.round(q[::10], 3)
 
 

@@ -121,9 +121,9 @@ def _is_position(model: Any, actuator: int) -> bool:
     return bool(fixed and affine and kp > 0.0 and bias[0] == 0.0 and bias[1] == -kp)
 
 
-def servo_copy(robot: RobotModel, actuators: Actuators, servos: Servos, timestep: float) -> Any:
+def servo_copy(robot: RobotModel, servos: Servos, timestep: float) -> Any:
     """Return a copy of an arm's model with these servos and joints, to be rolled out."""
-    model, dofs = rollout_copy(robot, timestep), robot.dof_index
+    model, dofs, actuators = rollout_copy(robot, timestep), robot.dof_index, actuators_of(robot)
     model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
     model.actuator_gaintype[:] = int(mujoco.mjtGain.mjGAIN_FIXED)
     model.actuator_biastype[:] = int(mujoco.mjtBias.mjBIAS_AFFINE)
@@ -179,11 +179,7 @@ class Window:
 
 
 def played_servos(
-    robot: RobotModel,
-    actuators: Actuators,
-    choices: Sequence[Servos],
-    windows: Sequence[Window],
-    edges: Array,
+    robot: RobotModel, choices: Sequence[Servos], windows: Sequence[Window], edges: Array
 ) -> Array:
     """Return positions (C, W, S + 1, n) of every choice of servos in every window.
 
@@ -194,13 +190,14 @@ def played_servos(
     """
     count, steps, joints = len(choices) * len(windows), len(edges) - 1, robot.n_joints
     timestep = float(edges[1] - edges[0])
-    models = [servo_copy(robot, actuators, servos, timestep) for servos in choices]
+    models = [servo_copy(robot, servos, timestep) for servos in choices]
     pairs = [(servos, window) for servos in choices for window in windows]
     control = np.stack([window.controls(servos.delay, edges) for servos, window in pairs])
     q, qd = (np.stack([getattr(w, name) for _, w in pairs]) for name in ("q", "qd"))
-    driven = actuators.index != NONE
+    index = actuators_of(robot).index
+    driven = index != NONE
     given = np.zeros((count, steps, robot.mj_model.nu))
-    given[:, :, actuators.index[driven]] = control[:, :, driven]
+    given[:, :, index[driven]] = control[:, :, driven]
     rest = np.array(robot.mj_model.qpos_spring[robot.qpos_index])
     gains = np.stack([servos.stiffness * ~driven for servos, _ in pairs])
     torque = gains[:, None] * (control - rest)

@@ -39,7 +39,7 @@ def model_servos(robot, delay=0.0):
 
 def test_the_models_own_servos_move_it_as_mujoco_does():
     robot, start = robot_of(XML), window()
-    played = played_servos(robot, actuators_of(robot), [model_servos(robot)], [start], EDGES)[0, 0]
+    played = played_servos(robot, [model_servos(robot)], [start], EDGES)[0, 0]
     model = mujoco.MjModel.from_xml_string(XML)
     model.opt.integrator, model.opt.timestep = mujoco.mjtIntegrator.mjINT_IMPLICITFAST, 0.002
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
@@ -56,7 +56,7 @@ def test_servo_and_joint_share_any_damping_as_the_model_does(factor):
     robot = robot_of(XML)
     own, servos = actuators_of(robot), model_servos(robot)
     changed = replace(servos, damping=factor * servos.damping)
-    model = servo_copy(robot, own, changed, 0.002)
+    model = servo_copy(robot, changed, 0.002)
     np.testing.assert_allclose(model.dof_damping, factor * robot.mj_model.dof_damping, rtol=1e-12)
     np.testing.assert_allclose(-model.actuator_biasprm[:, 2], factor * own.damping, rtol=1e-12)
 
@@ -65,10 +65,7 @@ def test_a_joint_without_actuator_is_pulled_by_a_spring_of_the_same_gain():
     whole = robot_of(XML.replace(' forcerange="-60 60"', ""))
     bare = robot_of(XML.replace(SERVOS, ""))
     assert actuators_of(bare).index.tolist() == [NONE, NONE]
-    found = [
-        played_servos(robot, actuators_of(robot), [TRUTH], [window()], EDGES)[0, 0]
-        for robot in (whole, bare)
-    ]
+    found = [played_servos(robot, [TRUTH], [window()], EDGES)[0, 0] for robot in (whole, bare)]
     np.testing.assert_allclose(found[0], found[1], atol=1e-6)
 
 
@@ -76,8 +73,7 @@ def test_a_servo_pulls_no_harder_than_its_limit():
     robot = robot_of(XML.replace("-60 60", "-1 1"))
     assert actuators_of(robot).limit.tolist() == [1.0, np.inf]
     strong, weak = (
-        played_servos(r, actuators_of(r), [TRUTH], [window()], EDGES)[0, 0]
-        for r in (robot_of(XML), robot)
+        played_servos(r, [TRUTH], [window()], EDGES)[0, 0] for r in (robot_of(XML), robot)
     )
     assert np.ptp(weak[:, 0]) < 0.7 * np.ptp(strong[:, 0])
 
@@ -105,7 +101,7 @@ def test_a_geared_actuator_is_seen_at_the_joint():
 def test_a_delay_of_the_models_own_does_not_act_a_second_time():
     delayed = XML.replace(' kp="100"', ' kp="100" delay="0.04" nsample="50"')
     played = [
-        played_servos(robot, actuators_of(robot), [model_servos(robot, 0.04)], [window()], EDGES)
+        played_servos(robot, [model_servos(robot, 0.04)], [window()], EDGES)
         for robot in map(robot_of, (XML, delayed))
     ]
     np.testing.assert_array_equal(*played)
