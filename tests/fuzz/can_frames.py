@@ -180,7 +180,7 @@ def _through_driver(frames: list[Frame]) -> None:
             is_fd=frame.fd,
         )
 
-    link = BusLink(SimpleNamespace(recv=recv, shutdown=lambda: 1 / 0), clock)
+    link = BusLink([SimpleNamespace(recv=recv, shutdown=lambda: 1 / 0)], clock)
     while waiting:
         try:
             link.receive(clock.now() + 1.0)

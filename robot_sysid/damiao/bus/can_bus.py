@@ -80,19 +80,23 @@ def message_of(can: Any, frame: Frame, **rest: Any) -> Any:
     )
 
 
-class BusLink:
-    """Wraps an open python-can bus as a link whose time stamps are in ``clock``'s time."""
+# How long to leave several buses alone between two looks at them [s].
+_PAUSE = 1e-4
 
-    def __init__(self, bus: Any, clock: Clock) -> None:
+
+class BusLink:
+    """Open python-can buses in the order of ``Frame.bus``, as one link in ``clock``'s time."""
+
+    def __init__(self, buses: Sequence[Any], clock: Clock) -> None:
         self._can = import_can()
-        self._bus, self._clock = bus, clock
+        self._buses, self._clock = buses, clock
 
     def send(self, frame: Frame) -> None:
         """Send a frame, or raise LinkError."""
         message, patience = message_of(self._can, frame), self._clock.now() + _FULL_PATIENCE
         while True:
             try:
-                return self._bus.send(message, timeout=_SEND_TIMEOUT)
+                return self._buses[frame.bus].send(message, timeout=_SEND_TIMEOUT)
             except Exception as error:
                 # Whatever a driver raises: the caller has to go on with the other motors.
                 codes = getattr(error, "error_code", None), getattr(error, "errno", None)
@@ -105,11 +109,22 @@ class BusLink:
             self._clock.sleep_until(self._clock.now() + _FULL_PAUSE)
 
     def receive(self, until: float) -> Frame | None:
-        """Return the next standard frame, or None at ``until`` [s]."""
+        """Return the next standard frame of any bus, or None at ``until`` [s]."""
         while True:
-            left = max(until - self._clock.now(), 0.0)
+            for number, bus in enumerate(self._buses):
+                # One bus can be waited for; several are looked at in turn.
+                wait = until if len(self._buses) == 1 else min(self._clock.now(), until)
+                message = self._next(bus, wait)
+                if message is not None:
+                    return self._frame(message, number)
+            if self._clock.now() >= until:
+                return None
+            self._clock.sleep_until(min(self._clock.now() + _PAUSE, until))
+
+    def _next(self, bus: Any, until: float) -> Any:
+        while True:
             try:
-                message = self._bus.recv(left)
+                message = bus.recv(max(until - self._clock.now(), 0.0))
             except (ValueError, IndexError) as error:
                 raise LinkError(f"{_GARBLED} ({words_of(error)})") from error
             except Exception as error:
@@ -117,49 +132,50 @@ class BusLink:
             if message is None and self._clock.now() >= until:
                 return None
             if message is not None and not message.is_extended_id:
-                return self._frame(message)
+                return message
 
     def close(self) -> None:
-        """Release the adapter; one that has been unplugged is gone anyway."""
-        with contextlib.suppress(Exception):
-            self._bus.shutdown()
+        """Release the adapters; one that has been unplugged is gone anyway."""
+        for bus in self._buses:
+            with contextlib.suppress(Exception):
+                bus.shutdown()
 
-    def _frame(self, message: Any) -> Frame:
+    def _frame(self, message: Any, bus: int) -> Frame:
         age = time.time() - message.timestamp
         # Where the adapter has another clock, a frame counts as just come.
         age = age if 0.0 <= age < _PLAUSIBLE_AGE else 0.0
         content, flags = bytes(message.data), (message.is_fd, message.is_error_frame)
-        time_then = self._clock.now() - age
-        return Frame(message.arbitration_id, content, time_then, *flags, not message.is_rx)
+        then = self._clock.now() - age
+        return Frame(message.arbitration_id, content, then, *flags, not message.is_rx, bus)
 
 
 def open_bus(address: BusAddress, timing: BusTiming, clock: Clock) -> Link:
     """Open one CAN bus or several, or raise InputError; ``ip link`` sets the rates of socketcan."""
     if timing.fd and address.interface == SERIAL_ADAPTER:
         raise InputError("the maker's serial adapter sends classic CAN frames only; leave --fd off")
-    links: list[BusLink] = []
+    buses: list[Any] = []
+    link = BusLink(buses, clock)
     with contextlib.ExitStack() as opened:
+        opened.callback(link.close)
         for channel in address.channel:
-            links.append(_open_one(address, channel, timing, clock))
-            opened.callback(links[-1].close)
+            buses.append(_open_one(address, channel, timing))
         opened.pop_all()
-    return links[0] if len(links) == 1 else SeveralBuses(links, clock)
+    return link
 
 
-def _open_one(address: BusAddress, channel: str, timing: BusTiming, clock: Clock) -> BusLink:
+def _open_one(address: BusAddress, channel: str, timing: BusTiming) -> Any:
     can, interface = import_can(), address.interface
     options = {**_bus_options(can, interface, timing), **_own_options(address.bus_option)}
     try:
         if interface == SERIAL_ADAPTER:
             from robot_sysid.damiao.serial_adapter import DamiaoSerialBus
 
-            return BusLink(DamiaoSerialBus(channel, **options), clock)
-        bus = can.Bus(channel=channel, interface=interface, ignore_config=True, **options)
+            return DamiaoSerialBus(channel, **options)
+        return can.Bus(channel=channel, interface=interface, ignore_config=True, **options)
     except Exception as error:
         # Each adapter's driver raises what it likes.
         what = f"{interface} channel {channel}"
         raise InputError(f"cannot open {what}: {words_of(error)}") from error
-    return BusLink(bus, clock)
 
 
 def _own_options(texts: Sequence[str]) -> dict[str, Any]:
@@ -194,37 +210,6 @@ def _bus_options(can: Any, interface: str, timing: BusTiming) -> dict[str, Any]:
     rates = {"nom_bitrate": int(timing.bitrate), "data_bitrate": int(timing.data_bitrate)}
     points = {"nom_sample_point": 80.0, "data_sample_point": 75.0}
     return {"timing": can.BitTimingFd.from_sample_point(f_clock=_FD_CLOCK, **rates, **points)}
-
-
-# How long to leave all buses alone between two looks at them [s].
-_PAUSE = 1e-4
-
-
-class SeveralBuses:
-    """Buses of one arm, or of two, in the order of ``Frame.bus``, behind one link."""
-
-    def __init__(self, links: Sequence[Link], clock: Clock) -> None:
-        self._links, self._clock = tuple(links), clock
-
-    def send(self, frame: Frame) -> None:
-        """Send a frame on its bus, or raise LinkError."""
-        self._links[frame.bus].send(frame._replace(bus=0))
-
-    def receive(self, until: float) -> Frame | None:
-        """Return the next frame of any bus, or None at ``until`` [s]."""
-        while True:
-            for bus, link in enumerate(self._links):
-                frame = link.receive(min(self._clock.now(), until))
-                if frame is not None:
-                    return frame._replace(bus=bus)
-            if self._clock.now() >= until:
-                return None
-            self._clock.sleep_until(min(self._clock.now() + _PAUSE, until))
-
-    def close(self) -> None:
-        """Release all buses."""
-        for link in self._links:
-            link.close()
 
 
 class RawFrameLog:

@@ -18,7 +18,6 @@ from robot_sysid.damiao.bus.can_bus import (
     BusAddress,
     BusLink,
     RawFrameLog,
-    SeveralBuses,
     open_bus,
 )
 from robot_sysid.damiao.bus.inspection import inspect_bus
@@ -69,7 +68,7 @@ def clock(monkeypatch):
 
 
 def test_an_arm_behind_pythons_messages_answers(clock):
-    link = GuardedLink(BusLink(ArmBus(clock, two_motor_arm()), clock), clock.now)
+    link = GuardedLink(BusLink([ArmBus(clock, two_motor_arm())], clock), clock.now)
     found = inspect_bus(link, clock)
     assert sorted(found.motors) == [(0, 1), (0, 2)]
     assert found.motors[0, 1].limits == (12.5, 10.0, 28.0)
@@ -82,7 +81,7 @@ def test_stamps_are_in_our_clock(clock, age):
     clock.sleep_until(5.0)
     bus.waiting = [bus.message(age=age)]
     # The wall clock counts in quarters of a microsecond.
-    assert BusLink(bus, clock).receive(6.0).time == pytest.approx(5.0 - age, abs=1e-6)
+    assert BusLink([bus], clock).receive(6.0).time == pytest.approx(5.0 - age, abs=1e-6)
 
 
 @pytest.mark.parametrize("age", [-0.1, 1.5, WALL])
@@ -90,7 +89,7 @@ def test_stamps_of_another_clock_are_not_believed(clock, age):
     bus = ArmBus(clock)
     clock.sleep_until(5.0)
     bus.waiting = [bus.message(age=age)]
-    assert BusLink(bus, clock).receive(6.0).time == 5.0
+    assert BusLink([bus], clock).receive(6.0).time == 5.0
 
 
 def test_extended_frames_are_passed_over_and_echoes_marked(clock):
@@ -101,7 +100,7 @@ def test_extended_frames_are_passed_over_and_echoes_marked(clock):
         bus.message(2, is_error_frame=True),
         bus.message(3),
     ]
-    link = BusLink(bus, clock)
+    link = BusLink([bus], clock)
     frames = [link.receive(1.0) for _ in range(3)]
     assert [(f.id, f.echo, f.error) for f in frames] == [
         (1, True, False),
@@ -114,7 +113,7 @@ def test_extended_frames_are_passed_over_and_echoes_marked(clock):
 @given(wait=st.floats(0.0, 10.0))
 def test_receiving_on_a_silent_bus_ends_in_time(wait):
     clock = SimulatedClock()
-    assert BusLink(ArmBus(clock), clock).receive(wait) is None
+    assert BusLink([ArmBus(clock)], clock).receive(wait) is None
     assert clock.now() == wait
 
 
@@ -209,33 +208,31 @@ sys.exit(main(["motors", "check", "--channel", "can0"]))
     assert len(done.stderr.strip().splitlines()) == 1
 
 
-class OneBus:
-    """Remembers what is sent, and delivers frames at their times."""
+class OneBus(ArmBus):
+    """Remembers what is sent, and delivers messages (time, data) at their times."""
 
-    def __init__(self, clock, *frames):
-        self._clock, self._frames = clock, list(frames)
-        self.sent, self.closed = [], False
+    def __init__(self, clock, *messages):
+        super().__init__(clock)
+        self._messages, self.sent, self.closed = list(messages), [], False
 
-    def send(self, frame):
-        self.sent.append(frame)
+    def send(self, message, timeout):
+        self.sent.append(bytes(message.data))
 
-    def receive(self, until):
-        if self._frames and self._frames[0].time <= self._clock.now():
-            return self._frames.pop(0)
-        return None
+    def recv(self, timeout):
+        if self._messages and self._messages[0][0] <= self._clock.now():
+            self.waiting.append(self.message(17, self._messages.pop(0)[1]))
+        return super().recv(timeout)
 
-    def close(self):
+    def shutdown(self):
         self.closed = True
 
 
-def test_frames_go_to_their_bus_and_come_back_with_its_number():
-    clock = SimulatedClock()
-    buses = [OneBus(clock, Frame(17, b"a", 0.2)), OneBus(clock, Frame(17, b"b", 0.1))]
-    several = SeveralBuses(buses, clock)
+def test_frames_go_to_their_bus_and_come_back_with_its_number(clock):
+    buses = [OneBus(clock, (0.2, b"a")), OneBus(clock, (0.1, b"b"))]
+    several = BusLink(buses, clock)
     for bus in (0, 1, 1):
         several.send(Frame(1, bytes([bus]), bus=bus))
-    assert [len(bus.sent) for bus in buses] == [1, 2]
-    assert [frame.data[0] for frame in buses[1].sent] == [1, 1]
+    assert [bus.sent for bus in buses] == [[b"\0"], [b"\1", b"\1"]]
     received = [several.receive(1.0) for _ in range(2)]
     assert [(frame.bus, frame.data) for frame in received] == [(1, b"b"), (0, b"a")]
     assert clock.now() == pytest.approx(0.2, abs=2e-4)

@@ -244,10 +244,10 @@ def test_a_full_queue_is_tried_again_within_the_cycle(tmp_path):
 
     from robot_sysid.damiao.protocol.frames import Frame
 
-    BusLink(Queue(1), rig.clock).send(Frame(1, bytes(8)))
+    BusLink([Queue(1)], rig.clock).send(Frame(1, bytes(8)))
     assert len(calls) == 2 and calls[1] - calls[0] < 1e-3
     with pytest.raises(LinkError, match="check the motors' power, the wiring and the termination"):
-        BusLink(Queue(10**9), rig.clock).send(Frame(1, bytes(8)))
+        BusLink([Queue(10**9)], rig.clock).send(Frame(1, bytes(8)))
     assert calls[-1] - calls[0] < 4e-3
 
 

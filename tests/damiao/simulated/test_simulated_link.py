@@ -124,7 +124,7 @@ def adapter():
     clock = SystemClock()
     far = SlcanTerminal(clock)
     bus = can.Bus(interface="slcan", channel=far.device, bitrate=1000000, sleep_after_open=0)
-    near = BusLink(bus, clock)
+    near = BusLink([bus], clock)
     yield far, near
     near.close()
     far.close()
