@@ -28,7 +28,7 @@ from robot_sysid.damiao.run.execution import run
 from robot_sysid.damiao.simulated import arm as simulated
 from robot_sysid.damiao.simulated.simulated_link import SimulatedLink, SlcanTerminal, serve
 from robot_sysid.errors import InputError
-from robot_sysid.records.options import OptionRecord, option, options_of, positive, record_from
+from robot_sysid.records.options import OptionRecord, option, options_of, record_from
 
 INTERRUPTED = "interrupted; no motor is enabled"
 _CODES = (0, 1, 2, 3, 130)
@@ -52,9 +52,7 @@ class SimulatedMotorOptions(OptionRecord):
 
     play: bool = option(False, "play the trajectory at once, in simulated time, without a bus")
     lifetime: float | None = motors_setup.lifetime_option()
-    watchdog: float = option(
-        simulated.DEFAULT_WATCHDOG, "of the simulated motors", unit="s", metavar="S", check=positive
-    )
+    watchdog: float = option(simulated.DEFAULT_WATCHDOG, "of the simulated motors", "S [s] > 0")
     fault: tuple[str, ...] = option(
         (),
         "let something go wrong, S seconds after the motors were enabled; may be repeated. Kinds: "

@@ -188,6 +188,13 @@ class InspectedMotor:
         found = tuple(self.registers[number] for number in reg.SCALING if number in self.registers)
         return found if len(found) == 3 else None
 
+    def meaning(self, feedback: bytes) -> Feedback | None:
+        """What a frame of its feedback says; None where its scaling is not known."""
+        if self.limits is None or min(self.limits) <= 0.0:
+            return None
+        raw = np.frombuffer(feedback, dtype=np.uint8)[None]
+        return decode_feedback(raw, Scaling([self.limits]))
+
     @property
     def position(self) -> float:
         """Where it is [rad]; NaN where it does not tell."""
@@ -243,7 +250,4 @@ def _round_trip(
 def state_of(client: RegisterClient, motor: InspectedMotor) -> Feedback | None:
     """Ask a motor for its state, without any effect on it; None where it does not tell."""
     frame = client.refresh(motor.address, motor.reply_ids[0])
-    if frame is None or motor.limits is None or min(motor.limits) <= 0.0:
-        return None
-    raw = np.frombuffer(frame.data, dtype=np.uint8)[None]
-    return decode_feedback(raw, Scaling([motor.limits]))
+    return None if frame is None else motor.meaning(frame.data)

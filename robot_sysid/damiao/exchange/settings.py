@@ -12,14 +12,7 @@ from robot_sysid.damiao.protocol.codec import KD_MAX, KD_STEP, KP_MAX
 from robot_sysid.damiao.protocol.frames import BusTiming, default_rate
 from robot_sysid.damiao.protocol.motors import MotorSpec
 from robot_sysid.records import Array
-from robot_sysid.records.options import (
-    OptionRecord,
-    not_negative,
-    option,
-    per_joint,
-    positive,
-    speed_factor,
-)
+from robot_sysid.records.options import OptionRecord, option, per_joint, speed_factor
 
 _START_TEMPERATURE = 60.0
 # Stiffness per rated torque [1/rad], and damping per stiffness [s]: between what makers of arms
@@ -30,8 +23,7 @@ _PUSH = 2.0 / 3.0
 _LEAST_SHARE = 0.4
 _EACH = "one for all or one per joint"
 _BY_TYPE: dict[str, Any] = {"several": True, "usual": "by motor type"}
-_ANGLE: dict[str, Any] = {"unit": "rad", "metavar": "ANGLE", "check": not_negative}
-_SPEED: dict[str, Any] = {"unit": "rad/s", "metavar": "V", "check": positive}
+_ANGLE, _SPEED = "ANGLE [rad] >= 0", "V [rad/s] > 0"
 
 
 def milliseconds(text: str) -> float:
@@ -74,11 +66,11 @@ class PlaySettings(OptionRecord):
         usual="250, with --fd 500, less where the bus is full",
     )
     speed: float = option(1.0, "1 plays as exported, 0.3 slower", "FACTOR", check=speed_factor)
-    approach_speed: float = option(0.2, "joint speed on the way to the first point", **_SPEED)
-    start_tolerance: float = option(0.5, "how far a joint may be from the first point", **_ANGLE)
-    max_tracking_error: float = option(0.2, "how far a joint may leave its path", **_ANGLE)
+    approach_speed: float = option(0.2, "joint speed on the way to the first point", _SPEED)
+    start_tolerance: float = option(0.5, "how far a joint may be from the first point", _ANGLE)
+    max_tracking_error: float = option(0.2, "how far a joint may leave its path", _ANGLE)
     max_speed_error: float = option(
-        1.0, "how much a joint may be faster or slower than commanded", **_SPEED
+        1.0, "how much a joint may be faster or slower than commanded", _SPEED
     )
     max_torque_error: tuple[float, ...] = option(
         (),

@@ -11,10 +11,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from robot_sysid.errors import SysidError
-from robot_sysid.records.options import OptionRecord, option, positive
+from robot_sysid.records.options import OptionRecord, option
 
 REGISTER_ID = 0x7FF
 READ, WRITE, REFRESH, STORE = 0x33, 0x55, 0xCC, 0xAA
@@ -102,7 +102,7 @@ HANDY_RATES = (1000.0, 500.0, 250.0, 200.0, 125.0, 100.0, 50.0, 40.0, 25.0, 20.0
 _FRAMES_PER_CYCLE = 2
 _CLASSIC_BITS, _FD_NOMINAL_BITS, _FD_DATA_BITS = 111 + 24, 30 + 4, 96 + 17
 _CLASSIC_RATE_HZ, _FD_RATE_HZ = 250.0, 500.0
-_BIT_RATE: dict[str, Any] = {"unit": "bit/s", "metavar": "RATE", "check": positive}
+_BIT_RATE = "RATE [bit/s] > 0"
 
 
 @dataclass(frozen=True)
@@ -110,9 +110,9 @@ class BusTiming(OptionRecord):
     """Bit rates of a bus."""
 
     fd: bool = option(False, "use CAN-FD frames")
-    bitrate: float = option(1e6, "nominal bit rate", usual="1000000", **_BIT_RATE)
+    bitrate: float = option(1e6, "nominal bit rate", _BIT_RATE, usual="1000000")
     data_bitrate: float = option(
-        5e6, "bit rate of the data part of CAN-FD frames", usual="5000000", **_BIT_RATE
+        5e6, "bit rate of the data part of CAN-FD frames", _BIT_RATE, usual="5000000"
     )
 
     @property

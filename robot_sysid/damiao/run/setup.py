@@ -20,7 +20,6 @@ from robot_sysid.damiao.bus.inspection import InspectedMotor, RegisterClient
 from robot_sysid.damiao.bus.link import Clock, GuardedLink
 from robot_sysid.damiao.protocol import frames
 from robot_sysid.damiao.protocol import registers as reg
-from robot_sysid.damiao.protocol.codec import Scaling, decode_feedback
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.records import Array, RobotModel
@@ -53,13 +52,12 @@ class SetupOptions(OptionRecord):
     )
     mit: bool = option(False, "set the control mode to MIT")
     watchdog: float | None = option(
-        None, "set its watchdog, 0 for none", unit="s", metavar="S", check=_within(0, 5, "0 to 5 s")
+        None, "set its watchdog, 0 for none", "S [s]", check=_within(0, 5, "0 to 5 s")
     )
     motor_bitrate: int | None = option(
         None,
         "set its bit rate; it listens at the new one from then on",
-        unit="bit/s",
-        metavar="RATE",
+        "RATE [bit/s]",
         parse=whole_number,
         check=_bit_rate,
     )
@@ -160,14 +158,13 @@ class MotorSetup:
         return self._feedback()[0] >> 4
 
     def _position(self) -> float:
-        limits = self._motor.limits
-        if limits is None or min(limits) <= 0.0:
+        told = self._motor.meaning(self._feedback())
+        if told is None:
             raise HardwareAbort(
                 f"{self._motor.name} does not tell its PMAX, so nobody knows what angle it means; "
                 "the zero is as it was"
             )
-        raw = np.frombuffer(self._feedback(), dtype=np.uint8)[None]
-        return float(decode_feedback(raw, Scaling([limits])).position[0])
+        return float(told.position[0])
 
     def _feedback(self) -> bytes:
         frame = self._client.refresh(self._address, self._master)

@@ -8,6 +8,7 @@ stay away for longer than its watchdog allows, and does not come back by itself.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
 
 DEFAULT_WATCHDOG = 0.1
+_scaling = functools.cache(lambda limits: codec.Scaling([limits]))
 _NOTHING = (0.0,) * 5
 
 
@@ -66,7 +68,6 @@ class SimulatedMotor:
     torque_factor: float = 1.0
     slip: float = 0.0
     stored: dict[int, float] = field(default_factory=dict)
-    _scaling: tuple[tuple[float, ...], codec.Scaling] | None = field(default=None, repr=False)
 
     @property
     def can_id(self) -> int:
@@ -76,10 +77,7 @@ class SimulatedMotor:
     @property
     def scaling(self) -> codec.Scaling:
         """How it reads and writes frames."""
-        limits = tuple(self.registers[number] for number in reg.SCALING)
-        if self._scaling is None or self._scaling[0] != limits:
-            self._scaling = limits, codec.Scaling([limits])
-        return self._scaling[1]
+        return _scaling(tuple(self.registers[number] for number in reg.SCALING))
 
     @property
     def driving(self) -> bool:
