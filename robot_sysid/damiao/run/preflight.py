@@ -173,9 +173,7 @@ def _own_motors(plan: Plan, inspection: Inspection) -> Iterator[Check]:
             yield _stop(f"{joint.label} does not answer; check power, wiring, its id, bit rate")
     present = [(found[joint.address], joint) for joint in joints if joint.address in found]
     for motor, joint in present:
-        if not _lacking(motor):
-            yield from (*_identity(motor, joint), *_scaling(motor, joint, plan.allowed))
-        yield from _condition(motor, plan.settings, plan.allowed)
+        yield from _condition(motor, plan.settings, plan.allowed, joint)
     limits = [motor.limits for motor, _ in present if motor.limits]
     if len(limits) == len(joints):
         yield from _within_limits(plan, limits, "its registers'")
@@ -218,19 +216,24 @@ def require_no_stop(checks: Sequence[Check], words: str) -> None:
         raise HardwareAbort(f"{words}: {text}")
 
 
-def _condition(motor: InspectedMotor, settings: PlaySettings, allowed: Permissions) -> list[Check]:
-    """Return what a motor says of itself, whatever it drives."""
-    return _lacking(motor) or [
-        *_mode(motor),
-        *_watchdog(motor, settings, allowed),
-        *_state(motor, settings),
-    ]
-
-
-def _lacking(motor: InspectedMotor) -> list[Check]:
+def _condition(
+    motor: InspectedMotor,
+    settings: PlaySettings,
+    allowed: Permissions,
+    joint: DamiaoJoint | None = None,
+) -> Iterator[Check]:
+    """Yield what a motor says of itself, and of the joint that it drives, if any."""
     lacking = [reg.NAMES[n] for n in reg.REQUIRED if n not in motor.registers]
-    text = f"{motor.name} does not answer for {', '.join(lacking)}; try again"
-    return [_stop(text)] if lacking else []
+    if lacking:
+        yield _stop(f"{motor.name} does not answer for {', '.join(lacking)}; try again")
+        return
+    if joint:
+        yield from (*_identity(motor, joint), *_scaling(motor, joint, allowed))
+    mode = int(motor.registers[reg.CTRL_MODE])
+    if mode != reg.MIT_MODE:
+        said = reg.MODES.get(mode, "unknown")
+        yield _stop(f"{motor.name} is in mode {mode} ({said}); set CTRL_MODE to 1 (MIT)")
+    yield from (*_watchdog(motor, settings, allowed), *_state(motor, settings))
 
 
 def _ids(joints: Sequence[DamiaoJoint]) -> Iterator[Check]:
@@ -358,13 +361,6 @@ def _identity(motor: InspectedMotor, joint: DamiaoJoint) -> Iterator[Check]:
             f"{motor.name} answers on {answers} (MST_ID {stored:#x}) but the trajectory expects "
             f"{joint.master_id:#x}; set MST_ID, or export with --master-id"
         )
-
-
-def _mode(motor: InspectedMotor) -> Iterator[Check]:
-    mode = int(motor.registers[reg.CTRL_MODE])
-    if mode != reg.MIT_MODE:
-        said = reg.MODES.get(mode, "unknown")
-        yield _stop(f"{motor.name} is in mode {mode} ({said}); set CTRL_MODE to 1 (MIT)")
 
 
 def _scaling(motor: InspectedMotor, joint: DamiaoJoint, allowed: Permissions) -> Iterator[Check]:
