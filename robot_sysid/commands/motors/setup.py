@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from robot_sysid.damiao.protocol.frames import refuse_motion
 from robot_sysid.damiao.protocol.joints import write_joint_map
 from robot_sysid.damiao.protocol.registers import BIT_RATES
 from robot_sysid.damiao.report_lines import motor_table, state_table
-from robot_sysid.damiao.run.setup import MotorSetup, SetupOptions, map_by_hand, require_limp
+from robot_sysid.damiao.run.setup import MotorSetup, SetupOptions, map_by_hand
 from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.records.options import OptionRecord, option, record_from
 
@@ -149,17 +149,7 @@ def map_joints(asked: Asked) -> int:
         _answer(f"{words}; then press Enter: ")
 
     with asked.bus(refuse_motion) as link:
-        motors = list(inspect_bus(link, asked.clock).motors.values())
-        require_limp(motors, robot.n_joints)
-        client = RegisterClient(link, asked.clock)
-
-        def positions() -> Mapping[Any, float]:
-            states = {motor: state_of(client, motor) for motor in motors}
-            if any(state is None for state in states.values()):
-                raise HardwareAbort("a motor does not answer any more; nothing was written")
-            return {m.address: float(s.position[0]) for m, s in states.items() if s}
-
-        rows = map_by_hand(robot, motors, positions, ask)
+        rows = map_by_hand(link, asked.clock, robot, ask)
     write_joint_map(options.output, rows)
     asked.console.stage(f"written to {options.output}; give it to play with --joint-map")
     return 0

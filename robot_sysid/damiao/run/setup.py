@@ -10,13 +10,13 @@ positive; the motor that turned drives it. Then the arm is put into a pose that 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from robot_sysid.damiao.bus.inspection import InspectedMotor, RegisterClient
+from robot_sysid.damiao.bus.inspection import InspectedMotor, RegisterClient, inspect_bus, state_of
 from robot_sysid.damiao.bus.link import Clock, GuardedLink
 from robot_sysid.damiao.protocol import frames
 from robot_sysid.damiao.protocol import registers as reg
@@ -204,17 +204,24 @@ def _way(vector: Array) -> str:
 
 
 def map_by_hand(
-    robot: RobotModel,
-    motors: Sequence[InspectedMotor],
-    positions: Callable[[], Positions],
-    ask: Callable[[str], None],
+    link: GuardedLink, clock: Clock, robot: RobotModel, ask: Callable[[str], None]
 ) -> list[DamiaoJoint]:
     """Return the joint map that a person shows; all motors are limp.
 
-    ``positions`` reads where each motor is [rad]; ``ask`` says what to do and returns when it is
-    done. HardwareAbort where a movement could not be told from others three times.
+    ``ask`` says what to do and returns when it is done. InputError for fewer motors than joints;
+    HardwareAbort where one is not off for sure or does not answer any more, or where a movement
+    could not be told from others three times.
     """
-    by_address = {motor.address: motor for motor in motors}
+    client, by_address = RegisterClient(link, clock), inspect_bus(link, clock).motors
+    _require_limp(by_address.values(), robot.n_joints)
+
+    def positions() -> Positions:
+        states = [state_of(client, motor) for motor in by_address.values()]
+        told = [float(state.position[0]) for state in states if state]
+        if len(told) < len(states):
+            raise HardwareAbort("a motor does not answer any more; nothing was written")
+        return dict(zip(by_address, told))
+
     found: list[tuple[str, frames.Address, int]] = []
     for name, way in zip(robot.joint_names, positive_ways(robot)):
         left = set(by_address) - {address for _, address, _ in found}
@@ -254,10 +261,9 @@ def _moved_one(
     raise HardwareAbort(f"it cannot be told which motor drives {name}; nothing was written")
 
 
-def require_limp(motors: Sequence[InspectedMotor], n: int) -> None:
-    """Raise InputError for fewer than n motors, HardwareAbort where one is not off for sure."""
+def _require_limp(motors: Collection[InspectedMotor], n: int) -> None:
     if len(motors) < n:
         raise InputError(f"{len(motors)} motors answer but the model's chain has {n} joints")
     for motor in motors:
-        if motor.feedback is None or motor.feedback.status[0] == 1:
+        if motor.feedback is None or motor.feedback.status[0] == reg.ENABLED:
             raise HardwareAbort(f"{motor.name} is enabled or does not tell; the arm has to be limp")
