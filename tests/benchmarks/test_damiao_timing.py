@@ -68,8 +68,8 @@ def arm_and_plan(folder, rate: float) -> tuple[SimulatedArm, Plan]:
 
 
 def play(link: GuardedLink, clock: SystemClock, plan: Plan):
-    inspection, silent = inspect_bus(link, clock), lambda _: None
-    return run(link, clock, plan, inspection, StopRequest(), silent, silent)
+    inspection, silent = inspect_bus(link), lambda _: None
+    return run(link, plan, inspection, StopRequest(), silent, silent)
 
 
 def tell(benchmark, report, rate: float) -> None:
@@ -89,7 +89,7 @@ def tell(benchmark, report, rate: float) -> None:
 def test_the_player_alone(benchmark, tmp_path, rate):
     arm, plan = arm_and_plan(tmp_path, rate)
     clock = SystemClock()
-    link = GuardedLink(SameThreadLink(arm, clock), clock.now)
+    link = GuardedLink(SameThreadLink(arm, clock), clock)
     report = benchmark.pedantic(play, (link, clock, plan), rounds=1)
     tell(benchmark, report, rate)
 
@@ -102,7 +102,7 @@ def test_over_the_virtual_bus(benchmark, tmp_path, rate):
     near, far = (open_bus(address, BusTiming(), clock) for _ in range(2))
     try:
         with served_in_background(arm, far, clock):
-            link = GuardedLink(near, clock.now)
+            link = GuardedLink(near, clock)
             report = benchmark.pedantic(play, (link, clock, plan), rounds=1)
     finally:
         near.close()

@@ -129,9 +129,9 @@ def use(case: Case, folder: Path) -> None:
     _line_read(case["line"])
     _through_driver(frames)
     clock = SimulatedClock()
-    link = GuardedLink(TalkativeBus(frames, clock), clock.now, channels=("a", "b"))
+    link = GuardedLink(TalkativeBus(frames, clock), clock, channels=("a", "b"))
     if len(frames) % 20 == 0:  # takes ten times as long as all the rest
-        for motor in inspect_bus(link, clock).motors.values():
+        for motor in inspect_bus(link).motors.values():
             assert motor.name and motor.master_id >= 0
     _session(frames)
 
@@ -193,10 +193,10 @@ def _through_driver(frames: list[Frame]) -> None:
 
 def _session(frames: list[Frame]) -> None:
     clock = SimulatedClock()
-    link = GuardedLink(TalkativeBus(frames, clock), clock.now)
+    link = GuardedLink(TalkativeBus(frames, clock), clock)
     scaling = Scaling([(12.5, 10.0, 28.0)] * N)
     zeros = np.zeros(N)
-    with MotorSession(link, clock, _joints(), scaling, half_step=True) as session:
+    with MotorSession(link, _joints(), scaling, half_step=True) as session:
         session.enable()
         for _ in range(3):
             command = MitCommand(zeros, zeros, zeros + 10.0, zeros + 1.0, zeros)

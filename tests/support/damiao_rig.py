@@ -121,7 +121,7 @@ class Rig:
         self.adapter = SlowAdapter(self.bus, self.clock, adapter)
         self.console, self.pose_check = console, pose_check
         self.wire = RememberingLink(self.adapter, self.clock)
-        self.link = GuardedLink(self.wire, self.clock.now, timing.fd)
+        self.link = GuardedLink(self.wire, self.clock, timing.fd)
         self.record_path = folder / f"{name}.csv"
         self.plan = Plan(
             read_damiao_trajectory(path),
@@ -182,14 +182,12 @@ class Rig:
 
     def run(self, settle=0.5):
         """Inspect, play, record; keep error or report; then let the arm be for a while."""
-        inspection = inspect_bus(self.link, self.clock)
+        inspection = inspect_bus(self.link)
         self.checks = bus_checks(self.plan, inspection)
         told = self._phase, lambda time: None
         try:
             self.plan.recording.require_free()
-            self.report = run(
-                self.link, self.clock, self.plan, inspection, self.stop, *told, self.pose_check
-            )
+            self.report = run(self.link, self.plan, inspection, self.stop, *told, self.pose_check)
         except Exception as error:
             self.error = error
         self.disabled_at = self.clock.now()

@@ -30,11 +30,9 @@ class Bench:
         self.arm = SimulatedArm(Pendulums(n), self.motors)
         bus = SimulatedLink(self.clock, self.arm, BusTiming(), echo)
         self.bus = RememberingLink(bus, self.clock)
-        self.link = GuardedLink(self.bus, self.clock.now)
-        self.client = RegisterClient(self.link, self.clock)
-        self.session = MotorSession(
-            self.link, self.clock, joints, Scaling([SPEC.limits] * n), half_step=True
-        )
+        self.link = GuardedLink(self.bus, self.clock)
+        self.client = RegisterClient(self.link)
+        self.session = MotorSession(self.link, joints, Scaling([SPEC.limits] * n), half_step=True)
 
     def command(self, q=0.0, kp=20.0):
         n = len(self.motors)

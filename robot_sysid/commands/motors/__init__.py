@@ -17,7 +17,7 @@ from robot_sysid.commands.motors.asked import Asked
 from robot_sysid.config import ModelOptions
 from robot_sysid.damiao.bus.can_bus import BusAddress
 from robot_sysid.damiao.bus.inspection import inspect_bus
-from robot_sysid.damiao.bus.link import Clock, GuardedLink, Link, SimulatedClock
+from robot_sysid.damiao.bus.link import GuardedLink, Link, SimulatedClock
 from robot_sysid.damiao.exchange.recorder import RecordingOptions
 from robot_sysid.damiao.exchange.settings import PlaySettings
 from robot_sysid.damiao.play.supervision import StopRequest
@@ -72,7 +72,7 @@ def check(asked: Asked) -> int:
         raise InputError("--model needs a TRAJECTORY to check")
     checks = asked.checks(plan) if plan else []
     with asked.bus() as link:
-        inspection = inspect_bus(link, asked.clock)
+        inspection = inspect_bus(link)
     motors = len(inspection.motors)
     if not motors:
         console.lines([*check_lines(checks), "no motor answers: check power, wiring and bit rate"])
@@ -95,7 +95,7 @@ def play(asked: Asked) -> int:
     checks = asked.checks(plan)
     if asked.address.channel:
         with asked.bus() as link:
-            return _play_on(link, asked.clock, plan, checks, choices, asked)
+            return _play_on(link, plan, checks, choices, asked)
     if not choices.dry_run:
         raise InputError("play needs --channel, for instance --channel can0 (or --dry-run)")
     asked.console.lines(check_lines(checks))
@@ -109,8 +109,8 @@ def simulate(asked: Asked) -> int:
     if options.play:
         arm, clock = _simulated_arm(asked, plan), SimulatedClock()
         bus = SimulatedLink(clock, arm, asked.timing, echo=True)
-        link = GuardedLink(bus, clock.now, asked.timing.fd, asked.address.channel or ("simulated",))
-        return _play_on(link, clock, plan, checks, PlayChoices(yes=True), asked)
+        link = GuardedLink(bus, clock, asked.timing.fd, asked.address.channel or ("simulated",))
+        return _play_on(link, plan, checks, PlayChoices(yes=True), asked)
     preflight.require_no_stop(checks, "not rehearsed")
     arm = _simulated_arm(asked, plan, _REAL_TIME_STEP)
     system, stop = asked.clock, StopRequest()
@@ -247,14 +247,13 @@ def _overview() -> Parser:
 
 def _play_on(
     link: GuardedLink,
-    clock: Clock,
     plan: preflight.Plan,
     checks: Sequence[preflight.Check],
     choices: PlayChoices,
     asked: Asked,
 ) -> int:
     console = asked.console
-    inspection = inspect_bus(link, clock)
+    inspection = inspect_bus(link)
     checks = [*checks, *preflight.bus_checks(plan, inspection)]
     console.lines([*motor_table(inspection, plan.trajectory.joints), *check_lines(checks)])
     if choices.dry_run:
@@ -265,7 +264,7 @@ def _play_on(
     if not choices.yes:
         _ask_for_confirmation()
         # The arm may have moved or been touched in the meantime.
-        inspection = inspect_bus(link, clock)
+        inspection = inspect_bus(link)
 
     def tell(time: float) -> None:
         console.advance("Playing", time, plan.duration, "")
@@ -273,7 +272,7 @@ def _play_on(
     stop = StopRequest()
     with stop.on_signals():
         told = console.stage, tell
-        report = run(link, clock, plan, inspection, stop, *told, asked.pose_check(plan))
+        report = run(link, plan, inspection, stop, *told, asked.pose_check(plan))
     console.lines(run_lines(report))
     if plan.recording.record:
         console.stage(f"recorded to {plan.recording.record}")

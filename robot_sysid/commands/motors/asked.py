@@ -107,4 +107,4 @@ class Asked:
         if not self.address.channel:
             raise InputError("this command needs --channel, for instance --channel can0")
         with contextlib.closing(self.open(timing)) as link:
-            yield GuardedLink(link, self.clock.now, self.timing.fd, self.address.channel, refuse)
+            yield GuardedLink(link, self.clock, self.timing.fd, self.address.channel, refuse)

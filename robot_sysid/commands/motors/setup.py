@@ -58,11 +58,11 @@ def setup(asked: Asked) -> int:
     if options.scan:
         return _scan(asked)
     with asked.bus(refuse_motion) as link:
-        inspection = inspect_bus(link, asked.clock)
+        inspection = inspect_bus(link)
         asked.console.lines(motor_table(inspection))
         if options.changes:
             motor = _only(inspection, options)
-            for line in MotorSetup(link, asked.clock, motor).apply(options, _sure):
+            for line in MotorSetup(link, motor).apply(options, _sure):
                 asked.console.stage(line)
         return 0 if inspection.motors else 1
 
@@ -76,7 +76,7 @@ def _scan(asked: Asked) -> int:
     heard = 0
     for rate in sorted((rate for rate in BIT_RATES if rate <= _CLASSIC_TOP), reverse=True):
         with asked.bus(refuse_motion, replace(asked.timing, bitrate=float(rate))) as link:
-            inspection = inspect_bus(link, asked.clock)
+            inspection = inspect_bus(link)
         found = len(inspection.motors)
         heard += found
         asked.console.stage(f"{rate} bit/s: {found} motors")
@@ -116,12 +116,12 @@ def monitor(asked: Asked) -> int:
     """Show the motors' states again and again; enables nothing."""
     options, console = record_from(MonitorOptions, asked.values), asked.console
     with asked.bus(refuse_motion) as link:
-        motors = list(inspect_bus(link, asked.clock).motors.values())
+        motors = list(inspect_bus(link).motors.values())
         if not motors:
             console.stage("no motor answers: check power, wiring and bit rate")
             return 1
         with contextlib.suppress(KeyboardInterrupt):
-            _watch(RegisterClient(link, asked.clock), motors, options, asked)
+            _watch(RegisterClient(link), motors, options, asked)
     return 0
 
 
@@ -149,7 +149,7 @@ def map_joints(asked: Asked) -> int:
         _answer(f"{words}; then press Enter: ")
 
     with asked.bus(refuse_motion) as link:
-        rows = map_by_hand(link, asked.clock, robot, ask)
+        rows = map_by_hand(link, robot, ask)
     write_joint_map(options.output, rows)
     asked.console.stage(f"written to {options.output}; give it to play with --joint-map")
     return 0

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robot_sysid.damiao.bus.link import Clock, GuardedLink
+from robot_sysid.damiao.bus.link import GuardedLink
 from robot_sysid.damiao.protocol import frames
 from robot_sysid.damiao.protocol import registers as reg
 from robot_sysid.damiao.protocol.codec import Feedback, Scaling, decode_feedback
@@ -36,8 +36,8 @@ class RegisterReply(NamedTuple):
 class RegisterClient:
     """Talks about registers over a link; an answer may take ``timeout`` [s]."""
 
-    def __init__(self, link: GuardedLink, clock: Clock, timeout: float = 0.02) -> None:
-        self._link, self._clock, self._timeout = link, clock, timeout
+    def __init__(self, link: GuardedLink, timeout: float = 0.02) -> None:
+        self._link, self._clock, self._timeout = link, link.clock, timeout
         self.error_frames = 0
 
     def read(self, motor: frames.Address, register: int) -> RegisterReply | None:
@@ -216,12 +216,12 @@ class Inspection:
     round_trip: float | None = None
 
 
-def inspect_bus(link: GuardedLink, clock: Clock) -> Inspection:
+def inspect_bus(link: GuardedLink) -> Inspection:
     """Ask every id on every bus for its registers and state; enables nothing."""
-    until, unsolicited = clock.now() + _LISTEN, 0
+    until, unsolicited = link.clock.now() + _LISTEN, 0
     while (frame := link.receive(until)) is not None:
         unsolicited += not frame.echo
-    client = RegisterClient(link, clock, timeout=_ASK_TIMEOUT)
+    client = RegisterClient(link, timeout=_ASK_TIMEOUT)
     motors = {}
     for address in (frames.Address(bus, i) for bus in range(len(link.channels)) for i in _ALL_IDS):
         answers = client.answers(frames.read_frame(address, reg.ESC_ID))

@@ -75,21 +75,21 @@ class Link(Protocol):
 class GuardedLink:
     """Passes frames on, refuses the harmful ones, and shows each one to an observer.
 
-    ``now`` returns the time that a sent frame is shown with [s]; ``refuse`` raises for frames that
-    must not be sent; ``channels`` are the names of the buses behind the link. The observer is
-    called with every frame and whether it was sent; it must not raise.
+    ``clock`` has the time of the link's frames; ``refuse`` raises for frames that must not be sent;
+    ``channels`` are the names of the buses behind the link. The observer is called with every frame
+    and whether it was sent; it must not raise.
     """
 
     def __init__(
         self,
         link: Link,
-        now: Callable[[], float],
+        clock: Clock,
         fd: bool = False,
         channels: Sequence[str] = ("",),
         refuse: Callable[[Frame], None] = refuse_harmful,
     ) -> None:
         self._refuse = refuse
-        self._link, self._now, self._fd, self.channels = link, now, fd, tuple(channels)
+        self._link, self.clock, self._fd, self.channels = link, clock, fd, tuple(channels)
         self.observer: Callable[[Frame, bool], None] | None = None
 
     def send(self, frame: Frame) -> None:
@@ -98,7 +98,7 @@ class GuardedLink:
         frame = frame._replace(fd=self._fd)
         self._link.send(frame)
         if self.observer:
-            self.observer(frame._replace(time=self._now()), True)
+            self.observer(frame._replace(time=self.clock.now()), True)
 
     def receive(self, until: float) -> Frame | None:
         """Return the next frame or None at ``until`` [s]."""
@@ -109,5 +109,5 @@ class GuardedLink:
 
     def drain(self) -> None:
         """Drop what has already arrived."""
-        while self.receive(self._now()) is not None:
+        while self.receive(self.clock.now()) is not None:
             pass

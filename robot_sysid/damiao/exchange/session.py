@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.damiao.bus.link import Clock, GuardedLink
+from robot_sysid.damiao.bus.link import GuardedLink
 from robot_sysid.damiao.protocol import codec
 from robot_sysid.damiao.protocol.frames import Address, Frame, disable_frame, enable_frame
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace
@@ -101,12 +101,11 @@ class MotorSession:
     def __init__(
         self,
         link: GuardedLink,
-        clock: Clock,
         joints: Sequence[DamiaoJoint],
         scaling: codec.Scaling,
         half_step: bool,
     ) -> None:
-        self._link, self._clock = link, clock
+        self._link, self.clock = link, link.clock
         self.joints, self.scaling, self._half_step = tuple(joints), scaling, half_step
         self.space = JointSpace.of(joints)
         self.unconfirmed: tuple[DamiaoJoint, ...] = ()
@@ -202,7 +201,7 @@ class MotorSession:
         packed = codec.encode_mit(self.space.to_motors(command), self.scaling)
         wanted = np.ones(self.n_joints, bool) if joints is None else joints
         # What has arrived since the last exchange is late, but it is known whose answer it was.
-        while (frame := self._link.receive(self._clock.now())) is not None:
+        while (frame := self._link.receive(self.clock.now())) is not None:
             if (sender := self._sender(frame)) is not None:
                 self._outstanding.heard(sender)
         told = wanted if regardless else self._outstanding.may_be_told(wanted)
@@ -227,7 +226,7 @@ class MotorSession:
         self._regardless = True
         for repeat in range(_DISABLE_REPEATS):
             if repeat:
-                self._clock.sleep_until(self._clock.now() + _DISABLE_SPACING)
+                self.clock.sleep_until(self.clock.now() + _DISABLE_SPACING)
             for joint in self.joints:
                 self._tell_off(joint)
         self._confirm()
@@ -239,17 +238,17 @@ class MotorSession:
 
     def _confirm(self) -> None:
         running = np.ones(self.n_joints, bool)
-        patience = self._clock.now() + _CONFIRM_PATIENCE
-        while np.any(running) and self._clock.now() < patience:
+        patience = self.clock.now() + _CONFIRM_PATIENCE
+        while np.any(running) and self.clock.now() < patience:
             try:
                 self._link.drain()
                 for j in np.flatnonzero(running):
                     self._tell_off(self.joints[j])
-                replies = self._collect(running, self._clock.now() + _CONFIRM_TIMEOUT)
+                replies = self._collect(running, self.clock.now() + _CONFIRM_TIMEOUT)
                 running &= ~replies.answered | (replies.feedback.status == ENABLED)
             except Exception:
                 # Whatever a driver raises: it may recover, and the other motors still listen.
-                self._clock.sleep_until(self._clock.now() + _DISABLE_SPACING)
+                self.clock.sleep_until(self.clock.now() + _DISABLE_SPACING)
             self.unconfirmed = tuple(self.joints[j] for j in np.flatnonzero(running))
 
     def _enable_one(self, j: int, joint: DamiaoJoint) -> codec.Feedback:
@@ -257,7 +256,7 @@ class MotorSession:
         for _ in range(_ENABLE_TRIES):
             self._link.drain()
             self._link.send(enable_frame(joint.address))
-            replies = self._collect(only, self._clock.now() + _CONFIRM_TIMEOUT)
+            replies = self._collect(only, self.clock.now() + _CONFIRM_TIMEOUT)
             if replies.feedback.status[j] not in (NO_STATUS, DISABLED):
                 break
         return replies.feedback

@@ -122,7 +122,6 @@ class Player:
     def __init__(
         self,
         session: MotorSession,
-        clock: Clock,
         settings: PlaySettings,
         stop: supervision.StopRequest,
         recorder: MeasurementRecorder | None,
@@ -131,7 +130,7 @@ class Player:
         park: str | Array | None = None,
         pose_check: Callable[[Array, Array], None] | None = None,
     ) -> None:
-        self._session, self._clock, self._settings = session, clock, settings
+        self._session, self._clock, self._settings = session, session.clock, settings
         self._stop, self._recorder = stop, recorder
         self._announce, self._on_progress = on_phase, on_progress
         _, velocity_step, torque_step = session.steps

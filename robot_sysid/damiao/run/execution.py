@@ -12,7 +12,7 @@ import numpy as np
 
 from robot_sysid.damiao.bus import inspection as asked
 from robot_sysid.damiao.bus.can_bus import RawFrameLog
-from robot_sysid.damiao.bus.link import Clock, GuardedLink
+from robot_sysid.damiao.bus.link import GuardedLink
 from robot_sysid.damiao.exchange.recorder import Aside, MeasurementRecorder, RecordingHead
 from robot_sysid.damiao.exchange.session import MotorSession
 from robot_sysid.damiao.exchange.settings import PlaySettings
@@ -31,7 +31,6 @@ PoseCheck = Callable[[Array, Array], None]
 
 def run(
     link: GuardedLink,
-    clock: Clock,
     plan: Plan,
     inspection: asked.Inspection,
     stop: StopRequest,
@@ -55,24 +54,24 @@ def run(
     motors = [inspection.motors[joint.address] for joint in joints]
     scaling = Scaling(motor.limits or (0.0, 0.0, 0.0) for motor in motors)
     places = np.array([motor.position for motor in motors[n:]])
-    session = MotorSession(link, clock, joints, scaling, not plan.recording.no_half_step)
+    session = MotorSession(link, joints, scaling, not plan.recording.no_half_step)
     settings = _with_held(plan, held)
     park = settings.park if pose is None else np.concatenate([pose, places])
     check = pose_check and (lambda q, tau: pose_check(q[:n], tau[:n]))
-    console, written = Aside(clock.live), Aside(clock.live)
+    console, written = Aside(link.clock.live), Aside(link.clock.live)
     told = (
         lambda text: console(partial(on_phase, text)),
         lambda time: console.if_idle(partial(on_progress, time)),
     )
     try:
         with contextlib.ExitStack() as stack:
-            recorder = stack.enter_context(_recorder(link, clock, plan, motors, written))
+            recorder = stack.enter_context(_recorder(link, plan, motors, written))
             if plan.allowed.watchdog is not None:
-                client, seconds = asked.RegisterClient(link, clock), plan.allowed.watchdog
+                client, seconds = asked.RegisterClient(link), plan.allowed.watchdog
                 watchdogs = asked.watchdogs_set_to(client, motors, seconds, session.is_off)
                 stack.enter_context(watchdogs)
             stack.enter_context(session)
-            player = Player(session, clock, settings, stop, recorder, *told, park, check)
+            player = Player(session, settings, stop, recorder, *told, park, check)
             sampler = TrajectorySampler(plan.trajectory, settings.speed)
             report = player.play(_alongside(sampler, places), plan.duration)
     finally:
@@ -118,14 +117,10 @@ def _require_told(console: Aside, written: Aside) -> None:
 
 @contextlib.contextmanager
 def _recorder(
-    link: GuardedLink,
-    clock: Clock,
-    plan: Plan,
-    motors: Sequence[asked.InspectedMotor],
-    aside: Aside,
+    link: GuardedLink, plan: Plan, motors: Sequence[asked.InspectedMotor], aside: Aside
 ) -> Iterator[MeasurementRecorder | None]:
     """Record the block, and every frame of it, where that was asked for."""
-    with _frame_log(link, clock, plan.recording.frames) as frames:
+    with _frame_log(link, plan.recording.frames) as frames:
         if plan.recording.record is None:
             yield None
             return
@@ -138,12 +133,12 @@ def _recorder(
 
 
 @contextlib.contextmanager
-def _frame_log(link: GuardedLink, clock: Clock, path: Path | None) -> Iterator[RawFrameLog | None]:
+def _frame_log(link: GuardedLink, path: Path | None) -> Iterator[RawFrameLog | None]:
     """Write every frame of the block to a file, where there is one."""
     if path is None:
         yield None
         return
-    log = link.observer = RawFrameLog(path, clock, link.channels)
+    log = link.observer = RawFrameLog(path, link.clock, link.channels)
     try:
         yield log
     finally:

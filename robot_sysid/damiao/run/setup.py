@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.damiao.bus.inspection import InspectedMotor, RegisterClient, inspect_bus, state_of
-from robot_sysid.damiao.bus.link import Clock, GuardedLink
+from robot_sysid.damiao.bus.link import GuardedLink
 from robot_sysid.damiao.protocol import frames
 from robot_sysid.damiao.protocol import registers as reg
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
@@ -77,9 +77,9 @@ class MotorSetup:
     The link has to let pass what a run never sends.
     """
 
-    def __init__(self, link: GuardedLink, clock: Clock, motor: InspectedMotor) -> None:
-        self._link, self._clock, self._motor = link, clock, motor
-        self._client, self._address = RegisterClient(link, clock), motor.address
+    def __init__(self, link: GuardedLink, motor: InspectedMotor) -> None:
+        self._link, self._clock, self._motor = link, link.clock, motor
+        self._client, self._address = RegisterClient(link), motor.address
         self._master = motor.master_id
         self._require_off()
 
@@ -204,7 +204,7 @@ def _way(vector: Array) -> str:
 
 
 def map_by_hand(
-    link: GuardedLink, clock: Clock, robot: RobotModel, ask: Callable[[str], None]
+    link: GuardedLink, robot: RobotModel, ask: Callable[[str], None]
 ) -> list[DamiaoJoint]:
     """Return the joint map that a person shows; all motors are limp.
 
@@ -212,7 +212,7 @@ def map_by_hand(
     HardwareAbort where one is not off for sure or does not answer any more, or where a movement
     could not be told from others three times.
     """
-    client, by_address = RegisterClient(link, clock), inspect_bus(link, clock).motors
+    client, by_address = RegisterClient(link), inspect_bus(link).motors
     _require_limp(by_address.values(), robot.n_joints)
 
     def positions() -> Positions:

@@ -68,8 +68,8 @@ def clock(monkeypatch):
 
 
 def test_an_arm_behind_pythons_messages_answers(clock):
-    link = GuardedLink(BusLink([ArmBus(clock, two_motor_arm())], clock), clock.now)
-    found = inspect_bus(link, clock)
+    link = GuardedLink(BusLink([ArmBus(clock, two_motor_arm())], clock), clock)
+    found = inspect_bus(link)
     assert sorted(found.motors) == [(0, 1), (0, 2)]
     assert found.motors[0, 1].limits == (12.5, 10.0, 28.0)
     assert found.motors[0, 2].feedback.temperature_rotor[0] == 29
@@ -124,7 +124,7 @@ def test_an_arm_on_the_virtual_bus_answers(fd):
     near, far = (open_bus(virtual(f"test-{fd}"), timing, clock) for _ in range(2))
     try:
         with served_in_background(two_motor_arm(), far, clock):
-            found = inspect_bus(GuardedLink(near, clock.now, fd), clock)
+            found = inspect_bus(GuardedLink(near, clock, fd))
     finally:
         near.close()
     assert sorted(found.motors) == [(0, 1), (0, 2)]

@@ -15,7 +15,7 @@ from tests.support.motor_bench import Bench, answering_writes_with
 def test_inspection_reads_everything_and_changes_nothing():
     bench = Bench()
     before = [dict(m.registers) for m in bench.motors]
-    found = inspect_bus(bench.link, bench.clock)
+    found = inspect_bus(bench.link)
     assert sorted(found.motors) == [(0, 1), (0, 2)]
     assert set(found.motors[0, 1].registers) == set(reg.LOGGED)
     assert found.motors[0, 2].limits == (12.5, 10.0, 28.0)
@@ -29,7 +29,7 @@ def test_inspection_does_not_disturb_a_motor_that_somebody_uses():
     bench = Bench()
     bench.motors[0].status = ENABLED
     bench.motors[0].registers[reg.TIMEOUT] = 0.0
-    inspect_bus(bench.link, bench.clock)
+    inspect_bus(bench.link)
     assert bench.motors[0].status == ENABLED
 
 

@@ -155,6 +155,6 @@ def test_an_adapter_that_nobody_reads_drops_frames_instead_of_waiting(adapter):
 def test_an_arm_behind_a_serial_adapter_answers_pythons_slcan(adapter):
     (far, near), clock = adapter, SystemClock()
     with served_in_background(two_motor_arm(), far, clock, close=False):
-        found = inspect_bus(GuardedLink(near, clock.now), clock)
+        found = inspect_bus(GuardedLink(near, clock))
     assert [address.can_id for address in sorted(found.motors)] == [1, 2]
     assert found.motors[Address(0, 2)].feedback.temperature_rotor[0] == 29
