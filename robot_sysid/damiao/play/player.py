@@ -182,7 +182,9 @@ class Player:
         self._phase(hold(here), settings.ramp_time, ramp=True)
         if self._pose_check:
             self._hold_and_compare(here)
-        held = self._mean_torque()
+        # What held the arm lately, or else what was fed forward.
+        still = [torque for _, torque in self._still] or [here.torque]
+        held = np.asarray(np.mean(still, axis=0))
         self._announce(f"moving to the first point ({way_time:.1f} s)")
         self._phase(way, way_time)
         self._hold_and_compare(first)
@@ -198,12 +200,6 @@ class Player:
         self._phase(hold(reference), self._settings.rest_time)
         if self._pose_check and self._still:
             self._pose_check(*np.mean(self._still[len(self._still) // 2 :], axis=0))
-
-    def _mean_torque(self) -> Array:
-        """Return what held the arm lately (n,) [N m], or the feed-forward torque of now."""
-        if self._still:
-            return np.asarray(np.mean([torque for _, torque in self._still], axis=0))
-        return self._reference.torque if self._reference else np.zeros(self._session.n_joints)
 
     def _leave(self, last: Reference, stood: Reference) -> None:
         """Bring the arm to where it is to be left."""

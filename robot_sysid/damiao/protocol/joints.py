@@ -220,7 +220,12 @@ def read_joint_map(path: str | os.PathLike[str]) -> tuple[DamiaoJoint, ...]:
             f"{path}: expected the columns {', '.join(_COLUMNS)} (at least {', '.join(_NEEDED)})"
         )
     rows = tuple(_row(line, f"{path}, row {k}") for k, line in enumerate(table, start=1))
-    _require_sound(rows, path)
+    names = [row.name for row in rows]
+    twice = [name for name in names if names.count(name) > 1]
+    if twice or not rows:
+        raise InputError(f"{path} names {twice[0]} twice" if twice else f"{path} has no lines")
+    for problem in id_problems([(row.channel, row.can_id, row.master_id) for row in rows]):
+        raise InputError(f"{path}: {problem}")
     return rows
 
 
@@ -293,12 +298,3 @@ def _row(line: Mapping[str, str | None], where: str) -> DamiaoJoint:
     if not math.isfinite(row.offset) or not 0.0 < row.torque_ratio < math.inf:
         raise InputError(f"{where}: offset must be a number and torque_ratio positive")
     return row
-
-
-def _require_sound(rows: Sequence[DamiaoJoint], path: str | os.PathLike[str]) -> None:
-    names = [row.name for row in rows]
-    twice = [name for name in names if names.count(name) > 1]
-    if twice or not rows:
-        raise InputError(f"{path} names {twice[0]} twice" if twice else f"{path} has no lines")
-    for problem in id_problems([(row.channel, row.can_id, row.master_id) for row in rows]):
-        raise InputError(f"{path}: {problem}")

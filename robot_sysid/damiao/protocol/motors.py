@@ -11,6 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import pi
 
+import numpy as np
+
 from robot_sysid.errors import InputError
 
 RPM = 2.0 * pi / 60.0
@@ -52,12 +54,9 @@ class MotorSpec:
         """
         if not self.no_load_rpm:
             return None
-        volts = self.supply if supply is None else supply
-        for (low, slow), (high, fast) in zip(self.no_load_rpm, self.no_load_rpm[1:]):
-            if low <= volts <= high:
-                return RPM * (slow + (fast - slow) * (volts - low) / (high - low))
-        nearest, rpm = min(self.no_load_rpm, key=lambda pair: abs(pair[0] - volts))
-        return RPM * rpm * volts / nearest
+        volts, (stated, rpm) = self.supply if supply is None else supply, zip(*self.no_load_rpm)
+        nearest = min(max(volts, stated[0]), stated[-1])
+        return RPM * float(np.interp(nearest, stated, rpm)) * volts / nearest
 
 
 _DM4340_RPM = ((24.0, 52.0), (48.0, 100.0))

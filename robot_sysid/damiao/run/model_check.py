@@ -46,12 +46,6 @@ class SampledTrajectory:
         self.slope = np.diff(self.q, axis=0) / np.diff(self.time)[:, None]
         self.duration, self.n_joints = float(self.time[-1]), trajectory.n_joints
 
-    @property
-    def joint_speed(self) -> Array:
-        """Speed (N, n) at each row, or up to the next one if the positions show more [rad/s]."""
-        shown = np.abs(self.slope) - _PRINTED / np.diff(self.time)[:, None]
-        return np.maximum(np.abs(self.qd), np.vstack([shown, np.zeros(self.n_joints)]))
-
     def evaluate(self, time: Array) -> Motion:
         """Return the motion at times (N,) [s]; the acceleration is left at zero."""
         q = np.stack([np.interp(time, self.time, column) for column in self.q.T], axis=1)
@@ -101,11 +95,13 @@ def _parking(robot: RobotModel, last: Array, pose: Array) -> Iterator[str]:
 
 def _joint_excesses(robot: RobotModel, motion: SampledTrajectory) -> Iterator[str]:
     """Yield a sentence for each joint and limit, where it is exceeded most."""
-    own = robot.limits
+    own, shown = robot.limits, np.zeros_like(motion.qd)
+    # Up to the next row, if the positions show more than the velocities say.
+    shown[:-1] = np.abs(motion.slope) - _PRINTED / np.diff(motion.time)[:, None]
     compared = (
         ("position", 1.0, motion.q, own.upper),
         ("position", -1.0, motion.q, own.lower),
-        ("velocity", 1.0, motion.joint_speed, own.velocity),
+        ("velocity", 1.0, np.maximum(np.abs(motion.qd), shown), own.velocity),
         ("torque", 1.0, np.abs(motion.tau), own.torque),
     )
     for what, sign, values, limits in compared:
