@@ -94,6 +94,9 @@ class MotorSession:
     motors' registers; half a quantisation step may be added to what they measure.
 
     Attributes:
+        n_joints: number of joints n.
+        steps: one quantisation step (n,) of what joints measure [rad, rad/s, N m].
+        peak_torque: what each joint's motor delivers at most (n,) [N m].
         last_replies: what the last exchange collected, also where it was cut short by an error.
         unconfirmed: joints whose motors could be enabled and have not said that they are off.
     """
@@ -107,7 +110,12 @@ class MotorSession:
     ) -> None:
         self._link, self.clock = link, link.clock
         self.joints, self.scaling, self._half_step = tuple(joints), scaling, half_step
-        self.space = JointSpace.of(joints)
+        self.n_joints, self.space = len(joints), JointSpace.of(joints)
+        position, velocity, torque = scaling.steps
+        self.steps = position, velocity, torque * self.space.ratio
+        peaks = [joint.spec.strongest for joint in joints]
+        # A frame cannot say more than the scale's end either.
+        self.peak_torque: Array = np.minimum(peaks, scaling.limits[:, 2]) * self.space.ratio
         self.unconfirmed: tuple[DamiaoJoint, ...] = ()
         self.last_replies: Replies | None = None
         self._command: codec.MitCommand | None = None
@@ -115,24 +123,6 @@ class MotorSession:
         self._regardless = True
         self._by_reply = {(joint.bus, joint.master_id): j for j, joint in enumerate(joints)}
         self._by_command = {joint.address: j for j, joint in enumerate(joints)}
-
-    @property
-    def n_joints(self) -> int:
-        """Number of joints n."""
-        return len(self.joints)
-
-    @property
-    def steps(self) -> tuple[Array, Array, Array]:
-        """One quantisation step (n,) of what joints measure [rad, rad/s, N m]."""
-        position, velocity, torque = self.scaling.steps
-        return position, velocity, torque * self.space.ratio
-
-    @property
-    def peak_torque(self) -> Array:
-        """What each joint's motor delivers at most (n,) [N m]."""
-        peaks = [joint.spec.strongest for joint in self.joints]
-        # A frame cannot say more than the scale's end either.
-        return np.asarray(np.minimum(peaks, self.scaling.limits[:, 2]) * self.space.ratio)
 
     def clipped(self, q: Array, qd: Array, tau: Array) -> tuple[Array, ...]:
         """Return the nearest values (n,) that the joints' frames carry [rad, rad/s, N m]."""
