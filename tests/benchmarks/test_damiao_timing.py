@@ -67,7 +67,7 @@ def arm_and_plan(folder, rate: float) -> tuple[SimulatedArm, Plan]:
     return SimulatedArm(Pendulums(JOINTS), motors), plan
 
 
-def play(link: GuardedLink, clock: SystemClock, plan: Plan):
+def play(link: GuardedLink, plan: Plan):
     inspection, silent = inspect_bus(link), lambda _: None
     return run(link, plan, inspection, StopRequest(), silent, silent)
 
@@ -90,7 +90,7 @@ def test_the_player_alone(benchmark, tmp_path, rate):
     arm, plan = arm_and_plan(tmp_path, rate)
     clock = SystemClock()
     link = GuardedLink(SameThreadLink(arm, clock), clock)
-    report = benchmark.pedantic(play, (link, clock, plan), rounds=1)
+    report = benchmark.pedantic(play, (link, plan), rounds=1)
     tell(benchmark, report, rate)
 
 
@@ -103,7 +103,7 @@ def test_over_the_virtual_bus(benchmark, tmp_path, rate):
     try:
         with served_in_background(arm, far, clock):
             link = GuardedLink(near, clock)
-            report = benchmark.pedantic(play, (link, clock, plan), rounds=1)
+            report = benchmark.pedantic(play, (link, plan), rounds=1)
     finally:
         near.close()
     tell(benchmark, report, rate)

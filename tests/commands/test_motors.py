@@ -23,6 +23,7 @@ from robot_sysid.damiao.protocol.registers import DISABLED, TIMEOUT
 from robot_sysid.damiao.simulated.arm import Fault
 from robot_sysid.damiao.trajectory import export_damiao_trajectory
 from tests.support import arms
+from tests.support.command_line import run_motors as run
 from tests.support.damiao_rig import only_asks, swing, two_motor_arm
 from tests.support.links import served_in_background
 from tests.support.recordings import read_recording
@@ -57,14 +58,6 @@ def no_real_time(monkeypatch):
     monkeypatch.setattr(SystemClock, "now", refuse)
     monkeypatch.setattr(SystemClock, "sleep_until", refuse)
     monkeypatch.setattr("time.sleep", refuse)
-
-
-def run(capsys, *arguments):
-    """Run the command; return exit code, output and the one error line."""
-    code = main(["motors", *(str(argument) for argument in arguments)])
-    out, err = capsys.readouterr()
-    assert len(err.splitlines()) <= 1, err
-    return code, out, err
 
 
 # --- check --------------------------------------------------------------------------------------

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from robot_sysid.cli import main
 from robot_sysid.damiao.protocol import registers as reg
 from robot_sysid.damiao.protocol.frames import ENABLE, READ, REGISTER_ID, STORE, is_special
 from robot_sysid.damiao.protocol.joints import read_joint_map
 from robot_sysid.damiao.protocol.registers import DISABLED, ENABLED
 from tests.support import arms
+from tests.support.command_line import run_motors as run
 from tests.support.damiao_rig import only_asks
 
 CAN0 = ("--channel", "can0")
@@ -29,13 +29,6 @@ def answers(monkeypatch):
     monkeypatch.setattr("builtins.input", say)
     waiting_and_asked = waiting, asked
     return waiting_and_asked
-
-
-def run(capsys, *arguments):
-    code = main(["motors", *(str(argument) for argument in arguments)])
-    out, err = capsys.readouterr()
-    assert len(err.splitlines()) <= 1, err
-    return code, out, err
 
 
 def drives_nothing(frames):

@@ -15,6 +15,14 @@ def files_in(folder: Path) -> dict[str, bytes]:
     }
 
 
+def run_motors(capsys, *arguments):
+    """Run ``motors``; return exit code, output and the one error line."""
+    code = main(["motors", *(str(argument) for argument in arguments)])
+    out, err = capsys.readouterr()
+    assert len(err.splitlines()) <= 1, err
+    return code, out, err
+
+
 class CommandLine:
     """The command in a folder.
 
