@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from robot_sysid.damiao.bus.link import Clock, Link, LinkError
+from robot_sysid.damiao.bus.link import Clock, GuardedLink, Link, LinkError
 from robot_sysid.damiao.protocol.frames import BusTiming, Frame
 from robot_sysid.errors import InputError, words_of
 from robot_sysid.records.options import OptionRecord, option
@@ -213,23 +213,34 @@ def _bus_options(can: Any, interface: str, timing: BusTiming) -> dict[str, Any]:
 
 
 class RawFrameLog:
-    """Observes a link and writes its frames to a file, replacing one that is there.
+    """Observes a link in its block and writes all frames to a file, replacing one that is there.
 
     The format follows the file's suffix: .log (candump), .asc, .blf, .csv, .trc, ... Time stamps
-    are seconds since 1970; ``clock`` is the one that frame times are in.
+    are seconds since 1970.
     """
 
-    def __init__(self, path: Path, clock: Clock, channels: Sequence[str]) -> None:
-        self._can = import_can()
+    def __init__(self, path: Path, link: GuardedLink) -> None:
+        self._can, self._link = import_can(), link
         try:
             self._writer: Any = self._can.Logger(str(path))
         except ValueError as error:
             raise InputError(f"cannot log frames to {path}: {error}") from None
         except OSError as error:
             raise InputError(f"cannot write {path}: {error.strerror}") from None
-        self._channels = tuple(channels)
-        self._offset = time.time() - clock.now()
+        self._offset = time.time() - link.clock.now()
         self._waiting: list[tuple[Frame, bool]] = []
+
+    def __enter__(self) -> RawFrameLog:
+        self._link.observer = self
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._link.observer = None
+        # What a recorder did not take: without one, everything; if there is room for it.
+        with contextlib.suppress(Exception):
+            self.write(self.taken())
+        with contextlib.suppress(Exception):
+            self._writer.stop()
 
     def __call__(self, frame: Frame, sent: bool) -> None:
         """Take a frame."""
@@ -243,14 +254,9 @@ class RawFrameLog:
     def write(self, frames: list[tuple[Frame, bool]]) -> None:
         """Write frames in order of time; may be called from another thread than the rest."""
         for frame, sent in sorted(frames, key=lambda entry: entry[0].time):
-            stamp, channel = frame.time + self._offset, self._channels[frame.bus]
+            stamp, channel = frame.time + self._offset, self._link.channels[frame.bus]
             rest = {"timestamp": stamp, "is_rx": not sent, "channel": channel}
             self._writer.on_message_received(message_of(self._can, frame, **rest))
         file: Any = getattr(self._writer, "file", None)
         if file is not None:
             file.flush()
-
-    def close(self) -> None:
-        """Finish the file, if there is room for it."""
-        with contextlib.suppress(Exception):
-            self._writer.stop()

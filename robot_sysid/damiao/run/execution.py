@@ -6,7 +6,6 @@ import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
@@ -120,7 +119,8 @@ def _recorder(
     link: GuardedLink, plan: Plan, motors: Sequence[asked.InspectedMotor], aside: Aside
 ) -> Iterator[MeasurementRecorder | None]:
     """Record the block, and every frame of it, where that was asked for."""
-    with _frame_log(link, plan.recording.frames) as frames:
+    path = plan.recording.frames
+    with RawFrameLog(path, link) if path else contextlib.nullcontext() as frames:
         if plan.recording.record is None:
             yield None
             return
@@ -130,20 +130,3 @@ def _recorder(
         head = RecordingHead(plan.trajectory.joints, registers, *run)
         with MeasurementRecorder(plan.recording.record, head, aside, frames) as recorder:
             yield recorder
-
-
-@contextlib.contextmanager
-def _frame_log(link: GuardedLink, path: Path | None) -> Iterator[RawFrameLog | None]:
-    """Write every frame of the block to a file, where there is one."""
-    if path is None:
-        yield None
-        return
-    log = link.observer = RawFrameLog(path, link.clock, link.channels)
-    try:
-        yield log
-    finally:
-        link.observer = None
-        # What a recorder did not take: without one, everything.
-        with contextlib.suppress(Exception):
-            log.write(log.taken())
-        log.close()

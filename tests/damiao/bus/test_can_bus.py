@@ -245,13 +245,12 @@ def test_frames_go_to_their_bus_and_come_back_with_its_number(clock):
 def test_the_frame_log_is_lossless(tmp_path_factory, frames):
     path = tmp_path_factory.mktemp("raw") / "measured.log"
     clock = SimulatedClock()
-    log = RawFrameLog(path, clock, ["can0"])
-    for k, (frame, sent) in enumerate(frames):
-        log(frame._replace(time=0.001 * k), sent)
-    log.write(log.taken())
-    with can.LogReader(path) as reader:
-        messages = list(reader)
-    log.close()
+    with RawFrameLog(path, GuardedLink(None, clock, channels=["can0"])) as log:
+        for k, (frame, sent) in enumerate(frames):
+            log(frame._replace(time=0.001 * k), sent)
+        log.write(log.taken())
+        with can.LogReader(path) as reader:
+            messages = list(reader)
     assert len(messages) == len(frames)
     for message, (frame, sent) in zip(messages, frames):
         assert message.arbitration_id == frame.id and bytes(message.data) == frame.data
@@ -262,11 +261,9 @@ def test_the_frame_log_is_lossless(tmp_path_factory, frames):
 
 def test_frames_are_logged_in_the_order_of_their_time(tmp_path):
     clock = SimulatedClock()
-    log = RawFrameLog(tmp_path / "measured.log", clock, ["can0"])
-    for stamp in (0.3, 0.1, 0.2):
-        log(Frame(round(10 * stamp), b"", stamp), False)
-    log.write(log.taken())
-    log.close()
+    with RawFrameLog(tmp_path / "measured.log", GuardedLink(None, clock, channels=["can0"])) as log:
+        for stamp in (0.3, 0.1, 0.2):
+            log(Frame(round(10 * stamp), b"", stamp), False)
     with can.LogReader(tmp_path / "measured.log") as reader:
         assert [message.arbitration_id for message in reader] == [1, 2, 3]
 
@@ -276,4 +273,4 @@ def test_frames_are_logged_in_the_order_of_their_time(tmp_path):
 )
 def test_a_frame_log_that_cannot_be_made_is_said(tmp_path, name, words):
     with pytest.raises(InputError, match=words):
-        RawFrameLog(tmp_path / name, SimulatedClock(), ["can0"])
+        RawFrameLog(tmp_path / name, GuardedLink(None, SimulatedClock()))
