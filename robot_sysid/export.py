@@ -1,4 +1,4 @@
-"""Writing the results: params.json, model, payload card, motor trajectory; all or none.
+"""Writing the results: params.json, model, payload card, motor trajectory, all together.
 
 What an earlier run left in the folder, whatever command wrote it, never stays beside them.
 """
@@ -125,7 +125,7 @@ def save(
     """Write params.json, and where the result may be used the model and a payload's card.
 
     A result that may not be used, or that does not fit into this model, gets a params.json only,
-    which says why. An error leaves the folder as it was.
+    which says why. An error before files take their places leaves the folder as it was.
 
     Args:
         result: what was identified.
@@ -147,8 +147,8 @@ def save(
     notes: tuple[str, ...] = ()
     with whole_files() as files:
         if failure is None and not _calibrates(result):
-            # Its place is taken last: what the other files say then holds for it.
-            path = files.reserve_last(folder / MODEL_NAMES[robot.kind])
+            # Drafted first, it takes its place last: what the other files say then holds for it.
+            path = folder / MODEL_NAMES[robot.kind]
             target = ModelTarget(files, path, checkpoints, result.estimate.rmse, mesh_dir)
             try:
                 notes = write_model(result, robot, target, as_body)

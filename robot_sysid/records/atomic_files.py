@@ -50,17 +50,17 @@ def write_whole(path: Path, content: str | bytes) -> None:
 
 @contextlib.contextmanager
 def whole_files() -> Iterator[WholeFiles]:
-    """Yield a place to write several files; all of them appear when the block ends, or none.
+    """Yield a place to write several files; they appear when the block ends, the first one last.
 
-    An error or Ctrl-C inside the block leaves every path as it was before, older files included.
+    What that one says then holds for the others. An error or Ctrl-C inside the block leaves every
+    path as it was before, older files included.
     """
     outputs = WholeFiles()
     try:
         yield outputs
         outputs.commit()
-    except BaseException:
+    finally:
         outputs.discard()
-        raise
 
 
 def require_writable(folder: Path) -> None:
@@ -132,14 +132,14 @@ def draft_folder(path: Path) -> Iterator[Path]:
         shutil.rmtree(draft, ignore_errors=True)
 
 
-def _hidden(path: Path, end: str = "") -> Path:
+def _hidden(path: Path) -> Path:
     """Return a new name beside a path, with its suffix; what killed processes left there goes."""
     for left in path.parent.glob(f"{PREFIX}{'[0-9a-f]' * 8}.*"):
         with contextlib.suppress(OSError):
             status = left.lstat()
             if time.time() - status.st_ctime > STALE:
                 shutil.rmtree(left) if stat.S_ISDIR(status.st_mode) else left.unlink()
-    name = f"{path.stem[:_MOST]}{path.suffix[-_MOST:]}{end}"
+    name = f"{path.stem[:_MOST]}{path.suffix[-_MOST:]}"
     return path.with_name(f"{PREFIX}{secrets.token_hex(4)}.{name}")
 
 
@@ -201,11 +201,10 @@ def _has_lock(handle: int) -> bool:
 
 
 class WholeFiles:
-    """Drafts beside their final paths, renamed together."""
+    """Drafts beside their final paths, which take their places together."""
 
     def __init__(self) -> None:
         self._drafts: dict[Path, Path] = {}
-        self._last: Path | None = None
         self._unwanted: list[Path] = []
         self._created_folders: list[Path] = []
 
@@ -216,6 +215,7 @@ class WholeFiles:
         """
         if os.path.isdir(path):
             raise InputError(f"cannot write {path}: it is a folder; choose another name")
+        self.withdraw(path)
         with _refusals(path):
             self.create_folder(path.parent)
             self._drafts[path] = _hidden(path)
@@ -229,11 +229,6 @@ class WholeFiles:
         draft = self.draft(path)
         with _refusals(path), open(draft, "w", encoding="utf-8", newline="\n") as file:
             yield file
-
-    def reserve_last(self, path: Path) -> Path:
-        """Return ``path``, whose file will take its place after all others."""
-        self._last = path
-        return path
 
     def write(self, path: Path, content: str | bytes) -> Path:
         """Write the draft of ``path`` and return where it is."""
@@ -253,45 +248,26 @@ class WholeFiles:
         self._unwanted.append(path)
 
     def commit(self) -> None:
-        """Give every draft its final name; what stood there before comes back if one fails."""
+        """Give every draft its final name, the first one last."""
         for path, draft in self._drafts.items():
             with _refusals(path), open(draft, "rb+") as file:
                 os.fsync(file.fileno())
-        order = sorted(self._drafts, key=lambda path: path == self._last)
-        backups: dict[Path, Path | None] = {}
         with held_back():
-            try:
-                for path in (*order, *self._unwanted):
-                    self._take_place(path, backups)
-            except BaseException:
-                for done, backup in backups.items():
-                    _restore(done, backup)
-                raise
-            for backup in filter(None, backups.values()):
-                backup.unlink()
-            self._forget()
-
-    def _take_place(self, path: Path, backups: dict[Path, Path | None]) -> None:
-        with _refusals(path):
-            backups[path] = _second_name(path)
-            if path in self._drafts:
-                os.replace(self._drafts[path], path)
-            else:
-                path.unlink()
+            for path, draft in reversed(self._drafts.items()):
+                with _refusals(path):
+                    os.replace(draft, path)
+            for path in self._unwanted:
+                with _refusals(path):
+                    path.unlink()
 
     def discard(self) -> None:
-        """Remove the drafts and the folders made for them."""
+        """Remove the drafts that are left, and the folders made for them that are empty."""
         for draft in self._drafts.values():
-            with contextlib.suppress(OSError):  # it may not have been made
+            with contextlib.suppress(OSError):  # it has its final name, or was never made
                 draft.unlink()
         for folder in reversed(self._created_folders):
-            with contextlib.suppress(OSError):  # somebody else has put a file there
+            with contextlib.suppress(OSError):  # there is a file in it
                 folder.rmdir()
-        self._forget()
-
-    def _forget(self) -> None:
-        for remembered in (self._drafts, self._unwanted, self._created_folders):
-            remembered.clear()
 
     def create_folder(self, folder: Path) -> None:
         """Create a folder and those above it; ``discard`` removes them if they stay empty."""
@@ -299,26 +275,6 @@ class WholeFiles:
         for new in reversed(missing):
             new.mkdir(exist_ok=True)
             self._created_folders.append(new)
-
-
-def _second_name(path: Path) -> Path | None:
-    """Give a file a second name, or make a copy where the file system has no links."""
-    if not path.exists():
-        return None
-    second = _hidden(path, ".old")
-    try:
-        os.link(path, second)
-    except OSError:
-        shutil.copy2(path, second)
-    return second
-
-
-def _restore(path: Path, backup: Path | None) -> None:
-    if backup is None:
-        path.unlink(missing_ok=True)
-    else:
-        os.replace(backup, path)
-        backup.unlink(missing_ok=True)  # two names of one file are left as they are
 
 
 @contextlib.contextmanager

@@ -346,7 +346,6 @@ def _write(
     path, failure, notes = target.path.parent / SERVO_NAME, refused, found.notes
     written = [path]
     if refused is None:
-        target.files.reserve_last(target.path)
         delay, said = delay_to_write(found, write_delay)
         try:
             said += write_joints(robot, *changes(found, delay), target)

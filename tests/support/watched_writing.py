@@ -16,7 +16,7 @@ NAMES = ("a.json", "b.csv", "model.xml")
 LAST = "model.xml"
 OLD, NEW = (dict.fromkeys(NAMES, word) for word in ("old", "new"))
 # Whatever a commit does to the folder, it does by one of these.
-STEPS = ("replace", "link", "unlink")
+STEPS = ("replace", "unlink")
 
 
 def write_old(folder):
@@ -28,8 +28,7 @@ def write_old(folder):
 def write_new(folder):
     """Write the new set, the last file drafted first."""
     with whole_files() as outputs:
-        outputs.write(outputs.reserve_last(folder / LAST), NEW[LAST])
-        for name in NAMES[:-1]:
+        for name in reversed(NAMES):
             outputs.write(folder / name, NEW[name])
 
 
