@@ -30,11 +30,10 @@ from robot_sysid.logs.column_map import (
 )
 from robot_sysid.logs.columns import joint_kind, read_title
 from robot_sysid.logs.formats.arrays import hdf5_table, matlab_table, npz_table
-from robot_sysid.logs.formats.dialect import is_number
 from robot_sysid.logs.formats.lerobot import lerobot_table
 from robot_sysid.logs.formats.ros_bag import bag_table
 from robot_sysid.logs.formats.table import Asked, LogTable
-from robot_sysid.logs.formats.text import text_table
+from robot_sysid.logs.formats.text import is_number, text_table
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.rows import read_rows
 from robot_sysid.records import Array, DataOrigin, Measurement, RobotModel, Source
@@ -221,7 +220,7 @@ def _start(path: Path) -> bytes:
         return b""
     try:
         with path.open("rb") as stream:
-            return stream.read(16)
+            return stream.read(4096)
     except OSError as error:
         raise InputError(f"cannot read the log {path}: {error.strerror or error}") from error
 

@@ -1,22 +1,203 @@
-"""Text logs as tables; what is no row of numbers is left out and told."""
+"""Text logs as tables: how one is laid out, and its rows as numbers.
+
+Understood without being told: comma, semicolon, tab, bar or blanks between cells, a decimal comma
+where the separator is not one, comment lines (``#`` or ``%``), a byte-order mark, Windows line
+ends, quoted cells, and a header that is itself the last comment line (as ``numpy.savetxt`` writes
+it). What is no row of numbers is left out and told.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+import contextlib
+import csv
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
+from io import TextIOWrapper
 from itertools import islice
+from pathlib import Path
 
 import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.column_map import ColumnChoices, Units
 from robot_sysid.logs.formats import table
-from robot_sysid.logs.formats.dialect import SEPARATOR_NAMES, LogDialect, read_dialect, split_line
 from robot_sysid.logs.formats.table import NO_LINES, Asked, Block, LogTable, renamed
 from robot_sysid.records import Array
 
-Batch = list[tuple[int, str]]
+_COMMENT_MARKS = ("#", "%")
+_MISSING = frozenset({"", "nan", "null", "none", "na", "n/a", "-nan", "-", "missing"})
+_SEPARATORS = {";": "semicolon", "\t": "tab", "|": "bar", ",": "comma", " ": "blanks"}
+_LONGEST_LINE = 100_000
+"""Characters of a line beyond which it is no row of a table."""
+# Control characters, and their share at the beginning of a file that makes it no text.
+_CONTROL = bytes({*range(32)} - {*b"\t\n\v\f\r"})
+_BINARY = 0.05
+# Lines between two looks at how much of the file was read.
+_COUNTED = 1000
+
+Line = tuple[int, str, float]
+"""Number of a line in its file, its text, and how much of the file was read by then."""
+
+
+@dataclass(frozen=True)
+class LogDialect:
+    """Layout of one log file.
+
+    Attributes:
+        separator: "," ";" tab, or " " for any run of blanks.
+        header: column titles as written; empty where the file has none.
+        header_line: file line of the header; 0 where there is none.
+        flattened: makes a row of plain cells of a line; None for a line that is passed over.
+    """
+
+    path: Path
+    encoding: str
+    separator: str
+    decimal_comma: bool
+    header: tuple[str, ...]
+    header_line: int
+    first_row: tuple[str, ...]
+    quoted: bool
+    flattened: Callable[[str], str | None] | None = None
+
+    def split(self, line: str) -> list[str] | None:
+        """Return the cells of one line, without quotes, blanks or a trailing separator.
+
+        None where the line is no text of a table.
+        """
+        cells = split_line(line, self.separator)
+        return cells[:-1] if cells and len(cells) == self.width + 1 and not cells[-1] else cells
+
+    @property
+    def width(self) -> int:
+        """Number of cells a row should have."""
+        return len(self.header) or len(self.first_row)
+
+    def data_lines(self) -> Iterator[Line]:
+        """Yield each row of data."""
+        for number, line, done in _lines(self.path, self.encoding):
+            if number != self.header_line and not _is_comment(line):
+                row = self.flattened(line) if self.flattened else line
+                if row is not None:
+                    yield number, row, done
+
+
+def read_dialect(path: Path, start: bytes) -> LogDialect:
+    """Look at the beginning of a log, and its first bytes, and return its layout."""
+    encoding = "utf-16" if start[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
+    control = len(start) - len(start.translate(None, _CONTROL))
+    if encoding != "utf-16" and control > _BINARY * len(start):
+        raise InputError(
+            f"{path} is of no form that is known, and not a text file; export it as CSV"
+        )
+    above, lines = _beginning(path, encoding)
+    if not lines:
+        raise InputError(
+            f"{path} holds no rows of a table, a sample per line; check that "
+            "the recording was written, or export it as CSV"
+        )
+    (number, first), last = lines[0], lines[-1][1]
+    separator = _separator(first)
+    rows = [split_line(line, separator) for line in (first, last)]
+    cells, row = (_without_gap(each or []) for each in rows)
+    if None in rows:
+        raise InputError(f"{path} does not begin with a table of text; export the log as CSV")
+    if _mostly_numbers(rows[0] or []):
+        number, header, last, row = 0, _commented_header(above, len(cells)), first, cells
+    elif len(lines) < 2:
+        raise InputError(f"{path} has a header but no rows; check that the recording ran")
+    else:
+        header = cells
+    comma, quoted = separator != "," and "," in last, '"' in last
+    return LogDialect(path, encoding, separator, comma, header, number, row, quoted)
+
+
+def split_line(line: str, separator: str) -> list[str] | None:
+    """Return the cells of a line, without quotes and surrounding blanks; None for no text."""
+    single = " ".join(line.split()) if separator == " " else line
+    try:
+        cells = next(csv.reader([single], delimiter=separator, skipinitialspace=True), [])
+    except csv.Error:
+        return None
+    return [cell.strip() for cell in cells]
+
+
+def _lines(path: Path, encoding: str) -> Iterator[Line]:
+    """Yield the lines that are not empty; of one that no table has, the beginning."""
+    size, number, done = max(1, path.stat().st_size), 0, 0.0
+    # Titles may hold a degree sign in any encoding; numbers never do, so replacing is harmless.
+    with path.open("rb") as binary, TextIOWrapper(binary, encoding, errors="replace") as stream:
+        while line := stream.readline(_LONGEST_LINE):
+            rest, number = line, number + 1
+            while len(rest) == _LONGEST_LINE and not rest.endswith("\n"):
+                rest = stream.readline(_LONGEST_LINE)
+            if number % _COUNTED == 1:
+                done = binary.tell() / size
+            text = line.strip("\r\n")
+            if text and not text.isspace():
+                yield number, text, done
+
+
+def _beginning(path: Path, encoding: str) -> tuple[str, list[tuple[int, str]]]:
+    """Return the line above the first row, and the first two rows with their line numbers."""
+    above, rows = "", []
+    for number, text, _ in _lines(path, encoding):
+        if not _is_comment(text) and _is_text(text):
+            rows.append((number, text))
+            if len(rows) == 2:
+                break
+        elif not rows:
+            above = text.strip()
+    return above, rows
+
+
+def _is_comment(line: str) -> bool:
+    return line.lstrip().startswith(_COMMENT_MARKS)
+
+
+def _is_text(line: str) -> bool:
+    """Return whether a line is short enough for a table and without a serial line's noise."""
+    plain = not any(mark < " " and mark != "\t" for mark in line) and "\ufffd" not in line[80:]
+    return len(line) < _LONGEST_LINE and plain
+
+
+def _commented_header(above: str, width: int) -> tuple[str, ...]:
+    text = above.lstrip("#% ")
+    for separator in dict.fromkeys((_separator(text), " ")):
+        cells = _without_gap(split_line(text, separator) or [])
+        if len(cells) == width and not _mostly_numbers(cells):
+            return cells
+    return ()
+
+
+def _separator(line: str) -> str:
+    return next((mark for mark in _SEPARATORS if mark in line), " ")
+
+
+def _without_gap(cells: Sequence[str]) -> tuple[str, ...]:
+    """Return the cells without an empty one behind a last separator."""
+    return tuple(cells[:-1] if len(cells) > 1 and not cells[-1] else cells)
+
+
+def _mostly_numbers(cells: Sequence[str]) -> bool:
+    # A row of data may carry a joint's name or a frame, a header may have a title like "1".
+    return 2 * sum(is_number(cell) for cell in cells) > len(cells)
+
+
+def is_number(cell: str) -> bool:
+    """Return whether a cell holds a number, or is marked empty."""
+    with contextlib.suppress(ValueError):
+        _number(cell, decimal_comma=True)
+        return True
+    return False
+
+
+def _number(cell: str, decimal_comma: bool) -> float:
+    """Return the value of a cell, NaN where it is empty or marked missing, or ValueError."""
+    if cell.lower() in _MISSING:
+        return float("nan")
+    return float(cell.replace(",", ".") if decimal_comma else cell)
 
 
 def _table(dialect: LogDialect, layout: str, choices: ColumnChoices) -> LogTable:
@@ -28,25 +209,25 @@ def _table(dialect: LogDialect, layout: str, choices: ColumnChoices) -> LogTable
 def _blocks(dialect: LogDialect, columns: Sequence[int]) -> Iterator[Block]:
     """Yield the rows of a text log in their order, with these columns."""
     rows = dialect.data_lines()
-    waiting, read = list(islice(rows, table.BLOCK)), dialect.share_read()
-    while waiting:
-        batch, done = waiting, read
-        waiting, read = list(islice(rows, table.BLOCK)), dialect.share_read()
-        cells = _fast(dialect, columns, [text for _, text in batch])
+    waiting = list(islice(rows, table.BLOCK))
+    while batch := waiting:
+        waiting = list(islice(rows, table.BLOCK))
+        done = batch[-1][2] if len(batch) == table.BLOCK else 1.0
+        cells = _fast(dialect, columns, [text for _, text, _ in batch])
         if cells is None:
             yield replace(_careful(dialect, columns, batch, last=not waiting), done=done)
         else:
-            yield Block(np.array([line for line, _ in batch]), cells, done=done)
+            yield Block(np.array([line for line, *_ in batch]), cells, done=done)
 
 
-def _careful(dialect: LogDialect, columns: Sequence[int], batch: Batch, last: bool) -> Block:
+def _careful(dialect: LogDialect, columns: Sequence[int], batch: list[Line], last: bool) -> Block:
     """Parse rows cell by cell; a last row of the file that is cut off is left out."""
     cut_off, end = NO_LINES, dialect.split(batch[-1][1])
     if last and end is not None and len(end) < dialect.width:
         cut_off = np.array([batch[-1][0]])
         batch = batch[:-1]
-    parsed = [_row(dialect, columns, text) for _, text in batch]
-    lines = np.array([line for line, _ in batch], np.int64)
+    parsed = [_row(dialect, columns, text) for _, text, _ in batch]
+    lines = np.array([line for line, *_ in batch], np.int64)
     nothing = [np.nan] * len(columns)
     cells = np.array([nothing if isinstance(row, str) else row for row in parsed], float)
     bad = [k for k, row in enumerate(parsed) if isinstance(row, str)]
@@ -62,7 +243,7 @@ def _row(dialect: LogDialect, columns: Sequence[int], text: str) -> list[float] 
     row: list[float] = []
     for index in columns:
         try:
-            row.append(dialect.number(cells[index]))
+            row.append(_number(cells[index], dialect.decimal_comma))
         except ValueError:
             title = dialect.header[index] if dialect.header else f"#{index + 1}"
             return f", column {title!r}: {cells[index][:40]!r} is not a number"
@@ -86,7 +267,7 @@ def text_table(asked: Asked) -> LogTable | None:
     """Return any other file as a table of text; None for a folder."""
     if asked.path.is_dir():
         return None
-    dialect = read_dialect(asked.path)
+    dialect = read_dialect(asked.path, asked.start)
     header = dialect.header
     if tuple(title.lower() for title in header[:5]) == _SAGE_HEADER:
         return sage_table(dialect, asked.joint_names)
@@ -94,7 +275,7 @@ def text_table(asked: Asked) -> LogTable | None:
     program, choices = known_text(header, asked.joint_names, currents)
     decimal = ", decimal comma" if dialect.decimal_comma else ""
     commented = ", titles in a comment line" if header and not dialect.header_line else ""
-    separator = SEPARATOR_NAMES[dialect.separator]
+    separator = _SEPARATORS[dialect.separator]
     layout = f"{dialect.width} columns separated by {separator}{decimal}{commented}"
     return _table(dialect, f"{program}, {layout}" if program else layout, choices)
 
@@ -144,7 +325,7 @@ _LIST_MARKS = str.maketrans("[],", "   ")
 
 def sage_table(dialect: LogDialect, joint_names: Sequence[str]) -> LogTable:
     """Return a recording of SAGE; the joints' names stand in a file beside it."""
-    rows = (split_line(text, ",") for _, text in islice(dialect.data_lines(), table.BLOCK))
+    rows = (split_line(text, ",") for _, text, _ in islice(dialect.data_lines(), table.BLOCK))
     cells = next((row for row in rows if row and row[0] in _TIMES), None)
     if cells is None:
         raise InputError(f"{dialect.path} holds no rows of type {' or '.join(_TIMES)}")
