@@ -1,4 +1,7 @@
-"""What a run was asked to do: one frozen record of the stages' records, checked once."""
+"""What a run was asked to do: one frozen record of the stages' records, checked once.
+
+One record for an identification, another for finding a payload.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,7 @@ from robot_sysid.records.options import (
     refuse_unknown,
     whole_number,
 )
-from robot_sysid.records.results import DAMIAO_NAME, MODEL_NAMES, PARAMS_NAME, PLAN_NAME
+from robot_sysid.records.results import CARD_NAME, DAMIAO_NAME, MODEL_NAMES, PARAMS_NAME, PLAN_NAME
 from robot_sysid.simulation.sensors import SimulatedArmOptions
 from robot_sysid.trajectory import TrajectoryOptions, require_countable
 
@@ -176,7 +179,7 @@ class SysidConfig:
 
     def __post_init__(self) -> None:
         self._check_pairs()
-        self._check_files()
+        refuse_overwriting(_read_by(self), self._written())
         there = self._what_there_is()
         for record in (getattr(self, each.name) for each in fields(self)):
             for given in given_options(record):
@@ -227,15 +230,6 @@ class SysidConfig:
             if both:
                 raise InputError(f"{first} and {second} exclude each other; choose one")
 
-    def _check_files(self) -> None:
-        """Refuse to write a file over one that is read, or two files into one place."""
-        log = self.log
-        read = (self.model.path, self.arm.plant_model, *log.measurements)
-        read = (*read, log.validation_measurements, log.columns, self.trajectory.file)
-        factors = (log.torque_scale, log.torque_constants)
-        read = (*read, *(path for path in factors if isinstance(path, Path)))
-        refuse_overwriting(read, self._written())
-
     def _written(self) -> Iterator[tuple[str, Path]]:
         """Yield the files that a run writes, each with the option that names it."""
         if self.arm.save_measurements is not None:
@@ -273,6 +267,169 @@ class SysidConfig:
         }
 
 
+MOVING = ("cutoff", "velocity_deadband", "friction_model")
+"""Keys of options that poses at rest have no use for."""
+EMPTY, LOADED = "A", "B"
+"""Letters of ``--order``."""
+
+
+@dataclass(frozen=True)
+class PayloadOptions(OptionRecord):
+    """Which recordings are empty and which are loaded, and what is wanted of the payload."""
+
+    empty: tuple[Path, ...] = option((), "logs of the arm without the payload", "LOG", several=True)
+    loaded: tuple[Path, ...] = option((), "logs of the arm with the payload", "LOG", several=True)
+    empty_model: Path | None = option(
+        None, "instead of logs: model that plays the arm without the payload", "XML"
+    )
+    loaded_model: Path | None = option(
+        None, "instead of logs: model that plays the arm with the payload", "XML"
+    )
+    order: str | None = option(
+        None,
+        "order in which the logs were recorded, A for the next empty one and B for the next "
+        "loaded one, such as ABBA; a drift of friction is then estimated",
+        "LETTERS",
+        usual="from the logs' clock, where they share one",
+    )
+    flange: str | None = option(
+        None,
+        "frame of the payload: a site or body fixed to the terminal body, or x,y,z in metres",
+        "FRAME",
+        usual="found by its name, else the terminal body's",
+    )
+    as_body: str | None = option(
+        None,
+        "write the payload as a welded body of this name instead of merging it into the terminal "
+        "link",
+        "NAME",
+    )
+    known_mass: float | None = option(
+        None,
+        "the payload is a weight of this mass: estimate each joint's torque scale with it",
+        "KG [kg] > 0",
+    )
+    scale_prior: float | None = option(
+        None,
+        "with --known-mass, how far each joint's torque scale may be off",
+        "P [%] > 0",
+        usual="3",
+    )
+    save_torque_scale: Path | None = option(
+        None, "with --known-mass, write the scales as a file for --torque-scale", "FILE"
+    )
+    static: bool = option(
+        False, "use resting poses only, each approached from both sides: mass and centre of mass"
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        logs = bool(self.empty or self.loaded)
+        models = self.empty_model is not None or self.loaded_model is not None
+        if logs and models:
+            raise InputError("logs and --empty-model, --loaded-model exclude each other")
+        if logs and not (self.empty and self.loaded):
+            missing = "--empty" if self.loaded else "--loaded"
+            raise InputError(
+                f"{missing} is missing: a payload is found from the difference between logs "
+                "without and with it"
+            )
+        if not logs and (self.empty_model is None or self.loaded_model is None):
+            raise InputError(
+                "give --empty LOG... and --loaded LOG..., or --empty-model and --loaded-model "
+                "to simulate both"
+            )
+        self._check_order()
+        for flag, given in (
+            ("--scale-prior", self.scale_prior),
+            ("--save-torque-scale", self.save_torque_scale),
+        ):
+            if given is not None and self.known_mass is None:
+                raise InputError(f"{flag} is about torque scales; add --known-mass KG")
+        if self.known_mass is not None and self.as_body is not None:
+            raise InputError("--known-mass writes no model; leave --as-body out")
+
+    def _check_order(self) -> None:
+        if self.order is None:
+            return
+        wanted = EMPTY * len(self.empty) + LOADED * len(self.loaded)
+        if sorted(self.order) != sorted(wanted):
+            raise InputError(
+                f"--order {self.order}: needs {len(self.empty)} times A (the empty logs) and "
+                f"{len(self.loaded)} times B (the loaded ones), such as {wanted}"
+            )
+
+
+@dataclass(frozen=True)
+class PayloadConfig:
+    """Options of one payload; defaults are those of the command line."""
+
+    model: ModelOptions
+    payload: PayloadOptions
+    log: LogOptions = LogOptions()
+    estimation: EstimationOptions = EstimationOptions()
+    output: OutputOptions = OutputOptions()
+    trajectory: TrajectoryOptions = TrajectoryOptions()
+    excitation: ExcitationOptions = ExcitationOptions()
+    limits: LimitOptions = LimitOptions()
+    arm: SimulatedArmOptions = SimulatedArmOptions()
+
+    def __post_init__(self) -> None:
+        self._check_needs()
+        given = self.payload
+        models = (given.empty_model, given.loaded_model)
+        read = (*_read_by(self), *given.empty, *given.loaded, *models)
+        refuse_overwriting(read, self._written())
+
+    def _check_needs(self) -> None:
+        """Refuse options that would have no effect."""
+        from_logs = bool(self.payload.empty)
+        for given in given_options(self.output) if self.payload.known_mass is not None else ():
+            if given.key in ("bundle", "write_offset") or given.key.startswith("keep_"):
+                raise InputError(f"{given.flag} is about a written model; --known-mass writes none")
+        if from_logs:
+            for record in (self.trajectory, self.excitation, self.limits, self.arm):
+                for given in given_options(record):
+                    raise InputError(
+                        f"{given.flag} is about a simulation; it needs --empty-model and "
+                        "--loaded-model, logs bring their own motion"
+                    )
+        else:
+            for given in given_options(self.log):
+                raise InputError(f"{given.flag} describes logs; give --empty and --loaded")
+        fixed = self.trajectory.file is not None and not self.arm.is_noisy
+        if fixed and self.trajectory.seed is not None:
+            raise InputError(f"--seed {NEEDS['draw']}")
+        for given in given_options(self.excitation):
+            if given.needs == "design" and self.excitation.kind != "optimal":
+                raise InputError(f"{given.flag} {NEEDS['design']}")
+        for given in given_options(self.estimation) if self.payload.static else ():
+            if given.key in MOVING:
+                raise InputError(f"{given.flag} is about motion; --static uses poses at rest")
+
+    def _written(self) -> Iterator[tuple[str, Path]]:
+        """Yield the files that a run writes, each with the option that names it."""
+        for name in (PARAMS_NAME, CARD_NAME, *MODEL_NAMES.values()):
+            yield "--output-dir", self.output.output_dir / name
+        if self.payload.save_torque_scale is not None:
+            yield "--save-torque-scale", self.payload.save_torque_scale
+
+
+def _read_by(config: SysidConfig | PayloadConfig) -> tuple[Path | None, ...]:
+    """Return the files that a run reads and must not write over."""
+    log, trajectory = config.log, config.trajectory
+    factors = (each for each in (log.torque_scale, log.torque_constants) if isinstance(each, Path))
+    models = (config.model.path, config.arm.plant_model)
+    return (
+        *models,
+        *log.measurements,
+        log.validation_measurements,
+        log.columns,
+        trajectory.file,
+        *factors,
+    )
+
+
 def config_from(path: Path, **values: Any) -> SysidConfig:
     """Return the configuration of a run on one model file.
 
@@ -283,10 +440,15 @@ def config_from(path: Path, **values: Any) -> SysidConfig:
     Raises:
         InputError: an option is unknown, its value cannot be used, or it does not go with another.
     """
-    return configured(SysidConfig, path, values)
+    return _configured(SysidConfig, path, values)
 
 
-def configured(kind: type[Config], path: Path, values: Mapping[str, Any]) -> Config:
+def payload_config_from(path: Path, **values: Any) -> PayloadConfig:
+    """Return the configuration of one payload on an arm's model file, see ``config_from``."""
+    return _configured(PayloadConfig, path, values)
+
+
+def _configured(kind: type[Config], path: Path, values: Mapping[str, Any]) -> Config:
     """Return a record of option records; arguments and errors as in ``config_from``."""
     records = get_type_hints(kind)
     refuse_unknown(values, *records.values())

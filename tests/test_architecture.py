@@ -24,7 +24,6 @@ LAYERS = (
     ("api",),
     ("payload_pipeline",),
     ("pipeline",),
-    ("payload_config",),
     ("config",),
     ("expected",),
     ("servo",),

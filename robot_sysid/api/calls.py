@@ -18,7 +18,7 @@ import numpy as np
 
 from robot_sysid import payload_pipeline as payload_stages
 from robot_sysid.api.results import Identified, PlanResult, one_thread
-from robot_sysid.config import ModelOptions, SysidConfig, config_from
+from robot_sysid.config import ModelOptions, SysidConfig, config_from, payload_config_from
 from robot_sysid.core.result import result_of
 from robot_sysid.core.sums import LogInformation, answer_from, log_information, settled_options
 from robot_sysid.errors import InputError
@@ -28,7 +28,6 @@ from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.reader import MeasurementLog, open_log
 from robot_sysid.model.compilation import warnings_as_notes
 from robot_sysid.parser import load_robot_model
-from robot_sysid.payload_config import payload_config_from
 from robot_sysid.pipeline import Analysis, analysed, checked, designed, promise, written
 from robot_sysid.pipeline import load as link_load
 from robot_sysid.pipeline import loaded as load_arm

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from robot_sysid.commands import payload as module
-from robot_sysid.config import NEEDS
+from robot_sysid.config import NEEDS, PayloadConfig
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.model.inertia import composite_theta
-from robot_sysid.payload_config import PayloadConfig
 from robot_sysid.records.options import options_of
 from tests.support import arms, option_samples, schemas
 from tests.support.payload_logs import PAYLOAD
