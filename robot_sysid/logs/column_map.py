@@ -128,16 +128,6 @@ def read_columns_file(path: Path, joint_names: Sequence[str]) -> ColumnChoices:
     return ColumnChoices(time, columns, units, _rate(path, entries.get("rate")))
 
 
-def scaled_title(text: str, titles: Sequence[str]) -> tuple[str, float]:
-    """Return (title, factor) of "title", "-title" or "0.5 * title"; an exact title comes first."""
-    if text in titles:
-        return text, 1.0
-    match = _SCALED.fullmatch(text)
-    if match:
-        return match.group(2).strip(), float(match.group(1))
-    return (text[1:].strip(), -1.0) if text.startswith("-") else (text, 1.0)
-
-
 def _lines(path: Path, text: str) -> dict[str, Any]:
     entries: dict[str, Any] = {}
     for number, line in enumerate(text.splitlines(), start=1):
@@ -364,8 +354,12 @@ class _Columns:
         )
 
     def _lookup(self, text: str) -> tuple[int, float]:
-        """Return (column, factor) of a title in a columns file."""
-        title, factor = scaled_title(text, self._texts)
+        """Return (column, factor) of "title", "-title" or "0.5 * title" in a columns file."""
+        title, factor, scaled = text, 1.0, _SCALED.fullmatch(text)
+        if text not in self._texts and scaled:
+            title, factor = scaled.group(2).strip(), float(scaled.group(1))
+        elif text not in self._texts and text.startswith("-"):
+            title, factor = text[1:].strip(), -1.0
         if re.fullmatch(r"#\d+", title) and title not in self._texts:
             number = int(title[1:])
             if 1 <= number <= len(self._texts):

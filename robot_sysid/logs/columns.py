@@ -14,8 +14,9 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 from robot_sysid.errors import InputError
 
@@ -129,12 +130,11 @@ def with_meaning(
             are fewer currents than joints: then the torque columns hold them.
         commanded: whether commanded positions are looked for, such as ``q_des[0]``, ``action 1``.
     """
-    spellings = _spellings(joint_names)
     currents = currents and sum(title.is_current for title in titles) >= len(joint_names)
     found = []
     for title in titles:
-        rests = (without(title, spelling) for _, spelling, without in spellings)
-        rest = min((r for r in rests if r), key=lambda rest: len(rest.words), default=title)
+        rests = (rest for _, rest in _rests(title, joint_names))
+        rest = min(rests, key=lambda rest: len(rest.words), default=title)
         title = replace(title, unit=rest.unit)
         if currents and title.is_current:
             unit = "" if rest.unit in _AMPERES else rest.unit
@@ -176,13 +176,11 @@ def without_written_name(title: Title, name: str) -> Title | None:
     So ``#3`` and ``arm-1`` are found too, and ``arm_1`` is told from ``arm-1``.
     """
     text = title.text.strip()
-    rest = text[len(name) :]
-    if text.startswith(name) and rest and not rest[0].isalnum():
-        return read_title(rest)
-    rest = text[: -len(name)]
-    if text.endswith(name) and rest and not rest[-1].isalnum():
-        return read_title(rest)
-    return None
+    behind, before = text[len(name) :], text[: -len(name)]
+    if text.startswith(name) and behind and not behind[0].isalnum():
+        return read_title(behind)
+    fits = text.endswith(name) and before and not before[-1].isalnum()
+    return read_title(before) if fits else None
 
 
 def without_name(title: Title, name: str) -> Title | None:
@@ -276,32 +274,28 @@ def two_candidates(kind: str, joint: str, titles: Sequence[str]) -> InputError:
 
 def _by_name(titles: Sequence[Title], joint_names: Sequence[str]) -> Found:
     found: Found = {}
-    spellings = _spellings(joint_names)
     for index, title in enumerate(titles):
-        for joint, spelling, without in spellings:
-            rest = without(title, spelling)
-            if rest is None or rest.numbers:
-                continue
+        for joint, rest in _rests(title, joint_names):
             kind = joint_kind(replace(rest, stands_for=title.stands_for))
-            if kind:
+            if kind and not rest.numbers:
                 found.setdefault((kind, joint), []).append(index)
                 break
     return found
 
 
-_Spelling = tuple[int, str, Callable[["Title", str], "Title | None"]]
-"""(joint, a spelling of its name, what takes that off a title)."""
-
-
-def _spellings(joint_names: Sequence[str]) -> Sequence[_Spelling]:
-    """Return the spellings that a title may have for the joints, the longest first."""
+def _rests(title: Title, joint_names: Sequence[str]) -> Iterator[tuple[int, Title]]:
+    """Yield (joint, rest of a title that carries its name), by the longest spellings first."""
     written = sorted(enumerate(joint_names), key=lambda pair: -len(pair[1]))
-    return [(joint, name, without_written_name) for joint, name in written] + [
-        (joint, alias, without_name) for joint, alias in _aliases(joint_names)
-    ]
+    for joint, name in written:
+        if rest := without_written_name(title, name):
+            yield joint, rest
+    for joint, name in _aliases(tuple(joint_names)):
+        if rest := without_name(title, name):
+            yield joint, rest
 
 
-def _aliases(joint_names: Sequence[str]) -> list[tuple[int, str]]:
+@lru_cache
+def _aliases(joint_names: tuple[str, ...]) -> list[tuple[int, str]]:
     """Return (joint, spelling), longest first; a part all joints share may be left out."""
     full = list(enumerate(joint_names))
     pieces = [_pieces(name) for name in joint_names]

@@ -104,9 +104,7 @@ def read_log(
     wanted = options.torque_constants is not None, options.commanded
     choices = choices.over(table.choices)
     found = recognise_columns(table.titles, names, choices, table.first_row, slides, *wanted)
-    factor = torque_factor(options, names)
-    if factor is not None:
-        found = found.with_torque_factor(factor)
+    found = found.with_torque_factor(torque_factor(options, names))
     rows = read_rows(table, found, slides, progress)
     checked = check_log(str(path), rows, joints, found.angle_declared)
     pieces = tuple(LogPiece(**vars(piece)) for piece in pieces_of(rows.samples))
@@ -138,10 +136,8 @@ def origin_of(logs: Sequence[MeasurementLog]) -> DataOrigin:
     return DataOrigin(Source.LOG, words, duration, rate, files=files)
 
 
-def torque_factor(options: LogOptions, joint_names: Sequence[str]) -> Array | None:
-    """Return (n,) what the options multiply torque columns with; None for nothing."""
-    if options.torque_scale is None and options.torque_constants is None:
-        return None
+def torque_factor(options: LogOptions, joint_names: Sequence[str]) -> Array:
+    """Return (n,) what the options multiply torque columns with."""
     factor = np.ones(len(joint_names))
     if options.torque_constants is not None:
         factor *= joint_factors(options.torque_constants, joint_names, CONSTANTS)
@@ -261,26 +257,23 @@ def content_lines(path: Path, options: LogOptions, progress: Progress) -> list[s
     table = open_table(Path(path), (), options)
     numeric = [k for k, cell in enumerate(table.first_row) if is_number(cell)]
     columns = numeric if table.first_row else list(range(len(table.titles)))
-    # Least, largest and number of empty cells of each column.
-    extent = np.tile([np.inf, -np.inf, 0.0], (len(columns), 1))
+    least, most, holes = np.tile([[np.nan], [np.nan], [0.0]], len(columns))
     rows, label = 0, f"Reading {table.path.name}"
     for block in table.blocks(columns):
         rows += len(block.cells)
-        there = np.isfinite(block.cells)
-        extent[:, 2] += np.count_nonzero(~there, axis=0)
-        least = np.min(np.where(there, block.cells, np.inf), axis=0, initial=np.inf)
-        most = np.max(np.where(there, block.cells, -np.inf), axis=0, initial=-np.inf)
-        extent[:, 0] = np.minimum(extent[:, 0], least)
-        extent[:, 1] = np.maximum(extent[:, 1], most)
+        cells = np.where(np.isfinite(block.cells), block.cells, np.nan)
+        holes += np.count_nonzero(np.isnan(cells), axis=0)
+        least = np.fmin.reduce(np.vstack((least, cells)))
+        most = np.fmax.reduce(np.vstack((most, cells)))
         progress.advance(label, min(block.done, 0.999), 1.0, f"{rows} rows")
     progress.advance(label, 1.0, 1.0, "")
     lines = [f"log layout: {table.layout}", f"{rows} {table.word}s"]
     width = max(map(len, table.titles))
-    for column, (least, most, holes) in zip(columns, extent.tolist()):
+    for column, low, high, missing in zip(columns, least, most, holes):
         title = table.titles[column]
         kind = "time" if read_title(title).kind == "time" else joint_kind(read_title(title))
-        numbers = f"{least:12.6g} to {most:12.6g}" if least <= most else "no numbers"
-        empty = f", {holes:.0f} empty" if holes else ""
+        numbers = f"{low:12.6g} to {high:12.6g}" if low <= high else "no numbers"
+        empty = f", {missing:.0f} empty" if missing else ""
         lines.append(f"  {title:{width}}  {numbers}{empty}" + (f"  ({kind})" if kind else ""))
     lines.append("give the model too, to see which column is taken for what and what is wrong")
     return lines

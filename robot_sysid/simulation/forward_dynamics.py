@@ -142,10 +142,8 @@ class ForwardPlant:
         """
         self.reset(self._plant.reference, np.ones(self._plant.n_joints))
         kind = int(mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF)
-        found = np.flatnonzero(self.data.efc_type == kind)
-        row_of = {int(self.data.efc_id[row]): row for row in found}
-        dofs = self._plant.dof_index[self._has_friction]
-        rows = np.array([row_of[int(dof)] for dof in dofs], dtype=np.int64)
+        # Nothing outside the chain has any, and MuJoCo goes from the base outwards as the chain.
+        rows = np.flatnonzero(self.data.efc_type == kind)
         inertia, rate = np.zeros(self._plant.n_joints), np.zeros(self._plant.n_joints)
         inertia[self._has_friction] = self.data.efc_D[rows]
         rate[self._has_friction] = -self.data.efc_aref[rows]
@@ -226,14 +224,19 @@ class FrictionRamp:
 
 
 class RampUse:
-    """Counts, joint by joint (n,), the samples whose dry friction has its full size."""
+    """Counts, joint by joint (n,), the samples whose dry friction has its full size.
+
+    Attributes:
+        ramp_speed: (n,) highest speed at which dry friction was not complete [rad/s]. Leaving out
+            all slower samples makes Coulomb's law exact for the rest.
+    """
 
     def __init__(self, joints: tuple[str, ...], ramp: FrictionRamp) -> None:
         self._joints, self._ramp = joints, ramp
         self._samples = 0
         self._full = np.zeros(len(joints), dtype=np.int64)
         self._speed = np.zeros(len(joints))
-        self._ramp_speed = np.zeros(len(joints))
+        self.ramp_speed: Array = np.zeros(len(joints))
 
     def add(self, qd: Array, dry: Array) -> None:
         """Count a chunk: velocities (N, n) and resisting dry friction torques (N, n) [N m]."""
@@ -243,21 +246,12 @@ class RampUse:
         self._full += np.count_nonzero(full, axis=0)
         self._speed = np.maximum(self._speed, np.max(speed, axis=0))
         on_ramp = np.max(np.where(full, 0.0, speed), axis=0)
-        self._ramp_speed = np.maximum(self._ramp_speed, on_ramp)
+        self.ramp_speed = np.maximum(self.ramp_speed, on_ramp)
 
     @property
     def share(self) -> Array:
         """Share of the samples (n,) with full dry friction; 1 for joints that have none."""
-        counted = self._full / max(self._samples, 1)
-        return np.where(self._ramp.coulomb > 0.0, counted, 1.0)
-
-    @property
-    def ramp_speed(self) -> Array:
-        """Highest speed (n,) at which dry friction was not complete [rad/s].
-
-        Leaving out all slower samples makes Coulomb's law exact for the rest.
-        """
-        return np.where(self._ramp.coulomb > 0.0, self._ramp_speed, 0.0)
+        return np.where(self._ramp.coulomb > 0.0, self._full / max(self._samples, 1), 1.0)
 
     @property
     def never_full(self) -> tuple[str, ...]:
@@ -296,8 +290,8 @@ class RampUse:
         )
 
     def _partly(self, joints: NDArray[np.int64]) -> str:
-        listed = ", ".join(f"{self._joints[j]} {self._ramp_speed[j]:.2g}" for j in joints)
-        highest = float(np.max(self._ramp_speed[joints]))
+        listed = ", ".join(f"{self._joints[j]} {self.ramp_speed[j]:.2g}" for j in joints)
+        highest = float(np.max(self.ramp_speed[joints]))
         # The next number of two digits that is not smaller.
         step = 10.0 ** (math.floor(math.log10(highest)) - 1)
         covering = float(f"{math.ceil(highest / step) * step:.2g}")

@@ -245,7 +245,7 @@ def test_torque_is_divided_by_scale_and_multiplied_with_constants(tmp_path, scal
 
 
 def test_without_options_there_is_no_factor_and_with_one_it_is_said(tmp_path):
-    assert torque_factor(LogOptions(), JOINTS) is None
+    np.testing.assert_array_equal(torque_factor(LogOptions(), JOINTS), np.ones(len(JOINTS)))
     path = write(tmp_path / "log.csv", table(motion(20)))
     notes = " ".join(read_measurements(path, JOINTS, torque_scale=2.0).notes)
     assert "'tau1', 'tau2', 'tau3' (each x 0.5)" in notes
