@@ -42,18 +42,13 @@ class LogJoints:
 
     Attributes:
         names: the n chain joints, base to terminal.
-        limits: what they may do; None checks no limits.
-        is_slide: (n,) whether a joint is a slide, whose positions are metres; empty for none.
+        limits: what they may do.
+        is_slide: (n,) whether a joint is a slide, whose positions are metres.
     """
 
     names: tuple[str, ...]
-    limits: JointLimits | None = None
-    is_slide: tuple[bool, ...] = ()
-
-    @property
-    def slides(self) -> NDArray[np.bool_]:
-        """Whether each joint is a slide (n,)."""
-        return np.array(self.is_slide or [False] * len(self.names))
+    limits: JointLimits
+    is_slide: NDArray[np.bool_]
 
 
 def check_log(name: str, rows: LogRows, joints: LogJoints, in_radians: bool) -> tuple[str, ...]:
@@ -192,11 +187,9 @@ def require_radians(rows: LogRows, joints: LogJoints) -> None:
     """Refuse positions or speeds that only make sense in degrees."""
     time, q = rows.samples.time, rows.samples.q
     largest = np.max(np.abs(q), axis=0)
-    reach = np.full(len(largest), 4.0 * np.pi)
-    if joints.limits is not None:
-        limit = np.maximum(np.abs(joints.limits.lower), np.abs(joints.limits.upper))
-        reach = np.where(np.isfinite(limit), np.maximum(2.0 * limit, 2.0 * np.pi), reach)
-    hinge = ~joints.slides
+    limit = np.maximum(np.abs(joints.limits.lower), np.abs(joints.limits.upper))
+    reach = np.where(np.isfinite(limit), np.maximum(2.0 * limit, 2.0 * np.pi), 4.0 * np.pi)
+    hinge = ~joints.is_slide
     far = hinge & (largest > reach)
     too_fast = np.abs(np.diff(q, axis=0)) > _FAST * np.diff(time)[:, None]
     fast = hinge & (np.sum(too_fast, axis=0) > 0.01 * len(too_fast))
@@ -252,15 +245,13 @@ def rest_notes(rows: LogRows, joints: LogJoints) -> Iterator[str]:
 
 def limit_notes(rows: LogRows, joints: LogJoints) -> Iterator[str]:
     """Yield a note on positions outside what the model allows."""
-    if joints.limits is None:
-        return
     over = np.maximum(rows.samples.q - joints.limits.upper, joints.limits.lower - rows.samples.q)
     lines = rows.lines[np.any(over > _LIMIT_MARGIN, axis=1)]
     if not len(lines):
         return
     outside = [
         f"{name} by {excess:.3g} {position(slide)}"
-        for name, excess, slide in zip(joints.names, np.max(over, axis=0), joints.slides)
+        for name, excess, slide in zip(joints.names, np.max(over, axis=0), joints.is_slide)
         if excess > _LIMIT_MARGIN
     ]
     yield (

@@ -91,7 +91,7 @@ def read_log(
     Raises:
         InputError: the log cannot be read, is ambiguous or cannot be what it seems to be.
     """
-    path, names, slides = Path(source), joints.names, joints.slides.tolist()
+    path, names, slides = Path(source), joints.names, joints.is_slide.tolist()
     table = source if isinstance(source, LogTable) else open_table(path, names, options)
     choices = ColumnChoices(units=parse_units(options.units) if options.units else Units())
     if options.columns:
@@ -123,7 +123,7 @@ def open_log(
     """Recognise, check and open a log of an arm, see ``read_log``; one that is open stays so."""
     if isinstance(source, MeasurementLog):
         return source
-    joints = LogJoints(robot.joint_names, robot.limits, tuple(robot.is_slide.tolist()))
+    joints = LogJoints(robot.joint_names, robot.limits, robot.is_slide)
     return read_log(source, joints, options, progress)
 
 

@@ -15,13 +15,13 @@ from random import Random
 import numpy as np
 
 from robot_sysid.logs.options import LogOptions
-from robot_sysid.logs.reader import LogJoints, read_log
+from robot_sysid.logs.reader import read_log
 from tests.fuzz.harness import Case, written
 from tests.fuzz.mutations import NUMBERS, TEXTS, damaged, damaged_json, damaged_table, odd
 from tests.support import log_files, recorded
 
 ROWS = 24
-_JOINTS = LogJoints(log_files.JOINTS, log_files.limits())
+_JOINTS = log_files.joints_of(log_files.JOINTS, log_files.limits())
 _TEXT, _ARRAYS = (("libfranka", "RTDE", "PlotJuggler", "SAGE"), ("npz", "robomimic", "ALOHA"))
 _SLOW = (*(name for name in recorded.FORMS if "ROS" in name), "single mcap")
 _SLOW += ("DynamicJointState", "FrankaRobotState", "LeRobot v2")

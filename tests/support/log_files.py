@@ -43,10 +43,18 @@ def write(
     return path
 
 
-def limits(reach: float = 2.0) -> JointLimits:
-    """Symmetric limits of three joints."""
-    full = np.full(3, reach)
-    return JointLimits(-full, full, np.full(3, 10.0), np.full(3, np.inf))
+def limits(reach: float = 2.0, count: int = 3) -> JointLimits:
+    """Symmetric limits of some joints."""
+    full = np.full(count, reach)
+    return JointLimits(-full, full, np.full(count, 10.0), np.full(count, np.inf))
+
+
+def joints_of(
+    names: Sequence[str], most: JointLimits | None = None, is_slide: Sequence[bool] = ()
+) -> LogJoints:
+    """Joints that a log is about; hinges without limits where nothing else is said."""
+    slides = np.array(is_slide or [False] * len(names))
+    return LogJoints(tuple(names), most or limits(np.inf, len(names)), slides)
 
 
 def _text(cell: object) -> str:
@@ -61,5 +69,4 @@ def read_measurements(
     **options: Any,
 ) -> MeasurementLog:
     """Read a log with options such as columns or units."""
-    joints = LogJoints(tuple(joint_names), limits, tuple(is_slide))
-    return read_log(path, joints, LogOptions(**options))
+    return read_log(path, joints_of(joint_names, limits, is_slide), LogOptions(**options))
