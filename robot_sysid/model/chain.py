@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import mujoco
@@ -46,18 +45,6 @@ def is_hinge_or_slide(mj_model: Any, joint: int) -> bool:
     return kind in (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
-@dataclass(frozen=True)
-class SerialRun:
-    """A path of joints without branches, from the base outwards, and all before it."""
-
-    joints: tuple[int, ...]
-    ancestors: frozenset[int]
-
-    def is_behind(self, other: SerialRun) -> bool:
-        """Tell whether this run hangs on the other one."""
-        return other.joints[-1] in self.ancestors
-
-
 def parent_joint(mj_model: Any, joint: int) -> int | None:
     """Return the next joint towards the world, or None."""
     dof = int(mj_model.dof_parentid[mj_model.jnt_dofadr[joint]])
@@ -89,29 +76,21 @@ def _towards_world(mj_model: Any, joint: int | None) -> Iterator[int]:
         joint = parent_joint(mj_model, joint)
 
 
-def serial_runs(mj_model: Any) -> list[SerialRun]:
+Run = tuple[int, ...]
+"""Joints on a path without branches, from the base outwards."""
+
+
+def serial_runs(mj_model: Any) -> list[Run]:
     """Return all maximal serial runs of hinge and slide joints."""
     parents = [parent_joint(mj_model, joint) for joint in range(mj_model.njnt)]
-    children: dict[int | None, list[int]] = {}
+    # By their last joints. A joint comes after those that carry it; a run goes on where it is the
+    # only one behind the last.
+    runs: dict[int | None, Run] = {}
     for joint, parent in enumerate(parents):
-        children.setdefault(parent, []).append(joint)
-    runs = []
-    for joint, parent in enumerate(parents):
-        if not is_hinge_or_slide(mj_model, joint) or _continues(mj_model, parent, children):
-            continue
-        run = [joint]
-        while _continues(mj_model, run[-1], children):
-            run.append(children[run[-1]][0])
-        runs.append(SerialRun(tuple(run), frozenset(_towards_world(mj_model, parent))))
-    return runs
-
-
-def _continues(mj_model: Any, joint: int | None, children: dict[int | None, list[int]]) -> bool:
-    """Tell whether a run goes on behind ``joint``: exactly one joint follows, of the right kind."""
-    if joint is None or not is_hinge_or_slide(mj_model, joint):
-        return False
-    following = children.get(joint, [])
-    return len(following) == 1 and is_hinge_or_slide(mj_model, following[0])
+        if is_hinge_or_slide(mj_model, joint):
+            before = runs.pop(parent, ()) if parents.count(parent) == 1 else ()
+            runs[joint] = (*before, joint)
+    return sorted(runs.values())
 
 
 def find_terminal_joint(mj_model: Any) -> int:
@@ -124,25 +103,26 @@ def find_terminal_joint(mj_model: Any) -> int:
     runs = serial_runs(mj_model)
     if not runs:
         raise ModelError("the model has no hinge or slide joints, so there is no arm to identify")
-    longest = max(len(run.joints) for run in runs)
-    tops = [run for run in runs if len(run.joints) == longest]
-    arm = next(run for run in tops if not any(run.is_behind(other) for other in tops))
-    beside = [run for run in runs if not (run is arm or run.is_behind(arm) or arm.is_behind(run))]
-    rivals = [arm, *(run for run in beside if len(run.joints) >= RIVAL_SHARE * longest)]
+    carriers = {run: set(_towards_world(mj_model, run[0])) - {run[0]} for run in runs}
+    longest = max(map(len, runs))
+    tops = [run for run in runs if len(run) == longest]
+    arm = next(run for run in tops if not any(other[-1] in carriers[run] for other in tops))
+    beside = [r for r in runs if r != arm and not {arm[-1], r[-1]} & (carriers[arm] | carriers[r])]
+    rivals = [arm, *(run for run in beside if len(run) >= RIVAL_SHARE * longest)]
     if len(rivals) > 1:
         # Their ends, and what all of them hang on.
-        trunks = [run for run in runs if all(rival.is_behind(run) for rival in rivals)]
-        ends = [run.joints[-1] for run in [*trunks, *rivals]]
+        trunks = [run for run in runs if all(run[-1] in carriers[rival] for rival in rivals)]
+        ends = [run[-1] for run in [*trunks, *rivals]]
         reason = f"{len(rivals)} serial chains of joints could be the arm"
         raise AmbiguousJointError(reason, _candidates(mj_model, ends))
     _require_no_ball(mj_model, arm)
     _require_no_jaw(mj_model, arm)
     _require_drive(mj_model, arm)
-    return arm.joints[-1]
+    return arm[-1]
 
 
-def _require_no_ball(mj_model: Any, arm: SerialRun) -> None:
-    last = arm.joints[-1]
+def _require_no_ball(mj_model: Any, arm: Run) -> None:
+    last = arm[-1]
     behind = [j for j in range(mj_model.njnt) if parent_joint(mj_model, j) == last]
     if len(behind) == 1 and not is_hinge_or_slide(mj_model, behind[0]):
         raise ModelError(
@@ -152,22 +132,22 @@ def _require_no_ball(mj_model: Any, arm: SerialRun) -> None:
         )
 
 
-def _require_no_jaw(mj_model: Any, arm: SerialRun) -> None:
-    last = arm.joints[-1]
+def _require_no_jaw(mj_model: Any, arm: Run) -> None:
+    last = arm[-1]
     joint = joint_label(mj_model, last)
     body = body_label(mj_model, int(mj_model.jnt_bodyid[last]))
-    if len(arm.joints) > 1 and (_JAW_JOINT.search(joint) or _JAW_BODY.search(body)):
+    if len(arm) > 1 and (_JAW_JOINT.search(joint) or _JAW_BODY.search(body)):
         raise AmbiguousJointError(
             f"the last joint {joint} looks like the jaw of a gripper",
-            _candidates(mj_model, list(arm.joints[-2:])),
+            _candidates(mj_model, list(arm[-2:])),
         )
 
 
-def _require_drive(mj_model: Any, arm: SerialRun) -> None:
+def _require_drive(mj_model: Any, arm: Run) -> None:
     """Ask where motors drive the arm but not its last joint: a hose, a pendulum, a loose tool."""
     driven = driven_joints(mj_model)
-    with_motor = [joint for joint in arm.joints if joint in driven]
-    last = arm.joints[-1]
+    with_motor = [joint for joint in arm if joint in driven]
+    last = arm[-1]
     if with_motor and last not in driven:
         raise AmbiguousJointError(
             f"the last joint {joint_label(mj_model, last)} has no actuator, but others do",

@@ -264,7 +264,7 @@ def test_a_ball_joint_cannot_be_asked_for():
 def test_every_hinge_and_slide_is_in_exactly_one_run():
     for xml in (*arms.MODELS.values(), arms.TWO_ARMS, arms.BALL_IN_CHAIN):
         model = compile_xml(xml)
-        joints = sorted(joint for run in serial_runs(model) for joint in run.joints)
+        joints = sorted(joint for run in serial_runs(model) for joint in run)
         kinds = [j for j in range(model.njnt) if model.jnt_type[j] in (2, 3)]
         assert joints == kinds
 
