@@ -44,19 +44,15 @@ def only_the_first() -> Iterator[None]:
 
     Whoever is asked to stop needs a moment to save what there is; asking twice must not lose it.
     """
-    if threading.current_thread() is not threading.main_thread():
+    before: Any = signal.getsignal(signal.SIGINT)
+    in_main = threading.current_thread() is threading.main_thread()
+    if not in_main or not callable(before):  # Ignored, or whoever embeds Python sees to it.
         yield
         return
-
-    before = signal.getsignal(signal.SIGINT)
-    if not callable(before):  # Ignored, or whoever embeds Python sees to it.
-        yield
-        return
-    heard = before
 
     def stop(number: int, frame: Any) -> None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-        heard(number, frame)
+        before(number, frame)
         signal.signal(signal.SIGINT, stop)  # It stopped nothing.
 
     signal.signal(signal.SIGINT, stop)

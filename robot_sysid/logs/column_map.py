@@ -54,38 +54,34 @@ _TIMES = ("s", "ms", "us", "ns")
 
 
 @dataclass(frozen=True)
-class Units:
-    """Declared units; None where the column titles (or SI) decide."""
-
-    angle: str | None = None
-    time: str | None = None
-
-
-@dataclass(frozen=True)
 class ColumnChoices:
     """What a columns file says.
 
     Attributes:
         time: title of the time column, or None.
         columns: quantity to joint name to title; "none" keeps a quantity out.
+        angle_unit, time_unit: None where the column titles (or SI) decide.
         rate: samples per second of a log without time stamps, or None.
     """
 
     time: str | None = None
     columns: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
-    units: Units = Units()
+    angle_unit: str | None = None
+    time_unit: str | None = None
     rate: float | None = None
 
     def over(self, known: ColumnChoices) -> ColumnChoices:
         """Return these choices, and what is known otherwise where they say nothing."""
-        units = Units(self.units.angle or known.units.angle, self.units.time or known.units.time)
-        rate = self.rate or (None if self.time else known.rate)
         return ColumnChoices(
-            self.time or known.time, {**known.columns, **self.columns}, units, rate
+            self.time or known.time,
+            {**known.columns, **self.columns},
+            self.angle_unit or known.angle_unit,
+            self.time_unit or known.time_unit,
+            self.rate or (None if self.time else known.rate),
         )
 
 
-def parse_units(text: str) -> Units:
+def parse_units(text: str) -> ColumnChoices:
     """Return the units of a comma- or blank-separated list such as "deg,ms".
 
     Raises:
@@ -99,7 +95,8 @@ def parse_units(text: str) -> Units:
             f"units {text!r} are not understood; give at most one of {', '.join(_ANGLES)} and one "
             f"of {', '.join(_TIMES)}, for instance 'deg,ms'"
         )
-    return Units(angles[0] if angles else None, times[0] if times else None)
+    angle, time = (found[0] if found else None for found in (angles, times))
+    return ColumnChoices(angle_unit=angle, time_unit=time)
 
 
 def read_columns_file(path: Path, joint_names: Sequence[str]) -> ColumnChoices:
@@ -123,9 +120,9 @@ def read_columns_file(path: Path, joint_names: Sequence[str]) -> ColumnChoices:
             raise InputError(f"{path}: unknown key {key!r}; valid keys: {', '.join(_KEYS)}")
         if quantity in QUANTITIES:
             columns.setdefault(quantity, {}).update(_per_joint(path, key, value, joint_names))
-    units = parse_units(str(entries["units"])) if "units" in entries else Units()
+    units = parse_units(str(entries["units"])) if "units" in entries else ColumnChoices()
     time = str(entries["time"]) if "time" in entries else None
-    return ColumnChoices(time, columns, units, _rate(path, entries.get("rate")))
+    return replace(units, time=time, columns=columns, rate=_rate(path, entries.get("rate")))
 
 
 def _lines(path: Path, text: str) -> dict[str, Any]:
@@ -278,7 +275,7 @@ def recognise_columns(
     position, torque = sources["position"], sources[asked]
     if position is None or torque is None:
         raise InputError(f"position and {asked} cannot be left out; {REMEDY}")
-    declared = chosen.units.angle is not None or all(parsed[s.index].unit for s in position)
+    declared = chosen.angle_unit is not None or all(parsed[s.index].unit for s in position)
     return ColumnMap(
         time, chosen.rate, position, torque, sources["velocity"], sources["acceleration"],
         sources["joint_time"], unused, declared, commanded,
@@ -372,12 +369,12 @@ class _Columns:
 
     def _source(self, kind: str, joint: int, index: int, factor: float) -> Source:
         """Return a column with its factor to SI, by its title or else the declared units."""
-        title, units, declared = self._titles[index], self._chosen.units, None
+        title, chosen, declared = self._titles[index], self._chosen, None
         written = self._written(kind, title)
         if kind in ("time", "joint_time"):
-            declared = None if units.time is None else UNITS["time"][units.time]
-        elif kind != "torque" and units.angle is not None and not self._is_slide[joint]:
-            declared = UNITS["position"][units.angle]
+            declared = None if chosen.time_unit is None else UNITS["time"][chosen.time_unit]
+        elif kind != "torque" and chosen.angle_unit is not None and not self._is_slide[joint]:
+            declared = UNITS["position"][chosen.angle_unit]
         if written is not None and declared is not None and written != declared:
             raise InputError(
                 f"column {title.text!r} names a unit that contradicts the declared units; "

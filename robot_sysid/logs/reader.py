@@ -23,7 +23,6 @@ from robot_sysid.logs.checks import LogJoints, check_log
 from robot_sysid.logs.column_map import (
     ColumnChoices,
     ColumnMap,
-    Units,
     parse_units,
     read_columns_file,
     recognise_columns,
@@ -93,7 +92,7 @@ def read_log(
     """
     path, names, slides = Path(source), joints.names, joints.is_slide.tolist()
     table = source if isinstance(source, LogTable) else open_table(path, names, options)
-    choices = ColumnChoices(units=parse_units(options.units) if options.units else Units())
+    choices = parse_units(options.units) if options.units else ColumnChoices()
     if options.columns:
         choices = choices.over(read_columns_file(Path(options.columns), names))
     elif table.titles[:1] == ("#1",):

@@ -254,19 +254,15 @@ def joint_limits(
 
 
 def _torque_limit(mj_model: Any, joint: int) -> float:
-    """Return the symmetric torque limit of a joint; infinite where the model names none."""
+    """Return the symmetric torque limit of a joint: its own, or what all actuators on it can give
+    together; infinite where the model names none.
+    """
     limited = mj_model.jnt_actfrclimited[joint]
     own = _symmetric(mj_model.jnt_actfrcrange[joint]) if limited else np.inf
-    return min(own, _actuator_limit(mj_model, joint))
-
-
-def _actuator_limit(mj_model: Any, joint: int) -> float:
-    """Return what all actuators on a joint can give together."""
-    limits = [
-        abs(float(mj_model.actuator_gear[a, 0])) * _force_limit(mj_model, a)
-        for a in actuators_on(mj_model, joint)
-    ]
-    return sum(limits) if limits else np.inf
+    actuators = actuators_on(mj_model, joint)
+    gears = (abs(float(mj_model.actuator_gear[a, 0])) for a in actuators)
+    limits = [gear * _force_limit(mj_model, a) for gear, a in zip(gears, actuators)]
+    return min(own, sum(limits) if limits else np.inf)
 
 
 def actuators_on(mj_model: Any, joint: int) -> list[int]:

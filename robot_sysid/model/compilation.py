@@ -229,19 +229,18 @@ def refuse_hazards(document: ModelDocument, mesh_dir: Path | None = None) -> Non
         ModelError: it refers to a pipe or device, attaches itself, asks for a huge field or for
             copies without end, or has the name of a class with a format in it.
     """
-    for node in document.walk():
-        _refuse_huge(document, node)
-        # MuJoCo takes the name of a class that it does not know for a format of printf.
-        if "%" in (node.get("class") or ""):
-            raise ModelError(
-                f"{document.path}: the class {node.get('class')!r} of a {node.tag} has a % in its "
-                "name, over which MuJoCo may end the process; rename it"
-            )
-    _refuse_copies(document, document.root, 1.0)
+    _refuse_element(document, document.root, 1.0)
     _refuse_attached(document, mesh_dir, (), set())
 
 
-def _refuse_huge(document: ModelDocument, node: Node) -> None:
+def _refuse_element(document: ModelDocument, node: Node, times: float) -> None:
+    """Refuse a hazard in an element that is repeated so many times, or in one below it."""
+    # MuJoCo takes the name of a class that it does not know for a format of printf.
+    if "%" in (node.get("class") or ""):
+        raise ModelError(
+            f"{document.path}: the class {node.get('class')!r} of a {node.tag} has a % in its "
+            "name, over which MuJoCo may end the process; rename it"
+        )
     cells = math.prod(_count(node, name) for name in _CELLS.get(node.tag, ()))
     if node.tag == "size":
         cells = max([_bytes(node) / 100.0, *(_count(node, n) for n in node.element.attrib)])
@@ -250,10 +249,6 @@ def _refuse_huge(document: ModelDocument, node: Node) -> None:
             f"{document.path}: a {node.tag} of {cells:.3g} cells; at most "
             f"{MOST_CELLS:.0e} are read, and identification needs none of them"
         )
-
-
-def _refuse_copies(document: ModelDocument, node: Node, times: float) -> None:
-    """Refuse what is repeated too often, a part of repeated parts included."""
     if node.tag in _COPIED:
         times *= max(1.0, _count(node, "count"))
     if times > MOST_COPIES:
@@ -262,7 +257,7 @@ def _refuse_copies(document: ModelDocument, node: Node, times: float) -> None:
             "read, and identification needs none of them"
         )
     for child in node.children():
-        _refuse_copies(document, child, times)
+        _refuse_element(document, child, times)
 
 
 def _bytes(node: Node) -> float:

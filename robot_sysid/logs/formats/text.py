@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.column_map import ColumnChoices, Units
+from robot_sysid.logs.column_map import ColumnChoices
 from robot_sysid.logs.formats import table
 from robot_sysid.logs.formats.table import NO_LINES, Asked, Block, LogTable, renamed
 from robot_sysid.records import Array
@@ -291,7 +291,7 @@ def known_text(
     ``currents``: whether torque constants were given, so that currents are wanted.
     """
     if {"time", "state.q[0]", "state.tau_J[0]"} <= set(titles):
-        return "libfranka's logToCSV, time in ms", ColumnChoices(units=Units(time="ms"))
+        return "libfranka's logToCSV, time in ms", ColumnChoices(time_unit="ms")
     if {"timestamp", "actual_q_0"} <= set(titles):
         return "Universal Robots RTDE record", _rtde(titles, joint_names, currents)
     return "", ColumnChoices()
@@ -345,8 +345,7 @@ def sage_table(dialect: LogDialect, joint_names: Sequence[str]) -> LogTable:
     flat = replace(
         dialect, separator=" ", header=tuple(titles), first_row=(), quoted=False, flattened=_states
     )
-    units = Units(time=_TIMES[cells[0]])
-    return _table(flat, "SAGE state_motor.csv", ColumnChoices(units=units))
+    return _table(flat, "SAGE state_motor.csv", ColumnChoices(time_unit=_TIMES[cells[0]]))
 
 
 def _states(text: str) -> str | None:

@@ -30,7 +30,7 @@ from robot_sysid.model.compilation import captured_warnings
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.options import processors
 from robot_sysid.signals.process import ProcessedSignals
-from robot_sysid.simulation.forward_dynamics import forward_copy
+from robot_sysid.simulation.forward_dynamics import ForwardPlant, forward_copy
 
 MOST_NUMBERS = 20_000_000
 """Numbers of state and control that are in memory at a time."""
@@ -193,8 +193,6 @@ def pieces_of_signals(signals: ProcessedSignals, first: float = -np.inf) -> list
 
 def stated_servo(robots: Sequence[RobotModel], pieces: Sequence[Piece]) -> Servo:
     """Return the servo for some models of one arm: for the largest inertia that one of them has."""
-    from robot_sysid.simulation.forward_dynamics import ForwardPlant
-
     q = np.concatenate([piece.q[:: max(1, len(piece.q) // 10)] for piece in pieces])
     largest = np.zeros(q.shape[1])
     for robot in robots:
