@@ -10,6 +10,7 @@ from difflib import get_close_matches
 from typing import Any, Callable, NoReturn
 
 from robot_sysid import __version__
+from robot_sysid.commands.console import Console
 from robot_sysid.commands.streams import print_line
 from robot_sysid.errors import EXIT_CODES, InputError
 from robot_sysid.records.options import (
@@ -194,15 +195,15 @@ def _frozen(value: Any) -> Any:
 
 def parsed(
     build_parser: Callable[[bool], Parser], arguments: Sequence[str]
-) -> tuple[dict[str, Any], ConsoleOptions]:
-    """Return (what was given, lists as tuples; how much to print).
+) -> tuple[dict[str, Any], Console]:
+    """Return (what was given, lists as tuples; what to print on).
 
     Args:
         build_parser: makes the parser; told whether its help shows all options.
     """
     given = vars(build_parser("--help-all" in arguments).parse_args(arguments))
     values = {key: _frozen(value) for key, value in given.items()}
-    console = record_from(ConsoleOptions, values)
+    wanted = record_from(ConsoleOptions, values)
     for name in options_of(ConsoleOptions):
         values.pop(name, None)
-    return values, console
+    return values, Console(**vars(wanted))

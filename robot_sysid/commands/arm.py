@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from robot_sysid.commands.arguments import Parser, parsed
-from robot_sysid.commands.console import Console
 from robot_sysid.commands.identify import parser_of
 from robot_sysid.commands.run import identify
 
@@ -17,7 +16,7 @@ def build_parser(full: bool = True) -> Parser:
 
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
-    values, options = parsed(build_parser, arguments)
-    Console(options.quiet).note("arm is identify --links now; both do the same")
+    values, console = parsed(build_parser, arguments)
+    console.note("arm is identify --links now; both do the same")
     # Where no torque was measured, links are not sought.
-    return identify({**values, "links": "torque_from" not in values}, options)
+    return identify({**values, "links": "torque_from" not in values}, console)

@@ -11,16 +11,20 @@ from robot_sysid.records.progress import Progress
 
 
 class Console(Progress):
-    """Progress and results on standard output, notes on standard error."""
+    """Progress and results on standard output, notes on standard error.
 
-    def __init__(self, quiet: bool = False, verbose: bool = False) -> None:
-        self._quiet, self._verbose = quiet, verbose
+    Args:
+        verbose, quiet, debug: as ``arguments.ConsoleOptions``.
+    """
+
+    def __init__(self, verbose: bool = False, quiet: bool = False, debug: bool = False) -> None:
+        self.verbose, self.quiet, self.debug = verbose, quiet, debug
         self._bar: Any = None
 
     def stage(self, message: str) -> None:
         """Print a progress line."""
         self.close()
-        if not self._quiet:
+        if not self.quiet:
             print_line(message, sys.stdout)
 
     def lines(self, messages: Iterable[str]) -> None:
@@ -30,7 +34,7 @@ class Console(Progress):
 
     def back(self, lines: int) -> None:
         """Have what comes next take the place of the last lines, on a terminal."""
-        if sys.stdout.isatty() and not self._quiet:
+        if sys.stdout.isatty() and not self.quiet:
             sys.stdout.write(f"\x1b[{lines}A")
 
     def track(self, items: Iterator[Any], label: str, total: int) -> Iterator[Any]:
@@ -56,7 +60,7 @@ class Console(Progress):
 
     @property
     def _shows_bars(self) -> bool:
-        return sys.stderr.isatty() and not self._quiet
+        return sys.stderr.isatty() and not self.quiet
 
     @staticmethod
     def _new_bar(label: str, total: float, items: Iterator[Any] | None = None) -> Any:
@@ -67,10 +71,10 @@ class Console(Progress):
 
     def note(self, message: str) -> None:
         """Print a sentence the user should know."""
-        if not self._quiet:
+        if not self.quiet:
             print_line(f"note: {message}", sys.stderr)
 
     def detail(self, message: str) -> None:
         """Print a sentence that only --verbose shows."""
-        if self._verbose and not self._quiet:
+        if self.verbose and not self.quiet:
             print_line(message, sys.stdout)

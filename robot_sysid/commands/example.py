@@ -11,7 +11,6 @@ from pathlib import Path
 
 import robot_sysid
 from robot_sysid.commands.arguments import Parser, parsed
-from robot_sysid.commands.console import Console
 from robot_sysid.config import config_from
 from robot_sysid.errors import InputError
 from robot_sysid.records.atomic_files import draft_folder
@@ -70,8 +69,7 @@ def build_parser(full: bool = True) -> Parser:
 
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
-    values, options = parsed(build_parser, arguments)
-    console = Console(options.quiet, options.verbose)
+    values, console = parsed(build_parser, arguments)
     place = record_from(ExampleOptions, values).output_dir or Path(values["name"])
     if place.exists():
         raise InputError(f"{place} exists; choose another folder with --output-dir DIR")

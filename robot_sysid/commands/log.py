@@ -45,8 +45,7 @@ def build_parser(full: bool = True) -> Parser:
 
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
-    values, options = parsed(build_parser, arguments)
-    console = Console(options.quiet, options.verbose)
+    values, console = parsed(build_parser, arguments)
     log = record_from(LogOptions, values)
     preview = record_from(PreviewOptions, values)
     require_preview(preview)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from robot_sysid.commands.arguments import Parser, parsed
-from robot_sysid.commands.console import Console
 from robot_sysid.commands.report import require_report
 from robot_sysid.commands.run import add_model, told, warnings_as_notes
 from robot_sysid.config import ModelOptions, OutputOptions, PayloadOptions, payload_config_from
@@ -54,13 +53,12 @@ def build_parser(full: bool = True) -> Parser:
 
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
-    values, options = parsed(build_parser, arguments)
+    values, console = parsed(build_parser, arguments)
     config = payload_config_from(**values)
     require_report(config.output)
-    console = Console(options.quiet, options.verbose)
     # Imported here so that --help and usage errors do not wait for MuJoCo.
     from robot_sysid.payload_pipeline import run
 
-    with warnings_as_notes(console, options.debug):
+    with warnings_as_notes(console):
         outcome = run(config, console)
-    return told(outcome, console, options.verbose, config.output, config.model.mesh_dir)
+    return told(outcome, console, config.output, config.model.mesh_dir)

@@ -61,7 +61,7 @@ def build_parser(full: bool = True) -> Parser:
 
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
-    values, options = parsed(build_parser, arguments)
+    values, console = parsed(build_parser, arguments)
     rests = "static" in values or values.get("for") == "friction"
     usual = {} if "trajectory" in values or rests else USUAL
     wanted = record_from(PreviewOptions, values)
@@ -77,7 +77,7 @@ def main(arguments: Sequence[str]) -> int:
             shown = shown_plan(checked.problem, checked.plan)
             show_preview(checked.problem.robot, shown, wanted, console)
 
-    return identify({**usual, **values, "plan_only": True}, options, show)
+    return identify({**usual, **values, "plan_only": True}, console, show)
 
 
 def require_preview(wanted: PreviewOptions) -> None:

@@ -48,9 +48,8 @@ def build_parser(full: bool = True) -> Parser:
 
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
-    values, options = parsed(build_parser, arguments)
+    values, console = parsed(build_parser, arguments)
     page = record_from(PageOptions, values)
-    console = Console(options.quiet, options.verbose)
     require_report(OutputOptions(report=True))
     # Imported here so that --help and usage errors do not wait for MuJoCo.
     from robot_sysid.report.page import write_report

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from robot_sysid.commands.arguments import ConsoleOptions, Parser, parsed
+from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.report import report_of, require_report
 from robot_sysid.config import ModelOptions, MotorOptions, OutputOptions, SysidConfig, config_from
@@ -83,9 +83,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def identify(
-    values: Mapping[str, Any],
-    options: ConsoleOptions,
-    then: Callable[[Any, Console], None] | None = None,
+    values: Mapping[str, Any], console: Console, then: Callable[[Any, Console], None] | None = None
 ) -> int:
     """Run the pipeline and return the exit code.
 
@@ -94,17 +92,16 @@ def identify(
     """
     config = config_from(**values)
     require_report(config.output)
-    console = Console(options.quiet, options.verbose)
     # Imported here so that --help and usage errors do not wait for MuJoCo.
     from robot_sysid.pipeline import run
 
-    with warnings_as_notes(console, options.debug):
+    with warnings_as_notes(console):
         if config.estimation.torque_from is not None:
-            return told(_of_servos(config, console), console, options.verbose, config.output)
+            return told(_of_servos(config, console), console, config.output)
         outcome = run(config, console)
     if then is not None:
         then(outcome, console)
-    return told(outcome, console, options.verbose, config.output, config.model.mesh_dir)
+    return told(outcome, console, config.output, config.model.mesh_dir)
 
 
 def _of_servos(config: SysidConfig, console: Console) -> Any:
@@ -127,11 +124,7 @@ def _of_servos(config: SysidConfig, console: Console) -> Any:
 
 
 def told(
-    outcome: Any,
-    console: Console,
-    verbose: bool,
-    output: OutputOptions,
-    mesh_dir: Path | None = None,
+    outcome: Any, console: Console, output: OutputOptions, mesh_dir: Path | None = None
 ) -> int:
     """Print what a run has to say, write report and bundle, return the exit code 0.
 
@@ -141,7 +134,7 @@ def told(
     Raises:
         SysidError: there is nothing to use, or no report.
     """
-    console.lines(outcome.report_lines(verbose))
+    console.lines(outcome.report_lines(console.verbose))
     failure = report_of(outcome, output, mesh_dir, console)
     if outcome.failure:
         raise SysidError(outcome.failure)
@@ -157,13 +150,13 @@ def told(
 
 
 @contextlib.contextmanager
-def warnings_as_notes(console: Console, debug: bool) -> Iterator[None]:
+def warnings_as_notes(console: Console) -> Iterator[None]:
     """Turn warnings of Python libraries into notes; --debug shows where they come from."""
 
     def show(message: Any, *_: Any, **__: Any) -> None:
         console.note(f"numerical warning: {message}; check the result (--debug says where)")
 
     with warnings.catch_warnings():
-        if not debug:
+        if not console.debug:
             warnings.showwarning = show
         yield

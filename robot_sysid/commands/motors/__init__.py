@@ -227,8 +227,7 @@ def main(arguments: Sequence[str]) -> int:
     if name not in COMMANDS:
         _overview().parse_args(arguments or ["--help"])
         raise InputError(f"unknown command {name!r}; valid: {', '.join(COMMANDS)}")
-    values, options = parsed(partial(build_parser, name), arguments[1:])
-    return COMMANDS[name].run(Asked(values, Console(options.quiet, options.verbose)))
+    return COMMANDS[name].run(Asked(*parsed(partial(build_parser, name), arguments[1:])))
 
 
 def _overview() -> Parser:
