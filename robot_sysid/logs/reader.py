@@ -39,8 +39,8 @@ from robot_sysid.records import Array, DataOrigin, Measurement, RobotModel, Sour
 from robot_sysid.records.atomic_files import whole_file
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.torque_scale import CONSTANTS, SCALE, joint_factors
-from robot_sysid.signals.pieces import piece_note, pieces_of
 from robot_sysid.signals.process import LogPiece
+from robot_sysid.signals.resampling import piece_note, pieces_of
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from robot_sysid.logs.column_map import ColumnMap
 from robot_sysid.logs.formats.table import NO_LINES, Block, Lines, LogTable
 from robot_sysid.records import Array, Measurement
 from robot_sysid.records.progress import Progress
-from robot_sysid.signals.pieces import Thinning
+from robot_sysid.signals.resampling import Thinning
 
 _TURN = 2.0 * np.pi
 # A wrap differs from a full turn only by the motion within one sample.

@@ -23,8 +23,7 @@ from robot_sysid.records.progress import Progress
 from robot_sysid.records.results import CLOSED, RolloutError, RolloutTest
 from robot_sysid.results.rollout import HELD_OUT_SHARE, HORIZONS
 from robot_sysid.servo.commands import MOST_PERIODS
-from robot_sysid.signals.pieces import part_of
-from robot_sysid.signals.resampling import usual_period
+from robot_sysid.signals.resampling import part_of, usual_period
 from robot_sysid.simulation.rollout import playback
 from robot_sysid.simulation.rollout.servo import Servos, Window, actuators_of, played_servos
 

@@ -1,15 +1,22 @@
-"""Irregular samples to a uniform time grid."""
+"""Long and irregular logs: gaps and length split them into pieces, too many rows become fewer, and
+a piece is put on a uniform time grid.
+
+Each piece is filtered on its own. Two hours at 1 kHz say no more about an arm than the same hours
+at 60 Hz, and take sixteen times the memory: times, positions and torques pass one zero-phase
+low-pass and are decimated, which leaves a log recorded at a lower rate behind a proper filter.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Measurement
+from robot_sysid.signals.filters import Decimator, design_low_pass
 
 GAP_STEPS = 1.75
 """A step so many times the usual one has lost at least one sample."""
@@ -128,3 +135,128 @@ def _interpolated(measurement: Measurement, rate: float, why: str = "") -> Unifo
 def is_fresh(stamps: Array) -> NDArray[np.bool_]:
     """Return (N,) whether each row holds a new sample of a joint with these time stamps (N,)."""
     return np.concatenate(([True], np.diff(stamps) > 0.0))
+
+
+SPLITTING = 0.5
+"""Gap that no filter reaches over [s]."""
+SPLITTING_STEPS = 20.0
+"""The same in sampling periods, for slow logs."""
+SHORTEST = 4.0
+"""Piece that is too short to be worth filtering [s]."""
+MOST_ROWS = 100_000
+"""Rows of a piece beyond which it is cut, so that filtering it takes little memory."""
+MOST_TIME = 600.0
+"""Length of a log beyond which parts of it, spread evenly, stand for the whole [s]."""
+PART_TIME = 60.0
+"""Length of these parts [s]."""
+_MOVING = 0.1
+"""Share of the largest range of a joint in any part below which none moves in a part."""
+
+
+def longest_step(period: float) -> float:
+    """Return the longest step of time within a piece [s], for a usual step of ``period`` [s]."""
+    return max(SPLITTING, SPLITTING_STEPS * period)
+
+
+def pieces_of(samples: Measurement) -> tuple[Measurement, ...]:
+    """Return the pieces between the gaps of a log, those that are long enough.
+
+    A log without gaps is its own only piece, and so is one whose pieces are all too short.
+    """
+    step = np.diff(samples.time)
+    if not len(step):
+        return (samples,)
+    cuts = np.flatnonzero(step > longest_step(float(np.median(step)))) + 1
+    edges = [0, *cuts.tolist(), len(samples)]
+    span = float(samples.time[-1] - samples.time[0])
+    most = MOST_ROWS if span <= MOST_TIME else min(MOST_ROWS, round(PART_TIME / np.median(step)))
+    spans = [part for a, b in zip(edges, edges[1:]) for part in _cut(a, b, most) if b - a > 1]
+    if len(spans) == 1:
+        return (samples,)
+    long = [(a, b) for a, b in spans if samples.time[b - 1] - samples.time[a] >= SHORTEST]
+    return tuple(part_of(samples, a, b) for a, b in _spread(samples, long)) or (samples,)
+
+
+def piece_note(samples: Measurement, pieces: tuple[Measurement, ...]) -> tuple[str, ...]:
+    """Return a sentence on a log that gaps split; nothing on one that has none."""
+    used = sum(len(piece) for piece in pieces)
+    if len(pieces) == 1 and used == len(samples):
+        return ()
+    left = f"; {len(samples) - used} rows of other pieces are left out" * (used < len(samples))
+    if sum(float(piece.time[-1] - piece.time[0]) for piece in pieces) > 0.5 * MOST_TIME:
+        left += ", as the log is longer than any result needs" * (used < len(samples))
+    gap = float(np.max(np.diff(samples.time)))
+    has_gaps = gap > longest_step(float(np.median(np.diff(samples.time))))
+    why = f"gaps of up to {gap:.3g} s split" if has_gaps else "its length splits"
+    return (
+        f"{why} the log into {len(pieces)} pieces of at least {SHORTEST:g} s, each filtered on its "
+        f"own{left}",
+    )
+
+
+def _spread(samples: Measurement, spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Return as many of the spans as ``MOST_TIME`` allows, evenly spread over those that move."""
+    time = samples.time
+    if sum(time[b - 1] - time[a] for a, b in spans) <= MOST_TIME:
+        return spans
+    ranges = np.array([np.ptp(samples.q[a:b], axis=0) for a, b in spans])
+    moved = np.max(ranges / np.maximum(np.max(ranges, axis=0), 1e-12), axis=1)
+    moving = [span for span, share in zip(spans, moved) if share > _MOVING]
+    total = float(sum(time[b - 1] - time[a] for a, b in moving))
+    count = max(1, int(len(moving) * min(1.0, MOST_TIME / total)))
+    return [moving[k] for k in np.linspace(0, len(moving) - 1, count).round().astype(int)]
+
+
+def _cut(start: int, stop: int, most: int) -> list[tuple[int, int]]:
+    """Return the ends of equal parts of a piece, none with more than ``most`` rows."""
+    count = -(-(stop - start) // most)
+    edges = np.linspace(start, stop, count + 1).astype(int).tolist()
+    return list(zip(edges, edges[1:]))
+
+
+def part_of(samples: Measurement, start: int, stop: int) -> Measurement:
+    """Return some consecutive samples of a log."""
+    whole = {each.name: getattr(samples, each.name) for each in fields(Measurement)}
+    return replace(samples, **{n: v[start:stop] for n, v in whole.items() if v is not None})
+
+
+MOST_KEPT = 300_000
+"""Rows beyond which a log is thinned."""
+LEAST_RATE = 60.0
+"""Rows per second that thinning leaves at least [Hz]."""
+# Of the rate that is left; flat below 0.4 times this, and what folds back stays above that.
+_CUTOFF = 0.45
+
+
+class Thinning:
+    """Passes rows on, every one or every so many; ``period`` is their usual step of time [s]."""
+
+    def __init__(self, every: int, period: float) -> None:
+        self.every = every
+        self._longest = longest_step(period)
+        self._last = np.nan
+        if every > 1:
+            rate = 1.0 / period
+            self._low_pass = replace(design_low_pass(_CUTOFF * rate / every, rate), step=every)
+            self._decimator = Decimator(self._low_pass)
+
+    @classmethod
+    def of(cls, time: Array, expected: float) -> Thinning:
+        """Return what suits a log of about so many rows with these first time stamps (N,) [s]."""
+        period = usual_period(time)
+        slowest = max(1, math.floor(1.0 / (period * LEAST_RATE))) if period > 0.0 else 1
+        return cls(min(math.ceil(expected / MOST_KEPT), slowest), period)
+
+    def push(self, rows: Array) -> Array:
+        """Take the next rows (N, 2 + C), line and time first, and return those that are kept."""
+        if self.every == 1 or not len(rows):
+            return rows
+        step = np.diff(rows[:, 1], prepend=self._last)
+        self._last = rows[-1, 1]
+        parts = []
+        for part in np.split(rows, np.flatnonzero(step > self._longest)):
+            parts.append(self._decimator.push(part))
+            if part is not rows and part[-1:, 1] != self._last:
+                # The filter does not reach over a gap.
+                self._decimator = Decimator(self._low_pass)
+        return np.concatenate(parts)

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.records import Measurement
-from robot_sysid.signals import pieces
-from robot_sysid.signals.pieces import Thinning, piece_note, pieces_of
+from robot_sysid.signals import resampling as pieces
+from robot_sysid.signals.resampling import Thinning, piece_note, pieces_of
 
 
 def log(time: np.ndarray) -> Measurement:
