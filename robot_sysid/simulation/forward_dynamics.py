@@ -1,4 +1,4 @@
-"""A plant that moves: MuJoCo's forward dynamics of the chain, everything else held still.
+"""Arms that move: MuJoCo's forward dynamics of the chain, everything else held still.
 
 What acts: rigid-body dynamics, armature, springs, damping and MuJoCo's own ``frictionloss``. What
 does not: contacts, joint stops and equalities (an excitation trajectory touches none of them), the
@@ -7,15 +7,22 @@ model's actuators (the torque comes from outside), gravity compensation and drag
 Joints outside the chain (fingers, a second arm, loose objects) get so much armature that nothing
 moves them. None of them carries the chain, so the chain feels a rigid load and nothing else.
 
-The integrator is the explicit Runge-Kutta method of fourth order. MuJoCo's implicit ones add an
-apparent armature h (kv + damping) to the torque, and its Euler method evaluates damping half a step
-late, an apparent armature of h damping / 2: on a wrist of 5e-4 kg m^2 both spoil the result.
+A plant's integrator is the explicit Runge-Kutta method of fourth order. MuJoCo's implicit ones add
+an apparent armature h (kv + damping) to the torque, and its Euler method evaluates damping half a
+step late, an apparent armature of h damping / 2: on a wrist of 5e-4 kg m^2 both spoil the result.
 
 MuJoCo's ``frictionloss`` is not Coulomb's law but a ramp in velocity and acceleration that ends at
 the Coulomb level: torque = clip(D (qdd + b qd), -fc, +fc). D and b follow from the constraint
 settings and the inertia the joint had when the model was compiled. On a joint without armature the
 ramp can be so wide that a slow motion never leaves it; the torque is then viscous friction D b and
 inertia D, and no data can give fc. ``RampUse`` counts how often each joint was past its ramp.
+
+What a simulated set of motors drives is stepped otherwise (``ArmStepper``): with Coulomb's law
+tau_f = fc sign(qd) + fv qd, and implicit in everything that depends on velocity, so that stiff
+motor damping, shorted windings and dry friction are stable with any step: find v with
+
+    M (v - v_before) / h = torque - bias - (damping + fv) v - f,
+    f = fc sign(v), or |f| <= fc where v = 0.
 """
 
 from __future__ import annotations
@@ -40,6 +47,8 @@ STIFFEST_STEP = 1.0
 """Largest step times fastest decay rate; Runge-Kutta becomes unstable at 2.78."""
 SHORTEST_STEP = 2e-6
 """Step below which a plant is refused [s]."""
+DEFAULT_TIMESTEP = 5e-4
+"""Step of an arm that motors drive [s]."""
 
 
 def forward_copy(plant: RobotModel) -> Any:
@@ -58,6 +67,13 @@ def forward_copy(plant: RobotModel) -> Any:
     model.dof_armature[held] = HELD_ARMATURE
     model.dof_frictionloss[held] = 0.0
     return model
+
+
+def placed(plant: RobotModel, model: Any, data: Any, q: Array, qd: Array) -> None:
+    """Forget the past and put the chain at positions and velocities (n,), the rest at rest."""
+    mujoco.mj_resetData(model, data)
+    data.qpos[:] = plant.reference_qpos
+    data.qpos[plant.qpos_index], data.qvel[plant.dof_index] = q, qd
 
 
 class ForwardPlant:
@@ -85,10 +101,7 @@ class ForwardPlant:
 
     def reset(self, q: Array, qd: Array) -> None:
         """Forget the past and put the chain at positions and velocities (n,)."""
-        mujoco.mj_resetData(self.model, self.data)
-        self.data.qpos[:] = self._plant.reference_qpos
-        self.data.qpos[self._plant.qpos_index] = q
-        self.data.qvel[self._plant.dof_index] = qd
+        placed(self._plant, self.model, self.data, q, qd)
         mujoco.mj_forward(self.model, self.data)
 
     def state(self) -> tuple[Array, Array]:
@@ -301,3 +314,99 @@ class RampUse:
             f"(--velocity-deadband {covering:g} covers all joints); armature in the "
             "plant model lowers these speeds"
         )
+
+
+class ArmStepper:
+    """The chain of a model, torques in, motion out.
+
+    Args:
+        q: (n,) where it starts, at rest; the reference configuration if not given.
+        timestep: length of a step [s].
+
+    Attributes:
+        q, qd: (n,) positions and velocities [rad, rad/s].
+    """
+
+    def __init__(
+        self, robot: RobotModel, q: Array | None = None, timestep: float = DEFAULT_TIMESTEP
+    ) -> None:
+        self._robot, self.n_joints, self.timestep = robot, robot.n_joints, timestep
+        self._model = forward_copy(robot)
+        self._model.dof_damping[:] = 0.0
+        self._data = mujoco.MjData(self._model)
+        self._data.qpos[:] = robot.reference_qpos
+        self._coulomb, self._viscous = robot.friction.coulomb, robot.friction.viscous
+        self.q: Array = np.array(robot.reference if q is None else q, dtype=float)
+        self.qd: Array = np.zeros(robot.n_joints)
+        self._units = np.zeros((robot.n_joints, self._model.nv))
+        self._units[np.arange(robot.n_joints), robot.dof_index] = 1.0
+        self._columns = np.empty_like(self._units)
+
+    def step(self, torque: Array, damping: Array) -> Array:
+        """Advance one step under ``torque - damping qd`` and return what acted (n,) [N m].
+
+        Damping (n,) is in N m s/rad.
+
+        Raises:
+            SimulationError: the state is not finite any more.
+        """
+        mobility, bias = self._dynamics()
+        h = self.timestep
+        matrix = np.eye(self.n_joints) + h * mobility * (damping + self._viscous)
+        free = self.qd + h * mobility @ (torque - bias)
+        self.qd = self._with_dry_friction(matrix, free, h * mobility)
+        self.q = self.q + h * self.qd
+        if not np.all(np.isfinite(self.q)):
+            raise SimulationError("the simulated arm diverged; lower the gains or the torques")
+        return np.asarray(torque - damping * self.qd)
+
+    def tip(self) -> Array:
+        """Return where the terminal link's centre of mass is (3,) [m]."""
+        self._dynamics()
+        return np.array(self._data.xipos[self._robot.body_id])
+
+    def axis(self, joint: int) -> Array:
+        """Return the direction (3,) of a chain joint's axis in the world."""
+        self._dynamics()
+        return np.array(self._data.xaxis[self._model.dof_jntid[self._robot.dof_index[joint]]])
+
+    def moved_inertia(self) -> Array:
+        """Return the inertia (n,) that each joint moves, the others being free [kg m^2]."""
+        return np.asarray(1.0 / np.diag(self._dynamics()[0]))
+
+    def _dynamics(self) -> tuple[Array, Array]:
+        """Return the inverse mass matrix (n, n) and the bias torque (n,) of the chain."""
+        data, dofs = self._data, self._robot.dof_index
+        data.qpos[self._robot.qpos_index] = self.q
+        data.qvel[dofs] = self.qd
+        mujoco.mj_fwdPosition(self._model, data)
+        mujoco.mj_fwdVelocity(self._model, data)
+        mujoco.mj_solveM(self._model, data, self._columns, self._units)
+        bias = data.qfrc_bias[dofs] - data.qfrc_passive[dofs]
+        return self._columns[:, dofs], bias
+
+    def _with_dry_friction(self, matrix: Array, free: Array, impulse: Array) -> Array:
+        """Return the velocity v (n,) with matrix v = free - impulse f; f as in the module's text.
+
+        A joint slides in the direction it has, or would take without friction; one that would turn
+        round against its own friction sticks instead, until that needs more than fc.
+        """
+        fc, rubs = self._coulomb, self._coulomb > 0.0
+        unhindered = np.linalg.solve(matrix, free)
+        direction = np.where(self.qd != 0.0, np.sign(self.qd), np.sign(unhindered))
+        stuck = np.zeros(len(fc), dtype=bool)
+        velocity = np.asarray(unhindered)
+        for _ in range(2 * len(fc) + 1):
+            # matrix v + impulse f = free; unknown: v of the sliding joints, f of the stuck ones.
+            sliding = np.where(stuck, 0.0, fc * direction)
+            mixed = np.where(stuck, impulse, matrix)
+            unknown = np.linalg.solve(mixed, free - impulse @ sliding)
+            velocity = np.where(stuck, 0.0, unknown)
+            friction = np.where(stuck, unknown, sliding)
+            turned = rubs & ~stuck & (velocity * direction < 0.0)
+            broken = stuck & (np.abs(friction) > fc * (1.0 + 1e-9))
+            if not np.any(turned | broken):
+                break
+            direction = np.where(broken, np.sign(friction), direction)
+            stuck = (stuck | turned) & ~broken
+        return velocity

@@ -4,7 +4,7 @@
 
 An arm with other gains, damping, friction and rotor inertia than its model's plays 40 s of sines
 and steps. Commands and positions are logged at 50 Hz in steps of 0.1 degrees; commands act 20 ms
-late. It is stepped by ``simulation.stepper`` at 0.5 ms with Coulomb friction, not by what fits it.
+late. It is stepped by ``ArmStepper`` at 0.5 ms with Coulomb friction, not by what fits it.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ import pytest
 
 from robot_sysid.errors import SimulationError
 from robot_sysid.records import Motion
-from robot_sysid.simulation.stepper import ArmStepper
+from robot_sysid.simulation.forward_dynamics import ArmStepper
 from robot_sysid.simulator import simulate_inverse
 from tests.support import arms
 

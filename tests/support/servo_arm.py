@@ -8,8 +8,8 @@ import numpy as np
 
 from robot_sysid.records import JointFriction
 from robot_sysid.records.arm import RobotModel
+from robot_sysid.simulation.forward_dynamics import ArmStepper
 from robot_sysid.simulation.rollout.servo import actuators_of
-from robot_sysid.simulation.stepper import ArmStepper
 
 TICK = 1e-3
 

@@ -280,7 +280,7 @@ def _play_on(
 
 
 def _simulated_arm(asked: Asked, plan: preflight.Plan, *timestep: float) -> simulated.SimulatedArm:
-    from robot_sysid.simulation.stepper import ArmStepper
+    from robot_sysid.simulation.forward_dynamics import ArmStepper
 
     options = record_from(SimulatedMotorOptions, asked.values)
     motors = [simulated.simulated_motor(each, options.watchdog) for each in plan.trajectory.joints]

@@ -49,7 +49,7 @@ class Asked:
         """Return what each joint moves at the first point, where a model is known [kg m^2]."""
         if self.robot is None or self.robot.n_joints != trajectory.n_joints:
             return None
-        from robot_sysid.simulation.stepper import ArmStepper
+        from robot_sysid.simulation.forward_dynamics import ArmStepper
 
         _, q, _, _ = next(trajectory.chunks(1))
         return ArmStepper(self.robot, q[0]).moved_inertia()

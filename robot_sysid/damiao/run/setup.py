@@ -184,7 +184,7 @@ _WAYS = {"+z": " (up)", "-z": " (down)"}
 def positive_ways(robot: RobotModel) -> list[str]:
     """Return, per joint, what the model does when it moves the positive way, in words."""
     # Imported here so that setting up and monitoring do not wait for MuJoCo.
-    from robot_sysid.simulation.stepper import ArmStepper
+    from robot_sysid.simulation.forward_dynamics import ArmStepper
 
     begin, words = ArmStepper(robot), []
     for j in range(robot.n_joints):

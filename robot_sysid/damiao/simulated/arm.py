@@ -23,7 +23,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 
 if TYPE_CHECKING:
-    from robot_sysid.simulation.stepper import ArmStepper
+    from robot_sysid.simulation.forward_dynamics import ArmStepper
 
 
 DEFAULT_WATCHDOG = 0.1

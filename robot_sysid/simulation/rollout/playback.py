@@ -30,7 +30,7 @@ from robot_sysid.model.compilation import captured_warnings
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.options import processors
 from robot_sysid.signals.process import ProcessedSignals
-from robot_sysid.simulation.forward_dynamics import ForwardPlant, forward_copy
+from robot_sysid.simulation.forward_dynamics import ForwardPlant, forward_copy, placed
 
 MOST_NUMBERS = 20_000_000
 """Numbers of state and control that are in memory at a time."""
@@ -106,7 +106,7 @@ def _threaded(robot: RobotModel, models: Sequence[Any], inputs: Inputs) -> Array
     data = [mujoco.MjData(models[0]) for _ in range(threads)]
     starts = np.empty((len(models), mujoco.mj_stateSize(models[0], _FULL)))
     for start, q, qd in zip(starts, inputs.q, inputs.qd):
-        _place(robot, models[0], data[0], q, qd)
+        placed(robot, models[0], data[0], q, qd)
         mujoco.mj_getState(models[0], data[0], start, _FULL)
     given = np.zeros((*inputs.torque.shape[:2], mujoco.mj_stateSize(models[0], _INPUTS)))
     given[:, :, models[0].nu + robot.dof_index] = inputs.torque
@@ -121,18 +121,12 @@ def _threaded(robot: RobotModel, models: Sequence[Any], inputs: Inputs) -> Array
     return q
 
 
-def _place(robot: RobotModel, model: Any, data: Any, q: Array, qd: Array) -> None:
-    mujoco.mj_resetData(model, data)
-    data.qpos[:] = robot.reference_qpos
-    data.qpos[robot.qpos_index], data.qvel[robot.dof_index] = q, qd
-
-
 def _stepped(robot: RobotModel, models: Sequence[Any], inputs: Inputs) -> Array:
     """Do what ``mujoco.rollout`` does, step by step."""
     q: Array = np.full(inputs.torque.shape, math.nan)
     for row, model in enumerate(models):
         data = mujoco.MjData(model)
-        _place(robot, model, data, inputs.q[row], inputs.qd[row])
+        placed(robot, model, data, inputs.q[row], inputs.qd[row])
         for step in range(inputs.torque.shape[1]):
             data.qfrc_applied[robot.dof_index] = inputs.torque[row, step]
             if inputs.control is not None:
