@@ -20,7 +20,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.lib.stride_tricks import as_strided
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
@@ -133,13 +133,11 @@ class Decimator:
         waiting = waiting[skipped:]
         count = max(0, (len(waiting) - len(self._kernel)) // self._step + 1)
         span = count * self._step
-        flat = waiting.reshape(len(waiting), math.prod(waiting.shape[1:]))
-        rows, columns = flat.strides
-        # What each result sees, (count, taps, columns), without a copy of it.
-        size = (count, len(self._kernel), flat.shape[1])
-        seen = as_strided(flat, size, (self._step * rows, rows, columns), writeable=False)
-        # Not by BLAS: a column comes out alike beside whatever others, with any number of threads.
-        out = np.einsum("t,ktc->kc", self._kernel, seen).reshape(count, *waiting.shape[1:])
+        out = np.empty((0, *waiting.shape[1:]))
+        if count:
+            seen = sliding_window_view(waiting, len(self._kernel), axis=0)[:: self._step]
+            # Not by BLAS: a column is alike beside whatever others, with any number of threads.
+            out = np.einsum("t,k...t->k...", self._kernel, seen)
         self._skip += max(0, span - len(waiting))
         self._waiting = waiting[span:].copy()
         return out

@@ -8,7 +8,6 @@ as large both ways), so that gravity alone remains.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,16 +29,6 @@ APPROACH, LEAST_APPROACH = 0.3, 1e-3
 FEWEST_POSES = 5
 
 
-@dataclass(frozen=True)
-class _Rest:
-    """One rest: its time, mean position and torque (n,), and the direction of approach (n,)."""
-
-    time: float
-    q: Array
-    tau: Array
-    direction: Array
-
-
 def resting_poses(
     samples: Measurement, joint_names: Sequence[str]
 ) -> tuple[Measurement, NDArray[np.bool_]]:
@@ -48,27 +37,29 @@ def resting_poses(
     Raises:
         InputError: there are too few poses that were approached from both sides.
     """
-    rests = list(_rests(samples))
-    both = zip(rests, rests[1:])
-    pairs = [(a, b) for a, b in both if np.max(np.abs(a.q - b.q)) < SAME_POSE]
-    if len(pairs) < FEWEST_POSES:
+    joints = samples.q.shape[1]
+    rests = np.array(list(_rests(samples))).reshape(-1, 1 + 3 * joints)
+    time, q, tau, direction = np.split(rests, 1 + joints * np.arange(3), axis=1)
+    again = np.max(np.abs(np.diff(q, axis=0)), axis=1) < SAME_POSE
+    count = np.count_nonzero(again)
+    if count < FEWEST_POSES:
         raise InputError(
-            f"the log rests {len(rests)} times, and {len(pairs)} poses were approached from both "
+            f"the log rests {len(rests)} times, and {count} poses were approached from both "
             f"sides; --static needs {FEWEST_POSES}: play what robot-sysid plan --for payload "
             "--static writes"
         )
-    q = np.array([0.5 * (one.q + other.q) for one, other in pairs])
-    tau = np.array([0.5 * (one.tau + other.tau) for one, other in pairs])
-    same_side = np.array([one.direction * other.direction >= 0.0 for one, other in pairs])
-    tau[same_side] = np.nan
+    q, tau = (0.5 * (each[:-1] + each[1:])[again] for each in (q, tau))
+    tau[(direction[:-1] * direction[1:])[again] >= 0.0] = np.nan
     blind = [name for name, column in zip(joint_names, tau.T) if not np.any(np.isfinite(column))]
     if len(blind) == len(joint_names):
         raise InputError("no joint approaches its poses from both sides; --static needs that")
-    time, still = np.array([one.time for one, _ in pairs]), np.zeros_like(q)
-    return Measurement(time, q, still, np.nan_to_num(tau), still), np.isfinite(tau)
+    still = np.zeros_like(q)
+    poses = Measurement(time[:-1][again, 0], q, still, np.nan_to_num(tau), still)
+    return poses, np.isfinite(tau)
 
 
-def _rests(samples: Measurement) -> Iterator[_Rest]:
+def _rests(samples: Measurement) -> Iterator[Array]:
+    """Yield (1 + 3 n,) of each rest: its time, mean position and torque, direction of approach."""
     time, q = samples.time, samples.q
     # The ends of each run of samples around which all joints stay within STILL.
     still = np.concatenate(([False], _is_still(time, q), [False])).astype(int)
@@ -81,7 +72,7 @@ def _rests(samples: Measurement) -> Iterator[_Rest]:
         mean = np.mean(q[part], axis=0)
         moved = mean - q[before]
         direction = np.where(np.abs(moved) < LEAST_APPROACH, 0.0, np.sign(moved))
-        yield _Rest(float(time[first]), mean, np.mean(samples.tau[part], axis=0), direction)
+        yield np.hstack([time[first], mean, np.mean(samples.tau[part], axis=0), direction])
 
 
 def _is_still(time: Array, q: Array) -> NDArray[np.bool_]:
