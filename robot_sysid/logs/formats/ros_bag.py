@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from io import BytesIO
 from itertools import islice
@@ -38,8 +37,9 @@ _DYNAMIC = {
     "control_msgs/InterfaceValue[] interface_values\n",
 }
 
-Sample = Mapping[tuple[str, str], float]
-"""(joint, quantity) to value."""
+Key = tuple[str, str]
+"""Joint and quantity."""
+Sample = Mapping[Key, float]
 
 
 def _joint_state(message: Any) -> Sample:
@@ -67,51 +67,8 @@ _READERS: Mapping[str, Callable[[Any], Sample]] = {
     "control_msgs/msg/DynamicJointState": _dynamic_joint_state,
     "franka_msgs/msg/FrankaRobotState": lambda message: _joint_state(message.measured_joint_state),
 }
-Stamped = tuple[int, int, Sample]
+Stamped = tuple[tuple[int, int], Sample]
 """When a message was sampled and when it was recorded [ns], and what it says."""
-
-
-@dataclass(frozen=True)
-class _Topic:
-    """One topic of a bag.
-
-    Attributes:
-        name, kind: the topic and its type.
-        columns: (joint, quantity) of each column after the time.
-        titles: time, and one title per joint and quantity, in the model's spelling.
-        clock: 0 where the headers have time stamps, 1 where the time of recording stands in.
-        start: the first time [ns].
-    """
-
-    name: str
-    kind: str
-    columns: tuple[tuple[str, str], ...]
-    titles: tuple[str, ...]
-    clock: int
-    start: int
-
-    def has(self, joint_names: Sequence[str], quantities: Sequence[str]) -> bool:
-        """Return whether it has one of the quantities for all joints."""
-        titles = set(self.titles)
-        return any({f"{joint} {q}" for joint in joint_names} <= titles for q in quantities)
-
-    def blocks(self, path: Path, columns: Sequence[int]) -> Iterator[Block]:
-        """Yield the messages in their order."""
-        place = {key: k + 1 for k, key in enumerate(self.columns)}
-        with _opened(path) as bag:
-            connections = [c for c in bag.connections if c.topic == self.name]
-            total = max(1, sum(c.msgcount for c in connections))
-            messages = _messages(bag, connections, self.kind)
-            done = 0
-            while batch := list(islice(messages, table.BLOCK)):
-                cells = np.full((len(batch), len(self.titles)), np.nan)
-                for row, (*stamps, sample) in zip(cells, batch):
-                    row[0] = 1e-9 * (stamps[self.clock] - self.start)
-                    known = [key for key in sample if key in place]
-                    row[[place[key] for key in known]] = [sample[key] for key in known]
-                lines = np.arange(done, done + len(batch)) + 1
-                done += len(batch)
-                yield Block(lines, cells[:, list(columns)], done=done / total)
 
 
 def bag_table(asked: Asked) -> LogTable | None:
@@ -129,50 +86,82 @@ def bag_table(asked: Asked) -> LogTable | None:
         if topic is not None and topic not in known:
             raise InputError(f"{path} has no joint states in topic {topic!r}; {listed}")
         wanted = [topic] if topic else sorted(known)
-        tables = [_topic(bag, name, known[name], joint_names) for name in wanted]
-        found = [each for each in tables if each is not None]
-        if not found:
-            raise InputError(f"{path} holds no joint states; {listed}")
-    arm, torque = (joint_names, QUANTITIES[:1]), (joint_names, QUANTITIES[2:])
-    fitting = [each for each in found if each.has(*arm)] or found
-    measured = [each for each in fitting if each.has(*torque)] or fitting
+        tables = {name: _topic(path, bag, name, joint_names) for name in wanted}
+    found = {name: each for name, each in tables.items() if each is not None}
+    if not found:
+        raise InputError(f"{path} holds no joint states; {listed}")
+    positions, torques = (
+        [name for name in found if _has(found[name], joint_names, quantities)]
+        for quantities in (QUANTITIES[:1], QUANTITIES[2:])
+    )
+    fitting = positions or list(found)
+    measured = [name for name in fitting if name in torques] or fitting
     if len(measured) > 1:
-        listed = ", ".join(f"{each.name} ({each.kind})" for each in measured)
+        listed = ", ".join(f"{name} ({known[name]})" for name in measured)
         raise InputError(f"{path}: several topics could be the arm: {listed}; choose with --topic")
     chosen = measured[0]
-    if chosen.has(*arm) and not chosen.has(*torque):
+    if chosen in positions and chosen not in torques:
         raise InputError(
-            f"{path}: topic {chosen.name} has no effort of joint {joint_names[-1]}; without "
+            f"{path}: topic {chosen} has no effort of joint {joint_names[-1]}; without "
             "measured torque nothing can be identified: let the driver publish effort and record "
             "again"
         )
-    late = ", headers without time: when it was recorded" if chosen.clock else ""
-    layout = f"ROS bag, topic {chosen.name} ({chosen.kind}), joints by name{late}"
-    return LogTable(path, layout, chosen.titles, partial(chosen.blocks, path), word="message")
+    return found[chosen]
 
 
-def _topic(bag: Any, topic: str, kind: str, joint_names: Sequence[str]) -> _Topic | None:
-    """Return a topic with the columns that its first messages have, or None if it has none."""
+def _has(topic: LogTable, joint_names: Sequence[str], quantities: Sequence[str]) -> bool:
+    """Return whether a topic has one of the quantities for all joints."""
+    titles = set(topic.titles)
+    return any({f"{joint} {q}" for joint in joint_names} <= titles for q in quantities)
+
+
+def _topic(path: Path, bag: Any, topic: str, joint_names: Sequence[str]) -> LogTable | None:
+    """Return a topic with the columns that its first messages have, or None if it has none.
+
+    The titles are time, and one per joint and quantity, in the model's spelling.
+    """
     connections = [c for c in bag.connections if c.topic == topic]
-    first = list(islice(_messages(bag, connections, kind), _LOOKED_AT))
-    seen = dict.fromkeys(key for _, _, sample in first for key in sample)
+    first = list(islice(_messages(bag, connections), _LOOKED_AT))
+    seen = dict.fromkeys(key for _, sample in first for key in sample)
     if not seen:
         return None
-    clock = 0 if any(sampled for sampled, _, _ in first) else 1
+    # Where no header has a time stamp, the time of recording stands in.
+    clock = 0 if any(stamps[0] for stamps, _ in first) else 1
     names = list(dict.fromkeys(joint for joint, _ in seen))
     spelling = dict(zip(names, renamed(names, joint_names)))
-    titles = tuple(f"{spelling[joint]} {quantity}" for joint, quantity in seen)
-    return _Topic(topic, kind, tuple(seen), ("time", *titles), clock, first[0][:2][clock])
+    titles = ("time", *(f"{spelling[joint]} {quantity}" for joint, quantity in seen))
+    late = ", headers without time: when it was recorded" if clock else ""
+    layout = f"ROS bag, topic {topic} ({connections[-1].msgtype}), joints by name{late}"
+    read = partial(_blocks, path, topic, list(seen), clock, first[0][0][clock])
+    return LogTable(path, layout, titles, read, word="message")
 
 
-def _messages(bag: Any, connections: Sequence[Any], kind: str) -> Iterator[Stamped]:
-    read = _READERS[kind]
+def _blocks(
+    path: Path, topic: str, keys: Sequence[Key], clock: int, start: int, columns: Sequence[int]
+) -> Iterator[Block]:
+    """Yield the messages of a topic in their order, by one of their clocks from a start [ns]."""
+    place = {key: k + 1 for k, key in enumerate(keys)}
+    with _opened(path) as bag:
+        connections = [c for c in bag.connections if c.topic == topic]
+        total = max(1, sum(c.msgcount for c in connections))
+        messages, done = _messages(bag, connections), 0
+        while batch := list(islice(messages, table.BLOCK)):
+            cells = np.full((len(batch), 1 + len(keys)), np.nan)
+            for row, (stamps, sample) in zip(cells, batch):
+                row[0] = 1e-9 * (stamps[clock] - start)
+                known = [key for key in sample if key in place]
+                row[[place[key] for key in known]] = [sample[key] for key in known]
+            lines = np.arange(done, done + len(batch)) + 1
+            done += len(batch)
+            yield Block(lines, cells[:, list(columns)], done=done / total)
+
+
+def _messages(bag: Any, connections: Sequence[Any]) -> Iterator[Stamped]:
     for connection, received, raw in bag.messages(connections=connections):
         message = bag.deserialize(raw, connection.msgtype)
-        inner = getattr(message, "measured_joint_state", message)
-        stamp = inner.header.stamp
+        stamp = getattr(message, "measured_joint_state", message).header.stamp
         sampled = int(stamp.sec) * 10**9 + int(stamp.nanosec)
-        yield sampled, int(received), read(message)
+        yield (sampled, int(received)), _READERS[connection.msgtype](message)
 
 
 @contextlib.contextmanager
