@@ -18,7 +18,7 @@ from robot_sysid.dynamics.kinematics import ArmDynamics
 from robot_sysid.errors import ExportError, InputError
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import RobotModel, Validation
+from robot_sysid.records import Measurement, RobotModel, Validation
 from robot_sysid.records.atomic_files import temporary_folder, whole_files
 from robot_sysid.records.results import (
     CLOSED,
@@ -106,7 +106,7 @@ def refusal(test: RolloutTest | None, accepted: Collection[str]) -> str | None:
 
 
 def compare(
-    before: RobotModel, after: RobotModel, pieces: Sequence[playback.Piece], held_out: str
+    before: RobotModel, after: RobotModel, pieces: Sequence[Measurement], held_out: str
 ) -> RolloutTest:
     """Play two models of an arm on the same pieces."""
     errors, notes = [], []

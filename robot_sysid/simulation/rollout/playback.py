@@ -27,7 +27,7 @@ import mujoco
 import numpy as np
 
 from robot_sysid.model.compilation import captured_warnings
-from robot_sysid.records import Array, RobotModel
+from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.records.options import processors
 from robot_sysid.signals.process import ProcessedSignals
 from robot_sysid.simulation.forward_dynamics import ForwardPlant, forward_copy, placed
@@ -149,23 +149,6 @@ RAN_AWAY = {False: np.pi, True: 1.0}
 
 
 @dataclass(frozen=True)
-class Piece:
-    """A stretch of a log, all of it low-passed: (N,) [s], (N, n) [rad, rad/s, N m]."""
-
-    time: Array
-    q: Array
-    qd: Array
-    tau: Array
-
-    def at(self, time: Array) -> tuple[Array, Array, Array]:
-        """Return (q, qd, tau) (..., n) at some times (...)."""
-        return tuple(  # type: ignore[return-value]
-            np.stack([np.interp(time, self.time, column) for column in values.T], axis=-1)
-            for values in (self.q, self.qd, self.tau)
-        )
-
-
-@dataclass(frozen=True)
 class Servo:
     """Gains (n,) of what holds the model near the measured motion [N m/rad, N m s/rad]."""
 
@@ -173,8 +156,11 @@ class Servo:
     damping: Array
 
 
-def pieces_of_signals(signals: ProcessedSignals, first: float = -np.inf) -> list[Piece]:
-    """Return what can be played of a processed log from a time [s] on, cut at its long holes."""
+def pieces_of_signals(signals: ProcessedSignals, first: float = -np.inf) -> list[Measurement]:
+    """Return what can be played of a processed log from a time [s] on, cut at its long holes.
+
+    All of it is low-passed.
+    """
     half = signals.low_pass.half_width
     inner = slice(half, len(signals) - half)
     time, bridged = signals.time[inner], signals.bridged[inner]
@@ -182,10 +168,10 @@ def pieces_of_signals(signals: ProcessedSignals, first: float = -np.inf) -> list
     usable = np.flatnonzero((time >= first) & ~bridged)
     runs = np.split(usable, np.flatnonzero(np.diff(usable) > 1) + 1)
     q, qd = signals.q[inner], signals.qd[inner]
-    return [Piece(time[run], q[run], qd[run], tau[run]) for run in runs if len(run) > 1]
+    return [Measurement(time[run], q[run], qd[run], tau[run]) for run in runs if len(run) > 1]
 
 
-def stated_servo(robots: Sequence[RobotModel], pieces: Sequence[Piece]) -> Servo:
+def stated_servo(robots: Sequence[RobotModel], pieces: Sequence[Measurement]) -> Servo:
     """Return the servo for some models of one arm: for the largest inertia that one of them has."""
     q = np.concatenate([piece.q[:: max(1, len(piece.q) // 10)] for piece in pieces])
     largest = np.zeros(q.shape[1])
@@ -200,7 +186,11 @@ def stated_servo(robots: Sequence[RobotModel], pieces: Sequence[Piece]) -> Servo
     return Servo(largest * rate**2, 2.0 * largest * rate)
 
 
-def starts(pieces: Sequence[Piece], horizon: float) -> list[tuple[Piece, float]]:
+Start = tuple[Measurement, float]
+"""A piece, and when a window of it begins [s]."""
+
+
+def starts(pieces: Sequence[Measurement], horizon: float) -> list[Start]:
     """Return where windows of a length [s] begin, one after the other in each piece."""
     found = [
         (piece, float(piece.time[0] + number * horizon))
@@ -211,13 +201,17 @@ def starts(pieces: Sequence[Piece], horizon: float) -> list[tuple[Piece, float]]
     return [found[k] for k in keep]
 
 
+def interpolated(at: Array, time: Array, values: Array) -> Array:
+    """Return values (N, n) at other times (K, n), those at the ends beyond them."""
+    return np.stack([np.interp(at, time, column) for column in values.T], axis=-1)
+
+
 def played(
-    robot: RobotModel, windows: Sequence[tuple[Piece, float]], horizon: float, servo: Servo | None
+    robot: RobotModel, windows: Sequence[Start], horizon: float, servo: Servo | None
 ) -> tuple[Array, int]:
     """Return the position error of a model in windows of a log.
 
     Args:
-        windows: pieces, and where in them the windows begin [s].
         horizon: length of the windows [s].
         servo: of the closed loop; None for the open one.
 
@@ -227,10 +221,11 @@ def played(
     steps = max(1, round(horizon / STEP))
     model = rollout_copy(robot, horizon / steps)
     grid = np.arange(steps + 1) * model.opt.timestep
-    reference = np.stack([piece.at(start + grid)[:2] for piece, start in windows])
     middle = 0.5 * (grid[1:] + grid[:-1])
-    torque = np.stack([piece.at(start + middle)[2] for piece, start in windows])
-    q, qd = reference[:, 0], reference[:, 1]
+    q, qd, torque = (
+        np.stack([interpolated(at + start, p.time, getattr(p, name)) for p, start in windows])
+        for name, at in (("q", grid), ("qd", grid), ("tau", middle))
+    )
     if servo is not None:
         model.jnt_stiffness[model.dof_jntid[robot.dof_index]] += servo.stiffness
         model.dof_damping[robot.dof_index] += servo.damping

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.model.chain import actuators_on
 from robot_sysid.records import Array, RobotModel
-from robot_sysid.simulation.rollout.playback import Inputs, roll, rollout_copy
+from robot_sysid.simulation.rollout.playback import Inputs, interpolated, roll, rollout_copy
 
 NONE = -1
 HOLDS_DELAY = hasattr(mujoco.MjModel, "actuator_delay")
@@ -172,7 +172,7 @@ class Window:
         summed = np.vstack((np.zeros_like(self.q), np.cumsum(self.command * step, axis=0)))
         knots = np.append(self.time, self.time[-1] + 1.0)
         values = (
-            np.stack([np.interp(times, knots, column) for column in summed.T], axis=1)
+            interpolated(times, knots, summed)
             + np.minimum(times - self.time[0], 0.0)[:, None] * self.command[0]
         )
         return np.asarray(np.diff(values, axis=0) / np.diff(edges)[:, None])

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from robot_sysid.records import Measurement
 from robot_sysid.simulation.rollout import playback
 from robot_sysid.simulation.rollout.playback import (
     STEP,
     Inputs,
-    Piece,
     played,
     roll,
     rollout_copy,
@@ -33,7 +33,7 @@ def recording(robot):
     q = roll(robot, [rollout_copy(robot, STEP)], Inputs(start, 0.0 * start, torque[None]))[0]
     q = np.vstack((start, q))
     qd = np.vstack((0.0 * start, np.diff(q, axis=0) / STEP))
-    return Piece(time, q, qd, np.vstack((torque, torque[-1:])))
+    return Measurement(time, q, qd, np.vstack((torque, torque[-1:])))
 
 
 @pytest.mark.parametrize("closed", [False, True])
@@ -54,7 +54,7 @@ def test_the_arm_itself_makes_no_error_and_another_one_does(closed):
 def test_an_error_that_runs_away_counts_with_the_largest_one():
     robot = arm()
     piece = recording(robot)
-    wild = Piece(piece.time, piece.q, piece.qd, 1e6 * np.ones_like(piece.tau))
+    wild = Measurement(piece.time, piece.q, piece.qd, 1e6 * np.ones_like(piece.tau))
     error, away = played(robot, starts([wild], 1.0), 1.0, None)
     assert away == 1
     assert np.all(error <= np.pi + 1e-12)
