@@ -28,8 +28,7 @@ from robot_sysid.logs.column_map import (
     recognise_columns,
 )
 from robot_sysid.logs.columns import joint_kind, read_title
-from robot_sysid.logs.formats.arrays import hdf5_table, matlab_table, npz_table
-from robot_sysid.logs.formats.lerobot import lerobot_table
+from robot_sysid.logs.formats.arrays import hdf5_table, lerobot_table, matlab_table, npz_table
 from robot_sysid.logs.formats.ros_bag import bag_table
 from robot_sysid.logs.formats.table import Asked, LogTable
 from robot_sysid.logs.formats.text import is_number, text_table

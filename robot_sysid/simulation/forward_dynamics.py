@@ -230,11 +230,6 @@ class FrictionRamp:
     inertia: Array
     rate: Array
 
-    @property
-    def viscous(self) -> Array:
-        """Viscous friction that each ramp looks like from within, D b (n,) [N m s/rad]."""
-        return self.inertia * self.rate
-
 
 class RampUse:
     """Counts, joint by joint (n,), the samples whose dry friction has its full size.
@@ -292,7 +287,7 @@ class RampUse:
         return tuple(found)
 
     def _never(self, j: int) -> str:
-        coulomb, viscous = self._ramp.coulomb[j], self._ramp.viscous[j]
+        coulomb, viscous = self._ramp.coulomb[j], self._ramp.inertia[j] * self._ramp.rate[j]
         return (
             f"the frictionloss of {self._joints[j]} ({coulomb:.3g} N m) is never reached: in "
             "MuJoCo it builds up with speed and is complete only above about "
