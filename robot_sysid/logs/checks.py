@@ -7,14 +7,12 @@ numbers could not mean what they seem to). Both name lines and a remedy.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.rows import LogRows
-from robot_sysid.records import Array, JointLimits
+from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.figures import position
 from robot_sysid.signals.resampling import GAP_STEPS, usual_period
 
@@ -36,22 +34,7 @@ _DONE = {
 }
 
 
-@dataclass(frozen=True)
-class LogJoints:
-    """The joints that a log is about.
-
-    Attributes:
-        names: the n chain joints, base to terminal.
-        limits: what they may do.
-        is_slide: (n,) whether a joint is a slide, whose positions are metres.
-    """
-
-    names: tuple[str, ...]
-    limits: JointLimits
-    is_slide: NDArray[np.bool_]
-
-
-def check_log(name: str, rows: LogRows, joints: LogJoints, in_radians: bool) -> tuple[str, ...]:
+def check_log(name: str, rows: LogRows, robot: RobotModel, in_radians: bool) -> tuple[str, ...]:
     """Run every check over the rows of a log and return one sentence for what is worth knowing.
 
     Args:
@@ -61,7 +44,7 @@ def check_log(name: str, rows: LogRows, joints: LogJoints, in_radians: bool) -> 
     if not rows.n_read and rows.foreign:
         raise InputError(
             f"{name}: none of its {rows.foreign} rows holds a position and a torque of "
-            f"{', '.join(joints.names)}"
+            f"{', '.join(robot.joint_names)}"
         )
     if len(rows.lines) < 10:
         raise InputError(
@@ -71,11 +54,11 @@ def check_log(name: str, rows: LogRows, joints: LogJoints, in_radians: bool) -> 
     try:
         notes = [*_repair_notes(rows), *clock_notes(rows)]
         if not in_radians:
-            require_radians(rows, joints)
-        require_no_jumps(rows, joints)
-        notes += [*rest_notes(rows, joints), *limit_notes(rows, joints)]
-        require_torque(rows, joints)
-        notes += velocity_notes(rows, joints)
+            require_radians(rows, robot)
+        require_no_jumps(rows, robot)
+        notes += [*rest_notes(rows, robot), *limit_notes(rows, robot)]
+        require_torque(rows, robot)
+        notes += velocity_notes(rows, robot)
         require_one_clock(rows)
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
@@ -183,13 +166,13 @@ _LIMIT_MARGIN = 1e-3
 _CURRENT_STEP = 2.69
 
 
-def require_radians(rows: LogRows, joints: LogJoints) -> None:
+def require_radians(rows: LogRows, robot: RobotModel) -> None:
     """Refuse positions or speeds that only make sense in degrees."""
     time, q = rows.samples.time, rows.samples.q
     largest = np.max(np.abs(q), axis=0)
-    limit = np.maximum(np.abs(joints.limits.lower), np.abs(joints.limits.upper))
+    limit = np.maximum(np.abs(robot.limits.lower), np.abs(robot.limits.upper))
     reach = np.where(np.isfinite(limit), np.maximum(2.0 * limit, 2.0 * np.pi), 4.0 * np.pi)
-    hinge = ~joints.is_slide
+    hinge = ~robot.is_slide
     far = hinge & (largest > reach)
     too_fast = np.abs(np.diff(q, axis=0)) > _FAST * np.diff(time)[:, None]
     fast = hinge & (np.sum(too_fast, axis=0) > 0.01 * len(too_fast))
@@ -200,24 +183,25 @@ def require_radians(rows: LogRows, joints: LogJoints) -> None:
         joint = int(np.argmax(far))
         what = f"reaches {largest[joint]:.4g}"
     raise InputError(
-        f"positions look like degrees (joint {joints.names[joint]} {what}); "
+        f"positions look like degrees (joint {robot.joint_names[joint]} {what}); "
         "pass --units deg, or --units rad if they are radians"
     )
 
 
-def require_no_jumps(rows: LogRows, joints: LogJoints) -> None:
+def require_no_jumps(rows: LogRows, robot: RobotModel) -> None:
     """Refuse single positions no joint can reach within one step."""
     step, time = np.abs(np.diff(rows.samples.q, axis=0)), np.diff(rows.samples.time)[:, None]
     jump = (step > _JUMP) & (step > _JUMP_SPEED * time)
     if np.any(jump):
-        joint, lines = joints.names[np.argwhere(jump)[0, 1]], rows.lines[1:][np.any(jump, axis=1)]
+        joint = robot.joint_names[np.argwhere(jump)[0, 1]]
+        lines = rows.lines[1:][np.any(jump, axis=1)]
         raise InputError(
             f"the position of joint {joint} jumps at {rows.listed(lines)}; delete the bad rows, or "
             "cut the log there"
         )
 
 
-def rest_notes(rows: LogRows, joints: LogJoints) -> Iterator[str]:
+def rest_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
     """Yield notes on joints and moments without motion; refuse an arm that is at rest."""
     time, q = rows.samples.time, rows.samples.q
     span = np.ptp(q, axis=0)
@@ -226,7 +210,7 @@ def rest_notes(rows: LogRows, joints: LogJoints) -> Iterator[str]:
             f"the arm is at rest, no joint moves by more than {span.max():.2g} rad; record an "
             "excitation trajectory (if these are other units, see --units)"
         )
-    still = [n for n, s in zip(joints.names, span) if s < _AT_REST]
+    still = [n for n, s in zip(robot.joint_names, span) if s < _AT_REST]
     if still:
         yield f"joints that do not move in this log: {', '.join(still)}"
     long = max(0.5, 0.02 * (time[-1] - time[0]))
@@ -243,15 +227,15 @@ def rest_notes(rows: LogRows, joints: LogJoints) -> Iterator[str]:
         yield f"the arm stands still from {rows.word} {rows.lines[last]} on ({after:.2f} s)"
 
 
-def limit_notes(rows: LogRows, joints: LogJoints) -> Iterator[str]:
+def limit_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
     """Yield a note on positions outside what the model allows."""
-    over = np.maximum(rows.samples.q - joints.limits.upper, joints.limits.lower - rows.samples.q)
+    over = np.maximum(rows.samples.q - robot.limits.upper, robot.limits.lower - rows.samples.q)
     lines = rows.lines[np.any(over > _LIMIT_MARGIN, axis=1)]
     if not len(lines):
         return
     outside = [
         f"{name} by {excess:.3g} {position(slide)}"
-        for name, excess, slide in zip(joints.names, np.max(over, axis=0), joints.is_slide)
+        for name, excess, slide in zip(robot.joint_names, np.max(over, axis=0), robot.is_slide)
         if excess > _LIMIT_MARGIN
     ]
     yield (
@@ -260,7 +244,7 @@ def limit_notes(rows: LogRows, joints: LogJoints) -> Iterator[str]:
     )
 
 
-def require_torque(rows: LogRows, joints: LogJoints) -> None:
+def require_torque(rows: LogRows, robot: RobotModel) -> None:
     """Refuse torque columns that carry nothing, or the raw currents that ALOHA's motors report."""
     tau = rows.samples.tau
     stuck = np.all(tau == tau[0], axis=0)
@@ -268,7 +252,7 @@ def require_torque(rows: LogRows, joints: LogJoints) -> None:
         joint = int(np.argmax(stuck))
         what = "zero" if tau[0, joint] == 0.0 else f"the same ({tau[0, joint]:.6g} N m)"
         raise InputError(
-            f"the torque of joint {joints.names[joint]} is {what} in every row; record it, or "
+            f"the torque of joint {robot.joint_names[joint]} is {what} in every row; record it, or "
             "name the right column with --columns FILE"
         )
     steps = tau / _CURRENT_STEP
@@ -279,7 +263,7 @@ def require_torque(rows: LogRows, joints: LogJoints) -> None:
         )
 
 
-def velocity_notes(rows: LogRows, joints: LogJoints) -> Iterator[str]:
+def velocity_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
     """Yield notes on velocity columns that do not integrate to the position columns.
 
     Over blocks of about 50 ms the change of position is regressed on the integral of velocity,
@@ -296,7 +280,7 @@ def velocity_notes(rows: LogRows, joints: LogJoints) -> Iterator[str]:
     edges = np.arange(0, len(step), max(1, round(0.05 / period)))
     a, b = np.add.reduceat(integral, edges), np.add.reduceat(change, edges)
     moments = (np.sum(product, axis=0) for product in (a * b, a * a, b * b))
-    for name, ab, aa, bb in zip(joints.names, *moments):
+    for name, ab, aa, bb in zip(robot.joint_names, *moments):
         if bb < 1e-4:
             continue
         slope = ab / aa if aa > 0.0 else 0.0

@@ -19,7 +19,7 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.json_files import read_json
-from robot_sysid.logs.checks import LogJoints, check_log
+from robot_sysid.logs.checks import check_log
 from robot_sysid.logs.column_map import (
     ColumnChoices,
     ColumnMap,
@@ -78,18 +78,20 @@ def join_measurements(chunks: Iterable[Measurement]) -> Measurement:
     return Measurement(**joined)
 
 
-def read_log(
-    source: Path | LogTable,
-    joints: LogJoints,
+def open_log(
+    robot: RobotModel,
+    source: Path | LogTable | MeasurementLog,
     options: LogOptions,
     progress: Progress | None = None,
 ) -> MeasurementLog:
-    """Recognise, check and open a log.
+    """Recognise, check and open a log of an arm; one that is open stays so.
 
     Raises:
         InputError: the log cannot be read, is ambiguous or cannot be what it seems to be.
     """
-    path, names, slides = Path(source), joints.names, joints.is_slide.tolist()
+    if isinstance(source, MeasurementLog):
+        return source
+    path, names, slides = Path(source), robot.joint_names, robot.is_slide.tolist()
     table = source if isinstance(source, LogTable) else open_table(path, names, options)
     choices = parse_units(options.units) if options.units else ColumnChoices()
     if options.columns:
@@ -104,25 +106,12 @@ def read_log(
     found = recognise_columns(table.titles, names, choices, table.first_row, slides, *wanted)
     found = found.with_torque_factor(torque_factor(options, names))
     rows = read_rows(table, found, slides, progress)
-    checked = check_log(str(path), rows, joints, found.angle_declared)
+    checked = check_log(str(path), rows, robot, found.angle_declared)
     pieces = tuple(LogPiece(**vars(piece)) for piece in pieces_of(rows.samples))
     notes = (f"log layout: {table.layout}", *found.describe(), *checked)
     return MeasurementLog(
         path, found, rows.samples, pieces, (*notes, *piece_note(rows.samples, pieces))
     )
-
-
-def open_log(
-    robot: RobotModel,
-    source: Path | LogTable | MeasurementLog,
-    options: LogOptions,
-    progress: Progress | None = None,
-) -> MeasurementLog:
-    """Recognise, check and open a log of an arm, see ``read_log``; one that is open stays so."""
-    if isinstance(source, MeasurementLog):
-        return source
-    joints = LogJoints(robot.joint_names, robot.limits, robot.is_slide)
-    return read_log(source, joints, options, progress)
 
 
 def origin_of(logs: Sequence[MeasurementLog]) -> DataOrigin:
@@ -157,7 +146,7 @@ def write_measurement_csv(
     chunks: Iterable[Measurement],
     header_comments: Sequence[str] = (),
 ) -> None:
-    """Write samples in the form ``read_log`` reads, with every digit.
+    """Write samples in the form ``open_log`` reads, with every digit.
 
     The file appears whole or not at all.
 

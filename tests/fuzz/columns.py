@@ -10,13 +10,13 @@ from random import Random
 from robot_sysid.damiao.protocol.joints import damiao_joints, mapped, read_joint_map
 from robot_sysid.logs.formats.table import LogTable, pieces_table
 from robot_sysid.logs.options import LogOptions
-from robot_sysid.logs.reader import read_log
+from robot_sysid.logs.reader import open_log
 from robot_sysid.records.torque_scale import CONSTANTS, SCALE, joint_factors
 from tests.fuzz.harness import Case, written
 from tests.fuzz.mutations import damaged, damaged_json, damaged_table, odd
 from tests.support import log_files
 
-_JOINTS = log_files.joints_of(log_files.JOINTS, log_files.limits())
+_ARM = log_files.arm_of(log_files.JOINTS, log_files.limits())
 LINES = """# which column is what
 time = Zeit
 units = rad, s
@@ -82,4 +82,4 @@ def use(case: Case, folder: Path) -> None:
     else:
         titles = ("", "<script>", *_log().titles[2:]) if len(case[name]) % 50 == 0 else None
         table = dataclasses.replace(_log(), titles=titles) if titles else _log()
-        read_log(table, _JOINTS, LogOptions(columns=path))
+        open_log(_ARM, table, LogOptions(columns=path))

@@ -15,13 +15,13 @@ from random import Random
 import numpy as np
 
 from robot_sysid.logs.options import LogOptions
-from robot_sysid.logs.reader import read_log
+from robot_sysid.logs.reader import open_log
 from tests.fuzz.harness import Case, written
 from tests.fuzz.mutations import NUMBERS, TEXTS, damaged, damaged_json, damaged_table, odd
 from tests.support import log_files, recorded
 
 ROWS = 24
-_JOINTS = log_files.joints_of(log_files.JOINTS, log_files.limits())
+_ARM = log_files.arm_of(log_files.JOINTS, log_files.limits())
 _TEXT, _ARRAYS = (("libfranka", "RTDE", "PlotJuggler", "SAGE"), ("npz", "robomimic", "ALOHA"))
 _SLOW = (*(name for name in recorded.FORMS if "ROS" in name), "single mcap")
 _SLOW += ("DynamicJointState", "FrankaRobotState", "LeRobot v2")
@@ -131,4 +131,4 @@ def use(case: Case, folder: Path) -> None:
     place = written({name: text for name, text in case.items() if name != "read"}, folder)
     currents = (1.0,) if len(case["read"]) % 2 else None
     path = place / case["read"].decode()
-    read_log(path, _JOINTS, LogOptions(torque_constants=currents if "npz" in path.name else None))
+    open_log(_ARM, path, LogOptions(torque_constants=currents if "npz" in path.name else None))

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from robot_sysid.logs.options import LogOptions
-from robot_sysid.logs.reader import LogJoints, MeasurementLog, read_log
+from robot_sysid.logs.reader import MeasurementLog, open_log
 from robot_sysid.records import JointLimits, Measurement
 
 JOINTS = ("base", "elbow", "wrist")
@@ -49,12 +50,12 @@ def limits(reach: float = 2.0, count: int = 3) -> JointLimits:
     return JointLimits(-full, full, np.full(count, 10.0), np.full(count, np.inf))
 
 
-def joints_of(
+def arm_of(
     names: Sequence[str], most: JointLimits | None = None, is_slide: Sequence[bool] = ()
-) -> LogJoints:
-    """Joints that a log is about; hinges without limits where nothing else is said."""
-    slides = np.array(is_slide or [False] * len(names))
-    return LogJoints(tuple(names), most or limits(np.inf, len(names)), slides)
+) -> Any:
+    """What a log asks of an arm; hinges without limits where nothing else is said."""
+    slides, most = np.array(is_slide or [False] * len(names)), most or limits(np.inf, len(names))
+    return SimpleNamespace(joint_names=tuple(names), limits=most, is_slide=slides)
 
 
 def _text(cell: object) -> str:
@@ -69,4 +70,4 @@ def read_measurements(
     **options: Any,
 ) -> MeasurementLog:
     """Read a log with options such as columns or units."""
-    return read_log(path, joints_of(joint_names, limits, is_slide), LogOptions(**options))
+    return open_log(arm_of(joint_names, limits, is_slide), path, LogOptions(**options))
