@@ -1,7 +1,8 @@
 """Output files that appear whole or not at all, one at a time or several together.
 
 What is written is a draft by a hidden name in the same folder: an older file stays in its place,
-whole, until the very moment in which the new one takes it. What cannot be written, or is held by
+whole, until the very moment in which the new one takes it (the first one of several until the
+others begin to). What cannot be written, or is held by
 another run, raises InputError.
 """
 
@@ -248,11 +249,18 @@ class WholeFiles:
         self._unwanted.append(path)
 
     def commit(self) -> None:
-        """Give every draft its final name, the first one last."""
+        """Give every draft its final name, the first one last.
+
+        An older file by the first one's name goes before the others change: beside them it would
+        say what does not hold for them, should the system refuse to go on in between.
+        """
         for path, draft in self._drafts.items():
             with _refusals(path), open(draft, "rb+") as file:
                 os.fsync(file.fileno())
         with held_back():
+            for path in list(self._drafts)[:1] if len(self._drafts) > 1 else ():
+                with _refusals(path):
+                    path.unlink(missing_ok=True)
             for path, draft in reversed(self._drafts.items()):
                 with _refusals(path):
                     os.replace(draft, path)
