@@ -13,7 +13,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,6 +24,24 @@ from robot_sysid.regressor import wrench_regressor
 
 _RIDGE = 1e-10
 """Keeps the elimination defined where a joint stands still and its friction has no columns."""
+
+
+Gradient = tuple[Array, Array, Array]
+"""Of a scalar, with respect to q, qd and qdd (N, n)."""
+
+
+class Information(NamedTuple):
+    """Information of a motion.
+
+    Attributes:
+        information: (r, r) L.
+        signal: sum of the squared rows before elimination: what counts as large.
+        vjp: gives the gradient, from the symmetric derivative (r, r) of a scalar with respect to L.
+    """
+
+    information: Array
+    signal: float
+    vjp: Callable[[Array], Gradient]
 
 
 @dataclass(frozen=True)
@@ -44,7 +63,7 @@ class PredictedInformation:
     coordinates: Array
     rotors: bool = False
 
-    def evaluate(self, q: Array, qd: Array, qdd: Array) -> InformationCache:
+    def evaluate(self, q: Array, qd: Array, qdd: Array) -> Information:
         """Return the information of one sample per row of q, qd, qdd (N, n)."""
         motion = self.chain.evaluate(q, qd, qdd)
         wrench = body_wrench(motion.velocity, motion.acceleration)
@@ -59,7 +78,8 @@ class PredictedInformation:
         gain = np.linalg.solve(normal + ridge, transposed @ rows)
         residual = rows - friction @ gain
         information = np.einsum("jnk,jnl->kl", residual, residual, optimize=True)
-        return InformationCache(self, motion, wrench, friction, slope, gain, residual, information)
+        vjp = partial(self._vjp, motion, wrench, slope, gain, residual)
+        return Information(information, float(np.sum(rows**2)), vjp)
 
     def _nuisances(self, qd: Array, qdd: Array) -> tuple[Array, Array]:
         """Return Z (rows, N, 3 or 4) and the derivative of its first column with respect to qd."""
@@ -70,59 +90,32 @@ class PredictedInformation:
         rotors = (qdd,) if self.rotors else ()
         return np.stack((sign, qd, np.ones_like(qd), *rotors), axis=2), slope
 
-
-@dataclass(frozen=True)
-class InformationCache:
-    """Information of a motion, and what its gradient needs.
-
-    Attributes:
-        motion: of the terminal body.
-        wrench: (6, 10, N) regressor of the wrench.
-        friction: (rows, N, 3 or 4) nuisance columns Z.
-        slope: (rows, N) derivative of the first of them with respect to qd.
-        gain: (rows, 3 or 4, r) C.
-        residual: (rows, N, r) E.
-        information: (r, r) L.
-    """
-
-    equations: PredictedInformation
-    motion: ChainMotion
-    wrench: Array
-    friction: Array
-    slope: Array
-    gain: Array
-    residual: Array
-    information: Array
-
-    @property
-    def signal(self) -> float:
-        """Sum of the squared rows before elimination: what counts as large."""
-        return float(np.sum((self.residual + self.friction @ self.gain) ** 2))
-
-    def vjp(self, information_adjoint: Array) -> tuple[Array, Array, Array]:
-        """Return the gradient (N, n) with respect to q, qd, qdd: reverse mode.
-
-        C needs no derivative: it minimises the residual. The adjoint (r, r) is the symmetric
-        derivative of a scalar with respect to L.
-        """
-        joints = list(self.equations.joints)
-        rows_adjoint = 2.0 * self.residual @ information_adjoint
-        friction_adjoint = -rows_adjoint @ self.gain.transpose(0, 2, 1)
-        scale = self.equations.coordinates.T
-        theta_adjoint = rows_adjoint @ scale / self.equations.sigma[:, None, None]
-        jacobian_adjoint = np.zeros_like(self.motion.jacobian)
+    def _vjp(
+        self,
+        motion: ChainMotion,
+        wrench: Array,
+        slope: Array,
+        gain: Array,
+        residual: Array,
+        adjoint: Array,
+    ) -> Gradient:
+        """Reverse mode. C needs no derivative: it minimises the residual."""
+        joints = list(self.joints)
+        rows_adjoint = 2.0 * residual @ adjoint
+        friction_adjoint = -rows_adjoint @ gain.transpose(0, 2, 1)
+        scale = self.coordinates.T
+        theta_adjoint = rows_adjoint @ scale / self.sigma[:, None, None]
+        jacobian_adjoint = np.zeros_like(motion.jacobian)
         jacobian_adjoint[:, joints] = np.einsum(
-            "jnk,ikn->ijn", theta_adjoint, self.wrench, optimize=True
+            "jnk,ikn->ijn", theta_adjoint, wrench, optimize=True
         )
-        jacobian = self.motion.jacobian[:, joints]
+        jacobian = motion.jacobian[:, joints]
         wrench_adjoint = np.einsum("ijn,jnk->ikn", jacobian, theta_adjoint, optimize=True)
-        q_adjoint, qd_adjoint, qdd_adjoint = self.motion.vjp(
-            jacobian_adjoint, *_wrench_vjp(self.motion.velocity, wrench_adjoint)
+        q_adjoint, qd_adjoint, qdd_adjoint = motion.vjp(
+            jacobian_adjoint, *_wrench_vjp(motion.velocity, wrench_adjoint)
         )
-        qd_adjoint[:, joints] += (
-            friction_adjoint[..., 0] * self.slope + friction_adjoint[..., 1]
-        ).T
-        if self.equations.rotors:
+        qd_adjoint[:, joints] += (friction_adjoint[..., 0] * slope + friction_adjoint[..., 1]).T
+        if self.rotors:
             qdd_adjoint[:, joints] += friction_adjoint[..., 3].T
         return q_adjoint, qd_adjoint, qdd_adjoint
 

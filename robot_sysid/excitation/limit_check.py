@@ -19,7 +19,7 @@ import numpy as np
 
 from robot_sysid.collision.clearance import Clearance
 from robot_sysid.collision.obstacles import Closest
-from robot_sysid.excitation.problem import LIMIT_NAMES, OBSTACLE_LENGTH, ROUNDING, ExcitationProblem
+from robot_sysid.excitation.problem import OBSTACLE_LENGTH, ROUNDING, ExcitationProblem
 from robot_sysid.records import Array, Motion, MotionPlan
 from robot_sysid.trajectory import SineTrajectory, sample_times
 
@@ -66,21 +66,25 @@ class Peaks:
     """Peaks of a trajectory against its limits, clearances apart.
 
     Attributes:
-        share, share_time: (4, n) largest share of each limit, and when it is reached [s].
+        largest, time: (4 n + 1,) largest absolute value of each of ``problem.signals``, and when
+            it is reached [s].
         lowest, highest: (n,) positions [rad].
-        velocity, acceleration, torque: (n,) largest absolute values.
-        tool_speed: largest speed of the tool's fastest point [m/s], and when [s].
     """
 
-    share: Array
-    share_time: Array
+    largest: Array
+    time: Array
     lowest: Array
     highest: Array
-    velocity: Array
-    acceleration: Array
-    torque: Array
-    tool_speed: float
-    tool_time: float
+
+    @property
+    def joints(self) -> Array:
+        """Largest distance from the middle, speed, acceleration and torque (4, n)."""
+        return self.largest[:-1].reshape(4, -1)
+
+    @property
+    def tool_speed(self) -> float:
+        """Largest speed of the tool's fastest point [m/s]."""
+        return float(self.largest[-1])
 
 
 @dataclass(frozen=True)
@@ -119,7 +123,7 @@ def check_limits(
     problem: ExcitationProblem, plan: MotionPlan, sample_rate: float = 0.0
 ) -> LimitCheck:
     """Check a whole trajectory that will be run at a sample rate [Hz]; at 1 kHz or more."""
-    peaks = _peaks(problem, plan, max(LEAST_RATE_HZ, sample_rate), with_tool=True)
+    peaks = _peaks(problem, plan, max(LEAST_RATE_HZ, sample_rate), tool=True)
     coarser = max(1.0, checked_time(plan) / EXACT_UP_TO) ** 2
     resolution = min(LEAST_EXACT, coarser * DISTANCE_RESOLUTION)
     room = min(LEAST_EXACT, coarser * CLEARANCE_RESOLUTION)
@@ -153,7 +157,7 @@ def scaled_to_limits(
         plan: random sinusoids.
     """
     rate = max(LEAST_RATE_HZ, sample_rate)
-    share = np.max(_peaks(problem, plan, rate).share[1:3], axis=0)
+    share = np.max((_peaks(problem, plan, rate).joints / problem.limits.largest)[1:3], axis=0)
     factors = np.minimum(1.0, (1.0 - RESERVE) / np.maximum(share, RESERVE))
     if keeps_limits(problem, plan.scaled(factors), rate):
         return plan.scaled(factors), factors
@@ -234,42 +238,26 @@ def _motions(
     return map(plan.evaluate, chain.from_iterable(times))
 
 
-def _peaks(
-    problem: ExcitationProblem, plan: MotionPlan, rate: float, with_tool: bool = False
-) -> Peaks:
+def _peaks(problem: ExcitationProblem, plan: MotionPlan, rate: float, tool: bool = False) -> Peaks:
     """Return the peaks at a rate [Hz]; the tool's speed where it has a limit, or on demand."""
-    center, allowed, n = problem.limits.center, problem.limits.largest, problem.n_joints
-    with_tool = with_tool or np.isfinite(problem.limits.tool_speed)
-    share, time, fastest, when = np.zeros((4, n)), np.zeros((4, n)), 0.0, 0.0
-    lowest, highest, largest = np.full(n, np.inf), np.full(n, -np.inf), np.zeros((3, n))
+    each = np.arange(4 * problem.n_joints + 1)
+    largest, time = np.zeros((2, len(each)))
+    lowest, highest = np.full((2, problem.n_joints), np.inf) * [[1.0], [-1.0]]
     for motion in _motions(plan, rate, _spans(plan, rate)):
-        torque = problem.torque(motion)
-        signals = np.stack((motion.q - center, motion.qd, motion.qdd, torque))
-        here = np.abs(signals) / allowed[:, None, :]
-        where = np.argmax(here, axis=1)
-        peak = np.take_along_axis(here, where[:, None, :], axis=1)[:, 0]
-        time = np.where(peak > share, motion.time[where], time)
-        share = np.maximum(share, peak)
+        sizes = np.abs(problem.signals(motion, torque=True, tool=tool))
+        at = np.argmax(sizes, axis=0)
+        time = np.where(sizes[at, each] > largest, motion.time[at], time)
+        largest = np.maximum(largest, sizes[at, each])
         lowest = np.minimum(lowest, np.min(motion.q, axis=0))
         highest = np.maximum(highest, np.max(motion.q, axis=0))
-        largest = np.maximum(largest, np.max(np.abs(signals[1:]), axis=1))
-        if not with_tool:
-            continue
-        body = problem.chain.evaluate(motion.q, motion.qd, motion.qdd)
-        speed = problem.tool.speed(body.velocity)
-        if np.max(speed) > fastest:
-            fastest, when = float(np.max(speed)), float(motion.time[np.argmax(speed)])
-    return Peaks(share, time, lowest, highest, largest[0], largest[1], largest[2], fastest, when)
+    return Peaks(largest, time, lowest, highest)
 
 
 def _excesses(problem: ExcitationProblem, peaks: Peaks) -> Iterator[Excess]:
+    share = peaks.largest / problem.limits.columns
     # What is no number at all keeps no limit.
-    for i, j in np.argwhere(~(peaks.share <= 1.0 + ROUNDING)):
-        limit = f"{LIMIT_NAMES[i]} limit of joint {problem.joint_names[j]}"
-        yield Excess(limit, float(peaks.share[i, j]), float(peaks.share_time[i, j]))
-    share = peaks.tool_speed / problem.limits.tool_speed
-    if not share <= 1.0 + ROUNDING:
-        yield Excess("speed limit of the tool", share, peaks.tool_time)
+    for k in np.flatnonzero(~(share <= 1.0 + ROUNDING)):
+        yield Excess(problem.signal_names[k], float(share[k]), float(peaks.time[k]))
 
 
 def _tightest(

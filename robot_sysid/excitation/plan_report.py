@@ -76,7 +76,7 @@ def _parameter_lines(prediction: Prediction) -> Iterator[str]:
 
 
 def _joint_lines(problem: ExcitationProblem, check: LimitCheck) -> Iterator[str]:
-    peaks = np.stack((check.velocity, check.acceleration, check.torque))
+    peaks = check.joints[1:]
     width = max(len(name) for name in problem.joint_names)
     limits = problem.limits.largest[1:]
     for j, name in enumerate(problem.joint_names):
@@ -87,7 +87,7 @@ def _joint_lines(problem: ExcitationProblem, check: LimitCheck) -> Iterator[str]
         reach = f"{check.lowest[j]:+.2f} to {check.highest[j]:+.2f}"
         yield f"  {name:{width}s}  position {reach}  {'  '.join(parts)}"
     share = _share_text(check.tool_speed, problem.limits.tool_speed)
-    yield f"Fastest point of the tool: {check.tool_speed:.2f} m/s{share} at {check.tool_time:.2f} s"
+    yield f"Fastest point of the tool: {check.tool_speed:.2f} m/s{share} at {check.time[-1]:.2f} s"
 
 
 def _share_text(peak: float, limit: float) -> str:

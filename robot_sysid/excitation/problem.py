@@ -68,6 +68,11 @@ class MotionLimits:
         span = 0.5 * (self.upper - self.lower)
         return np.stack((span, self.velocity, self.acceleration, self.torque))
 
+    @property
+    def columns(self) -> Array:
+        """Limits (4 n + 1,) of the columns of ``ExcitationProblem.signals``."""
+        return np.append(self.largest, self.tool_speed)
+
 
 @dataclass(frozen=True)
 class Tool:
@@ -211,6 +216,28 @@ class ExcitationProblem:
         """Return the torques (N, n) at positions (N, n), at rest if nothing else is said [N m]."""
         still = np.zeros_like(q)
         return self.torque(Motion(np.arange(float(len(q))), q, still + qd, still + qdd))
+
+    @property
+    def signal_names(self) -> tuple[str, ...]:
+        """What the columns of ``signals`` are limited by, in words."""
+        joints = (f"{kind} limit of joint {j}" for kind in LIMIT_NAMES for j in self.joint_names)
+        return (*joints, "speed limit of the tool")
+
+    def signals(self, motion: Motion, torque: bool = False, tool: bool = False) -> Array:
+        """Return what has limits (N, 4 n + 1): for each joint, and for the tool.
+
+        Distance from the middle of the range, speed, acceleration and torque of all joints, and the
+        speed of the tool's fastest point. The torques and the speed of the tool are zero where
+        nothing limits them, unless they are asked for.
+        """
+        needed, fastest = np.zeros_like(motion.q), np.zeros(len(motion.q))
+        if torque or np.any(np.isfinite(self.limits.torque)):
+            needed = self.torque(motion)
+        if tool or np.isfinite(self.limits.tool_speed):
+            body = self.chain.evaluate(motion.q, motion.qd, motion.qdd)
+            fastest = self.tool.speed(body.velocity)
+        place = motion.q - self.limits.center
+        return np.column_stack((place, motion.qd, motion.qdd, needed, fastest))
 
     @property
     def rotors_sought(self) -> bool:

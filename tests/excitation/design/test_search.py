@@ -241,8 +241,8 @@ def test_a_tighter_speed_limit_is_kept(speed):
     some = problem(arms.THREE)
     slow = replace(some, limits=replace(some.limits, velocity=np.full(3, speed)))
     result = search_of(slow)
-    assert np.all(result.limit_check.velocity <= speed * (1.0 + ROUNDING))
-    assert np.max(result.limit_check.velocity) > 0.3 * speed
+    fastest = np.max(result.limit_check.joints[1])
+    assert 0.3 * speed < fastest <= speed * (1.0 + ROUNDING)
 
 
 @pytest.mark.slow
@@ -288,7 +288,7 @@ def motion_of(some, x):
 def test_every_feasible_draw_keeps_all_limits_on_the_grid(some, seed):
     (draw,) = draw_trajectories(some, seed, [0])
     if np.isfinite(draw.score):
-        value = MotionConstraints(some.problem, 1.0, 0.0).evaluate(motion_of(some, draw.x)).value
+        value = MotionConstraints(some.problem, 1.0, 0.0).evaluate(*motion_of(some, draw.x)).value
         assert np.max(value) <= ROUNDING
         assert draw.obstacle == ""
     else:
