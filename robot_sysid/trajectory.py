@@ -123,11 +123,6 @@ class SineTrajectory:
         if not 0.0 < 2.0 * self.fade <= self.duration:
             raise InputError(f"fade {self.fade} s does not fit twice into {self.duration} s")
 
-    @property
-    def n_joints(self) -> int:
-        """Number of joints n."""
-        return len(self.center)
-
     def scaled(self, factor: Array | float) -> SineTrajectory:
         """Return the trajectory with each joint's amplitudes times ``factor`` (n,) or a number."""
         return replace(self, amplitude=self.amplitude * np.reshape(factor, (-1, 1)))
@@ -135,19 +130,18 @@ class SineTrajectory:
     def evaluate(self, time: Array) -> Motion:
         """Return position, velocity and acceleration at times (N,) [s], by the product rule."""
         time = np.asarray(time, dtype=float)
-        s, ds, dds = np.zeros((3, len(time), self.n_joints))
-        omega = 2.0 * np.pi * self.frequency_hz
-        for j, k in np.argwhere(self.amplitude):
-            angle = omega[j, k] * time + self.phase[j, k]
-            sine, cosine = self.amplitude[j, k] * np.sin(angle), np.cos(angle)
-            s[:, j] += sine
-            ds[:, j] += self.amplitude[j, k] * omega[j, k] * cosine
-            dds[:, j] -= omega[j, k] ** 2 * sine
+        rates = 2j * np.pi * self.frequency_hz
+        wave = self.amplitude * np.exp(time[:, None, None] * rates + 1j * self.phase)
+        s, ds, dds = (np.sum(wave * rates**k, axis=2).imag for k in range(3))
         s, ds, dds = faded(window(time, self.duration, self.fade), (s, ds, dds))
         return Motion(time, self.center + s, ds, dds)
 
 
-def window(time: Array, duration: float, fade: float) -> tuple[Array, Array, Array]:
+Series = tuple[Array, Array, Array]
+"""Functions of time (N, M), or one (N,), with their first and second derivatives."""
+
+
+def window(time: Array, duration: float, fade: float) -> Series:
     """Return w, w' and w'' (N,): a smooth step up, ones, and down again."""
     rising = time < 0.5 * duration
     w, dw, ddw = smooth_step(np.clip(np.where(rising, time, duration - time) / fade, 0.0, 1.0))
@@ -155,7 +149,7 @@ def window(time: Array, duration: float, fade: float) -> tuple[Array, Array, Arr
     return w, np.where(rising, dw, -dw), ddw / fade**2
 
 
-def smooth_step(x: Array) -> tuple[Array, Array, Array]:
+def smooth_step(x: Array) -> Series:
     """Return w, w' and w'' (N,) of 35 x^4 - 84 x^5 + 70 x^6 - 20 x^7, which rises from 0 to 1.
 
     Its first three derivatives vanish at both ends: motion starts and ends without a jerk.
@@ -164,9 +158,7 @@ def smooth_step(x: Array) -> tuple[Array, Array, Array]:
     return w, 140.0 * (x * (1.0 - x)) ** 3, 420.0 * (x * (1.0 - x)) ** 2 * (1.0 - 2.0 * x)
 
 
-def faded(
-    edge: tuple[Array, Array, Array], series: tuple[Array, Array, Array]
-) -> tuple[Array, Array, Array]:
+def faded(edge: Series, series: Series) -> Series:
     """Return w s (N, M) and its derivatives; a window (N,) and series (N, M) come with theirs."""
     w, dw, ddw = (value[:, None] for value in edge)
     s, ds, dds = series

@@ -33,7 +33,6 @@ from robot_sysid.excitation.trajectories import (
     LineTrajectory,
     straight_way,
 )
-from robot_sysid.excitation.trajectory_files import SlowedTrajectory
 from robot_sysid.records import Array, MotionPlan
 from robot_sysid.regressor import joint_regressor
 from robot_sysid.trajectory import TORQUE_MARGIN
@@ -252,8 +251,8 @@ def _through(
 
 def pose_lines(problem: ExcitationProblem, plan: MotionPlan) -> list[str]:
     """Return what the poses promise of a payload's mass, from noise alone."""
-    poses = _lines(plan)
-    rests = poses.points[poses.dwells > 0.0][::2]
+    assert isinstance(plan, LineTrajectory)
+    rests = plan.points[plan.dwells > 0.0][::2]
     rows = _gravity_rows(problem, rests).reshape(-1, 4)
     # The payload is a difference of two recordings, each the mean of two rests.
     covariance = np.linalg.pinv(rows.T @ rows)
@@ -263,12 +262,6 @@ def pose_lines(problem: ExcitationProblem, plan: MotionPlan) -> list[str]:
         f"empty and loaded recordings of them show a payload's mass to "
         f"{float(np.sqrt(covariance[0, 0])):.2g} kg.",
     ]
-
-
-def _lines(plan: MotionPlan) -> LineTrajectory:
-    lines = plan.plan if isinstance(plan, SlowedTrajectory) else plan
-    assert isinstance(lines, LineTrajectory)
-    return lines
 
 
 def design_sweeps(problem: ExcitationProblem) -> LineTrajectory:
@@ -288,9 +281,8 @@ def design_sweeps(problem: ExcitationProblem) -> LineTrajectory:
 
 def sweep_lines(problem: ExcitationProblem, plan: MotionPlan) -> list[str]:
     """Return which joints are swept how fast, and which have no room."""
-    sweeps = _lines(plan)
-    speeds = np.abs(sweeps.speeds) * sweeps.duration / plan.duration
-    fastest = np.max(speeds, axis=0)
+    assert isinstance(plan, LineTrajectory)
+    fastest = np.max(np.abs(plan.speeds), axis=0)
     names = problem.joint_names
     swept = [f"{name} {speed:.2g}" for name, speed in zip(names, fastest) if speed > 0.0]
     still = [name for name, speed in zip(names, fastest) if speed == 0.0]

@@ -16,13 +16,13 @@ their speed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Motion, checked_array
-from robot_sysid.trajectory import faded, smooth_step, window
+from robot_sysid.trajectory import Series, faded, smooth_step, window
 
 END_TOLERANCE = 1e-9
 """Largest velocity and acceleration a periodic trajectory may have at its ends [rad/s, rad/s^2]."""
@@ -60,7 +60,9 @@ class FourierBasis:
         if not 0.0 <= 2.0 * self.fade <= self.duration:
             raise InputError(f"fade {self.fade} s does not fit twice into {self.duration} s")
         periods = self.duration * self.base_frequency_hz
-        if self.fade == 0.0 and (round(periods) < 1 or abs(periods - round(periods)) > 1e-12):
+        if self.fade == 0.0 and (
+            round(periods) < 1 or abs(periods - round(periods)) > 1e-12 * (1.0 + periods)
+        ):
             raise InputError(
                 f"--base-frequency {self.base_frequency_hz:g}: a periodic trajectory of "
                 f"{self.duration:g} s must hold a whole number of periods (it holds {periods:g})"
@@ -81,37 +83,29 @@ class FourierBasis:
         """Harmonic numbers k = 1..K."""
         return np.arange(1.0, self.harmonics + 1.0)
 
+    @property
+    def rates(self) -> Array:
+        """What each derivative multiplies exp(i k W t) by (K,) [1/s]."""
+        return np.asarray(2j * np.pi * self.base_frequency_hz * self.order)
+
+    def waves(self, time: Array) -> Array:
+        """Return exp(i k W t) (N, K), by products: far cheaper than sines."""
+        first = np.exp(2j * np.pi * self.base_frequency_hz * np.asarray(time, dtype=float))
+        return np.cumprod(np.repeat(first[:, None], self.harmonics, axis=1), axis=1)
+
     def evaluate(self, time: Array) -> tuple[Array, Array, Array]:
         """Return the functions and their first and second derivatives (N, 2 K + 1)."""
-        time = np.asarray(time, dtype=float)
-        omega, (sine, cosine) = self.omega, self.waves(time)
-        one, zero = np.ones((len(time), 1)), np.zeros((len(time), 1))
-        series = (
-            np.hstack((one, sine, cosine)),
-            np.hstack((zero, omega * cosine, -omega * sine)),
-            np.hstack((zero, -(omega**2) * sine, -(omega**2) * cosine)),
-        )
+        wave, one = self.waves(time), np.ones((len(time), 1))
+        turned = [wave * self.rates**k for k in range(3)]
+        first = (one, 0.0 * one, 0.0 * one)
+        s, ds, dds = (np.hstack((f, w.imag, w.real)) for f, w in zip(first, turned))
+        return self.at_rest(time, (s, ds, dds))
+
+    def at_rest(self, time: Array, series: Series) -> Series:
+        """Return a series (N, M) and its derivatives under the window, where there is one."""
         if self.fade == 0.0:
             return series
-        return faded(window(time, self.duration, self.fade), series)
-
-    @property
-    def omega(self) -> Array:
-        """Angular frequencies (K,) [rad/s]."""
-        return 2.0 * np.pi * self.base_frequency_hz * self.order
-
-    def waves(self, time: Array) -> tuple[Array, Array]:
-        """Return sin(k W t) and cos(k W t) (N, K), by sums of angles: far cheaper than sines."""
-        angle, k = 2.0 * np.pi * self.base_frequency_hz * time, self.harmonics
-        sine, cosine = np.empty((2, k, len(time)))
-        sine[0], cosine[0], done = np.sin(angle), np.cos(angle), 1
-        while done < k:
-            more = min(done, k - done)
-            low, new, top = slice(0, more), slice(done, done + more), done - 1
-            sine[new] = sine[low] * cosine[top] + cosine[low] * sine[top]
-            cosine[new] = cosine[low] * cosine[top] - sine[low] * sine[top]
-            done += more
-        return sine.T, cosine.T
+        return faded(window(np.asarray(time, dtype=float), self.duration, self.fade), series)
 
     def free_directions(self) -> Array:
         """Return (2 K + 1, M) orthonormal directions that keep both ends at rest.
@@ -163,32 +157,14 @@ class FourierTrajectory:
         """Period after which it repeats itself, but for so much time at both ends [s]."""
         return 1.0 / self.basis.base_frequency_hz, self.basis.fade
 
-    @property
-    def n_joints(self) -> int:
-        """Number of joints n."""
-        return len(self.rest)
-
     def evaluate(self, time: Array) -> Motion:
         """Return position, velocity and acceleration at times (N,) [s]."""
-        time = np.asarray(time, dtype=float)
-        n, omega = self.n_joints, self.basis.omega
         offset, (a, b) = self.coefficients[:, 0], np.split(self.coefficients[:, 1:], 2, axis=1)
-        sine, cosine = self.basis.waves(time)
-        # Series and derivatives of all joints in one product each, before any window.
-        s, ds, dds = np.split(
-            sine @ np.vstack((a, -omega * b, -(omega**2) * a)).T
-            + cosine @ np.vstack((b, omega * a, -(omega**2) * b)).T,
-            (n, 2 * n),
-            axis=1,
-        )
-        s = offset + s
-        if self.basis.fade > 0.0:
-            s, ds, dds = faded(window(time, self.duration, self.basis.fade), (s, ds, dds))
-        return Motion(time, self.rest + s, ds, dds)
-
-    def scaled(self, factor: float) -> FourierTrajectory:
-        """Return the trajectory with all departures from rest times ``factor``."""
-        return replace(self, coefficients=factor * self.coefficients)
+        wave, rates = self.basis.waves(time), self.basis.rates
+        # All joints in one product each, before any window.
+        s, ds, dds = ((wave @ (rates**k * (a + 1j * b)).T).imag for k in range(3))
+        s, ds, dds = self.basis.at_rest(time, (offset + s, ds, dds))
+        return Motion(np.asarray(time, dtype=float), self.rest + s, ds, dds)
 
 
 @dataclass(frozen=True)
@@ -220,11 +196,6 @@ class LineTrajectory:
             if np.any(ramps <= 0.0) or np.any(2.0 * ramps > moves):
                 raise InputError("a sweep takes time, and its ramps fit into it twice")
         self.__dict__.update(fields)
-
-    @property
-    def n_joints(self) -> int:
-        """Number of joints n."""
-        return int(self.points.shape[1])
 
     @property
     def duration(self) -> float:

@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, TextIO, TypeVar
 
 import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.excitation.trajectories import FourierBasis, FourierTrajectory, LineTrajectory
 from robot_sysid.json_files import read_json
-from robot_sysid.records import Array, Motion, MotionPlan
+from robot_sysid.records import MotionPlan
 from robot_sysid.records.atomic_files import whole_file
 from robot_sysid.trajectory import SineTrajectory, motion_chunks
 
@@ -32,52 +32,35 @@ _KINDS: Mapping[str, tuple[Any, tuple[str, ...]]] = {
 """Each kind of trajectory, and what arrays make it."""
 
 
-@dataclass(frozen=True)
-class SlowedTrajectory:
-    """A trajectory scaled in time: q(s t), s q'(s t), s^2 q''(s t).
+_TIMES = ("duration", "fade", "moves", "dwells", "ramps")
+"""What takes longer where a trajectory is slowed down; frequencies fall."""
+_Plan = TypeVar("_Plan", bound=MotionPlan)
 
-    Attributes:
-        plan: the trajectory at full speed.
-        speed: factor s, 0 < s <= 1; a faster motion would leave the limits it was made for.
+
+def at_speed(plan: _Plan, speed: float) -> _Plan:
+    """Return the trajectory scaled in time: q(s t), s q'(s t), s^2 q''(s t); 0 < s <= 1.
+
+    Raises:
+        InputError: it would be faster, and leave the limits it was made for.
     """
-
-    plan: MotionPlan
-    speed: float
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.speed <= 1.0:
-            raise InputError(
-                f"--speed must be above 0 and at most 1 (got {self.speed:g}): the trajectory was "
-                "made for full speed and can only be slowed down"
-            )
-
-    @property
-    def duration(self) -> float:
-        """Length [s]."""
-        return self.plan.duration / self.speed
-
-    @property
-    def cycle(self) -> tuple[float, float]:
-        """Period after which it repeats itself, but for so much time at both ends [s]."""
-        period, ends = getattr(self.plan, "cycle", (np.inf, 0.0))
-        return period / self.speed, ends / self.speed
-
-    @property
-    def n_joints(self) -> int:
-        """Number of joints n."""
-        return self.plan.n_joints
-
-    def evaluate(self, time: Array) -> Motion:
-        """Return the motion at times (N,) [s]; exact derivatives."""
-        time = np.asarray(time, dtype=float)
-        # Rounding must not carry the last sample beyond the end.
-        motion = self.plan.evaluate(np.minimum(self.speed * time, self.plan.duration))
-        return Motion(time, motion.q, self.speed * motion.qd, self.speed**2 * motion.qdd)
+    if not 0.0 < speed <= 1.0:
+        raise InputError(
+            f"--speed must be above 0 and at most 1 (got {speed:g}): the trajectory was made for "
+            "full speed and can only be slowed down"
+        )
+    return plan if speed == 1.0 else _slowed(plan, speed)
 
 
-def at_speed(plan: MotionPlan, speed: float) -> MotionPlan:
-    """Return the trajectory at a share of its speed; 1 returns it as it is."""
-    return plan if speed == 1.0 else SlowedTrajectory(plan, speed)
+def _slowed(part: Any, speed: float) -> Any:
+    changed = {}
+    for name, value in vars(part).items():
+        if name == "basis":
+            changed[name] = _slowed(value, speed)
+        elif name in _TIMES and value is not None:
+            changed[name] = value / speed
+        elif name.endswith("frequency_hz"):
+            changed[name] = value * speed
+    return replace(part, **changed)
 
 
 @dataclass(frozen=True)
@@ -93,9 +76,10 @@ class SavedTrajectory:
             raise InputError(
                 f"a trajectory needs a finite duration above 0, not {self.plan.duration:g} s"
             )
-        if self.plan.n_joints != len(self.joint_names):
+        moved = self.plan.evaluate(np.zeros(1)).q.shape[1]
+        if moved != len(self.joint_names):
             raise InputError(
-                f"a trajectory of {self.plan.n_joints} joints names {len(self.joint_names)}: "
+                f"a trajectory of {moved} joints names {len(self.joint_names)}: "
                 f"{_listed(self.joint_names)}"
             )
 
@@ -103,7 +87,7 @@ class SavedTrajectory:
         """Raise InputError unless it was made for joints of these names, in this order."""
         if self.joint_names != tuple(joint_names):
             raise InputError(
-                f"--trajectory: made for the {self.plan.n_joints} joints "
+                f"--trajectory: made for the {len(self.joint_names)} joints "
                 f"{_listed(self.joint_names)}, but this arm has the {len(joint_names)} joints "
                 f"{_listed(joint_names)}; design one for this arm with --excitation optimal"
             )
@@ -116,7 +100,7 @@ def save_trajectory(
 
     Args:
         path: file, or an open one.
-        plan: a sum of sinusoids, a Fourier series, poses, sweeps, or one of them slowed down.
+        plan: a sum of sinusoids, a Fourier series, poses, or sweeps.
         joint_names: one per joint.
         sha256: of the model file it was made for.
 
@@ -133,8 +117,6 @@ def save_trajectory(
 
 def _described(plan: MotionPlan) -> dict[str, Any]:
     """Return a trajectory as plain numbers; repr of a float is exact."""
-    if isinstance(plan, SlowedTrajectory):
-        return {**_described(plan.plan), "speed": plan.speed}
     for kind, (made, arrays) in reversed(list(_KINDS.items())):
         if isinstance(plan, made) and getattr(plan, arrays[-1]) is not None:
             basis = asdict(plan.basis) if isinstance(plan, FourierTrajectory) else {}

@@ -44,10 +44,6 @@ class MotionPlan(Protocol):
     def duration(self) -> float:
         """Length [s]."""
 
-    @property
-    def n_joints(self) -> int:
-        """Number of joints n."""
-
     def evaluate(self, time: Array) -> Motion:
         """Return the motion at times (N,) [s]; exact derivatives."""
 

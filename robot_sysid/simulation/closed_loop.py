@@ -184,10 +184,9 @@ class PlantSimulation:
     ) -> None:
         per_joint(options.noise_torque, plant.n_joints, "--noise-torque")
         per_joint(options.noise_position, plant.n_joints, "--noise-position")
-        if plan.n_joints != plant.n_joints:
-            raise InputError(
-                f"the trajectory moves {plan.n_joints} joints, the plant has {plant.n_joints}"
-            )
+        moved = plan.evaluate(np.zeros(1)).q.shape[1]
+        if moved != plant.n_joints:
+            raise InputError(f"the trajectory moves {moved} joints, the plant has {plant.n_joints}")
         self._plant, self._plan, self._sample_rate = plant, plan, sample_rate
         self._sensors = Sensors(options, sample_rate, rng)
         forward = options.simulation == "forward"

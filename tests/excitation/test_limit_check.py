@@ -141,7 +141,7 @@ class Unaware:
     """A motion that does not tell that it repeats itself."""
 
     def __init__(self, plan):
-        self.duration, self.n_joints, self.evaluate = plan.duration, plan.n_joints, plan.evaluate
+        self.duration, self.evaluate = plan.duration, plan.evaluate
 
 
 def checked_twice(some, seed, base, fade, speed):

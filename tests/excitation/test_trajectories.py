@@ -62,15 +62,6 @@ def test_velocity_and_acceleration_are_the_derivatives(basis, seed):
     assert np.max(np.abs((after.qd - before.qd) / (2 * step) - here.qdd)) < 1e-5 * push
 
 
-@given(bases(), SEEDS, st.floats(0.0, 1.0))
-def test_departures_from_rest_scale(basis, seed, factor):
-    plan = trajectory(basis, seed)
-    time = np.linspace(0.0, plan.duration, 30)
-    full, part = plan.evaluate(time), plan.scaled(factor).evaluate(time)
-    assert np.allclose(part.q - plan.rest, factor * (full.q - plan.rest), atol=1e-10)
-    assert np.allclose(part.qdd, factor * full.qdd, rtol=1e-10, atol=1e-8)
-
-
 def test_a_periodic_trajectory_repeats_without_a_step():
     plan = trajectory(FourierBasis(5.0, 0.2, 6, 0.0), 0)
     time = np.linspace(0.0, 5.0, 40)

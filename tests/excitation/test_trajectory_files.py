@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from robot_sysid.errors import InputError
 from robot_sysid.excitation.trajectories import FourierBasis
 from robot_sysid.excitation.trajectory_files import (
-    SlowedTrajectory,
     at_speed,
     load_trajectory,
     save_samples,
@@ -156,7 +155,7 @@ def test_a_missing_file_is_named(tmp_path):
 
 def test_only_trajectories_with_coefficients_can_be_saved(tmp_path):
     class Other:
-        duration, n_joints = 1.0, 1
+        duration = 1.0
 
     with pytest.raises(InputError, match="Other has no coefficients"):
         save_trajectory(tmp_path / "plan.json", Other(), ("a",))
@@ -174,7 +173,6 @@ def test_same_path_later(seed, speed):
     time = np.linspace(0.0, plan.duration, 40)
     full, later = plan.evaluate(time), slow.evaluate(time / speed)
     assert slow.duration == pytest.approx(plan.duration / speed)
-    assert slow.n_joints == plan.n_joints
     assert np.allclose(later.q, full.q, atol=1e-9)
     assert np.allclose(later.qd, speed * full.qd, atol=1e-8)
     assert np.allclose(later.qdd, speed**2 * full.qdd, atol=1e-7)
@@ -207,4 +205,4 @@ def test_full_speed_is_the_trajectory_itself():
 @pytest.mark.parametrize("speed", [0.0, -0.5, 1.2, float("nan")])
 def test_refuses_what_is_not_slower(speed):
     with pytest.raises(InputError, match="--speed must be above 0 and at most 1"):
-        SlowedTrajectory(trajectory(BASIS, 0), speed)
+        at_speed(trajectory(BASIS, 0), speed)
