@@ -135,14 +135,14 @@ class Clearance:
         part = self._part[np.array([near.bodies for near in nearest])]
         joint = np.arange(q.shape[1])
         side = (joint < part[:, 1:]).astype(float) - (joint < part[:, :1])
-        return Slack(
-            value=np.array([near.slack for near in nearest]),
-            gradient=side * rates,
-            budget=np.array([near.budget for near in nearest]),
-        )
+        return Slack(np.array([near.slack for near in nearest]), side * rates)
 
     def slack_at(self, q: Array) -> tuple[float, Array]:
-        """Return value and budget of the slack at one configuration q (n,)."""
+        """Return the slack at one configuration q (n,) [m], and what each pair of parts has.
+
+        The second is (P,), the smallest slack among the pairs of each row of ``rates``, infinite
+        where a row has no pair within the horizon.
+        """
         near = self._nearest_at(q)
         return near.slack, near.budget
 

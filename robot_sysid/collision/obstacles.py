@@ -94,10 +94,7 @@ class Slack:
     Attributes:
         value: (N,) smallest slack [m], at most the horizon.
         gradient: (N, n) with respect to the joint positions.
-        budget: (N, P) smallest slack among the pairs of each row of ``Clearance.rates`` [m];
-            infinite where a row has no pair within the horizon.
     """
 
     value: Array
     gradient: Array
-    budget: Array

@@ -39,7 +39,7 @@ def search(budget: float, duration: float, harmonics: int | None) -> str:
         design = Design(problem, excitation, TrajectoryOptions(duration=duration))
     except InputError as error:
         return f"refused after {clock() - start:.2f} s: {error}"
-    found = design_excitation(design, np.random.default_rng(1), clock=clock)
+    found = design_excitation(design, np.random.default_rng(1))
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     taken, gain = clock() - start, found.start_objective / found.objective
     words = f"{found.n_feasible} of {found.n_drawn} draws feasible, {gain:.2f} times better"

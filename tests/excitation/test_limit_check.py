@@ -111,11 +111,11 @@ class ThinWall:
         from robot_sysid.collision.obstacles import Slack
 
         value = np.minimum(np.abs(q[:, 0] - 0.2) - 1e-3, self.horizon)
-        return Slack(value, np.zeros_like(q), value[:, None])
+        return Slack(value, np.zeros_like(q))
 
     def slack_at(self, q):
-        found = self.slack(q[None])
-        return float(found.value[0]), found.budget[0]
+        (value,) = self.slack(q[None]).value
+        return float(value), np.array([value])
 
     def closest(self, q):
         from robot_sysid.collision.obstacles import Closest

@@ -21,7 +21,7 @@ from typing import Callable, NamedTuple
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.excitation.design.workers import UNLIMITED, Budget
+from robot_sysid.excitation.design.workers import is_over
 from robot_sysid.excitation.information import CRITERIA, Criterion, Gradient
 from robot_sysid.excitation.limit_check import excess_times, keeps_limits, tight_times
 from robot_sysid.excitation.options import ExcitationOptions
@@ -104,23 +104,23 @@ def unchecked_candidate(design: Design, x: Array) -> Candidate:
     return Candidate(x, none, np.zeros(0))
 
 
-def improve(design: Design, candidate: Candidate, budget: Budget = UNLIMITED) -> Candidate:
+def improve(design: Design, candidate: Candidate, deadline: float = np.inf) -> Candidate:
     """Return the candidate after one more round, or after as much of it as there was time for."""
     extra, multipliers, weight = candidate.extra_times, candidate.multipliers, candidate.weight
     objective = PenalisedDesign(design, extra, multipliers, weight)
-    x, is_whole = _minimise(objective, candidate.x, design, budget)
+    x, is_whole = _minimise(objective, candidate.x, design, deadline)
     if not is_whole:
-        return _checked(design, replace(candidate, x=x), budget)
+        return _checked(design, replace(candidate, x=x), deadline)
     multipliers = objective.updated_multipliers(objective.evaluate(x)[2])
     grow = WEIGHT_GROWTH if candidate.rounds >= PLAIN_ROUNDS else 1.0
     moved = replace(
         candidate, x=x, multipliers=multipliers, weight=grow * weight, rounds=candidate.rounds + 1
     )
-    return _checked(design, _with_extra_times(design, moved), budget)
+    return _checked(design, _with_extra_times(design, moved), deadline)
 
 
 def _minimise(
-    objective: PenalisedDesign, x: Array, design: Design, budget: Budget
+    objective: PenalisedDesign, x: Array, design: Design, deadline: float
 ) -> tuple[Array, bool]:
     """Return the free coefficients after some L-BFGS iterations, and whether there was time."""
     from scipy.optimize import minimize
@@ -128,7 +128,7 @@ def _minimise(
     reached, unit = [x], design.unit
 
     def function(flat: Array) -> tuple[float, Array]:
-        if budget.is_over:
+        if is_over(deadline):
             raise TimeoutError
         value, gradient, _ = objective.evaluate(unit * flat.reshape(x.shape))
         return value, (unit * gradient).ravel()
@@ -159,10 +159,10 @@ def _with_extra_times(design: Design, candidate: Candidate) -> Candidate:
     )
 
 
-def _checked(design: Design, candidate: Candidate, budget: Budget = UNLIMITED) -> Candidate:
+def _checked(design: Design, candidate: Candidate, deadline: float = np.inf) -> Candidate:
     """Return the candidate with its feasible trajectory updated, if the present one is better."""
     for factor in REPAIRS:
-        if budget.is_over and candidate.feasible_x is not None:
+        if is_over(deadline) and candidate.feasible_x is not None:
             break
         x = factor * candidate.x
         score = design.criterion_of(x)
@@ -269,16 +269,15 @@ class MotionConstraints:
     def __init__(self, problem: ExcitationProblem, share: float, extra_slack: float) -> None:
         self._problem, self._extra = problem, extra_slack
         self._allowed = share * problem.limits.columns
-        self._nearby = _SlackMemory(problem)
 
     def evaluate(self, q: Array, qd: Array, qdd: Array) -> Constraints:
         """Return all constraints of a motion, each (N, n)."""
         motion = Motion(np.arange(float(len(q))), q, qd, qdd)
         signals = self._problem.signals(motion)
-        slack, gradient = self._nearby.slack(q)
-        towards = (self._extra - slack) / OBSTACLE_LENGTH
+        slack = self._problem.obstacles.slack(q)
+        towards = (self._extra - slack.value) / OBSTACLE_LENGTH
         value = np.column_stack((np.abs(signals) / self._allowed - 1.0, towards))
-        return Constraints(value, partial(self._vjp, motion, signals, gradient))
+        return Constraints(value, partial(self._vjp, motion, signals, slack.gradient))
 
     def _vjp(
         self, motion: Motion, signals: Array, slack_gradient: Array, weight: Array
@@ -314,35 +313,6 @@ class MotionConstraints:
                 :, None
             ]
             totals[which][active, joint] += np.sum(change * adjoint[active], axis=1)
-
-
-class _SlackMemory:
-    """Slack along a trajectory that changes little from one call to the next.
-
-    A sample whose joints have moved by less than its last known slack allows cannot have become
-    tight; it keeps what is certain of its slack and needs no collision test.
-    """
-
-    def __init__(self, problem: ExcitationProblem) -> None:
-        self._obstacles = problem.obstacles
-        # Slack that no constraint will ever ask for [m].
-        self._enough = 0.5 * problem.obstacles.horizon
-        self._q = np.zeros((0, problem.n_joints))
-        self._budget = np.zeros((0, len(problem.obstacles.rates)))
-
-    def slack(self, q: Array) -> tuple[Array, Array]:
-        """Return slack (N,), exact where it is small, and its gradient (N, n)."""
-        if self._q.shape != q.shape:
-            self._q, self._budget = q.copy(), np.full((len(q), self._budget.shape[1]), -np.inf)
-        moved = np.abs(q - self._q) @ self._obstacles.rates.T
-        certain = np.min(self._budget - moved, axis=1)
-        gradient = np.zeros_like(q)
-        tight = np.flatnonzero(~(certain > self._enough))
-        if len(tight):
-            found = self._obstacles.slack(q[tight])
-            certain[tight], gradient[tight] = found.value, found.gradient
-            self._q[tight], self._budget[tight] = q[tight], found.budget
-        return certain, gradient
 
 
 class PenalisedDesign:

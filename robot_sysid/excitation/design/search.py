@@ -11,8 +11,7 @@ For a whole arm the best of the random feasible trajectories is taken, by
 
 from __future__ import annotations
 
-import time as clocks
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -20,6 +19,7 @@ from itertools import product
 import numpy as np
 
 from robot_sysid.errors import InputError
+from robot_sysid.excitation.design import workers
 from robot_sysid.excitation.design.optimise import (
     GRID_PER_CYCLE,
     REPAIRS,
@@ -30,7 +30,7 @@ from robot_sysid.excitation.design.optimise import (
     improve,
     unchecked_candidate,
 )
-from robot_sysid.excitation.design.workers import UNLIMITED, Budget, Clock, WorkerPool
+from robot_sysid.excitation.design.workers import WorkerPool
 from robot_sysid.excitation.limit_check import (
     EXACT_UP_TO,
     LimitCheck,
@@ -104,10 +104,7 @@ def check_time(design: Design) -> float:
 
 
 def design_excitation(
-    design: Design,
-    rng: np.random.Generator,
-    progress: Progress | None = None,
-    clock: Clock = clocks.monotonic,
+    design: Design, rng: np.random.Generator, progress: Progress | None = None
 ) -> ExcitationResult:
     """Search for the trajectory that makes the predicted uncertainty smallest.
 
@@ -118,7 +115,7 @@ def design_excitation(
         InputError: no drawn trajectory obeys all limits; names the one that is in the way.
         KeyboardInterrupt: interrupted before there was any trajectory.
     """
-    search = _Search(design, int(rng.integers(2**62)), progress or Progress(), clock)
+    search = _Search(design, int(rng.integers(2**62)), progress or Progress())
     try:
         search.run()
     except KeyboardInterrupt:
@@ -132,19 +129,15 @@ def design_excitation(
 class _Search:
     """One search; what it has found so far survives an interruption."""
 
-    def __init__(self, design: Design, seed: int, progress: Progress, clock: Clock) -> None:
-        self._design, self._options, self._seed = design, design.options, seed
-        self._progress, self._rounds = progress, 0 if design.for_arm else design.options.rounds
+    def __init__(self, design: Design, seed: int, progress: Progress) -> None:
+        self._design, self._seed, self._progress = design, seed, progress
+        self._rounds = 0 if design.for_arm else design.options.rounds
         budget = design.options.time_budget
-        reserve = min(0.5 * budget, check_time(design))
-        self._budget = Budget(clock() + budget - reserve, clock)
+        self._deadline = workers.clock() + budget - min(0.5 * budget, check_time(design))
         self._check: LimitCheck | None = None
         self._draws: list[Draw] = []
         self._candidates: list[Candidate] = []
-        drawn = range(self._options.draws)
-        self._numbers = [drawn[k : k + DRAWS_PER_JOB] for k in drawn[::DRAWS_PER_JOB]]
-        self._done = 0
-        self.stopped = ""
+        self._done, self.stopped = 0, ""
 
     @property
     def best(self) -> Candidate | None:
@@ -154,21 +147,27 @@ class _Search:
 
     def run(self) -> None:
         """Draw, choose, improve; stop early where time is up."""
-        draw = partial(draw_trajectories, seed=self._seed, budget=self._budget)
-        some = [partial(draw, numbers=numbers) for numbers in self._numbers]
-        with WorkerPool(self._design, self._options.n_workers) as pool:
-            for draws in self._counted(pool.run(some)):
+        draw = partial(draw_trajectories, seed=self._seed, deadline=self._deadline)
+        with WorkerPool(self._design, self._design.options.n_workers) as pool:
+            for draws in pool.run([partial(draw, numbers=some) for some in self._numbers]):
                 self._draws += draws
+                self._tell(1)
                 if self._is_late() and self._feasible():
                     break
             self._check_starts(pool)
             for _ in range(self._rounds):
                 if self._is_late():
                     return
-                job = partial(improve, budget=self._budget)
+                job = partial(improve, deadline=self._deadline)
                 jobs = [partial(job, candidate=c) for c in self._candidates]
-                for k, candidate in enumerate(self._counted(pool.run(jobs))):
+                for k, candidate in enumerate(pool.run(jobs)):
                     self._candidates[k] = candidate
+                    self._tell(1)
+
+    @property
+    def _numbers(self) -> list[range]:
+        drawn = range(self._design.options.draws)
+        return [drawn[k : k + DRAWS_PER_JOB] for k in drawn[::DRAWS_PER_JOB]]
 
     def settle_for_a_draw(self) -> None:
         """Take the best draw that keeps all limits, where nothing better was found in time."""
@@ -190,9 +189,9 @@ class _Search:
         return check_limits(design.problem, design.trajectory(x), design.sample_rate)
 
     def _is_late(self) -> bool:
-        if self._budget.is_over:
+        if is_late := workers.is_over(self._deadline):
             self.stopped = "time budget"
-        return self._budget.is_over
+        return is_late
 
     def _feasible(self) -> list[Draw]:
         """Return the feasible draws, best first."""
@@ -206,21 +205,17 @@ class _Search:
         if self._is_late():
             self.settle_for_a_draw()
             return
-        starts = feasible[: self._options.n_starts]
+        starts = feasible[: self._design.options.n_starts]
         for candidate in pool.run([partial(first_candidate, x=draw.x) for draw in starts]):
             self._candidates.append(candidate)
-            self._tell()
+            self._tell(0)
 
-    def _counted(self, results: Iterator) -> Iterator:
-        for result in results:
-            yield result
-            self._done += 1
-            self._tell()
-
-    def _tell(self) -> None:
-        jobs = len(self._numbers) + self._rounds * self._options.n_starts
+    def _tell(self, done: int) -> None:
+        self._done += done
+        options = self._design.options
+        jobs = len(self._numbers) + self._rounds * options.n_starts
         score = self.best.feasible_score if self.best else _smallest_score(self._draws)
-        name = OBJECTIVES["D" if self._design.for_arm else self._options.criterion]
+        name = OBJECTIVES["D" if self._design.for_arm else options.criterion]
         text = f"{name} {float(np.exp(score)):.3g}"
         self._progress.advance("Designing the trajectory", self._done, jobs, text)
 
@@ -297,7 +292,7 @@ class Draw:
 
 
 def draw_trajectories(
-    design: Design, seed: int, numbers: Sequence[int], budget: Budget = UNLIMITED
+    design: Design, seed: int, numbers: Sequence[int], deadline: float = np.inf
 ) -> list[Draw]:
     """Return draws number ``numbers``; each depends on the seed and its own number alone.
 
@@ -307,7 +302,7 @@ def draw_trajectories(
     for number in numbers:
         full = _within_motion_limits(design, np.random.default_rng([seed, number]))
         draws.append(_shrunk(design, constraints, full))
-        if budget.is_over and np.isfinite(draws[-1].score):
+        if workers.is_over(deadline) and np.isfinite(draws[-1].score):
             break
     return draws
 

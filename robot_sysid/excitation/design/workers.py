@@ -15,7 +15,6 @@ import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
 from typing import Any, Callable
 
 from robot_sysid.interrupts import held_back
@@ -25,27 +24,14 @@ _THREAD_COUNTS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 Job = Callable[[Any], Any]
 """A function of the shared object; ``functools.partial`` of a module's function, to be sent."""
 
-Clock = Callable[[], float]
-"""Gives the time [s]."""
+clock = time.monotonic
+"""Gives the time [s], of the machine, so that a deadline can be told to other processes too."""
 
 
-@dataclass(frozen=True)
-class Budget:
-    """When a search ends.
+def is_over(deadline: float) -> bool:
+    """Tell whether a deadline on the ``clock`` [s] has passed."""
+    return clock() > deadline
 
-    The clock [s] is that of the machine, so that it can be asked in other processes too.
-    """
-
-    deadline: float
-    clock: Clock = time.monotonic
-
-    @property
-    def is_over(self) -> bool:
-        """Whether time is up."""
-        return self.clock() > self.deadline
-
-
-UNLIMITED = Budget(float("inf"))
 
 # What the jobs of this process work on, where this process is a worker.
 _received: Any = None
@@ -54,21 +40,22 @@ _received: Any = None
 class WorkerPool:
     """Does jobs on ``shared``; a context manager, so that its processes end with it.
 
-    With one worker it uses the present process.
+    With one worker it uses the present process. Others do their linear algebra in one thread: the
+    matrices are small, and threads that wait for each other would cost as much as they do. Whoever
+    has set one of the variables for that keeps his value.
     """
 
     def __init__(self, shared: Any, workers: int) -> None:
-        self._shared, self._workers = shared, workers
+        self._shared, self._others = shared, multiprocessing.active_children()
         self._pool: ProcessPoolExecutor | None = None
-        self._others: list[Any] = []
+        self._unset = [name for name in _THREAD_COUNTS if name not in os.environ]
+        # Without room for another process, for its pipes or its semaphores there is no pool.
+        with contextlib.suppress(OSError, RuntimeError, ImportError):
+            if workers > 1:
+                context = multiprocessing.get_context("spawn")
+                self._pool = ProcessPoolExecutor(workers, context, _receive, (shared,))
 
     def __enter__(self) -> WorkerPool:
-        if self._workers > 1:
-            self._others = multiprocessing.active_children()
-            # Without room for another process, for its pipes or its semaphores there is no pool.
-            with contextlib.suppress(OSError, RuntimeError, ImportError):
-                context = multiprocessing.get_context("spawn")
-                self._pool = ProcessPoolExecutor(self._workers, context, _receive, (self._shared,))
         return self
 
     def __exit__(self, *failure: object) -> None:
@@ -90,9 +77,7 @@ class WorkerPool:
         done, futures = 0, list[Future[Any]]()
         try:
             if self._pool is not None:
-                # The first jobs start the processes, as far as the system lets them.
-                with held_back((signal.SIGINT,)), _one_thread_each():
-                    futures = [self._pool.submit(_do, job) for job in jobs]
+                futures = self._submitted(self._pool, jobs)
             for future in futures:
                 yield future.result()
                 done += 1
@@ -105,6 +90,16 @@ class WorkerPool:
                 future.cancel()
             raise
         yield from (job(self._shared) for job in jobs[done:])
+
+    def _submitted(self, pool: ProcessPoolExecutor, jobs: Sequence[Job]) -> list[Future[Any]]:
+        """Return the futures of jobs; the first ones start processes, as far as the system lets."""
+        os.environ.update(dict.fromkeys(self._unset, "1"))
+        try:
+            with held_back((signal.SIGINT,)):
+                return [pool.submit(_do, job) for job in jobs]
+        finally:
+            for name in self._unset:
+                os.environ.pop(name, None)
 
 
 def _receive(shared: Any) -> None:
@@ -124,19 +119,3 @@ def _end_with_parent() -> None:
 
 def _do(job: Job) -> Any:
     return job(_received)
-
-
-@contextlib.contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Let processes started inside do their linear algebra in one thread.
-
-    The matrices are small; threads that wait for each other would cost as much as they do. Whoever
-    has set one of the variables keeps his value.
-    """
-    unset = [name for name in _THREAD_COUNTS if name not in os.environ]
-    os.environ.update(dict.fromkeys(unset, "1"))
-    try:
-        yield
-    finally:
-        for name in unset:
-            os.environ.pop(name, None)

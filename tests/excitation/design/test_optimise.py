@@ -299,18 +299,3 @@ def test_gradient_of_the_clearance_equals_differences():
         if value(q + 1e-4 * direction) + value(q - 1e-4 * direction) - 2 * value(q) < 1e-6:
             checked += 1
             assert exact == pytest.approx(slope(value, q, direction), rel=1e-3, abs=1e-3)
-
-
-@given(SEEDS)
-def test_memory_never_hides_a_tight_sample(seed):
-    some = problem(TUBES_AND_POST)
-    remembering = MotionConstraints(some, 1.0, 0.003)
-    rng = np.random.default_rng(seed)
-    q, still = rng.uniform(-1.5, 1.5, size=(6, 4)), np.zeros((6, 4))
-    for _ in range(4):
-        fresh = MotionConstraints(some, 1.0, 0.003).evaluate(q, still, still).value[:, -1]
-        kept = remembering.evaluate(q, still, still).value[:, -1]
-        # Half the horizon is what the memory promises to tell exactly.
-        tight = np.maximum(fresh, kept) > -0.4
-        assert np.allclose(fresh[tight], kept[tight], atol=1e-12)
-        q = q + 0.02 * rng.normal(size=q.shape)

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
+from robot_sysid.excitation.design import workers
 from robot_sysid.excitation.design.optimise import Design, MotionConstraints
 from robot_sysid.excitation.design.search import design_excitation, draw_trajectories
 from robot_sysid.excitation.limit_check import keeps_limits
@@ -37,10 +38,11 @@ from tests.support.excitation_arms import (
 ARMS = (arms.THREE, arms.SLIDE_IN_CHAIN, arms.UNLIMITED, TUBES, TUBES_AND_POST, TOUCHING_AT_REST)
 
 
-def search(xml, seed, progress=None, clock=None, torques="chain", **changes):
-    clocks = {} if clock is None else {"clock": clock}
+def search(xml, seed, progress=None, clock=workers.clock, torques="chain", **changes):
     some = design(xml, torques, **changes)
-    return design_excitation(some, np.random.default_rng(seed), progress, **clocks)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(workers, "clock", clock)
+        return design_excitation(some, np.random.default_rng(seed), progress)
 
 
 def search_of(some_problem, seed=0, **changes):
