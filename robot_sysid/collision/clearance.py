@@ -56,7 +56,6 @@ class _Nearest:
     """The tightest pair of one configuration, filled in as pairs are looked at."""
 
     slack: float
-    budget: Array
     distance: float = np.inf
     normal: Array = field(default_factory=lambda: np.zeros(3))
     point: Array = field(default_factory=lambda: np.zeros(3))
@@ -143,8 +142,8 @@ class Clearance:
         The second is (P,), the smallest slack among the pairs of each row of ``rates``, infinite
         where a row has no pair within the horizon.
         """
-        near = self._nearest_at(q)
-        return near.slack, near.budget
+        budget = self._free.copy()
+        return self._nearest_at(q, budget).slack, budget
 
     def closest(self, q: Array) -> Closest:
         """Return the tightest distance at one configuration q (n,)."""
@@ -186,11 +185,10 @@ class Clearance:
         MuJoCo's deformable bodies have no geoms; they are infinitely far away.
         """
         contact = self._data.contact
-        bodies = self._body_of_geom[np.array((contact.geom1, contact.geom2)).T.reshape(-1, 2)]
+        bodies = self._body_of_geom[contact.geom.reshape(-1, 2)]
         if not self._model.nflex:
             return contact.dist, bodies
-        solid = (contact.geom1 >= 0) & (contact.geom2 >= 0)
-        return np.where(solid, contact.dist, np.inf), bodies
+        return np.where(np.all(contact.geom >= 0, axis=1), contact.dist, np.inf), bodies
 
     def _learn_pairs(self, clearance: float) -> Mapping[str, Sequence[str]]:
         """Settle the distance each pair has to keep, from what it has at rest, where the arm is.
@@ -251,21 +249,25 @@ class Clearance:
             nearest, at = (here, float(q[joint])) if here < nearest else (nearest, at)
         return at
 
-    def _nearest_at(self, q: Array) -> _Nearest:
-        """Return what is nearest, among contacts and half-spaces, at one configuration."""
+    def _nearest_at(self, q: Array, budget: Array | None = None) -> _Nearest:
+        """Return what is nearest, among contacts and half-spaces, at one configuration.
+
+        Lowers the budget (P,) of each row of ``rates`` to the least slack of its pairs.
+        """
         self._place(q)
-        near = _Nearest(self.horizon, self._free.copy())
+        near = _Nearest(self.horizon)
         if self._data.ncon:
-            self._add_contacts(near)
+            self._add_contacts(near, budget)
         if self._spaces is not None:
-            self._add_half_spaces(near, self._spaces)
+            self._add_half_spaces(near, budget, self._spaces)
         return near
 
-    def _add_contacts(self, near: _Nearest) -> None:
+    def _add_contacts(self, near: _Nearest, budget: Array | None) -> None:
         distance, bodies = self._contact_bodies()
         first, second = bodies.T
         slack = distance - self._required[first, second]
-        np.minimum.at(near.budget, self._rows[first, second], slack)
+        if budget is not None:
+            np.minimum.at(budget, self._rows[first, second], slack)
         tightest = int(slack.argmin())
         if slack[tightest] < near.slack:
             contact = self._data.contact[tightest]
@@ -273,11 +275,12 @@ class Clearance:
             near.normal, near.point = contact.frame[:3].copy(), contact.pos.copy()
             near.bodies = (int(bodies[tightest, 0]), int(bodies[tightest, 1]))
 
-    def _add_half_spaces(self, near: _Nearest, spaces: HalfSpaces) -> None:
+    def _add_half_spaces(self, near: _Nearest, budget: Array | None, spaces: HalfSpaces) -> None:
         for shape, height, lowest in spaces.heights(self._data, self.horizon):
             body, slack = int(spaces.body[shape]), height - spaces.required[shape]
-            row, k = self._rows[0, body], int(np.argmin(slack))
-            near.budget[row] = min(near.budget[row], slack[k])
+            k = int(np.argmin(slack))
+            if budget is not None:
+                budget[self._rows[0, body]] = min(budget[self._rows[0, body]], slack[k])
             if slack[k] < near.slack:
                 near.slack, near.distance = float(slack[k]), float(height[k])
                 near.space, near.point = spaces.spaces[k], lowest[k]

@@ -16,6 +16,7 @@ import time
 import numpy as np
 
 from robot_sysid.errors import InputError
+from robot_sysid.excitation.design import workers
 from robot_sysid.excitation.design.optimise import Design
 from robot_sysid.excitation.design.search import design_excitation
 from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
@@ -33,7 +34,7 @@ def search(budget: float, duration: float, harmonics: int | None) -> str:
 
     excitation = ExcitationOptions(kind="optimal", time_budget=budget, harmonics=harmonics)
     problem = build_problem(load_robot_model(GUESS), LimitOptions())
-    clock = time.monotonic if excitation.n_workers > 1 else time.process_time
+    clock = workers.clock = time.monotonic if excitation.n_workers > 1 else time.process_time
     start = clock()
     try:
         design = Design(problem, excitation, TrajectoryOptions(duration=duration))
