@@ -155,11 +155,10 @@ def _at_least(distance: float, resolution: float = DISTANCE_RESOLUTION) -> str:
 
 def _load_lines(problem: ExcitationProblem, plan: MotionPlan) -> Iterator[str]:
     """Say what load the torque limits leave room for."""
-    limit = problem.limits.torque
-    if not np.any(np.isfinite(limit)):
+    if not np.any(np.isfinite(problem.limits.torque)):
         return
-    left, joint = problem.torque.load_left(spread_motion(plan, _MOST_POSTURES), limit)
-    name, kept = problem.joint_names[joint], problem.torque.reserve
+    left, joint = problem.load_left(spread_motion(plan, _MOST_POSTURES))
+    name, kept = problem.joint_names[joint], problem.reserve
     reserved = f" (--payload-reserve {kept:g} kept)" if kept > 0.0 else ""
     room = np.floor(100.0 * left) / 100.0
     yield f"Torque left: a load of {room:.2f} kg at the tool's tip, then {name} is full{reserved}"

@@ -128,7 +128,7 @@ def predict(
         n_samples=n_samples,
         covariance=covariance,
         size=parameter_sizes(problem),
-        com_deviation=_com_deviation(problem.prior, covariance),
+        com_deviation=_com_deviation(problem.robot.prior.theta, covariance),
         never=_words(problem, left[:, len(singular) :]),
         unseen=_words(problem, inside[:, size > 1e-6]),
     )
@@ -136,7 +136,7 @@ def predict(
 
 def parameter_sizes(problem: ExcitationProblem) -> Array:
     """Return the magnitudes (10,) predicted deviations are compared with."""
-    theta = problem.prior
+    theta = problem.robot.prior.theta
     size = problem.scale.copy()
     size[0] = theta[0]
     for k in _DIAGONAL:

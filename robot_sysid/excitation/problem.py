@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.collision.clearance import Clearance
 from robot_sysid.collision.solids import has_floor, outermost_points
@@ -17,7 +18,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.excitation.information import body_wrench
 from robot_sysid.excitation.options import TOP_FREQUENCY_HZ, LimitOptions
 from robot_sysid.model.chain import DEFAULT_SLIDE_VELOCITY
-from robot_sysid.records import Array, Motion, RobotModel, checked_array
+from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.records.arm import DEFAULT_MAX_VELOCITY
 from robot_sysid.records.options import PerJoint, per_joint
 from robot_sysid.simulator import ArmTorque
@@ -123,61 +124,17 @@ def _unit(vectors: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class LoadedTorque:
-    """Torques of a motion, with or without an unknown load at the tip of the tool.
-
-    Attributes:
-        arm: torques (N, n) of the arm alone.
-        tip: (3,) where the load's mass would be, in the terminal body's frame [m].
-        reserve: the heaviest load [kg]; each torque is the larger one of without and with it.
-    """
-
-    arm: TorqueFunction
-    chain: ScrewChain
-    tip: Array
-    reserve: float = 0.0
-
-    def __call__(self, motion: Motion) -> Array:
-        """Return the torques (N, n) that have to be kept within limits [N m]."""
-        torque = self.arm(motion)
-        if self.reserve == 0.0:
-            return torque
-        loaded = torque + self.reserve * self.per_kilogram(motion)
-        return np.where(np.abs(loaded) > np.abs(torque), loaded, torque)
-
-    def per_kilogram(self, motion: Motion) -> Array:
-        """Return the torques (N, n) that a load adds, per kilogram of it [N m/kg]."""
-        body = self.chain.evaluate(motion.q, motion.qd, motion.qdd)
-        theta = spatial.theta_from_com(1.0, self.tip, np.zeros((3, 3)))
-        wrench = np.einsum("ikn,k->in", body_wrench(body.velocity, body.acceleration), theta)
-        return np.einsum("ijn,in->nj", body.jacobian, wrench)
-
-    def load_left(self, motion: Motion, limit: Array) -> tuple[float, int]:
-        """Return the heaviest load [kg] that keeps torque limits (n,), and the joint that ends it.
-
-        Infinite where no torque is limited, negative where the arm alone is beyond a limit.
-        """
-        torque, more = self.arm(motion), self.per_kilogram(motion)
-        room = np.where(more >= 0.0, limit - torque, limit + torque)
-        room = np.where(np.abs(torque) > limit, limit - np.abs(torque), room)
-        share = np.abs(more) > 1e-12
-        left = np.where(share, room / np.where(share, np.abs(more), 1.0), np.inf)
-        least = np.min(left, axis=0)
-        return float(np.min(least)), int(np.argmin(least))
-
-
-@dataclass(frozen=True)
 class ExcitationProblem:
     """One arm, ready for the search.
 
     Attributes:
         rest: (n,) where the motion starts and ends [rad].
-        prior: (10,) the terminal link's parameters in the model; sets the physical scale.
         tool: the outermost points of the terminal link and all it carries.
-        torque: joint torques (N, n) along a motion that limits hold for, friction included.
+        arm_torque: joint torques (N, n) along a motion, friction included, without any load.
+        reserve: the heaviest load at the tip of the tool that torque limits hold for too [kg].
         rows: chain joints whose torque will be used.
         sigma: (len(rows),) standard deviation of their noise [N m].
-        origins: per family of limits where each joint's comes from, see ``limit_origins``.
+        origins: per family in ``LIMIT_NAMES`` where the limit of each joint (n,) comes from.
         notes: what the reader should know about these limits.
         has_floor: whether anything keeps the arm above the ground.
     """
@@ -186,21 +143,15 @@ class ExcitationProblem:
     rest: Array
     limits: MotionLimits
     chain: ScrewChain
-    prior: Array
     tool: Tool
-    torque: LoadedTorque
+    arm_torque: TorqueFunction
+    reserve: float
     obstacles: Clearance
     rows: tuple[int, ...]
     sigma: Array
-    origins: Mapping[str, tuple[str, ...]]
+    origins: Mapping[str, NDArray[np.str_]]
     notes: tuple[str, ...] = ()
     has_floor: bool = True
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "rest", checked_array(self.rest, (self.n_joints,), "rest"))
-        object.__setattr__(self, "prior", checked_array(self.prior, (10,), "prior"))
-        sigma = checked_array(self.sigma, (len(self.rows),), "torque noise")
-        object.__setattr__(self, "sigma", sigma)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -211,6 +162,38 @@ class ExcitationProblem:
     def n_joints(self) -> int:
         """Number of chain joints n."""
         return self.robot.n_joints
+
+    def torque(self, motion: Motion) -> Array:
+        """Return the torques (N, n) that have to be kept within limits [N m].
+
+        Each is the larger one of without and with the load that is reserved.
+        """
+        torque = self.arm_torque(motion)
+        if self.reserve == 0.0:
+            return torque
+        loaded = torque + self.reserve * self.torque_per_kilogram(motion)
+        return np.where(np.abs(loaded) > np.abs(torque), loaded, torque)
+
+    def torque_per_kilogram(self, motion: Motion) -> Array:
+        """Return the torques (N, n) that a load at the tool's tip adds, per kilogram [N m/kg]."""
+        body = self.chain.evaluate(motion.q, motion.qd, motion.qdd)
+        theta = spatial.theta_from_com(1.0, self.tool.tip, np.zeros((3, 3)))
+        wrench = np.einsum("ikn,k->in", body_wrench(body.velocity, body.acceleration), theta)
+        return np.einsum("ijn,in->nj", body.jacobian, wrench)
+
+    def load_left(self, motion: Motion) -> tuple[float, int]:
+        """Return the heaviest load [kg] that keeps all torque limits, and the joint that ends it.
+
+        Infinite where no torque is limited, negative where the arm alone is beyond a limit.
+        """
+        torque, more = self.arm_torque(motion), self.torque_per_kilogram(motion)
+        limit = self.limits.torque
+        room = np.where(more >= 0.0, limit - torque, limit + torque)
+        room = np.where(np.abs(torque) > limit, limit - np.abs(torque), room)
+        share = np.abs(more) > 1e-12
+        left = np.where(share, room / np.where(share, np.abs(more), 1.0), np.inf)
+        least = np.min(left, axis=0)
+        return float(np.min(least)), int(np.argmin(least))
 
     def torque_at(self, q: Array, qd: Array | float = 0.0, qdd: Array | float = 0.0) -> Array:
         """Return the torques (N, n) at positions (N, n), at rest if nothing else is said [N m]."""
@@ -247,8 +230,8 @@ class ExcitationProblem:
     @property
     def scale(self) -> Array:
         """Typical magnitudes (10,) of the inertial parameters: m, m L, m L^2."""
-        length = spatial.characteristic_length(self.prior)
-        return spatial.parameter_scale(float(self.prior[0]), length)
+        theta = self.robot.prior.theta
+        return spatial.parameter_scale(float(theta[0]), spatial.characteristic_length(theta))
 
 
 def build_problem(
@@ -271,27 +254,27 @@ def build_problem(
     Raises:
         InputError: the arm breaks a limit already at rest; says which.
     """
-    lower, upper = _position_limits(robot)
-    rest = np.clip(robot.reference, lower, upper)
-    chain, tool = screw_chain(robot), Tool(*outermost_points(robot))
-    motion_limits, notes = _limits(robot, limits, (lower, upper), top_frequency_hz)
+    motion_limits, origins = _limits(robot, limits, top_frequency_hz)
+    notes: tuple[str, ...] = ()
+    if ignored := ", ".join(limits.ignore_torque_limit):
+        notes = (f"the torque limit of {ignored} is not obeyed, as asked",)
+    rest = np.clip(robot.reference, motion_limits.lower, motion_limits.upper)
     if not np.array_equal(rest, robot.reference):
         notes += _moved_rest_note(robot, rest)
     obstacles, more = _obstacles(robot, limits, rest)
     rows = tuple(range(robot.n_joints)) if torques == "chain" else (robot.n_joints - 1,)
-    sigma = per_joint(noise_torque, robot.n_joints, "--noise-torque")[list(rows)]
     return ExcitationProblem(
         robot=robot,
         rest=rest,
         limits=motion_limits,
-        chain=chain,
-        prior=robot.prior.theta,
-        tool=tool,
-        torque=LoadedTorque(ArmTorque(robot), chain, tool.tip, limits.payload_reserve),
+        chain=screw_chain(robot),
+        tool=Tool(*outermost_points(robot)),
+        arm_torque=ArmTorque(robot),
+        reserve=limits.payload_reserve,
         obstacles=obstacles,
         rows=rows,
-        sigma=sigma,
-        origins=limit_origins(robot, limits, motion_limits),
+        sigma=per_joint(noise_torque, robot.n_joints, "--noise-torque")[list(rows)],
+        origins=origins,
         notes=notes + more,
         has_floor=bool(limits.keep_out or limits.workspace) or has_floor(robot),
     )
@@ -316,47 +299,35 @@ def _position_limits(robot: RobotModel) -> tuple[Array, Array]:
 
 
 def _limits(
-    robot: RobotModel,
-    options: LimitOptions,
-    position: tuple[Array, Array],
-    top_frequency_hz: float | None,
-) -> tuple[MotionLimits, tuple[str, ...]]:
-    ignored = ", ".join(options.ignore_torque_limit)
-    notes = (f"the torque limit of {ignored} is not obeyed, as asked",) if ignored else ()
+    robot: RobotModel, options: LimitOptions, top_frequency_hz: float | None
+) -> tuple[MotionLimits, Mapping[str, NDArray[np.str_]]]:
+    """Return the limits, and per family in ``LIMIT_NAMES`` where that of each joint comes from."""
+    own, slide, asked = robot.limits, robot.is_slide, options.max_acceleration
     top = np.inf if top_frequency_hz is None else min(top_frequency_hz, TOP_FREQUENCY_HZ)
-    natural = 2.0 * np.pi * top * robot.limits.velocity
-    asked = options.max_acceleration
+    natural = 2.0 * np.pi * top * own.velocity
+    lower, upper = _position_limits(robot)
     limits = MotionLimits(
-        lower=position[0],
-        upper=position[1],
-        velocity=robot.limits.velocity,
-        acceleration=natural if asked is None else np.where(robot.is_slide, natural, asked),
+        lower=lower,
+        upper=upper,
+        velocity=own.velocity,
+        acceleration=natural if asked is None else np.where(slide, natural, asked),
         torque=TORQUE_MARGIN * _torque_limits(robot, options),
         tool_speed=np.inf if options.max_tool_speed is None else options.max_tool_speed,
     )
-    return limits, notes
-
-
-def limit_origins(
-    robot: RobotModel, options: LimitOptions, limits: MotionLimits
-) -> Mapping[str, tuple[str, ...]]:
-    """Return for each family in ``LIMIT_NAMES`` where the limit of each joint comes from."""
-    own, joints = robot.limits, robot.n_joints
+    speed = per_joint(options.max_velocity, robot.n_joints, "--max-velocity")
+    usual = np.where(slide, np.minimum(DEFAULT_SLIDE_VELOCITY, speed), speed)
+    by_default = slide | (speed == DEFAULT_MAX_VELOCITY)
     ranged = np.isfinite(own.lower) & np.isfinite(own.upper)
-    asked = per_joint(options.max_velocity, joints, "--max-velocity")
-    usual = np.where(robot.is_slide, np.minimum(DEFAULT_SLIDE_VELOCITY, asked), asked)
-    by_default = robot.is_slide | (asked == DEFAULT_MAX_VELOCITY)
-    speed = np.where(own.velocity < usual, MODEL, np.where(by_default, ASSUMED, ASKED))
-    shaken_by = np.where(robot.is_slide | (options.max_acceleration is None), ASSUMED, ASKED)
-    free = ~np.isfinite(limits.torque)
-    strong = limits.torque >= TORQUE_MARGIN * own.torque
-    found = {
+    shaken = np.isfinite(limits.acceleration)
+    as_strong = limits.torque >= TORQUE_MARGIN * own.torque
+    origins = {
         "position": np.where(ranged, MODEL, ASSUMED),
-        "velocity": speed,
-        "acceleration": np.where(np.isfinite(limits.acceleration), shaken_by, NONE),
-        "torque": np.where(free, NONE, np.where(strong, MODEL, ASKED)),
+        "velocity": np.where(own.velocity < usual, MODEL, np.where(by_default, ASSUMED, ASKED)),
+        "acceleration": np.where(shaken, np.where(slide | (asked is None), ASSUMED, ASKED), NONE),
+        "torque": np.where(as_strong, MODEL, ASKED),
     }
-    return {name: tuple(str(each) for each in found[name]) for name in LIMIT_NAMES}
+    origins["torque"][~np.isfinite(limits.torque)] = NONE
+    return limits, origins
 
 
 def _torque_limits(robot: RobotModel, options: LimitOptions) -> Array:

@@ -60,7 +60,7 @@ def test_peaks_are_those_of_the_samples(seed, size):
 
 def test_a_torque_that_is_no_number_keeps_no_limit():
     some = problem(arms.THREE)
-    lost = dataclasses.replace(some, torque=lambda motion: np.full_like(motion.q, np.nan))
+    lost = dataclasses.replace(some, arm_torque=lambda motion: np.full_like(motion.q, np.nan))
     plan = plan_of(some, 0, 1e-3)
     assert keeps_limits(some, plan) and not keeps_limits(lost, plan)
     assert "torque limit of joint" in check_limits(lost, plan).failure

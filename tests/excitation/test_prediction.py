@@ -54,7 +54,7 @@ def test_the_centre_of_mass_is_that_of_monte_carlo_to_first_order():
     some, plan = problem(arms.SEVEN), a_plan(arms.SEVEN)
     promised = predict(some, plan, 200.0)
     rng = np.random.default_rng(0)
-    drawn = rng.multivariate_normal(some.prior, 1e-4 * promised.covariance, size=4000)
+    drawn = rng.multivariate_normal(some.robot.prior.theta, 1e-4 * promised.covariance, size=4000)
     spread = np.sqrt(np.sum(np.var(drawn[:, 1:4] / drawn[:, :1], axis=0)))
     assert promised.com_deviation == pytest.approx(100.0 * spread, rel=0.05)
 

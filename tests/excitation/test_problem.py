@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
 from robot_sysid.excitation.options import TOP_FREQUENCY_HZ, LimitOptions
-from robot_sysid.excitation.problem import LoadedTorque, Tool, build_problem
+from robot_sysid.excitation.problem import Tool, build_problem
 from robot_sysid.records import JointLimits, Motion
 from robot_sysid.simulator import ArmTorque
 from tests.support import arms
@@ -193,7 +193,7 @@ def with_load(arm, mass, tip):
 def test_a_load_takes_the_torque_that_its_weight_and_inertia_need(seed, mass):
     arm, some = robot(arms.SEVEN), problem(arms.SEVEN)
     motion = moving(7, seed)
-    more = mass * some.torque.per_kilogram(motion)
+    more = mass * some.torque_per_kilogram(motion)
     loaded = ArmTorque(with_load(arm, mass, some.tool.tip))(motion)
     np.testing.assert_allclose(some.torque(motion) + more, loaded, rtol=1e-7, atol=1e-7)
 
@@ -201,19 +201,23 @@ def test_a_load_takes_the_torque_that_its_weight_and_inertia_need(seed, mass):
 @given(SEEDS, st.floats(0.0, 3.0))
 def test_the_torque_with_a_reserve_covers_every_load_up_to_it(seed, share):
     some = problem(arms.SEVEN)
-    motion, plain = moving(7, seed), some.torque
-    reserved = LoadedTorque(plain.arm, plain.chain, plain.tip, 3.0)
-    loaded = plain(motion) + share * plain.per_kilogram(motion)
-    assert np.all(np.abs(loaded) <= np.abs(reserved(motion)) + 1e-12)
+    motion = moving(7, seed)
+    loaded = some.torque(motion) + share * some.torque_per_kilogram(motion)
+    assert np.all(np.abs(loaded) <= np.abs(replace(some, reserve=3.0).torque(motion)) + 1e-12)
+
+
+def limited(some, torque):
+    return replace(some, limits=replace(some.limits, torque=torque))
 
 
 @given(SEEDS)
 def test_the_load_that_is_left_just_fills_one_joint(seed):
     some = problem(arms.SEVEN)
-    motion, torque = moving(7, seed), some.torque
-    limit = 1.5 * np.max(np.abs(torque(motion)), axis=0)
-    left, joint = torque.load_left(motion, limit)
-    share = np.max(np.abs(torque(motion) + left * torque.per_kilogram(motion)), axis=0) / limit
+    motion = moving(7, seed)
+    limit = 1.5 * np.max(np.abs(some.torque(motion)), axis=0)
+    left, joint = limited(some, limit).load_left(motion)
+    loaded = some.torque(motion) + left * some.torque_per_kilogram(motion)
+    share = np.max(np.abs(loaded), axis=0) / limit
     assert left > 0.0
     assert share[joint] == pytest.approx(1.0, rel=1e-9) and np.max(share) <= 1.0 + 1e-9
 
@@ -221,5 +225,5 @@ def test_the_load_that_is_left_just_fills_one_joint(seed):
 def test_without_limits_any_load_is_carried_and_beyond_them_none():
     some = problem(arms.SEVEN)
     motion = moving(7, 0)
-    assert some.torque.load_left(motion, np.full(7, np.inf))[0] == np.inf
-    assert some.torque.load_left(motion, np.full(7, 1e-3))[0] < 0.0
+    assert limited(some, np.full(7, np.inf)).load_left(motion)[0] == np.inf
+    assert limited(some, np.full(7, 1e-3)).load_left(motion)[0] < 0.0

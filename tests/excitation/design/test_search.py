@@ -258,7 +258,7 @@ def test_a_load_within_the_reserve_breaks_no_torque_limit():
     some, loaded = (problem(TUBES, max_torque=25.0, payload_reserve=kg) for kg in (0.0, 1.5))
     result = search_of(loaded)
     motion = result.trajectory.evaluate(np.arange(600) / 100.0)
-    torque = some.torque(motion) + 1.5 * some.torque.per_kilogram(motion)
+    torque = some.torque(motion) + 1.5 * some.torque_per_kilogram(motion)
     assert np.max(np.abs(torque)) <= 0.95 * 25.0 * (1.0 + ROUNDING)
 
 
