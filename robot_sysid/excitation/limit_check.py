@@ -190,27 +190,25 @@ def breaks_limits_at_few(problem: ExcitationProblem, plan: MotionPlan) -> bool:
 
 
 def excess_times(problem: ExcitationProblem, plan: MotionPlan) -> Array:
-    """Return when each limit that is not kept, clearances apart, is exceeded most [s]."""
-    peaks = _peaks(problem, plan, LEAST_RATE_HZ)
-    return np.array([excess.time for excess in _excesses(problem, peaks)])
+    """Return when limits are not kept [s].
+
+    Of each but clearances, when it is exceeded most; of these, where the slack, sampled at 100 Hz,
+    has a local minimum below zero.
+    """
+    found = [excess.time for excess in _excesses(problem, _peaks(problem, plan, LEAST_RATE_HZ))]
+    for span in _spans(plan):
+        time = np.concatenate(list(sample_times(plan.duration, FEW_RATE_HZ, *span)))
+        slack = problem.obstacles.slack(plan.evaluate(time).q).value
+        padded = np.pad(slack, 1, constant_values=np.inf)
+        lowest = (slack <= padded[:-2]) & (slack < padded[2:]) & (slack < 0.0)
+        found.extend(time[lowest])
+    return np.array(found)
 
 
 def first_contact(problem: ExcitationProblem, plan: MotionPlan) -> Closest | None:
     """Return where and when a clearance is first not kept, or None."""
     closest = _tightest(problem.obstacles, plan, np.inf, stop_below=0.0)
     return closest if closest.slack < 0.0 else None
-
-
-def tight_times(problem: ExcitationProblem, plan: MotionPlan) -> Array:
-    """Return times [s] at which the slack, sampled at 100 Hz, has a local minimum below zero."""
-    found = []
-    for span in _spans(plan):
-        time = np.concatenate(list(sample_times(plan.duration, FEW_RATE_HZ, *span)))
-        slack = problem.obstacles.slack(plan.evaluate(time).q).value
-        padded = np.pad(slack, 1, constant_values=np.inf)
-        lowest = (slack <= padded[:-2]) & (slack < padded[2:]) & (slack < 0.0)
-        found.append(time[lowest])
-    return np.concatenate(found)
 
 
 def checked_time(plan: MotionPlan) -> float:

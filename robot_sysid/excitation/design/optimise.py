@@ -14,6 +14,7 @@ over a limit is taken off by shrinking the whole motion towards rest.
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Callable, NamedTuple
@@ -23,7 +24,7 @@ import numpy as np
 from robot_sysid.errors import InputError
 from robot_sysid.excitation.design.workers import is_over
 from robot_sysid.excitation.information import CRITERIA, Criterion, Gradient
-from robot_sysid.excitation.limit_check import excess_times, keeps_limits, tight_times
+from robot_sysid.excitation.limit_check import excess_times, keeps_limits
 from robot_sysid.excitation.options import ExcitationOptions
 from robot_sysid.excitation.prediction import (
     arm_criterion,
@@ -33,7 +34,7 @@ from robot_sysid.excitation.prediction import (
 from robot_sysid.excitation.problem import LIMIT_NAMES, OBSTACLE_LENGTH, ExcitationProblem
 from robot_sysid.excitation.trajectories import FourierBasis, FourierTrajectory
 from robot_sysid.records import Array, Motion
-from robot_sysid.trajectory import TrajectoryOptions
+from robot_sysid.trajectory import Series, TrajectoryOptions
 
 FIRST_WEIGHT = 1.0
 WEIGHT_GROWTH = 1.5
@@ -106,50 +107,41 @@ def unchecked_candidate(design: Design, x: Array) -> Candidate:
 
 def improve(design: Design, candidate: Candidate, deadline: float = np.inf) -> Candidate:
     """Return the candidate after one more round, or after as much of it as there was time for."""
-    extra, multipliers, weight = candidate.extra_times, candidate.multipliers, candidate.weight
-    objective = PenalisedDesign(design, extra, multipliers, weight)
-    x, is_whole = _minimise(objective, candidate.x, design, deadline)
-    if not is_whole:
-        return _checked(design, replace(candidate, x=x), deadline)
-    multipliers = objective.updated_multipliers(objective.evaluate(x)[2])
-    grow = WEIGHT_GROWTH if candidate.rounds >= PLAIN_ROUNDS else 1.0
-    moved = replace(
-        candidate, x=x, multipliers=multipliers, weight=grow * weight, rounds=candidate.rounds + 1
-    )
-    return _checked(design, _with_extra_times(design, moved), deadline)
-
-
-def _minimise(
-    objective: PenalisedDesign, x: Array, design: Design, deadline: float
-) -> tuple[Array, bool]:
-    """Return the free coefficients after some L-BFGS iterations, and whether there was time."""
     from scipy.optimize import minimize
 
-    reached, unit = [x], design.unit
+    unit, shape = design.unit, candidate.x.shape
+    objective = PenalisedDesign(
+        design, candidate.extra_times, candidate.multipliers, candidate.weight
+    )
+
+    reached = [candidate.x]
 
     def function(flat: Array) -> tuple[float, Array]:
         if is_over(deadline):
             raise TimeoutError
-        value, gradient, _ = objective.evaluate(unit * flat.reshape(x.shape))
+        value, gradient, _ = objective.evaluate(unit * flat.reshape(shape))
         return value, (unit * gradient).ravel()
 
     def keep(flat: Array) -> None:
-        reached.append(unit * flat.reshape(x.shape))
+        reached.append(unit * flat.reshape(shape))
 
     options = {"maxiter": design.options.iterations, "maxcor": MEMORY, "maxls": 30}
-    start = (x / unit).ravel()
-    try:
+    start = (candidate.x / unit).ravel()
+    with contextlib.suppress(TimeoutError):
         minimize(function, start, jac=True, method="L-BFGS-B", callback=keep, options=options)
-    except TimeoutError:
-        return reached[-1], False
-    return reached[-1], True
+    moved = replace(candidate, x=reached[-1])
+    if not is_over(deadline):
+        grow = WEIGHT_GROWTH if candidate.rounds >= PLAIN_ROUNDS else 1.0
+        multipliers, weight = objective.evaluate(moved.x)[2], grow * candidate.weight
+        moved = replace(moved, multipliers=multipliers, weight=weight, rounds=candidate.rounds + 1)
+        moved = _with_extra_times(design, moved)
+    return _checked(design, moved, deadline)
 
 
 def _with_extra_times(design: Design, candidate: Candidate) -> Candidate:
     """Return the candidate with the times at which the whole motion exceeds a limit."""
     plan = design.trajectory(candidate.x)
-    found = np.concatenate((excess_times(design.problem, plan), tight_times(design.problem, plan)))
-    known = np.round(candidate.extra_times, 3)
+    known, found = np.round(candidate.extra_times, 3), excess_times(design.problem, plan)
     new = np.setdiff1d(np.round(found, 3), known)[: MOST_EXTRA_TIMES - len(known)]
     none = np.zeros((len(new), candidate.multipliers.shape[1]))
     return replace(
@@ -220,25 +212,26 @@ class Design:
         return FourierTrajectory(self.basis, self.problem.rest, x @ self.directions.T)
 
     @cached_property
-    def on_grid(self) -> tuple[Array, Array, Array]:
+    def on_grid(self) -> Series:
         """The functions on the grid: most of what a search holds in memory."""
         return self.functions(self.grid)
 
-    def functions(self, time: Array) -> tuple[Array, Array, Array]:
+    def functions(self, time: Array) -> Series:
         """Return the basis of the free coefficients, and its derivatives (N, M)."""
         position, velocity, acceleration = self.basis.evaluate(time)
-        if self.basis.fade > 0.0:  # All coefficients are free.
-            return position, velocity, acceleration
         free = self.directions
         return position @ free, velocity @ free, acceleration @ free
+
+    def motion(self, x: Array, functions: Series | None = None) -> Series:
+        """Return q, qd and qdd (N, n) of the free coefficients x (n, M), usually on the grid."""
+        b, db, ddb = functions or self.on_grid
+        return self.problem.rest + b @ x.T, db @ x.T, ddb @ x.T
 
     def criterion_of(self, x: Array) -> float:
         """Return the criterion of free coefficients x (n, M) alone."""
         if self.for_arm:
             return arm_criterion(self.problem, self.trajectory(x))
-        b, db, ddb = self.on_grid
-        q, qd, qdd = self.problem.rest + b @ x.T, db @ x.T, ddb @ x.T
-        return self.criterion(self.information.evaluate(q, qd, qdd).information)[0]
+        return self.criterion(self.information.evaluate(*self.motion(x)).information)[0]
 
 
 class Constraints(NamedTuple):
@@ -326,13 +319,16 @@ class PenalisedDesign:
     ) -> None:
         self._design, self._multipliers, self._weight = design, multipliers, weight
         extra = design.functions(extra_times)
-        self._functions = tuple(np.vstack(both) for both in zip(design.on_grid, extra))
+        (b, db, ddb) = (np.vstack(both) for both in zip(design.on_grid, extra))
+        self._functions = b, db, ddb
         self._constraints = MotionConstraints(design.problem, LIMIT_SHARE, EXTRA_SLACK)
 
     def evaluate(self, x: Array) -> tuple[float, Array, Array]:
-        """Return value, gradient (n, M) and constraints at free coefficients x (n, M)."""
-        b, db, ddb = self._functions
-        q, qd, qdd = self._design.problem.rest + b @ x.T, db @ x.T, ddb @ x.T
+        """Return value and gradient (n, M) at free coefficients x (n, M), and new multipliers.
+
+        They are those (N + E, 4 n + 2) after a minimisation that ends here.
+        """
+        q, qd, qdd = self._design.motion(x, self._functions)
         count = len(self._design.grid)
         cache = self._design.information.evaluate(q[:count], qd[:count], qdd[:count])
         criterion, slope = self._design.criterion(cache.information)
@@ -342,12 +338,8 @@ class PenalisedDesign:
         adjoints = constraints.vjp(active)
         for adjoint, part in zip(adjoints, cache.vjp(slope)):
             adjoint[:count] += part
-        gradient = adjoints[0].T @ b + adjoints[1].T @ db + adjoints[2].T @ ddb
-        return min(criterion, _WORST) + penalty, gradient, constraints.value
-
-    def updated_multipliers(self, value: Array) -> Array:
-        """Return the multipliers after a minimisation that ended with constraints ``value``."""
-        return np.maximum(0.0, self._multipliers + self._weight * value)
+        gradient = sum(a.T @ f for a, f in zip(adjoints, self._functions))
+        return min(criterion, _WORST) + penalty, gradient, active
 
 
 def _require_sampled(basis: FourierBasis, rate: float) -> None:

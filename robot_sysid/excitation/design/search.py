@@ -349,14 +349,13 @@ def _room(design: Design, base: Array, x: Array) -> Array:
 
 def _shrunk(design: Design, constraints: MotionConstraints, full: Array) -> Draw:
     """Return the largest tried multiple of a motion that is feasible on the grid."""
-    b, db, ddb = design.on_grid
     for factor in SHRINK:
         x = factor * full
-        q = design.problem.rest + b @ x.T
-        value = constraints.evaluate(q, db @ x.T, ddb @ x.T).value
+        motion = design.motion(x)
+        value = constraints.evaluate(*motion).value
         if np.max(value) <= ROUNDING:
             return Draw(design.criterion_of(x), x, "")
-    return Draw(np.inf, np.zeros_like(full), _obstacle(design, value, q))
+    return Draw(np.inf, np.zeros_like(full), _obstacle(design, value, motion[0]))
 
 
 def _obstacle(design: Design, value: Array, q: Array) -> str:

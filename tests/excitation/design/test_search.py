@@ -281,16 +281,11 @@ DESIGNS = [
 ]
 
 
-def motion_of(some, x):
-    b, db, ddb = some.functions(some.grid)
-    return some.problem.rest + b @ x.T, db @ x.T, ddb @ x.T
-
-
 @given(st.sampled_from(DESIGNS), SEEDS)
 def test_every_feasible_draw_keeps_all_limits_on_the_grid(some, seed):
     (draw,) = draw_trajectories(some, seed, [0])
     if np.isfinite(draw.score):
-        value = MotionConstraints(some.problem, 1.0, 0.0).evaluate(*motion_of(some, draw.x)).value
+        value = MotionConstraints(some.problem, 1.0, 0.0).evaluate(*some.motion(draw.x)).value
         assert np.max(value) <= ROUNDING
         assert draw.obstacle == ""
     else:
