@@ -80,6 +80,7 @@ class Clearance:
             deeper; "near" those so near that they keep half that distance, not the clearance.
         neighbours: the least distance of links next to each other that keep theirs whatever the
             arm does, and so are not looked at any more.
+        left_at_rest: (half-space, body, how far outside [m]) of what is outside already at rest.
     """
 
     horizon = HORIZON
@@ -108,11 +109,14 @@ class Clearance:
         self.neighbours = self._settle_neighbours(rest)
         drop_pairs(self._model, self._part, np.isneginf(self._required))
         self._place(rest)
+        self.left_at_rest: list[tuple[HalfSpace, str, float]] = []
         self._spaces = HalfSpaces(robot.mj_model, half_spaces) if half_spaces else None
         if self._spaces is not None:
             for shape, height, _ in self._spaces.heights(self._data):
-                kept = np.maximum(0.0, KEPT_SHARE * height)
-                self._spaces.required[shape] = np.minimum(self._spaces.required[shape], kept)
+                required, body = self._spaces.required[shape], self._label(self._spaces.body[shape])
+                for k in np.flatnonzero((height <= 0.0) & np.isfinite(required)).tolist():
+                    self.left_at_rest.append((half_spaces[k], body, -float(height[k])))
+                required[:] = np.minimum(required, np.maximum(0.0, KEPT_SHARE * height))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Travel to another process as what it was made from: MuJoCo data is made anew there."""
@@ -161,17 +165,6 @@ class Clearance:
         other._required = np.where(np.isneginf(self._required), -np.inf, 0.0)
         other._spaces = None
         return other
-
-    def half_spaces_left_at_rest(self) -> list[tuple[HalfSpace, str, float]]:
-        """Return (half-space, body, how far outside [m]) of what is outside already at rest."""
-        self._place(self._arguments[1])
-        if self._spaces is None:
-            return []
-        return [
-            (self._spaces.spaces[k], self._label(self._spaces.body[shape]), -float(height[k]))
-            for shape, height, _ in self._spaces.heights(self._data)
-            for k in np.flatnonzero((height <= 0.0) & np.isfinite(self._spaces.required[shape]))
-        ]
 
     def _place(self, q: Array) -> None:
         self._data.qpos[self._robot.qpos_index] = q

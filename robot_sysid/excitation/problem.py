@@ -370,9 +370,8 @@ def _obstacles(
     if clearance.is_empty:
         note = "the model has no collision geometry; nothing keeps the arm from touching itself"
         return clearance, (note,)
-    outside = clearance.half_spaces_left_at_rest()
-    if outside:
-        space, body, depth = max(outside, key=lambda entry: entry[2])
+    if clearance.left_at_rest:
+        space, body, depth = max(clearance.left_at_rest, key=lambda entry: entry[2])
         raise InputError(
             f"no trajectory is feasible: at rest, body {body} is {1000 * depth:.0f} mm beyond "
             f"{space.label}; move that limit, or change the model's reference configuration"

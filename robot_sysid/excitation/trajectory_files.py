@@ -24,14 +24,13 @@ from robot_sysid.trajectory import SineTrajectory, motion_chunks
 FORMAT = "robot-sysid trajectory"
 VERSION = 1
 _KINDS: Mapping[str, tuple[Any, tuple[str, ...]]] = {
-    "sines": (SineTrajectory, ("center", "amplitude", "frequency_hz", "phase")),
+    "sines": (SineTrajectory, ("duration", "fade", "center", "amplitude", "frequency_hz", "phase")),
     "fourier": (FourierTrajectory, ("rest", "coefficients")),
     "poses": (LineTrajectory, ("points", "moves", "dwells")),
     "sweeps": (LineTrajectory, ("points", "moves", "ramps")),
 }
-"""Each kind of trajectory, and what arrays make it."""
-
-
+"""Each kind of trajectory, and what makes it; that of a Fourier series is its basis too."""
+_BASIS = ("duration", "base_frequency_hz", "harmonics", "fade")
 _TIMES = ("duration", "fade", "moves", "dwells", "ramps")
 """What takes longer where a trajectory is slowed down; frequencies fall."""
 _Plan = TypeVar("_Plan", bound=MotionPlan)
@@ -117,12 +116,10 @@ def save_trajectory(
 
 def _described(plan: MotionPlan) -> dict[str, Any]:
     """Return a trajectory as plain numbers; repr of a float is exact."""
-    for kind, (made, arrays) in reversed(list(_KINDS.items())):
-        if isinstance(plan, made) and getattr(plan, arrays[-1]) is not None:
+    for kind, (made, names) in reversed(list(_KINDS.items())):
+        if isinstance(plan, made) and getattr(plan, names[-1]) is not None:
             basis = asdict(plan.basis) if isinstance(plan, FourierTrajectory) else {}
-            if isinstance(plan, SineTrajectory):
-                basis = {"duration": plan.duration, "fade": plan.fade}
-            listed = {name: getattr(plan, name).tolist() for name in arrays}
+            listed = {name: np.asarray(getattr(plan, name)).tolist() for name in names}
             return {"kind": kind, **basis, **listed}
     raise InputError(f"a {type(plan).__name__} has no coefficients to save")
 
@@ -171,9 +168,8 @@ def _built(kind: str, content: Mapping[str, Any]) -> MotionPlan:
     if kind == "sines":
         given |= {name: float(content[name]) for name in ("duration", "fade")}
     if kind == "fourier":
-        duration, base = float(content["duration"]), float(content["base_frequency_hz"])
-        harmonics, fade = int(content["harmonics"]), float(content["fade"])
-        given["basis"] = FourierBasis(duration, base, harmonics, fade)
+        duration, base, harmonics, fade = (float(content[name]) for name in _BASIS)
+        given["basis"] = FourierBasis(duration, base, int(harmonics), fade)
     plan: MotionPlan = made(**given)
     return plan
 

@@ -207,8 +207,8 @@ def test_half_spaces_count_like_bodies():
 
 def test_half_spaces_already_left_at_rest_are_named():
     found = clearance_of(TUBES_AND_POST, ((0.0, 0.0, -1.0, -0.8),))
-    names = {body for _, body, _ in found.half_spaces_left_at_rest()}
-    depths = [depth for _, _, depth in found.half_spaces_left_at_rest()]
+    names = {body for _, body, _ in found.left_at_rest}
+    depths = [depth for _, _, depth in found.left_at_rest]
     assert "link3" in names
     # The tip of the last tube is at 4 * 0.25 + 0.2 + 0.03 m.
     assert max(depths) == pytest.approx(4 * 0.25 + 0.23 - 0.8, abs=1e-6)
