@@ -93,7 +93,7 @@ class FourierBasis:
         first = np.exp(2j * np.pi * self.base_frequency_hz * np.asarray(time, dtype=float))
         return np.cumprod(np.repeat(first[:, None], self.harmonics, axis=1), axis=1)
 
-    def evaluate(self, time: Array) -> tuple[Array, Array, Array]:
+    def evaluate(self, time: Array) -> Series:
         """Return the functions and their first and second derivatives (N, 2 K + 1)."""
         wave, one = self.waves(time), np.ones((len(time), 1))
         turned = [wave * self.rates**k for k in range(3)]
@@ -236,22 +236,18 @@ def straight_way(begin: Array, end: Array) -> LineTrajectory:
     return LineTrajectory(np.stack((begin, end)), np.array([seconds]), np.zeros(2))
 
 
-def _cruise(gone: Array, length: Array, ramp: Array) -> tuple[Array, Array, Array]:
+def _cruise(gone: Array, length: Array, ramp: Array) -> Series:
     """Return way [s], speed and its change [1/s] (N,) at unit speed, ``gone`` [s] after the start.
 
     A way takes ``length`` [s], rising and falling ``ramp`` [s] each; ramps count half.
     """
-    left = length - gone
-    rise, rising, bend = _rise(np.minimum(gone / ramp, 1.0))
-    fall, falling, brake = _rise(np.minimum(left / ramp, 1.0))
-    early, late = gone < ramp, left < ramp
-    way = np.where(early, ramp * rise, gone - 0.5 * ramp)
-    way = np.where(late, length - ramp - ramp * fall, way)
-    speed = np.where(early, rising, np.where(late, falling, 1.0))
-    return way, speed, np.where(early, bend / ramp, np.where(late, -brake / ramp, 0.0))
+    near = np.minimum(gone, length - gone)
+    rise, speed, bend = _rise(np.minimum(near / ramp, 1.0))
+    way, falls = ramp * rise + np.maximum(near - ramp, 0.0), gone > near
+    return np.where(falls, length - ramp - way, way), speed, np.where(falls, -bend, bend) / ramp
 
 
-def _rise(x: Array) -> tuple[Array, Array, Array]:
+def _rise(x: Array) -> Series:
     """Return integral, value and slope (N,) of 10 x^3 - 15 x^4 + 6 x^5, which rises from 0 to 1."""
     integral = x**4 * (2.5 + x * (x - 3.0))
     return integral, x**3 * (10.0 + x * (6.0 * x - 15.0)), 30.0 * (x * (1.0 - x)) ** 2
