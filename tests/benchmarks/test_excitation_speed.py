@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from functools import cache
 
-import numpy as np
 import pytest
 
-from robot_sysid.excitation.design.optimise import Design, PenalisedDesign, first_candidate, improve
+from robot_sysid.excitation.design.optimise import (
+    Design,
+    first_candidate,
+    improve,
+    penalised,
+    unchecked_candidate,
+)
 from robot_sysid.excitation.design.search import draw_trajectories
 from robot_sysid.excitation.limit_check import check_limits
 from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
@@ -33,8 +38,7 @@ def test_twenty_random_trajectories(benchmark):
 @pytest.mark.benchmark(group="excitation")
 def test_objective_with_gradient(benchmark):
     design, x = kinova()
-    none = np.zeros((len(design.grid), 4 * design.problem.n_joints + 2))
-    benchmark(PenalisedDesign(design, np.zeros(0), none, 10.0).evaluate, x)
+    benchmark(penalised, design, unchecked_candidate(design, x), design.on_grid, x)
 
 
 @pytest.mark.benchmark(group="excitation")

@@ -110,16 +110,13 @@ def improve(design: Design, candidate: Candidate, deadline: float = np.inf) -> C
     from scipy.optimize import minimize
 
     unit, shape = design.unit, candidate.x.shape
-    objective = PenalisedDesign(
-        design, candidate.extra_times, candidate.multipliers, candidate.weight
-    )
-
+    objective = partial(penalised, design, candidate, design.functions(candidate.extra_times))
     reached = [candidate.x]
 
     def function(flat: Array) -> tuple[float, Array]:
         if is_over(deadline):
             raise TimeoutError
-        value, gradient, _ = objective.evaluate(unit * flat.reshape(shape))
+        value, gradient, _ = objective(unit * flat.reshape(shape))
         return value, (unit * gradient).ravel()
 
     def keep(flat: Array) -> None:
@@ -132,7 +129,7 @@ def improve(design: Design, candidate: Candidate, deadline: float = np.inf) -> C
     moved = replace(candidate, x=reached[-1])
     if not is_over(deadline):
         grow = WEIGHT_GROWTH if candidate.rounds >= PLAIN_ROUNDS else 1.0
-        multipliers, weight = objective.evaluate(moved.x)[2], grow * candidate.weight
+        multipliers, weight = objective(moved.x)[2], grow * candidate.weight
         moved = replace(moved, multipliers=multipliers, weight=weight, rounds=candidate.rounds + 1)
         moved = _with_extra_times(design, moved)
     return _checked(design, moved, deadline)
@@ -214,13 +211,17 @@ class Design:
     @cached_property
     def on_grid(self) -> Series:
         """The functions on the grid: most of what a search holds in memory."""
-        return self.functions(self.grid)
+        b, db, ddb = self.basis.evaluate(self.grid)
+        return b @ self.directions, db @ self.directions, ddb @ self.directions
 
-    def functions(self, time: Array) -> Series:
-        """Return the basis of the free coefficients, and its derivatives (N, M)."""
-        position, velocity, acceleration = self.basis.evaluate(time)
-        free = self.directions
-        return position @ free, velocity @ free, acceleration @ free
+    def functions(self, extra: Array) -> Series:
+        """Return the basis of the free coefficients, and its derivatives (N + E, M).
+
+        On the grid, and at further times (E,) [s].
+        """
+        more = (values @ self.directions for values in self.basis.evaluate(extra))
+        b, db, ddb = (np.vstack(both) for both in zip(self.on_grid, more))
+        return b, db, ddb
 
     def motion(self, x: Array, functions: Series | None = None) -> Series:
         """Return q, qd and qdd (N, n) of the free coefficients x (n, M), usually on the grid."""
@@ -250,96 +251,83 @@ class Constraints(NamedTuple):
     vjp: Callable[[Array], Gradient]
 
 
-class MotionConstraints:
-    """Evaluates the constraints of one problem.
+def constraints_of(
+    problem: ExcitationProblem, motion: Series, share: float = 1.0, extra_slack: float = 0.0
+) -> Constraints:
+    """Return all constraints of a motion (q, qd, qdd), each (N, n).
 
     Args:
-        problem: the arm and its limits.
         share: of the limits to use; less than 1 leaves room for peaks between grid points.
         extra_slack: distance to keep beside the obstacles' own requirement [m].
     """
-
-    def __init__(self, problem: ExcitationProblem, share: float, extra_slack: float) -> None:
-        self._problem, self._extra = problem, extra_slack
-        self._allowed = share * problem.limits.columns
-
-    def evaluate(self, q: Array, qd: Array, qdd: Array) -> Constraints:
-        """Return all constraints of a motion, each (N, n)."""
-        motion = Motion(np.arange(float(len(q))), q, qd, qdd)
-        signals = self._problem.signals(motion)
-        slack = self._problem.obstacles.slack(q)
-        towards = (self._extra - slack.value) / OBSTACLE_LENGTH
-        value = np.column_stack((np.abs(signals) / self._allowed - 1.0, towards))
-        return Constraints(value, partial(self._vjp, motion, signals, slack.gradient))
-
-    def _vjp(
-        self, motion: Motion, signals: Array, slack_gradient: Array, weight: Array
-    ) -> Gradient:
-        adjoint = weight[:, :-1] * np.sign(signals) / self._allowed
-        ends = np.arange(1, 5) * motion.q.shape[1]
-        *joints, torque, fastest = np.split(adjoint, ends, axis=1)
-        joints[0] -= weight[:, -1:] * slack_gradient / OBSTACLE_LENGTH
-        self._add_torque(motion, np.split(signals, ends, axis=1)[3], torque, joints)
-        used = np.flatnonzero(fastest)
-        if len(used):
-            tool = self._problem.chain.evaluate(motion.q[used], motion.qd[used], motion.qdd[used])
-            none = np.zeros_like(tool.jacobian), np.zeros_like(tool.acceleration)
-            along = self._problem.tool.speed_vjp(tool.velocity, fastest[used, 0])
-            for total, part in zip(joints, tool.vjp(none[0], along, none[1])):
-                total[used] += part
-        return joints[0], joints[1], joints[2]
-
-    def _add_torque(
-        self, motion: Motion, torque: Array, adjoint: Array, totals: list[Array]
-    ) -> None:
-        """Add the gradient through the torque by one-sided differences, at active samples only."""
-        active = np.flatnonzero(np.any(adjoint != 0.0, axis=1))
-        if len(active) == 0:
-            return
-        at = [motion.q[active], motion.qd[active], motion.qdd[active]]
-        # The friction torque jumps where a joint reverses; a step across the jump would be noise.
-        for which, joint in np.ndindex(3, motion.q.shape[1]):
-            moved, away = at.copy(), np.where(at[which][:, joint] < 0.0, -1.0, 1.0)
-            moved[which] = at[which].copy()
-            moved[which][:, joint] += _TORQUE_STEP * away
-            change = (self._problem.torque_at(*moved) - torque[active]) * (away / _TORQUE_STEP)[
-                :, None
-            ]
-            totals[which][active, joint] += np.sum(change * adjoint[active], axis=1)
+    moved = Motion(np.arange(float(len(motion[0]))), *motion)
+    signals, slack = problem.signals(moved), problem.obstacles.slack(moved.q)
+    allowed, towards = share * problem.limits.columns, (extra_slack - slack.value) / OBSTACLE_LENGTH
+    value = np.column_stack((np.abs(signals) / allowed - 1.0, towards))
+    return Constraints(value, partial(_vjp, problem, motion, signals, allowed, slack.gradient))
 
 
-class PenalisedDesign:
-    """Objective of one inner minimisation, for fixed multipliers (N + E, 4 n + 2) and weight.
+def _vjp(
+    problem: ExcitationProblem,
+    motion: Series,
+    signals: Array,
+    allowed: Array,
+    slack_gradient: Array,
+    weight: Array,
+) -> Gradient:
+    ends = np.arange(1, 5) * problem.n_joints
+    adjoint = weight[:, :-1] * np.sign(signals) / allowed
+    q, qd, qdd, torque, fastest = np.split(adjoint, ends, axis=1)
+    q -= weight[:, -1:] * slack_gradient / OBSTACLE_LENGTH
+    _add_torque(problem, motion, np.split(signals, ends, axis=1)[3], torque, (q, qd, qdd))
+    used = np.flatnonzero(fastest)
+    if len(used):
+        tool = problem.chain.evaluate(*(part[used] for part in motion))
+        none = np.zeros_like(tool.jacobian), np.zeros_like(tool.acceleration)
+        along = problem.tool.speed_vjp(tool.velocity, fastest[used, 0])
+        for total, part in zip((q, qd, qdd), tool.vjp(none[0], along, none[1])):
+            total[used] += part
+    return q, qd, qdd
 
-    Constraints hold on the grid and at the extra times (E,) [s].
+
+def _add_torque(
+    problem: ExcitationProblem, motion: Series, torque: Array, adjoint: Array, totals: Gradient
+) -> None:
+    """Add the gradient through the torque by one-sided differences, at active samples only."""
+    active = np.flatnonzero(np.any(adjoint != 0.0, axis=1))
+    if len(active) == 0:
+        return
+    at = [part[active] for part in motion]
+    # The friction torque jumps where a joint reverses; a step across the jump would be noise.
+    for which, joint in np.ndindex(3, problem.n_joints):
+        step = np.where(at[which][:, joint] < 0.0, -_TORQUE_STEP, _TORQUE_STEP)
+        moved = [part.copy() for part in at]
+        moved[which][:, joint] += step
+        change = (problem.torque_at(*moved) - torque[active]) / step[:, None]
+        totals[which][active, joint] += np.sum(change * adjoint[active], axis=1)
+
+
+def penalised(
+    design: Design, candidate: Candidate, functions: Series, x: Array
+) -> tuple[float, Array, Array]:
+    """Return the objective of a round at free coefficients x (n, M), gradient and new multipliers.
+
+    Multipliers and weight are those of the candidate; the new ones (N + E, 4 n + 2) are those after
+    a minimisation that ends at x. Constraints hold where the ``functions`` are given: on the grid,
+    and at the extra times.
     """
-
-    def __init__(
-        self, design: Design, extra_times: Array, multipliers: Array, weight: float
-    ) -> None:
-        self._design, self._multipliers, self._weight = design, multipliers, weight
-        extra = design.functions(extra_times)
-        (b, db, ddb) = (np.vstack(both) for both in zip(design.on_grid, extra))
-        self._functions = b, db, ddb
-        self._constraints = MotionConstraints(design.problem, LIMIT_SHARE, EXTRA_SLACK)
-
-    def evaluate(self, x: Array) -> tuple[float, Array, Array]:
-        """Return value and gradient (n, M) at free coefficients x (n, M), and new multipliers.
-
-        They are those (N + E, 4 n + 2) after a minimisation that ends here.
-        """
-        q, qd, qdd = self._design.motion(x, self._functions)
-        count = len(self._design.grid)
-        cache = self._design.information.evaluate(q[:count], qd[:count], qdd[:count])
-        criterion, slope = self._design.criterion(cache.information)
-        constraints = self._constraints.evaluate(q, qd, qdd)
-        active = np.maximum(0.0, self._multipliers + self._weight * constraints.value)
-        penalty = float(np.sum(active**2 - self._multipliers**2)) / (2.0 * self._weight)
-        adjoints = constraints.vjp(active)
-        for adjoint, part in zip(adjoints, cache.vjp(slope)):
-            adjoint[:count] += part
-        gradient = sum(a.T @ f for a, f in zip(adjoints, self._functions))
-        return min(criterion, _WORST) + penalty, gradient, active
+    multipliers, weight, count = candidate.multipliers, candidate.weight, len(design.grid)
+    motion = design.motion(x, functions)
+    told = design.information.evaluate(*(part[:count] for part in motion))
+    criterion, slope = design.criterion(told.information)
+    constraints = constraints_of(design.problem, motion, LIMIT_SHARE, EXTRA_SLACK)
+    active = np.maximum(0.0, multipliers + weight * constraints.value)
+    penalty = float(np.sum(active**2 - multipliers**2)) / (2.0 * weight)
+    adjoints = constraints.vjp(active)
+    for adjoint, part in zip(adjoints, told.vjp(slope)):
+        adjoint[:count] += part
+    gradient = sum(a.T @ f for a, f in zip(adjoints, functions))
+    return min(criterion, _WORST) + penalty, np.asarray(gradient), active
 
 
 def _require_sampled(basis: FourierBasis, rate: float) -> None:

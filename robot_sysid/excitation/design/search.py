@@ -25,7 +25,7 @@ from robot_sysid.excitation.design.optimise import (
     REPAIRS,
     Candidate,
     Design,
-    MotionConstraints,
+    constraints_of,
     first_candidate,
     improve,
     unchecked_candidate,
@@ -298,10 +298,10 @@ def draw_trajectories(
 
     Where time is up, those up to the first feasible one.
     """
-    constraints, draws = MotionConstraints(design.problem, share=1.0, extra_slack=0.0), []
+    draws = []
     for number in numbers:
         full = _within_motion_limits(design, np.random.default_rng([seed, number]))
-        draws.append(_shrunk(design, constraints, full))
+        draws.append(_shrunk(design, full))
         if workers.is_over(deadline) and np.isfinite(draws[-1].score):
             break
     return draws
@@ -347,12 +347,12 @@ def _room(design: Design, base: Array, x: Array) -> Array:
     return np.where(np.isfinite(factor), np.maximum(factor, 0.0), 0.0)
 
 
-def _shrunk(design: Design, constraints: MotionConstraints, full: Array) -> Draw:
+def _shrunk(design: Design, full: Array) -> Draw:
     """Return the largest tried multiple of a motion that is feasible on the grid."""
     for factor in SHRINK:
         x = factor * full
         motion = design.motion(x)
-        value = constraints.evaluate(*motion).value
+        value = constraints_of(design.problem, motion).value
         if np.max(value) <= ROUNDING:
             return Draw(design.criterion_of(x), x, "")
     return Draw(np.inf, np.zeros_like(full), _obstacle(design, value, motion[0]))

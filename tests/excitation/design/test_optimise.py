@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,10 +14,11 @@ from robot_sysid.excitation.design.optimise import (
     EXTRA_SLACK,
     GRID_PER_CYCLE,
     LIMIT_SHARE,
-    MotionConstraints,
-    PenalisedDesign,
+    Candidate,
+    constraints_of,
     first_candidate,
     improve,
+    penalised,
 )
 from robot_sysid.excitation.design.search import draw_trajectories
 from robot_sysid.excitation.information import CRITERIA, PredictedInformation
@@ -74,16 +77,21 @@ NAMES = st.sampled_from(sorted(CRITERIA))
 ENDS = st.sampled_from(["faded", "periodic"])
 
 
+def objective_of(some, extra, multipliers):
+    candidate = Candidate(None, multipliers, extra, 10.0)
+    return partial(penalised, some, candidate, some.functions(extra))
+
+
 @given(NAMES, ENDS, SEEDS)
 def test_gradient_equals_differences(criterion, ends, seed):
     some = design(arms.THREE, criterion=criterion, ends=ends)
     rng = np.random.default_rng(seed)
     extra = rng.uniform(0.0, 6.0, size=3)
     multipliers = rng.uniform(size=(len(some.grid) + 3, 14))
-    objective = PenalisedDesign(some, extra, multipliers, 10.0)
     x, direction = random_x(some, seed), random_x(some, seed + 1, 1.0)
-    exact = np.sum(objective.evaluate(x)[1] * direction)
-    value = slope(lambda at: objective.evaluate(at)[0], x, direction)
+    objective = objective_of(some, extra, multipliers)
+    exact = np.sum(objective(x)[1] * direction)
+    value = slope(lambda at: objective(at)[0], x, direction)
     assert value == pytest.approx(exact, rel=1e-4, abs=1e-4 * (1.0 + np.abs(exact)))
 
 
@@ -91,19 +99,16 @@ def test_without_multipliers_and_excess_the_objective_is_the_criterion():
     some = design(arms.THREE)
     draw = min(draw_trajectories(some, 0, range(5)), key=lambda d: d.score)
     none = np.zeros((len(some.grid), 14))
-    value, _, _ = PenalisedDesign(some, np.zeros(0), none, 10.0).evaluate(0.9 * draw.x)
+    value, _, _ = objective_of(some, np.zeros(0), none)(0.9 * draw.x)
     assert value == some.criterion_of(0.9 * draw.x)
 
 
 def test_multipliers_grow_where_limits_are_exceeded_and_nowhere_else():
     some = design(arms.THREE)
     none = np.zeros((len(some.grid), 14))
-    objective = PenalisedDesign(some, np.zeros(0), none, 10.0)
     x = random_x(some, 0, 2.0)
-    value = (
-        MotionConstraints(some.problem, LIMIT_SHARE, EXTRA_SLACK).evaluate(*some.motion(x)).value
-    )
-    assert np.array_equal(objective.evaluate(x)[2] > 0.0, value > 0.0)
+    value = constraints_of(some.problem, some.motion(x), LIMIT_SHARE, EXTRA_SLACK).value
+    assert np.array_equal(objective_of(some, np.zeros(0), none)(x)[2] > 0.0, value > 0.0)
 
 
 def deviations(some, plan, rate, smooth):
@@ -157,7 +162,7 @@ def test_the_free_coefficients_make_the_trajectory():
     some = design(TUBES_AND_POST, ends="periodic")
     x = random_x(some, 3)
     time = np.linspace(0.0, 6.0, 20)
-    b, _, ddb = some.functions(time)
+    b, _, ddb = (values[len(some.grid) :] for values in some.functions(time))
     motion = some.trajectory(x).evaluate(time)
     assert np.allclose(motion.q, some.problem.rest + b @ x.T, atol=1e-12)
     assert np.allclose(motion.qdd, ddb @ x.T, atol=1e-11)
@@ -249,17 +254,16 @@ LIMITED = ({}, {"max_tool_speed": 0.7}, {"payload_reserve": 2.0})
 
 @given(st.sampled_from(LIMITED), SEEDS)
 def test_the_gradient_of_constraints_equals_differences(limits, seed):
-    constraints = MotionConstraints(problem(STRONG_MOTORS, **limits), 0.99, 0.0)
+    constraints = partial(constraints_of, problem(STRONG_MOTORS, **limits), share=0.99)
     rng = np.random.default_rng(seed)
     motion, direction = rng.normal(size=(2, 3, 3, 3))
-    cache = constraints.evaluate(*motion)
+    cache = constraints(motion)
     weight = rng.uniform(size=cache.value.shape)
     gradient = cache.vjp(weight)
     exact = sum(np.sum(g * d) for g, d in zip(gradient, direction))
     size = sum(np.sum(np.abs(g * d)) for g, d in zip(gradient, direction))
     ahead, behind = (
-        np.sum(weight * constraints.evaluate(*(motion + step * direction)).value)
-        for step in (1e-6, -1e-6)
+        np.sum(weight * constraints(motion + step * direction).value) for step in (1e-6, -1e-6)
     )
     here = np.sum(weight * cache.value)
     # A coordinate that passes zero within the step has a kink there: two slopes.
@@ -270,10 +274,9 @@ def test_the_gradient_of_constraints_equals_differences(limits, seed):
 def test_values_are_shares_of_the_limits_minus_one():
     some = problem(arms.THREE, max_acceleration=5.0)
     limits = some.limits
-    constraints = MotionConstraints(some, 1.0, 0.0)
     q = np.vstack((limits.upper, limits.lower, 0.5 * (limits.lower + limits.upper)))
     qd, qdd = np.tile(limits.velocity, (3, 1)), np.tile(-0.5 * limits.acceleration, (3, 1))
-    value = constraints.evaluate(q, qd, qdd).value
+    value = constraints_of(some, (q, qd, qdd)).value
     names = np.array(columns(3))
     assert np.allclose(value[:, names == "position"], [[0.0] * 3, [0.0] * 3, [-1.0] * 3])
     assert np.allclose(value[:, names == "velocity"], 0.0)
@@ -291,10 +294,9 @@ def test_gradient_of_the_clearance_equals_differences():
         still = np.zeros((1, 4))
 
         def value(at, still=still):
-            return MotionConstraints(some, 1.0, 0.0).evaluate(at, still, still).value[0, -1]
+            return constraints_of(some, (at, still, still)).value[0, -1]
 
-        constraints = MotionConstraints(some, 1.0, 0.0)
-        cache = constraints.evaluate(q, still, still)
+        cache = constraints_of(some, (q, still, still))
         if cache.value[0, -1] <= -0.9:
             continue
         weight = np.zeros_like(cache.value)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
 from robot_sysid.excitation.design import workers
-from robot_sysid.excitation.design.optimise import Design, MotionConstraints
+from robot_sysid.excitation.design.optimise import Design, constraints_of
 from robot_sysid.excitation.design.search import design_excitation, draw_trajectories
 from robot_sysid.excitation.limit_check import keeps_limits
 from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
@@ -285,7 +285,7 @@ DESIGNS = [
 def test_every_feasible_draw_keeps_all_limits_on_the_grid(some, seed):
     (draw,) = draw_trajectories(some, seed, [0])
     if np.isfinite(draw.score):
-        value = MotionConstraints(some.problem, 1.0, 0.0).evaluate(*some.motion(draw.x)).value
+        value = constraints_of(some.problem, some.motion(draw.x)).value
         assert np.max(value) <= ROUNDING
         assert draw.obstacle == ""
     else:
