@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.friction import friction_model
+from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_model
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.estimation.identifiability import describe
 from robot_sysid.excitation.information import PredictedInformation
@@ -100,7 +100,8 @@ def predicted_information(
     share of the speed limits.
     """
     smooth = smoothing * problem.limits.velocity
-    rotors = problem.rotors_sought
+    # From one torque rotor inertias are not estimated: they are the link's.
+    rotors = "armature" in DEFAULT_MEASURED and len(problem.rows) > 1
     return PredictedInformation(problem.chain, problem.rows, sigma, smooth, coordinates, rotors)
 
 

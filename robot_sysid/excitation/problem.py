@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from robot_sysid.collision.clearance import Clearance
 from robot_sysid.collision.solids import has_floor, outermost_points
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.friction import DEFAULT_MEASURED
 from robot_sysid.dynamics.kinematics import ChainKinematics, subtree
 from robot_sysid.dynamics.screws import ScrewChain
 from robot_sysid.errors import InputError
@@ -221,11 +220,6 @@ class ExcitationProblem:
             fastest = self.tool.speed(body.velocity)
         place = motion.q - self.limits.center
         return np.column_stack((place, motion.qd, motion.qdd, needed, fastest))
-
-    @property
-    def rotors_sought(self) -> bool:
-        """Whether rotor inertias are estimated: not from one torque, where they are the link's."""
-        return "armature" in DEFAULT_MEASURED and len(self.rows) > 1
 
     @property
     def scale(self) -> Array:

@@ -85,20 +85,18 @@ class FourierBasis:
 
     @property
     def rates(self) -> Array:
-        """What each derivative multiplies exp(i k W t) by (K,) [1/s]."""
-        return np.asarray(2j * np.pi * self.base_frequency_hz * self.order)
+        """What each derivative multiplies exp(i k W t) by, k = 0..K (K + 1,) [1/s]."""
+        return np.asarray(2j * np.pi * self.base_frequency_hz * np.arange(self.harmonics + 1.0))
 
     def waves(self, time: Array) -> Array:
-        """Return exp(i k W t) (N, K), by products: far cheaper than sines."""
+        """Return exp(i k W t) (N, K + 1), by products: far cheaper than sines."""
         first = np.exp(2j * np.pi * self.base_frequency_hz * np.asarray(time, dtype=float))
-        return np.cumprod(np.repeat(first[:, None], self.harmonics, axis=1), axis=1)
+        return np.vander(first, self.harmonics + 1, increasing=True)
 
     def evaluate(self, time: Array) -> Series:
         """Return the functions and their first and second derivatives (N, 2 K + 1)."""
-        wave, one = self.waves(time), np.ones((len(time), 1))
-        turned = [wave * self.rates**k for k in range(3)]
-        first = (one, 0.0 * one, 0.0 * one)
-        s, ds, dds = (np.hstack((f, w.imag, w.real)) for f, w in zip(first, turned))
+        turned = (self.waves(time) * self.rates**k for k in range(3))
+        s, ds, dds = (np.hstack((w.real[:, :1], w.imag[:, 1:], w.real[:, 1:])) for w in turned)
         return self.at_rest(time, (s, ds, dds))
 
     def at_rest(self, time: Array, series: Series) -> Series:
@@ -159,11 +157,11 @@ class FourierTrajectory:
 
     def evaluate(self, time: Array) -> Motion:
         """Return position, velocity and acceleration at times (N,) [s]."""
-        offset, (a, b) = self.coefficients[:, 0], np.split(self.coefficients[:, 1:], 2, axis=1)
-        wave, rates = self.basis.waves(time), self.basis.rates
+        offset, a, b = np.split(self.coefficients, (1, 1 + self.basis.harmonics), axis=1)
+        wave, turned = self.basis.waves(time), np.hstack((1j * offset, a + 1j * b))
         # All joints in one product each, before any window.
-        s, ds, dds = ((wave @ (rates**k * (a + 1j * b)).T).imag for k in range(3))
-        s, ds, dds = self.basis.at_rest(time, (offset + s, ds, dds))
+        s, ds, dds = ((wave @ (self.basis.rates**k * turned).T).imag for k in range(3))
+        s, ds, dds = self.basis.at_rest(time, (s, ds, dds))
         return Motion(np.asarray(time, dtype=float), self.rest + s, ds, dds)
 
 
