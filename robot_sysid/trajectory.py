@@ -130,9 +130,11 @@ class SineTrajectory:
     def evaluate(self, time: Array) -> Motion:
         """Return position, velocity and acceleration at times (N,) [s], by the product rule."""
         time = np.asarray(time, dtype=float)
-        rates = 2j * np.pi * self.frequency_hz
-        wave = self.amplitude * np.exp(time[:, None, None] * rates + 1j * self.phase)
-        s, ds, dds = (np.sum(wave * rates**k, axis=2).imag for k in range(3))
+        used = np.nonzero(self.amplitude)
+        omega, joints = 2.0 * np.pi * self.frequency_hz[used], np.eye(len(self.center))[used[0]]
+        angle, size = np.outer(time, omega) + self.phase[used], self.amplitude[used]
+        sine, cosine = size * np.sin(angle), size * np.cos(angle)
+        s, ds, dds = sine @ joints, (omega * cosine) @ joints, -(omega**2 * sine) @ joints
         s, ds, dds = faded(window(time, self.duration, self.fade), (s, ds, dds))
         return Motion(time, self.center + s, ds, dds)
 
