@@ -39,7 +39,7 @@ def figure(value: float, error: float | None = None) -> str:
     places = 1 - math.floor(math.log10(error))
     if places <= _MOST_PLACES:
         text = f"{value:.{max(places, 0)}f}"
-        return text if float(text) != 0.0 else f"{value:.1g}"
+        return text if abs(float(text) - value) <= 0.5 * abs(value) else f"{value:.1g}"
     return f"{value:.{max(math.floor(math.log10(abs(value))) + places + 1, 1)}g}"
 
 
