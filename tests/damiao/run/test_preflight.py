@@ -1,4 +1,4 @@
-"""The checks that need no bus; those of the motors themselves are in test_run.py."""
+"""The checks that need no bus; those of the motors themselves are in test_fault_table.py."""
 
 from __future__ import annotations
 
