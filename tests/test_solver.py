@@ -149,7 +149,7 @@ def test_an_estimate_carries_what_it_was_made_of(seed, method):
     samples, names, _, rng = noisy_samples(seed, noises=(0.1, 0.2, 0.3), count=40)
     estimate = identify_parameters(samples.information(names), rng.normal(size=16), method)
     joints = ("joint0", "joint1", "joint2")
-    assert (estimate.names, estimate.method, estimate.n_nuisances) == (names, method, 0)
+    assert (estimate.names, estimate.method) == (names, method)
     assert estimate.samples == dict.fromkeys(joints, 40)
     assert not estimate.constrained
     assert estimate.error_budget == {}
@@ -269,7 +269,7 @@ def test_squares_of_the_causes_add_up_to_that_of_the_whole_error(seed, spreads):
     ]
     estimate = identified(information, np.zeros(18), nuisances=groups)
     assert tuple(estimate.error_budget) == ("scales", "zeros")
-    assert (estimate.n_nuisances, len(estimate.names)) == (2, 18)
+    assert len(estimate.names) == 18
     assert len(estimate.identifiability.identified) == 16
     squares = sum(part**2 for part in estimate.error_budget.values()) + estimate.noise_errors**2
     np.testing.assert_allclose(squares, estimate.standard_errors**2, rtol=1e-9)

@@ -19,7 +19,7 @@ from robot_sysid.checks.evidence import Evidence, Sample
 from robot_sysid.checks.finding import Finding, Level
 from robot_sysid.checks.hypotheses import explains
 from robot_sysid.checks.model_fit import Fit, ModelFit, plausible, rms, slow_speed
-from robot_sysid.dynamics.nuisances import NuisanceColumns
+from robot_sysid.dynamics.nuisances import zero_columns
 from robot_sysid.records import Array, Motion
 from robot_sysid.records.figures import percent
 
@@ -241,9 +241,9 @@ def joint_zeros(evidence: Evidence, fit: ModelFit) -> tuple[Array, Array, Fit]:
     sample, joints = evidence.sample, evidence.robot.n_joints
     total, thetas = np.zeros(joints), fit.links
     for _ in range(_ZERO_ROUNDS):
-        columns = NuisanceColumns(evidence.robot, thetas)
         motion = Motion(evidence.time, sample.q, sample.qd, sample.qdd)
-        found = fit.fit(sample, columns.zero(motion), np.full(joints, _LIKELY))
+        columns = zero_columns(evidence.robot, thetas, motion)
+        found = fit.fit(sample, columns, np.full(joints, _LIKELY))
         step = np.clip(found.extra, -_LIKELY, _LIKELY)
         total, thetas = total + step, found.thetas
         sample = replace(sample, q=sample.q - step)

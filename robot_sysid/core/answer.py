@@ -37,6 +37,8 @@ from robot_sysid.records import (
 from robot_sysid.records.data import Traces
 from robot_sysid.results.record import BaseParameters, BodyEstimate, Figure, JointEstimate
 
+_SIGNS = np.array([[1.0, 1.0], [1.0, -1.0]])
+
 
 @dataclass(frozen=True)
 class Answer:
@@ -101,10 +103,9 @@ class Answer:
 
     def links(self) -> Iterator[BodyEstimate]:
         """Yield every link that was sought, base to terminal."""
-        places = {name: at for name, (at, _) in self.fit.unknowns.bodies.items()}
         pairs = zip(self.robot.joint_names, self.robot.links)
         joints = {link.body_name: (joint, link.theta) for joint, link in pairs if link.has_mass}
-        for name, at in places.items():
+        for name, (at, _) in self.fit.unknowns.bodies.items():
             if name in joints:
                 joint, before = joints[name]
                 names = [self.fit.columns.names[k] for k in at]
@@ -165,8 +166,8 @@ class Answer:
         if level not in terms or "offset" not in terms or np.isnan(terms[level].error):
             return None
         both = self.pick([f"{level}[{joint}]", f"offset[{joint}]"])
-        spread = np.sqrt(np.maximum(np.diag(_signs() @ self.errors.of(both)[0] @ _signs().T), 0.0))
-        values = _signs() @ [terms[level].value, terms["offset"].value]
+        spread = np.sqrt(np.maximum(np.diag(_SIGNS @ self.errors.of(both)[0] @ _SIGNS.T), 0.0))
+        values = _SIGNS @ [terms[level].value, terms["offset"].value]
         return tuple(Figure(*pair) for pair in zip(values.tolist(), spread.tolist()))  # type: ignore[return-value]
 
     def body_names(self) -> set[str]:
@@ -180,10 +181,6 @@ class Answer:
         bodies = self.body_names()
         names = [n for n in self.fit.unknowns.kept_names if n not in own and n not in bodies]
         return {name: self.figure(name) for name in names}
-
-
-def _signs() -> Array:
-    return np.array([[1.0, 1.0], [1.0, -1.0]])
 
 
 def estimate_of(answer: Answer) -> Estimate:
@@ -211,32 +208,20 @@ def estimate_of(answer: Answer) -> Estimate:
         covariance=whole.covariance[np.ix_(order, order)],
         standard_errors=whole.standard_errors[order],
         noise_errors=np.sqrt(np.maximum(np.diag(errors.noise), 0.0))[order],
-        error_budget=_budget(errors, order),
+        error_budget={cause: p[order] for cause, p in errors.of(np.eye(len(order)))[2].items()},
         data_share=errors.share(fit)[order],
         noise_per_joint=verdict.noise_per_joint(fit),
         samples=counts,
         effective_samples=dict(zip(counts, errors.effective)),
         constrained=fit.constrained,
-        n_nuisances=len(names) - len(interest),
     )
-
-
-def _budget(errors: FitErrors, order: Sequence[int]) -> dict[str, Array]:
-    """Return cause to the part of the standard errors (k,) that it explains."""
-    size = len(order)
-    return {cause: part[list(order)] for cause, part in errors.of(np.eye(size))[2].items()}
 
 
 _RANDOM_POSES, _UNIT_LENGTH = 60, 0.3
 
 
 def base_parameters(fit: Fit, errors: FitErrors) -> BaseParameters:
-    """Return the base parameters that the data shows.
-
-    Args:
-        fit: the fit.
-        errors: how far off it may be.
-    """
+    """Return the base parameters that the data shows."""
     names = fit.columns.bodies()
     order = np.sort(np.concatenate([names[n] for n in names if n != "payload"]))
     sought = fit.unknowns
@@ -293,7 +278,6 @@ def traced(
     """Return what was measured and predicted.
 
     Args:
-        robot: the arm.
         samples: equations of each log.
         motions: the motion of each log, about at the instants of its equations.
         after, before: parameter name to value of the result and of what was known before; what is
@@ -306,6 +290,7 @@ def traced(
         for name in ("tau", "measured")
     )
     used, limits = np.isfinite(missing), robot.limits
+    rubbing = {n: v for n, v in after.items() if "[" in n and n.split("[")[0] not in _NOT_FRICTION}
     return Traces(
         joints=joints,
         is_slide=tuple(bool(robot.is_slide[j]) for j in place),
@@ -315,7 +300,7 @@ def traced(
         measured=np.where(used, measured, np.nan),
         predicted=measured - missing + _products(samples, after),
         before=measured - missing + _products(samples, before),
-        friction=_products(samples, {k: v for k, v in after.items() if _is_friction(k)}),
+        friction=_products(samples, rubbing),
         limits=JointLimits(
             limits.lower[place], limits.upper[place], limits.velocity[place], limits.torque[place]
         ),
@@ -327,11 +312,6 @@ def _products(samples: Sequence[DecimatedSamples], values: Mapping[str, float]) 
     known = np.array([values.get(name, 0.0) for name in samples[0].names])
     parts = [[r @ known[c] for r, c in zip(each.rows, each.columns)] for each in samples]
     return np.concatenate([np.stack(part, axis=1) for part in parts])
-
-
-def _is_friction(name: str) -> bool:
-    term, bracket, _ = name.partition("[")
-    return bool(bracket) and term not in _NOT_FRICTION
 
 
 def _joined_at(

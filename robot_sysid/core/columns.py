@@ -34,11 +34,12 @@ from robot_sysid.dynamics.friction import BENT, TERMS, FrictionModel, speed_name
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.nuisances import (
     TILT_NAMES,
-    NuisanceColumns,
     gravity,
     scale_names,
+    tilt_columns,
     turned,
     with_gravity,
+    zero_columns,
     zero_names,
 )
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
@@ -76,8 +77,6 @@ class Columns:
     """Names of all parameters, and the rows of recordings in them.
 
     Args:
-        robot: the arm.
-        datasets: the recordings.
         torques: "chain" for every joint that carries the link, "terminal" for the last one only.
         couplings: motors that turn with several joints, or may do so.
     """
@@ -150,7 +149,6 @@ class Columns:
         """Return the point after an estimate; parameters to settle move into what it holds.
 
         Args:
-            point: around which the estimate was made.
             values: (p,) the estimate.
             settle: names of increments: of the delay, of tilt angles, of speeds.
         """
@@ -192,7 +190,7 @@ class Columns:
             self._arm = down, with_gravity(self.robot, down)
         return self._arm[1]
 
-    def _motors(self, motion: Motion, place: slice) -> Array:
+    def _motors(self, motion: Motion) -> Array:
         return np.concatenate([each.columns(motion) for each in self.couplings], axis=-1)
 
     def _equations(self, arm: RobotModel) -> Equations:
@@ -269,11 +267,11 @@ class Columns:
                 torque = dynamics.motion(motion.q, motion.qd, motion.qdd).torque(thetas)
                 return (np.sign(motion.qd) * np.abs(torque))[:, rows]
 
-            nuisances, motion = NuisanceColumns(arm, thetas), dataset.motion
+            motion = dataset.motion
             # They are smooth and small, so that the motion at a row's own instant stands for all
             # that its filter sees.
-            tilt = (nuisances.tilt(motion),) if self._tilts else ()
-            common = np.concatenate((nuisances.zero(motion), *tilt), axis=-1)
+            tilt = (tilt_columns(arm, thetas, motion.q),) if self._tilts else ()
+            common = np.concatenate((zero_columns(arm, thetas, motion), *tilt), axis=-1)
             columns = _filtered(dataset, point, load), common
             self._known[number] = key, *columns
         return self._known[number][1:]

@@ -8,7 +8,7 @@ the usual case: r = 1 on the last two joints.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -95,11 +95,17 @@ def read_couplings(path: Path, robot: RobotModel) -> tuple[Coupling, ...]:
         InputError: the file cannot be read, or does not fit the arm.
     """
     content = read_json(path, '--coupling takes JSON such as {"motor": {"joint": 1.0}}')
-    rows: Sequence[Array]
     if isinstance(content, dict):
         rows = [_row(path, robot, motor, given) for motor, given in content.items()]
     else:
-        rows = _matrix(path, robot, content)
+        given: list[Any] = content if isinstance(content, list) else [None]
+        fits = all(isinstance(row, list) and len(row) == robot.n_joints for row in given)
+        if not fits or not all(_is_number(ratio) for row in given for ratio in row):
+            raise InputError(
+                f"--coupling {path}: must be an object of motors, or a matrix with "
+                f"{robot.n_joints} finite numbers in each row, one per joint of the chain"
+            )
+        rows = [np.array(row, dtype=float) for row in given]
     return tuple(coupling(robot, row) for row in rows if np.count_nonzero(row) > 1)
 
 
@@ -116,17 +122,6 @@ def _row(path: Path, robot: RobotModel, motor: str, given: Any) -> Array:
             raise InputError(f"{where}: the ratio of {joint!r} is no finite number ({ratio!r})")
         ratios[robot.joint_names.index(joint)] = ratio
     return ratios
-
-
-def _matrix(path: Path, robot: RobotModel, content: Any) -> Sequence[Array]:
-    rows: list[Any] = content if isinstance(content, list) else [None]
-    fits = all(isinstance(row, list) and len(row) == robot.n_joints for row in rows)
-    if not fits or not all(_is_number(ratio) for row in rows for ratio in row):
-        raise InputError(
-            f"--coupling {path}: must be an object of motors, or a matrix with {robot.n_joints} "
-            "finite numbers in each row, one per joint of the chain"
-        )
-    return [np.array(row, dtype=float) for row in rows]
 
 
 def _is_number(value: Any) -> bool:

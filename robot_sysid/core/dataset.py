@@ -16,8 +16,8 @@ from robot_sysid.signals.process import ProcessedSignals, with_delay
 
 _CHUNK = 2048
 
-SharedColumns = Callable[[Motion, slice], Array]
-"""Columns (m, n, s) of the shared parameters for a motion and its place in the signals."""
+SharedColumns = Callable[[Motion], Array]
+"""Columns (m, n, s) of the shared parameters for a motion."""
 
 
 @dataclass(frozen=True)
@@ -74,16 +74,6 @@ class JoinedSamples:
 
     parts: tuple[DecimatedSamples, ...]
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Parameter names (p,)."""
-        return self.parts[0].names
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """The joints that have equations."""
-        return self.parts[0].joints
-
     def __iter__(self) -> Iterator[tuple[int, Array, Array]]:
         """Yield (joint number, rows, right-hand sides) of each joint."""
         for same in zip(*self.parts):
@@ -120,8 +110,6 @@ def decimated_equations(
     """Build the equations at the full rate, then pass both sides through the same low-pass.
 
     Args:
-        equations: what to build.
-        signals: the processed log.
         shared: makes the columns of the shared parameters, where the equations have any.
 
     Raises:
@@ -129,16 +117,19 @@ def decimated_equations(
     """
     decimators = [signals.decimator() for _ in equations.joints]
     parts: list[list[Array]] = [[] for _ in equations.joints]
-    for start, (motion, tau) in zip(range(0, len(signals), _CHUNK), signals.chunks(_CHUNK)):
+    for motion, tau in signals.chunks(_CHUNK):
         measurement = Measurement(motion.time, motion.q, motion.qd, tau, motion.qdd)
-        place = slice(start, start + len(motion.time))
-        common = None if shared is None else shared(motion, place)
+        common = None if shared is None else shared(motion)
         for joint, (rows, right) in enumerate(equations.rows(measurement, common)):
             whole = tau[:, equations.rows_of[joint]]
             parts[joint].append(decimators[joint].push(np.column_stack((rows, right, whole))))
     tables = [np.concatenate(part) for part in parts]
     usable = signals.usable()[:, list(equations.rows_of)]
-    _require_usable(usable, equations.joints)
+    if not np.any(usable):
+        raise InputError(
+            f"none of the joints {', '.join(equations.joints)} moves faster than its velocity "
+            "deadband; record a motion, or lower --velocity-deadband"
+        )
     return DecimatedSamples(
         equations.names,
         equations.joints,
@@ -148,14 +139,6 @@ def decimated_equations(
         tuple(np.where(ok, table[:, -2], np.nan) for table, ok in zip(tables, usable.T)),
         tuple(table[:, -1] for table in tables),
     )
-
-
-def _require_usable(usable: NDArray[np.bool_], joints: Sequence[str]) -> None:
-    if not np.any(usable):
-        raise InputError(
-            f"none of the joints {', '.join(joints)} moves faster than its velocity deadband; "
-            "record a motion, or lower --velocity-deadband"
-        )
 
 
 BLOCKS, LONGEST_STRETCH = 5, 10.0
@@ -180,7 +163,7 @@ class RestingPoses:
     def samples(self, equations: Equations, shared: SharedColumns | None) -> DecimatedSamples:
         """Return the rows of some equations."""
         motion = Motion(self.poses.time, self.poses.q, 0.0 * self.poses.q, 0.0 * self.poses.q)
-        common = None if shared is None else shared(motion, slice(None))
+        common = None if shared is None else shared(motion)
         rows = list(equations.rows(self.poses, common))
         used = [self.used[:, joint] for joint in equations.rows_of]
         return DecimatedSamples(

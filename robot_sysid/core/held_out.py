@@ -18,7 +18,7 @@ from robot_sysid.core.unknowns import Unknowns
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.consistent_links import ConsistentLinks
 from robot_sysid.estimation.information import sample_counts, update_triangle
-from robot_sysid.records import Array, SquareRootInformation, Validation
+from robot_sysid.records import Array, Validation
 from robot_sysid.records.results import validation_of
 
 OWN_SOURCE = "the logs, each fifth predicted from the others"
@@ -55,16 +55,11 @@ class HeldOut:
     @cached_property
     def _rests(self) -> tuple[Array, ...]:
         """Triangle (p+1, p+1) of all whitened equations without each block in turn."""
-        each = [self._whitened(part) for part in self.data.blocks]
-        size = each[0].shape[1]
-        return tuple(
-            update_triangle(np.zeros((size, size)), np.vstack(each[:k] + each[k + 1 :]))
-            for k in range(len(each))
-        )
-
-    def _whitened(self, part: SquareRootInformation) -> Array:
-        rows = np.column_stack(part.stacked(1.0 / self.noise))
-        return update_triangle(np.zeros((rows.shape[1],) * 2), rows)
+        rows = [np.column_stack(part.stacked(1.0 / self.noise)) for part in self.data.blocks]
+        nothing = np.zeros((rows[0].shape[1],) * 2)
+        each = [update_triangle(nothing, block) for block in rows]
+        others = (each[:k] + each[k + 1 :] for k in range(len(each)))
+        return tuple(update_triangle(nothing, np.vstack(parts)) for parts in others)
 
     def squared(self, sought: Unknowns) -> Array:
         """Return (blocks, joints) squared error of each block, predicted from the others."""
@@ -88,8 +83,10 @@ class HeldOut:
         places = [at for at, _ in sought.bodies.values()]
         for number, values in enumerate(self._predicted(sought)):
             if places and not all(spatial.is_consistent(values[at]) for at in places):
-                equations = _reduced(self._rests[number], sought)
-                rows = np.vstack((np.column_stack(equations), _prior_rows(sought)))
+                rest, kept = self._rests[number], sought.kept
+                held = np.delete(rest[:, :-1], kept, 1) @ np.delete(sought.held, kept)
+                own = np.column_stack((rest[:, kept], rest[:, -1] - held))
+                rows = np.vstack((own, _prior_rows(sought)))
                 found = ConsistentLinks(rows[:, :-1], rows[:, -1], problem).best()
                 values = sought.full(found)
             errors.append(self.data.blocks[number].squared_residuals(values))
@@ -110,13 +107,6 @@ class HeldOut:
 def held_out(fit: Fit) -> HeldOut:
     """Return what judges choices around a fit."""
     return HeldOut(fit.evidence, fit.weighted.noise)
-
-
-def _reduced(rest: Array, sought: Unknowns) -> tuple[Array, Array]:
-    """Return (columns of what is sought, right-hand side without what is held)."""
-    return rest[:, sought.kept], rest[:, -1] - np.delete(rest[:, :-1], sought.kept, 1) @ np.delete(
-        sought.held, sought.kept
-    )
 
 
 def _prior_rows(sought: Unknowns) -> Array:

@@ -16,7 +16,7 @@ from robot_sysid.core.errors import fit_errors
 from robot_sysid.core.file_fit import fit_file
 from robot_sysid.core.fit import Fit, Fitter
 from robot_sysid.core.recordings import logs_compared
-from robot_sysid.core.unknowns import Choice, Question
+from robot_sysid.core.unknowns import Question
 from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.dynamics.nuisances import gravity, tilt_axes
 from robot_sysid.errors import InputError
@@ -80,16 +80,12 @@ def filtered(
     found = [Dataset(p.name, each, p.is_loaded, p.place) for p, each in pairs]
     told: dict[str, tuple[str, ...]] = {}
     for piece, each in pairs:
-        notes = (*told.get(piece.name, ()), *each.notes, *_against_model(robot, each))
+        at = each.spread(CHECKPOINTS)
+        torque = ArmTorque(robot)(each.motion(at))
+        against = sign_check(each.tau[at], torque, robot.joint_names)
+        notes = (*told.get(piece.name, ()), *each.notes, *against)
         told[piece.name] = tuple(dict.fromkeys(notes))
     return found, tuple(shared_notes(told))
-
-
-def _against_model(robot: RobotModel, signals: ProcessedSignals) -> tuple[str, ...]:
-    """Return a sentence per joint whose torque goes against the model's."""
-    at = signals.spread(CHECKPOINTS)
-    torque = ArmTorque(robot)(signals.motion(at))
-    return sign_check(signals.tau[at], torque, robot.joint_names)
 
 
 def shared_notes(told: Mapping[str, Sequence[str]]) -> Iterator[str]:
@@ -133,18 +129,15 @@ def answer_link(
         progress.stage("Fitting the model file...")
         file = fit_file(fitter, options, kept, fit.values)
     errors = fit_errors(fit)
-    answer = Answer(fit, chosen, file, errors, acceleration_error=_coarsest(datasets))
-    notes = [
-        note
-        for each in datasets
-        if each.signals is not None
-        for note in _one_way(chosen.choice, robot, each.signals)
-    ]
-    names = [each.name for each in datasets]
-    said, apart = logs_compared(fit, names, answer.stretch())
+    signals = [each.signals for each in datasets if each.signals is not None]
+    coarsest = max((each.acceleration_error for each in signals), default=0.0)
+    answer = Answer(fit, chosen, file, errors, acceleration_error=coarsest)
+    notes: list[str] = []
+    if any({"coulomb", "offset"} <= set(model.terms) for model in chosen.choice.friction):
+        notes += [note for each in signals for note in each.one_way_joints(robot.joint_names)]
+    said, apart = logs_compared(fit, [each.name for each in datasets], answer.stretch())
     others = tuple(tested(fit, each, name) for name, each in (tests or {}).items())
-    notes = list(dict.fromkeys((*notes, *said)))
-    return replace(answer, notes=tuple(notes), tests=(*others, *apart))
+    return replace(answer, notes=tuple(dict.fromkeys((*notes, *said))), tests=(*others, *apart))
 
 
 def answer_payload(
@@ -205,18 +198,6 @@ def _fitter(
     if all(each.signals is not None for each in datasets):
         again = visits([each.motion for each in datasets])
     return Fitter(columns, mean_torque(datasets), again), offered
-
-
-def _coarsest(datasets: Sequence[Dataset]) -> float:
-    """Return the largest expected error of the acceleration, as a part of it."""
-    signals = [each.signals for each in datasets if each.signals is not None]
-    return max((each.acceleration_error for each in signals), default=0.0)
-
-
-def _one_way(choice: Choice, robot: RobotModel, signals: ProcessedSignals) -> Iterator[str]:
-    """Yield a sentence per joint whose Coulomb friction looks like an offset in this log."""
-    if any({"coulomb", "offset"} <= set(model.terms) for model in choice.friction):
-        yield from signals.one_way_joints(robot.joint_names)
 
 
 def tested(fit: Fit, datasets: Sequence[Dataset], source: str) -> Validation:

@@ -154,8 +154,9 @@ def about(robot: RobotModel) -> dict[str, Any]:
 
 def _common(answer: Answer, data: DataOrigin) -> Result:
     """Return what results of all questions have in common."""
-    fit, robot = answer.fit, answer.robot
+    fit, robot, options = answer.fit, answer.robot, answer.fit.question.options
     joints = dict(answer.joints())
+    signals = [each.signals for each in fit.columns.datasets if each.signals is not None]
     models = {model.name for model in fit.choice.friction}
     return Result(
         **about(robot),
@@ -168,25 +169,12 @@ def _common(answer: Answer, data: DataOrigin) -> Result:
         couplings={name: each for name, each in joints.items() if name not in robot.joint_names},
         sensors=answer.sensors(),
         friction_model=models.pop() if len(models) == 1 else "per joint",
-        cutoff=_cutoff(fit),
+        cutoff=signals[0].cutoff if signals else None,
         prior_scale=fit.choice.prior_scale,
         conflicts=answer.errors.conflicts,
-        **_alignment(fit),
+        delay=fit.value(DELAY_NAME) if options.delay == "auto" else None,
+        tilt=_turned(robot, fit.point.gravity) if options.tilt == "auto" else None,
     )
-
-
-def _cutoff(fit: Fit) -> float | None:
-    signals = [each.signals for each in fit.columns.datasets if each.signals is not None]
-    return signals[0].cutoff if signals else None
-
-
-def _alignment(fit: Fit) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    if fit.question.options.delay == "auto":
-        found["delay"] = fit.value(DELAY_NAME)
-    if fit.question.options.tilt == "auto":
-        found["tilt"] = _turned(fit.columns.robot, fit.point.gravity)
-    return found
 
 
 def _turned(robot: RobotModel, down: Array) -> float:

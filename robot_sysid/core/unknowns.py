@@ -167,9 +167,6 @@ def unknowns(
     """Return what a question seeks.
 
     Args:
-        columns: whose parameters they are.
-        question: what is asked.
-        choice: what the recordings decided.
         torque: (n,) root mean square of each joint's measured torque [N m].
         shown: (p,) which parameters have a column that is not zero.
     """
@@ -186,22 +183,21 @@ def unknowns(
     wanted |= set(settle)
     groups = [each for g in groups for each in _without(g, set(g.names) - wanted)]
     lower, upper = np.full(len(columns.names), -np.inf), np.full(len(columns.names), np.inf)
-    for name in own - wanted_as_prior(groups):
+    # What friction is only allowed for has a sign of its own.
+    allowed = {name for group in groups if group.cause == FRICTION for name in group.names}
+    for name in own - allowed:
         if _is_bounded(name, terms):
             lower[columns.place[name]] = 0.0
             upper[columns.place[name]] = LARGEST_LOSS if name.startswith("load[") else np.inf
     held = _held(columns, question, choice)
     kept = np.array(sorted(columns.place[name] for name in wanted), dtype=np.int64)
     if question.known_mass is not None:
-        groups.append(_weight(question.known_mass))
+        own_mass, exact = np.array([question.known_mass]), _EXACT_MASS * question.known_mass
+        payload = independent(WEIGHT, PAYLOAD_NAMES[:1], ("payload",), exact)
+        groups.append(replace(payload, mean=own_mass))
     elif question.loaded and options.scale_uncertainty > 0.0:
         groups.append(_no_common_scale(columns))
     return Unknowns(columns.names, kept, held, tuple(groups), lower, upper, bodies, settle)
-
-
-def wanted_as_prior(groups: Sequence[NuisanceGroup]) -> set[str]:
-    """Return names of friction that is only allowed for, with a sign of its own."""
-    return {name for group in groups if group.cause == FRICTION for name in group.names}
 
 
 def _is_bounded(name: str, terms: Mapping[str, set[str]]) -> bool:
@@ -248,17 +244,14 @@ def _held(columns: Columns, question: Question, choice: Choice) -> Array:
     keeps = question.kept_parts
     for joint, model in zip(columns.robot.joint_names, choice.friction):
         own = () if model.terms and FILE_FRICTION not in keeps else ("coulomb", "viscous")
-        armature = "armature" not in model.terms and not _lacks_rotor(columns.robot, question)
+        # A URDF cannot hold rotor inertia.
+        lacks_rotor = question.in_file and columns.robot.kind == "urdf"
+        armature = "armature" not in model.terms and not lacks_rotor
         for term in (*own, *(("armature",) if armature else ())):
             place = columns.place.get(f"{term}[{joint}]")
             if place is not None:
                 held[place] = columns.prior[place]
     return held
-
-
-def _lacks_rotor(robot: RobotModel, question: Question) -> bool:
-    """Tell whether a file cannot hold rotor inertia."""
-    return question.in_file and robot.kind == "urdf"
 
 
 def _bodies(
@@ -402,12 +395,6 @@ def _no_common_scale(columns: Columns) -> NuisanceGroup:
     mean = np.ones((len(names), len(names))) / len(names)
     factor = np.eye(len(names)) - (1.0 - _EXACT) * mean
     return NuisanceGroup(COMMON, names, np.zeros(len(names)), 1e3 * factor, names)
-
-
-def _weight(mass: float) -> NuisanceGroup:
-    """Return what is known of a payload of known mass [kg]."""
-    factor = np.array([[_EXACT_MASS * mass]])
-    return NuisanceGroup(WEIGHT, PAYLOAD_NAMES[:1], np.array([mass]), factor, ("payload",))
 
 
 def same_for_all(model: FrictionModel, robot: RobotModel) -> tuple[FrictionModel, ...]:

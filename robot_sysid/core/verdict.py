@@ -65,7 +65,6 @@ def unexplained(
     """Yield why torques do not follow from the motion as far as noise would let them.
 
     Args:
-        fit: the fit.
         tests: its prediction of what was not fitted.
         acceleration_error: expected error of the acceleration, as a part of it; 0 where unknown.
     """
@@ -153,10 +152,8 @@ def _strangeness(name: str, before: Array, theta: Array, size: float) -> Iterato
         return
     mass, com, inertia = spatial.com_from_theta(theta)
     model_mass, centre, _ = spatial.com_from_theta(before)
-    moved, radius = (
-        float(np.linalg.norm(com - centre)),
-        float(np.sqrt(0.5 * np.trace(inertia) / mass)),
-    )
+    moved = float(np.linalg.norm(com - centre))
+    radius = float(np.sqrt(0.5 * np.trace(inertia) / mass))
     if not 1.0 / LARGEST_RATIO <= mass / model_mass <= LARGEST_RATIO:
         yield f"{name} would weigh {mass:.3g} kg (model: {model_mass:.3g})"
     elif moved > FARTHEST_LINK * size:
@@ -206,7 +203,6 @@ def of_payload(
     """Yield why a payload may not go into a model and a controller.
 
     Args:
-        robot: the arm.
         payload: in the flange frame, before it was made a possible body.
         contradicting: name and mass of each recording, where those of one kind are not alike.
         validation: prediction of what was not fitted.

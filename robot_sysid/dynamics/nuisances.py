@@ -27,7 +27,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Motion, RobotModel
@@ -92,47 +91,24 @@ def zero_names(robot: RobotModel) -> tuple[str, ...]:
     return tuple(f"zero[{joint}]" for joint in robot.joint_names)
 
 
-class NuisanceColumns:
-    """Columns of torque scales, encoder zeros and tilt, at what is known of the links (n, 10)."""
+def zero_columns(robot: RobotModel, thetas: Array, motion: Motion) -> Array:
+    """Return (K, n, n) torque per radian that a joint's reading is too large [N m/rad].
 
-    def __init__(self, robot: RobotModel, thetas: Array) -> None:
-        self._robot, self._thetas = robot, thetas
-        self._dynamics = LinkDynamics(robot)
+    Args:
+        thetas: (n, 10) what is known of the links.
+    """
+    count, dynamics = motion.q.shape[1], LinkDynamics(robot)
 
-    def scale(self, motion: Motion) -> Array:
-        """Return (K, n, n) the torque of each joint's gear, in its own equation alone [N m]."""
-        return self._torque(motion)[:, :, None] * np.eye(self._robot.n_joints)
-
-    def zero(self, motion: Motion) -> Array:
-        """Return (K, n, n) torque per radian that a joint's reading is too large [N m/rad]."""
-        count = motion.q.shape[1]
-        # Many shifted motions at once: a call's cost hardly depends on its samples, memory does.
-        parts = -(-2 * motion.q.size // _MOST_SHIFTED)
-        joints = np.array_split(np.eye(count), min(parts, count))
-        return np.concatenate([self._shifted(motion, some) for some in joints], axis=-1)
-
-    def _shifted(self, motion: Motion, directions: Array) -> Array:
+    def shifted(directions: Array) -> Array:
         """Return (K, n, s) minus the torque per radian along directions (s, n)."""
         steps = _STEP * np.concatenate((-directions, directions))
         size = (len(steps), *motion.q.shape)
         qd, qdd = (np.broadcast_to(v, size).reshape(-1, size[2]) for v in (motion.qd, motion.qdd))
         q = (motion.q + steps[:, None]).reshape(qd.shape)
-        shifted = self._dynamics.motion(q, qd, qdd).torque(self._thetas).reshape(size)
-        below, above = np.split(shifted, 2)
+        below, above = np.split(dynamics.motion(q, qd, qdd).torque(thetas).reshape(size), 2)
         return np.asarray(np.moveaxis(below - above, 0, -1) / (2.0 * _STEP))
 
-    def friction(self, motion: Motion, term: str) -> Array:
-        """Return (K, n, n) a friction term of each joint, in its own equation alone."""
-        model, load = FrictionModel((term,)), self._torque(motion)
-        columns = np.zeros((*load.shape, load.shape[1]))
-        for joint in range(load.shape[1]):
-            own = model.columns(motion.qd[:, joint], motion.qdd[:, joint], load[:, joint])
-            columns[:, joint, joint] = own[:, 0]
-        return columns
-
-    def tilt(self, motion: Motion) -> Array:
-        """Return (K, n, 2) torque per radian of tilt, see ``tilt_columns`` [N m/rad]."""
-        return tilt_columns(self._robot, self._thetas, motion.q)
-
-    def _torque(self, motion: Motion) -> Array:
-        return self._dynamics.motion(motion.q, motion.qd, motion.qdd).torque(self._thetas)
+    # Many shifted motions at once: a call's cost hardly depends on its samples, memory does.
+    parts = -(-2 * motion.q.size // _MOST_SHIFTED)
+    joints = np.array_split(np.eye(count), min(parts, count))
+    return np.concatenate([shifted(some) for some in joints], axis=-1)

@@ -7,7 +7,7 @@ known of the nuisances beforehand (``nuisances``), so that its covariance is
 
 Omega_j the covariance of joint j's score Y_j^T e_j: sigma_j^2 Y_j^T Y_j for white noise, more where
 slow noise meets slow motion (``autocorrelation``). The sum splits by cause: C P_c C is what
-nuisances of cause c add (``Uncertainty.budget``). Along directions that neither data nor P show,
+nuisances of cause c add. Along directions that neither data nor P show,
 nothing is known: the covariance is zero there, the standard errors are infinite. The model's own
 body as a prior (--prior entropic) counts as no knowledge: it moves values, it does not make them
 surer.
@@ -46,11 +46,6 @@ class Uncertainty:
     noise_errors: Array
     data_share: Array
     inverse: Array
-
-    def budget(self, precision: Array) -> Array:
-        """Return (p,) the standard deviation that a prior of this precision (p, p) stands for."""
-        spread = self.inverse @ precision @ self.inverse
-        return np.where(np.isfinite(self.standard_errors), _spread(spread), np.inf)
 
 
 def white_uncertainty(
@@ -160,7 +155,10 @@ def _uncertainty(information: SquareRootInformation, weights: Array, score: Arra
     space = joint_space(information, weights)
     inverse = space.inverse()
     noise = inverse @ score @ inverse
-    covariance = noise + inverse @ _known(information) @ inverse
+    # The precision of what the information knew before the data.
+    size = len(information.names)
+    known = np.zeros((0, size)) if information.prior is None else information.prior[:, :-1]
+    covariance = noise + inverse @ (known.T @ known) @ inverse
     covariance = 0.5 * (covariance + covariance.T)
     errors, of_noise = (
         np.where(space.identified, _spread(spread), np.inf) for spread in (covariance, noise)
@@ -173,10 +171,3 @@ def _uncertainty(information: SquareRootInformation, weights: Array, score: Arra
 def _spread(covariance: Array) -> Array:
     """Return the standard deviations (p,) of a covariance (p, p)."""
     return np.sqrt(np.maximum(np.diag(covariance), 0.0))
-
-
-def _known(information: SquareRootInformation) -> Array:
-    """Return (p, p) the precision of what the information knew before the data."""
-    size = len(information.names)
-    rows = np.zeros((0, size)) if information.prior is None else information.prior[:, :-1]
-    return np.asarray(rows.T @ rows)

@@ -59,7 +59,6 @@ class Estimate:
         samples: joint name to the number of samples its equations used.
         effective_samples: joint name to the number of independent samples its noise leaves.
         constrained: whether the plain estimate was replaced by the best possible rigid body.
-        n_nuisances: how many parameters at the end are nuisances with a prior of their own.
     """
 
     names: tuple[str, ...]
@@ -77,7 +76,6 @@ class Estimate:
     samples: Mapping[str, int] = field(default_factory=dict)
     effective_samples: Mapping[str, float] = field(default_factory=dict)
     constrained: bool = False
-    n_nuisances: int = 0
 
     def __post_init__(self) -> None:
         size = len(self.names)

@@ -57,12 +57,10 @@ class CutoffChoice:
 
     Attributes:
         cutoff: [Hz].
-        position_noise: (n,) standard deviation of the white noise seen in each position [rad].
         acceleration_error: expected error of the acceleration, as a part of it.
     """
 
     cutoff: float
-    position_noise: Array
     acceleration_error: float
     reason: str
 
@@ -109,7 +107,7 @@ def choose_cutoff(spectra: Spectra) -> CutoffChoice:
         f"{sigma.min():.2g} to {sigma.max():.2g} rad, expected error of the acceleration "
         f"{percent(expected)}"
     )
-    return CutoffChoice(float(best), sigma, expected, reason)
+    return CutoffChoice(float(best), expected, reason)
 
 
 def noise_share(spectra: Spectra | None, cutoff: float) -> float:

@@ -58,7 +58,7 @@ def test_bodies_joints_and_sensors_are_those_of_the_plant(plant, result):
 def test_the_estimate_leads_with_the_link_and_its_errors_add_up(result):
     estimate = result.estimate
     assert estimate.names[:10] == spatial.PARAMETER_NAMES
-    interest = estimate.names[: len(estimate.names) - estimate.n_nuisances]
+    interest = estimate.names[: len(estimate.identifiability.identified)]
     assert {"m(link0)", "scale[joint0]"} & set(interest) == set()
     assert len(interest) == 10 + 4 * 3
     squares = np.sum([part**2 for part in estimate.error_budget.values()], axis=0)

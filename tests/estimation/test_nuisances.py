@@ -25,7 +25,7 @@ from robot_sysid.estimation.nuisances import (
 from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.estimation.uncertainty import white_uncertainty
 from tests.support.arms import SEEDS, rigid_bodies
-from tests.support.estimates import identified
+from tests.support.estimates import explained, identified
 from tests.support.model_files import random_theta
 
 NAMES = (*spatial.PARAMETER_NAMES, "d0", "d1", "d2", "d3", "e0", "e1")
@@ -79,7 +79,7 @@ def test_errors_by_cause_add_up_in_squares(seed):
     groups = groups_of(rng)
     information = with_prior(information_of(rng, rng.normal(size=16))[0], groups)
     found = white_uncertainty(information, np.array([10.0]), np.array([0.1]))
-    parts = [found.budget(group.precision(NAMES)) for group in groups]
+    parts = [explained(found, group, NAMES) for group in groups]
     total = found.noise_errors**2 + np.sum(np.square(parts), axis=0)
     np.testing.assert_allclose(total, found.standard_errors**2, rtol=1e-8)
 
@@ -157,7 +157,7 @@ def test_data_without_noise_gives_the_truth_whatever_the_prior(method):
     options = EstimationOptions()
     found = identified(information, np.zeros(16), method, options, None, groups)
     np.testing.assert_allclose(found.values, truth, rtol=0.0, atol=1e-5)
-    assert len(found.names) - found.n_nuisances == 10
+    assert len(found.identifiability.identified) == 10
     assert set(found.error_budget) == {"links", "scale"}
 
 

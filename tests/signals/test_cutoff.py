@@ -27,17 +27,19 @@ def test_the_noise_of_the_encoder_is_read_off_the_data(seed, rate, magnitude):
     sigma = 10.0**magnitude
     rng = np.random.default_rng(seed)
     q = Swing(seed).q(seconds(10.0, rate))
-    choice = chosen(q + sigma * rng.normal(size=q.shape), rate)
+    q = q + sigma * rng.normal(size=q.shape)
+    spectra = spectra_of(q, rate, encoder_steps(q))
     # Over 1500 seeds it scatters by 1.31 / sqrt(N) and is 0.4 % too high; six of the former.
     tolerance = 0.005 + 6.0 * 1.31 / np.sqrt(len(q))
-    np.testing.assert_allclose(choice.position_noise, sigma, rtol=tolerance)
-    assert 1.4 < choice.cutoff < 25.0
+    np.testing.assert_allclose(np.sqrt(spectra.level * rate / 2.0), sigma, rtol=tolerance)
+    assert 1.4 < choose_cutoff(spectra).cutoff < 25.0
 
 
 def test_quantisation_counts_as_its_own_noise():
     resolution, time = 1e-4, seconds(15.0, 1000.0)
-    choice = chosen(Swing().measured(time, resolution).q, 1000.0)
-    np.testing.assert_allclose(choice.position_noise, resolution / np.sqrt(12.0), rtol=0.12)
+    q = Swing().measured(time, resolution).q
+    noise = np.sqrt(spectra_of(q, 1000.0, encoder_steps(q)).level * 1000.0 / 2.0)
+    np.testing.assert_allclose(noise, resolution / np.sqrt(12.0), rtol=0.12)
 
 
 @pytest.mark.slow

@@ -15,6 +15,12 @@ from robot_sysid.estimation.uncertainty import coloured_uncertainty, joint_space
 from robot_sysid.solver import identify_parameters, solve
 
 
+def explained(errors, group, names):
+    """The part of the standard errors (p,) that what is known of some nuisances stands for."""
+    spread = np.diag(errors.inverse @ group.precision(names) @ errors.inverse)
+    return np.where(np.isfinite(errors.standard_errors), np.sqrt(np.maximum(spread, 0.0)), np.inf)
+
+
 def identified(
     information,
     prior,
@@ -53,11 +59,10 @@ def identified(
         covariance=errors.covariance,
         standard_errors=errors.standard_errors,
         noise_errors=errors.noise_errors,
-        error_budget={g.cause: errors.budget(g.precision(information.names)) for g in nuisances},
+        error_budget={g.cause: explained(errors, g, information.names) for g in nuisances},
         noise_per_joint={joint: noise[joint] for joint, count in counts.items() if count},
         effective_samples=dict(zip(counts, effective)),
         constrained=constrained,
-        n_nuisances=known,
     )
 
 
