@@ -45,7 +45,6 @@ def expect(
 
     Args:
         problem: the arm, its limits, and the torque noise.
-        plan: the motion.
         sample_rate: at which it will be recorded, with independent noise in each sample [Hz].
         options: how it will be identified.
     """

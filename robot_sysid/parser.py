@@ -151,7 +151,9 @@ def _base_note(mj_model: Any, whole: tuple[int, ...], chain: tuple[int, ...]) ->
 def _chain_notes(mj_model: Any, chain: tuple[int, ...]) -> tuple[str, ...]:
     """Return sentences on what the analysis leaves out for this chain."""
     notes = []
-    coupled = [joint_label(mj_model, joint) for joint in chain if _is_coupled(mj_model, joint)]
+    of_joints = mj_model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
+    partners = np.stack((mj_model.eq_obj1id, mj_model.eq_obj2id))[:, of_joints]
+    coupled = [joint_label(mj_model, joint) for joint in chain if joint in partners]
     if coupled:
         notes.append(
             f"equality constraints on {', '.join(coupled)} are ignored: every chain joint is "
@@ -165,13 +167,6 @@ def _chain_notes(mj_model: Any, chain: tuple[int, ...]) -> tuple[str, ...]:
     if mj_model.opt.density or mj_model.opt.viscosity:
         notes.append("the model's air or fluid drag is ignored")
     return tuple(notes)
-
-
-def _is_coupled(mj_model: Any, joint: int) -> bool:
-    """Tell whether an equality constraint couples a joint to another one or fixes it."""
-    of_joints = mj_model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
-    partners = np.stack((mj_model.eq_obj1id, mj_model.eq_obj2id))[:, of_joints]
-    return bool(np.any(partners == joint))
 
 
 def _closes_a_loop(mj_model: Any, chain: tuple[int, ...], eq: int) -> bool:

@@ -33,11 +33,15 @@ def derive_regressor() -> tuple[Any, tuple[Any, ...]]:
 
     motion = sp.symbols("wx wy wz vx vy vz awx awy awz avx avy avz")
     twist, acceleration = sp.Matrix(motion[:6]), sp.Matrix(motion[6:])
-    adjoint = _adjoint(sp, twist)
+    omega, v = _hat(sp, twist[:3]), _hat(sp, twist[3:])
+    # ad(V) = [[[omega]x, 0], [[v]x, [omega]x]].
+    adjoint = omega.row_join(sp.zeros(3)).col_join(v.row_join(omega))
     columns = []
     for k in range(len(PARAMETER_NAMES)):
-        unit = [int(i == k) for i in range(len(PARAMETER_NAMES))]
-        spatial_inertia = _spatial_inertia(sp, unit)
+        m, hx, hy, hz, xx, xy, xz, yy, yz, zz = (int(i == k) for i in range(len(PARAMETER_NAMES)))
+        # G = [[I, [h]x], [-[h]x, m 1]].
+        inertia, h = sp.Matrix([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), _hat(sp, (hx, hy, hz))
+        spatial_inertia = inertia.row_join(h).col_join((-h).row_join(m * sp.eye(3)))
         columns.append(spatial_inertia * acceleration - adjoint.T * (spatial_inertia * twist))
     return sp.Matrix.hstack(*columns), motion
 
@@ -45,20 +49,6 @@ def derive_regressor() -> tuple[Any, tuple[Any, ...]]:
 def _hat(sp: Any, vector: Sequence[Any]) -> Any:
     x, y, z = vector
     return sp.Matrix([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-
-
-def _spatial_inertia(sp: Any, theta: Sequence[Any]) -> Any:
-    """G = [[I, [h]x], [-[h]x, m 1]]."""
-    m, hx, hy, hz, ixx, ixy, ixz, iyy, iyz, izz = theta
-    inertia = sp.Matrix([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
-    h = _hat(sp, (hx, hy, hz))
-    return inertia.row_join(h).col_join((-h).row_join(m * sp.eye(3)))
-
-
-def _adjoint(sp: Any, twist: Any) -> Any:
-    """ad(V) = [[[omega]x, 0], [[v]x, [omega]x]]."""
-    omega, v = _hat(sp, twist[:3]), _hat(sp, twist[3:])
-    return omega.row_join(sp.zeros(3)).col_join(v.row_join(omega))
 
 
 def derived_source() -> str:

@@ -15,11 +15,7 @@ from robot_sysid.records import Array, Measurement, Motion, RobotModel, SquareRo
 
 
 class ArmTorque:
-    """Torques the model needs for a motion, friction included.
-
-    Args:
-        robot: the arm.
-    """
+    """Torques the model needs for a motion, friction included."""
 
     def __init__(self, robot: RobotModel) -> None:
         self._robot = robot
@@ -51,7 +47,14 @@ def simulate_inverse(robot: RobotModel, motions: Iterable[Motion]) -> Iterator[M
     torque = ArmTorque(robot)
     for motion in motions:
         tau = torque(motion)
-        _require_finite(tau, motion.time, robot.joint_names)
+        bad = np.argwhere(~np.isfinite(tau))
+        if len(bad):
+            sample, joint = bad[0].tolist()
+            raise SimulationError(
+                f"the torque of joint {robot.joint_names[joint]} is not finite at "
+                f"{motion.time[sample]:.3f} s: the likely cause is a link with an impossible mass "
+                "or inertia; check the model's <inertial> elements"
+            )
         yield Measurement(motion.time, motion.q, motion.qd, tau, motion.qdd)
 
 
@@ -61,7 +64,6 @@ def collect_sysid_data(
     """Stream measurements into square-root information, in constant memory.
 
     Args:
-        equations: what to collect.
         measurements: chunks with accelerations.
 
     Returns:
@@ -72,14 +74,3 @@ def collect_sysid_data(
         for index, (rows, tau) in enumerate(equations.rows(measurement)):
             accumulator.add(index, rows, tau)
     return accumulator.result()
-
-
-def _require_finite(tau: Array, time: Array, joints: tuple[str, ...]) -> None:
-    bad = np.argwhere(~np.isfinite(tau))
-    if len(bad) == 0:
-        return
-    sample, joint = (int(i) for i in bad[0])
-    raise SimulationError(
-        f"the torque of joint {joints[joint]} is not finite at {time[sample]:.3f} s: the likely "
-        "cause is a link with an impossible mass or inertia; check the model's <inertial> elements"
-    )

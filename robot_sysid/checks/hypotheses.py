@@ -7,7 +7,6 @@ low-passed samples and the fit repeated. A mistake is named where undoing it mak
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -29,22 +28,13 @@ BETTER = 0.25
 _EVERY = 2
 
 
-@dataclass(frozen=True)
-class Hypothesis:
-    """A mistake and the log without it."""
-
-    name: str
-    text: str
-    undone: Sample
-
-
-def hypotheses(sample: Sample, robot: RobotModel) -> Iterator[Hypothesis]:
-    """Yield every mistake that is tried."""
+def hypotheses(sample: Sample, robot: RobotModel) -> Iterator[tuple[str, str, Sample]]:
+    """Yield every mistake that is tried: its name, a text, and the log without it."""
     to_radians = np.where(robot.is_slide, 1.0, np.pi / 180.0)
     text = "positions look like degrees; pass --units deg"
-    yield Hypothesis("angle-unit", text, sample.with_motion(to_radians))
+    yield "angle-unit", text, sample.with_motion(to_radians)
     text = "positions look like radians that were taken for degrees; drop --units deg"
-    yield Hypothesis("angle-unit", text, sample.with_motion(1.0 / to_radians))
+    yield "angle-unit", text, sample.with_motion(1.0 / to_radians)
     yield from _signs(sample, robot.joint_names)
     yield from _orders(sample, robot.joint_names)
 
@@ -54,10 +44,10 @@ def explanations(evidence: Evidence, fit: ModelFit) -> list[tuple[Fit, Finding]]
     sample = evidence.sample.thinned(_EVERY)
     base = fit.fit(sample)
     possible, convincing = plausible(fit, base), []
-    for mistake in hypotheses(sample, evidence.robot):
-        after = fit.fit(mistake.undone)
+    for name, text, undone in hypotheses(sample, evidence.robot):
+        after = fit.fit(undone)
         if plausible(fit, after) and explains(base, after, certain=possible):
-            convincing.append((after, Finding(mistake.name, Level.REFUSE, mistake.text)))
+            convincing.append((after, Finding(name, Level.REFUSE, text)))
     return sorted(convincing, key=lambda each: each[0].cost)
 
 
@@ -73,7 +63,7 @@ def explains(base: Fit, after: Fit, certain: bool = True) -> bool:
     return enough and (after.cost < WELL or after.cost < BETTER * base.cost)
 
 
-def _signs(sample: Sample, names: tuple[str, ...]) -> Iterator[Hypothesis]:
+def _signs(sample: Sample, names: tuple[str, ...]) -> Iterator[tuple[str, str, Sample]]:
     for joint, name in enumerate(names):
         sign = np.ones(len(names))
         sign[joint] = -1.0
@@ -87,10 +77,10 @@ def _signs(sample: Sample, names: tuple[str, ...]) -> Iterator[Hypothesis]:
             ),
         ):
             said = f"the {what} of joint {name} has the opposite sign of the model's; flip it in "
-            yield Hypothesis("sign", f"{said}the columns file: {text}", undone)
+            yield "sign", f"{said}the columns file: {text}", undone
 
 
-def _orders(sample: Sample, names: tuple[str, ...]) -> Iterator[Hypothesis]:
+def _orders(sample: Sample, names: tuple[str, ...]) -> Iterator[tuple[str, str, Sample]]:
     plain = list(range(len(names)))
     orders = []
     for first, second in combinations(plain, 2):
@@ -106,4 +96,4 @@ def _orders(sample: Sample, names: tuple[str, ...]) -> Iterator[Hypothesis]:
             (" in the torques", plain, order),
         ):
             text = f"{said}{what}; put the columns right with --columns FILE"
-            yield Hypothesis("order", text, sample.with_order(motion, torque))
+            yield "order", text, sample.with_order(motion, torque)

@@ -14,7 +14,7 @@ import numpy as np
 from robot_sysid.core.couplings import Coupling
 from robot_sysid.core.fit import Fit, Fitter
 from robot_sysid.core.held_out import HeldOut, held_out, is_clearly_lower
-from robot_sysid.core.unknowns import Choice, Question, Unknowns, same_for_all, unknowns
+from robot_sysid.core.unknowns import Choice, Question, Unknowns, unknowns
 from robot_sysid.dynamics.friction import BENT, FrictionModel, friction_model
 from robot_sysid.records import Array
 
@@ -56,13 +56,11 @@ def choose(
     """Return what the recordings decide, and a fit to begin with.
 
     Args:
-        fitter: of the recordings.
-        question: what is asked.
         given: friction terms of every joint, where the user says them.
         offered: couplings that the recordings may decide for.
     """
     robot = fitter.columns.robot
-    choice = Choice(same_for_all(given or friction_model(CANDIDATES[0]), robot))
+    choice = Choice((given or friction_model(CANDIDATES[0]),) * robot.n_joints)
     if fitter.columns.couplings and not offered:
         choice = replace(choice, couplings=fitter.columns.couplings)
     fit = fitter.fit(question, choice, rounds=1)
@@ -141,7 +139,7 @@ def _tried(
             model = friction_model(name)
             if number and not model.bent:
                 continue
-            each = replace(choice, friction=same_for_all(model, robot))
+            each = replace(choice, friction=(model,) * robot.n_joints)
             error = squared_errors(judge, around, question, each)
             speed = tried[model.bent[0]][0] if model.bent else 0.0
             before = squared.get(name, np.full_like(error, np.inf))

@@ -35,12 +35,10 @@ from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.nuisances import (
     TILT_NAMES,
     gravity,
-    scale_names,
     tilt_columns,
     turned,
     with_gravity,
     zero_columns,
-    zero_names,
 )
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.records import DELAY_NAME, Array, Motion, RobotModel
@@ -98,9 +96,9 @@ class Columns:
         self._arm_names = arm.names
         later = ("load", *(name for term in BENT for name in (term, f"{term}_speed")))
         self._later = tuple(f"{term}[{joint}]" for joint in self.joints for term in later)
-        self._scales = scale_names(robot)[-len(self.joints) :]
+        self._scales = tuple(f"scale[{joint}]" for joint in self.joints)
         self._drifts = tuple(f"drift[{joint}]" for joint in self.joints)
-        self._zeros = zero_names(robot)
+        self._zeros = tuple(f"zero[{joint}]" for joint in robot.joint_names)
         self._tilts = TILT_NAMES if np.any(gravity(robot)) else ()
         own = (*self._later, *self._scales, *self._drifts)
         common = (*self._zeros, *self._tilts, DELAY_NAME, *PAYLOAD_NAMES)

@@ -110,7 +110,6 @@ def fit_errors(
     """Return the errors of a fit; noise may be correlated in time.
 
     Args:
-        fit: the fit.
         residuals: per joint, what a pass over the rows left; empty takes that pass, and where there
             are no rows, noise without memory.
         pull: (joints, p) what the low-pass may move the estimate by, see ``filtering_bias``; None
@@ -227,11 +226,7 @@ def filtering_bias(
 ) -> Array:
     """Return Y_j^T d_j of each joint j, (joints, p), of one recording; zero at rest.
 
-    Args:
-        columns: whose parameters they are.
-        point: the estimate.
-        dataset: the recording.
-        samples: its rows.
+    That is at a point, which holds the estimate, of the recording's rows.
     """
     pull = np.zeros((len(samples.joints), len(samples.names)))
     if dataset.signals is None:

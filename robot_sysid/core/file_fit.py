@@ -55,14 +55,13 @@ def fit_file(
     fitter: Fitter,
     options: EstimationOptions,
     kept: tuple[str, ...],
-    start: Array | None = None,
+    start: Array,
     pull: Array | None = None,
     carried: Array | None = None,
 ) -> FileFit:
     """Return the file that predicts held-out torques best.
 
     Args:
-        fitter: of the recordings.
         options: how far the arm's links may be off.
         kept: parts that stay as they are.
         start: (p,) values to begin with.
@@ -72,9 +71,7 @@ def fit_file(
     question = Question(options, in_file=True, kept_parts=kept, carried=carried)
     choice = Choice(tuple(_friction(fitter.columns.robot, question, IN_FILE)))
     before = _as_it_was(fitter, question, choice)
-    point = fitter.columns.start()
-    if start is not None:
-        point = replace(point, values=_without_sensors(fitter, start))
+    point = replace(fitter.columns.start(), values=_without_sensors(fitter, start))
     fit = fitter.fit(question, choice, point, rounds=1)
     choice = replace(choice, friction=_polynomials(fit, question, choice))
     choice = replace(choice, prior_scale=prior_scale(fit, question, choice))

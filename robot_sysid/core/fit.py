@@ -10,8 +10,9 @@ import numpy as np
 
 from robot_sysid.core.columns import Columns, Point
 from robot_sysid.core.dataset import DecimatedSamples, JoinedSamples, block_masks
-from robot_sysid.core.unknowns import Choice, Question, Unknowns, has_bent, unknowns
+from robot_sysid.core.unknowns import Choice, Question, Unknowns, unknowns
 from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.friction import BENT
 from robot_sysid.errors import SysidError
 from robot_sysid.estimation.consistent_links import ConsistentLinks, LinksProblem
 from robot_sysid.estimation.information import combined, restricted
@@ -206,15 +207,16 @@ class Fitter:
         """Return the fit, once bodies, delay, tilt and speeds have settled.
 
         Args:
-            question: what is asked.
             choice: friction terms, couplings, and how far links may be off.
             point: where to begin; None for the model.
-            rounds: at most so many.
 
         Raises:
             SysidError: a delay or a tilt that is sought keeps moving.
         """
-        point = replace(point or self.columns.start(), exact_load=has_bent(choice))
+        # Columns that depend on what is sought: those of the load, and those with a speed.
+        terms = {term for model in choice.friction for term in model.terms}
+        exact = not terms.isdisjoint(("load", *BENT))
+        point = replace(point or self.columns.start(), exact_load=exact)
         seeks = "auto" in (question.options.delay, question.options.tilt)
         rounds = _SOUGHT_ROUNDS if seeks and not question.in_file else rounds
         noise = None
@@ -247,10 +249,7 @@ def solved(
     """Solve the equations as they stand around a point.
 
     Args:
-        columns: whose parameters they are.
-        question, choice: what is sought.
-        point: around which the rows are.
-        data: what they say.
+        data: what the rows around the point say.
         samples: the rows themselves, for robust methods and motion that repeats.
         visits: which of them pass the same states.
         inflation: (joints,) where no rows are there to tell it.

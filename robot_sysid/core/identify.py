@@ -107,10 +107,6 @@ def answer_link(
     """Identify an arm from recordings of it alone.
 
     Args:
-        robot: the arm as its model describes it.
-        datasets: the recordings.
-        options: how.
-        progress: where to tell how far it is.
         kept: parts of the model file that stay as they are; None asks for no file.
         tests: name to recordings that only test the result.
 
@@ -150,10 +146,6 @@ def answer_payload(
     """Identify a payload from recordings without and with it.
 
     Args:
-        robot: the arm as its model describes it.
-        datasets: the recordings.
-        question: what is asked.
-        progress: where to tell how far it is.
         kept: parts of the model file that stay as they are; None asks for no file.
 
     Returns:

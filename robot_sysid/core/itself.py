@@ -43,12 +43,8 @@ def identify_itself(
     """Simulate the model along a trajectory and identify it.
 
     Args:
-        robot: the arm.
-        plan: the trajectory.
         rate: samples per second [Hz].
         seed: the trajectory was drawn with it.
-        options: how.
-        progress: where to tell how far it is.
 
     Returns:
         (the result, what makes its traces).

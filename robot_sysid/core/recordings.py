@@ -49,7 +49,6 @@ def alone(fit: Fit, parts: Sequence[SquareRootInformation]) -> Alone:
     """Return what some recordings say with the noise and the priors of the whole fit.
 
     Args:
-        fit: of all recordings.
         parts: information of some, in all parameters.
     """
     weights, sought = 1.0 / fit.weighted.noise, fit.unknowns
@@ -69,7 +68,6 @@ def logs_compared(
     """Return (sentences on the logs' own masses, each log predicted from the others).
 
     Args:
-        fit: of all logs.
         names: per dataset, the log that it is of.
         stretch: by how much correlated noise makes errors larger than white noise would.
     """
@@ -125,7 +123,6 @@ def each_recording(fit: Fit, flange: Flange, stretch: float) -> tuple[OneRecordi
     """Return the payload of each recording against all of the other kind.
 
     Args:
-        fit: of all recordings.
         flange: frame of the centres of mass.
         stretch: see ``logs_compared``.
     """

@@ -231,8 +231,6 @@ def payload_of(
     Args:
         answer: the fit whose scales and payload count, with a known mass where there is one.
         weighed: the fit as if the payload's mass were not known; the same where it is not.
-        flange: frame of the payload.
-        data: where the recordings come from.
         resting: whether they are poses at rest, which do not show inertia.
         write_offset: whether the file is to hold the offset of each joint's friction.
     """

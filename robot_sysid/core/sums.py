@@ -138,11 +138,6 @@ class LogInformation:
         return self if other == 0 else NotImplemented
 
     @property
-    def is_first_round(self) -> bool:
-        """Whether a second round around it is still to come."""
-        return not self.settled.around
-
-    @property
     def origin(self) -> DataOrigin:
         """Where the data comes from."""
         many = f"{self.logs} log{'s' if self.logs > 1 else ''}, added"
@@ -188,8 +183,6 @@ class _Fixed(Fitter):
     """A fitter of what is left of logs: it cannot make their rows anew.
 
     Args:
-        robot: the arm.
-        found: what logs say.
         point: around which their rows were; None for the model.
     """
 
@@ -224,7 +217,6 @@ def log_information(
     """Return what some logs say.
 
     Args:
-        robot: the arm.
         logs: whole logs, or the pieces of one, each filtered on its own.
         options: of ``settled_options``.
         around: the sum of a first round over all logs; None in that round.
@@ -295,7 +287,6 @@ def answer_from(
     """Identify an arm from the sum of a second round.
 
     Args:
-        robot: the arm.
         found: of the logs that are fitted.
         validation: of logs that only test the result, made like ``found``.
 
@@ -307,7 +298,7 @@ def answer_from(
     said += here.differences(found.settled)
     if said:
         raise InputError(f"this information does not fit: {', '.join(dict.fromkeys(said))} differ")
-    if found.is_first_round:
+    if not found.settled.around:
         raise InputError(
             "this is the sum of a first round, which does not know its errors yet; make the "
             "information of all logs again with around= this sum, and identify from their sum"

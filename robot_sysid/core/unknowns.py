@@ -17,7 +17,7 @@ from robot_sysid.core.columns import PAYLOAD_NAMES, Columns
 from robot_sysid.core.couplings import Coupling
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import other_links
-from robot_sysid.dynamics.friction import BENT, FrictionModel, speed_name
+from robot_sysid.dynamics.friction import FrictionModel, speed_name
 from robot_sysid.dynamics.nuisances import TILT_NAMES
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation.nuisances import NuisanceGroup, link_aspects, link_factor
@@ -395,13 +395,3 @@ def _no_common_scale(columns: Columns) -> NuisanceGroup:
     mean = np.ones((len(names), len(names))) / len(names)
     factor = np.eye(len(names)) - (1.0 - _EXACT) * mean
     return NuisanceGroup(COMMON, names, np.zeros(len(names)), 1e3 * factor, names)
-
-
-def same_for_all(model: FrictionModel, robot: RobotModel) -> tuple[FrictionModel, ...]:
-    """Return one friction model for every joint."""
-    return (model,) * robot.n_joints
-
-
-def has_bent(choice: Choice) -> bool:
-    """Tell whether a joint has friction that is nonlinear in a speed or grows with its load."""
-    return any(term in BENT or term == "load" for each in choice.friction for term in each.terms)

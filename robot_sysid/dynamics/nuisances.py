@@ -81,16 +81,6 @@ _MOST_SHIFTED = 20000
 """Samples of shifted motions at once."""
 
 
-def scale_names(robot: RobotModel) -> tuple[str, ...]:
-    """Return the names of the joints' torque scales."""
-    return tuple(f"scale[{joint}]" for joint in robot.joint_names)
-
-
-def zero_names(robot: RobotModel) -> tuple[str, ...]:
-    """Return the names of the joints' encoder zeros."""
-    return tuple(f"zero[{joint}]" for joint in robot.joint_names)
-
-
 def zero_columns(robot: RobotModel, thetas: Array, motion: Motion) -> Array:
     """Return (K, n, n) torque per radian that a joint's reading is too large [N m/rad].
 

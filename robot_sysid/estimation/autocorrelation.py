@@ -110,7 +110,10 @@ class JointResiduals:
             return np.zeros(1 + len(self.decay))
         kernels = np.column_stack((self.lags == 0, self.decay ** self.lags[:, None])).astype(float)
         shapes = kernels - np.outer(shape, self.absorbed(own))
-        bins = _lag_bins(len(self.lags))
+        # The first lag of each bin; bins widen in proportion to the lag.
+        count = len(self.lags)
+        edges = np.floor(np.geomspace(1.0, max(count - 1, 1), _LAG_BINS)).astype(np.int64)
+        bins = np.unique(np.clip(np.append(0, edges), 0, count - 1))
         found = _simplest_fit(_pooled(shapes, bins), _pooled(seen / energy, bins), self.count)
         return found * seen[0] / float(found @ shapes[0])
 
@@ -214,12 +217,6 @@ def _simplest_fit(shapes: Array, seen: Array, count: int) -> Array:
     full = np.append(found, np.zeros(size - len(found)))
     full[0] += float(not np.any(full))
     return full
-
-
-def _lag_bins(count: int) -> NDArray[np.int64]:
-    """Return the first lag of each bin; bins widen in proportion to the lag."""
-    edges = np.floor(np.geomspace(1.0, max(count - 1, 1), _LAG_BINS)).astype(np.int64)
-    return np.unique(np.clip(np.concatenate(([0], edges)), 0, count - 1))
 
 
 def _pooled(values: Array, bins: NDArray[np.int64]) -> Array:

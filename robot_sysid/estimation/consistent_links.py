@@ -73,9 +73,15 @@ class LinksProblem:
 
     @cached_property
     def bodies(self) -> tuple[tuple[Array, Array], ...]:
-        """Where each link starts (10,), possible, and the units of Z there."""
+        """Where each link starts, possible, theta (10,), and U (10, 10) with theta + U z."""
         like = self.prior if self.start is None else self.start
-        return tuple(_body(_lifted(like[link])) for link in self.links)
+        found = []
+        for link in self.links:
+            theta = _lifted(like[link])
+            root = np.linalg.cholesky(spatial.pseudo_inertia(theta))
+            units = np.einsum("kij,bij->kb", root @ _BASIS @ root.T, _BASIS) @ _THETAS
+            found.append((theta, units.T))
+        return tuple(found)
 
 
 class ConsistentLinks:
@@ -90,10 +96,11 @@ class ConsistentLinks:
     def __init__(self, matrix: Array, right: Array, problem: LinksProblem) -> None:
         self._matrix, self._right, self._problem = matrix, right, problem
         self._bodies = np.concatenate(problem.links)
-        self._origin = np.zeros(len(problem.prior))
-        for link, (theta, _) in zip(problem.links, problem.bodies):
-            self._origin[link] = theta
-        self._unit = _units(matrix, problem)
+        # All parameters are origin + unit z.
+        length, self._origin = np.linalg.norm(matrix, axis=0), np.zeros(len(problem.prior))
+        self._unit = np.diag(1.0 / np.where(length > 0.0, length, 1.0))
+        for link, (theta, units) in zip(problem.links, problem.bodies):
+            self._origin[link], self._unit[np.ix_(link, link)] = theta, units
         self._others = np.delete(np.arange(len(self._origin)), self._bodies)
         self._free, rest = self._eliminated()
         left, singular, directions = np.linalg.svd(rest[:-1, :-1])
@@ -270,22 +277,6 @@ def _cone(problem: LinksProblem) -> Cone:
 
 def _lifted(theta: Array) -> Array:
     return spatial.lifted_body(theta, theta, _FLOOR)
-
-
-def _body(theta: Array) -> tuple[Array, Array]:
-    """Return a possible link (10,) and (10, 10) U with theta + U z of its coordinates z."""
-    root = np.linalg.cholesky(spatial.pseudo_inertia(theta))
-    units = np.einsum("kij,bij->kb", root @ _BASIS @ root.T, _BASIS) @ _THETAS
-    return theta, units.T
-
-
-def _units(matrix: Array, problem: LinksProblem) -> Array:
-    """Return (p, p) U with x = origin + U z."""
-    length = np.linalg.norm(matrix, axis=0)
-    unit = np.diag(1.0 / np.where(length > 0.0, length, 1.0))
-    for link, (_, units) in zip(problem.links, problem.bodies):
-        unit[np.ix_(link, link)] = units
-    return unit
 
 
 def _orthonormal_basis() -> Array:

@@ -120,8 +120,11 @@ def analyse_identifiability(information: SquareRootInformation) -> Identifiabili
     interest[:N_INERTIAL] = True
     shown = np.where(space.zero, 0.0, matrix)
     length = np.where(space.zero, 1.0, np.linalg.norm(matrix, axis=0))
+    singular = np.linalg.svd((shown * space.scale)[:, ~interest], compute_uv=False)
+    largest = np.max(space.singular, initial=0.0)
+    hidden = int(np.count_nonzero(singular > RELATIVE_CUT * largest))
     return Identifiability(
-        rank=space.rank - _nuisance_rank(matrix, space, interest),
+        rank=space.rank - hidden,
         n_parameters=int(np.count_nonzero(interest)),
         condition_number=_condition(shown[:, interest]),
         scaled_condition_number=_condition((shown / length)[:, interest]),
@@ -135,13 +138,6 @@ def _condition(matrix: Array) -> float:
     singular = np.linalg.svd(matrix, compute_uv=False)
     rank = visible_space(matrix).rank
     return float(singular[0] / singular[rank - 1]) if rank else float("inf")
-
-
-def _nuisance_rank(matrix: Array, space: VisibleSpace, interest: np.ndarray) -> int:
-    nuisance = np.where(space.zero, 0.0, matrix * space.scale)[:, ~interest]
-    singular = np.linalg.svd(nuisance, compute_uv=False)
-    largest = np.max(space.singular, initial=0.0)
-    return int(np.count_nonzero(singular > RELATIVE_CUT * largest))
 
 
 _TOLERANCE = 1e-6
@@ -194,19 +190,14 @@ def _row_echelon(basis: Array) -> list[Array]:
     """Return the reduced row echelon form of the columns (p, e), largest pivots first."""
     rows = basis.T.copy()
     for k in range(len(rows)):
-        _eliminate(rows, k)
+        pivot_row, column = np.unravel_index(np.argmax(np.abs(rows[k:])), rows[k:].shape)
+        rows[[k, k + pivot_row]] = rows[[k + pivot_row, k]]
+        if abs(rows[k, column]) >= _TOLERANCE:
+            rows[k] /= rows[k, column]
+            others = np.arange(len(rows)) != k
+            rows[others] -= np.outer(rows[others, column], rows[k])
     rows[np.abs(rows) < _TOLERANCE] = 0.0
     return [row / np.linalg.norm(row) for row in rows if np.any(row)]
-
-
-def _eliminate(rows: Array, k: int) -> None:
-    pivot_row, column = np.unravel_index(np.argmax(np.abs(rows[k:])), rows[k:].shape)
-    rows[[k, k + pivot_row]] = rows[[k + pivot_row, k]]
-    if abs(rows[k, column]) < _TOLERANCE:
-        return
-    rows[k] /= rows[k, column]
-    others = np.arange(len(rows)) != k
-    rows[others] -= np.outer(rows[others, column], rows[k])
 
 
 def _is_new(candidate: Array, found: list[Array]) -> bool:

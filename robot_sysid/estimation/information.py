@@ -104,7 +104,6 @@ def restricted(
     """Return the data's information about some of the parameters, the others held.
 
     Args:
-        information: the data.
         names: which parameters stay, in any order; their order in the information is kept.
         held: (p,) values of the others; None for zero.
     """

@@ -25,18 +25,14 @@ def ordinary(
     """Weigh all joints alike; the common noise comes from all residuals together."""
     ones, common = np.ones(len(information.joints)), 1.0
     for _ in range(MOST_ROUNDS):
-        before, common = common, _common_noise(information, prior, ones / common)
+        values, paid = _solved(information, prior, ones / common)
+        freedom = max(information.n_samples - float(np.sum(paid)), 1.0)
+        rms = np.sqrt(float(np.sum(information.squared_residuals(values))) / freedom)
+        before, common = common, float(max(rms, noise_floor(information)))
         # Without a prior the estimate does not depend on the size of the noise.
         if information.prior is None or abs(common / before - 1.0) < _SETTLED:
             break
     return WeightedEquations(information, common * ones, no_clip(information))
-
-
-def _common_noise(information: SquareRootInformation, prior: Array, weights: Array) -> float:
-    values, paid = _solved(information, prior, weights)
-    squared = float(np.sum(information.squared_residuals(values)))
-    freedom = max(information.n_samples - float(np.sum(paid)), 1.0)
-    return float(max(np.sqrt(squared / freedom), noise_floor(information)))
 
 
 def least_squares(
@@ -161,7 +157,6 @@ def joint_noise(information: SquareRootInformation, values: Array, weights: Arra
     parameters this joint's equations pay for (Seber, Lee, "Linear Regression Analysis", 2003).
 
     Args:
-        information: the equations.
         values: (p,) their solution.
         weights: (joints,) weights it was found with.
     """

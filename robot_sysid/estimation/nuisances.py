@@ -150,7 +150,6 @@ def widened_groups(
     Args:
         information: the data, with the nuisances among its parameters.
         noise: (joints,) standard deviation of each joint's torque [N m].
-        groups: the priors.
         least: smallest factor a prior is widened by; below 1 lets it become narrower.
     """
     found = tuple(groups)
@@ -224,7 +223,6 @@ def misfits(
     density contradict their masses alone, which would be lost among ten numbers of each.
 
     Args:
-        information: the data.
         noise: (joints,) standard deviation of each joint's torque [N m].
         groups: the priors, as wide as they were used.
     """

@@ -54,7 +54,6 @@ def white_uncertainty(
     """Return the uncertainty if each joint's noise is independent from sample to sample.
 
     Args:
-        information: the equations.
         weights: (joints,) 1 / (what each joint's equations were divided by) [1/(N m)].
         noise: (joints,) noise standard deviation [N m].
     """

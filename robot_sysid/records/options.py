@@ -103,17 +103,11 @@ def options_of(record: Any) -> Mapping[str, Option]:
             stated: Option = each.metadata["option"]
             flag = stated.flag or "--" + each.name.replace("_", "-")
             needs = record.NEEDS if stated.needs is None else stated.needs
-            parse = stated.parse or _type_named_in(str(each.type))
+            # float for "tuple[float, ...] | None".
+            types = (_TYPES[word] for word in re.findall(r"\w+", str(each.type)) if word in _TYPES)
+            parse = stated.parse or next(types, None)
             found[each.name] = replace(stated, flag=flag, needs=needs, parse=parse)
     return found
-
-
-def _type_named_in(annotation: str) -> Callable[[str], Any] | None:
-    """Return float for "tuple[float, ...] | None"."""
-    types: Mapping[str, Callable[[str], Any]] = {
-        "PerJoint": levels, "float": float, "int": int, "str": str, "Path": Path
-    }  # fmt: skip
-    return next((types[word] for word in re.findall(r"\w+", annotation) if word in types), None)
 
 
 def default_of(record: Any, name: str) -> Any:
@@ -188,6 +182,11 @@ def levels(text: str) -> PerJoint:
     except ValueError as error:
         raise InputError(f"{text!r} is neither a number nor a list like 0.1,0.1,0.05") from error
     return numbers[0] if len(numbers) == 1 else numbers
+
+
+_TYPES: Mapping[str, Callable[[str], Any]] = {
+    "PerJoint": levels, "float": float, "int": int, "str": str, "Path": Path
+}  # fmt: skip
 
 
 def folder(text: str) -> Path:

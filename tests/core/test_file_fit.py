@@ -32,7 +32,8 @@ def file_of(plant, model, kept=(), more=None, seed=1):
         moved = 0.0 if more is None else more(plan.evaluate(log.time))
         logs.append(replace(log, tau=log.tau + moved))
     datasets, options = datasets_of(model, *logs)
-    return fit_file(fitter_of(model, datasets[:1]), options, kept), *datasets
+    fitter = fitter_of(model, datasets[:1])
+    return fit_file(fitter, options, kept, fitter.columns.prior), *datasets
 
 
 def compiled(robot, fit):

@@ -10,7 +10,7 @@ from robot_sysid.core.dataset import mean_torque
 from robot_sysid.core.fit import Fitter
 from robot_sysid.core.identify import Piece, answer_link, filtered
 from robot_sysid.core.result import result_of
-from robot_sysid.core.unknowns import Choice, Question, same_for_all
+from robot_sysid.core.unknowns import Choice, Question
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.friction import friction_model
 from robot_sysid.estimation.options import EstimationOptions
@@ -36,7 +36,7 @@ def fitter_of(robot, recordings, torques="chain", couplings=()):
 
 def choice_of(robot, friction=BASIC, couplings=()):
     """The same friction in all joints."""
-    return Choice(same_for_all(friction_model(friction), robot), tuple(couplings))
+    return Choice((friction_model(friction),) * robot.n_joints, tuple(couplings))
 
 
 def fitted(robot, recordings, options=None, friction=BASIC, couplings=(), **question):
