@@ -22,7 +22,7 @@ from robot_sysid.estimation.options import EstimationOptions
 from robot_sysid.excitation.prediction import Prediction, Seen, predict
 from robot_sysid.excitation.problem import ExcitationProblem
 from robot_sysid.logs.reader import join_measurements
-from robot_sysid.records import Array, Identifiability, Measurement, MotionPlan
+from robot_sysid.records import Array, Measurement, MotionPlan
 from robot_sysid.records.progress import Progress
 from robot_sysid.signals.process import process
 from robot_sysid.simulator import collect_sysid_data, simulate_inverse
@@ -49,7 +49,12 @@ def expect(
         options: how it will be identified.
     """
     rate = min(sample_rate, HIGHEST_RATE_HZ)
-    shown = _shown(problem, plan, rate)
+    # What the model's own simulation along the motion says of the link's equations.
+    friction = friction_per_joint(problem.robot, "terminal", TERMINAL_FRICTION)
+    motions = motion_chunks(plan, min(rate, MOST_SHOWN / plan.duration))
+    equations = Equations(problem.robot, _torques(problem), friction)
+    simulated = simulate_inverse(problem.robot, motions)
+    shown = analyse_identifiability(collect_sysid_data(equations, simulated))
     sigma = problem.sigma * np.sqrt(rate / sample_rate)
     given = options if options.friction else replace(options, friction_model=CANDIDATES[0])
     try:
@@ -65,17 +70,6 @@ def expect(
     except SysidError:
         return prediction
     return replace(prediction, stated=answer.errors.whole.standard_errors[:10])
-
-
-def _shown(problem: ExcitationProblem, plan: MotionPlan, rate: float) -> Identifiability:
-    """Return what the model's own simulation along a motion says of the link's equations."""
-    robot, torques = problem.robot, _torques(problem)
-    friction = friction_per_joint(robot, "terminal", TERMINAL_FRICTION)
-    motions = motion_chunks(plan, min(rate, MOST_SHOWN / plan.duration))
-    simulated = simulate_inverse(robot, motions)
-    return analyse_identifiability(
-        collect_sysid_data(Equations(robot, torques, friction), simulated)
-    )
 
 
 def _torques(problem: ExcitationProblem) -> str:

@@ -22,13 +22,12 @@ def read_json(path: Path, remedy: str) -> Any:
         InputError: it cannot be read, is not JSON or is nested without end.
     """
     try:
-        return json.loads(path.read_text(encoding="utf-8-sig"), parse_int=_whole)
+        return json.loads(
+            path.read_text(encoding="utf-8-sig"),
+            parse_int=lambda digits: int(digits) if len(digits) < _DIGITS else float(digits),
+        )
     except OSError as error:
         reason = error.strerror or error
     except (ValueError, RecursionError) as error:
         reason = f"it is not JSON: {error}"
     raise InputError(f"cannot read {path}: {reason}; {remedy}")
-
-
-def _whole(digits: str) -> float:
-    return int(digits) if len(digits) < _DIGITS else float(digits)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from robot_sysid.core import verdict
-from robot_sysid.core.choices import Chosen
+from robot_sysid.core.choices import Errors
 from robot_sysid.core.columns import PAYLOAD_NAMES
 from robot_sysid.core.dataset import DecimatedSamples
 from robot_sysid.core.errors import FitErrors
@@ -46,19 +46,19 @@ class Answer:
 
     Attributes:
         fit: the estimate.
-        chosen: what the recordings decided.
         file: what a model file is given; None where none is asked for.
         errors: how far off the estimate may be.
         tests: its prediction of other logs.
+        candidates: how well friction models that were tried predict what was not fitted.
         acceleration_error: expected error of the acceleration, as a part of it.
         notes: one sentence each.
     """
 
     fit: Fit
-    chosen: Chosen
     file: FileFit | None
     errors: FitErrors
     tests: tuple[Validation, ...] = ()
+    candidates: Errors = field(default_factory=dict)
     acceleration_error: float = 0.0
     notes: tuple[str, ...] = ()
 
@@ -140,7 +140,7 @@ class Answer:
                     friction_model=models[joint].name if terms else "none",
                     terms=terms,
                     before=before,
-                    candidates=self.chosen.errors.get(joint, {}) if terms else {},
+                    candidates=self.candidates.get(joint, {}) if terms else {},
                     noise=noise.get(joint, float("nan")),
                     two_ways=self._two_ways(joint, terms),
                 ),

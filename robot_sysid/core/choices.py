@@ -7,7 +7,7 @@ another one is clearly better on its own held-out torques (``held_out.is_clearly
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -37,23 +37,14 @@ AS_GOOD = 1.02
 """Squared errors up to this ratio are as good as equal."""
 
 
-@dataclass(frozen=True)
-class Chosen:
-    """A choice, and what it was made by.
-
-    Attributes:
-        choice: the choice.
-        errors: joint to friction model to its held-out root mean square error [N m].
-    """
-
-    choice: Choice
-    errors: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+Errors = Mapping[str, Mapping[str, float]]
+"""Joint to friction model to its held-out root mean square error [N m]."""
 
 
 def choose(
     fitter: Fitter, question: Question, given: FrictionModel | None, offered: tuple[Coupling, ...]
-) -> tuple[Chosen, Fit]:
-    """Return what the recordings decide, and a fit to begin with.
+) -> tuple[Choice, Errors, Fit]:
+    """Return what the recordings decide, by which errors, and a fit to begin with.
 
     Args:
         given: friction terms of every joint, where the user says them.
@@ -66,13 +57,13 @@ def choose(
     fit = fitter.fit(question, choice, rounds=1)
     if offered:
         choice = _with_couplings(fit, question, choice, offered)
-    errors: Mapping[str, Mapping[str, float]] = {}
+    errors: Errors = {}
     if given is None and fitter.columns.torques == "chain":
         choice, errors, fit = _with_friction(fitter, question, choice, fit)
     elif choice.couplings != fit.choice.couplings:
         fit = fitter.fit(question, choice, fit.point, rounds=2)
     choice = replace(choice, prior_scale=prior_scale(fit, question, choice))
-    return Chosen(choice, errors), fit
+    return choice, errors, fit
 
 
 def _sought(fit: Fit, question: Question, choice: Choice) -> Unknowns:
@@ -103,7 +94,7 @@ def _with_couplings(
 
 def _with_friction(
     fitter: Fitter, question: Question, choice: Choice, fit: Fit
-) -> tuple[Choice, Mapping[str, Mapping[str, float]], Fit]:
+) -> tuple[Choice, Errors, Fit]:
     """Give each joint the terms that predict its held-out torques clearly better."""
     joints, robot = fitter.columns.joints, fitter.columns.robot
     squared, speeds = _tried(fitter, question, choice, fit)

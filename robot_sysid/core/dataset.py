@@ -47,8 +47,7 @@ class DecimatedSamples:
 
     def __iter__(self) -> Iterator[tuple[int, Array, Array]]:
         """Yield (joint number, rows, right-hand sides) of each joint."""
-        for index, (rows, tau) in enumerate(zip(self.rows, self.tau)):
-            yield index, rows, tau
+        return zip(range(len(self.rows)), self.rows, self.tau)
 
     def information(self) -> SquareRootInformation:
         """Return the square-root information of the samples in use."""
@@ -141,6 +140,22 @@ def decimated_equations(
     )
 
 
+def equations_at(
+    equations: Equations, measurement: Measurement, shared: Array | None = None
+) -> DecimatedSamples:
+    """Return the equations at every sample of a measurement; ``shared`` as ``Equations.rows``."""
+    rows = list(equations.rows(measurement, shared))
+    return DecimatedSamples(
+        equations.names,
+        equations.joints,
+        equations.columns,
+        measurement.time,
+        tuple(block for block, _ in rows),
+        tuple(tau for _, tau in rows),
+        tuple(measurement.tau[:, joint] for joint in equations.rows_of),
+    )
+
+
 BLOCKS, LONGEST_STRETCH = 5, 10.0
 """How many parts recordings are predicted in, each from the others. A part is every fifth stretch
 of a recording; stretches are less than so long [s], as a motion may show a joint for a while."""
@@ -160,21 +175,18 @@ class RestingPoses:
     poses: Measurement
     used: Mask
 
+    @property
+    def motion(self) -> Motion:
+        """The arm at rest in the poses (K, n)."""
+        still = 0.0 * self.poses.q
+        return Motion(self.poses.time, self.poses.q, still, still)
+
     def samples(self, equations: Equations, shared: SharedColumns | None) -> DecimatedSamples:
         """Return the rows of some equations."""
-        motion = Motion(self.poses.time, self.poses.q, 0.0 * self.poses.q, 0.0 * self.poses.q)
-        common = None if shared is None else shared(motion)
-        rows = list(equations.rows(self.poses, common))
-        used = [self.used[:, joint] for joint in equations.rows_of]
-        return DecimatedSamples(
-            equations.names,
-            equations.joints,
-            equations.columns,
-            self.poses.time,
-            tuple(block for block, _ in rows),
-            tuple(np.where(ok, tau, np.nan) for ok, (_, tau) in zip(used, rows)),
-            tuple(self.poses.tau[:, joint] for joint in equations.rows_of),
-        )
+        common = None if shared is None else shared(self.motion)
+        found = equations_at(equations, self.poses, common)
+        used = self.used.T[list(equations.rows_of)]
+        return replace(found, tau=tuple(np.where(ok, t, np.nan) for ok, t in zip(used, found.tau)))
 
 
 @dataclass(frozen=True)
@@ -205,8 +217,7 @@ class Dataset:
     def motion(self) -> Motion:
         """The motion (K, n) at the instants of the rows."""
         if isinstance(self.source, RestingPoses):
-            poses = self.source.poses
-            return Motion(poses.time, poses.q, 0.0 * poses.q, 0.0 * poses.q)
+            return self.source.motion
         return self.source.decimated_motion()
 
     @property

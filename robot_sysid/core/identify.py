@@ -117,9 +117,9 @@ def answer_link(
     fitter, offered = _fitter(robot, datasets, options)
     question = Question(options)
     progress.stage("Choosing friction, couplings and how far links may be off...")
-    chosen, start = choose(fitter, question, options.friction, offered)
+    choice, tried, start = choose(fitter, question, options.friction, offered)
     progress.stage("Solving for parameters...")
-    fit = fitter.fit(question, chosen.choice, start.point)
+    fit = fitter.fit(question, choice, start.point)
     file = None
     if kept is not None:
         progress.stage("Fitting the model file...")
@@ -127,9 +127,9 @@ def answer_link(
     errors = fit_errors(fit)
     signals = [each.signals for each in datasets if each.signals is not None]
     coarsest = max((each.acceleration_error for each in signals), default=0.0)
-    answer = Answer(fit, chosen, file, errors, acceleration_error=coarsest)
+    answer = Answer(fit, file, errors, (), tried, coarsest)
     notes: list[str] = []
-    if any({"coulomb", "offset"} <= set(model.terms) for model in chosen.choice.friction):
+    if any({"coulomb", "offset"} <= set(model.terms) for model in choice.friction):
         notes += [note for each in signals for note in each.one_way_joints(robot.joint_names)]
     said, apart = logs_compared(fit, [each.name for each in datasets], answer.stretch())
     others = tuple(tested(fit, each, name) for name, each in (tests or {}).items())
@@ -156,10 +156,10 @@ def answer_payload(
     progress.stage("Estimating arm, friction and payload together...")
     given = AT_REST if question.resting else options.friction
     weighing = replace(question, known_mass=None, scale_prior=None)
-    chosen, start = choose(fitter, weighing, given, () if question.resting else offered)
-    free = fitter.fit(weighing, chosen.choice, start.point)
+    choice, tried, start = choose(fitter, weighing, given, () if question.resting else offered)
+    free = fitter.fit(weighing, choice, start.point)
     progress.stage("Finding out how far off it may be...")
-    weighed = Answer(free, chosen, None, fit_errors(free))
+    weighed = Answer(free, None, fit_errors(free), (), tried)
     if question.known_mass is None:
         if kept is not None and options.torques == "chain" and not question.resting:
             progress.stage("Fitting the model file...")
@@ -167,8 +167,8 @@ def answer_payload(
             file = fit_file(fitter, options, kept, free.values, carried=carried)
             weighed = replace(weighed, file=file)
         return weighed, weighed
-    fit = fitter.fit(question, chosen.choice, free.point)
-    return Answer(fit, chosen, None, fit_errors(fit)), weighed
+    fit = fitter.fit(question, choice, free.point)
+    return Answer(fit, None, fit_errors(fit), (), tried), weighed
 
 
 def refit(answer: Answer, used: Sequence[Mask], kept: tuple[str, ...]) -> Answer:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 
 from robot_sysid.core.answer import traced
-from robot_sysid.core.dataset import DecimatedSamples
+from robot_sysid.core.dataset import equations_at
 from robot_sysid.core.result import about
 from robot_sysid.core.verdict import of_own_simulation
 from robot_sysid.dynamics.equations import (
@@ -81,15 +81,6 @@ def _traces(
     """Return what a report draws of the simulation, at some of its samples."""
     motion = spread_motion(plan, _DRAWN)
     (measurement,) = simulate_inverse(robot, [motion])
-    rows = tuple(equations.rows(measurement))
-    samples = DecimatedSamples(
-        equations.names,
-        equations.joints,
-        equations.columns,
-        motion.time,
-        tuple(block for block, _ in rows),
-        tuple(tau for _, tau in rows),
-        tuple(measurement.tau[:, joint] for joint in equations.rows_of),
-    )
+    samples = equations_at(equations, measurement)
     after, before = (dict(zip(equations.names, v)) for v in (estimate.values, equations.prior))
     return traced(robot, [samples], [motion], after, before)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -18,7 +18,7 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.nuisances import gravity
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.model.inertia import subtree_bodies
-from robot_sysid.records import DELAY_NAME, Array, DataOrigin, Flange, RobotModel, Validation
+from robot_sysid.records import DELAY_NAME, Array, DataOrigin, Flange, RobotModel
 from robot_sysid.results.model import versions
 from robot_sysid.results.record import (
     LINK,
@@ -96,7 +96,13 @@ def result_of(answer: Answer, data: DataOrigin, write_offset: bool = False) -> R
     if answer.file is not None:
         file, said = model_file(answer, write_offset)
         notes += said
-    findings = _findings(answer, links[-1], file, tests, judged)
+    findings = [
+        *verdict.inconsistent(fit),
+        *verdict.unexplained(fit, tests, answer.acceleration_error),
+        *verdict.implausible_link(robot, links[-1]),
+        *(() if file is None else verdict.implausible_links(robot, file.thetas)),
+        *(() if judged is None or judged[0].is_trustworthy else (judged,)),
+    ]
     common = _common(answer, data)
     seen = common.estimate.identifiability
     ended = Verdict.OK if seen.rank >= seen.n_parameters else Verdict.PARTLY_FROM_MODEL
@@ -119,22 +125,6 @@ def _file_verdict(answer: Answer) -> verdict.Finding | None:
         return None
     noise = verdict.noise_share(answer.fit)
     return verdict.of_file(answer.file.before, answer.file.after, noise)
-
-
-def _findings(
-    answer: Answer,
-    link: BodyEstimate,
-    file: ModelFile | None,
-    tests: Sequence[Validation],
-    judged: verdict.Finding | None,
-) -> Iterator[verdict.Finding]:
-    yield from verdict.inconsistent(answer.fit)
-    yield from verdict.unexplained(answer.fit, tests, answer.acceleration_error)
-    yield from verdict.implausible_link(answer.robot, link)
-    if file is not None:
-        yield from verdict.implausible_links(answer.robot, file.thetas)
-    if judged is not None and not judged[0].is_trustworthy:
-        yield judged
 
 
 def about(robot: RobotModel) -> dict[str, Any]:
@@ -240,7 +230,7 @@ def payload_of(
     found = list(verdict.of_payload(robot, free, misfit, weighed.validation))
     if known is not None:
         found = list(verdict.of_known_mass(found, free.inertial.mass, known))
-    status, reasons = verdict.first(iter(found), Verdict.OK)
+    status, reasons = verdict.first(found, Verdict.OK)
     values = answer.fit.values if status.is_trustworthy else answer.fit.free
     if resting and status.is_trustworthy:
         values = _with_ball(answer.fit, values)

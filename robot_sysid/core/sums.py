@@ -18,7 +18,7 @@ from operator import add
 import numpy as np
 
 from robot_sysid.core.answer import Answer
-from robot_sysid.core.choices import CANDIDATES, Chosen, choose
+from robot_sysid.core.choices import CANDIDATES, choose
 from robot_sysid.core.columns import Columns, Point
 from robot_sysid.core.couplings import couplings_of
 from robot_sysid.core.dataset import Dataset, DecimatedSamples
@@ -268,8 +268,8 @@ def _settled(
 def _fitted(robot: RobotModel, found: LogInformation) -> Fit:
     options, fitter = found.settled.estimation, _Fixed(robot, found)
     question, (_, offered) = Question(options), couplings_of(robot, options)
-    chosen, _ = choose(fitter, question, options.friction, offered)
-    return fitter.fit(question, chosen.choice)
+    choice, *_ = choose(fitter, question, options.friction, offered)
+    return fitter.fit(question, choice)
 
 
 def _sampled(dataset: Dataset, part: DecimatedSamples, values: Array) -> RowSample:
@@ -309,8 +309,7 @@ def answer_from(
     fixed = _Fixed(robot, found, fit.point)
     file = fit_file(fixed, options, (FILE_GRAVITY,), fit.values, found.pull)
     tests = () if validation is None else (_validated(fit, validation),)
-    chosen = Chosen(fit.choice)
-    return Answer(fit, chosen, file, errors, tests, found.acceleration_error, found.notes)
+    return Answer(fit, file, errors, tests, {}, found.acceleration_error, found.notes)
 
 
 def _validated(fit: Fit, found: LogInformation) -> Validation:

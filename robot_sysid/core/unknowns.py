@@ -294,9 +294,13 @@ def usual_bodies(robot: RobotModel) -> dict[str, Array]:
 
 
 def independent(
-    cause: str, names: Sequence[str], members: Sequence[str], size: float, may_widen: bool = False
+    cause: str,
+    names: Sequence[str],
+    members: Sequence[str],
+    size: float | Array,
+    may_widen: bool = False,
 ) -> NuisanceGroup:
-    """Return the prior of nuisances that are each off by the same size, on their own."""
+    """Return the prior of nuisances that are each off on their own, by one size or (k,) sizes."""
     count, factor = len(names), size * np.eye(len(names))
     return NuisanceGroup(cause, tuple(names), np.zeros(count), factor, tuple(members), may_widen)
 
@@ -351,9 +355,7 @@ def _friction_group(
                 sizes.append(max(loss if term == "load" else size, _EXACT))
                 members.append(joint)
     if names:
-        mean, factor = np.zeros(len(names)), np.diag(sizes)
-        wide = question.loaded
-        yield NuisanceGroup(FRICTION, tuple(names), mean, factor, tuple(members), wide)
+        yield independent(FRICTION, names, members, np.array(sizes), question.loaded)
 
 
 def _link_group(columns: Columns, question: Question, choice: Choice) -> NuisanceGroup | None:

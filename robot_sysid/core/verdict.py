@@ -7,7 +7,7 @@ better than the one before.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -53,7 +53,7 @@ _LEAST_SIZE = 0.02
 Finding = tuple[Verdict, str]
 
 
-def first(findings: Iterator[Finding], otherwise: Verdict) -> tuple[Verdict, tuple[str, ...]]:
+def first(findings: Iterable[Finding], otherwise: Verdict) -> tuple[Verdict, tuple[str, ...]]:
     """Return (the first verdict that is found, every reason), or what it is otherwise."""
     found = list(findings)
     return (found[0][0] if found else otherwise), tuple(reason for _, reason in found)

@@ -52,20 +52,6 @@ _SHORTEST = 64
 
 
 @dataclass(frozen=True)
-class CutoffChoice:
-    """A cut-off and where it comes from.
-
-    Attributes:
-        cutoff: [Hz].
-        acceleration_error: expected error of the acceleration, as a part of it.
-    """
-
-    cutoff: float
-    acceleration_error: float
-    reason: str
-
-
-@dataclass(frozen=True)
 class Spectra:
     """Spectra of the acceleration at F frequencies [Hz].
 
@@ -86,8 +72,12 @@ class Spectra:
     level: Array
 
 
-def choose_cutoff(spectra: Spectra) -> CutoffChoice:
-    """Choose one cut-off for all joints."""
+def choose_cutoff(spectra: Spectra) -> tuple[float, float, str]:
+    """Choose one cut-off for all joints.
+
+    Returns:
+        (cut-off [Hz], expected error of the acceleration as a part of it, where they come from).
+    """
     rate = spectra.rate
     highest = 0.2 * rate
     half_width_times_cutoff = design_low_pass(highest, rate).half_width * highest / rate
@@ -107,7 +97,7 @@ def choose_cutoff(spectra: Spectra) -> CutoffChoice:
         f"{sigma.min():.2g} to {sigma.max():.2g} rad, expected error of the acceleration "
         f"{percent(expected)}"
     )
-    return CutoffChoice(float(best), expected, reason)
+    return float(best), expected, reason
 
 
 def noise_share(spectra: Spectra | None, cutoff: float) -> float:

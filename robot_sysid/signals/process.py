@@ -31,7 +31,6 @@ from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Measurement, Motion
 from robot_sysid.records.options import PerJoint, per_joint
 from robot_sysid.signals.cutoff import (
-    CutoffChoice,
     Spectra,
     choose_cutoff,
     encoder_steps,
@@ -217,8 +216,8 @@ class LogPiece(Measurement):
         steps = resampled(replace(self, q=_steps(self))).q
         return spectra_of(uniform.q, uniform.rate, steps)
 
-    def choice(self) -> CutoffChoice:
-        """Return the cut-off that suits the piece, or raise InputError where it is too short."""
+    def choice(self) -> tuple[float, float, str]:
+        """Return ``choose_cutoff`` of the piece, or raise InputError where it is too short."""
         if self.spectra is None:
             raise InputError(
                 f"{len(resampled(self).q)} samples are too few to choose a cut-off from; record "
@@ -249,8 +248,7 @@ def process(
     uniform, expected = resampled(measurement), 0.0
     piece = measurement if isinstance(measurement, LogPiece) else LogPiece(**vars(measurement))
     if cutoff is None:
-        choice = piece.choice()
-        cutoff, reason, expected = choice.cutoff, choice.reason, choice.acceleration_error
+        cutoff, expected, reason = piece.choice()
     else:
         reason = f"cut-off {cutoff:g} Hz as given"
     low_pass = design_low_pass(cutoff, uniform.rate)

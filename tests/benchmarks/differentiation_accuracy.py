@@ -60,7 +60,7 @@ def main() -> None:
             seen = np.round(q / resolution) * resolution if resolution else q
             steps = encoder_steps(seen[:, None])
             cutoff = (
-                choose_cutoff(spectra_of(seen[:, None], rate, steps)).cutoff if resolution else 10.0
+                choose_cutoff(spectra_of(seen[:, None], rate, steps))[0] if resolution else 10.0
             )
             inner = (time > EDGE) & (time < DURATION - EDGE)
             print(f"{rate:g} Hz, encoder {resolution:g} rad, cut-off {cutoff:.1f} Hz")

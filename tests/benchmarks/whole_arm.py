@@ -178,7 +178,7 @@ def friction() -> None:
             cells = [
                 f"{'**' if taken[joint] == model else ''}{errors[model]:.3f}"
                 f"{'**' if taken[joint] == model else ''}"
-                for joint, errors in answer.chosen.errors.items()
+                for joint, errors in answer.candidates.items()
             ]
             print(f"| {label} | " + " | ".join(cells) + " |")
 

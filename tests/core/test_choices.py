@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -53,7 +54,9 @@ def chosen(plant, robot, more, offered=False, given=None, seed=1, duration=10.0)
     datasets, options = datasets_of(robot, log)
     motors = tuple(neighbours(robot)) if offered else ()
     fitter = fitter_of(robot, datasets, couplings=motors)
-    return choose(fitter, Question(options), given and friction_model(given), motors)
+    model = given and friction_model(given)
+    choice, errors, fit = choose(fitter, Question(options), model, motors)
+    return SimpleNamespace(choice=choice, errors=errors), fit
 
 
 def names(found):

@@ -51,7 +51,7 @@ def test_the_sum_gives_the_estimate_and_the_file_of_all_logs(robot, parts, toget
     assert np.max(off) < 0.02
     assert found.errors.whole.standard_errors == pytest.approx(errors, rel=0.15)
     assert set(found.errors.causes) == set(together.errors.causes)
-    assert found.fit.choice == together.chosen.choice
+    assert found.fit.choice == together.fit.choice
     assert found.file.after.relative_error == pytest.approx(
         together.file.after.relative_error, rel=0.02
     )

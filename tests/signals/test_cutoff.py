@@ -18,8 +18,8 @@ from tests.support.swing import FREQUENCIES, Swing, seconds
 
 
 def chosen(q, rate):
-    """The choice for positions as they were read."""
-    return choose_cutoff(spectra_of(q, rate, encoder_steps(q)))
+    """The cut-off for positions as they were read."""
+    return choose_cutoff(spectra_of(q, rate, encoder_steps(q)))[0]
 
 
 @given(st.integers(0, 2**32), st.sampled_from([200.0, 1000.0]), st.floats(-4.5, -3.0))
@@ -32,7 +32,7 @@ def test_the_noise_of_the_encoder_is_read_off_the_data(seed, rate, magnitude):
     # Over 1500 seeds it scatters by 1.31 / sqrt(N) and is 0.4 % too high; six of the former.
     tolerance = 0.005 + 6.0 * 1.31 / np.sqrt(len(q))
     np.testing.assert_allclose(np.sqrt(spectra.level * rate / 2.0), sigma, rtol=tolerance)
-    assert 1.4 < choose_cutoff(spectra).cutoff < 25.0
+    assert 1.4 < choose_cutoff(spectra)[0] < 25.0
 
 
 def test_quantisation_counts_as_its_own_noise():
@@ -48,16 +48,16 @@ def test_the_cutoff_ignores_the_unit_and_falls_with_the_noise(seed, scale, facto
     rng = np.random.default_rng(seed)
     q = Swing(seed).q(seconds(8.0, 50.0))
     noise = 1e-4 * rng.normal(size=q.shape)
-    first = chosen(q + noise, 50.0).cutoff
-    assert chosen(scale * (q + noise), 50.0).cutoff == pytest.approx(first, rel=1e-9)
-    assert chosen(q + factor * noise, 50.0).cutoff <= first * 1.13
+    first = chosen(q + noise, 50.0)
+    assert chosen(scale * (q + noise), 50.0) == pytest.approx(first, rel=1e-9)
+    assert chosen(q + factor * noise, 50.0) <= first * 1.13
 
 
 def test_a_fast_small_motion_beside_a_slow_large_one_is_kept():
     time = seconds(15.0, 1000.0)
     noise = 1e-5 * np.random.default_rng(0).normal(size=time.shape)
     q = 0.5 * np.sin(0.2 * np.pi * time) + 0.01 * np.sin(10.0 * np.pi * time) + noise
-    assert chosen(q[:, None], 1000.0).cutoff > 12.5
+    assert chosen(q[:, None], 1000.0) > 12.5
 
 
 SCALES = [(1.0, 0.03, 0.01), (0.1, 0.03, 0.01), (0.3, 0.1, 0.003), (0.03, 0.03, 0.03)]
@@ -78,7 +78,7 @@ def read(q, resolution):
 def test_steps_of_a_coarse_encoder_are_not_taken_for_motion(seed, resolution, scale):
     """A joint that creeps over few steps has a spectrum of its own, far above any motion."""
     q = Swing(seed).q(seconds(15.0, 1000.0)) * scale
-    assert chosen(read(q, resolution), 1000.0).cutoff < HIGHEST
+    assert chosen(read(q, resolution), 1000.0) < HIGHEST
 
 
 @pytest.mark.slow
