@@ -82,8 +82,7 @@ def _rehearsal(
     """Return what a recording of the motion at ``rate`` [Hz] would look like, with noise [N m]."""
     if sample_count(plan.duration, rate) > MOST_SAMPLES:
         raise InputError(f"only motions up to {MOST_SAMPLES / rate:.0f} s are processed beforehand")
-    motions = motion_chunks(plan, rate)
-    exact = join_measurements(simulate_inverse(problem.robot, motions))
+    exact = join_measurements(simulate_inverse(problem.robot, motion_chunks(plan, rate)))
     tau = exact.tau.copy()
     noise = np.random.default_rng(0).normal(size=(len(tau), len(problem.rows)))
     tau[:, list(problem.rows)] += sigma * noise

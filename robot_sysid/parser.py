@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -85,12 +86,7 @@ def robot_from_compiled(
         prior=_prior(mj_model, qpos, body),
         friction=JointFriction(mj_model.dof_frictionloss[dofs], mj_model.dof_damping[dofs]),
         links=arm_links(mj_model, qpos, chain),
-        notes=(
-            *compiled.notes,
-            *_keyframe_note(mj_model, rest),
-            *_base_note(mj_model, whole, chain),
-            *_chain_notes(mj_model, chain),
-        ),
+        notes=(*compiled.notes, *_notes(mj_model, rest, whole, chain)),
     )
 
 
@@ -123,16 +119,6 @@ def _keyframe_names(mj_model: Any) -> list[str]:
     return [mj_model.key(index).name or f"#{index}" for index in range(mj_model.nkey)]
 
 
-def _keyframe_note(mj_model: Any, chosen: int | None) -> tuple[str, ...]:
-    """Say which keyframes were passed over where none is called home."""
-    if chosen is not None or mj_model.nkey == 0:
-        return ()
-    return (
-        "the model has several keyframes and none is called home, so the arm starts with all "
-        f"joints at their zero; --keyframe chooses one of {', '.join(_keyframe_names(mj_model))}",
-    )
-
-
 def _prior(mj_model: Any, qpos: Array, body: int) -> InertialParameters:
     theta = composite_theta(mj_model, qpos, body)
     if theta[0] <= 0.0:
@@ -143,30 +129,34 @@ def _prior(mj_model: Any, qpos: Array, body: int) -> InertialParameters:
     return InertialParameters(theta)
 
 
-def _base_note(mj_model: Any, whole: tuple[int, ...], chain: tuple[int, ...]) -> tuple[str, ...]:
+def _notes(
+    mj_model: Any, rest: int | None, whole: tuple[int, ...], chain: tuple[int, ...]
+) -> Iterator[str]:
+    """Yield sentences on what is assumed, and on what the analysis leaves out for this chain."""
+    if rest is None and mj_model.nkey:
+        names = ", ".join(_keyframe_names(mj_model))
+        yield (
+            "the model has several keyframes and none is called home, so the arm starts with all "
+            f"joints at their zero; --keyframe chooses one of {names}"
+        )
     held = ", ".join(joint_label(mj_model, j) for j in whole if j not in chain)
-    return (f"{held} drive a mobile base, which is taken to stand still",) if held else ()
-
-
-def _chain_notes(mj_model: Any, chain: tuple[int, ...]) -> tuple[str, ...]:
-    """Return sentences on what the analysis leaves out for this chain."""
-    notes = []
+    if held:
+        yield f"{held} drive a mobile base, which is taken to stand still"
     of_joints = mj_model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
     partners = np.stack((mj_model.eq_obj1id, mj_model.eq_obj2id))[:, of_joints]
     coupled = [joint_label(mj_model, joint) for joint in chain if joint in partners]
     if coupled:
-        notes.append(
+        yield (
             f"equality constraints on {', '.join(coupled)} are ignored: every chain joint is "
             "taken to be driven by itself"
         )
     if any(_closes_a_loop(mj_model, chain, eq) for eq in range(mj_model.neq)):
-        notes.append(
+        yield (
             "connect or weld constraints on links of the arm are ignored: torques that pass "
             "through a closed loop are not modelled"
         )
     if mj_model.opt.density or mj_model.opt.viscosity:
-        notes.append("the model's air or fluid drag is ignored")
-    return tuple(notes)
+        yield "the model's air or fluid drag is ignored"
 
 
 def _closes_a_loop(mj_model: Any, chain: tuple[int, ...], eq: int) -> bool:

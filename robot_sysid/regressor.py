@@ -124,5 +124,4 @@ def joint_regressor(motion: BodyMotion, joints: Sequence[int]) -> Array:
 
 def joint_torque(motion: BodyMotion, theta: Array) -> Array:
     """Return tau_rest + Y theta (N, n) [N m], without friction, for a terminal link theta (10,)."""
-    rows = joint_regressor(motion, range(motion.tau_rest.shape[1]))
-    return motion.tau_rest + (rows @ theta).T
+    return motion.tau_rest + (joint_regressor(motion, range(motion.tau_rest.shape[1])) @ theta).T

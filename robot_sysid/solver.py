@@ -26,7 +26,6 @@ def identify_parameters(
     """Estimate all parameters; what the data cannot see keeps the prior's value.
 
     Args:
-        information: the data.
         prior: (p,) the model's own values, in the order of ``information.names``.
         method: name of the estimator: "ols" or "wls"; "robust" needs every sample.
         options: physical consistency and prior; None takes the plain estimate.
@@ -71,9 +70,7 @@ def solve(
     """Return (values (p,), whether they are a constrained fit) of whitened equations.
 
     Args:
-        equations: what an estimator hands on.
         prior: (p,) the model's values.
-        options: consistency and prior.
     """
     matrix, right = equations.whitened()
     if options.entropic_weight > 0.0:

@@ -82,8 +82,7 @@ class Answer:
     def pick(self, names: Sequence[str]) -> Array:
         """Return rows (m, k) that pick parameters out of those that were sought."""
         kept = self.fit.unknowns.kept
-        at = np.searchsorted(kept, self.fit.columns.at(names))
-        return np.eye(len(kept))[at]
+        return np.eye(len(kept))[np.searchsorted(kept, self.fit.columns.at(names))]
 
     def body(self, name: str, change: Array, theta: Array, before: Array | None) -> BodyEstimate:
         """Return a body whose parameters are combinations (10, k) of what was sought."""

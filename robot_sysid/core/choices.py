@@ -50,8 +50,7 @@ def choose(
         given: friction terms of every joint, where the user says them.
         offered: couplings that the recordings may decide for.
     """
-    robot = fitter.columns.robot
-    choice = Choice((given or friction_model(CANDIDATES[0]),) * robot.n_joints)
+    choice = Choice((given or friction_model(CANDIDATES[0]),) * fitter.columns.robot.n_joints)
     if fitter.columns.couplings and not offered:
         choice = replace(choice, couplings=fitter.columns.couplings)
     fit = fitter.fit(question, choice, rounds=1)

@@ -200,8 +200,7 @@ class Columns:
 
     def arm_torque(self, point: Point, is_loaded: bool) -> tuple[Equations, Array]:
         """Return equations of the motion alone and the arm's values (q,) in them."""
-        values = self._arm_values(point, is_loaded)
-        return self._equations(self._arm_at(point.gravity)), values
+        return self._equations(self._arm_at(point.gravity)), self._arm_values(point, is_loaded)
 
     def _arm_values(self, point: Point, is_loaded: bool) -> Array:
         values = point.values[: len(self._arm_names)].copy()
@@ -270,8 +269,7 @@ class Columns:
             # that its filter sees.
             tilt = (tilt_columns(arm, thetas, motion.q),) if self._tilts else ()
             common = np.concatenate((zero_columns(arm, thetas, motion), *tilt), axis=-1)
-            columns = _filtered(dataset, point, load), common
-            self._known[number] = key, *columns
+            self._known[number] = key, _filtered(dataset, point, load), common
         return self._known[number][1:]
 
     def _nonlinear(self, dataset: Dataset, point: Point) -> Array:

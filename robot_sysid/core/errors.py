@@ -215,10 +215,8 @@ def _common(fit: Fit) -> float:
 def filtering(fit: Fit) -> Array:
     """Return the sum of all recordings' Y_j^T d_j (joints, p)."""
     point = replace(fit.point, values=fit.values)
-    delayed = [each.delayed(point.delay) for each in fit.columns.datasets]
-    pairs = zip(delayed, fit.samples)
-    found = [filtering_bias(fit.columns, point, each, rows) for each, rows in pairs]
-    return np.sum(found, axis=0)
+    pairs = zip([each.delayed(point.delay) for each in fit.columns.datasets], fit.samples)
+    return np.sum([filtering_bias(fit.columns, point, each, rows) for each, rows in pairs], axis=0)
 
 
 def filtering_bias(

@@ -67,8 +67,7 @@ class Evidence:
 
 def evidence(samples: Sequence[DecimatedSamples], torque: Array) -> Evidence:
     """Return what the rows of all recordings say, the same stretches of each together."""
-    parts = [[log.where(mask) for mask in block_masks(log)] for log in samples]
-    same = list(zip(*parts))
+    same = list(zip(*[[log.where(mask) for mask in block_masks(log)] for log in samples]))
     blocks = tuple(combined([each.information() for each in part]) for part in same)
     squares = [np.sum([each.squared_torque() for each in part], axis=0) for part in same]
     return Evidence(blocks, np.array(squares), torque)

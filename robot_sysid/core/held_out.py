@@ -87,8 +87,7 @@ class HeldOut:
                 held = np.delete(rest[:, :-1], kept, 1) @ np.delete(sought.held, kept)
                 own = np.column_stack((rest[:, kept], rest[:, -1] - held))
                 rows = np.vstack((own, _prior_rows(sought)))
-                found = ConsistentLinks(rows[:, :-1], rows[:, -1], problem).best()
-                values = sought.full(found)
+                values = sought.full(ConsistentLinks(rows[:, :-1], rows[:, -1], problem).best())
             errors.append(self.data.blocks[number].squared_residuals(values))
         return np.array(errors)
 

@@ -83,8 +83,7 @@ def filtered(
         at = each.spread(CHECKPOINTS)
         torque = ArmTorque(robot)(each.motion(at))
         against = sign_check(each.tau[at], torque, robot.joint_names)
-        notes = (*told.get(piece.name, ()), *each.notes, *against)
-        told[piece.name] = tuple(dict.fromkeys(notes))
+        told[piece.name] = tuple(dict.fromkeys((*told.get(piece.name, ()), *each.notes, *against)))
     return found, tuple(shared_notes(told))
 
 
@@ -205,5 +204,4 @@ def tested(fit: Fit, datasets: Sequence[Dataset], source: str) -> Validation:
     if not np.any(counts):
         raise InputError(f"no usable torque samples to validate on in {source}")
     wrong, squares = part.squared_residuals(fit.values), JoinedSamples(samples).squared_torque()
-    joints = [joint.joint for joint in part.joints]
-    return validation_of(joints, wrong, squares, counts, source)
+    return validation_of([joint.joint for joint in part.joints], wrong, squares, counts, source)

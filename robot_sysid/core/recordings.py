@@ -139,8 +139,7 @@ def each_recording(fit: Fit, flange: Flange, stretch: float) -> tuple[OneRecordi
             mass = float(theta[0])
             com = theta[1:4] / mass if mass else np.full(3, np.nan)
             error = float(np.hypot(rest, noise))
-            name = recordings[k].name
-            found.append(OneRecording(name, kind, mass, com, float(noise), error))
+            found.append(OneRecording(recordings[k].name, kind, mass, com, float(noise), error))
     return tuple(found)
 
 
@@ -207,8 +206,7 @@ def _summed(
         joints = []
         for joint in part.joints:
             triangle = np.zeros((len(names) + 1, len(names) + 1))
-            size = len(joint.triangle)
-            triangle[:size, np.append(joint.columns, len(names))] = joint.triangle
+            triangle[: len(joint.triangle), np.append(joint.columns, len(names))] = joint.triangle
             joints.append(
                 replace(joint, columns=np.arange(len(names), dtype=np.int64), triangle=triangle)
             )

@@ -123,8 +123,7 @@ def _file_verdict(answer: Answer) -> verdict.Finding | None:
     """Return how the written file predicts beside the one before; None where none is asked for."""
     if answer.file is None:
         return None
-    noise = verdict.noise_share(answer.fit)
-    return verdict.of_file(answer.file.before, answer.file.after, noise)
+    return verdict.of_file(answer.file.before, answer.file.after, verdict.noise_share(answer.fit))
 
 
 def about(robot: RobotModel) -> dict[str, Any]:
@@ -226,8 +225,7 @@ def payload_of(
     """
     known, robot = answer.fit.question.known_mass, answer.robot
     free = _payload(weighed, flange, weighed.fit.free)
-    misfit = contradictions(weighed.fit)
-    found = list(verdict.of_payload(robot, free, misfit, weighed.validation))
+    found = list(verdict.of_payload(robot, free, contradictions(weighed.fit), weighed.validation))
     if known is not None:
         found = list(verdict.of_known_mass(found, free.inertial.mass, known))
     status, reasons = verdict.first(found, Verdict.OK)

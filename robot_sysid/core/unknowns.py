@@ -211,8 +211,7 @@ def _terms(columns: Columns, choice: Choice) -> Iterator[tuple[str, set[str]]]:
     names = columns.robot.joint_names
     own = dict(zip(names, choice.friction))
     for joint in columns.joints:
-        speeds = {f"{term}_speed" for term in own[joint].bent}
-        yield joint, {*own[joint].terms, *speeds}
+        yield joint, {*own[joint].terms, *{f"{term}_speed" for term in own[joint].bent}}
     for motor in choice.couplings:
         turned = [own[names[k]] for k in np.flatnonzero(motor.ratios)]
         inside = {name.partition("[")[0] for name in motor.parameter_names}

@@ -136,8 +136,7 @@ def implausible_link(robot: RobotModel, link: BodyEstimate) -> Iterator[Finding]
 
 def implausible_links(robot: RobotModel, thetas: Array) -> Iterator[Finding]:
     """Yield what none of the other links (n, 10) of this arm can be like."""
-    usual = usual_bodies(robot)
-    typical = float(np.median([body[0] for body in usual.values()]))
+    typical = float(np.median([body[0] for body in usual_bodies(robot).values()]))
     for index, (link, theta) in enumerate(zip(robot.links[:-1], thetas)):
         if not link.has_mass or link.theta[0] < PLACEHOLDER * typical:
             continue

@@ -136,8 +136,6 @@ def collect_residuals(
     """Return each joint's sums, from one pass.
 
     Args:
-        information: what the samples are equations of.
-        samples: the equations, sample by sample.
         values: (p,) the estimate.
         clip: (joints,) residuals beyond this are cut to it [N m].
         root: (p, r) with C = root root^T.

@@ -112,8 +112,7 @@ class ScaledCone:
         Matrices are not compared with each other: their weights differ.
         """
         roots = [np.linalg.cholesky(self._here() + change) for change in (primal, dual)]
-        both = _transposed(roots[0]) @ roots[1]
-        products = np.linalg.svd(both, compute_uv=False) ** 2
+        products = np.linalg.svd(_transposed(roots[0]) @ roots[1], compute_uv=False) ** 2
         return float(np.min(products / np.mean(products, axis=1, keepdims=True)))
 
     def moved(self, change: Array) -> Array:

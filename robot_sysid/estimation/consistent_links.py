@@ -90,7 +90,6 @@ class ConsistentLinks:
     Args:
         matrix: (M, p) A, residuals of unit variance.
         right: (M,) b.
-        problem: what is known beside the data.
     """
 
     def __init__(self, matrix: Array, right: Array, problem: LinksProblem) -> None:

@@ -57,8 +57,7 @@ class VisibleSpace:
     @property
     def identified(self) -> tuple[bool, ...]:
         """Per parameter, whether no invisible direction contains it."""
-        hidden = np.linalg.norm(self.null, axis=1)
-        return tuple(bool(h < _COMPONENT_TOLERANCE) for h in hidden)
+        return tuple(bool(h < _COMPONENT_TOLERANCE) for h in np.linalg.norm(self.null, axis=1))
 
     def solve(self, right_hand_side: Array) -> Array:
         """Return the minimum-norm least-squares solution (p,) for a (M,) right-hand side."""
@@ -121,8 +120,7 @@ def analyse_identifiability(information: SquareRootInformation) -> Identifiabili
     shown = np.where(space.zero, 0.0, matrix)
     length = np.where(space.zero, 1.0, np.linalg.norm(matrix, axis=0))
     singular = np.linalg.svd((shown * space.scale)[:, ~interest], compute_uv=False)
-    largest = np.max(space.singular, initial=0.0)
-    hidden = int(np.count_nonzero(singular > RELATIVE_CUT * largest))
+    hidden = int(np.count_nonzero(singular > RELATIVE_CUT * np.max(space.singular, initial=0.0)))
     return Identifiability(
         rank=space.rank - hidden,
         n_parameters=int(np.count_nonzero(interest)),

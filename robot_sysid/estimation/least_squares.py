@@ -85,8 +85,7 @@ class _Normal:
 
     def __init__(self, information: SquareRootInformation, prior: Array) -> None:
         assert information.prior is not None
-        size = np.arange(len(information.names))
-        known = (np.append(size, -1), information.prior)
+        known = (np.append(np.arange(len(information.names)), -1), information.prior)
         parts = [(np.append(joint.columns, -1), joint.triangle) for joint in information.joints]
         self._parts = [(columns, rows.T @ rows) for columns, rows in (*parts, known)]
         self._prior = prior

@@ -76,8 +76,7 @@ class NuisanceGroup:
 
     def deviations(self, names: Sequence[str], values: Array) -> Array:
         """Return (k,) by how many prior standard deviations, not widened, each direction is off."""
-        off = values[self.places(names)] - self.mean
-        return np.asarray(np.linalg.solve(self.factor, off))
+        return np.asarray(np.linalg.solve(self.factor, values[self.places(names)] - self.mean))
 
 
 def with_prior(

@@ -82,8 +82,7 @@ def _reweigh(
         noise[index] = _MEDIAN_TO_SIGMA * _binned_median(size, max(rms[index], floor))
         root = np.sqrt(np.minimum(1.0, clip[index] / np.maximum(size, floor)))
         accumulator.add(index, root[:, None] * rows, root * tau)
-    reweighed = replace(accumulator.result(), prior=information.prior)
-    return reweighed, np.maximum(noise, floor)
+    return replace(accumulator.result(), prior=information.prior), np.maximum(noise, floor)
 
 
 def _binned_median(numbers: Array, scale: float) -> float:

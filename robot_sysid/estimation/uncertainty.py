@@ -143,8 +143,7 @@ def _fit_kernels(
         own = weight**2 * inverse[at]
         leaked = 0.0
         if np.any(score):
-            kernel = joint.fit(own, 0.0)
-            mine = own @ np.tensordot(kernel, joint.sums, axes=1) @ own
+            mine = own @ np.tensordot(joint.fit(own, 0.0), joint.sums, axes=1) @ own
             leaked = float(np.sum((spread[at] - mine) * joint.sums[0])) / max(joint.count, 1)
         found.append(joint.fit(own, max(leaked, 0.0)))
     return found

@@ -91,13 +91,11 @@ def refuse_overwriting(read: Iterable[Path | None], written: Iterable[tuple[str,
     for what, path in written:
         place = _from_root(os.path.realpath, path)
         if place in taken:
-            there = taken[place]
-            raise InputError(f"{what} would overwrite {there}: {path}; choose another name")
+            raise InputError(f"{what} would overwrite {taken[place]}: {path}; choose another name")
         taken[place] = f"what {what} writes"
 
 
 def _from_root(function: Callable[[Path], Place], path: Path) -> Place:
-    """Return a path in full."""
     try:
         return function(path)
     except FileNotFoundError:

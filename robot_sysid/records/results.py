@@ -230,8 +230,7 @@ class RolloutError:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "before", checked_array(self.before, (None,), "before"))
-        size = (len(self.before),)
-        object.__setattr__(self, "after", checked_array(self.after, size, "after"))
+        object.__setattr__(self, "after", checked_array(self.after, (len(self.before),), "after"))
 
     @property
     def overall(self) -> tuple[float, float]:

@@ -245,8 +245,7 @@ def first_servos(robot: RobotModel, q: Array, period: float, moves: NDArray[np.b
     )
     free = np.append(np.tile(moves, 4), True)
     # From zero the search would hardly get away.
-    away = np.maximum(start.vector(), 0.1 * size.vector() * free)
-    return Scale(Servos.of(away), size, free)
+    return Scale(Servos.of(np.maximum(start.vector(), 0.1 * size.vector() * free)), size, free)
 
 
 def _gravity_and_inertia(robot: RobotModel, q: Array) -> tuple[Array, Array]:

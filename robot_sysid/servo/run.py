@@ -265,8 +265,7 @@ def identify_servos(
     progress.stage("Searching for servos, friction and rotor inertia...")
     problem = search.problem_of(robot, fitted, MOST_WINDOWS)
     fit = search.fit_servos(problem, search.better_start(problem, start), progress)
-    pair = _before(robot, fit.servos), fit.servos
-    rollout = search.play_servos(robot, held, pair, words)
+    rollout = search.play_servos(robot, held, (_before(robot, fit.servos), fit.servos), words)
     if other is None:
         # What was held out has done its work; the numbers come from all that was recorded.
         problem = search.problem_of(robot, pieces, MOST_WINDOWS)

@@ -54,8 +54,7 @@ def resting_poses(
     if len(blind) == len(joint_names):
         raise InputError("no joint approaches its poses from both sides; --static needs that")
     still = np.zeros_like(q)
-    poses = Measurement(time[:-1][again, 0], q, still, np.nan_to_num(tau), still)
-    return poses, np.isfinite(tau)
+    return Measurement(time[:-1][again, 0], q, still, np.nan_to_num(tau), still), np.isfinite(tau)
 
 
 def _rests(samples: Measurement) -> Iterator[Array]:

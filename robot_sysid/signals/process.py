@@ -341,7 +341,6 @@ def _exact_enough(
 
 
 def _needed(low_pass: LowPass) -> int:
-    """Return how many samples a log must have."""
     return 4 * low_pass.half_width + 2 * REACH + 10 * low_pass.step
 
 

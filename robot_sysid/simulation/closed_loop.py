@@ -202,9 +202,7 @@ class PlantSimulation:
     def notes(self, deadband: PerJoint | None = None) -> tuple[str, ...]:
         """Return what the last reading showed, one sentence each; ask once it is at its end.
 
-        Args:
-            deadband: speed below which samples are going to be left out [rad/s]; None stands for
-                the usual share of each joint's highest speed.
+        The ``deadband`` is that of ``RampUse.sentences``.
         """
         return () if self._loop is None else self._loop.notes(deadband)
 

@@ -143,11 +143,10 @@ def test_readings_that_are_held_for_several_rows_cost_only_their_own_rate(held):
     """A controller's log at 1 kHz of positions that come at 125 or 250 Hz."""
     time = np.arange(15000) / 1000.0
     q = np.column_stack([np.sin(2.0 * np.pi * f * time) for f in (0.2, 0.5, 0.9)])
-    fine = chosen(q, 1000.0)
     rows = q[held * (np.arange(len(q)) // held)]
-    slow = chosen(rows, 1000.0)
-    assert slow.acceleration_error < 1e-2
-    assert 0.5 * fine.cutoff < slow.cutoff < 1.5 * fine.cutoff
+    slow, error, _ = choose_cutoff(spectra_of(rows, 1000.0, encoder_steps(rows)))
+    assert error < 1e-2
+    assert 0.5 * chosen(q, 1000.0) < slow < 1.5 * chosen(q, 1000.0)
 
 
 @given(st.integers(0, 2**32), st.floats(-5.0, -3.5))

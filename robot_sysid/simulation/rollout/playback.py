@@ -81,12 +81,9 @@ def roll(robot: RobotModel, models: Sequence[Any], inputs: Inputs) -> Array:
     size = mujoco.mj_stateSize(models[0], _FULL) + mujoco.mj_stateSize(models[0], _INPUTS)
     most = max(1, MOST_NUMBERS // max(1, size * steps))
     played = _threaded if _has_threads() else _stepped
-    parts = []
+    parts = [slice(first, first + most) for first in range(0, count, most)]
     with captured_warnings():
-        for first in range(0, count, most):
-            rows = slice(first, first + most)
-            parts.append(played(robot, models[rows], inputs.part(rows)))
-    q = np.concatenate(parts)
+        q = np.concatenate([played(robot, models[rows], inputs.part(rows)) for rows in parts])
     q[np.logical_or.accumulate(~np.all(np.isfinite(q), axis=2), axis=1)] = np.nan
     return q
 
@@ -179,8 +176,7 @@ def stated_servo(robots: Sequence[RobotModel], pieces: Sequence[Measurement]) ->
         plant = ForwardPlant(robot, STEP, q[:1])
         for each in q:
             plant.reset(each, np.zeros_like(each))
-            units = np.eye(len(each))
-            mass = np.array([plant.times_mass(unit) @ unit for unit in units])
+            mass = np.array([plant.times_mass(unit) @ unit for unit in np.eye(len(each))])
             largest = np.maximum(largest, mass)
     rate = 2.0 * np.pi * SERVO_RATE
     return Servo(largest * rate**2, 2.0 * largest * rate)

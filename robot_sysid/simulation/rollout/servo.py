@@ -144,8 +144,7 @@ def servo_copy(robot: RobotModel, servos: Servos, timestep: float) -> Any:
     limit = actuators.limit[driven]
     model.actuator_forcelimited[at] = np.isfinite(limit)
     model.actuator_forcerange[at] = np.column_stack((-limit, limit))
-    joints = _joints(robot)[~driven]
-    model.jnt_stiffness[joints] += servos.stiffness[~driven]
+    model.jnt_stiffness[_joints(robot)[~driven]] += servos.stiffness[~driven]
     return model
 
 
@@ -201,7 +200,6 @@ def played_servos(
     rest = np.array(robot.mj_model.qpos_spring[robot.qpos_index])
     gains = np.stack([servos.stiffness * ~driven for servos, _ in pairs])
     torque = gains[:, None] * (control - rest)
-    repeated = [model for model in models for _ in windows]
-    found = roll(robot, repeated, Inputs(q, qd, torque, given))
+    found = roll(robot, [model for model in models for _ in windows], Inputs(q, qd, torque, given))
     whole = np.concatenate((q[:, None], found), axis=1)
     return whole.reshape(len(choices), len(windows), steps + 1, joints)
