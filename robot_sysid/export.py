@@ -184,8 +184,7 @@ def remove_earlier(
         inputs: what it reads, which stays.
     """
     kept = {os.path.realpath(path) for path in (*written, *inputs)}
-    names = (*RESULT_NAMES, _REPORT_DATA)
-    stale = [folder / name for name in names if (folder / name).is_file()]
+    stale = [folder / name for name in (*RESULT_NAMES, _REPORT_DATA) if (folder / name).is_file()]
     stale = [path for path in stale if os.path.realpath(path) not in kept]
     for path in stale:
         files.remove(path)

@@ -79,8 +79,7 @@ class PlanOutcome:
 
     def report_lines(self, verbose: bool) -> list[str]:
         """Return what the command line prints at the end."""
-        written = [f"Trajectory saved to {path}" for path in self.files]
-        return [*self.lines, *self.damiao, *written]
+        return [*self.lines, *self.damiao, *(f"Trajectory saved to {path}" for path in self.files)]
 
 
 @dataclass(frozen=True)
@@ -282,8 +281,7 @@ def _of_itself(
 
         simulated = simulate_inverse(robot, motion_chunks(plan, rate))
         write_measurement_csv(save_to, robot.joint_names, simulated)
-    checkpoints = plan.evaluate(np.linspace(0.0, plan.duration, CHECKPOINTS))
-    return Analysis(result, checkpoints, traces)
+    return Analysis(result, plan.evaluate(np.linspace(0.0, plan.duration, CHECKPOINTS)), traces)
 
 
 def _of_plant(
@@ -432,7 +430,6 @@ def written(
         result = replace(result, rollout=_played(config, robot, analysis))
         refused = refusal(result.rollout, config.log.accept)
     read = (*config.log.measurements, config.log.validation_measurements)
-    inputs = [Path(path) for path in read if path is not None]
     saved = save(
         result,
         robot,
@@ -441,7 +438,7 @@ def written(
         mesh_dir=mesh_dir,
         motor_file=motor_file,
         refused=refused,
-        inputs=inputs,
+        inputs=[Path(path) for path in read if path is not None],
     )
     for note in saved.notes:
         progress.note(note)

@@ -64,8 +64,7 @@ def as_log(log: Log) -> Any:
 
 def as_logs(logs: Any) -> tuple[Any, ...]:
     """Return one log or several as a tuple, each by ``as_log``."""
-    several = isinstance(logs, (list, tuple))
-    return tuple(as_log(log) for log in (logs if several else (logs,)))
+    return tuple(as_log(log) for log in (logs if isinstance(logs, (list, tuple)) else (logs,)))
 
 
 Model = Union[str, "os.PathLike[str]"]

@@ -56,8 +56,7 @@ def main(arguments: Sequence[str]) -> int:
 
     folders = tuple(values["folders"])
     destination = page.output_dir or folders[0]
-    mesh_dir = values.get("mesh_dir")
-    written = write_report(folders, destination, mesh_dir, plots=page.plots)
+    written = write_report(folders, destination, values.get("mesh_dir"), plots=page.plots)
     console.lines(f"Written: {path}" for path in written[:1])
     if len(written) > 1:
         console.stage(f"Written: {len(written) - 1} figures in {written[-1].parent}")
@@ -98,8 +97,7 @@ def report_of(
             return None
         console.stage("Drawing the report...")
         page, plots = output.report, output.plots
-        folders = (output.output_dir,)
-        written = write_report(folders, output.output_dir, mesh_dir, page, plots)
+        written = write_report((output.output_dir,), output.output_dir, mesh_dir, page, plots)
     except Exception as error:  # the run is done, and what it found must stand
         cause = str(error) if isinstance(error, SysidError) else f"{type(error).__name__}: {error}"
         if not wanted:

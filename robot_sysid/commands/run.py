@@ -141,8 +141,7 @@ def told(
     if output.bundle:
         from robot_sysid.results.bundle import write_bundle
 
-        models = [path for path in outcome.files if path.name in MODEL_NAMES.values()]
-        for model in models:
+        for model in [path for path in outcome.files if path.name in MODEL_NAMES.values()]:
             console.stage(f"Bundle saved to {write_bundle(model, output.output_dir)}")
     if failure:
         raise SysidError(failure)

@@ -266,8 +266,7 @@ def scan_trajectory(trajectory: DamiaoTrajectory) -> TrajectoryScan:
         if samples == 0:
             start, first, first_speed = time[0], q[0], qd[0]
         steps = np.diff(q, axis=0, prepend=last_q) / np.diff(time, prepend=last_time)[:, None]
-        largest = [np.abs(x).max(axis=0, initial=0.0) for x in (qd, tau, steps)]
-        peaks = np.maximum(peaks, largest)
+        peaks = np.maximum(peaks, [np.abs(x).max(axis=0, initial=0.0) for x in (qd, tau, steps)])
         lowest, highest = np.minimum(lowest, q.min(axis=0)), np.maximum(highest, q.max(axis=0))
         columns.add(time, q, qd)
         samples += len(time)
@@ -276,8 +275,7 @@ def scan_trajectory(trajectory: DamiaoTrajectory) -> TrajectoryScan:
         raise InputError(f"{trajectory.path} needs at least two rows to be played")
     end_velocity = np.maximum(np.abs(first_speed), np.abs(last_speed))
     extremes = np.asarray(lowest), np.asarray(highest), peaks[0], peaks[1], peaks[2]
-    duration = last_time[0] - start
-    return TrajectoryScan(duration, first, end_velocity, *extremes, columns.mismatch)
+    return TrajectoryScan(last_time[0] - start, first, end_velocity, *extremes, columns.mismatch)
 
 
 class ClampTally:

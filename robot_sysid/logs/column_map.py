@@ -259,8 +259,7 @@ def recognise_columns(
     Raises:
         InputError: a quantity is missing, has two candidates, or contradicts the declared units.
     """
-    plain = [read_title(title) for title in titles]
-    parsed = with_meaning(plain, joint_names, currents, commanded)
+    parsed = with_meaning([read_title(title) for title in titles], joint_names, currents, commanded)
     # What the file names in full need not be recognised, and cannot be ambiguous.
     settled = {k for k, c in chosen.columns.items() if len(c) == len(joint_names)}
     readable = [t if joint_kind(t) not in settled else read_title("") for t in parsed]

@@ -285,8 +285,7 @@ def _by_name(titles: Sequence[Title], joint_names: Sequence[str]) -> Found:
 
 def _rests(title: Title, joint_names: Sequence[str]) -> Iterator[tuple[int, Title]]:
     """Yield (joint, rest of a title that carries its name), by the longest spellings first."""
-    written = sorted(enumerate(joint_names), key=lambda pair: -len(pair[1]))
-    for joint, name in written:
+    for joint, name in sorted(enumerate(joint_names), key=lambda pair: -len(pair[1])):
         if rest := without_written_name(title, name):
             yield joint, rest
     for joint, name in _aliases(tuple(joint_names)):

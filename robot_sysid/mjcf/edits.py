@@ -131,11 +131,9 @@ class Edits:
             if self._must_inline(included):
                 inner, edits = included.spans[0], self._all_edits(included)
                 ends = inner.inner_start, inner.inner_end
-                text = apply_edits(included.text, edits, *ends).strip()
-                yield Edit(span.start, span.end, text)
+                yield Edit(span.start, span.end, apply_edits(included.text, edits, *ends).strip())
             else:
-                name = reference(included.path, self.folder)
-                yield set_attribute(file.text, span, "file", name)
+                yield set_attribute(file.text, span, "file", reference(included.path, self.folder))
 
     def _must_inline(self, file: SourceFile) -> bool:
         return file.path in {*self.inlined, *self._edits} or any(

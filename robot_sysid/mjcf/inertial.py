@@ -76,8 +76,7 @@ def write_inertial(edits: Edits, body: Node, inertial: str) -> None:
         return
     text, span = body.file.text, body.span
     indent = line_break(text) + indentation(text, span.start) + b"  "
-    before = b"" if span.is_empty_tag else indent
-    edits.insert(body, before + inertial.encode())
+    edits.insert(body, (b"" if span.is_empty_tag else indent) + inertial.encode())
 
 
 def comment_text(what: str, rmse: float, addition: str | None) -> str:

@@ -234,8 +234,7 @@ def _write_urdf(edits: Edits, node: Node, change: JointChange) -> None:
             edits.set(old, name, value)
     elif values:
         attributes = "".join(f' {name}="{value}"' for name, value in values.items())
-        new = f"<dynamics{attributes}/>"
-        edits.append(node, new)
+        edits.append(node, f"<dynamics{attributes}/>")
 
 
 def find_joint(document: ModelDocument, label: str) -> Node:

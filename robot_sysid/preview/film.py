@@ -142,7 +142,6 @@ def _play_once(robot: RobotModel, shown: Shown, data: Any, window: Any) -> None:
             mujoco.mj_forward(robot.mj_model, data)
             if shown.ghost is not None and window.user_scn is not None:
                 window.user_scn.ngeom = 0
-                ghost = at_times(now, shown.time, shown.ghost)
-                add_ghost(robot, ghost, GHOST, window.user_scn)
+                add_ghost(robot, at_times(now, shown.time, shown.ghost), GHOST, window.user_scn)
         window.sync()
         time.sleep(0.01)

@@ -117,8 +117,7 @@ def _shares(signals: Iterable[Array], limits: Iterable[Array]) -> Iterator[Strip
 
 def at_times(at: Array | float, time: Array, values: Array, outside: float | None = None) -> Array:
     """Return values (N, n) at times (N,) at other times (M,) or one, ``outside`` beyond them."""
-    columns = [np.interp(at, time, column, outside, outside) for column in values.T]
-    return np.stack(columns, axis=-1)
+    return np.stack([np.interp(at, time, column, outside, outside) for column in values.T], axis=-1)
 
 
 def _beside(motion: Motion, log: Measurement, joints: tuple[str, ...]) -> tuple[Array, str]:

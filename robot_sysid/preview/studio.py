@@ -116,8 +116,7 @@ class Studio:
         geoms = moving[self._model.geom_bodyid] & (self._model.geom_rbound > 0.0)
         centres = self.data.geom_xpos[geoms]
         radii = self._model.geom_rbound[geoms][:, None]
-        own = self.data.xpos[ids]
-        return np.concatenate((own, centres - radii, centres + radii))
+        return np.concatenate((self.data.xpos[ids], centres - radii, centres + radii))
 
     def glass(self, opacity: float) -> None:
         """Make what is in the picture so far transparent, floor and wall apart."""
@@ -141,8 +140,7 @@ class Studio:
         dot = (*colour[:3], 1.0)
         self._add(mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, 0.008), place, np.eye(3), dot)
         if possible:
-            half = np.sqrt(squares)
-            self._add(mujoco.mjtGeom.mjGEOM_ELLIPSOID, half, place, turn @ axes, colour)
+            self._add(mujoco.mjtGeom.mjGEOM_ELLIPSOID, np.sqrt(squares), place, turn @ axes, colour)
         return possible
 
     def _add(self, kind: Any, size: Array, place: Array, turn: Array, colour: Colour) -> None:
@@ -157,8 +155,7 @@ class Studio:
         """Add a shape that reaches from one place (3,) to another one, if they differ."""
         if np.any(start != end) and self.scene.ngeom < self.scene.maxgeom:
             self._add(kind, np.ones(3), start, np.eye(3), colour)
-            geom = self.scene.geoms[self.scene.ngeom - 1]
-            mujoco.mjv_connector(geom, kind, width, start, end)
+            mujoco.mjv_connector(self.scene.geoms[self.scene.ngeom - 1], kind, width, start, end)
 
     def _add_wall(self) -> None:
         """Close the view with a white wall; MuJoCo's own background is black."""

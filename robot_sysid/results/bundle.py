@@ -92,8 +92,7 @@ def _bundled(model: Path, folder: str, earlier: Path | None) -> tuple[bytes, dic
             "--bundle: the model attaches other model files (<model file=...>), which a bundle "
             "cannot hold; send the folders as they are"
         )
-    paths = (asset.path for asset in assets if asset.path is not None)
-    names = _names(paths, folder, earlier)
+    names = _names((asset.path for asset in assets if asset.path is not None), folder, earlier)
     return bundled_text(document, names), names
 
 

@@ -150,8 +150,7 @@ def _joint_changes(
         armature, damping, coulomb = (values.get(term) for term in _IN_MJCF)
         words = ", ".join(_words(term, figure) for term, figure in terms.items())
         offset = values.get("offset")
-        change = JointChange(joint, armature, damping, coulomb, polynomial, offset, words)
-        changes.append(change)
+        changes.append(JointChange(joint, armature, damping, coulomb, polynomial, offset, words))
     return tuple(changes)
 
 
@@ -202,8 +201,7 @@ def _body_changes(
             )
         plan = plan_write_back(thetas[k], parts, bound, most_inflated(errors[k]))
         held[k] = plan.written(thetas[k])
-        comment = "; ".join(words[k]) or None
-        changes.append(BodyChange(link.body_name, link.body_id, plan, comment))
+        changes.append(BodyChange(link.body_name, link.body_id, plan, "; ".join(words[k]) or None))
         changes += _scaled(robot, plan)
     return tuple(changes), held
 

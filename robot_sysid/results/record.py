@@ -125,8 +125,7 @@ class BodyEstimate:
     @property
     def errors(self) -> Array:
         """Standard errors (10,), all causes together; infinite where nothing shows a parameter."""
-        spread = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-        return np.where(self.shown, spread, np.inf)
+        return np.where(self.shown, np.sqrt(np.maximum(np.diag(self.covariance), 0.0)), np.inf)
 
 
 @dataclass(frozen=True)

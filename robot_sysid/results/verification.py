@@ -113,8 +113,7 @@ def _asked(original: Any, change: ModelChange) -> Iterator[_Asked]:
 
 
 def _of_joint(original: Any, change: JointChange) -> Iterator[_Asked]:
-    labels = [joint_label(original, joint) for joint in range(original.njnt)]
-    joint = labels.index(change.label)
+    joint = [joint_label(original, joint) for joint in range(original.njnt)].index(change.label)
     dof, rest = int(original.jnt_dofadr[joint]), int(original.jnt_qposadr[joint])
     owner = f"joint '{change.label}'"
     for name, value in change.numbers.items():

@@ -198,9 +198,8 @@ def build_parser(command: str, full: bool = True) -> Parser:
     parser = Parser(f"motors {command}", usage, description, shown, codes=_CODES)
     if command in _PLAYED:
         nargs = "?" if command == "check" else None
-        help_file = "damiao_trajectory.csv"
         parser.add_argument(
-            "trajectory", metavar="TRAJECTORY", type=Path, help=help_file, nargs=nargs
+            "trajectory", metavar="TRAJECTORY", type=Path, help="damiao_trajectory.csv", nargs=nargs
         )
     if command in (*_PLAYED, "map"):
         _add_arm(parser, command)
@@ -258,8 +257,7 @@ def _play_on(
     if choices.dry_run:
         return _verdict(checks, console)
     preflight.require_no_stop(checks, "not played")
-    read = (plan.trajectory.path, asked.values.get("model"))
-    plan.recording.require_free(*filter(None, read))
+    plan.recording.require_free(*filter(None, (plan.trajectory.path, asked.values.get("model"))))
     if not choices.yes:
         _ask_for_confirmation()
         # The arm may have moved or been touched in the meantime.

@@ -61,8 +61,7 @@ def setup(asked: Asked) -> int:
         inspection = inspect_bus(link)
         asked.console.lines(motor_table(inspection))
         if options.changes:
-            motor = _only(inspection, options)
-            for line in MotorSetup(link, motor).apply(options, _sure):
+            for line in MotorSetup(link, _only(inspection, options)).apply(options, _sure):
                 asked.console.stage(line)
         return 0 if inspection.motors else 1
 

@@ -67,8 +67,7 @@ def run(
             recorder = stack.enter_context(_recorder(link, plan, motors, written))
             if plan.allowed.watchdog is not None:
                 client, seconds = asked.RegisterClient(link), plan.allowed.watchdog
-                watchdogs = asked.watchdogs_set_to(client, motors, seconds, session.is_off)
-                stack.enter_context(watchdogs)
+                stack.enter_context(asked.watchdogs_set_to(client, motors, seconds, session.is_off))
             stack.enter_context(session)
             player = Player(session, settings, stop, recorder, *told, park, check)
             sampler = TrajectorySampler(plan.trajectory, settings.speed)

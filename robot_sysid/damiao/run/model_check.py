@@ -98,13 +98,12 @@ def _joint_excesses(robot: RobotModel, motion: SampledTrajectory) -> Iterator[st
     own, shown = robot.limits, np.zeros_like(motion.qd)
     # Up to the next row, if the positions show more than the velocities say.
     shown[:-1] = np.abs(motion.slope) - _PRINTED / np.diff(motion.time)[:, None]
-    compared = (
+    for what, sign, values, limits in (
         ("position", 1.0, motion.q, own.upper),
         ("position", -1.0, motion.q, own.lower),
         ("velocity", 1.0, np.maximum(np.abs(motion.qd), shown), own.velocity),
         ("torque", 1.0, np.abs(motion.tau), own.torque),
-    )
-    for what, sign, values, limits in compared:
+    ):
         for j, row in enumerate(np.argmax(sign * values, axis=0)):
             value, limit = values[row, j], limits[j]
             if sign * value > sign * limit + _ROUNDING * max(abs(limit), 1.0):
@@ -121,8 +120,7 @@ def _unit(what: str, robot: RobotModel, joint: int) -> str:
 
 def _contact(robot: RobotModel, motion: MotionPlan) -> Iterator[tuple[str, float]]:
     """Yield which bodies touch first on the way, and when [s], if any do."""
-    problem = build_problem(robot, LimitOptions(clearance=0.0))
-    touched = first_contact(problem, motion)
+    touched = first_contact(build_problem(robot, LimitOptions(clearance=0.0)), motion)
     if touched is not None:
         yield touched.label, touched.time
 

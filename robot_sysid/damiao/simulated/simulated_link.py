@@ -55,8 +55,7 @@ class SimulatedLink:
         if self._echo:
             self._echoes.append(frame._replace(time=end, echo=True))
         for reply in self.arm.handle(frame, end):
-            ready = end + _TURNAROUND
-            heapq.heappush(self._replies, (ready, reply.id, next(self._order), reply))
+            heapq.heappush(self._replies, (end + _TURNAROUND, reply.id, next(self._order), reply))
 
     def receive(self, until: float) -> Frame | None:
         """Return the next frame that is through by ``until`` [s], or None at that time."""

@@ -243,8 +243,7 @@ def lerobot_table(asked: Asked) -> LogTable | None:
             "robots an observation whose names end in .torque"
         )
     present = [name for name in titles if titles[name]]
-    columns = ["timestamp", "episode_index", *present]
-    frames = _frames(path, columns)
+    frames = _frames(path, ["timestamp", "episode_index", *present])
     wanted = _wanted(path, asked.options.episode, frames["episode_index"])
     cells = np.column_stack([frames["timestamp"], *(frames[name] for name in present)])
     pieces = tuple(cells[frames["episode_index"] == episode] for episode in wanted)

@@ -53,10 +53,9 @@ def _joint_state(message: Any) -> Sample:
 
 
 def _dynamic_joint_state(message: Any) -> Sample:
-    pairs = zip(message.joint_names, message.interface_values)
     return {
         (joint, interface): float(value)
-        for joint, values in pairs
+        for joint, values in zip(message.joint_names, message.interface_values)
         for interface, value in zip(values.interface_names, values.values)
         if interface in QUANTITIES
     }

@@ -89,5 +89,4 @@ def friction_beside(runs: Sequence[Run]) -> Section:
     found = [{pair[:2]: with_error(*pair[2:]) for pair in run.friction()} for run in runs]
     keys = dict.fromkeys(key for each in found for key in each)
     rows = [(*key, *(each.get(key, "–") for each in found)) for key in keys]
-    header = ("joint", "term", *names(runs))
-    return Section("friction", "Friction", tables=(table(header, rows),))
+    return Section("friction", "Friction", tables=(table(("joint", "term", *names(runs)), rows),))

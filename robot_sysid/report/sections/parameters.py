@@ -75,8 +75,7 @@ def _before_after(body: Body, name: str) -> Figure:
 
 
 def _draw(canvas: Any, body: Body) -> None:
-    heights = [end - start + 0.6 for start, end, _ in _GROUPS]
-    axes = canvas.subplots(3, 1, height_ratios=heights)
+    axes = canvas.subplots(3, 1, height_ratios=[end - start + 0.6 for start, end, _ in _GROUPS])
     errors = np.where(np.isfinite(body.errors), body.errors, 0.0)
     for (start, end, title), ax in zip(_GROUPS, axes):
         places = -np.arange(end - start, dtype=float)
@@ -157,8 +156,7 @@ def visibility(run: Run) -> Section:
     hidden = "; ".join(listed(content, "unidentifiable_combinations"))
     every = "All parameters that were asked for show in these torques."
     sentences.append(f"These torques do not show: {hidden}." if hidden else every)
-    title = "Identified, kept, not visible"
-    return Section("visible", title, tuple(sentences), tuple(tables))
+    return Section("visible", "Identified, kept, not visible", tuple(sentences), tuple(tables))
 
 
 def _base_table(base: Sequence[Any]) -> Table:

@@ -310,8 +310,7 @@ def error_bars(name: str, sets: Sequence[ErrorSet], words: str) -> Figure:
     def draw(canvas: Any) -> None:
         drawing.bars(canvas, joints, series, "error [N·m]")
 
-    height = 2.8 + 0.2 * len(series)
-    return drawn(name, start + words, (header, rows), height, draw, width)
+    return drawn(name, start + words, (header, rows), 2.8 + 0.2 * len(series), draw, width)
 
 
 def error_sets(run: Run) -> Iterator[ErrorSet]:
