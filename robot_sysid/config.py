@@ -205,7 +205,6 @@ class SysidConfig:
         return self.trajectory.save or usual
 
     def _check_pairs(self) -> None:
-        """Refuse options that exclude each other."""
         plan, estimation, logs = self.trajectory, self.estimation, self.log.measurements
         has_file, optimal = plan.file is not None, self.excitation.kind == "optimal"
         timed = has_file or plan.duration != TrajectoryOptions.duration or optimal
@@ -242,7 +241,6 @@ class SysidConfig:
         yield from (("--output-dir", self.output.output_dir / name) for name in names)
 
     def _what_there_is(self) -> Mapping[str, bool]:
-        """Return which of the ``NEEDS`` are met."""
         log, plan_only = bool(self.log.measurements), self.trajectory.plan_only
         plant = self.arm.plant_model is not None
         optimal = self.excitation.kind == "optimal"
@@ -382,7 +380,6 @@ class PayloadConfig:
         refuse_overwriting(read, self._written())
 
     def _check_needs(self) -> None:
-        """Refuse options that would have no effect."""
         from_logs = bool(self.payload.empty)
         for given in given_options(self.output) if self.payload.known_mass is not None else ():
             if given.key in ("bundle", "write_offset") or given.key.startswith("keep_"):

@@ -209,7 +209,6 @@ def _refusal(result: Result) -> str | None:
 
 
 def _card_file(result: Result, payload: Payload) -> tuple[tuple[Card, ...], str]:
-    """Return (the cards of a payload, the text of their file)."""
     errors, recordings = load_errors(payload.body), payload.recordings
     cards = payload_cards(payload.body.inertial, payload.flange, errors)
     heading = (

@@ -112,7 +112,6 @@ def weighed(config: PayloadConfig, robot: RobotModel, progress: Progress) -> Ana
 def _datasets(
     config: PayloadConfig, robot: RobotModel, raw: Sequence[RawRecording], at: Array | None
 ) -> tuple[list[Dataset], tuple[str, ...]]:
-    """Return what is fitted, and what there is to say of it."""
     place = np.zeros(len(raw)) if at is None else at
     pairs = list(zip(raw, place.tolist()))
     if config.payload.static:

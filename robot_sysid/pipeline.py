@@ -368,7 +368,6 @@ def _identified(
     tests: Sequence[MeasurementLog],
     progress: Progress,
 ) -> Analysis:
-    """Identify from measured data, wherever it came from."""
     options = config.estimation
     datasets, said = filtered(robot, pieces, options)
     for note in (*notes, *said):

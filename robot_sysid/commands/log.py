@@ -62,7 +62,6 @@ def main(arguments: Sequence[str]) -> int:
 def _checked(
     values: Mapping[str, Any], options: LogOptions, preview: PreviewOptions, console: Console
 ) -> int:
-    """Look at a log against a model."""
     from robot_sysid.checks.finding import require_acceptable
     from robot_sysid.checks.run import check_against_model
     from robot_sysid.logs.reader import open_log

@@ -148,7 +148,6 @@ def with_meaning(
 
 
 def _is_command(title: Title) -> bool:
-    """Return whether a title without its joint's name is that of a commanded position."""
     said = {word for word in title.words if word in _COMMANDED} - _NO_POSITION
     kinds = {KIND_OF_WORD[word] for word in title.words if word in KIND_OF_WORD}
     # A bare d is too short to stand for a command without a position beside it.

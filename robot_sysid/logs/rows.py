@@ -94,7 +94,6 @@ def read_rows(
 
 
 def _followed(blocks: Iterator[Block], table: LogTable, progress: Progress) -> Iterator[Block]:
-    """Pass blocks through and tell how far the reading is."""
     label, start, rows, total = f"Reading {table.path.name}", clock.monotonic(), 0, 0
     for block in blocks:
         yield block
@@ -153,7 +152,6 @@ class _Cleaner:
         return np.column_stack((lines, cells))
 
     def _numbers(self, block: Block, lines: Lines, cells: Array) -> tuple[Lines, Array]:
-        """Return the rows with a number that can be true in every cell."""
         noise = np.isin(lines, block.unreadable)
         noise |= np.any(np.abs(cells[:, 1 : 1 + 2 * self._n]) > _ABSURD, axis=1)
         noise |= np.abs(cells[:, 0]) > _NO_TIME
@@ -188,7 +186,6 @@ class _Cleaner:
         return step > 0.0
 
     def _unwrap(self, lines: Lines, cells: Array) -> None:
-        """Take full turns out of the positions, in place."""
         q = cells[:, 1 : 1 + self._n]
         before = q[:1] if self._last is None else self._last[None, 1:]
         step = np.diff(q, axis=0, prepend=before)

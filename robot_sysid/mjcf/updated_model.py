@@ -71,7 +71,6 @@ def changed_model_text(
 
 
 def _write_bodies(edits: Edits, change: ModelChange) -> list[Node]:
-    """Write new inertias with their comments, and return the bodies that have them."""
     document, principal, written = edits.document, change.principal, []
     for body in change.bodies:
         found, theta = find_body(document, body.label), body.plan.theta
@@ -271,6 +270,5 @@ def _joints(document: ModelDocument) -> Iterator[Node]:
 
 
 def _without_frames(body: Node) -> Iterator[Node]:
-    """Yield a body's children, those of a ``<frame>`` in its place."""
     for child in body.children():
         yield from _without_frames(child) if child.tag == "frame" else (child,)

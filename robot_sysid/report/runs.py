@@ -397,7 +397,6 @@ def load_run(folder: Path) -> Run:
 
 
 def _theta(entries: Mapping[str, Any]) -> Array:
-    """Return theta (10,) of JSON entries."""
     inertia = entries["inertia_tensor"]
     values = [entries["mass"], *entries["center_of_mass_moment"]]
     theta = np.array([number(v) for v in (*values, *(inertia[n] for n in PARAMETER_NAMES[4:]))])

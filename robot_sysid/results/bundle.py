@@ -114,7 +114,6 @@ def _names(paths: Iterable[Path], folder: str, earlier: Path | None) -> dict[Pat
 
 
 def _differs(path: Path, earlier: Path | None, name: str) -> bool:
-    """Tell whether an earlier bundle has another file of that name."""
     if earlier is None or not os.path.lexists(earlier / name):
         return False
     return not ((earlier / name).is_file() and filecmp.cmp(path, earlier / name, shallow=False))

@@ -429,7 +429,6 @@ def _known(errors: Mapping[str, float] | None) -> dict[str, float | None] | None
 
 
 def _error_notes(errors: Mapping[str, float] | None, in_mm: bool = False) -> tuple[str, ...]:
-    """Return the standard errors in the units of a card."""
     known = _known(errors)
     if known is None:
         return ()

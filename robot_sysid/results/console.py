@@ -118,7 +118,6 @@ def _tables(result: Result, links: bool) -> Iterator[str]:
 
 
 def _mass_line(result: Result) -> Iterator[str]:
-    """Yield what the mass is the mass of, where the link carries more bodies."""
     names = [body.name for body in result.bodies if body.theta[0] > 0.0]
     if len(names) < 2 or result.bodies[0].name not in names:
         return
@@ -139,7 +138,6 @@ def _mass_line(result: Result) -> Iterator[str]:
 
 
 def _causes(body: BodyEstimate) -> Iterator[str]:
-    """Yield where the error of the mass comes from."""
     parts = {"noise": body.noise_errors[0], **{k: part[0] for k, part in body.budget.items()}}
     least = _SMALL * float(body.errors[0])
     named = sorted((item for item in parts.items() if item[1] > least), key=lambda i: -i[1])
@@ -167,7 +165,6 @@ def _payload_lines(payload: Payload) -> Iterator[str]:
 
 
 def _joint_lines(result: Result) -> Iterator[str]:
-    """Yield friction and rotor inertia of the joints, and of motors that turn with several."""
     owners = {
         **result.joints,
         **{f"motor that turns with {name}": each for name, each in result.couplings.items()},
@@ -240,7 +237,6 @@ def _verdict_lines(result: Result) -> Iterator[str]:
 
 
 def _known(result: Result) -> str:
-    """Return in a sentence how well the mass that was asked for is known."""
     share, body = result.known_to, result.body
     if share is not None and share < UNKNOWN:
         return f"The mass is known to {percent(share)}"
@@ -251,7 +247,6 @@ def _known(result: Result) -> str:
 
 
 def _details(result: Result) -> Iterator[str]:
-    """Yield what --verbose adds."""
     estimate = result.estimate
     scaled = estimate.identifiability.scaled_condition_number
     yield f"  Condition number, columns scaled: {scaled:.1f}"
@@ -358,7 +353,6 @@ def _sentences(result: Result) -> Iterator[str]:
 
 
 def _weak(body: BodyEstimate) -> Iterator[str]:
-    """Name the parameters whose standard error is large for a body of this mass and size."""
     theta = body.inertial.theta
     scale = parameter_scale(max(float(theta[0]), 1e-9), characteristic_length(theta))
     relative = body.errors / scale
@@ -386,7 +380,6 @@ def _conflicts(result: Result) -> Iterator[str]:
 
 
 def _negative_friction(result: Result) -> Iterator[str]:
-    """Name joints that would drive themselves, more clearly than noise explains."""
     clear = []
     for name, joint in result.joints.items():
         model = friction_model(joint.friction_model)

@@ -137,7 +137,6 @@ def _links(result: Result, robot: RobotModel) -> tuple[Array, Array]:
 def _joint_changes(
     robot: RobotModel, joints: Mapping[str, Mapping[str, Figure]]
 ) -> tuple[JointChange, ...]:
-    """Return what the joints get, with words on how well it is known."""
     own = dict(zip(robot.joint_names, robot.friction.viscous.tolist()))
     changes = []
     for joint, terms in joints.items():
@@ -155,7 +154,6 @@ def _joint_changes(
 
 
 def _words(term: str, figure: Figure) -> str:
-    """Return a number and its standard error, for a comment."""
     what = f"{_IN_MJCF.get(term, f'{term} damping')} {figure.value:.4g}"
     if term == "offset":
         what = f"offset, as a spring tensioned far away, {figure.value:.4g}"
@@ -225,7 +223,6 @@ def _joint_words(
 
 
 def _scaled(robot: RobotModel, plan: WriteBack) -> list[BodyChange]:
-    """Return what the bodies get of which only a part is left."""
     words = f"mass and inertia {plan.scale:.4g} of the model's, for want of room in its link"
     return [
         BodyChange(
@@ -239,7 +236,6 @@ def _scaled(robot: RobotModel, plan: WriteBack) -> list[BodyChange]:
 
 
 def _welded(robot: RobotModel, payload: Payload, name: str, words: str) -> WeldedBody:
-    """Return the payload as a body of its own."""
     flange = payload.flange
     rotation, translation = place_in_carrier(robot, flange)
     carrier = body_label(robot.mj_model, flange.carrier)

@@ -102,7 +102,6 @@ class _Asked(NamedTuple):
 
 
 def _asked(original: Any, change: ModelChange) -> Iterator[_Asked]:
-    """Yield what a change asks for of joints, actuators and gravity."""
     for joint in change.joints:
         yield from _of_joint(original, joint)
     for actuator in change.actuators:

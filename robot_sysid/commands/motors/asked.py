@@ -55,7 +55,6 @@ class Asked:
         return ArmStepper(self.robot, q[0]).moved_inertia()
 
     def _mounted(self, joints: Sequence[DamiaoJoint]) -> tuple[DamiaoJoint, ...]:
-        """Return the trajectory's joints with what is known about how they are mounted."""
         names = self.robot.joint_names if self.robot else ()
         path = self.values.get("joint_map")
         if path is not None:

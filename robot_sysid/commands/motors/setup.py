@@ -84,7 +84,6 @@ def _scan(asked: Asked) -> int:
 
 
 def _only(inspection: Inspection, options: SetupOptions) -> InspectedMotor:
-    """Return the motor that is meant, or raise HardwareAbort where it is not the only one."""
     meant = [m for m in inspection.motors.values() if m.can_id == options.motor]
     if len(meant) != 1 or len(meant[0].reply_ids) != 1:
         raise HardwareAbort(

@@ -291,7 +291,6 @@ class MotorSession:
         return True
 
     def _sender(self, frame: Frame) -> int | None:
-        """Return the joint whose feedback a frame is, or None."""
         if frame.error or frame.echo or len(frame.data) != 8:
             return None
         j = self._by_reply.get((frame.bus, frame.id))

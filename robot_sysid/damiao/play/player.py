@@ -202,7 +202,6 @@ class Player:
             self._pose_check(*np.mean(self._still[len(self._still) // 2 :], axis=0))
 
     def _leave(self, last: Reference, stood: Reference) -> None:
-        """Bring the arm to where it is to be left."""
         if self._park is None:
             return
         if isinstance(self._park, str) and self._park == "rest":

@@ -197,5 +197,4 @@ def _last_axis(*fields: Any) -> Any:
 
 
 def _place(mask: Any) -> str:
-    """Say which of the motors, base to terminal, is the first in a mask."""
     return f"of motor number {int(np.argwhere(np.atleast_1d(mask))[0][-1]) + 1}"

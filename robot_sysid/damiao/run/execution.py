@@ -117,7 +117,6 @@ def _require_told(console: Aside, written: Aside) -> None:
 def _recorder(
     link: GuardedLink, plan: Plan, motors: Sequence[asked.InspectedMotor], aside: Aside
 ) -> Iterator[MeasurementRecorder | None]:
-    """Record the block, and every frame of it, where that was asked for."""
     path = plan.recording.frames
     with RawFrameLog(path, link) if path else contextlib.nullcontext() as frames:
         if plan.recording.record is None:

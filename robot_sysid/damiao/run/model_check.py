@@ -94,7 +94,6 @@ def _parking(robot: RobotModel, last: Array, pose: Array) -> Iterator[str]:
 
 
 def _joint_excesses(robot: RobotModel, motion: SampledTrajectory) -> Iterator[str]:
-    """Yield a sentence for each joint and limit, where it is exceeded most."""
     own, shown = robot.limits, np.zeros_like(motion.qd)
     # Up to the next row, if the positions show more than the velocities say.
     shown[:-1] = np.abs(motion.slope) - _PRINTED / np.diff(motion.time)[:, None]
@@ -119,7 +118,6 @@ def _unit(what: str, robot: RobotModel, joint: int) -> str:
 
 
 def _contact(robot: RobotModel, motion: MotionPlan) -> Iterator[tuple[str, float]]:
-    """Yield which bodies touch first on the way, and when [s], if any do."""
     touched = first_contact(build_problem(robot, LimitOptions(clearance=0.0)), motion)
     if touched is not None:
         yield touched.label, touched.time

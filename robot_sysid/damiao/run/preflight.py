@@ -182,7 +182,6 @@ def _own_motors(plan: Plan, inspection: Inspection) -> Iterator[Check]:
 
 
 def _other_motors(plan: Plan, inspection: Inspection) -> Iterator[Check]:
-    """Yield what is said about motors that no joint of the trajectory has."""
     others = plan.others(inspection)
     names = ", ".join(motor.name for motor in others)
     if others and plan.settings.others == "limp":

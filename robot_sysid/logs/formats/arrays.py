@@ -259,7 +259,6 @@ def lerobot_table(asked: Asked) -> LogTable | None:
 
 
 def _wanted(path: Path, episodes: Sequence[int], index: Array) -> list[int]:
-    """Return which episodes are read: those that were asked for, or all."""
     found = sorted(set(index.astype(int).tolist()))
     if not found:
         raise InputError(f"{path} holds no frames; download the data set whole")
@@ -274,7 +273,6 @@ def _mapping(value: Any) -> Mapping[str, Any]:
 
 
 def _titles(features: Mapping[str, Any], name: str, joint_names: Sequence[str]) -> list[str]:
-    """Return the titles of a feature's columns; nothing where it is not there."""
     names = _mapping(features.get(name)).get("names")
     if isinstance(names, dict):
         names = [each for group in names.values() if isinstance(group, list) for each in group]

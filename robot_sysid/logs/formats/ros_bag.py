@@ -109,7 +109,6 @@ def bag_table(asked: Asked) -> LogTable | None:
 
 
 def _has(topic: LogTable, joint_names: Sequence[str], quantities: Sequence[str]) -> bool:
-    """Return whether a topic has one of the quantities for all joints."""
     titles = set(topic.titles)
     return any({f"{joint} {q}" for joint in joint_names} <= titles for q in quantities)
 

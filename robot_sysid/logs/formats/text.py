@@ -157,7 +157,6 @@ def _is_comment(line: str) -> bool:
 
 
 def _is_text(line: str) -> bool:
-    """Return whether a line is short enough for a table and without a serial line's noise."""
     plain = not any(mark < " " and mark != "\t" for mark in line) and "\ufffd" not in line[80:]
     return len(line) < _LONGEST_LINE and plain
 

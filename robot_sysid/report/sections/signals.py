@@ -122,7 +122,6 @@ def _left_over(data: ReportData, joint: int) -> Figure:
 
 
 def _dots(ax: Any, speed: Array, values: Array) -> None:
-    """Draw some of the samples (m,) that were used, evenly, against speed."""
     places = np.flatnonzero(np.isfinite(values))
     places = places[:: max(1, len(places) // _SCATTERED)]
     ax.plot(speed[places], values[places], ".", color=MEASURED, ms=2.5, alpha=0.7)

@@ -135,7 +135,6 @@ def _uses(run: Run) -> Iterator[str]:
 
 
 def _smaller_errors(run: Run) -> Iterator[str]:
-    """Yield what makes the mass's largest causes of error smaller."""
     body = run.bodies()[0]
     mass, error = float(body.after[0]), float(body.errors[0])
     if not np.isfinite(error) or error <= _LARGE * abs(mass):
