@@ -337,7 +337,12 @@ class PayloadOptions(OptionRecord):
                 "give --empty LOG... and --loaded LOG..., or --empty-model and --loaded-model "
                 "to simulate both"
             )
-        self._check_order()
+        wanted = EMPTY * len(self.empty) + LOADED * len(self.loaded)
+        if self.order is not None and sorted(self.order) != sorted(wanted):
+            raise InputError(
+                f"--order {self.order}: needs {len(self.empty)} times A (the empty logs) and "
+                f"{len(self.loaded)} times B (the loaded ones), such as {wanted}"
+            )
         for flag, given in (
             ("--scale-prior", self.scale_prior),
             ("--save-torque-scale", self.save_torque_scale),
@@ -346,16 +351,6 @@ class PayloadOptions(OptionRecord):
                 raise InputError(f"{flag} is about torque scales; add --known-mass KG")
         if self.known_mass is not None and self.as_body is not None:
             raise InputError("--known-mass writes no model; leave --as-body out")
-
-    def _check_order(self) -> None:
-        if self.order is None:
-            return
-        wanted = EMPTY * len(self.empty) + LOADED * len(self.loaded)
-        if sorted(self.order) != sorted(wanted):
-            raise InputError(
-                f"--order {self.order}: needs {len(self.empty)} times A (the empty logs) and "
-                f"{len(self.loaded)} times B (the loaded ones), such as {wanted}"
-            )
 
 
 @dataclass(frozen=True)
@@ -414,17 +409,10 @@ class PayloadConfig:
 
 def _read_by(config: SysidConfig | PayloadConfig) -> tuple[Path | None, ...]:
     """Return the files that a run reads and must not write over."""
-    log, trajectory = config.log, config.trajectory
+    log = config.log
     factors = (each for each in (log.torque_scale, log.torque_constants) if isinstance(each, Path))
-    models = (config.model.path, config.arm.plant_model)
-    return (
-        *models,
-        *log.measurements,
-        log.validation_measurements,
-        log.columns,
-        trajectory.file,
-        *factors,
-    )
+    models = (config.model.path, config.arm.plant_model, config.trajectory.file)
+    return (*models, *log.measurements, log.validation_measurements, log.columns, *factors)
 
 
 def config_from(path: Path, **values: Any) -> SysidConfig:

@@ -127,8 +127,7 @@ def _datasets(
     pieces = []
     for each, where in pairs:
         for number, samples in enumerate(each.pieces, start=1):
-            part = f" (part {number})" if len(each.pieces) > 1 else ""
-            name = f"{each.name}{part}"
+            name = f"{each.name} (part {number})" if len(each.pieces) > 1 else each.name
             pieces.append(Piece(name, samples, each.is_loaded, where, each.least_deadband))
     datasets, said = filtered(robot, pieces, config.estimation)
     return datasets, (*shared_notes({each.name: each.notes for each in raw}), *said)
@@ -165,12 +164,10 @@ def _simulated(config: PayloadConfig, robot: RobotModel, progress: Progress) -> 
     chosen, rate = config.trajectory.seed, config.trajectory.sample_rate
     seed = secrets.randbelow(2**31) if chosen is None else chosen
     request = MotionRequest(config.trajectory, config.excitation, config.limits)
-    checked = make_plan(request, robot, seed, progress)
-    if checked.failure:
-        raise InputError(f"{checked.failure}; relax that limit, or try another --seed")
-    return simulate_recordings(
-        robot, config.payload, config.arm, checked.plan, rate, seed, progress
-    )
+    made = make_plan(request, robot, seed, progress)
+    if made.failure:
+        raise InputError(f"{made.failure}; relax that limit, or try another --seed")
+    return simulate_recordings(robot, config.payload, config.arm, made.plan, rate, seed, progress)
 
 
 def simulate_recordings(

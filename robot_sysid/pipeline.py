@@ -323,11 +323,11 @@ def _past_the_ramp(
     if not any(speeds) or options.velocity_deadband is not None:
         return (), ()
     listed = ",".join(f"{speed:g}" for speed in speeds)
-    note = (
-        "MuJoCo's dry friction builds up over a range of speeds; moments in which a joint is still "
-        f"in that range are left out. With the saved log --velocity-deadband {listed} does the same"
+    return speeds, (
+        "MuJoCo's dry friction builds up over a range of speeds; moments in which a joint is "
+        "still in that range are left out. With the saved log --velocity-deadband "
+        f"{listed} does the same",
     )
-    return speeds, (note,)
 
 
 def _of_logs(config: SysidConfig, robot: RobotModel, progress: Progress) -> Analysis:

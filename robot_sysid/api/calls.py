@@ -251,8 +251,7 @@ def information(
         for path in logs.measurements:
             read = open_log(robot, path, logs, notes)
             checked(config, robot, [read], notes)
-            told = robot, read.pieces, config.estimation, around, read.notes
-            found.append(log_information(*told))
+            found += [log_information(robot, read.pieces, config.estimation, around, read.notes)]
     return reduce(add, found)
 
 

@@ -50,8 +50,7 @@ def _columns(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
 
 def check_lines(checks: Iterable[Check]) -> Iterator[str]:
     """Yield one line per check."""
-    for check in checks:
-        yield f"[{_MARKS[check.severity]}] {check.text}"
+    yield from (f"[{_MARKS[check.severity]}] {check.text}" for check in checks)
 
 
 def load_line(n_motors: int, rate: float, timing: BusTiming) -> str:

@@ -241,11 +241,9 @@ def match_joints(
                 raise two_candidates(kind, joint_names[0], [titles[i].text for i in pair])
             found.update({key: named[key] for key in keys})
         elif all(key in counted for key in keys):
-            wrong = [
-                (i, key[1]) for key in keys for i in named.get(key, ()) if i not in counted[key]
-            ]
-            if wrong:
-                index, joint = wrong[0]
+            off = [(i, key[1]) for key in keys for i in named.get(key, ()) if i not in counted[key]]
+            if off:
+                index, joint = off[0]
                 raise InputError(
                     f"column {titles[index].text!r} carries the name of joint "
                     f"{joint_names[joint]}, but by counting it belongs to another joint; {REMEDY}"

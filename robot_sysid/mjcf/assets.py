@@ -163,9 +163,7 @@ def relocated_text(edits: Edits, folder: Path | None, mesh_dir: Path | None = No
     document, edits.folder = edits.document, folder
     assets = find_assets(document, mesh_dir)
     if document.kind == "urdf":
-        return _with_names(
-            edits, [(a, reference(a.path, folder) if a.path else None) for a in assets]
-        )
+        return _renamed(edits, [(a, reference(a.path, folder) if a.path else None) for a in assets])
     needing = {asset.node.file.path for asset in assets}
     for file in document.files:
         compilers = (each for each in file.elements if local_name(each) == "compiler")
@@ -175,7 +173,7 @@ def relocated_text(edits: Edits, folder: Path | None, mesh_dir: Path | None = No
             edits.inlined.add(file.path)
     folders = asset_folders(document, mesh_dir)
     _move_folders(edits, folders, {asset.node.tag for asset in assets})
-    return _with_names(edits, [(a, _new_name(a, folders, folder)) for a in assets])
+    return _renamed(edits, [(a, _new_name(a, folders, folder)) for a in assets])
 
 
 def bundled_text(document: ModelDocument, names: Mapping[Path, str]) -> bytes:
@@ -190,12 +188,10 @@ def bundled_text(document: ModelDocument, names: Mapping[Path, str]) -> bytes:
     for node in document.compilers() if document.kind == "mjcf" else ():
         for name in _FOLDER_ATTRIBUTES:
             edits.set(node, name, None)
-    return _with_names(
-        edits, [(a, names[a.path] if a.path else None) for a in find_assets(document)]
-    )
+    return _renamed(edits, [(a, names[a.path] if a.path else None) for a in find_assets(document)])
 
 
-def _with_names(edits: Edits, assets: Collection[tuple[Asset, str | None]]) -> bytes:
+def _renamed(edits: Edits, assets: Collection[tuple[Asset, str | None]]) -> bytes:
     """Return the text with these names for its files; None keeps the one that is there."""
     for asset, name in assets:
         if name is not None:

@@ -248,20 +248,18 @@ def _read(path: Path, known: dict[Path, SourceFile], depth: int = 0) -> SourceFi
 
 
 def _read_include(
-    parent: SourceFile, element: Any, known: dict[Path, SourceFile], depth: int
+    above: SourceFile, element: Any, known: dict[Path, SourceFile], depth: int
 ) -> SourceFile:
-    where = f"{parent.path}, line {element.sourceline}"
+    where = f"{above.path}, line {element.sourceline}"
     name = element.get("file")
     if not name:
         raise ModelError(f"{where}: <include> without a file attribute")
     main = next(iter(known.values()))
-    folders = (main.path.parent, parent.path.parent)
+    folders = (main.path.parent, above.path.parent)
     candidates = (folder / name.replace("\\", "/") for folder in folders)
     path = next((path for path in candidates if os.path.isfile(path)), None)
     if path is None:
-        raise ModelError(
-            f"{where}: included file {name} not found (looked in {parent.path.parent})"
-        )
+        raise ModelError(f"{where}: included file {name} not found (looked in {above.path.parent})")
     if path.resolve() in known:
         raise ModelError(
             f"{where}: {name} is included twice or includes itself; each file may be included once"
@@ -310,11 +308,9 @@ def _parse(text: bytes, path: Path) -> Any:
             f"{path} declares XML entities, which a model file does not need and which can hide an "
             "attack; remove its <!DOCTYPE ...>"
         )
-    parser = etree.XMLParser(
-        resolve_entities=False, no_network=True, load_dtd=False, encoding="utf-8"
-    )
+    xml = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, encoding="utf-8")
     try:
-        return etree.fromstring(masked_comments(text), parser)
+        return etree.fromstring(masked_comments(text), xml)
     except etree.XMLSyntaxError as error:
         reason = " ".join(str(error.msg).split())
         raise ModelError(f"Expected an XML model file, but {path} is not XML: {reason}") from None

@@ -119,12 +119,10 @@ def find_named(
     document: ModelDocument, nodes: Iterable[Node], kind: str, label: str
 ) -> Node | None:
     """Return the element with a name; ExportError where there are several."""
-    named = [node for node in nodes if node.get("name") == label]
-    if len(named) > 1:
-        raise ExportError(
-            f"{document.path}: {kind} '{label}' stands in the file {len(named)} times"
-        )
-    return named[0] if named else None
+    same = [node for node in nodes if node.get("name") == label]
+    if len(same) > 1:
+        raise ExportError(f"{document.path}: {kind} '{label}' stands in the file {len(same)} times")
+    return same[0] if same else None
 
 
 def _by_number(document: ModelDocument, label: str) -> Node:

@@ -92,9 +92,7 @@ def _cannot_drop(document: ModelDocument, link: Node, mesh: Asset) -> ModelError
 
 def give_minimum(edits: Edits, but: Collection[str | None] = ()) -> list[str]:
     """Give moving links that weigh nothing a minimum, but for some; returns their names."""
-    found = [
-        link for link in _moving_links_without_mass(edits.document) if link.get("name") not in but
-    ]
+    found = [link for link in _massless_moving_links(edits.document) if link.get("name") not in but]
     for link in found:
         com = _floats(link.inner("inertial", "origin", "xyz"))
         inertia = MINIMUM_INERTIA * np.eye(3)
@@ -155,7 +153,7 @@ def _level_inertials(edits: Edits) -> None:
             edits.replace(inertial, text, keep_lines=True)
 
 
-def _moving_links_without_mass(document: ModelDocument) -> Iterator[Node]:
+def _massless_moving_links(document: ModelDocument) -> Iterator[Node]:
     links = {link.get("name"): link for link in document.tagged("link")}
     joints = document.tagged("joint")
     for joint in joints:

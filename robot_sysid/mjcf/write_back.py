@@ -104,20 +104,17 @@ def _largest_scale(composite: Array, hanging: Array) -> float:
 
 
 def _shared_notes(
-    terminal: SubtreeBody,
-    lumped: Sequence[SubtreeBody],
-    scaled: Sequence[SubtreeBody],
-    scale: float,
+    above: SubtreeBody, lumped: Sequence[SubtreeBody], scaled: Sequence[SubtreeBody], scale: float
 ) -> Iterator[str]:
     emptied, lighter = (", ".join(f"'{b.name}'" for b in bodies) for bodies in (lumped, scaled))
     if lumped:
         yield (
-            f"body '{terminal.name}' now holds the inertia of all that is rigidly attached to it; "
+            f"body '{above.name}' now holds the inertia of all that is rigidly attached to it; "
             f"{emptied} weigh nothing in the written model"
         )
     if scaled:
         yield (
-            f"{lighter} on joints of their own below body '{terminal.name}' left no possible body "
+            f"{lighter} on joints of their own below body '{above.name}' left no possible body "
             f"of what was identified of all of them, so their mass and inertia are {scale:.4g} of "
             "the model's in the written model"
         )

@@ -93,8 +93,16 @@ class Studio:
         flags = mujoco.mjtRndFlag
         for flag in (flags.mjRND_SKYBOX, flags.mjRND_HAZE, flags.mjRND_SHADOW):
             self.scene.flags[flag] = False
-        self._add_wall()
-        self._add_bones()
+        # A white wall closes the view; MuJoCo's own background is black.
+        ahead, far = self.scene.camera[0].forward, 4.0 * float(self.camera.distance)
+        near, behind = (self.camera.lookat + (far + side) * ahead for side in (-0.01, 0.01))
+        self._connect(mujoco.mjtGeom.mjGEOM_CYLINDER, 4.0 * far, _WHITE, near, behind)
+        self.scene.geoms[self.scene.ngeom - 1].emission = 1.0
+        ids = [link.body_id for link in self.robot.links]
+        if not np.any(np.isin(self._model.geom_bodyid, ids)):
+            # A model without shapes to show, as many URDF files: the links' origins are joined.
+            for start, end in zip(self.data.xpos[ids[:-1]], self.data.xpos[ids[1:]]):
+                self._connect(mujoco.mjtGeom.mjGEOM_CAPSULE, 0.015, _BONE, start, end)
 
     def look(self, at: Array, distance: float) -> None:
         """Point the camera at a place (3,) from a distance [m]; holds from the next pose on."""
@@ -156,22 +164,6 @@ class Studio:
         if np.any(start != end) and self.scene.ngeom < self.scene.maxgeom:
             self._add(kind, np.ones(3), start, np.eye(3), colour)
             mujoco.mjv_connector(self.scene.geoms[self.scene.ngeom - 1], kind, width, start, end)
-
-    def _add_wall(self) -> None:
-        """Close the view with a white wall; MuJoCo's own background is black."""
-        ahead, far = self.scene.camera[0].forward, 4.0 * float(self.camera.distance)
-        near, behind = (self.camera.lookat + (far + side) * ahead for side in (-0.01, 0.01))
-        self._connect(mujoco.mjtGeom.mjGEOM_CYLINDER, 4.0 * far, _WHITE, near, behind)
-        self.scene.geoms[self.scene.ngeom - 1].emission = 1.0
-
-    def _add_bones(self) -> None:
-        """Join the links' origins where the model has no shapes to show, as many URDF files."""
-        ids = [link.body_id for link in self.robot.links]
-        if np.any(np.isin(self._model.geom_bodyid, ids)):
-            return
-        places = self.data.xpos[ids]
-        for start, end in zip(places[:-1], places[1:]):
-            self._connect(mujoco.mjtGeom.mjGEOM_CAPSULE, 0.015, _BONE, start, end)
 
     def picture(self) -> Picture:
         """Return the picture (height, width, 3)."""

@@ -207,10 +207,7 @@ def autocorrelation(time: Array, residual: Array) -> dict[str, Array]:
     return {"lags": shifts * step, "correlation": found, "independent": independent}
 
 
-BY_SPEED = (
-    *("speed", "residual_mean", "residual_spread"),
-    *("friction_measured", "friction_predicted"),
-)
+BY_SPEED = ("speed", "residual_mean", "residual_spread", "friction_measured", "friction_predicted")
 
 
 def by_speed(qd: Array, residual: Array, friction: Array) -> dict[str, Array]:

@@ -108,11 +108,10 @@ def _texts(value: Any, text_of: Callable[[float], str]) -> list[str]:
 
 
 def _mjcf(load: Load) -> str:
+    body = load.body
     if np.any(load.inertia):
-        return mjcf_inertial(load.body.theta)
-    return (
-        f'<inertial pos="{numbers(load.body.com)}" mass="{load.body.mass!r}" diaginertia="0 0 0"/>'
-    )
+        return mjcf_inertial(body.theta)
+    return f'<inertial pos="{numbers(body.com)}" mass="{body.mass!r}" diaginertia="0 0 0"/>'
 
 
 def _central(load: Load, names: str) -> dict[str, Any]:
@@ -353,10 +352,7 @@ def card_text(cards: Sequence[Card], heading: Sequence[str] = ()) -> str:
 
 def card_entries(cards: Sequence[Card]) -> dict[str, Any]:
     """Return the cards as JSON entries by name."""
-    return {
-        card.name: {key: value for key, value in vars(card).items() if key != "name"}
-        for card in cards
-    }
+    return {card.name: {k: v for k, v in vars(card).items() if k != "name"} for card in cards}
 
 
 def _load(payload: InertialParameters) -> Load:

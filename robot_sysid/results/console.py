@@ -41,7 +41,11 @@ def result_lines(result: Result, links: bool = False, verbose: bool = False) -> 
 def block_lines(result: Result) -> list[str]:
     """Return the block "Identified parameters: ..." or "Identified payload ..." line by line."""
     if result.payload is not None:
-        return _payload_block(result, result.payload)
+        rows, payload = asked_rows(result), result.payload
+        ball = ["  Inertia: not seen; what is written is that of a ball of aluminium"]
+        unseen = len(rows) > 1 and not np.all(payload.body.shown)
+        heading = f"Identified payload, in the frame of {payload.flange.name}:"
+        return [heading, *table_lines(rows), *(ball if unseen else [])]
     estimate = result.estimate
     theta = shown(estimate.inertial.theta)
     moment, inertia = (_listed(values) for values in (theta[1:4], theta[4:]))
@@ -71,14 +75,6 @@ def more_lines(result: Result, links: bool = False, verbose: bool = False) -> li
         *(f"  Limit: {sentence}" for sentence in limitations(result)),
         *(_details(result) if verbose else []),
     ]
-
-
-def _payload_block(result: Result, payload: Payload) -> list[str]:
-    rows = asked_rows(result)
-    ball = ["  Inertia: not seen; what is written is that of a ball of aluminium"]
-    unseen = len(rows) > 1 and not np.all(payload.body.shown)
-    heading = f"Identified payload, in the frame of {payload.flange.name}:"
-    return [heading, *table_lines(rows), *(ball if unseen else [])]
 
 
 def _terminal_friction(result: Result) -> Iterator[str]:
@@ -196,14 +192,12 @@ def _error_lines(result: Result) -> Iterator[str]:
     fits, told = result.validation, set()
     if result.file is not None:
         file = result.file
-        label = "Torque error of the model on"
-        yield _error_line(
-            f"{label} held-out data", file.before, file.after, fits[0] if fits else None
-        )
+        on = "Torque error of the model on"
+        yield _error(f"{on} held-out data", file.before, file.after, fits[0] if fits else None)
         told = {before.source for before, _ in file.others}
         for before, after in file.others:
             fit = next((test for test in fits[1:] if test.source == before.source), None)
-            yield _error_line(f"{label} {before.source}", before, after, fit)
+            yield _error(f"{on} {before.source}", before, after, fit)
     for test in fits if result.file is None else fits[1:]:
         if test.source not in told:
             share = "" if test.relative_error is None else f" ({percent(test.relative_error)})"
@@ -212,9 +206,7 @@ def _error_lines(result: Result) -> Iterator[str]:
         yield f"Left in the file as it was: {', '.join(result.file.kept)}"
 
 
-def _error_line(
-    label: str, before: Validation, after: Validation | None, fit: Validation | None
-) -> str:
+def _error(label: str, before: Validation, after: Validation | None, fit: Validation | None) -> str:
     """Return an error before -> after; that of the fit too, where the file's is not like it."""
     old, new, own = (None if test is None else test.relative_error for test in (before, after, fit))
     known = [percent(each) for each in (old, new) if each is not None]

@@ -171,9 +171,7 @@ def _that_fit(
         for what, name in _NOT_IN_URDF.items()
         if any(np.any(getattr(change, name) or 0.0) for change in joints)
     ]
-    kept = (
-        replace(change, armature=None, polynomial=None, offset=None, words="") for change in joints
-    )
+    kept = (replace(each, armature=None, polynomial=None, offset=None, words="") for each in joints)
     note = f"a URDF cannot hold {' or '.join(lost)}, so the written model lacks it"
     return tuple(kept), (note,) if lost else ()
 
@@ -200,7 +198,10 @@ def _body_changes(
         plan = plan_write_back(thetas[k], parts, bound, most_inflated(errors[k]))
         held[k] = plan.written(thetas[k])
         changes.append(BodyChange(link.body_name, link.body_id, plan, "; ".join(words[k]) or None))
-        changes += _scaled(robot, plan)
+        scaled = f"mass and inertia {plan.scale:.4g} of the model's, for want of room in its link"
+        for part in plan.scaled:
+            rest = WriteBack(plan.scale * body_theta(robot.mj_model, part.body_id))
+            changes.append(BodyChange(part.name, part.body_id, rest, scaled))
     return tuple(changes), held
 
 
@@ -220,19 +221,6 @@ def _joint_words(
             at = place.get(body[change.label], len(robot.links) - 1)
             words[at].append(f"{what} of joint '{change.label}'")
     return words
-
-
-def _scaled(robot: RobotModel, plan: WriteBack) -> list[BodyChange]:
-    words = f"mass and inertia {plan.scale:.4g} of the model's, for want of room in its link"
-    return [
-        BodyChange(
-            part.name,
-            part.body_id,
-            WriteBack(plan.scale * body_theta(robot.mj_model, part.body_id)),
-            words,
-        )
-        for part in plan.scaled
-    ]
 
 
 def _welded(robot: RobotModel, payload: Payload, name: str, words: str) -> WeldedBody:

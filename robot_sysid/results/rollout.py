@@ -99,10 +99,8 @@ def _played(
 
 def refusal(test: RolloutTest | None, accepted: Collection[str]) -> str | None:
     """Return why a model that was played must not be written, or None."""
-    refused = None if test is None or "rollout" in accepted else test.refusal
-    return (
-        refused and f"no model was written: {refused}; to write it all the same: --accept rollout"
-    )
+    worse = None if test is None or "rollout" in accepted else test.refusal
+    return worse and f"no model was written: {worse}; to write it all the same: --accept rollout"
 
 
 def compare(

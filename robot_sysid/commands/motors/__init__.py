@@ -202,22 +202,18 @@ def build_parser(command: str, full: bool = True) -> Parser:
             "trajectory", metavar="TRAJECTORY", type=Path, help="damiao_trajectory.csv", nargs=nargs
         )
     if command in (*_PLAYED, "map"):
-        _add_arm(parser, command)
+        group, help_model = parser.add("arm", ModelOptions), "of the arm"
+        if command in _PLAYED:
+            help_model = "MJCF or URDF of the arm; the trajectory is checked against its limits"
+            help_map = "how each joint's motor is mounted (see: motors map)"
+            group.add_argument("--joint-map", metavar="FILE", type=Path, help=help_map)
+        needed = command in ("simulate", "map")
+        group.add_argument("--model", metavar="MODEL", type=Path, required=needed, help=help_model)
     parser.add("bus", BusAddress, BusTiming)
     for title, records in groups.items():
         parser.add(title, *records)
     parser.add_console()
     return parser
-
-
-def _add_arm(parser: Parser, command: str) -> None:
-    group, help_model = parser.add("arm", ModelOptions), "of the arm"
-    if command in _PLAYED:
-        help_model = "MJCF or URDF of the arm; the trajectory is checked against its limits"
-        help_map = "how each joint's motor is mounted (see: motors map)"
-        group.add_argument("--joint-map", metavar="FILE", type=Path, help=help_map)
-    required = command in ("simulate", "map")
-    group.add_argument("--model", metavar="MODEL", type=Path, required=required, help=help_model)
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -268,8 +264,7 @@ def _play_on(
 
     stop = StopRequest()
     with stop.on_signals():
-        told = console.stage, tell
-        report = run(link, plan, inspection, stop, *told, asked.pose_check(plan))
+        report = run(link, plan, inspection, stop, console.stage, tell, asked.pose_check(plan))
     console.lines(run_lines(report))
     if plan.recording.record:
         console.stage(f"recorded to {plan.recording.record}")

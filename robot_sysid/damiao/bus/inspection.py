@@ -99,10 +99,8 @@ class RegisterClient:
 
     def _replies(self, request: frames.Frame) -> Iterator[RegisterReply]:
         # Most firmware answers a write with 0x55, some with 0x33.
-        operations = (
-            (frames.READ, frames.WRITE) if request.data[2] == frames.WRITE else (frames.READ,)
-        )
-        heads = [request.data[:2] + bytes([each, request.data[3]]) for each in operations]
+        codes = (frames.READ, frames.WRITE) if request.data[2] == frames.WRITE else (frames.READ,)
+        heads = [request.data[:2] + bytes([each, request.data[3]]) for each in codes]
         for frame in self._frames_after(request):
             if frame.data[:4] in heads:
                 value = reg.value_from_bytes(request.data[3], frame.data[4:8])

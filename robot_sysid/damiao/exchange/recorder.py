@@ -87,10 +87,7 @@ class Aside:
             self.failure = error
 
 
-_EXTRA = (
-    *("time", "cmd_pos", "cmd_vel", "cmd_tau", "cmd_step"),
-    *("status", "temp_mos", "temp_rotor"),
-)
+_EXTRA = ("time", "cmd_pos", "cmd_vel", "cmd_tau", "cmd_step", "status", "temp_mos", "temp_rotor")
 
 
 @dataclass(frozen=True)

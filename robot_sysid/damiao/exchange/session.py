@@ -294,6 +294,4 @@ class MotorSession:
         if frame.error or frame.echo or len(frame.data) != 8:
             return None
         j = self._by_reply.get((frame.bus, frame.id))
-        if j is None or frame.data[0] & 0xF != self.joints[j].can_id & 0xF:
-            return None
-        return j
+        return None if j is None or frame.data[0] & 0xF != self.joints[j].can_id & 0xF else j

@@ -212,11 +212,9 @@ class Player:
         target = stood
         if not isinstance(self._park, str):
             target = Reference(self._park, np.zeros_like(self._park), last.torque)
-        way, way_time = approach(
-            last.position, target, self._settings.approach_speed, 1.0, last.torque
-        )
-        self._announce(f"parking ({way_time:.1f} s)")
-        self._phase(way, way_time)
+        way, time = approach(last.position, target, self._settings.approach_speed, 1.0, last.torque)
+        self._announce(f"parking ({time:.1f} s)")
+        self._phase(way, time)
         self._phase(hold(target), self._settings.rest_time)
 
     def _lower_from(self, begin: Reference) -> Lowering:
@@ -227,19 +225,15 @@ class Player:
         return self._lowering is not None and self._lowering.done
 
     def _phase(
-        self,
-        reference: ReferenceFunction,
-        duration: float,
-        ramp: bool = False,
-        record: bool = False,
+        self, reference: ReferenceFunction, length: float, ramp: bool = False, record: bool = False
     ) -> None:
         origin = self._timer.next_deadline
         # Half a period of slack keeps the last sample in spite of rounding.
-        end = origin + duration + 0.5 * self._settings.period
+        end = origin + length + 0.5 * self._settings.period
         while self._timer.next_deadline < end and not self._lowering_is_done:
             deadline = self._timer.wait()
-            time = min(deadline - origin, duration)
-            self._gain = time / duration if ramp else 1.0
+            time = min(deadline - origin, length)
+            self._gain = time / length if ramp else 1.0
             wanted = reference(time)
             self._stop_if_asked()
             try:

@@ -74,8 +74,7 @@ def model_checks(
     for excess in excesses:
         yield Check(STOP, f"{excess}; export a smaller trajectory for this arm")
     parking = [] if pose is None else [*_parking(robot, motion.q[-1], pose)]
-    for excess in parking:
-        yield Check(STOP, f"{excess}; choose another --park pose")
+    yield from (Check(STOP, f"{excess}; choose another --park pose") for excess in parking)
     if not excesses and not parking:
         yield Check(OK, f"the trajectory stays within the limits of {robot.path.name}")
 

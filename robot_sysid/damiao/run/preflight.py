@@ -100,9 +100,8 @@ class Plan:
 
     def __post_init__(self) -> None:
         specs = [joint.spec for joint in self.trajectory.joints]
-        object.__setattr__(
-            self, "settings", self.settings.for_motors(specs, self.timing, self.inertia)
-        )
+        settings = self.settings.for_motors(specs, self.timing, self.inertia)
+        object.__setattr__(self, "settings", settings)
         object.__setattr__(self, "scan", scan_trajectory(self.trajectory))
 
     @property

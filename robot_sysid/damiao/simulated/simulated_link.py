@@ -79,10 +79,8 @@ class SimulatedLink:
             return None
         reply = heapq.heappop(self._replies)[-1]
         self._free_at[bus] = arrival
-        unreadable = reply.fd and not self._timing.fd
-        return reply._replace(
-            time=arrival, error=unreadable, data=b"" if unreadable else reply.data
-        )
+        garbled = reply.fd and not self._timing.fd
+        return reply._replace(time=arrival, error=garbled, data=b"" if garbled else reply.data)
 
     def close(self) -> None:
         """Nothing to release."""

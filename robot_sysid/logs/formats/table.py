@@ -103,12 +103,10 @@ def pieces_table(
     choices: ColumnChoices | None = None,
 ) -> LogTable:
     """Return a recording that is in memory already, in pieces with cells (N, W)."""
-    return LogTable(
-        path, layout, tuple(titles), partial(_blocks_of, pieces), choices or ColumnChoices()
-    )
+    return LogTable(path, layout, tuple(titles), partial(_rows, pieces), choices or ColumnChoices())
 
 
-def _blocks_of(pieces: Sequence[Array], columns: Sequence[int]) -> Iterator[Block]:
+def _rows(pieces: Sequence[Array], columns: Sequence[int]) -> Iterator[Block]:
     total, start = max(1, sum(map(len, pieces))), 0
     for number, piece in enumerate(pieces):
         for first in range(0, len(piece), BLOCK):
@@ -139,9 +137,7 @@ def titled_arrays(path: Path, arrays: Mapping[str, Any]) -> tuple[tuple[str, ...
     # What a file holds beside arrays, such as text, has no numbers in it either.
     named = {end if last.count(end) == 1 else name: np.asarray(a) for end, (name, a) in ends}
     sized = {
-        name: a
-        for name, a in named.items()
-        if a.dtype.kind in "fiub" and a.ndim in (1, 2) and a.size > 1
+        n: a for n, a in named.items() if a.dtype.kind in "fiub" and a.ndim in (1, 2) and a.size > 1
     }
     # As many samples as times, else what most arrays have.
     times = [max(a.shape) for name, a in sized.items() if read_title(name).kind == "time"]

@@ -163,11 +163,8 @@ def _is_text(line: str) -> bool:
 
 def _commented_header(above: str, width: int) -> tuple[str, ...]:
     text = above.lstrip("#% ")
-    for separator in dict.fromkeys((_separator(text), " ")):
-        cells = _without_gap(split_line(text, separator) or [])
-        if len(cells) == width and not _mostly_numbers(cells):
-            return cells
-    return ()
+    rows = (_without_gap(split_line(text, each) or []) for each in (_separator(text), " "))
+    return next((row for row in rows if len(row) == width and not _mostly_numbers(row)), ())
 
 
 def _separator(line: str) -> str:

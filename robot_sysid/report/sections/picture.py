@@ -21,10 +21,7 @@ from robot_sysid.report.sections.parameters import masses
 from robot_sysid.results.record import PAYLOAD
 
 _SIZE = (800, 620)
-_COLOURS: dict[str, Colour] = {
-    "before": (0.90, 0.45, 0.05, 0.30),
-    "after": (0.05, 0.38, 0.75, 0.50),
-}
+_COLOURS: dict[str, Colour] = {"before": (0.9, 0.45, 0.05, 0.3), "after": (0.05, 0.38, 0.75, 0.5)}
 _ROOM, _FARTHER = 6.0, 1.25
 _TITLE = "Inertia on the arm"
 Bodies = list[tuple[int, Body]]
@@ -54,10 +51,7 @@ def _drawn(robot: RobotModel, bodies: Bodies) -> Section:
     last = [each for each in bodies if each[0] == robot.body_id]
     impossible: dict[str, None] = {}
     with Studio(robot, *_SIZE) as studio:
-        for name, words, shown in (
-            ("arm", "the whole arm", bodies),
-            ("close", "the last link", last),
-        ):
+        for name, on, shown in (("arm", "the whole arm", bodies), ("close", "the last link", last)):
             studio.look_at_arm(robot.reference[None])
             if name == "close":
                 _go_near(studio, robot, last[0][1])
@@ -69,7 +63,7 @@ def _drawn(robot: RobotModel, bodies: Bodies) -> Section:
             studio.pose(robot.reference)
             studio.glass(0.35)
             impossible.update(dict.fromkeys(_add_ellipsoids(studio, shown)))
-            caption = f"Ellipsoids of inertia on {words}, in its reference posture."
+            caption = f"Ellipsoids of inertia on {on}, in its reference posture."
             pixels, buffer = np.ascontiguousarray(studio.picture()), io.BytesIO()
             imsave(buffer, pixels, format="png", metadata=facts)
             figures.append(Figure(f"inertia-{name}", caption, numbers, png=buffer.getvalue()))

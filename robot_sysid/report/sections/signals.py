@@ -65,13 +65,8 @@ def _torque(data: ReportData, joint: int, before: str) -> Figure:
         canvas.align_ylabels()
         drawing.legend(canvas, upper)
 
-    return drawn(
-        f"torque-{joint}",
-        caption,
-        (header, zip(data.time, measured, after, earlier, left)),
-        3.6,
-        draw,
-    )
+    rows = zip(data.time, measured, after, earlier, left)
+    return drawn(f"torque-{joint}", caption, (header, rows), 3.6, draw)
 
 
 def _rms(values: Array) -> float:
@@ -186,9 +181,8 @@ def _curve(data: ReportData, joint: int) -> Figure:
         ax.set(xlabel=header[0], ylabel=f"friction [{unit}]")
         drawing.legend(canvas, ax)
 
-    return drawn(
-        f"friction-{joint}", caption, (header, zip(speed, measured, identified)), 3.0, draw
-    )
+    rows = zip(speed, measured, identified)
+    return drawn(f"friction-{joint}", caption, (header, rows), 3.0, draw)
 
 
 def excitation(run: Run) -> Section | None:
@@ -357,7 +351,5 @@ def _played(test: Mapping[str, Any], place: int) -> Figure:
     def draw(canvas: Any) -> None:
         drawing.bars(canvas, list(joints), series, "position error [rad]")
 
-    header = ("joint", *(f"{when} [rad or m]" for when in _WHEN))
-    return drawn(
-        f"rollout-{place}", f"{played}: {error}.", (header, zip(joints, *pairs.values())), 3.2, draw
-    )
+    numbers = ("joint", *(f"{when} [rad or m]" for when in _WHEN)), zip(joints, *pairs.values())
+    return drawn(f"rollout-{place}", f"{played}: {error}.", numbers, 3.2, draw)

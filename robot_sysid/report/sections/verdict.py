@@ -78,10 +78,8 @@ def _came_from(run: Run) -> Iterator[str]:
     place = f", joint {joint}" if joint else ""
     length = f", {duration:.3g} s" if np.isfinite(duration) else ""
     source = content.get("source") or "recordings"
-    names = [
-        n for kind in mapping(mapping(content, "payload"), "recordings").values() for n in kind
-    ]
-    given = f" {', '.join(map(str, names))}" if names else ""
+    logs = [n for kind in mapping(mapping(content, "payload"), "recordings").values() for n in kind]
+    given = f" {', '.join(map(str, logs))}" if logs else ""
     kind = _KINDS[run.question]
     yield f"Identified: {kind}{place}. Model: {model}. Data: {source}{given}{length}."
     rmse = number(content.get("rmse"))
