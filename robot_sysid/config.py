@@ -209,7 +209,7 @@ class SysidConfig:
         has_file, optimal = plan.file is not None, self.excitation.kind == "optimal"
         timed = has_file or plan.duration != TrajectoryOptions.duration or optimal
         poses = "--static" if self.poses.static else "--for friction"
-        playing = self.log.verify_rollout and bool(logs)
+        plays = self.log.verify_rollout and bool(logs)
         copied = self.arm.save_measurements is not None
         exclude = {
             ("--measurements", "--plant-model"): logs and self.arm.plant_model is not None,
@@ -221,7 +221,7 @@ class SysidConfig:
                 estimation.consistency == "off" and estimation.prior == "entropic"
             ),
             ("--verify-rollout", "--torques terminal"): (
-                playing and estimation.torques == "terminal"
+                plays and estimation.torques == "terminal"
             ),
             ("--save-measurements", "several --measurements"): copied and len(logs) > 1,
         }

@@ -18,14 +18,7 @@ from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.updated_model import changed_model_text
 from robot_sysid.mjcf.write_back import BodyChange, ModelChange, WriteBack
 from robot_sysid.model.compilation import warnings_as_notes
-from robot_sysid.records import Motion, RobotModel
-from robot_sysid.records.atomic_files import (
-    WholeFiles,
-    only_run_in,
-    require_writable,
-    whole_files,
-    write_whole,
-)
+from robot_sysid.records import Motion, RobotModel, atomic_files
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.results import CARD_NAME, DAMIAO_NAME, MODEL_NAMES, PARAMS_NAME
 from robot_sysid.results.cards import Card, card_text, load_errors, payload_cards
@@ -83,8 +76,8 @@ def locked_folder(folder: Path, progress: Progress) -> Iterator[None]:
     Raises:
         InputError: the folder cannot be written to, or another run has it.
     """
-    require_writable(folder)
-    with warnings_as_notes(progress), only_run_in(folder):
+    atomic_files.require_writable(folder)
+    with warnings_as_notes(progress), atomic_files.only_run_in(folder):
         yield
 
 
@@ -107,7 +100,7 @@ def export_updated_xml(
     """
     change = ModelChange((BodyChange(body, 0, plan),), rmse, principal=principal)
     folder = destination.absolute().parent
-    write_whole(destination, changed_model_text(source, change, folder, mesh_dir))
+    atomic_files.write_whole(destination, changed_model_text(source, change, folder, mesh_dir))
 
 
 def save(
@@ -145,7 +138,7 @@ def save(
     cards: tuple[Card, ...] = ()
     written: list[Path] = []
     notes: tuple[str, ...] = ()
-    with whole_files() as files:
+    with atomic_files.whole_files() as files:
         if failure is None and not _calibrates(result):
             # Drafted first, it takes its place last: what the other files say then holds for it.
             path = folder / MODEL_NAMES[robot.kind]
@@ -173,7 +166,10 @@ def save(
 
 
 def remove_earlier(
-    files: WholeFiles, folder: Path, written: Collection[Path], inputs: Collection[Path]
+    files: atomic_files.WholeFiles,
+    folder: Path,
+    written: Collection[Path],
+    inputs: Collection[Path],
 ) -> tuple[str, ...]:
     """Have the results of an earlier run removed once this run's are in place; returns notes.
 

@@ -84,18 +84,12 @@ def main(arguments: Sequence[str]) -> int:
 
 def _copy(home: Path, place: Path) -> None:
     """Let a copy of the example appear, all of it at once."""
-    from robot_sysid.pipeline import run
-
     ignored = shutil.ignore_patterns("__pycache__", "images")
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
         with draft_folder(place) as draft:
             shutil.copytree(home, draft, ignore=ignored, dirs_exist_ok=True)
-            # The true arm plays a trajectory, and the log is what its sensors say.
-            arm = {"plant_model": draft / "model" / TRUTH, "save_measurements": draft / LOG}
-            with tempfile.TemporaryDirectory() as nowhere:
-                asked = {**RECORDING, **arm, "output_dir": Path(nowhere)}
-                run(config_from(draft / "model" / GUESS, **asked))
+            _record(draft / "model", draft / LOG)
             os.rename(draft, place)
     except OSError as error:
         reason = error.strerror or error
@@ -110,3 +104,12 @@ def _home(name: str) -> Path:
     if found is None:
         raise InputError(f"the example {name} is not in this installation; install it again")
     return found
+
+
+def _record(model: Path, log: Path) -> None:
+    """Let the true arm of the example play a trajectory and write what its sensors say."""
+    from robot_sysid.pipeline import run
+
+    arm = {"plant_model": model / TRUTH, "save_measurements": log}
+    with tempfile.TemporaryDirectory() as nowhere:
+        run(config_from(model / GUESS, **RECORDING, **arm, output_dir=Path(nowhere)))

@@ -429,11 +429,9 @@ def _windows_off(time: Array, q: Array, qd: Array, slope: Array) -> Iterator[Mis
     bent = longest / 6.0 * (turns[ends] - turns[starts])
     length = (time[ends] - time[starts])[:, None]
     allowed = shifted + bent + 2.0 * _ROUNDING + _ROUNDING * length
-    for k, joint in np.argwhere(np.abs(came - said) > allowed * (1.0 + 1e-9))[:1]:
+    for k, j in np.argwhere(np.abs(came - said) > allowed * (1.0 + 1e-9))[:1]:
         span = float(length[k, 0])
-        yield Mismatch(
-            int(starts[k]), int(joint), float(said[k, joint]) / span, float(came[k, joint]) / span
-        )
+        yield Mismatch(int(starts[k]), int(j), float(said[k, j]) / span, float(came[k, j]) / span)
 
 
 def _summed(parts: Array) -> Array:

@@ -215,9 +215,7 @@ def rest_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
         yield f"joints that do not move in this log: {', '.join(still)}"
     long = max(0.5, 0.02 * (time[-1] - time[0]))
     # A joint that moves by _AT_REST is away from the first and from the last posture at some time.
-    first, last = (
-        int(np.argmax(np.any(np.abs(order - order[0]) > _STILL, axis=1))) for order in (q, q[::-1])
-    )
+    first, last = (int(np.argmax(np.any(np.abs(x - x[0]) > _STILL, axis=1))) for x in (q, q[::-1]))
     before = time[first] - time[0]
     if before > long:
         yield f"the arm stands still up to {rows.word} {rows.lines[first]} ({before:.2f} s)"

@@ -19,14 +19,8 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.json_files import read_json
+from robot_sysid.logs import column_map
 from robot_sysid.logs.checks import check_log
-from robot_sysid.logs.column_map import (
-    ColumnChoices,
-    ColumnMap,
-    parse_units,
-    read_columns_file,
-    recognise_columns,
-)
 from robot_sysid.logs.columns import joint_kind, read_title
 from robot_sysid.logs.formats.arrays import hdf5_table, lerobot_table, matlab_table, npz_table
 from robot_sysid.logs.formats.ros_bag import bag_table
@@ -52,7 +46,7 @@ class MeasurementLog:
     """
 
     path: Path
-    columns: ColumnMap
+    columns: column_map.ColumnMap
     samples: Measurement
     pieces: tuple[LogPiece, ...]
     notes: tuple[str, ...]
@@ -93,9 +87,9 @@ def open_log(
         return source
     path, names, slides = Path(source), robot.joint_names, robot.is_slide.tolist()
     table = source if isinstance(source, LogTable) else open_table(path, names, options)
-    choices = parse_units(options.units) if options.units else ColumnChoices()
+    choices = column_map.parse_units(options.units) if options.units else column_map.ColumnChoices()
     if options.columns:
-        choices = choices.over(read_columns_file(Path(options.columns), names))
+        choices = choices.over(column_map.read_columns_file(Path(options.columns), names))
     elif table.titles[:1] == ("#1",):
         raise InputError(
             f"{table.path} has no column titles; say which of its {len(table.titles)} columns is "
@@ -103,7 +97,9 @@ def open_log(
         )
     wanted = options.torque_constants is not None, options.commanded
     choices = choices.over(table.choices)
-    found = recognise_columns(table.titles, names, choices, table.first_row, slides, *wanted)
+    found = column_map.recognise_columns(
+        table.titles, names, choices, table.first_row, slides, *wanted
+    )
     found = found.with_torque_factor(torque_factor(options, names))
     rows = read_rows(table, found, slides, progress)
     checked = check_log(str(path), rows, robot, found.angle_declared)

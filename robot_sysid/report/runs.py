@@ -95,9 +95,7 @@ def report_data(traces: Traces, result: str = "") -> ReportData:
     # The logs one after the other, a second apart.
     steps = np.diff(traces.time, prepend=traces.time[:1])
     time = np.cumsum(np.where(steps < 0.0, 1.0, steps))
-    drawn: dict[str, Any] = {
-        name: np.asarray(getattr(traces, name)[kept], dtype=np.float32) for name in SIGNALS
-    }
+    drawn: dict[str, Any] = {n: np.asarray(getattr(traces, n)[kept], np.float32) for n in SIGNALS}
     return ReportData(
         joints=traces.joints,
         is_slide=traces.is_slide,

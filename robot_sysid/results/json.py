@@ -103,9 +103,8 @@ def inertial_entries(inertial: InertialParameters) -> dict[str, Any]:
 
 def _asked(result: Result) -> dict[str, Any]:
     estimate, joint = result.estimate, result.joint_name
-    entries = inertial_entries(
-        estimate.inertial if result.payload is None else result.payload.total.inertial
-    )
+    whole = estimate if result.payload is None else result.payload.total
+    entries = inertial_entries(whole.inertial)
     return {
         "joint_name": joint,
         **{key: entries.pop(key) for key in list(entries)[:3]},
@@ -240,9 +239,7 @@ def _fit(result: Result) -> dict[str, Any]:
     return {
         "method": estimate.method,
         "torques": result.torques,
-        "parameter_source": {
-            name: words[bool(known)] for name, known in zip(estimate.names, seen.identified)
-        },
+        "parameter_source": {n: words[bool(k)] for n, k in zip(estimate.names, seen.identified)},
         "unidentifiable_combinations": seen.unidentifiable,
         "rmse_per_joint": estimate.rmse_per_joint,
         "condition_number_scaled": seen.scaled_condition_number,

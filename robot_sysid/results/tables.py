@@ -142,11 +142,7 @@ def asked_rows(result: Result) -> list[BeforeAfter]:
 
 def link_rows(result: Result) -> list[BeforeAfter]:
     """Return the rows of every link that has mass: its mass and first moments."""
-    return [
-        replace(row, name=f"{body.name} {row.name}")
-        for body in result.links
-        for row in theta_rows(body)[:4]
-    ]
+    return [replace(r, name=f"{b.name} {r.name}") for b in result.links for r in theta_rows(b)[:4]]
 
 
 def _com_rows(body: BodyEstimate, stated: bool = True) -> Iterator[BeforeAfter]:

@@ -91,15 +91,13 @@ class Scaling:
         return np.moveaxis(codes * ((high - low) / full) + low, -1, 0)
 
     def _refuse_outside(self, values: Array) -> None:
-        slack = _FLOAT32_SLACK * self._high
+        room = _FLOAT32_SLACK * self._high
         # Written so that a NaN counts as outside.
-        outside = np.moveaxis(
-            ~((values >= self._low - slack) & (values <= self._high + slack)), -1, 0
-        )
-        for where in np.argwhere(outside)[:1]:
+        beyond = np.moveaxis(~((values >= self._low - room) & (values <= self._high + room)), -1, 0)
+        for where in np.argwhere(beyond)[:1]:
             what, bad = where[0], np.moveaxis(values, -1, 0)[tuple(where)]
             raise InputError(
-                f"{MitCommand._fields[what]} {bad:g} {_place(outside)} is outside its range, "
+                f"{MitCommand._fields[what]} {bad:g} {_place(beyond)} is outside its range, "
                 f"limit {self._high[where[-1], what]:g}"
             )
 

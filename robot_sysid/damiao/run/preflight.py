@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from robot_sysid.damiao import trajectory as motion
 from robot_sysid.damiao.bus.inspection import InspectedMotor, Inspection
 from robot_sysid.damiao.exchange.recorder import RecordingOptions
 from robot_sysid.damiao.exchange.session import PAUSE
@@ -22,12 +23,6 @@ from robot_sysid.damiao.protocol import registers as reg
 from robot_sysid.damiao.protocol.codec import Scaling
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace, id_problems
 from robot_sysid.damiao.protocol.motors import limits_agree, matching_types
-from robot_sysid.damiao.trajectory import (
-    DamiaoTrajectory,
-    TrajectoryScan,
-    rating_warnings,
-    scan_trajectory,
-)
 from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.records import Array
 from robot_sysid.records.options import OptionRecord, option
@@ -90,19 +85,19 @@ class Plan:
     ``inertia`` is what each joint moves (n,), where a model is known [kg m^2].
     """
 
-    trajectory: DamiaoTrajectory
+    trajectory: motion.DamiaoTrajectory
     settings: PlaySettings = PlaySettings()
     timing: frames.BusTiming = frames.BusTiming()
     allowed: Permissions = Permissions()
     recording: RecordingOptions = RecordingOptions()
     inertia: Array | None = None
-    scan: TrajectoryScan = field(init=False)
+    scan: motion.TrajectoryScan = field(init=False)
 
     def __post_init__(self) -> None:
         specs = [joint.spec for joint in self.trajectory.joints]
         settings = self.settings.for_motors(specs, self.timing, self.inertia)
         object.__setattr__(self, "settings", settings)
-        object.__setattr__(self, "scan", scan_trajectory(self.trajectory))
+        object.__setattr__(self, "scan", motion.scan_trajectory(self.trajectory))
 
     @property
     def duration(self) -> float:
@@ -215,10 +210,7 @@ def require_no_stop(checks: Sequence[Check], words: str) -> None:
 
 
 def _condition(
-    motor: InspectedMotor,
-    settings: PlaySettings,
-    allowed: Permissions,
-    joint: DamiaoJoint | None = None,
+    motor: InspectedMotor, play: PlaySettings, allow: Permissions, joint: DamiaoJoint | None = None
 ) -> Iterator[Check]:
     """Yield what a motor says of itself, and of the joint that it drives, if any."""
     lacking = [reg.NAMES[n] for n in reg.REQUIRED if n not in motor.registers]
@@ -226,12 +218,12 @@ def _condition(
         yield _stop(f"{motor.name} does not answer for {', '.join(lacking)}; try again")
         return
     if joint:
-        yield from (*_identity(motor, joint), *_scaling(motor, joint, allowed))
+        yield from (*_identity(motor, joint), *_scaling(motor, joint, allow))
     mode = int(motor.registers[reg.CTRL_MODE])
     if mode != reg.MIT_MODE:
         said = reg.MODES.get(mode, "unknown")
         yield _stop(f"{motor.name} is in mode {mode} ({said}); set CTRL_MODE to 1 (MIT)")
-    yield from (*_watchdog(motor, settings, allowed), *_state(motor, settings))
+    yield from (*_watchdog(motor, play, allow), *_state(motor, play))
 
 
 def _ids(joints: Sequence[DamiaoJoint]) -> Iterator[Check]:
@@ -270,7 +262,7 @@ def _ratings(plan: Plan) -> Iterator[Check]:
         spec, torque = joint.spec, plan.scan.peak_torque[j] / joint.torque_ratio
         velocity = plan.scan.peak_velocity[j] * plan.settings.speed
         beyond = spec.peak_torque is not None and torque > spec.peak_torque
-        for text in rating_warnings(joint, velocity, torque):
+        for text in motion.rating_warnings(joint, velocity, torque):
             yield Check(STOP if beyond and "peak torque" in text else NOTE, text)
         if spec.note:
             yield _note(f"{joint.label}, {spec.name}: {spec.note}")
@@ -378,11 +370,9 @@ def _scaling(motor: InspectedMotor, joint: DamiaoJoint, allowed: Permissions) ->
         yield _ok(f"{name} is scaled as a {joint.motor_type}: {_three(found)}")
 
 
-def _watchdog(
-    motor: InspectedMotor, settings: PlaySettings, allowed: Permissions
-) -> Iterator[Check]:
+def _watchdog(motor: InspectedMotor, settings: PlaySettings, allow: Permissions) -> Iterator[Check]:
     name, stored = motor.name, motor.registers[reg.TIMEOUT] * reg.TIMEOUT_UNIT
-    timeout = stored if allowed.watchdog is None else allowed.watchdog
+    timeout = stored if allow.watchdog is None else allow.watchdog
     if timeout == 0.0:
         text = f"{name} has no watchdog: it would go on for ever if this program died"
         yield _stop(f"{text}; give --set-watchdog 0.1 or set TIMEOUT")
