@@ -195,7 +195,6 @@ def _calibrates(result: Result) -> bool:
 
 
 def _refusal(result: Result) -> str | None:
-    """Return why nothing may be used, or None."""
     if result.failure is None:
         return None
     if _calibrates(result):

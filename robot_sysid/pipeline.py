@@ -312,12 +312,7 @@ def _of_plant(
 def _past_the_ramp(
     options: EstimationOptions, simulation: PlantSimulation
 ) -> tuple[tuple[float, ...], tuple[str, ...]]:
-    """Return what must be left out of MuJoCo's dry friction, a ramp near standstill.
-
-    Returns:
-        (speeds (n,) below which it is incomplete, a sentence on them); both empty where there is
-        nothing to leave out.
-    """
+    """Return (speeds (n,) below which MuJoCo's dry friction is a ramp, a sentence); () if none."""
     # A little above the ramp, so that three digits say all.
     speeds = tuple(float(f"{1.005 * speed:.3g}") for speed in simulation.least_deadband())
     if not any(speeds) or options.velocity_deadband is not None:
@@ -331,7 +326,6 @@ def _past_the_ramp(
 
 
 def _of_logs(config: SysidConfig, robot: RobotModel, progress: Progress) -> Analysis:
-    """Identify from one log of the real arm, or from several together."""
     options, tests = config.log, []
     earlier = () if options.append is None else earlier_logs(options.append, robot)
     logs = []
@@ -392,10 +386,7 @@ def _identified(
 
 
 def _file_tested(robot: RobotModel, found: Analysis, mesh_dir: Path | None) -> Result:
-    """Return the result with the written file's own error on whole other logs.
-
-    The file is written, compiled and asked by inverse dynamics alone.
-    """
+    """Return the result with the written file's own error on other logs, by inverse dynamics."""
     result = found.result
     if result.file is None or not found.tests or not result.verdict.is_trustworthy:
         return result

@@ -13,25 +13,18 @@ from robot_sysid import __version__
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.streams import print_line
 from robot_sysid.errors import EXIT_CODES, InputError
-from robot_sysid.records.options import (
-    Option,
-    OptionRecord,
-    default_of,
-    option,
-    options_of,
-    record_from,
-)
+from robot_sysid.records import options
 
 PROGRAM = "robot-sysid"
 
 
 @dataclass(frozen=True)
-class ConsoleOptions(OptionRecord):
+class ConsoleOptions(options.OptionRecord):
     """How much is printed."""
 
-    verbose: bool = option(False, "say more", short="-v")
-    quiet: bool = option(False, "print errors only")
-    debug: bool = option(False, "show the traceback of an error")
+    verbose: bool = options.option(False, "say more", short="-v")
+    quiet: bool = options.option(False, "print errors only")
+    debug: bool = options.option(False, "show the traceback of an error")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -110,9 +103,9 @@ class Parser(argparse.ArgumentParser):
         """
         group = self.add_argument_group(title)
         for record in records:
-            for name, each in options_of(record).items():
+            for name, each in options.options_of(record).items():
                 if each.key not in leave_out and (not only or each.key in only):
-                    default = (usual or {}).get(each.key, default_of(record, name))
+                    default = (usual or {}).get(each.key, options.default_of(record, name))
                     hidden = self._main is not None and each.key not in self._main
                     _add(group, each, default, hidden)
         return group
@@ -138,14 +131,14 @@ class _Formatter(argparse.HelpFormatter):
         return f"usage: {' '.join([str(self._prog), *words])} [options]\n\n"
 
 
-def described(each: Option, default: Any) -> str:
+def described(each: options.Option, default: Any) -> str:
     """Return an option's help with unit and default."""
     unit = f" [{each.unit}]" if each.unit else ""
     usual = default_text(each, default)
     return f"{each.help}{unit}" + (f" (default: {usual})" if usual else "")
 
 
-def default_text(each: Option, default: Any) -> str:
+def default_text(each: options.Option, default: Any) -> str:
     """Return a default as a user would type it, or in words; "" where there is none."""
     if each.usual:
         return each.usual
@@ -154,7 +147,7 @@ def default_text(each: Option, default: Any) -> str:
     return f"{default:g}" if isinstance(default, float) else str(default)
 
 
-def _add(group: Any, each: Option, default: Any, hidden: bool) -> None:
+def _add(group: Any, each: options.Option, default: Any, hidden: bool) -> None:
     text = argparse.SUPPRESS if hidden else described(each, default).replace("%", "%%")
     flags = [each.short, each.flag] if each.short else [each.flag]
     words: dict[str, Any] = {"help": text, "default": argparse.SUPPRESS, "dest": each.key}
@@ -203,7 +196,7 @@ def parsed(
     """
     given = vars(build_parser("--help-all" in arguments).parse_args(arguments))
     values = {key: _frozen(value) for key, value in given.items()}
-    wanted = record_from(ConsoleOptions, values)
-    for name in options_of(ConsoleOptions):
+    wanted = options.record_from(ConsoleOptions, values)
+    for name in options.options_of(ConsoleOptions):
         values.pop(name, None)
     return values, Console(**vars(wanted))

@@ -138,14 +138,12 @@ def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
 
 
 def _head(joints: Sequence[DamiaoJoint]) -> str:
-    lines = []
-    for joint in joints:
-        line = f"# motor_type={joint.motor_type},can_id={joint.can_id},mode=MIT"
-        if joint.master_id != joint.can_id + MASTER_ID_OFFSET:
-            line += f",master_id={joint.master_id}"
-        lines.append(line)
-    lines.append(",".join(["time", *trajectory_columns(len(joints))]))
-    return "\n".join(lines) + "\n"
+    lines = [
+        f"# motor_type={j.motor_type},can_id={j.can_id},mode=MIT"
+        + ("" if j.master_id == j.can_id + MASTER_ID_OFFSET else f",master_id={j.master_id}")
+        for j in joints
+    ]
+    return "\n".join([*lines, ",".join(["time", *trajectory_columns(len(joints))])]) + "\n"
 
 
 def trajectory_columns(n_joints: int) -> list[str]:
@@ -379,7 +377,12 @@ class VelocityColumns:
         table = np.hstack([time[:, None], q, qd])
         self._rows = table if self._rows is None else np.vstack([self._rows, table])
         time, (q, qd) = self._rows[:, 0], np.split(self._rows[:, 1:], 2, axis=1)
-        found = next(_mismatches(time, q, qd, self._begun), None)
+        found = None
+        if len(time) > 1:
+            step = np.diff(time)[:, None]
+            slope, first = np.diff(q, axis=0) / step, _AROUND if self._begun else 0
+            wrong = chain(_rows_off(step, slope, qd, first), _windows_off(time, q, qd, slope))
+            found = next(wrong, None)
         self._begun = True
         if found is not None:
             self.mismatch = found._replace(line=found.line + self._first_line)
@@ -387,14 +390,6 @@ class VelocityColumns:
         kept = int(np.searchsorted(time, time[-1] - 2.0 * _WINDOW))
         kept = max(min(kept, len(time) - 2 * _LEAST_ROWS), 0)
         self._rows, self._first_line = self._rows[kept:], self._first_line + kept
-
-
-def _mismatches(time: Array, q: Array, qd: Array, begun: bool) -> Iterator[Mismatch]:
-    if len(time) > 1:
-        step = np.diff(time)[:, None]
-        slope = np.diff(q, axis=0) / step
-        yield from _rows_off(step, slope, qd, _AROUND if begun else 0)
-        yield from _windows_off(time, q, qd, slope)
 
 
 def _rows_off(step: Array, slope: Array, qd: Array, first: int) -> Iterator[Mismatch]:

@@ -33,21 +33,10 @@ from typing import Any
 
 from robot_sysid.errors import InputError
 from robot_sysid.json_files import read_json
-from robot_sysid.logs.columns import (
-    QUANTITIES,
-    REMEDY,
-    UNITS,
-    Found,
-    Title,
-    joint_kind,
-    match_joints,
-    read_title,
-    two_candidates,
-    with_meaning,
-)
+from robot_sysid.logs import columns as naming
 from robot_sysid.records import Array
 
-_KEYS = ("time", *QUANTITIES, "units", "rate")
+_KEYS = ("time", *naming.QUANTITIES, "units", "rate")
 _SCALED = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?)\s*\*\s*(.+)", re.ASCII)
 _ANGLES = ("rad", "deg")
 _TIMES = ("s", "ms", "us", "ns")
@@ -118,7 +107,7 @@ def read_columns_file(path: Path, joint_names: Sequence[str]) -> ColumnChoices:
         quantity = key.split(".", 1)[0]
         if quantity not in _KEYS:
             raise InputError(f"{path}: unknown key {key!r}; valid keys: {', '.join(_KEYS)}")
-        if quantity in QUANTITIES:
+        if quantity in naming.QUANTITIES:
             columns.setdefault(quantity, {}).update(_per_joint(path, key, value, joint_names))
     units = parse_units(str(entries["units"])) if "units" in entries else ColumnChoices()
     time = str(entries["time"]) if "time" in entries else None
@@ -259,21 +248,22 @@ def recognise_columns(
     Raises:
         InputError: a quantity is missing, has two candidates, or contradicts the declared units.
     """
-    parsed = with_meaning([read_title(title) for title in titles], joint_names, currents, commanded)
+    plain = [naming.read_title(title) for title in titles]
+    parsed = naming.with_meaning(plain, joint_names, currents, commanded)
     # What the file names in full need not be recognised, and cannot be ambiguous.
     settled = {k for k, c in chosen.columns.items() if len(c) == len(joint_names)}
-    readable = [t if joint_kind(t) not in settled else read_title("") for t in parsed]
-    found = match_joints(readable, joint_names, first_row)
+    readable = [t if naming.joint_kind(t) not in settled else naming.read_title("") for t in parsed]
+    found = naming.match_joints(readable, joint_names, first_row)
     asked, other = ("command", "torque") if commanded else ("torque", "command")
     columns = _Columns(list(titles), parsed, joint_names, chosen, is_slide, ("position", asked))
-    sources = {kind: columns.of_joints(kind, found) for kind in QUANTITIES if kind != other}
+    sources = {kind: columns.of_joints(kind, found) for kind in naming.QUANTITIES if kind != other}
     time = columns.time()
     used = {s.index for group in sources.values() if group for s in group}
     used |= {time.index} if time else set()
     unused = tuple(title for index, title in enumerate(titles) if index not in used)
     position, torque = sources["position"], sources[asked]
     if position is None or torque is None:
-        raise InputError(f"position and {asked} cannot be left out; {REMEDY}")
+        raise InputError(f"position and {asked} cannot be left out; {naming.REMEDY}")
     declared = chosen.angle_unit is not None or all(parsed[s.index].unit for s in position)
     return ColumnMap(
         time, chosen.rate, position, torque, sources["velocity"], sources["acceleration"],
@@ -286,13 +276,13 @@ class _Columns:
     """The columns of one log and what was declared of them; finds those of a quantity."""
 
     _texts: list[str]
-    _titles: Sequence[Title]
+    _titles: Sequence[naming.Title]
     _joints: Sequence[str]
     _chosen: ColumnChoices
     _is_slide: Sequence[bool]
     _needed: tuple[str, str]
 
-    def of_joints(self, kind: str, found: Found) -> tuple[Source, ...] | None:
+    def of_joints(self, kind: str, found: naming.Found) -> tuple[Source, ...] | None:
         """Return one source per joint, or None where an optional quantity is not there for all."""
         explicit = self._chosen.columns.get(kind, {})
         if set(explicit.values()) == {"none"}:
@@ -303,7 +293,7 @@ class _Columns:
             if name in explicit:
                 sources.append(self._source(kind, joint, *self._lookup(explicit[name])))
             elif len(candidates) > 1:
-                raise two_candidates(kind, name, [self._texts[index] for index in candidates])
+                raise naming.two_candidates(kind, name, [self._texts[i] for i in candidates])
             elif candidates:
                 sources.append(self._source(kind, joint, candidates[0], 1.0))
         if len(sources) == len(self._joints):
@@ -323,16 +313,16 @@ class _Columns:
         stamped = [i for i in found if "header" in self._titles[i].words]
         found = stamped if len(stamped) == 1 else found
         if len(found) > 1:
-            raise two_candidates("time", "", [self._texts[i] for i in found])
+            raise naming.two_candidates("time", "", [self._texts[i] for i in found])
         if not found:
             raise InputError(
-                f"the log has no time column; {REMEDY} ('time = TITLE', or 'rate = HZ' for evenly "
-                f"spaced rows). Columns: {', '.join(self._texts)}"
+                f"the log has no time column; {naming.REMEDY} ('time = TITLE', or 'rate = HZ' for "
+                f"evenly spaced rows). Columns: {', '.join(self._texts)}"
             )
         return self._source("time", 0, found[0], 1.0)
 
     def _incomplete(self, kind: str) -> InputError:
-        candidates = [title.text for title in self._titles if joint_kind(title) == kind]
+        candidates = [title.text for title in self._titles if naming.joint_kind(title) == kind]
         found = f"{len(candidates)} ({', '.join(candidates)})" if candidates else "none"
         commanded = [t.text for t in self._titles if t.commanded and t.stands_for != "command"]
         hint = f"; commanded columns are not measurements: {commanded[0]}, ..." if commanded else ""
@@ -345,7 +335,7 @@ class _Columns:
             hint += "; with commanded positions, identify --torque-from position-error needs none"
         return InputError(
             f"the log needs one {kind} column for each of the {len(self._joints)} chain joints "
-            f"({', '.join(self._joints)}), found {found}{hint}; {REMEDY}. Columns: "
+            f"({', '.join(self._joints)}), found {found}{hint}; {naming.REMEDY}. Columns: "
             f"{', '.join(self._texts)}"
         )
 
@@ -371,9 +361,9 @@ class _Columns:
         title, chosen, declared = self._titles[index], self._chosen, None
         written = self._written(kind, title)
         if kind in ("time", "joint_time"):
-            declared = None if chosen.time_unit is None else UNITS["time"][chosen.time_unit]
+            declared = None if chosen.time_unit is None else naming.UNITS["time"][chosen.time_unit]
         elif kind != "torque" and chosen.angle_unit is not None and not self._is_slide[joint]:
-            declared = UNITS["position"][chosen.angle_unit]
+            declared = naming.UNITS["position"][chosen.angle_unit]
         if written is not None and declared is not None and written != declared:
             raise InputError(
                 f"column {title.text!r} names a unit that contradicts the declared units; "
@@ -382,10 +372,10 @@ class _Columns:
         unit = next((each for each in (written, declared) if each is not None), 1.0)
         return Source(index, self._texts[index], factor * unit)
 
-    def _written(self, kind: str, title: Title) -> float | None:
+    def _written(self, kind: str, title: naming.Title) -> float | None:
         if not title.unit:
             return None
-        factor = UNITS["time" if kind == "joint_time" else kind].get(title.unit)
+        factor = naming.UNITS["time" if kind == "joint_time" else kind].get(title.unit)
         if factor is None:
             raise InputError(
                 f"unit {title.unit!r} of column {title.text!r} is unknown for a {kind}; rename the "

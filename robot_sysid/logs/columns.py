@@ -307,7 +307,6 @@ def _aliases(joint_names: tuple[str, ...]) -> list[tuple[int, str]]:
 def _by_number(
     titles: Sequence[Title], joint_names: Sequence[str], first_row: Sequence[str], skip: set[int]
 ) -> Found:
-    """Return the reading by counting, leaving out the columns to ``skip``."""
     numbered: dict[str, dict[int, list[int]]] = {}
     for index, title in enumerate(titles):
         kind = None if index in skip else joint_kind(title)
@@ -331,10 +330,7 @@ def _by_number(
 def _order_from_names(
     titles: Sequence[Title], joint_names: Sequence[str], first_row: Sequence[str]
 ) -> dict[int, int]:
-    """Return number to joint from a log's own list of names (ROS joint_states: name0, name1, ...).
-
-    ROS publishers may order joints by the alphabet, so counting would be wrong.
-    """
+    """Return number to joint by a log's own list of names; ROS may order by the alphabet."""
     listed: dict[int, str] = {}
     for title, cell in zip(titles, first_row):
         if title.words and title.words[-1] in ("name", "names"):

@@ -54,8 +54,7 @@ class Asset:
 
 def asset_folders(document: ModelDocument, mesh_dir: Path | None = None) -> AssetFolders:
     """Return where the assets of an MJCF document are; ``mesh_dir`` replaces its meshdir."""
-    mesh = texture = "."
-    strip = False
+    mesh, texture, strip = ".", ".", False
     for compiler in document.compilers():
         both = compiler.get("assetdir")
         mesh = compiler.get("meshdir") or both or mesh

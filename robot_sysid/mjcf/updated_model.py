@@ -260,8 +260,7 @@ def find_joint(document: ModelDocument, label: str) -> Node:
 
 
 def _joints(document: ModelDocument) -> Iterator[Node]:
-    """Yield the joints in the order in which MuJoCo numbers them: those of a body before those of
-    the bodies in it."""
+    """Yield the joints in MuJoCo's order: those of a body before those of the bodies in it."""
     if document.kind == "urdf":
         yield from document.tagged("joint")
     for world in document.tagged("worldbody"):

@@ -105,10 +105,7 @@ def _count(duration: float) -> int:
 
 
 def _shares(signals: Iterable[Array], limits: Iterable[Array]) -> Iterator[Strip]:
-    """Yield the largest share of its limit that a joint has [%], NaN without limits, of each.
-
-    Signals (T, n) and limits (n,) are of position, speed and torque.
-    """
+    """Yield each signal's (T, n) largest share of its limit (n,) [%], NaN without limits."""
     titles = ("position [% of range]", "speed [% of limit]", "torque [% of limit]")
     for title, values, limit in zip(titles, signals, limits):
         shares = 100.0 * np.max(np.abs(values) / limit, axis=1)
@@ -121,10 +118,7 @@ def at_times(at: Array | float, time: Array, values: Array, outside: float | Non
 
 
 def _beside(motion: Motion, log: Measurement, joints: tuple[str, ...]) -> tuple[Array, str]:
-    """Return (positions of a log beside a planned motion, how well they fit).
-
-    The log may begin before or after the motion: of all shifts the one that fits best counts.
-    """
+    """Return (a log's positions beside a motion, at the shift that fits best; how they fit)."""
     time = log.time - log.time[0]
     longest, played = float(time[-1]), float(motion.time[-1])
     overlap = 0.5 * min(longest, played)

@@ -97,10 +97,7 @@ def _bundled(model: Path, folder: str, earlier: Path | None) -> tuple[bytes, dic
 
 
 def _names(paths: Iterable[Path], folder: str, earlier: Path | None) -> dict[Path, str]:
-    """Return file to its place in the bundle; two different files never get one name.
-
-    Neither do a file and another one in an earlier bundle, whose model may still need that one.
-    """
+    """Return file to its place; two files, or one of an earlier bundle, never get one name."""
     names: dict[Path, str] = {}
     for path in paths:
         if path not in names:

@@ -188,7 +188,6 @@ def _sensor_lines(result: Result) -> Iterator[str]:
 
 
 def _error_lines(result: Result) -> Iterator[str]:
-    """Yield how well the file predicts torques that made no part of it, and the fit itself."""
     fits, told = result.validation, set()
     if result.file is not None:
         file = result.file
@@ -358,7 +357,6 @@ def _weak(body: BodyEstimate) -> Iterator[str]:
 
 
 def _conflicts(result: Result) -> Iterator[str]:
-    """Tell what the data asks for that the model does not have."""
     for conflict in result.conflicts:
         cause = _CONFLICTS.get(conflict.cause, f"{conflict.cause}: not as was thought")
         words = f"{cause} (most: {', '.join(conflict.members[:3])})"

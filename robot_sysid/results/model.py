@@ -208,10 +208,7 @@ def _body_changes(
 def _joint_words(
     robot: RobotModel, written: Sequence[int], joints: Sequence[JointChange]
 ) -> list[list[str]]:
-    """Return per link what its comment says of joints: its own, the last link's also of others.
-
-    Those are the joints whose link is not among the written ones, so that it has no comment.
-    """
+    """Return what each link's comment says of joints; the last one's of those without any."""
     place = {robot.links[k].body_id: k for k in written}
     body = {name: link.body_id for name, link in zip(robot.joint_names, robot.links)}
     words: list[list[str]] = [[] for _ in robot.links]
@@ -235,10 +232,7 @@ def _welded(robot: RobotModel, payload: Payload, name: str, words: str) -> Welde
 def _write(
     robot: RobotModel, change: ModelChange, target: ModelTarget, thetas: Array
 ) -> tuple[str, ...]:
-    """Write the draft, compile it and compare with links (n, 10); withdraw it where it fails.
-
-    It has to be the original with the change alone.
-    """
+    """Write the draft and compare it, compiled, with links (n, 10); withdraw it where it fails."""
     welded, written = change.welded, [body.plan.theta for body in change.bodies]
     written += [] if welded is None else [welded.theta]
     exact, folder = all(map(reads_fullinertia_exactly, written)), target.path.absolute().parent

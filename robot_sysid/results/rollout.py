@@ -80,10 +80,7 @@ def _played(
     since: Callable[[ProcessedSignals], float],
     held_out: str,
 ) -> RolloutTest:
-    """Return a test, or one without figures that says why there are none.
-
-    The model that is written is read back from a folder that is gone afterwards.
-    """
+    """Return a test, or one that says why there are no figures; the model is read from a file."""
     try:
         pieces = [p for log in signals for p in playback.pieces_of_signals(log, since(log))]
         checkpoints = signals[0].motion(signals[0].spread(CHECKPOINTS))

@@ -73,13 +73,9 @@ _NUMBERS = (int, float, bytes, np.ndarray)
 
 
 class _Asked(NamedTuple):
-    """Numbers that a change asks for.
+    """Values that a change asks for at places: compiled fields, and the place in each, row first.
 
-    Attributes:
-        places: compiled fields and the place in each, its row first.
-        values: what has to stand there.
-        owner: whose numbers they are.
-        fault: what to say where others stand there, with the numbers found as {0}, {1}, ...
+    ``fault`` says what is wrong where others stand there, the numbers found as {0}, {1}, ...
     """
 
     places: tuple[tuple[str, tuple[Any, ...]], ...]
@@ -164,7 +160,11 @@ def verify_written_model(original: Any, written: Path, change: ModelChange) -> C
 
 def require_change(original: Any, found: Any, change: ModelChange) -> None:
     """Raise ExportError unless a compiled model is the original one with a change made."""
-    new = None if change.welded is None else _new_body(original, found, change.welded)
+    new, welded = None, change.welded
+    if welded is not None:
+        new = mujoco.mj_name2id(found, int(mujoco.mjtObj.mjOBJ_BODY), welded.name)
+        if new < 0 or found.nbody != original.nbody + 1:
+            raise ExportError(f"the written model has no body '{welded.name}' of its own")
     thetas = {
         body: (theta, plan.theta)
         for own, plan in ((change.body_id, change.plan) for change in change.bodies)
@@ -179,9 +179,9 @@ def require_change(original: Any, found: Any, change: ModelChange) -> None:
         require_theta(found, body + (new is not None and body >= new), theta, size)
     for each in asked:
         each.require(found)
-    if change.welded is not None and new is not None:
-        _require_place(found, new, change.welded)
-        require_theta(found, new, change.welded.theta, change.welded.theta)
+    if welded is not None and new is not None:
+        _require_place(found, new, welded)
+        require_theta(found, new, welded.theta, welded.theta)
 
 
 def compiled_again(written: Path) -> CompiledModel:
@@ -338,14 +338,6 @@ _BOOKKEEPING = {
     *("tree_bodynum", "exclude_signature", "pair_signature"),
 }
 _OF_NAMES = ("name_", "B_")
-
-
-def _new_body(original: Any, written: Any, body: WeldedBody) -> int:
-    """Return the id of a welded body; ExportError where it is not the only one more."""
-    new = mujoco.mj_name2id(written, int(mujoco.mjtObj.mjOBJ_BODY), body.name)
-    if new < 0 or written.nbody != original.nbody + 1:
-        raise ExportError(f"the written model has no body '{body.name}' of its own")
-    return new
 
 
 def _require_place(written: Any, new: int, body: WeldedBody) -> None:

@@ -212,7 +212,6 @@ def require_no_stop(checks: Sequence[Check], words: str) -> None:
 def _condition(
     motor: InspectedMotor, play: PlaySettings, allow: Permissions, joint: DamiaoJoint | None = None
 ) -> Iterator[Check]:
-    """Yield what a motor says of itself, and of the joint that it drives, if any."""
     lacking = [reg.NAMES[n] for n in reg.REQUIRED if n not in motor.registers]
     if lacking:
         yield _stop(f"{motor.name} does not answer for {', '.join(lacking)}; try again")
@@ -407,7 +406,6 @@ def _state(motor: InspectedMotor, settings: PlaySettings) -> Iterator[Check]:
 
 
 def _in_time(inspection: Inspection, settings: PlaySettings) -> Iterator[Check]:
-    """Compare how long answers take with how long a control cycle can wait for them."""
     if inspection.round_trip is None:
         return
     took, waits = inspection.round_trip, _ANSWER_SHARE * settings.period

@@ -19,16 +19,7 @@ import numpy as np
 from robot_sysid.errors import InputError
 from robot_sysid.json_files import read_json
 from robot_sysid.logs.column_map import ColumnChoices
-from robot_sysid.logs.formats.table import (
-    Asked,
-    LogTable,
-    arrays_table,
-    as_input_errors,
-    library,
-    pieces_table,
-    renamed,
-    titled_arrays,
-)
+from robot_sysid.logs.formats import table
 from robot_sysid.records import Array
 
 LARGEST = 1e9
@@ -78,11 +69,11 @@ except Exception as error:
 """Makes an .npz file of a .mat file; SciPy ends the process on some damaged ones."""
 
 
-def npz_table(asked: Asked) -> LogTable | None:
+def npz_table(asked: table.Asked) -> table.LogTable | None:
     """Return the arrays of an .npz file: time (N,), q, qd, tau (N, n), by these or like names."""
     if not asked.start.startswith(NPZ):
         return None
-    return arrays_table(asked.path, "NumPy .npz", npz_arrays(asked.path))
+    return table.arrays_table(asked.path, "NumPy .npz", npz_arrays(asked.path))
 
 
 def npz_arrays(path: Path) -> dict[str, Any]:
@@ -91,7 +82,7 @@ def npz_arrays(path: Path) -> dict[str, Any]:
     Raises:
         InputError: it cannot be read, or unpacks to more than is read.
     """
-    with as_input_errors(path, "a NumPy .npz file"), path.open("rb") as stream:
+    with table.as_input_errors(path, "a NumPy .npz file"), path.open("rb") as stream:
         with zipfile.ZipFile(stream) as packed:
             _refuse_bomb(path, sum(each.file_size for each in packed.infolist()))
             for each in packed.namelist():
@@ -114,11 +105,12 @@ def _stated_bytes(packed: zipfile.ZipFile, name: str) -> int:
     return math.prod(shape) * kind.itemsize
 
 
-def matlab_table(asked: Asked) -> LogTable | None:
+def matlab_table(asked: table.Asked) -> table.LogTable | None:
     """Return the arrays of a .mat file, also those in its structs."""
     if not asked.start.startswith(MATLAB):
         return None
-    with as_input_errors(asked.path, "a MATLAB .mat file"), tempfile.TemporaryDirectory() as folder:
+    complaints = table.as_input_errors(asked.path, "a MATLAB .mat file")
+    with complaints, tempfile.TemporaryDirectory() as folder:
         unpacked = Path(folder, "log.npz")
         call = [sys.executable, "-c", _UNPACK, str(asked.path), str(unpacked), str(LARGEST)]
         one_thread = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
@@ -127,16 +119,16 @@ def matlab_table(asked: Asked) -> LogTable | None:
             raise ValueError((ended.stderr.splitlines() or ["it is damaged"])[-1])
         cells = npz_arrays(unpacked)
     named = {str(name): cells[f"arr_{k}"] for k, name in enumerate(cells["names"])}
-    return arrays_table(asked.path, "MATLAB .mat", named)
+    return table.arrays_table(asked.path, "MATLAB .mat", named)
 
 
-def hdf5_table(asked: Asked) -> LogTable | None:
+def hdf5_table(asked: table.Asked) -> table.LogTable | None:
     """Return the joint states in an HDF5 file; where commands are asked for, actions too."""
     path, commanded = asked.path, asked.options.commanded
     if not asked.start.startswith(HDF5):
         return None
-    h5py = library("h5py", "hdf5", "an HDF5 file")
-    with as_input_errors(path, "an HDF5 file"), h5py.File(path, "r") as file:
+    h5py = table.library("h5py", "hdf5", "an HDF5 file")
+    with table.as_input_errors(path, "an HDF5 file"), h5py.File(path, "r") as file:
         if "observations/qpos" in file:
             action = _whole(path, file["action"]) if commanded and "action" in file else None
             return _aloha(path, file["observations"], action)
@@ -153,11 +145,10 @@ def hdf5_table(asked: Asked) -> LogTable | None:
         )
         _refuse_bomb(path, sum(data.nbytes for data in found.values()))
         arrays = {name: data[()] for name, data in found.items()}
-    return arrays_table(path, "HDF5", arrays)
+    return table.arrays_table(path, "HDF5", arrays)
 
 
 def _refuse_bomb(path: Path, size: float) -> None:
-    """Refuse a small file that unpacks to more than any recording holds."""
     if size > LARGEST:
         raise InputError(
             f"{path} unpacks to {size / 1e9:.3g} GB, more than the {LARGEST / 1e9:g} GB that are "
@@ -166,12 +157,11 @@ def _refuse_bomb(path: Path, size: float) -> None:
 
 
 def _whole(path: Path, dataset: Any) -> Any:
-    """Return all of a data set, unless it is too large."""
     _refuse_bomb(path, dataset.nbytes)
     return dataset[()]
 
 
-def _aloha(path: Path, group: Any, action: Any = None) -> LogTable:
+def _aloha(path: Path, group: Any, action: Any = None) -> table.LogTable:
     if "effort" not in group and action is None:
         raise InputError(
             f"{path} has no /observations/effort; without measured torque nothing can be "
@@ -187,10 +177,10 @@ def _aloha(path: Path, group: Any, action: Any = None) -> LogTable:
     cells = np.hstack([np.asarray(values, float) for values in arrays.values()])
     rate = ColumnChoices(rate=ALOHA_RATE)
     layout = f"ALOHA HDF5, without time stamps: rows taken to be {ALOHA_RATE:g} Hz"
-    return pieces_table(path, layout, titles, (cells,), rate)
+    return table.pieces_table(path, layout, titles, (cells,), rate)
 
 
-def _robomimic(path: Path, group: Any) -> LogTable:
+def _robomimic(path: Path, group: Any) -> table.LogTable:
     """Return every demonstration as a piece; arrays are called such as robot0_joint_pos."""
     titles: tuple[str, ...] = ()
     pieces = []
@@ -208,11 +198,11 @@ def _robomimic(path: Path, group: Any) -> LogTable:
                 f"{path}: demonstration {name} has no joint torques (an array whose name ends in "
                 "joint_torque); without measured torque nothing can be identified: record it"
             )
-        titles, cells = titled_arrays(path, {**times, **arrays})
+        titles, cells = table.titled_arrays(path, {**times, **arrays})
         pieces.append(cells)
     if not pieces:
         raise InputError(f"{path} holds no demonstrations in /data")
-    return pieces_table(path, f"robomimic HDF5, {len(pieces)} demonstrations", titles, pieces)
+    return table.pieces_table(path, f"robomimic HDF5, {len(pieces)} demonstrations", titles, pieces)
 
 
 LEROBOT = "a LeRobot data set"
@@ -225,7 +215,7 @@ _FEATURES = {"observation.velocity": "velocity", "observation.effort": "torque"}
 ACTION = "action"
 
 
-def lerobot_table(asked: Asked) -> LogTable | None:
+def lerobot_table(asked: table.Asked) -> table.LogTable | None:
     """Return the episodes of a data set that are asked for, or all, each a piece."""
     path, joint_names, commanded = asked.path, asked.joint_names, asked.options.commanded
     described = path / "meta" / "info.json"
@@ -255,7 +245,7 @@ def lerobot_table(asked: Asked) -> LogTable | None:
             f"{path} names {len(flat)} numbers of a frame in meta/info.json and holds "
             f"{cells.shape[1] - 1}; download the data set whole"
         )
-    return pieces_table(path, layout, ("timestamp [s]", *flat), pieces)
+    return table.pieces_table(path, layout, ("timestamp [s]", *flat), pieces)
 
 
 def _wanted(path: Path, episodes: Sequence[int], index: Array) -> list[int]:
@@ -281,7 +271,7 @@ def _titles(features: Mapping[str, Any], name: str, joint_names: Sequence[str]) 
     stems = [stem if ending in _ENDINGS else str(n) for (stem, _, ending), n in zip(pairs, names)]
     plain = _FEATURES.get(name, "position")
     ends = [_ENDINGS.get(ending, plain) for _, _, ending in pairs]
-    known = dict(zip(dict.fromkeys(stems), renamed(list(dict.fromkeys(stems)), joint_names)))
+    known = dict(zip(dict.fromkeys(stems), table.renamed(list(dict.fromkeys(stems)), joint_names)))
     if name == ACTION:
         ends = [end.replace("position", "command") for end in ends]
     return [f"{known[stem]} {end}" for stem, end in zip(stems, ends)]
@@ -289,16 +279,16 @@ def _titles(features: Mapping[str, Any], name: str, joint_names: Sequence[str]) 
 
 def _frames(path: Path, columns: Sequence[str]) -> Mapping[str, Array]:
     """Return the columns of all files, lists as (N, k)."""
-    parquet = library("pyarrow.parquet", "lerobot", LEROBOT)
+    parquet = table.library("pyarrow.parquet", "lerobot", LEROBOT)
     files = sorted((path / "data").rglob("*.parquet"))
     if not files:
         raise InputError(f"{path} has no Parquet files in data/; download the data set whole")
     parts: list[dict[str, Array]] = []
     for file in files:
-        with as_input_errors(file, LEROBOT):
+        with table.as_input_errors(file, LEROBOT):
             read = parquet.read_table(file, columns=list(columns))
             parts.append({name: _array(read.column(name)) for name in columns})
-    with as_input_errors(path, LEROBOT):
+    with table.as_input_errors(path, LEROBOT):
         return {name: np.concatenate([part[name] for part in parts]) for name in columns}
 
 

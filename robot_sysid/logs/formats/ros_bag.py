@@ -114,10 +114,7 @@ def _has(topic: LogTable, joint_names: Sequence[str], quantities: Sequence[str])
 
 
 def _topic(path: Path, bag: Any, topic: str, joint_names: Sequence[str]) -> LogTable | None:
-    """Return a topic with the columns that its first messages have, or None if it has none.
-
-    The titles are time, and one per joint and quantity, in the model's spelling.
-    """
+    """Return a topic with time and a column per joint and quantity in its first messages."""
     connections = [c for c in bag.connections if c.topic == topic]
     first = list(islice(_messages(bag, connections), _LOOKED_AT))
     seen = dict.fromkeys(key for _, sample in first for key in sample)

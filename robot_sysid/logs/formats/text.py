@@ -203,7 +203,6 @@ def _table(dialect: LogDialect, layout: str, choices: ColumnChoices) -> LogTable
 
 
 def _blocks(dialect: LogDialect, columns: Sequence[int]) -> Iterator[Block]:
-    """Yield the rows of a text log in their order, with these columns."""
     rows = dialect.data_lines()
     waiting = list(islice(rows, table.BLOCK))
     while batch := waiting:

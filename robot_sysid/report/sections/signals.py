@@ -36,7 +36,6 @@ def torques(run: Run) -> Section | None:
 def _by_joint(
     run: Run, key: str, title: str, words: str, figure: Callable[[ReportData, int], Figure]
 ) -> Section | None:
-    """Return a section with a figure of each joint; None where nothing can be drawn."""
     if run.data is None:
         return None
     figures = tuple(figure(run.data, joint) for joint in range(len(run.data.joints)))
