@@ -220,9 +220,7 @@ class SysidConfig:
             ("--consistency off", "--prior entropic"): (
                 estimation.consistency == "off" and estimation.prior == "entropic"
             ),
-            ("--verify-rollout", "--torques terminal"): (
-                plays and estimation.torques == "terminal"
-            ),
+            ("--verify-rollout", "--torques terminal"): plays and estimation.torques == "terminal",
             ("--save-measurements", "several --measurements"): copied and len(logs) > 1,
         }
         for (first, second), both in exclude.items():
@@ -400,7 +398,6 @@ class PayloadConfig:
                 raise InputError(f"{given.flag} is about motion; --static uses poses at rest")
 
     def _written(self) -> Iterator[tuple[str, Path]]:
-        """Yield the files that a run writes, each with the option that names it."""
         for name in (PARAMS_NAME, CARD_NAME, *MODEL_NAMES.values()):
             yield "--output-dir", self.output.output_dir / name
         if self.payload.save_torque_scale is not None:

@@ -90,13 +90,12 @@ def weighed(config: PayloadConfig, robot: RobotModel, progress: Progress) -> Ana
         notes = (*notes, _no_drift(raw, at is not None))
     for note in notes:
         progress.note(note)
-    scale = None if options.known_mass is None else options.scale_prior or SCALE_PRIOR
     question = Question(
         config.estimation,
         loaded=True,
         drifts=drifts,
         known_mass=options.known_mass,
-        scale_prior=scale,
+        scale_prior=None if options.known_mass is None else options.scale_prior or SCALE_PRIOR,
         resting=options.static,
     )
     answer, free = answer_payload(robot, datasets, question, progress, config.output.kept)

@@ -152,8 +152,7 @@ class Identified:
         with one_thread(), locked_folder(place, Progress()):
             files = self._write(place).files
         models = [path for path in files if path.name in MODEL_NAMES.values()]
-        copies = [write_bundle(model, place) for model in models if bundle]
-        return (*files, *copies)
+        return (*files, *(write_bundle(model, place) for model in models if bundle))
 
     def _write(self, folder: Path) -> Saved:
         there = replace(self.config, output=replace(self.config.output, output_dir=folder))

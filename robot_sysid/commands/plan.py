@@ -31,6 +31,7 @@ NO_RESULT = (
     *("keep_friction", "keep_rotors", "keep_gravity", "keep_links", "write_offset", "links"),
     *("bundle", "report", "plots"),
 )
+PREDICTED = ("torques", "noise_torque")
 USUAL = {"excitation": "optimal"}
 """What this command does where a user does not say otherwise."""
 
@@ -50,9 +51,7 @@ def build_parser(full: bool = True) -> Parser:
     parser.add("excitation", ExcitationOptions, usual=USUAL)
     parser.add("plan for a payload", PoseOptions)
     parser.add("limits", LimitOptions)
-    parser.add(
-        "prediction", *(EstimationOptions, SimulatedArmOptions), only=("torques", "noise_torque")
-    )
+    parser.add("prediction", EstimationOptions, SimulatedArmOptions, only=PREDICTED)
     parser.add("Damiao motors", MotorOptions)
     parser.add("preview", PreviewOptions)
     parser.add_console()

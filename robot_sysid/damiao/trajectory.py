@@ -293,8 +293,7 @@ class ClampTally:
         self.peak_velocity = np.maximum(self.peak_velocity, np.abs(qd).max(axis=0))
         self.peak_torque = np.maximum(self.peak_torque, np.abs(tau).max(axis=0))
         inside = [np.clip(x, -limit, limit) for x, limit in zip((q, qd, tau), limits)]
-        changed = np.any([a != b for a, b in zip((q, qd, tau), inside)], axis=0)
-        self.clamped += changed.sum(axis=0)
+        self.clamped += np.any([a != b for a, b in zip((q, qd, tau), inside)], axis=0).sum(axis=0)
         self.samples += len(q)
         return inside[0], inside[1], inside[2]
 

@@ -175,8 +175,7 @@ class _Cleaner:
 
     def _later(self, lines: Lines, time: Array) -> NDArray[np.bool_]:
         """Return (R,) whether each row is later than the one before, or raise InputError."""
-        before = time[0] - 1.0 if self._last is None else self._last[0]
-        step = np.diff(time, prepend=before)
+        step = np.diff(time, prepend=time[0] - 1.0 if self._last is None else self._last[0])
         if np.any(step < 0.0):
             at = int(np.argmax(step < 0.0))
             raise InputError(
@@ -187,8 +186,7 @@ class _Cleaner:
 
     def _unwrap(self, lines: Lines, cells: Array) -> None:
         q = cells[:, 1 : 1 + self._n]
-        before = q[:1] if self._last is None else self._last[None, 1:]
-        step = np.diff(q, axis=0, prepend=before)
+        step = np.diff(q, axis=0, prepend=q[:1] if self._last is None else self._last[None, 1:])
         turns = np.round(step / _TURN) * self._turning
         turns[np.abs(step - turns * _TURN) > _WRAP_TOLERANCE] = 0.0
         self.found["wrapped"].append(lines[np.any(turns != 0.0, axis=1)])

@@ -170,10 +170,7 @@ class ModelDocument:
     @property
     def sha256(self) -> str:
         """SHA-256 of the main file's bytes followed by those of the included files."""
-        digest = hashlib.sha256()
-        for file in self.files:
-            digest.update(file.raw)
-        return digest.hexdigest()
+        return hashlib.sha256(b"".join(file.raw for file in self.files)).hexdigest()
 
     def walk(self) -> Iterator[Node]:
         """Yield all elements of the expanded model in document order."""

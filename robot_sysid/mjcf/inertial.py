@@ -211,9 +211,7 @@ def let_inertials_count(edits: Edits, written: Collection[Node]) -> None:
 
 
 def _is_geom(node: Node) -> bool:
-    if node.tag == "frame":
-        return any(_is_geom(child) for child in node.children())
-    return node.tag == "geom"
+    return node.tag == "geom" or (node.tag == "frame" and any(map(_is_geom, node.children())))
 
 
 def _has_welded(body: Node) -> bool:

@@ -160,8 +160,7 @@ def require_libraries() -> None:
 def _styled(name: str) -> Iterator[None]:
     import matplotlib
 
-    style: Any = {**_STYLE, "svg.hashsalt": name}
-    with warnings.catch_warnings(), matplotlib.rc_context(style):
+    with warnings.catch_warnings(), matplotlib.rc_context({**_STYLE, "svg.hashsalt": name}):
         # A letter that the font lacks is still text in the SVG.
         warnings.simplefilter("ignore")
         yield

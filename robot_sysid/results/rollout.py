@@ -223,7 +223,6 @@ def torque_error(
     usable = signals.usable()
     residual = np.where(usable, tau - predicted, 0.0)
     counts = np.count_nonzero(usable, axis=0)
-    offsets = np.sum(residual, axis=0) / np.maximum(counts, 1)
-    residual = np.where(usable, residual - offsets, 0.0)
+    residual = np.where(usable, residual - np.sum(residual, axis=0) / np.maximum(counts, 1), 0.0)
     sizes = np.sum(np.where(usable, tau, 0.0) ** 2, axis=0)
     return validation_of(robot.joint_names, np.sum(residual**2, axis=0), sizes, counts, source)

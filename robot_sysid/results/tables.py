@@ -151,8 +151,7 @@ def _com_rows(body: BodyEstimate, stated: bool = True) -> Iterator[BeforeAfter]:
     if stated and not np.all(np.isfinite(errors)):
         return
     length = max(spatial.characteristic_length(body.inertial.theta), 1e-9)
-    before = None if body.before is None else body.before.com
-    pairs = _from_to(before, body.inertial.com, length)
+    pairs = _from_to(None if body.before is None else body.before.com, body.inertial.com, length)
     for axis, pair, error in zip("xyz", pairs, errors):
         yield BeforeAfter(f"centre of mass {axis}", *pair, error if stated else None, "m")
 

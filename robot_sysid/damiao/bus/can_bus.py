@@ -143,9 +143,8 @@ class BusLink:
     def _frame(self, message: Any, bus: int) -> Frame:
         age = time.time() - message.timestamp
         # Where the adapter has another clock, a frame counts as just come.
-        age = age if 0.0 <= age < _PLAUSIBLE_AGE else 0.0
+        then = self._clock.now() - (age if 0.0 <= age < _PLAUSIBLE_AGE else 0.0)
         content, flags = bytes(message.data), (message.is_fd, message.is_error_frame)
-        then = self._clock.now() - age
         return Frame(message.arbitration_id, content, then, *flags, not message.is_rx, bus)
 
 

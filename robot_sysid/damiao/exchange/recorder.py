@@ -147,11 +147,10 @@ class RecordingHead:
         """Return the comment lines without their mark."""
         run, options = self.settings, self.options
         lines = ["robot-sysid motors recording", f"trajectory={self.source}"]
-        for joint in self.joints:
-            lines.append(
-                f"motor_type={joint.motor_type},can_id={joint.can_id},mode=MIT,"
-                f"master_id={joint.master_id}"
-            )
+        lines += [
+            f"motor_type={j.motor_type},can_id={j.can_id},mode=MIT,master_id={j.master_id}"
+            for j in self.joints
+        ]
         for j, values in enumerate(self.registers):
             texts = ",".join(text_of(number, values[number]) for number in sorted(values))
             lines.append(f"registers_j{j}: {texts}")

@@ -239,7 +239,10 @@ class Player:
             try:
                 replies, acted = self._cycle(wanted, deadline)
             except BaseException:
-                self._keep_partial(time, origin, record)
+                # What the exchange had collected when it was cut short is recorded.
+                partial = self._session.last_replies
+                if record and partial is not None and self._command is not None:
+                    self._keep(time, origin, partial, self._command)
                 raise
             if record:
                 self._keep(time, origin, replies, acted)
@@ -278,12 +281,6 @@ class Player:
         if time - self._told_at >= _PROGRESS_INTERVAL:
             self._told_at = time
             self._on_progress(time)
-
-    def _keep_partial(self, time: float, origin: float, record: bool) -> None:
-        """Record what an exchange had collected when it was cut short."""
-        partial = self._session.last_replies
-        if record and partial is not None and self._command is not None:
-            self._keep(time, origin, partial, self._command)
 
     def _check(self, replies: Replies, acted: MitCommand) -> None:
         self._supervisor.check(replies, acted)
@@ -360,17 +357,14 @@ class Player:
         origin = self._timer.next_deadline
         while self._timer.next_deadline <= origin + duration:
             deadline = self._timer.wait(lenient=True)
-            if self._hopeless or self._stop.insisted or self._lowering_is_done:
+            silent = self._clock.now() - self._heard_at > _DEAF
+            # Where all have failed or are silent, nothing that is sent has an effect any more.
+            hopeless = bool(np.all(self._supervisor.failed)) or silent
+            if hopeless or self._stop.insisted or self._lowering_is_done:
                 return
             # A bus that fails now may work again in the next cycle.
             with contextlib.suppress(Exception):
                 self._stop_cycle(reference(deadline - origin), deadline)
-
-    @property
-    def _hopeless(self) -> bool:
-        """Whether nothing that is sent has an effect any more."""
-        silent = self._clock.now() - self._heard_at > _DEAF
-        return bool(np.all(self._supervisor.failed)) or silent
 
     def _stop_cycle(self, wanted: Reference, deadline: float) -> None:
         # A motor that does not answer may still obey, so only failed ones are left out.

@@ -40,9 +40,7 @@ class StopRequest:
     """
 
     def __init__(self) -> None:
-        self.count = 0
-        self.reason = ""
-        self.insisted = False
+        self.count, self.reason, self.insisted = 0, "", False
         self._interrupted_at = float("inf")
 
     def __call__(self, reason: str, insist: bool = False) -> None:
@@ -265,8 +263,7 @@ class TorqueScalingCheck:
         Samples of a joint that moves fast are left out, because a velocity that is wrong or late
         would make ``told`` wrong.
         """
-        slow = np.abs(qd) < _SLOW
-        known = np.isfinite(measured) & (np.abs(told) < self._peak) & slow
+        known = np.isfinite(measured) & (np.abs(told) < self._peak) & (np.abs(qd) < _SLOW)
         x, y = np.where(known, told, 0.0), np.where(known, measured, 0.0)
         self._sums += np.stack([known.astype(float), x * x, x * y])
 

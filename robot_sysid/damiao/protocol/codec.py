@@ -116,9 +116,8 @@ class MitCommand(NamedTuple):
 
     def motor_torque(self, q: Array, qd: Array) -> Array:
         """Return the torque (..., n) this asks for at positions and velocities (..., n) [N m]."""
-        return np.asarray(
-            self.kp * (self.position - q) + self.kd * (self.velocity - qd) + self.torque
-        )
+        position, velocity, kp, kd, torque = self
+        return np.asarray(kp * (position - q) + kd * (velocity - qd) + torque)
 
 
 @dataclass(frozen=True)

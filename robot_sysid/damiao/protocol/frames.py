@@ -91,8 +91,7 @@ def refuse_harmful(frame: Frame) -> None:
 
 def refuse_motion(frame: Frame) -> None:
     """Raise SysidError for a frame that setting a motor up never sends: anything that drives it."""
-    on_registers = frame.id == REGISTER_ID
-    if not on_registers and not (is_special(frame.data) and frame.data[7] != ENABLE):
+    if frame.id != REGISTER_ID and not (is_special(frame.data) and frame.data[7] != ENABLE):
         raise SysidError(f"refused to send {frame.data.hex(' ')} to {frame.id:#x}")
 
 

@@ -94,8 +94,7 @@ class SimulatedMotor:
 
     def fail(self, code: int) -> None:
         """Leave the enabled state with a fault."""
-        self.status = code
-        self.command = _NOTHING
+        self.status, self.command = code, _NOTHING
 
     def handle(self, frame: frames.Frame, time: float) -> frames.Frame | None:
         """Take a frame from the bus and return the answer, if there is one."""
@@ -132,8 +131,7 @@ class SimulatedMotor:
         elif code == frames.SET_ZERO and not self.driving:
             self.slip -= self.position + self.slip
         elif code in (frames.DISABLE, frames.CLEAR_ERROR):
-            self.status = reg.DISABLED
-            self.command = _NOTHING
+            self.status, self.command = reg.DISABLED, _NOTHING
 
     def _register_answer(self, data: bytes) -> bytes | None:
         if data[0] | data[1] << 8 != self.can_id:
