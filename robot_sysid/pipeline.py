@@ -398,9 +398,7 @@ def _file_tested(robot: RobotModel, found: Analysis, mesh_dir: Path | None) -> R
             write_model(result, robot, target)
         for each in found.tests:
             assert each.signals is not None
-            old, new = (
-                torque_error(model, robot, each.signals, each.name) for model in (robot.path, path)
-            )
+            old, new = (torque_error(m, robot, each.signals, each.name) for m in (robot.path, path))
             pairs.append((old, new))
     return replace(result, file=replace(result.file, others=tuple(pairs)))
 

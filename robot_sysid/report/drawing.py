@@ -160,7 +160,8 @@ def require_libraries() -> None:
 def _styled(name: str) -> Iterator[None]:
     import matplotlib
 
-    with warnings.catch_warnings(), matplotlib.rc_context({**_STYLE, "svg.hashsalt": name}):
+    style: Any = {**_STYLE, "svg.hashsalt": name}
+    with warnings.catch_warnings(), matplotlib.rc_context(style):
         # A letter that the font lacks is still text in the SVG.
         warnings.simplefilter("ignore")
         yield

@@ -71,8 +71,7 @@ def model_checks(
     motion = SampledTrajectory(trajectory, speed)
     touches = [f"the model's {what} touch at {at:.2f} s" for what, at in _contact(robot, motion)]
     excesses = [*_joint_excesses(robot, motion), *touches]
-    for excess in excesses:
-        yield Check(STOP, f"{excess}; export a smaller trajectory for this arm")
+    yield from (Check(STOP, f"{e}; export a smaller trajectory for this arm") for e in excesses)
     parking = [] if pose is None else [*_parking(robot, motion.q[-1], pose)]
     yield from (Check(STOP, f"{excess}; choose another --park pose") for excess in parking)
     if not excesses and not parking:
