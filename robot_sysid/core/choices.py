@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from robot_sysid.core.columns import Point
 from robot_sysid.core.couplings import Coupling
 from robot_sysid.core.fit import Fit, Fitter
 from robot_sysid.core.held_out import HeldOut, held_out, is_clearly_lower
@@ -42,27 +43,31 @@ Errors = Mapping[str, Mapping[str, float]]
 
 
 def choose(
-    fitter: Fitter, question: Question, given: FrictionModel | None, offered: tuple[Coupling, ...]
-) -> tuple[Choice, Errors, Fit]:
-    """Return what the recordings decide, by which errors, and a fit to begin with.
+    fitter: Fitter,
+    question: Question,
+    given: FrictionModel | None,
+    couplings: tuple[Coupling, ...] | None = None,
+) -> tuple[Choice, Errors, Point]:
+    """Return what the recordings decide, by which errors, and where to begin.
 
     Args:
         given: friction terms of every joint, where the user says them.
-        offered: couplings that the recordings may decide for.
+        couplings: what ``coupled`` has chosen; None for all that have columns.
     """
-    choice = Choice((given or friction_model(CANDIDATES[0]),) * fitter.columns.robot.n_joints)
-    if fitter.columns.couplings and not offered:
-        choice = replace(choice, couplings=fitter.columns.couplings)
+    choice = _simplest(fitter, given, fitter.columns.couplings if couplings is None else couplings)
     fit = fitter.fit(question, choice, rounds=1)
-    if offered:
-        choice = _with_couplings(fit, question, choice, offered)
     errors: Errors = {}
     if given is None and fitter.columns.torques == "chain":
         choice, errors, fit = _with_friction(fitter, question, choice, fit)
-    elif choice.couplings != fit.choice.couplings:
-        fit = fitter.fit(question, choice, fit.point, rounds=2)
     choice = replace(choice, prior_scale=prior_scale(fit, question, choice))
-    return choice, errors, fit
+    return choice, errors, fit.point
+
+
+def _simplest(
+    fitter: Fitter, given: FrictionModel | None, couplings: tuple[Coupling, ...]
+) -> Choice:
+    model = given or friction_model(CANDIDATES[0])
+    return Choice((model,) * fitter.columns.robot.n_joints, couplings)
 
 
 def _sought(fit: Fit, question: Question, choice: Choice) -> Unknowns:
@@ -74,11 +79,17 @@ def squared_errors(judge: HeldOut, fit: Fit, question: Question, choice: Choice)
     return judge.squared(_sought(fit, question, choice))
 
 
-def _with_couplings(
-    fit: Fit, question: Question, choice: Choice, offered: tuple[Coupling, ...]
-) -> Choice:
-    """Let neighbours share a motor where that predicts held-out torques clearly better."""
-    judge, left = held_out(fit), list(offered)
+def coupled(
+    fitter: Fitter, question: Question, given: FrictionModel | None, offered: tuple[Coupling, ...]
+) -> tuple[Coupling, ...]:
+    """Return which neighbours share a motor: where that predicts torques clearly better.
+
+    Args:
+        given: friction terms of every joint, where the user says them.
+        offered: couplings that have columns.
+    """
+    fit = fitter.fit(question, _simplest(fitter, given, ()), rounds=1)
+    judge, left, choice = held_out(fit), list(offered), fit.choice
     best = judge.score(squared_errors(judge, fit, question, choice))
     while left:
         trials = [replace(choice, couplings=(*choice.couplings, each)) for each in left]
@@ -88,7 +99,7 @@ def _with_couplings(
             break
         best, choice = scores[found], trials[found]
         del left[found]
-    return choice
+    return choice.couplings
 
 
 def _with_friction(

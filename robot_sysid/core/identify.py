@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from robot_sysid.core.answer import Answer
-from robot_sysid.core.choices import choose
+from robot_sysid.core.choices import choose, coupled
 from robot_sysid.core.columns import PAYLOAD_NAMES, Columns
 from robot_sysid.core.couplings import Coupling, couplings_of
 from robot_sysid.core.dataset import Dataset, JoinedSamples, Mask, mean_torque
@@ -113,12 +113,12 @@ def answer_link(
         InputError: a recording is too short, or the couplings do not fit the arm.
         SysidError: a delay or a tilt that is sought keeps moving.
     """
-    fitter, offered = _fitter(robot, datasets, options)
     question = Question(options)
     progress.stage("Choosing friction, couplings and how far links may be off...")
-    choice, tried, start = choose(fitter, question, options.friction, offered)
+    fitter = _fitter(robot, datasets, question, options.friction)
+    choice, tried, start = choose(fitter, question, options.friction)
     progress.stage("Solving for parameters...")
-    fit = fitter.fit(question, choice, start.point)
+    fit = fitter.fit(question, choice, start)
     file = None
     if kept is not None:
         progress.stage("Fitting the model file...")
@@ -151,12 +151,12 @@ def answer_payload(
         (the answer, with the known mass where there is one; the one as if it were not known).
     """
     options = question.options
-    fitter, offered = _fitter(robot, datasets, options)
     progress.stage("Estimating arm, friction and payload together...")
     given = AT_REST if question.resting else options.friction
     weighing = replace(question, known_mass=None, scale_prior=None)
-    choice, tried, start = choose(fitter, weighing, given, () if question.resting else offered)
-    free = fitter.fit(weighing, choice, start.point)
+    fitter = _fitter(robot, datasets, weighing, given)
+    choice, tried, start = choose(fitter, weighing, given)
+    free = fitter.fit(weighing, choice, start)
     progress.stage("Finding out how far off it may be...")
     weighed = Answer(free, None, fit_errors(free), (), tried)
     if question.known_mass is None:
@@ -178,17 +178,25 @@ def refit(answer: Answer, used: Sequence[Mask], kept: tuple[str, ...]) -> Answer
 
 
 def _fitter(
-    robot: RobotModel, datasets: Sequence[Dataset], options: EstimationOptions
-) -> tuple[Fitter, tuple[Coupling, ...]]:
-    """Return what fits, and the couplings that the recordings may decide for."""
+    robot: RobotModel, datasets: Sequence[Dataset], question: Question, given: FrictionModel | None
+) -> Fitter:
+    """Return what fits, with the couplings that are known or that the recordings decide for."""
+    options, again = question.options, None
     if options.tilt == "auto":
         tilt_axes(gravity(robot))  # which there have to be
-    couplings, offered = couplings_of(robot, options)
-    columns = Columns(robot, datasets, options.torques, couplings)
-    again = None
     if all(each.signals is not None for each in datasets):
         again = visits([each.motion for each in datasets])
-    return Fitter(columns, mean_torque(datasets), again), offered
+    couplings, offered = couplings_of(robot, options)
+
+    def fitter(couplings: tuple[Coupling, ...]) -> Fitter:
+        columns = Columns(robot, datasets, options.torques, couplings)
+        return Fitter(columns, mean_torque(datasets), again)
+
+    if not offered:
+        return fitter(couplings)
+    # Columns of couplings that are not there would cost every later pass time and memory.
+    found = () if question.resting else coupled(fitter(offered), question, given, offered)
+    return fitter(found)
 
 
 def tested(fit: Fit, datasets: Sequence[Dataset], source: str) -> Validation:

@@ -18,7 +18,7 @@ from operator import add
 import numpy as np
 
 from robot_sysid.core.answer import Answer
-from robot_sysid.core.choices import CANDIDATES, choose
+from robot_sysid.core.choices import CANDIDATES, choose, coupled
 from robot_sysid.core.columns import Columns, Point
 from robot_sysid.core.couplings import couplings_of
 from robot_sysid.core.dataset import Dataset, DecimatedSamples
@@ -267,8 +267,9 @@ def _settled(
 
 def _fitted(robot: RobotModel, found: LogInformation) -> Fit:
     options, fitter = found.settled.estimation, _Fixed(robot, found)
-    question, (_, offered) = Question(options), couplings_of(robot, options)
-    choice, *_ = choose(fitter, question, options.friction, offered)
+    question, (known, offered) = Question(options), couplings_of(robot, options)
+    couplings = coupled(fitter, question, options.friction, offered) if offered else known
+    choice, *_ = choose(fitter, question, options.friction, couplings)
     return fitter.fit(question, choice)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from robot_sysid.core.choices import CANDIDATES, choose, clearly_best
+from robot_sysid.core.choices import CANDIDATES, choose, clearly_best, coupled
 from robot_sysid.core.couplings import neighbours
 from robot_sysid.core.held_out import CLEAR_SHARE
 from robot_sysid.core.unknowns import Question
@@ -47,7 +47,7 @@ def test_the_simplest_is_taken_that_is_not_clearly_beaten(found, taken):
 
 
 def chosen(plant, robot, more, offered=False, given=None, seed=1, duration=10.0):
-    """(choice, fit) of a log with more torque, of the exact motion, than the plant has."""
+    """(choice, its fit) of a log with more torque, of the exact motion, than the plant has."""
     plan = plan_of(plant, seed, duration)
     log = log_of(plant, plan, seed, noise_torque=0.02, encoder_resolution=1e-5)
     log = replace(log, tau=log.tau + more(plan.evaluate(log.time)))
@@ -55,7 +55,10 @@ def chosen(plant, robot, more, offered=False, given=None, seed=1, duration=10.0)
     motors = tuple(neighbours(robot)) if offered else ()
     fitter = fitter_of(robot, datasets, couplings=motors)
     model = given and friction_model(given)
-    choice, errors, fit = choose(fitter, Question(options), model, motors)
+    question = Question(options)
+    shared = coupled(fitter, question, model, motors) if offered else ()
+    choice, errors, start = choose(fitter, question, model, shared)
+    fit = fitter.fit(question, choice, start, rounds=1)
     return SimpleNamespace(choice=choice, errors=errors), fit
 
 
