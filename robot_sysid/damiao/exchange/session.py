@@ -291,7 +291,10 @@ class MotorSession:
         return True
 
     def _sender(self, frame: Frame) -> int | None:
+        """Return the joint whose feedback a frame is, or None."""
         if frame.error or frame.echo or len(frame.data) != 8:
             return None
         j = self._by_reply.get((frame.bus, frame.id))
-        return None if j is None or frame.data[0] & 0xF != self.joints[j].can_id & 0xF else j
+        if j is None or frame.data[0] & 0xF != self.joints[j].can_id & 0xF:
+            return None
+        return j

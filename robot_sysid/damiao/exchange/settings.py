@@ -121,16 +121,18 @@ class PlaySettings(OptionRecord):
         rate = self.rate or default_rate(n, timing)
         light = np.full(n, np.inf) if inertia is None else inertia * rate
         rated = np.array([s.rated_torque or 0.3 * s.limits[2] for s in specs])
-        top = np.array([spec.strongest for spec in specs])
+        peak = np.array([spec.strongest for spec in specs])
         usual = np.minimum(_STIFFNESS * rated, KP_MAX)
         least = np.maximum(_LEAST_SHARE * _DAMPING * usual, _LEAST_DAMPING)
         damping = np.clip(np.minimum(_DAMPING * usual, light), least, KD_MAX)
-        own = self.max_torque_error
+        push = self.max_torque_error
         return replace(
             self,
             kp=tuple(per_joint(self.kp, n, "--kp") if self.kp else usual),
             kd=tuple(per_joint(self.kd, n, "--kd") if self.kd else damping),
-            max_torque_error=tuple(per_joint(own, n, "--max-torque-error") if own else _PUSH * top),
+            max_torque_error=tuple(
+                per_joint(push, n, "--max-torque-error") if push else _PUSH * peak
+            ),
             rate=rate,
         )
 

@@ -40,7 +40,9 @@ class StopRequest:
     """
 
     def __init__(self) -> None:
-        self.count, self.reason, self.insisted = 0, "", False
+        self.count = 0
+        self.reason = ""
+        self.insisted = False
         self._interrupted_at = float("inf")
 
     def __call__(self, reason: str, insist: bool = False) -> None:

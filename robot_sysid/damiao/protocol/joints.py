@@ -262,9 +262,11 @@ def mapped(
     # An adapter may have got another name; but never play one arm's motion on the other arm.
     several = len(channels) > 1 or len({row.channel for row in rows}) > 1
     for row in chosen:
-        at = row.channel
-        if several and at and at not in channels:
-            raise InputError(f"the joint map puts {row.name} on {at}; open it with --channel {at}")
+        where = row.channel
+        if several and where and where not in channels:
+            raise InputError(
+                f"the joint map puts {row.name} on {where}; open it with --channel {where}"
+            )
     mounted = []
     for joint, row in zip(joints, chosen):
         bus = channels.index(row.channel) if row.channel in channels else 0

@@ -94,7 +94,8 @@ class SimulatedMotor:
 
     def fail(self, code: int) -> None:
         """Leave the enabled state with a fault."""
-        self.status, self.command = code, _NOTHING
+        self.status = code
+        self.command = _NOTHING
 
     def handle(self, frame: frames.Frame, time: float) -> frames.Frame | None:
         """Take a frame from the bus and return the answer, if there is one."""
