@@ -111,6 +111,14 @@ class Columns:
         self._drifting = np.array([t in _DRIFTING and joint in joints for t, _, joint in terms])
         self._smooth = self._of_bodies | np.array([term in _SMOOTH for term, _, _ in terms])
 
+    def coupled(self, couplings: tuple[Coupling, ...]) -> Columns:
+        """Return the same with some of the couplings; rows that are there are used again."""
+        found = Columns(self.robot, self.datasets, self.torques, couplings)
+        if self._base is not None:
+            names = found._arm_names
+            found._base = *self._base[:2], [each.only(names) for each in self._base[2]]
+        return found
+
     def start(self) -> Point:
         """Return the model itself."""
         n = self.robot.n_joints

@@ -57,6 +57,13 @@ class DecimatedSamples:
         """Return the samples with those left out for which ``used`` (K,) is false."""
         return replace(self, tau=tuple(np.where(used, tau, np.nan) for tau in self.tau))
 
+    def only(self, names: tuple[str, ...]) -> DecimatedSamples:
+        """Return the samples with some of their parameters, in that order."""
+        places = {name: place for place, name in enumerate(names)}
+        at = [np.array([places.get(self.names[c], -1) for c in each]) for each in self.columns]
+        rows = tuple(row[:, each >= 0] for row, each in zip(self.rows, at))
+        return replace(self, names=names, columns=tuple(a[a >= 0] for a in at), rows=rows)
+
     def squared_torque(self) -> Array:
         """Return (joints,) sum of squares of the measured torque where it is used [N^2 m^2]."""
         pairs = zip(self.tau, self.measured)

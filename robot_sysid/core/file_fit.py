@@ -75,17 +75,19 @@ def fit_file(
     fit = fitter.fit(question, choice, point, rounds=1)
     choice = replace(choice, friction=_polynomials(fit, question, choice))
     choice = replace(choice, prior_scale=prior_scale(fit, question, choice))
-    fit = fitter.fit(question, choice, fit.next_point, _ROUNDS)
-    squared = held_out(fit).of(fit)
+    after, level = fit.next_point, None
     if FILE_GRAVITY not in kept and fit.unknowns.settle:
-        level = replace(question, kept_parts=(*kept, FILE_GRAVITY))
-        other = fitter.fit(level, choice, replace(point, values=fit.values), _ROUNDS)
-        errors = held_out(other).of(other)
-        judge = held_out(fit)
+        # Before gravity turns: rows for each direction of it are made from the log anew.
+        as_it_is = replace(question, kept_parts=(*kept, FILE_GRAVITY))
+        level = fitter.fit(as_it_is, choice, replace(point, values=fit.values), _ROUNDS)
+    fit = fitter.fit(question, choice, after, _ROUNDS)
+    squared = held_out(fit).of(fit)
+    if level is not None:
+        judge, errors = held_out(fit), held_out(level).of(level)
         if not is_clearly_lower(judge.score(squared), judge.score(errors)):
-            fit, squared = other, errors
-    after = held_out(fit).validation(squared, OWN_SOURCE)
-    return FileFit(fit, before, after, kept, fit_errors(fit, (), pull))
+            fit, squared = level, errors
+    found = held_out(fit).validation(squared, OWN_SOURCE)
+    return FileFit(fit, before, found, kept, fit_errors(fit, (), pull))
 
 
 def _without_sensors(fitter: Fitter, values: Array) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 from robot_sysid.core.answer import Answer
 from robot_sysid.core.choices import choose, coupled
 from robot_sysid.core.columns import PAYLOAD_NAMES, Columns
-from robot_sysid.core.couplings import Coupling, couplings_of
+from robot_sysid.core.couplings import couplings_of
 from robot_sysid.core.dataset import Dataset, JoinedSamples, Mask, mean_torque
 from robot_sysid.core.errors import fit_errors
 from robot_sysid.core.file_fit import fit_file
@@ -186,17 +186,14 @@ def _fitter(
         tilt_axes(gravity(robot))  # which there have to be
     if all(each.signals is not None for each in datasets):
         again = visits([each.motion for each in datasets])
-    couplings, offered = couplings_of(robot, options)
-
-    def fitter(couplings: tuple[Coupling, ...]) -> Fitter:
-        columns = Columns(robot, datasets, options.torques, couplings)
-        return Fitter(columns, mean_torque(datasets), again)
-
+    known, offered = couplings_of(robot, options)
+    columns = Columns(robot, datasets, options.torques, known)
+    fitter = Fitter(columns, mean_torque(datasets), again)
     if not offered:
-        return fitter(couplings)
+        return fitter
     # Columns of couplings that are not there would cost every later pass time and memory.
-    found = () if question.resting else coupled(fitter(offered), question, given, offered)
-    return fitter(found)
+    found = () if question.resting else coupled(fitter, question, given, offered)
+    return Fitter(columns.coupled(found), fitter.torque, again)
 
 
 def tested(fit: Fit, datasets: Sequence[Dataset], source: str) -> Validation:

@@ -40,8 +40,9 @@ count: chance alone makes as many as there are parameters."""
 _FLOOR = 1e-6
 # What nothing shows stays at zero: 1 would be as strong as the data's sight of a column.
 _RIDGE = 1e-5
-# Where the path of gamma begins, and how small a step is none, in units of gamma.
-_EASY, _CONVERGED, _MOST_STEPS = 1e4, 1e-6, 1000
+# Where the path of gamma begins: at usual bodies, and at others; how small a step is none, in units
+# of gamma.
+_EASY, _EASIER, _CONVERGED, _MOST_STEPS = 100.0, 1e4, 1e-6, 1000
 _TO_THE_WALL = 0.95
 # How far the products of primal and dual eigenvalues may lag behind their mean.
 _CENTRALITY = 0.02
@@ -83,6 +84,17 @@ class LinksProblem:
             found.append((theta, units.T))
         return tuple(found)
 
+    @cached_property
+    def cone(self) -> Cone:
+        """The cone of the links: 1 + Z_i, pulled to the usual body by w(t) tr P0_i^-1 P_i."""
+        count, linear = len(self.links), []
+        for link, (_, units) in zip(self.links, self.bodies):
+            usual = np.linalg.inv(spatial.pseudo_inertia(_lifted(self.prior[link])))
+            linear.append(np.einsum("kij,ij->k", spatial.pseudo_inertia(units.T), usual))
+        basis = np.repeat(_BASIS[None], count, axis=0)
+        constant = np.repeat(np.eye(4)[None], count, axis=0)
+        return Cone(constant, basis, np.array(linear), self.weights)
+
 
 class ConsistentLinks:
     """Solves one set of data for any weight of the model.
@@ -106,7 +118,7 @@ class ConsistentLinks:
         self._turn, self._singular, self._seen = directions.T, singular, left.T @ rest[:-1, -1]
         self._least_seen = np.min(singular) / np.max(singular, initial=_RIDGE)
         self._squared, self._unseen = float(self._seen @ self._seen), float(rest[-1, -1] ** 2)
-        self._cone = _cone(problem)
+        self._cone = problem.cone
 
     def _eliminated(self) -> tuple[Array, Array]:
         """Return (triangular rows of what is no body, those of bodies alone), right sides last."""
@@ -167,7 +179,8 @@ class ConsistentLinks:
         """
         least = _RESOLUTION * self._squared
         gammas = [max(gamma, least) for gamma in gammas]
-        t, z = max(_EASY, *gammas, 0.0), np.zeros(len(self._bodies))
+        easy = _EASY if self._problem.start is None else _EASIER
+        t, z = max(easy, *gammas, 0.0), np.zeros(len(self._bodies))
         dual_roots = self._cone.dual_roots(z, t)
         for gamma in gammas:
             z, dual_roots = self._follow(z, dual_roots, t, gamma)
@@ -260,18 +273,6 @@ class _Newton:
                 break
             length *= 0.7
         return length
-
-
-def _cone(problem: LinksProblem) -> Cone:
-    """Return the cone of the links: 1 + Z_i, pulled to the usual body by w(t) tr P0_i^-1 P_i."""
-    count = len(problem.links)
-    linear = []
-    for link, (_, units) in zip(problem.links, problem.bodies):
-        usual = np.linalg.inv(spatial.pseudo_inertia(_lifted(problem.prior[link])))
-        linear.append(np.einsum("kij,ij->k", spatial.pseudo_inertia(units.T), usual))
-    basis = np.repeat(_BASIS[None], count, axis=0)
-    constant = np.repeat(np.eye(4)[None], count, axis=0)
-    return Cone(constant, basis, np.array(linear), problem.weights)
 
 
 def _lifted(theta: Array) -> Array:
