@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+import scipy.linalg  # noqa: F401 - brings threads of its own, which are counted from here on
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import robot_sysid as rs
