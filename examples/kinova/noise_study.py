@@ -17,12 +17,11 @@ from numpy.typing import NDArray
 from validate_regressor import with_link
 
 from robot_sysid.core.answer import Answer, estimate_of
-from robot_sysid.core.choices import Chosen
 from robot_sysid.core.columns import Columns
 from robot_sysid.core.dataset import Dataset, DecimatedSamples, mean_torque
 from robot_sysid.core.errors import fit_errors
 from robot_sysid.core.fit import evidence, solved
-from robot_sysid.core.unknowns import Choice, Question, same_for_all
+from robot_sysid.core.unknowns import Choice, Question
 from robot_sysid.dynamics.equations import Equations
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_model
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
@@ -117,7 +116,7 @@ class NoiseStudy:
         self.robot = replace(self.plant, mj_model=with_link(self.plant, guess.theta), prior=guess)
         self.plan = plan or random_plan(self.robot, seed)
         self.signals = self._recorded(simulation)
-        self.friction = same_for_all(friction_model(DEFAULT_MEASURED), self.robot)
+        self.friction = (friction_model(DEFAULT_MEASURED),) * self.robot.n_joints
         self.columns = Columns(self.robot, [Dataset("log", self.signals)])
         (self.samples,) = self.columns.samples(self.columns.start())
         self.names = self._equations().names
@@ -167,7 +166,7 @@ class NoiseStudy:
         choice, start = Choice(self.friction), self.columns.start()
         data = evidence((samples,), mean_torque(self.columns.datasets))
         fit = solved(self.columns, question, choice, start, data, (samples,))
-        return estimate_of(Answer(fit, Chosen(choice), None, fit_errors(fit)))
+        return estimate_of(Answer(fit, None, fit_errors(fit)))
 
     def run(self, noise: Noise, draws: int, seed: int = 0) -> Outcome:
         """Identify from many draws of noise."""
