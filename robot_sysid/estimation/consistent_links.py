@@ -193,17 +193,17 @@ class ConsistentLinks:
         for _ in range(_MOST_STEPS):
             try:
                 cone = self._cone.scaled(z, dual_roots)
+                unexplained = self._seen - self._singular * (self._turn.T @ z)
+                newton = _Newton(cone, self._singular, unexplained, self._turn)
+                bold = newton.step(gamma)
+                # Where a bold step finds no room but the last one did well, t goes down all the
+                # same.
+                left = min((1.0 - min(1.0, newton.room(bold))) ** 2, 1.0 - _EAGER * length)
+                t = max(gamma, left * t)
+                step, length = newton.best(t, bold)
+                z, dual_roots = z + length * step.direction, cone.moved(length * step.dual)
             except np.linalg.LinAlgError:
                 break
-            unexplained = self._seen - self._singular * (self._turn.T @ z)
-            newton = _Newton(cone, self._singular, unexplained, self._turn)
-            bold = newton.step(gamma)
-            # Where a bold step finds no room but the last one did well, t goes down all the same.
-            left = min((1.0 - min(1.0, newton.room(bold))) ** 2, 1.0 - _EAGER * length)
-            t = max(gamma, left * t)
-            step, length = newton.best(t, bold)
-            z = z + length * step.direction
-            dual_roots = cone.moved(length * step.dual)
             if t == gamma and step.size <= least:
                 return z, dual_roots
         raise SysidError(

@@ -8,6 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.dynamics import spatial
+from robot_sysid.errors import SysidError
+from robot_sysid.estimation import consistent_links
+from robot_sysid.estimation.cones import ScaledCone
 from robot_sysid.estimation.consistent_links import ConsistentLinks, LinksProblem
 from tests.support import arms
 
@@ -182,3 +185,13 @@ def test_a_path_ends_where_a_single_solve_does():
     solver = ConsistentLinks(matrix, right, problem_of((body, body)))
     *_, last = solver.path((100.0, 1.0, 0.01))
     assert last == pytest.approx(minimiser(solver, 0.01), abs=1e-4)
+
+
+@pytest.mark.parametrize("where", [(consistent_links, "_Newton"), (ScaledCone, "moved")])
+def test_what_rounding_leaves_unsolved_is_an_error_of_ours(monkeypatch, where):
+    def singular(*_):
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr(*where, singular)
+    with pytest.raises(SysidError, match="did not converge"):
+        seen_by_the_last_joint(0.001, error=100.0)
