@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robot_sysid.core.result import about
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import ExportError
@@ -134,13 +135,8 @@ def result_of(robot, theta=None, file=None, payload=None, **changes):
     seen = Identifiability(10, 10, 5.0, 2.0, (True,) * 10, ())
     estimate = Estimate(PARAMETER_NAMES, theta, seen, 1e-4, {})
     fields = {
+        **about(robot),
         "question": LINK if payload is None else PAYLOAD,
-        "model_path": robot.path,
-        "model_sha256": robot.sha256,
-        "joint_name": robot.terminal_joint,
-        "body_name": robot.body_name,
-        "joint_names": robot.joint_names,
-        "prior": robot.prior,
         "estimate": estimate,
         "verdict": Verdict.OK,
         "torques": "chain",
