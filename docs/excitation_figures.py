@@ -16,11 +16,11 @@ import mujoco
 import numpy as np
 
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.excitation.design.optimise import Design
-from robot_sysid.excitation.design.search import design_excitation
-from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
-from robot_sysid.excitation.prediction import predict
-from robot_sysid.excitation.problem import build_problem
+from robot_sysid.motion.design.optimise import Design
+from robot_sysid.motion.design.search import design_excitation
+from robot_sysid.motion.options import ExcitationOptions, LimitOptions
+from robot_sysid.motion.prediction import predict
+from robot_sysid.motion.problem import build_problem
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, MotionPlan, RobotModel
 from robot_sysid.simulator import ArmTorque

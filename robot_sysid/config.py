@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any, ClassVar, TypeVar, get_type_hints
 
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.options import EstimationOptions
-from robot_sysid.excitation.options import ExcitationOptions, LimitOptions, PoseOptions
+from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.logs.options import LogOptions
+from robot_sysid.motion.options import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.records.atomic_files import refuse_overwriting
 from robot_sysid.records.options import (
     OptionRecord,
@@ -88,7 +88,7 @@ class OutputOptions(OptionRecord):
 
     @property
     def kept(self) -> tuple[str, ...]:
-        """Parts of the model that stay as they are, see ``core.file_fit``."""
+        """Parts of the model that stay as they are, see ``estimation.file_fit``."""
         parts = ("friction", "rotors", "gravity", "links")
         return tuple(part for part in parts if getattr(self, f"keep_{part}"))
 

@@ -2,7 +2,7 @@
 
 The planned motion is treated like a log of it would be: its ends are cut off, all columns pass the
 low-pass, and moments in which a joint is too slow are left out. What is left is less than all
-samples could tell (``excitation.prediction``). Torque noise is all that is counted: errors of the
+samples could tell (``motion.prediction``). Torque noise is all that is counted: errors of the
 model, which an identification states too, do not become smaller by moving more cleverly.
 """
 
@@ -12,16 +12,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.core.choices import CANDIDATES
-from robot_sysid.core.dataset import DecimatedSamples, decimated_equations
-from robot_sysid.core.identify import Piece, answer_link, filtered
 from robot_sysid.dynamics.equations import TERMINAL_FRICTION, Equations, friction_per_joint
 from robot_sysid.errors import InputError, SysidError
-from robot_sysid.estimation.identifiability import analyse_identifiability
-from robot_sysid.estimation.options import EstimationOptions
-from robot_sysid.excitation.prediction import Prediction, Seen, predict
-from robot_sysid.excitation.problem import ExcitationProblem
+from robot_sysid.estimation.algebra.identifiability import analyse_identifiability
+from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.choices import CANDIDATES
+from robot_sysid.estimation.dataset import DecimatedSamples, decimated_equations
+from robot_sysid.estimation.identify import Piece, answer_link, filtered
 from robot_sysid.logs.reader import join_measurements
+from robot_sysid.motion.prediction import Prediction, Seen, predict
+from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.records import Array, Measurement, MotionPlan
 from robot_sysid.records.progress import Progress
 from robot_sysid.signals.process import process

@@ -9,18 +9,18 @@ from pathlib import Path
 
 import numpy as np
 
-from robot_sysid.checks.run import look_at
 from robot_sysid.config import LOADED, PayloadConfig, PayloadOptions
-from robot_sysid.core.answer import traces_of
-from robot_sysid.core.dataset import Dataset, RestingPoses
-from robot_sysid.core.identify import Piece, answer_payload, filtered, shared_notes
-from robot_sysid.core.result import payload_of
-from robot_sysid.core.unknowns import Question
+from robot_sysid.diagnosis.run import look_at
 from robot_sysid.errors import InputError
-from robot_sysid.excitation.plan import MotionRequest, make_plan
+from robot_sysid.estimation.answer import traces_of
+from robot_sysid.estimation.dataset import Dataset, RestingPoses
+from robot_sysid.estimation.identify import Piece, answer_payload, filtered, shared_notes
+from robot_sysid.estimation.result import payload_of
+from robot_sysid.estimation.unknowns import Question
 from robot_sysid.export import locked_folder, save
 from robot_sysid.logs.reader import join_measurements, open_log
 from robot_sysid.model.flange import find_flange
+from robot_sysid.motion.plan import MotionRequest, make_plan
 from robot_sysid.pipeline import Analysis, Outcome, loaded
 from robot_sysid.records import Array, DataOrigin, Measurement, MotionPlan, RobotModel, Source
 from robot_sysid.records.progress import Progress

@@ -12,18 +12,15 @@ from typing import TYPE_CHECKING, TextIO
 
 import numpy as np
 
-from robot_sysid.checks.run import look_at
 from robot_sysid.config import ModelOptions, SysidConfig
-from robot_sysid.core.answer import Answer, traces_of
-from robot_sysid.core.dataset import Dataset
-from robot_sysid.core.identify import Piece, answer_link, filtered, refit
-from robot_sysid.core.itself import identify_itself
-from robot_sysid.core.result import result_of
-from robot_sysid.core.unknowns import FILE_FRICTION, FILE_ROTORS
+from robot_sysid.diagnosis.run import look_at
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.options import EstimationOptions
-from robot_sysid.excitation.options import LimitOptions
-from robot_sysid.excitation.plan import CheckedPlan, MotionRequest, make_plan
+from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.answer import Answer, traces_of
+from robot_sysid.estimation.dataset import Dataset
+from robot_sysid.estimation.identify import Piece, answer_link, filtered, identify_itself, refit
+from robot_sysid.estimation.result import result_of
+from robot_sysid.estimation.unknowns import FILE_FRICTION, FILE_ROTORS
 from robot_sysid.export import MotorFile, Saved, locked_folder, save
 from robot_sysid.interrupts import only_the_first
 from robot_sysid.logs.reader import (
@@ -34,6 +31,8 @@ from robot_sysid.logs.reader import (
     origin_of,
     write_measurement_csv,
 )
+from robot_sysid.motion.options import LimitOptions
+from robot_sysid.motion.plan import CheckedPlan, MotionRequest, make_plan
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import DataOrigin, Motion, MotionPlan, RobotModel, Source
 from robot_sysid.records.atomic_files import WholeFiles, temporary_folder, whole_files
@@ -227,7 +226,7 @@ def save_plan(
     path = config.plan_file
     if path is None:
         return ()
-    from robot_sysid.excitation.trajectory_files import save_samples, save_trajectory
+    from robot_sysid.motion.trajectory_files import save_samples, save_trajectory
 
     samples = path.with_suffix(".csv")
     with files.open(path) as file:
@@ -255,9 +254,9 @@ def _plan_outcome(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) 
 
 def promise(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> Iterator[str]:
     """Yield what a motion promises, and what it does beside its limits."""
-    from robot_sysid.excitation.plan_report import motion_lines, plan_lines
-    from robot_sysid.excitation.static import pose_lines, sweep_lines
     from robot_sysid.expected import expect
+    from robot_sysid.motion.plan_report import motion_lines, plan_lines
+    from robot_sysid.motion.static import pose_lines, sweep_lines
 
     assert checked.problem is not None and checked.check is not None
     made = checked.problem, checked.plan, checked.check

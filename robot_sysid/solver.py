@@ -8,12 +8,12 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.consistency import consistent_least_squares
-from robot_sysid.estimation.identifiability import N_INERTIAL, analyse_identifiability
-from robot_sysid.estimation.information import joint_rmse
-from robot_sysid.estimation.least_squares import WeightedEquations, least_correction
-from robot_sysid.estimation.options import ESTIMATORS, EstimationOptions
-from robot_sysid.estimation.uncertainty import white_uncertainty, with_body_prior
+from robot_sysid.estimation.algebra.consistency import consistent_least_squares
+from robot_sysid.estimation.algebra.identifiability import N_INERTIAL, analyse_identifiability
+from robot_sysid.estimation.algebra.information import joint_rmse
+from robot_sysid.estimation.algebra.least_squares import WeightedEquations, least_correction
+from robot_sysid.estimation.algebra.options import ESTIMATORS, EstimationOptions
+from robot_sysid.estimation.algebra.uncertainty import white_uncertainty, with_body_prior
 from robot_sysid.records import Array, Estimate, SquareRootInformation
 
 

@@ -27,8 +27,8 @@ LAYERS = (
     ("config",),
     ("expected",),
     ("servo",),
-    ("core",),
-    ("checks",),
+    ("estimation",),
+    ("diagnosis",),
     ("export",),
     ("report",),
     ("results",),
@@ -41,13 +41,13 @@ LAYERS = (
     ("damiao.serial_adapter",),
     ("damiao.trajectory",),
     ("damiao.protocol",),
-    ("excitation", "simulation", "logs"),
-    ("simulator", "trajectory", "collision", "signals"),
+    ("motion", "simulation", "logs"),
+    ("simulator", "trajectory", "signals"),
     ("parser",),
     ("model",),
     ("mjcf",),
     ("solver",),
-    ("estimation",),
+    ("estimation.algebra",),
     ("dynamics",),
     ("regressor",),
     ("derived_regressor",),
@@ -61,7 +61,7 @@ LAYERS = (
 )
 MAY_PRINT = {"cli", "commands"}
 LIBRARIES = {
-    "mujoco": {"model", "parser", "dynamics", "simulation", "collision", "results", "preview"},
+    "mujoco": {"model", "parser", "dynamics", "simulation", "motion", "results", "preview"},
     "lxml": {"mjcf"},
     "can": {"damiao.bus", "damiao.serial_adapter"},
     "matplotlib": {"report", "preview", "api"},
@@ -225,8 +225,8 @@ DEEP = "def deep():\n  if 1:\n    for _ in ():\n      with x:\n        while 1:\
     [
         ("solver", "import mujoco", import_faults, "(solver) imports mujoco"),
         ("nowhere", "", import_faults, "robot_sysid.nowhere lies in no layer"),
-        ("logs.x", "from robot_sysid.excitation import x", import_faults, "(logs) imports"),
-        ("excitation.x", "from robot_sysid.cli import main", import_faults, "(excitation) imports"),
+        ("logs.x", "from robot_sysid.motion import x", import_faults, "(logs) imports"),
+        ("motion.x", "from robot_sysid.cli import main", import_faults, "(motion) imports"),
         ("solver", "from robot_sysid.parser import x", import_faults, "imports robot_sysid.parser"),
         ("solver", "from robot_sysid import parser", import_faults, "imports robot_sysid.parser"),
         ("solver", "import robot_sysid.parser", import_faults, "imports robot_sysid.parser"),
@@ -246,7 +246,7 @@ DEEP = "def deep():\n  if 1:\n    for _ in ():\n      with x:\n        while 1:\
 )
 def test_a_fault_is_found(module, source, check, fault):
     back = {"robot_sysid.solver2": "import robot_sysid.solver", "robot_sysid.damiao": ""}
-    back |= {"robot_sysid.excitation": "", "robot_sysid.damiao.play.y": "", "robot_sysid.cli": ""}
+    back |= {"robot_sysid.motion": "", "robot_sysid.damiao.play.y": "", "robot_sysid.cli": ""}
     bad = {**GOOD, **back, f"robot_sysid.{module}": source}
     assert any(fault in found for found in check(bad))
 

@@ -16,8 +16,8 @@ import pytest
 from robot_sysid import __version__
 from robot_sysid.cli import main
 from robot_sysid.commands import identify, payload, plan, run
-from robot_sysid.core.itself import ITSELF
 from robot_sysid.errors import SysidError
+from robot_sysid.estimation.identify import ITSELF
 from robot_sysid.records.atomic_files import only_run_in
 from tests.support import option_samples
 from tests.support.command_line import files_in

@@ -7,18 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robot_sysid.core.answer import estimate_of
-from robot_sysid.core.identify import Piece, answer_link, filtered
-from robot_sysid.core.itself import identify_itself
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED
-from robot_sysid.estimation.options import EstimationOptions
-from robot_sysid.excitation.prediction import predict
+from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.answer import estimate_of
+from robot_sysid.estimation.identify import Piece, answer_link, filtered, identify_itself
 from robot_sysid.expected import expect
 from robot_sysid.logs.reader import join_measurements
+from robot_sysid.motion.prediction import predict
 from robot_sysid.records.progress import Progress
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import motion_chunks
-from tests.excitation.test_prediction import a_plan
+from tests.motion.test_prediction import a_plan
 from tests.support import arms
 from tests.support.excitation_arms import problem, robot
 

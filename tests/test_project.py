@@ -179,7 +179,7 @@ def test_a_run_starts_without_what_it_does_not_need(tmp_path):
         "import sys; from robot_sysid.cli import main; "
         f"code = main([{str(ROOT / EXAMPLE)!r}, '--duration', '1', '--quiet']); "
         "slow = {'scipy', 'sympy', 'matplotlib', 'can', 'cvxpy', 'robot_sysid.report.page', "
-        "'robot_sysid.damiao', 'robot_sysid.excitation.design.search'} & set(sys.modules); "
+        "'robot_sysid.damiao', 'robot_sysid.motion.design.search'} & set(sys.modules); "
         "sys.exit(code or (sorted(slow)[0] if slow else 0))"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True)

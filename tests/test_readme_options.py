@@ -8,7 +8,7 @@ import pytest
 
 from robot_sysid.commands import arm, identify, motors, payload, plan, run
 from robot_sysid.commands.arguments import ConsoleOptions
-from robot_sysid.excitation.problem import DEFAULT_NOISE_TORQUE
+from robot_sysid.motion.problem import DEFAULT_NOISE_TORQUE
 from robot_sysid.records.options import options_of
 from tests.support import option_tables
 from tests.support.option_tables import TABLES

@@ -7,15 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.core.verdict import of_own_simulation
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.autocorrelation import collect_residuals
-from robot_sysid.estimation.information import InformationAccumulator, combined
-from robot_sysid.estimation.least_squares import ordinary
-from robot_sysid.estimation.nuisances import NuisanceGroup, with_prior
-from robot_sysid.estimation.options import ESTIMATORS, EstimationOptions
-from robot_sysid.estimation.uncertainty import joint_space
+from robot_sysid.estimation.algebra.autocorrelation import collect_residuals
+from robot_sysid.estimation.algebra.information import InformationAccumulator, combined
+from robot_sysid.estimation.algebra.least_squares import ordinary
+from robot_sysid.estimation.algebra.nuisances import NuisanceGroup, with_prior
+from robot_sysid.estimation.algebra.options import ESTIMATORS, EstimationOptions
+from robot_sysid.estimation.algebra.uncertainty import joint_space
+from robot_sysid.estimation.verdict import of_own_simulation
 from robot_sysid.records import Identifiability, SquareRootInformation
 from robot_sysid.results.record import Verdict
 from robot_sysid.solver import identify_parameters, solve

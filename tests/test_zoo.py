@@ -16,7 +16,7 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import TERMINAL_FRICTION, Equations, friction_per_joint
 from robot_sysid.dynamics.kinematics import ArmDynamics, ChainKinematics
 from robot_sysid.errors import AmbiguousJointError, ModelError
-from robot_sysid.estimation.options import EstimationOptions
+from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.model.inertia import body_theta, composite_theta
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Motion

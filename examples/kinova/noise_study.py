@@ -16,17 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 from validate_regressor import with_link
 
-from robot_sysid.core.answer import Answer, estimate_of
-from robot_sysid.core.columns import Columns
-from robot_sysid.core.dataset import Dataset, DecimatedSamples, mean_torque
-from robot_sysid.core.errors import fit_errors
-from robot_sysid.core.fit import evidence, solved
-from robot_sysid.core.unknowns import Choice, Question
 from robot_sysid.dynamics.equations import Equations
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_model
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.estimation.identifiability import visible_space
-from robot_sysid.estimation.options import EstimationOptions
+from robot_sysid.estimation.algebra.identifiability import visible_space
+from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.answer import Answer, estimate_of
+from robot_sysid.estimation.columns import Columns
+from robot_sysid.estimation.dataset import Dataset, DecimatedSamples, mean_torque
+from robot_sysid.estimation.errors import fit_errors
+from robot_sysid.estimation.fit import evidence, solved
+from robot_sysid.estimation.unknowns import Choice, Question
 from robot_sysid.logs.reader import join_measurements
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Estimate, MotionPlan, RobotModel, SquareRootInformation

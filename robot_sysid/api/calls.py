@@ -19,10 +19,15 @@ import numpy as np
 from robot_sysid import payload_pipeline as payload_stages
 from robot_sysid.api.results import Identified, PlanResult, one_thread
 from robot_sysid.config import ModelOptions, SysidConfig, config_from, payload_config_from
-from robot_sysid.core.result import result_of
-from robot_sysid.core.sums import LogInformation, answer_from, log_information, settled_options
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.options import EstimationOptions
+from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.result import result_of
+from robot_sysid.estimation.sums import (
+    LogInformation,
+    answer_from,
+    log_information,
+    settled_options,
+)
 from robot_sysid.logs.formats.table import LogTable, arrays_table
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.reader import MeasurementLog, open_log

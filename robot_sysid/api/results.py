@@ -16,8 +16,8 @@ from threadpoolctl import threadpool_limits
 from robot_sysid.config import SysidConfig
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError, SysidError
-from robot_sysid.excitation.plan import CheckedPlan
 from robot_sysid.export import Saved, locked_folder
+from robot_sysid.motion.plan import CheckedPlan
 from robot_sysid.pipeline import Analysis, save_plan
 from robot_sysid.records import Array, InertialParameters, Motion, RobotModel
 from robot_sysid.records.atomic_files import temporary_folder, whole_files

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.run import add_logs, identify
-from robot_sysid.estimation.options import EstimationOptions
+from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.logs.options import LogOptions
 
 MAIN = (

@@ -62,8 +62,8 @@ def main(arguments: Sequence[str]) -> int:
 def _checked(
     values: Mapping[str, Any], options: LogOptions, preview: PreviewOptions, console: Console
 ) -> int:
-    from robot_sysid.checks.finding import require_acceptable
-    from robot_sysid.checks.run import check_against_model
+    from robot_sysid.diagnosis.finding import require_acceptable
+    from robot_sysid.diagnosis.run import check_against_model
     from robot_sysid.logs.reader import open_log
     from robot_sysid.parser import load_robot_model
 
@@ -88,9 +88,9 @@ def _shown(robot: RobotModel, samples: Measurement, trajectory: Path | None) -> 
 
     if trajectory is None:
         return shown_log(robot, samples)
-    from robot_sysid.excitation.options import LimitOptions
-    from robot_sysid.excitation.problem import DEFAULT_NOISE_TORQUE, build_problem
-    from robot_sysid.excitation.trajectory_files import load_trajectory
+    from robot_sysid.motion.options import LimitOptions
+    from robot_sysid.motion.problem import DEFAULT_NOISE_TORQUE, build_problem
+    from robot_sysid.motion.trajectory_files import load_trajectory
 
     saved = load_trajectory(trajectory)
     saved.require_fits(robot.joint_names)

@@ -8,9 +8,9 @@ from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.report import require_report
 from robot_sysid.commands.run import add_model, told, warnings_as_notes
 from robot_sysid.config import ModelOptions, OutputOptions, PayloadOptions, payload_config_from
-from robot_sysid.estimation.options import EstimationOptions
-from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
+from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.logs.options import LogOptions
+from robot_sysid.motion.options import ExcitationOptions, LimitOptions
 from robot_sysid.simulation.sensors import SimulatedArmOptions
 from robot_sysid.trajectory import TrajectoryOptions
 

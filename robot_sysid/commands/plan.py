@@ -9,8 +9,8 @@ from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.run import add_model, identify
 from robot_sysid.config import ModelOptions, MotorOptions, OutputOptions
-from robot_sysid.estimation.options import EstimationOptions
-from robot_sysid.excitation.options import ExcitationOptions, LimitOptions, PoseOptions
+from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.motion.options import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.preview.motion import PreviewOptions
 from robot_sysid.records.options import record_from
 from robot_sysid.simulation.sensors import SimulatedArmOptions

@@ -13,9 +13,9 @@ from robot_sysid.commands.console import Console
 from robot_sysid.commands.report import report_of, require_report
 from robot_sysid.config import ModelOptions, MotorOptions, OutputOptions, SysidConfig, config_from
 from robot_sysid.errors import InputError, SysidError
-from robot_sysid.estimation.options import EstimationOptions
-from robot_sysid.excitation.options import ExcitationOptions, LimitOptions, PoseOptions
+from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.logs.options import LogOptions
+from robot_sysid.motion.options import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.records.options import given_options
 from robot_sysid.records.results import MODEL_NAMES
 from robot_sysid.simulation.sensors import SimulatedArmOptions

@@ -2,7 +2,7 @@
 
 A torque sensor that reads (1 + s) times the torque, an encoder whose zero is off by z, a base that
 is tilted by two angles: to first order each adds its column times an unknown. Their size is known
-beforehand, which makes them a prior (``estimation.nuisances``).
+beforehand, which makes them a prior (``estimation.algebra.nuisances``).
 
 =============  ===================================  ==================================
 parameter      column in joint j's equation         unit

@@ -1,1 +1,1 @@
-"""From square-root information to estimates and what is known about their errors."""
+"""The one estimate: what is sought, the rows that data makes of it, the fit, and its judge."""

@@ -14,7 +14,7 @@ from robot_sysid.records import Array, Measurement, Motion, MotionPlan, RobotMod
 from robot_sysid.records.options import OptionRecord, option
 
 if TYPE_CHECKING:
-    from robot_sysid.excitation.problem import ExcitationProblem
+    from robot_sysid.motion.problem import ExcitationProblem
 
 RATE = 20.0
 """Pictures per second."""

@@ -12,9 +12,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from robot_sysid.core.identify import Piece, answer_link, filtered
 from robot_sysid.dynamics.nuisances import TILT_NAMES, gravity, with_gravity
-from robot_sysid.estimation.options import EstimationOptions
+from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.identify import Piece, answer_link, filtered
 from robot_sysid.logs.reader import join_measurements
 from robot_sysid.records import DELAY_NAME
 from robot_sysid.records.progress import Progress

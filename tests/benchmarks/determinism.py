@@ -47,8 +47,8 @@ def _search(path: Path, workers: int) -> None:
     import numpy as np
 
     from robot_sysid.api.results import one_thread
-    from robot_sysid.excitation.design.search import design_excitation
-    from robot_sysid.excitation.trajectory_files import save_trajectory
+    from robot_sysid.motion.design.search import design_excitation
+    from robot_sysid.motion.trajectory_files import save_trajectory
     from tests.support.excitation_arms import TUBES_AND_POST, design
 
     few = {"draws": 30, "starts": 3, "rounds": 3, "iterations": 20, "time_budget": 600.0}

@@ -18,10 +18,10 @@ Noise, NoiseStudy, random_plan = noise_study.Noise, noise_study.NoiseStudy, nois
 
 def designed_plan(robot, seed=1):
     """The trajectory that ``--excitation optimal`` designs; takes about 20 s."""
-    from robot_sysid.excitation.design.optimise import Design
-    from robot_sysid.excitation.design.search import design_excitation
-    from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
-    from robot_sysid.excitation.problem import build_problem
+    from robot_sysid.motion.design.optimise import Design
+    from robot_sysid.motion.design.search import design_excitation
+    from robot_sysid.motion.options import ExcitationOptions, LimitOptions
+    from robot_sysid.motion.problem import build_problem
     from robot_sysid.trajectory import TrajectoryOptions
 
     problem = build_problem(robot, LimitOptions())

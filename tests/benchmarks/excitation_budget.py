@@ -16,11 +16,11 @@ import time
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.excitation.design import workers
-from robot_sysid.excitation.design.optimise import Design
-from robot_sysid.excitation.design.search import design_excitation
-from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
-from robot_sysid.excitation.problem import build_problem
+from robot_sysid.motion.design import workers
+from robot_sysid.motion.design.optimise import Design
+from robot_sysid.motion.design.search import design_excitation
+from robot_sysid.motion.options import ExcitationOptions, LimitOptions
+from robot_sysid.motion.problem import build_problem
 from robot_sysid.parser import load_robot_model
 from robot_sysid.trajectory import TrajectoryOptions
 from tests.support.places import GUESS

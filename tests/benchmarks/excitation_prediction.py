@@ -15,12 +15,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.excitation.design.optimise import Design
-from robot_sysid.excitation.design.search import design_excitation
-from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
-from robot_sysid.excitation.problem import build_problem
 from robot_sysid.expected import expect
 from robot_sysid.logs.reader import join_measurements
+from robot_sysid.motion.design.optimise import Design
+from robot_sysid.motion.design.search import design_excitation
+from robot_sysid.motion.options import ExcitationOptions, LimitOptions
+from robot_sysid.motion.problem import build_problem
 from robot_sysid.parser import load_robot_model
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import TrajectoryOptions, motion_chunks

@@ -16,16 +16,16 @@ from pathlib import Path
 
 import numpy as np
 
-from robot_sysid.excitation.design.optimise import Design
-from robot_sysid.excitation.design.search import design_excitation
-from robot_sysid.excitation.information import PredictedInformation
-from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
-from robot_sysid.excitation.prediction import predict
-from robot_sysid.excitation.problem import build_problem
+from robot_sysid.motion.design.optimise import Design
+from robot_sysid.motion.design.search import design_excitation
+from robot_sysid.motion.information import PredictedInformation
+from robot_sysid.motion.options import ExcitationOptions, LimitOptions
+from robot_sysid.motion.prediction import predict
+from robot_sysid.motion.problem import build_problem
 from robot_sysid.parser import load_robot_model
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import TrajectoryOptions, generate_excitation_trajectory
-from tests.excitation.test_prediction import empirical_deviation_of
+from tests.motion.test_prediction import empirical_deviation_of
 from tests.support.places import GUESS
 
 RATE, SIGMA = 1000.0, 0.3

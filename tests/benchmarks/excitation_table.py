@@ -19,13 +19,13 @@ import time
 import mujoco
 import numpy as np
 
-from robot_sysid.excitation.design import optimise
-from robot_sysid.excitation.design.optimise import Design
-from robot_sysid.excitation.design.search import design_excitation
-from robot_sysid.excitation.limit_check import DISTANCE_RESOLUTION
-from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
-from robot_sysid.excitation.prediction import predict
-from robot_sysid.excitation.problem import build_problem
+from robot_sysid.motion.design import optimise
+from robot_sysid.motion.design.optimise import Design
+from robot_sysid.motion.design.search import design_excitation
+from robot_sysid.motion.limit_check import DISTANCE_RESOLUTION
+from robot_sysid.motion.options import ExcitationOptions, LimitOptions
+from robot_sysid.motion.prediction import predict
+from robot_sysid.motion.problem import build_problem
 from robot_sysid.parser import load_robot_model
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import TrajectoryOptions, generate_excitation_trajectory, motion_chunks

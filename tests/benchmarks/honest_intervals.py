@@ -23,8 +23,8 @@ import numpy as np
 from robot_sysid.dynamics.equations import other_links
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.nuisances import gravity, turned, with_gravity
-from robot_sysid.estimation.nuisances import link_factor
-from robot_sysid.estimation.options import EstimationOptions
+from robot_sysid.estimation.algebra.nuisances import link_factor
+from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement, RobotModel
 from robot_sysid.simulator import simulate_inverse

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimation.options import EstimationOptions
+from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.parser import load_robot_model
 from robot_sysid.payload_pipeline import SCALE_PRIOR
 from tests.benchmarks.payload_by_difference import MODELS, recordings, rms, weighed

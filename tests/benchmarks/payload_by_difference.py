@@ -18,11 +18,11 @@ from pathlib import Path
 
 import numpy as np
 
-from robot_sysid.core.identify import Piece, answer_payload, filtered
-from robot_sysid.core.result import payload_of
-from robot_sysid.core.unknowns import Question
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimation.options import EstimationOptions
+from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.identify import Piece, answer_payload, filtered
+from robot_sysid.estimation.result import payload_of
+from robot_sysid.estimation.unknowns import Question
 from robot_sysid.model.flange import find_flange
 from robot_sysid.parser import load_robot_model
 from robot_sysid.payload_pipeline import RawRecording

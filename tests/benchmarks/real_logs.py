@@ -12,8 +12,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from robot_sysid.core.identify import Piece, answer_link, filtered, tested
-from robot_sysid.estimation.options import EstimationOptions
+from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.identify import Piece, answer_link, filtered, tested
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.progress import Progress
 from tests.benchmarks.whole_arm import KUKA_CUTOFF, described, percent, read

@@ -15,8 +15,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.core.columns import Columns
-from robot_sysid.core.dataset import Dataset
+from robot_sysid.estimation.columns import Columns
+from robot_sysid.estimation.dataset import Dataset
 from robot_sysid.signals.process import LARGEST_SLOW_SHARE
 from tests.benchmarks.example_study import Noise, NoiseStudy, friction_errors
 

@@ -84,7 +84,7 @@ def samples_of(arm, torques):
 
 
 def information_of_samples(arm, samples):
-    from robot_sysid.estimation.information import InformationAccumulator
+    from robot_sysid.estimation.algebra.information import InformationAccumulator
 
     joints = [f"joint{j}" for j in range(N_JOINTS)]
     accumulator = InformationAccumulator(arm.names, joints, arm.columns)

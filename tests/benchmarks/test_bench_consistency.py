@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimation.consistency import consistent_least_squares
+from robot_sysid.estimation.algebra.consistency import consistent_least_squares
 from tests.support.synthetic_data import arm_equations, random_body, sdp_least_squares
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimation.options import EstimationOptions
+from robot_sysid.estimation.algebra.options import EstimationOptions
 from tests.benchmarks.example_study import noise_study
 from tests.benchmarks.smooth_arm import SmoothArm, information_of_samples, samples_of
 from tests.support.estimates import identified

@@ -6,17 +6,17 @@ from functools import cache
 
 import pytest
 
-from robot_sysid.excitation.design.optimise import (
+from robot_sysid.motion.design.optimise import (
     Design,
     first_candidate,
     improve,
     penalised,
     unchecked_candidate,
 )
-from robot_sysid.excitation.design.search import draw_trajectories
-from robot_sysid.excitation.limit_check import check_limits
-from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
-from robot_sysid.excitation.problem import build_problem
+from robot_sysid.motion.design.search import draw_trajectories
+from robot_sysid.motion.limit_check import check_limits
+from robot_sysid.motion.options import ExcitationOptions, LimitOptions
+from robot_sysid.motion.problem import build_problem
 from robot_sysid.parser import load_robot_model
 from robot_sysid.trajectory import TrajectoryOptions
 from tests.support.places import GUESS

@@ -22,18 +22,18 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from robot_sysid.core.answer import parameter_scale, structural_base
-from robot_sysid.core.choices import CANDIDATES
-from robot_sysid.core.columns import Columns
-from robot_sysid.core.dataset import Dataset, JoinedSamples
-from robot_sysid.core.identify import Piece, answer_link, filtered, refit, tested
-from robot_sysid.core.result import result_of
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import SysidError
-from robot_sysid.estimation.base_parameters import base_combinations
-from robot_sysid.estimation.information import combined, restricted
-from robot_sysid.estimation.least_squares import least_squares
-from robot_sysid.estimation.options import EstimationOptions
+from robot_sysid.estimation.algebra.base_parameters import base_combinations
+from robot_sysid.estimation.algebra.information import combined, restricted
+from robot_sysid.estimation.algebra.least_squares import least_squares
+from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.answer import parameter_scale, structural_base
+from robot_sysid.estimation.choices import CANDIDATES
+from robot_sysid.estimation.columns import Columns
+from robot_sysid.estimation.dataset import Dataset, JoinedSamples
+from robot_sysid.estimation.identify import Piece, answer_link, filtered, refit, tested
+from robot_sysid.estimation.result import result_of
 from robot_sysid.export import save
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.parser import load_robot_model

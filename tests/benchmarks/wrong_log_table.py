@@ -21,9 +21,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from robot_sysid.checks.finding import Level
-from robot_sysid.checks.run import check_against_model
 from robot_sysid.config import config_from
+from robot_sysid.diagnosis.finding import Level
+from robot_sysid.diagnosis.run import check_against_model
 from robot_sysid.errors import SysidError
 from robot_sysid.logs.reader import write_measurement_csv
 from robot_sysid.pipeline import analysed

@@ -6,8 +6,8 @@ import pytest
 
 from robot_sysid.commands import plan as module
 from robot_sysid.config import config_from
-from robot_sysid.excitation.trajectories import LineTrajectory
-from robot_sysid.excitation.trajectory_files import load_trajectory
+from robot_sysid.motion.trajectories import LineTrajectory
+from robot_sysid.motion.trajectory_files import load_trajectory
 from robot_sysid.trajectory import SineTrajectory
 from tests.support import arms, option_samples, witness
 from tests.support.command_line import files_in

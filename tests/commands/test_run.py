@@ -12,8 +12,8 @@ import pytest
 
 from robot_sysid.cli import main
 from robot_sysid.config import config_from
-from robot_sysid.excitation.limit_check import LimitCheck
-from robot_sysid.excitation.trajectory_files import load_trajectory
+from robot_sysid.motion.limit_check import LimitCheck
+from robot_sysid.motion.trajectory_files import load_trajectory
 from robot_sysid.simulation.forward_dynamics import ForwardPlant
 from tests.support import arms, option_samples, witness
 from tests.support.excitation_arms import TUBES

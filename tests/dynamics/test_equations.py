@@ -20,7 +20,7 @@ from robot_sysid.dynamics.equations import (
     other_links,
 )
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.identifiability import VisibleSpace, visible_space
+from robot_sysid.estimation.algebra.identifiability import VisibleSpace, visible_space
 from robot_sysid.model.inertia import composite_theta
 from robot_sysid.records import JointFriction, Measurement
 from robot_sysid.simulator import collect_sysid_data, simulate_inverse

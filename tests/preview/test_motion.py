@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robot_sysid.excitation.options import LimitOptions
-from robot_sysid.excitation.problem import build_problem
+from robot_sysid.motion.options import LimitOptions
+from robot_sysid.motion.problem import build_problem
 from robot_sysid.preview.motion import shown_log, shown_plan
 from robot_sysid.records import JointLimits, Measurement
 from tests.support import arms, measured_logs

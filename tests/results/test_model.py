@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.core.result import about
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import ExportError
+from robot_sysid.estimation.result import about
 from robot_sysid.mjcf.write_back import ActuatorChange, JointChange
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.model.flange import find_flange

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.errors import InputError
-from robot_sysid.excitation.trajectories import LineTrajectory
+from robot_sysid.motion.trajectories import LineTrajectory
 from robot_sysid.records import Measurement
 from robot_sysid.signals.poses import resting_poses
 

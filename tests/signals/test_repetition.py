@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.information import InformationAccumulator
+from robot_sysid.estimation.algebra.information import InformationAccumulator
 from robot_sysid.records import Motion
 from robot_sysid.signals import repetition
 from robot_sysid.signals.repetition import RowSample, sampled, visits

@@ -6,12 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.estimation.autocorrelation import collect_residuals
-from robot_sysid.estimation.identifiability import analyse_identifiability
-from robot_sysid.estimation.information import joint_rmse, restricted, sample_counts
-from robot_sysid.estimation.nuisances import with_prior
-from robot_sysid.estimation.options import ESTIMATORS, EstimationOptions
-from robot_sysid.estimation.uncertainty import coloured_uncertainty, joint_space, white_uncertainty
+from robot_sysid.estimation.algebra.autocorrelation import collect_residuals
+from robot_sysid.estimation.algebra.identifiability import analyse_identifiability
+from robot_sysid.estimation.algebra.information import joint_rmse, restricted, sample_counts
+from robot_sysid.estimation.algebra.nuisances import with_prior
+from robot_sysid.estimation.algebra.options import ESTIMATORS, EstimationOptions
+from robot_sysid.estimation.algebra.uncertainty import (
+    coloured_uncertainty,
+    joint_space,
+    white_uncertainty,
+)
 from robot_sysid.solver import identify_parameters, solve
 
 

@@ -6,9 +6,9 @@ from functools import cache
 
 import numpy as np
 
-from robot_sysid.excitation.design.optimise import Design
-from robot_sysid.excitation.options import ExcitationOptions, LimitOptions
-from robot_sysid.excitation.problem import DEFAULT_NOISE_TORQUE, build_problem
+from robot_sysid.motion.design.optimise import Design
+from robot_sysid.motion.options import ExcitationOptions, LimitOptions
+from robot_sysid.motion.problem import DEFAULT_NOISE_TORQUE, build_problem
 from robot_sysid.trajectory import TrajectoryOptions
 from tests.support import arms
 from tests.support.arms import LINK, TIP, X, Y, Z, hinge, link, world

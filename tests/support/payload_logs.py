@@ -9,12 +9,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.core.columns import PAYLOAD_NAMES
-from robot_sysid.core.dataset import Dataset
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import link_names
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.estimation.columns import PAYLOAD_NAMES
+from robot_sysid.estimation.dataset import Dataset
 from robot_sysid.records import Motion
 from robot_sysid.signals.filters import design_low_pass
 from robot_sysid.signals.process import ProcessedSignals

@@ -13,8 +13,8 @@ import mujoco
 import numpy as np
 
 from robot_sysid.dynamics.equations import TERMINAL_FRICTION, Equations, friction_per_joint
-from robot_sysid.estimation.identifiability import analyse_identifiability, visible_space
-from robot_sysid.estimation.information import InformationAccumulator
+from robot_sysid.estimation.algebra.identifiability import analyse_identifiability, visible_space
+from robot_sysid.estimation.algebra.information import InformationAccumulator
 from robot_sysid.records import Measurement
 from tests.support import arms
 

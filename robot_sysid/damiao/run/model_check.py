@@ -20,10 +20,10 @@ from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.run.preflight import OK, STOP, Check
 from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.errors import HardwareAbort, InputError
-from robot_sysid.excitation.limit_check import first_contact
-from robot_sysid.excitation.options import LimitOptions
-from robot_sysid.excitation.problem import build_problem
-from robot_sysid.excitation.trajectories import straight_way
+from robot_sysid.motion.limit_check import first_contact
+from robot_sysid.motion.options import LimitOptions
+from robot_sysid.motion.problem import build_problem
+from robot_sysid.motion.trajectories import straight_way
 from robot_sysid.records import Array, Motion, MotionPlan, RobotModel
 from robot_sysid.simulator import ArmTorque
 

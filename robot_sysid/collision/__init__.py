@@ -1,1 +1,0 @@
-"""What an arm must not touch, and how near it comes."""

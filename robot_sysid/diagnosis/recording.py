@@ -1,0 +1,173 @@
+"""What a recording shows without a model: its length, its clock, its torque channels.
+
+A joint that moves goes about as far in one step of time as in the steps around it. A step with
+twice the speed has lost a sample that its time stamp does not show; one with none repeats the
+sample before it; a long step of time with the way of a short one is a jump of the clock.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from robot_sysid.diagnosis.evidence import Evidence
+from robot_sysid.diagnosis.finding import Finding, Level
+from robot_sysid.records import Array, Measurement
+from robot_sysid.signals.resampling import usual_period
+
+SHORTEST = 1.0
+"""Length of a log below which no arm does anything worth fitting [s]."""
+ROWS = 40
+"""Independent samples per joint that ten parameters and its friction need at least."""
+SLOWEST_RATE = 10.0
+"""Samples per second below which a motion cannot be differentiated [Hz]."""
+SLOWEST = 0.05
+"""Speed that one joint at least has to reach [rad/s]."""
+
+
+def length_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
+    """Yield a finding where a log, or what its gaps leave of it, is too short for anything."""
+    span = _length(pieces)
+    if span < SHORTEST:
+        text = f"the log is {span:.2g} s long, too short; record ten seconds or more"
+        yield Finding("too-little", Level.REFUSE, text)
+
+
+def _length(pieces: Sequence[Measurement]) -> float:
+    return sum(float(piece.time[-1] - piece.time[0]) for piece in pieces)
+
+
+def slow_findings(evidence: Evidence) -> Iterator[Finding]:
+    """Yield a finding where no joint moves fast enough to be told from its friction."""
+    fastest = float(np.max(np.abs(evidence.sample.qd)))
+    if fastest < SLOWEST:
+        text = f"no joint moves faster than {fastest:.2g} rad/s; record a faster motion"
+        yield Finding("too-little", Level.REFUSE, text)
+
+
+def enough_findings(evidence: Evidence) -> Iterator[Finding]:
+    """Yield what there is too little of."""
+    span = _length(evidence.pieces)
+    rows = int(2.0 * evidence.cutoff * span)
+    rate = 1.0 / usual_period(evidence.pieces[0].time)
+    if rate < SLOWEST_RATE:
+        text = f"{rate:.3g} samples per second are too few; record at 100 or more"
+        yield Finding("too-little", Level.REFUSE, text)
+    if rows < ROWS:
+        text = f"{span:.3g} s behind a low-pass of {evidence.cutoff:.3g} Hz hold about {rows} "
+        text += f"independent samples per joint, and {ROWS} are needed; record longer"
+        yield Finding("too-little", Level.REFUSE, text)
+
+
+LOST, REPEATED = (1.6, 4.0), 0.3
+"""Speed over that of the steps around it, of a step with lost samples and of a repeated one."""
+FEW, MANY = 0.003, 0.02
+"""Share of such steps that is warned of, and that is refused."""
+_JUMP, _NO_WAY = 1.75, 1.4
+_CLEAR = 8.0
+_ENOUGH = 100
+
+
+def clock_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
+    """Yield what the steps of a log's pieces say."""
+    parts = [_steps(piece) for piece in pieces if len(piece) > _ENOUGH]
+    if not parts:
+        return
+    speed, longer = (np.concatenate(same) for same in zip(*parts))
+    if len(speed) < _ENOUGH:
+        return
+    jumps = int(np.count_nonzero((longer > _JUMP) & (speed * longer < _NO_WAY) & (speed > 0.0)))
+    plain = longer < _JUMP
+    lost = float(np.mean(plain & (speed > LOST[0]) & (speed < LOST[1])))
+    between = float(np.mean(plain & (speed > 1.25) & (speed < 1.5)))
+    still = float(np.mean(plain & (np.abs(speed) < REPEATED)))
+    if lost > FEW and lost > 3.0 * between:
+        yield _finding(lost, "have lost samples that the time stamps do not show")
+    if still > FEW:
+        yield _finding(still, "repeat the position of the sample before while the arm moves")
+    if jumps:
+        text = f"the clock jumps ahead {jumps} times without a sample missing; use the stamps of "
+        yield Finding("clock", Level.WARN, f"{text}the controller's own clock")
+
+
+def _finding(share: float, what: str) -> Finding:
+    level = Level.REFUSE if share > MANY else Level.WARN
+    return Finding(
+        "clock", level, f"{100.0 * share:.2g} % of the steps {what}; record the time of each sample"
+    )
+
+
+def _steps(piece: Measurement) -> tuple[Array, Array]:
+    """Return per clear step its speed over that around it, and its length over the usual one."""
+    step = np.diff(piece.time)
+    usual = float(np.median(step))
+    way = np.diff(piece.q, axis=0)
+    pace = way * (usual / step)[:, None]
+    around = np.median([pace[k : len(pace) - 4 + k] for k in (0, 1, 3, 4)], axis=0)
+    inner, length = way[2:-2], step[2:-2] / usual
+    size = np.sum(around**2, axis=1)
+    noise = np.sum(np.median(np.abs(np.diff(way, axis=0)), axis=0) ** 2)
+    clear = size > max(_CLEAR**2 * float(noise), 0.02 * float(np.max(size, initial=0.0)))
+    along = np.sum(inner * around, axis=1)[clear] / size[clear]
+    return along / length[clear], length[clear]
+
+
+LONG = 0.3
+"""Time for which a torque that changes otherwise is not exactly the same [s]."""
+OFTEN = 0.005
+"""Share of samples at the largest value beyond which a sensor is at its end."""
+_MANY_VALUES = 100
+_MOVING = 0.05
+_RUN = 4
+_SEEN = 20
+
+
+def sensor_findings(pieces: Sequence[Measurement], joint_names: Sequence[str]) -> Iterator[Finding]:
+    """Yield what the torque channels of a log's pieces say."""
+    for joint, name in enumerate(joint_names):
+        tau = np.concatenate([piece.tau[:, joint] for piece in pieces])
+        if len(np.unique(tau)) < _MANY_VALUES:
+            continue
+        share, value = max(_at_end(tau, 1.0), _at_end(tau, -1.0))
+        if share > OFTEN:
+            yield Finding(
+                "saturated",
+                Level.WARN,
+                f"the torque of joint {name} is exactly {value:.4g} N m, the end of its range, in "
+                f"{100.0 * share:.2g} % of the samples: the sensor is at its end; move slower, or "
+                "carry less",
+            )
+        held = max(_longest_hold(piece, joint) for piece in pieces)
+        if held > LONG:
+            text = f"the torque of joint {name} stands still for {held:.2g} s while the arm moves: "
+            yield Finding(
+                "held", Level.WARN, f"{text}the channel holds its last value; record again"
+            )
+
+
+def _at_end(tau: Array, sign: float) -> tuple[float, float]:
+    """Return (share of samples exactly at the end of the range, that value)."""
+    end = float(np.max(sign * tau))
+    there = sign * tau == end
+    near = (sign * tau > end - 0.02 * float(np.ptp(tau))) & ~there
+    runs = np.diff(np.flatnonzero(np.diff(np.concatenate(([0], there.view(np.int8), [0])))))
+    count, beside = int(np.sum(there)), int(np.sum(near))
+    steady = np.max(runs[::2], initial=0) >= _RUN and count > 3 * beside
+    clipped = steady or (count >= _SEEN and count > 5 * beside)
+    return (float(np.mean(there)) if clipped else 0.0, sign * end)
+
+
+def _longest_hold(piece: Measurement, joint: int) -> float:
+    """Return for how long a torque stays exactly the same while any joint moves [s]."""
+    changes = np.flatnonzero(np.diff(piece.tau[:, joint]))
+    edges = np.concatenate(([0], changes + 1, [len(piece)]))
+    longest = 0.0
+    for start in np.flatnonzero(np.diff(edges) >= _RUN):
+        first, last = edges[start], edges[start + 1] - 1
+        length = float(piece.time[last] - piece.time[first])
+        # An arm that comes back to where it was has moved as well.
+        moved = np.max(np.ptp(piece.q[first : last + 1], axis=0))
+        if length > longest and moved > _MOVING * min(length, 1.0):
+            longest = length
+    return longest

@@ -1,0 +1,118 @@
+"""All checks of a log, in the order in which one finding explains another."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+
+from robot_sysid.diagnosis.evidence import Evidence, evidence_of
+from robot_sysid.diagnosis.finding import Finding, Level, require_acceptable
+from robot_sysid.diagnosis.hypotheses import explanations
+from robot_sysid.diagnosis.model_fit import Fit, ModelFit
+from robot_sysid.diagnosis.recording import (
+    clock_findings,
+    enough_findings,
+    length_findings,
+    sensor_findings,
+    slow_findings,
+)
+from robot_sysid.diagnosis.torque import (
+    computed_findings,
+    contact_findings,
+    delay_findings,
+    gravity_findings,
+    joint_zeros,
+    model_findings,
+    scale_findings,
+    torque_scales,
+    zero_findings,
+)
+from robot_sysid.errors import SysidError
+from robot_sysid.logs.reader import MeasurementLog
+from robot_sysid.records import Measurement, RobotModel
+from robot_sysid.records.progress import Progress
+
+OF_LINKS = ("torque-scale", "zero", "model", "contact")
+"""Findings that other links than the model's would bring as well."""
+
+
+def check_against_model(
+    robot: RobotModel, pieces: Sequence[Measurement], cutoff: float | None = None
+) -> tuple[Finding, ...]:
+    """Return what looks wrong with a log; a ``cutoff`` [Hz] of None is chosen from the data.
+
+    Raises:
+        InputError: the log is too short to be looked at.
+    """
+    raw = [*length_findings(pieces), *clock_findings(pieces)]
+    raw += sensor_findings(pieces, robot.joint_names)
+    if any(each.level is Level.REFUSE for each in raw):
+        return tuple(raw)
+    evidence = evidence_of(robot, pieces, cutoff)
+    return (*raw, *([*enough_findings(evidence)] or _of_torque(evidence)))
+
+
+def look_at(
+    robot: RobotModel,
+    log: MeasurementLog,
+    accepted: Collection[str],
+    progress: Progress,
+    cutoff: float | None = None,
+    links_known: bool = True,
+) -> None:
+    """Tell what looks wrong with a log, and stop at what must not become a number.
+
+    Args:
+        accepted: names of checks whose warnings are no reason to stop.
+        cutoff: of the low-pass [Hz]; None chooses it from the data.
+        links_known: whether the model's links are taken to be right; where they are to be found,
+            what they would bring as well is only told.
+
+    Raises:
+        InputError: a finding refuses the log.
+        SysidError: there is a warning that is not accepted.
+    """
+    found = check_against_model(robot, log.pieces, cutoff)
+    if not links_known:
+        found = tuple(replace(f, level=Level.NOTE) if f.name in OF_LINKS else f for f in found)
+    for each in found:
+        progress.note(each.line())
+    try:
+        require_acceptable(str(log.path), found, accepted)
+    except SysidError:
+        for note in log.notes:
+            progress.note(note)
+        raise
+
+
+def _of_torque(evidence: Evidence) -> list[Finding]:
+    """Return what the torques say; the first mistake that explains them stands alone."""
+    fit = ModelFit(evidence)
+    base = fit.fit(evidence.sample)
+    explained = explanations(evidence, fit)
+    best = min((after.cost for after, _ in explained), default=base.cost)
+    found = [*gravity_findings(evidence, fit, best)]
+    if found or explained:
+        return found or _likelier(evidence, fit, base, *explained[0])
+    found = [*scale_findings(evidence, fit, base)]
+    if found:
+        return found
+    found = [*contact_findings(evidence, base), *computed_findings(evidence, fit, base)]
+    if not found:
+        found = [*delay_findings(evidence, fit, base)] or [*zero_findings(evidence, fit, base)]
+    return found or [*model_findings(evidence, fit)] or [*slow_findings(evidence)]
+
+
+def _likelier(
+    evidence: Evidence, fit: ModelFit, base: Fit, after: Fit, mistake: Finding
+) -> list[Finding]:
+    """Return a scale or zeros where they explain a log better than a mistake does, else that."""
+    scales = [*scale_findings(evidence, fit, base)]
+    if scales:
+        scale, _ = torque_scales(evidence, fit)
+        if fit.fit(evidence.sample.with_torque(1.0 / scale)).cost < after.cost:
+            return scales
+    zeros = [*zero_findings(evidence, fit, base)]
+    if zeros and joint_zeros(evidence, fit)[2].cost < after.cost:
+        return zeros
+    return [mistake]

@@ -1,0 +1,321 @@
+"""What torques say of a log: their scale, gravity in them, delays and zeros, what is unexplained.
+
+Scale: the links before the terminal one are known, so that their torque is a column whose
+coefficient is the scale; the terminal link, which is not known, keeps ten columns of its own.
+Unexplained torque in a burst is contact, a collision or a moving gripper. A model that would need
+an impossible terminal link, or leaves much of the torque, is that of another arm, or several
+mistakes come together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.diagnosis.evidence import Evidence, Sample
+from robot_sysid.diagnosis.finding import Finding, Level
+from robot_sysid.diagnosis.hypotheses import explains
+from robot_sysid.diagnosis.model_fit import Fit, ModelFit, plausible, rms, slow_speed
+from robot_sysid.dynamics.nuisances import zero_columns
+from robot_sysid.records import Array, Motion
+from robot_sysid.records.figures import percent
+
+REFUSED, WARNED = 1.6, 1.3
+"""Factors by which torque may be too large or too small before a log is refused, or warned of."""
+SURE = 3.0
+"""Standard errors that a joint's scale has to be away from one."""
+UNITS = {1e3: "mN·m", 100.0: "N·cm", 10.197: "kgf·cm", 8.851: "lbf·in"}
+UNITS.update({0.7376: "lbf·ft", 141.6: "ozf·in", 1e-3: "kN·m"})
+"""Newton metre in other units."""
+_CLOSE = 1.25
+_SAME = 1.35
+# Torque at the joint per ampere of its motor, at most and at least [N m/A].
+_PER_AMPERE = (2.0, 25.0)
+_SCALE_ROUNDS = 6
+# Mass of a terminal link, as a part of the arm's, that speaks for a wrong scale.
+_RATHER_HEAVY = 0.35
+# Relative standard error of a joint's scale beyond which it is taken from the other joints.
+_KNOWN = 0.3
+# Part of the strongest joint's load, by the known links, below which a joint's scale is not asked.
+_LOADED = 0.1
+_LEAST, _MOST = 1e-4, 1e5
+# How far a scale may be from where a round begins.
+_FAR = 0.7
+_IGNORED = 1e3
+
+
+def torque_scales(evidence: Evidence, fit: ModelFit) -> tuple[Array, Array]:
+    """Return (scale (n,), its relative standard error (n,)): torque column over true torque.
+
+    It begins with the ratio of the usual torques. In each round the torque of the known links is
+    one more column in each joint's equation; its coefficient is what is left of the joint's scale.
+    """
+    sample, known_links = evidence.sample, fit.links.copy()
+    known_links[-1] = 0.0
+    rest, model = fit.torque(sample, known_links), rms(fit.model_torque)
+    loaded = rms(rest) > _LOADED * float(np.max(rms(rest)))
+    floor = 1e-6 * float(np.max(model))
+    scale = np.clip(rms(sample.tau) / np.maximum(model, floor), _LEAST, _MOST)
+    # A joint that the known links hardly load tells nothing of its own scale.
+    sample = _without(sample, ~loaded)
+    own = rest[:, :, None] * np.eye(rest.shape[1])
+    spread = np.full(rest.shape[1], _FAR)
+    for _ in range(_SCALE_ROUNDS):
+        found = fit.fit(sample.with_torque(1.0 / scale), own, spread, known_links=True)
+        left = np.clip(1.0 + found.extra, 0.2, 5.0)
+        error = np.where(loaded, found.error / left, np.inf)
+        known = error < _KNOWN
+        scale = np.clip(np.where(known, scale * left, scale), _LEAST, _MOST)
+    if np.any(known):
+        scale = np.where(known, scale, np.median(scale[known]))
+    return scale, error
+
+
+def _without(sample: Sample, joints: NDArray[np.bool_]) -> Sample:
+    """Return a sample in which some joints (n,) hardly count."""
+    return replace(sample, sigma=np.where(joints, _IGNORED, 1.0) * sample.sigma)
+
+
+def scale_findings(evidence: Evidence, fit: ModelFit, base: Fit) -> Iterator[Finding]:
+    """Yield what the scales of the joints that are sure of it say."""
+    scale, error = torque_scales(evidence, fit)
+    off = np.abs(np.log(scale))
+    sure = off > SURE * error
+    if not np.any(sure & (off > np.log(WARNED))):
+        return
+    known = np.flatnonzero(error <= max(_KNOWN, float(np.min(error))))
+    if not _better(evidence, fit, scale, known):
+        return
+    weight = 1.0 / error[known] ** 2
+    typical = float(np.exp(np.average(np.log(scale[known]), weights=weight)))
+    spread = float(np.max(scale[known]) / np.min(scale[known]))
+    listed = ", ".join(f"{evidence.robot.joint_names[j]} {scale[j]:.3g}" for j in known)
+    yield Finding(
+        "torque-scale",
+        Level.REFUSE if np.any(sure & (off > np.log(REFUSED))) else Level.WARN,
+        f"torque reads {typical:.3g} times what the model takes ({listed}): "
+        f"{_meaning(typical, spread, float(np.sum(weight) ** -0.5))}",
+    )
+
+
+def _better(evidence: Evidence, fit: ModelFit, scale: Array, known: NDArray[np.int64]) -> bool:
+    """Return whether the log is more likely with these scales than without.
+
+    With a wrong scale the terminal link has to make up for the whole arm's torque.
+    """
+    before = fit.fit(evidence.sample, known_links=True)
+    asked = _without(evidence.sample, ~np.isin(np.arange(len(scale)), known))
+    after = fit.fit(asked.with_torque(1.0 / scale), known_links=True)
+    if not plausible(fit, after):
+        return False
+    if not plausible(fit, before, _RATHER_HEAVY):
+        return True
+    return explains(fit.fit(asked, known_links=True), after)
+
+
+def _meaning(typical: float, spread: float, error: float) -> str:
+    """Return what a scale with this relative standard error probably is, and what to do."""
+    remedy = "if the model is this arm's, pass --torque-scale"
+    if spread > _SAME:
+        own = "a factor of its own for every joint, as "
+        if typical < 0.5:
+            return (
+                f"{own}motor currents in amperes have (give the torque per ampere with "
+                "--torque-constants), or the model of another arm"
+            )
+        return f"{own}per cent of rated torque has, or the model of another arm; {remedy} per joint"
+    nearest = min(UNITS, key=lambda factor: abs(np.log(typical / factor)))
+    if abs(np.log(typical / nearest)) < max(np.log(_CLOSE), SURE * error):
+        return f"as in {UNITS[nearest]}; {remedy} {nearest:.4g}"
+    if _PER_AMPERE[0] < 1.0 / typical < _PER_AMPERE[1]:
+        return "as motor currents in amperes have; give N·m per ampere with --torque-constants"
+    if 1.0 / 200.0 < typical < 1.0 / _PER_AMPERE[1]:
+        return (
+            f"as on the motor's side of a gear of 1:{1.0 / typical:.0f}, or in amperes; give the "
+            f"ratio as --torque-scale {typical:.4g}, or --torque-constants"
+        )
+    return f"another scale, or the model of another arm; {remedy} {typical:.3g}"
+
+
+SMALL = 0.6
+"""Size of a torque without gravity over that of the model, at most."""
+_NO_MORE = 1.3
+_EXACT, _FRICTIONLESS = 0.02, 5e-3
+# Noise in a torque that somebody computed, as a part of it.
+_QUIET = 1e-3
+
+
+def gravity_findings(evidence: Evidence, fit: ModelFit, best: float) -> Iterator[Finding]:
+    """Yield a finding where torque without gravity, or any link, costs less than ``best``."""
+    sample = evidence.sample
+    size = float(np.median((rms(sample.tau) / rms(fit.model_torque))[loaded(fit)]))
+    if size > SMALL:
+        return
+    alone = fit.fit(sample, only_friction=True)
+    weightless = fit.fit(sample, weightless=True)
+    scale, _ = torque_scales(evidence, fit)
+    scaled = fit.fit(sample.with_torque(1.0 / scale))
+    least = min(alone.cost, weightless.cost)
+    if least > best or (scaled.cost < least and plausible(fit, scaled)):
+        return
+    if alone.cost >= _NO_MORE * weightless.cost and not plausible(fit, weightless):
+        return
+    if alone.cost < _NO_MORE * weightless.cost:
+        text = (
+            "has nothing of its motion but friction: this is an external torque, what is left "
+            "after the controller's model; record the measured joint torque"
+        )
+    else:
+        text = (
+            "fits it without gravity: gravity is compensated in it already; record the measured "
+            "joint torque, not the command"
+        )
+    size_text = f"the torque is {size:.2g} times as large as the model's and {text}"
+    yield Finding("gravity", Level.REFUSE, size_text)
+
+
+def computed_findings(evidence: Evidence, fit: ModelFit, base: Fit) -> Iterator[Finding]:
+    """Yield a finding where the torque is the model's own, without noise and friction."""
+    sample, joints = evidence.sample, loaded(fit)
+    usual = rms(sample.tau)
+    exact = rms(base.residual) < _EXACT * usual
+    friction = rms(base.friction_torque) < _FRICTIONLESS * usual
+    quiet = evidence.noise < _QUIET * usual
+    if np.all((exact & friction & quiet)[joints]):
+        yield Finding(
+            "computed",
+            Level.WARN,
+            "the torque follows rigid-body dynamics to "
+            f"{percent(float(np.max((rms(base.residual) / usual)[joints])))} and has no "
+            "friction: it was computed, or commanded, not measured; record the measured torque",
+        )
+
+
+def loaded(fit: ModelFit) -> np.ndarray:
+    """Return (n,) whether a joint carries a fair part of what the strongest of its kind carries.
+
+    A lift carries many more newtons than the arm on it newton metres.
+    """
+    usual, slide = rms(fit.model_torque), fit.robot.is_slide
+    strongest = [np.max(usual[slide == kind], initial=0.0) for kind in (False, True)]
+    return np.asarray(usual >= _LOADED * np.where(slide, strongest[1], strongest[0]))
+
+
+SMALL_ZERO, LARGE_ZERO = 0.02, 0.04
+"""Error of a joint's zero that is told, and that stops an identification [rad]."""
+SURE_ZERO = 3.5
+"""Standard errors that a zero has to be away from nothing."""
+SHORT_DELAY = 0.015
+"""Delay that is only told [s]: friction that builds up over some speed looks like one."""
+_LIKELY = 0.5
+_ZERO_ROUNDS = 4
+
+
+def zero_findings(evidence: Evidence, fit: ModelFit, base: Fit) -> Iterator[Finding]:
+    """Yield a finding per joint whose position is surely off by a constant."""
+    zeros, errors, after = joint_zeros(evidence, fit)
+    # How sure each zero is decides; the fit as a whole need not fall as much as for a mistake.
+    if not explains(base, after, certain=False):
+        return
+    far = int(np.argmax(np.abs(zeros) * (np.abs(zeros) > SURE_ZERO * errors)))
+    if abs(zeros[far]) > _LIKELY:
+        name = evidence.robot.joint_names[far]
+        text = f"to fit this log, the position of joint {name} would have to be off by "
+        text += f"{zeros[far]:.2g} rad: is the model of this arm, with zeros in the same places?"
+        yield Finding("model", Level.REFUSE, text)
+        return
+    for joint, name in enumerate(evidence.robot.joint_names):
+        size = abs(zeros[joint])
+        if size < max(SMALL_ZERO, SURE_ZERO * errors[joint]):
+            continue
+        level = Level.WARN if size >= LARGE_ZERO else Level.NOTE
+        text = f"the position of joint {name} reads {zeros[joint]:+.3g} rad too much (standard "
+        yield Finding("zero", level, f"{text}error {errors[joint]:.1g}); correct its zero")
+
+
+def joint_zeros(evidence: Evidence, fit: ModelFit) -> tuple[Array, Array, Fit]:
+    """Return (what each position reads too much (n,) [rad], standard errors (n,), what is left)."""
+    sample, joints = evidence.sample, evidence.robot.n_joints
+    total, thetas = np.zeros(joints), fit.links
+    for _ in range(_ZERO_ROUNDS):
+        motion = Motion(evidence.time, sample.q, sample.qd, sample.qdd)
+        columns = zero_columns(evidence.robot, thetas, motion)
+        found = fit.fit(sample, columns, np.full(joints, _LIKELY))
+        step = np.clip(found.extra, -_LIKELY, _LIKELY)
+        total, thetas = total + step, found.thetas
+        sample = replace(sample, q=sample.q - step)
+    return total, found.error, fit.fit(sample)
+
+
+def delay_findings(evidence: Evidence, fit: ModelFit, base: Fit) -> Iterator[Finding]:
+    """Yield a finding where torque belongs to an earlier or later position."""
+    sample = evidence.sample
+    fits = {delay: fit.fit(replace(sample, tau=tau)) for delay, tau in evidence.shifted.items()}
+    delay = min(fits, key=lambda each: fits[each].cost)
+    if not explains(base, fits[delay]):
+        return
+    level = Level.WARN if abs(delay) > SHORT_DELAY else Level.NOTE
+    text = f"torque lags position by about {1e3 * delay:.0f} ms; add --delay auto, or record both "
+    yield Finding("delay", level, f"{text}at the same instant")
+
+
+UNEXPLAINED = 0.3
+"""Torque that is left, as a part of what is measured, beyond which the model is not of this arm."""
+LENGTH = 0.3
+"""Over so long a time a burst is looked for [s]."""
+STRONG, ABOVE = 30.0, 20.0
+"""Mean square of residual over tolerance in a burst, and how far it stands above the usual."""
+
+
+def model_findings(evidence: Evidence, fit: ModelFit) -> Iterator[Finding]:
+    """Yield a finding where the model would need an impossible terminal link, or does not fit."""
+    found = fit.fit(evidence.sample, known_links=True)
+    arm = float(np.sum(fit.links[:, 0]))
+    mass = float(found.thetas[-1, 0])
+    left = float(np.sqrt(np.sum(found.residual**2) / np.sum(evidence.sample.tau**2)))
+    text = f"to fit this log, the terminal link would have {mass:.3g} kg on an arm of {arm:.3g} kg"
+    if plausible(fit, found):
+        if left <= UNEXPLAINED:
+            return
+        text = f"the model leaves {percent(left)} of the torque unexplained, whatever the "
+        text += "terminal link is"
+    text += ": is the model of this arm, with what is fixed to its other links, and its base "
+    yield Finding("model", Level.REFUSE, f"{text}mounted as the model says?")
+
+
+def contact_findings(evidence: Evidence, base: Fit) -> Iterator[Finding]:
+    """Yield a finding at the strongest burst."""
+    residual = _beyond_friction(evidence, base)
+    squares = (residual / evidence.sample.sigma) ** 2
+    step = float(np.median(np.diff(evidence.time)))
+    width = max(3, round(LENGTH / step))
+    if len(squares) < 4 * width:
+        return
+    pooled = np.convolve(np.mean(squares, axis=1), np.ones(width) / width, mode="valid")
+    worst, usual = int(np.argmax(pooled)), float(np.median(pooled))
+    if pooled[worst] < STRONG or pooled[worst] < ABOVE * usual:
+        return
+    part = slice(worst, worst + width)
+    joint = int(np.argmax(np.mean(squares[part], axis=0)))
+    peak = float(np.max(np.abs(residual[part, joint])))
+    yield Finding(
+        "contact",
+        Level.WARN,
+        f"from {evidence.time[worst]:.2f} s to {evidence.time[part][-1]:.2f} s something else acts "
+        f"on the arm: {peak:.3g} N m at joint {evidence.robot.joint_names[joint]} that the model "
+        "does not explain; was there contact, or did a gripper move? cut it out, or record again",
+    )
+
+
+def _beyond_friction(evidence: Evidence, base: Fit) -> Array:
+    """Return (K, n) residuals less what dry friction of a joint that hardly moves may account for.
+
+    An arm that creeps to its rest still has all of its dry friction, in a direction that the
+    low-passed speed does not tell.
+    """
+    speed = np.abs(evidence.sample.qd)
+    unsure = np.where(speed < slow_speed(evidence.sample.qd), 2.0 * np.abs(base.coulomb), 0.0)
+    return np.asarray(np.sign(base.residual) * np.maximum(np.abs(base.residual) - unsure, 0.0))

@@ -1,0 +1,1 @@
+"""From square-root information to estimates and what is known about their errors."""

@@ -1,0 +1,294 @@
+"""All links' parameters at once, each link a possible rigid body.
+
+Minimises, over the ten parameters of every link and everything else that is sought,
+
+    1/2 ||A x - b||^2 + sum_i g_i [tr(P0_i^-1 P_i) - log det P_i]
+
+with P_i the pseudo-inertia of link i and P0_i that of a usual body: the log-det divergence of Lee,
+Wensing, Park, "Geometric robot dynamic identification: a convex programming approach", IEEE
+Transactions on Robotics 36(2), 2020, for a whole arm. Priors stand among the equations; g_i is far
+below what data can resolve and only keeps bodies possible, unless a link is to be held near P0_i.
+
+The problem is convex. A primal-dual method follows g down from where P0 alone decides, in
+the scaling of Nesterov and Todd with Mehrotra's predictor and corrector; a step is one
+factorisation for all links, of rows and not of their squares. Two changes of coordinates keep steps
+accurate however weak a direction is. Each link is measured in the pseudo-inertia of a body like it,
+P_i = L_i (1 + Z_i) L_i^T: its usual body's where nothing better is known. Then everything is turned
+into the singular directions of A, where the data's part of the second derivative is diagonal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import chain
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.errors import SysidError
+from robot_sysid.estimation.algebra.cones import Cone, ScaledCone
+from robot_sysid.estimation.algebra.identifiability import RELATIVE_CUT, visible_space
+from robot_sysid.records import Array
+
+GAMMAS, HARDLY = (0.1, 0.01, 1e-3, 1e-4), 3.0
+"""Weights of usual bodies that are tried, and how many squared residuals of unit variance hardly
+count: chance alone makes as many as there are parameters."""
+# Eigenvalues of an impossible model's body are lifted to this share of the largest.
+_FLOOR = 1e-6
+# What nothing shows stays at zero: 1 would be as strong as the data's sight of a column.
+_RIDGE = 1e-5
+# Where the path of gamma begins: at usual bodies, and at others; how small a step is none, in units
+# of gamma.
+_EASY, _EASIER, _CONVERGED, _MOST_STEPS = 100.0, 1e4, 1e-6, 1000
+_TO_THE_WALL = 0.95
+# How far the products of primal and dual eigenvalues may lag behind their mean.
+_CENTRALITY = 0.02
+# Below this length a step without second-order correction is tried as well.
+_SHORT = 0.5
+# By which share gamma goes down after a step of full length, whatever a bold step promises.
+_EAGER = 0.8
+# How strongly what is not seen is held, beside what is seen.
+_PIN = 1e3
+# What rounding resolves of squared residuals, and of the squared length of a step.
+_RESOLUTION, _SHORTEST = 1e-15, 1e-18
+
+
+@dataclass(frozen=True)
+class LinksProblem:
+    """What is known beside the data and the priors among its equations.
+
+    Attributes:
+        links: per link, where its ten parameters stand among all.
+        prior: (p,) usual bodies at those places, zero elsewhere.
+        weights: (links,) least weight of each link's divergence from its usual body.
+        start: (p,) bodies closer to what will be found than the usual ones; None for those.
+    """
+
+    links: tuple[NDArray[np.int64], ...]
+    prior: Array
+    weights: Array
+    start: Array | None = None
+
+    @cached_property
+    def bodies(self) -> tuple[tuple[Array, Array], ...]:
+        """Where each link starts, possible, theta (10,), and U (10, 10) with theta + U z."""
+        like = self.prior if self.start is None else self.start
+        found = []
+        for link in self.links:
+            theta = _lifted(like[link])
+            root = np.linalg.cholesky(spatial.pseudo_inertia(theta))
+            units = np.einsum("kij,bij->kb", root @ _BASIS @ root.T, _BASIS) @ _THETAS
+            found.append((theta, units.T))
+        return tuple(found)
+
+    @cached_property
+    def cone(self) -> Cone:
+        """The cone of the links: 1 + Z_i, pulled to the usual body by w(t) tr P0_i^-1 P_i."""
+        count, linear = len(self.links), []
+        for link, (_, units) in zip(self.links, self.bodies):
+            usual = np.linalg.inv(spatial.pseudo_inertia(_lifted(self.prior[link])))
+            linear.append(np.einsum("kij,ij->k", spatial.pseudo_inertia(units.T), usual))
+        basis = np.repeat(_BASIS[None], count, axis=0)
+        constant = np.repeat(np.eye(4)[None], count, axis=0)
+        return Cone(constant, basis, np.array(linear), self.weights)
+
+
+class ConsistentLinks:
+    """Solves one set of data for any weight of the model.
+
+    Args:
+        matrix: (M, p) A, residuals of unit variance.
+        right: (M,) b.
+    """
+
+    def __init__(self, matrix: Array, right: Array, problem: LinksProblem) -> None:
+        self._matrix, self._right, self._problem = matrix, right, problem
+        self._bodies = np.concatenate(problem.links)
+        # All parameters are origin + unit z.
+        length, self._origin = np.linalg.norm(matrix, axis=0), np.zeros(len(problem.prior))
+        self._unit = np.diag(1.0 / np.where(length > 0.0, length, 1.0))
+        for link, (theta, units) in zip(problem.links, problem.bodies):
+            self._origin[link], self._unit[np.ix_(link, link)] = theta, units
+        self._others = np.delete(np.arange(len(self._origin)), self._bodies)
+        self._free, rest = self._eliminated()
+        left, singular, directions = np.linalg.svd(rest[:-1, :-1])
+        self._turn, self._singular, self._seen = directions.T, singular, left.T @ rest[:-1, -1]
+        self._least_seen = np.min(singular) / np.max(singular, initial=_RIDGE)
+        self._squared, self._unseen = float(self._seen @ self._seen), float(rest[-1, -1] ** 2)
+        self._cone = problem.cone
+
+    def _eliminated(self) -> tuple[Array, Array]:
+        """Return (triangular rows of what is no body, those of bodies alone), right sides last."""
+        count, scaled = len(self._others), self._matrix @ self._unit
+        right = self._right - self._matrix @ self._origin
+        rows = np.column_stack((scaled[:, self._others], scaled[:, self._bodies], right))
+        ridge = np.pad(
+            _RIDGE * np.eye(count), ((0, len(self._bodies) + 1), (0, len(rows.T) - count))
+        )
+        triangle = np.asarray(np.linalg.qr(np.vstack((rows, ridge)), mode="r"))
+        return triangle[:count], triangle[count:, count:]
+
+    def _all(self, z: Array) -> Array:
+        """Return all parameters (p,) for coordinates of the bodies (k,)."""
+        count, found = len(self._others), np.zeros(len(self._origin))
+        goal = self._free[:, -1] - self._free[:, count:-1] @ z
+        found[self._bodies], found[self._others] = z, np.linalg.solve(self._free[:, :count], goal)
+        return self._origin + self._unit @ found
+
+    def best(self) -> Array:
+        """Return the minimiser (p,) for the largest gamma that hardly costs the data anything.
+
+        What the data does not show stays with usual bodies then, exactly where that hardly costs
+        anything, and what it does show is not pulled towards them, however much larger a tool is
+        than the model's link.
+        """
+        firsts, solvers = [], [*self._pinned(), self]
+        for each in solvers:
+            ends = each.path((GAMMAS[0], GAMMAS[-1]))
+            firsts.append(next(ends))
+            # Nothing leaves less than what no body explains, possible or not.
+            if self._left(firsts[-1]) <= self._unseen + HARDLY:
+                return firsts[-1]
+        allowed = self._left(next(ends)) + HARDLY
+        weaker = chain.from_iterable(each.path(GAMMAS[1:]) for each in solvers)
+        return next(found for found in chain(firsts, weaker) if self._left(found) <= allowed)
+
+    def _pinned(self) -> Iterator[ConsistentLinks]:
+        """Yield the same with all that the data does not show held at the usual bodies."""
+        if self._least_seen > RELATIVE_CUT:
+            return
+        space = visible_space(self._matrix)
+        rows = _PIN * space.null.T / space.scale
+        matrix = np.vstack((self._matrix, rows))
+        yield ConsistentLinks(matrix, np.append(self._right, rows @ self._origin), self._problem)
+
+    def _left(self, values: Array) -> float:
+        """Return the sum of squared residuals."""
+        return float(np.sum((self._matrix @ values - self._right) ** 2))
+
+    def path(self, gammas: Sequence[float]) -> Iterator[Array]:
+        """Yield the minimiser (p,) for each of several gammas, largest first.
+
+        None of them is followed below what rounding of the data's part can resolve.
+
+        Raises:
+            SysidError: the method did not converge.
+        """
+        least = _RESOLUTION * self._squared
+        gammas = [max(gamma, least) for gamma in gammas]
+        easy = _EASY if self._problem.start is None else _EASIER
+        t, z = max(easy, *gammas, 0.0), np.zeros(len(self._bodies))
+        dual_roots = self._cone.dual_roots(z, t)
+        for gamma in gammas:
+            z, dual_roots = self._follow(z, dual_roots, t, gamma)
+            t = gamma
+            yield self._all(z)
+
+    def _follow(self, z: Array, dual_roots: Array, t: float, gamma: float) -> tuple[Array, Array]:
+        """Return coordinates and roots of the duals at gamma, coming from those at t."""
+        length, least = 1.0, max(_CONVERGED * gamma, _SHORTEST * self._squared)
+        for _ in range(_MOST_STEPS):
+            try:
+                cone = self._cone.scaled(z, dual_roots)
+                unexplained = self._seen - self._singular * (self._turn.T @ z)
+                newton = _Newton(cone, self._singular, unexplained, self._turn)
+                bold = newton.step(gamma)
+                # Where a bold step finds no room but the last one did well, t goes down all the
+                # same.
+                left = min((1.0 - min(1.0, newton.room(bold))) ** 2, 1.0 - _EAGER * length)
+                t = max(gamma, left * t)
+                step, length = newton.best(t, bold)
+                z, dual_roots = z + length * step.direction, cone.moved(length * step.dual)
+            except np.linalg.LinAlgError:
+                break
+            if t == gamma and step.size <= least:
+                return z, dual_roots
+        raise SysidError(
+            "the fit of all links did not converge; check the units of the torques and of the "
+            "model's inertias"
+        )
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A change of the coordinates (k,), of K and of its duals, and its squared length."""
+
+    direction: Array
+    primal: Array
+    dual: Array
+    size: float
+
+
+class _Newton:
+    """Newton's equations at one point, as least squares: squared, rounding would hide what is weak.
+
+    Args:
+        cone: scaled there.
+        singular: (k,) singular values of the data.
+        unexplained: (k,) what is left there of what they see.
+        turn: (k, k) the axes they belong to, as columns.
+    """
+
+    def __init__(self, cone: ScaledCone, singular: Array, unexplained: Array, turn: Array) -> None:
+        self._cone, self._unexplained, self._turn = cone, unexplained, turn
+        rows = np.vstack((np.diag(singular), cone.rows() @ turn))
+        self._orthogonal, triangle = np.linalg.qr(rows)
+        self._inverse = np.linalg.inv(triangle)
+
+    def step(self, t: float, bold: _Step | None = None) -> _Step:
+        """Return the step towards t, corrected for what a bolder one showed of second order."""
+        cone = self._cone
+        if bold is None:
+            correction = np.zeros_like(cone.inverse)
+        else:
+            correction = cone.second_order(bold.primal, bold.dual)
+        goal = np.append(self._unexplained, cone.aim(t) - correction)
+        slope = self._inverse.T @ (self._turn.T @ cone.slope(t))
+        scaled = self._orthogonal.T @ goal - slope
+        direction = self._turn @ (self._inverse @ scaled)
+        return _Step(direction, *cone.changes(direction, t, correction), float(scaled @ scaled))
+
+    def room(self, step: _Step) -> float:
+        """Return which part of a step stays inside."""
+        return min(self._cone.room(step.primal), self._cone.room(step.dual))
+
+    def best(self, t: float, bold: _Step) -> tuple[_Step, float]:
+        """Return (step towards t, its length), corrected for second order where that goes far."""
+        step = self.step(t, bold)
+        length = self.central_length(step)
+        if length >= _SHORT:
+            return step, length
+        plain = self.step(t)
+        other = self.central_length(plain)
+        return (plain, other) if other > length else (step, length)
+
+    def central_length(self, step: _Step) -> float:
+        """Return a step length that leaves no eigenvalue of K Z far behind the others."""
+        length = min(1.0, _TO_THE_WALL * self.room(step))
+        for _ in range(_MOST_STEPS):
+            if self._cone.centrality(length * step.primal, length * step.dual) >= _CENTRALITY:
+                break
+            length *= 0.7
+        return length
+
+
+def _lifted(theta: Array) -> Array:
+    return spatial.lifted_body(theta, theta, _FLOOR)
+
+
+def _orthonormal_basis() -> Array:
+    """Return (10, 4, 4) symmetric matrices, orthonormal in tr(A B)."""
+    basis = []
+    for i in range(4):
+        for j in range(i, 4):
+            matrix = np.zeros((4, 4))
+            matrix[i, j] = matrix[j, i] = 1.0 if i == j else np.sqrt(0.5)
+            basis.append(matrix)
+    return np.array(basis)
+
+
+_BASIS = _orthonormal_basis()
+_THETAS = np.array([spatial.theta_from_pseudo_inertia(matrix) for matrix in _BASIS])

@@ -1,0 +1,255 @@
+"""What is not known of a real arm, as a prior: how much each nuisance may be off.
+
+Nuisances d (the other links' parameters, torque scales, encoder zeros, the direction of gravity)
+are estimated together with the terminal link under d ~ N(d0, F F^T), one group per cause. Where the
+data asks for more than the prior of the other links or of friction allows, the group is widened by
+
+    alpha^2 = |F^-1 (d - d0)|^2 / gamma,   gamma = sum_k (1 - [F^-1 C F^-T]_kk),
+
+gamma the number of directions that the data determines (MacKay, "Bayesian interpolation", Neural
+Computation 4(3), 1992, eq. 22 and 33), C the covariance of the estimate; never below 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.estimation.algebra.identifiability import visible_space
+from robot_sysid.records import Array, PriorConflict, SquareRootInformation
+
+ROD = float(np.sqrt(3.0))
+"""Length of a uniform rod over the root mean square distance of its mass from its end."""
+LEAST_SIZE = 0.02
+"""Size that a link has at least, where its prior is made [m]."""
+SURE = 0.99
+"""Probability with which the data must contradict what was thought before it is said."""
+WIDEST = 20.0
+"""Factor that no prior is widened by more than: 20 times 5 % is all."""
+_SHARE_OF_WORST = 0.3
+_ROUNDS, _SETTLED, _NARROWEST, _FIXED = 30, 1e-3, 0.01, 1e-4
+
+
+@dataclass(frozen=True)
+class NuisanceGroup:
+    """Nuisances with one cause.
+
+    Attributes:
+        cause: in words, such as "other links".
+        names: (k,) their parameter names.
+        mean: (k,) what they are thought to be.
+        factor: (k, k) F, their covariance is F F^T.
+        members: (k,) whose they are: the link's or the joint's name.
+        may_widen: whether the data may ask for more than the prior allows.
+        widened: alpha, by how much it did.
+        aspects: makes (m, k) combinations each that may be off while all others are not.
+    """
+
+    cause: str
+    names: tuple[str, ...]
+    mean: Array
+    factor: Array
+    members: tuple[str, ...]
+    may_widen: bool = False
+    widened: float = 1.0
+    aspects: Callable[[], tuple[Array, ...]] = tuple
+
+    def rows(self, names: Sequence[str]) -> Array:
+        """Return the prior as equations of unit variance, (k, p+1) [A b] in these parameters."""
+        inverse = np.linalg.inv(self.widened * self.factor)
+        rows = np.zeros((len(self.names), len(names) + 1))
+        rows[:, self.places(names)] = inverse
+        rows[:, -1] = inverse @ self.mean
+        return rows
+
+    def places(self, names: Sequence[str]) -> list[int]:
+        """Return where the nuisances stand among the parameters ``names``."""
+        return [names.index(name) for name in self.names]
+
+    def precision(self, names: Sequence[str]) -> Array:
+        """Return the inverse of the prior's covariance (p, p), zero for all other parameters."""
+        rows = self.rows(names)[:, :-1]
+        return rows.T @ rows
+
+    def deviations(self, names: Sequence[str], values: Array) -> Array:
+        """Return (k,) by how many prior standard deviations, not widened, each direction is off."""
+        return np.asarray(np.linalg.solve(self.factor, values[self.places(names)] - self.mean))
+
+
+def with_prior(
+    information: SquareRootInformation, groups: Sequence[NuisanceGroup]
+) -> SquareRootInformation:
+    """Return the information with what was known of the nuisances beforehand."""
+    if not groups:
+        return information
+    rows = [group.rows(information.names) for group in groups]
+    return replace(information, prior=np.vstack(rows))
+
+
+def link_factor(thetas: Sequence[Array], share: float, lengths: Sequence[float]) -> Array:
+    """Return F (10 L, 10 L) of L links whose numbers are known to a share.
+
+    Each mass is off by the share, each centre of mass by that share of the link's size, each
+    inertia about the centre of mass by twice the share of its mean moment. A drawing that is wrong
+    is often wrong for all links alike (another density, shells for solids), so that all masses,
+    and all distances of a centre of mass from its joint, have an error of that size in common too.
+
+    Args:
+        thetas: per link (10,), the model's values.
+        share: 0.05 for 5 %.
+        lengths: per link, from its joint to the next one [m]; its size is that, or the length of
+            the uniform rod whose mass is as far from its end, where that is more.
+    """
+    own = np.zeros((10 * len(thetas), 10 * len(thetas)))
+    common = np.zeros((10 * len(thetas), 2))
+    for place, (theta, length) in enumerate(zip(thetas, lengths)):
+        block = slice(10 * place, 10 * (place + 1))
+        own[block, block], moved = own_errors(theta, share, length)
+        com = spatial.com_from_theta(theta)[1]
+        distance = float(np.linalg.norm(com))
+        common[block, 0] = share * theta
+        common[block, 1] = moved @ com / distance if distance > 0.0 else 0.0
+    return np.linalg.cholesky(own @ own.T + common @ common.T)
+
+
+def link_aspects(thetas: Sequence[Array], lengths: Sequence[float]) -> tuple[Array, ...]:
+    """Return what picks masses, centres of mass and inertias of L links, (m, 10 L) each."""
+    whole = np.zeros((10 * len(thetas), 10 * len(thetas)))
+    for place, (theta, length) in enumerate(zip(thetas, lengths)):
+        block = slice(10 * place, 10 * (place + 1))
+        whole[block, block] = np.linalg.inv(own_errors(theta, 1.0, length)[0])
+    kinds = np.tile(np.repeat((0, 1, 2), (1, 3, 6)), len(thetas))
+    return tuple(whole[kinds == kind] for kind in range(3))
+
+
+def own_errors(theta: Array, share: float, length: float) -> tuple[Array, Array]:
+    """Return one link's independent errors (10, 10), and those of its centre of mass (10, 3)."""
+    mass, com, inertia = spatial.com_from_theta(theta)
+    size = max(ROD * spatial.characteristic_length(theta), length, LEAST_SIZE)
+    moment = max(float(np.trace(inertia)) / 3.0, mass * (0.1 * size) ** 2)
+    columns = []
+    for step in share * size * np.eye(3):
+        ahead, behind = (spatial.theta_from_com(mass, com + s * step, inertia) for s in (1.0, -1.0))
+        columns.append(0.5 * (ahead - behind))
+    turns = list(2.0 * share * moment * np.eye(10)[4:])
+    return np.column_stack([share * theta, *columns, *turns]), np.column_stack(columns)
+
+
+def widened_groups(
+    information: SquareRootInformation,
+    noise: Array,
+    groups: Sequence[NuisanceGroup],
+    least: float = 1.0,
+) -> tuple[NuisanceGroup, ...]:
+    """Return the groups, each as wide as the data asks for.
+
+    Args:
+        information: the data, with the nuisances among its parameters.
+        noise: (joints,) standard deviation of each joint's torque [N m].
+        least: smallest factor a prior is widened by; below 1 lets it become narrower.
+    """
+    found = tuple(groups)
+    if least >= 1.0 and not any(group.may_widen for group in found):
+        return found
+    problem = _Problem(information, noise)
+    for _ in range(_ROUNDS if found else 0):
+        values, covariance, _ = problem.solve(found)
+        before = found
+        found = tuple(
+            replace(
+                group,
+                widened=max(
+                    _asked(group, np.eye(len(group.names)), problem.names, values, covariance),
+                    least,
+                ),
+            )
+            if group.may_widen or least < 1.0
+            else group
+            for group in before
+        )
+        if all(abs(a.widened / b.widened - 1.0) < _SETTLED for a, b in zip(found, before)):
+            break
+    return found
+
+
+class _Problem:
+    """Whitened data, to be solved under different priors."""
+
+    def __init__(self, information: SquareRootInformation, noise: Array) -> None:
+        matrix, right = replace(information, prior=None).stacked(1.0 / noise)
+        self.names = information.names
+        self._triangle = np.linalg.qr(np.column_stack((matrix, right)), mode="r")
+
+    def solve(self, groups: Sequence[NuisanceGroup]) -> tuple[Array, Array, float]:
+        """Return (values (p,), covariance (p, p), misfit of data and priors)."""
+        rows = np.vstack([self._triangle, *(group.rows(self.names) for group in groups)])
+        space = visible_space(rows[:, :-1])
+        values = space.solve(rows[:, -1])
+        misfit = float(np.sum((rows[:, :-1] @ values - rows[:, -1]) ** 2))
+        return values, space.inverse(), misfit
+
+
+def _asked(
+    group: NuisanceGroup, some: Array, names: Sequence[str], values: Array, covariance: Array
+) -> float:
+    """Return the factor by which the data asks to widen a prior, of combinations (m, k) of it."""
+    root = np.linalg.cholesky(some @ group.factor @ group.factor.T @ some.T)
+    off = np.linalg.solve(root, some @ (values[group.places(names)] - group.mean))
+    determined = float(np.sum(_determined(group, some, names, covariance)))
+    return float(min(np.sqrt(np.sum(off**2) / max(determined, 1.0)), WIDEST))
+
+
+def _determined(
+    group: NuisanceGroup, some: Array, names: Sequence[str], covariance: Array
+) -> Array:
+    """Return (m,) how much of each direction the data determines, between 0 and 1."""
+    places = group.places(names)
+    root = group.widened * np.linalg.cholesky(some @ group.factor @ group.factor.T @ some.T)
+    left = np.linalg.solve(root, some @ covariance[np.ix_(places, places)] @ some.T)
+    return np.clip(1.0 - np.diag(np.linalg.solve(root, left.T)), 0.0, 1.0)
+
+
+def misfits(
+    information: SquareRootInformation, noise: Array, groups: Sequence[NuisanceGroup]
+) -> tuple[PriorConflict, ...]:
+    """Return the causes that the data asks for more clearly than chance does.
+
+    A cause is asked for where leaving it at what it is thought to be makes the misfit worse by more
+    than chi-square allows. It is as wide then as its worst aspect asks for: links of another
+    density contradict their masses alone, which would be lost among ten numbers of each.
+
+    Args:
+        noise: (joints,) standard deviation of each joint's torque [N m].
+        groups: the priors, as wide as they were used.
+    """
+    from scipy.stats import chi2
+
+    problem = _Problem(information, noise)
+    values, covariance, with_all = problem.solve(groups)
+    wanted = widened_groups(information, noise, groups, _NARROWEST)
+    wider = problem.solve(wanted)[:2]
+    found = []
+    for index, group in enumerate(groups):
+        fixed = [*groups[:index], replace(group, widened=_FIXED), *groups[index + 1 :]]
+        gained = problem.solve(fixed)[2] - with_all
+        every = np.eye(len(group.names))
+        freedom = max(float(np.sum(_determined(group, every, problem.names, covariance))), 1.0)
+        if gained > chi2.ppf(SURE, freedom):
+            off = group.deviations(problem.names, values)
+            worst, wide = _worst_members(group, off), wanted[index]
+            alone = [_asked(wide, some, problem.names, *wider) for some in group.aspects()]
+            asked = max((wide.widened, *alone))
+            found.append(PriorConflict(group.cause, worst, asked, group.widened))
+    return tuple(found)
+
+
+def _worst_members(group: NuisanceGroup, off: Array) -> tuple[str, ...]:
+    per_member: dict[str, float] = {}
+    for member, square in zip(group.members, off**2):
+        per_member[member] = per_member.get(member, 0.0) + float(square)
+    largest = max(per_member.values())
+    clear = [name for name, square in per_member.items() if square > _SHARE_OF_WORST * largest]
+    return tuple(sorted(clear, key=lambda name: -per_member[name]))

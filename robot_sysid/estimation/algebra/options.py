@@ -1,0 +1,156 @@
+"""How parameters are estimated: the estimators by name, and what else a user may choose."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+from robot_sysid.dynamics.friction import DEFAULT_TERMINAL, FrictionModel, friction_model
+from robot_sysid.errors import InputError
+from robot_sysid.estimation.algebra.least_squares import WeightedEquations, ordinary, weighted
+from robot_sysid.estimation.algebra.robust import huber
+from robot_sysid.records import TORQUE_CHOICES
+from robot_sysid.records.options import OptionRecord, PerJoint, given_options, option
+
+Estimator = Callable[..., WeightedEquations]
+"""Takes information, prior values (p,), its rows (or None) and noise to begin with (or None)."""
+
+ESTIMATORS: Mapping[str, Estimator] = {"ols": ordinary, "wls": weighted, "robust": huber}
+"""Name to estimator; a new one is one more entry here."""
+CHOSEN = "auto"
+"""Friction model that is chosen from the data."""
+_OF_SERVOS = ("torque_from", "write_delay")
+
+
+def _uncertainty(usual: float, help: str, unit: str = "%") -> Any:
+    return option(usual, help, "P >= 0", unit=unit)
+
+
+@dataclass(frozen=True)
+class EstimationOptions(OptionRecord):
+    """How parameters are estimated from torques."""
+
+    NEEDS: ClassVar[str] = "measured"
+    torques: str = option(
+        "chain",
+        "use the torques of all joints that carry the link, or of the last joint only",
+        choices=TORQUE_CHOICES,
+        needs="",
+    )
+    no_friction: bool = option(
+        False, "leave friction out and identify the 10 inertial parameters only", needs="estimate"
+    )
+    method: str | None = option(
+        None,
+        "least squares: plain, weighted by each joint's noise, or robust against outliers",
+        choices=tuple(ESTIMATORS),
+        usual="wls for measured data, else ols",
+        needs="estimate",
+    )
+    consistency: str = option(
+        "auto",
+        "whether the result has to be a possible rigid body: where needed, always, never",
+        choices=("auto", "enforce", "off"),
+        needs="estimate",
+    )
+    prior: str = option(
+        "none",
+        "pull the result towards the model's own body",
+        choices=("none", "entropic"),
+        needs="estimate",
+    )
+    prior_weight: float = option(1.0, "how strongly", "W > 0", needs="prior")
+    friction_model: str | None = option(
+        None,
+        "friction terms of every joint, such as coulomb-viscous-offset, or auto",
+        "TERMS",
+        usual=f"auto: each joint's by held-out torques; {DEFAULT_TERMINAL} with --torques terminal",
+    )
+    cutoff: float | None = option(
+        None,
+        "cut-off of the low-pass that all signals go through",
+        "HZ [Hz] > 0",
+        usual="from the data",
+    )
+    velocity_deadband: PerJoint | None = option(
+        None,
+        "leave out rows with moments in which a joint is slower than this, one number or one per "
+        "joint",
+        "V [rad/s] >= 0",
+        usual="0.5 % of its peak speed",
+    )
+    delay: str = option(
+        "off", "estimate how much the torque lags behind the position", choices=("off", "auto")
+    )
+    tilt: str = option(
+        "off", "estimate how much the base is tilted against gravity", choices=("off", "auto")
+    )
+    link_uncertainty: float = _uncertainty(
+        5.0,
+        "how well the model knows the other links: their mass, their centre of mass as part of "
+        "their size, half of what their inertia is off by",
+    )
+    scale_uncertainty: float = _uncertainty(2.0, "how far each joint's torque scale may be off")
+    zero_uncertainty: float = _uncertainty(
+        2.0, "how far each joint's zero position may be off", "mrad"
+    )
+    gravity_uncertainty: float = _uncertainty(
+        0.3, "how far the base may be tilted against gravity", "deg"
+    )
+    delay_uncertainty: float = _uncertainty(
+        5.0, "how late or early the torque may be beside the position", "ms"
+    )
+    friction_uncertainty: float = _uncertainty(
+        2.0,
+        "how much friction may grow with the torque of the gear where the friction model has no "
+        "term for it; it may also be curved by five times that part of its Coulomb friction",
+    )
+    coupling: Path | None = option(
+        None,
+        "JSON file of motors that turn with several joints",
+        "FILE",
+        usual="found where it shows",
+    )
+    torque_from: str | None = option(
+        None,
+        "no torque was measured: find servos, friction and rotor inertia from commanded and "
+        "measured positions",
+        choices=("position-error",),
+        usual="measured torques",
+        needs="log",
+    )
+    write_delay: bool = option(
+        False,
+        "with --torque-from, also write the delay of the commands into the model's position "
+        "actuators",
+        needs="servos",
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.no_friction and self.friction_model is not None:
+            raise InputError("--friction-model and --no-friction exclude each other")
+        if self.friction_model not in (None, CHOSEN):
+            friction_model(str(self.friction_model))
+        others = [each for each in given_options(self) if each.key not in _OF_SERVOS]
+        if self.torque_from is not None and others:
+            raise InputError(
+                f"{others[0].flag} is about measured torques; leave it off with --torque-from "
+                f"{self.torque_from}"
+            )
+
+    @property
+    def friction(self) -> FrictionModel | None:
+        """Friction terms of every joint of measured data; None where the data chooses them."""
+        if self.no_friction:
+            return FrictionModel(())
+        if self.friction_model in (None, CHOSEN):
+            return None if self.torques == "chain" else friction_model(DEFAULT_TERMINAL)
+        return friction_model(str(self.friction_model))
+
+    @property
+    def entropic_weight(self) -> float:
+        """Weight of the divergence from the model's body; 0 without a prior."""
+        return self.prior_weight if self.prior == "entropic" else 0.0

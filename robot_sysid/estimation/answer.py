@@ -1,0 +1,344 @@
+"""From a fit to its answer: bodies, joints and sensors with their errors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.newton_euler import LinkDynamics
+from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.estimation import verdict
+from robot_sysid.estimation.algebra.base_parameters import (
+    BaseCombinations,
+    base_combinations,
+    essential,
+)
+from robot_sysid.estimation.algebra.identifiability import analyse_identifiability
+from robot_sysid.estimation.algebra.information import joint_rmse, restricted
+from robot_sysid.estimation.choices import Errors
+from robot_sysid.estimation.columns import PAYLOAD_NAMES
+from robot_sysid.estimation.dataset import DecimatedSamples
+from robot_sysid.estimation.errors import FitErrors
+from robot_sysid.estimation.file_fit import FileFit
+from robot_sysid.estimation.fit import Fit
+from robot_sysid.estimation.held_out import OWN_SOURCE, held_out
+from robot_sysid.estimation.unknowns import FRICTION as LACKING
+from robot_sysid.estimation.unknowns import LINKS
+from robot_sysid.records import (
+    DELAY_NAME,
+    Array,
+    Estimate,
+    InertialParameters,
+    JointLimits,
+    Motion,
+    RobotModel,
+    Validation,
+)
+from robot_sysid.records.data import Traces
+from robot_sysid.results.record import BaseParameters, BodyEstimate, Figure, JointEstimate
+
+_SIGNS = np.array([[1.0, 1.0], [1.0, -1.0]])
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A fit with all that follows from it.
+
+    Attributes:
+        fit: the estimate.
+        file: what a model file is given; None where none is asked for.
+        errors: how far off the estimate may be.
+        tests: its prediction of other logs.
+        candidates: how well friction models that were tried predict what was not fitted.
+        acceleration_error: expected error of the acceleration, as a part of it.
+        notes: one sentence each.
+    """
+
+    fit: Fit
+    file: FileFit | None
+    errors: FitErrors
+    tests: tuple[Validation, ...] = ()
+    candidates: Errors = field(default_factory=dict)
+    acceleration_error: float = 0.0
+    notes: tuple[str, ...] = ()
+
+    @property
+    def robot(self) -> RobotModel:
+        """The arm."""
+        return self.fit.columns.robot
+
+    @cached_property
+    def validation(self) -> Validation:
+        """The fit's own prediction of stretches that were not fitted."""
+        judge = held_out(self.fit)
+        return judge.validation(judge.of(self.fit), OWN_SOURCE)
+
+    def stretch(self) -> float:
+        """Return by how much correlated noise makes the mass's error larger than white noise."""
+        change = self.pick((PAYLOAD_NAMES if self.fit.question.loaded else PARAMETER_NAMES)[:1])
+        noise, white = float(self.errors.of(change)[1][0]), float(self.errors.white(change)[0])
+        return max(noise / white, 1.0) if white > 0.0 and np.isfinite(noise) else 1.0
+
+    def pick(self, names: Sequence[str]) -> Array:
+        """Return rows (m, k) that pick parameters out of those that were sought."""
+        kept = self.fit.unknowns.kept
+        return np.eye(len(kept))[np.searchsorted(kept, self.fit.columns.at(names))]
+
+    def body(self, name: str, change: Array, theta: Array, before: Array | None) -> BodyEstimate:
+        """Return a body whose parameters are combinations (10, k) of what was sought."""
+        covariance, noise, budget = self.errors.of(change, theta)
+        weight = np.abs(change)
+        share = weight @ self.errors.share(self.fit) / np.maximum(np.sum(weight, axis=1), 1e-300)
+        return BodyEstimate(
+            name=name,
+            inertial=InertialParameters(theta),
+            covariance=covariance,
+            shown=self.errors.shown(change),
+            noise_errors=noise,
+            budget=budget,
+            data_share=np.clip(share, 0.0, 1.0),
+            before=None if before is None else InertialParameters(before),
+        )
+
+    def links(self) -> Iterator[BodyEstimate]:
+        """Yield every link that was sought, base to terminal."""
+        pairs = zip(self.robot.joint_names, self.robot.links)
+        joints = {link.body_name: (joint, link.theta) for joint, link in pairs if link.has_mass}
+        for name, (at, _) in self.fit.unknowns.bodies.items():
+            if name in joints:
+                joint, before = joints[name]
+                names = [self.fit.columns.names[k] for k in at]
+                found = self.body(name, self.pick(names), self.fit.values[at], before)
+                yield replace(found, joint=joint)
+
+    def figure(self, name: str) -> Figure:
+        """Return a parameter with its whole error."""
+        place, sought = self.fit.columns.place[name], self.fit.unknowns
+        value = float(self.fit.final[place])
+        if name in sought.at_bound:
+            return Figure(value, float("nan"))
+        at = int(np.searchsorted(sought.kept, place))
+        return Figure(value, float(self.errors.whole.standard_errors[at]))
+
+    def joints(self) -> Iterator[tuple[str, JointEstimate]]:
+        """Yield each chain joint, and each coupled motor, with its friction."""
+        noise = verdict.noise_per_joint(self.fit)
+        own, robot = self._own_terms(), self.robot
+        models = dict(zip(robot.joint_names, self.fit.choice.friction))
+        armature = robot.mj_model.dof_armature[robot.dof_index]
+        for index, joint in enumerate(robot.joint_names):
+            terms = {name: self.figure(f"{name}[{joint}]") for name in own.get(joint, ())}
+            before = {
+                "coulomb": float(robot.friction.coulomb[index]),
+                "viscous": float(robot.friction.viscous[index]),
+                "armature": float(armature[index]),
+            }
+            yield (
+                joint,
+                JointEstimate(
+                    friction_model=models[joint].name if terms else "none",
+                    terms=terms,
+                    before=before,
+                    candidates=self.candidates.get(joint, {}) if terms else {},
+                    noise=noise.get(joint, float("nan")),
+                    two_ways=self._two_ways(joint, terms),
+                ),
+            )
+        for motor in self.fit.choice.couplings:
+            terms = {name: self.figure(f"{name}[{motor.name}]") for name in own.get(motor.name, ())}
+            yield motor.name, JointEstimate("-".join(terms) or "none", terms)
+
+    def _own_terms(self) -> dict[str, list[str]]:
+        """Return joint or motor to the friction terms that were sought of it."""
+        lacking = {n for g in self.fit.unknowns.groups if g.cause == LACKING for n in g.names}
+        other = {"scale", "zero", "drift"}
+        found: dict[str, list[str]] = {}
+        for name in (*self.fit.unknowns.kept_names, *self.fit.unknowns.at_bound):
+            term, bracket, owner = name.partition("[")
+            if bracket and name not in lacking and term not in other:
+                found.setdefault(owner[:-1], []).append(term)
+        return found
+
+    def _two_ways(self, joint: str, terms: Mapping[str, Figure]) -> tuple[Figure, Figure] | None:
+        """Return Coulomb friction forward and backward, which differ by twice the offset."""
+        level = "coulomb" if "coulomb" in terms else "sigmoid"
+        if level not in terms or "offset" not in terms or np.isnan(terms[level].error):
+            return None
+        both = self.pick([f"{level}[{joint}]", f"offset[{joint}]"])
+        spread = np.sqrt(np.maximum(np.diag(_SIGNS @ self.errors.of(both)[0] @ _SIGNS.T), 0.0))
+        values = _SIGNS @ [terms[level].value, terms["offset"].value]
+        return tuple(Figure(*pair) for pair in zip(values.tolist(), spread.tolist()))  # type: ignore[return-value]
+
+    def body_names(self) -> set[str]:
+        """Return the names of all parameters of bodies that were sought."""
+        sought = self.fit.unknowns
+        return {sought.names[k] for at, _ in sought.bodies.values() for k in at}
+
+    def sensors(self) -> dict[str, Figure]:
+        """Return scales, zeros, drift, tilt, delay, and friction that was only allowed for."""
+        own = {f"{term}[{owner}]" for owner, terms in self._own_terms().items() for term in terms}
+        bodies = self.body_names()
+        names = [n for n in self.fit.unknowns.kept_names if n not in own and n not in bodies]
+        return {name: self.figure(name) for name in names}
+
+
+def estimate_of(answer: Answer) -> Estimate:
+    """Return all parameters: the terminal link, friction, then what is only allowed for."""
+    fit, errors = answer.fit, answer.errors
+    names = fit.unknowns.kept_names
+    sensors = answer.sensors()
+    asked = {DELAY_NAME, "tilt_1", "tilt_2"} & set(fit.unknowns.settle)
+    links = answer.body_names() - set(PARAMETER_NAMES)
+    interest = [n for n in names if n not in links and (n not in sensors or n in asked)]
+    order = [names.index(n) for n in (*interest, *(n for n in names if n not in set(interest)))]
+    information = fit.information
+    counts = {joint.joint: joint.n_samples for joint in information.joints}
+    found = fit.values[fit.unknowns.kept]
+    rmse = joint_rmse(information, found)
+    squared = float(np.sum(information.squared_residuals(found)))
+    whole = errors.whole
+    return Estimate(
+        names=tuple(names[k] for k in order),
+        values=fit.final[fit.unknowns.kept][order],
+        identifiability=analyse_identifiability(restricted(fit.evidence.whole, interest)),
+        rmse=float(np.sqrt(squared / max(information.n_samples, 1))),
+        rmse_per_joint=dict(zip(counts, rmse.tolist())),
+        method=fit.question.options.method or "wls",
+        covariance=whole.covariance[np.ix_(order, order)],
+        standard_errors=whole.standard_errors[order],
+        noise_errors=np.sqrt(np.maximum(np.diag(errors.noise), 0.0))[order],
+        error_budget={cause: p[order] for cause, p in errors.of(np.eye(len(order)))[2].items()},
+        data_share=errors.share(fit)[order],
+        noise_per_joint=verdict.noise_per_joint(fit),
+        samples=counts,
+        effective_samples=dict(zip(counts, errors.effective)),
+        constrained=fit.constrained,
+    )
+
+
+_RANDOM_POSES, _UNIT_LENGTH = 60, 0.3
+
+
+def base_parameters(fit: Fit, errors: FitErrors) -> BaseParameters:
+    """Return the base parameters that the data shows."""
+    names = fit.columns.bodies()
+    order = np.sort(np.concatenate([names[n] for n in names if n != "payload"]))
+    sought = fit.unknowns
+    matrix, right = fit.evidence.whole.stacked(1.0 / fit.weighted.noise)
+    found = base_combinations(matrix[:, order], parameter_scale(len(order) // 10))
+    rest = np.setdiff1d(sought.kept, order)
+    spread = np.zeros((len(order), len(order)))
+    inside = np.flatnonzero(np.isin(order, sought.kept))
+    at = np.searchsorted(sought.kept, order[inside])
+    spread[np.ix_(inside, inside)] = errors.whole.covariance[np.ix_(at, at)]
+    spread = found.matrix @ spread @ found.matrix.T
+    # What is known of sensors counts; free torque scales would explain all torques by themselves.
+    known = [g.rows(fit.columns.names) for g in sought.groups if g.cause != LINKS]
+    rows = np.vstack((np.column_stack((matrix, right)), *known))
+    kept = essential(rows[:, order[found.leading]], rows[:, rest], rows[:, -1])
+    return BaseParameters(
+        combinations=found.names([fit.columns.names[index] for index in order]),
+        values=found.matrix @ fit.values[order],
+        standard_errors=np.sqrt(np.maximum(np.diag(spread), 0.0)),
+        structural_rank=structural_base(fit.columns.robot).rank,
+        essential=tuple(kept.tolist()),
+    )
+
+
+def parameter_scale(links: int) -> Array:
+    """Return (10 links,) typical sizes of the parameters of links of 1 kg and 0.3 m."""
+    return np.tile(spatial.parameter_scale(1.0, _UNIT_LENGTH), links)
+
+
+def structural_base(robot: RobotModel, seed: int = 0) -> BaseCombinations:
+    """Return the base parameters that any motion can show, from random motions.
+
+    Columns are the links with mass, base to terminal, ten each.
+    """
+    rng = np.random.default_rng(seed)
+    shape = (_RANDOM_POSES, robot.n_joints)
+    q = robot.reference + rng.uniform(-np.pi, np.pi, shape)
+    moves = LinkDynamics(robot).motion(q, rng.normal(0.0, 3.0, shape), rng.normal(0.0, 3.0, shape))
+    links = [k for k, link in enumerate(robot.links) if link.has_mass]
+    columns = moves.columns(links)
+    return base_combinations(columns.reshape(-1, columns.shape[-1]), parameter_scale(len(links)))
+
+
+_NOT_FRICTION = ("armature", "zero", "scale", "drift")
+
+
+def traced(
+    robot: RobotModel,
+    samples: Sequence[DecimatedSamples],
+    motions: Sequence[Motion],
+    after: Mapping[str, float],
+    before: Mapping[str, float],
+) -> Traces:
+    """Return what was measured and predicted.
+
+    Args:
+        samples: equations of each log.
+        motions: the motion of each log, about at the instants of its equations.
+        after, before: parameter name to value of the result and of what was known before; what is
+            missing is zero.
+    """
+    joints = samples[0].joints
+    place = [robot.joint_names.index(joint) for joint in joints]
+    missing, measured = (
+        np.concatenate([np.stack(getattr(each, name), axis=1) for each in samples])
+        for name in ("tau", "measured")
+    )
+    used, limits = np.isfinite(missing), robot.limits
+    rubbing = {n: v for n, v in after.items() if "[" in n and n.split("[")[0] not in _NOT_FRICTION}
+    return Traces(
+        joints=joints,
+        is_slide=tuple(bool(robot.is_slide[j]) for j in place),
+        time=np.concatenate([each.time for each in samples]),
+        q=_joined_at(samples, motions, "q")[:, place],
+        qd=_joined_at(samples, motions, "qd")[:, place],
+        measured=np.where(used, measured, np.nan),
+        predicted=measured - missing + _products(samples, after),
+        before=measured - missing + _products(samples, before),
+        friction=_products(samples, rubbing),
+        limits=JointLimits(
+            limits.lower[place], limits.upper[place], limits.velocity[place], limits.torque[place]
+        ),
+    )
+
+
+def _products(samples: Sequence[DecimatedSamples], values: Mapping[str, float]) -> Array:
+    """Return (K, joints) the torque that some parameters make [N m]."""
+    known = np.array([values.get(name, 0.0) for name in samples[0].names])
+    parts = [[r @ known[c] for r, c in zip(each.rows, each.columns)] for each in samples]
+    return np.concatenate([np.stack(part, axis=1) for part in parts])
+
+
+def _joined_at(
+    samples: Sequence[DecimatedSamples], motions: Sequence[Motion], quantity: str
+) -> Array:
+    """Return a quantity (K, n) of the motions at the instants of the samples."""
+    parts = []
+    for each, motion in zip(samples, motions):
+        values = np.asarray(getattr(motion, quantity))
+        columns = [np.interp(each.time, motion.time, column) for column in values.T]
+        parts.append(np.stack(columns, axis=1))
+    return np.concatenate(parts)
+
+
+def traces_of(answer: Answer) -> Traces:
+    """Return what was measured, and what the written file (else the fit) and the model predict.
+
+    Each joint's sensor offset is taken out of both.
+    """
+    fit = answer.fit if answer.file is None else answer.file.fit
+    names = fit.columns.names
+    after, before = (dict(zip(names, v.tolist())) for v in (fit.values, fit.columns.prior))
+    if fit.question.loaded:
+        before = {name: value for name, value in after.items() if name not in PAYLOAD_NAMES}
+    before.update({n: v for n, v in after.items() if n.startswith("offset[")})
+    motions = [each.delayed(fit.point.delay).motion for each in fit.columns.datasets]
+    return traced(fit.columns.robot, fit.samples, motions, after, before)

@@ -1,0 +1,319 @@
+"""The linearised equations of all recordings: the only place where columns are made.
+
+With the bodies that hang on the arm in a recording (the links, and the payload where it is on),
+torque scales s_j, friction that drifts by d_j from the first recording (t = -1) to the last (t = 1)
+and a delay, the measured torque of joint j is
+
+    tau_j = (1 + s_j) [inverse dynamics at q - z, gravity tilted]_j + (1 + d_j t) F_j phi
+            + rotor_j qdd_j + couplings.
+
+It is linear in bodies, friction, rotors and couplings, and linearised around what is known so far
+in everything else: scales, drift, encoder zeros z, two angles of gravity, the delay, the loss of
+a gear that grows with its load, and speeds that friction is nonlinear in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.dynamics.equations import (
+    N_INERTIAL,
+    Equations,
+    friction_per_joint,
+    link_names,
+    other_links,
+)
+from robot_sysid.dynamics.friction import BENT, TERMS, FrictionModel, speed_name
+from robot_sysid.dynamics.newton_euler import LinkDynamics
+from robot_sysid.dynamics.nuisances import (
+    TILT_NAMES,
+    gravity,
+    tilt_columns,
+    turned,
+    with_gravity,
+    zero_columns,
+)
+from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.estimation.couplings import Coupling
+from robot_sysid.estimation.dataset import Dataset, DecimatedSamples
+from robot_sysid.records import DELAY_NAME, Array, Motion, RobotModel
+
+PAYLOAD_NAMES = tuple(f"{name}(payload)" for name in PARAMETER_NAMES)
+LINEAR = tuple(term for term in TERMS if term not in ("load", *BENT))
+"""Friction terms whose columns depend on the motion alone."""
+_DRIFTING = ("coulomb", "viscous", "sqrt", "load", *BENT, "quadratic", "cubic")
+_SMOOTH = ("viscous", "armature")
+_CHUNK = 2048
+
+
+@dataclass(frozen=True)
+class Point:
+    """What is known so far: around which the equations are linearised.
+
+    Attributes:
+        values: (p,) of all parameters; increments of delay, tilt and speeds beyond what follows.
+        gravity: (3,) in the world frame of the model [m/s^2].
+        delay: by which torque lags position [s].
+        speed: nonlinear friction term to (n,) its speed at each joint [rad/s].
+        exact_load: whether columns of a gear's load have to pass the low-pass: where they are
+            sought, and not only allowed for.
+    """
+
+    values: Array
+    gravity: Array
+    delay: float = 0.0
+    speed: Mapping[str, Array] | None = None
+    exact_load: bool = False
+
+
+class Columns:
+    """Names of all parameters, and the rows of recordings in them.
+
+    Args:
+        torques: "chain" for every joint that carries the link, "terminal" for the last one only.
+        couplings: motors that turn with several joints, or may do so.
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        datasets: Sequence[Dataset],
+        torques: str = "chain",
+        couplings: Sequence[Coupling] = (),
+    ) -> None:
+        self.robot, self.datasets, self.torques = robot, tuple(datasets), torques
+        self.couplings = tuple(couplings)
+        self._base: tuple[Array, float, list[DecimatedSamples]] | None = None
+        self._arm: tuple[Array, RobotModel] | None = None
+        self._known: dict[int, tuple[Any, Array, Array]] = {}
+        arm = self._equations(robot)
+        self.rows_of, self.joints = arm.rows_of, arm.joints
+        self._arm_names = arm.names
+        later = ("load", *(name for term in BENT for name in (term, f"{term}_speed")))
+        self._later = tuple(f"{term}[{joint}]" for joint in self.joints for term in later)
+        self._scales = tuple(f"scale[{joint}]" for joint in self.joints)
+        self._drifts = tuple(f"drift[{joint}]" for joint in self.joints)
+        self._zeros = tuple(f"zero[{joint}]" for joint in robot.joint_names)
+        self._tilts = TILT_NAMES if np.any(gravity(robot)) else ()
+        own = (*self._later, *self._scales, *self._drifts)
+        common = (*self._zeros, *self._tilts, DELAY_NAME, *PAYLOAD_NAMES)
+        self.names = (*arm.names, *own, *common)
+        self.prior = np.append(arm.prior, np.zeros(len(own) + len(common)))
+        self.place = {name: index for index, name in enumerate(self.names)}
+        terms = [name.partition("[") for name in arm.names]
+        joints = {f"{joint}]" for joint in self.joints}
+        self._of_bodies = np.array([not bracket for _, bracket, _ in terms])
+        self._drifting = np.array([t in _DRIFTING and joint in joints for t, _, joint in terms])
+        self._smooth = self._of_bodies | np.array([term in _SMOOTH for term, _, _ in terms])
+
+    def coupled(self, couplings: tuple[Coupling, ...]) -> Columns:
+        """Return the same with some of the couplings; rows that are there are used again."""
+        found = Columns(self.robot, self.datasets, self.torques, couplings)
+        if self._base is not None:
+            names = found._arm_names
+            found._base = *self._base[:2], [each.only(names) for each in self._base[2]]
+        return found
+
+    def start(self) -> Point:
+        """Return the model itself."""
+        n = self.robot.n_joints
+        speed = {term: np.full(n, bent.usual) for term, bent in BENT.items()}
+        return Point(self.prior, gravity(self.robot), 0.0, speed)
+
+    def at(self, names: Sequence[str]) -> NDArray[np.int64]:
+        """Return where some parameters stand."""
+        return np.array([self.place[name] for name in names], dtype=np.int64)
+
+    def bodies(self) -> dict[str, NDArray[np.int64]]:
+        """Return name to the places of its ten parameters: links base to terminal, the payload."""
+        found = {}
+        if self.torques == "chain":
+            for link in other_links(self.robot):
+                name = self.robot.links[link].body_name
+                found[name] = self.at(link_names(self.robot, link))
+        found[self.robot.body_name] = self.at(PARAMETER_NAMES)
+        found["payload"] = self.at(PAYLOAD_NAMES)
+        return found
+
+    def thetas(self, values: Array, is_loaded: bool = False) -> Array:
+        """Return the links (n, 10) of some values (p,), the terminal one with or without load."""
+        found = np.array([link.theta for link in self.robot.links])
+        if self.torques == "chain":
+            for link in other_links(self.robot):
+                found[link] = values[self.at(link_names(self.robot, link))]
+        found[-1] = values[:N_INERTIAL]
+        if is_loaded:
+            found[-1] = found[-1] + values[self.at(PAYLOAD_NAMES)]
+        return found
+
+    def moved(self, point: Point, values: Array, settle: Sequence[str]) -> Point:
+        """Return the point after an estimate; parameters to settle move into what it holds.
+
+        Args:
+            values: (p,) the estimate.
+            settle: names of increments: of the delay, of tilt angles, of speeds.
+        """
+        new, speed = values.copy(), dict(point.speed or {})
+        places = {name: self.place[name] for name in settle}
+        step = {name: float(values[place]) for name, place in places.items()}
+        new[list(places.values())] = 0.0
+        angles = np.array([step.get(name, 0.0) for name in TILT_NAMES])
+        for term, bent in BENT.items():
+            steps = [step.get(speed_name(term, joint), 0.0) for joint in self.robot.joint_names]
+            speed[term] = np.clip(speed[term] + steps, *bent.bounds)
+        return replace(
+            point,
+            values=new,
+            gravity=turned(point.gravity, angles) if np.any(angles) else point.gravity,
+            delay=point.delay + step.get(DELAY_NAME, 0.0),
+            speed=speed,
+        )
+
+    def samples(self, point: Point) -> tuple[DecimatedSamples, ...]:
+        """Return the rows of each recording around a point."""
+        arm = self._arm_at(point.gravity)
+        delayed = [each.delayed(point.delay) for each in self.datasets]
+        same = self._base is not None and np.array_equal(self._base[0], point.gravity)
+        if self._base is None or not same or self._base[1] != point.delay:
+            equations = self._equations(arm)
+            motors = self._motors if self.couplings else None
+            base = [each.samples(equations, motors) for each in delayed]
+            self._base = point.gravity, point.delay, base
+        pairs = zip(delayed, self._base[2])
+        return tuple(
+            self._linearised(base, each, point, *self._by_links(number, arm, each, point))
+            for number, (each, base) in enumerate(pairs)
+        )
+
+    def _arm_at(self, down: Array) -> RobotModel:
+        """Return the arm under some gravity (3,) [m/s^2]."""
+        if self._arm is None or not np.array_equal(self._arm[0], down):
+            self._arm = down, with_gravity(self.robot, down)
+        return self._arm[1]
+
+    def _motors(self, motion: Motion) -> Array:
+        return np.concatenate([each.columns(motion) for each in self.couplings], axis=-1)
+
+    def _equations(self, arm: RobotModel) -> Equations:
+        """Return those of all columns that do not depend on what is sought."""
+        shared = [name for each in self.couplings for name in each.parameter_names]
+        friction = friction_per_joint(arm, self.torques, FrictionModel(LINEAR))
+        links = other_links(arm) if self.torques == "chain" else ()
+        return Equations(arm, self.torques, friction, shared, links)
+
+    def arm_torque(self, point: Point, is_loaded: bool) -> tuple[Equations, Array]:
+        """Return equations of the motion alone and the arm's values (q,) in them."""
+        return self._equations(self._arm_at(point.gravity)), self._arm_values(point, is_loaded)
+
+    def _arm_values(self, point: Point, is_loaded: bool) -> Array:
+        values = point.values[: len(self._arm_names)].copy()
+        if is_loaded:
+            values[:N_INERTIAL] += point.values[self.at(PAYLOAD_NAMES)]
+        return values
+
+    def _linearised(
+        self, base: DecimatedSamples, dataset: Dataset, point: Point, load: Array, common: Array
+    ) -> DecimatedSamples:
+        """Return one recording's rows with the columns that depend on what is known."""
+        later = np.concatenate((load[..., None], self._nonlinear(dataset, point)), axis=-1)
+        values = self._arm_values(point, dataset.is_loaded)
+        blocks, right, columns = [], [], []
+        for row, joint in enumerate(self.rows_of):
+            block, tau = base.rows[row], base.tau[row]
+            known = values[base.columns[row]]
+            bodies, drifting, smooth = (
+                which[base.columns[row]]
+                for which in (self._of_bodies, self._drifting, self._smooth)
+            )
+            scale, drift = point.values[self.at((self._scales[row], self._drifts[row]))]
+            linear = block[:, bodies] @ known[bodies]
+            gear = linear + base.measured[row] - tau
+            own = self.at(self._later[5 * row : 5 * row + 5])
+            friction = block[:, drifting] @ known[drifting]
+            friction += later[:, row, [0, 1, 3]] @ point.values[own[[0, 1, 3]]]
+            drifted = 1.0 + drift * dataset.place
+            factor = np.where(bodies, 1.0 + scale, np.where(drifting, drifted, 1.0))
+            sides = (
+                later[:, row] * drifted,
+                gear[:, None],
+                dataset.place * friction[:, None],
+                common[:, joint] * (1.0 + scale),
+                _late(dataset, base.time, block[:, smooth] @ known[smooth])[:, None],
+            )
+            payload = block[:, :N_INERTIAL] * ((1.0 + scale) * dataset.is_loaded)
+            blocks.append(np.hstack((block * factor, *sides, payload)))
+            right.append(tau + scale * linear + drift * dataset.place * friction)
+            names = (self._scales[row], self._drifts[row], *self._zeros, *self._tilts, DELAY_NAME)
+            columns.append(
+                np.concatenate((base.columns[row], own, self.at((*names, *PAYLOAD_NAMES))))
+            )
+        return replace(
+            base, names=self.names, columns=tuple(columns), rows=tuple(blocks), tau=tuple(right)
+        )
+
+    def _by_links(
+        self, number: int, arm: RobotModel, dataset: Dataset, point: Point
+    ) -> tuple[Array, Array]:
+        """Return the columns of load (K, rows), and of zeros and tilt (K, n, n + 2).
+
+        They depend on the links alone, so that trials of friction share them.
+        """
+        thetas = self.thetas(point.values, dataset.is_loaded)
+        key = (point.delay, point.exact_load, point.gravity.tobytes(), thetas.tobytes())
+        if number not in self._known or self._known[number][0] != key:
+            dynamics, rows = LinkDynamics(arm), list(self.rows_of)
+
+            def load(motion: Motion) -> Array:
+                torque = dynamics.motion(motion.q, motion.qd, motion.qdd).torque(thetas)
+                return (np.sign(motion.qd) * np.abs(torque))[:, rows]
+
+            motion = dataset.motion
+            # They are smooth and small, so that the motion at a row's own instant stands for all
+            # that its filter sees.
+            tilt = (tilt_columns(arm, thetas, motion.q),) if self._tilts else ()
+            common = np.concatenate((zero_columns(arm, thetas, motion), *tilt), axis=-1)
+            self._known[number] = key, _filtered(dataset, point, load), common
+        return self._known[number][1:]
+
+    def _nonlinear(self, dataset: Dataset, point: Point) -> Array:
+        """Return (K, rows, 4) the columns of nonlinear friction in its own joint's equation."""
+        rows, speed = list(self.rows_of), point.speed or {}
+
+        def made(motion: Motion) -> Array:
+            columns = []
+            for term, bent in BENT.items():
+                at = [f"{term}[{joint}]" for joint in self.joints]
+                slope = bent.slope(motion.qd, speed[term])[:, rows]
+                columns.append(bent.column(motion.qd, speed[term])[:, rows])
+                columns.append(point.values[self.at(at)] * slope)
+            return np.stack(columns, axis=-1)
+
+        return _filtered(dataset, point, made)
+
+
+def _late(dataset: Dataset, time: Array, torque: Array) -> Array:
+    """Return the column (K,) of a lag of the torque behind the position [N m/s]; zero at rest.
+
+    A torque that lags reads tau(t - delay) = tau(t) - delay tau'(t) + O(delay^2). Estimated, taken
+    out by ``with_delay`` and estimated again, the delay converges in a few rounds. What follows
+    smoothly from the motion tells it; dry friction does not, because where it turns a little early
+    or late at a reversal it looks like a delay: in a closed loop with MuJoCo's friction the whole
+    torque's derivative gives -1.9 ms for none, this 0.03 ms.
+    """
+    if dataset.signals is None or len(time) < 2:
+        return np.zeros_like(torque)
+    return -np.gradient(torque, time)
+
+
+def _filtered(dataset: Dataset, point: Point, made: Callable[[Motion], Array]) -> Array:
+    """Return what is made of a recording's motion, through its low-pass where that counts."""
+    signals = dataset.signals
+    if signals is None or not point.exact_load:
+        return made(dataset.motion)
+    decimator = signals.decimator()
+    return np.concatenate([decimator.push(made(m)) for m, _ in signals.chunks(_CHUNK)])

@@ -1,0 +1,129 @@
+"""Motors that turn with several joints: friction and rotor inertia of a combined speed.
+
+A motor that turns at s = sum_j r_j qd_j (joint units) puts its torque tau_m on each of these joints
+in the same ratio: tau_j = r_j tau_m, because power is the same on both sides. Its own friction and
+rotor inertia follow s, not the joints' own speeds. A wrist whose last motor sits in the forearm is
+the usual case: r = 1 on the last two joints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from robot_sysid.dynamics.friction import TERMS
+from robot_sysid.errors import InputError
+from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.json_files import read_json
+from robot_sysid.records import Array, Motion, RobotModel
+
+COUPLED_TERMS = ("coulomb", "viscous", "armature", "sqrt", "stribeck")
+"""Friction terms of a motor's own speed; offset and load stay with the joints."""
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """One motor that turns with several joints.
+
+    Attributes:
+        ratios: (n,) motor speed per joint speed, zero for joints it does not turn with.
+        name: the combination in words, such as ``joint_5+joint_6``.
+    """
+
+    ratios: Array
+    name: str
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of its parameters, such as ``coulomb[joint_5+joint_6]``."""
+        return tuple(f"{term}[{self.name}]" for term in COUPLED_TERMS)
+
+    def columns(self, motion: Motion) -> Array:
+        """Return (N, n, terms) torque on each joint per unit of each parameter."""
+        speed, acceleration = motion.qd @ self.ratios, motion.qdd @ self.ratios
+        nothing = np.zeros_like(speed)
+        own = [TERMS[term](speed, acceleration, nothing) for term in COUPLED_TERMS]
+        return np.stack(own, axis=-1)[:, None, :] * self.ratios[None, :, None]
+
+
+def coupling(robot: RobotModel, ratios: Array) -> Coupling:
+    """Return the coupling with these ratios (n,)."""
+    text = ""
+    for joint, ratio in zip(robot.joint_names, ratios):
+        if ratio != 0.0:
+            size = "" if abs(ratio) == 1.0 else f"{abs(ratio):g}*"
+            sign = "-" if ratio < 0.0 else "+" if text else ""
+            text += f"{sign}{size}{joint}"
+    return Coupling(np.asarray(ratios, dtype=float), text)
+
+
+def neighbours(robot: RobotModel) -> Iterator[Coupling]:
+    """Yield what a wrist may look like: each joint with the next one, either way round."""
+    for joint in range(robot.n_joints - 1):
+        for sign in (1.0, -1.0):
+            ratios = np.zeros(robot.n_joints)
+            ratios[joint], ratios[joint + 1] = 1.0, sign
+            yield coupling(robot, ratios)
+
+
+def couplings_of(
+    robot: RobotModel, options: EstimationOptions
+) -> tuple[tuple[Coupling, ...], tuple[Coupling, ...]]:
+    """Return (the couplings that have columns, those of them that recordings decide for).
+
+    Raises:
+        InputError: the file that states them cannot be read, or does not fit the arm.
+    """
+    if options.coupling is not None:
+        return read_couplings(options.coupling, robot), ()
+    offered = tuple(neighbours(robot)) if options.torques == "chain" else ()
+    return offered, offered
+
+
+def read_couplings(path: Path, robot: RobotModel) -> tuple[Coupling, ...]:
+    """Return the couplings that a file states.
+
+    The file is JSON: ``{"motor": {"joint": ratio, ...}, ...}``, or a matrix with a row per motor
+    and a column per joint of the chain. Ratios are motor speed, seen through its own gear, per
+    joint speed. A motor that turns with one joint alone couples nothing and is left out.
+
+    Raises:
+        InputError: the file cannot be read, or does not fit the arm.
+    """
+    content = read_json(path, '--coupling takes JSON such as {"motor": {"joint": 1.0}}')
+    if isinstance(content, dict):
+        rows = [_row(path, robot, motor, given) for motor, given in content.items()]
+    else:
+        given: list[Any] = content if isinstance(content, list) else [None]
+        fits = all(isinstance(row, list) and len(row) == robot.n_joints for row in given)
+        if not fits or not all(_is_number(ratio) for row in given for ratio in row):
+            raise InputError(
+                f"--coupling {path}: must be an object of motors, or a matrix with "
+                f"{robot.n_joints} finite numbers in each row, one per joint of the chain"
+            )
+        rows = [np.array(row, dtype=float) for row in given]
+    return tuple(coupling(robot, row) for row in rows if np.count_nonzero(row) > 1)
+
+
+def _row(path: Path, robot: RobotModel, motor: str, given: Any) -> Array:
+    where = f"--coupling {path}: motor {motor!r}"
+    if not isinstance(given, dict):
+        raise InputError(f'{where} must be like {{"{robot.joint_names[-1]}": 1.0}}')
+    ratios = np.zeros(robot.n_joints)
+    for joint, ratio in given.items():
+        if joint not in robot.joint_names:
+            known = ", ".join(robot.joint_names)
+            raise InputError(f"{where} turns with {joint!r}, which is no joint of the arm: {known}")
+        if not _is_number(ratio):
+            raise InputError(f"{where}: the ratio of {joint!r} is no finite number ({ratio!r})")
+        ratios[robot.joint_names.index(joint)] = ratio
+    return ratios
+
+
+def _is_number(value: Any) -> bool:
+    is_real = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return is_real and bool(np.isfinite(value))

@@ -1,0 +1,254 @@
+"""How far off all parameters may be, cause by cause.
+
+The low-pass of positions is one of the causes. Equations do not care for a filter that both their
+sides pass (``signals.low_pass``). Positions x pass one of their own, F, before anything is built on
+them. What that takes from motion, x - F x, is not known; what a second pass takes, F x - F F x, is,
+and it is the same wherever F hardly changes motion. The torque of the identified arm differs by d
+between F x and F F x, which moves the estimate by C Y^T W d: that is taken for one more standard
+error, of size and of direction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.dynamics.equations import Equations
+from robot_sysid.estimation.algebra.autocorrelation import JointResiduals, collect_residuals
+from robot_sysid.estimation.algebra.information import restricted, sample_counts
+from robot_sysid.estimation.algebra.least_squares import no_clip
+from robot_sysid.estimation.algebra.nuisances import misfits
+from robot_sysid.estimation.algebra.uncertainty import (
+    Uncertainty,
+    coloured_uncertainty,
+    joint_space,
+    white_uncertainty,
+)
+from robot_sysid.estimation.columns import Columns, Point
+from robot_sysid.estimation.dataset import Dataset, DecimatedSamples, JoinedSamples
+from robot_sysid.estimation.fit import ChosenRows, Fit
+from robot_sysid.estimation.unknowns import COMMON, SCALES
+from robot_sysid.records import Array, Measurement, Motion, PriorConflict
+
+FILTERING, HELD = "filtering", "friction at its bound"
+"""What these causes of error are called in results."""
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class FitErrors:
+    """The errors of the k parameters of a fit that are sought.
+
+    Attributes:
+        whole: of all causes, noise correlated in time.
+        noise: (k, k) covariance of what torque noise explains.
+        causes: cause to (k, k) covariance of what it explains.
+        data: (k, k) normal matrix of the data alone, weighted.
+        effective: (joints,) number of independent samples.
+        common: how far all torque scales may be off together, where nothing tells it (a share).
+        conflicts: causes that the data asks for more clearly than chance does.
+    """
+
+    whole: Uncertainty
+    noise: Array
+    causes: Mapping[str, Array]
+    data: Array
+    effective: tuple[float, ...]
+    common: float = 0.0
+    conflicts: tuple[PriorConflict, ...] = ()
+
+    def white(self, change: Array) -> Array:
+        """Return (m,) what the noise errors would be if the noise were white."""
+        root = change @ self.whole.inverse
+        return np.sqrt(np.maximum(np.diag(root @ self.data @ root.T), 0.0))
+
+    def of(
+        self, change: Array, theta: Array | None = None
+    ) -> tuple[Array, Array, dict[str, Array]]:
+        """Return (covariance, noise errors, budget) of linear combinations (m, k).
+
+        Args:
+            change: which combinations.
+            theta: (m,) their values, where they grow with a scale that all joints share.
+        """
+        blind = ~self.shown(change)
+
+        def spread(covariance: Array) -> Array:
+            root = np.sqrt(np.maximum(np.diag(change @ covariance @ change.T), 0.0))
+            return np.where(blind, np.inf, root)
+
+        covariance = change @ self.whole.covariance @ change.T
+        budget = {name: spread(part) for name, part in self.causes.items() if name != COMMON}
+        if self.common and theta is not None:
+            covariance = covariance + self.common**2 * np.outer(theta, theta)
+            budget[SCALES] = np.hypot(budget[SCALES], self.common * np.abs(theta))
+        return covariance, spread(self.noise), budget
+
+    def shown(self, change: Array) -> NDArray[np.bool_]:
+        """Return (m,) whether combinations (m, k) contain nothing that the data hides."""
+        hidden = np.isinf(self.whole.standard_errors)
+        return np.asarray(np.max(np.abs(change[:, hidden]), axis=1, initial=0.0) < _ROUNDING)
+
+    def share(self, fit: Fit) -> Array:
+        """Return (k,) how much of each value comes from the data: 1 all, 0 all from before."""
+        found = self.whole.data_share.copy()
+        names = fit.information.names
+        for group in fit.unknowns.groups:
+            places = group.places(names)
+            known = np.diag(group.widened**2 * group.factor @ group.factor.T)
+            left = np.diag(self.whole.inverse)[places] / known
+            found[places] = np.minimum(found[places], np.clip(1.0 - left, 0.0, 1.0))
+        return found
+
+
+def fit_errors(
+    fit: Fit, residuals: Sequence[JointResiduals] = (), pull: Array | None = None
+) -> FitErrors:
+    """Return the errors of a fit; noise may be correlated in time.
+
+    Args:
+        residuals: per joint, what a pass over the rows left; empty takes that pass, and where there
+            are no rows, noise without memory.
+        pull: (joints, p) what the low-pass may move the estimate by, see ``filtering_bias``; None
+            works it out from the rows.
+    """
+    information, weights = fit.information, 1.0 / fit.weighted.noise
+    left = list(residuals) or (residuals_of(fit) if fit.samples else [])
+    left = [replace(r, products=d * r.products) for r, d in zip(left, fit.inflation)]
+    whole = white_uncertainty(information, weights, fit.weighted.noise)
+    effective = sample_counts(information).tolist()
+    if left:
+        whole, effective = coloured_uncertainty(information, weights, left)
+    causes = {
+        group.cause: whole.inverse @ group.precision(information.names) @ whole.inverse
+        for group in fit.unknowns.groups
+    }
+    noise = whole.covariance - sum(causes.values(), np.zeros_like(whole.covariance))
+    moved, found = filtering(fit) if pull is None else pull, _conflicts(fit)
+    bias = whole.inverse @ (weights**2 @ moved[:, fit.unknowns.kept])
+    more = _more(fit, whole.inverse, causes, found)
+    for name, part in (*more, (FILTERING, np.outer(bias, bias))):
+        causes[name] = causes.get(name, 0.0) + part
+        spread = np.hypot(whole.standard_errors, np.sqrt(np.maximum(np.diag(part), 0.0)))
+        whole = replace(whole, covariance=whole.covariance + part, standard_errors=spread)
+    matrix = replace(information, prior=None).stacked(weights)[0]
+    counts = tuple(n / d for n, d in zip(effective, fit.inflation.tolist()))
+    return FitErrors(whole, noise, causes, matrix.T @ matrix, counts, _common(fit), found)
+
+
+def _conflicts(fit: Fit) -> tuple[PriorConflict, ...]:
+    """Return the causes that the data asks for more clearly than chance does."""
+    if fit.question.loaded or fit.question.in_file:
+        return ()
+    plain = restricted(fit.evidence.whole, fit.unknowns.kept_names, fit.unknowns.held)
+    return misfits(plain, fit.weighted.noise, fit.unknowns.groups)
+
+
+def _more(
+    fit: Fit, inverse: Array, causes: Mapping[str, Array], found: Sequence[PriorConflict]
+) -> Iterator[tuple[str, Array]]:
+    """Yield (cause, (k, k) covariance) of what stands in no prior.
+
+    A prior that the data contradicts counts as wide as the data asks for. What is held at a bound
+    counts as if it were free: the bound may be where noise has pushed it.
+    """
+    for conflict in found:
+        asked = (conflict.asked / conflict.scale) ** 2 - 1.0
+        if asked > 0.0:
+            yield conflict.cause, asked * causes[conflict.cause]
+    places = fit.columns.at(fit.unknowns.at_bound)
+    places = places[fit.evidence.shown[places]]
+    if len(places):
+        matrix, _ = fit.evidence.whole.stacked(1.0 / fit.weighted.noise)
+        seen, held = matrix[:, fit.unknowns.kept], matrix[:, places]
+        moved = inverse @ (seen.T @ held)
+        left = held.T @ held - (seen.T @ held).T @ moved
+        yield HELD, moved @ np.linalg.pinv(left, rcond=1e-12, hermitian=True) @ moved.T
+
+
+def residuals_of(fit: Fit) -> list[JointResiduals]:
+    """Return each joint's sums over lags of residuals, from one pass over the rows."""
+    weights, found = 1.0 / fit.weighted.noise, fit.values[fit.unknowns.kept]
+    root = joint_space(fit.information, weights).inverse_root()
+    return collect_residuals(fit.information, fit.rows, found, fit.weighted.clip, root, weights)
+
+
+def residuals_to_add(fit: Fit, samples: DecimatedSamples) -> list[JointResiduals]:
+    """Return the same of other rows than the fit's, in the columns of all parameters.
+
+    A fit of their sum may hold other friction at its bound than this one.
+    """
+    sought, weights = fit.unknowns, 1.0 / fit.weighted.noise
+    every = replace(sought, kept=np.union1d(sought.kept, fit.columns.at(sought.at_bound)))
+    names, own = fit.columns.names, joint_space(fit.information, weights).inverse_root()
+    root = np.zeros((len(names), own.shape[1]))
+    root[sought.kept] = own
+    given = restricted(fit.evidence.whole, every.kept_names, sought.held), fit.values[every.kept]
+    rows = ChosenRows(JoinedSamples((samples,)), every)
+    clip = no_clip(given[0])
+    found = collect_residuals(given[0], rows, given[1], clip, root[every.kept], weights, True)
+    return [replace(each, columns=every.kept[each.columns]) for each in found]
+
+
+def residuals_within(fit: Fit, residuals: Sequence[JointResiduals]) -> list[JointResiduals]:
+    """Return sums in the columns of all parameters as those in the columns of a fit."""
+    kept, found = fit.unknowns.kept, []
+    for each in residuals:
+        stay = np.isin(each.columns, kept)
+        at = np.searchsorted(kept, each.columns[stay])
+        found.append(replace(each, columns=at, sums=each.sums[:, stay][:, :, stay]))
+    return found
+
+
+def _common(fit: Fit) -> float:
+    """Return how far all torque scales may be off together, where nothing tells it."""
+    groups = {group.cause: group for group in fit.unknowns.groups}
+    if COMMON not in groups or SCALES not in groups:
+        return 0.0
+    scale = groups[SCALES]
+    return scale.widened * float(scale.factor[0, 0]) / float(np.sqrt(len(scale.names)))
+
+
+def filtering(fit: Fit) -> Array:
+    """Return the sum of all recordings' Y_j^T d_j (joints, p)."""
+    point = replace(fit.point, values=fit.values)
+    pairs = zip([each.delayed(point.delay) for each in fit.columns.datasets], fit.samples)
+    return np.sum([filtering_bias(fit.columns, point, each, rows) for each, rows in pairs], axis=0)
+
+
+def filtering_bias(
+    columns: Columns, point: Point, dataset: Dataset, samples: DecimatedSamples
+) -> Array:
+    """Return Y_j^T d_j of each joint j, (joints, p), of one recording; zero at rest.
+
+    That is at a point, which holds the estimate, of the recording's rows.
+    """
+    pull = np.zeros((len(samples.joints), len(samples.names)))
+    if dataset.signals is None:
+        return pull
+    rows, again = dataset.signals.refiltered()
+    once = dataset.signals.decimated_motion()
+    first = Motion(once.time[rows], once.q[rows], once.qd[rows], once.qdd[rows])
+    same = np.sign(first.qd) == np.sign(again.qd)
+    equations, own = columns.arm_torque(point, dataset.is_loaded)
+    pairs = zip(_torques(equations, first, own), _torques(equations, again, own))
+    for (index, block, tau), joint, (one, two) in zip(samples, equations.rows_of, pairs):
+        # Where a joint turns round between the two, only the sign of its friction differs.
+        counts = np.isfinite(tau[rows]) & same[:, joint]
+        apart = (one - two)[counts]
+        pull[index, samples.columns[index]] = block[rows][counts].T @ apart
+    return pull
+
+
+def _torques(equations: Equations, motion: Motion, values: Array) -> list[Array]:
+    """Return the torque (K,) of each joint by the equations' own parameters (p,) [N m]."""
+    still = np.zeros_like(motion.q)
+    measurement = Measurement(motion.time, motion.q, motion.qd, still, motion.qdd)
+    shared = np.zeros((*motion.q.shape, len(equations.shared)))
+    rows = equations.rows(measurement, shared)
+    return [
+        block @ values[columns] - right for (block, right), columns in zip(rows, equations.columns)
+    ]

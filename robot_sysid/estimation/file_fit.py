@@ -1,0 +1,149 @@
+"""What a model file is given: bodies, friction, rotors and gravity, fitted as a file holds them.
+
+What a file cannot hold (torque scales, encoder zeros, a delay, friction that grows with the load)
+is left out of the model of the torque, but for sensor offsets of joints. A part is written where
+the held-out error of all that is written together says so.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from robot_sysid.dynamics.friction import FrictionModel, friction_model
+from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.choices import IN_FILE, WITH_POLYNOMIAL, prior_scale, squared_errors
+from robot_sysid.estimation.columns import PAYLOAD_NAMES
+from robot_sysid.estimation.errors import FitErrors, fit_errors
+from robot_sysid.estimation.fit import Fit, Fitter
+from robot_sysid.estimation.held_out import OWN_SOURCE, HeldOut, held_out, is_clearly_lower
+from robot_sysid.estimation.unknowns import (
+    FILE_FRICTION,
+    FILE_GRAVITY,
+    FILE_ROTORS,
+    Choice,
+    Question,
+    Unknowns,
+    unknowns,
+)
+from robot_sysid.records import Array, RobotModel, Validation
+
+_ROUNDS = 2
+
+
+@dataclass(frozen=True)
+class FileFit:
+    """The best file for some recordings.
+
+    Attributes:
+        fit: its parameters.
+        before, after: held-out error of the model as it was and of the file, each joint's sensor
+            offset taken out.
+        kept: parts that were to stay as they are.
+        errors: how far off its parameters may be.
+    """
+
+    fit: Fit
+    before: Validation
+    after: Validation
+    kept: tuple[str, ...]
+    errors: FitErrors
+
+
+def fit_file(
+    fitter: Fitter,
+    options: EstimationOptions,
+    kept: tuple[str, ...],
+    start: Array,
+    pull: Array | None = None,
+    carried: Array | None = None,
+) -> FileFit:
+    """Return the file that predicts held-out torques best.
+
+    Args:
+        options: how far the arm's links may be off.
+        kept: parts that stay as they are.
+        start: (p,) values to begin with.
+        pull: see ``errors.fit_errors``.
+        carried: the payload (10,) of loaded recordings.
+    """
+    question = Question(options, in_file=True, kept_parts=kept, carried=carried)
+    choice = Choice(tuple(_friction(fitter.columns.robot, question, IN_FILE)))
+    before = _as_it_was(fitter, question, choice)
+    point = replace(fitter.columns.start(), values=_without_sensors(fitter, start))
+    fit = fitter.fit(question, choice, point, rounds=1)
+    choice = replace(choice, friction=_polynomials(fit, question, choice))
+    choice = replace(choice, prior_scale=prior_scale(fit, question, choice))
+    after, level = fit.next_point, None
+    if FILE_GRAVITY not in kept and fit.unknowns.settle:
+        # Before gravity turns: rows for each direction of it are made from the log anew.
+        as_it_is = replace(question, kept_parts=(*kept, FILE_GRAVITY))
+        level = fitter.fit(as_it_is, choice, replace(point, values=fit.values), _ROUNDS)
+    fit = fitter.fit(question, choice, after, _ROUNDS)
+    squared = held_out(fit).of(fit)
+    if level is not None:
+        judge, errors = held_out(fit), held_out(level).of(level)
+        if not is_clearly_lower(judge.score(squared), judge.score(errors)):
+            fit, squared = level, errors
+    found = held_out(fit).validation(squared, OWN_SOURCE)
+    return FileFit(fit, before, found, kept, fit_errors(fit, (), pull))
+
+
+def _without_sensors(fitter: Fitter, values: Array) -> Array:
+    """Return values (p,) of which a file can hold all."""
+    start = values.copy()
+    for name, place in fitter.columns.place.items():
+        if name.partition("[")[0] in ("scale", "drift", "zero", "load") or "[" not in name:
+            start[place] = fitter.columns.prior[place]
+    return start
+
+
+def _friction(robot: RobotModel, question: Question, name: str) -> list[FrictionModel]:
+    """Return each joint's terms that a file can hold, beside a sensor's offset."""
+    gone: set[str] = set()
+    if FILE_FRICTION in question.kept_parts:
+        gone |= {"coulomb", "viscous", "quadratic", "cubic"}
+    # The last joint's torque alone cannot tell its rotor from its link.
+    alone = question.options.torques == "terminal"
+    if FILE_ROTORS in question.kept_parts or robot.kind == "urdf" or alone:
+        gone |= {"armature"}
+    terms = tuple(term for term in friction_model(name).terms if term not in gone)
+    return [FrictionModel(terms)] * robot.n_joints
+
+
+def _as_it_was(fitter: Fitter, question: Question, choice: Choice) -> Validation:
+    """Return the held-out error of the model as it is, with sensor offsets of its own."""
+    columns = fitter.columns
+    _, data = fitter.around(columns.start())
+    sought = unknowns(columns, question, choice, data.torque, data.shown)
+    offsets = [columns.place[f"offset[{joint}]"] for joint in columns.joints]
+    kept = np.array([place for place in offsets if data.shown[place]], dtype=np.int64)
+    held = columns.prior.copy()
+    if question.carried is not None:
+        held[columns.at(PAYLOAD_NAMES)] = question.carried
+    only = Unknowns(columns.names, kept, held, (), sought.lower, sought.upper, {})
+    judge = HeldOut(data, np.ones(len(columns.joints)))
+    return judge.validation(judge.squared(only), OWN_SOURCE)
+
+
+def holds_polynomial(robot: RobotModel, joint: int) -> bool:
+    """Tell whether the file can hold nonlinear damping of a joint, and has none of its own."""
+    own = getattr(robot.mj_model, "dof_dampingpoly", None)
+    return robot.kind == "mjcf" and own is not None and not np.any(own[robot.dof_index[joint]])
+
+
+def _polynomials(fit: Fit, question: Question, choice: Choice) -> tuple[FrictionModel, ...]:
+    """Give nonlinear damping to the joints whose held-out torques it predicts clearly better."""
+    robot, found = fit.columns.robot, list(choice.friction)
+    if FILE_FRICTION in question.kept_parts:
+        return choice.friction
+    judge = held_out(fit)
+    wider = tuple(_friction(robot, question, WITH_POLYNOMIAL))
+    tried = choice, replace(choice, friction=wider)
+    squared = [squared_errors(judge, fit, question, each) for each in tried]
+    for place, joint in enumerate(fit.columns.rows_of):
+        better = is_clearly_lower(squared[1][:, place], squared[0][:, place])
+        if better and holds_polynomial(robot, joint):
+            found[joint] = wider[joint]
+    return tuple(found)

@@ -1,0 +1,384 @@
+"""The one fit: linearise, weigh, widen, solve, keep bodies possible, until it rests."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.friction import BENT
+from robot_sysid.errors import SysidError
+from robot_sysid.estimation.algebra.consistent_links import ConsistentLinks, LinksProblem
+from robot_sysid.estimation.algebra.information import combined, restricted
+from robot_sysid.estimation.algebra.least_squares import (
+    WeightedEquations,
+    joint_noise,
+    least_squares,
+    noise_floor,
+)
+from robot_sysid.estimation.algebra.nuisances import widened_groups, with_prior
+from robot_sysid.estimation.algebra.options import ESTIMATORS, EstimationOptions
+from robot_sysid.estimation.columns import Columns, Point
+from robot_sysid.estimation.dataset import DecimatedSamples, JoinedSamples, block_masks
+from robot_sysid.estimation.unknowns import Choice, Question, Unknowns, unknowns
+from robot_sysid.records import DELAY_NAME, Array, SquareRootInformation
+from robot_sysid.signals.repetition import Visits
+
+DEFAULT_METHOD = "wls"
+_MOST_ROUNDS, _MOST_BOUNDS, _WIDENING_ROUNDS = 8, 6, 2
+# Rounds of a delay or tilt that is sought; what no longer counts as movement: of the prediction, in
+# standard deviations of the noise, of the delay [s], of gravity [rad], of speeds (a share).
+_SOUGHT_ROUNDS = 20
+_SETTLED, _SETTLED_DELAY, _SETTLED_ANGLE = 0.05, 1e-6, 1e-6
+_SPEED_SETTLED = 0.02
+_AT_FLOOR, _SHARPEST, _SHARPER = 1.01, 0.01, 2
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What recordings say around a point: nothing that grows with their length.
+
+    Attributes:
+        blocks: the information of each part that is held out in turn.
+        squared_torque: (blocks, joints) sum of squares of the measured torque [N^2 m^2].
+        torque: (n,) root mean square of each joint's measured torque [N m].
+    """
+
+    blocks: tuple[SquareRootInformation, ...]
+    squared_torque: Array
+    torque: Array
+
+    @cached_property
+    def whole(self) -> SquareRootInformation:
+        """The information of all parts."""
+        return combined(self.blocks)
+
+    @cached_property
+    def shown(self) -> np.ndarray:
+        """Which parameters (p,) have a column that is not zero."""
+        found = np.zeros(len(self.whole.names), dtype=bool)
+        for joint in self.whole.joints:
+            found[joint.columns] |= np.any(joint.triangle[:, :-1] != 0.0, axis=0)
+        return found
+
+
+def evidence(samples: Sequence[DecimatedSamples], torque: Array) -> Evidence:
+    """Return what the rows of all recordings say, the same stretches of each together."""
+    same = list(zip(*[[log.where(mask) for mask in block_masks(log)] for log in samples]))
+    blocks = tuple(combined([each.information() for each in part]) for part in same)
+    squares = [np.sum([each.squared_torque() for each in part], axis=0) for part in same]
+    return Evidence(blocks, np.array(squares), torque)
+
+
+@dataclass(frozen=True)
+class ChosenRows:
+    """Rows of what is sought, the rest taken off; iterating over it is one pass.
+
+    Attributes:
+        rows: of all parameters.
+        unknowns: which are sought.
+    """
+
+    rows: JoinedSamples
+    unknowns: Unknowns
+
+    def __iter__(self) -> Iterator[tuple[int, Array, Array]]:
+        """Yield (joint number, rows, right-hand sides) of each joint."""
+        columns = self.rows.parts[0].columns
+        for index, rows, tau in self.rows:
+            stay = np.isin(columns[index], self.unknowns.kept)
+            known = rows[:, ~stay] @ self.unknowns.held[columns[index][~stay]]
+            yield index, rows[:, stay], tau - known
+
+
+@dataclass(frozen=True)
+class Fit:
+    """An estimate and what it was made from.
+
+    Attributes:
+        columns: makes the rows.
+        question, choice: what was asked, and what the recordings decided.
+        point: around which the rows are.
+        samples: each recording's rows; none where only their information is there.
+        evidence: what they say.
+        unknowns: what was sought, and what was known.
+        weighted: the whitened information (k parameters), priors included.
+        inflation: (joints,) by how much less than independent samples each joint's count.
+        free: (p,) the estimate before bodies had to be possible.
+        values: (p,) the estimate.
+    """
+
+    columns: Columns
+    question: Question
+    choice: Choice
+    point: Point
+    samples: tuple[DecimatedSamples, ...]
+    evidence: Evidence
+    unknowns: Unknowns
+    weighted: WeightedEquations
+    inflation: Array
+    free: Array
+    values: Array
+
+    @property
+    def information(self) -> SquareRootInformation:
+        """What data and priors say of the k parameters that are sought."""
+        return self.weighted.information
+
+    @property
+    def noise(self) -> Array:
+        """Standard deviation (joints,) of the torque noise of one sample [N m]."""
+        return np.asarray(self.weighted.noise / np.sqrt(self.inflation))
+
+    @property
+    def constrained(self) -> bool:
+        """Whether the plain estimate was replaced by the best possible bodies."""
+        return bool(np.any(self.values != self.free))
+
+    @property
+    def rows(self) -> ChosenRows:
+        """The rows of what was sought."""
+        return ChosenRows(JoinedSamples(self.samples), self.unknowns)
+
+    def value(self, name: str) -> float:
+        """Return one parameter, with what the point holds of it."""
+        return float(self.final[self.columns.place[name]])
+
+    @property
+    def next_point(self) -> Point:
+        """The point with what has to settle moved into it.
+
+        Recordings on the wrong side have a payload of negative weight; around a possible one, which
+        is far from it, torque scales would take its part.
+        """
+        values = self.free if self.question.loaded else self.values
+        return self.columns.moved(self.point, values, self.unknowns.settle)
+
+    @cached_property
+    def final(self) -> Array:
+        """All parameters (p,), the delay and speeds in place of their last changes."""
+        values, names = self.values.copy(), self.columns.robot.joint_names
+        settled = set(self.unknowns.settle)
+        if DELAY_NAME in settled:
+            values[self.columns.place[DELAY_NAME]] += self.point.delay
+        for term, speeds in (self.point.speed or {}).items():
+            for joint, speed in zip(names, speeds.tolist()):
+                name = f"{term}_speed[{joint}]"
+                if name in settled:
+                    values[self.columns.place[name]] += speed
+        return values
+
+
+@dataclass
+class Fitter:
+    """Fits one question to recordings; it remembers what a fit before it has settled.
+
+    Attributes:
+        columns: makes the rows.
+        torque: (n,) root mean square of each joint's measured torque [N m].
+        visits: which rows pass the same states; None where there are no rows.
+    """
+
+    columns: Columns
+    torque: Array
+    visits: Visits | None = None
+    _last: tuple[Point, tuple[DecimatedSamples, ...], Evidence] | None = field(default=None)
+
+    def around(self, point: Point) -> tuple[tuple[DecimatedSamples, ...], Evidence]:
+        """Return the rows around a point, and what they say."""
+        if self._last is None or self._last[0] is not point:
+            samples = self.columns.samples(point)
+            self._last = point, samples, evidence(samples, self.torque)
+        return self._last[1], self._last[2]
+
+    def fit(
+        self,
+        question: Question,
+        choice: Choice,
+        point: Point | None = None,
+        rounds: int = _MOST_ROUNDS,
+    ) -> Fit:
+        """Return the fit, once bodies, delay, tilt and speeds have settled.
+
+        Args:
+            choice: friction terms, couplings, and how far links may be off.
+            point: where to begin; None for the model.
+
+        Raises:
+            SysidError: a delay or a tilt that is sought keeps moving.
+        """
+        # Columns that depend on what is sought: those of the load, and those with a speed.
+        terms = {term for model in choice.friction for term in model.terms}
+        exact = not terms.isdisjoint(("load", *BENT))
+        point = replace(point or self.columns.start(), exact_load=exact)
+        seeks = "auto" in (question.options.delay, question.options.tilt)
+        rounds = _SOUGHT_ROUNDS if seeks and not question.in_file else rounds
+        noise = None
+        for _ in range(rounds):
+            samples, data = self.around(point)
+            fit = solved(
+                self.columns, question, choice, point, data, samples, self.visits, noise=noise
+            )
+            noise = fit.noise
+            after = fit.next_point
+            if _rests(fit, point, after):
+                return fit
+            point = after
+        if rounds == _SOUGHT_ROUNDS:
+            _require_settled(fit, rounds)
+        return fit
+
+
+def solved(
+    columns: Columns,
+    question: Question,
+    choice: Choice,
+    point: Point,
+    data: Evidence,
+    samples: tuple[DecimatedSamples, ...] = (),
+    visits: Visits | None = None,
+    inflation: Array | None = None,
+    noise: Array | None = None,
+) -> Fit:
+    """Solve the equations as they stand around a point.
+
+    Args:
+        data: what the rows around the point say.
+        samples: the rows themselves, for robust methods and motion that repeats.
+        visits: which of them pass the same states.
+        inflation: (joints,) where no rows are there to tell it.
+        noise: (joints,) to begin with [N m].
+    """
+    sought = unknowns(columns, question, choice, data.torque, data.shown)
+    method, ones = question.options.method or DEFAULT_METHOD, np.ones(len(columns.joints))
+    counted = ones if inflation is None else inflation
+    inside: Unknowns | None = sought
+    for _ in range(_MOST_BOUNDS):
+        sought = inside or sought
+        for _ in range(_WIDENING_ROUNDS if visits is not None else 1):
+            given = data, samples, method, counted, noise
+            sought, weighted, free = _bounded(columns, sought, *given)
+            noise = weighted.noise / np.sqrt(counted)
+            if visits is None:
+                break
+            rows = ChosenRows(JoinedSamples(samples), sought)
+            found = free[sought.kept]
+            before, counted = counted, visits.inflation(weighted.information, rows, found)
+            if np.array_equal(before, counted):
+                break
+        values = possible(columns, sought, weighted, free, question.options)
+        # Bodies that have to be possible push others across their bounds.
+        inside = sought.bounded(values)
+        if inside is None:
+            break
+    values = np.clip(values, sought.lower, sought.upper)
+    return Fit(
+        columns, question, choice, point, samples, data, sought, weighted, counted, free, values
+    )
+
+
+def _bounded(
+    columns: Columns,
+    sought: Unknowns,
+    data: Evidence,
+    samples: tuple[DecimatedSamples, ...],
+    method: str,
+    inflation: Array,
+    noise: Array | None,
+) -> tuple[Unknowns, WeightedEquations, Array]:
+    """Return (what is sought in the end, the weighted equations, values (p,)) within bounds."""
+    while True:  # each round holds at least one more parameter
+        prior = columns.prior[sought.kept]
+        plain = restricted(data.whole, sought.kept_names, sought.held)
+        source = ChosenRows(JoinedSamples(samples), sought) if method == "robust" else None
+        found = ESTIMATORS[method](with_prior(plain, sought.groups), prior, source, noise)
+        noise = found.noise
+        found = replace(found, noise=found.noise * np.sqrt(inflation))
+        groups = widened_groups(plain, found.noise, sought.groups)
+        sought = replace(sought, groups=groups)
+        known = replace(found.information, prior=with_prior(plain, groups).prior)
+        found = _sharpened(replace(found, information=known), prior)
+        values = sought.full(least_squares(found.information, prior, 1.0 / found.noise))
+        inside = sought.bounded(values)
+        if inside is None:
+            return sought, found, np.clip(values, sought.lower, sought.upper)
+        sought = inside
+
+
+def _sharpened(found: WeightedEquations, prior: Array) -> WeightedEquations:
+    """Return the equations with less noise where there is hardly any.
+
+    Beside priors no noise is taken to be smaller than a floor. Of exact data the priors would then
+    weigh more than they need to.
+    """
+    bare, floor = replace(found.information, prior=None), noise_floor(found.information)
+    noise = found.noise
+    if found.information.prior is None or np.all(noise > _AT_FLOOR * floor):
+        return found
+    for _ in range(_SHARPER):
+        values = least_squares(found.information, prior, 1.0 / noise)
+        least = np.maximum(joint_noise(bare, values, 1.0 / noise), _SHARPEST * floor)
+        noise = np.where(found.noise <= _AT_FLOOR * floor, least, found.noise)
+    return replace(found, noise=noise)
+
+
+def possible(
+    columns: Columns,
+    sought: Unknowns,
+    weighted: WeightedEquations,
+    free: Array,
+    options: EstimationOptions,
+) -> Array:
+    """Return the best values (p,) with which all bodies that are sought are possible.
+
+    Where they are possible already, that is the plain estimate.
+    """
+    if options.consistency == "off" or not sought.bodies:
+        return free
+    fine = all(spatial.is_consistent(free[places]) for places, _ in sought.bodies.values())
+    if fine and options.consistency == "auto" and not options.entropic_weight:
+        return free
+    matrix, right = weighted.whitened()
+    problem = links_problem(columns, sought, options.entropic_weight)
+    return sought.full(ConsistentLinks(matrix, right, problem).best())
+
+
+def links_problem(columns: Columns, sought: Unknowns, entropic: float = 0.0) -> LinksProblem:
+    """Return which of the parameters sought are bodies, and what such bodies usually are."""
+    prior = np.zeros(len(sought.kept))
+    links = []
+    for places, usual in sought.bodies.values():
+        at = np.searchsorted(sought.kept, places)
+        links.append(at)
+        prior[at] = usual
+    last = list(sought.bodies).index(columns.robot.body_name)
+    weights = np.zeros(len(links))
+    weights[last] = 0.5 * entropic
+    return LinksProblem(tuple(links), prior, weights)
+
+
+def _rests(fit: Fit, before: Point, after: Point) -> bool:
+    """Tell whether the prediction, delay, tilt and speeds hardly move any more."""
+    steady = [k for k in fit.unknowns.kept if fit.columns.names[k] not in fit.unknowns.settle]
+    moved = np.zeros(len(fit.values))
+    moved[steady] = (after.values - before.values)[steady]
+    effect = fit.weighted.whitened()[0] @ moved[fit.unknowns.kept]
+    turn = float(np.linalg.norm(np.cross(after.gravity, before.gravity)))
+    turn /= float(after.gravity @ after.gravity) or 1.0
+    speeds = zip((after.speed or {}).values(), (before.speed or {}).values())
+    faster = max((float(np.max(np.abs(a / b - 1.0))) for a, b in speeds), default=0.0)
+    late = abs(after.delay - before.delay)
+    small = float(effect @ effect) < _SETTLED**2 and late < _SETTLED_DELAY
+    return small and turn < _SETTLED_ANGLE and faster < _SPEED_SETTLED
+
+
+def _require_settled(fit: Fit, rounds: int) -> None:
+    sought = [name for name in ("delay", "tilt") if getattr(fit.question.options, name) == "auto"]
+    raise SysidError(
+        f"the estimates of {' and '.join(sought)} do not settle within {rounds} rounds (last delay "
+        f"{1e3 * fit.point.delay:.3g} ms): this log does not show them well enough; lower "
+        "--cutoff, or leave --delay and --tilt off"
+    )

@@ -1,0 +1,294 @@
+"""From recordings to an answer: filter, choose, fit, and the file that follows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from robot_sysid.dynamics.equations import (
+    N_INERTIAL,
+    NO_FRICTION,
+    TERMINAL_FRICTION,
+    Equations,
+    friction_per_joint,
+)
+from robot_sysid.dynamics.friction import FrictionModel
+from robot_sysid.dynamics.nuisances import gravity, tilt_axes
+from robot_sysid.errors import InputError
+from robot_sysid.estimation.algebra.information import sample_counts
+from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.answer import Answer, traced
+from robot_sysid.estimation.choices import choose, coupled
+from robot_sysid.estimation.columns import PAYLOAD_NAMES, Columns
+from robot_sysid.estimation.couplings import couplings_of
+from robot_sysid.estimation.dataset import Dataset, JoinedSamples, Mask, equations_at, mean_torque
+from robot_sysid.estimation.errors import fit_errors
+from robot_sysid.estimation.file_fit import fit_file
+from robot_sysid.estimation.fit import Fit, Fitter
+from robot_sysid.estimation.recordings import logs_compared
+from robot_sysid.estimation.result import about
+from robot_sysid.estimation.unknowns import Question
+from robot_sysid.estimation.verdict import of_own_simulation
+from robot_sysid.logs.checks import sign_check
+from robot_sysid.records import (
+    DataOrigin,
+    Estimate,
+    Measurement,
+    MotionPlan,
+    RobotModel,
+    Source,
+    Validation,
+)
+from robot_sysid.records.data import Traces
+from robot_sysid.records.progress import Progress
+from robot_sysid.records.results import validation_of
+from robot_sysid.results.model import CHECKPOINTS
+from robot_sysid.results.record import LINK, JointEstimate, Result
+from robot_sysid.signals.process import ProcessedSignals, process
+from robot_sysid.signals.repetition import visits
+from robot_sysid.simulator import ArmTorque, collect_sysid_data, simulate_inverse
+from robot_sysid.solver import identify_parameters
+from robot_sysid.trajectory import CHUNK, motion_chunks, sample_count, spread_motion
+
+AT_REST = FrictionModel(("offset",))
+"""What is left of friction at rest, approached from both sides."""
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A stretch of a recording without long holes, as it was measured.
+
+    Attributes:
+        name: what the recording is called in messages.
+        samples: the stretch.
+        is_loaded: whether the recording carries the payload.
+        place: its place in the order of recording, see ``Dataset``.
+        least_deadband: (n,) see ``signals.process.process``.
+    """
+
+    name: str
+    samples: Measurement
+    is_loaded: bool = False
+    place: float = 0.0
+    least_deadband: tuple[float, ...] = ()
+
+
+def filtered(
+    robot: RobotModel, pieces: Sequence[Piece], options: EstimationOptions
+) -> tuple[list[Dataset], tuple[str, ...]]:
+    """Return recordings, each filtered on its own, with the lowest cut-off that one asks for.
+
+    Returns:
+        (they; what there is to say of them, one sentence each).
+
+    Raises:
+        InputError: one is too short, or a joint's torque runs against the model's.
+    """
+
+    def processed(piece: Piece, cutoff: float | None) -> ProcessedSignals:
+        band = options.velocity_deadband
+        try:
+            return process(piece.samples, robot.joint_names, cutoff, band, piece.least_deadband)
+        except InputError as error:
+            raise InputError(f"{piece.name}: {error}" if piece.name else str(error)) from None
+
+    pairs = [(piece, processed(piece, options.cutoff)) for piece in pieces]
+    lowest = min(each.cutoff for _, each in pairs)
+    if options.cutoff is None:
+        pairs = [(p, s if s.cutoff == lowest else processed(p, lowest)) for p, s in pairs]
+    found = [Dataset(p.name, each, p.is_loaded, p.place) for p, each in pairs]
+    told: dict[str, tuple[str, ...]] = {}
+    for piece, each in pairs:
+        at = each.spread(CHECKPOINTS)
+        torque = ArmTorque(robot)(each.motion(at))
+        against = sign_check(each.tau[at], torque, robot.joint_names)
+        told[piece.name] = tuple(dict.fromkeys((*told.get(piece.name, ()), *each.notes, *against)))
+    return found, tuple(shared_notes(told))
+
+
+def shared_notes(told: Mapping[str, Sequence[str]]) -> Iterator[str]:
+    """Yield each note once, with the recordings that it is about where there are several."""
+    for note in dict.fromkeys(note for notes in told.values() for note in notes):
+        about = [name for name, notes in told.items() if note in notes]
+        where = "all recordings" if len(about) == len(told) else ", ".join(about)
+        yield note if len(told) == 1 else f"{where}: {note}"
+
+
+def answer_link(
+    robot: RobotModel,
+    datasets: Sequence[Dataset],
+    options: EstimationOptions,
+    progress: Progress,
+    kept: tuple[str, ...] | None = (),
+    tests: Mapping[str, Sequence[Dataset]] | None = None,
+) -> Answer:
+    """Identify an arm from recordings of it alone.
+
+    Args:
+        kept: parts of the model file that stay as they are; None asks for no file.
+        tests: name to recordings that only test the result.
+
+    Raises:
+        InputError: a recording is too short, or the couplings do not fit the arm.
+        SysidError: a delay or a tilt that is sought keeps moving.
+    """
+    question = Question(options)
+    progress.stage("Choosing friction, couplings and how far links may be off...")
+    fitter = _fitter(robot, datasets, question, options.friction)
+    choice, tried, start = choose(fitter, question, options.friction)
+    progress.stage("Solving for parameters...")
+    fit = fitter.fit(question, choice, start)
+    file = None
+    if kept is not None:
+        progress.stage("Fitting the model file...")
+        file = fit_file(fitter, options, kept, fit.values)
+    errors = fit_errors(fit)
+    signals = [each.signals for each in datasets if each.signals is not None]
+    coarsest = max((each.acceleration_error for each in signals), default=0.0)
+    answer = Answer(fit, file, errors, (), tried, coarsest)
+    notes: list[str] = []
+    if any({"coulomb", "offset"} <= set(model.terms) for model in choice.friction):
+        notes += [note for each in signals for note in each.one_way_joints(robot.joint_names)]
+    said, apart = logs_compared(fit, [each.name for each in datasets], answer.stretch())
+    others = tuple(tested(fit, each, name) for name, each in (tests or {}).items())
+    return replace(answer, notes=tuple(dict.fromkeys((*notes, *said))), tests=(*others, *apart))
+
+
+def answer_payload(
+    robot: RobotModel,
+    datasets: Sequence[Dataset],
+    question: Question,
+    progress: Progress,
+    kept: tuple[str, ...] | None = (),
+) -> tuple[Answer, Answer]:
+    """Identify a payload from recordings without and with it.
+
+    Args:
+        kept: parts of the model file that stay as they are; None asks for no file.
+
+    Returns:
+        (the answer, with the known mass where there is one; the one as if it were not known).
+    """
+    options = question.options
+    progress.stage("Estimating arm, friction and payload together...")
+    given = AT_REST if question.resting else options.friction
+    weighing = replace(question, known_mass=None, scale_prior=None)
+    fitter = _fitter(robot, datasets, weighing, given)
+    choice, tried, start = choose(fitter, weighing, given)
+    free = fitter.fit(weighing, choice, start)
+    progress.stage("Finding out how far off it may be...")
+    weighed = Answer(free, None, fit_errors(free), (), tried)
+    if question.known_mass is None:
+        if kept is not None and options.torques == "chain" and not question.resting:
+            progress.stage("Fitting the model file...")
+            carried = free.values[fitter.columns.at(PAYLOAD_NAMES)]
+            file = fit_file(fitter, options, kept, free.values, carried=carried)
+            weighed = replace(weighed, file=file)
+        return weighed, weighed
+    fit = fitter.fit(question, choice, free.point)
+    return Answer(fit, None, fit_errors(fit), (), tried), weighed
+
+
+def refit(answer: Answer, used: Sequence[Mask], kept: tuple[str, ...]) -> Answer:
+    """Return the answer of some rows of its recordings alone, everything chosen anew."""
+    fit = answer.fit
+    datasets = [replace(each, used=mask) for each, mask in zip(fit.columns.datasets, used)]
+    return answer_link(answer.robot, datasets, fit.question.options, Progress(), kept)
+
+
+def _fitter(
+    robot: RobotModel, datasets: Sequence[Dataset], question: Question, given: FrictionModel | None
+) -> Fitter:
+    """Return what fits, with the couplings that are known or that the recordings decide for."""
+    options, again = question.options, None
+    if options.tilt == "auto":
+        tilt_axes(gravity(robot))  # which there have to be
+    if all(each.signals is not None for each in datasets):
+        again = visits([each.motion for each in datasets])
+    known, offered = couplings_of(robot, options)
+    columns = Columns(robot, datasets, options.torques, known)
+    fitter = Fitter(columns, mean_torque(datasets), again)
+    if not offered:
+        return fitter
+    # Columns of couplings that are not there would cost every later pass time and memory.
+    found = () if question.resting else coupled(fitter, question, given, offered)
+    return Fitter(columns.coupled(found), fitter.torque, again)
+
+
+def tested(fit: Fit, datasets: Sequence[Dataset], source: str) -> Validation:
+    """Return the error with which a fit predicts other recordings.
+
+    Raises:
+        InputError: they hold no usable samples.
+    """
+    columns = Columns(fit.columns.robot, datasets, fit.columns.torques, fit.columns.couplings)
+    samples = columns.samples(replace(fit.point, values=fit.values))
+    part = JoinedSamples(samples).information()
+    counts = sample_counts(part)
+    if not np.any(counts):
+        raise InputError(f"no usable torque samples to validate on in {source}")
+    wrong, squares = part.squared_residuals(fit.values), JoinedSamples(samples).squared_torque()
+    return validation_of([joint.joint for joint in part.joints], wrong, squares, counts, source)
+
+
+_DRAWN = 2000
+ITSELF = (
+    "this run simulates the model itself, so it can only return the model's own values; give "
+    "--measurements LOG.csv for a log of the real arm, or --plant-model for another model of it"
+)
+
+
+def identify_itself(
+    robot: RobotModel,
+    plan: MotionPlan,
+    rate: float,
+    seed: int,
+    options: EstimationOptions,
+    progress: Progress,
+) -> tuple[Result, Callable[[], Traces]]:
+    """Simulate the model along a trajectory and identify it.
+
+    Args:
+        rate: samples per second [Hz].
+        seed: the trajectory was drawn with it.
+
+    Returns:
+        (the result, what makes its traces).
+    """
+    progress.stage("Running MuJoCo simulation...")
+    model = NO_FRICTION if options.no_friction else TERMINAL_FRICTION
+    equations = Equations(robot, options.torques, friction_per_joint(robot, "terminal", model))
+    simulated = simulate_inverse(robot, motion_chunks(plan, rate))
+    count = math.ceil(sample_count(plan.duration, rate) / CHUNK)
+    tracked = progress.track(simulated, "Collecting regressor data", count)
+    information = collect_sysid_data(equations, tracked)
+    progress.stage("Solving for parameters...")
+    estimate = identify_parameters(information, equations.prior, options.method or "ols", options)
+    progress.note(ITSELF)
+    own = zip(equations.names[N_INERTIAL:], equations.prior[N_INERTIAL:].tolist())
+    before = {name.partition("[")[0]: value for name, value in own}
+    result = Result(
+        **about(robot),
+        question=LINK,
+        estimate=estimate,
+        verdict=of_own_simulation(estimate),
+        torques=options.torques,
+        data=DataOrigin(Source.ITSELF, "", plan.duration, rate, seed),
+        joints={robot.terminal_joint: JointEstimate(model.name, {}, before)},
+        notes=robot.notes,
+    )
+    return result, lambda: _traces(robot, equations, plan, estimate)
+
+
+def _traces(
+    robot: RobotModel, equations: Equations, plan: MotionPlan, estimate: Estimate
+) -> Traces:
+    """Return what a report draws of the simulation, at some of its samples."""
+    motion = spread_motion(plan, _DRAWN)
+    (measurement,) = simulate_inverse(robot, [motion])
+    samples = equations_at(equations, measurement)
+    after, before = (dict(zip(equations.names, v)) for v in (estimate.values, equations.prior))
+    return traced(robot, [samples], [motion], after, before)

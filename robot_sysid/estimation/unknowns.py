@@ -1,0 +1,398 @@
+"""What is sought, what is known of it beforehand: the only place where questions differ.
+
+Unknowns come in groups, each with a cause. A question chooses which are free, which have a prior
+and which are held; everything after that is the same for the last link, all links and a payload.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.equations import other_links
+from robot_sysid.dynamics.friction import FrictionModel, speed_name
+from robot_sysid.dynamics.nuisances import TILT_NAMES
+from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.estimation.algebra.nuisances import NuisanceGroup, link_aspects, link_factor
+from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.columns import PAYLOAD_NAMES, Columns
+from robot_sysid.estimation.couplings import Coupling
+from robot_sysid.records import DELAY_NAME, Array, RobotModel
+
+LINKS, SCALES, ZEROS, TILT = "links", "torque scale", "joint offsets", "gravity"
+DELAY, DRIFT, FRICTION = "delay", "drift of friction", "friction model"
+COMMON, WEIGHT = "common torque scale", "known mass"
+"""Causes of error, as they are called in results."""
+FILE_FRICTION, FILE_ROTORS, FILE_GRAVITY, FILE_LINKS = "friction", "rotors", "gravity", "links"
+"""Parts of a model file that may be kept as they are."""
+LACKING = ("load", "sqrt")
+"""Friction terms that a real joint has and a simpler model of it lacks."""
+CURVATURE, LEAST_COULOMB = 5.0, 0.02
+"""How curved friction may be, as part of its Coulomb friction and in units of what it may grow with
+the gear's torque; Coulomb friction is at least so much of the joint's usual torque."""
+LARGEST_LOSS = 0.3
+"""Share of its load that a gear loses at most."""
+DRIFTS, LOADED_LOSS = 0.2, 0.1
+"""Standard deviations: of friction's drift from the middle of the recordings to their ends (a
+share), of a gear's loss where loads differ."""
+FILE_TILT = np.radians(2.0)
+"""Standard deviation of the direction of gravity that a file is given [rad]."""
+PLACEHOLDER = 1e-3
+"""Share of the other links' usual mass below which a body's numbers say nothing."""
+_EXACT, _EXACT_MASS = 1e-9, 1e-6
+_FREE_SIGN = ("offset", "sqrt")
+PER_CENT, MILLI = 0.01, 1e-3
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is asked of some recordings.
+
+    Attributes:
+        options: how far the arm may be off, and what else the user says.
+        loaded: whether recordings carry something that is sought.
+        drifts: whether a drift of friction over the recordings is sought.
+        known_mass: of the payload [kg], where torque scales are sought with it.
+        scale_prior: how far torque scales may be off then [%].
+        in_file: whether what is sought has to fit into a model file; which parts of it are kept as
+            they are, see ``FILE_FRICTION``.
+        kept_parts: those parts.
+        carried: the payload (10,) that loaded recordings carry, where it is known.
+        resting: whether the recordings are poses at rest.
+    """
+
+    options: EstimationOptions
+    loaded: bool = False
+    drifts: bool = False
+    known_mass: float | None = None
+    scale_prior: float | None = None
+    in_file: bool = False
+    kept_parts: tuple[str, ...] = ()
+    carried: Array | None = None
+    resting: bool = False
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What the recordings themselves decide.
+
+    Attributes:
+        friction: per chain joint, its friction terms.
+        couplings: motors that turn with several joints.
+        prior_scale: by how much more than was said the other links may be off.
+    """
+
+    friction: tuple[FrictionModel, ...]
+    couplings: tuple[Coupling, ...] = ()
+    prior_scale: float = 1.0
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """Which parameters are sought, and what is known of them.
+
+    Attributes:
+        names: (p,) of all parameters.
+        kept: (k,) which are sought, ascending.
+        held: (p,) values of the others.
+        groups: what is known of some of those that are sought.
+        lower, upper: (p,) bounds.
+        bodies: name to (places of ten parameters, a usual body (10,)) of what has to be a possible
+            body.
+        settle: names of those that are small changes of what the rows are made around.
+        at_bound: names of those that are held at a bound that they would cross.
+    """
+
+    names: tuple[str, ...]
+    kept: NDArray[np.int64]
+    held: Array
+    groups: tuple[NuisanceGroup, ...]
+    lower: Array
+    upper: Array
+    bodies: Mapping[str, tuple[NDArray[np.int64], Array]]
+    settle: tuple[str, ...] = ()
+    at_bound: tuple[str, ...] = ()
+
+    @property
+    def kept_names(self) -> tuple[str, ...]:
+        """Names (k,) of what is sought."""
+        return tuple(self.names[index] for index in self.kept)
+
+    def full(self, found: Array) -> Array:
+        """Return all parameters (p,) from those that are sought (k,)."""
+        values = self.held.copy()
+        values[self.kept] = found
+        return values
+
+    def bounded(self, values: Array) -> Unknowns | None:
+        """Return the unknowns with what crosses a bound held there; None where nothing does."""
+        inside = np.clip(values, self.lower, self.upper)
+        slack = 1e-9 * (1.0 + np.abs(inside))
+        wrong = [k for k in self.kept if abs(values[k] - inside[k]) > slack[k]]
+        if not wrong:
+            return None
+        held = self.held.copy()
+        held[wrong] = inside[wrong]
+        names = {self.names[k] for k in wrong}
+        groups = tuple(each for g in self.groups for each in _without(g, names))
+        kept = np.setdiff1d(self.kept, wrong)
+        bound = (*self.at_bound, *(self.names[k] for k in wrong))
+        return replace(self, kept=kept, held=held, groups=groups, at_bound=bound)
+
+
+def _without(group: NuisanceGroup, names: set[str]) -> Iterator[NuisanceGroup]:
+    """Yield a group without some of its parameters, which have to be independent of the others."""
+    stay = [k for k, name in enumerate(group.names) if name not in names]
+    if len(stay) == len(group.names):
+        yield group
+    elif stay:
+        yield replace(
+            group,
+            names=tuple(group.names[k] for k in stay),
+            mean=group.mean[stay],
+            factor=group.factor[np.ix_(stay, stay)],
+            members=tuple(group.members[k] for k in stay),
+            aspects=tuple,
+        )
+
+
+def unknowns(
+    columns: Columns, question: Question, choice: Choice, torque: Array, shown: NDArray[np.bool_]
+) -> Unknowns:
+    """Return what a question seeks.
+
+    Args:
+        torque: (n,) root mean square of each joint's measured torque [N m].
+        shown: (p,) which parameters have a column that is not zero.
+    """
+    options = question.options
+    groups = list(_groups(columns, question, choice, torque))
+    bodies = dict(_bodies(columns, question))
+    wanted = {name for group in groups for name in group.names}
+    wanted |= {columns.names[k] for places, _ in bodies.values() for k in places}
+    terms = dict(_terms(columns, choice))
+    own = {f"{term}[{owner}]" for owner, each in terms.items() for term in each}
+    # What no row shows is not sought: its value would be whatever the search began with.
+    wanted |= {name for name in own if shown[columns.place[name]]}
+    settle = tuple(_settled(columns, question, choice))
+    wanted |= set(settle)
+    groups = [each for g in groups for each in _without(g, set(g.names) - wanted)]
+    lower, upper = np.full(len(columns.names), -np.inf), np.full(len(columns.names), np.inf)
+    # What friction is only allowed for has a sign of its own.
+    allowed = {name for group in groups if group.cause == FRICTION for name in group.names}
+    for name in own - allowed:
+        if _is_bounded(name, terms):
+            lower[columns.place[name]] = 0.0
+            upper[columns.place[name]] = LARGEST_LOSS if name.startswith("load[") else np.inf
+    held = _held(columns, question, choice)
+    kept = np.array(sorted(columns.place[name] for name in wanted), dtype=np.int64)
+    if question.known_mass is not None:
+        own_mass, exact = np.array([question.known_mass]), _EXACT_MASS * question.known_mass
+        payload = independent(WEIGHT, PAYLOAD_NAMES[:1], ("payload",), exact)
+        groups.append(replace(payload, mean=own_mass))
+    elif question.loaded and options.scale_uncertainty > 0.0:
+        groups.append(_no_common_scale(columns))
+    return Unknowns(columns.names, kept, held, tuple(groups), lower, upper, bodies, settle)
+
+
+def _is_bounded(name: str, terms: Mapping[str, set[str]]) -> bool:
+    term, _, owner = name.partition("[")
+    curved = term == "viscous" and "sqrt" in terms[owner[:-1]]
+    return term not in _FREE_SIGN and not term.endswith("_speed") and not curved
+
+
+def _terms(columns: Columns, choice: Choice) -> Iterator[tuple[str, set[str]]]:
+    """Yield joint or motor to its friction terms; a motor has those of all joints it turns with."""
+    names = columns.robot.joint_names
+    own = dict(zip(names, choice.friction))
+    for joint in columns.joints:
+        yield joint, {*own[joint].terms, *{f"{term}_speed" for term in own[joint].bent}}
+    for motor in choice.couplings:
+        turned = [own[names[k]] for k in np.flatnonzero(motor.ratios)]
+        inside = {name.partition("[")[0] for name in motor.parameter_names}
+        yield motor.name, {term for model in turned for term in model.terms} & inside
+
+
+def _settled(columns: Columns, question: Question, choice: Choice) -> Iterator[str]:
+    """Yield the names of what moves into the point that the rows are made around."""
+    tilts = [name for name in TILT_NAMES if name in columns.place]
+    if question.in_file:
+        yield from tilts if FILE_GRAVITY not in question.kept_parts else ()
+        return
+    if question.options.delay == "auto":
+        yield DELAY_NAME
+    if question.options.tilt == "auto":
+        yield from TILT_NAMES
+    own = dict(zip(columns.robot.joint_names, choice.friction))
+    yield from (speed_name(t, joint) for joint in columns.joints for t in own[joint].bent)
+
+
+def _held(columns: Columns, question: Question, choice: Choice) -> Array:
+    """Return (p,) what parameters are that are not sought."""
+    held = np.zeros(len(columns.names))
+    for name, places in columns.bodies().items():
+        if name != "payload":
+            held[places] = columns.prior[places]
+    if question.carried is not None:
+        held[columns.at(PAYLOAD_NAMES)] = question.carried
+    keeps = question.kept_parts
+    for joint, model in zip(columns.robot.joint_names, choice.friction):
+        own = () if model.terms and FILE_FRICTION not in keeps else ("coulomb", "viscous")
+        # A URDF cannot hold rotor inertia.
+        lacks_rotor = question.in_file and columns.robot.kind == "urdf"
+        armature = "armature" not in model.terms and not lacks_rotor
+        for term in (*own, *(("armature",) if armature else ())):
+            place = columns.place.get(f"{term}[{joint}]")
+            if place is not None:
+                held[place] = columns.prior[place]
+    return held
+
+
+def _bodies(
+    columns: Columns, question: Question
+) -> Iterator[tuple[str, tuple[NDArray[np.int64], Array]]]:
+    """Yield each body that is sought, with where it stands and a usual body of its kind."""
+    last, options = columns.robot.body_name, question.options
+    only_last = options.link_uncertainty == 0.0 or FILE_LINKS in question.kept_parts
+    usual = usual_bodies(columns.robot)
+    for name, places in columns.bodies().items():
+        if name == "payload":
+            if question.loaded:
+                yield name, (places, usual[last])
+        elif name == last or not only_last:
+            yield name, (places, usual[name])
+
+
+def usual_bodies(robot: RobotModel) -> dict[str, Array]:
+    """Return body name to a body (10,) that such a link could be.
+
+    That is the model's own; where that is only a placeholder, without weight beside the other
+    links, a ball at its place with their usual mass and moment per mass.
+    """
+    found = {link.body_name: link.theta for link in robot.links if link.has_mass}
+    heaviest = max(theta[0] for theta in found.values())
+    believed = [
+        theta
+        for theta in found.values()
+        if theta[0] >= PLACEHOLDER * heaviest and spatial.is_consistent(theta)
+    ] or list(found.values())
+    usual = float(np.median([theta[0] for theta in believed]))
+    apart = [spatial.com_from_theta(theta) for theta in believed]
+    gyration = float(np.median([np.trace(inertia) / (3.0 * mass) for mass, _, inertia in apart]))
+    for name, theta in found.items():
+        if theta[0] < PLACEHOLDER * usual or not spatial.is_consistent(theta):
+            mass = max(usual, float(theta[0]))
+            com = theta[1:4] / theta[0] if theta[0] > 0.0 else np.zeros(3)
+            found[name] = spatial.theta_from_com(mass, com, mass * gyration * np.eye(3))
+    return found
+
+
+def independent(
+    cause: str,
+    names: Sequence[str],
+    members: Sequence[str],
+    size: float | Array,
+    may_widen: bool = False,
+) -> NuisanceGroup:
+    """Return the prior of nuisances that are each off on their own, by one size or (k,) sizes."""
+    count, factor = len(names), size * np.eye(len(names))
+    return NuisanceGroup(cause, tuple(names), np.zeros(count), factor, tuple(members), may_widen)
+
+
+def _groups(
+    columns: Columns, question: Question, choice: Choice, torque: Array
+) -> Iterator[NuisanceGroup]:
+    links = _link_group(columns, question, choice)
+    if links is not None:
+        yield links
+    tilts = tuple(name for name in TILT_NAMES if name in columns.place)
+    if question.in_file:
+        if tilts and FILE_GRAVITY not in question.kept_parts:
+            yield independent(TILT, tilts, ("the base",) * 2, FILE_TILT)
+        return
+    options, wide, joints = question.options, question.loaded, columns.joints
+    scale = question.scale_prior or options.scale_uncertainty
+    sized = (
+        (SCALES, "scale", joints, PER_CENT * scale),
+        (ZEROS, "zero", columns.robot.joint_names, MILLI * options.zero_uncertainty),
+        (DRIFT, "drift", joints, DRIFTS if question.drifts else 0.0),
+    )
+    for cause, kind, members, size in sized:
+        names = tuple(f"{kind}[{joint}]" for joint in members)
+        if size > 0.0:
+            yield independent(cause, names, members, size, wide)
+    late = 0.0 if question.resting else MILLI * options.delay_uncertainty
+    if options.delay == "off" and late > 0.0:
+        yield independent(DELAY, (DELAY_NAME,), ("the torque",), late, wide)
+    if tilts and options.tilt == "off" and options.gravity_uncertainty > 0.0:
+        size = float(np.radians(options.gravity_uncertainty))
+        yield independent(TILT, tilts, ("the base",) * 2, size, wide)
+    if not question.resting:
+        yield from _friction_group(columns, question, choice, torque)
+
+
+def _friction_group(
+    columns: Columns, question: Question, choice: Choice, torque: Array
+) -> Iterator[NuisanceGroup]:
+    """Yield what friction may have that its model lacks."""
+    share = PER_CENT * question.options.friction_uncertainty
+    loss = max(share, LOADED_LOSS) if question.loaded else share
+    own = dict(zip(columns.robot.joint_names, choice.friction))
+    coulomb = dict(zip(columns.robot.joint_names, columns.robot.friction.coulomb.tolist()))
+    usual = dict(zip(columns.robot.joint_names, torque.tolist()))
+    names, sizes, members = [], [], []
+    for term in LACKING if share > 0.0 else ():
+        for joint in columns.joints:
+            if own[joint].terms and term not in own[joint].terms:
+                size = CURVATURE * share * max(coulomb[joint], LEAST_COULOMB * usual[joint])
+                names.append(f"{term}[{joint}]")
+                sizes.append(max(loss if term == "load" else size, _EXACT))
+                members.append(joint)
+    if names:
+        yield independent(FRICTION, names, members, np.array(sizes), question.loaded)
+
+
+def _link_group(columns: Columns, question: Question, choice: Choice) -> NuisanceGroup | None:
+    """Return what the model knows of the links but the terminal one; None where nothing is sought.
+
+    A placeholder is not believed: it may be anything between nothing and two usual bodies.
+    """
+    robot, sought = columns.robot, dict(_bodies(columns, question))
+    links = [k for k in other_links(robot) if robot.links[k].body_name in sought]
+    if columns.torques != "chain" or not links:
+        return None
+    share = PER_CENT * question.options.link_uncertainty
+    names = [robot.links[link].body_name for link in links]
+    usual = [sought[name][1] for name in names]
+    ends = [link.translation for link in robot.links[1:]]
+    lengths = [float(np.linalg.norm(ends[link])) for link in links]
+    factor = np.zeros((10 * len(links), 10 * len(links)))
+    believed = [usual[k] is robot.links[link].theta for k, link in enumerate(links)]
+    kinds = [(np.flatnonzero(believed), share * choice.prior_scale)]
+    kinds += [(np.array([k]), 1.0) for k in np.flatnonzero(np.logical_not(believed))]
+    for alike, size in (each for each in kinds if len(each[0])):
+        at = np.add.outer(10 * alike, np.arange(10)).ravel()
+        spread = link_factor([usual[k] for k in alike], size, [lengths[k] for k in alike])
+        factor[np.ix_(at, at)] = spread
+    places = np.concatenate([sought[name][0] for name in names])
+    members = tuple(name for name in names for _ in PARAMETER_NAMES)
+    own = tuple(columns.names[k] for k in places)
+    means, aspects = np.concatenate(usual), partial(link_aspects, usual, lengths)
+    return NuisanceGroup(LINKS, own, means, factor, members, aspects=aspects)
+
+
+def _no_common_scale(columns: Columns) -> NuisanceGroup:
+    """Return what holds the mean of all torque scales at one.
+
+    A scale that all joints have in common scales every mass alike. Only the model's masses could
+    tell it, and they are what is not trusted here, so it goes into the errors instead.
+    """
+    names = tuple(f"scale[{joint}]" for joint in columns.joints)
+    mean = np.ones((len(names), len(names))) / len(names)
+    factor = np.eye(len(names)) - (1.0 - _EXACT) * mean
+    return NuisanceGroup(COMMON, names, np.zeros(len(names)), 1e3 * factor, names)

@@ -1,0 +1,380 @@
+"""How far the arm is from itself, from the scene and from forbidden half-spaces, by MuJoCo.
+
+MuJoCo finds every pair of geoms nearer than a margin, with distance, point and normal; half-spaces
+are tested against the extreme point of each geom. The gradient of a distance is the relative
+velocity of the two nearest points along the normal, per unit joint rate.
+
+Links next to each other that overlap at rest, and links that overlap whatever the joints between
+them do, do so by design of the model and are ignored. Any other pair that touches at rest may never
+get deeper, and one that is deep inside each other there is a collision. A pair that is apart at
+rest but nearer than the clearance must keep half that distance.
+
+How fast two bodies can approach each other is bounded in every posture: only joints between them
+change their distance, and joint j changes it by at most |qd_j| times the largest distance any point
+of the outer body can have from its axis. For a serial chain that distance is at most the sum of the
+link lengths in between plus the outer body's own extent.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from robot_sysid.dynamics.spatial import cross
+from robot_sysid.model.chain import body_label
+from robot_sysid.model.contacts import ContactFinder, joint_ranges, parts_of
+from robot_sysid.motion.obstacles import Closest, HalfSpace, Slack
+from robot_sysid.motion.solids import HalfSpaces
+from robot_sysid.records import Array, RobotModel
+
+HORIZON = 0.05
+"""How much farther than the clearance a pair is still seen [m]."""
+KEPT_SHARE = 0.5
+"""Share of its distance at rest that a pair nearer than the clearance must keep."""
+DEEPEST_TOUCH = 1e-3
+"""How deep two bodies may be inside each other at rest to count as touching, as parked arms do [m].
+
+Deeper they collide, and no motion may start there.
+"""
+_TOUCH_ROOM = 1e-4
+"""How much deeper than at rest a touching pair may get: how well depths are known [m]."""
+_NEIGHBOUR_POSTURES, _FINER = 181, 41
+"""How many positions of a joint tell whether its neighbours are harmless; more where nearest."""
+MOST_GROUPS = 31
+"""Bits there are for groups of geoms."""
+_UNLIMITED_TRAVEL = 1.0
+"""Travel assumed for a slide joint without limits [m]."""
+
+
+@dataclass
+class _Nearest:
+    """The tightest pair of one configuration, filled in as pairs are looked at."""
+
+    slack: float
+    distance: float = np.inf
+    normal: Array = field(default_factory=lambda: np.zeros(3))
+    point: Array = field(default_factory=lambda: np.zeros(3))
+    bodies: tuple[int, int] = (0, 0)
+    space: HalfSpace | None = None
+
+
+class Clearance:
+    """Distances of one arm: what it must not touch, itself included.
+
+    Args:
+        rest: (n,) configuration in which the motion starts.
+        clearance: distance to keep between bodies that are apart at rest [m].
+
+    Attributes:
+        is_empty: whether nothing at all is looked at: a model without collision geometry.
+        horizon: largest slack that is told apart [m]; what is farther away counts as this far.
+        rates: approach bounds (P, n): pairs of row p approach at rates[p] @ abs(qd) [m/s] at most.
+        at_rest: pairs of bodies that need words, each with its distance in the starting
+            configuration: "ignored" are neighbours inside each other, which are not looked at;
+            "deep" others inside each other, collisions; "touching" others that touch and never get
+            deeper; "near" those so near that they keep half that distance, not the clearance.
+        neighbours: the least distance of links next to each other that keep theirs whatever the
+            arm does, and so are not looked at any more.
+        left_at_rest: (half-space, body, how far outside [m]) of what is outside already at rest.
+    """
+
+    horizon = HORIZON
+
+    def __init__(
+        self, robot: RobotModel, rest: Array, clearance: float, half_spaces: Sequence[HalfSpace]
+    ) -> None:
+        self._arguments = (robot, rest, clearance, tuple(half_spaces))
+        self._robot = robot
+        self._model = _with_margin(robot.mj_model, clearance + HORIZON)
+        self._body_of_geom = np.array(self._model.geom_bodyid)
+        self._data = mujoco.MjData(self._model)
+        self._data.qpos[:] = robot.reference_qpos
+        self._joints = self._model.dof_jntid[robot.dof_index]
+        self._required = np.full((self._model.nbody, self._model.nbody), clearance)
+        self._place(rest)
+        self._part = part = parts_of(robot)
+        solid = np.any(self._model.geom_contype | self._model.geom_conaffinity)
+        self.is_empty = not (solid or self._model.npair or half_spaces)
+        # Where nothing is in the way, no motion uses up any of its room.
+        self.rates = approach_rates(robot, self._data, part) * (not self.is_empty)
+        self._rows = part[:, None] * (robot.n_joints + 1) + part
+        self._free = np.full(len(self.rates), np.inf)
+        self._free[-1] = self.horizon
+        self.at_rest = self._learn_pairs(clearance)
+        self.neighbours = self._settle_neighbours(rest)
+        drop_pairs(self._model, self._part, np.isneginf(self._required))
+        self._place(rest)
+        self.left_at_rest: list[tuple[HalfSpace, str, float]] = []
+        self._spaces = HalfSpaces(robot.mj_model, half_spaces) if half_spaces else None
+        if self._spaces is not None:
+            for shape, height, _ in self._spaces.heights(self._data):
+                required, body = self._spaces.required[shape], self._label(self._spaces.body[shape])
+                for k in np.flatnonzero((height <= 0.0) & np.isfinite(required)).tolist():
+                    self.left_at_rest.append((half_spaces[k], body, -float(height[k])))
+                required[:] = np.minimum(required, np.maximum(0.0, KEPT_SHARE * height))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Travel to another process as what it was made from: MuJoCo data is made anew there."""
+        return type(self), self._arguments
+
+    def slack(self, q: Array) -> Slack:
+        """Return the slack at positions q (N, n)."""
+        nearest, (axes, anchors) = [], np.empty((2, *q.shape, 3))
+        for k, position in enumerate(q):
+            nearest.append(self._nearest_at(position))
+            axes[k], anchors[k] = self._data.xaxis[self._joints], self._data.xanchor[self._joints]
+        # Component first, (3, N, n): a cross product by hand costs a tenth of numpy's.
+        axes, anchors = axes.transpose(2, 0, 1), anchors.transpose(2, 0, 1)
+        normal = np.array([near.normal for near in nearest]).T[:, :, None]
+        point = np.array([near.point for near in nearest]).T[:, :, None]
+        lever = np.where(self._robot.is_slide, normal, cross(point - anchors, normal))
+        rates = np.sum(axes * lever, axis=0)
+        # A joint changes the distance only if it moves one body and not the other.
+        part = self._part[np.array([near.bodies for near in nearest])]
+        joint = np.arange(q.shape[1])
+        side = (joint < part[:, 1:]).astype(float) - (joint < part[:, :1])
+        return Slack(np.array([near.slack for near in nearest]), side * rates)
+
+    def slack_at(self, q: Array) -> tuple[float, Array]:
+        """Return the slack at one configuration q (n,) [m], and what each pair of parts has.
+
+        The second is (P,), the smallest slack among the pairs of each row of ``rates``, infinite
+        where a row has no pair within the horizon.
+        """
+        budget = self._free.copy()
+        return self._nearest_at(q, budget).slack, budget
+
+    def closest(self, q: Array) -> Closest:
+        """Return the tightest distance at one configuration q (n,)."""
+        near = self._nearest_at(q)
+        first, second = (self._label(body) for body in near.bodies)
+        label = f"{first} and {second}" if np.isfinite(near.distance) else ""
+        if near.space is not None:
+            label = f"{second} and {near.space.label}"
+        return Closest(near.slack, near.distance, label)
+
+    @property
+    def distances(self) -> Clearance:
+        """The same arm, with each slack the whole distance of a pair, and without half-spaces."""
+        other = copy.copy(self)
+        other._required = np.where(np.isneginf(self._required), -np.inf, 0.0)
+        other._spaces = None
+        return other
+
+    def _place(self, q: Array) -> None:
+        self._data.qpos[self._robot.qpos_index] = q
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_comPos(self._model, self._data)
+        mujoco.mj_collision(self._model, self._data)
+
+    def _contact_bodies(self) -> tuple[Array, Any]:
+        """Return distances (C,) and bodies (C, 2) of the contacts.
+
+        MuJoCo's deformable bodies have no geoms; they are infinitely far away.
+        """
+        contact = self._data.contact
+        bodies = self._body_of_geom[contact.geom.reshape(-1, 2)]
+        if not self._model.nflex:
+            return contact.dist, bodies
+        return np.where(np.all(contact.geom >= 0, axis=1), contact.dist, np.inf), bodies
+
+    def _learn_pairs(self, clearance: float) -> Mapping[str, Sequence[str]]:
+        """Settle the distance each pair has to keep, from what it has at rest, where the arm is.
+
+        Bodies of one part do not move against each other.
+        """
+        part, distances = self._part, dict[tuple[int, int], float]()
+        for distance, bodies in zip(*self._contact_bodies()):
+            a, b = sorted(int(body) for body in bodies)
+            distances[a, b] = min(distances.get((a, b), np.inf), float(distance))
+        touching = [(a, b) for (a, b), d in distances.items() if d <= 0.0 and part[a] != part[b]]
+        by_design = ContactFinder(self._robot).by_design(touching) if touching else set()
+        self._required[part[:, None] == part] = -np.inf
+        found: dict[str, list[str]] = {kind: [] for kind in ("ignored", "deep", "touching", "near")}
+        for (a, b), distance in distances.items():
+            if part[a] == part[b]:
+                continue
+            kind, required = _settled(distance, clearance, (a, b) in by_design)
+            self._required[a, b] = self._required[b, a] = required
+            apart = "apart" if distance > 0.0 else "deep"
+            if kind:
+                pair = f"{self._label(a)} and {self._label(b)}"
+                found[kind].append(f"{pair} ({1e3 * abs(distance):.2g} mm {apart})")
+        return found
+
+    def _settle_neighbours(self, rest: Array) -> Closest:
+        """Drop pairs with one joint between them that keep their distance over all its range.
+
+        Links next to each other are always near; knowing beforehand that this is harmless saves
+        most collision tests. Returns the least distance of those dropped.
+        """
+        least = np.full_like(self._required, np.inf)
+        for joint, (low, high) in enumerate(zip(*joint_ranges(self._robot))):
+            nearest = self._sweep(rest, joint, np.linspace(low, high, _NEIGHBOUR_POSTURES), least)
+            about = (high - low) / _NEIGHBOUR_POSTURES * np.linspace(-1.0, 1.0, _FINER)
+            self._sweep(rest, joint, np.clip(nearest + about, low, high), least)
+        harmless = np.isfinite(least) & (least >= self._required) & np.isfinite(self._required)
+        first, second = divmod(int(np.argmin(np.where(harmless, least, np.inf))), len(least))
+        apart = float(np.min(least[harmless], initial=np.inf))
+        label = f"{self._label(first)} and {self._label(second)}" if np.any(harmless) else ""
+        self._required[harmless | harmless.T] = -np.inf
+        return Closest(min(apart, self.horizon), apart, label)
+
+    def _sweep(self, rest: Array, joint: int, positions: Array, least: Array) -> float:
+        """Note the least distances (nbody, nbody) of pairs with just this joint between them.
+
+        Returns the position in which one of them is nearest.
+        """
+        q, nearest, at = rest.copy(), np.inf, float(rest[joint])
+        for q[joint] in positions:
+            self._place(q)
+            distance, bodies = self._contact_bodies()
+            part = np.sort(self._part[bodies], axis=1)
+            ours = (part[:, 0] == joint) & (part[:, 1] == joint + 1)
+            first, second = np.sort(bodies[ours], axis=1).T
+            np.minimum.at(least, (first, second), distance[ours])
+            here = float(np.min(distance[ours], initial=np.inf))
+            nearest, at = (here, float(q[joint])) if here < nearest else (nearest, at)
+        return at
+
+    def _nearest_at(self, q: Array, budget: Array | None = None) -> _Nearest:
+        """Return what is nearest, among contacts and half-spaces, at one configuration.
+
+        Lowers the budget (P,) of each row of ``rates`` to the least slack of its pairs.
+        """
+        self._place(q)
+        near = _Nearest(self.horizon)
+        if self._data.ncon:
+            self._add_contacts(near, budget)
+        if self._spaces is not None:
+            self._add_half_spaces(near, budget, self._spaces)
+        return near
+
+    def _add_contacts(self, near: _Nearest, budget: Array | None) -> None:
+        distance, bodies = self._contact_bodies()
+        first, second = bodies.T
+        slack = distance - self._required[first, second]
+        if budget is not None:
+            np.minimum.at(budget, self._rows[first, second], slack)
+        tightest = int(slack.argmin())
+        if slack[tightest] < near.slack:
+            contact = self._data.contact[tightest]
+            near.slack, near.distance = float(slack[tightest]), float(distance[tightest])
+            near.normal, near.point = contact.frame[:3].copy(), contact.pos.copy()
+            near.bodies = (int(bodies[tightest, 0]), int(bodies[tightest, 1]))
+
+    def _add_half_spaces(self, near: _Nearest, budget: Array | None, spaces: HalfSpaces) -> None:
+        for shape, height, lowest in spaces.heights(self._data, self.horizon):
+            body, slack = int(spaces.body[shape]), height - spaces.required[shape]
+            k = int(np.argmin(slack))
+            if budget is not None:
+                budget[self._rows[0, body]] = min(budget[self._rows[0, body]], slack[k])
+            if slack[k] < near.slack:
+                near.slack, near.distance = float(slack[k]), float(height[k])
+                near.space, near.point = spaces.spaces[k], lowest[k]
+                near.normal, near.bodies = near.space.normal, (0, body)
+
+    def _label(self, body: int) -> str:
+        return body_label(self._model, int(body))
+
+
+def _with_margin(mj_model: Any, margin: float) -> Any:
+    """Return a copy in which pairs of geoms are reported up to a distance [m]."""
+    model = copy.copy(mj_model)
+    model.geom_margin[:] = margin
+    model.geom_gap[:] = 0.0
+    # The largest margin among a body's geoms: without it the search for close bodies misses pairs.
+    model.body_margin[:] = margin
+    if model.npair:
+        model.pair_margin[:] = margin
+        model.pair_gap[:] = 0.0
+    model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    return model
+
+
+def _settled(distance: float, clearance: float, by_design: bool) -> tuple[str, float]:
+    """Return what a pair with this distance at rest is called, and the distance it has to keep."""
+    if distance > 0.0:
+        kept = KEPT_SHARE * distance
+        return ("near" if kept < clearance else ""), min(clearance, kept)
+    if by_design:
+        return "ignored", -np.inf
+    if distance < -DEEPEST_TOUCH:
+        return "deep", clearance
+    return "touching", distance - _TOUCH_ROOM
+
+
+def drop_pairs(mj_model: Any, part: Any, ignored: Any) -> None:
+    """Change a model's collision filter, in place, so that only pairs that matter are tested.
+
+    MuJoCo tests two geoms if a bit of one's ``contype`` is set in the other's ``conaffinity``.
+    Geoms that behave alike form a group with a bit of its own; the affinities then say for every
+    two groups whether they are tested. Explicit contact pairs of the model are tested as before.
+    A model with too many groups is left as it is.
+
+    Args:
+        part: (nbody,) bodies with equal numbers do not move against each other.
+        ignored: (nbody, nbody) body pairs whose distance does not matter.
+    """
+    body = mj_model.geom_bodyid
+    keys = np.stack((part[body], mj_model.geom_contype, mj_model.geom_conaffinity), axis=1)
+    groups, member = np.unique(keys, axis=0, return_inverse=True)
+    member = np.ravel(member)
+    if len(groups) > MOST_GROUPS:
+        return
+    one_way = (groups[:, 1:2] & groups[:, 2]) != 0
+    belongs = (np.arange(len(groups))[:, None] == member).astype(float)
+    matters = belongs @ (~ignored[np.ix_(body, body)]).astype(float) @ belongs.T > 0.0
+    tested = (one_way | one_way.T) & (groups[:, :1] != groups[:, 0]) & matters
+    bit = 1 << np.arange(len(groups))
+    _write(mj_model, "contype", bit[member])
+    _write(mj_model, "conaffinity", (tested @ bit)[member])
+
+
+def _write(mj_model: Any, name: str, value: Any) -> None:
+    """Give geoms new filter bits, and bodies all bits of their geoms: they are tested first."""
+    getattr(mj_model, f"geom_{name}")[:] = value
+    of_bodies = getattr(mj_model, f"body_{name}", None)
+    if of_bodies is not None:
+        of_bodies[:] = 0
+        np.bitwise_or.at(of_bodies, mj_model.geom_bodyid, value.astype(of_bodies.dtype))
+
+
+def approach_rates(robot: RobotModel, data: Any, part: Any) -> Array:
+    """Return how fast the parts (nbody,) of one arm can approach each other, (P, n).
+
+    Row a (n + 1) + b bounds the approach of parts a and b [m/s] as rates @ abs(qd); the last row
+    holds for all pairs.
+    """
+    n = robot.n_joints
+    reach, joint, pairs = _reach(robot, data, part), np.arange(n), []
+    for low, high in map(sorted, np.ndindex(n + 1, n + 1)):
+        pairs.append(np.where((low <= joint) & (joint < high), reach[:, high], 0.0))
+    return np.vstack((pairs, np.max(pairs, axis=0)))
+
+
+def _reach(robot: RobotModel, data: Any, part: Any) -> Array:
+    """Return (n, n + 1): how far part l can get from the axis of joint j; 1 for a slide's rate."""
+    n, mj_model = robot.n_joints, robot.mj_model
+    anchors = data.xanchor[mj_model.dof_jntid[robot.dof_index]]
+    travel = np.where(robot.is_slide, robot.limits.upper - robot.limits.lower, 0.0)
+    travel[~np.isfinite(travel)] = _UNLIMITED_TRAVEL
+    links = np.linalg.norm(np.diff(anchors, axis=0), axis=1) + travel[1:]
+    reach = np.zeros((n, n + 1))
+    for outer in range(1, n + 1):
+        # How far from its joint the geoms and origins of this part reach.
+        bodies, anchor = part == outer, anchors[outer - 1]
+        geoms = np.flatnonzero(bodies[mj_model.geom_bodyid])
+        centers = np.linalg.norm(data.geom_xpos[geoms] - anchor, axis=1)
+        origins = np.linalg.norm(data.xpos[bodies] - anchor, axis=1)
+        solid = np.max(centers + mj_model.geom_rbound[geoms], initial=0.0)
+        extent = max(solid, np.max(origins, initial=0.0))
+        for j in range(outer):
+            reach[j, outer] = extent + np.sum(links[j : outer - 1])
+    reach[robot.is_slide] = 1.0
+    return reach

@@ -1,0 +1,349 @@
+"""What the optimiser minimises, and one round of it: minimise, update multipliers, check or repair.
+
+The objective is a criterion of the information plus an augmented Lagrangian of the constraints.
+For constraints g <= 0 with multipliers l and weight m the penalty is
+sum (max(0, l + m g)^2 - l^2) / 2 m; between minimisations l becomes max(0, l + m g)
+(Nocedal, Wright, "Numerical Optimization", 2006, section 17.4). It leads to a feasible optimum
+without an infinite weight, so the problem stays well conditioned.
+
+Constraints hold at all times, the optimiser knows finitely many. After each round the whole motion
+is checked and times at which a limit was exceeded join the optimiser's (exchange method for
+semi-infinite programs, Hettich, Kortanek, SIAM Review 35(3), 1993, section 7). What little is still
+over a limit is taken off by shrinking the whole motion towards rest.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import Callable, NamedTuple
+
+import numpy as np
+
+from robot_sysid.errors import InputError
+from robot_sysid.motion.design.workers import is_over
+from robot_sysid.motion.information import CRITERIA, Criterion, Gradient
+from robot_sysid.motion.limit_check import excess_times, keeps_limits
+from robot_sysid.motion.options import ExcitationOptions
+from robot_sysid.motion.prediction import arm_criterion, predicted_information, visible_coordinates
+from robot_sysid.motion.problem import LIMIT_NAMES, OBSTACLE_LENGTH, ExcitationProblem
+from robot_sysid.motion.trajectories import FourierBasis, FourierTrajectory
+from robot_sysid.records import Array, Motion
+from robot_sysid.trajectory import Series, TrajectoryOptions
+
+FIRST_WEIGHT = 1.0
+WEIGHT_GROWTH = 1.5
+PLAIN_ROUNDS = 2
+"""Rounds before the weight begins to grow: the multipliers should do the work."""
+MEMORY = 20
+"""Gradient pairs L-BFGS keeps."""
+MOST_EXTRA_TIMES = 60
+_TORQUE_STEP = 1e-6
+REPAIRS = (1.0, 0.999, 0.998, 0.996, 0.992, 0.985, 0.97, 0.94, 0.9, 0.8, 0.6, 0.4, 0.2, 0.1)
+"""Factors tried until a motion keeps all limits."""
+GRID_PER_CYCLE = 25
+"""Grid points per period of the highest frequency; see docs/excitation.md for why."""
+FEWEST_GRID_POINTS = 60
+LIMIT_SHARE = 0.99
+"""Share of the limits the search uses; the rest covers peaks between grid points."""
+EXTRA_SLACK = 0.003
+"""Distance the search keeps beside the required one [m]."""
+SMOOTHING_SHARE = 0.03
+"""Share of the speed limit below which the search rounds off Coulomb friction's jump."""
+MOST_MEMORY, COPIES = 2e9, 3
+"""Most memory that a search may take [bytes], and how often each process holds its functions."""
+_WORST = 1e6
+"""Stands for an infinite criterion: the optimiser needs a number."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A trajectory on its way to the optimum.
+
+    Attributes:
+        x: (n, M) free coefficients, possibly beyond a limit.
+        multipliers: (N + E, 4 n + 2) on the grid and at the extra times (E,) [s].
+        weight: of the penalty.
+        rounds: how many are done.
+        feasible_x: (n, M) the best one so far that obeys everything, or None; and its criterion.
+    """
+
+    x: Array
+    multipliers: Array
+    extra_times: Array
+    weight: float = FIRST_WEIGHT
+    rounds: int = 0
+    feasible_x: Array | None = None
+    feasible_score: float = np.inf
+
+    @property
+    def prices(self) -> dict[str, float]:
+        """By how much the criterion falls per share that a family of limits is raised by.
+
+        The sum of a family's multipliers (Nocedal, Wright, section 12.8); of clearances per
+        ``OBSTACLE_LENGTH`` that they are smaller.
+        """
+        *joints, tool, clearance = np.sum(self.multipliers, axis=0)
+        families = np.sum(np.reshape(joints, (len(LIMIT_NAMES), -1)), axis=1)
+        found = zip((*LIMIT_NAMES, "tool speed", "clearance"), (*families, tool, clearance))
+        return {name: float(value) for name, value in found}
+
+
+def first_candidate(design: Design, x: Array) -> Candidate:
+    """Return a candidate at free coefficients x (n, M), checked against all limits."""
+    return _checked(design, unchecked_candidate(design, x))
+
+
+def unchecked_candidate(design: Design, x: Array) -> Candidate:
+    """Return a candidate at free coefficients x (n, M) of which nothing is known yet."""
+    none = np.zeros((len(design.grid), 4 * design.problem.n_joints + 2))
+    return Candidate(x, none, np.zeros(0))
+
+
+def improve(design: Design, candidate: Candidate, deadline: float = np.inf) -> Candidate:
+    """Return the candidate after one more round, or after as much of it as there was time for."""
+    from scipy.optimize import minimize
+
+    unit, shape = design.unit, candidate.x.shape
+    objective = partial(penalised, design, candidate, design.functions(candidate.extra_times))
+    reached = [candidate.x]
+
+    def function(flat: Array) -> tuple[float, Array]:
+        if is_over(deadline):
+            raise TimeoutError
+        value, gradient, _ = objective(unit * flat.reshape(shape))
+        return value, (unit * gradient).ravel()
+
+    def keep(flat: Array) -> None:
+        reached.append(unit * flat.reshape(shape))
+
+    options = {"maxiter": design.options.iterations, "maxcor": MEMORY, "maxls": 30}
+    start = (candidate.x / unit).ravel()
+    with contextlib.suppress(TimeoutError):
+        minimize(function, start, jac=True, method="L-BFGS-B", callback=keep, options=options)
+    moved = replace(candidate, x=reached[-1])
+    if not is_over(deadline):
+        grow = WEIGHT_GROWTH if candidate.rounds >= PLAIN_ROUNDS else 1.0
+        multipliers, weight = objective(moved.x)[2], grow * candidate.weight
+        moved = replace(moved, multipliers=multipliers, weight=weight, rounds=candidate.rounds + 1)
+        moved = _with_extra_times(design, moved)
+    return _checked(design, moved, deadline)
+
+
+def _with_extra_times(design: Design, candidate: Candidate) -> Candidate:
+    """Return the candidate with the times at which the whole motion exceeds a limit."""
+    plan = design.trajectory(candidate.x)
+    known, found = np.round(candidate.extra_times, 3), excess_times(design.problem, plan)
+    new = np.setdiff1d(np.round(found, 3), known)[: MOST_EXTRA_TIMES - len(known)]
+    none = np.zeros((len(new), candidate.multipliers.shape[1]))
+    return replace(
+        candidate,
+        extra_times=np.concatenate((candidate.extra_times, new)),
+        multipliers=np.vstack((candidate.multipliers, none)),
+    )
+
+
+def _checked(design: Design, candidate: Candidate, deadline: float = np.inf) -> Candidate:
+    """Return the candidate with its feasible trajectory updated, if the present one is better."""
+    for factor in REPAIRS:
+        if is_over(deadline) and candidate.feasible_x is not None:
+            break
+        x = factor * candidate.x
+        score = design.criterion_of(x)
+        if not score < candidate.feasible_score:
+            break
+        if keeps_limits(design.problem, design.trajectory(x)):
+            return replace(candidate, feasible_x=x, feasible_score=score)
+    return candidate
+
+
+class Design:
+    """Everything about one problem that does not change during the search.
+
+    Attributes:
+        for_arm: whether the motion is for all links, rotors and friction, not the last link alone.
+        unit: (M,) of each free coefficient in the optimiser's eyes [rad].
+        memory: about how much a search will hold, in all its processes [bytes].
+
+    Raises:
+        InputError: it is more than any search may hold.
+    """
+
+    def __init__(
+        self,
+        problem: ExcitationProblem,
+        options: ExcitationOptions,
+        motion: TrajectoryOptions,
+        for_arm: bool = False,
+    ) -> None:
+        self.problem, self.options, self.sample_rate = problem, options, motion.sample_rate
+        self.for_arm = for_arm
+        self.basis: FourierBasis = options.basis(motion.duration)
+        _require_sampled(self.basis, motion.sample_rate)
+        wanted = GRID_PER_CYCLE * self.basis.top_frequency_hz * self.basis.duration
+        points = max(FEWEST_GRID_POINTS, int(np.ceil(wanted)))
+        self.memory = _memory(self.basis, points, options.n_workers)
+        self.directions = self.basis.free_directions()
+        # All harmonics are alike as speeds, so L-BFGS needs fewer steps; the directions of a
+        # periodic trajectory are mixtures of harmonics.
+        alike = np.concatenate(([1.0], np.tile(1.0 / self.basis.order, 2)))
+        self.unit = alike if self.basis.fade > 0.0 else np.ones(self.n_free)
+        self.grid = (np.arange(points) + 0.5) * self.basis.duration / points
+        self.criterion: Criterion = CRITERIA[options.criterion]
+        self.coordinates = visible_coordinates(problem)
+        sigma = problem.sigma / np.sqrt(motion.duration * motion.sample_rate / points)
+        self.information = predicted_information(problem, sigma, self.coordinates, SMOOTHING_SHARE)
+
+    @property
+    def n_free(self) -> int:
+        """Number of free coefficients per joint."""
+        return self.directions.shape[1]
+
+    def trajectory(self, x: Array) -> FourierTrajectory:
+        """Return the trajectory of the free coefficients x (n, M)."""
+        return FourierTrajectory(self.basis, self.problem.rest, x @ self.directions.T)
+
+    @cached_property
+    def on_grid(self) -> Series:
+        """The functions on the grid: most of what a search holds in memory."""
+        b, db, ddb = self.basis.evaluate(self.grid)
+        return b @ self.directions, db @ self.directions, ddb @ self.directions
+
+    def functions(self, extra: Array) -> Series:
+        """Return the basis of the free coefficients, and its derivatives (N + E, M).
+
+        On the grid, and at further times (E,) [s].
+        """
+        more = (values @ self.directions for values in self.basis.evaluate(extra))
+        b, db, ddb = (np.vstack(both) for both in zip(self.on_grid, more))
+        return b, db, ddb
+
+    def motion(self, x: Array, functions: Series | None = None) -> Series:
+        """Return q, qd and qdd (N, n) of the free coefficients x (n, M), usually on the grid."""
+        b, db, ddb = functions or self.on_grid
+        return self.problem.rest + b @ x.T, db @ x.T, ddb @ x.T
+
+    def criterion_of(self, x: Array) -> float:
+        """Return the criterion of free coefficients x (n, M) alone."""
+        if self.for_arm:
+            return arm_criterion(self.problem, self.trajectory(x))
+        return self.criterion(self.information.evaluate(*self.motion(x)).information)[0]
+
+
+class Constraints(NamedTuple):
+    """Constraint values of a motion, and their gradient.
+
+    Six families in the columns of one array: position, velocity, acceleration and torque of each
+    joint and the speed of the tool as share of the limit minus one, and the slack towards obstacles
+    over a length.
+
+    Attributes:
+        value: (N, 4 n + 2) g; fulfilled where <= 0.
+        vjp: gives the gradient (N, n) of sum(weight * g) with respect to q, qd and qdd.
+    """
+
+    value: Array
+    vjp: Callable[[Array], Gradient]
+
+
+def constraints_of(
+    problem: ExcitationProblem, motion: Series, share: float = 1.0, extra_slack: float = 0.0
+) -> Constraints:
+    """Return all constraints of a motion (q, qd, qdd), each (N, n).
+
+    Args:
+        share: of the limits to use; less than 1 leaves room for peaks between grid points.
+        extra_slack: distance to keep beside the obstacles' own requirement [m].
+    """
+    moved = Motion(np.arange(float(len(motion[0]))), *motion)
+    signals, slack = problem.signals(moved), problem.obstacles.slack(moved.q)
+    allowed, towards = share * problem.limits.columns, (extra_slack - slack.value) / OBSTACLE_LENGTH
+    value = np.column_stack((np.abs(signals) / allowed - 1.0, towards))
+    return Constraints(value, partial(_vjp, problem, motion, signals, allowed, slack.gradient))
+
+
+def _vjp(
+    problem: ExcitationProblem,
+    motion: Series,
+    signals: Array,
+    allowed: Array,
+    slack_gradient: Array,
+    weight: Array,
+) -> Gradient:
+    ends = np.arange(1, 5) * problem.n_joints
+    adjoint = weight[:, :-1] * np.sign(signals) / allowed
+    q, qd, qdd, torque, fastest = np.split(adjoint, ends, axis=1)
+    q -= weight[:, -1:] * slack_gradient / OBSTACLE_LENGTH
+    _add_torque(problem, motion, np.split(signals, ends, axis=1)[3], torque, (q, qd, qdd))
+    used = np.flatnonzero(fastest)
+    if len(used):
+        tool = problem.chain.evaluate(*(part[used] for part in motion))
+        none = np.zeros_like(tool.jacobian), np.zeros_like(tool.acceleration)
+        along = problem.tool.speed_vjp(tool.velocity, fastest[used, 0])
+        for total, part in zip((q, qd, qdd), tool.vjp(none[0], along, none[1])):
+            total[used] += part
+    return q, qd, qdd
+
+
+def _add_torque(
+    problem: ExcitationProblem, motion: Series, torque: Array, adjoint: Array, totals: Gradient
+) -> None:
+    """Add the gradient through the torque by one-sided differences, at active samples only."""
+    active = np.flatnonzero(np.any(adjoint != 0.0, axis=1))
+    if len(active) == 0:
+        return
+    at = [part[active] for part in motion]
+    # The friction torque jumps where a joint reverses; a step across the jump would be noise.
+    for which, joint in np.ndindex(3, problem.n_joints):
+        step = np.where(at[which][:, joint] < 0.0, -_TORQUE_STEP, _TORQUE_STEP)
+        moved = [part.copy() for part in at]
+        moved[which][:, joint] += step
+        change = (problem.torque_at(*moved) - torque[active]) / step[:, None]
+        totals[which][active, joint] += np.sum(change * adjoint[active], axis=1)
+
+
+def penalised(
+    design: Design, candidate: Candidate, functions: Series, x: Array
+) -> tuple[float, Array, Array]:
+    """Return the objective of a round at free coefficients x (n, M), gradient and new multipliers.
+
+    Multipliers and weight are those of the candidate; the new ones (N + E, 4 n + 2) are those after
+    a minimisation that ends at x. Constraints hold where the ``functions`` are given: on the grid,
+    and at the extra times.
+    """
+    multipliers, weight, count = candidate.multipliers, candidate.weight, len(design.grid)
+    motion = design.motion(x, functions)
+    told = design.information.evaluate(*(part[:count] for part in motion))
+    criterion, slope = design.criterion(told.information)
+    constraints = constraints_of(design.problem, motion, LIMIT_SHARE, EXTRA_SLACK)
+    active = np.maximum(0.0, multipliers + weight * constraints.value)
+    penalty = float(np.sum(active**2 - multipliers**2)) / (2.0 * weight)
+    adjoints = constraints.vjp(active)
+    for adjoint, part in zip(adjoints, told.vjp(slope)):
+        adjoint[:count] += part
+    gradient = sum(a.T @ f for a, f in zip(adjoints, functions))
+    return min(criterion, _WORST) + penalty, np.asarray(gradient), active
+
+
+def _require_sampled(basis: FourierBasis, rate: float) -> None:
+    """Raise InputError where samples [Hz] cannot show the highest harmonic."""
+    if basis.top_frequency_hz > 0.5 * rate:
+        raise InputError(
+            f"--base-frequency {basis.base_frequency_hz:g}: harmonic {basis.harmonics} of it is at "
+            f"{basis.top_frequency_hz:.4g} Hz, above half the --sample-rate of {rate:g} Hz, "
+            "which samples cannot show; lower it, or leave it off"
+        )
+
+
+def _memory(basis: FourierBasis, points: int, processes: int) -> float:
+    """Return about how much a search will hold [bytes]: basis functions, three times each."""
+    held = processes * COPIES * 3.0 * 8.0 * points * basis.size
+    if held > MOST_MEMORY:
+        fewer = int(basis.harmonics * np.sqrt(MOST_MEMORY / held))
+        raise InputError(
+            f"designing {basis.harmonics} harmonics over {basis.duration:g} s would take about "
+            f"{held / 1e9:.2g} GB of memory, the most is {MOST_MEMORY / 1e9:g} GB; lower "
+            f"--harmonics to {fewer}, or make the motion shorter and repeat it"
+        )
+    return held

@@ -1,0 +1,297 @@
+"""Does a trajectory keep all limits? A dense check of the whole motion, wherever it came from.
+
+Positions, velocities, accelerations and torques are compared with their limits at 1 kHz or more.
+Clearance is checked between samples as well: two bodies approach each other no faster than
+sum_j |qd_j| rate_j, so a configuration with slack s shows that the motion is free until that sum,
+integrated over time, has used up s; only there is the next collision test needed (conservative
+advancement, Mirtich, "Impulse-based dynamic simulation of rigid body systems", 1996, ch. 2).
+
+Of a motion that repeats itself one period and both ends are all there is to check.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import chain
+
+import numpy as np
+
+from robot_sysid.motion.clearance import Clearance
+from robot_sysid.motion.obstacles import Closest
+from robot_sysid.motion.problem import OBSTACLE_LENGTH, ROUNDING, ExcitationProblem
+from robot_sysid.records import Array, Motion, MotionPlan
+from robot_sysid.trajectory import SineTrajectory, sample_times
+
+LEAST_RATE_HZ, FEW_RATE_HZ = 1000.0, 100.0
+CLEARANCE_RESOLUTION = 1e-3
+"""How exactly the reported clearance is that of the tightest moment [m]."""
+DISTANCE_RESOLUTION = 1e-4
+"""How exactly the smallest distance is known [m]."""
+EXACT_UP_TO, LEAST_EXACT = 15.0, 3e-3
+"""Duration up to which it is that exact [s]; less where longer, but never less than this [m]."""
+SMALLEST = 2.0**-9
+"""Share of a random motion below which it is not made smaller any more."""
+BISECTIONS = 4
+RESERVE = 1e-4
+"""Share of speed and acceleration limits that is left for peaks between samples."""
+FINEST_RATE_HZ = 4000.0
+"""How densely clearance is tested where it is tight."""
+WHOLE = 1e-9
+"""How near a number of samples must be to a whole one."""
+SHORTEST_PERIOD = 1.0
+"""A shorter one may have too few samples to tell [s]."""
+
+
+@dataclass(frozen=True)
+class Excess:
+    """One limit that is not kept, in words, and when it is exceeded most [s].
+
+    The share is the value over the limit (a clearance: 1 + missing distance over 0.05 m).
+    """
+
+    limit: str
+    share: float
+    time: float
+
+    def __str__(self) -> str:
+        over = 100.0 * (self.share - 1.0)
+        # Never "0.0 %": what is over by next to nothing is over all the same.
+        digits = ".1f" if over >= 0.1 else ".1g"
+        return f"{self.limit} ({over:{digits}} % over at {self.time:.2f} s)"
+
+
+@dataclass(frozen=True)
+class Peaks:
+    """Peaks of a trajectory against its limits, clearances apart.
+
+    Attributes:
+        largest, time: (4 n + 1,) largest absolute value of each of ``problem.signals``, and when
+            it is reached [s].
+        lowest, highest: (n,) positions [rad].
+    """
+
+    largest: Array
+    time: Array
+    lowest: Array
+    highest: Array
+
+    @property
+    def joints(self) -> Array:
+        """Largest distance from the middle, speed, acceleration and torque (4, n)."""
+        return self.largest[:-1].reshape(4, -1)
+
+    @property
+    def tool_speed(self) -> float:
+        """Largest speed of the tool's fastest point [m/s]."""
+        return float(self.largest[-1])
+
+
+@dataclass(frozen=True)
+class LimitCheck(Peaks):
+    """Peaks of a trajectory against all its limits.
+
+    Attributes:
+        closest: the pair with the least room left above what it has to keep, to a millimetre or
+            as exactly as below.
+        nearest: the pair that comes nearest, whatever it has to keep.
+        resolution: how exactly its distance is known: nothing comes nearer by more than this [m].
+        excesses: limits that are not kept; none for a trajectory that may be run.
+    """
+
+    closest: Closest
+    nearest: Closest
+    resolution: float
+    excesses: tuple[Excess, ...]
+
+    @property
+    def holds(self) -> bool:
+        """Whether every limit is kept."""
+        return not self.excesses
+
+    @property
+    def failure(self) -> str | None:
+        """Why the trajectory must not be run, or None."""
+        if self.holds:
+            return None
+        count = len(self.excesses)
+        limits = "" if count == 1 else f"{count} limits, first "
+        return f"this trajectory must not be run: it breaks {limits}the {self.excesses[0]}"
+
+
+def check_limits(
+    problem: ExcitationProblem, plan: MotionPlan, sample_rate: float = 0.0
+) -> LimitCheck:
+    """Check a whole trajectory that will be run at a sample rate [Hz]; at 1 kHz or more."""
+    peaks = _peaks(problem, plan, max(LEAST_RATE_HZ, sample_rate), tool=True)
+    coarser = max(1.0, checked_time(plan) / EXACT_UP_TO) ** 2
+    resolution = min(LEAST_EXACT, coarser * DISTANCE_RESOLUTION)
+    room = min(LEAST_EXACT, coarser * CLEARANCE_RESOLUTION)
+    closest = _tightest(problem.obstacles, plan, room)
+    nearest = _tightest(problem.obstacles.distances, plan, resolution)
+    excesses = list(_excesses(problem, peaks))
+    if closest.slack < 0.0:
+        share = 1.0 - closest.slack / OBSTACLE_LENGTH
+        excesses.append(Excess(f"clearance of {closest.label}", share, closest.time))
+    excesses.sort(key=lambda excess: -excess.share)
+    return LimitCheck(
+        **vars(peaks),
+        closest=closest,
+        nearest=nearest,
+        resolution=resolution,
+        excesses=tuple(excesses),
+    )
+
+
+def scaled_to_limits(
+    problem: ExcitationProblem, plan: SineTrajectory, sample_rate: float
+) -> tuple[SineTrajectory, Array]:
+    """Return a motion made small enough to keep all limits, and each joint's factor (n,).
+
+    Speed and acceleration are proportional to a joint's own motion, so they get a factor per
+    joint; torque and clearance get a common one, found by halving and then bisection. Where even
+    the smallest motion breaks a limit, that one is returned.
+
+    Args:
+        problem, sample_rate: as in ``check_limits``.
+        plan: random sinusoids.
+    """
+    rate = max(LEAST_RATE_HZ, sample_rate)
+    share = np.max((_peaks(problem, plan, rate).joints / problem.limits.largest)[1:3], axis=0)
+    factors = np.minimum(1.0, (1.0 - RESERVE) / np.maximum(share, RESERVE))
+    if keeps_limits(problem, plan.scaled(factors), rate):
+        return plan.scaled(factors), factors
+    high, low = 1.0, 0.5
+    while low > SMALLEST and not keeps_limits(problem, plan.scaled(low * factors), rate):
+        high, low = low, 0.5 * low
+    for _ in range(BISECTIONS):
+        middle = np.sqrt(low * high)
+        fits = keeps_limits(problem, plan.scaled(middle * factors), rate)
+        low, high = (middle, high) if fits else (low, middle)
+    return plan.scaled(low * factors), low * factors
+
+
+def keeps_limits(
+    problem: ExcitationProblem, plan: MotionPlan, sample_rate: float = LEAST_RATE_HZ
+) -> bool:
+    """Tell whether the whole motion keeps every limit, sampled at ``sample_rate`` [Hz]."""
+    if breaks_limits_at_few(problem, plan):
+        return False
+    broken = any(_excesses(problem, _peaks(problem, plan, sample_rate)))
+    return not broken and first_contact(problem, plan) is None
+
+
+def breaks_limits_at_few(problem: ExcitationProblem, plan: MotionPlan) -> bool:
+    """Tell whether a limit, clearances apart, is broken at a tenth of the samples of a check.
+
+    Most motions that break one break it there; those that do not have to be checked.
+    """
+    return any(_excesses(problem, _peaks(problem, plan, FEW_RATE_HZ)))
+
+
+def excess_times(problem: ExcitationProblem, plan: MotionPlan) -> Array:
+    """Return when limits are not kept [s].
+
+    Of each but clearances, when it is exceeded most; of these, where the slack, sampled at 100 Hz,
+    has a local minimum below zero.
+    """
+    found = [excess.time for excess in _excesses(problem, _peaks(problem, plan, LEAST_RATE_HZ))]
+    for span in _spans(plan):
+        time = np.concatenate(list(sample_times(plan.duration, FEW_RATE_HZ, *span)))
+        slack = problem.obstacles.slack(plan.evaluate(time).q).value
+        padded = np.pad(slack, 1, constant_values=np.inf)
+        lowest = (slack <= padded[:-2]) & (slack < padded[2:]) & (slack < 0.0)
+        found.extend(time[lowest])
+    return np.array(found)
+
+
+def first_contact(problem: ExcitationProblem, plan: MotionPlan) -> Closest | None:
+    """Return where and when a clearance is first not kept, or None."""
+    closest = _tightest(problem.obstacles, plan, np.inf, stop_below=0.0)
+    return closest if closest.slack < 0.0 else None
+
+
+def checked_time(plan: MotionPlan) -> float:
+    """Return how much of a motion has to be looked at [s]: all the rest repeats it."""
+    return float(np.sum(np.diff(_spans(plan))))
+
+
+def _spans(plan: MotionPlan, rate: float = 0.0) -> tuple[tuple[float, float], ...]:
+    """Return what has to be looked at, from when to when [s].
+
+    All of it where a period holds no whole number of samples at a rate [Hz] that matters: each
+    period then has other samples.
+    """
+    period, ends = getattr(plan, "cycle", (np.inf, 0.0))
+    short = SHORTEST_PERIOD <= period < plan.duration - 2.0 * ends
+    if not short or abs(period * rate - round(period * rate)) > WHOLE:
+        return ((0.0, plan.duration),)
+    return (0.0, period + ends), (plan.duration - ends, plan.duration)
+
+
+def _motions(
+    plan: MotionPlan, rate: float, spans: tuple[tuple[float, float], ...]
+) -> Iterator[Motion]:
+    times = (sample_times(plan.duration, rate, *span) for span in spans)
+    return map(plan.evaluate, chain.from_iterable(times))
+
+
+def _peaks(problem: ExcitationProblem, plan: MotionPlan, rate: float, tool: bool = False) -> Peaks:
+    """Return the peaks at a rate [Hz]; the tool's speed where it has a limit, or on demand."""
+    each = np.arange(4 * problem.n_joints + 1)
+    largest, time = np.zeros((2, len(each)))
+    lowest, highest = np.full((2, problem.n_joints), np.inf) * [[1.0], [-1.0]]
+    for motion in _motions(plan, rate, _spans(plan, rate)):
+        sizes = np.abs(problem.signals(motion, torque=True, tool=tool))
+        at = np.argmax(sizes, axis=0)
+        time = np.where(sizes[at, each] > largest, motion.time[at], time)
+        largest = np.maximum(largest, sizes[at, each])
+        lowest = np.minimum(lowest, np.min(motion.q, axis=0))
+        highest = np.maximum(highest, np.max(motion.q, axis=0))
+    return Peaks(largest, time, lowest, highest)
+
+
+def _excesses(problem: ExcitationProblem, peaks: Peaks) -> Iterator[Excess]:
+    share = peaks.largest / problem.limits.columns
+    # What is no number at all keeps no limit.
+    for k in np.flatnonzero(~(share <= 1.0 + ROUNDING)):
+        yield Excess(problem.signal_names[k], float(share[k]), float(peaks.time[k]))
+
+
+def _tightest(
+    obstacles: Clearance, plan: MotionPlan, resolution: float, stop_below: float = -np.inf
+) -> Closest:
+    """Return the tightest configuration and its time.
+
+    Nowhere is the slack negative without being found, nor smaller than that of the configuration
+    returned by more than the resolution [m]. An end at ``stop_below`` saves the rest of the tests.
+    """
+    best, when, at_q = np.inf, 0.0, plan.evaluate(np.zeros(1)).q[0]
+    budget, known_until = np.full(len(obstacles.rates), -np.inf), 0.0
+    for motion in _motions(plan, FINEST_RATE_HZ, _spans(plan)):
+        path = _path(motion, obstacles.rates)
+        has_jumped = motion.time[0] > known_until + 2.0 / FINEST_RATE_HZ
+        at = 0 if has_jumped else _used_up(path, budget)
+        while at < len(path) and best >= stop_below:
+            slack, room = obstacles.slack_at(motion.q[at])
+            if slack < best:
+                best, when, at_q = slack, float(motion.time[at]), motion.q[at]
+            # What can neither be negative nor lower than the lowest need not be looked at.
+            floor = best - resolution if best < 0.0 else max(0.0, best - resolution)
+            budget = path[at] + np.maximum(0.0, room - floor)
+            at = max(at + 1, _used_up(path, budget))
+        budget, known_until = budget - path[-1], motion.time[-1]
+    return replace(obstacles.closest(at_q), time=when)
+
+
+def _used_up(path: Array, budget: Array) -> int:
+    """Return the first index at which some pair may have used up its slack; len(path) if none."""
+    rows = np.flatnonzero(path[-1] >= budget)
+    return min((int(np.searchsorted(path[:, r], budget[r])) for r in rows), default=len(path))
+
+
+def _path(motion: Motion, rates: Array) -> Array:
+    """Return how much each row's pairs may have approached (N, P) [m] since just before."""
+    speed = np.abs(motion.qd) @ rates.T
+    before = np.concatenate((speed[:1], speed[:-1]))
+    return np.cumsum(np.maximum(speed, before), axis=0) / FINEST_RATE_HZ

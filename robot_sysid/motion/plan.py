@@ -1,0 +1,244 @@
+"""Which trajectory the arm moves along: random, designed, or one from a file; and its limits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from robot_sysid.errors import InputError
+from robot_sysid.model.contacts import CHECK_RATE_HZ, find_new_contacts
+from robot_sysid.motion.options import ExcitationOptions, LimitOptions, PoseOptions
+from robot_sysid.records import Motion, MotionPlan, RobotModel
+from robot_sysid.records.options import PerJoint, given_options
+from robot_sysid.records.progress import Progress
+from robot_sysid.simulator import ArmTorque
+from robot_sysid.trajectory import (
+    CHUNK,
+    TORQUE_MARGIN,
+    TrajectoryOptions,
+    generate_excitation_trajectory,
+    motion_chunks,
+    require_countable,
+    sample_count,
+)
+
+if TYPE_CHECKING:
+    from robot_sysid.motion.limit_check import LimitCheck
+    from robot_sysid.motion.problem import ExcitationProblem
+
+LONGEST_CHECKED = 86400.0
+"""Length of a motion beyond which its limits are not checked any more [s]."""
+NOTABLE_MEMORY = 2e8
+"""Memory from which on a search says beforehand how much it takes [bytes]."""
+
+
+@dataclass(frozen=True)
+class MotionRequest:
+    """What motion is asked for, and what for.
+
+    Attributes:
+        torques: "chain" or "terminal": which torques will be used.
+        noise_torque: torque noise that is expected [N m]; zero for the usual.
+        played: whether something will play the motion.
+        poses: whether it rests in poses, and in which.
+    """
+
+    trajectory: TrajectoryOptions
+    excitation: ExcitationOptions
+    limits: LimitOptions
+    torques: str = "chain"
+    noise_torque: PerJoint = 0.0
+    played: bool = False
+    poses: PoseOptions = PoseOptions()
+
+    @property
+    def is_checked(self) -> bool:
+        """Whether the motion has to keep all limits: it is played or kept, or limits were given."""
+        plan, asked = self.trajectory, {given.key for given in given_options(self.limits)}
+        kept = plan.plan_only or plan.save is not None or plan.file is not None
+        return self.played or kept or self.is_designed or bool(asked - {"max_velocity"})
+
+    @property
+    def is_designed(self) -> bool:
+        """Whether a trajectory is to be designed."""
+        return self.excitation.kind == "optimal"
+
+
+@dataclass(frozen=True)
+class CheckedPlan:
+    """A trajectory, and what checking it found.
+
+    The problem is the arm and the limits it has to keep; None where nothing plays it.
+    """
+
+    plan: MotionPlan
+    problem: ExcitationProblem | None = None
+    check: LimitCheck | None = None
+
+    @property
+    def failure(self) -> str | None:
+        """Why the trajectory must not be run, or None."""
+        return None if self.check is None else self.check.failure
+
+
+def make_plan(
+    request: MotionRequest, robot: RobotModel, seed: int, progress: Progress
+) -> CheckedPlan:
+    """Return the trajectory of a run, checked where anything depends on its limits."""
+    options = request.trajectory
+    if request.is_checked and options.file is None:
+        _require_checkable(options.duration / options.speed)
+    made = _new_plan(request, robot, seed, progress)
+    if options.speed != 1.0:
+        from robot_sysid.motion.trajectory_files import at_speed
+
+        made = CheckedPlan(at_speed(made.plan, options.speed), made.problem)
+    require_countable(made.plan.duration, options.sample_rate, "--sample-rate")
+    if made.problem is None:
+        for contact in find_new_contacts(robot, _counted(made.plan, progress)):
+            progress.note(f"{contact} along this trajectory; do not play it on the arm")
+        return made
+    _require_checkable(made.plan.duration)
+    from robot_sysid.motion.limit_check import check_limits
+
+    for note in () if request.is_designed else made.problem.notes:
+        progress.note(note)
+    check = made.check or check_limits(made.problem, made.plan, options.sample_rate)
+    return replace(made, check=check)
+
+
+def _require_checkable(duration: float) -> None:
+    """Raise InputError where going along the whole motion [s] would take hours."""
+    if not duration <= LONGEST_CHECKED:
+        raise InputError(
+            f"a motion of {duration:.3g} s takes too long to check against all limits; make it at "
+            f"most {LONGEST_CHECKED:g} s long"
+        )
+
+
+def _new_plan(
+    request: MotionRequest, robot: RobotModel, seed: int, progress: Progress
+) -> CheckedPlan:
+    """Return the trajectory with the limits it has to keep; checked where making it took that."""
+    options = request.trajectory
+    if options.file is not None:
+        progress.stage(f"Loading excitation trajectory from {options.file}...")
+        return _loaded(request, robot, progress)
+    what = "Designing" if request.is_designed else "Generating"
+    rate = f"{options.sample_rate:g} Hz"
+    if request.poses.static:
+        progress.stage(f"Choosing {request.poses.poses} poses to rest in...")
+    elif request.poses.sets_its_time:
+        progress.stage("Looking for room to sweep each joint in...")
+    else:
+        progress.stage(f"{what} excitation trajectory ({options.duration:.1f}s, {rate})...")
+    if options.seed is None:
+        progress.stage(f"Random seed: {seed} (--seed {seed} repeats this run)")
+    make = _designed if request.is_designed else _random
+    make = _slow if request.poses.sets_its_time else make
+    return make(request, robot, np.random.default_rng(seed), progress)
+
+
+def _loaded(request: MotionRequest, robot: RobotModel, progress: Progress) -> CheckedPlan:
+    from robot_sysid.motion.trajectory_files import load_trajectory
+
+    assert request.trajectory.file is not None
+    saved = load_trajectory(request.trajectory.file)
+    saved.require_fits(robot.joint_names)
+    if saved.sha256 not in ("", robot.sha256):
+        progress.note(
+            f"{request.trajectory.file} was made for another model file; it is checked against "
+            f"the limits of {robot.path}"
+        )
+    return CheckedPlan(saved.plan, _problem(request, robot))
+
+
+def _random(
+    request: MotionRequest, robot: RobotModel, rng: np.random.Generator, progress: Progress
+) -> CheckedPlan:
+    rate = request.trajectory.sample_rate
+    # Ends on a sample, so that the last one is at rest.
+    duration = (sample_count(request.trajectory.duration, rate) - 1) / rate
+    problem = _problem(request, robot) if request.is_checked else None
+    arm = robot
+    if problem is not None:
+        torque, qpos = problem.limits.torque / TORQUE_MARGIN, robot.reference_qpos.copy()
+        qpos[robot.qpos_index] = problem.rest
+        arm = replace(robot, limits=replace(robot.limits, torque=torque), reference_qpos=qpos)
+    plan, notes = generate_excitation_trajectory(arm, rng, duration, ArmTorque(robot))
+    for note in notes:
+        progress.note(note)
+    if problem is None:
+        return CheckedPlan(plan)
+    from robot_sysid.motion.limit_check import scaled_to_limits
+
+    smaller, factors = scaled_to_limits(problem, plan, rate)
+    if np.min(factors) < 1.0:
+        share, joint = 100.0 * np.min(factors), robot.joint_names[int(np.argmin(factors))]
+        progress.note(
+            f"motion scaled down to keep all limits and clearances, most at {joint}: {share:.3g} %"
+        )
+    return CheckedPlan(smaller, problem)
+
+
+def _slow(
+    request: MotionRequest, robot: RobotModel, rng: np.random.Generator, progress: Progress
+) -> CheckedPlan:
+    from robot_sysid.motion.static import design_poses, design_sweeps
+
+    problem = _problem(request, robot)
+    if request.poses.static:
+        return CheckedPlan(design_poses(problem, request.poses, rng), problem)
+    return CheckedPlan(design_sweeps(problem), problem)
+
+
+def _designed(
+    request: MotionRequest, robot: RobotModel, rng: np.random.Generator, progress: Progress
+) -> CheckedPlan:
+    from robot_sysid.motion.design.optimise import Design
+    from robot_sysid.motion.design.search import check_time, design_excitation
+
+    problem, for_arm = _problem(request, robot), request.poses.purpose == "arm"
+    design = Design(problem, request.excitation, request.trajectory, for_arm)
+    if design.memory > NOTABLE_MEMORY:
+        progress.note(f"the search will hold about {design.memory / 1e9:.1f} GB of memory")
+    if (seconds := check_time(design)) > request.excitation.time_budget:
+        progress.note(
+            f"checking the limits of so long a motion takes about {seconds:.0f} s, more than "
+            "--excitation-time-budget"
+        )
+
+    result = design_excitation(design, rng, progress)
+    for note in result.notes:
+        progress.note(note)
+    gain, name = result.start_objective / result.objective, request.excitation.criterion
+    if not for_arm:
+        progress.detail(
+            f"Criterion {name}: {result.objective:.4g}, {gain:.2f} times better than the best of "
+            f"{result.n_feasible} feasible random trajectories"
+        )
+    return CheckedPlan(result.trajectory, problem, result.limit_check)
+
+
+def _problem(request: MotionRequest, robot: RobotModel) -> ExcitationProblem:
+    """Return the arm with all limits; of a new motion, its band limits the accelerations too."""
+    from robot_sysid.motion.problem import DEFAULT_NOISE_TORQUE, build_problem
+    from robot_sysid.motion.static import startable
+
+    is_new, basis = request.trajectory.file is None, request.excitation.basis
+    band = basis(request.trajectory.duration).top_frequency_hz if is_new else None
+    noise = request.noise_torque if np.all(request.noise_torque) else DEFAULT_NOISE_TORQUE
+    problem = build_problem(robot, request.limits, request.torques, noise, band)
+    return startable(problem) if is_new else problem
+
+
+def _counted(plan: MotionPlan, progress: Progress) -> Iterator[Motion]:
+    """Yield the motion that is checked for contacts, and tell how far it is."""
+    total = math.ceil(sample_count(plan.duration, CHECK_RATE_HZ) / CHUNK)
+    for done, motion in enumerate(motion_chunks(plan, CHECK_RATE_HZ), start=1):
+        yield motion
+        progress.advance("Looking for contacts", done, total, "")

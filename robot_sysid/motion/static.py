@@ -1,0 +1,351 @@
+"""Motions that are slow, or at rest: starts, resting poses for payloads, sweeps for friction.
+
+A new motion starts at rest as the model has it, or where the motors can hold the arm.
+
+At rest a payload's torque is linear in [m, hx, hy, hz]. Out of many poses within the limits those
+are picked one by one that make det(sum_k Y_k^T Y_k) largest (a greedy D-optimal design; Pukelsheim,
+"Optimal Design of Experiments", 2006, ch. 12). Each is then approached from below and from above,
+in all joints at once, so that dry friction holds the arm once from either side.
+
+For friction alone one joint after the other goes slowly back and forth. At constant speed nothing
+but friction and gravity acts on it, and gravity is the same on the way there and back. The speeds
+are a geometric series, because friction bends most where it is slow; they go up and down again, so
+that friction that changes with time does not look like one of speed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import islice
+
+import numpy as np
+
+from robot_sysid.dynamics.kinematics import ChainKinematics
+from robot_sysid.errors import InputError
+from robot_sysid.motion.limit_check import first_contact, keeps_limits
+from robot_sysid.motion.options import FEWEST_POSES, PoseOptions
+from robot_sysid.motion.problem import ExcitationProblem
+from robot_sysid.motion.trajectories import (
+    PEAK_ACCELERATION,
+    PEAK_OF_RAMP,
+    PEAK_SPEED,
+    LineTrajectory,
+    straight_way,
+)
+from robot_sysid.records import Array, MotionPlan
+from robot_sysid.regressor import joint_regressor
+from robot_sysid.trajectory import TORQUE_MARGIN
+
+STARTS, PARENTS = 1000, 50
+"""Poses that are tried at a time; and how many of the lightest get others near them."""
+SPREADS = (0.1, 0.05, 0.02, 0.01, 0.005)
+"""How near, one after the other, as share of the joints' ranges."""
+EASY_SHARE = 0.8
+"""Share of the torque limits up to which moving off leaves room for a motion."""
+CREEP = 1e-3
+"""Speed at which there is dry friction and hardly anything else [rad/s or m/s]."""
+MOST_WAYS = 50
+"""Poses of which the way there is looked at, in the hope of a free one."""
+
+APPROACH = 0.05
+"""From how far a pose is approached [rad or m]."""
+GENTLE = 0.6
+"""Speed that no joint exceeds between poses, however fast it could be [rad/s or m/s]."""
+SHORTEST_MOVE, RESERVE = 0.6, 1.05
+"""Shortest way between two points [s], and how much longer than needed each takes."""
+CANDIDATES, PLACES_ON_A_WAY = 3000, 24
+_MOST_SLOWER, _SLOWER = 12, 1.25
+_TINY = 1e-6
+
+SLOWEST, FASTEST = 0.02, 1.0
+"""Speeds of the first and the last sweep [rad/s]; the last is lower where limits ask for it."""
+SPEEDS, CRUISE = 6, 0.8
+"""How many speeds, and how long each is held at a time [s] where the joint has room."""
+SHARE = 0.8
+"""Share of the limits of speed and acceleration that sweeps use."""
+SHORTEST_RAMP = 0.15
+WIDEST, LEAST_ROOM = 1.0, 0.02
+"""Farthest that a joint leaves its rest position, and way below which it is not swept [rad]."""
+_STEP, _MOST_SMALLER, _SMALLER = 0.01, 8, 0.7
+
+
+def startable(problem: ExcitationProblem) -> ExcitationProblem:
+    """Return the problem with a start where the arm touches nothing and its motors can hold it.
+
+    The model's own pose where that will do, else one near it, which a note then says.
+
+    Raises:
+        InputError: no pose is free of collisions and held; says which bodies, or which joint.
+    """
+    collisions = problem.obstacles.at_rest["deep"]
+    share = _needed(problem, problem.rest[None])[0]
+    worst = int(np.argmax(share))
+    if share[worst] < 1.0 and not collisions:
+        return problem
+    if collisions:
+        reason = f"at rest the model is in a collision: {'; '.join(collisions)}"
+        remedy = (
+            "choose another start with --keyframe or in the model, or write <exclude body1= "
+            "body2=> under its <contact> if these parts cannot meet"
+        )
+    else:
+        reason = _too_heavy(problem, worst, share[worst])
+        joint = problem.joint_names[worst]
+        remedy = f"give --ignore-torque-limit {joint} if the joint can carry it"
+    # One that is held and touches nothing, if possible with a free way there.
+    found = list(islice(_held(problem), MOST_WAYS))
+    free = (pose for pose in found if contact_on_the_way(problem, pose) is None)
+    start = next(free, found[0] if found else None)
+    if start is None:
+        tried = STARTS * (1 + len(SPREADS))
+        raise InputError(
+            f"no trajectory is feasible: {reason}, and none of {tried} other poses within the "
+            f"limits is held by all joints and touches nothing; {remedy}"
+        )
+    note = f"{reason}; the motion starts and ends at another pose"
+    return replace(problem, rest=start, notes=(*problem.notes, note))
+
+
+def contact_on_the_way(problem: ExcitationProblem, start: Array) -> str | None:
+    """Say between what a clearance is not kept on the way from the model's pose to ``start`` (n,).
+
+    Straight in joint space; None where the way is free.
+    """
+    touched = first_contact(problem, straight_way(problem.robot.reference, start))
+    return None if touched is None else touched.label
+
+
+def _needed(problem: ExcitationProblem, poses: Array) -> Array:
+    """Return the share (N, n) of torque limits to hold poses (N, n), or to creep off either way."""
+    return np.max([_share(problem, poses, speed) for speed in (0.0, CREEP, -CREEP)], axis=0)
+
+
+def _share(problem: ExcitationProblem, poses: Array, speed: float = 0.0) -> Array:
+    return np.asarray(np.abs(problem.torque_at(poses, speed)) / problem.limits.torque)
+
+
+def _too_heavy(problem: ExcitationProblem, worst: int, share: float) -> str:
+    name, allowed = problem.joint_names[worst], problem.limits.torque[worst]
+    unit = "N·m" if np.any(problem.chain.screws[:3, worst]) else "N"
+    still = float(_share(problem, problem.rest[None])[0, worst])
+    what = "holding still" if still >= 1.0 else "moving off against gravity and dry friction"
+    return (
+        f"{what} takes {(still if still >= 1.0 else share) * allowed:.3g} {unit} at joint {name}, "
+        f"more than {100.0 * TORQUE_MARGIN:.0f} % of its torque limit of "
+        f"{allowed / TORQUE_MARGIN:g}"
+    )
+
+
+def _held(problem: ExcitationProblem) -> Iterator[Array]:
+    """Yield poses (n,) that keep torque limits and clearances: easy ones first, then near ones.
+
+    They are tried from near the model's to anywhere, more of them where holding is easy, with a
+    fixed set of random numbers, so that the start does not depend on any seed.
+    """
+    lower, upper, rng = problem.limits.lower, problem.limits.upper, np.random.default_rng(0)
+    anywhere = rng.uniform(lower, upper, (STARTS, problem.n_joints))
+    nearness = np.linspace(1.0 / STARTS, 1.0, STARTS)[:, None]
+    poses = problem.rest + nearness * (anywhere - problem.rest)
+    for spread in SPREADS:
+        lightest = np.argsort(np.max(_needed(problem, poses), axis=1))[:PARENTS]
+        moved = rng.normal(size=(STARTS, problem.n_joints)) * spread * (upper - lower)
+        near = np.repeat(poses[lightest], STARTS // PARENTS, axis=0) + moved
+        poses = np.vstack((poses, np.clip(near, lower, upper)))
+    share = np.max(_needed(problem, poses), axis=1)
+    far = np.max(np.abs(poses - problem.rest) / (upper - lower), axis=1)
+    for k in np.lexsort((far, share > EASY_SHARE)):
+        if share[k] < 1.0 and problem.obstacles.slack_at(poses[k])[0] >= 0.0:
+            yield poses[k]
+
+
+def _fits(problem: ExcitationProblem, poses: Array) -> Array:
+    """Tell of poses (N, n) whether at rest there nothing is touched or overloaded (N,)."""
+    held = np.all(np.abs(problem.torque_at(poses)) <= problem.limits.torque, axis=1)
+    return held & (np.asarray(problem.obstacles.slack(poses).value) >= 0.0)
+
+
+def design_poses(
+    problem: ExcitationProblem, options: PoseOptions, rng: np.random.Generator
+) -> LineTrajectory:
+    """Return a motion through informative poses that keeps all limits.
+
+    Raises:
+        InputError: there are too few poses that can be reached.
+    """
+    # Random poses that leave room to approach them from both sides.
+    lower, upper = problem.limits.lower + 2.0 * APPROACH, problem.limits.upper - 2.0 * APPROACH
+    lower, upper = np.minimum(lower, problem.rest), np.maximum(upper, problem.rest)
+    poses = lower + rng.uniform(size=(CANDIDATES, problem.n_joints)) * (upper - lower)
+    sides = (-APPROACH, 0.0, APPROACH)
+    poses = poses[np.all([_fits(problem, poses + side) for side in sides], axis=0)]
+    chosen = _chosen(problem, poses, _gravity_rows(problem, poses), options.poses)
+    if len(chosen) < FEWEST_POSES:
+        raise InputError(
+            f"only {len(chosen)} of {len(poses)} poses within the limits can be reached in "
+            f"straight lines, --static needs {FEWEST_POSES}; widen --workspace or the limits"
+        )
+    for slower in _SLOWER ** np.arange(_MOST_SLOWER):
+        plan = _through(problem, chosen, options.dwell, slower)
+        if keeps_limits(problem, plan):
+            break
+    return plan
+
+
+def _gravity_rows(problem: ExcitationProblem, poses: Array) -> Array:
+    """Return (K, n, 4) torques per [m, hx, hy, hz] of a payload at rest, scaled by noise."""
+    still = np.zeros_like(poses)
+    motion = ChainKinematics(problem.robot).evaluate(poses, still, still)
+    every = joint_regressor(motion, range(problem.n_joints)).transpose(1, 0, 2)
+    length = problem.scale[1] / problem.scale[0]
+    sigma = np.full(problem.n_joints, np.inf)
+    sigma[list(problem.rows)] = problem.sigma
+    return every[:, :, :4] / sigma[:, None] * np.array([1.0, length, length, length])
+
+
+def _chosen(problem: ExcitationProblem, poses: Array, rows: Array, count: int) -> list[Array]:
+    """Return poses in the order of visiting, each next to the one before by a free way."""
+    information = _TINY * np.eye(4)
+    left = np.ones(len(poses), dtype=bool)
+    picked: list[Array] = []
+    here = problem.rest
+    normal = np.einsum("kja,kjb->kab", rows, rows)
+    while len(picked) < count and np.any(left):
+        gain = np.where(left, np.linalg.slogdet(information + normal)[1], -np.inf)
+        best = int(np.argmax(gain))
+        left[best] = False
+        if _is_free(problem, here, poses[best]):
+            picked.append(poses[best])
+            information = information + normal[best]
+            here = poses[best]
+    while picked and not _is_free(problem, picked[-1], problem.rest):
+        picked.pop()
+    return picked
+
+
+def _is_free(problem: ExcitationProblem, start: Array, end: Array) -> bool:
+    """Tell whether the ways to both sides of a pose keep the clearances."""
+    share = np.linspace(0.0, 1.0, PLACES_ON_A_WAY)[:, None]
+    way = start + share * (end - APPROACH - start)
+    around = end + np.linspace(-APPROACH, APPROACH, 3)[:, None]
+    slack = problem.obstacles.slack(np.concatenate((way, around))).value
+    return bool(np.min(slack) >= 0.0)
+
+
+def _through(
+    problem: ExcitationProblem, poses: list[Array], dwell: float, slower: float
+) -> LineTrajectory:
+    """Return the motion: to below a pose, rest in it, to above it, rest in it again, and on."""
+    points, dwells = [problem.rest], [0.0]
+    for pose in poses:
+        points += [pose - APPROACH, pose, pose + APPROACH, pose]
+        dwells += [0.0, dwell, 0.0, dwell]
+    points.append(problem.rest)
+    dwells.append(0.0)
+    steps, limits = np.abs(np.diff(points, axis=0)), problem.limits
+    by_speed = PEAK_SPEED * steps / np.minimum(limits.velocity, GENTLE)
+    by_acceleration = np.sqrt(PEAK_ACCELERATION * steps / limits.acceleration)
+    times = np.maximum(np.max(np.maximum(by_speed, by_acceleration), axis=1), SHORTEST_MOVE)
+    return LineTrajectory(np.array(points), slower * RESERVE * times, np.array(dwells))
+
+
+def pose_lines(problem: ExcitationProblem, plan: MotionPlan) -> list[str]:
+    """Return what the poses promise of a payload's mass, from noise alone."""
+    assert isinstance(plan, LineTrajectory)
+    rests = plan.points[plan.dwells > 0.0][::2]
+    rows = _gravity_rows(problem, rests).reshape(-1, 4)
+    # The payload is a difference of two recordings, each the mean of two rests.
+    covariance = np.linalg.pinv(rows.T @ rows)
+    return [
+        f"{len(rests)} poses, each approached from both sides, {plan.duration:.0f} s.",
+        f"Where the mean torque of a rest is known to {float(np.mean(problem.sigma)):.2g} N·m, "
+        f"empty and loaded recordings of them show a payload's mass to "
+        f"{float(np.sqrt(covariance[0, 0])):.2g} kg.",
+    ]
+
+
+def design_sweeps(problem: ExcitationProblem) -> LineTrajectory:
+    """Return a motion that sweeps every joint that has room, within all limits.
+
+    Raises:
+        InputError: no joint can move.
+    """
+    wide, share = np.array([_free_way(problem, joint) for joint in range(problem.n_joints)]), 1.0
+    for _ in range(_MOST_SMALLER):
+        plan = _swept(problem, share * wide, share)
+        if keeps_limits(problem, plan):
+            break
+        share *= _SMALLER
+    return plan
+
+
+def sweep_lines(problem: ExcitationProblem, plan: MotionPlan) -> list[str]:
+    """Return which joints are swept how fast, and which have no room."""
+    assert isinstance(plan, LineTrajectory)
+    fastest = np.max(np.abs(plan.speeds), axis=0)
+    names = problem.joint_names
+    swept = [f"{name} {speed:.2g}" for name, speed in zip(names, fastest) if speed > 0.0]
+    still = [name for name, speed in zip(names, fastest) if speed == 0.0]
+    lines = [
+        f"{len(swept)} joints swept at constant speeds, in {plan.duration:.0f} s; fastest in "
+        f"rad/s: {', '.join(swept)}."
+    ]
+    if still:
+        lines.append(f"No room to sweep {', '.join(still)}: nothing is learnt of their friction.")
+    return lines
+
+
+def _free_way(problem: ExcitationProblem, joint: int) -> Array:
+    """Return how far (2,) a joint may go down (negative) and up from rest, the others resting."""
+    found = np.zeros(2)
+    ends = problem.limits.lower[joint], problem.limits.upper[joint]
+    for side, (sign, end) in enumerate(zip((-1.0, 1.0), ends)):
+        room = min(abs(end - problem.rest[joint]), WIDEST)
+        steps = np.arange(0.0, max(room, _STEP), _STEP)
+        at = np.tile(problem.rest, (len(steps), 1))
+        at[:, joint] += sign * steps
+        fits = _fits(problem, at)
+        free = len(steps) if np.all(fits) else int(np.argmin(fits))
+        found[side] = sign * max(free - 1, 0) * _STEP
+    return found
+
+
+def _swept(problem: ExcitationProblem, wide: Array, share: float) -> LineTrajectory:
+    """Return the sweeps of all joints; ``wide`` (n, 2) is how far each may go."""
+    points, speeds = [problem.rest], [0.0]
+    for joint, (down, up) in enumerate(wide):
+        if up - down < LEAST_ROOM:
+            continue
+        along = np.eye(problem.n_joints)[joint]
+        fastest = SHARE * share * min(problem.limits.velocity[joint], FASTEST / SHARE)
+        rising = np.geomspace(min(SLOWEST, 0.5 * fastest), fastest, SPEEDS)
+        for speed in (*rising, *rising[::-1]):
+            half = 0.5 * min(speed * CRUISE, up - down)
+            middle = np.clip(0.0, down + half, up - half)
+            ends = (middle - half, middle + half, middle - half)
+            points += [problem.rest + end * along for end in ends]
+            speeds += [speed] * len(ends)
+        points.append(problem.rest)
+        speeds.append(fastest)
+    if len(points) == 1:
+        raise InputError(
+            "no joint has room to be swept at rest; widen the limits, or choose another rest "
+            "position with --keyframe"
+        )
+    return _timed(problem, np.array(points), np.array(speeds[1:]), share)
+
+
+def _timed(
+    problem: ExcitationProblem, points: Array, speeds: Array, share: float
+) -> LineTrajectory:
+    """Return the motion along lines at speeds (P - 1,), shorter ways at what is needed for them."""
+    ways = np.diff(points, axis=0)
+    kept = np.any(ways != 0.0, axis=1)
+    points, ways, speeds = points[np.append(True, kept)], ways[kept], speeds[kept]
+    joint = np.argmax(np.abs(ways), axis=1)
+    length = np.max(np.abs(ways), axis=1)
+    hardest = SHARE * share * problem.limits.acceleration[joint]
+    ramps = np.maximum(PEAK_OF_RAMP * speeds / hardest, SHORTEST_RAMP)
+    # Speed v over a way s takes s / v + ramp; where ramps do not fit, the way is ramps alone.
+    moves = np.maximum(length / speeds + ramps, 2.0 * ramps)
+    return LineTrajectory(points, moves, np.zeros(len(points)), ramps)

@@ -1,0 +1,27 @@
+"""One arm with a right log, which the tests of all checks spoil."""
+
+from __future__ import annotations
+
+import pytest
+
+from robot_sysid.diagnosis.evidence import evidence_of
+from robot_sysid.diagnosis.model_fit import ModelFit
+from tests.support import arms
+from tests.support.wrong_logs import truth_of
+
+ARM = arms.serial_arm(arms.SEVEN_AXES[:5], joint='range="-2.5 2.5" armature=".02"')
+
+
+@pytest.fixture(scope="session")
+def truth():
+    return truth_of(arms.robot_of(ARM), seed=3)
+
+
+@pytest.fixture(scope="session")
+def evidence(truth):
+    return evidence_of(truth.robot, [truth.log])
+
+
+@pytest.fixture(scope="session")
+def fit(evidence):
+    return ModelFit(evidence)

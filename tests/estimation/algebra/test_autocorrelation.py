@@ -1,0 +1,129 @@
+"""Sums over lags and kernels, against their definitions written out as dense matrices."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_sysid.estimation.algebra.autocorrelation import collect_residuals, joint_residuals
+from robot_sysid.estimation.algebra.information import InformationAccumulator
+from robot_sysid.estimation.algebra.robust import THRESHOLD
+from tests.benchmarks.smooth_arm import remembering_noise
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def collected(rows, residual):
+    width = rows.shape[1]
+    return joint_residuals(np.arange(width), 0.1 * np.eye(width), rows, residual)
+
+
+@given(SEEDS)
+def test_kernel_sums_are_those_of_the_dense_kernels(seed):
+    rng = np.random.default_rng(seed)
+    rows = rng.normal(size=(80, 3))
+    found = collected(rows, rng.normal(size=80))
+    lag = np.abs(np.subtract.outer(np.arange(80), np.arange(80)))
+    np.testing.assert_allclose(found.sums[0], rows.T @ rows, rtol=0.0, atol=1e-11)
+    for decay, total in zip(found.decay, found.sums[1:]):
+        np.testing.assert_allclose(total, rows.T @ decay**lag @ rows, rtol=0.0, atol=1e-10)
+
+
+def test_lagged_products_are_means_over_the_pairs_that_exist():
+    rng = np.random.default_rng(0)
+    residual = rng.normal(size=60)
+    residual[[5, 6, 30]] = np.nan
+    found = collected(np.ones((60, 1)), residual)
+    assert found.count == 57
+    for lag, product in zip(found.lags, found.products):
+        pairs = residual[: 60 - lag] * residual[lag:]
+        assert product == pytest.approx(np.nanmean(pairs), abs=1e-12)
+
+
+@pytest.mark.parametrize("memory", [0.0, 4.0, 20.0, 50.0])
+def test_effective_samples_of_noise_with_a_known_memory(memory):
+    rng = np.random.default_rng(1)
+    count = 40_000
+    residual = remembering_noise(rng, count, 1, memory)[:, 0]
+    found = collected(np.zeros((count, 1)), residual)
+    kernels = found.fit(np.zeros((1, 1)), 0.0)
+    decay = np.exp(-1.0 / memory) if memory else 0.0
+    expected = count * (1.0 - decay) / (1.0 + decay)
+    assert np.all(kernels >= 0.0)
+    assert np.sum(kernels) == pytest.approx(1.0, rel=0.1)
+    assert found.effective_samples(kernels) == pytest.approx(expected, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("threshold", "variance"),
+    # E psi^2 / (E psi')^2 of the standard normal, worked by hand from its density and its integral;
+    # 1.345 is the threshold of 95 % efficiency.
+    [(THRESHOLD, 1.0 / 0.95), (0.5, 1.2625), (np.inf, 1.0)],
+)
+def test_cut_residuals_count_as_the_errors_of_hubers_estimate(threshold, variance):
+    """They carry less of each error into the estimate, so its variance is divided by a square."""
+    rng = np.random.default_rng(3)
+    count, sigma = 400_000, 0.2
+    rows, tau = np.ones((count, 1)), 7.0 + sigma * rng.normal(size=count)
+    information = InformationAccumulator("a", ["j"], [np.array([0])])
+    information.add(0, rows, tau)
+    (found,) = collect_residuals(
+        information.result(),
+        [(0, rows, tau)],
+        np.array([7.0]),
+        np.array([threshold * sigma]),
+        np.zeros((1, 1)),
+        np.ones(1),
+    )
+    assert found.products[0] == pytest.approx(variance * sigma**2, rel=0.01)
+
+
+def test_silence_is_not_an_error():
+    found = collected(np.ones((50, 2)), np.zeros(50))
+    kernels = found.fit(0.01 * np.eye(2), 0.0)
+    np.testing.assert_array_equal(kernels, 0.0)
+    assert found.effective_samples(kernels) == 50.0
+
+
+def test_an_absorbed_share_is_that_of_the_dense_projection():
+    rng = np.random.default_rng(2)
+    rows = np.column_stack((np.ones(70), np.linspace(-1.0, 1.0, 70), rng.normal(size=70)))
+    own = np.linalg.inv(rows.T @ rows)
+    found = collected(rows, rng.normal(size=70))
+    hat = rows @ own @ rows.T
+    lag = np.abs(np.subtract.outer(np.arange(70), np.arange(70)))
+    kernels = [np.eye(70), *(decay**lag for decay in found.decay)]
+    rest = np.eye(70) - hat
+    expected = [1.0 - np.trace(rest @ kernel @ rest) / 70.0 for kernel in kernels]
+    np.testing.assert_allclose(found.absorbed(own), np.clip(expected, 0.0, 0.8), atol=1e-10)
+
+
+SUMS = ("count", "sums", "products", "hats", "pairs")
+
+
+def one_log(rng, count, to_add=True):
+    root = 0.1 * np.eye(2)
+    rows, residual = rng.normal(size=(count, 2)), rng.normal(size=count)
+    residual[:: int(rng.integers(5, 50))] = np.nan
+    return joint_residuals(np.arange(2), root, rows, residual, to_add)
+
+
+@given(SEEDS)
+def test_sums_of_logs_are_means_over_the_pairs_of_all(seed):
+    rng = np.random.default_rng(seed)
+    one, two, three = (one_log(rng, int(rng.integers(30, 400))) for _ in range(3))
+    whole, again = (one + two) + three, one + (two + three)
+    for name in SUMS:
+        np.testing.assert_allclose(getattr(whole, name), getattr(again, name), atol=1e-11)
+    total = sum(log.products * log.pairs for log in (one, two, three))
+    np.testing.assert_allclose(whole.products * whole.pairs, total, atol=1e-10)
+
+
+@given(SEEDS, st.integers(10, 3000))
+def test_what_was_kept_to_add_becomes_what_one_log_says(seed, count):
+    alone, kept = (one_log(np.random.default_rng(seed), count, keep) for keep in (False, True))
+    shorter = kept.shortened()
+    for name in (*SUMS, "decay", "lags"):
+        np.testing.assert_allclose(getattr(shorter, name), getattr(alone, name), atol=1e-10)

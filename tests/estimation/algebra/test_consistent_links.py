@@ -1,0 +1,197 @@
+"""The fit of all links at once: laws of its minimiser on small random problems."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.errors import SysidError
+from robot_sysid.estimation.algebra import consistent_links
+from robot_sysid.estimation.algebra.cones import ScaledCone
+from robot_sysid.estimation.algebra.consistent_links import ConsistentLinks, LinksProblem
+from tests.support import arms
+
+LINKS, FRICTION = 2, 3
+SIZE = 10 * LINKS + FRICTION
+SEEDS = st.integers(0, 2**31 - 1)
+
+
+@st.composite
+def links(draw):
+    """theta of a link of an arm: 0.1 to 20 kg, 1 to 30 cm."""
+    rng = np.random.default_rng(draw(SEEDS))
+    gyration = 10.0 ** rng.uniform(-2.0, -0.5, 3)
+    rotation = arms.random_rotation(rng)
+    mass = 10.0 ** rng.uniform(-1.0, 1.3)
+    second = mass * rotation @ np.diag(gyration**2) @ rotation.T
+    inertia = np.trace(second) * np.eye(3) - second
+    return spatial.theta_from_com(mass, 0.1 * rng.normal(size=3), inertia)
+
+
+def problem_of(prior, weights=(0.0, 0.0)):
+    """Links, and three friction terms."""
+    places = tuple(10 * k + np.arange(10) for k in range(len(prior)))
+    values = np.concatenate((*prior, np.zeros(FRICTION)))
+    return LinksProblem(places, values, np.array(weights[: len(prior)]))
+
+
+def scaled(rng, rows, prior):
+    """A regressor whose columns all weigh about the same for links like these."""
+    sizes = [spatial.parameter_scale(t[0], spatial.characteristic_length(t)) for t in prior]
+    units = np.concatenate((*sizes, np.ones(FRICTION)))
+    return rng.normal(size=(rows, len(units))) / units
+
+
+def objective(matrix, right, problem, gammas, values):
+    """What is minimised."""
+    total = 0.5 * float(np.sum((matrix @ values - right) ** 2))
+    for link, gamma in zip(problem.links, gammas):
+        before = spatial.pseudo_inertia(problem.prior[link])
+        after = spatial.pseudo_inertia(values[link])
+        if not spatial.is_consistent(values[link]):
+            return np.inf
+        log = np.linalg.slogdet(after)[1]
+        total += gamma * (np.trace(np.linalg.solve(before, after)) - log)
+    return total
+
+
+def minimiser(solver, gamma):
+    """The solution for one weight."""
+    return next(solver.path((gamma,)))
+
+
+@given(bodies=st.lists(links(), min_size=4, max_size=4), seed=SEEDS)
+def test_noise_free_data_gives_the_truth_whatever_the_model(bodies, seed):
+    rng = np.random.default_rng(seed)
+    truth = np.concatenate((*bodies[2:], [0.3, 0.5, 0.1]))
+    matrix = 1e4 * scaled(rng, 60, bodies[2:])
+    found = minimiser(ConsistentLinks(matrix, matrix @ truth, problem_of(bodies[:2])), 1e-3)
+    lengths = [spatial.characteristic_length(theta) for theta in bodies[2:]]
+    sizes = [spatial.parameter_scale(t[0], length) for t, length in zip(bodies[2:], lengths)]
+    assert np.max(np.abs(found - truth) / np.concatenate((*sizes, np.ones(3)))) < 1e-3
+
+
+@given(bodies=st.lists(links(), min_size=2, max_size=2), seed=SEEDS)
+def test_links_are_possible_bodies_whatever_the_data(bodies, seed):
+    """Right-hand sides are nothing but noise, and half of the directions do not show."""
+    rng = np.random.default_rng(seed)
+    matrix = scaled(rng, SIZE // 2, bodies)
+    right = 100.0 * rng.normal(size=len(matrix))
+    solver = ConsistentLinks(matrix, right, problem_of(bodies))
+    for found in solver.path((100.0, 1.0, 1e-3)):
+        assert all(spatial.is_consistent(found[10 * k : 10 * k + 10]) for k in range(LINKS))
+
+
+def seen_by_the_last_joint(izz, error):
+    """What its torque shows: hx and hy, Ixz and Iyz, Izz well and the rest of Ixx - Iyy weakly."""
+    body = spatial.theta_from_com(1.0, np.array([0.0, 0.02, 0.1]), np.diag([0.01, 0.01, 0.001]))
+    matrix = np.zeros((7, 10))
+    matrix[range(6), (1, 2, 5, 6, 8, 9)] = 1e4, 1e4, error, 1e4, 1e4, 1e4
+    matrix[6, [4, 7]] = 1e4, -1e4
+    truth = body.copy()
+    truth[2], truth[5], truth[9] = 0.01, 0.003, izz
+    problem = LinksProblem((np.arange(10),), body, np.zeros(1))
+    return body, ConsistentLinks(matrix, matrix @ truth, problem).best()
+
+
+def test_what_nothing_shows_stays_where_a_possible_body_hardly_costs_anything():
+    """Ixy, weakly seen, is larger than a body as slim as this can have."""
+    body, found = seen_by_the_last_joint(0.001, error=100.0)
+    assert spatial.is_consistent(found) and found[5] < 0.001
+    np.testing.assert_allclose(found[[0, 3]], body[[0, 3]], rtol=1e-5)
+    assert found[4] + found[7] == pytest.approx(body[4] + body[7], rel=1e-5)
+
+
+def test_what_nothing_shows_gives_way_to_what_is_well_seen():
+    """No body has an Izz above the sum of the others."""
+    body, found = seen_by_the_last_joint(0.1, error=100.0)
+    assert spatial.is_consistent(found)
+    assert found[9] == pytest.approx(0.1, rel=1e-2)
+    assert found[4] + found[7] > 2.0 * (body[4] + body[7])
+
+
+@given(
+    bodies=st.lists(links(), min_size=2, max_size=2),
+    weights=st.tuples(*[st.sampled_from([0.0, 30.0])] * 2),
+    seed=SEEDS,
+)
+def test_nothing_nearby_is_better(bodies, weights, seed):
+    rng = np.random.default_rng(seed)
+    matrix = scaled(rng, 40, bodies)
+    right, gamma = 10.0 * rng.normal(size=40), 3.0
+    problem = problem_of(bodies, weights)
+    gammas = np.maximum(gamma, weights)
+    found = minimiser(ConsistentLinks(matrix, right, problem), gamma)
+    best = objective(matrix, right, problem, gammas, found)
+    for _ in range(10):
+        step = rng.normal(size=SIZE) / np.linalg.norm(matrix, axis=0)
+        for size in (1e-3, 0.1, 1.0):
+            other = objective(matrix, right, problem, gammas, found + size * step)
+            assert other >= best - 1e-6 * gamma
+
+
+@given(bodies=st.lists(links(), min_size=2, max_size=2), seed=SEEDS)
+def test_a_heavy_model_is_kept(bodies, seed):
+    rng = np.random.default_rng(seed)
+    matrix = scaled(rng, 40, bodies)
+    right = matrix @ np.concatenate((*bodies, [0.2, 0.4, 0.6])) + rng.normal(size=40)
+    found = minimiser(ConsistentLinks(matrix, right, problem_of(bodies)), 1e9)
+    for k, theta in enumerate(bodies):
+        assert np.allclose(found[10 * k : 10 * k + 10], theta, atol=1e-6 * np.abs(theta).max())
+
+
+@given(bodies=st.lists(links(), min_size=2, max_size=2), seed=SEEDS)
+def test_without_weight_it_is_least_squares_where_that_is_possible(bodies, seed):
+    rng = np.random.default_rng(seed)
+    matrix = 1e5 * scaled(rng, 60, bodies)
+    truth = np.concatenate((*bodies, [-0.3, 0.5, 0.6]))
+    right = matrix @ truth + rng.normal(size=60)
+    plain = np.linalg.lstsq(matrix, right, rcond=None)[0]
+    if not all(spatial.is_consistent(plain[10 * k : 10 * k + 10]) for k in range(LINKS)):
+        return
+    found = minimiser(ConsistentLinks(matrix, right, problem_of(bodies)), 1e-6)
+    excess = np.linalg.norm(matrix @ (found - plain))
+    assert excess < 1e-2
+
+
+@given(bodies=st.lists(links(), min_size=2, max_size=2), seed=SEEDS)
+def test_one_link_may_be_held_far_more_than_the_other(bodies, seed):
+    rng = np.random.default_rng(seed)
+    matrix, right = scaled(rng, 40, bodies), 10.0 * rng.normal(size=40)
+    problem, gammas = problem_of(bodies, (0.0, 1e4)), (1e-3, 1e4)
+    found = minimiser(ConsistentLinks(matrix, right, problem), 1e-3)
+    best = objective(matrix, right, problem, gammas, found)
+    for share in (1e-3, 0.1):
+        nearer = found + share * (problem.prior - found)
+        assert objective(matrix, right, problem, gammas, nearer) >= best - 1e-9 * abs(best)
+
+
+def test_an_impossible_model_is_replaced_by_a_possible_one():
+    theta = np.array([1.0, 0.0, 0.0, 0.0, 0.1, 0.0, 0.0, 0.1, 0.0, 0.5])
+    assert not spatial.is_consistent(theta)
+    rng = np.random.default_rng(1)
+    matrix = scaled(rng, 10, (theta, theta))
+    found = minimiser(ConsistentLinks(matrix, np.zeros(10), problem_of((theta, theta))), 1.0)
+    assert all(spatial.is_consistent(found[10 * k : 10 * k + 10]) for k in range(LINKS))
+
+
+def test_a_path_ends_where_a_single_solve_does():
+    rng = np.random.default_rng(2)
+    body = np.array([1.0, 0.05, 0.0, 0.02, 0.02, 0.0, 0.001, 0.02, 0.0, 0.015])
+    matrix, right = scaled(rng, 40, (body, body)), 10.0 * rng.normal(size=40)
+    solver = ConsistentLinks(matrix, right, problem_of((body, body)))
+    *_, last = solver.path((100.0, 1.0, 0.01))
+    assert last == pytest.approx(minimiser(solver, 0.01), abs=1e-4)
+
+
+@pytest.mark.parametrize("where", [(consistent_links, "_Newton"), (ScaledCone, "moved")])
+def test_what_rounding_leaves_unsolved_is_an_error_of_ours(monkeypatch, where):
+    def singular(*_):
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr(*where, singular)
+    with pytest.raises(SysidError, match="did not converge"):
+        seen_by_the_last_joint(0.001, error=100.0)

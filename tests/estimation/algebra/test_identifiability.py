@@ -1,0 +1,407 @@
+"""What the data can see: rank, condition numbers, unidentifiable directions in words."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.estimation.algebra.identifiability import (
+    analyse_identifiability,
+    column_scale,
+    describe,
+    readable_basis,
+    visible_space,
+)
+from robot_sysid.records import JointInformation, SquareRootInformation
+from tests.support import arms, rank_oracle
+from tests.support.synthetic_data import (
+    ORIGIN,
+    arm_equations,
+    information_of,
+    random_body,
+    terminal_information,
+)
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def terminal(seed, axis, offset=ORIGIN):
+    rng = np.random.default_rng(seed)
+    truth = np.append(random_body(rng), [0.4, 0.1])
+    return analyse_identifiability(terminal_information(rng, truth, np.asarray(axis), offset))
+
+
+def test_last_joint_alone_sees_seven_of_ten_and_its_friction():
+    seen = terminal(0, [0.0, 0.0, 1.0])
+    assert (seen.rank, seen.n_parameters) == (9, 12)
+    assert seen.unidentifiable == ("mass", "first moment along z", "the sum Ixx + Iyy")
+    unseen = {0, 3, 4, 7}
+    assert seen.identified == tuple(k not in unseen for k in range(12))
+
+
+def test_unidentifiable_directions_of_a_slanted_axis_name_that_axis():
+    assert terminal(0, [0.6, 0.8, 0.0]).unidentifiable == (
+        "mass",
+        "first moment along (0.6, 0.8, 0)",
+        "the sum of the two inertias transverse to (0.6, 0.8, 0)",
+    )
+
+
+def test_an_axis_with_three_components_is_named():
+    assert terminal(0, [0.36, 0.48, 0.8]).unidentifiable == (
+        "mass",
+        "first moment along (0.36, 0.48, 0.8)",
+        "the sum of the two inertias transverse to (0.36, 0.48, 0.8)",
+    )
+
+
+def test_an_axis_off_the_origin_reads_as_combinations():
+    phrases = terminal(0, [0.0, 0.0, 1.0], np.array([0.5, 0.0, 0.0])).unidentifiable
+    assert len(phrases) == 3
+    assert "the sum Ixx + Iyy" in phrases
+    assert any("m +" in phrase and "hx" in phrase for phrase in phrases)
+
+
+@given(SEEDS)
+def test_last_joint_alone_has_rank_nine_for_every_axis(seed):
+    axis = np.random.default_rng(seed).normal(size=3)
+    seen = terminal(seed, axis / np.linalg.norm(axis))
+    assert seen.rank == 9
+    assert len(seen.unidentifiable) == 3
+    assert seen.unidentifiable[0] == "mass"
+
+
+def test_several_joints_see_everything_and_nuisances_do_not_count():
+    rng = np.random.default_rng(1)
+    equations, names = arm_equations(rng, joints=4)
+    seen = analyse_identifiability(information_of(equations, names, rng.normal(size=18)))
+    assert (seen.rank, seen.n_parameters) == (12, 12)
+    assert seen.unidentifiable == ()
+    assert all(seen.identified)
+
+
+def test_a_nuisance_that_never_shows_does_not_lower_the_rank():
+    rng = np.random.default_rng(2)
+    equations, names = arm_equations(rng, joints=3)
+    equations[0][0][:, 10:] = 0.0
+    seen = analyse_identifiability(information_of(equations, names, rng.normal(size=16)))
+    assert seen.rank == 12
+    assert seen.unidentifiable == ("Coulomb friction of joint0", "viscous friction of joint0")
+
+
+@given(SEEDS, st.lists(st.sampled_from([-7.0, 0.0, 1.0]), max_size=3))
+def test_nuisances_of_any_number_and_unit_do_not_count(seed, exponents):
+    rng = np.random.default_rng(seed)
+    ((rows, columns),), names = arm_equations(rng, joints=1, count=80)
+    without = information_of([(rows, columns)], names, rng.normal(size=12))
+    more = rng.normal(size=(80, len(exponents))) * 10.0 ** np.array(exponents)
+    equations = [(np.column_stack((rows, more)), np.arange(12 + len(exponents)))]
+    names += tuple(f"nuisance{k}" for k in range(len(exponents)))
+    truth = rng.normal(size=len(names)) / 10.0 ** np.array([0.0] * 12 + exponents)
+    seen = analyse_identifiability(information_of(equations, names, truth))
+    assert (seen.rank, seen.n_parameters) == (9, 12)
+    assert seen.rank == analyse_identifiability(without).rank
+
+
+def test_the_nuisances_ranks_do_not_make_up_for_what_the_link_hides():
+    """Friction of four joints, of which one is asked for; three inertial columns are zero."""
+    rng = np.random.default_rng(4)
+    equations, names = arm_equations(rng, joints=4)
+    for rows, _ in equations:
+        rows[:, [0, 3, 6]] = 0.0
+    seen = analyse_identifiability(information_of(equations, names, rng.normal(size=18)))
+    assert (seen.rank, seen.n_parameters) == (9, 12)
+    assert seen.unidentifiable == ("mass", "first moment along z", "inertia Ixz")
+
+
+def test_a_column_that_looks_like_a_nuisance_is_not_identified():
+    """An inertia whose torque never changes cannot be told from an offset."""
+    rng = np.random.default_rng(5)
+    equations, names = arm_equations(rng, joints=3)
+    (rows, columns), names = equations[0], names + ("offset[joint0]",)
+    for other, _ in equations:
+        other[:, 9] = 0.0
+    rows[:, 9] = 2.0
+    equations[0] = np.column_stack((rows, np.ones(len(rows)))), np.append(columns, 16)
+    information = information_of(equations, names, rng.normal(size=17))
+    seen = analyse_identifiability(information)
+    assert (seen.rank, seen.n_parameters) == (11, 12)
+    assert not seen.identified[9] and not seen.identified[16]
+    assert all(np.delete(seen.identified, [9, 16]))
+
+
+def test_rounding_noise_in_a_column_is_zero_and_does_not_enter_the_condition():
+    rng = np.random.default_rng(3)
+    matrix = rng.normal(size=(40, 5))
+    matrix[:, 2] *= 1e-15
+    space = visible_space(matrix)
+    assert space.rank == 4
+    assert space.identified == (True, True, False, True, True)
+    assert space.singular[0] < 5.0 * space.singular[-1]
+
+
+def test_condition_numbers_are_those_of_the_stacked_regressor_of_the_link_and_its_joint():
+    """Friction of the other joints is no part of it, whether it is estimated or not."""
+    rng = np.random.default_rng(4)
+    equations, names = arm_equations(rng, joints=3)
+    seen = analyse_identifiability(information_of(equations, names, rng.normal(size=16)))
+    stacked = np.zeros((180, 16))
+    for j, (rows, columns) in enumerate(equations):
+        stacked[60 * j : 60 * (j + 1), columns] = rows
+    stacked = stacked[:, [*range(10), 14, 15]]
+    assert names[14:] == ("coulomb[joint2]", "viscous[joint2]")
+    scaled = stacked / np.linalg.norm(stacked, axis=0)
+    assert seen.condition_number == pytest.approx(np.linalg.cond(stacked), rel=1e-9)
+    assert seen.scaled_condition_number == pytest.approx(np.linalg.cond(scaled), rel=1e-9)
+
+
+@given(SEEDS, st.lists(st.floats(-4, 4), min_size=5, max_size=5))
+def test_units_do_not_decide_what_is_visible(seed, exponents):
+    """Units of mass, first moment, inertia and of each friction coefficient."""
+    rng = np.random.default_rng(seed)
+    joint = terminal_information(rng, rng.normal(size=12)).joints[0]
+    triangle = joint.triangle.copy()
+    triangle[:, :-1] *= 10.0 ** np.repeat(exponents, [1, 3, 6, 1, 1])
+    scaled = JointInformation(joint.joint, joint.columns, triangle, joint.n_samples)
+    names = tuple("abcdefghijkl")
+    before = visible_space(SquareRootInformation(names, (joint,)).stacked()[0])
+    after = visible_space(SquareRootInformation(names, (scaled,)).stacked()[0])
+    assert after.identified == before.identified
+    first, second = (space.singular[0] / space.singular[-1] for space in (before, after))
+    assert second == pytest.approx(first, rel=1e-6)
+
+
+@given(SEEDS, st.integers(-14, 14), st.permutations(range(16)), st.integers(0, 4))
+def test_the_unit_of_torque_does_not_decide_what_is_visible(seed, exponent, order, count):
+    """Also where some columns are nothing but rounding noise."""
+    rng = np.random.default_rng(seed)
+    equations, names = arm_equations(rng, joints=3)
+    for rows, columns in equations:
+        rows[:, np.isin(columns, order[:count])] *= 1e-13
+    truth = rng.normal(size=16)
+    seen = analyse_identifiability(information_of(equations, names, truth))
+    scaled = [(rows * 10.0**exponent, columns) for rows, columns in equations]
+    again = analyse_identifiability(information_of(scaled, names, truth))
+    assert (again.rank, again.identified) == (seen.rank, seen.identified)
+    assert again.condition_number == pytest.approx(seen.condition_number, rel=1e-6)
+    assert again.scaled_condition_number == pytest.approx(seen.scaled_condition_number, rel=1e-6)
+
+
+@pytest.mark.parametrize("nuisances", [(), ("offset[joint0]",)])
+def test_data_at_rest_sees_nothing(nuisances):
+    names = (*spatial.PARAMETER_NAMES, *nuisances)
+    size = len(names)
+    joint = JointInformation("joint0", np.arange(size), np.zeros((size + 1, size + 1)), 100)
+    seen = analyse_identifiability(SquareRootInformation(names, (joint,)))
+    assert seen.rank == 0
+    assert len(seen.unidentifiable) == size
+    assert seen.condition_number == float("inf")
+
+
+# --- the visible space --------------------------------------------------------------------------
+
+
+@given(SEEDS, st.integers(0, 30), st.booleans())
+def test_solution_and_inverse_are_those_of_least_squares_in_scaled_columns(seed, count, hidden):
+    rng = np.random.default_rng(seed)
+    matrix = rng.normal(size=(count, 12)) * 10.0 ** rng.uniform(-2.0, 2.0, 12)
+    if hidden and count:
+        matrix[:, 11] = matrix[:, 10] * 3.0
+        matrix[:, 5] = 0.0
+    space = visible_space(matrix)
+    scale, zero = column_scale(matrix)
+    scaled = np.where(zero, 0.0, matrix * scale)
+    assert space.rank == np.linalg.matrix_rank(scaled, tol=1e-8) if count else space.rank == 0
+    again = space.left * space.singular @ space.right.T
+    np.testing.assert_allclose(again, scaled, rtol=0.0, atol=1e-13)
+    np.testing.assert_allclose(scaled @ space.null, 0.0, atol=1e-12)
+    basis = np.column_stack((space.right, space.null))
+    np.testing.assert_allclose(basis.T @ basis, np.eye(12), atol=1e-13)
+    if count == 0 or space.singular[0] / space.singular[-1] < 1e4:
+        pseudo, right = np.linalg.pinv(scaled, rcond=1e-8), rng.normal(size=count)
+        size = scale * (1.0 + np.max(np.abs(pseudo), initial=0.0)) ** 2
+        np.testing.assert_allclose(space.solve(right) / size, scale * (pseudo @ right) / size,
+                                   rtol=0.0, atol=1e-10)  # fmt: skip
+        both, root = scale[:, None] * (pseudo @ pseudo.T) * scale, space.inverse_root()
+        np.testing.assert_allclose(space.inverse() / np.outer(size, size),
+                                   both / np.outer(size, size), rtol=0.0, atol=1e-10)  # fmt: skip
+        np.testing.assert_allclose(root @ root.T, space.inverse())
+
+
+@given(SEEDS)
+def test_parameters_of_one_unit_share_a_scale(seed):
+    rng = np.random.default_rng(seed)
+    matrix = rng.normal(size=(20, 13)) * 10.0 ** rng.uniform(-3.0, 3.0, 13)
+    matrix[:, 10] = 0.0
+    scale, zero = column_scale(matrix)
+    lengths = np.linalg.norm(matrix, axis=0)
+    lengths[1:4], lengths[4:10] = np.max(lengths[1:4]), np.max(lengths[4:10])
+    lengths[10] = 1.0
+    np.testing.assert_allclose(scale, 1.0 / lengths, rtol=1e-14)
+    assert zero.tolist() == [k == 10 for k in range(13)]
+    np.testing.assert_array_equal(visible_space(matrix).scale, scale)
+
+
+@pytest.mark.parametrize("columns", [0, 1])
+def test_hardly_any_columns_are_decomposed_too(columns):
+    space = visible_space(np.full((3, columns), 2.0))
+    assert (space.rank, space.identified) == (columns, (True,) * columns)
+
+
+def test_a_decomposition_cannot_be_changed():
+    with pytest.raises(AttributeError):
+        visible_space(np.eye(3)).scale = np.ones(3)
+
+
+def test_data_of_the_nuisances_alone_has_no_condition_of_the_link():
+    rng = np.random.default_rng(6)
+    equations, names = arm_equations(rng, joints=2)
+    for rows, _ in equations:
+        rows[:, :10] = 0.0
+    equations[-1][0][:, 10:] = 0.0
+    seen = analyse_identifiability(information_of(equations, names, rng.normal(size=14)))
+    assert seen.rank == 0
+    assert seen.condition_number == seen.scaled_condition_number == float("inf")
+
+
+# --- in words -----------------------------------------------------------------------------------
+
+NAMES = (*spatial.PARAMETER_NAMES, "coulomb[tool]", "viscous[tool]", "offset[X]")
+
+
+@given(SEEDS, st.permutations(range(len(NAMES))), st.lists(st.integers(1, 4), max_size=6))
+def test_a_sparse_basis_is_found_again_however_it_was_turned(seed, order, sizes):
+    """Directions that share no parameter: of all bases of their space this one is the sparse."""
+    rng = np.random.default_rng(seed)
+    known = []
+    for used in np.split(order, np.cumsum(sizes))[: len(sizes)]:
+        if len(used):
+            direction = np.zeros(len(NAMES))
+            direction[used] = rng.choice([-1.0, 1.0], len(used)) * rng.uniform(0.2, 1.0, len(used))
+            known.append(direction / np.linalg.norm(direction))
+    known = np.array(known).reshape(-1, len(NAMES))
+    turned = known.T @ np.linalg.qr(rng.normal(size=(len(known), len(known))))[0]
+    found = np.array(readable_basis(turned)).reshape(-1, len(NAMES))
+    expected = known[np.argsort([np.flatnonzero(direction)[0] for direction in known])]
+    signs = np.sign(np.sum(found * expected, axis=1))[:, None]
+    np.testing.assert_allclose(found, signs * expected, rtol=0.0, atol=1e-9)
+
+
+@given(
+    SEEDS,
+    st.sampled_from([range(1, 4), range(4, 10), range(10)]),
+    st.sampled_from([11, 13]),
+    st.sampled_from([11, 13]),
+)
+def test_what_lives_within_one_unit_is_named_by_itself(seed, group, size, reach):
+    """Beside a direction that mixes everything, or all but the last friction."""
+    rng = np.random.default_rng(seed)
+    mixed = rng.normal(size=size) * (np.arange(size) < reach)
+    own = np.zeros(size)
+    own[list(group)] = rng.choice([-1.0, 1.0], len(group)) * rng.uniform(0.2, 1.0, len(group))
+    null = np.linalg.qr(np.column_stack((own, mixed)))[0]
+    found = np.array(readable_basis(null @ np.linalg.qr(rng.normal(size=(2, 2)))[0]))
+    assert np.max(np.abs(found @ own)) == pytest.approx(np.linalg.norm(own), rel=1e-9)
+    np.testing.assert_allclose(found @ null @ null.T, found, rtol=0.0, atol=1e-9)
+    assert np.linalg.matrix_rank(found, tol=1e-6) == len(found) == 2
+
+
+@pytest.mark.parametrize(
+    ("direction", "words"),
+    [
+        ({"m": -1}, "mass"),
+        ({"hy": 1}, "first moment along y"),
+        ({"Ixy": 1}, "inertia Ixy"),
+        ({"viscous[tool]": 1}, "viscous friction of tool"),
+        ({"offset[X]": 1}, "offset of X"),
+        ({"hx": 1, "hy": 2, "hz": 3}, "first moment along (0.27, 0.53, 0.8)"),
+        ({"hy": 0.6, "hz": -0.8}, "first moment along (0, 0.6, -0.8)"),
+        ({"hx": 1e-3, "hy": 0.6, "hz": -0.8}, "first moment along (0, 0.6, -0.8)"),
+        ({"Ixx": -3, "Iyy": 3}, "the difference Ixx - Iyy"),
+        ({"Ixy": 1, "Iyz": 1}, "the sum Ixy + Iyz"),
+        ({"Ixx": 1, "Iyy": 2}, "0.45 Ixx + 0.89 Iyy"),
+        ({"Ixx": 1, "Iyy": -2}, "0.45 Ixx - 0.89 Iyy"),
+        ({"m": 1, "hx": -1}, "0.71 m - 0.71 hx"),
+        ({"hz": 1, "Ixx": 1}, "0.71 hz + 0.71 Ixx"),
+        ({"Izz": 1, "coulomb[tool]": -1}, "0.71 Izz - 0.71 coulomb[tool]"),
+        ({"Ixx": 1, "Iyy": 1, "Izz": -1}, "0.58 Ixx + 0.58 Iyy - 0.58 Izz"),
+        ({"Ixx": 1, "hx": 2, "m": -2, "coulomb[tool]": 4},
+         "0.4 m - 0.4 hx - 0.2 Ixx - 0.8 coulomb[tool]"),
+    ],
+)  # fmt: skip
+def test_a_direction_reads_as(direction, words):
+    vector = np.array([direction.get(name, 0.0) for name in NAMES])
+    for scale in (np.ones(len(NAMES)), -(10.0 ** np.linspace(-1.0, 1.0, len(NAMES)))):
+        scaled = vector / scale
+        assert describe((scaled / np.linalg.norm(scaled))[:, None], scale, NAMES) == (words,)
+
+
+@pytest.mark.parametrize(("error", "close"), [(0.004, True), (0.006, False)])
+def test_two_inertias_about_an_axis_are_only_named_where_they_are_equal_to_half_a_percent(
+    error, close
+):
+    along, across = np.array([0.6, 0.8, 0.0]), np.array([-0.8, 0.6, 0.0])
+    matrix = (1.0 - error) * np.outer(across, across) + np.diag([0.0, 0.0, 1.0])
+    vector = np.append(np.zeros(4), [*spatial.six_from_symmetric(matrix), 0.0, 0.0, 0.0])
+    (words,) = describe(vector[:, None] / np.linalg.norm(vector), np.ones(len(NAMES)), NAMES)
+    assert along @ matrix @ along == pytest.approx(0.0, abs=1e-15)
+    named = "the sum of the two inertias transverse to (0.6, 0.8, 0)"
+    assert words == (named if close else "0.48 Ixx - 0.36 Ixy + 0.27 Iyy + 0.75 Izz")
+
+
+def _vector(rng, size=3):
+    return " ".join(f"{x:.6f}" for x in rng.normal(size=size))
+
+
+@st.composite
+def small_arms(draw):
+    """(robot, moving joints): one to five joints, simple or skew, under any gravity or none."""
+    rng = np.random.default_rng(draw(SEEDS))
+    simple = draw(st.booleans())
+    gravity = draw(st.sampled_from(["0 0 -9.81", "0 0 0", "9.81 0 0", "3 -4 8"]))
+    axes = draw(st.lists(st.sampled_from([arms.X, arms.Y, arms.Z, None]), min_size=1, max_size=5))
+    content = ""
+    for index in reversed(range(len(axes))):
+        slide = 'type="slide"' if rng.random() < 0.2 else ""
+        place = "0 0 0" if simple else f"{_vector(rng)}"
+        joints = arms.hinge(f"joint{index}", axes[index] or _vector(rng), f'{slide} pos="{place}"')
+        turn = "1 0 0 0" if simple else _vector(rng, 4)
+        tip = arms.TIP if index == len(axes) - 1 else arms.LINK
+        content = arms.link(joints, content, "", ".1 .02 .25", turn, tip)
+    robot = arms.robot_of(arms.world(content, f'gravity="{gravity}"'), f"joint{len(axes) - 1}")
+    return robot, draw(st.sets(st.integers(0, len(axes) - 1)))
+
+
+@given(small_arms(), st.sampled_from(["chain", "terminal"]), SEEDS)
+def test_what_is_seen_is_what_mujoco_and_an_svd_see(arm, torques, seed):
+    """From differences of MuJoCo's inverse dynamics, at other states of the same joints."""
+    robot, moving = arm
+    rng = np.random.default_rng(seed)
+    first, other = (rank_oracle.moves(robot, rng, tuple(moving), 14) for _ in range(2))
+    columns = rank_oracle.mujoco_columns(robot, *first)
+    seen = rank_oracle.oracle(columns if torques == "chain" else columns[:, -1:])
+    equations, rows = rank_oracle.rows_of(robot, torques, other)
+    rank_oracle.assert_same(rank_oracle.information_of(equations, rows), seen)
+
+
+@pytest.mark.parametrize(
+    ("axis", "gravity", "rank", "hidden"),
+    [
+        (arms.Z, "0 0 -9.81", 3, 9),  # about the vertical: Izz and friction
+        (arms.Z, "0 0 0", 3, 9),
+        (arms.Y, "0 0 -9.81", 5, 7),  # horizontal: two first moments as well
+        (arms.Y, "0 0 0", 3, 9),
+    ],
+)
+def test_an_arm_of_one_joint_shows_what_a_pendulum_shows(axis, gravity, rank, hidden):
+    xml = arms.serial_arm((axis,), option=f'gravity="{gravity}"')
+    robot, rng = arms.robot_of(xml), np.random.default_rng(0)
+    equations, rows = rank_oracle.rows_of(robot, "chain", rank_oracle.moves(robot, rng, (0,), 50))
+    information = rank_oracle.information_of(equations, rows)
+    found = analyse_identifiability(information)
+    assert (found.rank, len(found.unidentifiable)) == (rank, hidden)
+    columns = rank_oracle.mujoco_columns(robot, *rank_oracle.moves(robot, rng, (0,), 50))
+    rank_oracle.assert_same(information, rank_oracle.oracle(columns))

@@ -1,0 +1,93 @@
+"""Laws of least squares: weights follow the noise, units of a joint do not matter."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_sysid.errors import InputError
+from robot_sysid.estimation.algebra.least_squares import joint_noise, leverage
+from robot_sysid.estimation.algebra.options import ESTIMATORS
+from robot_sysid.solver import identify_parameters
+from tests.support.estimates import identified
+from tests.support.synthetic_data import Samples, arm_equations, information_of, noisy_samples
+
+SEEDS = st.integers(0, 2**32 - 1)
+PRIOR = np.zeros(16)
+
+
+@pytest.mark.parametrize("method", ESTIMATORS)
+def test_noise_free_data_is_recovered_by_every_method(method):
+    samples, names, truth, _ = noisy_samples(0, noises=(0.0, 0.0, 0.0))
+    estimate = identified(samples.information(names), PRIOR, method, samples=samples)
+    np.testing.assert_allclose(estimate.values, truth, rtol=0.0, atol=1e-9)
+    assert np.all(np.isfinite(estimate.covariance))
+    assert np.max(estimate.standard_errors) < 1e-6
+
+
+@pytest.mark.slow
+@given(SEEDS, st.floats(-3, 3))
+def test_wls_does_not_care_about_the_unit_of_one_joint(seed, power):
+    samples, names, _, _ = noisy_samples(seed, (0.3, 0.1, 0.02))
+    factor = 10.0**power
+    rescaled = Samples(
+        [(factor * rows if j == 1 else rows, c) for j, (rows, c) in enumerate(samples.equations)],
+        [factor * tau if j == 1 else tau for j, tau in enumerate(samples.torques)],
+    )
+    one = identified(samples.information(names), PRIOR, "wls")
+    other = identified(rescaled.information(names), PRIOR, "wls")
+    np.testing.assert_allclose(other.values, one.values, rtol=0.0, atol=1e-6)
+
+
+def test_wls_reports_each_joints_noise_and_beats_ols_where_joints_differ():
+    noises, ratios = (1.0, 0.1, 0.01), []
+    for seed in range(20):
+        samples, names, truth, _ = noisy_samples(seed, noises)
+        information = samples.information(names)
+        ordinary, weighted = (
+            np.linalg.norm((identified(information, PRIOR, method).values - truth)[:10])
+            for method in ("ols", "wls")
+        )
+        ratios.append(weighted / ordinary)
+    reported = identified(information, PRIOR, "wls").noise_per_joint
+    assert np.median(ratios) < 0.3
+    np.testing.assert_allclose(list(reported.values()), noises, rtol=0.2)
+
+
+@given(SEEDS)
+def test_leverages_sum_to_the_rank(seed):
+    samples, names, _, rng = noisy_samples(seed)
+    weights = rng.uniform(0.1, 10.0, 3)
+    total = np.sum(leverage(samples.information(names), weights))
+    assert total == pytest.approx(16.0, rel=1e-9)
+
+
+@pytest.mark.slow
+def test_noise_is_unbiased_with_few_samples():
+    squares = []
+    for seed in range(300):
+        samples, names, _, _ = noisy_samples(seed, (0.5, 0.5, 0.5), count=15)
+        information = samples.information(names)
+        values = identified(information, PRIOR).values
+        squares.append(joint_noise(information, values, np.ones(3)) ** 2)
+    assert np.mean(squares) == pytest.approx(0.25, rel=0.05)
+
+
+def test_an_unknown_method_lists_the_valid_ones():
+    information = noisy_samples(0)[0].information(noisy_samples(0)[1])
+    with pytest.raises(InputError, match="unknown method 'lasso'; valid: ols, wls, robust"):
+        identify_parameters(information, PRIOR, "lasso")
+
+
+def test_information_of_helpers_agree():
+    rng = np.random.default_rng(5)
+    equations, names = arm_equations(rng)
+    truth = rng.normal(size=16)
+    torques = [rows @ truth[columns] for rows, columns in equations]
+    one = Samples(equations, torques).information(names)
+    two = information_of(equations, names, truth)
+    np.testing.assert_allclose(
+        one.squared_residuals(PRIOR), two.squared_residuals(PRIOR), rtol=1e-12
+    )

@@ -1,0 +1,191 @@
+"""Laws of nuisances with a prior: Bayes' formula, errors that add up, priors that give way."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.errors import InputError
+from robot_sysid.estimation.algebra.information import InformationAccumulator
+from robot_sysid.estimation.algebra.least_squares import least_squares
+from robot_sysid.estimation.algebra.nuisances import (
+    WIDEST,
+    NuisanceGroup,
+    link_aspects,
+    link_factor,
+    misfits,
+    widened_groups,
+    with_prior,
+)
+from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.algebra.uncertainty import white_uncertainty
+from tests.support.arms import SEEDS, rigid_bodies
+from tests.support.estimates import explained, identified
+from tests.support.model_files import random_theta
+
+NAMES = (*spatial.PARAMETER_NAMES, "d0", "d1", "d2", "d3", "e0", "e1")
+ROWS = 60
+
+
+def groups_of(rng, size=1.0):
+    """Four nuisances of one cause that may widen, two of another that may not."""
+    factor = size * (np.eye(4) + 0.3 * rng.normal(size=(4, 4)))
+    one = NuisanceGroup("links", NAMES[10:14], rng.normal(size=4), factor, tuple("aabb"), True)
+    other = NuisanceGroup("scale", NAMES[14:], np.zeros(2), size * np.eye(2), ("x", "y"))
+    return one, other
+
+
+def drawn(rng, groups, size=1.0):
+    """Nuisances (6,) as their priors say, or ``size`` times as far off."""
+    return np.concatenate(
+        [g.mean + size * g.factor @ rng.normal(size=len(g.names)) for g in groups]
+    )
+
+
+def information_of(rng, truth, noise=0.1):
+    rows = rng.normal(size=(ROWS, 16))
+    accumulator = InformationAccumulator(NAMES, ["j"], [np.arange(16)])
+    accumulator.add(0, rows, rows @ truth + noise * rng.normal(size=ROWS))
+    return accumulator.result(), rows
+
+
+@given(SEEDS)
+def test_the_estimate_is_the_mean_of_the_posterior(seed):
+    """x = (Y^T Y / s^2 + P)^-1 (Y^T tau / s^2 + P mean), dense."""
+    rng = np.random.default_rng(seed)
+    groups = groups_of(rng)
+    truth = np.concatenate((rng.normal(size=10), drawn(rng, groups)))
+    information, _ = information_of(rng, truth)
+    prior = np.zeros((16, 16))
+    mean = np.zeros(16)
+    for group, part in zip(groups, (slice(10, 14), slice(14, 16))):
+        prior[part, part] = np.linalg.inv(group.factor @ group.factor.T)
+        mean[part] = group.mean
+    matrix, right = information.stacked()
+    normal = matrix.T @ matrix / 0.1**2 + prior
+    expected = np.linalg.solve(normal, matrix.T @ right / 0.1**2 + prior @ mean)
+    found = least_squares(with_prior(information, groups), np.zeros(16), np.array([10.0]))
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-8)
+
+
+@given(SEEDS)
+def test_errors_by_cause_add_up_in_squares(seed):
+    rng = np.random.default_rng(seed)
+    groups = groups_of(rng)
+    information = with_prior(information_of(rng, rng.normal(size=16))[0], groups)
+    found = white_uncertainty(information, np.array([10.0]), np.array([0.1]))
+    parts = [explained(found, group, NAMES) for group in groups]
+    total = found.noise_errors**2 + np.sum(np.square(parts), axis=0)
+    np.testing.assert_allclose(total, found.standard_errors**2, rtol=1e-8)
+
+
+def test_whole_errors_cover_what_noise_alone_does_not():
+    """Few rows, so that the nuisances are known by their prior and by data alike."""
+    rng = np.random.default_rng(0)
+    inside, of_noise = [], []
+    for _ in range(300):
+        groups = groups_of(rng, 0.2)
+        truth = np.concatenate((rng.normal(size=10), drawn(rng, groups)))
+        rows = rng.normal(size=(18, 16))
+        rows[:, 10:] = rows[:, :6] + 0.02 * rows[:, 10:]
+        accumulator = InformationAccumulator(NAMES, ["j"], [np.arange(16)])
+        accumulator.add(0, rows, rows @ truth + 0.01 * rng.normal(size=18))
+        information = with_prior(accumulator.result(), groups)
+        values = least_squares(information, np.zeros(16), np.array([100.0]))
+        errors = white_uncertainty(information, np.array([100.0]), np.array([0.01]))
+        off = np.abs(values - truth)[:6]
+        inside.append(off < 1.96 * errors.standard_errors[:6])
+        of_noise.append(off < 1.96 * errors.noise_errors[:6])
+    assert 0.93 < np.mean(inside) < 0.97
+    assert np.mean(of_noise) < 0.8
+
+
+@given(SEEDS, st.sampled_from([0.1, 1.0, 6.0, 1e3]))
+def test_a_prior_is_widened_to_what_the_data_asks_for_and_never_narrowed(seed, size):
+    """The data knows each direction well: one that it knows no better than the prior asks less."""
+    rng = np.random.default_rng(seed)
+    groups = groups_of(rng)
+    assume(np.linalg.svd(groups[0].factor)[1][-1] > 10.0 * 0.1 / np.sqrt(ROWS))
+    truth = np.concatenate((rng.normal(size=10), drawn(rng, groups, size)))
+    information, _ = information_of(rng, truth)
+    one, other = widened_groups(information, np.array([0.1]), groups)
+    asked = np.linalg.norm(np.linalg.solve(one.factor, truth[10:14] - one.mean)) / 2.0
+    assert other.widened == 1.0
+    assert 1.0 <= one.widened <= WIDEST
+    assert one.widened == pytest.approx(np.clip(asked, 1.0, WIDEST), rel=0.2, abs=0.2)
+
+
+def test_what_the_data_asks_for_is_named_and_nothing_else():
+    rng = np.random.default_rng(1)
+    false = 0
+    for _ in range(100):
+        groups = groups_of(rng)
+        truth = np.concatenate((rng.normal(size=10), groups[0].mean, np.zeros(2)))
+        false += len(misfits(information_of(rng, truth)[0], np.array([0.1]), groups))
+        truth[13] += 5.0
+        (found,) = misfits(information_of(rng, truth)[0], np.array([0.1]), groups)
+        assert found.cause == "links" and found.asked > 1.0
+    # One in a hundred per cause is what the test allows itself.
+    assert false <= 8
+
+
+@given(rigid_bodies(), rigid_bodies(), st.floats(0.001, 0.3))
+def test_links_are_known_to_their_share(first, second, share):
+    factor = link_factor([first, second], share, [0.3, 0.0])
+    covariance = factor @ factor.T
+    for theta, start in ((first, 0), (second, 10)):
+        own = covariance[start : start + 10, start : start + 10]
+        # By itself and with all other links: the root of twice the square.
+        assert np.sqrt(own[0, 0]) == pytest.approx(np.sqrt(2.0) * share * theta[0], rel=1e-6)
+        assert np.linalg.eigvalsh(own / np.outer(*[np.sqrt(np.diag(own))] * 2))[0] > 0.0
+    together = covariance[0, 10] / np.sqrt(covariance[0, 0] * covariance[10, 10])
+    assert together == pytest.approx(0.5, rel=1e-6)
+
+
+@pytest.mark.parametrize("method", ["ols", "wls"])
+def test_data_without_noise_gives_the_truth_whatever_the_prior(method):
+    rng = np.random.default_rng(2)
+    groups = groups_of(rng)
+    body = spatial.theta_from_com(2.0, np.array([0.1, 0.0, 0.2]), np.diag([0.02, 0.03, 0.04]))
+    truth = np.concatenate((body, groups[0].mean + 3.0, [0.5, -0.5]))
+    information, _ = information_of(rng, truth, 0.0)
+    options = EstimationOptions()
+    found = identified(information, np.zeros(16), method, options, None, groups)
+    np.testing.assert_allclose(found.values, truth, rtol=0.0, atol=1e-5)
+    assert len(found.identifiability.identified) == 10
+    assert set(found.error_budget) == {"links", "scale"}
+
+
+def test_a_negative_share_is_refused():
+    with pytest.raises(InputError, match="--link-uncertainty"):
+        EstimationOptions(link_uncertainty=-1.0)
+
+
+def test_what_one_aspect_contradicts_is_not_lost_among_the_others():
+    """Masses alone are off, by six times what was thought; everything else is as it was."""
+    rng, lengths = np.random.default_rng(0), [0.3, 0.2, 0.1]
+    thetas = [random_theta(rng) for _ in lengths]
+    names = tuple(f"p{k}" for k in range(30))
+    group = NuisanceGroup(
+        "links",
+        names,
+        np.concatenate(thetas),
+        link_factor(thetas, 0.05, lengths),
+        tuple("abc"[k // 10] for k in range(30)),
+    )
+    truth = np.concatenate([1.3 * thetas[0], 0.7 * thetas[1], 1.3 * thetas[2]])
+    rows = rng.normal(size=(400, 30)) / np.abs(np.concatenate(thetas))
+    tau = rows @ truth + 0.5 * rng.normal(size=400)
+    accumulator = InformationAccumulator(names, ("j",), (np.arange(30),))
+    accumulator.add(0, rows, tau)
+    asked = []
+    for aspects in (tuple, lambda: link_aspects(thetas, lengths)):
+        told = replace(group, aspects=aspects)
+        (found,) = misfits(accumulator.result(), np.array([0.5]), (told,))
+        asked.append(found.asked)
+    assert asked[0] < 3.0 and asked[1] == pytest.approx(6.0, rel=0.2)

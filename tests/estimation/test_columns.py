@@ -1,0 +1,209 @@
+"""Each column is the derivative of the whole torque model, and the truth solves the equations."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+from robot_sysid.dynamics.friction import BENT, TERMS
+from robot_sysid.dynamics.kinematics import ArmDynamics
+from robot_sysid.dynamics.nuisances import gravity, turned
+from robot_sysid.estimation import columns as columns_module
+from robot_sysid.estimation import dataset as samples_module
+from robot_sysid.estimation.columns import PAYLOAD_NAMES, Columns
+from robot_sysid.estimation.couplings import neighbours
+from robot_sysid.records import DELAY_NAME
+from robot_sysid.signals.filters import LowPass
+from tests.support import arms
+from tests.support.payload_logs import changed, exact_recording, four_joint_arm, wide_motion
+
+ARMS = {
+    "four": four_joint_arm('range="-2 2" armature=".3"'),
+    "tilted gravity": arms.robot_of(arms.TILTED_GRAVITY),
+    "slide": arms.robot_of(arms.SLIDE_IN_CHAIN),
+    "shared bodies": arms.robot_of(arms.SHARED_BODIES),
+}
+RATE, PLACE, SPEED = 100.0, 0.7, {"stribeck": 0.3, "sigmoid": 0.4}
+UNFILTERED = LowPass(20.0, RATE, np.ones(1), 1)
+
+
+def true_values(columns, seed, loss=0.1):
+    """Parameters (p,) of an arm that is another one than the model, at level with it.
+
+    What a gear loses is linear in the loss alone: columns of bodies and gravity leave it out.
+    """
+    rng, sizes = np.random.default_rng(seed), {"scale": 0.05, "drift": 0.2, "load": loss}
+    values = np.zeros(len(columns.names))
+    for index, name in enumerate(columns.names):
+        term, bracket, _ = name.partition("[")
+        if bracket and term != "zero" and not term.endswith("_speed"):
+            values[index] = sizes.get(term, 0.5) * rng.uniform(0.2, 1.0)
+    for name, places in columns.bodies().items():
+        values[places] = changed(columns.robot.prior.theta, 0.3, rng)
+        values[places] *= 0.3 if name == "payload" else 1.0
+    return values
+
+
+def torque_of(columns, motion, values, is_loaded):
+    """What the torque sensors of the arm read (N, rows), by MuJoCo and the friction's formulas."""
+    known = dict(zip(columns.names, values.tolist()))
+    rigid = rigid_torque(columns, motion, values, is_loaded)
+    found = np.zeros((len(rigid), len(columns.joints)))
+    for row, (j, name) in enumerate(zip(columns.rows_of, columns.joints)):
+        qd, qdd = motion.qd[:, j], motion.qdd[:, j]
+        dry = np.zeros_like(qd)
+        for term in set(TERMS) - {"offset", "armature"}:
+            column = TERMS[term](qd, qdd, rigid[:, j])
+            if term in BENT:
+                vs = SPEED[term] + known[f"{term}_speed[{name}]"]
+                column = BENT[term].column(qd, np.array(vs))
+            dry += known[f"{term}[{name}]"] * column
+        found[:, row] = (1.0 + known[f"scale[{name}]"]) * rigid[:, j]
+        found[:, row] += (1.0 + known[f"drift[{name}]"] * PLACE) * dry
+        found[:, row] += known[f"armature[{name}]"] * qdd + known[f"offset[{name}]"]
+    for motor in columns.couplings:
+        own = np.array([known[name] for name in motor.parameter_names])
+        found += motor.columns(motion)[:, list(columns.rows_of)] @ own
+    return found
+
+
+def rigid_torque(columns, motion, values, is_loaded):
+    """Inverse dynamics (N, n) at the true positions and under the true gravity."""
+    robot, known = columns.robot, dict(zip(columns.names, values.tolist()))
+    model = copy.copy(robot.mj_model)
+    for link, theta in zip(robot.links, columns.thetas(values, is_loaded)):
+        if link.has_mass:
+            arms.write_body(model, link.body_id, theta)
+    model.dof_armature[:] = 0.0
+    angles = np.array([known["tilt_1"], known["tilt_2"]])
+    model.opt.gravity[:] = turned(gravity(robot), angles)
+    zero = np.array([known[f"zero[{name}]"] for name in robot.joint_names])
+    return ArmDynamics(robot, model).torque(motion.q - zero, motion.qd, motion.qdd)
+
+
+def recorded(columns, values, is_loaded, seed=0, low_pass=UNFILTERED, duration=0.6):
+    """(motion, the columns of its recording): torques that these values make, motion exact."""
+    motion = wide_motion(seed, columns.robot.n_joints, duration, RATE)
+    tau = np.zeros_like(motion.q)
+    tau[:, list(columns.rows_of)] = torque_of(columns, motion, values, is_loaded)
+    made = exact_recording(motion, tau, is_loaded, PLACE)
+    made = replace(made, source=replace(made.source, low_pass=low_pass, flat=low_pass))
+    couplings = columns.couplings
+    return motion, Columns(columns.robot, [made], columns.torques, couplings)
+
+
+def point_at(columns, values, **more):
+    speed = {term: np.full(columns.robot.n_joints, vs) for term, vs in SPEED.items()}
+    return replace(columns.start(), values=values, speed=speed, **more)
+
+
+def dense(samples):
+    """Per joint (K, p), zero where a parameter is not in its equations."""
+    for rows, places in zip(samples.rows, samples.columns):
+        full = np.zeros((len(rows), len(samples.names)))
+        full[:, places] = rows
+        yield full
+
+
+def without_dry_friction(columns, values):
+    """Values of what follows smoothly from the motion."""
+    found, bodies = values.copy(), {k for at in columns.bodies().values() for k in at}
+    for index, name in enumerate(columns.names):
+        if index not in bodies and name.partition("[")[0] not in ("viscous", "armature"):
+            found[index] = 0.0
+    return found
+
+
+@pytest.mark.parametrize("torques", ["chain", "terminal"])
+@pytest.mark.parametrize("name", ARMS)
+def test_each_column_is_the_derivative_of_the_torque(name, torques):
+    motors = tuple(neighbours(ARMS[name]))[:2] if torques == "chain" else ()
+    bare = Columns(ARMS[name], (), torques, motors)
+    values = true_values(bare, 1, loss=0.0)
+    motion, columns = recorded(bare, values, True)
+    (samples,) = columns.samples(point_at(columns, values))
+    full = np.stack(list(dense(samples)), axis=1)
+    for index, parameter in enumerate(columns.names):
+        if parameter == DELAY_NAME:
+            smooth = torque_of(columns, motion, without_dry_friction(columns, values), True)
+            expected = -np.gradient(smooth, samples.time, axis=0)
+        else:
+            step = 1e-5 * np.eye(len(values))[index]
+            up, down = (torque_of(columns, motion, values + s * step, True) for s in (1, -1))
+            expected = (up - down) / 2e-5
+        off = np.max(np.abs(full[..., index] - expected))
+        assert off < 1e-6 * max(np.max(np.abs(expected)), 1.0), parameter
+
+
+@settings(max_examples=15)
+@given(arms.SEEDS)
+def test_the_truth_solves_the_equations(seed):
+    """Whatever is scaled, drifts, bends, is shared or carried, and through a low-pass."""
+    robot = ARMS["four"]
+    bare = Columns(robot, (), "chain", tuple(neighbours(robot))[:2])
+    values = true_values(bare, seed)
+    for is_loaded in (False, True):
+        low_pass = replace(UNFILTERED, kernel=np.full(7, 1.0 / 7.0), step=3)
+        _, columns = recorded(bare, values, is_loaded, seed, low_pass)
+        (samples,) = columns.samples(point_at(columns, values, exact_load=True))
+        for rows, tau in zip(dense(samples), samples.tau):
+            off = np.max(np.abs(rows @ values - tau))
+            assert off < 1e-9 * max(np.max(np.abs(tau)), 1.0)
+
+
+def test_a_payload_stands_in_loaded_recordings_only():
+    bare = Columns(ARMS["four"], ())
+    values = true_values(bare, 3)
+    for is_loaded in (False, True):
+        _, columns = recorded(bare, values, is_loaded)
+        (samples,) = columns.samples(point_at(columns, values))
+        for full in dense(samples):
+            payload, link = full[:, columns.at(PAYLOAD_NAMES)], full[:, :10]
+            np.testing.assert_array_equal(payload, link * is_loaded)
+    thetas = columns.thetas(values, True) - columns.thetas(values, False)
+    np.testing.assert_allclose(thetas[-1], values[columns.at(PAYLOAD_NAMES)], atol=1e-15)
+    assert not np.any(thetas[:-1])
+
+
+@pytest.mark.parametrize("chunk", [7, 50])
+def test_the_chunk_size_changes_nothing(chunk, monkeypatch):
+    low_pass = replace(UNFILTERED, kernel=np.full(7, 1.0 / 7.0), step=3)
+    bare = Columns(ARMS["four"], ())
+    values = true_values(bare, 4)
+    _, columns = recorded(bare, values, True, 4, low_pass)
+    point = point_at(columns, values, exact_load=True)
+    (whole,) = columns.samples(point)
+    for module in (columns_module, samples_module):
+        monkeypatch.setattr(module, "_CHUNK", chunk)
+    (parts,) = Columns(columns.robot, columns.datasets).samples(point)
+    for one, other in zip((*whole.rows, *whole.tau), (*parts.rows, *parts.tau)):
+        np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-12)
+
+
+def test_what_settles_moves_into_the_point_and_the_prediction_stays():
+    """Delay, tilt and speeds become part of what the rows are made around."""
+    bare = Columns(ARMS["four"], ())
+    values = true_values(bare, 5, loss=0.0)
+    _, columns = recorded(bare, values, False, 5, duration=2.0)
+    before = point_at(columns, values)
+    settle = {"delay": 1e-3, "tilt_1": 2e-4, "tilt_2": -1e-4, "stribeck_speed[joint1]": 1e-4}
+    moved = values.copy()
+    moved[columns.at(list(settle))] = list(settle.values())
+    after = columns.moved(before, moved, list(settle))
+    assert after.delay == 1e-3 and not np.any(after.values[columns.at(list(settle))])
+    np.testing.assert_allclose(after.gravity, turned(before.gravity, np.array([2e-4, -1e-4])))
+    assert after.speed["stribeck"][1] - before.speed["stribeck"][1] == pytest.approx(1e-4)
+    huge = columns.moved(before, 1e7 * moved, list(settle)).speed["stribeck"]
+    assert huge[1] == BENT["stribeck"].bounds[1]
+    still = [name for name in settle if name != "delay"]
+    one, other = (
+        columns.samples(point)[0] for point in (before, columns.moved(before, moved, still))
+    )
+    moved[columns.place["delay"]] = 0.0
+    for old, new, tau, same in zip(dense(one), dense(other), one.tau, other.tau):
+        left, again = tau - old @ moved, same - new @ after.values
+        assert np.max(np.abs(left - again)) < 1e-6 * np.max(np.abs(tau))

@@ -1,0 +1,142 @@
+"""Stated errors are as large as errors are, and add up from their causes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.columns import PAYLOAD_NAMES
+from robot_sysid.estimation.errors import FILTERING, fit_errors
+from robot_sysid.estimation.unknowns import COMMON, SCALES
+from tests.support import arms
+from tests.support.core_fits import KNOWN, datasets_of, fitted
+from tests.support.imperfect_arm import ImperfectArm, Imperfections
+from tests.support.measured_logs import guessed, log_of, plan_of, true_values
+from tests.support.payload_logs import PAYLOAD, RATE, TrueArm, wide_motion, with_torque
+
+SMALL = arms.robot_of(arms.serial_arm((arms.Z, arms.Y, arms.X)))
+WITHIN = 3.5
+"""Standard errors that the worst of some twenty parameters may be off."""
+
+
+def white(shape, rng):
+    return 0.1 * rng.standard_normal(shape)
+
+
+def coloured(shape, rng):
+    keep = np.exp(-1.0 / (0.1 * RATE))
+    return lfilter([1.0], [1.0, -keep], np.sqrt(1.0 - keep**2) * white(shape, rng), axis=0)
+
+
+@pytest.mark.parametrize("noise", [white, coloured])
+def test_errors_are_the_spread_of_many_recordings(noise):
+    """Noise is all that is not known; what has a memory counts by its memory."""
+    arm, off, stated = TrueArm(SMALL, 1, wrong=0.0), [], []
+    exact = arm.recording(wide_motion(3, 3), False)
+    for run in range(24):
+        drawn = noise(exact.torque.shape, np.random.default_rng(run))
+        fit = fitted(SMALL, [with_torque(exact, drawn)], EstimationOptions(**KNOWN))
+        off.append((fit.values - arm.values(fit.columns))[fit.unknowns.kept])
+        stated.append(fit_errors(fit).whole.standard_errors)
+    ratio = np.sqrt(np.mean(np.square(off), axis=0) / np.mean(np.square(stated), axis=0))
+    assert np.all((ratio > 0.6) & (ratio < 1.6))
+    assert np.mean(np.abs(off) < 1.96 * np.array(stated)) == pytest.approx(0.95, abs=0.03)
+
+
+@pytest.mark.slow
+def test_whole_errors_cover_all_that_is_wrong_with_an_arm():
+    plan, off = plan_of(SMALL, 1, 20.0), []
+    sizes = {"links": 0.04, "zero": 2e-3, "tilt": np.radians(0.4), "lag": 3e-3, "load": 0.02}
+    for run in range(24):
+        rng = np.random.default_rng(run)
+        scale = 1.0 + 0.02 * rng.standard_normal(3)
+        arm = ImperfectArm(SMALL, rng, Imperfections(**sizes, noise=0.2), scale)
+        datasets, options = datasets_of(SMALL, arm.log(plan, np.zeros(10), rng))
+        fit = fitted(SMALL, datasets, options)
+        errors = fit_errors(fit).whole.standard_errors[:10]
+        off.append((fit.values[:10] - arm.thetas[-1]) / errors)
+    assert 0.6 < np.sqrt(np.mean(np.square(off))) < 1.2
+    assert np.mean(np.abs(off) < 1.96) > 0.9
+
+
+def filtered_fit(plant, cutoff, seed, **sensors):
+    """(errors, distance of all parameters from the truth) where noise is all that is not known."""
+    log = log_of(plant, plan_of(plant, seed, 25.0), **sensors)
+    datasets, options = datasets_of(guessed(plant), log, cutoff=cutoff, **KNOWN)
+    fit = fitted(guessed(plant), datasets, options)
+    off = np.abs(fit.values - true_values(plant, fit.columns.names))[fit.unknowns.kept]
+    return fit_errors(fit), off
+
+
+@pytest.mark.parametrize("cutoff", [0.9, 1.2])
+def test_a_cutoff_close_to_the_motion_is_paid_for(plant, cutoff):
+    """Motion of up to 0.6 Hz: noise alone, as the residuals show it, does not explain the error."""
+    errors, off = filtered_fit(plant, cutoff, 2, encoder_resolution=1e-6)
+    assert np.max(off / np.sqrt(np.diag(errors.noise))) > 4.0
+    assert np.max(off / errors.whole.standard_errors) < WITHIN
+
+
+def test_beside_noise_the_low_pass_does_not_count(plant):
+    errors, off = filtered_fit(plant, 8.0, 1, noise_torque=0.1, encoder_resolution=1e-4)
+    part = np.sqrt(np.diag(errors.causes[FILTERING]))
+    assert np.all(part < 0.05 * np.sqrt(np.diag(errors.noise)))
+    assert np.max(off / errors.whole.standard_errors) < WITHIN
+
+
+# ---- of a payload
+
+
+@pytest.fixture(scope="module")
+def errors(payload_fit):
+    return fit_errors(payload_fit)
+
+
+@pytest.fixture(scope="module")
+def change(payload_fit):
+    kept = payload_fit.unknowns.kept
+    return np.eye(len(kept))[np.searchsorted(kept, payload_fit.columns.at(PAYLOAD_NAMES))]
+
+
+def test_squares_of_the_causes_and_of_noise_add_up(errors, change):
+    covariance, noise, budget = errors.of(change, PAYLOAD)
+    assert COMMON not in budget and len(budget) >= 6
+    total = noise**2 + np.sum([part**2 for part in budget.values()], axis=0)
+    np.testing.assert_allclose(np.diag(covariance), total, rtol=1e-6)
+    assert errors.white(change)[0] == pytest.approx(noise[0], rel=0.4)
+
+
+def test_a_scale_of_all_joints_is_an_error_in_proportion(errors, change):
+    """Nothing tells it: 2 % of each of four joints is 1 % of all."""
+    without, with_it = (errors.of(change, theta) for theta in (None, PAYLOAD))
+    assert errors.common == pytest.approx(0.01, rel=0.01)
+    grown = np.sqrt(np.diag(with_it[0]) - np.diag(without[0]))
+    np.testing.assert_allclose(grown, errors.common * np.abs(PAYLOAD), rtol=1e-6)
+    assert with_it[2][SCALES][0] > without[2][SCALES][0]
+
+
+def test_the_truth_lies_within_the_errors(payload_fit, errors, change):
+    found = payload_fit.values[payload_fit.columns.at(PAYLOAD_NAMES)]
+    stated = np.sqrt(np.diag(errors.of(change, found)[0]))
+    assert np.max(np.abs(found - PAYLOAD) / stated) < WITHIN
+    assert np.all(errors.shown(change))
+    share = errors.share(payload_fit)
+    names = payload_fit.unknowns.kept_names
+    assert share[names.index("m(payload)")] > 0.99 and np.all((share >= 0.0) & (share <= 1.0))
+    # Its joint shows none of it; what other links weigh tells a little.
+    assert share[names.index("m(link0)")] < 0.3
+
+
+def test_what_no_torque_shows_has_no_error():
+    """Axes parallel to gravity: the moment along them, and with it any sum, stays unknown."""
+    upright = arms.robot_of(arms.serial_arm((arms.Z, arms.Z, arms.Z)))
+    arm = TrueArm(upright, 1, wrong=0.0)
+    recording = arm.recording(wide_motion(1, 3), False)
+    fit = fitted(upright, [recording], EstimationOptions(**KNOWN))
+    errors = fit_errors(fit)
+    hidden = {"hz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz"}
+    own = np.eye(len(fit.unknowns.kept))[:10]
+    np.testing.assert_array_equal(errors.shown(own), [n not in hidden for n in PARAMETER_NAMES])
+    assert np.isinf(errors.of(own[3:4])[1][0]) and not errors.shown(own[:1] + own[3:4])[0]

@@ -1,0 +1,125 @@
+"""What a file is given predicts, as a file, as well as is said; what it cannot hold is left out."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.nuisances import gravity, with_gravity
+from robot_sysid.estimation.file_fit import fit_file, holds_polynomial
+from robot_sysid.estimation.unknowns import FILE_FRICTION as FRICTION
+from robot_sysid.estimation.unknowns import FILE_GRAVITY as GRAVITY
+from robot_sysid.estimation.unknowns import FILE_LINKS as LINKS
+from robot_sysid.estimation.unknowns import FILE_ROTORS as ROTORS
+from robot_sysid.results.rollout import torque_error
+from tests.support import arms
+from tests.support.core_fits import datasets_of, fitter_of
+from tests.support.measured_logs import log_of, plan_of
+
+
+def file_of(plant, model, kept=(), more=None, seed=1):
+    """(the file's fit, a recording that made it, another one)."""
+    logs = []
+    for number in (seed, seed + 10):
+        plan = plan_of(plant, number, 20.0)
+        log = log_of(plant, plan, number, noise_torque=0.02, encoder_resolution=1e-5)
+        moved = 0.0 if more is None else more(plan.evaluate(log.time))
+        logs.append(replace(log, tau=log.tau + moved))
+    datasets, options = datasets_of(model, *logs)
+    fitter = fitter_of(model, datasets[:1])
+    return fit_file(fitter, options, kept, fitter.columns.prior), *datasets
+
+
+def compiled(robot, fit):
+    """The model as it would be written."""
+    model = copy.copy(robot.mj_model)
+    for link, theta in zip(robot.links, fit.columns.thetas(fit.values)):
+        arms.write_body(model, link.body_id, theta)
+    fields = (("coulomb", model.dof_frictionloss), ("viscous", model.dof_damping))
+    for term, field in (*fields, ("armature", model.dof_armature)):
+        for dof, joint in zip(robot.dof_index, robot.joint_names):
+            field[dof] = fit.value(f"{term}[{joint}]")
+    model.opt.gravity[:] = fit.point.gravity
+    return model
+
+
+def turned(plant, degrees):
+    turn = Rotation.from_rotvec(
+        np.radians(degrees) * np.array([0.5, 0.8, 0.0]) / np.hypot(0.5, 0.8)
+    )
+    return with_gravity(plant, turn.apply(gravity(plant)))
+
+
+def angle(found, truth):
+    cosine = found @ truth / np.linalg.norm(found) / np.linalg.norm(truth)
+    return np.degrees(np.arccos(min(cosine, 1.0)))
+
+
+def test_the_file_predicts_as_it_is_said_to(plant, robot):
+    found, own, other = file_of(plant, robot)
+    fit = found.fit
+    assert all(spatial.is_consistent(theta) for theta in fit.columns.thetas(fit.values))
+    before = torque_error(robot.mj_model, robot, own.signals, "own").relative_error
+    assert found.before.relative_error == pytest.approx(before, rel=0.05)
+    assert found.after.relative_error < 0.02 * found.before.relative_error
+    model = compiled(robot, fit)
+    for recording in (own, other):
+        error = torque_error(model, robot, recording.signals, "file").relative_error
+        assert error == pytest.approx(found.after.relative_error, rel=0.25)
+    # Nothing but what a file holds, and each joint's sensor offset.
+    terms = {name.partition("[")[0] for name in fit.unknowns.kept_names if "[" in name}
+    assert terms == {"coulomb", "viscous", "armature", "offset"}
+    assert np.array_equal(fit.point.gravity, gravity(robot))
+
+
+def test_a_turned_gravity_is_found_and_kept_out_where_it_is_to_stay(plant, robot):
+    askew = turned(plant, 2.0)
+    found = file_of(askew, robot)[0]
+    assert angle(found.fit.point.gravity, gravity(askew)) < 0.3
+    kept = file_of(askew, robot, (GRAVITY,))[0]
+    assert np.array_equal(kept.fit.point.gravity, gravity(robot)) and kept.kept == (GRAVITY,)
+    assert kept.after.relative_error > found.after.relative_error
+
+
+@pytest.mark.parametrize("part", [FRICTION, ROTORS, LINKS])
+def test_a_part_that_is_to_stay_stays(plant, robot, part):
+    fit = file_of(plant, robot, (part, GRAVITY))[0].fit
+    stays = {
+        FRICTION: ["coulomb[joint1]", "viscous[joint2]"],
+        ROTORS: ["armature[joint0]", "armature[joint2]"],
+        LINKS: ["m(link0)", "Izz(link1)"],
+    }
+    for name, held in ((name, part == kind) for kind, names in stays.items() for name in names):
+        place = fit.columns.place[name]
+        assert (fit.values[place] == fit.columns.prior[place]) == held, name
+    assert "offset[joint1]" in fit.unknowns.kept_names
+
+
+def test_a_urdf_gets_no_rotors(plant, robot):
+    """It cannot hold them: what it has beside links is friction, and rotors count as links."""
+    model = replace(robot, kind="urdf")
+    fit = file_of(plant, model)[0].fit
+    assert not [name for name in fit.unknowns.kept_names if name.startswith("armature[")]
+    assert all(fit.value(f"armature[{joint}]") == 0.0 for joint in model.joint_names)
+
+
+@pytest.mark.skipif(not hasattr(mujoco.MjModel, "dof_dampingpoly"), reason="MuJoCo before 3.7")
+def test_nonlinear_damping_is_given_to_the_joint_that_has_it(plant, robot):
+    def more(motion):
+        return 0.3 * motion.qd * np.abs(motion.qd) * [0.0, 1.0, 0.0]
+
+    fit = file_of(plant, robot, (GRAVITY,), more)[0].fit
+    bent = ["quadratic" in model.terms for model in fit.choice.friction]
+    assert bent == [False, True, False]
+    joint = robot.joint_names[1]
+    curve = fit.value(f"quadratic[{joint}]") + fit.value(f"cubic[{joint}]")
+    assert curve == pytest.approx(0.3, abs=0.15)
+    assert not holds_polynomial(replace(robot, kind="urdf"), 1)
+    other = file_of(plant, robot, (FRICTION, GRAVITY), more)[0].fit
+    assert not any("quadratic" in model.terms for model in other.choice.friction)

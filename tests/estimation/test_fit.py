@@ -1,0 +1,341 @@
+"""The one fit: the truth comes back, priors hold what they say, bodies and bounds are possible."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from scipy.spatial.transform import Rotation
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.friction import BENT
+from robot_sysid.dynamics.nuisances import gravity, with_gravity
+from robot_sysid.errors import SysidError
+from robot_sysid.estimation import fit as fit_module
+from robot_sysid.estimation.algebra.consistent_links import GAMMAS
+from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.columns import PAYLOAD_NAMES
+from robot_sysid.estimation.errors import fit_errors
+from robot_sysid.estimation.fit import Fitter
+from robot_sysid.estimation.unknowns import LARGEST_LOSS, Question
+from robot_sysid.records import DELAY_NAME
+from tests.support import arms
+from tests.support.core_fits import (
+    BASIC,
+    KNOWN,
+    SURE,
+    choice_of,
+    datasets_of,
+    fitted,
+    fitter_of,
+    off_by,
+)
+from tests.support.measured_logs import guessed, log_of, plan_of
+from tests.support.payload_logs import (
+    PAYLOAD,
+    TrueArm,
+    exact_recording,
+    four_joint_arm,
+    wide_motion,
+    with_torque,
+)
+from tests.support.payload_logs import noisy as with_noise
+from tests.support.synthetic_data import random_body
+
+ROBOT = four_joint_arm()
+JOINTS = ROBOT.joint_names
+
+
+def payload(fit):
+    return fit.values[fit.columns.at(PAYLOAD_NAMES)]
+
+
+def pair(seed, **arm):
+    """One exact empty and one exact loaded recording of an arm."""
+    true = TrueArm(ROBOT, seed, **arm)
+    return [true.recording(wide_motion([seed, k]), k > 0) for k in range(2)]
+
+
+# ---- exact recordings
+
+
+@settings(max_examples=8)
+@given(arms.SEEDS)
+def test_another_last_link_is_recovered_whatever_is_uncertain(seed):
+    arm = TrueArm(ROBOT, seed, wrong=0.0)
+    arm.thetas[-1] = random_body(np.random.default_rng(seed))
+    recording = arm.recording(wide_motion(seed), False)
+    for options, allowed in ((EstimationOptions(), 1e-8), (EstimationOptions(**KNOWN), 1e-10)):
+        fit = fitted(ROBOT, [recording], options)
+        assert off_by(fit.values[:10], arm.thetas[-1]) < allowed
+        truth = arm.values(fit.columns)[fit.unknowns.kept]
+        np.testing.assert_allclose(fit.values[fit.unknowns.kept], truth, atol=1e-6)
+
+
+@settings(max_examples=4)
+@given(arms.SEEDS)
+def test_a_payload_is_recovered_whatever_the_model_has_wrong(seed):
+    """Links off by up to 30 %, friction and rotors that the model does not have, other motions."""
+    recordings = pair(seed)
+    assert off_by(payload(fitted(ROBOT, recordings, SURE, loaded=True)), PAYLOAD) < 1e-6
+    assert off_by(payload(fitted(ROBOT, recordings, loaded=True)), PAYLOAD) < 1e-4
+
+
+def test_torques_times_k_give_bodies_times_k():
+    """Which a scale of all joints is, too: it goes into the payload, not into scales."""
+    recordings = [with_torque(each, 0.3 * each.torque) for each in pair(5, wrong=0.1)]
+    fit = fitted(ROBOT, recordings, SURE, loaded=True)
+    assert off_by(payload(fit), 1.3 * PAYLOAD) < 1e-6
+    assert np.mean([fit.value(f"scale[{joint}]") for joint in JOINTS]) == pytest.approx(0, abs=1e-9)
+
+
+def test_the_payload_is_what_the_link_gained():
+    """The link question of empty and of loaded recordings alone, and the payload question."""
+    empty, loaded = pair(1, wrong=0.0)
+    link, total = (fitted(ROBOT, [each]).values[:10] for each in (empty, loaded))
+    both = fitted(ROBOT, [empty, loaded], loaded=True)
+    assert off_by(both.values[:10], link) < 1e-6 and off_by(payload(both), total - link) < 1e-6
+
+
+def test_a_drift_of_friction_is_told_from_the_payload():
+    recordings = TrueArm(ROBOT, 3).abba(3, drift=0.15)
+    fit = fitted(ROBOT, recordings, SURE, loaded=True, drifts=True)
+    np.testing.assert_allclose([fit.value(f"drift[{j}]") for j in JOINTS], 0.15, rtol=1e-6)
+    assert off_by(payload(fit), PAYLOAD) < 1e-6
+    blind = fitted(ROBOT, recordings, SURE, loaded=True)
+    assert off_by(payload(blind), PAYLOAD) > 1e-3
+
+
+def test_a_known_mass_tells_the_torque_scales():
+    scale = np.array([1.03, 0.96, 1.02, 0.98])
+    recordings = TrueArm(ROBOT, 4, scale=scale).abba(4)
+    weight = {"known_mass": float(PAYLOAD[0]), "scale_prior": 3.0}
+    fit = fitted(ROBOT, recordings, SURE, loaded=True, **weight)
+    np.testing.assert_allclose([1.0 + fit.value(f"scale[{j}]") for j in JOINTS], scale, atol=1e-6)
+    assert off_by(payload(fit), PAYLOAD) < 1e-5
+
+
+def test_what_gears_lose_with_their_load_is_found_and_stays_within_bounds():
+    arm, recordings = TrueArm(ROBOT, 6), []
+    lost = np.array([0.0, 0.08, -0.05, 0.5])
+    bare = TrueArm(ROBOT, 6)
+    bare.coulomb = bare.viscous = bare.offset = bare.armature = np.zeros(4)
+    for each in arm.abba(6):
+        motion = each.source.motion(np.arange(len(each.source)))
+        carried = bare.torque(motion, each.is_loaded)
+        recordings.append(with_torque(each, lost * np.abs(carried) * np.sign(motion.qd)))
+    fit = fitted(ROBOT, recordings, SURE, f"{BASIC}-load", loaded=True)
+    found = [fit.value(f"load[{joint}]") for joint in JOINTS]
+    assert found[1] == pytest.approx(0.08, abs=0.02)
+    assert found[2] == 0.0 and found[3] == LARGEST_LOSS
+    assert {"load[joint2]", "load[joint3]"} <= set(fit.unknowns.at_bound)
+
+
+def test_no_friction_is_negative_unless_it_may_be():
+    arm = TrueArm(ROBOT, 8, wrong=0.0)
+    arm.coulomb, arm.viscous = np.full(4, -0.2), np.full(4, 0.5)
+    arm.offset, arm.armature = np.full(4, -0.3), np.full(4, -0.05)
+    fit = fitted(ROBOT, [arm.recording(wide_motion(8), False)], EstimationOptions(**KNOWN))
+    for joint in JOINTS:
+        assert fit.value(f"coulomb[{joint}]") == fit.value(f"armature[{joint}]") == 0.0
+        assert fit.value(f"viscous[{joint}]") > 0.0 > fit.value(f"offset[{joint}]")
+    assert len(fit.unknowns.at_bound) == 8
+
+
+def test_the_speed_of_a_stribeck_term_is_found_with_it_within_its_bounds():
+    motion = wide_motion(9)
+    arm = TrueArm(ROBOT, 9, wrong=0.0)
+    drop = np.sign(motion.qd) * np.exp(-((motion.qd / 0.3) ** 2))
+    tau = arm.torque(motion, False) + np.array([0.4, 0.4, 0.4, 0.0]) * drop
+    fit = fitted(ROBOT, [exact_recording(motion, tau, False)], friction=f"{BASIC}-stribeck")
+    for joint in JOINTS[:3]:
+        assert fit.value(f"stribeck_speed[{joint}]") == pytest.approx(0.3, rel=0.05)
+        assert fit.value(f"stribeck[{joint}]") == pytest.approx(0.4, rel=0.1)
+    assert fit.value("stribeck[joint3]") == pytest.approx(0.0, abs=0.02)
+    low, high = BENT["stribeck"].bounds
+    assert np.all((fit.point.speed["stribeck"] >= low) & (fit.point.speed["stribeck"] <= high))
+
+
+# ---- recordings put together
+
+
+def test_order_and_cuts_of_recordings_change_nothing(recordings):
+    """The same rows, whole, in another order, and cut in two."""
+
+    def values_of(parts):
+        fitter = Fitter(fitter_of(ROBOT, parts).columns, fitter_of(ROBOT, parts).torque)
+        return fitter.fit(Question(EstimationOptions(), loaded=True), choice_of(ROBOT)).values
+
+    rows = len(recordings[0].motion.time)
+    masks = [np.arange(rows) < rows // 3, np.arange(rows) >= rows // 3]
+    cut = [replace(each, used=mask) for each in recordings for mask in masks]
+    whole = values_of(recordings)
+    for other in (values_of(recordings[::-1]), values_of(cut)):
+        np.testing.assert_allclose(other, whole, rtol=1e-6, atol=1e-7)
+
+
+def test_a_recording_given_twice_says_no_more(robot, noisy):
+    """What the model leaves comes again as it was, so it does not average."""
+    (log,), options = datasets_of(robot, noisy, **KNOWN)
+    once, twice = (fitted(robot, [log] * count, options) for count in (1, 2))
+    assert np.all(twice.inflation > 1.7) and np.all(once.inflation < 1.3)
+    roots = [np.linalg.inv(np.linalg.qr(f.weighted.whitened()[0], "r")) for f in (once, twice)]
+    errors = [np.linalg.norm(root, axis=1) for root in roots]
+    assert np.all((errors[1] > 0.85 * errors[0]) & (errors[1] < 1.05 * errors[0]))
+    moved = (twice.values - once.values)[once.unknowns.kept]
+    assert np.max(np.abs(moved) / errors[0]) < 0.02
+
+
+# ---- priors
+
+
+def test_a_wrong_zero_is_found_and_taken_from_its_joint_alone(plant):
+    """The model knows the links; one encoder reads 10 mrad too much."""
+    log = log_of(plant, noise_torque=0.02)
+    read = replace(log, q=log.q + np.array([0.0, 0.01, 0.0]))
+    (shifted,), options = datasets_of(plant, read, **{**KNOWN, "zero_uncertainty": 10.0})
+    fit = fitted(plant, [shifted], options)
+    assert fit.value("zero[joint1]") == pytest.approx(0.01, abs=1e-3)
+    assert abs(fit.value("zero[joint2]")) < 1e-3
+
+
+# ---- delay and tilt
+
+
+@pytest.mark.parametrize(
+    ("delay", "degrees", "direction", "seed"), [(0.0047, 1.0, 3.0, 9), (0.1, 3.0, 2.0, 5)]
+)
+def test_delay_and_tilt_are_found_together(plant, robot, delay, degrees, direction, seed):
+    """To 0.1 ms and 0.02 degrees, encoder step 2e-5 rad."""
+    turn = np.radians(degrees) * np.array([np.cos(direction), np.sin(direction), 0.0])
+    askew = with_gravity(plant, Rotation.from_rotvec(turn).apply(gravity(plant)))
+    log = log_of(askew, plan_of(plant, seed), torque_delay=delay, encoder_resolution=2e-5)
+    datasets, options = datasets_of(robot, log, **KNOWN, delay="auto", tilt="auto")
+    fit = fitted(robot, datasets, options)
+    assert fit.value(DELAY_NAME) == pytest.approx(delay, abs=1e-4)
+    cosine = fit.point.gravity @ gravity(askew) / 9.81**2
+    assert np.degrees(np.arccos(min(cosine, 1.0))) < 0.02
+
+
+def test_a_search_that_does_not_settle_ends_with_a_remedy(robot, noisy, monkeypatch):
+    monkeypatch.setattr(fit_module, "_SOUGHT_ROUNDS", 1)
+    datasets, options = datasets_of(robot, noisy, delay="auto", tilt="auto")
+    with pytest.raises(SysidError, match="delay and tilt do not settle within 1 rounds"):
+        fitted(robot, datasets, options)
+
+
+# ---- methods and bodies
+
+
+@pytest.mark.parametrize("method", ["ols", "wls", "robust"])
+@pytest.mark.parametrize("guess", [0.3, 3.0])
+def test_a_clean_log_gives_the_truth_whatever_the_guess(plant, method, guess):
+    (log,), options = datasets_of(plant, log_of(plant), method=method)
+    fit = fitted(guessed(plant, guess), [log], options)
+    assert off_by(fit.values[:10], plant.prior.theta) < 1e-5
+
+
+def test_outliers_hardly_move_the_robust_estimate(plant, robot, noisy):
+    """Every hundredth torque sample is off by 20 N m."""
+    hit = np.random.default_rng(0).random(noisy.tau.shape) < 0.01
+    spoiled = replace(noisy, tau=noisy.tau + 20.0 * hit)
+
+    def error(log, method):
+        (one,), options = datasets_of(robot, log, **KNOWN, method=method)
+        return np.linalg.norm(fitted(robot, [one], options).values[:10] - plant.prior.theta)
+
+    robust = error(spoiled, "robust")
+    assert robust < 0.8 * error(spoiled, "wls")
+    assert robust < 0.1 and error(noisy, "wls") < 0.03
+
+
+def test_no_estimate_is_an_impossible_body_and_a_possible_one_stays(plant, robot):
+    """Weak motion, strong noise: the plain estimate is impossible, the result never."""
+    impossible = 0
+    for seed, noise in enumerate((3.0, 0.02, 1.0, 0.02)):
+        log = log_of(plant, plan_of(plant, seed, 6.0), seed, noise_torque=noise)
+        (one,), options = datasets_of(robot, log, **KNOWN)
+        fit = fitted(robot, [one], options)
+        plain = fitted(robot, [one], replace(options, consistency="off"))
+        np.testing.assert_array_equal(plain.values, plain.free)
+        assert spatial.is_consistent(fit.values[:10])
+        wrong = not spatial.is_consistent(plain.values[:10])
+        impossible += wrong
+        assert fit.constrained == wrong
+        if not wrong:
+            np.testing.assert_array_equal(fit.values, plain.values)
+            forced = fitted(robot, [one], replace(options, consistency="enforce"))
+            moved = (forced.values - plain.values)[forced.unknowns.kept]
+            cost = 0.5 * np.sum((forced.weighted.whitened()[0] @ moved) ** 2)
+            gained = penalty(plain.values, robot) - penalty(forced.values, robot)
+            assert 0.0 <= cost <= GAMMAS[0] * gained
+    assert 0 < impossible < 4
+
+
+def penalty(values, robot):
+    """What keeps the last link possible, per unit of its weight."""
+    before, after = (spatial.pseudo_inertia(x) for x in (robot.prior.theta, values[:10]))
+    return np.trace(np.linalg.solve(before, after)) - np.linalg.slogdet(after)[1]
+
+
+def test_an_entropic_prior_pulls_the_link_to_the_models(plant, robot, noisy):
+    (log,), options = datasets_of(robot, noisy)
+    masses = [
+        fitted(robot, [log], replace(options, prior="entropic", prior_weight=weight)).values[0]
+        for weight in (1e-6, 1.0, 100.0, 1e6)
+    ]
+    assert plant.prior.mass == pytest.approx(masses[0], abs=0.1)
+    assert masses[0] > masses[1] > masses[2] > masses[3]
+    assert masses[3] == pytest.approx(robot.prior.mass, rel=0.02)
+
+
+@pytest.mark.parametrize("noise", [0.05, 0.3])
+def test_terminal_torques_keep_what_they_cannot_see(plant, robot, noise):
+    """First moments that show are not possible with the model's mass, which gives way a little."""
+    for seed in range(4):
+        log = log_of(plant, plan_of(plant, seed), seed, noise_torque=noise)
+        (one,), options = datasets_of(robot, log, torques="terminal")
+        fit = fitted(robot, [one], options, "coulomb-viscous-offset")
+        assert fit.free[0] == pytest.approx(robot.prior.mass)
+        assert 0.5 < fit.values[0] / robot.prior.mass < 3.0
+        assert spatial.is_consistent(fit.values[:10])
+
+
+# ---- what is hardly there
+
+
+@pytest.mark.parametrize("link", [1, 3])
+def test_a_placeholder_link_is_found_all_the_same(link):
+    """Its 1e-9 kg in the model are no reason to believe that it weighs nothing."""
+    arm = TrueArm(ROBOT, 1, wrong=0.0)
+    recording = with_noise(arm.recording(wide_motion(1), False), 0.02, 0)
+    tiny = spatial.theta_from_com(1e-9, np.zeros(3), 1e-15 * np.eye(3))
+    model = arms.compile_xml(arms.serial_arm((arms.Z, arms.Y, arms.Y, arms.X)))
+    arms.write_body(model, ROBOT.links[link].body_id, tiny)
+    guess = arms.robot_of(model)
+    fit = fitted(guess, [recording])
+    name = ROBOT.links[link].body_name
+    theta = fit.values[fit.columns.bodies()[name]]
+    assert spatial.is_consistent(theta) and np.all(np.isfinite(fit.values))
+    if link == 3:
+        assert theta[0] == pytest.approx(ROBOT.prior.mass, rel=0.1)
+    rows, tau = fit.samples[0].rows[1], fit.samples[0].tau[1]
+    left = tau - rows @ fit.values[fit.samples[0].columns[1]]
+    assert np.std(left) < 0.03
+
+
+def test_a_tool_far_larger_than_the_models_link_is_not_pulled_towards_it():
+    """Its mass is known to what the errors say also where noise makes an impossible body of it."""
+    small = spatial.theta_from_com(0.1, np.array([0.0, 0.0, 0.01]), 1e-6 * np.eye(3))
+    model = arms.compile_xml(arms.serial_arm((arms.Z, arms.Y, arms.Y, arms.X)))
+    arms.write_body(model, ROBOT.links[-1].body_id, small)
+    guess, off, moved = arms.robot_of(model), [], 0
+    for seed in range(6):
+        arm = TrueArm(ROBOT, seed, wrong=0.0)
+        recording = with_noise(arm.recording(wide_motion(seed), False), 1.0, seed)
+        fit = fitted(guess, [recording])
+        moved += fit.constrained
+        off.append((fit.values[0] - fit.free[0]) / fit_errors(fit).whole.standard_errors[0])
+    assert moved and np.max(np.abs(off)) < 1.0

@@ -1,0 +1,106 @@
+"""Several recordings: those of a kind agree, and one that does not is named."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from robot_sysid.estimation.recordings import (
+    contradictions,
+    disagreeing,
+    each_recording,
+    logs_compared,
+    masses_apart,
+)
+from robot_sysid.records import Flange
+from tests.estimation.conftest import SIGMA
+from tests.support import arms
+from tests.support.core_fits import datasets_of, fitted
+from tests.support.measured_logs import JOINT, log_of, plan_of
+from tests.support.payload_logs import PAYLOAD, TrueArm, four_joint_arm
+
+FLANGE = Flange("here", np.eye(3), np.array([0.0, 0.0, 0.05]))
+
+
+@pytest.fixture(scope="module")
+def scatter(payload_fit):
+    return each_recording(payload_fit, FLANGE, 1.0)
+
+
+def test_every_recording_says_the_same_within_its_errors(payload_fit, scatter):
+    mass = payload_fit.value("m(payload)")
+    assert [one.name for one in scatter] == ["log0", "log3", "log1", "log2"]
+    assert [one.is_loaded for one in scatter] == [False, False, True, True]
+    for one in scatter:
+        assert abs(one.mass - mass) < 3.0 * one.noise_error
+        assert one.noise_error < one.error < 0.1
+        # The centre of mass is told in the flange frame, 5 cm further out.
+        assert one.com == pytest.approx(PAYLOAD[1:4] / PAYLOAD[0] - [0, 0, 0.05], abs=0.01)
+    assert list(disagreeing(scatter, mass)) == []
+
+
+def test_what_noise_does_not_explain_is_named(scatter):
+    odd = replace(scatter[0], mass=scatter[0].mass + 10.0 * scatter[0].noise_error)
+    (said,) = disagreeing((odd, *scatter[1:]), scatter[1].mass)
+    assert said.startswith(f"{odd.name} alone says")
+
+
+def test_masses_are_those_on_the_arm(payload_fit, recordings):
+    masses, errors = masses_apart(payload_fit, payload_fit.samples)
+    truth = [PAYLOAD[0] * each.is_loaded for each in recordings]
+    assert masses == pytest.approx(truth, abs=0.03)
+    assert errors[0] == 0.0 and np.all(errors[1:] > 0.0) and np.all(errors < 0.05)
+    assert contradictions(payload_fit) == ()
+
+
+def test_a_recording_on_the_wrong_side_is_named_with_all_masses(recordings):
+    wrong = list(recordings)
+    wrong[0] = replace(wrong[0], is_loaded=True)
+    wrong[1] = replace(wrong[1], is_loaded=False)
+    told = contradictions(fitted(four_joint_arm(), wrong, loaded=True))
+    assert [name for name, _ in told] == ["log0", "log1", "log2", "log3"]
+    assert [mass for _, mass in told] == pytest.approx([0.0, 1.2, 1.2, 0.0], abs=0.05)
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.05, False), (0.3, True)])
+def test_only_clear_differences_of_a_kind_count(share, told):
+    """One of the two loaded recordings carries a little more."""
+    robot, found = four_joint_arm(), []
+    for number, each in enumerate(TrueArm(robot, 7, wrong=0.03).abba(7, sigma=SIGMA)):
+        if number == 2:
+            heavier = TrueArm(robot, 7, wrong=0.03, payload=(1.0 + share) * PAYLOAD)
+            each = heavier.abba(7, sigma=SIGMA)[2]
+        found.append(each)
+    assert bool(contradictions(fitted(robot, found, loaded=True))) == told
+
+
+# ---- logs of the arm alone
+
+
+def compared(plant, robot, *plants):
+    logs = [
+        log_of(each, plan_of(plant, 1 + k), k, noise_torque=0.1, encoder_resolution=1e-4)
+        for k, each in enumerate(plants)
+    ]
+    datasets, options = datasets_of(robot, *logs, link_uncertainty=2.0)
+    return logs_compared(fitted(robot, datasets, options), [d.name for d in datasets], 1.0)
+
+
+def test_logs_that_agree_are_said_to(plant, robot):
+    (masses, said), tests = compared(plant, robot, plant, plant)
+    assert masses.startswith("mass of each log alone: log0 ") and "; log1 0." in masses
+    assert said.startswith("the logs agree")
+    names = [f"log{k}, predicted from the other logs" for k in range(2)]
+    assert [each.source for each in tests] == names
+    assert all(each.relative_error < 0.1 for each in tests)
+
+
+def test_logs_that_do_not_agree_are_called_so(plant, robot):
+    lighter = arms.serial_arm((arms.Z, arms.Y, arms.X), joint=JOINT).replace(
+        'mass=".8"', 'mass=".5"'
+    )
+    (_, said), tests = compared(plant, robot, plant, arms.robot_of(lighter))
+    assert said.startswith("the logs do not agree")
+    assert max(each.relative_error for each in tests) > 0.1

@@ -1,0 +1,186 @@
+"""What is said of an arm and of a payload, and when it is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.dataset import Dataset, RestingPoses
+from robot_sysid.estimation.identify import answer_link, answer_payload
+from robot_sysid.estimation.result import payload_of, result_of
+from robot_sysid.estimation.unknowns import Question
+from robot_sysid.records import Flange, Measurement
+from robot_sysid.records.progress import Progress
+from robot_sysid.results.record import LINK, Figure, Verdict
+from tests.support.core_fits import BASIC, ORIGIN, datasets_of
+from tests.support.measured_logs import log_of, plan_of
+from tests.support.payload_logs import PAYLOAD, TrueArm, four_joint_arm
+
+ROBOT = four_joint_arm()
+FLANGE = Flange("here", np.eye(3), np.array([0.0, 0.0, 0.05]))
+
+
+def of_link(robot, log, kept=(), write_offset=False, **options):
+    datasets, chosen = datasets_of(robot, log, friction_model=BASIC, **options)
+    answer = answer_link(robot, datasets, chosen, Progress(), kept)
+    return result_of(answer, ORIGIN, write_offset)
+
+
+@pytest.fixture(scope="module")
+def result(robot, noisy):
+    return of_link(robot, noisy)
+
+
+def test_bodies_joints_and_sensors_are_those_of_the_plant(plant, result):
+    assert (result.question, result.verdict) == (LINK, Verdict.BETTER) and not result.reasons
+    assert [link.name for link in result.links] == ["link0", "link1", "link2"]
+    assert [link.joint for link in result.links] == list(plant.joint_names)
+    last = result.links[-1]
+    off = np.abs(last.inertial.theta - plant.prior.theta) / last.errors
+    assert np.max(off) < 4.0 and result.known_to < 0.2
+    assert result.links[0].data_share[0] < 0.3 and last.data_share[9] > 0.9
+    for name, joint in result.joints.items():
+        assert joint.friction_model == BASIC and set(joint.terms) == set(BASIC.split("-"))
+        assert joint.terms["coulomb"].value == pytest.approx(0.3, abs=0.05)
+        forward, backward = joint.two_ways
+        both = 0.5 * (forward.value + backward.value), 0.5 * (forward.value - backward.value)
+        assert both == pytest.approx((joint.terms["coulomb"].value, joint.terms["offset"].value))
+        assert joint.noise == pytest.approx(0.1 * np.sqrt(2.0 * 8.0 / 200.0), rel=0.3)
+        assert {f"scale[{name}]", f"zero[{name}]", f"load[{name}]"} <= set(result.sensors)
+    own = result.validation[0]
+    assert own.rmse < 1.5 * result.estimate.rmse and result.cutoff == 8.0
+
+
+def test_the_estimate_leads_with_the_link_and_its_errors_add_up(result):
+    estimate = result.estimate
+    assert estimate.names[:10] == spatial.PARAMETER_NAMES
+    interest = estimate.names[: len(estimate.identifiability.identified)]
+    assert {"m(link0)", "scale[joint0]"} & set(interest) == set()
+    assert len(interest) == 10 + 4 * 3
+    squares = np.sum([part**2 for part in estimate.error_budget.values()], axis=0)
+    total = estimate.noise_errors**2 + squares
+    np.testing.assert_allclose(total, np.square(estimate.standard_errors), rtol=1e-6)
+    np.testing.assert_allclose(np.diag(estimate.covariance), total, rtol=1e-6)
+    assert estimate.samples.keys() == estimate.effective_samples.keys() == result.joints.keys()
+
+
+def test_an_offset_is_written_where_it_is_one(plant, robot, noisy):
+    """Larger than its error, and less than Coulomb friction, which has to hold the joint."""
+    shifted = replace(noisy, tau=noisy.tau + np.array([0.15, 0.0, 0.6]))
+    result = of_link(robot, shifted, write_offset=True)
+    assert result.file.joints["joint0"]["offset"].value == pytest.approx(0.15, abs=0.05)
+    assert [name for name, each in result.file.joints.items() if "offset" in each] == ["joint0"]
+    notes = " ".join(result.notes)
+    assert "joint1: no offset is written, it is within two standard errors of zero" in notes
+    assert "the joint would creep by itself" in notes
+
+
+def test_a_still_joint_keeps_what_the_model_says_of_it(plant, robot):
+    plan = plan_of(plant).scaled(np.array([1.0, 1.0, 0.0]))
+    result = of_link(robot, log_of(plant, plan, noise_torque=0.05))
+    assert result.joints["joint2"].friction_model == "none" and not result.joints["joint2"].terms
+    assert "joint2" not in result.file.joints
+    assert any("joint2 does not move fast enough" in note for note in result.notes)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "options", "verdict"),
+    [
+        (lambda log: replace(log, tau=log.tau[::-1]), {}, Verdict.NO_BETTER),
+        (lambda log: replace(log, tau=log.tau[:, ::-1]), {}, Verdict.NO_BETTER),
+        (lambda log: log, {"consistency": "off"}, Verdict.INCONSISTENT),
+    ],
+)
+def test_a_wrong_log_or_an_impossible_body_is_refused(robot, noisy, spoil, options, verdict):
+    result = of_link(robot, spoil(noisy), **options)
+    assert result.verdict is verdict and result.failure
+
+
+def test_a_right_model_is_as_good_as_before(plant, noisy):
+    assert of_link(plant, noisy).verdict is Verdict.AS_GOOD
+
+
+# ---- payload
+
+
+def of_payload(recordings, kept=None, resting=False, torques="chain", **question):
+    friction = None if resting else BASIC
+    options = EstimationOptions(friction_model=friction, torques=torques)
+    asked = Question(options, loaded=True, resting=resting, **question)
+    answer, weighed = answer_payload(ROBOT, recordings, asked, Progress(), kept)
+    return payload_of(answer, weighed, FLANGE, ORIGIN, resting)
+
+
+def test_a_payload_is_told_in_the_flange_frame_with_its_errors(recordings):
+    result = of_payload(recordings, kept=())
+    assert result.verdict is Verdict.OK
+    assert result.file.after.relative_error < result.file.before.relative_error
+    body, truth = result.payload.body, FLANGE.to_flange(PAYLOAD)
+    assert np.max(np.abs(body.inertial.theta - truth) / body.errors) < 4.0
+    assert body.errors[0] < 0.02 and result.asked is body.inertial
+    link, total = result.payload.link.inertial.theta, result.payload.total.inertial.theta
+    np.testing.assert_allclose(FLANGE.to_flange(total - link), body.inertial.theta, atol=1e-12)
+    kinds = {"empty": ("log0", "log3"), "loaded": ("log1", "log2")}
+    assert result.payload.recordings == kinds and len(result.payload.scatter) == 4
+    assert result.payload.torque_scale == {} and "drift[joint0]" not in result.sensors
+
+
+def flipped(recordings):
+    return [replace(each, is_loaded=not each.is_loaded) for each in recordings]
+
+
+def misplaced(recordings):
+    kinds = (True, False, True, False)
+    return [replace(each, is_loaded=kind) for each, kind in zip(recordings, kinds)]
+
+
+def all_empty(recordings):
+    return [*recordings[::3], replace(recordings[3], is_loaded=True, name="log4")]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "question", "verdict"),
+    [
+        (flipped, {}, Verdict.SWAPPED),
+        (misplaced, {}, Verdict.DISAGREE),
+        (all_empty, {}, Verdict.NOT_SEEN),
+        (list, {"torques": "terminal"}, Verdict.NOT_SEEN),
+        (list, {"known_mass": 3.0, "scale_prior": 3.0}, Verdict.WRONG_WEIGHT),
+    ],
+)
+def test_each_way_to_be_wrong_is_refused(recordings, spoil, question, verdict):
+    result = of_payload(spoil(recordings), **question)
+    assert result.verdict is verdict and result.failure
+
+
+def test_a_known_mass_is_the_payloads_and_tells_scales(recordings):
+    result = of_payload(recordings, known_mass=1.2, scale_prior=3.0)
+    assert result.verdict is Verdict.OK and result.payload.known_mass == 1.2
+    assert result.asked.mass == pytest.approx(1.2, rel=1e-4) and result.payload.scatter == ()
+    # Axes along gravity show nothing of it.
+    for name, scale in result.payload.torque_scale.items():
+        assert isinstance(scale, Figure) and abs(scale.value - 1.0) < 3.0 * scale.error, name
+    assert min(each.error for each in result.payload.torque_scale.values()) < 0.01
+
+
+def test_resting_poses_tell_mass_and_place_and_no_inertia():
+    arm, time = TrueArm(ROBOT, 2, wrong=0.03), np.arange(30.0)
+    recordings = []
+    for loaded in (False, True):
+        q = np.random.default_rng(loaded).uniform(-1.0, 1.0, (30, 4))
+        still = np.zeros_like(q)
+        torque = arm.torque(Measurement(time, q, still, still, still), loaded)
+        noise = 0.02 * np.random.default_rng(loaded + 5).standard_normal(q.shape)
+        poses = RestingPoses(Measurement(time, q, still, torque + noise, still), q == q)
+        recordings.append(Dataset("ab"[loaded], poses, bool(loaded)))
+    result = of_payload(recordings, resting=True)
+    assert result.verdict is Verdict.OK and result.cutoff is None
+    found, truth = result.asked, FLANGE.to_flange(PAYLOAD)
+    np.testing.assert_allclose(found.theta[:4], truth[:4], rtol=0.1, atol=0.01)
+    moments = found.principal_moments
+    assert moments[0] == pytest.approx(moments[2], rel=1e-9)
+    assert np.all(np.isinf(result.payload.body.errors[4:]))

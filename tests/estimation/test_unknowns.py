@@ -1,0 +1,129 @@
+"""Questions differ in what is free, what has a prior and what is held, and in nothing else."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.estimation import unknowns as module
+from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.columns import Columns
+from robot_sysid.estimation.unknowns import (
+    COMMON,
+    DELAY,
+    DRIFT,
+    FRICTION,
+    LINKS,
+    SCALES,
+    TILT,
+    WEIGHT,
+    ZEROS,
+    Question,
+    unknowns,
+    usual_bodies,
+)
+from tests.support import arms
+from tests.support.core_fits import KNOWN, choice_of
+from tests.support.payload_logs import four_joint_arm
+
+ROBOT = four_joint_arm()
+COLUMNS = Columns(ROBOT, ())
+PLAIN = EstimationOptions()
+
+
+def asked(options=PLAIN, columns=COLUMNS, friction="coulomb-viscous-offset-armature", **question):
+    shown = np.ones(len(columns.names), dtype=bool)
+    choice = choice_of(columns.robot, friction)
+    torque = np.full(columns.robot.n_joints, 5.0)
+    return unknowns(columns, Question(options, **question), choice, torque, shown)
+
+
+def causes(found):
+    return {group.cause for group in found.groups}
+
+
+LINK = {LINKS, SCALES, ZEROS, DELAY, TILT, FRICTION}
+
+
+@pytest.mark.parametrize(
+    ("question", "expected"),
+    [
+        ({}, LINK),
+        ({"loaded": True}, LINK | {COMMON}),
+        ({"loaded": True, "drifts": True}, LINK | {COMMON, DRIFT}),
+        ({"loaded": True, "known_mass": 1.0, "scale_prior": 3.0}, LINK | {WEIGHT}),
+        ({"loaded": True, "resting": True}, LINK - {DELAY, FRICTION} | {COMMON}),
+        ({"in_file": True}, {LINKS, TILT}),
+        ({"in_file": True, "kept_parts": ("gravity", "links")}, set()),
+        ({"options": EstimationOptions(**KNOWN)}, {DELAY}),
+        ({"options": EstimationOptions(**KNOWN, delay="auto", tilt="auto")}, set()),
+    ],
+)
+def test_a_question_has_the_priors_of_its_causes(question, expected):
+    found = asked(**question)
+    assert causes(found) == expected
+    names = set(found.kept_names)
+    for group in found.groups:
+        assert set(group.names) <= names
+    assert ("m(payload)" in names) == bool(question.get("loaded"))
+    if question.get("in_file"):
+        assert not any(name.startswith(("scale", "zero", "load", "delay")) for name in names)
+
+
+def test_what_is_sought_with_a_delay_and_a_tilt_settles():
+    found = asked(EstimationOptions(delay="auto", tilt="auto"), friction="coulomb-stribeck")
+    speeds = {f"stribeck_speed[{joint}]" for joint in ROBOT.joint_names}
+    assert set(found.settle) == {"delay", "tilt_1", "tilt_2"} | speeds
+    assert set(found.settle) <= set(found.kept_names)
+    assert not asked(in_file=True, kept_parts=("gravity",)).settle
+
+
+def test_sizes_are_those_that_were_said():
+    options = EstimationOptions(scale_uncertainty=4.0, zero_uncertainty=1.0)
+    groups = {group.cause: group for group in asked(options).groups}
+    np.testing.assert_allclose(groups[SCALES].factor, 0.04 * np.eye(4))
+    np.testing.assert_allclose(groups[ZEROS].factor, 1e-3 * np.eye(4))
+    mass = groups[LINKS].factor @ groups[LINKS].factor.T
+    # Each link on its own, and all in common.
+    assert mass[0, 0] == pytest.approx(2.0 * (0.05 * ROBOT.links[0].theta[0]) ** 2, rel=1e-6)
+    held = {g.cause: g for g in asked(loaded=True, known_mass=2.0, scale_prior=3.0).groups}
+    np.testing.assert_allclose(held[SCALES].factor, 0.03 * np.eye(4))
+    assert held[WEIGHT].mean[0] == 2.0 and held[WEIGHT].factor[0, 0] < 1e-5
+
+
+def test_bounds_hold_friction_and_no_other_sign():
+    found = asked(friction="coulomb-viscous-offset-armature-load-sqrt")
+    lower = {name: found.lower[k] for k, name in enumerate(found.names)}
+    joint = ROBOT.joint_names[0]
+    bounded = [f"{term}[{joint}]" for term in ("coulomb", "armature", "load")]
+    assert all(lower[name] == 0.0 for name in bounded)
+    # With a root of the speed only the sum has to brake.
+    free = [f"{term}[{joint}]" for term in ("offset", "sqrt", "viscous", "scale", "zero")]
+    assert np.all(np.isinf([lower[name] for name in (*free, "m", "Ixy")]))
+    assert asked().lower[COLUMNS.place[f"viscous[{joint}]"]] == 0.0
+    assert found.upper[COLUMNS.place[f"load[{joint}]"]] == module.LARGEST_LOSS
+    # A loss that is only allowed for may come out either way.
+    assert np.isinf(asked().lower[COLUMNS.place[f"load[{joint}]"]])
+
+
+def test_a_placeholder_is_not_believed():
+    """Neither its mass nor where it is: its prior is as wide as a usual body."""
+    model = arms.compile_xml(arms.serial_arm((arms.Z, arms.Y, arms.Y, arms.X)))
+    tiny = spatial.theta_from_com(1e-9, np.array([0.0, 0.0, 0.1]), 1e-15 * np.eye(3))
+    arms.write_body(model, ROBOT.links[1].body_id, tiny)
+    robot = arms.robot_of(model)
+    usual = usual_bodies(robot)
+    others = [link.theta[0] for link in robot.links if link.theta[0] > 0.1]
+    for link in robot.links:
+        if link.body_name == robot.links[1].body_name:
+            assert usual[link.body_name][0] == pytest.approx(np.median(others))
+            assert spatial.is_consistent(usual[link.body_name])
+        else:
+            assert usual[link.body_name] is link.theta
+    (links,) = [g for g in asked(columns=Columns(robot, ())).groups if g.cause == LINKS]
+    spread = np.sqrt(np.diag(links.factor @ links.factor.T))
+    masses = {member: spread[k] for k, member in enumerate(links.members) if k % 10 == 0}
+    assert masses["link1"] > 1.0 and masses["link0"] < 0.1
+    covariance = links.factor @ links.factor.T
+    assert not np.any(covariance[10:20, :10]) and np.all(np.linalg.eigvalsh(covariance) > 0.0)

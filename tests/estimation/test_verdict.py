@@ -1,0 +1,138 @@
+"""Each way to be wrong is refused with its reason; a wide error is an answer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.estimation import verdict
+from robot_sysid.estimation.verdict import first
+from robot_sysid.model.inertia import link_reach
+from robot_sysid.records import InertialParameters, Validation
+from robot_sysid.results.record import BodyEstimate, Verdict
+from tests.support import arms
+from tests.support.core_fits import datasets_of, fitted
+
+SEVEN = arms.robot_of(arms.SEVEN)
+REACH = link_reach(SEVEN.mj_model, SEVEN.reference_qpos, SEVEN.body_id)
+ARM = REACH + sum(float(np.linalg.norm(each.translation)) for each in SEVEN.links[1:])
+
+
+def body(mass=1.0, com=(0.0, 0.0, 0.1), error=0.01, size=0.05):
+    """A body estimate; its mass is known to an error."""
+    theta = spatial.theta_from_com(mass, np.array(com), abs(mass) * size**2 * np.eye(3))
+    covariance = np.diag([error**2] + [1e-6] * 9)
+    noise = np.sqrt(np.diag(covariance))
+    return BodyEstimate(
+        "it", InertialParameters(theta), np.nan_to_num(covariance), np.isfinite(noise), noise
+    )
+
+
+def prediction(relative):
+    return Validation("parts", 100, 0.1, relative, {}, {})
+
+
+def of_link(link):
+    return verdict.implausible_link(SEVEN, link)
+
+
+def of_links(index=0, change=lambda theta: theta):
+    thetas = np.array([link.theta for link in SEVEN.links])
+    thetas[index] = change(thetas[index])
+    return verdict.implausible_links(SEVEN, thetas)
+
+
+def moved(theta):
+    mass, com, inertia = spatial.com_from_theta(theta)
+    return spatial.theta_from_com(mass, com + 2.0, inertia)
+
+
+def of_payload(payload, misfit=(), relative=0.03):
+    return verdict.of_payload(SEVEN, payload, misfit, prediction(relative))
+
+
+def of_weight(weighed, *before):
+    return verdict.of_known_mass(before, weighed, 1.0)
+
+
+OK, IMPLAUSIBLE = Verdict.OK, Verdict.IMPLAUSIBLE
+
+
+@pytest.mark.parametrize(
+    ("findings", "status", "words"),
+    [
+        (of_link(body()), OK, ""),
+        (of_link(body(error=5.0)), OK, ""),
+        # A gripper and what it holds, a fifth of the arm's reach beyond the flange.
+        (of_link(body(mass=2.0, com=(0.0, 0.0, REACH + 0.2 * ARM))), OK, ""),
+        (of_link(body(com=(0.0, 0.0, 1.8))), IMPLAUSIBLE, "centre of mass is 1.8 m away"),
+        (of_link(body(size=0.6)), IMPLAUSIBLE, "radius of gyration is 0.6 m"),
+        (of_link(body(mass=10.4, error=np.inf)), IMPLAUSIBLE, "do not show the mass"),
+        (of_links(1, lambda theta: 3.0 * theta), OK, ""),
+        (of_links(1, lambda theta: 100.0 * theta), IMPLAUSIBLE, "link1 would weigh"),
+        (of_links(2, moved), IMPLAUSIBLE, "centre of mass of link2"),
+        (of_links(3, lambda theta: -theta), IMPLAUSIBLE, "link3 is no possible rigid body"),
+        (of_payload(body(error=0.4)), OK, ""),
+        (of_payload(body(mass=-1.0)), Verdict.SWAPPED, "-1"),
+        (of_payload(body(mass=0.01, error=0.02)), Verdict.NOT_SEEN, "0.01 ± 0.02"),
+        (of_payload(body(error=np.inf)), Verdict.NOT_SEEN, "inf"),
+        (of_payload(body(com=(0.0, 1.8, 0.0))), IMPLAUSIBLE, "1.8 m"),
+        (of_payload(body(size=1.5)), IMPLAUSIBLE, "radius of gyration"),
+        (of_payload(body(), (("a", 0.0), ("b", 1.0))), Verdict.DISAGREE, "a 0 kg, b 1 kg"),
+        (of_payload(body(), relative=0.6), Verdict.UNEXPLAINED, "60 %"),
+        (of_weight(0.8), OK, ""),
+        (of_weight(0.3), Verdict.WRONG_WEIGHT, "0.3 kg"),
+        (of_weight(2.1), Verdict.WRONG_WEIGHT, "2.1 kg"),
+        # What a known mass puts right is no reason to refuse it; what it cannot is.
+        (of_weight(0.8, (IMPLAUSIBLE, "far")), OK, ""),
+        (of_weight(-1.0, (Verdict.SWAPPED, "less")), Verdict.SWAPPED, "less"),
+    ],
+)
+def test_each_fault_is_refused_with_its_reason(findings, status, words):
+    found, reasons = first(findings, OK)
+    assert found is status and found.is_trustworthy == (status is OK) == (not reasons)
+    assert words in " ".join(reasons)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "status"),
+    [
+        (0.3, 0.1, Verdict.BETTER),
+        (0.1, 0.109, Verdict.AS_GOOD),
+        (0.1, 0.12, Verdict.NO_BETTER),
+        (0.9, 0.6, Verdict.NO_BETTER),
+        (0.0, 1e-12, Verdict.AS_GOOD),
+        (None, None, Verdict.NO_BETTER),
+    ],
+)
+def test_a_file_is_judged_beside_the_one_before(before, after, status):
+    assert verdict.of_file(prediction(before), prediction(after))[0] is status
+
+
+def fit_of(robot, log):
+    datasets, options = datasets_of(robot, log)
+    return fitted(robot, datasets, options)
+
+
+def test_held_out_torque_may_be_three_times_the_noise(robot, noisy):
+    fit = fit_of(robot, noisy)
+    noise = verdict.noise_per_joint(fit)
+    for times, relative, status in ((2.5, 0.1, OK), (3.5, 0.01, OK), (3.5, 0.1, None)):
+        errors = {joint: times * each for joint, each in noise.items()}
+        test = replace(prediction(relative), rmse_per_joint=errors)
+        found, reasons = first(verdict.unexplained(fit, [test], 0.0), OK)
+        assert found is (status or Verdict.UNEXPLAINED)
+        assert status or "of parts are predicted 3.5 times worse" in reasons[0]
+    coarse, (reason,) = first(verdict.unexplained(fit, [], 0.49), OK)
+    assert coarse is Verdict.UNEXPLAINED and "49 %" in reason
+
+
+def test_a_joint_whose_torque_follows_from_nothing_is_named(robot, noisy):
+    odd = noisy.tau.copy()
+    odd[:, 2] = odd[::-1, 0]
+    fit = fit_of(robot, replace(noisy, tau=odd))
+    found, reasons = first(verdict.unexplained(fit, [], 0.0), OK)
+    assert found is Verdict.UNEXPLAINED and "of the torque of joint2 is unexplained" in reasons[0]

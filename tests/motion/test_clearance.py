@@ -1,0 +1,294 @@
+"""Distances of an arm, their gradients and bounds, and which pairs are tested."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from functools import cache
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from robot_sysid.dynamics.kinematics import subtree
+from robot_sysid.model.contacts import ContactFinder
+from robot_sysid.motion.clearance import HORIZON, KEPT_SHARE, MOST_GROUPS, Clearance, drop_pairs
+from robot_sysid.motion.obstacles import plane_half_space
+from tests.support.arms import SEEDS, X, Y, Z, compile_xml, hinge, link, world
+from tests.support.excitation_arms import POST, TOUCHING_AT_REST, TUBES_AND_POST, robot, tube_arm
+
+KEEP = 0.01
+# Two balls: one turns about z at radius 0.3, one stands at the same radius.
+BALLS = world(
+    link(
+        hinge("spin", Z),
+        '<geom size=".02" pos=".3 0 0"/>'
+        + link(hinge("tip", X), '<geom size=".01" pos="0 0 .5"/>', pos="0 0 .2"),
+        pos="0 0 0",
+    )
+    + '<body name="ball"><geom name="ball" size=".05" pos="0 .3 0"/></body>'
+)
+
+
+@cache
+def clearance_of(xml, planes=(), keep=KEEP):
+    arm = robot(xml)
+    moving = subtree(arm.mj_model, int(arm.mj_model.jnt_bodyid[0]))
+    spaces = [plane_half_space(plane, keep, moving) for plane in planes]
+    return Clearance(arm, arm.reference, keep, spaces)
+
+
+def test_distance_of_two_balls_is_that_of_their_centres_minus_radii():
+    found = clearance_of(BALLS)
+    for angle in (1.3, 1.4, 1.8):
+        centres = 2.0 * 0.3 * np.sin(0.5 * abs(np.pi / 2.0 - angle))
+        closest = found.closest(np.array([angle, 0.0]))
+        assert closest.distance == pytest.approx(centres - 0.07, abs=1e-6)
+        assert closest.slack == pytest.approx(closest.distance - KEEP, abs=1e-12)
+        assert "ball" in closest.label
+
+
+@pytest.mark.parametrize("gap", [0.001, 0.02, 0.05])
+def test_bodies_of_many_geoms_are_seen_from_afar(gap):
+    """Bodies with several geoms pass a coarser test first, which must know the margin too."""
+    row = "".join(f'<geom size=".05" pos="0 {0.1 * k:g} 0"/>' for k in range(3))
+    xml = world(
+        link(
+            '<joint name="push" type="slide" axis="1 0 0" range="-1 1"/>'
+            + hinge("spin", Z, 'range="-1 1"'),
+            row,
+            "0 0 0",
+            pos="0 0 0",
+        )
+        + f'<body name="rack" pos=".6 0 0">{row}</body>'
+    )
+    closest = clearance_of(xml).closest(np.array([0.5 - gap, 0.0]))
+    assert closest.distance == pytest.approx(gap, abs=1e-6)
+
+
+def test_what_is_far_counts_as_the_horizon():
+    slack = clearance_of(BALLS).slack(np.zeros((1, 2)))
+    assert slack.value[0] == HORIZON
+    assert not np.any(slack.gradient)
+
+
+@given(SEEDS)
+def test_gradient_equals_differences(seed):
+    found = clearance_of(TUBES_AND_POST, ((0.1, 0.2, 1.0, -0.2),))
+    rng = np.random.default_rng(seed)
+    q, direction = rng.uniform(-1.0, 1.0, size=(2, 4))
+    step = 1e-6
+    three = found.slack(q + step * np.outer([-1.0, 0.0, 1.0], direction))
+    # Deep inside each other, MuJoCo's nearest points are approximate.
+    assume(three.value[1] > -KEEP)
+    one_sided = np.diff(three.value) / step
+    exact = three.gradient[1] @ direction
+    # Where another pair becomes the nearest one the slack has a kink and two slopes.
+    assert min(abs(one_sided - exact)) < 1e-3 * (1.0 + abs(exact))
+
+
+@given(SEEDS)
+def test_no_move_uses_up_more_slack_than_its_bound(seed):
+    found = clearance_of(TUBES_AND_POST, ((0.0, 0.0, 1.0, -0.2),))
+    rng = np.random.default_rng(seed)
+    start = rng.uniform(-2.0, 2.0, size=4)
+    end = start + rng.uniform(0.01, 0.3) * rng.normal(size=4)
+    both = found.slack(np.vstack((start, end)))
+    moved = found.rates @ np.abs(end - start)
+    value, budget = found.slack_at(start)
+    assert value == both.value[0]
+    assert both.value[1] >= np.min(budget - moved) - 1e-6
+
+
+def test_bounds_of_a_slide_hold_too():
+    xml = world(
+        link(
+            '<joint name="lift" type="slide" axis="0 0 1" range="-1 1"/>',
+            '<geom size=".05"/>' + link(hinge("turn", Y), '<geom size=".05" pos="0 0 .3"/>'),
+            pos="0 0 .5",
+        )
+        + '<geom type="plane" size="1 1 .1"/>'
+    )
+    found = clearance_of(xml)
+    rng = np.random.default_rng(0)
+    for _ in range(100):
+        start, step = rng.uniform(-0.6, 0.6, size=2), 0.1 * rng.normal(size=2)
+        moved, (_, budget) = found.rates @ np.abs(step), found.slack_at(start)
+        assert found.slack_at(start + step)[0] >= np.min(budget - moved) - 1e-6
+
+
+def test_links_next_to_each_other_that_overlap_at_rest_are_ignored_and_listed():
+    found, arm = clearance_of(TOUCHING_AT_REST), robot(TOUCHING_AT_REST)
+    assert arm.mj_model.ngeom > 4
+    assert found.slack(arm.reference[None]).value[0] > 0.0
+
+
+@pytest.mark.parametrize("offset, is_by_design", [(0.05, True), (0.18, False)])
+def test_links_that_overlap_whatever_the_joints_do_are_no_collision(offset, is_by_design):
+    """A ball wrist: the third link turns inside the first one, or swings out of it."""
+    ball = f'<geom size=".1" pos="{offset} 0 0"/>'
+    tip = link(hinge("roll", X, 'range="-3 3"'), ball, "tip", pos="0 0 0")
+    cross = link(hinge("bend", Y, 'range="-3 3"'), tip, "cross", pos="0 0 0")
+    socket = '<geom size=".1" pos=".05 0 0"/>' + cross
+    found = clearance_of(world(link(hinge("turn", Z), socket, "socket", pos="0 0 0")))
+    assert len(found.at_rest["ignored"]) == is_by_design
+    assert len(found.at_rest["deep"]) == (not is_by_design)
+
+
+def test_what_stands_beside_the_arm_is_a_collision_in_every_position():
+    block = '<body name="block"><geom type="box" size=".5 .5 .04"/></body>'
+    arm = link(hinge("spin", Z), '<geom size=".1"/>' + link(hinge("tip", X), pos="0 0 .5"))
+    assert len(clearance_of(world(arm.replace("0 .02 .25", "0 0 0") + block)).at_rest["deep"]) == 1
+
+
+def test_negative_slack_wherever_the_contact_finder_sees_a_contact():
+    arm, found = robot(TUBES_AND_POST), clearance_of(TUBES_AND_POST)
+    finder, rng = ContactFinder(arm), np.random.default_rng(5)
+    touching = 0
+    for q in rng.uniform(-2.5, 2.5, size=(300, 4)):
+        if finder.new_pairs(q):
+            touching += 1
+            assert found.closest(q).slack <= -KEEP + 1e-9
+    assert touching > 10
+
+
+def near_at_rest(gap):
+    """A ball on the arm whose distance from another one is ``gap`` at rest."""
+    return BALLS.replace('pos="0 .3 0"/></body>', f'pos="0.3 {0.07 + gap} 0"/></body>')
+
+
+def test_a_pair_nearer_than_the_clearance_keeps_half_its_distance_at_rest():
+    found = clearance_of(near_at_rest(0.004))
+    closest = found.closest(np.zeros(2))
+    assert closest.distance == pytest.approx(0.004, abs=1e-6)
+    assert closest.slack == pytest.approx(KEPT_SHARE * 0.004, abs=1e-6)
+    assert found.at_rest["near"] == ["#1 and ball (4 mm apart)"]
+
+
+def test_what_only_grazes_at_rest_never_gets_deeper():
+    """A table 0.5 mm too high is not a reason to go through it."""
+    found = clearance_of(near_at_rest(-0.0005))
+    assert found.at_rest["touching"] == ["#1 and ball (0.5 mm deep)"]
+    assert found.slack(np.zeros((1, 2))).value[0] == pytest.approx(1e-4, abs=1e-6)
+    away, deeper = found.slack(np.array([[-0.02, 0.0], [0.001, 0.0]])).value
+    assert away > 0.0 > deeper
+
+
+def test_bodies_deep_inside_each_other_at_rest_are_a_collision():
+    found = clearance_of(near_at_rest(-0.005))
+    assert found.at_rest["deep"] == ["#1 and ball (5 mm deep)"]
+    assert found.slack(np.zeros((1, 2))).value[0] == pytest.approx(-KEEP - 0.005, abs=1e-6)
+
+
+def test_a_gap_is_no_smaller_for_where_the_arm_merely_could_be():
+    """Only where the motion starts excuses a pair from the clearance."""
+    arm = robot(near_at_rest(0.004))
+    started = Clearance(arm, np.array([-0.3, 0.0]), KEEP, ())
+    assert started.at_rest["near"] == []
+    assert started.closest(np.zeros(2)).slack == pytest.approx(0.004 - KEEP, abs=1e-6)
+
+
+def test_neighbours_that_cannot_come_nearer_need_no_test():
+    # The second link turns about its own tube, 5 mm from the first one, whatever its angle.
+    stacked = tube_arm((Z, Z), pos="0 0 .225")
+    found = clearance_of(stacked)
+    assert found.slack(np.array([[0.0, 1.0]])).value[0] == HORIZON
+
+
+def test_half_spaces_count_like_bodies():
+    found = clearance_of(TUBES_AND_POST.replace(POST, ""), ((0.0, 0.0, 1.0, 0.0),))
+    straight_down = np.array([0.0, np.pi - 0.3, 0.0, 0.0])
+    closest = found.closest(straight_down)
+    assert closest.slack < 0.0
+    assert "keep-out plane" in closest.label
+
+
+def test_half_spaces_already_left_at_rest_are_named():
+    found = clearance_of(TUBES_AND_POST, ((0.0, 0.0, -1.0, -0.8),))
+    names = {body for _, body, _ in found.left_at_rest}
+    depths = [depth for _, _, depth in found.left_at_rest]
+    assert "link3" in names
+    # The tip of the last tube is at 4 * 0.25 + 0.2 + 0.03 m.
+    assert max(depths) == pytest.approx(4 * 0.25 + 0.23 - 0.8, abs=1e-6)
+
+
+def test_travels_to_another_process():
+    found = clearance_of(TUBES_AND_POST, ((0.0, 0.0, 1.0, -0.2),))
+    copied = pickle.loads(pickle.dumps(found))
+    q = np.random.default_rng(0).uniform(-1.0, 1.0, size=(20, 4))
+    assert np.array_equal(copied.slack(q).value, found.slack(q).value)
+
+
+BODIES = 6
+
+
+def crowd(filters):
+    """Balls in a heap, each body with two of them, and a floor; filters: (contype, conaffinity)."""
+    balls = "".join(
+        f'<body><freejoint/><geom size=".1" contype="{a}" conaffinity="{b}"/>'
+        f'<geom size=".1" pos=".05 0 0" contype="{b}" conaffinity="{a}"/></body>'
+        for a, b in filters
+    )
+    floor = '<geom type="plane" size="1 1 .1"/>'
+    return compile_xml(f"<mujoco><worldbody>{floor}{balls}</worldbody></mujoco>")
+
+
+def contacts(model, seed):
+    """Pairs of geoms that touch when the balls lie at random places."""
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(seed)
+    for k in range(BODIES):
+        data.qpos[7 * k : 7 * k + 3] = rng.uniform(-0.15, 0.15, size=3)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_collision(model, data)
+    return {tuple(sorted((int(a), int(b)))) for a, b in zip(data.contact.geom1, data.contact.geom2)}
+
+
+@given(
+    st.lists(st.tuples(*[st.integers(0, 3)] * 2), min_size=BODIES, max_size=BODIES),
+    st.lists(st.integers(0, 2), min_size=BODIES, max_size=BODIES),
+    SEEDS,
+)
+def test_keeps_exactly_the_pairs_that_matter(filters, parts, seed):
+    model = crowd(filters)
+    part = np.array([0, *parts])
+    rng = np.random.default_rng(seed)
+    ignored = rng.uniform(size=(BODIES + 1, BODIES + 1)) < 0.3
+    ignored |= ignored.T
+    decimated = copy.copy(model)
+    drop_pairs(decimated, part, ignored)
+    before, after = contacts(model, seed), contacts(decimated, seed)
+    body = model.geom_bodyid
+    matter = {
+        (a, b)
+        for a, b in before
+        if part[body[a]] != part[body[b]] and not ignored[body[a], body[b]]
+    }
+    assert matter <= after <= before
+    assert not any(part[body[a]] == part[body[b]] for a, b in after)
+
+
+def test_drops_groups_of_which_no_pair_matters():
+    model = crowd([(1, 1)] * BODIES)
+    drop_pairs(model, np.arange(BODIES + 1), np.ones((BODIES + 1, BODIES + 1), dtype=bool))
+    assert contacts(model, 0) == set()
+
+
+def test_a_model_with_too_many_groups_stays_as_it_is():
+    geoms = "".join(f'<geom size=".1" contype="{k}" conaffinity="1"/>' for k in range(1, 40))
+    model = compile_xml(f"<mujoco><worldbody><body>{geoms}</body></worldbody></mujoco>")
+    before = model.geom_contype.copy()
+    assert len(before) > MOST_GROUPS
+    drop_pairs(model, np.zeros(2, dtype=int), np.zeros((2, 2), dtype=bool))
+    assert np.array_equal(model.geom_contype, before)
+
+
+@pytest.mark.parametrize("name", ["geom_contype", "geom_conaffinity"])
+def test_bits_fit_into_mujocos_integers(name):
+    geoms = "".join(f'<geom size=".1" contype="{k}" conaffinity="1"/>' for k in range(1, 32))
+    model = compile_xml(f"<mujoco><worldbody><body>{geoms}</body></worldbody></mujoco>")
+    drop_pairs(model, np.zeros(2, dtype=int), np.zeros((2, 2), dtype=bool))
+    assert np.all(getattr(model, name) >= 0)

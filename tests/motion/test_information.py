@@ -1,0 +1,173 @@
+"""The predicted information equals what the identification itself collects."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_sysid.dynamics.equations import Equations
+from robot_sysid.dynamics.friction import FrictionModel
+from robot_sysid.dynamics.kinematics import ChainKinematics
+from robot_sysid.dynamics.screws import ScrewChain, bracket, bracket_transposed, exponential
+from robot_sysid.errors import AmbiguousJointError
+from robot_sysid.motion.information import PredictedInformation
+from robot_sysid.motion.problem import screw_chain
+from robot_sysid.records import Measurement
+from tests.support import arms
+from tests.support.arms import SEEDS, random_chain, random_motion, robot_of
+from tests.support.excitation_arms import slope
+
+NUISANCES = {
+    False: FrictionModel(("coulomb", "viscous", "offset")),
+    True: FrictionModel(("coulomb", "viscous", "offset", "armature")),
+}
+SAMPLES = 60
+
+
+def predicted(robot, smoothing=0.0, rows=None, coordinates=None, rotors=False):
+    n = robot.n_joints
+    rows = tuple(range(n)) if rows is None else rows
+    eye = np.eye(10) if coordinates is None else coordinates
+    sigma, smooth = np.linspace(0.5, 2.0, len(rows)), np.full(n, smoothing)
+    return PredictedInformation(screw_chain(robot), rows, sigma, smooth, eye, rotors)
+
+
+def eliminated_by_hand(robot, motion, torques, sigma, rotors=False):
+    """Information of theta from the tool's own equations, nuisances removed by least squares."""
+    equations = Equations(robot, torques, (NUISANCES[rotors],) * robot.n_joints)
+    q, qd, qdd = motion
+    data = Measurement(np.arange(float(len(q))), q, qd, np.zeros_like(q), qdd)
+    total = np.zeros((10, 10))
+    for (rows, _), s in zip(equations.rows(data), sigma):
+        own, nuisance = rows[:, :10] / s, rows[:, 10:]
+        left = own - nuisance @ np.linalg.lstsq(nuisance, own, rcond=None)[0]
+        total += left.T @ left
+    return total
+
+
+@pytest.mark.parametrize("rotors", [False, True])
+@pytest.mark.parametrize("torques", ["chain", "terminal"])
+@pytest.mark.parametrize("xml", [arms.SEVEN, arms.SLIDE_IN_CHAIN, arms.SHARED_BODIES])
+def test_equals_the_schur_complement_of_the_tools_equations(xml, torques, rotors):
+    robot = robot_of(xml)
+    motion = random_motion(np.random.default_rng(0), robot.n_joints, SAMPLES)
+    rows = None if torques == "chain" else (robot.n_joints - 1,)
+    chosen = predicted(robot, rows=rows, rotors=rotors)
+    ours = chosen.evaluate(*motion).information
+    theirs = eliminated_by_hand(robot, motion, torques, chosen.sigma, rotors)
+    assert np.max(np.abs(ours - theirs)) < 1e-8 * np.max(np.abs(theirs))
+
+
+@pytest.mark.slow
+@given(SEEDS, st.floats(0.05, 1.0), st.booleans())
+def test_gradient_equals_differences(seed, smoothing, rotors):
+    robot, rng = robot_of(arms.THREE), np.random.default_rng(seed)
+    coordinates = rng.normal(size=(10, 4))
+    information = predicted(robot, smoothing, coordinates=coordinates, rotors=rotors)
+    motion, direction = rng.normal(size=(2, 3, 12, 3))
+    weight = rng.normal(size=(4, 4))
+    weight += weight.T
+    gradient = information.evaluate(*motion).vjp(weight)
+    exact = sum(np.sum(g * d) for g, d in zip(gradient, direction))
+    size = sum(np.sum(np.abs(g * d)) for g, d in zip(gradient, direction))
+    value = slope(
+        lambda at: np.sum(weight * information.evaluate(*at).information), motion, direction, 1e-5
+    )
+    assert value == pytest.approx(exact, abs=1e-5 * size)
+
+
+@given(SEEDS)
+def test_further_samples_only_add_information(seed):
+    robot = robot_of(arms.THREE)
+    q, qd, qdd = random_motion(np.random.default_rng(seed), 3, 30)
+    information = predicted(robot)
+    some = information.evaluate(q[:20], qd[:20], qdd[:20]).information
+    all_of_it = information.evaluate(q, qd, qdd).information
+    smallest = np.linalg.eigvalsh(all_of_it - some)[0]
+    assert smallest > -1e-8 * np.max(np.abs(all_of_it))
+
+
+def test_a_joint_at_rest_tells_no_less_than_its_offset_allows():
+    robot = robot_of(arms.THREE)
+    q, qd, qdd = random_motion(np.random.default_rng(1), 3, 40)
+    qd[:, 0] = 0.0
+    information = predicted(robot).evaluate(q, qd, qdd)
+    by_hand = eliminated_by_hand(robot, (q, qd, qdd), "chain", predicted(robot).sigma)
+    assert np.allclose(information.information, by_hand, rtol=1e-6, atol=1e-6)
+
+
+def arm_or_none(xml):
+    """RobotModel of a random chain; None where its end is a matter of taste."""
+    try:
+        return robot_of(xml)
+    except AmbiguousJointError:
+        return None
+
+
+@given(random_chain(), SEEDS)
+def test_equals_mujoco(xml, seed):
+    robot = arm_or_none(xml)
+    if robot is None:
+        return
+    q, qd, qdd = random_motion(np.random.default_rng(seed), robot.n_joints, 5)
+    ours = screw_chain(robot).evaluate(q, qd, qdd)
+    theirs = ChainKinematics(robot).evaluate(q, qd, qdd)
+    for mine, yours in (
+        (ours.jacobian.transpose(2, 0, 1), theirs.jacobian),
+        (ours.velocity.T, theirs.velocity),
+        (ours.acceleration.T, theirs.acceleration),
+    ):
+        assert np.max(np.abs(mine - yours)) < 1e-10 * max(1.0, np.max(np.abs(yours)))
+
+
+@pytest.mark.parametrize("xml", [arms.SEVEN, arms.SLIDE_IN_CHAIN, arms.SHARED_BODIES])
+def test_gradient_of_a_chain_motion_equals_differences(xml):
+    robot = robot_of(xml)
+    rng = np.random.default_rng(3)
+    chain, n = screw_chain(robot), robot.n_joints
+    motion, direction = rng.normal(size=(3, 4, n)), rng.normal(size=(3, 4, n))
+    adjoints = rng.normal(size=(6, n, 4)), rng.normal(size=(6, 4)), rng.normal(size=(6, 4))
+
+    def scalar(at):
+        out = chain.evaluate(*at)
+        return sum(
+            np.sum(adjoint * value)
+            for adjoint, value in zip(adjoints, (out.jacobian, out.velocity, out.acceleration))
+        )
+
+    gradient = chain.evaluate(*motion).vjp(*adjoints)
+    exact = sum(np.sum(g * d) for g, d in zip(gradient, direction))
+    assert exact == pytest.approx(slope(scalar, motion, direction), rel=1e-7)
+
+
+@given(SEEDS)
+def test_bracket_is_antisymmetric_and_its_transpose_is_adjoint(seed):
+    a, b, c = np.random.default_rng(seed).normal(size=(3, 6))
+    assert np.allclose(bracket(a, b), -bracket(b, a), atol=1e-12)
+    assert np.dot(bracket(a, b), c) == pytest.approx(np.dot(b, bracket_transposed(a, c)), abs=1e-10)
+
+
+@given(SEEDS)
+def test_exponential_is_a_rigid_motion_and_adds_up(seed):
+    rng = np.random.default_rng(seed)
+    axis = rng.normal(size=3)
+    twist = np.concatenate((axis / np.linalg.norm(axis), rng.normal(size=3)))
+    one, two, both = (exponential(twist, np.array([a])) for a in (0.4, 0.9, 1.3))
+    rotation, position = (np.squeeze(v) for v in both)
+    first, second = np.squeeze(one[0]), np.squeeze(two[0])
+    assert np.allclose(rotation.T @ rotation, np.eye(3), atol=1e-12)
+    assert np.allclose(first @ second, rotation, atol=1e-12)
+    assert np.allclose(first @ two[1][:, 0] + one[1][:, 0], position, atol=1e-12)
+
+
+def test_at_home_the_jacobian_is_the_screws():
+    screws = np.random.default_rng(0).normal(size=(6, 3))
+    screws[:3] /= np.linalg.norm(screws[:3], axis=0)
+    home = np.array([0.1, 0.2, 0.3])
+    chain = ScrewChain(screws, home, np.array([0.0, 0.0, -9.81]))
+    still = np.zeros((1, 3))
+    motion = chain.evaluate(home[None], still, still)
+    assert np.allclose(motion.jacobian[..., 0], screws, atol=1e-14)
+    assert np.allclose(motion.acceleration[:, 0], [0, 0, 0, 0, 0, 9.81], atol=1e-14)

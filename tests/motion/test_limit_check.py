@@ -1,0 +1,245 @@
+"""The dense check finds what a sampled check would miss, and nothing that is not there."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from robot_sysid.motion.limit_check import (
+    CLEARANCE_RESOLUTION,
+    RESERVE,
+    Excess,
+    breaks_limits_at_few,
+    check_limits,
+    checked_time,
+    excess_times,
+    first_contact,
+    keeps_limits,
+    scaled_to_limits,
+)
+from robot_sysid.motion.trajectories import FourierBasis, FourierTrajectory
+from robot_sysid.motion.trajectory_files import at_speed
+from robot_sysid.trajectory import generate_excitation_trajectory
+from tests.support import arms
+from tests.support.arms import SEEDS
+from tests.support.excitation_arms import TUBES_AND_POST, problem, robot
+
+BASIS = FourierBasis(4.0, 0.25, 3, 1.0)
+BRIEF = FourierBasis(0.4, 2.5, 3, 0.15)
+
+
+def plan_of(some, seed, size, basis=BRIEF):
+    rng = np.random.default_rng(seed)
+    return FourierTrajectory(basis, some.rest, size * rng.normal(size=(some.n_joints, 7)))
+
+
+@given(SEEDS, st.floats(0.02, 0.6))
+def test_peaks_are_those_of_the_samples(seed, size):
+    some = problem(arms.THREE)
+    plan = plan_of(some, seed, size)
+    check, motion = check_limits(some, plan), plan.evaluate(np.arange(401) / 1000.0)
+    assert np.allclose(check.lowest, motion.q.min(axis=0), atol=1e-12)
+    assert np.allclose(check.highest, motion.q.max(axis=0), atol=1e-12)
+    _, velocity, acceleration, torque = check.joints
+    assert np.allclose(velocity, np.abs(motion.qd).max(axis=0), atol=1e-12)
+    assert np.allclose(acceleration, np.abs(motion.qdd).max(axis=0), atol=1e-12)
+    assert np.allclose(torque, np.abs(some.torque(motion)).max(axis=0), atol=1e-9)
+    limits = some.limits
+    kept = (
+        np.all((motion.q >= limits.lower) & (motion.q <= limits.upper))
+        and np.all(np.abs(motion.qd) <= limits.velocity)
+        and np.all(np.abs(motion.qdd) <= limits.acceleration)
+    )
+    assert check.holds == kept == keeps_limits(some, plan)
+    assert not (kept and breaks_limits_at_few(some, plan))
+
+
+def test_a_torque_that_is_no_number_keeps_no_limit():
+    some = problem(arms.THREE)
+    lost = dataclasses.replace(some, arm_torque=lambda motion: np.full_like(motion.q, np.nan))
+    plan = plan_of(some, 0, 1e-3)
+    assert keeps_limits(some, plan) and not keeps_limits(lost, plan)
+    assert "torque limit of joint" in check_limits(lost, plan).failure
+
+
+@given(st.floats(-1.0, 1.0), st.floats(0.1, 1.0), st.floats(-2.0, 2.0))
+def test_position_limits_need_not_lie_around_zero(middle, reach, place):
+    assume(abs(abs(place - middle) - reach) > 1e-6)
+    some = problem(arms.THREE)
+    lower, upper = np.full(3, middle - reach), np.full(3, middle + reach)
+    limits = dataclasses.replace(some.limits, lower=lower, upper=upper)
+    some = dataclasses.replace(some, limits=limits)
+    resting = FourierTrajectory(BRIEF, np.full(3, place), np.zeros((3, 7)))
+    assert keeps_limits(some, resting) == (abs(place - middle) <= reach)
+
+
+@pytest.mark.slow
+@given(SEEDS, st.floats(0.02, 0.2))
+def test_clearance_is_that_of_testing_often(seed, size):
+    some = problem(TUBES_AND_POST)
+    plan = plan_of(some, seed, size)
+    often = plan.evaluate(np.arange(161) / 400.0)
+    least = np.min(some.obstacles.slack(often.q).value)
+    fastest = np.max(some.obstacles.rates @ np.max(np.abs(often.qd), axis=0))
+    check = check_limits(some, plan)
+    assert check.closest.slack <= least + CLEARANCE_RESOLUTION + 1e-6
+    # Between two of these samples nothing moves farther than this.
+    assert check.closest.slack >= least - 0.0025 * fastest
+    assert (first_contact(some, plan) is not None) == (check.closest.slack < 0.0)
+
+
+def test_few_tests_are_needed_where_there_is_room(monkeypatch):
+    some, tests = problem(TUBES_AND_POST), []
+    slack_at = some.obstacles.slack_at
+    monkeypatch.setattr(some.obstacles, "slack_at", lambda q: tests.append(q) or slack_at(q))
+    check_limits(some, plan_of(some, 0, 0.0))
+    assert len(tests) == 1
+
+
+class ThinWall:
+    """Forbids a band of 2 mrad in the first joint's position."""
+
+    horizon = 0.1
+    rates = np.array([[1.0, 0.0, 0.0]])
+    distances = property(lambda self: self)
+
+    def slack(self, q):
+        from robot_sysid.motion.obstacles import Slack
+
+        value = np.minimum(np.abs(q[:, 0] - 0.2) - 1e-3, self.horizon)
+        return Slack(value, np.zeros_like(q))
+
+    def slack_at(self, q):
+        (value,) = self.slack(q[None]).value
+        return float(value), np.array([value])
+
+    def closest(self, q):
+        from robot_sysid.motion.obstacles import Closest
+
+        value = float(self.slack(q[None]).value[0])
+        return Closest(value, value, "arm and wall")
+
+
+def test_finds_a_wall_that_samples_step_over():
+    some = dataclasses.replace(problem(arms.THREE), obstacles=ThinWall())
+    coefficients = np.zeros((3, 7))
+    coefficients[0, 0] = 0.4
+    plan = FourierTrajectory(BASIS, some.rest, coefficients)
+    sampled = some.obstacles.slack(plan.evaluate(np.arange(80) / 20.0 + 0.02).q).value
+    assert np.min(sampled) > 0.0
+    check = check_limits(some, plan)
+    assert not check.holds
+    assert "clearance of arm and wall" in str(check.excesses[0])
+    assert first_contact(some, plan).time == pytest.approx(check.closest.time, abs=3.0)
+
+
+class Unaware:
+    """A motion that does not tell that it repeats itself."""
+
+    def __init__(self, plan):
+        self.duration, self.evaluate = plan.duration, plan.evaluate
+
+
+def checked_twice(some, seed, base, fade, speed):
+    """A motion that repeats itself, its check, and the check of all of it."""
+    basis = FourierBasis(3.0 if fade else 3.0 / base, base, 4, fade)
+    free = basis.free_directions()
+    shape = 0.05 * np.random.default_rng(seed).normal(size=(3, 9)) @ free @ free.T
+    plan = at_speed(FourierTrajectory(basis, some.rest, shape), speed)
+    return plan, check_limits(some, plan), check_limits(some, Unaware(plan))
+
+
+@pytest.mark.slow
+@given(SEEDS, st.sampled_from([0.97, 1.0]), st.sampled_from([0.0, 0.3]), st.floats(0.5, 1.0))
+def test_one_period_and_both_ends_stand_for_all(seed, base, fade, speed):
+    """Also slowed down, and where a period is no whole number of samples."""
+    plan, found, whole = checked_twice(problem(arms.THREE), seed, base, fade, speed)
+    assert checked_time(plan) < 0.6 * plan.duration
+    for name in ("lowest", "highest", "largest"):
+        np.testing.assert_allclose(getattr(found, name), getattr(whole, name), rtol=1e-9)
+    assert len(found.excesses) == len(whole.excesses)
+
+
+@pytest.mark.parametrize("fade", [0.0, 0.3])
+def test_a_wall_is_as_near_in_one_period_as_in_all(fade):
+    some = dataclasses.replace(problem(arms.THREE), obstacles=ThinWall())
+    _, found, whole = checked_twice(some, 1, 0.97, fade, 1.0)
+    assert found.closest.slack == pytest.approx(whole.closest.slack, abs=CLEARANCE_RESOLUTION)
+
+
+def test_says_which_limit_is_exceeded_most_and_when():
+    some = problem(arms.THREE)
+    coefficients = np.zeros((3, 7))
+    coefficients[1, 3] = 3.0
+    plan = FourierTrajectory(BASIS, some.rest, coefficients)
+    check = check_limits(some, plan)
+    worst = check.excesses[0]
+    assert worst.limit.endswith("limit of joint joint1")
+    assert worst.share > 1.0
+    assert all(a.share >= b.share for a, b in zip(check.excesses, check.excesses[1:]))
+    assert "% over at" in str(worst)
+
+
+@pytest.mark.parametrize(("share", "words"), [(1.05, "5.0 %"), (1.00001, "0.001 %")])
+def test_no_excess_is_said_to_be_nothing(share, words):
+    assert str(Excess("speed limit", share, 1.0)) == f"speed limit ({words} over at 1.00 s)"
+
+
+@given(st.floats(-15.0, 3.0))
+def test_no_excess_however_small_is_printed_as_nothing(exponent):
+    """What is within rounding is none: ``ROUNDING`` is a thousand times what a share resolves."""
+    share = 1.0 + 10.0**exponent
+    assume(share > 1.0)
+    printed = float(str(Excess("speed limit", share, 1.0)).split("(")[1].split(" %")[0])
+    assert printed == pytest.approx(100.0 * (share - 1.0), rel=0.51)
+
+
+def test_times_of_tight_clearances_are_local_minima_of_the_slack():
+    some = problem(TUBES_AND_POST)
+    coefficients = np.zeros((4, 7))
+    coefficients[1, 2] = 1.2
+    plan = FourierTrajectory(BASIS, robot(TUBES_AND_POST).reference, coefficients)
+    others = {excess.time for excess in check_limits(some, plan).excesses}
+    times = sorted(set(excess_times(some, plan)) - others)
+    assert len(times) > 0
+    for time in times:
+        around = some.obstacles.slack(plan.evaluate(time + np.array([-0.01, 0.0, 0.01])).q).value
+        assert around[1] < 0.0
+        assert around[1] <= min(around[0], around[2]) + 1e-9
+
+
+def test_the_failure_counts_the_limits_and_names_the_worst():
+    some, slow = problem(arms.THREE), FourierBasis(40.0, 0.025, 3, 10.0)
+    coefficients = np.zeros((3, 7))
+    assert check_limits(some, FourierTrajectory(slow, some.rest, coefficients)).failure is None
+    coefficients[2, 0] = 1.05 * (some.limits.upper[2] - some.rest[2])
+    one = check_limits(some, FourierTrajectory(slow, some.rest, coefficients))
+    words = "this trajectory must not be run: it breaks the position limit of joint joint2 (5.0 % "
+    assert one.failure.startswith(words)
+    several = check_limits(some, FourierTrajectory(BASIS, some.rest, coefficients + 3.0))
+    count, worst = len(several.excesses), several.excesses[0]
+    assert count > 1
+    assert several.failure.endswith(f"it breaks {count} limits, first the {worst}")
+
+
+@pytest.mark.slow
+@given(SEEDS, st.floats(0.1, 2.0), st.floats(0.3, 5.0))
+def test_a_joint_that_keeps_its_speeds_stays_as_it_is_the_others_just_keep_theirs(seed, v, a):
+    """Without torque limits and obstacles nothing couples the joints."""
+    some, free = problem(arms.THREE), np.full(3, np.inf)
+    limits = dataclasses.replace(
+        some.limits, velocity=np.full(3, v), acceleration=np.full(3, a), torque=free
+    )
+    some = dataclasses.replace(some, limits=limits)
+    plan, _ = generate_excitation_trajectory(robot(arms.THREE), np.random.default_rng(seed), 1.0)
+    smaller, factors = scaled_to_limits(some, plan, 0.0)
+    before, after = check_limits(some, plan), check_limits(some, smaller)
+    share = np.maximum(before.joints[1] / v, before.joints[2] / a)
+    np.testing.assert_allclose(factors, np.minimum(1.0, (1.0 - RESERVE) / share), rtol=1e-9)
+    kept = np.maximum(after.joints[1] / v, after.joints[2] / a)
+    np.testing.assert_allclose(kept, np.minimum(1.0 - RESERVE, share), rtol=1e-9)
+    assert keeps_limits(some, smaller)

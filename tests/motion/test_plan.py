@@ -1,0 +1,258 @@
+"""Every trajectory that is played, kept or bound by a limit is checked; what breaks one fails."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_sysid.errors import InputError
+from robot_sysid.motion import problem
+from robot_sysid.motion.limit_check import check_limits
+from robot_sysid.motion.options import ExcitationOptions, LimitOptions
+from robot_sysid.motion.plan import MotionRequest, make_plan
+from robot_sysid.motion.trajectory_files import save_trajectory
+from robot_sysid.records.progress import Progress
+from robot_sysid.trajectory import TrajectoryOptions
+from tests.support import arms, witness
+from tests.support.arms import SEEDS
+from tests.support.excitation_arms import TUBES, TUBES_AND_POST, options, robot
+
+
+class Listener(Progress):
+    def __init__(self):
+        self.steps, self.notes = [], []
+
+    def advance(self, label, done, total, text):
+        self.steps.append((label, done, total))
+
+    def note(self, message):
+        self.notes.append(message)
+
+
+def requested(trajectory=None, limits=None, excitation=None, played=False):
+    motion = TrajectoryOptions(**{"duration": 4.0, "sample_rate": 200.0, **(trajectory or {})})
+    limit = LimitOptions(**(limits or {}))
+    return MotionRequest(motion, excitation or ExcitationOptions(), limit, played=played)
+
+
+def planned(xml, seed=1, listener=None, **request):
+    speed = request.get("limits", {}).get("max_velocity", 2.0)
+    arm = arms.robot_of(xml, max_velocity=speed)
+    return make_plan(requested(**request), arm, seed, listener or Listener())
+
+
+def test_the_search_for_contacts_tells_how_far_it_is():
+    """Every step once, the last one complete, so that the bar goes away."""
+    listener = Listener()
+    long = {"duration": 300.0, "sample_rate": 1000.0}
+    planned(arms.MODELS["three"], listener=listener, trajectory=long)
+    total = len(listener.steps)
+    assert total > 1
+    assert listener.steps == [("Looking for contacts", i, total) for i in range(1, total + 1)]
+
+
+CHECKED = {
+    "played": {"played": True},
+    "designed": {"excitation": options(kind="optimal")},
+    "plan only": {"trajectory": {"plan_only": True}},
+    "saved": {"trajectory": {"save": "plan.json"}},
+    "acceleration": {"limits": {"max_acceleration": 30.0}},
+    "torque": {"limits": {"max_torque": 100.0}},
+    "ignored torque": {"limits": {"ignore_torque_limit": ("joint1",)}},
+    "payload": {"limits": {"payload_reserve": 1.0}},
+    "tool speed": {"limits": {"max_tool_speed": 5.0}},
+    "workspace": {"limits": {"workspace": (-2.0, 2.0, -2.0, 2.0, -2.0, 2.0)}},
+    "plane": {"limits": {"keep_out": ((0.0, 0.0, 1.0, -1.0),)}},
+    "clearance": {"limits": {"clearance": 0.02}},
+}
+
+
+@pytest.mark.parametrize("case", CHECKED)
+def test_what_is_played_kept_or_bound_by_a_limit_is_checked(case):
+    found = planned(arms.THREE, **CHECKED[case])
+    assert found.check is not None
+    assert found.check.holds and found.failure is None
+
+
+@pytest.mark.parametrize("speed", [1.0, 0.5])
+@pytest.mark.parametrize("case", ["designed", "plan only"])
+def test_the_check_is_that_of_the_motion_that_comes_out(case, speed):
+    request = CHECKED[case]
+    motion = {**request.get("trajectory", {}), "speed": speed}
+    found = planned(arms.THREE, **{**request, "trajectory": motion})
+    fresh = check_limits(found.problem, found.plan, 200.0)
+    np.testing.assert_array_equal(found.check.largest, fresh.largest)
+    np.testing.assert_array_equal(found.check.highest, fresh.highest)
+
+
+@pytest.mark.parametrize("case", ["designed", "plan only"])
+def test_the_limits_of_an_arm_are_collected_once(case, monkeypatch):
+    built, build = [], problem.build_problem
+    monkeypatch.setattr(problem, "build_problem", lambda *a: built.append(a) or build(*a))
+    planned(arms.THREE, **CHECKED[case])
+    assert len(built) == 1
+
+
+def test_what_nobody_plays_is_not():
+    found = planned(arms.THREE)
+    assert (found.check, found.problem, found.failure) == (None, None, None)
+    assert planned(arms.THREE, limits={"max_velocity": 0.3}).check is None
+
+
+SIDES = (("x", 0), ("y", 2), ("z", 4))
+BOX = (-0.17, 0.17, -0.17, 0.17, 1.0, 2.0)
+
+
+def planes_of(box):
+    """The six planes (N, OFFSET) of a box, their insides where N x >= OFFSET."""
+    for axis, (low, high) in zip(np.eye(3), (box[:2], box[2:4], box[4:])):
+        yield (*axis, low)
+        yield (*-axis, -high)
+
+
+def excess_over(limits, arm, plan):
+    """By how much a plan breaks each limit that is asked for, from MuJoCo; negative where kept."""
+    found = witness.peaks(arm, plan)
+    away = partial(witness.distance_to_plane, arm, plan)
+    measures = {
+        "max_velocity": lambda limit: np.max(found.velocity) - limit,
+        "max_acceleration": lambda limit: np.max(found.acceleration) - limit,
+        "max_torque": lambda limit: np.max(found.torque) - limit,
+        "max_tool_speed": lambda limit: witness.fastest_point(arm, plan, "link3") - limit,
+        "workspace": lambda box: max(-away(plane, "link3") for plane in planes_of(box)),
+        "keep_out": lambda planes: max(-away(plane, "link0") for plane in planes),
+    }
+    return {name: measures[name](value) for name, value in limits.items()}
+
+
+LIMITS = {
+    "velocity": {"max_velocity": 0.3},
+    "acceleration": {"max_acceleration": 1.0},
+    "torque": {"max_torque": 1.5},
+    "tool speed": {"max_tool_speed": 0.1},
+    "workspace": {"workspace": BOX},
+    "keep out": {"keep_out": ((1.0, 0.0, 0.0, -0.09), (-1.0, 0.0, 0.0, -0.09))},
+    "several": {"max_velocity": 0.5, "max_acceleration": 3.0, "workspace": BOX},
+}
+
+
+def assert_keeps(case, seed):
+    found = planned(TUBES, seed, limits=LIMITS[case])
+    assert found.failure is None
+    excess = excess_over(LIMITS[case], robot(TUBES), found.plan)
+    assert max(excess.values()) <= 1e-9, excess
+    moved = witness.peaks(robot(TUBES), found.plan)
+    assert np.all(moved.highest - moved.lowest > 0.0)
+
+
+@pytest.mark.slow
+@given(st.sampled_from(sorted(LIMITS)), SEEDS)
+def test_random_sinusoids_are_scaled_until_every_limit_holds(case, seed):
+    assert_keeps(case, seed)
+
+
+@pytest.mark.parametrize("case", LIMITS)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_some_random_sinusoids_are_scaled_until_every_limit_holds(case, seed):
+    assert_keeps(case, seed)
+
+
+@pytest.mark.parametrize("case", LIMITS)
+def test_without_the_limit_the_motion_goes_beyond_it(case):
+    free = planned(TUBES).plan
+    assert min(excess_over(LIMITS[case], robot(TUBES), free).values()) > 0.0
+
+
+def test_a_motion_that_was_made_smaller_is_noted():
+    listener = Listener()
+    planned(TUBES, listener=listener, limits=LIMITS["acceleration"])
+    assert any(note.startswith("motion scaled down to ") for note in listener.notes)
+
+
+@pytest.mark.parametrize("case", sorted({*LIMITS} - {"velocity"}))
+def test_a_trajectory_from_a_file_that_breaks_a_limit_fails(case, tmp_path):
+    """It is used as it is or not at all: nothing scales what somebody has chosen."""
+    path, free = tmp_path / "plan.json", planned(TUBES).plan
+    save_trajectory(path, free, robot(TUBES).joint_names)
+    found = planned(TUBES, trajectory={"file": path}, limits=LIMITS[case])
+    assert found.failure.startswith("this trajectory must not be run: it breaks ")
+    assert planned(TUBES, trajectory={"file": path}).failure is None
+
+
+def test_a_trajectory_from_a_file_keeps_the_speed_limit_of_the_arm(tmp_path):
+    path = tmp_path / "plan.json"
+    save_trajectory(path, planned(TUBES).plan, robot(TUBES).joint_names)
+    found = planned(TUBES, trajectory={"file": path}, limits={"max_velocity": 0.3})
+    assert "velocity limit of joint" in found.failure
+    slow = {"file": path, "speed": 0.1}
+    assert planned(TUBES, trajectory=slow, limits={"max_velocity": 0.3}).failure is None
+
+
+def test_a_trajectory_edited_to_leave_a_joints_range_fails(tmp_path):
+    path, plan = tmp_path / "plan.json", planned(TUBES).plan
+    save_trajectory(path, plan.scaled((1.0, 1.0, 1.0, 6.0)), robot(TUBES).joint_names)
+    free = {"max_velocity": 1e3}
+    found = planned(TUBES, trajectory={"file": path}, limits=free)
+    assert found.failure.startswith(
+        "this trajectory must not be run: it breaks the position limit of joint joint3"
+    )
+
+
+def test_a_trajectory_made_elsewhere_does_not_hit_what_stands_in_the_model(tmp_path):
+    path = tmp_path / "plan.json"
+    plan = planned(TUBES).plan.scaled((8.0, 4.0, 1.0, 1.0))
+    save_trajectory(path, plan, robot(TUBES).joint_names)
+    assert planned(TUBES, trajectory={"file": path}, limits={"max_velocity": 1e3}).failure is None
+    post = planned(TUBES_AND_POST, trajectory={"file": path}, limits={"max_velocity": 1e3})
+    assert "post" in post.failure
+
+
+def test_other_joint_names_are_refused_another_model_of_the_same_joints_is_noted(tmp_path):
+    path, plan = tmp_path / "plan.json", planned(TUBES).plan
+    arm = robot(TUBES)
+    for sha256, noted in ((arm.sha256, False), ("", False), ("0" * 64, True)):
+        listener = Listener()
+        save_trajectory(path, plan, arm.joint_names, sha256)
+        planned(TUBES, listener=listener, trajectory={"file": path})
+        assert any("was made for another model file" in n for n in listener.notes) == noted
+    renamed = TUBES.replace('name="joint3"', 'name="wrist"')
+    with pytest.raises(InputError, match="this arm has the 4 joints joint0, joint1, joint2, wr"):
+        planned(renamed, trajectory={"file": path})
+
+
+@pytest.mark.parametrize(
+    ("duration", "words"),
+    [(1e12, "more than the 1e[+]09 a run can take"), (float("inf"), "finite duration above 0")],
+)
+def test_a_file_that_never_ends_is_refused(tmp_path, duration, words):
+    path = tmp_path / "plan.json"
+    save_trajectory(path, planned(TUBES).plan, robot(TUBES).joint_names)
+    text = path.read_text().replace('"duration": 4.0', f'"duration": {duration}')
+    path.write_text(text.replace("inf", "Infinity"))
+    with pytest.raises(InputError, match=words):
+        planned(TUBES, trajectory={"file": path})
+
+
+@pytest.mark.parametrize("kind", ["sines", "optimal"])
+def test_what_takes_hours_to_check_is_refused_at_once(kind):
+    long = {"duration": 1e8, "sample_rate": 1.0, "plan_only": True}
+    excitation = options(kind=kind)
+    with pytest.raises(InputError, match="a motion of 1e[+]08 s takes too long to check"):
+        planned(TUBES, trajectory=long, excitation=excitation)
+
+
+def test_a_search_that_takes_much_memory_says_so_beforehand(monkeypatch):
+    monkeypatch.setattr("robot_sysid.motion.plan.NOTABLE_MEMORY", 0.0)
+    listener = Listener()
+    planned(arms.THREE, listener=listener, excitation=options(kind="optimal"))
+    assert listener.notes[0] == "the search will hold about 0.0 GB of memory"
+
+
+def test_a_check_that_takes_longer_than_the_budget_says_so_beforehand():
+    listener, brief = Listener(), options(kind="optimal", time_budget=0.01)
+    planned(arms.THREE, listener=listener, excitation=brief)
+    assert "takes about 0 s, more than --excitation-time-budget" in listener.notes[0]

@@ -1,0 +1,101 @@
+"""What a plan promises: the deviations least squares then shows, and honest words for the rest."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from robot_sysid.dynamics.equations import Equations
+from robot_sysid.dynamics.friction import FrictionModel
+from robot_sysid.motion.design.search import draw_trajectories
+from robot_sysid.motion.prediction import predict
+from robot_sysid.motion.trajectories import FourierTrajectory
+from robot_sysid.simulator import simulate_inverse
+from robot_sysid.trajectory import motion_chunks
+from tests.support import arms
+from tests.support.excitation_arms import design, problem, robot
+
+FULL_FRICTION = FrictionModel(("coulomb", "viscous", "offset", "armature"))
+
+
+def a_plan(xml, seed=0, **changes):
+    some = design(xml, **changes)
+    draw = min(draw_trajectories(some, seed, range(6)), key=lambda d: d.score)
+    return some.trajectory(draw.x)
+
+
+def empirical_deviation_of(arm, plan, rate, sigma, draws, seed=0):
+    """Spread (10,) of least-squares estimates over noise draws, by the tool's own equations."""
+    rng = np.random.default_rng(seed)
+    equations = Equations(arm, "chain", (FULL_FRICTION,) * arm.n_joints)
+    size = len(equations.names)
+    normal, right = np.zeros((size, size)), np.zeros((size, draws))
+    for measurement in simulate_inverse(arm, motion_chunks(plan, rate)):
+        for (rows, tau), columns in zip(equations.rows(measurement), equations.columns):
+            noisy = tau[:, None] + sigma * rng.normal(size=(len(tau), draws))
+            normal[np.ix_(columns, columns)] += rows.T @ rows
+            right[columns] += rows.T @ noisy
+    scale = np.sqrt(np.diag(normal))
+    solved = np.linalg.solve(normal / np.outer(scale, scale), right / scale[:, None])
+    return (solved / scale[:, None])[:10].std(axis=1, ddof=1)
+
+
+@pytest.mark.parametrize("xml", [arms.SEVEN, arms.SLIDE_IN_CHAIN])
+def test_deviations_are_those_of_monte_carlo(xml):
+    plan = a_plan(xml)
+    promised = predict(problem(xml), plan, 200.0)
+    # 1000 draws know a standard deviation to 2.2 %; ten of them stay within 10 %.
+    seen = empirical_deviation_of(robot(xml), plan, 200.0, 0.3, 1000)
+    assert promised.n_samples == 1201
+    assert np.all(np.abs(seen / promised.deviation - 1.0) < 0.10)
+
+
+def test_the_centre_of_mass_is_that_of_monte_carlo_to_first_order():
+    some, plan = problem(arms.SEVEN), a_plan(arms.SEVEN)
+    promised = predict(some, plan, 200.0)
+    rng = np.random.default_rng(0)
+    drawn = rng.multivariate_normal(some.robot.prior.theta, 1e-4 * promised.covariance, size=4000)
+    spread = np.sqrt(np.sum(np.var(drawn[:, 1:4] / drawn[:, :1], axis=0)))
+    assert promised.com_deviation == pytest.approx(100.0 * spread, rel=0.05)
+
+
+def test_twice_the_noise_is_twice_the_deviation():
+    plan = a_plan(arms.THREE)
+    quiet = predict(problem(arms.THREE, noise_torque=0.1), plan, 500.0)
+    loud = predict(problem(arms.THREE, noise_torque=0.2), plan, 500.0)
+    assert np.allclose(loud.deviation, 2.0 * quiet.deviation, rtol=1e-9)
+
+
+def test_four_times_the_rate_is_half_the_deviation():
+    plan, some = a_plan(arms.THREE), problem(arms.THREE)
+    slow, fast = predict(some, plan, 250.0), predict(some, plan, 1000.0)
+    assert np.allclose(slow.deviation / fast.deviation, 2.0, rtol=1e-3)
+
+
+def test_an_arm_at_rest_shows_nothing_of_what_it_could():
+    some = problem(arms.THREE)
+    still = FourierTrajectory(a_plan(arms.THREE).basis, some.rest, np.zeros((3, 9)))
+    promised = predict(some, still, 500.0)
+    assert promised.never == predict(some, a_plan(arms.THREE), 500.0).never
+    assert len(promised.unseen) > 0
+    assert np.all(np.isinf(promised.deviation))
+
+
+def test_what_one_torque_can_never_show_is_said():
+    some = problem(arms.SEVEN, torques="terminal")
+    promised = predict(some, a_plan(arms.SEVEN, torques="terminal"), 500.0)
+    assert "mass" in promised.never
+    assert promised.unseen == ()
+    assert np.isinf(promised.deviation[0]) and np.isinf(promised.com_deviation)
+
+
+def test_a_designed_arm_has_nothing_unseen():
+    promised = predict(problem(arms.SEVEN), a_plan(arms.SEVEN), 500.0)
+    assert promised.never == promised.unseen == ()
+    assert np.all(np.isfinite(promised.deviation))
+
+
+def test_what_is_known_to_less_than_a_fifth_is_loose():
+    some = problem(arms.SEVEN, noise_torque=300.0)
+    promised = predict(some, a_plan(arms.SEVEN), 500.0)
+    assert len(promised.loose) > 0

@@ -1,0 +1,229 @@
+"""Limits, what must not be touched, and the tool's speed and load."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from robot_sysid.errors import InputError
+from robot_sysid.motion.options import TOP_FREQUENCY_HZ, LimitOptions
+from robot_sysid.motion.problem import Tool, build_problem
+from robot_sysid.records import JointLimits, Motion
+from robot_sysid.simulator import ArmTorque
+from tests.support import arms
+from tests.support.arms import SEEDS, robot_of
+from tests.support.excitation_arms import TUBES, TUBES_AND_POST, problem, robot, slope
+
+
+def limits(lower=-2.0, upper=2.0, velocity=1.0, torque=np.inf, joints=3):
+    return JointLimits(*(np.full(joints, float(v)) for v in (lower, upper, velocity, torque)))
+
+
+def built(arm, *arguments, **changes):
+    return build_problem(arm, LimitOptions(**changes), *arguments)
+
+
+def test_limits_are_those_of_the_model_less_margins():
+    some = built(replace(robot_of(arms.THREE), limits=limits(torque=100.0)), "chain", 0.3, 0.5)
+    assert np.allclose(some.limits.lower, -2.0 + 0.02 * 4.0)
+    assert np.allclose(some.limits.upper, 2.0 - 0.02 * 4.0)
+    assert np.allclose(some.limits.velocity, 1.0)
+    assert np.allclose(some.limits.torque, 95.0)
+    assert np.allclose(some.limits.acceleration, 2.0 * np.pi * 0.5)
+
+
+@pytest.mark.parametrize("top", [0.6, 5.0, 15.0])
+def test_faster_harmonics_do_not_raise_the_acceleration_limit(top):
+    some = built(replace(robot_of(arms.THREE), limits=limits()), "chain", 0.3, top)
+    assert np.allclose(some.limits.acceleration, 2.0 * np.pi * TOP_FREQUENCY_HZ)
+
+
+def test_asked_limits_tighten_those_of_the_model():
+    arm = replace(robot_of(arms.THREE), limits=limits(torque=100.0))
+    some = built(arm, max_acceleration=3.0, max_torque=(50.0, 60.0, 200.0))
+    assert np.allclose(some.limits.acceleration, 3.0)
+    assert np.allclose(some.limits.torque, [47.5, 57.0, 95.0])
+
+
+@pytest.mark.parametrize("changes", [{"lower": -np.inf, "upper": np.inf}, {"upper": np.inf}])
+def test_a_joint_without_a_limit_gets_an_assumed_range(changes):
+    some = built(replace(robot_of(arms.THREE), limits=limits(**changes)))
+    assert np.all(np.isfinite(some.limits.upper)) and np.all(some.limits.upper > some.rest)
+    assert np.all(np.isfinite(some.limits.lower)) and np.all(some.limits.lower < some.rest)
+
+
+def test_a_reference_beyond_a_limit_is_moved_to_it_and_noted():
+    some = built(replace(robot_of(arms.THREE), limits=limits(lower=0.5)))
+    assert np.allclose(some.rest, 0.5 + 0.02 * 1.5)
+    assert any("joint1 at 0.530 instead of 0.000" in note for note in some.notes)
+
+
+def leaning(allowed):
+    """An arm whose second joint carries weight at rest, with that torque limit."""
+    weak = limits()
+    weak = JointLimits(weak.lower, weak.upper, weak.velocity, np.array([50.0, allowed, 50.0]))
+    return replace(robot_of(arms.THREE), limits=weak, reference_qpos=np.array([0.0, 0.7, 0.2]))
+
+
+def test_a_torque_limit_is_ignored_where_that_is_asked_for():
+    some = built(leaning(0.1), ignore_torque_limit=("joint1",), max_torque=30.0)
+    assert np.allclose(some.limits.torque, [28.5, np.inf, 28.5])
+    assert "the torque limit of joint1 is not obeyed, as asked" in some.notes
+    with pytest.raises(
+        InputError, match="--ignore-torque-limit elbow: no such joint; the chain has"
+    ):
+        built(leaning(0.1), ignore_torque_limit=("elbow",))
+
+
+def test_without_a_band_only_an_asked_limit_binds_accelerations():
+    arm = robot(arms.SLIDE_IN_CHAIN)
+    assert np.all(np.isinf(built(arm, "chain", 0.3, None).limits.acceleration))
+    asked = built(arm, "chain", 0.3, None, max_acceleration=3.0).limits.acceleration
+    assert np.array_equal(asked, np.where(arm.is_slide, np.inf, 3.0))
+
+
+def test_the_torque_is_the_simulators():
+    some, arm = problem(arms.SEVEN), robot(arms.SEVEN)
+    rng = np.random.default_rng(0)
+    motion = Motion(np.arange(5.0), *rng.normal(size=(3, 5, 7)))
+    assert np.array_equal(some.torque(motion), ArmTorque(arm)(motion))
+
+
+def test_terminal_torques_use_one_row():
+    some = problem(arms.SEVEN, torques="terminal", noise_torque=tuple(range(1, 8)))
+    assert some.rows == (6,)
+    assert some.sigma.tolist() == [7.0]
+    assert problem(arms.SEVEN).rows == tuple(range(7))
+
+
+def test_a_model_without_collision_geometry_says_so():
+    some = problem(arms.THREE)
+    assert some.obstacles.is_empty
+    assert any("no collision geometry" in note for note in some.notes)
+    assert not problem(TUBES).obstacles.is_empty
+
+
+def test_half_spaces_work_without_collision_geometry():
+    some = problem(arms.THREE, keep_out=((0.0, 0.0, 1.0, 0.1),))
+    assert not some.obstacles.is_empty
+
+
+def test_a_workspace_the_link_leaves_already_at_rest_is_refused():
+    box = (-1.0, 1.0, -1.0, 1.0, 0.0, 1.0)
+    with pytest.raises(InputError, match=r"body link3 is 230 mm beyond the workspace's zmax = 1 m"):
+        problem(TUBES, workspace=box)
+
+
+def test_a_keep_out_plane_the_arm_crosses_at_rest_is_refused():
+    with pytest.raises(InputError, match=r"no trajectory is feasible: at rest, body link0 is"):
+        problem(TUBES_AND_POST, keep_out=((0.0, 0.0, 1.0, 0.4),))
+
+
+def test_the_workspace_binds_the_terminal_link_alone():
+    some = problem(TUBES, workspace=(-2.0, 2.0, -2.0, 2.0, 0.9, 2.0))
+    folded = np.array([0.0, 0.0, 0.0, 2.2])
+    assert some.obstacles.closest(folded).slack < 0.0
+    assert "link3 and the workspace's zmin" in some.obstacles.closest(folded).label
+
+
+def test_one_noise_per_joint_or_one_for_all():
+    with pytest.raises(InputError, match="--noise-torque takes one number, or one for each of the"):
+        problem(arms.THREE, noise_torque=(0.1, 0.2))
+
+
+SOME = Tool(np.random.default_rng(0).normal(size=(7, 3)), np.array([0.0, 0.0, 0.3, 0, 0.1, 0, 0]))
+
+
+def twists(seed, count=5):
+    return np.random.default_rng(seed).normal(size=(6, count))
+
+
+@given(SEEDS)
+def test_no_point_of_the_tool_is_faster(seed):
+    """Points inside the hull of the balls, by v + w x p."""
+    rng, twist = np.random.default_rng(seed), twists(seed)
+    share = rng.dirichlet(np.ones(7), size=50)
+    away = rng.normal(size=(50, 7, 3))
+    away *= SOME.radius[:, None] / np.linalg.norm(away, axis=2, keepdims=True)
+    inside = np.einsum("sp,spi->si", share, SOME.points + away)
+    for w, v, fastest in zip(twist[:3].T, twist[3:].T, SOME.speed(twist)):
+        assert np.max(np.linalg.norm(v + np.cross(w, inside), axis=1)) <= fastest + 1e-12
+
+
+@given(SEEDS)
+def test_the_gradient_of_the_speed_equals_differences(seed):
+    twist, direction, weight = twists(seed), twists(seed + 1), np.arange(5.0)
+    second, fastest = np.sort(SOME._speeds(twist)[0], axis=0)[-2:]
+    assume(np.all(fastest - second > 1e-3))  # where two corners are as fast there is none
+    exact = np.sum(SOME.speed_vjp(twist, weight) * direction)
+    found = slope(lambda at: np.sum(weight * SOME.speed(at)), twist, direction)
+    assert found == pytest.approx(exact, rel=1e-5, abs=1e-5)
+
+
+def test_the_tip_is_the_farthest_point():
+    far = Tool(np.array([[0.1, 0.0, 0.0], [0.0, 0.0, 0.2]]), np.array([0.3, 0.05]))
+    np.testing.assert_allclose(far.tip, [0.4, 0.0, 0.0])
+    # The last tube of this arm ends 0.2 m from its joint, in a ball of 3 cm.
+    np.testing.assert_allclose(problem(TUBES).tool.tip, [0.0, 0.0, 0.23], atol=1e-12)
+
+
+def moving(joints, seed, count=6):
+    q, qd, qdd = np.random.default_rng(seed).normal(size=(3, count, joints))
+    return Motion(np.arange(float(count)), q, qd, qdd)
+
+
+def with_load(arm, mass, tip):
+    """The arm with a point mass at a place of its last body."""
+    model = copy.copy(arm.mj_model)
+    from robot_sysid.dynamics import spatial
+
+    load = spatial.theta_from_com(mass, tip, np.zeros((3, 3)))
+    arms.write_body(model, arm.body_id, arm.prior.theta + load)
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    return robot_of(model)
+
+
+@given(SEEDS, st.floats(0.1, 5.0))
+def test_a_load_takes_the_torque_that_its_weight_and_inertia_need(seed, mass):
+    arm, some = robot(arms.SEVEN), problem(arms.SEVEN)
+    motion = moving(7, seed)
+    more = mass * some.torque_per_kilogram(motion)
+    loaded = ArmTorque(with_load(arm, mass, some.tool.tip))(motion)
+    np.testing.assert_allclose(some.torque(motion) + more, loaded, rtol=1e-7, atol=1e-7)
+
+
+@given(SEEDS, st.floats(0.0, 3.0))
+def test_the_torque_with_a_reserve_covers_every_load_up_to_it(seed, share):
+    some = problem(arms.SEVEN)
+    motion = moving(7, seed)
+    loaded = some.torque(motion) + share * some.torque_per_kilogram(motion)
+    assert np.all(np.abs(loaded) <= np.abs(replace(some, reserve=3.0).torque(motion)) + 1e-12)
+
+
+def limited(some, torque):
+    return replace(some, limits=replace(some.limits, torque=torque))
+
+
+@given(SEEDS)
+def test_the_load_that_is_left_just_fills_one_joint(seed):
+    some = problem(arms.SEVEN)
+    motion = moving(7, seed)
+    limit = 1.5 * np.max(np.abs(some.torque(motion)), axis=0)
+    left, joint = limited(some, limit).load_left(motion)
+    loaded = some.torque(motion) + left * some.torque_per_kilogram(motion)
+    share = np.max(np.abs(loaded), axis=0) / limit
+    assert left > 0.0
+    assert share[joint] == pytest.approx(1.0, rel=1e-9) and np.max(share) <= 1.0 + 1e-9
+
+
+def test_without_limits_any_load_is_carried_and_beyond_them_none():
+    some = problem(arms.SEVEN)
+    motion = moving(7, 0)
+    assert limited(some, np.full(7, np.inf)).load_left(motion)[0] == np.inf
+    assert limited(some, np.full(7, 1e-3)).load_left(motion)[0] < 0.0

@@ -1,0 +1,265 @@
+"""Starts, resting poses and sweeps keep all limits and say what they promise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_sysid.errors import InputError
+from robot_sysid.motion.limit_check import check_limits
+from robot_sysid.motion.options import LimitOptions, PoseOptions
+from robot_sysid.motion.problem import build_problem
+from robot_sysid.motion.static import (
+    APPROACH,
+    FASTEST,
+    GENTLE,
+    SPEEDS,
+    contact_on_the_way,
+    design_poses,
+    design_sweeps,
+    pose_lines,
+    startable,
+    sweep_lines,
+)
+from robot_sysid.motion.trajectory_files import at_speed, load_trajectory, save_trajectory
+from robot_sysid.records import Motion
+from tests.support import arms
+from tests.support.arms import X, Y, Z, robot_of
+from tests.support.excitation_arms import TUBES, problem, tube_arm
+
+SHELF = '<body name="shelf" pos="0 0 {}"><geom type="box" size=".3 .3 .01"/></body>'
+TOP = 4 * 0.25 + 0.23
+"""Height of the upright tubes' tip where their shelf begins 10 mm inside it."""
+WALL = '<body name="wall" pos=".55 0 .75"><geom type="box" size=".02 .6 .9"/></body>'
+LEANING = (0.0, 0.9, 0.0, 0.0)
+
+
+def arm(xml=TUBES, pose=LEANING):
+    """The tubes, at rest in another pose than upright."""
+    some = robot_of(xml)
+    qpos = some.reference_qpos.copy()
+    qpos[some.qpos_index] = pose
+    return replace(some, reference_qpos=qpos)
+
+
+def built(some, **limits):
+    return build_problem(some, LimitOptions(**limits))
+
+
+def held(some, pose):
+    """Share of the torque limits that holding a pose takes."""
+    still = np.zeros((1, len(pose)))
+    torque = some.torque(Motion(np.zeros(1), pose[None], still, still))
+    return np.max(np.abs(torque[0]) / some.limits.torque)
+
+
+def test_a_start_that_can_be_held_stays_as_it_is():
+    some = built(arm(), max_torque=40.0)
+    assert startable(some) is some
+
+
+def test_a_motion_starts_where_nothing_collides():
+    some = problem(tube_arm((Z, Y, X, Y), SHELF.format(TOP)))
+    found = startable(some)
+    (note,) = set(found.notes) - set(some.notes)
+    assert "at rest the model is in a collision: link3 and shelf (10 mm deep)" in note
+    assert some.obstacles.slack_at(some.rest)[0] < 0.0 <= found.obstacles.slack_at(found.rest)[0]
+
+
+def test_where_every_pose_collides_the_bodies_are_named():
+    room = '<body name="block"><geom type="box" size="2 2 .5" pos="0 0 .75"/></body>'
+    with pytest.raises(InputError, match=r"in a collision: link0 and block.*touches nothing; ch"):
+        startable(problem(tube_arm((Z, Y, X, Y), room)))
+
+
+def test_a_pair_that_grazes_at_rest_is_named_and_may_start():
+    some = startable(problem(tube_arm((Z, Y, X, Y), SHELF.format(TOP + 0.0095))))
+    words = "touching already at rest, and never to get deeper: link3 and shelf (0.5 mm deep)"
+    assert words in some.notes
+
+
+def weakened(some, share):
+    """The same problem with this share of the torque limit that its start needs."""
+    limits = replace(some.limits, torque=np.full(some.n_joints, 1.0))
+    unit = replace(some, limits=limits)
+    allowed = np.full(some.n_joints, share * held(unit, some.rest))
+    return replace(unit, limits=replace(limits, torque=allowed))
+
+
+@cache
+def leaning(lean):
+    return built(arm(pose=(0.0, lean, 0.0, 0.0)))
+
+
+@pytest.mark.slow
+@given(st.sampled_from((0.4, 0.8, 1.2, 1.6)), st.floats(0.02, 0.99))
+def test_what_cannot_be_held_starts_where_it_can_be(lean, share):
+    """These tubes need no torque where they stand upright: there is always such a pose."""
+    some = weakened(leaning(lean), share)
+    found = startable(some)
+    assert held(found, found.rest) < 1.0
+    assert found.obstacles.slack_at(found.rest)[0] >= 0.0
+    assert np.all((found.rest >= some.limits.lower) & (found.rest <= some.limits.upper))
+    (note,) = set(found.notes) - set(some.notes)
+    assert "holding still takes" in note and "at joint joint1" in note
+
+
+def test_the_other_start_depends_on_no_seed():
+    some = weakened(leaning(0.8), 0.5)
+    assert np.array_equal(startable(some).rest, startable(some).rest)
+    assert not np.array_equal(startable(some).rest, some.rest)
+
+
+def test_dry_friction_counts_where_the_arm_moves_off():
+    """A pose that is just held cannot be left: the motion starts where there is room to."""
+    stiff = TUBES.replace('range="-2.5 2.5"', 'range="-2.5 2.5" frictionloss="0.3"')
+    some = weakened(built(arm(stiff)), 1.01)
+    (note,) = set(startable(some).notes) - set(some.notes)
+    assert "moving off against gravity and dry friction takes" in note
+    assert held(startable(some), startable(some).rest) < held(some, some.rest)
+
+
+def test_where_no_pose_can_be_held_the_joint_is_named():
+    """The second joint lies level and the ones after it cannot fold far: there is no way up."""
+    stiff = TUBES.replace('range="-2.5 2.5"', 'range="-.2 .2"')
+    flat = stiff.replace('pos="0 0 .25" quat="1 0 0 0"', 'pos="0 0 .25" quat=".7 0 .7 0"', 1)
+    with pytest.raises(InputError, match="at joint joint1, more than 95 % of its torque limit of"):
+        startable(built(robot_of(flat), max_torque=0.5))
+    ignored = ("joint0", "joint1", "joint2", "joint3")
+    free = built(robot_of(flat), max_torque=0.5, ignore_torque_limit=ignored)
+    assert startable(free) is free
+
+
+def test_the_way_to_another_start_is_looked_at_too():
+    """The arm leans left of a wall; straight to where it leans right of it goes through."""
+    some = built(arm(tube_arm((Z, Y, X, Y), WALL), (0.0, -0.9, 0.0, 0.0)))
+    through = np.array([0.0, 0.9, 0.0, 0.0])
+    assert contact_on_the_way(some, some.rest) is None
+    assert contact_on_the_way(some, np.array([0.5, -0.5, 0.2, 0.1])) is None
+    assert "wall" in contact_on_the_way(some, through)
+
+
+def test_a_free_way_is_preferred():
+    """Both sides are as light; a wall stands before one of them."""
+    weak = arm(tube_arm((Z, Y, X, Y), WALL), (0.0, -1.5, 0.0, 0.0))
+    some = built(weak, max_torque=3.0)
+    assert contact_on_the_way(some, startable(some).rest) is None
+
+
+POSING = arms.robot_of(arms.serial_arm((arms.Z, arms.Y, arms.Y, arms.X)))
+OPTIONS = PoseOptions("payload", True, poses=6, dwell=1.0)
+
+
+@pytest.fixture(scope="module")
+def posing():
+    return build_problem(POSING, LimitOptions())
+
+
+@pytest.fixture(scope="module")
+def poses(posing):
+    return design_poses(posing, OPTIONS, np.random.default_rng(0))
+
+
+@pytest.mark.slow
+def test_all_limits_are_kept_and_the_motion_is_gentle(posing, poses):
+    check = check_limits(posing, poses)
+    assert check.failure is None
+    assert np.max(check.joints[1]) <= GENTLE
+
+
+def test_each_pose_is_approached_from_both_sides(poses):
+    rests = np.flatnonzero(poses.dwells > 0.0)
+    assert len(rests) == 12
+    for first, second in rests.reshape(-1, 2):
+        np.testing.assert_array_equal(poses.points[first], poses.points[second])
+        np.testing.assert_allclose(poses.points[first] - poses.points[first - 1], APPROACH)
+        np.testing.assert_allclose(poses.points[second] - poses.points[second - 1], -APPROACH)
+
+
+def test_the_promise_tells_the_mass(posing, poses):
+    told = " ".join(pose_lines(posing, poses))
+    assert "6 poses" in told and "mass to 0.0" in told
+
+
+def test_a_saved_plan_is_the_same(poses, tmp_path):
+    path = tmp_path / "plan.json"
+    save_trajectory(path, poses, POSING.joint_names)
+    again = load_trajectory(path).plan
+    for name in ("points", "moves", "dwells"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(poses, name))
+
+
+def test_where_nothing_can_be_reached_it_is_said(posing):
+    lame = replace(posing.limits, torque=np.full(4, 1e-3))
+    with pytest.raises(InputError, match="poses within the limits"):
+        design_poses(replace(posing, limits=lame), OPTIONS, np.random.default_rng(0))
+
+
+def test_a_few_poses_are_too_few():
+    with pytest.raises(InputError, match="--poses must be at least 5"):
+        PoseOptions("payload", True, poses=2)
+
+
+SWEEPING = arms.robot_of(arms.serial_arm((arms.Z, arms.Y)))
+
+
+@pytest.fixture(scope="module")
+def sweeping():
+    return build_problem(SWEEPING, LimitOptions())
+
+
+@pytest.fixture(scope="module")
+def sweeps(sweeping):
+    return design_sweeps(sweeping)
+
+
+@pytest.mark.slow
+def test_all_limits_are_kept_and_the_ends_are_at_rest(sweeping, sweeps):
+    assert check_limits(sweeping, sweeps).failure is None
+    ends = sweeps.evaluate(np.array([0.0, sweeps.duration]))
+    np.testing.assert_allclose(ends.q, np.tile(sweeping.rest, (2, 1)), atol=1e-12)
+    np.testing.assert_allclose(ends.qd, 0.0, atol=1e-12)
+
+
+def test_one_joint_moves_at_a_time_both_ways_at_every_speed(sweeps):
+    speeds = sweeps.speeds
+    assert np.all(np.count_nonzero(speeds, axis=1) == 1)
+    for own in speeds.T:
+        held = np.round(own[own != 0.0], 9)
+        both = set(held[held > 0.0]) & set(-held[held < 0.0])
+        assert len(both) >= SPEEDS and max(both) == pytest.approx(FASTEST)
+
+
+def test_a_joint_without_room_is_left_out_and_said(sweeping):
+    upper = np.where([True, False], sweeping.rest + 0.005, sweeping.limits.upper)
+    lower = np.where([True, False], sweeping.rest - 0.005, sweeping.limits.lower)
+    tight = replace(sweeping, limits=replace(sweeping.limits, lower=lower, upper=upper))
+    sweeps = design_sweeps(tight)
+    assert not np.any(sweeps.speeds[:, 0])
+    assert "No room to sweep joint0" in " ".join(sweep_lines(tight, sweeps))
+    none = np.full(2, 0.005)
+    shut = replace(tight.limits, lower=sweeping.rest - none, upper=sweeping.rest + none)
+    with pytest.raises(InputError, match="no joint has room"):
+        design_sweeps(replace(tight, limits=shut))
+
+
+def test_a_joint_that_starts_at_its_limit_is_swept_the_other_way():
+    some = problem(TUBES)
+    start = np.append(some.rest[:3], some.limits.upper[3])
+    points = design_sweeps(replace(some, rest=start)).points
+    assert np.max(points[:, 3]) <= start[3] and np.min(points[:, 3]) < start[3] - 0.1
+
+
+def test_saved_sweeps_are_the_same_at_half_speed_too(sweeping, sweeps, tmp_path):
+    path = tmp_path / "plan.json"
+    slow = at_speed(sweeps, 0.5)
+    save_trajectory(path, slow, SWEEPING.joint_names)
+    again = load_trajectory(path).plan
+    time = np.linspace(0.0, slow.duration, 50)
+    np.testing.assert_array_equal(again.evaluate(time).q, slow.evaluate(time).q)
+    assert "joint1 0.5" in sweep_lines(sweeping, again)[0]
