@@ -11,7 +11,7 @@ suits signals that a low-pass has already been over: at a tenth of the sample ra
 difference is exact to 4e-5, one of order sixteen to 2e-9. On low-passed encoder data they leave
 only the noise inside the pass band; on the same data a Savitzky-Golay window over the raw positions
 leaves nearly three times as much, a Fourier derivative more than ten times, and a recursive filter
-run both ways as much, but errs near the ends (tests/benchmarks/differentiation_accuracy.py).
+run both ways as much, but errs near the ends (benchmarks/differentiation_accuracy.py).
 """
 
 from __future__ import annotations

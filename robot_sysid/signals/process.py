@@ -14,7 +14,7 @@ A filtered row mixes all samples under the filter's window. Near a reversal it t
 samples in which the direction of friction is not known, even where its own instant is fast. What
 counts is the share of the filter's weight on such samples: rows above ``LARGEST_SLOW_SHARE`` are
 masked. In a simulated closed loop a mask that only looks at a row's own instant leaves errors of
-3.8 % in viscous friction, this one 0.9 % (tests/benchmarks/reversal_masking.py).
+3.8 % in viscous friction, this one 0.9 % (benchmarks/reversal_masking.py).
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import TrajectoryOptions, motion_chunks
 from tests.support.places import GUESS, MODELS
 
-# One model per arm, some with a floor or a table; ``excitation_table`` in tests/benchmarks has all.
+# One model per arm, some with a floor or a table; ``excitation_table`` in benchmarks has all.
 ARMS = [
     ("kinova_gen3/gen3.xml", None),
     ("franka_panda/panda.xml", None),

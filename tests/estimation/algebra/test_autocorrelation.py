@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from robot_sysid.estimation.algebra.autocorrelation import collect_residuals, joint_residuals
 from robot_sysid.estimation.algebra.information import InformationAccumulator
 from robot_sysid.estimation.algebra.robust import THRESHOLD
-from tests.benchmarks.smooth_arm import remembering_noise
+from tests.support.smooth_arm import remembering_noise
 
 SEEDS = st.integers(0, 2**32 - 1)
 

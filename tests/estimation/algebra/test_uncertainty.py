@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.algebra.uncertainty import white_uncertainty, with_body_prior
 from robot_sysid.solver import identify_parameters
-from tests.benchmarks.smooth_arm import SmoothArm, information_of_samples, samples_of
 from tests.support.arms import SEEDS
 from tests.support.estimates import identified
+from tests.support.smooth_arm import SmoothArm, information_of_samples, samples_of
 from tests.support.synthetic_data import (
     arm_equations,
     information_of,

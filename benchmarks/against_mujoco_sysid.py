@@ -1,0 +1,237 @@
+"""Friction, damping and rotor inertia of seven joints: inverse dynamics against mujoco.sysid.
+
+Run from the checkout, one core is enough, a few minutes:
+
+    pip install -e ".[bench]"
+    OMP_NUM_THREADS=1 python -m benchmarks.against_mujoco_sysid
+
+Both get the same log of 15 s: positions with encoder steps and held torques with noise, of an arm
+that MuJoCo moved with its own armature, damping and frictionloss. Both seek these 21 numbers from
+the same start, links known. mujoco.sysid simulates the log in pieces of 0.3 s, as its users do (in
+15 s an open loop runs away), and minimises the position error; robot-sysid fits torques. Then
+another log is simulated with both results, in pieces, each from the same measured state.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from mujoco import rollout
+
+from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.records import Measurement
+from robot_sysid.simulation.sensors import quantised
+from robot_sysid.simulator import ArmTorque
+from robot_sysid.trajectory import generate_excitation_trajectory
+from tests.support import arms
+from tests.support.core_fits import BASIC, KNOWN, result_of_logs
+
+STEP, SECONDS, TORQUE_NOISE, ENCODER = 0.002, 15.0, 0.05, 1e-4
+PIECE, HORIZON = 0.3, 0.5
+START = {"armature": 0.1, "damping": 1.0, "frictionloss": 0.5}
+BOUNDS = {"armature": (1e-3, 2.0), "damping": (0.0, 20.0), "frictionloss": (0.0, 20.0)}
+NAMES = tuple(f"joint{index}" for index in range(7))
+
+
+def spec_of(values=None) -> mujoco.MjSpec:
+    """The arm with motors and position sensors; ``values`` maps a number's name to (7,)."""
+    spec = mujoco.MjSpec.from_string(arms.serial_arm(arms.SEVEN_AXES, joint=""))
+    spec.option.timestep = STEP
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    for index, name in enumerate(NAMES):
+        joint = spec.joint(name)
+        for number, usual in START.items():
+            value = usual if values is None else float(values[number][index])
+            # A joint's damping is a polynomial from MuJoCo 3.7 on.
+            old = getattr(joint, number)
+            setattr(joint, number, value if np.isscalar(old) else [value, *old[1:]])
+        spec.add_actuator(
+            name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT, gainprm=[1.0] + [0.0] * 9
+        )
+        spec.add_sensor(
+            name=f"{name}_pos",
+            type=mujoco.mjtSensor.mjSENS_JOINTPOS,
+            objtype=mujoco.mjtObj.mjOBJ_JOINT,
+            objname=name,
+        )
+    return spec
+
+
+def truth(rng) -> dict:
+    """What both look for."""
+    return {
+        "armature": np.geomspace(0.5, 0.02, 7),
+        "damping": np.geomspace(3.0, 0.5, 7) * rng.uniform(0.7, 1.3, 7),
+        "frictionloss": np.geomspace(4.0, 0.5, 7) * rng.uniform(0.7, 1.3, 7),
+    }
+
+
+def recorded(model, robot, seed: int, seconds: float):
+    """(time, q, held torque) of a controlled motion of the true arm, as sensors read it."""
+    rng = np.random.default_rng(seed)
+    plan = generate_excitation_trajectory(robot, rng, seconds, ArmTorque(robot))[0]
+    plan = plan.scaled(np.array([3.0] * 6 + [1.0]))
+    clock = np.arange(0.0, seconds, STEP)
+    motion, data = plan.evaluate(clock), mujoco.MjData(model)
+    data.qpos[:] = motion.q[0]
+    q, tau, mass = np.empty_like(motion.q), np.empty_like(motion.q), np.empty((7, 7))
+    for k in range(len(clock)):
+        mujoco.mj_forward(model, data)
+        q[k] = data.qpos
+        mujoco.mj_fullM(model, data, mass)
+        wanted = motion.qdd[k] + 900.0 * (motion.q[k] - data.qpos)
+        wanted = wanted + 60.0 * (motion.qd[k] - data.qvel)
+        dry = model.dof_frictionloss * np.tanh(motion.qd[k] / 0.02)
+        tau[k] = mass @ wanted + data.qfrc_bias + model.dof_damping * data.qvel + dry
+        data.ctrl[:] = tau[k]
+        mujoco.mj_step(model, data)
+    read = tau + TORQUE_NOISE * rng.normal(size=tau.shape)
+    return clock, quantised(q, ENCODER), read
+
+
+def by_torques(robot, log) -> dict:
+    """The numbers from inverse dynamics."""
+    clock, q, tau = log
+    # A torque held for a step acts half a step later: the mean of two steps belongs to the sample.
+    middle = 0.5 * (tau + np.vstack((tau[:1], tau[:-1])))
+    log = Measurement(clock, q, None, middle)
+    result = result_of_logs(robot, [log], EstimationOptions(friction_model=BASIC, **KNOWN))
+    terms = {"armature": "armature", "damping": "viscous", "frictionloss": "coulomb"}
+    return {
+        number: np.array([result.joints[name].terms[term].value for name in NAMES])
+        for number, term in terms.items()
+    }
+
+
+def speeds(q):
+    """Velocities by central differences of smoothed positions, for the states pieces start from."""
+    from scipy.signal import savgol_filter
+
+    return savgol_filter(q, 31, 3, deriv=1, delta=STEP, axis=0)
+
+
+def pieces(model, log, seconds: float):
+    """(initial states, torques, positions) of consecutive pieces."""
+    clock, q, tau = log
+    qd, size = speeds(q), round(seconds / STEP)
+    states, torques, positions = [], [], []
+    for start in range(50, len(clock) - size - 50, size):
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:] = q[start], qd[start]
+        state = np.empty(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
+        mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+        states.append(state)
+        torques.append(tau[start : start + size])
+        positions.append(q[start : start + size])
+    return np.array(states), np.array(torques), np.array(positions)
+
+
+def by_rollouts(log) -> dict:
+    """The numbers from mujoco.sysid."""
+    from mujoco import sysid
+
+    spec = spec_of()
+    states, torques, positions = pieces(spec.compile(), log, PIECE)
+    clock = STEP * np.arange(torques.shape[1])
+    model = spec.compile()
+    sequences = sysid.ModelSequences(
+        "arm",
+        spec,
+        [f"piece{k}" for k in range(len(states))],
+        list(states),
+        [sysid.TimeSeries(clock, each) for each in torques],
+        [sysid.TimeSeries.from_names(clock, each, model) for each in positions],
+    )
+    params = sysid.ParameterDict()
+    for number, (low, high) in BOUNDS.items():
+        for name in NAMES:
+            params.add(
+                sysid.Parameter(
+                    f"{name}_{number}",
+                    nominal=START[number],
+                    min_value=low,
+                    max_value=high,
+                    modifier=lambda s, p, n=name, a=number: _set(s.joint(n), a, p.value[0]),
+                )
+            )
+    found, _ = sysid.optimize(
+        initial_params=params,
+        residual_fn=sysid.build_residual_fn(models_sequences=[sequences]),
+        optimizer="mujoco",
+        verbose=False,
+    )
+    return {
+        number: np.array([found[f"{name}_{number}"].value[0] for name in NAMES])
+        for number in BOUNDS
+    }
+
+
+def _set(joint, number, value) -> None:
+    old = getattr(joint, number)
+    setattr(joint, number, value if np.isscalar(old) else [value, *old[1:]])
+
+
+def rollout_error(values, log) -> float:
+    """Root mean square position error over held-out pieces [mrad]."""
+    model = spec_of(values).compile()
+    states, torques, positions = pieces(model, log, HORIZON)
+    found, _ = rollout.rollout(model, mujoco.MjData(model), states, torques[:, :-1])
+    off = found[:, :, 1 : 1 + model.nq] - positions[:, 1:]
+    return 1e3 * float(np.sqrt(np.mean(off**2)))
+
+
+@dataclass(frozen=True)
+class Side:
+    """What one of the two found.
+
+    Attributes:
+        seconds: processor time.
+        error: held-out rollout error [mrad].
+        farthest: number's name to its largest relative error.
+    """
+
+    seconds: float
+    error: float
+    farthest: dict
+
+
+def compared() -> dict[str, Side]:
+    """Both sides on the same log."""
+    true = truth(np.random.default_rng(0))
+    model = spec_of(true).compile()
+    robot = arms.robot_of(spec_of().compile())
+    log, other = recorded(model, robot, 1, SECONDS), recorded(model, robot, 2, SECONDS)
+    print(f"start: held-out rollout error {rollout_error(None, other):.2f} mrad", file=sys.stderr)
+    print(f"truth: held-out rollout error {rollout_error(true, other):.2f} mrad", file=sys.stderr)
+    by_torques(robot, log)
+    found = {}
+    for name, run in (
+        ("robot-sysid (inverse dynamics)", lambda: by_torques(robot, log)),
+        ("mujoco.sysid (rollouts)", lambda: by_rollouts(log)),
+    ):
+        start = time.process_time()
+        values = run()
+        seconds = time.process_time() - start
+        off = {k: float(np.max(np.abs(v / true[k] - 1))) for k, v in values.items()}
+        found[name] = Side(seconds, rollout_error(values, other), off)
+    return found
+
+
+def main() -> None:
+    """Print both sides."""
+    found = compared()
+    for name, side in found.items():
+        worst = {k: f"{100 * v:.1f} %" for k, v in side.farthest.items()}
+        print(f"{name}: {side.seconds:.2f} s, held-out rollout error {side.error:.2f} mrad")
+        print(f"  farthest from the truth: {worst}")
+    ours, theirs = found.values()
+    print(f"{theirs.seconds / ours.seconds:.0f} times faster, by processor time")
+
+
+if __name__ == "__main__":
+    main()

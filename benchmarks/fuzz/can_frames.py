@@ -1,0 +1,205 @@
+"""What comes over a CAN bus: any frames at any moment, nearly right answers, broken lines."""
+
+from __future__ import annotations
+
+import functools
+from collections import deque
+from pathlib import Path
+from random import Random
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from benchmarks.fuzz.harness import Case
+from robot_sysid.damiao.bus.can_bus import BusLink
+from robot_sysid.damiao.bus.inspection import inspect_bus
+from robot_sysid.damiao.bus.link import GuardedLink, SimulatedClock
+from robot_sysid.damiao.exchange.session import MotorSession
+from robot_sysid.damiao.protocol.codec import (
+    MitCommand,
+    Scaling,
+    decode_feedback,
+    decode_mit,
+    encode_feedback,
+    encode_mit,
+)
+from robot_sysid.damiao.protocol.frames import DISABLE, ENABLE, REGISTER_ID, Frame, is_special
+from robot_sysid.damiao.protocol.joints import damiao_joints
+from robot_sysid.damiao.serial_adapter import PacketReader
+from robot_sysid.damiao.simulated.simulated_link import frame_from_line, line_from_frame
+from robot_sysid.errors import SysidError
+
+N = 2
+_LONGEST = 200
+_FLAGS = ("fd", "error", "echo")
+
+
+def case(random: Random) -> Case:
+    """Frames of 13 bytes each: id, flags, length, data; biased to what motors say."""
+    count = random.randint(1, 40)
+    return {"frames": b"".join(_frame(random) for _ in range(count)), "line": _line(random)}
+
+
+def _frame(random: Random) -> bytes:
+    data = bytearray(
+        random.choice((bytes(8), b"\xff" * 8, random.getrandbits(64).to_bytes(8, "big")))
+    )
+    data[0] = random.choice((0x11, 0x12, 1, 2, data[0]))
+    if random.random() < 0.5:
+        data[1:4] = bytes((0, 0x33, random.choice((7, 8, 9, 10, 21, 22, 23, 255))))
+    identifier = random.choice((0x11, 0x12, 1, 2, REGISTER_ID, random.getrandbits(11)))
+    flags, length = (
+        random.choice((0, 0, 0, 0, random.getrandbits(8))),
+        random.choice((8, 8, 8, 0, 4)),
+    )
+    return identifier.to_bytes(2, "big") + bytes((flags, 0, length)) + bytes(data)
+
+
+def _line(random: Random) -> bytes:
+    """What an adapter sends over its serial line."""
+    whole = (
+        line_from_frame(Frame(0x11, bytes(8))).encode() + b"\r" + b"\xaa\x11" + bytes(13) + b"\x55"
+    )
+    pieces = bytearray(whole * random.randint(1, 6))
+    for _ in range(random.randint(0, 8)):
+        pieces[random.randrange(len(pieces))] = random.getrandbits(8)
+    return bytes(pieces[random.randint(0, 20) :])
+
+
+def frames_in(data: bytes) -> list[Frame]:
+    """Return the frames of an input."""
+    pieces = [data[k : k + 13] for k in range(0, len(data) - 12, 13)]
+    return [
+        Frame(
+            int.from_bytes(piece[:2], "big") & 0x7FF,
+            piece[5 : 5 + min(piece[4], 8)],
+            **{name: bool(piece[2] & 1 << k) for k, name in enumerate(_FLAGS)},
+            bus=piece[2] >> 6,
+        )
+        for piece in pieces
+    ]
+
+
+class TalkativeBus:
+    """A bus with motors that answer, now and then, and on which other frames come between."""
+
+    def __init__(self, frames: list[Frame], clock: SimulatedClock) -> None:
+        self._frames, self._clock, self._waiting = deque(frames), clock, deque[Frame]()
+        self._left = _LONGEST
+
+    def send(self, frame: Frame) -> None:
+        """Answer, with what the next frames say."""
+        self._frames.rotate(-1)
+        said = self._frames[0]
+        if said.bus != 2:
+            self._waiting.append(_answer(frame, said.data.ljust(8, b"\0")))
+        if said.id % 2:
+            self._waiting.append(said)
+
+    def receive(self, until: float) -> Any:
+        if not self._waiting or not self._left:
+            self._clock.sleep_until(until)
+            return None
+        self._left -= 1
+        return self._waiting.popleft()._replace(time=self._clock.now())
+
+    def close(self) -> None:
+        pass
+
+
+def _answer(frame: Frame, said: bytes) -> Frame:
+    """Return what a motor would answer, its figures being those of other bytes."""
+    if frame.id == REGISTER_ID:
+        motor = frame.data[0]
+        return Frame(motor + 16, frame.data[:4] + said[4:], bus=frame.bus)
+    status = {ENABLE: 1, DISABLE: 0}.get(frame.data[7], 1) if is_special(frame.data) else 1
+    return Frame(frame.id + 16, bytes([status << 4 | frame.id & 0xF]) + said[1:], bus=frame.bus)
+
+
+@functools.cache
+def _joints() -> Any:
+    return damiao_joints(["DM4340"] * N, N)
+
+
+def use(case: Case, folder: Path) -> None:
+    """Unpack everything, ask the bus who is there, run motors on it, read the serial line."""
+    frames = frames_in(case["frames"])
+    _codec(frames)
+    _line_read(case["line"])
+    _through_driver(frames)
+    clock = SimulatedClock()
+    link = GuardedLink(TalkativeBus(frames, clock), clock, channels=("a", "b"))
+    if len(frames) % 20 == 0:  # takes ten times as long as all the rest
+        for motor in inspect_bus(link).motors.values():
+            assert motor.name and motor.master_id >= 0
+    _session(frames)
+
+
+def _codec(frames: list[Frame]) -> None:
+    raw = np.array([list(f.data) for f in frames if len(f.data) == 8], np.uint8).reshape(-1, 1, 8)
+    numbers = raw.view("<f4").ravel()
+    limits = [tuple(np.resize(numbers, 3))] if numbers.size else [(1.0, 1.0, 1.0)]
+    for each in ([(12.5, 10.0, 28.0)], limits):
+        try:
+            scaling = Scaling(each)
+            assert np.all(np.isfinite(decode_feedback(raw, scaling, True).position))
+            again = encode_feedback(decode_feedback(raw, scaling), scaling)
+            assert again.shape == raw.shape
+            encode_mit(decode_mit(raw, scaling), scaling)
+        except SysidError:
+            continue
+
+
+def _line_read(line: bytes) -> None:
+    reader = PacketReader()
+    for k in range(0, len(line), 7):
+        for packet in reader.take(line[k : k + 7]):
+            assert len(packet.data) == 8
+    for text in line.decode("latin-1").split("\r"):
+        frame = frame_from_line(text)
+        assert frame is None or len(frame.data) <= 8
+
+
+def _through_driver(frames: list[Frame]) -> None:
+    """Let python-can's messages become frames; a driver raises what it likes."""
+    clock, waiting = SimulatedClock(), deque(frames)
+
+    def recv(timeout: float) -> Any:
+        clock.sleep_until(clock.now() + 1e-3)
+        frame = waiting.popleft()
+        if frame.bus == 3:
+            raise (ValueError, IndexError, OSError)[frame.id % 3]("broken")
+        return SimpleNamespace(
+            arbitration_id=frame.id,
+            data=bytearray(frame.data),
+            timestamp=float(frame.id) - 1.0,
+            is_extended_id=frame.bus == 1,
+            is_error_frame=frame.error,
+            is_rx=not frame.echo,
+            is_fd=frame.fd,
+        )
+
+    link = BusLink([SimpleNamespace(recv=recv, shutdown=lambda: 1 / 0)], clock)
+    while waiting:
+        try:
+            link.receive(clock.now() + 1.0)
+        except SysidError:
+            continue
+        except IndexError:
+            assert not waiting
+    link.close()
+
+
+def _session(frames: list[Frame]) -> None:
+    clock = SimulatedClock()
+    link = GuardedLink(TalkativeBus(frames, clock), clock)
+    scaling = Scaling([(12.5, 10.0, 28.0)] * N)
+    zeros = np.zeros(N)
+    with MotorSession(link, _joints(), scaling, half_step=True) as session:
+        session.enable()
+        for _ in range(3):
+            command = MitCommand(zeros, zeros, zeros + 10.0, zeros + 1.0, zeros)
+            replies = session.exchange(command, clock.now() + 1e-3)
+            position = replies.feedback.position[replies.answered]
+            assert np.all(np.abs(position) < 12.6) and not np.any(np.isnan(position))

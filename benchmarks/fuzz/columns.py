@@ -1,0 +1,85 @@
+"""Small files that say what is what: column files, torque factors, joint maps of motors."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from pathlib import Path
+from random import Random
+
+from benchmarks.fuzz.harness import Case, written
+from benchmarks.fuzz.mutations import damaged, damaged_json, damaged_table, odd
+from robot_sysid.damiao.protocol.joints import damiao_joints, mapped, read_joint_map
+from robot_sysid.logs.formats.table import LogTable, pieces_table
+from robot_sysid.logs.options import LogOptions
+from robot_sysid.logs.reader import open_log
+from robot_sysid.records.torque_scale import CONSTANTS, SCALE, joint_factors
+from tests.support import log_files
+
+_ARM = log_files.arm_of(log_files.JOINTS, log_files.limits())
+LINES = """# which column is what
+time = Zeit
+units = rad, s
+position = A1, A2, A3
+torque.base = M1
+torque.elbow = -M2
+torque.wrist = 0.95 * M3
+velocity = none
+rate = 200
+acceleration = #1, #2, #3
+"""
+NAMED = {
+    "time": "Zeit",
+    "position": ["A1", "A2", "A3"],
+    "torque": {"base": "M1", "elbow": "-M2", "wrist": "2 * M3"},
+    "units": "rad, s",
+    "rate": 100,
+}
+FACTORS = {"version": 1, SCALE: {"base": 1.3, "elbow": 1.2, "wrist": 1.1}, CONSTANTS: {"base": 0.1}}
+MAP = """joint,bus,can_id,master_id,direction,offset,torque_ratio
+base,can0,1,0x11,+1,0.0,1.0
+elbow,can0,2,0x12,-1,0.785,1.0
+wrist,can1,3,19,1,,
+"""
+
+
+@functools.cache
+def _log() -> LogTable:
+    """A log whose titles nobody would guess."""
+    titles = ("Zeit", "A1", "A2", "A3", "M1", "M2", "M3")
+    cells = log_files.table(log_files.motion(30, 40.0))
+    return pieces_table(Path("log"), "arrays", titles, (cells,))
+
+
+def case(random: Random) -> Case:
+    """One file."""
+    kind = random.random()
+    if kind < 0.35:
+        lines = LINES.splitlines()
+        for _ in range(random.randint(1, 3)):
+            place = random.randrange(len(lines))
+            key, _, value = lines[place].partition("=")
+            lines[place] = random.choice((f"{key}={odd(random)}", f"{odd(random)}={value}", key))
+        data = "\n".join(lines).encode()
+        return {"lines.txt": damaged(random, data) if random.random() < 0.3 else data}
+    if kind < 0.6:
+        return {"named.json": damaged_json(random, NAMED)}
+    if kind < 0.8:
+        return {"factors.json": damaged_json(random, FACTORS)}
+    return {"map.csv": damaged_table(random, MAP)}
+
+
+def use(case: Case, folder: Path) -> None:
+    """Read the file and do what it says."""
+    (name,) = case
+    path = written(case, folder) / name
+    if name == "factors.json":
+        for table in (SCALE, CONSTANTS):
+            joint_factors(path, log_files.JOINTS[:1], table)
+    elif name == "map.csv":
+        joints = damiao_joints(["DM4340"] * 3, 3)
+        mapped(joints, read_joint_map(path), ("can0", "can1"), log_files.JOINTS)
+    else:
+        titles = ("", "<script>", *_log().titles[2:]) if len(case[name]) % 50 == 0 else None
+        table = dataclasses.replace(_log(), titles=titles) if titles else _log()
+        open_log(_ARM, table, LogOptions(columns=path))

@@ -1,0 +1,54 @@
+"""The same targets under atheris: its bytes decide in place of a random generator."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+import tempfile
+from pathlib import Path
+from random import Random
+
+from benchmarks.fuzz.harness import Watch
+
+
+class BytesRandom(Random):
+    """A generator whose numbers are bytes that somebody else has chosen; zeros behind their end."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data, self._at = data, 0
+        super().__init__(0)
+
+    def getrandbits(self, k: int) -> int:
+        """Return the next k bits."""
+        count = (k + 7) // 8
+        piece = self._data[self._at : self._at + count].ljust(count, b"\0")
+        self._at += count
+        return int.from_bytes(piece, "little") >> (8 * count - k)
+
+    def random(self) -> float:
+        """Return a number from 0 to 1 made of the next two bytes."""
+        return self.getrandbits(16) / 2.0**16
+
+
+def fuzz(name: str, seconds: int, seed: int) -> int:
+    """Run a target until the time is over; print each new kind of finding with its bytes."""
+    import atheris
+
+    with atheris.instrument_imports(include=["robot_sysid"]):
+        target = importlib.import_module(f"benchmarks.fuzz.{name}")
+    target.case(Random(seed))  # what all inputs are made from is made once
+    folder = Path(tempfile.mkdtemp())
+    watch, seen = Watch(folder), set()
+
+    def one(data: bytes) -> None:
+        kind, text = watch.outcome(target, target.case(BytesRandom(data)))
+        if kind not in ("result", "refused") and kind not in seen:
+            seen.add(kind)
+            print(f"\n{name}: {kind}\n{data.hex()}\n{text}", flush=True)
+
+    limits = [f"-max_total_time={seconds}", f"-seed={seed or 1}", "-max_len=4096"]
+    atheris.Setup(
+        [sys.argv[0], *limits, "-print_final_stats=1", f"-artifact_prefix={folder}/"], one
+    )
+    atheris.Fuzz()
+    return 0

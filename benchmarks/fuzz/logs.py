@@ -1,0 +1,134 @@
+"""Logs in every form: tables of text by the cell, the others by the byte, archives by the array."""
+
+from __future__ import annotations
+
+import functools
+import io
+import json
+import tempfile
+import warnings
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from random import Random
+
+import numpy as np
+
+from benchmarks.fuzz.harness import Case, written
+from benchmarks.fuzz.mutations import NUMBERS, TEXTS, damaged, damaged_json, damaged_table, odd
+from robot_sysid.logs.options import LogOptions
+from robot_sysid.logs.reader import open_log
+from tests.support import log_files, recorded
+
+ROWS = 24
+_ARM = log_files.arm_of(log_files.JOINTS, log_files.limits())
+_TEXT, _ARRAYS = (("libfranka", "RTDE", "PlotJuggler", "SAGE"), ("npz", "robomimic", "ALOHA"))
+_SLOW = (*(name for name in recorded.FORMS if "ROS" in name), "single mcap")
+_SLOW += ("DynamicJointState", "FrankaRobotState", "LeRobot v2")
+SLOW_SHARE = 0.02
+"""Bags and data sets take a tenth of a second, a table a thousandth."""
+
+
+@functools.cache
+def seeds() -> Mapping[str, tuple[str, Case]]:
+    """Form to what is read of it and the files it is made of."""
+    data = log_files.motion(ROWS, 40.0)
+    with tempfile.TemporaryDirectory() as name:
+        made = {}
+        for form, write in recorded.FORMS.items():
+            folder = Path(name) / form
+            folder.mkdir()
+            path = write(folder, data)
+            files = {str(p.relative_to(folder)): p.read_bytes() for p in _files(folder)}
+            made[form] = str(path.relative_to(folder)), files
+        folder = Path(name)
+        table = log_files.write(folder / "plain.csv", log_files.table(data).tolist()).read_bytes()
+        made["plain"] = "plain.csv", {"plain.csv": table}
+        made["ALOHA"] = "episode.hdf5", {"episode.hdf5": _aloha(folder / "episode.hdf5")}
+    return made
+
+
+def _files(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.rglob("*") if path.is_file())
+
+
+def _aloha(path: Path) -> bytes:
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        motion = log_files.motion(ROWS, 40.0).q
+        for name in ("qpos", "qvel", "effort"):
+            file.create_dataset(f"observations/{name}", data=motion, chunks=(8, 3))
+        file["observations/qpos"].attrs["unit"] = "rad"
+        file["action"] = motion
+    return path.read_bytes()
+
+
+def case(random: Random) -> Case:
+    """A log; the file "read" says which of its paths is read."""
+    kind = random.random()
+    if kind < 0.35:
+        form = "plain"
+    elif kind < 0.65:
+        form = random.choice(_TEXT)
+    else:
+        form = random.choice(_SLOW if random.random() < SLOW_SHARE / 0.35 else _ARRAYS)
+    name, files = seeds()[form]
+    if form == "npz" and random.random() < 0.6:
+        files = {name: _archive(random)}
+    else:
+        chosen = random.choice(list(files))
+        files = {**files, chosen: _damaged_file(random, chosen, files[chosen])}
+    return {**files, "read": name.encode()}
+
+
+def _damaged_file(random: Random, name: str, content: bytes) -> bytes:
+    if name.endswith(".csv"):
+        return damaged_table(random, content.decode(), " " if name == "rtde.csv" else ",")
+    if name.endswith(".json"):
+        return damaged_json(random, json.loads(content))
+    return damaged(random, content, 8)
+
+
+def _archive(random: Random) -> bytes:
+    """An .npz file with arrays of odd types and shapes, or one that claims to be huge."""
+    buffer = io.BytesIO()
+    method = random.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))
+    with warnings.catch_warnings(), zipfile.ZipFile(buffer, "w", method) as packed:
+        warnings.simplefilter("ignore")  # names that are there twice
+        for name in ("time", "q", "tau", random.choice(("qd", "q", odd(random)[:99]))):
+            packed.writestr(name + ".npy", _array(random, name))
+    data = buffer.getvalue()
+    return damaged(random, data) if random.random() < 0.3 else data
+
+
+def _array(random: Random, name: str) -> bytes:
+    columns = 3 if random.random() < 0.7 else random.choice((1, 0, 7, 600))
+    shape: tuple[int, ...] = (ROWS,) if name == "time" else (ROWS, columns)
+    if random.random() < 0.08:
+        shape = random.choice(((), (0,), (ROWS, 3, 3), (1, 3), (3, ROWS), (ROWS,)))
+    kind, step = "<f8", 0.025
+    if random.random() < 0.15:
+        kind = random.choice((">f4", "<i4", "<u1", "|b1", "<c16", "<U4", "<M8[s]"))
+    if random.random() < 0.1:
+        step = random.choice((0.0, 1e300, -1.0, np.nan, 1e9))
+    ramp = np.arange(np.prod(shape, dtype=int)).reshape(shape) * step
+    with np.errstate(all="ignore"):
+        values = ramp.astype("<i8").astype(kind) if "M8" in kind else ramp.astype(kind)
+    if random.random() < 0.02:
+        values = np.array([random.choice((*NUMBERS, *TEXTS)), {}, None] * 8, dtype=object)
+    buffer = io.BytesIO()
+    np.save(buffer, values, allow_pickle=True)
+    data = buffer.getvalue()
+    if random.random() < 0.05:
+        length = str(ROWS).encode()
+        data = data.replace(length, str(random.choice((10**10, -1, 10**30, 0))).encode(), 1)
+    return damaged(random, data) if random.random() < 0.05 else data
+
+
+def use(case: Case, folder: Path) -> None:
+    """Recognise, check and read the log."""
+    place = written({name: text for name, text in case.items() if name != "read"}, folder)
+    currents = (1.0,) if len(case["read"]) % 2 else None
+    path = place / case["read"].decode()
+    open_log(_ARM, path, LogOptions(torque_constants=currents if "npz" in path.name else None))

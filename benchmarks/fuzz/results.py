@@ -1,0 +1,69 @@
+"""Folders of earlier runs: their JSON, their data, and both in what reads them."""
+
+from __future__ import annotations
+
+import functools
+import json
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import matplotlib.font_manager  # noqa: F401 - makes its folders when it is first imported
+
+from benchmarks.fuzz.harness import Case, written
+from benchmarks.fuzz.mutations import damaged, damaged_json
+from robot_sysid.logs.reader import earlier_logs
+from robot_sysid.records.results import PARAMS_NAME
+from robot_sysid.report.page import html, save_data, sections_comparing, sections_of
+from robot_sysid.report.runs import DATA_NAME, fingerprint, load_run
+from tests.support import arms, reports
+
+DATA_SHARE = 0.1
+PAGE_SHARE = 0.001
+"""A page with its figures takes a second, the numbers in it a thousandth. Chosen by a large number:
+where the bytes of a guided run end, zeros follow."""
+
+
+@functools.cache
+def _runs() -> tuple[tuple[Mapping[str, bytes], Any], ...]:
+    """What runs of a link and of a payload leave, with the content of params.json."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        model = folder / "arm.xml"
+        model.write_text(reports.arm_text())
+        result = reports.link_result(model)
+        run = reports.saved(folder / "link", result)
+        save_data(run, reports.traces(result), fingerprint(run / PARAMS_NAME))
+        link = {each: (run / each).read_bytes() for each in (PARAMS_NAME, DATA_NAME)}
+        other = reports.saved(folder / "payload", reports.payload_result(model))
+        payload = json.loads((other / PARAMS_NAME).read_bytes())
+    content = json.loads(link[PARAMS_NAME])
+    content["logs"], content["model"]["sha256"] = ["."], _robot().sha256
+    return (link, content), ({}, payload)
+
+
+def case(random: Random) -> Case:
+    """A folder; the file "page" is there where a page is made of it."""
+    files, content = random.choice(_runs())
+    page = {"page": b""} if random.random() > 1.0 - PAGE_SHARE else {}
+    if files and random.random() < DATA_SHARE:
+        return {**files, DATA_NAME: damaged(random, files[DATA_NAME]), **page}
+    # Without its own hash in it, the data would not be looked at.
+    return {PARAMS_NAME: damaged_json(random, content), **page}
+
+
+def use(case: Case, folder: Path) -> None:
+    """Read the folder as a report does, and as a run that adds to it."""
+    place = written(case, folder)
+    run = load_run(place)
+    if "page" in case:
+        html("a page", sections_of(run))
+        html("a comparison", sections_comparing([run, run]))
+    earlier_logs(place / PARAMS_NAME, _robot())
+
+
+@functools.cache
+def _robot() -> Any:
+    return arms.robot_of(arms.serial_arm((arms.Z, arms.Y)))

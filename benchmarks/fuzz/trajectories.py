@@ -1,0 +1,105 @@
+"""Trajectory files: coefficients as JSON, and the tables that motors play."""
+
+from __future__ import annotations
+
+import functools
+import io
+import json
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import numpy as np
+
+from benchmarks.fuzz.harness import Case, written
+from benchmarks.fuzz.mutations import damaged_json, damaged_table
+from robot_sysid.damiao.trajectory import (
+    export_damiao_trajectory,
+    read_damiao_trajectory,
+    scan_trajectory,
+)
+from robot_sysid.motion.options import ExcitationOptions, LimitOptions, PoseOptions
+from robot_sysid.motion.plan import MotionRequest, make_plan
+from robot_sysid.motion.trajectories import FourierBasis, FourierTrajectory, LineTrajectory
+from robot_sysid.motion.trajectory_files import at_speed, load_trajectory, save_trajectory
+from robot_sysid.records.progress import Progress
+from robot_sysid.trajectory import (
+    SineTrajectory,
+    TrajectoryOptions,
+    motion_chunks,
+    require_countable,
+)
+from tests.support import arms
+
+RATE = 50.0
+TABLE_SHARE = 0.4
+ENOUGH_CHUNKS, LONGEST = 20, 60.0
+
+
+@functools.cache
+def _robot() -> Any:
+    return arms.robot_of(arms.serial_arm((arms.Z, arms.Y)))
+
+
+@functools.cache
+def _texts() -> tuple[Any, ...]:
+    """Every kind of trajectory as JSON."""
+    two = np.ones((2, 2))
+    sines = SineTrajectory(np.zeros(2), 0.1 * two, two, two, 1.0, 0.25)
+    basis = FourierBasis(1.0, 1.0, 3, 0.25)
+    points, moves = np.array([[0.0, 0.0], [0.3, 0.2], [0.0, 0.0]]), np.array([0.5, 0.5])
+    plans = (
+        sines,
+        at_speed(sines, 0.5),
+        FourierTrajectory(basis, np.zeros(2), 0.01 * np.ones((2, 7))),
+        LineTrajectory(points, moves, np.array([0.1, 0.2, 0.1])),
+        LineTrajectory(points, moves, np.zeros(len(points)), 0.4 * moves),
+    )
+    return tuple(_described(plan) for plan in plans)
+
+
+def _described(plan: Any) -> Any:
+    file = io.StringIO()
+    save_trajectory(file, plan, _robot().joint_names)
+    return json.loads(file.getvalue())
+
+
+@functools.cache
+def _table() -> str:
+    """A trajectory of two motors."""
+    file = io.StringIO()
+    chunks = motion_chunks(
+        SineTrajectory(*np.zeros((1, 2)), *0.1 * np.ones((3, 2, 1)), 1.0, 0.25), 20.0
+    )
+    motion = ((m.time, m.q, m.qd, 0.0 * m.q) for m in chunks)
+    export_damiao_trajectory(motion, ["DM4340", "DM4310"], file)
+    return file.getvalue()
+
+
+def case(random: Random) -> Case:
+    """One file."""
+    if random.random() < TABLE_SHARE:
+        return {"motors.csv": damaged_table(random, _table())}
+    return {"motion.json": damaged_json(random, random.choice(_texts()))}
+
+
+def use(case: Case, folder: Path) -> None:
+    """Read it, and check it against an arm as a run does."""
+    place = written(case, folder)
+    if "motors.csv" in case:
+        scan_trajectory(read_damiao_trajectory(place / "motors.csv"))
+        return
+    path = place / "motion.json"
+    saved = load_trajectory(path)
+    saved.require_fits(_robot().joint_names)
+    require_countable(saved.plan.duration, RATE, "--sample-rate")
+    for _ in zip(range(ENOUGH_CHUNKS), motion_chunks(saved.plan, RATE)):
+        pass
+    if len(case["motion.json"]) % 8:
+        return  # the check takes ten times as long as all the rest
+    faster = max(1.0, saved.plan.duration / LONGEST)  # a day's motion is checked for minutes
+    options = TrajectoryOptions(sample_rate=RATE, file=path, speed=faster)
+    given = ExcitationOptions(), LimitOptions(), "chain", 0.0, True, PoseOptions()
+    made = make_plan(MotionRequest(options, *given), _robot(), 0, Progress())
+    for _, motion in zip(range(ENOUGH_CHUNKS), motion_chunks(made.plan, RATE)):
+        assert np.all(np.isfinite(motion.q)) or made.failure

@@ -1,0 +1,91 @@
+"""Torque scales from one known mass: how well payloads are weighed afterwards on other logs.
+
+    python -m benchmarks.known_mass MODELS [--runs 5] [--arms kinova panda]
+
+Each run draws an imperfect arm whose torque scales are 3 % off per joint, calibrates it with 2 kg
+on one set of recordings, and weighs three other payloads on new recordings along new trajectories,
+with the torques as they are and divided by the scales that were found.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.payload_by_difference import MODELS, recordings, rms, weighed
+from robot_sysid.dynamics import spatial
+from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.parser import load_robot_model
+from robot_sysid.payload_pipeline import SCALE_PRIOR
+from tests.support.imperfect_arm import ImperfectArm, Imperfections
+
+WEIGHT = 2.0
+PAYLOADS = (0.7, 1.2, 1.9)
+SCALE = 0.03
+CALIBRATED = EstimationOptions(scale_uncertainty=0.5)
+"""How far scales may be off once they were found."""
+
+
+def body(mass):
+    """A payload of this mass, with its centre of mass off the axis."""
+    inertia = mass * np.diag([0.004, 0.005, 0.003])
+    return spatial.theta_from_com(mass, np.array([0.03, -0.02, 0.08]), inertia)
+
+
+def calibrated(recording, scale):
+    """A recording with its torques divided by scales (n,)."""
+    samples = replace(recording.samples, tau=recording.samples.tau / scale)
+    return replace(recording, samples=samples, pieces=(samples,))
+
+
+def run(robot, seed):
+    """(relative errors as measured, with scales, their stated errors, errors of the scales)."""
+    rng = np.random.default_rng([seed, 78])
+    arm = ImperfectArm(robot, rng, Imperfections(scale=SCALE))
+    logs = recordings(robot, arm, rng, payload=body(WEIGHT))
+    found = weighed(robot, logs, known_mass=WEIGHT, scale_prior=SCALE_PRIOR).payload
+    scale = np.array([found.torque_scale[joint][0] for joint in robot.joint_names])
+    stated = np.array([found.torque_scale[joint][1] for joint in robot.joint_names])
+    off = [abs(scale - arm.scale) < 1.96 * stated]
+    plain, scaled, promised = [], [], []
+    for mass in PAYLOADS:
+        raw = recordings(robot, arm, rng, payload=body(mass))
+        plain.append(weighed(robot, raw).payload.body.inertial.mass / mass - 1.0)
+        better = [calibrated(each, scale) for each in raw]
+        result = weighed(robot, better, estimation=CALIBRATED).payload.body
+        scaled.append(result.inertial.mass / mass - 1.0)
+        promised.append(result.errors[0] / mass)
+    return plain, scaled, promised, off
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("models", type=Path)
+    parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--arms", nargs="+", default=["kinova", "panda"], choices=list(MODELS))
+    given = parser.parse_args()
+    for name in given.arms:
+        robot = load_robot_model(given.models / MODELS[name])
+        rows = []
+        for seed in range(given.runs):
+            rows.append(run(robot, seed))
+            print(
+                f"  {name} run {seed}: {np.round(100 * np.array(rows[-1][:2]), 2)} %",
+                file=sys.stderr,
+            )
+        plain, scaled, promised, off = zip(*rows)
+        print(
+            f"{name}, scales 3 % off, {given.runs} arms, {given.runs * len(PAYLOADS)} payloads: "
+            f"rms {100.0 * rms(plain):.2f} % as measured, {100.0 * rms(scaled):.2f} % with the "
+            f"scales of one {WEIGHT:g} kg weight (stated {100.0 * rms(promised):.2f} %); 95 % "
+            f"intervals of the scales cover {100.0 * np.mean(off):.0f} %",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,153 @@
+"""How exactly a link is found again without noise, and whether the error is the stated one.
+
+    python -m benchmarks.noise_free [--cases "1 g link" ...] [--rates 10 100] [--seed 0]
+
+Seven-joint arms with dry and viscous friction, from torques of 1e-4 to 1e3 N m and sample rates
+from 10 Hz to 20 kHz. Each is simulated along its random trajectory of 15 s and identified from that
+(``robot-sysid MODEL``); what was simulated is then written with every digit and identified as a log
+from a model whose last link is wrong by 30 %, with noise as the only thing that is not known (all
+``--*-uncertainty 0``) and with what is not known by default. Printed: root mean square torque of
+the strongest joint, error of the mass as a part of it, the largest error of all ten parameters in
+parts of mass times size, the largest stated one, and the largest error over its own stated one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import json
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from robot_sysid.cli import main as robot_sysid
+from robot_sysid.dynamics import spatial
+from tests.support.arms import LINK, SEVEN_AXES, TIP, hinge, link, world
+
+UNCERTAIN = ("link", "scale", "zero", "gravity", "delay", "friction")
+EXACT = [word for cause in UNCERTAIN for word in (f"--{cause}-uncertainty", "0")]
+ACCEPTED = ("--accept", "computed")
+WRONG = 0.7
+RATES = (10.0, 25.0, 100.0, 1000.0, 20000.0)
+
+
+@dataclass(frozen=True)
+class Case:
+    """An arm: what the last link's and the others' numbers are multiplied by, and the friction."""
+
+    tip: float
+    others: float
+    friction: float = 1.0
+
+    def model(self, tip: float = 1.0) -> str:
+        """Return the arm as MJCF, its last link's numbers times ``tip``."""
+        content, friction = "", self.friction
+        joint = f'range="-2.5 2.5" frictionloss="{0.4 * friction}" damping="{0.1 * friction}"'
+        for index in reversed(range(7)):
+            inertial = times(TIP, self.tip * tip) if index == 6 else times(LINK, self.others)
+            joints = hinge(f"joint{index}", SEVEN_AXES[index], joint)
+            content = link(joints, content, f"link{index}", inertial=inertial)
+        return world(content)
+
+
+CASES = {
+    "1 kg link": Case(1.25, 1.0),
+    "1 g link": Case(1.25e-3, 1.0),
+    "100 kg link": Case(125.0, 50.0, 20.0),
+    "torques of 1e-4 N m": Case(1.25e-5, 1e-5, 1e-5),
+    "torques of 1e3 N m": Case(125.0, 100.0, 100.0),
+    "other links of 1e4 kg": Case(1.25, 1e4),
+}
+
+
+def times(inertial: str, factor: float) -> str:
+    """Return an ``<inertial>`` element with mass and inertia times a factor."""
+    words = inertial.split('"')
+    for place, word in enumerate(words[:-1]):
+        if word.endswith(("mass=", "fullinertia=")):
+            words[place + 1] = " ".join(repr(factor * float(x)) for x in words[place + 1].split())
+    return '"'.join(words)
+
+
+def run(folder: Path, *words: object) -> dict:
+    """Return what one command wrote into params.json."""
+    with (
+        contextlib.redirect_stdout(io.StringIO()),
+        contextlib.redirect_stderr(io.StringIO()) as said,
+    ):
+        code = robot_sysid([*map(str, words), "--output-dir", str(folder)])
+    written = folder / "params.json"
+    if not written.exists():
+        raise SystemExit(f"exit code {code} of {words}: {said.getvalue()}")
+    return json.loads(written.read_text())
+
+
+def line(found: dict, truth: np.ndarray) -> str:
+    """Return errors and stated ones of a result."""
+    theta = np.array(
+        [found["mass"], *found["center_of_mass_moment"], *found["inertia_tensor"].values()]
+    )
+    errors = np.array(list(found["standard_errors"].values())[:10], dtype=float)
+    size = spatial.parameter_scale(truth[0], spatial.characteristic_length(truth))
+    off = np.abs(theta - truth)
+    over = np.max(off / np.maximum(errors, 1e-300))
+    mass = off[0] / truth[0]
+    return f"{mass:10.1e}{np.max(off / size):10.1e}{np.max(errors / size):10.1e}{over:8.2f}"
+
+
+def lines(case: Case, rate: float, seed: int, folder: Path) -> Iterator[tuple[str, str]]:
+    """Yield (source of the data, its line) of one arm at one sample rate [Hz]."""
+    true, guess, log = folder / "true.xml", folder / "guess.xml", folder / "log.csv"
+    true.write_text(case.model())
+    guess.write_text(case.model(WRONG))
+    words = (true, "--sample-rate", rate, "--seed", seed, "--save-measurements", log)
+    found = run(folder / "own", *words)
+    truth = truth_of(true)
+    yield "own simulation", line(found, truth)
+    for name, more in (("log, noise only", EXACT), ("log, defaults", [])):
+        # What was computed looks like it.
+        words = (guess, "--measurements", log, *ACCEPTED, *more)
+        yield name, line(run(folder / name, *words), truth)
+
+
+def truth_of(path: Path) -> np.ndarray:
+    """Return the last link's parameters (10,)."""
+    from robot_sysid.parser import load_robot_model
+
+    return load_robot_model(path).prior.theta
+
+
+def torque_of(log: Path) -> float:
+    """Return the largest root mean square torque of a joint in a written log [N m]."""
+    with log.open() as stream:
+        titles = stream.readline().split(",")
+        places = [k for k, title in enumerate(titles) if title.strip().endswith("_torque")]
+        rows = np.loadtxt(stream, delimiter=",", usecols=places, max_rows=20000)
+    return float(np.max(np.sqrt(np.mean(rows**2, axis=0))))
+
+
+def main() -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cases", nargs="+", default=list(CASES), choices=list(CASES))
+    parser.add_argument("--rates", nargs="+", type=float, default=list(RATES))
+    parser.add_argument("--seed", type=int, default=0)
+    chosen = parser.parse_args()
+    head = f"{'torque':>9}{'mass':>10}{'all ten':>10}{'stated':>10}{'ratio':>8}"
+    print(f"{'arm':<24}{'Hz':>6} {'data':<17}{head}")
+    for name in chosen.cases:
+        for rate in chosen.rates:
+            with tempfile.TemporaryDirectory() as folder:
+                for source, words in lines(CASES[name], rate, chosen.seed, Path(folder)):
+                    torque = torque_of(Path(folder) / "log.csv")
+                    print(f"{name:<24}{rate:>6g} {source:<17}{torque:9.1e}{words}", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,149 @@
+"""Payloads of imperfect simulated arms: how far off the joint estimate is, and what it says.
+
+    python -m benchmarks.payload_by_difference MODELS [--runs 20] [--scale 0 1] [--arms ...]
+
+MODELS is a folder of public models as in MuJoCo Menagerie. Each run draws an arm with everything
+wrong at once (tests/support/imperfect_arm.py), four recordings (empty, loaded, loaded, empty) along
+one random trajectory, or along four with --different, and prints the rms error of the payload's
+mass, beside it that of the difference of two fits of the terminal link alone (--single). The random
+trajectory moves all joints widely, as a designed one does; with --narrow it is the one that a run
+without any options makes, which moves all joints but the last by a tenth of their range.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.estimation.algebra.options import EstimationOptions
+from robot_sysid.estimation.identify import Piece, answer_payload, filtered
+from robot_sysid.estimation.result import payload_of
+from robot_sysid.estimation.unknowns import Question
+from robot_sysid.model.flange import find_flange
+from robot_sysid.parser import load_robot_model
+from robot_sysid.payload_pipeline import RawRecording
+from robot_sysid.records.progress import Progress
+from robot_sysid.simulator import ArmTorque
+from robot_sysid.trajectory import generate_excitation_trajectory
+from tests.support.core_fits import ORIGIN, result_of_logs
+from tests.support.imperfect_arm import ImperfectArm, Imperfections
+
+MODELS = {
+    "kinova": "kinova_gen3/gen3.xml",
+    "panda": "franka_panda/panda_nohand.xml",
+    "ur5e": "universal_robots_ur5e/ur5e.xml",
+    "xarm7": "ufactory_xarm7/xarm7.xml",
+}
+PAYLOAD = spatial.theta_from_com(1.0, np.array([0.03, -0.02, 0.08]), np.diag([0.004, 0.005, 0.003]))
+ORDER = (False, True, True, False)
+USUAL = EstimationOptions()
+
+
+WIDER, SPEED_SHARE = 5.0, 0.9
+"""How much wider a wide trajectory is at most, and which share of its speed limit a joint uses."""
+
+
+def trajectory(robot, rng, wide):
+    """A random trajectory within the limits."""
+    plan = generate_excitation_trajectory(robot, rng, torque=ArmTorque(robot))[0]
+    if not wide:
+        return plan
+    speed = np.max(np.abs(plan.evaluate(np.arange(0.0, plan.duration, 0.01)).qd), axis=0)
+    factor = np.minimum(WIDER, SPEED_SHARE * robot.limits.velocity / speed)
+    factor[-1] = 1.0
+    return plan.scaled(factor)
+
+
+def recordings(robot, arm, rng, different=False, payload=PAYLOAD, wide=True):
+    """Four recordings in the order empty, loaded, loaded, empty."""
+    plans = [trajectory(robot, rng, wide) for _ in (ORDER if different else ORDER[:1])]
+    found = []
+    for k, loaded in enumerate(ORDER):
+        samples = arm.log(plans[k % len(plans)], loaded * payload, rng)
+        found.append(RawRecording(f"log{k}", loaded, samples, (samples,)))
+    return found
+
+
+def weighed(robot, raw, estimation=USUAL, drifts=True, **known):
+    """The result that the command finds."""
+    places = np.linspace(-1.0, 1.0, len(raw))
+    pieces = [Piece(r.name, r.samples, r.is_loaded, at) for r, at in zip(raw, places)]
+    datasets, _ = filtered(robot, pieces, estimation)
+    question = Question(estimation, loaded=True, drifts=drifts, **known)
+    found, free = answer_payload(robot, datasets, question, Progress(), kept=None)
+    return payload_of(found, free, find_flange(robot, "0,0,0"), ORIGIN, False)
+
+
+def single_difference(robot, raw):
+    """Difference of the terminal link's mass in two fits, with the other links from the model."""
+    options = EstimationOptions(
+        link_uncertainty=0.0, scale_uncertainty=0.0, zero_uncertainty=0.0, gravity_uncertainty=0.0
+    )
+    masses = []
+    for kind in (False, True):
+        logs = [each.samples for each in raw if each.is_loaded is kind]
+        masses.append(result_of_logs(robot, logs, options).links[-1].inertial.mass)
+    return masses[1] - masses[0]
+
+
+def run(robot, seed, off, different, single, wide):
+    """(error of the mass, stated error, noise error, error of the centre of mass, difference)."""
+    rng = np.random.default_rng([seed, 77])
+    arm = ImperfectArm(robot, rng, off)
+    raw = recordings(robot, arm, rng, different, wide=wide)
+    found = weighed(robot, raw)
+    body = found.payload.body
+    difference = single_difference(robot, raw) if single else np.nan
+    return (
+        body.inertial.mass - PAYLOAD[0],
+        body.errors[0],
+        body.noise_errors[0],
+        np.linalg.norm(body.inertial.com - PAYLOAD[1:4] / PAYLOAD[0]),
+        difference - PAYLOAD[0],
+        float(found.verdict.is_trustworthy),
+    )
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("models", type=Path)
+    parser.add_argument("--runs", type=int, default=20)
+    parser.add_argument("--scale", type=float, nargs="+", default=[0.0, 1.0], help="per cent")
+    parser.add_argument("--arms", nargs="+", default=["kinova", "panda"], choices=list(MODELS))
+    parser.add_argument("--noise", type=float, default=0.3, help="of a strong joint, N m")
+    parser.add_argument("--narrow", action="store_true", help="joints move little")
+    parser.add_argument("--different", action="store_true", help="four trajectories, not one")
+    parser.add_argument("--single", action="store_true", help="difference of two fits as well")
+    given = parser.parse_args()
+    for name in given.arms:
+        robot = load_robot_model(given.models / MODELS[name])
+        for scale in given.scale:
+            rows = []
+            for seed in range(given.runs):
+                choices = given.different, given.single, not given.narrow
+                off = Imperfections(scale=0.01 * scale, noise=given.noise)
+                rows.append(run(robot, seed, off, *choices))
+                print(f"  {name} {scale:g} % run {seed}: {rows[-1][0]:+.4f} kg", file=sys.stderr)
+            error, stated, noise, com, difference, trusted = np.array(rows).T
+            covered = np.mean(np.abs(error) < 1.96 * stated)
+            print(
+                f"{name}, noise {given.noise:g} N·m, torque scale {scale:g} %, {given.runs} runs: "
+                "mass rms "
+                f"{100.0 * rms(error):.2f} % (stated {100.0 * rms(stated):.2f}, noise alone "
+                f"{100.0 * rms(noise):.2f}, 95 % covers {100.0 * covered:.0f} %), centre of mass "
+                f"{1e3 * rms(com):.1f} mm, trusted {100.0 * np.mean(trusted):.0f} %, difference of "
+                f"two single fits {100.0 * rms(difference):.1f} %",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,83 @@
+"""What it brings to mask rows whose filter window leans on a reversal of the joint.
+
+Run from the checkout:  python -m benchmarks.reversal_masking
+
+Closed loop in MuJoCo with its own dry friction (Kinova example, other links known, encoder step
+1e-4 rad), and the same trajectories by inverse dynamics with Coulomb's law, where nothing is gained
+and the price shows. "centre" masks rows whose own instant is slow, as a share of the window's
+weight cannot; the others mask rows with more than that share of the filter's weight on slow
+samples. Errors are the worst joint's; median and worst over the trajectories.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from benchmarks.example_study import Noise, NoiseStudy, friction_errors
+from robot_sysid.estimation.columns import Columns
+from robot_sysid.estimation.dataset import Dataset
+from robot_sysid.signals.process import LARGEST_SLOW_SHARE
+
+SEEDS = range(61, 73)
+SHARES = (0.2, 0.1, LARGEST_SLOW_SHARE, 0.035, 0.02)
+DRAWS = 20
+
+
+def main() -> None:
+    """Print one table per simulation."""
+    for simulation in ("forward", "inverse"):
+        studies = [UnmaskedStudy(seed, simulation) for seed in SEEDS]
+        print(f"{simulation}: mass %, Coulomb %, viscous %, each median and worst; rows used")
+        for name, rule in rules().items():
+            print(
+                f"  {name:<12}{table_line([study.masked(rule) for study in studies])}", flush=True
+            )
+
+
+def rules():
+    """Name to the function that picks rows from (slow share, speed at the centre / deadband)."""
+    found = {"centre": lambda share, speed: speed >= 1.0}
+    for share in SHARES:
+        found[f"share {share:g}"] = lambda seen, speed, most=share: seen <= most
+    return found
+
+
+class UnmaskedStudy:
+    """One trajectory with all its rows, and what is needed to mask them."""
+
+    def __init__(self, seed, simulation) -> None:
+        self.study = study = NoiseStudy(seed=seed, simulation=simulation)
+        signals = study.signals
+        every = replace(signals, deadband=np.zeros_like(signals.deadband))
+        columns = Columns(study.robot, [Dataset("log", every)])
+        (study.samples,) = columns.samples(columns.start())
+        centres = signals.low_pass.centres(len(signals))
+        self.share = signals.slow_share()
+        self.speed = np.abs(signals.qd[centres]) / signals.deadband
+
+    def masked(self, rule):
+        """(errors without torque noise, errors with 0.1 N m, share of rows used)."""
+        used = rule(self.share, self.speed)
+        study, whole = self.study, self.study.samples
+        tau = tuple(np.where(keep, t, np.nan) for keep, t in zip(used.T, whole.tau))
+        study.samples = replace(whole, tau=tau)
+        clean = friction_errors(study, study.identified(study.samples, "off"))
+        draws = [study.noisy(Noise(0.1), np.random.default_rng(k)) for k in range(DRAWS)]
+        noisy = [friction_errors(study, study.identified(draw, "off")) for draw in draws]
+        study.samples = whole
+        return clean, np.sqrt(np.mean(np.square(noisy), axis=0)), np.mean(used)
+
+
+def table_line(results) -> str:
+    """Median and worst of each error."""
+    clean, noisy = (100.0 * np.array([r[k] for r in results]) for k in (0, 1))
+    pairs = "  ".join(f"{np.median(e):.3f} {np.max(e):.3f}" for e in clean.T)
+    loud = " ".join(f"{value:.2f}" for value in np.median(noisy, axis=0))
+    used = np.mean([r[2] for r in results])
+    return f"{pairs}   used {100 * used:.0f} %   with 0.1 N m noise: {loud}"
+
+
+if __name__ == "__main__":
+    main()

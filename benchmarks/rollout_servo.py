@@ -1,0 +1,82 @@
+"""Arms without torque sensors: how far are the found servos, friction and rotor inertia off?
+
+    OMP_NUM_THREADS=1 python -m benchmarks.rollout_servo [so101] [openarm]
+
+An arm with other gains, damping, friction and rotor inertia than its model's plays 40 s of sines
+and steps. Commands and positions are logged at 50 Hz in steps of 0.1 degrees; commands act 20 ms
+late. It is stepped by ``ArmStepper`` at 0.5 ms with Coulomb friction, not by what fits it.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from robot_sysid.logs.options import LogOptions
+from robot_sysid.logs.reader import open_log
+from robot_sysid.parser import load_robot_model
+from robot_sysid.records.progress import Progress
+from robot_sysid.servo.commands import commanded_pieces
+from robot_sysid.servo.fit import model_servos, parted, play_servos
+from robot_sysid.servo.run import UNITS, run_servo
+from tests.support import servo_arm
+from tests.support.places import MODELS
+
+ARMS = {
+    "so101": ("so101/so101_new_calib.xml", "wrist_roll"),
+    "openarm": ("openarm_v2/openarm_bimanual.xml", "openarm_left_joint7"),
+}
+STEP = np.radians(0.1)
+
+
+def main(*names: str) -> None:
+    """Print truth, estimate and held-out errors."""
+    np.set_printoptions(precision=4, suppress=True, linewidth=120)
+    for name in names or ARMS:
+        path, joint = ARMS[name]
+        robot, rng = load_robot_model(MODELS / path, joint=joint), np.random.default_rng(3)
+        arm = servo_arm.other_than(robot, rng)
+        with tempfile.TemporaryDirectory() as folder:
+            log = Path(folder) / "log.csv"
+            servo_arm.write_log(log, arm, *servo_arm.commands(robot, rng), STEP)
+            options = LogOptions(measurements=(log,))
+            begun = time.monotonic()
+            outcome = run_servo(robot, options, Path(folder) / "out", None, Progress())
+            spent = time.monotonic() - begun
+            piece = open_log(robot, log, replace(options, commanded=True))
+            held = parted(commanded_pieces([piece], robot.joint_names))[1]
+        report(name, arm, robot, outcome, held, spent)
+
+
+def report(name, arm, robot, outcome, held, spent) -> None:
+    """Print one arm."""
+    found = outcome.identification
+    servos, delay_error = found.fit.servos, found.fit.errors.delay
+    print(f"{name}: {spent:.0f} s; {outcome.failure or 'model written'}")
+    print(f"  delay {1e3 * servos.delay:.2f} ± {1e3 * delay_error:.2f} ms, true 20")
+    truth = (arm.stiffness, arm.damping, arm.coulomb, arm.armature)
+    for (term, unit), values in zip(UNITS.items(), truth):
+        figures = [own[term] for own in found.numbers.values()]
+        before, after, errors = (
+            np.array([figure[key] for figure in figures])
+            for key in ("before", "value", "standard_error")
+        )
+        print(f"  {term} [{unit}]: model {before}\n    true {values}")
+        print(f"    found {after}\n    error {errors}")
+    pair = model_servos(robot), servos
+    without = play_servos(robot, held, pair, "").errors
+    for error, bare in zip(found.rollout.errors, without):
+        (late, new), (old, _) = error.overall, bare.overall
+        print(
+            f"  held out, {error.horizon:g} s: model {old:.4g} rad, model with the delay found "
+            f"{late:.4g}, found {new:.4g}: {old / new:.1f} and {late / new:.1f} times smaller"
+        )
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,85 @@
+"""Monte Carlo of the estimators: efficiency, coverage of 95 % intervals, effect of outliers.
+
+Run: pytest benchmarks/test_bench_coverage.py -m slow -s
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.example_study import noise_study
+from robot_sysid.dynamics import spatial
+from robot_sysid.estimation.algebra.options import EstimationOptions
+from tests.support.estimates import identified
+from tests.support.smooth_arm import SmoothArm, information_of_samples, samples_of
+
+DRAWS = 200
+
+
+def draw(seed, memory, rate=100.0):
+    rng = np.random.default_rng(seed)
+    arm = SmoothArm(rng, rate)
+    sigma = rng.uniform(0.1, 0.5, 7)
+    samples = samples_of(arm, arm.torques(arm.noise(rng, sigma, memory)))
+    return arm, sigma, samples, information_of_samples(arm, samples)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["ols", "wls", "robust"])
+@pytest.mark.parametrize("memory", [0.0, 0.02, 0.1])
+def test_intervals_cover(method, memory):
+    hits, naive = [], []
+    for seed in range(DRAWS):
+        arm, _, samples, information = draw(seed, memory)
+        estimate = identified(information, np.zeros(31), method, samples=samples)
+        error = np.abs(estimate.values - arm.truth)
+        hits.append(error < 1.96 * estimate.standard_errors)
+        if method != "robust":
+            white = identified(information, np.zeros(31), method).standard_errors
+            naive.append(error < 1.96 * white)
+    share = np.mean(hits, axis=0)
+    print(
+        f"\n{method}, noise memory {1e3 * memory:.0f} ms: covered {np.mean(hits):.3f}, ten inertial"
+    )
+    print(
+        f"  {np.mean(share[:10]):.3f} (least {share[:10].min():.3f}, most {share[:10].max():.3f})"
+    )
+    print(f"  as if the noise were white: {np.mean(naive) if naive else float('nan'):.3f}")
+    assert 0.92 <= np.mean(share[:10]) <= 0.97
+    assert 0.92 <= np.mean(hits) <= 0.97
+
+
+@pytest.mark.slow
+def test_weighted_estimates_reach_the_cramer_rao_bound():
+    """One arm, many noises: root mean square error over the bound's standard deviation."""
+    errors, names = {"ols": [], "wls": []}, ("ols", "wls")
+    base = SmoothArm(np.random.default_rng(0), 100.0)
+    sigma = np.array([0.5, 0.5, 0.3, 0.3, 0.1, 0.1, 0.1])
+    for seed in range(DRAWS):
+        rng = np.random.default_rng(1000 + seed)
+        samples = samples_of(base, base.torques(base.noise(rng, sigma, 0.0)))
+        information = information_of_samples(base, samples)
+        for method in names:
+            errors[method].append(identified(information, np.zeros(31), method).values - base.truth)
+    bound = np.sqrt(np.diag(noise_study.cramer_rao_bound(information, sigma)))
+    ratios = {m: np.sqrt(np.mean(np.square(errors[m]), axis=0)) / bound for m in names}
+    for method in names:
+        ratio = ratios[method]
+        print(f"\n{method}: error / bound median {np.median(ratio):.3f}, worst {ratio.max():.3f}")
+    assert np.median(ratios["wls"]) <= 1.05
+    assert np.max(ratios["wls"]) <= 1.25
+
+
+@pytest.mark.slow
+def test_automatic_consistency_never_returns_an_impossible_body():
+    plain_possible, options = 0, EstimationOptions(consistency="auto")
+    for seed in range(DRAWS):
+        arm, _, _, information = draw(seed, 0.1)
+        prior = np.concatenate((arm.truth[:10] * 1.2, np.zeros(21)))
+        plain = identified(information, prior, "wls")
+        fitted = identified(information, prior, "wls", options)
+        plain_possible += spatial.is_consistent(plain.values[:10])
+        assert spatial.is_consistent(fitted.values[:10])
+        assert fitted.constrained == (not spatial.is_consistent(plain.values[:10]))
+    print(f"\nplain estimates that are possible bodies: {plain_possible} of {DRAWS}")

@@ -1,0 +1,122 @@
+"""Timing of a run with seven motors: how late control cycles start, and what the codec takes.
+
+    pytest benchmarks/test_damiao_timing.py --benchmark-only -s
+
+The simulated arm (seven pendulums) answers either within the same thread, which shows the player
+alone, or from a second thread over python-can's virtual bus, which shows both sharing one Python.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from robot_sysid.damiao.bus.can_bus import BusAddress, open_bus
+from robot_sysid.damiao.bus.inspection import inspect_bus
+from robot_sysid.damiao.bus.link import GuardedLink, SystemClock
+from robot_sysid.damiao.exchange.recorder import RecordingOptions
+from robot_sysid.damiao.exchange.settings import PlaySettings
+from robot_sysid.damiao.play.supervision import StopRequest
+from robot_sysid.damiao.protocol.codec import MitCommand, Scaling, decode_feedback, encode_mit
+from robot_sysid.damiao.protocol.frames import BusTiming
+from robot_sysid.damiao.protocol.joints import damiao_joints
+from robot_sysid.damiao.protocol.motors import MOTORS
+from robot_sysid.damiao.run.execution import run
+from robot_sysid.damiao.run.preflight import Permissions, Plan
+from robot_sysid.damiao.simulated.arm import SimulatedArm, simulated_motor
+from robot_sysid.damiao.trajectory import export_damiao_trajectory, read_damiao_trajectory
+from tests.support.damiao_rig import Pendulums, swing
+from tests.support.links import served_in_background
+
+JOINTS = 7
+SECONDS = 8.0
+RATES = (250.0, 500.0)
+
+
+class SameThreadLink:
+    """A link whose arm answers at once, in the caller's thread."""
+
+    def __init__(self, arm: SimulatedArm, clock: SystemClock) -> None:
+        self._arm, self._clock, self._start = arm, clock, clock.now()
+        self._replies = []
+
+    def send(self, frame):
+        self._replies += self._arm.handle(frame, self._clock.now() - self._start)
+
+    def receive(self, until):
+        if self._replies:
+            return self._replies.pop(0)._replace(time=self._clock.now())
+        self._clock.sleep_until(until)
+        return None
+
+    def close(self):
+        """Nothing to release."""
+
+
+def arm_and_plan(folder, rate: float) -> tuple[SimulatedArm, Plan]:
+    joints = damiao_joints(["DM4340"] * JOINTS, JOINTS)
+    path = folder / "damiao_trajectory.csv"
+    motion = swing(JOINTS, SECONDS, rate=1000.0)
+    export_damiao_trajectory([motion], ["DM4340"] * JOINTS, path)
+    # Measure lateness instead of stopping for it.
+    settings = PlaySettings(rate=rate, max_lateness=10.0, max_missed=10_000, max_tracking_error=3.0)
+    recording = RecordingOptions(folder / "measured.csv", overwrite=True)
+    allowed = Permissions(bus_load=True)
+    plan = Plan(read_damiao_trajectory(path), settings, BusTiming(), allowed, recording)
+    motors = [simulated_motor(j, watchdog=3.0) for j in joints]
+    return SimulatedArm(Pendulums(JOINTS), motors), plan
+
+
+def play(link: GuardedLink, plan: Plan):
+    inspection, silent = inspect_bus(link), lambda _: None
+    return run(link, plan, inspection, StopRequest(), silent, silent)
+
+
+def tell(benchmark, report, rate: float) -> None:
+    """Keep the figures with the benchmark and print them."""
+    figures = {
+        "lateness_p50_us": round(1e6 * report.lateness_p50),
+        "lateness_p99_us": round(1e6 * report.lateness_p99),
+        "skipped_cycles": report.skipped,
+        "cycles": report.cycles,
+        "missed_replies": int(np.sum(report.missed)),
+    }
+    benchmark.extra_info.update(figures)
+    print(f"\n{rate:g} Hz: {figures}")
+
+
+@pytest.mark.parametrize("rate", RATES)
+def test_the_player_alone(benchmark, tmp_path, rate):
+    arm, plan = arm_and_plan(tmp_path, rate)
+    clock = SystemClock()
+    link = GuardedLink(SameThreadLink(arm, clock), clock)
+    report = benchmark.pedantic(play, (link, plan), rounds=1)
+    tell(benchmark, report, rate)
+
+
+@pytest.mark.parametrize("rate", RATES)
+def test_over_the_virtual_bus(benchmark, tmp_path, rate):
+    arm, plan = arm_and_plan(tmp_path, rate)
+    clock = SystemClock()
+    address = BusAddress("virtual", (f"bench{rate}",))
+    near, far = (open_bus(address, BusTiming(), clock) for _ in range(2))
+    try:
+        with served_in_background(arm, far, clock):
+            link = GuardedLink(near, clock)
+            report = benchmark.pedantic(play, (link, plan), rounds=1)
+    finally:
+        near.close()
+    tell(benchmark, report, rate)
+
+
+def test_encoding_and_decoding_one_cycle_of_all_joints(benchmark):
+    scaling = Scaling([MOTORS["DM4340"].limits] * JOINTS)
+    zero = np.zeros(JOINTS)
+    command = MitCommand(zero + 0.1, zero + 0.2, zero + 20.0, zero + 1.0, zero + 0.3)
+    replies = np.random.default_rng(0).integers(0, 256, (JOINTS, 8), dtype=np.uint8)
+
+    def cycle():
+        encode_mit(command, scaling)
+        return decode_feedback(replies, scaling, half_step=True)
+
+    assert benchmark(cycle).position.shape == (JOINTS,)
