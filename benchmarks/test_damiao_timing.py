@@ -11,19 +11,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robot_sysid.damiao.bus.can_bus import BusAddress, open_bus
-from robot_sysid.damiao.bus.inspection import inspect_bus
-from robot_sysid.damiao.bus.link import GuardedLink, SystemClock
-from robot_sysid.damiao.exchange.recorder import RecordingOptions
-from robot_sysid.damiao.exchange.settings import PlaySettings
-from robot_sysid.damiao.play.supervision import StopRequest
+from robot_sysid.damiao.bus import BusAddress, GuardedLink, SystemClock, open_bus
+from robot_sysid.damiao.execution import run
+from robot_sysid.damiao.inspection import inspect_bus
+from robot_sysid.damiao.preflight import Permissions, Plan
 from robot_sysid.damiao.protocol.codec import MitCommand, Scaling, decode_feedback, encode_mit
 from robot_sysid.damiao.protocol.frames import BusTiming
 from robot_sysid.damiao.protocol.joints import damiao_joints
 from robot_sysid.damiao.protocol.motors import MOTORS
-from robot_sysid.damiao.run.execution import run
-from robot_sysid.damiao.run.preflight import Permissions, Plan
-from robot_sysid.damiao.simulated.arm import SimulatedArm, simulated_motor
+from robot_sysid.damiao.recorder import RecordingOptions
+from robot_sysid.damiao.settings import PlaySettings
+from robot_sysid.damiao.simulated import SimulatedArm, simulated_motor
+from robot_sysid.damiao.supervision import StopRequest
 from robot_sysid.damiao.trajectory import export_damiao_trajectory, read_damiao_trajectory
 from tests.support.damiao_rig import Pendulums, swing
 from tests.support.links import served_in_background

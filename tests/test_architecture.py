@@ -34,9 +34,9 @@ LAYERS = (
     ("results",),
     ("preview",),
     ("damiao",),
-    ("damiao.run",),
-    ("damiao.play", "damiao.simulated"),
-    ("damiao.exchange",),
+    ("damiao.player", "damiao.preflight", "damiao.simulated"),
+    ("damiao.recorder", "damiao.supervision", "damiao.references"),
+    ("damiao.session", "damiao.inspection", "damiao.settings"),
     ("damiao.bus",),
     ("damiao.serial_adapter",),
     ("damiao.trajectory",),
@@ -232,9 +232,19 @@ DEEP = "def deep():\n  if 1:\n    for _ in ():\n      with x:\n        while 1:\
         ("solver", "import robot_sysid.parser", import_faults, "imports robot_sysid.parser"),
         ("parser", "from robot_sysid.damiao import x", import_faults, "(parser) imports"),
         ("parser", "def f():\n    import matplotlib", import_faults, "imports matplotlib"),
-        ("damiao.play.x", "def f():\n    import can", import_faults, "(damiao.play) imports can"),
+        (
+            "damiao.player.x",
+            "def f():\n    import can",
+            import_faults,
+            "(damiao.player) imports can",
+        ),
         ("damiao.bus.x", "import can", import_faults, "at start-up"),
-        ("damiao.bus.x", "import robot_sysid.damiao.play.y", import_faults, "(damiao.bus) imports"),
+        (
+            "damiao.bus.x",
+            "import robot_sysid.damiao.player.y",
+            import_faults,
+            "(damiao.bus) imports",
+        ),
         ("solver", "import scipy.linalg", import_faults, "at start-up"),
         ("parser", "def f():\n    import lxml", import_faults, "(parser) imports lxml"),
         ("solver", "from robot_sysid import solver2", circles, "robot_sysid.solver imports itself"),
@@ -246,7 +256,7 @@ DEEP = "def deep():\n  if 1:\n    for _ in ():\n      with x:\n        while 1:\
 )
 def test_a_fault_is_found(module, source, check, fault):
     back = {"robot_sysid.solver2": "import robot_sysid.solver", "robot_sysid.damiao": ""}
-    back |= {"robot_sysid.motion": "", "robot_sysid.damiao.play.y": "", "robot_sysid.cli": ""}
+    back |= {"robot_sysid.motion": "", "robot_sysid.damiao.player.y": "", "robot_sysid.cli": ""}
     bad = {**GOOD, **back, f"robot_sysid.{module}": source}
     assert any(fault in found for found in check(bad))
 
@@ -263,7 +273,7 @@ def test_what_is_allowed_is_not_a_fault():
         "robot_sysid.parser": "import mujoco\nfrom robot_sysid.solver import x",
         "robot_sysid.solver": "def f():\n    import scipy",
         "robot_sysid.cli": "from robot_sysid import parser\nprint(1)",
-        "robot_sysid.damiao.bus.link": "def f():\n    import can",
+        "robot_sysid.damiao.bus.x": "def f():\n    import can",
         "robot_sysid.report.figures": "def f():\n    import matplotlib",
     }
     assert [fault for check in CHECKS for fault in check(allowed)] == []

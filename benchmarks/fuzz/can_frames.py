@@ -12,10 +12,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.fuzz.harness import Case
-from robot_sysid.damiao.bus.can_bus import BusLink
-from robot_sysid.damiao.bus.inspection import inspect_bus
-from robot_sysid.damiao.bus.link import GuardedLink, SimulatedClock
-from robot_sysid.damiao.exchange.session import MotorSession
+from robot_sysid.damiao.bus import BusLink, GuardedLink, SimulatedClock
+from robot_sysid.damiao.inspection import inspect_bus
 from robot_sysid.damiao.protocol.codec import (
     MitCommand,
     Scaling,
@@ -27,7 +25,8 @@ from robot_sysid.damiao.protocol.codec import (
 from robot_sysid.damiao.protocol.frames import DISABLE, ENABLE, REGISTER_ID, Frame, is_special
 from robot_sysid.damiao.protocol.joints import damiao_joints
 from robot_sysid.damiao.serial_adapter import PacketReader
-from robot_sysid.damiao.simulated.simulated_link import frame_from_line, line_from_frame
+from robot_sysid.damiao.session import MotorSession
+from robot_sysid.damiao.simulated import frame_from_line, line_from_frame
 from robot_sysid.errors import SysidError
 
 N = 2

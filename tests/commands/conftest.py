@@ -6,7 +6,7 @@ import pytest
 
 from robot_sysid.commands.motors import asked as motors_asked
 from robot_sysid.config import config_from
-from robot_sysid.damiao.simulated.simulated_link import SimulatedLink
+from robot_sysid.damiao.simulated import SimulatedLink
 from tests.support.clocks import ScriptedClock
 from tests.support.damiao_rig import two_motor_arm
 from tests.support.links import RememberingLink

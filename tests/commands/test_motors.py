@@ -16,11 +16,9 @@ import pytest
 
 from robot_sysid import parser
 from robot_sysid.cli import main
-from robot_sysid.damiao.bus.can_bus import BusAddress, open_bus
-from robot_sysid.damiao.bus.link import SystemClock
-from robot_sysid.damiao.protocol.frames import Address, BusTiming, enable_frame
-from robot_sysid.damiao.protocol.registers import DISABLED, TIMEOUT
-from robot_sysid.damiao.simulated.arm import Fault
+from robot_sysid.damiao.bus import BusAddress, SystemClock, open_bus
+from robot_sysid.damiao.protocol.frames import DISABLED, TIMEOUT, Address, BusTiming, enable_frame
+from robot_sysid.damiao.simulated import Fault
 from robot_sysid.damiao.trajectory import export_damiao_trajectory
 from tests.support import arms
 from tests.support.command_line import run_motors as run

@@ -4,10 +4,17 @@ from __future__ import annotations
 
 import pytest
 
-from robot_sysid.damiao.protocol import registers as reg
-from robot_sysid.damiao.protocol.frames import ENABLE, READ, REGISTER_ID, STORE, is_special
+from robot_sysid.damiao.protocol import frames
+from robot_sysid.damiao.protocol.frames import (
+    DISABLED,
+    ENABLE,
+    ENABLED,
+    READ,
+    REGISTER_ID,
+    STORE,
+    is_special,
+)
 from robot_sysid.damiao.protocol.joints import read_joint_map
-from robot_sysid.damiao.protocol.registers import DISABLED, ENABLED
 from tests.support import arms
 from tests.support.command_line import run_motors as run
 from tests.support.damiao_rig import only_asks
@@ -45,27 +52,29 @@ def test_setup_alone_lists_the_motors_and_changes_nothing(capsys, bus):
 
 def test_setup_changes_what_it_is_told_and_says_what_was_there(capsys, bus):
     motor = bus.motors[0]
-    motor.registers[reg.CTRL_MODE] = 2.0
+    motor.registers[frames.CTRL_MODE] = 2.0
     words = ("--motor", 1, "--new-id", 5, "--new-master-id", "0x15", "--mit", "--watchdog", "0.2")
     code, out, err = run(capsys, "setup", *CAN0, *words, "--store")
     assert (code, err) == (0, "")
     assert "motor 1: CTRL_MODE=2 is now CTRL_MODE=1" in out and "ESC_ID=1 is now ESC_ID=5" in out
     assert "MST_ID=17 is now MST_ID=21" in out and "keeps its values" in out
-    found = [motor.registers[n] for n in (reg.ESC_ID, reg.MST_ID, reg.CTRL_MODE, reg.TIMEOUT)]
+    found = [
+        motor.registers[n] for n in (frames.ESC_ID, frames.MST_ID, frames.CTRL_MODE, frames.TIMEOUT)
+    ]
     assert found == [5.0, 21.0, 1.0, 4000.0] and motor.stored == motor.registers
     assert bus.motors[1].stored == {} and drives_nothing(bus.wire.sent)
 
 
 def test_nothing_is_stored_unless_asked_for(capsys, bus):
     assert run(capsys, "setup", *CAN0, "--motor", 1, "--watchdog", "0.2")[0] == 0
-    assert bus.motors[0].registers[reg.TIMEOUT] == 4000.0 and bus.motors[0].stored == {}
+    assert bus.motors[0].registers[frames.TIMEOUT] == 4000.0 and bus.motors[0].stored == {}
     assert not any(f.id == REGISTER_ID and f.data[2] == STORE for f in bus.wire.sent)
 
 
 @pytest.mark.parametrize("change", [("--mit",), ("--set-zero",), ("--store",), ("--new-id", 3)])
 def test_an_enabled_motor_is_never_changed(capsys, bus, answers, change):
     bus.motors[0].status = ENABLED
-    bus.motors[0].registers[reg.TIMEOUT] = 0.0
+    bus.motors[0].registers[frames.TIMEOUT] = 0.0
     before = dict(bus.motors[0].registers)
     code, _, err = run(capsys, "setup", *CAN0, "--motor", 1, *change)
     assert code == 3 and "motor 1 is enabled" in err
@@ -85,7 +94,7 @@ def test_a_zero_is_set_after_two_questions(capsys, bus, answers):
 
 
 def test_no_zero_is_set_where_the_angle_is_not_known(capsys, bus, answers):
-    motor, asked = bus.motors[0], bytes([READ, reg.PMAX])
+    motor, asked = bus.motors[0], bytes([READ, frames.PMAX])
     answer = motor.handle
     motor.handle = lambda frame, time: None if frame.data[2:4] == asked else answer(frame, time)
     code, _, err = run(capsys, "setup", *CAN0, "--motor", 1, "--set-zero")
@@ -128,7 +137,7 @@ def test_a_bit_rate_is_changed_with_one_motor_on_the_bus(capsys, bus):
     bus.motors[1].silent = True
     code, out, _ = run(capsys, "setup", *CAN0, "--motor", 1, "--motor-bitrate", 500000, "--store")
     assert code == 0 and "can_br=4 is now can_br=3" in out and "not stored" in out
-    assert bus.motors[0].registers[reg.CAN_BR] == 3.0
+    assert bus.motors[0].registers[frames.CAN_BR] == 3.0
 
 
 def test_monitor_shows_the_motors_and_enables_nothing(capsys, bus):
@@ -192,7 +201,7 @@ def test_a_map_is_not_guessed(capsys, bus, answers, tmp_path, arm_file):
 
 
 def test_the_model_says_which_way_is_positive(arm_file):
-    from robot_sysid.damiao.run.setup import positive_ways
+    from robot_sysid.commands.motors.setup import positive_ways
     from robot_sysid.parser import load_robot_model
 
     robot = load_robot_model(arm_file(arms.serial_arm((arms.Z, arms.Y))))

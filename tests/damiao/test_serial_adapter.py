@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.damiao import serial_adapter
-from robot_sysid.damiao.bus.can_bus import BusAddress, open_bus
-from robot_sysid.damiao.bus.link import LinkError, SystemClock
+from robot_sysid.damiao.bus import BusAddress, LinkError, SystemClock, open_bus
 from robot_sysid.damiao.protocol.frames import Address, BusTiming, Frame, disable_frame
 from robot_sysid.damiao.serial_adapter import PacketReader, packet
 from robot_sysid.errors import InputError

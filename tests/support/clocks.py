@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 import itertools
 
-from robot_sysid.damiao.bus.link import SimulatedClock
+from robot_sysid.damiao.bus import SimulatedClock
 
 
 class ScriptedClock(SimulatedClock):

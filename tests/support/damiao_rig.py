@@ -6,14 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.damiao.bus.inspection import inspect_bus
-from robot_sysid.damiao.bus.link import GuardedLink
-from robot_sysid.damiao.exchange.recorder import RecordingOptions
-from robot_sysid.damiao.exchange.settings import PlaySettings
-from robot_sysid.damiao.play.supervision import StopRequest
+from robot_sysid.damiao.bus import GuardedLink
+from robot_sysid.damiao.execution import run
+from robot_sysid.damiao.inspection import inspect_bus
+from robot_sysid.damiao.preflight import Permissions, Plan, bus_checks
 from robot_sysid.damiao.protocol.frames import (
     DISABLE,
+    DISABLED,
     ENABLE,
+    ESC_ID,
+    MST_ID,
     READ,
     REFRESH,
     REGISTER_ID,
@@ -21,11 +23,10 @@ from robot_sysid.damiao.protocol.frames import (
     is_special,
 )
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, damiao_joints
-from robot_sysid.damiao.protocol.registers import DISABLED, ESC_ID, MST_ID
-from robot_sysid.damiao.run.execution import run
-from robot_sysid.damiao.run.preflight import Permissions, Plan, bus_checks
-from robot_sysid.damiao.simulated.arm import SimulatedArm, simulated_motor
-from robot_sysid.damiao.simulated.simulated_link import SimulatedLink
+from robot_sysid.damiao.recorder import RecordingOptions
+from robot_sysid.damiao.settings import PlaySettings
+from robot_sysid.damiao.simulated import SimulatedArm, SimulatedLink, simulated_motor
+from robot_sysid.damiao.supervision import StopRequest
 from robot_sysid.damiao.trajectory import export_damiao_trajectory, read_damiao_trajectory
 from tests.support.clocks import ScriptedClock
 from tests.support.links import RememberingLink, SlowAdapter

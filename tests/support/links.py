@@ -6,7 +6,7 @@ import contextlib
 import sys
 import threading
 
-from robot_sysid.damiao.simulated.simulated_link import serve
+from robot_sysid.damiao.simulated import serve
 
 SWITCH_INTERVAL = 2e-4
 

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from robot_sysid.damiao.bus.inspection import RegisterClient
-from robot_sysid.damiao.bus.link import GuardedLink
-from robot_sysid.damiao.exchange.session import MotorSession
+from robot_sysid.damiao.bus import GuardedLink
+from robot_sysid.damiao.inspection import RegisterClient
 from robot_sysid.damiao.protocol.codec import MitCommand, Scaling
 from robot_sysid.damiao.protocol.frames import REGISTER_ID, WRITE, BusTiming
 from robot_sysid.damiao.protocol.joints import damiao_joints
 from robot_sysid.damiao.protocol.motors import MOTORS
-from robot_sysid.damiao.simulated.arm import SimulatedArm, simulated_motor
-from robot_sysid.damiao.simulated.simulated_link import SimulatedLink
+from robot_sysid.damiao.session import MotorSession
+from robot_sysid.damiao.simulated import SimulatedArm, SimulatedLink, simulated_motor
 from tests.support.clocks import ScriptedClock
 from tests.support.damiao_rig import Pendulums
 from tests.support.links import RememberingLink

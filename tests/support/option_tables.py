@@ -13,11 +13,11 @@ from collections.abc import Mapping, Sequence
 from robot_sysid.commands import motors, run
 from robot_sysid.commands.arguments import ConsoleOptions, default_text
 from robot_sysid.config import PayloadOptions
-from robot_sysid.damiao.bus.can_bus import BusAddress
-from robot_sysid.damiao.exchange.recorder import RecordingOptions
-from robot_sysid.damiao.exchange.settings import PlaySettings
+from robot_sysid.damiao.bus import BusAddress
+from robot_sysid.damiao.preflight import Permissions
 from robot_sysid.damiao.protocol.frames import BusTiming
-from robot_sysid.damiao.run.preflight import Permissions
+from robot_sysid.damiao.recorder import RecordingOptions
+from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.preview.motion import PreviewOptions
 from robot_sysid.records.options import Option, default_of, options_of
 from tests.support.places import ROOT

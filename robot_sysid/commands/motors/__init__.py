@@ -14,19 +14,17 @@ from robot_sysid.commands.arguments import PROGRAM, Parser, parsed
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.motors import setup as motors_setup
 from robot_sysid.commands.motors.asked import Asked
+from robot_sysid.commands.motors.tables import check_lines, load_line, motor_table, run_lines
 from robot_sysid.config import ModelOptions
-from robot_sysid.damiao.bus.can_bus import BusAddress
-from robot_sysid.damiao.bus.inspection import inspect_bus
-from robot_sysid.damiao.bus.link import GuardedLink, Link, SimulatedClock
-from robot_sysid.damiao.exchange.recorder import RecordingOptions
-from robot_sysid.damiao.exchange.settings import PlaySettings
-from robot_sysid.damiao.play.supervision import StopRequest
+from robot_sysid.damiao import preflight, simulated
+from robot_sysid.damiao.bus import BusAddress, GuardedLink, Link, SimulatedClock
+from robot_sysid.damiao.execution import run
+from robot_sysid.damiao.inspection import inspect_bus
 from robot_sysid.damiao.protocol.frames import BusTiming, default_rate
-from robot_sysid.damiao.report_lines import check_lines, load_line, motor_table, run_lines
-from robot_sysid.damiao.run import preflight
-from robot_sysid.damiao.run.execution import run
-from robot_sysid.damiao.simulated import arm as simulated
-from robot_sysid.damiao.simulated.simulated_link import SimulatedLink, SlcanTerminal, serve
+from robot_sysid.damiao.recorder import RecordingOptions
+from robot_sysid.damiao.settings import PlaySettings
+from robot_sysid.damiao.simulated import SimulatedLink, SlcanTerminal, serve
+from robot_sysid.damiao.supervision import StopRequest
 from robot_sysid.errors import InputError
 from robot_sysid.records.options import OptionRecord, option, options_of, record_from
 

@@ -10,14 +10,13 @@ from typing import Any
 
 from robot_sysid.commands.console import Console
 from robot_sysid.config import ModelOptions
-from robot_sysid.damiao.bus.can_bus import BusAddress, open_bus
-from robot_sysid.damiao.bus.link import GuardedLink, Link, SystemClock
-from robot_sysid.damiao.exchange.recorder import RecordingOptions
-from robot_sysid.damiao.exchange.settings import PlaySettings
+from robot_sysid.damiao.bus import BusAddress, GuardedLink, Link, SystemClock, open_bus
+from robot_sysid.damiao.execution import PoseCheck
+from robot_sysid.damiao.preflight import Check, Permissions, Plan, plan_checks
 from robot_sysid.damiao.protocol.frames import BusTiming, Frame, refuse_harmful
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, mapped, read_joint_map
-from robot_sysid.damiao.run.execution import PoseCheck
-from robot_sysid.damiao.run.preflight import Check, Permissions, Plan, plan_checks
+from robot_sysid.damiao.recorder import RecordingOptions
+from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.damiao.trajectory import DamiaoTrajectory, read_damiao_trajectory
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
@@ -70,7 +69,7 @@ class Asked:
                 raise InputError(f"{given.flag} is about a model; add --model")
             return plan_checks(plan)
         # Imported here so that playing on real motors does not wait for MuJoCo.
-        from robot_sysid.damiao.run.model_check import model_checks
+        from robot_sysid.damiao.model_check import model_checks
 
         played = plan.trajectory, plan.settings.speed
         return [*plan_checks(plan), *model_checks(*played, self.robot, plan.pose)]
@@ -79,7 +78,7 @@ class Asked:
         """Return what compares the arm, held still, with the model's gravity; None without one."""
         if self.robot is None:
             return None
-        from robot_sysid.damiao.run.model_check import GravityCheck
+        from robot_sysid.damiao.model_check import GravityCheck
 
         return GravityCheck(self.robot, plan.trajectory.joints)
 

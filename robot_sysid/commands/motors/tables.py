@@ -1,0 +1,99 @@
+"""What the command line says about motors, checks and runs, as lines of text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+
+import numpy as np
+
+from robot_sysid.damiao.inspection import InspectedMotor, Inspection
+from robot_sysid.damiao.player import PlayReport
+from robot_sysid.damiao.preflight import Check
+from robot_sysid.damiao.protocol import frames
+from robot_sysid.damiao.protocol.codec import Feedback
+from robot_sysid.damiao.protocol.frames import BusTiming, bus_load
+from robot_sysid.damiao.protocol.joints import DamiaoJoint
+from robot_sysid.damiao.protocol.motors import limits_agree, matching_types
+
+_HEADINGS: tuple[str, ...] = (
+    *("id", "reply", "mode", "PMAX", "VMAX", "TMAX", "type", "watchdog", "gear", "degC", "state"),
+)
+_MARKS = {"ok": "ok  ", "note": "note", "stop": "STOP"}
+
+
+def motor_table(inspection: Inspection, joints: Sequence[DamiaoJoint] = ()) -> Iterator[str]:
+    """Yield a table of the motors found; ``joints`` names the types to compare with."""
+    types = {joint.address: joint for joint in joints}
+    found = sorted(inspection.motors.items())
+    yield from _columns([_HEADINGS, *(_row(motor, types.get(place)) for place, motor in found)])
+
+
+def state_table(states: Iterable[tuple[InspectedMotor, Feedback | None]]) -> Iterator[str]:
+    """Yield a table of what motors measure."""
+    rows: list[tuple[str, ...]] = [("motor", "position", "velocity", "torque", "degC", "state")]
+    for motor, state in states:
+        if state is None:
+            rows.append((motor.name, "?", "?", "?", "?", "does not tell"))
+            continue
+        measured = state.position[0], state.velocity[0], state.torque[0]
+        heat = f"{state.temperature_mos[0]}/{state.temperature_rotor[0]}"
+        numbers = (f"{value:8.3f}" for value in measured)
+        rows.append((motor.name, *numbers, heat, frames.describe(int(state.status[0]))))
+    yield from _columns(rows)
+
+
+def _columns(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
+    widths = [max(map(len, column)) for column in zip(*rows)]
+    for row in rows:
+        yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip()
+
+
+def check_lines(checks: Iterable[Check]) -> Iterator[str]:
+    """Yield one line per check."""
+    yield from (f"[{_MARKS[check.severity]}] {check.text}" for check in checks)
+
+
+def load_line(n_motors: int, rate: float, timing: BusTiming) -> str:
+    """Return how much of the bus a number of motors would take."""
+    load = 100.0 * bus_load(n_motors, rate, timing)
+    return f"{n_motors} motors at {rate:g} Hz would load {timing.name} to {load:.0f} % (limit 70 %)"
+
+
+def run_lines(report: PlayReport) -> Iterator[str]:
+    """Yield what is worth knowing about a finished run."""
+    yield (
+        f"played {report.cycles} cycles, {report.skipped} skipped; started late by "
+        f"{1e3 * report.lateness_p50:.2f} ms (median), {1e3 * report.lateness_p99:.2f} ms (99 %)"
+    )
+    tracking = ", ".join(f"{error:.3f}" for error in report.worst_tracking)
+    yield f"largest distance from the path per joint [rad]: {tracking}"
+    if np.any(report.missed):
+        missed = ", ".join(str(count) for count in report.missed)
+        yield f"unanswered commands per joint: {missed}"
+
+
+def _row(motor: InspectedMotor, joint: DamiaoJoint | None) -> tuple[str, ...]:
+    registers, limits = motor.registers, motor.limits
+    mode = int(registers.get(frames.CTRL_MODE, 0))
+    replies = "/".join(f"{i:#x}" for i in sorted(set(motor.reply_ids)))
+    feedback = motor.feedback
+    return (
+        f"{motor.can_id}{' ' + motor.channel if motor.channel else ''}",
+        replies if len(motor.reply_ids) == 1 else f"{replies} (x{len(motor.reply_ids)})",
+        frames.MODES.get(mode, "?"),
+        *(f"{value:g}" for value in limits or (np.nan,) * 3),
+        _type_name(limits, joint),
+        f"{1e3 * registers.get(frames.TIMEOUT, 0.0) * frames.TIMEOUT_UNIT:g} ms",
+        f"{registers.get(frames.GR, np.nan):g}",
+        f"{feedback.temperature_mos[0]}/{feedback.temperature_rotor[0]}" if feedback else "?",
+        frames.describe(int(feedback.status[0])) if feedback else "does not tell",
+    )
+
+
+def _type_name(limits: tuple[float, float, float] | None, joint: DamiaoJoint | None) -> str:
+    if limits is None:
+        return "?"
+    if joint is not None:
+        agrees = limits_agree(joint.spec.limits, limits)
+        return joint.motor_type if agrees else f"not {joint.motor_type}!"
+    return " or ".join(matching_types(limits)) or "unknown"

@@ -1,0 +1,364 @@
+"""The bus: time, the guard that every frame we send goes through, python-can, and its log."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from robot_sysid.damiao.protocol.frames import BusTiming, Frame, refuse_harmful
+from robot_sysid.errors import HardwareAbort, InputError, words_of
+from robot_sysid.records.options import OptionRecord, option
+
+
+class Clock(Protocol):
+    """A clock that never runs backwards; a live one moves by itself, whatever this program does."""
+
+    live: bool
+
+    def now(self) -> float:
+        """Return the time [s]; only differences mean anything."""
+
+    def sleep_until(self, moment: float) -> None:
+        """Return at ``moment`` [s], or at once if it has passed."""
+
+
+class SystemClock:
+    """The computer's monotonic clock."""
+
+    live = True
+
+    def now(self) -> float:
+        """Return the monotonic time [s]."""
+        return time.monotonic()
+
+    def sleep_until(self, moment: float) -> None:
+        """Sleep until ``moment`` [s]."""
+        left = moment - time.monotonic()
+        if left > 0.0:
+            time.sleep(left)
+
+
+class SimulatedClock:
+    """A clock that moves only when someone sleeps."""
+
+    live = False
+
+    def __init__(self) -> None:
+        self._now = 0.0
+
+    def now(self) -> float:
+        """Return the simulated time [s]."""
+        return self._now
+
+    def sleep_until(self, moment: float) -> None:
+        """Move to ``moment`` [s], unless it has passed."""
+        self._now = max(self._now, moment)
+
+
+class LinkError(HardwareAbort):
+    """The bus itself does not work (unplugged, bus-off, buffer full)."""
+
+
+class Link(Protocol):
+    """One end of a CAN bus. Its frames' times are in the same clock as ``until``."""
+
+    def send(self, frame: Frame) -> None:
+        """Send a frame, or raise LinkError."""
+
+    def receive(self, until: float) -> Frame | None:
+        """Return the next frame, or None at the time ``until`` [s]; may raise LinkError."""
+
+    def close(self) -> None:
+        """Release the bus."""
+
+
+class GuardedLink:
+    """Passes frames on, refuses the harmful ones, and shows each one to an observer.
+
+    ``clock`` has the time of the link's frames; ``refuse`` raises for frames that must not be sent;
+    ``channels`` are the names of the buses behind the link. The observer is called with every frame
+    and whether it was sent; it must not raise.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        clock: Clock,
+        fd: bool = False,
+        channels: Sequence[str] = ("",),
+        refuse: Callable[[Frame], None] = refuse_harmful,
+    ) -> None:
+        self._refuse = refuse
+        self._link, self.clock, self._fd, self.channels = link, clock, fd, tuple(channels)
+        self.observer: Callable[[Frame, bool], None] | None = None
+
+    def send(self, frame: Frame) -> None:
+        """Send a frame that is not harmful."""
+        self._refuse(frame)
+        frame = frame._replace(fd=self._fd)
+        self._link.send(frame)
+        if self.observer:
+            self.observer(frame._replace(time=self.clock.now()), True)
+
+    def receive(self, until: float) -> Frame | None:
+        """Return the next frame or None at ``until`` [s]."""
+        frame = self._link.receive(until)
+        if frame is not None and self.observer and not frame.echo:
+            self.observer(frame, False)
+        return frame
+
+    def drain(self) -> None:
+        """Drop what has already arrived."""
+        while self.receive(self.clock.now()) is not None:
+            pass
+
+
+# Adapters on this computer only: nothing here may put motor commands on a network.
+INTERFACES = (
+    *("socketcan", "slcan", "gs_usb", "pcan", "kvaser", "vector", "ixxat", "canalystii"),
+    *("cantact", "seeedstudio", "damiao", "virtual"),
+)
+
+
+@dataclass(frozen=True)
+class BusAddress(OptionRecord):
+    """Where the bus is."""
+
+    interface: str = option(
+        "socketcan", "kind of adapter: " + ", ".join(INTERFACES), "NAME", choices=INTERFACES
+    )
+    channel: tuple[str, ...] = option(
+        (), "the bus, for instance can0 or /dev/ttyACM0; once per bus", "CHANNEL", repeats=True
+    )
+    bus_option: tuple[str, ...] = option(
+        (),
+        "hand an option of the adapter's own to python-can, for instance f_clock_mhz=80",
+        "NAME=VALUE",
+        repeats=True,
+    )
+
+
+SERIAL_ADAPTER = "damiao"
+_SEND_TIMEOUT = 0.01
+# A queue that is full for longer than this is not going to empty within a control cycle.
+_FULL_PATIENCE, _FULL_PAUSE = 1.5e-3, 2e-4
+_FULL = (
+    "the CAN bus takes no more frames because nobody acknowledges them: check the motors' power, "
+    "the wiring and the termination (60 ohm between the two wires)"
+)
+_GARBLED = (
+    "the adapter sent a line that is no CAN frame; check its cable and that nothing else reads "
+    "from its port"
+)
+_PLAUSIBLE_AGE = 1.0
+_FD_CLOCK = 80_000_000
+
+
+def import_can() -> Any:
+    """Return the python-can module, or raise InputError saying how to get it."""
+    try:
+        import can
+    except ImportError:
+        raise InputError(
+            'talking to motors needs python-can: pip install "robot-sysid[can]"'
+        ) from None
+    return can
+
+
+def message_of(can: Any, frame: Frame, **rest: Any) -> Any:
+    """Return a frame as a python-can message; ``rest`` are further attributes of the message."""
+    return can.Message(
+        arbitration_id=frame.id,
+        data=frame.data,
+        is_extended_id=False,
+        is_error_frame=frame.error,
+        is_fd=frame.fd,
+        bitrate_switch=frame.fd,
+        **rest,
+    )
+
+
+# How long to leave several buses alone between two looks at them [s].
+_PAUSE = 1e-4
+
+
+class BusLink:
+    """Open python-can buses in the order of ``Frame.bus``, as one link in ``clock``'s time."""
+
+    def __init__(self, buses: Sequence[Any], clock: Clock) -> None:
+        self._can = import_can()
+        self._buses, self._clock = buses, clock
+
+    def send(self, frame: Frame) -> None:
+        """Send a frame, or raise LinkError."""
+        message, patience = message_of(self._can, frame), self._clock.now() + _FULL_PATIENCE
+        while True:
+            try:
+                return self._buses[frame.bus].send(message, timeout=_SEND_TIMEOUT)
+            except Exception as error:
+                # Whatever a driver raises: the caller has to go on with the other motors.
+                codes = getattr(error, "error_code", None), getattr(error, "errno", None)
+                if errno.ENOBUFS not in codes:
+                    raise LinkError(
+                        f"the CAN bus does not take frames: {words_of(error)}"
+                    ) from error
+                if self._clock.now() >= patience:
+                    raise LinkError(_FULL) from error
+            self._clock.sleep_until(self._clock.now() + _FULL_PAUSE)
+
+    def receive(self, until: float) -> Frame | None:
+        """Return the next standard frame of any bus, or None at ``until`` [s]."""
+        while True:
+            for number, bus in enumerate(self._buses):
+                # One bus can be waited for; several are looked at in turn.
+                wait = until if len(self._buses) == 1 else min(self._clock.now(), until)
+                message = self._next(bus, wait)
+                if message is not None:
+                    return self._frame(message, number)
+            if self._clock.now() >= until:
+                return None
+            self._clock.sleep_until(min(self._clock.now() + _PAUSE, until))
+
+    def _next(self, bus: Any, until: float) -> Any:
+        while True:
+            try:
+                message = bus.recv(max(until - self._clock.now(), 0.0))
+            except (ValueError, IndexError) as error:
+                raise LinkError(f"{_GARBLED} ({words_of(error)})") from error
+            except Exception as error:
+                raise LinkError(f"the CAN bus cannot be read: {words_of(error)}") from error
+            if message is None and self._clock.now() >= until:
+                return None
+            if message is not None and not message.is_extended_id:
+                return message
+
+    def close(self) -> None:
+        """Release the adapters; one that has been unplugged is gone anyway."""
+        for bus in self._buses:
+            with contextlib.suppress(Exception):
+                bus.shutdown()
+
+    def _frame(self, message: Any, bus: int) -> Frame:
+        age = time.time() - message.timestamp
+        # Where the adapter has another clock, a frame counts as just come.
+        then = self._clock.now() - (age if 0.0 <= age < _PLAUSIBLE_AGE else 0.0)
+        content, flags = bytes(message.data), (message.is_fd, message.is_error_frame)
+        return Frame(message.arbitration_id, content, then, *flags, not message.is_rx, bus)
+
+
+def open_bus(address: BusAddress, timing: BusTiming, clock: Clock) -> Link:
+    """Open one CAN bus or several, or raise InputError; ``ip link`` sets the rates of socketcan."""
+    if timing.fd and address.interface == SERIAL_ADAPTER:
+        raise InputError("the maker's serial adapter sends classic CAN frames only; leave --fd off")
+    buses: list[Any] = []
+    link = BusLink(buses, clock)
+    with contextlib.ExitStack() as opened:
+        opened.callback(link.close)
+        for channel in address.channel:
+            buses.append(_open_one(address, channel, timing))
+        opened.pop_all()
+    return link
+
+
+def _open_one(address: BusAddress, channel: str, timing: BusTiming) -> Any:
+    can, interface = import_can(), address.interface
+    options = {**_bus_options(can, interface, timing), **_own_options(address.bus_option)}
+    try:
+        if interface == SERIAL_ADAPTER:
+            from robot_sysid.damiao.serial_adapter import DamiaoSerialBus
+
+            return DamiaoSerialBus(channel, **options)
+        return can.Bus(channel=channel, interface=interface, ignore_config=True, **options)
+    except Exception as error:
+        # Each adapter's driver raises what it likes.
+        what = f"{interface} channel {channel}"
+        raise InputError(f"cannot open {what}: {words_of(error)}") from error
+
+
+def _own_options(texts: Sequence[str]) -> dict[str, Any]:
+    """Return NAME=VALUE texts as options; numbers and true or false become such."""
+    options: dict[str, Any] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals or not name.isidentifier():
+            raise InputError(f"--bus-option takes NAME=VALUE, got {text!r}")
+        options[name] = _value(value)
+    return options
+
+
+def _value(text: str) -> Any:
+    known = {"true": True, "false": False}
+    for kind in (int, float):
+        with contextlib.suppress(ValueError):
+            return kind(text)
+    return known.get(text.lower(), text)
+
+
+def _bus_options(can: Any, interface: str, timing: BusTiming) -> dict[str, Any]:
+    if interface == SERIAL_ADAPTER:
+        return {}
+    if interface == "socketcan":
+        return {"receive_own_messages": True, "fd": timing.fd}
+    if interface == "virtual":
+        protocol = can.CanProtocol.CAN_FD if timing.fd else can.CanProtocol.CAN_20
+        return {"receive_own_messages": True, "protocol": protocol}
+    if not timing.fd:
+        return {"bitrate": int(timing.bitrate)}
+    rates = {"nom_bitrate": int(timing.bitrate), "data_bitrate": int(timing.data_bitrate)}
+    points = {"nom_sample_point": 80.0, "data_sample_point": 75.0}
+    return {"timing": can.BitTimingFd.from_sample_point(f_clock=_FD_CLOCK, **rates, **points)}
+
+
+class RawFrameLog:
+    """Observes a link in its block and writes all frames to a file, replacing one that is there.
+
+    The format follows the file's suffix: .log (candump), .asc, .blf, .csv, .trc, ... Time stamps
+    are seconds since 1970.
+    """
+
+    def __init__(self, path: Path, link: GuardedLink) -> None:
+        self._can, self._link = import_can(), link
+        try:
+            self._writer: Any = self._can.Logger(str(path))
+        except ValueError as error:
+            raise InputError(f"cannot log frames to {path}: {error}") from None
+        except OSError as error:
+            raise InputError(f"cannot write {path}: {error.strerror}") from None
+        self._offset = time.time() - link.clock.now()
+        self._waiting: list[tuple[Frame, bool]] = []
+
+    def __enter__(self) -> RawFrameLog:
+        self._link.observer = self
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._link.observer = None
+        # What a recorder did not take: without one, everything; if there is room for it.
+        with contextlib.suppress(Exception):
+            self.write(self.taken())
+        with contextlib.suppress(Exception):
+            self._writer.stop()
+
+    def __call__(self, frame: Frame, sent: bool) -> None:
+        """Take a frame."""
+        self._waiting.append((frame, sent))
+
+    def taken(self) -> list[tuple[Frame, bool]]:
+        """Return the frames that came since the last call, for ``write``."""
+        taken, self._waiting = self._waiting, []
+        return taken
+
+    def write(self, frames: list[tuple[Frame, bool]]) -> None:
+        """Write frames in order of time; may be called from another thread than the rest."""
+        for frame, sent in sorted(frames, key=lambda entry: entry[0].time):
+            stamp, channel = frame.time + self._offset, self._link.channels[frame.bus]
+            rest = {"timestamp": stamp, "is_rx": not sent, "channel": channel}
+            self._writer.on_message_received(message_of(self._can, frame, **rest))
+        file: Any = getattr(self._writer, "file", None)
+        if file is not None:
+            file.flush()

@@ -1,1 +1,0 @@
-"""One end of a CAN bus, and talking to motors on it."""

@@ -1,0 +1,150 @@
+"""Does a motor trajectory stay within what a model of the arm can do?
+
+Between two rows position, velocity and torque change in a straight line, as the player sends them;
+so each row is compared with the model's own joint ranges, speeds and torques, and the straight ways
+between the rows with its bodies. How fast a joint moves is also told by its positions, whatever the
+velocity column says.
+
+And an arm that is held still has to carry the torques that gravity asks for: a motor that turns the
+other way than its joint, or that sits at another joint, moves an arm on another path than the one
+that was checked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from robot_sysid.damiao.preflight import OK, STOP, Check
+from robot_sysid.damiao.protocol.joints import DamiaoJoint
+from robot_sysid.damiao.trajectory import DamiaoTrajectory
+from robot_sysid.errors import HardwareAbort, InputError
+from robot_sysid.motion.limit_check import first_contact
+from robot_sysid.motion.options import LimitOptions
+from robot_sysid.motion.problem import build_problem
+from robot_sysid.motion.trajectories import straight_way
+from robot_sysid.records import Array, Motion, MotionPlan, RobotModel
+from robot_sysid.simulator import ArmTorque
+
+# Relative; for limits and trajectories that came out of the same numbers.
+_ROUNDING = 1e-9
+# Two positions with four decimals are this far apart from what was meant at most [rad or m].
+_PRINTED = 1e-4
+
+
+class SampledTrajectory:
+    """A motor trajectory as a motion plan, at a share of its speed; all rows are held in memory.
+
+    These are time (N,) from zero [s], q, qd, tau (N, n) [rad, rad/s, N m] and the slope (N - 1, n)
+    between them [rad/s].
+    """
+
+    def __init__(self, trajectory: DamiaoTrajectory, speed: float) -> None:
+        time, self.q, qd, self.tau = (np.concatenate(x) for x in zip(*trajectory.chunks()))
+        self.time, self.qd = (time - time[0]) / speed, speed * qd
+        self.slope = np.diff(self.q, axis=0) / np.diff(self.time)[:, None]
+        self.duration, self.n_joints = float(self.time[-1]), trajectory.n_joints
+
+    def evaluate(self, time: Array) -> Motion:
+        """Return the motion at times (N,) [s]; the acceleration is left at zero."""
+        q = np.stack([np.interp(time, self.time, column) for column in self.q.T], axis=1)
+        between = np.searchsorted(self.time, time, side="right") - 1
+        qd = self.slope[np.clip(between, 0, len(self.slope) - 1)]
+        return Motion(time, q, qd, np.zeros_like(q))
+
+
+def model_checks(
+    trajectory: DamiaoTrajectory, speed: float, robot: RobotModel, pose: Array | None = None
+) -> Iterator[Check]:
+    """Yield what a model of the arm says to a motor trajectory.
+
+    It is played at a share of its speed. The arm is loaded without a speed limit, so that only its
+    own holds, and left in a pose (n,) afterwards [rad]; None where it ends. InputError where the
+    trajectory is for another number of joints.
+    """
+    if robot.n_joints != trajectory.n_joints:
+        raise InputError(
+            f"{trajectory.path} has {trajectory.n_joints} joints but the chain of {robot.path} has "
+            f"{robot.n_joints}: {', '.join(robot.joint_names)}"
+        )
+    motion = SampledTrajectory(trajectory, speed)
+    touches = [f"the model's {what} touch at {at:.2f} s" for what, at in _contact(robot, motion)]
+    excesses = [*_joint_excesses(robot, motion), *touches]
+    yield from (Check(STOP, f"{e}; export a smaller trajectory for this arm") for e in excesses)
+    parking = [] if pose is None else [*_parking(robot, motion.q[-1], pose)]
+    yield from (Check(STOP, f"{excess}; choose another --park pose") for excess in parking)
+    if not excesses and not parking:
+        yield Check(OK, f"the trajectory stays within the limits of {robot.path.name}")
+
+
+def _parking(robot: RobotModel, last: Array, pose: Array) -> Iterator[str]:
+    """Yield a sentence for each limit that a pose is beyond, and on a contact on the way there."""
+    limits = zip(robot.joint_names, pose, robot.limits.lower, robot.limits.upper)
+    for j, (name, q, lower, upper) in enumerate(limits):
+        if not lower - _ROUNDING <= q <= upper + _ROUNDING:
+            yield (
+                f"joint {name} is to be parked at {q:.4g} {_unit('position', robot, j)}, outside "
+                f"the model's {lower:g} to {upper:g}"
+            )
+    for touching, _ in _contact(robot, straight_way(last, pose)):
+        yield f"on the straight way to where the arm is parked, the model's {touching} touch"
+
+
+def _joint_excesses(robot: RobotModel, motion: SampledTrajectory) -> Iterator[str]:
+    own, shown = robot.limits, np.zeros_like(motion.qd)
+    # Up to the next row, if the positions show more than the velocities say.
+    shown[:-1] = np.abs(motion.slope) - _PRINTED / np.diff(motion.time)[:, None]
+    for what, sign, values, limits in (
+        ("position", 1.0, motion.q, own.upper),
+        ("position", -1.0, motion.q, own.lower),
+        ("velocity", 1.0, np.maximum(np.abs(motion.qd), shown), own.velocity),
+        ("torque", 1.0, np.abs(motion.tau), own.torque),
+    ):
+        for j, row in enumerate(np.argmax(sign * values, axis=0)):
+            value, limit = values[row, j], limits[j]
+            if sign * value > sign * limit + _ROUNDING * max(abs(limit), 1.0):
+                yield (
+                    f"joint {robot.joint_names[j]}: {what} {value:.4g} {_unit(what, robot, j)} is "
+                    f"beyond the model's limit {limit:g}, at {motion.time[row]:.2f} s"
+                )
+
+
+def _unit(what: str, robot: RobotModel, joint: int) -> str:
+    length, force = ("m", "N") if robot.is_slide[joint] else ("rad", "N m")
+    return {"position": length, "velocity": f"{length}/s", "torque": force}[what]
+
+
+def _contact(robot: RobotModel, motion: MotionPlan) -> Iterator[tuple[str, float]]:
+    touched = first_contact(build_problem(robot, LimitOptions(clearance=0.0)), motion)
+    if touched is not None:
+        yield touched.label, touched.time
+
+
+# Torque that says nothing about gravity: this share of the motor's peak, and dry friction.
+_SHARE = 0.06
+
+
+class GravityCheck:
+    """Compares holding torques with the model's, by their signs."""
+
+    def __init__(self, robot: RobotModel, joints: tuple[DamiaoJoint, ...]) -> None:
+        self._torque, self._joints, self._path = ArmTorque(robot), joints, robot.path
+        peak = [joint.spec.strongest for joint in joints]
+        self._doubt = _SHARE * np.array(peak) + robot.friction.coulomb
+
+    def holding(self, q: Array) -> Array:
+        """Return what the model's gravity asks for at rest at q (n,) [N m]."""
+        still = np.zeros((1, len(q)))
+        return np.asarray(self._torque(Motion(np.zeros(1), q[None], still, still))[0])
+
+    def __call__(self, q: Array, tau: Array) -> None:
+        """Raise HardwareAbort where a torque (n,) [N m] at rest at q (n,) has the other sign."""
+        model = self.holding(q)
+        clear = (np.abs(model) > self._doubt) & (np.abs(tau) > self._doubt)
+        for j in np.flatnonzero(clear & (np.sign(model) != np.sign(tau))):
+            raise HardwareAbort(
+                f"{self._joints[j].label} holds the arm with {tau[j]:.1f} N m but the model "
+                f"{self._path.name} needs {model[j]:.1f} N m in this pose: a motor turns the other "
+                "way than its joint, sits at another one, or has another zero; see 'motors map'"
+            )

@@ -1,1 +1,0 @@
-"""Playing a trajectory on motors: checked first, supervised, recorded."""

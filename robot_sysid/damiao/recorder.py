@@ -1,0 +1,259 @@
+"""The measurement file of a run: written row by row, so that whatever happens, rows are kept.
+
+Comment lines say how it was made (motors, register values, gains, time stamps). Then one row per
+control cycle: ``time``, position, velocity and torque of each joint, and per joint the time stamp
+of its own sample, the command in force when it was sampled, status and temperatures. Cells of a
+joint that did not answer are empty.
+
+Printing and recording happen beside a run: never in its way, and never a reason to let an arm drop.
+A terminal that is gone, held (Ctrl-S) or full, a reader that went away, a disk that is full or does
+not answer: a control loop that printed by itself would fail or wait with it, and the motors'
+watchdogs would let the arm go. So what is to be said and written is handed over here.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import threading
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from robot_sysid.damiao.bus import RawFrameLog
+from robot_sysid.damiao.protocol.codec import MitCommand
+from robot_sysid.damiao.protocol.frames import text_of
+from robot_sysid.damiao.protocol.joints import DamiaoJoint
+from robot_sysid.damiao.session import Replies
+from robot_sysid.damiao.settings import PlaySettings
+from robot_sysid.damiao.trajectory import trajectory_columns
+from robot_sysid.errors import InputError
+from robot_sysid.records import Array
+from robot_sysid.records.options import OptionRecord, option
+
+Action = Callable[[], object]
+_PATIENCE = 2.0
+
+
+class Aside:
+    """Does things one after the other; what goes wrong is kept as ``failure`` instead of raised.
+
+    After a failure nothing more is done. Threaded, it has a thread of its own; without, things are
+    done at once (for simulated time, where nobody waits).
+    """
+
+    def __init__(self, threaded: bool) -> None:
+        self.failure: BaseException | None = None
+        self._waiting: queue.SimpleQueue[Action | None] = queue.SimpleQueue()
+        self._thread: threading.Thread | None = None
+        if threaded:
+            self._thread = threading.Thread(target=self._work, daemon=True)
+            self._thread.start()
+
+    def __call__(self, action: Action) -> None:
+        """Have something done."""
+        if self._thread is None:
+            self._do(action)
+        else:
+            self._waiting.put(action)
+
+    def if_idle(self, action: Action) -> None:
+        """Have something done that is not worth waiting for, such as moving a progress bar."""
+        if self._waiting.empty():
+            self(action)
+
+    def finish(self, patience: float = _PATIENCE) -> None:
+        """Wait until all is done, or until ``patience`` [s] is at an end."""
+        if self._thread is None:
+            return
+        self._waiting.put(None)
+        self._thread.join(patience)
+        if self._thread.is_alive() and self.failure is None:
+            self.failure = TimeoutError("it takes nothing any more")
+
+    def _work(self) -> None:
+        while (action := self._waiting.get()) is not None:
+            self._do(action)
+
+    def _do(self, action: Action) -> None:
+        if self.failure is not None:
+            return
+        try:
+            action()
+        except BaseException as error:
+            self.failure = error
+
+
+_EXTRA = ("time", "cmd_pos", "cmd_vel", "cmd_tau", "cmd_step", "status", "temp_mos", "temp_rotor")
+
+
+@dataclass(frozen=True)
+class RecordingOptions(OptionRecord):
+    """What is recorded, and where."""
+
+    record: Path | None = option(None, "write the measurement CSV", "FILE")
+    raw_log: Path | None = option(
+        None,
+        "write every frame, format by suffix: .log .asc .blf .trc",
+        "FILE",
+        usual="beside --record",
+    )
+    overwrite: bool = option(False, "replace existing recordings")
+    no_half_step: bool = option(
+        False, "add no half quantisation step to measured values (motors drop the fraction)"
+    )
+    no_centring: bool = option(
+        False, "record torques as measured at the end of each cycle, not centred on its step"
+    )
+
+    @property
+    def frames(self) -> Path | None:
+        """Where every frame is written, or None."""
+        beside = None if self.record is None else self.record.with_suffix(".log")
+        return self.raw_log or beside
+
+    def require_free(self, *read: Path) -> None:
+        """Raise InputError where a file is there that must not be replaced.
+
+        Files that the run reads stay even with --overwrite.
+        """
+        taken = {os.path.realpath(path) for path in read}
+        for path in filter(None, (self.record, self.frames)):
+            if os.path.realpath(path) in taken:
+                raise InputError(f"{path} is needed for something else; choose another name")
+            if os.path.exists(path) and not self.overwrite:
+                raise InputError(f"{path} exists; choose another --record file or give --overwrite")
+            taken.add(os.path.realpath(path))
+
+
+@dataclass(frozen=True)
+class RecordingHead:
+    """What the comment lines of a recording say.
+
+    The registers are, per joint, number to value; these are what the codec used. For the centring
+    see ``torque_step``.
+    """
+
+    joints: Sequence[DamiaoJoint]
+    registers: Sequence[Mapping[int, float]]
+    settings: PlaySettings
+    options: RecordingOptions
+    source: str
+
+    def lines(self) -> list[str]:
+        """Return the comment lines without their mark."""
+        run, options = self.settings, self.options
+        lines = ["robot-sysid motors recording", f"trajectory={self.source}"]
+        lines += [
+            f"motor_type={j.motor_type},can_id={j.can_id},mode=MIT,master_id={j.master_id}"
+            for j in self.joints
+        ]
+        for j, values in enumerate(self.registers):
+            texts = ",".join(text_of(number, values[number]) for number in sorted(values))
+            lines.append(f"registers_j{j}: {texts}")
+        half_step, centred = not options.no_half_step, not options.no_centring
+        added = "added to" if half_step else "not added to"
+        halved = "with half of jN_cmd_step added" if centred else "as measured"
+        return [
+            *lines,
+            f"rate_hz={run.rate:g},speed={run.speed:g}",
+            "kp=" + " ".join(f"{x:g}" for x in run.kp),
+            "kd=" + " ".join(f"{x:g}" for x in run.kd),
+            f"half_step={int(half_step)}: half a quantisation step {added} measured position, "
+            "velocity and torque, because motors drop the fraction",
+            f"centred={int(centred)}: jN_tau is the torque {halved}",
+            "jN_cmd_step is the torque step that the command answered by this sample then made",
+            "jN_time is when joint N was sampled, jN_cmd_* the command in force at that moment",
+        ]
+
+
+class MeasurementRecorder:
+    """Writes a run to a new CSV file, each row at once but aside of the control loop.
+
+    A context manager; the file's last line says how the run ended. Only opening raises: what goes
+    wrong later is kept in ``failure``, and the arm is brought to rest first. ``aside`` does the
+    writing; the frames are written with every row, if given.
+    """
+
+    def __init__(
+        self, path: Path, head: RecordingHead, aside: Aside, frames: RawFrameLog | None = None
+    ) -> None:
+        self._aside, self._frames = aside, frames
+        self._centred, self._n = not head.options.no_centring, len(head.joints)
+        columns = ["time", *trajectory_columns(self._n)]
+        columns += [f"j{j}_{what}" for j in range(self._n) for what in _EXTRA]
+        comments = [f"# {line}\n" for line in head.lines()]
+        try:
+            self._file = open(path, "w" if head.options.overwrite else "x", encoding="utf-8")  # noqa: SIM115
+            self._file.writelines([*comments, ",".join(columns) + "\n"])
+            self._file.flush()
+        except OSError as error:
+            raise InputError(f"cannot write {path}: {error.strerror}") from None
+
+    @property
+    def failure(self) -> BaseException | None:
+        """Why the recording is not complete, or None."""
+        return self._aside.failure
+
+    def __enter__(self) -> MeasurementRecorder:
+        return self
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        ending = "completed" if error is None else f"stopped: {error}".replace("\n", " ")
+        self.end_cycle()
+        self._aside(lambda: self._file.write(f"# end: {ending}\n"))
+        self._aside(self._file.close)
+        self._aside.finish()
+        if self.failure is not None:
+            with contextlib.suppress(OSError):
+                self._file.close()
+
+    def write(self, time: float, origin: float, replies: Replies, acted: MitCommand) -> None:
+        """Write one cycle at a time since the trajectory's start [s].
+
+        ``origin`` is that start in the link's clock [s], ``acted`` the command in force when the
+        replies were sampled.
+        """
+        self._aside(lambda: self._file.write(self._row(time, origin, replies, acted)))
+
+    def end_cycle(self) -> None:
+        """Hand everything to the operating system, which keeps it even if this process dies."""
+        self._aside(self._file.flush)
+        if self._frames:
+            log, frames = self._frames, self._frames.taken()
+            self._aside(lambda: log.write(frames))
+
+    def _row(self, time: float, origin: float, replies: Replies, acted: MitCommand) -> str:
+        measured = replies.feedback
+        step = torque_step(replies, acted)
+        torque = measured.torque + 0.5 * step if self._centred else measured.torque
+        cells = [f"{time:.6f}"]
+        for values in list(zip(measured.position, measured.velocity, torque))[: self._n]:
+            cells += _numbers(values)
+        columns = (replies.time - origin, acted.position, acted.velocity, acted.torque, step)
+        state = (measured.status, measured.temperature_mos, measured.temperature_rotor)
+        for j, answered in enumerate(replies.answered[: self._n]):
+            cells += _numbers([column[j] for column in columns])
+            cells += [str(code[j]) if answered else "" for code in state]
+        return ",".join(cells) + "\n"
+
+
+def torque_step(replies: Replies, acted: MitCommand) -> Array:
+    """Return the torque step (n,) that the command just sent makes in each motor [N m].
+
+    A motor samples its torque at the very end of a command's time, when the joint has used up what
+    the command asked for; then the next command steps it up again. Over many cycles the samples are
+    therefore too low by half a step on average, by kp qd / (2 rate) for a steadily moving joint,
+    which passes for negative viscous friction. Adding half the step, which is known exactly because
+    position and velocity do not jump, gives the mean of the two sides.
+    """
+    command = replies.command or acted
+    q, qd = replies.feedback.position, replies.feedback.velocity
+    return command.motor_torque(q, qd) - acted.motor_torque(q, qd)
+
+
+def _numbers(values: Iterable[float]) -> list[str]:
+    return [f"{value:.6f}" if np.isfinite(value) else "" for value in values]

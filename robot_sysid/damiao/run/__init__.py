@@ -1,1 +1,0 @@
-"""A whole run: what is checked before, the plan, and who is called in which order."""

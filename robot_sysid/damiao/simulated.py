@@ -1,0 +1,500 @@
+"""Simulated motors on a mechanism: torque law, time, their answers, and what goes wrong on demand.
+
+A motor behaves as the real ones do where that matters: it only speaks when spoken to, matches the
+low eight bits of an arbitration id, answers a command with the state before the command acted,
+drops the fraction when it packs a value, leaves the enabled state on any fault and when commands
+stay away for longer than its watchdog allows, and does not come back by itself.
+"""
+
+from __future__ import annotations
+
+import functools
+import heapq
+import itertools
+import math
+import os
+import re
+import select
+from collections import defaultdict, deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from robot_sysid.damiao.bus import Clock, Link, LinkError, SimulatedClock
+from robot_sysid.damiao.protocol import codec, frames
+from robot_sysid.damiao.protocol.frames import BusTiming, Frame
+from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace
+from robot_sysid.errors import InputError
+from robot_sysid.records import Array
+
+if TYPE_CHECKING:
+    from robot_sysid.simulation.forward_dynamics import ArmStepper
+
+DEFAULT_WATCHDOG = 0.1
+_scaling = functools.cache(lambda limits: codec.Scaling([limits]))
+_NOTHING = (0.0,) * 5
+
+
+@dataclass
+class SimulatedMotor:
+    """State of one motor; registers are number to value, ``command`` holds p, v, kp, kd and t.
+
+    Attributes:
+        joint: what it is and how it is mounted.
+        peak_torque: what it can deliver [N m].
+        brake: damping of the shorted windings while it is disabled [N m s/rad].
+        position, velocity, torque: what its sensors read, set by the arm.
+        fed_at: when it last got a frame of its own [s].
+        jammed: its joint is blocked.
+        silent: it hears nothing and says nothing.
+        lost_replies: it obeys but its answers do not arrive.
+        velocity_factor, torque_factor: factors on the velocity and the torque it reports.
+        slip: angle by which the position it reports is off [rad].
+        stored: registers that it keeps when the power goes off.
+    """
+
+    joint: DamiaoJoint
+    registers: dict[int, float]
+    peak_torque: float
+    brake: float
+    status: int = frames.DISABLED
+    position: float = 0.0
+    velocity: float = 0.0
+    torque: float = 0.0
+    temperature_mos: int = 31
+    temperature_rotor: int = 29
+    command: Sequence[float] = _NOTHING
+    fed_at: float = 0.0
+    jammed: bool = False
+    silent: bool = False
+    lost_replies: bool = False
+    velocity_factor: float = 1.0
+    torque_factor: float = 1.0
+    slip: float = 0.0
+    stored: dict[int, float] = field(default_factory=dict)
+
+    @property
+    def can_id(self) -> int:
+        """Id it listens to."""
+        return int(self.registers[frames.ESC_ID])
+
+    @property
+    def scaling(self) -> codec.Scaling:
+        """How it reads and writes frames."""
+        return _scaling(tuple(self.registers[number] for number in frames.SCALING))
+
+    @property
+    def driving(self) -> bool:
+        """Whether it follows commands."""
+        return self.status == frames.ENABLED
+
+    def tick(self, time: float) -> bool:
+        """Check the watchdog; return whether the motor has just stopped driving."""
+        timeout = self.registers[frames.TIMEOUT] * frames.TIMEOUT_UNIT
+        if self.driving and 0.0 < timeout < time - self.fed_at:
+            self.fail(frames.LOST_COMMUNICATION)
+            return True
+        return False
+
+    def fail(self, code: int) -> None:
+        """Leave the enabled state with a fault."""
+        self.status = code
+        self.command = _NOTHING
+
+    def handle(self, frame: frames.Frame, time: float) -> frames.Frame | None:
+        """Take a frame from the bus and return the answer, if there is one."""
+        if self.silent or len(frame.data) < 4 or frame.bus != self.joint.bus:
+            return None
+        if frame.id == frames.REGISTER_ID:
+            data = self._register_answer(frame.data)
+        elif frame.id & 0xFF == self.can_id & 0xFF and len(frame.data) == 8:
+            data = self._command_answer(frame.data, time)
+        else:
+            return None
+        if data is None or self.lost_replies:
+            return None
+        fd = self.registers[frames.CAN_BR] > frames.FD_BITRATE_CODES_ABOVE
+        return frames.Frame(int(self.registers[frames.MST_ID]), data, fd=fd, bus=self.joint.bus)
+
+    def _command_answer(self, data: bytes, time: float) -> bytes:
+        self.fed_at = time
+        if frames.is_special(data):
+            self._special(data[7])
+            return self._feedback()
+        # The answer to a command is the state before it acts.
+        answer = self._feedback()
+        if self.driving and self.registers[frames.CTRL_MODE] == frames.MIT_MODE:
+            told = codec.decode_mit(np.frombuffer(data, dtype=np.uint8)[None], self.scaling)
+            self.command = [float(value[0]) for value in told]
+        return answer
+
+    def _special(self, code: int) -> None:
+        if frames.is_fault(self.status) and code != frames.CLEAR_ERROR:
+            return
+        if code == frames.ENABLE:
+            self.status = frames.ENABLED
+        elif code == frames.SET_ZERO and not self.driving:
+            self.slip -= self.position + self.slip
+        elif code in (frames.DISABLE, frames.CLEAR_ERROR):
+            self.status, self.command = frames.DISABLED, _NOTHING
+
+    def _register_answer(self, data: bytes) -> bytes | None:
+        if data[0] | data[1] << 8 != self.can_id:
+            return None
+        operation, number = data[2], data[3]
+        if operation == frames.REFRESH:
+            return self._feedback()
+        if operation == frames.STORE and not self.driving:
+            self.stored = dict(self.registers)
+            return data
+        if operation not in (frames.READ, frames.WRITE) or number not in self.registers:
+            return None
+        if operation == frames.WRITE and number in frames.WRITABLE:
+            self.registers[number] = frames.value_from_bytes(number, data[4:8])
+        return data[:4] + frames.bytes_from_value(number, self.registers[number])
+
+    def _feedback(self) -> bytes:
+        one = np.ones(1)
+        state = codec.Feedback(
+            np.array([self.can_id]),
+            np.array([self.status]),
+            one * (self.position + self.slip),
+            one * self.velocity * self.velocity_factor,
+            one * self.torque * self.torque_factor,
+            np.array([self.temperature_mos]),
+            np.array([self.temperature_rotor]),
+        )
+        return codec.encode_feedback(state, self.scaling)[0].tobytes()
+
+
+def simulated_motor(joint: DamiaoJoint, watchdog: float = DEFAULT_WATCHDOG) -> SimulatedMotor:
+    """Return a joint's motor as it leaves the factory, apart from ids and watchdog [s]."""
+    peak, gear = joint.spec.strongest, joint.spec.gear_ratio or 1.0
+    registers: dict[int, float] = {
+        0: 15.0, 1: 0.0, 2: 100.0, 3: 0.8, 11: 1.96e-4, 12: 1.97e-5, 14: 5013.0, 16: 14.0,
+        17: 0.84, 19: 5.16e-3, 29: 32.0, 30: 1.0, frames.CAN_BR: 4.0, frames.GR: gear,
+        frames.MST_ID: float(joint.master_id), frames.ESC_ID: float(joint.can_id),
+        frames.CTRL_MODE: float(frames.MIT_MODE),
+        frames.TIMEOUT: float(round(watchdog / frames.TIMEOUT_UNIT)),
+    }  # fmt: skip
+    registers.update(zip(frames.SCALING, np.array(joint.spec.limits, np.float32).tolist()))
+    # Shorted windings brake strongly: a full peak torque sinks at about 2 rad/s.
+    return SimulatedMotor(joint, registers, peak, brake=0.5 * peak)
+
+
+_ATTRIBUTES = (
+    *("jammed", "silent", "lost-replies", "temperature-mos", "temperature-rotor"),
+    *("velocity-factor", "torque-factor", "slip", "peak-torque"),
+)
+_REGISTERS = {
+    "tmax": frames.TMAX,
+    "vmax": frames.VMAX,
+    "mode": frames.CTRL_MODE,
+    "watchdog": frames.TIMEOUT,
+}
+FAULT_KINDS = ("status", *_ATTRIBUTES, *_REGISTERS)
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One thing that goes wrong.
+
+    Joints are counted from 0. The value is a status code, temperature, new register value, ... or 1
+    for "on" and 0 for "off". It happens so many seconds after the arm was first enabled; 0 means
+    from the beginning.
+    """
+
+    kind: str
+    joint: int
+    value: float = 1.0
+    after: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.kind not in FAULT_KINDS:
+            raise InputError(f"unknown fault {self.kind!r}; valid: {', '.join(FAULT_KINDS)}")
+
+    def apply(self, motor: SimulatedMotor) -> None:
+        """Let it happen."""
+        if self.kind == "status":
+            motor.fail(int(self.value))
+        elif self.kind in _REGISTERS:
+            unit = frames.TIMEOUT_UNIT if self.kind == "watchdog" else 1.0
+            motor.registers[_REGISTERS[self.kind]] = self.value * (1.0 / unit)
+        else:
+            name = self.kind.replace("-", "_")
+            setattr(motor, name, type(getattr(motor, name))(self.value))
+
+
+def parse_fault(text: str) -> Fault:
+    """Return the fault written as KIND:JOINT[=VALUE][@SECONDS], for instance status:2=13@4.5."""
+    rest, _, after = text.partition("@")
+    rest, _, value = rest.partition("=")
+    kind, _, joint = rest.partition(":")
+    try:
+        amount, delay = float(value or 1.0), float(after or 0.0)
+        if not math.isfinite(amount + delay):
+            raise ValueError
+        return Fault(kind, int(joint), amount, delay)
+    except ValueError:
+        raise InputError(
+            f"a fault is written KIND:JOINT[=VALUE][@SECONDS], got {text!r}; "
+            f"kinds: {', '.join(FAULT_KINDS)}"
+        ) from None
+
+
+# Damping that holds a blocked joint [N m s/rad].
+_JAM = 1e6
+
+
+class SimulatedArm:
+    """An arm whose joints are driven by simulated motors.
+
+    Torque of an enabled motor: kp (p - q) + kd (v - qd) + t, limited to what it can deliver. A
+    disabled motor brakes with its shorted windings, so a loaded arm sinks; but until a motor is
+    enabled for the first time the arm rests on something. There is one motor per joint, base to
+    terminal; more are on the bus but move nothing.
+    """
+
+    def __init__(
+        self, mechanism: ArmStepper, motors: Sequence[SimulatedMotor], faults: Sequence[Fault] = ()
+    ) -> None:
+        if any(not 0 <= fault.joint < len(motors) for fault in faults):
+            raise InputError(f"faults name joints 0 to {len(motors) - 1}")
+        self.mechanism, self.motors = mechanism, list(motors)
+        self._space = JointSpace.of([m.joint for m in self.motors[: mechanism.n_joints]])
+        self.time = 0.0
+        self._enabled_at: float | None = None
+        self._faults = sorted(faults, key=lambda fault: fault.after)
+        self._changed = True
+        self._apply_faults(0.0)
+
+    def advance(self, until: float) -> None:
+        """Let physics run up to ``until`` [s]."""
+        if self._enabled_at is None:
+            self.time = max(self.time, until)
+        while self.time + self.mechanism.timestep <= until:
+            self.time += self.mechanism.timestep
+            for motor in self.motors:
+                self._changed |= motor.tick(self.time)
+            if self._faults and self._enabled_at is not None:
+                self._apply_faults(self.time - self._enabled_at)
+            # The position half a step ahead stands for the whole step to second order.
+            ahead = self.mechanism.q + 0.5 * self.mechanism.timestep * self.mechanism.qd
+            torque, damping = self._law(ahead)
+            self.mechanism.step(torque, np.where(self._jammed, _JAM, damping))
+
+    def handle(self, frame: frames.Frame, time: float) -> list[frames.Frame]:
+        """Let all motors take a frame at ``time`` [s]; return their answers."""
+        self.advance(time)
+        self._read_sensors()
+        self._changed = True
+        answers = []
+        for motor in self.motors:
+            answer = motor.handle(frame, time)
+            if answer is not None:
+                # Another motor whose id matches that of an answer takes it for a command.
+                heard = [each.handle(answer, time) for each in self.motors if each is not motor]
+                answers += [answer, *filter(None, heard)]
+        if self._enabled_at is None and any(motor.driving for motor in self.motors):
+            self._enabled_at = time
+        return answers
+
+    def _apply_faults(self, elapsed: float) -> None:
+        while self._faults and self._faults[0].after <= elapsed:
+            fault = self._faults.pop(0)
+            fault.apply(self.motors[fault.joint])
+            self._changed = True
+
+    def _gather(self) -> None:
+        motors = self.motors[: self.mechanism.n_joints]
+        table = np.array([(*m.command, m.brake, m.peak_torque) for m in motors])
+        driving = np.array([m.driving for m in motors])
+        *told, brake, peak = table.T
+        self._p, v, kp, kd, t = self._space.from_motors(codec.MitCommand(*told))
+        self._peak = peak * self._space.ratio
+        self._kd = np.where(driving, kd, brake)
+        self._offset = np.where(driving, kd * v + t, 0.0)
+        self._kp = np.where(driving, kp, 0.0)
+        self._limited = driving
+        self._jammed = np.array([m.jammed for m in motors])
+        self._changed = False
+
+    def _law(self, q: Array) -> tuple[Array, Array]:
+        """Return (torque, damping) of the motors at positions q (n,) and present velocities."""
+        if self._changed:
+            self._gather()
+        torque = self._kp * (self._p - q) + self._offset
+        total = torque - self._kd * self.mechanism.qd
+        saturated = self._limited & (np.abs(total) > self._peak)
+        limit = np.clip(total, -self._peak, self._peak)
+        return np.where(saturated, limit, torque), np.where(saturated, 0.0, self._kd)
+
+    def _read_sensors(self) -> None:
+        q, qd = self.mechanism.q, self.mechanism.qd
+        torque, damping = self._law(q)
+        positions = self._space.motor_position(q)
+        # The motor knows the current it drives, not what its shorted windings do.
+        torques = self._space.motor_torque(torque - damping * qd)
+        for j, motor in enumerate(self.motors[: self.mechanism.n_joints]):
+            motor.position = float(positions[j])
+            motor.velocity = float(motor.joint.direction * qd[j])
+            motor.torque = float(torques[j]) if motor.driving else 0.0
+
+
+_TURNAROUND = 50e-6
+
+
+class SimulatedLink:
+    """Carries frames one after the other, each as long as its bits take.
+
+    A burst of commands goes out before any reply, because commands have the lower ids. A classic
+    host sees an error frame where a motor answers in CAN-FD. The clock is moved by waiting.
+
+    With ``echo`` each sent frame is reported back when it was on the bus, as SocketCAN does.
+    """
+
+    def __init__(
+        self, clock: SimulatedClock, arm: SimulatedArm, timing: BusTiming, echo: bool = False
+    ) -> None:
+        self.clock, self.arm = clock, arm
+        self._timing, self._echo = timing, echo
+        self._free_at: defaultdict[int, float] = defaultdict(float)
+        self._order = itertools.count()
+        # In the order of their times, as the bus carries one frame after the other.
+        self._echoes: deque[Frame] = deque()
+        self._answers: deque[Frame] = deque()
+        self._replies: list[tuple[float, int, int, Frame]] = []
+
+    def send(self, frame: Frame) -> None:
+        """Put a frame on the bus; the arm gets it when its last bit is through."""
+        end = max(self.clock.now(), self._free_at[frame.bus]) + self._timing.frame_time
+        self._free_at[frame.bus] = end
+        if self._echo:
+            self._echoes.append(frame._replace(time=end, echo=True))
+        for reply in self.arm.handle(frame, end):
+            heapq.heappush(self._replies, (end + _TURNAROUND, reply.id, next(self._order), reply))
+
+    def receive(self, until: float) -> Frame | None:
+        """Return the next frame that is through by ``until`` [s], or None at that time."""
+        while (answer := self._next_answer(until)) is not None:
+            self._answers.append(answer)
+        queues = [queue for queue in (self._echoes, self._answers) if queue]
+        first = min(queues, key=lambda queue: queue[0].time, default=None)
+        if first is None or first[0].time > until:
+            self.clock.sleep_until(until)
+            return None
+        self.clock.sleep_until(first[0].time)
+        return first.popleft()
+
+    def _next_answer(self, until: float) -> Frame | None:
+        """Take the next answer that is through on the wire by ``until`` [s]."""
+        if not self._replies:
+            return None
+        bus = self._replies[0][-1].bus
+        arrival = max(self._replies[0][0], self._free_at[bus]) + self._timing.frame_time
+        if arrival > until:
+            return None
+        reply = heapq.heappop(self._replies)[-1]
+        self._free_at[bus] = arrival
+        garbled = reply.fd and not self._timing.fd
+        return reply._replace(time=arrival, error=garbled, data=b"" if garbled else reply.data)
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+
+_TICK = 1e-3
+_MOST_BEHIND = 0.1
+
+
+def serve(arm: SimulatedArm, link: Link, clock: Clock, running: Callable[[], bool]) -> float:
+    """Let the arm live and answer until ``running`` says no; return the time it left out [s].
+
+    A computer too slow for the physics makes the arm skip time rather than fall behind for ever.
+    """
+    start, left_out = clock.now() - arm.time, 0.0
+    while running():
+        frame = link.receive(clock.now() + _TICK)
+        now = clock.now() - start
+        if now - arm.time > _MOST_BEHIND:
+            left_out += now - arm.time
+            arm.time = now
+        arm.advance(now)
+        if frame is not None and not frame.echo:
+            for reply in arm.handle(frame, now):
+                link.send(reply)
+    return left_out
+
+
+class SlcanTerminal:
+    """The adapter's end of the line, as a link; ``device`` is what to give to ``--channel``."""
+
+    def __init__(self, clock: Clock) -> None:
+        try:
+            import tty
+        except ImportError:
+            raise InputError("pseudo-terminals need a Unix system") from None
+        self._clock = clock
+        # The far end stays open here too, so that a client may come and go.
+        self._near, self._far = os.openpty()
+        tty.setraw(self._far)
+        os.set_blocking(self._near, False)
+        self.device = os.ttyname(self._far)
+        self._text = b""
+        self._frames: list[Frame] = []
+
+    def receive(self, until: float) -> Frame | None:
+        """Return the next frame, or None at ``until`` [s]."""
+        while not self._frames:
+            left = max(until - self._clock.now(), 0.0)
+            readable, _, _ = select.select([self._near], [], [], left)
+            if not readable:
+                return None
+            self._take(os.read(self._near, 4096))
+        return self._frames.pop(0)
+
+    def send(self, frame: Frame) -> None:
+        """Write a frame; one that nobody reads is dropped, as on a bus."""
+        self._write(line_from_frame(frame).encode() + END)
+
+    def close(self) -> None:
+        """Close the terminal."""
+        os.close(self._near)
+        os.close(self._far)
+
+    def _take(self, data: bytes) -> None:
+        *lines, self._text = (self._text + data).split(END)
+        for line in lines:
+            frame = frame_from_line(line.decode("ascii", errors="replace"))
+            if frame is None:
+                self._write(END)
+            else:
+                self._frames.append(frame._replace(time=self._clock.now()))
+
+    def _write(self, data: bytes) -> None:
+        try:
+            os.write(self._near, data)
+        except BlockingIOError:
+            return  # a full buffer: nobody has the terminal open
+        except OSError as error:
+            raise LinkError(f"the pseudo-terminal is closed: {error.strerror}") from error
+
+
+END = b"\r"
+
+
+def frame_from_line(line: str) -> Frame | None:
+    """Return the frame that a line stands for, or None where it is a set-up command or broken."""
+    parts = re.match("([tdb])([0-9A-Fa-f]{3})([0-8])([0-9A-Fa-f]*)", line)
+    digits = parts[4][: 2 * int(parts[3])] if parts else ""
+    if parts is None or len(digits) != 2 * int(parts[3]):
+        return None
+    return Frame(int(parts[2], 16), bytes.fromhex(digits), fd=parts[1] != "t")
+
+
+def line_from_frame(frame: Frame) -> str:
+    """Return the line for a frame of up to eight bytes."""
+    kind = "b" if frame.fd else "t"
+    return f"{kind}{frame.id:03X}{len(frame.data):X}{frame.data.hex().upper()}"

@@ -1,1 +1,0 @@
-"""Simulated motors and the arm they drive, to rehearse without hardware."""

@@ -1,0 +1,313 @@
+"""Mirrored joints, several buses, motors outside the chain, and how an arm is left."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from robot_sysid.cli import main
+from robot_sysid.damiao.model_check import GravityCheck
+from robot_sysid.damiao.preflight import Permissions
+from robot_sysid.damiao.protocol.frames import DISABLED
+from robot_sysid.damiao.protocol.joints import DamiaoJoint, damiao_joints, mapped, write_joint_map
+from robot_sysid.damiao.simulated import simulated_motor
+from robot_sysid.errors import HardwareAbort, InputError
+from tests.support.damiao_rig import GRAVITY, Rig, map_line, swing
+from tests.support.places import ROOT
+from tests.support.recordings import read_recording
+
+STANDING = 0.7
+
+
+def rig(folder, **options):
+    return Rig(folder, 2, **{"motion": swing(2, duration=1.0), **options})
+
+
+def lifted():
+    time, q, qd, tau = swing(2, duration=1.0)
+    return time, q + STANDING, qd, tau + GRAVITY * (np.sin(q + STANDING) - np.sin(q))
+
+
+# --- mounting -------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ratio", [1.0, 1.3])
+def test_a_mirrored_and_shifted_motor_moves_its_joint_as_the_file_says(tmp_path, ratio):
+    """The recording is the same as that of a motor that sits straight."""
+    plain = rig(tmp_path, name="plain").run()
+    odd = rig(tmp_path, name="odd")
+    odd.mount(1, direction=-1, offset=0.6, torque_ratio=ratio)
+    odd.run()
+    assert plain.error is None and odd.error is None
+    for what, close in (("pos", 2e-3), ("vel", 0.05), ("tau", 0.15)):
+        straight, turned = (r.recording.joint_values(what) for r in (plain, odd))
+        np.testing.assert_allclose(turned, straight, atol=close)
+    motor = odd.motors[1]
+    assert motor.position == pytest.approx(0.6 - odd.arm.mechanism.q[1], abs=0.01)
+
+
+def test_a_motor_said_to_be_mirrored_that_is_not_is_stopped_by_its_torque(tmp_path):
+    """The holding torque has the wrong sign in the model."""
+
+    def needs(q, tau):
+        wrong = np.sign(tau) != np.sign(GRAVITY * np.sin(q))
+        if np.any(wrong & (np.abs(tau) > 0.3)):
+            raise HardwareAbort("another sign")
+
+    run = rig(tmp_path, motion=lifted(), start=[STANDING] * 2, pose_check=needs).run()
+    assert run.error is None
+    wrong = rig(
+        tmp_path, motion=lifted(), start=[STANDING] * 2, pose_check=lambda q, t: needs(-q, t)
+    )
+    wrong.record_path.unlink()
+    wrong.record_path.with_suffix(".log").unlink()
+    wrong.run()
+    assert "another sign" in str(wrong.error)
+    assert not any(sentence.startswith("playing") for sentence in wrong.phases)
+    assert wrong.states() == [DISABLED] * 2
+
+
+# --- motors outside the trajectory ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("how", ["limp", "hold"])
+def test_other_motors_are_left_limp_or_held_where_they_are(tmp_path, how):
+    gripper = simulated_motor(DamiaoJoint("DM4310", 8, 0x18))
+    gripper.position = 0.3
+    seen = []
+    run = rig(tmp_path, extra_motors=[gripper], others=how)
+    run.during("playing", 0.3, lambda r: seen.append((gripper.status, gripper.command))).run()
+    assert run.error is None and run.states() == [DISABLED] * 3
+    said = [check.text for check in run.checks if "not in the trajectory" in check.text]
+    assert len(said) == 1 and how in said[0].replace("held", "hold")
+    ((status, (position, _, kp, *_)),) = seen
+    assert (status, kp > 0.0) == ((1, True) if how == "hold" else (0, False))
+    if how == "hold":
+        assert position == pytest.approx(0.3, abs=1e-3)
+    assert run.recording.joint_values("pos").shape[1] == 2
+
+
+def test_an_unknown_motor_cannot_be_held(tmp_path):
+    odd = simulated_motor(DamiaoJoint("DM4310", 8, 0x18))
+    odd.registers[21] = 3.0
+    run = rig(tmp_path, extra_motors=[odd], others="hold").run()
+    assert "motor 8 is of no known type and cannot be held" in str(run.error)
+
+
+def test_a_fault_of_a_held_motor_stops_the_arm(tmp_path):
+    gripper = simulated_motor(DamiaoJoint("DM4310", 8, 0x18))
+    run = rig(tmp_path, extra_motors=[gripper], others="hold")
+    run.during("playing", 0.3, lambda r: gripper.fail(0xA)).run()
+    assert "motor 8 reports status A" in str(run.error)
+
+
+# --- two buses ------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_ids_may_repeat_on_another_bus(tmp_path):
+    run = rig(tmp_path)
+    run.mount(1, can_id=1, master_id=0x11, bus=1, channel="can1")
+    run.link.channels = ("can0", "can1")
+    run.run()
+    assert run.error is None, run.error
+    assert {(frame.bus, frame.id) for frame in run.wire.sent if frame.id != 0x7FF} == {
+        (0, 1),
+        (1, 1),
+    }
+    straight = rig(tmp_path, name="one").run().recording.joint_values("pos")
+    np.testing.assert_allclose(run.recording.joint_values("pos"), straight, atol=2e-3)
+
+
+# --- how the arm is left --------------------------------------------------------------------------
+
+
+def fastest_after(run, phase):
+    """Watch the speed of the joints from a phase on."""
+    speeds = []
+
+    def watch(rig):
+        speeds.append(np.max(np.abs(rig.arm.mechanism.qd)))
+        rig.clock.at(rig.clock.now() + 0.01, lambda: watch(rig))
+
+    run.during(phase, 0.0, watch)
+    return speeds
+
+
+@pytest.mark.slow
+def test_an_arm_is_lowered_until_nothing_pulls(tmp_path):
+    run = rig(tmp_path, motion=lifted(), start=[STANDING] * 2, park="rest")
+    speeds = fastest_after(run, "lowering")
+    run.run(settle=1.0)
+    assert run.error is None and run.states() == [DISABLED] * 2
+    assert np.max(np.abs(run.arm.mechanism.q)) < 0.1
+    assert max(speeds) < 0.4
+
+
+@pytest.mark.slow
+def test_an_arm_that_is_stopped_is_lowered_too(tmp_path):
+    run = rig(tmp_path, motion=lifted(), start=[STANDING] * 2, park="start")
+    run.during("playing", 0.3, lambda r: r.stop("stopped by SIGTERM"))
+    run.run(settle=0.0)
+    assert str(run.error) == "stopped by SIGTERM"
+    assert np.max(np.abs(run.arm.mechanism.q)) < 0.1 and run.states() == [DISABLED] * 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("where", ["start", "file"])
+def test_an_arm_is_parked_slowly(tmp_path, where):
+    pose = tmp_path / "pose.csv"
+    pose.write_text("0.9, 0.5\n")
+    target = [0.9, 0.5] if where == "file" else [0.6, 0.8]
+    park = str(pose) if where == "file" else "start"
+    run = rig(tmp_path, motion=lifted(), start=[0.6, 0.8], park=park)
+    speeds = fastest_after(run, "parking")
+    run.run(settle=0.0)
+    assert run.error is None
+    np.testing.assert_allclose(run.arm.mechanism.q, target, atol=0.03)
+    assert max(speeds) < 0.4
+
+
+@pytest.mark.parametrize("text", ["", "1,2,3", "a,b", "1,nan"])
+def test_a_pose_that_is_none_is_refused_before_anything_moves(tmp_path, text):
+    pose = tmp_path / "pose.csv"
+    pose.write_text(text)
+    run = rig(tmp_path, park=str(pose))
+    run.states_before = run.states()
+    run.run()
+    assert run.error.exit_code == 2 and "pose.csv" in str(run.error)
+    run.assert_never_moved()
+
+
+# --- the loop of a bimanual arm -------------------------------------------------------------------
+
+ARM = """
+<body name="{side}0" pos="0 {y} .5" euler="50 25 0">
+ <joint name="{side}_a" axis="0 0 1" range="-2 2" damping=".1"/>
+ <geom type="capsule" fromto="0 0 0 0 0 .1" size=".04" mass="1" contype="0"/>
+ <body name="{side}1" pos="0 0 .12">
+  <joint name="{side}_b" axis="0 1 0" range="-1.2 1.2" damping=".1"/>
+  <geom type="capsule" fromto="0 0 .02 0 0 .2" size=".03" mass=".8"/>
+  <body name="{side}2" pos="0 0 .25">
+   <joint name="{side}_c" axis="1 0 0" range="-1.2 1.2" damping=".1"/>
+   <geom type="capsule" fromto="0 0 .02 0 0 .2" size=".03" mass=".6"/>
+   <body name="{side}3" pos="0 0 .25">
+    <joint name="{side}_d" axis="0 1 0" range="-1.2 1.2" damping=".05"/>
+    <geom type="box" size=".04 .03 .06" pos=".01 .02 .07" mass="{mass}"/>
+   </body>
+  </body>
+ </body>
+</body>"""
+
+
+def two_arms(mass):
+    """A model with a left and a right arm of four joints."""
+    arms = "".join(ARM.format(side=s, y=y, mass=mass) for s, y in (("left", 0.6), ("right", -0.6)))
+    head = "<mujoco><option timestep='.001'/><default><joint armature='.03'/></default>"
+    return f"{head}<worldbody>{arms}</worldbody></mujoco>"
+
+
+@pytest.fixture
+def bimanual(tmp_path):
+    """(guessed model, true model, trajectory of the left arm, joint map)."""
+    guess, truth = tmp_path / "guess.xml", tmp_path / "truth.xml"
+    guess.write_text(two_arms(0.5))
+    truth.write_text(two_arms(0.9))
+    types = [word for _ in range(4) for word in ("--motor-type", "DM4340")]
+    options = ("--joint", "left_d", "--duration", "12", "--seed", "0", "--quiet")
+    folder = tmp_path / "export"
+    code = main(
+        ["plan", str(guess), *options, "--output-dir", str(folder), "--export-damiao", *types]
+    )
+    assert code == 0
+    table = tmp_path / "map.csv"
+    mirrored = {"left_b": (-1, 0.4), "left_d": (-1, -0.2)}
+    rows = [
+        map_line(f"{side}_{name}", bus, k, k + 16, *mirrored.get(f"{side}_{name}", (1, 0.0)))
+        for side, bus in (("right", "can1"), ("left", "can0"))
+        for k, name in enumerate("abcd", start=1)
+    ]
+    write_joint_map(table, rows)
+    return guess, truth, folder / "damiao_trajectory.csv", table
+
+
+@pytest.mark.slow
+def test_the_loop_of_a_bimanual_arm_with_mirrored_joints(bimanual, tmp_path, capsys):
+    guess, truth, trajectory, table = bimanual
+    record, chosen = tmp_path / "measured.csv", ("--joint", "left_d")
+    play = ("simulate", trajectory, "--model", truth, "--play", "--joint-map", table, *chosen)
+    buses = ("--channel", "can0", "--channel", "can1")
+    code = main(["motors", *map(str, play), *buses, "--record", str(record)])
+    assert code == 0, capsys.readouterr().err
+    assert read_recording(record).ending == "completed"
+    found = tmp_path / "found"
+    # Apart from the last link the guess is the truth, and so are torques, zeros and base.
+    known = [f"--{cause}-uncertainty=0" for cause in ("link", "scale", "zero", "gravity")]
+    options = (*chosen, "--measurements", str(record), "--output-dir", str(found), "--quiet")
+    assert main([str(guess), *options, *known]) == 0, capsys.readouterr().err
+    mass = json.loads((found / "params.json").read_text())["mass"]
+    print(f"mass {mass:.5f} kg, truth 0.9, off by {100 * (mass / 0.9 - 1):+.3f} %")
+    assert mass == pytest.approx(0.9, rel=0.005)
+
+
+def test_a_map_that_lacks_a_joint_of_the_model_is_refused(tmp_path):
+    joints = damiao_joints(["DM4340"] * 2, 2)
+    rows = [map_line("a", "", 1, 17, 1), map_line("b", "", 2, 18, -1)]
+    assert [j.direction for j in mapped(joints, rows, ["can0"])] == [1, -1]
+    assert [j.name for j in mapped(joints, rows, ["can0"], ["b", "a"])] == ["b", "a"]
+    with pytest.raises(InputError, match="no line for c; it has a, b"):
+        mapped(joints, rows, ["can0"], ["a", "c"])
+    with pytest.raises(InputError, match="2 joints but the trajectory 1"):
+        mapped(joints[:1], rows, ["can0"])
+    far = [replace(row, channel="can7") for row in rows]
+    with pytest.raises(InputError, match="open it with --channel can7"):
+        mapped(joints, far, ["can0", "can1"])
+    # One adapter may have got another name since.
+    assert [j.bus for j in mapped(joints, far, ["can0"])] == [0, 0]
+
+
+def test_one_arm_of_a_map_is_never_played_on_the_bus_of_the_other():
+    rows = [map_line(f"left_{k}", "can0", k, k + 16, 1) for k in (1, 2)]
+    rows += [map_line(f"right_{k}", "can1", k, k + 16, 1) for k in (1, 2)]
+    joints, right = damiao_joints(["DM4340"] * 2, 2), ["right_1", "right_2"]
+    with pytest.raises(InputError, match="right_1 on can1; open it with --channel can1"):
+        mapped(joints, rows, ["can0"], right)
+    assert [j.can_id for j in mapped(joints, rows, ["can1"], right)] == [1, 2]
+
+
+def test_the_frames_in_the_manual_are_those_of_a_run(tmp_path):
+    """Each line of the manual is found in a run, in its order."""
+    text = (ROOT / "docs" / "damiao.md").read_text(encoding="utf-8")
+    block = (
+        text.partition("## The frames of a run")[2].partition("```text\n")[2].partition("```")[0]
+    )
+    run = Rig(
+        tmp_path, 1, motion=swing(1, duration=1.0), watchdog=0.0, allowed=Permissions(watchdog=0.1)
+    ).run()
+    frames = iter(
+        f"{'->' if sent else '<-'} {frame.id:03X} {frame.data.hex(' ').upper()}"
+        for frame, sent in run.wire.frames
+    )
+    for line in block.splitlines():
+        assert line[:30] in frames, line
+
+
+# --- the model's gravity --------------------------------------------------------------------------
+
+
+def test_holding_torques_are_compared_with_the_models_gravity(three_joint_arm):
+    joints = damiao_joints(["DM4310"] * 3, 3)
+    check = GravityCheck(three_joint_arm, joints)
+    q = three_joint_arm.reference + 0.5
+    holding = check.holding(q)
+    check(q, holding)
+    check(q, 0.6 * holding)
+    loaded = int(np.argmax(np.abs(holding)))
+    assert abs(holding[loaded]) > 0.5
+    turned = holding * np.where(np.arange(3) == loaded, -1.0, 1.0)
+    with pytest.raises(HardwareAbort, match=f"motor {loaded + 1} holds .* see 'motors map'"):
+        check(q, turned)

@@ -1,0 +1,279 @@
+"""The same arm behind python-can, several buses behind one link, and the log of all frames."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+
+import can
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_sysid.damiao.bus import (
+    INTERFACES,
+    SERIAL_ADAPTER,
+    BusAddress,
+    BusLink,
+    GuardedLink,
+    LinkError,
+    RawFrameLog,
+    SimulatedClock,
+    SystemClock,
+    open_bus,
+)
+from robot_sysid.damiao.inspection import inspect_bus
+from robot_sysid.damiao.protocol.frames import BusTiming, Frame
+from robot_sysid.errors import InputError
+from tests.support.can_frames import FRAMES
+from tests.support.damiao_rig import two_motor_arm
+from tests.support.links import served_in_background
+
+WALL = 1.7e9
+
+
+def virtual(channel):
+    return BusAddress("virtual", (channel,))
+
+
+class ArmBus:
+    """What BusLink needs of a python-can bus, with a simulated arm on it, in simulated time."""
+
+    def __init__(self, clock, arm=None):
+        self._clock, self._arm = clock, arm
+        self.waiting = []
+
+    def send(self, message, timeout):
+        frame = Frame(message.arbitration_id, bytes(message.data), fd=message.is_fd)
+        for reply in self._arm.handle(frame, self._clock.now()):
+            self.waiting.append(self.message(reply.id, reply.data))
+
+    def message(self, identifier=1, data=b"", age=0.0, **rest):
+        stamp = WALL + self._clock.now() - age
+        rest = {"is_extended_id": False, **rest}
+        return can.Message(timestamp=stamp, arbitration_id=identifier, data=data, **rest)
+
+    def recv(self, timeout):
+        if self.waiting:
+            return self.waiting.pop(0)
+        self._clock.sleep_until(self._clock.now() + timeout)
+        return None
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """A simulated clock that the wall clock follows."""
+    simulated = SimulatedClock()
+    monkeypatch.setattr(time, "time", lambda: WALL + simulated.now())
+    return simulated
+
+
+def test_an_arm_behind_pythons_messages_answers(clock):
+    link = GuardedLink(BusLink([ArmBus(clock, two_motor_arm())], clock), clock)
+    found = inspect_bus(link)
+    assert sorted(found.motors) == [(0, 1), (0, 2)]
+    assert found.motors[0, 1].limits == (12.5, 10.0, 28.0)
+    assert found.motors[0, 2].feedback.temperature_rotor[0] == 29
+
+
+@pytest.mark.parametrize("age", [0.0, 1e-4, 0.3, 0.999])
+def test_stamps_are_in_our_clock(clock, age):
+    bus = ArmBus(clock)
+    clock.sleep_until(5.0)
+    bus.waiting = [bus.message(age=age)]
+    # The wall clock counts in quarters of a microsecond.
+    assert BusLink([bus], clock).receive(6.0).time == pytest.approx(5.0 - age, abs=1e-6)
+
+
+@pytest.mark.parametrize("age", [-0.1, 1.5, WALL])
+def test_stamps_of_another_clock_are_not_believed(clock, age):
+    bus = ArmBus(clock)
+    clock.sleep_until(5.0)
+    bus.waiting = [bus.message(age=age)]
+    assert BusLink([bus], clock).receive(6.0).time == 5.0
+
+
+def test_extended_frames_are_passed_over_and_echoes_marked(clock):
+    bus = ArmBus(clock)
+    bus.waiting = [
+        bus.message(7, is_extended_id=True),
+        bus.message(1, is_rx=False),
+        bus.message(2, is_error_frame=True),
+        bus.message(3),
+    ]
+    link = BusLink([bus], clock)
+    frames = [link.receive(1.0) for _ in range(3)]
+    assert [(f.id, f.echo, f.error) for f in frames] == [
+        (1, True, False),
+        (2, False, True),
+        (3, False, False),
+    ]
+    assert link.receive(1.0) is None and clock.now() == 1.0
+
+
+@given(wait=st.floats(0.0, 10.0))
+def test_receiving_on_a_silent_bus_ends_in_time(wait):
+    clock = SimulatedClock()
+    assert BusLink([ArmBus(clock)], clock).receive(wait) is None
+    assert clock.now() == wait
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("fd", [False, True])
+def test_an_arm_on_the_virtual_bus_answers(fd):
+    clock, timing = SystemClock(), BusTiming(fd=fd)
+    near, far = (open_bus(virtual(f"test-{fd}"), timing, clock) for _ in range(2))
+    try:
+        with served_in_background(two_motor_arm(), far, clock):
+            found = inspect_bus(GuardedLink(near, clock, fd))
+    finally:
+        near.close()
+    assert sorted(found.motors) == [(0, 1), (0, 2)]
+    assert found.motors[0, 1].limits == (12.5, 10.0, 28.0)
+
+
+@pytest.mark.realtime
+def test_stamps_of_the_virtual_bus_are_in_our_clock_and_sent_frames_come_back():
+    clock = SystemClock()
+    near, far = (open_bus(virtual("stamps"), BusTiming(), clock) for _ in range(2))
+    try:
+        before = clock.now()
+        near.send(Frame(0x123, b"abc"))
+        echo, seen = (link.receive(clock.now() + 1.0) for link in (near, far))
+        after = clock.now()
+    finally:
+        near.close()
+        far.close()
+    assert (echo.id, echo.data, echo.echo) == (0x123, b"abc", True)
+    assert (seen.id, seen.data, seen.echo) == (0x123, b"abc", False)
+    assert before - 1e-3 <= seen.time <= after + 1e-3
+
+
+def test_receiving_on_the_virtual_bus_waits_and_ends():
+    clock = SystemClock()
+    link = open_bus(virtual("silence"), BusTiming(), clock)
+    try:
+        start = clock.now()
+        assert link.receive(start + 0.02) is None
+        assert clock.now() - start >= 0.02
+        assert link.receive(start) is None
+    finally:
+        link.close()
+
+
+def test_a_bus_that_breaks_raises_our_error():
+    clock = SystemClock()
+    link = open_bus(virtual("broken"), BusTiming(), clock)
+    link.close()
+    with pytest.raises(LinkError, match="does not take frames"):
+        link.send(Frame(1, b""))
+    with pytest.raises(LinkError, match="cannot be read"):
+        link.receive(clock.now())
+
+
+# Older releases of python-can trip over a bus they have only half built.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.parametrize(
+    ("interface", "channel", "words"),
+    [
+        ("telepathy", "x", "--interface 'telepathy': choose one of socketcan, slcan"),
+        ("udp_multicast", "239.0.0.1", "--interface 'udp_multicast': choose one of"),
+        ("socketcan", "no-such-bus", "cannot open socketcan channel no-such-bus"),
+        ("slcan", "/dev/no-such-tty", "cannot open slcan channel /dev/no-such-tty"),
+    ],
+)
+def test_a_bus_that_cannot_be_opened_is_said(interface, channel, words):
+    with pytest.raises(InputError, match=words):
+        open_bus(BusAddress(interface, (channel,)), BusTiming(), SystemClock())
+
+
+def test_no_interface_reaches_a_network():
+    assert not {"udp_multicast", "socketcand", "remote"} & set(INTERFACES)
+    assert set(INTERFACES) - {SERIAL_ADAPTER} <= set(can.VALID_INTERFACES)
+
+
+def test_everything_but_the_bus_works_without_python_can():
+    """With python-can out of reach, all modules import, and opening a bus says what to install."""
+    script = """
+import pkgutil, sys
+sys.modules["can"] = None
+import robot_sysid.damiao
+for module in pkgutil.walk_packages(robot_sysid.damiao.__path__, "robot_sysid.damiao."):
+    __import__(module.name)
+from robot_sysid.cli import main
+sys.exit(main(["motors", "check", "--channel", "can0"]))
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.returncode == 2
+    assert done.stderr.strip().endswith('pip install "robot-sysid[can]"')
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+class OneBus(ArmBus):
+    """Remembers what is sent, and delivers messages (time, data) at their times."""
+
+    def __init__(self, clock, *messages):
+        super().__init__(clock)
+        self._messages, self.sent, self.closed = list(messages), [], False
+
+    def send(self, message, timeout):
+        self.sent.append(bytes(message.data))
+
+    def recv(self, timeout):
+        if self._messages and self._messages[0][0] <= self._clock.now():
+            self.waiting.append(self.message(17, self._messages.pop(0)[1]))
+        return super().recv(timeout)
+
+    def shutdown(self):
+        self.closed = True
+
+
+def test_frames_go_to_their_bus_and_come_back_with_its_number(clock):
+    buses = [OneBus(clock, (0.2, b"a")), OneBus(clock, (0.1, b"b"))]
+    several = BusLink(buses, clock)
+    for bus in (0, 1, 1):
+        several.send(Frame(1, bytes([bus]), bus=bus))
+    assert [bus.sent for bus in buses] == [[b"\0"], [b"\1", b"\1"]]
+    received = [several.receive(1.0) for _ in range(2)]
+    assert [(frame.bus, frame.data) for frame in received] == [(1, b"b"), (0, b"a")]
+    assert clock.now() == pytest.approx(0.2, abs=2e-4)
+    assert several.receive(0.5) is None and clock.now() == 0.5
+    several.close()
+    assert all(bus.closed for bus in buses)
+
+
+@given(st.lists(st.tuples(FRAMES, st.booleans()), min_size=1, max_size=20))
+def test_the_frame_log_is_lossless(tmp_path_factory, frames):
+    path = tmp_path_factory.mktemp("raw") / "measured.log"
+    clock = SimulatedClock()
+    with RawFrameLog(path, GuardedLink(None, clock, channels=["can0"])) as log:
+        for k, (frame, sent) in enumerate(frames):
+            log(frame._replace(time=0.001 * k), sent)
+        log.write(log.taken())
+        with can.LogReader(path) as reader:
+            messages = list(reader)
+    assert len(messages) == len(frames)
+    for message, (frame, sent) in zip(messages, frames):
+        assert message.arbitration_id == frame.id and bytes(message.data) == frame.data
+        assert message.is_fd == frame.fd and message.is_rx == (not sent)
+    stamps = np.array([message.timestamp for message in messages])
+    np.testing.assert_allclose(np.diff(stamps), 0.001, atol=2e-6)
+
+
+def test_frames_are_logged_in_the_order_of_their_time(tmp_path):
+    clock = SimulatedClock()
+    with RawFrameLog(tmp_path / "measured.log", GuardedLink(None, clock, channels=["can0"])) as log:
+        for stamp in (0.3, 0.1, 0.2):
+            log(Frame(round(10 * stamp), b"", stamp), False)
+    with can.LogReader(tmp_path / "measured.log") as reader:
+        assert [message.arbitration_id for message in reader] == [1, 2, 3]
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("x.unknown", "cannot log frames"), ("no/folder.log", "cannot write")]
+)
+def test_a_frame_log_that_cannot_be_made_is_said(tmp_path, name, words):
+    with pytest.raises(InputError, match=words):
+        RawFrameLog(tmp_path / name, GuardedLink(None, SimulatedClock()))

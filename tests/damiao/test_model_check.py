@@ -1,0 +1,240 @@
+"""What a model of the arm says to a motor trajectory."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_sysid.damiao.model_check import model_checks
+from robot_sysid.damiao.preflight import OK, STOP
+from robot_sysid.damiao.trajectory import export_damiao_trajectory, read_damiao_trajectory
+from robot_sysid.errors import InputError
+from robot_sysid.records import JointLimits
+from tests.support import arms
+from tests.support.damiao_rig import swing
+
+# Wide frames, so that the export clamps nothing.
+MOTOR = "DM10010L"
+JOINTS = ("joint0", "joint1", "joint2")
+# Beside the limit by more than four printed decimals of a position and a velocity make.
+INSIDE, BEYOND = st.floats(0.05, 0.98), st.floats(1.02, 2.5)
+SHARES = INSIDE | BEYOND
+RATES = st.sampled_from([100.0, 123.4, 250.0, 300.0, 1000.0])
+SPEEDS = st.floats(0.2, 1.0)
+WHAT = ("position", "velocity", "torque")
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return arms.robot_of(arms.THREE, max_velocity=np.inf)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("model_check")
+
+
+def written(folder, motion):
+    path = folder / "t.csv"
+    export_damiao_trajectory([motion], [MOTOR] * motion[1].shape[1], path)
+    return read_damiao_trajectory(path)
+
+
+def limited(arm, share, peaks):
+    """The arm with limits (3, n) that peaks of position, velocity and torque are a share of."""
+    position, velocity, torque = np.array(peaks) / share
+    return replace(arm, limits=JointLimits(-position, position, velocity, torque))
+
+
+def exceeded(checks):
+    """(joint, limit) of each stop; one ok and nothing else where there is none."""
+    checks = list(checks)
+    stops = [check.text for check in checks if check.severity == STOP]
+    if not stops:
+        assert [check.severity for check in checks] == [OK]
+    found = [(j, w) for t in stops for j in JOINTS for w in WHAT if j in t and f"{w} " in t]
+    assert len(found) == len(stops) == len(checks) - (not stops), stops
+    return set(found)
+
+
+def peaks_of(motion):
+    return [np.abs(signal).max(axis=0) for signal in motion[1:]]
+
+
+@given(share=st.lists(INSIDE, min_size=9, max_size=9), rate=RATES, speed=SPEEDS)
+def test_a_trajectory_inside_all_limits_is_fine(arm, folder, share, rate, speed):
+    motion = swing(3, duration=1.0, rate=rate)
+    position, velocity, torque = peaks_of(motion)
+    robot = limited(arm, np.reshape(share, (3, 3)), (position, speed * velocity, torque))
+    (check,) = model_checks(written(folder, motion), speed, robot)
+    assert check.severity == OK and check.text.endswith(f"the limits of {robot.path.name}")
+
+
+@given(
+    share=st.lists(INSIDE, min_size=9, max_size=9),
+    factor=st.floats(1.0, 30.0),
+    joint=st.integers(0, 2),
+    rate=RATES,
+    speed=SPEEDS,
+)
+def test_a_joint_scaled_beyond_its_limits_is_named_with_them(
+    arm, folder, share, factor, joint, rate, speed
+):
+    share = np.reshape(share, (3, 3))
+    time, q, qd, tau = motion = swing(3, duration=1.0, rate=rate)
+    position, velocity, torque = peaks_of(motion)
+    robot = limited(arm, share, (position, speed * velocity, torque))
+    scale = np.where(np.arange(3) == joint, factor, 1.0)
+    reached = share[:, joint] * factor
+    # Positions and velocities may be off by the printed digits, see above.
+    clear = np.abs(reached - 1.0) > 0.02
+    checks = model_checks(written(folder, (time, scale * q, scale * qd, scale * tau)), speed, robot)
+    found = exceeded(checks)
+    expected = {(JOINTS[joint], what) for what, over in zip(WHAT, reached > 1.0) if over}
+    doubtful = {(JOINTS[joint], what) for what, sure in zip(WHAT, clear) if not sure}
+    assert found - doubtful == expected - doubtful
+
+
+@pytest.mark.slow
+@given(
+    rows=st.integers(3, 12),
+    rate=RATES,
+    speed=SPEEDS,
+    share=st.lists(SHARES, min_size=9, max_size=9),
+    seed=arms.SEEDS,
+)
+def test_every_row_counts_however_short_its_peak(arm, folder, rows, rate, speed, share, seed):
+    """Feed-forward torques and stated velocities of any shape, around an arm that stands still."""
+    share = np.reshape(share, (3, 3))
+    rng = np.random.default_rng(seed)
+    q = np.broadcast_to(rng.uniform(0.5, 1.0, 3), (rows, 3))
+    qd, tau = rng.uniform(-5.0, 5.0, (2, rows, 3))
+    motion = np.arange(rows) / rate, q, qd, tau
+    position, velocity, torque = peaks_of(motion)
+    robot = limited(arm, share, (position, speed * velocity, torque))
+    expected = {(JOINTS[j], WHAT[i]) for i, j in np.argwhere(share > 1.0)}
+    assert exceeded(model_checks(written(folder, motion), speed, robot)) == expected
+
+
+@pytest.mark.slow
+@given(speed=SPEEDS, share=SHARES, joint=st.integers(0, 2))
+def test_at_a_share_of_the_speed_velocities_count_that_much(arm, folder, speed, share, joint):
+    motion = swing(3, duration=1.0)
+    _, velocity, _ = peaks_of(motion)
+    top = np.where(np.arange(3) == joint, velocity * speed / share, np.inf)
+    free = np.full(3, np.inf)
+    robot = replace(arm, limits=JointLimits(-free, free, top, free))
+    expected = {(JOINTS[joint], "velocity")} if share > 1.0 else set()
+    assert exceeded(model_checks(written(folder, motion), speed, robot)) == expected
+
+
+@pytest.mark.slow
+@given(speed=SPEEDS, share=SHARES, rate=st.sampled_from([100.0, 250.0, 1000.0]))
+def test_what_the_positions_do_counts_also_where_the_file_states_no_velocity(
+    arm, folder, speed, share, rate
+):
+    """Four printed decimals of a position are left to it: 1e-4 rad between two rows."""
+    time, q, qd, tau = swing(3, duration=1.0, rate=rate, amplitude=2.0)
+    steepest = (np.abs(np.diff(q, axis=0)).max(axis=0) - 1e-4) * rate * speed
+    free = np.full(3, np.inf)
+    robot = replace(arm, limits=JointLimits(-free, free, steepest / share, free))
+    found = exceeded(model_checks(written(folder, (time, q, 0 * qd, tau)), speed, robot))
+    assert found == ({(joint, "velocity") for joint in JOINTS} if share > 1.0 else set())
+
+
+@pytest.mark.slow
+@given(velocity=st.floats(0.01, 3.0), rate=RATES)
+def test_printed_digits_of_positions_do_not_count_as_speed(arm, folder, velocity, rate):
+    """At 1 kHz the fourth decimal of a position is 0.1 rad/s."""
+    time = np.arange(50) / rate
+    q = np.tile((velocity * time)[:, None], 3)
+    free = np.full(3, np.inf)
+    robot = replace(arm, limits=JointLimits(-free, free, np.full(3, velocity + 1e-4), free))
+    motion = time, q, np.full_like(q, velocity), 0 * q
+    assert exceeded(model_checks(written(folder, motion), 1.0, robot)) == set()
+
+
+def test_an_arm_without_limits_takes_everything(folder):
+    arm = arms.robot_of(arms.UNLIMITED, max_velocity=np.inf)
+    time, q, qd, tau = swing(3, duration=1.0)
+    (check,) = model_checks(written(folder, (time, 10 * q, 10 * qd, 10 * tau)), 1.0, arm)
+    assert check.severity == OK
+
+
+def test_one_sided_ranges_hold_on_their_side(arm, folder):
+    free = np.full(3, np.inf)
+    motion = swing(3, duration=1.0, amplitude=0.4)
+    for sign in (1.0, -1.0):
+        time, q, qd, tau = motion
+        trajectory = written(folder, (time, sign * q, sign * qd, sign * tau))
+        above = replace(arm, limits=JointLimits(-free, np.full(3, 0.3), free, free))
+        below = replace(arm, limits=JointLimits(np.full(3, -0.3), free, free, free))
+        said = [exceeded(model_checks(trajectory, 1.0, robot)) for robot in (above, below)]
+        everywhere = {(joint, "position") for joint in JOINTS}
+        assert said == ([everywhere, set()] if sign > 0.0 else [set(), everywhere])
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_message_tells_joint_limit_value_and_moment(arm, folder, sign):
+    time, q, qd, tau = swing(3, duration=1.0, amplitude=0.98)
+    free, narrow = np.full(3, np.inf), np.array([0.3, 2.0, 2.0])
+    robot = replace(arm, limits=JointLimits(-narrow, narrow, free, free))
+    (check,) = model_checks(written(folder, (time, sign * q, sign * qd, tau)), 0.5, robot)
+    assert check.severity == STOP
+    assert check.text == (
+        f"joint joint0: position {0.98 * sign} rad is beyond the model's limit {0.3 * sign}, at "
+        "1.00 s; export a smaller trajectory for this arm"
+    )
+
+
+def test_another_number_of_joints_is_refused(arm, folder):
+    with pytest.raises(InputError, match=r"has 2 joints but the chain of .* has 3: joint0, joint1"):
+        list(model_checks(written(folder, swing(2, duration=1.0)), 1.0, arm))
+
+
+# --- contact ------------------------------------------------------------------------------------
+
+WALL = arms.world(
+    '<body name="arm"><inertial pos="0 0 .1" mass="1" diaginertia=".01 .01 .01"/>'
+    '<joint name="shoulder" axis="0 0 1" range="-3 3"/><geom size=".02" pos=".5 0 0"/></body>'
+    '<body name="wall"><geom type="box" size=".02 .02 .02" pos="0 .5 0"/></body>'
+)
+
+
+def turn(angle, rows=51, velocities=1.0):
+    """From zero to an angle and back, one hinge."""
+    time = np.linspace(0.0, 1.0, rows)
+    q = 0.5 * angle * (1.0 - np.cos(2 * np.pi * time))[:, None]
+    qd = np.pi * angle * np.sin(2 * np.pi * time)[:, None]
+    return time, q, velocities * qd, 0 * q
+
+
+@pytest.mark.parametrize("velocities", [1.0, 0.0])
+@given(angle=st.floats(-2.5, 1.4) | st.floats(1.6, 2.5), speed=SPEEDS)
+def test_a_wall_on_the_way_is_found_however_the_file_states_velocities(
+    folder, velocities, angle, speed
+):
+    """The wall stands at a right angle; ball and box touch within 0.1 rad of it."""
+    robot = arms.robot_of(WALL, max_velocity=np.inf)
+    checks = list(model_checks(written(folder, turn(angle, velocities=velocities)), speed, robot))
+    (check,) = checks
+    if angle > np.pi / 2:
+        assert check.severity == STOP and "wall" in check.text and "arm" in check.text
+    else:
+        assert check.severity == OK
+
+
+@given(angle=st.floats(-2.9, 1.4) | st.floats(1.7, 2.9) | st.floats(3.1, 3.5))
+def test_where_the_arm_is_parked_and_the_way_there_are_compared_too(folder, angle):
+    robot = arms.robot_of(WALL, max_velocity=np.inf)
+    trajectory = written(folder, turn(0.5))
+    said = [c.text for c in model_checks(trajectory, 1.0, robot, np.array([angle]))]
+    assert any("wall" in text and "where the arm is parked" in text for text in said) == (
+        angle > 1.5
+    )
+    assert any("outside the model's -3 to 3" in text for text in said) == (angle > 3.0)
+    assert all(text.endswith("choose another --park pose") for text in said) == (angle > 1.5)

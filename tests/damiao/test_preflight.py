@@ -1,0 +1,120 @@
+"""The checks that need no bus; those of the motors themselves are in test_fault_table.py."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_sysid.damiao.preflight import NOTE, OK, STOP, Permissions, plan_checks, stops
+from robot_sysid.damiao.protocol.frames import BusTiming, bus_load
+from robot_sysid.damiao.protocol.joints import damiao_joints
+from robot_sysid.damiao.protocol.motors import MOTORS
+from robot_sysid.damiao.settings import PlaySettings
+from robot_sysid.damiao.trajectory import TrajectoryScan
+
+# Beside the limit, so that rounding does not decide.
+SHARES = st.floats(0.0, 0.999) | st.floats(1.001, 4.0)
+WHAT = ("position", "velocity", "torque", "position step")
+PEAKS = ("highest", "peak_velocity", "peak_torque", "peak_step")
+COUNTS_WITH_SPEED = (False, True, False, True)
+
+
+def scan_of(n, **peaks):
+    """A trajectory that asks for nothing but these peaks."""
+    names = ("first", "end_velocity", "lowest", *PEAKS)
+    return TrajectoryScan(5.0, **{name: peaks.get(name, np.zeros(n)) for name in names})
+
+
+def checks_of(scan, types, allowed=None, timing=None, inertia=None, **settings):
+    joints = damiao_joints(types, len(types))
+    timing = timing or BusTiming()
+    chosen = PlaySettings(**settings).for_motors([joint.spec for joint in joints], timing)
+    return plan_checks(plan_of(joints, scan, chosen, timing, allowed or Permissions(), inertia))
+
+
+def plan_of(joints, scan, settings, timing, allowed, inertia=None, pose=None):
+    """What the checks look at of a plan, without a trajectory file."""
+    asked = {"settings": settings, "timing": timing, "allowed": allowed, "inertia": inertia}
+    trajectory, duration = SimpleNamespace(joints=joints), scan.duration / settings.speed
+    return SimpleNamespace(trajectory=trajectory, scan=scan, duration=duration, pose=pose, **asked)
+
+
+def beyond(checks):
+    """(joint, what) of each limit that is said to be exceeded."""
+    found = [re.match(r"motor (\d+): ([a-z ]+?) [\d.e+]+ \S+", text) for text in stops(checks)]
+    limits = [m for m, text in zip(found, stops(checks)) if "is beyond its type's limit" in text]
+    return {(int(match[1]) - 1, match[2]) for match in limits}
+
+
+@given(
+    types=st.lists(st.sampled_from(sorted(MOTORS)), min_size=1, max_size=4),
+    speed=st.floats(0.05, 1.0),
+    data=st.data(),
+)
+def test_each_joint_and_limit_is_judged_by_itself_at_the_speed_it_is_played_at(types, speed, data):
+    tops = np.array([MOTORS[name].limits for name in types]).T[[0, 1, 2, 1]]
+    shares = np.array([[data.draw(SHARES) for _ in types] for _ in WHAT])
+    slower = np.where(COUNTS_WITH_SPEED, speed, 1.0)[:, None]
+    peaks = dict(zip(PEAKS, shares * tops / slower))
+    checks = checks_of(scan_of(len(types), **peaks), types, speed=speed)
+    expected = {(int(j), WHAT[i]) for i, j in np.argwhere(shares > 1.0)}
+    assert beyond(checks) == expected
+    within = "the trajectory stays within its type's limits"
+    assert (within in [check.text for check in checks]) == (not expected)
+
+
+@given(worst=st.floats(0.0, 0.2), speed=st.floats(0.05, 1.0))
+def test_both_ends_have_to_be_at_rest_at_the_speed_they_are_played_at(worst, speed):
+    scan = scan_of(2, end_velocity=np.array([0.0, worst]))
+    said = [c for c in checks_of(scan, ["DM4340"] * 2, speed=speed) if "at rest" in c.text]
+    assert [check.severity for check in said] == [STOP if worst * speed > 0.05 else OK]
+
+
+@given(rate=st.floats(10.0, 3000.0), n=st.integers(1, 8), fd=st.booleans(), forced=st.booleans())
+def test_a_bus_that_is_too_full_is_refused_unless_forced(rate, n, fd, forced):
+    timing = BusTiming(fd=fd)
+    checks = checks_of(scan_of(n), ["DM4340"] * n, Permissions(bus_load=forced), timing, rate=rate)
+    (said,) = [check for check in checks if " load " in check.text]
+    full = bus_load(n, rate, timing) > 0.7
+    assert said.severity == ((NOTE if forced else STOP) if full else OK)
+    assert full == ("use --rate" in said.text)
+
+
+@pytest.mark.parametrize("name", sorted(MOTORS))
+def test_a_torque_beyond_the_peak_is_refused_and_one_beyond_the_rating_noted(name):
+    spec = MOTORS[name]
+    for torque, severity in ((spec.rated_torque, NOTE), (spec.peak_torque, STOP)):
+        checks = checks_of(scan_of(1, peak_torque=np.array([1.001 * torque])), [name])
+        (said,) = [c for c in checks if "exceeds the" in c.text and "torque of a" in c.text]
+        assert said.severity == severity
+    assert [c.text for c in checks_of(scan_of(1), [name]) if "exceeds" in c.text] == []
+
+
+@pytest.mark.parametrize("name", [name for name, spec in MOTORS.items() if spec.note])
+def test_what_is_special_about_a_type_is_noted(name):
+    assert any(MOTORS[name].note in c.text for c in checks_of(scan_of(1), [name]))
+
+
+def test_a_joint_that_its_motor_would_shake_is_noted():
+    """A DM10010 makes torque in steps of 0.1 N m: 1.6 rad/s within a cycle for a bare wrist."""
+    types, inertia = ["DM10010", "DM4310"], np.array([1.3e-4, 1.3e-4])
+    shaken = [c for c in checks_of(scan_of(2), types, inertia=inertia) if "will shake" in c.text]
+    assert [c.severity for c in shaken] == [NOTE] and shaken[0].text.startswith("motor 1 moves")
+    assert not any("shake" in c.text for c in checks_of(scan_of(2), types))
+
+
+@given(place=st.floats(-12.4, 12.4) | st.floats(12.6, 30.0), offset=st.floats(-3.0, 3.0))
+def test_a_motor_cannot_be_parked_beyond_what_its_frames_carry(place, offset):
+    joints = [replace(joint, offset=offset) for joint in damiao_joints(["DM4340"] * 2, 2)]
+    asked = PlaySettings().for_motors([joint.spec for joint in joints], BusTiming())
+    pose = np.array([-offset, place - offset])
+    plan = plan_of(joints, scan_of(2), asked, BusTiming(), Permissions(), pose=pose)
+    found = [check for check in plan_checks(plan) if "parked" in check.text]
+    assert [check.severity for check in found] == [STOP] * (place > 12.5)
+    assert all(c.text.startswith("motor 2") and "limit 12.5" in c.text for c in found)

@@ -1,0 +1,414 @@
+"""The recording, and what is done beside a run."""
+
+from __future__ import annotations
+
+import csv
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_sysid.damiao.protocol.codec import (
+    Feedback,
+    MitCommand,
+    Scaling,
+    decode_feedback,
+    encode_feedback,
+)
+from robot_sysid.damiao.protocol.joints import damiao_joints
+from robot_sysid.damiao.protocol.motors import MOTORS
+from robot_sysid.damiao.recorder import Aside, MeasurementRecorder, RecordingHead, RecordingOptions
+from robot_sysid.damiao.session import Replies
+from robot_sysid.damiao.settings import PlaySettings
+from robot_sysid.damiao.simulated import simulated_motor
+from robot_sysid.errors import InputError, words_of
+from tests.support.log_files import read_measurements
+from tests.support.recordings import read_recording
+
+
+def recorder_for(path, types=("DM4340",), frames=None, **options):
+    """A recorder that writes at once, for motors of these types."""
+    joints = damiao_joints(types, len(types))
+    registers = [simulated_motor(j).registers for j in joints]
+    registers = [{k: v for k, v in r.items() if k in (7, 8, 9, 10, 21, 22, 23)} for r in registers]
+    settings = PlaySettings(kp=(20.0,) * len(types), kd=(1.0,) * len(types), rate=250.0)
+    head = RecordingHead(joints, registers, settings, RecordingOptions(**options), "swing.csv")
+    return MeasurementRecorder(path, head, Aside(threaded=False), frames)
+
+
+@st.composite
+def cycles(draw, n):
+    """Random frames as motors would send them, some missing, and the commands before them."""
+    count = draw(st.integers(1, 6))
+    rows = []
+    for k in range(count):
+        frames = [draw(st.binary(min_size=8, max_size=8)) for _ in range(n)]
+        raw = np.frombuffer(b"".join(frames), dtype=np.uint8).reshape(n, 8)
+        answered = np.array([draw(st.booleans()) for _ in range(n)])
+        command = np.array([draw(st.floats(-10, 10)) for _ in range(3 * n)]).reshape(3, n)
+        stamp = 0.004 * k + np.array([draw(st.floats(1e-4, 2e-3)) for _ in range(n)])
+        rows.append((0.004 * k, raw, answered, command, stamp))
+    return rows
+
+
+@given(data=st.data())
+def test_every_frame_can_be_told_back_from_the_recording(data, tmp_path_factory):
+    """The printed digits suffice to find the very codes the motor sent."""
+    types = data.draw(st.lists(st.sampled_from(sorted(MOTORS)), min_size=1, max_size=4))
+    n, scaling = len(types), Scaling(MOTORS[t].limits for t in types)
+    rows = data.draw(cycles(n))
+    path = tmp_path_factory.mktemp("rec") / "measured.csv"
+    with recorder_for(path, types) as recorder:
+        for time, raw, answered, command, stamp in rows:
+            feedback = decode_feedback(raw, scaling, half_step=True)
+            for values in (feedback.position, feedback.velocity, feedback.torque):
+                values[~answered] = np.nan
+            stamps = np.where(answered, stamp, np.nan)
+            zero = np.zeros(n)
+            replies = Replies(answered, stamps + 7.0, feedback)
+            recorder.write(
+                time, 7.0, replies, MitCommand(command[0], command[1], zero, zero, command[2])
+            )
+            recorder.end_cycle()
+    recording = read_recording(path)
+    assert recording.ending == "completed"
+    assert len(recording.columns["time"]) == len(rows)
+    for k, (time, raw, answered, command, stamp) in enumerate(rows):
+        values = {w: recording.joint_values(w)[k] for w in ("pos", "vel", "tau", "status", "time")}
+        assert recording.columns["time"][k] == pytest.approx(time, abs=1e-6)
+        np.testing.assert_array_equal(np.isfinite(values["pos"]), answered)
+        np.testing.assert_allclose(values["time"][answered], stamp[answered], atol=1e-6)
+        codes = {"status": raw[:, 0] >> 4, "temp_mos": raw[:, 6], "temp_rotor": raw[:, 7]}
+        for what, code in codes.items():
+            expected = np.where(answered, code, np.nan)
+            np.testing.assert_array_equal(recording.joint_values(what)[k], expected)
+        told = Feedback(
+            raw[:, 0] & 0xF,
+            raw[:, 0] >> 4,
+            *(np.nan_to_num(values[w]) for w in ("pos", "vel", "tau")),
+            raw[:, 6],
+            raw[:, 7],
+        )
+        again = encode_feedback(told, scaling)
+        np.testing.assert_array_equal(again[answered], raw[answered])
+        for row, what in enumerate(("cmd_pos", "cmd_vel", "cmd_tau")):
+            np.testing.assert_allclose(recording.joint_values(what)[k], command[row], atol=6e-7)
+
+
+def write_two_rows(path, gap=False):
+    n, one = 2, np.ones(2)
+    codes = np.ones(n, dtype=int)
+    with recorder_for(path, ["DM4340"] * n) as recorder:
+        for k in range(40):
+            answered = np.array([True, not (gap and k == 1)])
+            q = np.where(answered, 0.1 * np.sin(0.3 * k) * one, np.nan)
+            feedback = Feedback(codes, codes, q, q, q, 30 * codes, 31 * codes)
+            stamps = np.where(answered, 0.004 * k + np.array([0.0001, 0.0002]), np.nan)
+            recorder.write(
+                0.004 * k, 0.0, Replies(answered, stamps, feedback), MitCommand(*[one] * 5)
+            )
+            recorder.end_cycle()
+
+
+def test_cells_of_a_joint_that_did_not_answer_are_empty(tmp_path):
+    path = tmp_path / "measured.csv"
+    write_two_rows(path, gap=True)
+    rows = [line for line in path.read_text().splitlines() if not line.startswith("#")]
+    titles, _, cells = (row.split(",") for row in rows[:3])
+    empty = [title for title, cell in zip(titles, cells) if not cell]
+    named = ("pos", "vel", "tau", "time", "cmd_step", "status", "temp_mos", "temp_rotor")
+    assert empty == [f"j1_{what}" for what in named]
+
+
+@pytest.mark.parametrize("gap", [False, True])
+def test_the_identification_reads_it_directly(tmp_path, gap):
+    path = tmp_path / "measured.csv"
+    write_two_rows(path, gap)
+    log = read_measurements(path, ("first", "second"))
+    assert [s.title for s in log.columns.position] == ["j0_pos", "j1_pos"]
+    assert [s.title for s in log.columns.velocity] == ["j0_vel", "j1_vel"]
+    assert [s.title for s in log.columns.torque] == ["j0_tau", "j1_tau"]
+    assert [s.title for s in log.columns.joint_time] == ["j0_time", "j1_time"]
+    assert log.columns.time.title == "time"
+
+
+HEAD = """robot-sysid motors recording
+trajectory=swing.csv
+motor_type=DM4340,can_id=1,mode=MIT,master_id=17
+motor_type=DM4310,can_id=2,mode=MIT,master_id=18
+registers_j0: MST_ID=17,ESC_ID=1,TIMEOUT=2000,CTRL_MODE=1,PMAX=12.5,VMAX=10,TMAX=28
+registers_j1: MST_ID=18,ESC_ID=2,TIMEOUT=2000,CTRL_MODE=1,PMAX=12.5,VMAX=30,TMAX=10
+rate_hz=250,speed=1
+kp=20 20
+kd=1 1
+half_step={half_step} measured position, velocity and torque, because motors drop the fraction
+centred={centred}
+jN_cmd_step is the torque step that the command answered by this sample then made
+jN_time is when joint N was sampled, jN_cmd_* the command in force at that moment"""
+
+
+@pytest.mark.parametrize(
+    ("options", "half_step", "centred"),
+    [
+        (
+            {},
+            "1: half a quantisation step added to",
+            "1: jN_tau is the torque with half of jN_cmd_step added",
+        ),
+        (
+            {"no_half_step": True, "no_centring": True},
+            "0: half a quantisation step not added to",
+            "0: jN_tau is the torque as measured",
+        ),
+    ],
+)
+def test_the_head_tells_how_the_recording_was_made(tmp_path, options, half_step, centred):
+    path = tmp_path / "measured.csv"
+    with recorder_for(path, ["DM4340", "DM4310"], **options):
+        pass
+    expected = HEAD.format(half_step=half_step, centred=centred).splitlines()
+    assert list(read_recording(path).head) == expected
+
+
+def test_what_is_recorded_cannot_be_changed_underway():
+    for record in (RecordingOptions(), RecordingHead((), (), None, None, "")):
+        with pytest.raises(AttributeError):
+            record.options = None
+
+
+def test_titles_name_each_joints_columns(tmp_path):
+    path = tmp_path / "measured.csv"
+    write_two_rows(path)
+    extra = [
+        "time",
+        "cmd_pos",
+        "cmd_vel",
+        "cmd_tau",
+        "cmd_step",
+        "status",
+        "temp_mos",
+        "temp_rotor",
+    ]
+    measured = [f"j{j}_{what}" for j in range(2) for what in ("pos", "vel", "tau")]
+    beside = [f"j{j}_{what}" for j in range(2) for what in extra]
+    assert list(read_recording(path).columns) == ["time", *measured, *beside]
+
+
+def one_cycle(n, value=1.0):
+    """Arguments of ``MeasurementRecorder.write`` for n joints."""
+    same, codes = np.full(n, value), np.ones(n, dtype=int)
+    replies = Replies(codes > 0, same, Feedback(codes, codes, same, same, same, codes, codes))
+    return 0.0, 0.0, replies, MitCommand(*[same] * 5)
+
+
+def test_motors_that_are_only_held_are_not_recorded(tmp_path):
+    path = tmp_path / "measured.csv"
+    with recorder_for(path) as recorder:
+        recorder.write(*one_cycle(3))
+    assert list(read_recording(path).columns)[-1] == "j0_temp_rotor"
+    assert len(read_recording(path).columns["time"]) == 1
+
+
+class Frames:
+    """Stands in for the frame log; notes what it is told to write."""
+
+    def __init__(self):
+        self.waiting, self.written = [], []
+
+    def taken(self):
+        taken, self.waiting = self.waiting, []
+        return taken
+
+    def write(self, frames):
+        self.written += frames
+
+
+def test_frames_are_written_with_each_cycle_and_at_the_end(tmp_path):
+    frames = Frames()
+    path = tmp_path / "measured.csv"
+    with recorder_for(path, frames=frames) as recorder:
+        for k in range(2):
+            frames.waiting.append(k)
+            recorder.end_cycle()
+            assert frames.written == list(range(k + 1))
+        frames.waiting.append(2)
+    assert frames.written == [0, 1, 2]
+    assert recorder.failure is None
+    assert recorder._file.closed
+
+
+class FullDisk:
+    """A file on a disk that has become full; what it holds back fails again on closing."""
+
+    closed = False
+
+    def write(self, text):
+        raise OSError(28, "No space left on device")
+
+    def flush(self):
+        pass
+
+    def close(self):
+        self.closed = True
+        raise OSError(28, "No space left on device")
+
+
+def test_a_disk_that_becomes_full_is_told_and_raises_nothing(tmp_path):
+    recorder = recorder_for(tmp_path / "measured.csv")
+    recorder._file.close()
+    recorder._file = FullDisk()
+    assert recorder.failure is None
+    with recorder:
+        recorder.write(*one_cycle(1))
+    assert str(recorder.failure) == "[Errno 28] No space left on device"
+    assert recorder._file.closed
+
+
+def test_rows_are_in_the_file_before_the_run_ends(tmp_path):
+    path = tmp_path / "measured.csv"
+    recorder = recorder_for(path)
+    one = np.ones(1)
+    feedback = Feedback(one, one, one, one, one, one, one)
+    recorder.write(0.0, 0.0, Replies(one > 0, one, feedback), MitCommand(*[one] * 5))
+    recorder.end_cycle()
+    rows = [line for line in path.read_text().splitlines() if not line.startswith("#")]
+    assert len(list(csv.reader(rows))) == 2
+    assert read_recording(path).ending == "cut short"
+    recorder.__exit__(None, None, None)
+
+
+def test_an_error_is_written_at_the_end(tmp_path):
+    path = tmp_path / "measured.csv"
+    with pytest.raises(RuntimeError), recorder_for(path):
+        raise RuntimeError("two\nlines")
+    assert read_recording(path).ending == "stopped: two lines"
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("no/such/folder.csv", "cannot write"), ("there.csv", "exists")]
+)
+def test_a_file_that_cannot_be_made_is_said(tmp_path, name, words):
+    (tmp_path / "there.csv").write_text("precious")
+    with pytest.raises(InputError, match=words):
+        recorder_for(tmp_path / name)
+
+
+def test_a_file_that_may_be_overwritten_is(tmp_path):
+    path = tmp_path / "there.csv"
+    path.write_text("precious")
+    with recorder_for(path, overwrite=True):
+        pass
+    assert read_recording(path).ending == "completed"
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ({}, None),
+        ({"record": Path("a/m.csv")}, Path("a/m.log")),
+        ({"raw_log": Path("r.asc")}, Path("r.asc")),
+        ({"record": Path("a/m.csv"), "raw_log": Path("r.asc")}, Path("r.asc")),
+    ],
+)
+def test_frames_are_written_beside_the_recording_or_where_that_was_asked_for(options, expected):
+    assert RecordingOptions(**options).frames == expected
+
+
+@pytest.mark.parametrize("there", ["m.csv", "m.log"])
+def test_nothing_that_is_there_counts_as_free(tmp_path, there):
+    (tmp_path / there).write_text("precious")
+    with pytest.raises(InputError, match=f"{there} exists; .* --overwrite"):
+        RecordingOptions(record=tmp_path / "m.csv").require_free()
+    RecordingOptions(record=tmp_path / "m.csv", overwrite=True).require_free()
+    RecordingOptions(record=tmp_path / "other.csv").require_free()
+
+
+def test_a_file_that_the_run_reads_is_never_written_to(tmp_path, monkeypatch):
+    """By whatever name it is called, and whether it is there yet or not."""
+    monkeypatch.chdir(tmp_path)
+    options = RecordingOptions(record=tmp_path / "m.csv", overwrite=True)
+    options.require_free(Path("other.csv"))
+    for read in (Path("m.csv"), Path("m.log")):
+        with pytest.raises(InputError, match=f"{read} is needed for something else; choose"):
+            options.require_free(Path("other.csv"), read)
+
+
+def test_rows_and_frames_do_not_go_into_one_file(tmp_path):
+    both = RecordingOptions(record=tmp_path / "m.log", overwrite=True)
+    with pytest.raises(InputError, match="m.log is needed for something else"):
+        both.require_free()
+
+
+# --- centring -----------------------------------------------------------------------------------
+
+VALUES = st.floats(-10.0, 10.0)
+COMMANDS = st.builds(
+    lambda *values: MitCommand(*(np.array([value]) for value in values)),
+    *(VALUES, VALUES, st.floats(0.0, 100.0), st.floats(0.0, 5.0), VALUES),
+)
+
+
+@given(acted=COMMANDS, sent=COMMANDS, q=VALUES, qd=VALUES)
+def test_a_centred_torque_is_the_mean_of_both_sides_of_the_step(
+    acted, sent, q, qd, tmp_path_factory
+):
+    """A motor samples at the end of one command; the next one steps its torque at that moment."""
+    q, qd, code = np.array([q]), np.array([qd]), np.array([1])
+    before, after = (command.motor_torque(q, qd) for command in (acted, sent))
+    feedback = Feedback(code, code, q, qd, before, code, code)
+    replies = Replies(code > 0, np.zeros(1), feedback, sent)
+    recorded = {}
+    for no_centring in (False, True):
+        path = tmp_path_factory.mktemp("rec") / "measured.csv"
+        with recorder_for(path, no_centring=no_centring) as recorder:
+            recorder.write(0.0, 0.0, replies, acted)
+        recorded[no_centring] = {k: v[0] for k, v in read_recording(path).columns.items()}
+    # Six decimals are printed.
+    digits = 1e-6
+    assert abs(recorded[False]["j0_tau"] - 0.5 * (before + after)[0]) < digits
+    assert abs(recorded[True]["j0_tau"] - before[0]) < digits
+    for columns in recorded.values():
+        assert abs(columns["j0_cmd_step"] - (after - before)[0]) < digits
+    taken_back = recorded[False]["j0_tau"] - 0.5 * recorded[False]["j0_cmd_step"]
+    assert abs(taken_back - recorded[True]["j0_tau"]) < 3 * digits
+
+
+@pytest.mark.parametrize("threaded", [False, True])
+def test_everything_is_done_in_order(threaded):
+    done, aside = [], Aside(threaded)
+    for k in range(100):
+        aside(lambda k=k: done.append(k))
+    aside.finish()
+    assert done == list(range(100)) and aside.failure is None
+
+
+@pytest.mark.parametrize("threaded", [False, True])
+@pytest.mark.parametrize(
+    "error", [OSError(28, "full"), RuntimeError(), SystemExit(), MemoryError()]
+)
+def test_what_goes_wrong_is_kept_and_nothing_is_done_after_it(threaded, error):
+    def fail():
+        raise error
+
+    done, aside = [], Aside(threaded)
+    aside(fail)
+    aside(lambda: done.append(1))
+    aside.finish()
+    assert aside.failure is error and done == []
+    assert words_of(error) == ("full" if isinstance(error, OSError) else type(error).__name__)
+
+
+def test_somebody_who_does_not_answer_is_not_waited_for():
+    """A terminal held with Ctrl-S: handing over goes on at once, and the end does not wait long."""
+    held, moved = threading.Event(), []
+    aside = Aside(threaded=True)
+    aside(held.wait)
+    for _ in range(10):
+        aside(lambda: None)
+        aside.if_idle(lambda: moved.append(1))
+    aside.finish(patience=0.01)
+    assert isinstance(aside.failure, TimeoutError) and moved == []
+    held.set()

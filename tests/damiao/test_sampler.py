@@ -1,0 +1,68 @@
+"""References: a trajectory file as a function of time, the way to its start, braking."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_sysid.damiao.references import Reference, TrajectorySampler, approach, come_to_rest, hold
+from tests.support.damiao_rig import swing, trajectory_file
+
+ANGLES = st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=7)
+
+
+@pytest.mark.parametrize("speed", [1.0, 0.3])
+def test_the_sampler_interpolates_and_scales_velocity_with_speed(tmp_path, speed):
+    time, q, qd, tau = swing(3)
+    sampler = TrajectorySampler(trajectory_file(tmp_path, (time, q, qd, tau)), speed)
+    for moment in np.arange(0.0, 2.0 / speed, 0.0137):
+        reference = sampler(moment)
+        for got, wanted in zip(reference, (q, speed * qd, tau)):
+            expected = [np.interp(moment * speed, time, column) for column in wanted.T]
+            np.testing.assert_allclose(got, expected, rtol=0, atol=6e-5)
+
+
+def test_the_sampler_holds_the_end(tmp_path):
+    time, q, qd, tau = swing(2)
+    sampler = TrajectorySampler(trajectory_file(tmp_path, (time, q, qd, tau)), 1.0)
+    np.testing.assert_allclose(sampler(5.0).position, q[-1], atol=6e-5)
+
+
+@given(start=ANGLES, data=st.data(), speed=st.floats(0.05, 2.0), shortest=st.floats(0.1, 3.0))
+def test_an_approach_goes_from_rest_to_rest_within_its_speed(start, data, speed, shortest):
+    start = np.array(start)
+    target = np.array([data.draw(st.floats(-3.0, 3.0)) for _ in start])
+    tau = np.ones_like(start)
+    path, duration = approach(start, Reference(target, 0 * start, tau), speed, shortest)
+    assert duration >= shortest
+    for moment, q in ((-1.0, start), (0.0, start), (duration, target), (duration + 1.0, target)):
+        np.testing.assert_allclose(path(moment).position, q, atol=1e-12)
+        np.testing.assert_allclose(path(moment).velocity, 0.0, atol=1e-12)
+    times = np.linspace(0.0, duration, 201)
+    q = np.array([path(t).position for t in times])
+    qd = np.array([path(t).velocity for t in times])
+    assert np.max(np.abs(qd)) <= speed * (1 + 1e-9)
+    middle = 0.5 * (qd[1:] + qd[:-1])
+    step = duration / 200
+    np.testing.assert_allclose(np.diff(q, axis=0), middle * step, atol=1e-3 * speed * step + 1e-9)
+
+
+@given(q=ANGLES, data=st.data(), deceleration=st.floats(0.5, 50.0))
+def test_braking_is_continuous_and_ends_at_rest(q, data, deceleration):
+    q = np.array(q)
+    v = np.array([data.draw(st.floats(-3.0, 3.0)) for _ in q])
+    path, duration = come_to_rest(Reference(q, v, 0 * q), deceleration)
+    np.testing.assert_allclose(path(0.0).position, q, atol=1e-12)
+    if duration > 0.0:
+        np.testing.assert_allclose(path(0.0).velocity, v, atol=1e-12)
+    end = path(duration + 1.0)
+    np.testing.assert_allclose(end.velocity, 0.0, atol=1e-12)
+    np.testing.assert_allclose(end.position, q + 0.5 * v * duration, atol=1e-9)
+    assert duration == pytest.approx(np.max(np.abs(v)) / deceleration)
+
+
+def test_holding_is_at_rest():
+    still = hold(Reference(np.ones(2), np.ones(2), np.ones(2)))(3.0)
+    assert still.velocity.tolist() == [0.0, 0.0] and still.position.tolist() == [1.0, 1.0]

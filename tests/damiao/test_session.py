@@ -1,0 +1,140 @@
+"""Commanding motors, and which answer belongs to which command."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_sysid.damiao.protocol.frames import DISABLED, ENABLED, LOST_COMMUNICATION, Frame
+from robot_sysid.damiao.session import PAUSE, Outstanding
+from robot_sysid.errors import HardwareAbort
+from tests.support.motor_bench import Bench
+
+
+def test_leaving_without_having_enabled_sends_nothing():
+    bench = Bench()
+    with bench.session:
+        pass
+    assert bench.bus.sent == []
+
+
+@pytest.mark.parametrize("error", [None, RuntimeError("x"), KeyboardInterrupt(), SystemExit(1)])
+def test_every_way_out_disables(error):
+    bench = Bench()
+    try:
+        with bench.session as session:
+            session.enable()
+            assert [m.status for m in bench.motors] == [ENABLED] * 2
+            session.exchange(bench.command(), bench.clock.now() + 0.004)
+            if error:
+                raise error
+    except BaseException as raised:
+        assert raised is error
+    assert [m.status for m in bench.motors] == [DISABLED] * 2
+
+
+def test_a_reply_is_the_state_before_the_command_acted():
+    bench = Bench()
+    with bench.session as session:
+        session.enable()
+        first = session.exchange(bench.command(0.5, kp=100.0), bench.clock.now() + 0.004)
+        bench.clock.sleep_until(bench.clock.now() + 0.004)
+        second = session.exchange(bench.command(0.5, kp=100.0), bench.clock.now() + 0.004)
+    half = 0.5 * 28.0 * 2 / 4095
+    assert np.all(np.abs(first.feedback.torque) <= half * 1.01)
+    assert np.all(second.feedback.torque > 10.0)
+
+
+def test_joints_that_were_not_asked_do_not_answer():
+    bench = Bench(3)
+    with bench.session as session:
+        session.enable()
+        only = np.array([True, False, True])
+        replies = session.exchange(bench.command(), bench.clock.now() + 0.004, only)
+    assert replies.answered.tolist() == [True, False, True]
+    assert np.isnan(replies.feedback.position[1]) and np.isnan(replies.time[1])
+    assert replies.feedback.status[1] == -1
+
+
+def test_stale_replies_are_not_taken_for_fresh_ones():
+    bench = Bench()
+    with bench.session as session:
+        session.enable()
+        late = session.exchange(bench.command(), bench.clock.now())
+        assert not np.any(late.answered)
+        bench.clock.sleep_until(bench.clock.now() + 0.02)
+        start = bench.clock.now()
+        fresh = session.exchange(bench.command(), start + 0.004)
+    assert np.all(fresh.answered) and np.all(fresh.time > start)
+
+
+@pytest.mark.parametrize("echo", [False, True])
+def test_stamps_differ_from_joint_to_joint(echo):
+    bench = Bench(3, echo)
+    with bench.session as session:
+        session.enable()
+        start = bench.clock.now()
+        replies = session.exchange(bench.command(), start + 0.004)
+    frame = 135e-6
+    first = frame if echo else 4 * frame
+    np.testing.assert_allclose(replies.time - start, first + frame * np.arange(3), atol=1e-9)
+
+
+def test_garbage_on_the_bus_is_ignored():
+    bench = Bench()
+    garbage = [Frame(17, b""), Frame(17, bytes([0x12]) + bytes(7)), Frame(99, bytes(8))]
+    garbage.append(Frame(17, bytes(8), error=True))
+    ours = bench.arm.handle
+    bench.arm.handle = lambda frame, time: [*garbage, *ours(frame, time)]
+    with bench.session as session:
+        session.enable()
+        replies = session.exchange(bench.command(), bench.clock.now() + 0.004)
+    assert np.all(replies.answered)
+    assert replies.feedback.status.tolist() == [ENABLED, ENABLED]
+
+
+def test_a_watchdog_trip_needs_more_than_enabling():
+    bench = Bench()
+    bench.session.enable()
+    bench.clock.sleep_until(bench.clock.now() + 0.2)
+    bench.arm.advance(bench.clock.now())
+    assert [m.status for m in bench.motors] == [LOST_COMMUNICATION] * 2
+    with pytest.raises(HardwareAbort, match="motor 1 did not enable: status D"):
+        bench.session.enable()
+
+
+ONE = np.ones(1, bool)
+# Cycles that an answer takes; None is lost. Up to as many as the pause can tell apart.
+DELAYS = st.lists(st.integers(0, PAUSE) | st.none(), min_size=1, max_size=60)
+
+
+@given(DELAYS)
+def test_no_answer_is_taken_for_that_to_another_command(delays):
+    books, underway = Outstanding(1), []
+    for cycle in range(4 * len(delays) + 8):
+        # What came too late for the cycle before is found at the beginning of this one.
+        for _ in [each for each in underway if each[1] < cycle]:
+            books.heard(0)
+        underway = [each for each in underway if each[1] >= cycle]
+        if books.may_be_told(ONE)[0]:
+            delay = delays.pop(0) if delays else 0
+            underway += [] if delay is None else [(cycle, cycle + delay)]
+        for asked, _ in [each for each in underway if each[1] == cycle]:
+            assert books.heard(0) == (asked == cycle)
+        underway = [each for each in underway if each[1] > cycle]
+
+
+def test_without_a_missing_answer_nobody_pauses():
+    books = Outstanding(2)
+    for _ in range(10):
+        assert books.may_be_told(np.ones(2, bool)).all()
+        assert books.heard(0) and books.heard(1)
+
+
+def test_one_lost_answer_costs_the_pause_and_no_more():
+    books = Outstanding(1)
+    assert books.may_be_told(ONE)[0]
+    assert [bool(books.may_be_told(ONE)[0]) for _ in range(PAUSE + 1)] == [False] * PAUSE + [True]
+    assert books.heard(0)
