@@ -211,4 +211,4 @@ def _card_file(result: Result, payload: Payload) -> tuple[tuple[Card, ...], str]
         f"{result.model_path.name} from {len(recordings['empty'])} empty and "
         f"{len(recordings['loaded'])} loaded recordings."
     )
-    return cards, card_text(cards, [heading])
+    return cards, card_text(cards, heading)

@@ -6,7 +6,7 @@ not here.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from textwrap import wrap
 from typing import Any
@@ -15,46 +15,24 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError
-from robot_sysid.mjcf.inertial import mjcf_inertial, number, numbers, urdf_inertial_about_com
+from robot_sysid.mjcf.inertial import mjcf_inertial, numbers, urdf_inertial_about_com
 from robot_sysid.records import Array, Flange, InertialParameters
 from robot_sysid.results.record import BodyEstimate
 
 DIGITS = 9
-"""Significant digits of the numbers that people type into a controller."""
+"""Significant digits of the numbers that people type into a controller: far below any error."""
 UR_LIMIT = 133.0
-"""Largest element of an inertia matrix that a UR controller takes [kg m^2]."""
+"""Largest element of an inertia matrix that a UR controller takes [kg m^2], by the notes on
+``set_target_payload`` in Universal Robots' script manual."""
 _NOTHING = 1e-12
-"""Share of the largest number of a group below which another one is only rounding."""
-
-
-@dataclass(frozen=True)
-class Load:
-    """A payload in flange axes: what every form is computed from.
-
-    The first two are exact, the others have the digits of a card.
-
-    Attributes:
-        body: in the flange frame.
-        inertia: (3, 3) about the centre of mass, axes of the flange [kg m^2].
-        kg: the mass.
-        com_m, com_mm: centre of mass [m], [mm].
-        six: Ixx Iyy Izz Ixy Ixz Iyz about the centre of mass.
-        nine: the inertia about the centre of mass column by column.
-        moments: principal moments [kg m^2].
-        yaw_pitch_roll: of their axes [degrees].
-        turn: the quaternion w x y z of their axes.
-    """
-
-    body: InertialParameters
-    inertia: Array
-    kg: float
-    com_m: list[float]
-    com_mm: list[float]
-    six: list[float]
-    nine: list[float]
-    moments: list[float]
-    yaw_pitch_roll: list[float]
-    turn: list[float]
+"""Share of the largest number of a group below which another one is only rounding: about 1e4
+times the rounding of a double."""
+_EDGE = 1e-6
+"""How far, relative to its size, a body may be from possible for a card to be written: below the
+digits that a controller keeps."""
+_WIDTH = 98
+ERROR_NAMES = ("mass", "com_x", "com_y", "com_z")
+"""Keys of standard errors: of the mass [kg] and of the centre of mass in flange axes [m]."""
 
 
 @dataclass(frozen=True)
@@ -62,66 +40,31 @@ class Form:
     """One way to state a payload, named as in ``Card``.
 
     Attributes:
-        values: the numbers by name.
-        text: with a %s for each of them, for all numbers of a list one; or what makes it.
-        exact: whether the text has all digits of the numbers.
+        values: name of a number to its group in ``_groups``; a name of several words takes the
+            numbers of the group one by one.
+        text: with a %s for each number or group, in the order of ``values``; or what makes it of
+            the body and its inertia (3, 3) about the centre of mass.
         most: largest element of an inertia matrix that the target takes [kg m^2].
     """
 
     name: str
     title: str
-    values: Callable[[Load], dict[str, Any]]
-    text: str | Callable[[Load], str]
+    values: Mapping[str, Any]
+    text: str | Callable[[InertialParameters, Array], str]
     explanation: str
-    in_mm: bool = False
-    exact: bool = False
     most: float = np.inf
 
 
-def rounded(values: Sequence[float] | Array) -> list[float]:
-    """Return a group of numbers with the digits of a card; what is only rounding is zero."""
-    least = _NOTHING * float(np.max(np.abs(values)))
-    return [float(plain(value)) if abs(value) >= least else 0.0 for value in values]
+def _urdf(body: InertialParameters, inertia: Array) -> str:
+    return urdf_inertial_about_com(body.mass, body.com, inertia)
 
 
-def plain(value: float) -> str:
-    """Return a number without exponent, which not every controller reads."""
-    text = np.format_float_positional(value, DIGITS, fractional=False, trim="0")
-    return "0.0" if float(text) == 0.0 else text
-
-
-def listed(values: Sequence[float]) -> str:
-    """Return numbers without exponent, separated by commas."""
-    return ", ".join(plain(value) for value in values)
-
-
-def _named(names: str, values: Iterable[Any]) -> dict[str, Any]:
-    return dict(zip(names.split(), values))
-
-
-def _texts(value: Any, text_of: Callable[[float], str]) -> list[str]:
-    """Return the texts of named or listed numbers, one for the numbers of a list together."""
-    if isinstance(value, dict) or (isinstance(value, list) and isinstance(value[0], list)):
-        parts = value.values() if isinstance(value, dict) else value
-        return [text for part in parts for text in _texts(part, text_of)]
-    return [", ".join(map(text_of, value if isinstance(value, list) else [value]))]
-
-
-def _mjcf(load: Load) -> str:
-    body = load.body
-    if np.any(load.inertia):
+def _mjcf(body: InertialParameters, inertia: Array) -> str:
+    if np.any(inertia):
         return mjcf_inertial(body.theta)
     return f'<inertial pos="{numbers(body.com)}" mass="{body.mass!r}" diaginertia="0 0 0"/>'
 
 
-def _central(load: Load, names: str) -> dict[str, Any]:
-    """Return mass, centre of mass and xx yy zz xy xz yz about it under these names."""
-    six = spatial.fullinertia_from_symmetric(load.inertia).tolist()
-    return _named(names, (load.body.mass, load.body.com.tolist(), six))
-
-
-# m, m c, then xx xy yy xz yz zz: the lower triangle row by row.
-_PINOCCHIO = [0, 1, 2, 3, 4, 5, 7, 6, 8, 9]
 _ALL_OF_IT = (
     "The controller wants everything that is bolted to the flange: where the empty runs carried a "
     "tool already, that tool is not in these numbers and must be added."
@@ -130,7 +73,7 @@ FORMS = (
     Form(
         "franka_set_load",
         "Franka load: libfranka Robot::setLoad(load_mass, F_x_Cload, load_inertia)",
-        lambda load: _named("load_mass F_x_Cload load_inertia", (load.kg, load.com_m, load.nine)),
+        {"load_mass": "kg", "F_x_Cload": "com_m", "load_inertia": "nine"},
         "robot.setLoad(%s, {{%s}}, {{%s}});",
         "load_mass kg; F_x_Cload from the flange to the centre of mass, m; load_inertia 3x3 about "
         "the centre of mass, axes of the flange, column by column, kg m^2. franka_msgs/SetLoad "
@@ -140,22 +83,18 @@ FORMS = (
     Form(
         "franka_end_effector",
         "Franka end effector: the mechanical data of endeffector-config.json, set in Desk",
-        lambda load: _named(
-            "mass centerOfMass inertia transformation",
-            (load.kg, load.com_m, load.nine, np.eye(4).ravel().tolist()),
-        ),
+        {"mass": "kg", "centerOfMass": "com_m", "inertia": "nine", "transformation": "no_turn"},
         '{"mass": %s, "centerOfMass": [%s], "inertia": [%s], "transformation": [%s]}',
         "mass kg; centerOfMass from the flange, m; inertia 3x3 about the centre of mass, axes of "
         "the flange, column by column, kg m^2; transformation 4x4 flange to tool tip, column by "
         "column, m: not identified, the identity stands there, put your own in. The END EFFECTOR "
         "is the tool that stays mounted, not the load in its hand (see the card above). Desk adds "
         "nothing to it: these numbers have to be the whole tool.",
-        exact=True,
     ),
     Form(
         "ur_set_target_payload",
         "Universal Robots: set_target_payload(m, cog, inertia)",
-        lambda load: {"m": load.kg, "cog": load.com_m, "inertia": load.six},
+        {"m": "kg", "cog": "com_m", "inertia": "six"},
         "set_target_payload(%s, [%s], [%s])",
         "m kg; cog from the tool flange, m; inertia [Ixx, Iyy, Izz, Ixy, Ixz, Iyz] about the "
         f"centre of gravity, axes of the tool flange, kg m^2. {_ALL_OF_IT}",
@@ -164,11 +103,7 @@ FORMS = (
     Form(
         "ur_msgs_set_payload",
         "Universal Robots under ROS 2: request of ur_msgs/srv/SetPayload",
-        lambda load: {
-            "mass": load.kg,
-            "center_of_gravity": _named("x y z", load.com_m),
-            **_named("ixx iyy izz ixy ixz iyz", load.six),
-        },
+        {"mass": "kg", "center_of_gravity": {"x y z": "com_m"}, "ixx iyy izz ixy ixz iyz": "six"},
         "{mass: %s, center_of_gravity: {x: %s, y: %s, z: %s}, ixx: %s, iyy: %s, izz: %s, ixy: %s, "
         "ixz: %s, iyz: %s}",
         "mass kg; center_of_gravity from the tool flange, m; ixx iyy izz ixy ixz iyz about the "
@@ -179,102 +114,60 @@ FORMS = (
     Form(
         "kuka_load",
         "KUKA: LOAD_DATA[n] of type LOAD",
-        lambda load: {
-            "M": load.kg,
-            "CM": _named("X Y Z A B C", load.com_mm + load.yaw_pitch_roll),
-            "J": _named("X Y Z", load.moments),
+        {
+            "M": "kg",
+            "CM": {"X Y Z": "com_mm", "A B C": "yaw_pitch_roll"},
+            "J": {"X Y Z": "moments"},
         },
         "{M %s, CM {X %s, Y %s, Z %s, A %s, B %s, C %s}, J {X %s, Y %s, Z %s}}",
         "M kg; CM X, Y, Z centre of mass in the FLANGE coordinate system, mm; CM A, B, C turn of "
         "the principal axes, degrees: A about Z, then B about the new Y, then C about the new X; J "
         f"X, Y, Z principal moments about those axes, kg m^2. {_ALL_OF_IT}",
-        in_mm=True,
     ),
     Form(
         "abb_loaddata",
         "ABB: loaddata [mass, cog, aom, ix, iy, iz]",
-        lambda load: _named(
-            "mass cog aom ix iy iz", (load.kg, load.com_mm, load.turn, *load.moments)
-        ),
+        {"mass": "kg", "cog": "com_mm", "aom": "turn", "ix iy iz": "moments"},
         "[%s, [%s], [%s], %s, %s, %s]",
         "mass kg; cog x, y, z in mm; aom turn of the principal axes, quaternion q1 q2 q3 q4 with "
         "q1 the real part; ix, iy, iz moments about those axes through the centre of gravity, kg "
         "m^2. Right as it stands for the tload of a tooldata, which is stated in the wrist "
         "coordinate system (the flange, tool0). For GripLoad it has to be stated in the frame of "
         "the TOOL: make the card for that frame.",
-        in_mm=True,
     ),
     Form(
         "xarm_set_tcp_load",
         "UFACTORY xArm: set_tcp_load(weight, center_of_gravity)",
-        lambda load: {"weight": load.kg, "center_of_gravity": load.com_mm},
+        {"weight": "kg", "center_of_gravity": "com_mm"},
         "arm.set_tcp_load(%s, [%s])",
         "weight kg; center_of_gravity x, y, z in the default tool coordinate system at the centre "
         f"of the flange, mm. It takes no inertia. {_ALL_OF_IT}",
-        in_mm=True,
     ),
     Form(
         "mecademic_set_payload",
         "Mecademic: SetPayload(m, cx, cy, cz)",
-        lambda load: _named("m cx cy cz", (load.kg, *load.com_mm)),
+        {"m": "kg", "cx cy cz": "com_mm"},
         "SetPayload(%s, %s, %s, %s)",
         "m kg; cx, cy, cz centre of mass in the flange reference frame (FRF), mm. It takes no "
         f"inertia. {_ALL_OF_IT}",
-        in_mm=True,
     ),
     Form(
         "urdf_inertial",
         "URDF: <inertial> of a link whose frame is the flange",
-        lambda load: {
-            **{"mass": load.body.mass, "origin": load.body.com.tolist()},
-            **_named("ixx ixy ixz iyy iyz izz", spatial.six_from_symmetric(load.inertia).tolist()),
-        },
-        lambda load: urdf_inertial_about_com(load.body.mass, load.body.com, load.inertia),
+        {"mass": "mass", "origin": "com", "ixx ixy ixz iyy iyz izz": "upper"},
+        _urdf,
         "mass kg; origin xyz centre of mass, m; ixx ixy ixz iyy iyz izz about the centre of mass, "
         "axes of the link (rpy 0), kg m^2.",
     ),
     Form(
         "mjcf_inertial",
         "MuJoCo: <inertial> of a body whose frame is the flange",
-        lambda load: _central(load, "mass pos fullinertia"),
+        {"mass": "mass", "pos": "com", "fullinertia": "full"},
         _mjcf,
         "mass kg; pos centre of mass, m; fullinertia xx yy zz xy xz yz about the centre of mass, "
         "axes of the body, kg m^2.",
     ),
-    Form(
-        "pinocchio_inertia",
-        "Pinocchio: Inertia(mass, lever, inertia) and Inertia.FromDynamicParameters(v)",
-        lambda load: {
-            "mass": load.body.mass,
-            "lever": load.body.com.tolist(),
-            "inertia": load.inertia.tolist(),
-            "dynamic_parameters": load.body.theta[_PINOCCHIO].tolist(),
-        },
-        "pinocchio.Inertia(%s, np.array([%s]), np.array([[%s], [%s], [%s]]))\n"
-        "pinocchio.Inertia.FromDynamicParameters(np.array([%s]))",
-        "In the frame of the flange: mass kg; lever centre of mass, m; inertia 3x3 about the "
-        "centre of mass, kg m^2. The ten dynamic parameters are m, m cx, m cy, m cz, Ixx, Ixy, "
-        "Iyy, Ixz, Iyz, Izz with the inertia about the ORIGIN of the flange; kg, kg m, kg m^2.",
-        exact=True,
-    ),
-    Form(
-        "drake_spatial_inertia",
-        "Drake: SpatialInertia.MakeFromCentralInertia(mass, p_PScm_E, I_SScm_E)",
-        lambda load: _central(load, "mass p_PScm_E I_SScm_E"),
-        "SpatialInertia.MakeFromCentralInertia(%s, [%s], RotationalInertia(%s))",
-        "P the origin and E the axes of the flange: mass kg; p_PScm_E centre of mass, m; I_SScm_E "
-        "RotationalInertia(Ixx, Iyy, Izz, Ixy, Ixz, Iyz) about the centre of mass, kg m^2.",
-        exact=True,
-    ),
 )
-
-
-ERROR_NAMES = ("mass", "com_x", "com_y", "com_z")
-"""Keys of standard errors: of the mass [kg] and of the centre of mass in flange axes [m]."""
-_EDGE = 1e-6
-"""How far, relative to its size, a body may be from possible for a card to be written."""
-_ROUNDING = 1e-12
-_WIDTH = 98
 
 
 @dataclass(frozen=True)
@@ -293,34 +186,32 @@ class Card:
     explanation: str
     values: Mapping[str, Any]
     text: str
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...]
 
 
 def payload_cards(
-    payload: InertialParameters, flange: Flange, errors: Mapping[str, float] | None = None
+    payload: InertialParameters, flange: Flange, errors: Mapping[str, float]
 ) -> tuple[Card, ...]:
     """Return a payload in every form, the plain numbers with their frame first.
 
     Args:
         payload: in the FLANGE frame, inertia about that frame's origin.
-        errors: standard errors by ``ERROR_NAMES``; what is missing counts as not known.
+        errors: standard errors by ``ERROR_NAMES``; infinite where they are not known.
 
     Raises:
         ExportError: no rigid body has these parameters, so no controller may get them.
     """
-    load = _load(payload)
-    cards = [_plain_card(load, flange, errors)]
+    inertia, groups = _groups(payload)
+    cards = [_plain_card(groups, flange, errors)]
     for form in FORMS:
-        values, text = form.values(load), form.text
-        if isinstance(text, str):
-            text %= tuple(_texts(values, number if form.exact else plain))
-        else:
-            text = text(load)
-        notes = _error_notes(errors, form.in_mm)
-        if max(map(abs, load.six)) > form.most:
+        values = _filled(form.values, groups)
+        notes = [_error_note(errors, "com_mm" in str(form.values))]
+        if max(map(abs, groups["six"])) > form.most:
             refused = "The controller refuses this: no element of the inertia may exceed"
-            notes += (f"{refused} {form.most:g}.",)
-        cards.append(Card(form.name, form.title, form.explanation, values, text, notes))
+            notes.append(f"{refused} {form.most:g}.")
+        make = form.text
+        text = make % tuple(_texts(values)) if isinstance(make, str) else make(payload, inertia)
+        cards.append(Card(form.name, form.title, form.explanation, values, text, tuple(notes)))
     return tuple(cards)
 
 
@@ -340,9 +231,9 @@ def load_errors(body: BodyEstimate) -> dict[str, float]:
     return dict(zip(ERROR_NAMES, np.sqrt(np.maximum(spread, 0.0)).tolist()))
 
 
-def card_text(cards: Sequence[Card], heading: Sequence[str] = ()) -> str:
-    """Return the text of payload_card.txt, under the lines of a heading."""
-    blocks = ["\n".join(heading)] if any(heading) else []
+def card_text(cards: Sequence[Card], heading: str) -> str:
+    """Return the text of payload_card.txt."""
+    blocks = [heading]
     for card in cards:
         said = (card.explanation, *card.notes)
         about = [f"# {line}" for part in said for line in wrap(part, _WIDTH - 2)]
@@ -355,11 +246,12 @@ def card_entries(cards: Sequence[Card]) -> dict[str, Any]:
     return {card.name: {k: v for k, v in vars(card).items() if k != "name"} for card in cards}
 
 
-def _load(payload: InertialParameters) -> Load:
+def _groups(payload: InertialParameters) -> tuple[Array, dict[str, Any]]:
+    """Return the inertia (3, 3) about the centre of mass, and the numbers of all cards by group."""
     mass, com, inertia = spatial.com_from_theta(payload.theta)
     moments, axes = spatial.principal_axes(inertia)
     # Rounding of an inertia about a distant origin hides a small one about the centre of mass.
-    rounding = _ROUNDING * abs(mass) * float(com @ com)
+    rounding = _NOTHING * abs(mass) * float(com @ com)
     if np.max(np.abs(moments)) <= rounding:
         inertia, moments, axes = np.zeros((3, 3)), np.zeros(3), np.eye(3)
     slack = _EDGE * float(np.sum(np.abs(moments))) + rounding
@@ -370,39 +262,76 @@ def _load(payload: InertialParameters) -> Load:
             f"{', '.join(f'{moment:.4g}' for moment in moments)} kg m^2 is not a possible rigid "
             "body, so there is no card for a controller; record longer or faster motion"
         )
-    return Load(
-        payload,
-        inertia,
-        kg=rounded([mass])[0],
-        com_m=rounded(com),
-        com_mm=rounded(1e3 * com),
-        six=rounded(spatial.fullinertia_from_symmetric(inertia)),
-        nine=rounded(inertia.T.ravel()),
-        moments=rounded(moments),
-        yaw_pitch_roll=rounded(np.degrees(spatial.roll_pitch_yaw(axes)[::-1])),
-        turn=rounded(spatial.quaternion(axes)),
-    )
+    full = spatial.fullinertia_from_symmetric(inertia)
+    return inertia, {
+        # As they are: Ixx Iyy Izz Ixy Ixz Iyz and Ixx Ixy Ixz Iyy Iyz Izz about the centre of mass.
+        **{"mass": payload.mass, "com": payload.com.tolist(), "full": full.tolist()},
+        "upper": spatial.six_from_symmetric(inertia).tolist(),
+        # With the digits of a card; nine: column by column, no_turn: a 4x4 identity.
+        "kg": rounded([mass])[0],
+        **{"com_m": rounded(com), "com_mm": rounded(1e3 * com)},
+        **{"six": rounded(full), "nine": rounded(inertia.T.ravel()), "moments": rounded(moments)},
+        "yaw_pitch_roll": rounded(np.degrees(spatial.roll_pitch_yaw(axes)[::-1])),
+        **{"turn": rounded(spatial.quaternion(axes)), "no_turn": np.eye(4).ravel().tolist()},
+    }
 
 
-def _plain_card(load: Load, flange: Flange, errors: Mapping[str, float] | None) -> Card:
+def rounded(values: Sequence[float] | Array) -> list[float]:
+    """Return a group of numbers with the digits of a card; what is only rounding is zero."""
+    least = _NOTHING * float(np.max(np.abs(values)))
+    return [float(plain(value)) if abs(value) >= least else 0.0 for value in values]
+
+
+def plain(value: float) -> str:
+    """Return a number without exponent, which not every controller reads."""
+    text = np.format_float_positional(value, DIGITS, fractional=False, trim="0")
+    return "0.0" if float(text) == 0.0 else text
+
+
+def listed(values: Sequence[float]) -> str:
+    """Return numbers without exponent, separated by commas."""
+    return ", ".join(plain(value) for value in values)
+
+
+def _filled(values: Mapping[str, Any], groups: Mapping[str, Any]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, group in values.items():
+        if isinstance(group, dict):
+            found[name] = _filled(group, groups)
+        elif " " in name:
+            found.update(zip(name.split(), groups[group]))
+        else:
+            found[name] = groups[group]
+    return found
+
+
+def _texts(value: Any) -> list[str]:
+    """Return the texts of named numbers, one for the numbers of a list together."""
+    if isinstance(value, dict):
+        return [text for part in value.values() for text in _texts(part)]
+    return [listed(value if isinstance(value, list) else [value])]
+
+
+def _plain_card(groups: Mapping[str, Any], flange: Flange, errors: Mapping[str, float]) -> Card:
     place, turn = flange.translation, spatial.quaternion(flange.rotation)
+    known = {name: errors[name] if np.isfinite(errors[name]) else None for name in ERROR_NAMES}
     values = {
         "flange": flange.name,
         "terminal_body": flange.terminal,
         "flange_position": place.tolist(),
         "flange_quaternion": turn.tolist(),
-        "mass": load.body.mass,
-        "center_of_mass": load.body.com.tolist(),
-        "inertia_about_com": spatial.six_from_symmetric(load.inertia).tolist(),
-        "standard_errors": _known(errors),
+        "mass": groups["mass"],
+        "center_of_mass": groups["com"],
+        "inertia_about_com": groups["upper"],
+        "standard_errors": known,
     }
     text = [
         f"frame           {flange.name}: origin at {listed(rounded(place))} m, turned by the "
         f"quaternion w x y z {listed(rounded(turn))}, both in the frame of body "
         f"'{flange.terminal}'",
-        f"mass            {plain(load.kg)} kg",
-        f"centre of mass  {listed(load.com_m)} m",
-        f"inertia         {listed(load.six)} kg m^2 (xx yy zz xy xz yz)",
+        f"mass            {plain(groups['kg'])} kg",
+        f"centre of mass  {listed(groups['com_m'])} m",
+        f"inertia         {listed(groups['six'])} kg m^2 (xx yy zz xy xz yz)",
     ]
     explanation = (
         "All cards below state this one body. It is what the loaded runs carried and the empty "
@@ -411,25 +340,14 @@ def _plain_card(load: Load, flange: Flange, errors: Mapping[str, float] | None) 
         "minus the integral of x y). A controller takes them for numbers in the frame of ITS "
         "flange: where that is another one, make the cards again for it."
     )
-    notes = ((flange.note,) if flange.note else ()) + _error_notes(errors)
-    if not np.any(load.six):
-        notes += ("The inertia is zero: every card states a point mass.",)
+    point = () if any(groups["six"]) else ("The inertia is zero: every card states a point mass.",)
+    notes = (*([flange.note] if flange.note else []), _error_note(errors), *point)
     return Card("payload", "Payload", explanation, values, "\n".join(text), notes)
 
 
-def _known(errors: Mapping[str, float] | None) -> dict[str, float | None] | None:
-    if errors is None:
-        return None
-    finite = {name: float(error) for name, error in errors.items() if np.isfinite(error)}
-    return {name: finite.get(name) for name in ERROR_NAMES}
-
-
-def _error_notes(errors: Mapping[str, float] | None, in_mm: bool = False) -> tuple[str, ...]:
-    known = _known(errors)
-    if known is None:
-        return ()
+def _error_note(errors: Mapping[str, float], in_mm: bool = False) -> str:
     factor, unit = (1e3, "mm") if in_mm else (1.0, "m")
-    mass, *com = known.values()
-    place = ", ".join("not known" if value is None else f"{factor * value:.2g}" for value in com)
-    weight = "not known" if mass is None else f"{mass:.2g} kg"
-    return (f"Standard errors: mass {weight}; centre of mass {place} {unit}.",)
+    scaled = [errors["mass"], *(factor * errors[name] for name in ERROR_NAMES[1:])]
+    mass, *com = (f"{each:.2g}" if np.isfinite(each) else "not known" for each in scaled)
+    weight = mass if mass == "not known" else f"{mass} kg"
+    return f"Standard errors: mass {weight}; centre of mass {', '.join(com)} {unit}."

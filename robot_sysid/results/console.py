@@ -14,7 +14,7 @@ from robot_sysid.dynamics.nuisances import TILT_NAMES
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES, characteristic_length, parameter_scale
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.write_back import plan_write_back
-from robot_sysid.records import DELAY_NAME, Array, Validation
+from robot_sysid.records import DELAY_NAME, Array
 from robot_sysid.records.figures import THETA, figure, percent, term_unit, with_error
 from robot_sysid.results.record import BaseParameters, BodyEstimate, Payload, Result
 from robot_sysid.results.rollout import rollout_lines
@@ -26,11 +26,28 @@ if TYPE_CHECKING:
 UNKNOWN = 0.5
 """Relative error of a mass from which on it is not known: two of them reach zero."""
 _NAMED = 3
+"""Bodies of a link that are named; more make a line too long."""
 _ROUNDING = 1e-9
 """Friction below this is nothing [N m]."""
 _SMALL = 0.05
-"""Causes below this share of the whole error are not listed."""
+"""Causes below this share of the whole error are not listed: they change it by 0.1 %."""
 _CLOSE = 0.1
+"""Difference, relative to the file's error, up to which the fit's is no news."""
+WEAK = 0.1
+"""Standard error, relative to a body of this mass and size, above which a parameter is weak: a
+tenth, as docs/measurements.md says."""
+COLOURED = 0.3
+"""Share of independent samples below which residuals are called correlated in time: errors are
+1 / sqrt(0.3) = 1.8 times those of white noise then."""
+WORSE = 1.5
+"""Held-out error over fitted error above which the model, not noise, is the limit: noise alone
+differs by percents between stretches of hundreds of samples."""
+PRIOR_SHARE = 0.5
+"""Share of the data in a value below which the model has more say."""
+SURE = 3.0
+"""Standard errors from zero beyond which a sign is sure: noise passes it once in 700 times."""
+_EARLY = 2.0
+"""Standard errors before zero beyond which a delay is called early: once in 44 times by noise."""
 
 
 def result_lines(result: Result, links: bool = False, verbose: bool = False) -> list[str]:
@@ -46,15 +63,20 @@ def block_lines(result: Result) -> list[str]:
         unseen = len(rows) > 1 and not np.all(payload.body.shown)
         heading = f"Identified payload, in the frame of {payload.flange.name}:"
         return [heading, *table_lines(rows), *(ball if unseen else [])]
-    estimate = result.estimate
-    theta = shown(estimate.inertial.theta)
+    estimate, joint = result.estimate, result.joint_name
+    theta, slides = shown(estimate.inertial.theta), joint in result.slides
     moment, inertia = (_listed(values) for values in (theta[1:4], theta[4:]))
+    friction = [(term, estimate.value(f"{term}[{joint}]")) for term in ("coulomb", "viscous")]
     return [
         "Identified parameters:",
         f"  Mass: {_listed(theta[:1])} kg",
         f"  CoM moment: [{moment}] kg·m",
         f"  Inertia: [{inertia}] kg·m²",
-        *_terminal_friction(result),
+        *(
+            f"  {term.capitalize()} friction: {_two_decimals(value)} {term_unit(term, slides)}"
+            for term, value in friction
+            if value is not None and None not in dict(friction).values()
+        ),
         f"  RMSE: {estimate.rmse:.4f} N·m",
         f"  Condition number: {estimate.identifiability.condition_number:.1f}",
         f"  Base parameters: {estimate.identifiability.rank}",
@@ -75,15 +97,6 @@ def more_lines(result: Result, links: bool = False, verbose: bool = False) -> li
         *(f"  Limit: {sentence}" for sentence in limitations(result)),
         *(_details(result) if verbose else []),
     ]
-
-
-def _terminal_friction(result: Result) -> Iterator[str]:
-    joint, estimate = result.joint_name, result.estimate
-    coulomb, viscous = (estimate.value(f"{term}[{joint}]") for term in ("coulomb", "viscous"))
-    if coulomb is not None and viscous is not None:
-        slides = joint in result.slides
-        yield f"  Coulomb friction: {_two_decimals(coulomb)} {term_unit('coulomb', slides)}"
-        yield f"  Viscous friction: {_two_decimals(viscous)} {term_unit('viscous', slides)}"
 
 
 def _listed(values: Array) -> str:
@@ -161,10 +174,8 @@ def _payload_lines(payload: Payload) -> Iterator[str]:
 
 
 def _joint_lines(result: Result) -> Iterator[str]:
-    owners = {
-        **result.joints,
-        **{f"motor that turns with {name}": each for name, each in result.couplings.items()},
-    }
+    motors = {f"motor that turns with {name}": each for name, each in result.couplings.items()}
+    owners = {**result.joints, **motors}
     if any(joint.terms for joint in owners.values()):
         yield f"Friction of the joints ({result.friction_model}), model -> identified ± error:"
         for name, joint in owners.items():
@@ -188,53 +199,43 @@ def _sensor_lines(result: Result) -> Iterator[str]:
 
 
 def _error_lines(result: Result) -> Iterator[str]:
-    fits, told = result.validation, set()
-    if result.file is not None:
-        file = result.file
-        on = "Torque error of the model on"
-        yield _error(f"{on} held-out data", file.before, file.after, fits[0] if fits else None)
+    fits, file, told = result.validation, result.file, set()
+    if file is not None:
+        own = {test.source: test for test in reversed(fits[1:])}
+        tests = [("held-out data", file.before, file.after, fits[0] if fits else None)]
+        tests += [(old.source, old, new, own.get(old.source)) for old, new in file.others]
+        for on, before, after, fit in tests:
+            shares = [None if t is None else t.relative_error for t in (before, after, fit)]
+            known = [percent(each) for each in shares[:2] if each is not None]
+            line = f"Torque error of the model on {on}: {' -> '.join(known) or 'not known'}"
+            new, fitted = shares[1:]
+            if new is not None and fitted is not None and abs(fitted - new) > _CLOSE * new:
+                line += f"; the fit itself reaches {percent(fitted)}"
+            yield line
         told = {before.source for before, _ in file.others}
-        for before, after in file.others:
-            fit = next((test for test in fits[1:] if test.source == before.source), None)
-            yield _error(f"{on} {before.source}", before, after, fit)
-    for test in fits if result.file is None else fits[1:]:
+    for test in fits if file is None else fits[1:]:
         if test.source not in told:
             share = "" if test.relative_error is None else f" ({percent(test.relative_error)})"
             yield f"Validation on {test.source}: {test.rmse:.4f} N·m{share}"
-    if result.file is not None and result.file.kept:
-        yield f"Left in the file as it was: {', '.join(result.file.kept)}"
-
-
-def _error(label: str, before: Validation, after: Validation | None, fit: Validation | None) -> str:
-    """Return an error before -> after; that of the fit too, where the file's is not like it."""
-    old, new, own = (None if test is None else test.relative_error for test in (before, after, fit))
-    known = [percent(each) for each in (old, new) if each is not None]
-    line = f"{label}: {' -> '.join(known) or 'not known'}"
-    if own is None or new is None or abs(own - new) <= _CLOSE * new:
-        return line
-    return f"{line}; the fit itself reaches {percent(own)}"
+    if file is not None and file.kept:
+        yield f"Left in the file as it was: {', '.join(file.kept)}"
 
 
 def _verdict_lines(result: Result) -> Iterator[str]:
-    seen = result.estimate.identifiability
+    unseen = result.estimate.identifiability.unidentifiable
     # Of measured data, the limits of the result tell it.
-    if not result.is_measured and seen.unidentifiable:
-        listed = "; ".join(seen.unidentifiable)
-        yield f"  Not visible in these torques, kept from the model: {listed}"
+    if not result.is_measured and unseen:
+        yield f"  Not visible in these torques, kept from the model: {'; '.join(unseen)}"
     yield f"Result: {result.verdict.value}"
-    if result.is_measured:
-        yield _known(result)
-    yield from (f"  Problem: {reason}" for reason in result.reasons)
-
-
-def _known(result: Result) -> str:
     share, body = result.known_to, result.body
     if share is not None and share < UNKNOWN:
-        return f"The mass is known to {percent(share)}"
-    if not np.isfinite(body.errors[0]):
-        return "The mass is not known: these torques do not show it"
-    mass = with_error(body.inertial.mass, float(body.errors[0]), "kg")
-    return f"The mass is not known: {mass} does not tell it from zero"
+        yield f"The mass is known to {percent(share)}"
+    elif result.is_measured and not np.isfinite(body.errors[0]):
+        yield "The mass is not known: these torques do not show it"
+    elif result.is_measured:
+        mass = with_error(body.inertial.mass, float(body.errors[0]), "kg")
+        yield f"The mass is not known: {mass} does not tell it from zero"
+    yield from (f"  Problem: {reason}" for reason in result.reasons)
 
 
 def _details(result: Result) -> Iterator[str]:
@@ -291,17 +292,6 @@ def folder_text(folder: Path) -> str:
     return f"{prefix}{text}/" if text != "." else "./"
 
 
-WEAK = 0.1
-"""Standard error, relative to a body of this mass and size, above which a parameter is weak."""
-COLOURED = 0.3
-"""Share of independent samples below which residuals are called correlated in time."""
-WORSE = 1.5
-"""Held-out error over fitted error above which the model, not noise, is the limit."""
-PRIOR_SHARE = 0.5
-"""Share of the data in a value below which the model has more say."""
-SURE = 3.0
-"""Standard errors from zero beyond which a sign is sure."""
-_EARLY = 2.0
 _CONFLICTS = {
     "links": "the model's numbers of other links do not fit this arm",
     "torque scale": "the scale of the torques does not fit the model",
@@ -359,14 +349,12 @@ def _weak(body: BodyEstimate) -> Iterator[str]:
 def _conflicts(result: Result) -> Iterator[str]:
     for conflict in result.conflicts:
         cause = _CONFLICTS.get(conflict.cause, f"{conflict.cause}: not as was thought")
-        words = f"{cause} (most: {', '.join(conflict.members[:3])})"
-        if conflict.scale > 1.0:
-            yield (
-                f"{words}: they are {conflict.asked:.2g} times as far off as was allowed, and the "
-                "errors above were widened for it"
-            )
-        else:
-            yield f"{words}; the errors above allow for that"
+        allowed = (
+            f": they are {conflict.asked:.2g} times as far off as was allowed, and the errors "
+            "above were widened for it"
+        )
+        allowed = allowed if conflict.scale > 1.0 else "; the errors above allow for that"
+        yield f"{cause} (most: {', '.join(conflict.members[:3])}){allowed}"
 
 
 def _negative_friction(result: Result) -> Iterator[str]:

@@ -20,9 +20,15 @@ LABELS: Mapping[str, str] = {
 }
 """Parameter name to what it is called in a table."""
 HEADINGS = ("", "model", "identified", "±", "unit", "change")
+_NUMBERS = ("model", "identified", "±")
 _ROUNDING = 1e-9
+"""Share of a body's size below which a number is nothing: what is written is exact to 1e-9 too."""
+_LEAST = 1e-9
+"""Mass [kg] and length [m] that stand for those of a body that has none."""
 _TEN_TIMES = 10.0
+"""Change beyond which a number says more than a percentage."""
 _WHOLE = 0.995
+"""Share of the data that rounds to 100 %."""
 
 
 @dataclass(frozen=True)
@@ -83,61 +89,54 @@ class BeforeAfter:
 
 def table_lines(rows: Sequence[BeforeAfter]) -> list[str]:
     """Return rows as aligned lines under their headings; a column without entries is left out."""
-    cells = [row.cells for row in rows]
-    shown = [k for k in range(len(HEADINGS)) if any(row[k] for row in cells)]
-    cells = [tuple(row[k] for k in shown) for row in (HEADINGS, *cells)]
-    widths = [max(map(len, column)) for column in zip(*cells)]
-    numbers = {HEADINGS.index(name) for name in ("model", "identified", "±")}
-    return [
-        "  "
-        + "  ".join(
-            f"{cell:>{width}}" if k in numbers else f"{cell:<{width}}"
-            for k, cell, width in zip(shown, row, widths)
-        ).rstrip()
-        for row in cells
+    columns = [c for c in zip(HEADINGS, *(row.cells for row in rows)) if any(c[1:])]
+    widths = [max(map(len, column)) for column in columns]
+    aligned = [
+        [f"{cell:>{width}}" if column[0] in _NUMBERS else f"{cell:<{width}}" for cell in column]
+        for column, width in zip(columns, widths)
     ]
+    return ["  " + "  ".join(row).rstrip() for row in zip(*aligned)]
 
 
-def theta_rows(body: BodyEstimate, stated: bool = True) -> list[BeforeAfter]:
-    """Return the rows of ten inertial parameters; without errors where none are ``stated``."""
-    theta = body.inertial.theta
-    before = None if body.before is None else body.before.theta
-    values = _from_to(before, theta, _sizes(theta)), body.errors.tolist() if stated else [None] * 10
-    shares = body.data_share.tolist() if stated else [1.0] * 10
-    return [
-        BeforeAfter(LABELS[name], *pair, error, unit, share)
-        for name, pair, error, unit, share in zip(spatial.PARAMETER_NAMES, *values, THETA, shares)
-    ]
+def theta_rows(body: BodyEstimate) -> list[BeforeAfter]:
+    """Return the rows of ten inertial parameters; an error of zero is none that is stated."""
+    theta, before = body.inertial.theta, None if body.before is None else body.before.theta
+    pairs, shares = _from_to(before, theta, _sizes(theta)), body.data_share.tolist()
+    rows = zip(spatial.PARAMETER_NAMES, pairs, body.errors.tolist(), THETA, shares)
+    return [BeforeAfter(LABELS[n], *pair, error or None, *rest) for n, pair, error, *rest in rows]
 
 
 def _from_to(
     before: Array | None, after: Array, size: Array | float
-) -> Iterator[tuple[float | None, float]]:
+) -> list[tuple[float | None, float]]:
     """Return pairs of numbers (before, after), zero where they are nothing but rounding."""
-    old = [None] * len(after) if before is None else _without_rounding(before, size)
-    return zip(old, _without_rounding(after, size))
+    old = [None] * len(after) if before is None else without_rounding(before, size)
+    return list(zip(old, without_rounding(after, size)))
 
 
 def shown(theta: Array) -> Array:
     """Return ten parameters (10,), zero where they are nothing but rounding."""
-    return np.array(_without_rounding(theta, _sizes(theta)))
+    return np.array(without_rounding(theta, _sizes(theta)))
+
+
+def without_rounding(values: Array, size: Array | float) -> list[float]:
+    """Return numbers, zero where they are nothing but rounding beside ``size``."""
+    return [float(value) for value in np.where(np.abs(values) < _ROUNDING * size, 0.0, values)]
 
 
 def _sizes(theta: Array) -> Array:
-    mass, length = max(float(theta[0]), 1e-9), spatial.characteristic_length(theta)
+    mass, length = max(float(theta[0]), _LEAST), spatial.characteristic_length(theta)
     return spatial.parameter_scale(mass, length)
 
 
 def asked_rows(result: Result) -> list[BeforeAfter]:
     """Return the rows of a payload, or of the terminal link with its joint's friction."""
     body = result.body
-    if result.payload is not None:
-        inertial = [theta_rows(body)[0], *_com_rows(body)]
-        return [*inertial, *(_inertia_rows(body) if len(inertial) > 1 else [])]
-    # A model's own simulation has no errors to state.
-    stated = result.is_measured
-    first, *rest = theta_rows(body, stated)
-    return [first, *_com_rows(body, stated), *rest, *_friction_rows(result)]
+    first, *rest = theta_rows(body)
+    place = list(_com_rows(body))
+    if result.payload is None:
+        return [first, *place, *rest, *_friction_rows(result)]
+    return [first, *place, *(_inertia_rows(body) if place else [])]
 
 
 def link_rows(result: Result) -> list[BeforeAfter]:
@@ -145,15 +144,15 @@ def link_rows(result: Result) -> list[BeforeAfter]:
     return [replace(r, name=f"{b.name} {r.name}") for b in result.links for r in theta_rows(b)[:4]]
 
 
-def _com_rows(body: BodyEstimate, stated: bool = True) -> Iterator[BeforeAfter]:
+def _com_rows(body: BodyEstimate) -> Iterator[BeforeAfter]:
     """Yield the centre of mass where its error is known, or none is stated."""
     errors = [load_errors(body)[name] for name in ERROR_NAMES[1:]]
-    if stated and not np.all(np.isfinite(errors)):
+    if not np.all(np.isfinite(errors)):
         return
-    length = max(spatial.characteristic_length(body.inertial.theta), 1e-9)
+    length = max(spatial.characteristic_length(body.inertial.theta), _LEAST)
     pairs = _from_to(None if body.before is None else body.before.com, body.inertial.com, length)
     for axis, pair, error in zip("xyz", pairs, errors):
-        yield BeforeAfter(f"centre of mass {axis}", *pair, error if stated else None, "m")
+        yield BeforeAfter(f"centre of mass {axis}", *pair, error or None, "m")
 
 
 def _inertia_rows(body: BodyEstimate) -> Iterator[BeforeAfter]:
@@ -177,7 +176,7 @@ def _friction_rows(result: Result) -> Iterator[BeforeAfter]:
         value = estimate.value(f"{term}[{joint}]")
         if value is not None:
             error = estimate.error(f"{term}[{joint}]") if result.is_measured else None
-            after = _without_rounding(np.array([value]), 1.0)[0]
+            after = without_rounding(np.array([value]), 1.0)[0]
             unit = term_unit(term, joint in result.slides)
             yield BeforeAfter(words, model.get(term), after, error, unit)
 
@@ -192,8 +191,3 @@ def friction_text(
     if error is not None and np.isnan(error):
         return f"{term} {old}{figure(after)} (held at its bound)"
     return f"{term} {old}{with_error(after, error, unit)}"
-
-
-def _without_rounding(values: Array, size: Array | float) -> list[float]:
-    """Return numbers, zero where they are nothing but rounding beside ``size``."""
-    return [float(value) for value in np.where(np.abs(values) < _ROUNDING * size, 0.0, values)]

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.friction import BENT, TERMS
-from robot_sysid.records import InertialParameters
 from robot_sysid.results.cards import load_errors, payload_cards
 from robot_sysid.results.json import FORMULAS, export_params_json, params_json_text
 from robot_sysid.results.record import Figure, JointEstimate, Verdict
@@ -241,7 +240,7 @@ def test_a_payload_that_is_not_seen_is_not_identified():
 def test_cards_and_torque_scales_of_a_payload():
     scale = {"j5": Figure(1.02, 0.003)}
     result = payload(known_mass=2.0, torque_scale=scale)
-    cards = payload_cards(InertialParameters(result.asked.theta), result.payload.flange)
+    cards = payload_cards(result.asked, result.payload.flange, load_errors(result.body))
     told = content_of(result, cards)["payload"]
     assert len(told["cards"]) == len(cards) > 5
     assert (told["known_mass"], told["torque_scale"]["j5"]["value"]) == (2.0, 1.02)

@@ -13,17 +13,7 @@ from hypothesis import strategies as st
 from robot_sysid.dynamics import spatial
 from robot_sysid.records import InertialParameters
 from robot_sysid.results.tables import BeforeAfter, asked_rows, link_rows, table_lines, theta_rows
-from tests.support.results import (
-    THETA,
-    body,
-    estimate,
-    found,
-    itself,
-    payload,
-    terminal,
-    whole,
-    without_mass,
-)
+from tests.support.results import THETA, body, estimate, found, itself, payload, terminal, whole
 
 
 def row(before, after, error=0.01, share=1.0):
@@ -34,16 +24,13 @@ def row(before, after, error=0.01, share=1.0):
     ("one", "change"),
     [
         (row(1.0, 1.5), "+50 %"),
-        (row(-1.0, -0.5), "-50 %"),
         (row(1.0, 1.005), "within ±"),
         (row(1.0, 1.0, None), "none"),
         (row(1.0, -1.0), "-2.000"),
-        (row(0.0, 0.5), "+0.500"),
         (row(1e-6, 0.5), "+0.500"),
         (row(None, 0.5), ""),
         (row(1.0, 1.0, np.inf, 0.0), "not seen: the model's"),
         (row(1.0, 1.2, np.inf, 0.0), "not seen"),
-        (row(1.0, 1.2, np.inf, 0.4), "partly the model's (data 40 %)"),
         (row(1.0, 1.5, 0.01, 0.4), "+50 %; partly the model's (data 40 %)"),
     ],
 )
@@ -62,15 +49,12 @@ def test_no_number_that_is_not_zero_prints_as_zero(rows):
             assert float(number) != 0.0
 
 
-def test_columns_stand_under_their_headings():
+def test_columns_stand_under_their_headings_and_empty_ones_are_left_out():
     assert table_lines([row(1.0, 1.5), row(-10.25, 2.0, 0.3)]) == [
         "       model  identified      ±  unit  change",
         "  it   1.000       1.500  0.010  kg    +50 %",
         "  it  -10.25        2.00   0.30  kg    +12.25",
     ]
-
-
-def test_a_column_without_entries_is_left_out():
     assert table_lines([row(None, 0.5)])[0].split() == ["identified", "±", "unit"]
 
 
@@ -84,50 +68,31 @@ def test_a_terminal_link_has_its_ten_parameters_centre_of_mass_and_friction():
     assert place.error == pytest.approx(np.hypot(2e-4, 0.1 * 2e-3) / 2.0)
     assert (rows["Coulomb friction"].before, rows["Coulomb friction"].after) == (0.2, 0.4)
     assert rows["Coulomb friction"].error == pytest.approx(4e-4)
-    assert rows["viscous friction"].unit == "N·m·s/rad"
     slide = {each.name: each for each in asked_rows(found(slides=("j6",), joints={}))}
     assert slide["viscous friction"].unit == "N·s/m"
-    assert slide["Coulomb friction"].before is None
-
-
-def test_what_is_not_seen_says_so_and_has_no_error():
-    rows = asked_rows(found(without_mass()))
-    assert rows[0].change == "not seen"
-    assert not any(each.name.startswith("centre") for each in rows)
-    assert "inf" not in "".join(table_lines(rows))
-
-
-def test_a_simulation_of_the_model_itself_states_no_errors():
-    rows = asked_rows(itself())
-    assert len(rows) == 15 and all(each.error is None for each in rows)
-    assert (rows[0].before, rows[0].after) == (1.0, 2.0)
+    own = asked_rows(itself())  # a simulation of the model itself states no errors
+    assert len(own) == 15 and all(each.error is None for each in own)
 
 
 def test_every_link_has_its_mass_and_first_moments():
     rows = link_rows(whole())
-    assert [each.name for each in rows[:2]] == ["link5 mass", "link5 CoM moment x"]
     assert rows[4].name == "link6 mass" and len(rows) == 8
     assert (rows[4].before, rows[4].after, rows[4].error) == (1.0, 2.0, 2e-3)
 
 
 def test_a_payload_has_mass_place_and_inertia_about_it():
+    """Against draws: first order is right for small errors."""
     rows = asked_rows(payload())
     assert len(rows) == 10 and all(each.before is None for each in rows)
     assert (rows[0].after, rows[0].error) == (1.2, pytest.approx(0.01))
     assert (rows[1].name, rows[1].after) == ("centre of mass x", pytest.approx(0.03))
     assert (rows[4].name, rows[4].after) == ("inertia xx about it", pytest.approx(0.006))
-    assert len(asked_rows(payload(body(shown=False)))) == 4
-    assert len(asked_rows(payload(body(-1.0)))) == 1
-
-
-def test_errors_of_the_inertia_follow_from_the_covariance():
-    """Against draws: first order is right for small errors."""
-    held = body()
-    rng = np.random.default_rng(0)
+    held, rng = body(), np.random.default_rng(0)
     thetas = rng.multivariate_normal(held.inertial.theta, held.covariance, 4000)
     drawn = [spatial.six_from_symmetric(spatial.com_from_theta(t)[2]) for t in thetas]
-    errors = [each.error for each in asked_rows(payload(held))[4:]]
-    assert errors == pytest.approx(np.std(drawn, axis=0), rel=0.08)
+    assert [each.error for each in rows[4:]] == pytest.approx(np.std(drawn, axis=0), rel=0.08)
+    assert len(asked_rows(payload(body(shown=False)))) == 4
+    assert len(asked_rows(payload(body(-1.0)))) == 1
 
 
 def test_rounding_is_no_number():
@@ -138,5 +103,5 @@ def test_rounding_is_no_number():
     assert (rows[1].after, rows[5].after) == (0.0, 0.0)
     # A gripper jaw's numbers are small, not rounding.
     jaw = 1e-3 * THETA
-    rows = theta_rows(replace(known, inertial=InertialParameters(jaw)), stated=False)
+    rows = theta_rows(replace(known, inertial=InertialParameters(jaw)))
     assert all((a.after != 0.0) == (v != 0.0) for a, v in zip(rows, jaw))

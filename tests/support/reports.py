@@ -23,7 +23,7 @@ from robot_sysid.records.data import Traces
 from robot_sysid.records.results import CLOSED, OPEN, RolloutError, RolloutTest
 from robot_sysid.report.page import REPORT_NAME, save_data, write_report
 from robot_sysid.report.runs import fingerprint
-from robot_sysid.results.cards import payload_cards
+from robot_sysid.results.cards import load_errors, payload_cards
 from robot_sysid.results.json import params_json_text
 from robot_sysid.results.record import (
     LINK,
@@ -168,7 +168,7 @@ def saved(folder, result):
     found = result.payload
     cards = ()
     if found is not None and result.verdict.is_trustworthy:
-        cards = payload_cards(found.body.inertial, found.flange)
+        cards = payload_cards(found.body.inertial, found.flange, load_errors(found.body))
     (folder / "params.json").write_text(params_json_text(result, cards), encoding="utf-8")
     return folder
 
