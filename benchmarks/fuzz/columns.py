@@ -28,13 +28,6 @@ velocity = none
 rate = 200
 acceleration = #1, #2, #3
 """
-NAMED = {
-    "time": "Zeit",
-    "position": ["A1", "A2", "A3"],
-    "torque": {"base": "M1", "elbow": "-M2", "wrist": "2 * M3"},
-    "units": "rad, s",
-    "rate": 100,
-}
 FACTORS = {"version": 1, SCALE: {"base": 1.3, "elbow": 1.2, "wrist": 1.1}, CONSTANTS: {"base": 0.1}}
 MAP = """joint,bus,can_id,master_id,direction,offset,torque_ratio
 base,can0,1,0x11,+1,0.0,1.0
@@ -54,7 +47,7 @@ def _log() -> LogTable:
 def case(random: Random) -> Case:
     """One file."""
     kind = random.random()
-    if kind < 0.35:
+    if kind < 0.6:
         lines = LINES.splitlines()
         for _ in range(random.randint(1, 3)):
             place = random.randrange(len(lines))
@@ -62,8 +55,6 @@ def case(random: Random) -> Case:
             lines[place] = random.choice((f"{key}={odd(random)}", f"{odd(random)}={value}", key))
         data = "\n".join(lines).encode()
         return {"lines.txt": damaged(random, data) if random.random() < 0.3 else data}
-    if kind < 0.6:
-        return {"named.json": damaged_json(random, NAMED)}
     if kind < 0.8:
         return {"factors.json": damaged_json(random, FACTORS)}
     return {"map.csv": damaged_table(random, MAP)}

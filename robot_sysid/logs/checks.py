@@ -1,7 +1,7 @@
 """Finding what is wrong with a log before anything is estimated from it.
 
 Each check looks at the usable rows and ends in notes (the run goes on) or in an InputError (the
-numbers could not mean what they seem to). Both name lines and a remedy.
+numbers could not mean what they seem to). Both name the first line and a remedy.
 """
 
 from __future__ import annotations
@@ -11,27 +11,48 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.rows import LogRows
+from robot_sysid.logs.rows import MISSING, REPEATED, UNREADABLE, WRAPPED, LogRows
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.figures import position
 from robot_sysid.signals.resampling import GAP_STEPS, usual_period
 
-LARGEST_GARBAGE = 0.01
-"""Share of rows that are no rows of numbers beyond which a log is refused."""
-_OUT = "; mend the recording, or keep a broken column out with --columns FILE"
-_MOST = f", more than {100.0 * LARGEST_GARBAGE:g} %; mend the recording"
-_TOO_MANY = (
-    ("missing", 0.05, "have empty or NaN cells", _OUT),
-    ("repeated", 0.05, "repeat the time stamp before them", "; write the time with more digits"),
-    ("unreadable", LARGEST_GARBAGE, "are no rows of numbers", _MOST),
-)
-_DONE = {
-    "unreadable": "left out {} rows that are no rows of numbers",
-    "missing": "left out {} rows with empty or NaN cells",
-    "repeated": "left out {} rows that repeat a time stamp",
-    "cut_off": "left out the last row, which is cut off",
-    "wrapped": "unwrapped positions that jump by a full turn",
+# Kind of odd rows to: the share beyond which a log is refused (chosen: beyond a hundredth a file is
+# not what it seems to be; holes of a twentieth still leave most filter windows whole), what they
+# do, and the remedy.
+_LEFT_OUT = {
+    UNREADABLE: (0.01, "are no rows of numbers", "mend the recording"),
+    MISSING: (
+        0.05,
+        "have empty or NaN cells",
+        "mend the recording, or keep a broken column out with --columns FILE",
+    ),
+    REPEATED: (0.05, "repeat the time stamp before them", "write the time with more digits"),
 }
+# A row or two more than the share may go: the last one of a recording is often cut off.
+_ALWAYS = 1
+_FEWEST_ROWS = 10
+# A sampling period outside this range is read in the wrong unit of time: 1 to 1000 Hz are usual.
+_LONGEST_STEP, _SHORTEST_STEP = 0.5, 1e-5
+# 100 samples per second do for a slow arm, 30 hardly ever (docs/logs.md) [Hz].
+_SLOW_RATE = 50.0
+# Share of long steps beyond which they are no gaps but how the samples come.
+_UNEVEN = 0.1
+# A joint's own stamp is a few periods from the row's, of whatever slow log [s].
+_OTHER_CLOCK = 0.1
+# No arm's joint reaches this [rad/s]; a log in degrees passes it at an easy half radian per second.
+_FAST, _OFTEN = 30.0, 0.01
+# Nor this, with a step that no encoder's noise makes [rad/s, rad]; a speed per step is noisier.
+_JUMP_SPEED, _JUMP = 100.0, 0.5
+# A joint that moves less does not move; while it stands still, encoders do not stray further [rad].
+_AT_REST, _STILL = 0.01, 0.002
+# Rests shorter than this at either end, or than this part of the log, are no news [s].
+_SHORT_REST, _SHORT_PART = 0.5, 0.02
+# Limits are written with three or more digits [rad].
+_LIMIT_MARGIN = 1e-3
+# What a Dynamixel motor's unit of current is [mA] (XM540 manual, "Present Current").
+_CURRENT_STEP = 2.69
+# A correlation that neither noise nor a payload of usual size brings.
+_OPPOSED = -0.3
 
 
 def check_log(name: str, rows: LogRows, robot: RobotModel, in_radians: bool) -> tuple[str, ...]:
@@ -41,24 +62,24 @@ def check_log(name: str, rows: LogRows, robot: RobotModel, in_radians: bool) -> 
         name: what the log is called in errors.
         in_radians: whether its positions are known to be radians by now.
     """
-    if not rows.n_read and rows.foreign:
-        raise InputError(
-            f"{name}: none of its {rows.foreign} rows holds a position and a torque of "
-            f"{', '.join(robot.joint_names)}"
-        )
-    if len(rows.lines) < 10:
-        raise InputError(
-            f"{name} has only {len(rows.lines)} usable rows; an excitation of several seconds is "
-            "needed"
-        )
     try:
-        notes = [*_repair_notes(rows), *clock_notes(rows)]
+        if not rows.n_read and rows.foreign:
+            raise InputError(
+                f"none of its {rows.foreign} rows holds a position and a torque of "
+                f"{', '.join(robot.joint_names)}"
+            )
+        notes = list(_odd_notes(rows))
+        if len(rows.lines) < _FEWEST_ROWS:
+            raise InputError(
+                f"the log has only {len(rows.lines)} usable rows; an excitation of several seconds "
+                "is needed"
+            )
+        notes += clock_notes(rows)
         if not in_radians:
             require_radians(rows, robot)
         require_no_jumps(rows, robot)
         notes += [*rest_notes(rows, robot), *limit_notes(rows, robot)]
         require_torque(rows, robot)
-        notes += velocity_notes(rows, robot)
         require_one_clock(rows)
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
@@ -72,7 +93,7 @@ def sign_check(
 
     Returns:
         One sentence per joint whose torque runs against the model's. A payload can turn the torque
-        of a wrist round; whether a sign is wrong is asked by ``checks``.
+        of a wrist round; whether a sign is wrong is asked by ``diagnosis``.
     """
     product = np.sum(tau_measured * tau_model, axis=0)
     norm = np.linalg.norm(tau_measured, axis=0) * np.linalg.norm(tau_model, axis=0)
@@ -81,17 +102,23 @@ def sign_check(
         f"the torque of joint {name} runs against the model's (correlation {value:.2f}); "
         "check its sign and the order of the columns, unless the payload is heavy"
         for name, value in zip(joint_names, correlation)
-        if value < -0.3
+        if value < _OPPOSED
     )
 
 
-def _repair_notes(rows: LogRows) -> Iterator[str]:
-    touched = {kind: (len(lines), rows.listed(lines)) for kind, lines in rows.touched.items()}
-    for kind, most, what, remedy in _TOO_MANY:
-        count, where = touched[kind]
-        if count > most * rows.n_read:
-            where = rows.complaint or where if kind == "unreadable" else where
-            raise InputError(f"{count} of {rows.n_read} rows {what} ({where}){remedy}")
+def _odd_notes(rows: LogRows) -> Iterator[str]:
+    """Yield what was left out or mended; refuse a log that this was too much of."""
+    for kind, (most, what, remedy) in _LEFT_OUT.items():
+        odd = rows.odd[kind]
+        if odd.count > max(_ALWAYS, most * rows.n_read):
+            raise InputError(
+                f"{odd.count} of {rows.n_read} rows {what}, more than {100.0 * most:g} % (first: "
+                f"{odd.first}); {remedy}"
+            )
+        if odd.count:
+            yield f"left out {odd.count} rows that {what} (first: {odd.first})"
+    if rows.odd[WRAPPED].count:
+        yield f"unwrapped positions that jump by a full turn (first: {rows.odd[WRAPPED].first})"
     if rows.foreign:
         yield f"left out {rows.foreign} rows that hold nothing of this arm"
     if rows.thinned > 1:
@@ -99,13 +126,6 @@ def _repair_notes(rows: LogRows) -> Iterator[str]:
             f"a long log: every {rows.thinned} rows were low-passed and made one, which leaves "
             f"{len(rows.lines)}"
         )
-    for kind, (count, where) in touched.items():
-        if count:
-            yield f"{_DONE[kind].format(count)} ({where})"
-
-
-# A sampling period outside this range is read in the wrong unit of time.
-_LONGEST_STEP, _SHORTEST_STEP = 0.5, 1e-5
 
 
 def clock_notes(rows: LogRows) -> Iterator[str]:
@@ -122,11 +142,11 @@ def clock_notes(rows: LogRows) -> Iterator[str]:
             f"time steps of {period:.3g} s are too short for a recording; declare the unit of time "
             "with --units (s, ms, us or ns)"
         )
-    if period > 0.02:
+    if period * _SLOW_RATE > 1.0:
         yield f"the log has only {1 / period:.3g} samples per second"
     step = np.diff(rows.samples.time)
     late = rows.lines[1:][step > GAP_STEPS * np.median(step)]
-    if len(late) > 0.1 * len(rows.lines):
+    if len(late) > _UNEVEN * len(rows.lines):
         yield (
             f"the samples are unevenly spaced: {len(late)} steps are longer than "
             f"{GAP_STEPS} times the usual {1e3 * period:.3g} ms ({rows.listed(late)})"
@@ -149,21 +169,10 @@ def require_one_clock(rows: LogRows) -> None:
         where = rows.listed(backwards)
         raise InputError(f"a joint's own time stamp runs backwards at {where}; {remedy}")
     apart = np.max(np.abs(stamps - rows.samples.time[:, None]))
-    if apart > 0.1:
+    if apart > _OTHER_CLOCK:
         raise InputError(
             f"the joints' own time stamps are up to {apart:.3g} s away from the row's; {remedy}"
         )
-
-
-# No arm's joint reaches this; a log in degrees passes it at an easy half radian per second.
-_FAST = 30.0
-_JUMP_SPEED = 100.0
-_JUMP = 0.5
-_AT_REST = 0.01
-_STILL = 0.002
-_LIMIT_MARGIN = 1e-3
-# What a Dynamixel motor's unit of current is [mA].
-_CURRENT_STEP = 2.69
 
 
 def require_radians(rows: LogRows, robot: RobotModel) -> None:
@@ -175,7 +184,7 @@ def require_radians(rows: LogRows, robot: RobotModel) -> None:
     hinge = ~robot.is_slide
     far = hinge & (largest > reach)
     too_fast = np.abs(np.diff(q, axis=0)) > _FAST * np.diff(time)[:, None]
-    fast = hinge & (np.sum(too_fast, axis=0) > 0.01 * len(too_fast))
+    fast = hinge & (np.mean(too_fast, axis=0) > _OFTEN)
     if not np.any(far | fast):
         return
     joint, what = int(np.argmax(fast)), f"would often exceed {_FAST:g} rad/s"
@@ -213,16 +222,16 @@ def rest_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
     still = [n for n, s in zip(robot.joint_names, span) if s < _AT_REST]
     if still:
         yield f"joints that do not move in this log: {', '.join(still)}"
-    long = max(0.5, 0.02 * (time[-1] - time[0]))
+    long = max(_SHORT_REST, _SHORT_PART * (time[-1] - time[0]))
     # A joint that moves by _AT_REST is away from the first and from the last posture at some time.
     first, last = (int(np.argmax(np.any(np.abs(x - x[0]) > _STILL, axis=1))) for x in (q, q[::-1]))
-    before = time[first] - time[0]
-    if before > long:
-        yield f"the arm stands still up to {rows.word} {rows.lines[first]} ({before:.2f} s)"
     last = len(q) - last
-    after = time[-1] - time[last]
-    if after > long:
-        yield f"the arm stands still from {rows.word} {rows.lines[last]} on ({after:.2f} s)"
+    for rest, where in (
+        (time[first] - time[0], f"up to {rows.word} {rows.lines[first]}"),
+        (time[-1] - time[last], f"from {rows.word} {rows.lines[last]} on"),
+    ):
+        if rest > long:
+            yield f"the arm stands still {where} ({rest:.2f} s)"
 
 
 def limit_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
@@ -259,33 +268,3 @@ def require_torque(rows: LogRows, robot: RobotModel) -> None:
             f"all torques are multiples of {_CURRENT_STEP}: these are the motors' currents in mA; "
             "give N·m per mA with --torque-constants"
         )
-
-
-def velocity_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
-    """Yield notes on velocity columns that do not integrate to the position columns.
-
-    Over blocks of about 50 ms the change of position is regressed on the integral of velocity,
-    which averages encoder steps out.
-    """
-    qd = rows.samples.qd
-    if qd is None:
-        return
-    step = np.diff(rows.samples.time)[:, None]
-    period = np.median(step)
-    usual = step <= GAP_STEPS * period
-    integral = 0.5 * (qd[1:] + qd[:-1]) * step * usual
-    change = np.diff(rows.samples.q, axis=0) * usual
-    edges = np.arange(0, len(step), max(1, round(0.05 / period)))
-    a, b = np.add.reduceat(integral, edges), np.add.reduceat(change, edges)
-    moments = (np.sum(product, axis=0) for product in (a * b, a * a, b * b))
-    for name, ab, aa, bb in zip(robot.joint_names, *moments):
-        if bb < 1e-4:
-            continue
-        slope = ab / aa if aa > 0.0 else 0.0
-        correlation = ab / np.sqrt(aa * bb) if aa > 0.0 else 0.0
-        if correlation < 0.9 or abs(slope - 1.0) > 0.03:
-            yield (
-                f"the velocity column of joint {name} does not fit its position (position "
-                f"changes by {slope:.3g} times the integral, correlation {correlation:.2f}); "
-                "the identification differentiates positions and does not use it"
-            )

@@ -4,7 +4,7 @@ A column belongs to a joint because its title carries the joint's name (``elbow_
 by counting from 0 or 1 (``q1 .. q6``, ``j0_pos ..``). Whatever is decided is said, in one line, by
 ``ColumnMap.describe``; whatever has two answers is an error that lists both.
 
-The file behind ``--columns`` says what titles do not tell. Two forms. Lines of ``key = value``::
+The file behind ``--columns`` says what titles do not tell, in lines of ``key = value``::
 
     # lines starting with # are comments
     time = Zeit
@@ -15,7 +15,6 @@ The file behind ``--columns`` says what titles do not tell. Two forms. Lines of 
     torque.joint3 = 0.95 * I3      a number scales
     velocity = none                keep a quantity out
 
-or the same as JSON: ``{"time": "Zeit", "position": ["A1", "A2"], "torque": {"joint1": "M1"}}``.
 Keys: time, position, velocity, acceleration, torque, joint_time (a time stamp of each joint's own),
 command (position a servo is asked for), units (rad, deg; s, ms, us, ns) and rate (samples per
 second, for a log without a time column). ``#3`` is the third column, for a log without titles.
@@ -29,10 +28,8 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 from robot_sysid.errors import InputError
-from robot_sysid.json_files import read_json
 from robot_sysid.logs import columns as naming
 from robot_sysid.records import Array
 
@@ -98,24 +95,8 @@ def read_columns_file(path: Path, joint_names: Sequence[str]) -> ColumnChoices:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"cannot read the columns file {path}: {error}") from error
-    if text.lstrip().startswith("{"):
-        entries = dict(read_json(path, "write 'key = value' lines, or JSON"))
-    else:
-        entries = _lines(path, text)
+    entries: dict[str, str] = {}
     columns: dict[str, dict[str, str]] = {}
-    for key, value in entries.items():
-        quantity = key.split(".", 1)[0]
-        if quantity not in _KEYS:
-            raise InputError(f"{path}: unknown key {key!r}; valid keys: {', '.join(_KEYS)}")
-        if quantity in naming.QUANTITIES:
-            columns.setdefault(quantity, {}).update(_per_joint(path, key, value, joint_names))
-    units = parse_units(str(entries["units"])) if "units" in entries else ColumnChoices()
-    time = str(entries["time"]) if "time" in entries else None
-    return replace(units, time=time, columns=columns, rate=_rate(path, entries.get("rate")))
-
-
-def _lines(path: Path, text: str) -> dict[str, Any]:
-    entries: dict[str, Any] = {}
     for number, line in enumerate(text.splitlines(), start=1):
         # A blank before the mark makes a remark of the rest; without one it is column "#3".
         content = re.sub(r"(^|\s)#(?!\d).*", "", line).strip()
@@ -124,44 +105,42 @@ def _lines(path: Path, text: str) -> dict[str, Any]:
         key, equals, value = (part.strip() for part in content.partition("="))
         if not equals or not value or key in entries:
             raise InputError(f"{path} line {number}: expected one 'key = value' per key: {line!r}")
+        quantity, _, joint = key.partition(".")
+        if quantity not in _KEYS:
+            raise InputError(f"{path}: unknown key {key!r}; valid keys: {', '.join(_KEYS)}")
         entries[key] = value
-    return entries
+        if quantity in naming.QUANTITIES:
+            chosen = _per_joint(path, quantity, joint, value, joint_names)
+            columns.setdefault(quantity, {}).update(chosen)
+    units = parse_units(entries["units"]) if "units" in entries else ColumnChoices()
+    rate = _rate(path, entries.get("rate"))
+    return replace(units, time=entries.get("time"), columns=columns, rate=rate)
 
 
-def _per_joint(path: Path, key: str, value: Any, joint_names: Sequence[str]) -> Mapping[str, str]:
-    _, _, joint = key.partition(".")
-    if joint:
-        chosen = {joint: str(value)}
-    elif isinstance(value, Mapping):
-        chosen = {str(name): str(title) for name, title in value.items()}
-    else:
-        chosen = _listed(path, key, value, joint_names)
-    unknown = [name for name in chosen if name not in joint_names]
-    if unknown:
+def _per_joint(
+    path: Path, quantity: str, joint: str, value: str, joint_names: Sequence[str]
+) -> dict[str, str]:
+    """Return joint to title, of a line about one joint or with a list for all."""
+    if joint and joint not in joint_names:
         raise InputError(
-            f"{path}: {key} names the unknown joint {unknown[0]!r}; the chain's joints are "
+            f"{path}: {quantity}.{joint} names the unknown joint {joint!r}; the chain's joints are "
             f"{', '.join(joint_names)}"
         )
-    return chosen
-
-
-def _listed(path: Path, key: str, value: Any, joint_names: Sequence[str]) -> dict[str, str]:
-    titles = [str(v) for v in value] if isinstance(value, list) else str(value).split(",")
-    titles = [title.strip() for title in titles]
-    if titles == ["none"]:
-        titles = ["none"] * len(joint_names)
+    if joint or value == "none":
+        return dict.fromkeys([joint] if joint else joint_names, value)
+    titles = [title.strip() for title in value.split(",")]
     if len(titles) != len(joint_names):
         raise InputError(
-            f"{path}: {key} lists {len(titles)} columns, the chain has {len(joint_names)} joints: "
-            f"{', '.join(joint_names)}"
+            f"{path}: {quantity} lists {len(titles)} columns, the chain has {len(joint_names)} "
+            f"joints: {', '.join(joint_names)}"
         )
     return dict(zip(joint_names, titles))
 
 
-def _rate(path: Path, value: Any) -> float | None:
+def _rate(path: Path, value: str | None) -> float | None:
     if value is None:
         return None
-    with contextlib.suppress(TypeError, ValueError):
+    with contextlib.suppress(ValueError):
         if 0.0 < float(value) < math.inf:
             return float(value)
     raise InputError(f"{path}: rate must be a positive number of samples per second: {value!r}")
@@ -257,7 +236,7 @@ def recognise_columns(
     asked, other = ("command", "torque") if commanded else ("torque", "command")
     columns = _Columns(list(titles), parsed, joint_names, chosen, is_slide, ("position", asked))
     sources = {kind: columns.of_joints(kind, found) for kind in naming.QUANTITIES if kind != other}
-    time = columns.time()
+    time = columns.time(found)
     used = {s.index for group in sources.values() if group for s in group}
     used |= {time.index} if time else set()
     unused = tuple(title for index, title in enumerate(titles) if index not in used)
@@ -302,13 +281,15 @@ class _Columns:
             raise self._incomplete(kind)
         return None
 
-    def time(self) -> Source | None:
+    def time(self, of_joints: naming.Found) -> Source | None:
         """Return the time column, or None where a rate stands in for it."""
         if self._chosen.time is not None:
             return self._source("time", 0, *self._lookup(self._chosen.time))
         if self._chosen.rate is not None:
             return None
-        found = [i for i, t in enumerate(self._titles) if t.kind == "time" and not t.numbers]
+        own = {i for key, found in of_joints.items() if key[0] == "joint_time" for i in found}
+        times = [i for i, t in enumerate(self._titles) if t.kind == "time" and not t.numbers]
+        found = [i for i in times if i not in own]
         # ROS: the stamp in the message header is when it was sampled, the other one when received.
         stamped = [i for i in found if "header" in self._titles[i].words]
         found = stamped if len(stamped) == 1 else found

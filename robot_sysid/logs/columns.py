@@ -44,7 +44,7 @@ _NO_POSITION = _words("ff feedforward")
 _NEUTRAL = _words(
     "j jnt joint joints axis ax a m motor motors dof arm robot field state states js jointstate "
     "jointstates header meas measured measurement act actual fb feedback msr present current "
-    "sensor data values value currents"
+    "sensor data values value currents as"
 )
 _CURRENT = frozenset({"current", "currents"})
 _AMPERES = _words("a amp amps ampere amperes")

@@ -168,29 +168,63 @@ def write_measurement_csv(
             raise InputError("there are no samples to write")
 
 
-_FORMS: tuple[Callable[[Asked], LogTable | None], ...] = (
-    *(bag_table, lerobot_table, matlab_table, hdf5_table, npz_table, text_table),
+@dataclass(frozen=True)
+class Form:
+    """A form of recordings.
+
+    Attributes:
+        what: it, in words.
+        read: reads one.
+        begins: how its files begin.
+        holds: the file by which its folders are known; "" where it has none.
+        option: the option that only it knows; "" for none.
+    """
+
+    what: str
+    read: Callable[[Asked], LogTable]
+    begins: tuple[bytes, ...] = ()
+    holds: str = ""
+    option: str = ""
+
+    def fits(self, asked: Asked) -> bool:
+        """Return whether a recording has this form."""
+        held = bool(self.holds) and (asked.path / self.holds).is_file()
+        return held or asked.start.startswith(self.begins)
+
+
+FORMS = (
+    Form(
+        "a ROS bag",
+        bag_table,
+        (b"\x89MCAP0", b"#ROSBAG V", b"SQLite format 3"),
+        "metadata.yaml",
+        "topic",
+    ),
+    Form("a LeRobot data set", lerobot_table, holds="meta/info.json", option="episode"),
+    Form("a MATLAB file", matlab_table, (b"MATLAB 5.0",)),
+    # .mat files are HDF5 since version 7.3.
+    Form("an HDF5 file", hdf5_table, (b"\x89HDF\r\n\x1a\n", b"MATLAB 7.3")),
+    Form("a NumPy .npz file", npz_table, (b"PK\x03\x04",)),
 )
+"""What is told from a text table."""
+_TEXT = Form("a text table", text_table)
 
 
 def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> LogTable:
     """Return a recording as a table."""
     asked = Asked(path, _start(path), joint_names, options)
-    for form in _FORMS:
-        found = form(asked)
-        if found is None:
-            continue
-        for given, own, name, what in (
-            (options.topic, bag_table, "--topic", "a ROS bag"),
-            (options.episode, lerobot_table, "--episode", "a LeRobot data set"),
-        ):
-            if given and form is not own:
-                raise InputError(f"{name} is about {what}, and {path} is none; leave it off")
-        return found
-    raise InputError(
-        f"{path} is a folder of no known form; a log is a text table (CSV), a ROS 1 or ROS 2 bag, "
-        "a LeRobot data set, HDF5 (ALOHA, robomimic), NumPy .npz or MATLAB .mat"
-    )
+    form = next((form for form in FORMS if form.fits(asked)), _TEXT)
+    for other in FORMS:
+        if other.option and getattr(options, other.option) and other is not form:
+            raise InputError(
+                f"--{other.option} is about {other.what}, and {path} is none; leave it off"
+            )
+    if form is _TEXT and os.path.isdir(path):
+        raise InputError(
+            f"{path} is a folder of no known form; a log is a text table (CSV), a ROS 1 or ROS 2 "
+            "bag, a LeRobot data set, HDF5, NumPy .npz or MATLAB .mat"
+        )
+    return form.read(asked)
 
 
 def _start(path: Path) -> bytes:

@@ -1,9 +1,10 @@
 """The rows of a log as numbers, with what had to be left out or mended.
 
 Rows with an empty or NaN cell, rows that are no row of numbers at all and rows that repeat the
-previous time stamp are left out, a jump by a full turn is unwrapped; the lines of each are kept.
-What cannot be mended (time running backwards) is an error with its line number. The rows pass by in
-blocks; a log that is longer than any identification needs is low-passed and thinned on the way.
+previous time stamp are left out, a jump by a full turn is unwrapped; each kind is counted, and its
+first line kept. What cannot be mended (time running backwards) is an error with its line number.
+The rows pass by in blocks; a log that is longer than any identification needs is low-passed and
+thinned on the way.
 """
 
 from __future__ import annotations
@@ -17,20 +18,29 @@ from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.column_map import ColumnMap
-from robot_sysid.logs.formats.table import NO_LINES, Block, Lines, LogTable
+from robot_sysid.logs.formats.table import Block, Lines, LogTable
 from robot_sysid.records import Array, Measurement
 from robot_sysid.records.progress import Progress
 from robot_sysid.signals.resampling import Thinning
 
+UNREADABLE, MISSING, REPEATED, WRAPPED = "unreadable", "missing", "repeated", "wrapped"
 _TURN = 2.0 * np.pi
-# A wrap differs from a full turn only by the motion within one sample.
+# A wrap differs from a full turn by the motion within one sample: here 100 rad/s at 200 Hz.
 _WRAP_TOLERANCE = 0.5
 _ABSURD = 1e7
 """No joint position, speed or torque is beyond this in SI units; a cell that is was not written."""
 _NO_TIME = 1e24
 """Nor is a time, even of a clock of nanoseconds that is taken for seconds."""
 APART = 10.0
-"""Recordings with clocks of their own are put so far apart [s]."""
+"""Recordings with clocks of their own are put so far apart [s]: farther than any filter reaches."""
+
+
+@dataclass(frozen=True)
+class Odd:
+    """How many rows are odd in one way, and which is the first, in words."""
+
+    count: int = 0
+    first: str = ""
 
 
 @dataclass(frozen=True)
@@ -39,11 +49,9 @@ class LogRows:
 
     Attributes:
         lines: (N,) file lines; of thinned rows, those in whose middle a row is.
-        n_read: number of rows in the file, except one that is cut off and those of other joints.
-        touched: which lines were left out as "missing" (an empty cell), "repeated" (the time stamp
-            before them), "unreadable" (no row of numbers, or none that can be true) or "cut_off"
-            (the last one, where it is incomplete), and which were "wrapped" by a full turn.
-        complaint: what is wrong with the first of the unreadable lines.
+        n_read: number of rows in the file, except those of other joints.
+        odd: the rows left out as UNREADABLE (no numbers, or none that can be true), MISSING (an
+            empty cell) and REPEATED (the time stamp before them), and those that were WRAPPED.
         foreign: number of rows that hold nothing of this arm.
         thinned: how many rows were made one.
         word: what its rows are called.
@@ -52,17 +60,15 @@ class LogRows:
     lines: Lines
     samples: Measurement
     n_read: int
-    touched: Mapping[str, Lines]
-    complaint: str
+    odd: Mapping[str, Odd]
     foreign: int
     thinned: int
     word: str
 
     def listed(self, lines: Lines) -> str:
-        """Return lines in words: the first few and how many more."""
-        first = ", ".join(str(line) for line in lines[:3])
-        more = f" and {len(lines) - 3} more" if len(lines) > 3 else ""
-        return f"{self.word}{'s' if len(lines) > 1 else ''} {first}{more}"
+        """Return lines in words: the first, and how many more."""
+        more = f" and {len(lines) - 1} more" if len(lines) > 1 else ""
+        return f"{self.word} {lines[0]}{more}"
 
 
 def read_rows(
@@ -77,25 +83,24 @@ def read_rows(
         InputError: time runs backwards, or nothing is left.
     """
     cleaner = _Cleaner(table, columns, is_slide)
-    thinning, kept = None, []
-    blocks = table.blocks([source.index for source in columns.sources()])
-    for block in _followed(blocks, table, progress or Progress()):
+    width = 1 + len(columns.sources()) + (columns.time is None)
+    thinning, kept = None, [np.empty((0, width))]
+    for block in _followed(table, columns, progress or Progress()):
         rows = cleaner.clean(block)
         if thinning is None and len(rows) > 1:
             thinning = Thinning.of(rows[:, 1], cleaner.n_read / max(block.done, 1e-9))
         kept.append(rows if thinning is None else thinning.push(rows))
-    cells = np.concatenate(kept) if kept else np.empty((0, 2 + len(columns.sources())))
+    cells = np.concatenate(kept)
     kept.clear()
     lines, samples = _samples(columns, cells)
     every = 1 if thinning is None else thinning.every
-    touched = {kind: np.concatenate([NO_LINES, *parts]) for kind, parts in cleaner.found.items()}
-    told = touched, cleaner.complaint, cleaner.foreign
-    return LogRows(lines, samples, cleaner.n_read, *told, every, table.word)
+    told = cleaner.n_read, cleaner.odd, cleaner.foreign
+    return LogRows(lines, samples, *told, every, table.word)
 
 
-def _followed(blocks: Iterator[Block], table: LogTable, progress: Progress) -> Iterator[Block]:
+def _followed(table: LogTable, columns: ColumnMap, progress: Progress) -> Iterator[Block]:
     label, start, rows, total = f"Reading {table.path.name}", clock.monotonic(), 0, 0
-    for block in blocks:
+    for block in table.blocks([source.index for source in columns.sources()]):
         yield block
         rows += len(block.lines)
         total = total or round(rows / max(block.done, 1e-9))
@@ -127,42 +132,46 @@ class _Cleaner:
         self._piece, self._offset = 0, 0.0
         self._last: Array | None = None
         self._turns = np.zeros(self._n)
-        self.n_read, self.foreign, self.complaint = 0, 0, ""
-        kinds = ("unreadable", "missing", "repeated", "cut_off", "wrapped")
-        self.found: dict[str, list[Lines]] = {kind: [] for kind in kinds}
+        self.n_read, self.foreign = 0, 0
+        self.odd = {kind: Odd() for kind in (UNREADABLE, MISSING, REPEATED, WRAPPED)}
 
     def clean(self, block: Block) -> Array:
         """Return the usable rows (R, 2 + C) of a block: line, time, then the wanted columns."""
-        self.found["cut_off"].append(block.cut_off)
-        self.complaint = self.complaint or block.complaint
-        lines, cells = block.lines, block.cells * self._factors
+        lines, cells = block.lines, block.cells.copy()
+        np.multiply(cells, self._factors, out=cells, where=np.isfinite(cells))
         if self._columns.time is None:
             count = self.n_read + self.foreign + np.arange(len(cells))
             cells = np.column_stack((count / float(self._columns.rate or 1.0), cells))
-        lines, cells = self._numbers(block, lines, cells)
+        usable = self._usable(block, cells)
+        lines, cells = lines[usable], cells[usable]
         if not len(cells):
             return np.empty((0, cells.shape[1] + 1))
         self._new_piece(block.piece, cells)
         cells[:, 0] += self._offset
         later = self._later(lines, cells[:, 0])
-        self.found["repeated"].append(lines[~later])
+        self._count(REPEATED, lines[~later])
         lines, cells = lines[later], cells[later]
         if len(cells):
             self._unwrap(lines, cells)
         return np.column_stack((lines, cells))
 
-    def _numbers(self, block: Block, lines: Lines, cells: Array) -> tuple[Lines, Array]:
-        noise = np.isin(lines, block.unreadable)
-        noise |= np.any(np.abs(cells[:, 1 : 1 + 2 * self._n]) > _ABSURD, axis=1)
-        noise |= np.abs(cells[:, 0]) > _NO_TIME
-        empty = np.isnan(cells[:, 1 : 1 + 2 * self._n]).all(axis=1) & ~noise
-        self.foreign += int(np.count_nonzero(empty))
-        self.n_read += int(np.count_nonzero(~empty))
+    def _count(self, kind: str, lines: Lines, first: str = "") -> None:
+        before = self.odd[kind]
+        if len(lines):
+            first = before.first or first or f"{self._word} {lines[0]}"
+            self.odd[kind] = Odd(before.count + len(lines), first)
+
+    def _usable(self, block: Block, cells: Array) -> NDArray[np.bool_]:
+        """Return (R,) which rows hold numbers that can be true; count the others."""
+        needed = cells[:, 1 : 1 + 2 * self._n]
+        noise = np.any(np.abs(needed) > _ABSURD, axis=1) | (np.abs(cells[:, 0]) > _NO_TIME)
+        foreign = np.isnan(needed).all(axis=1) & ~noise
+        self.foreign += int(np.count_nonzero(foreign))
+        self.n_read += int(np.count_nonzero(~foreign))
         finite = np.isfinite(cells).all(axis=1)
-        self.found["unreadable"].append(lines[noise])
-        self.found["missing"].append(lines[~finite & ~noise & ~empty])
-        usable = finite & ~noise
-        return lines[usable], cells[usable]
+        self._count(UNREADABLE, block.lines[noise], block.complaint)
+        self._count(MISSING, block.lines[~finite & ~noise & ~foreign])
+        return np.asarray(finite & ~noise)
 
     def _new_piece(self, piece: int, cells: Array) -> None:
         """Put a piece with a clock of its own behind the one before."""
@@ -189,7 +198,7 @@ class _Cleaner:
         step = np.diff(q, axis=0, prepend=q[:1] if self._last is None else self._last[None, 1:])
         turns = np.round(step / _TURN) * self._turning
         turns[np.abs(step - turns * _TURN) > _WRAP_TOLERANCE] = 0.0
-        self.found["wrapped"].append(lines[np.any(turns != 0.0, axis=1)])
+        self._count(WRAPPED, lines[np.any(turns != 0.0, axis=1)])
         self._last = cells[-1, : 1 + self._n].copy()
         q -= _TURN * (self._turns + np.cumsum(turns, axis=0))
         self._turns = self._turns + turns.sum(axis=0)

@@ -96,13 +96,13 @@ def write_bag1(path: Path, topics, store, compression=None) -> Path:
     return path
 
 
-def rosbag2(storage: str, zstd: str = "") -> Callable[[Path, Measurement], Path]:
-    """Writer of a folder with JointState; ``zstd`` is FILE, MESSAGE or STORAGE."""
+def rosbag2(storage: str) -> Callable[[Path, Measurement], Path]:
+    """Writer of a folder with JointState."""
 
     def write(folder: Path, data: Measurement) -> Path:
         store = typestore()
         topics = [("/joint_states", STATE, shuffled_states(store.types, data))]
-        return write_bag2(folder / "bag", topics, store, storage, zstd)
+        return write_bag2(folder / "bag", topics, store, storage)
 
     return write
 
@@ -114,13 +114,10 @@ def single_mcap(folder: Path, data: Measurement) -> Path:
     return file.rename(folder / "alone.mcap")
 
 
-def rosbag1(compression: str = "") -> Callable[[Path, Measurement], Path]:
-    def write(folder: Path, data: Measurement) -> Path:
-        store = typestore(ros1=True)
-        topics = [("/joint_states", STATE, shuffled_states(store.types, data))]
-        return write_bag1(folder / "log.bag", topics, store, compression)
-
-    return write
+def rosbag1(folder: Path, data: Measurement) -> Path:
+    store = typestore(ros1=True)
+    topics = [("/joint_states", STATE, shuffled_states(store.types, data))]
+    return write_bag1(folder / "log.bag", topics, store)
 
 
 def dynamic_joint_state(folder: Path, data: Measurement) -> Path:
@@ -194,19 +191,6 @@ def lerobot(version: str, episodes: int = 1) -> Callable[[Path, Measurement], Pa
     return write
 
 
-def robomimic(folder: Path, data: Measurement) -> Path:
-    """One demonstration with joint torques and time."""
-    import h5py
-
-    path = folder / "demo.hdf5"
-    with h5py.File(path, "w") as file:
-        obs = file.create_group("data/demo_0/obs")
-        obs["robot0_joint_pos"], obs["robot0_joint_vel"] = data.q, data.qd
-        obs["robot0_joint_torque"], obs["time"] = data.tau, data.time
-        obs["agentview_image"] = np.zeros((len(data), 2, 2, 3), np.uint8)
-    return path
-
-
 def npz(folder: Path, data: Measurement) -> Path:
     path = folder / "log.npz"
     np.savez(path, time=data.time, q=data.q, qd=data.qd, tau=data.tau, note="text is no column")
@@ -260,42 +244,20 @@ def plotjuggler(folder: Path, data: Measurement) -> Path:
     return path
 
 
-def sage(folder: Path, data: Measurement) -> Path:
-    """state_motor.csv of a real robot, in microseconds, and its list of joints."""
-    path = folder / "state_motor.csv"
-    order = [2, 0, 1]
-    (folder / "joint_list.txt").write_text("\n".join(JOINTS[k] for k in order) + "\n")
-    lines = ["type,timestamp,positions,velocities,torques,temperatures,currents"]
-    for time, *values in zip(data.time, data.q, data.qd, data.tau):
-        lists = [f'"{[float(v[k]) for k in order]}"' for v in values]
-        lines.append(",".join(["StateMotor", repr(float(1e6 * time)), *lists, '"[]"', '"[]"']))
-        lines.append('Control,0,"[0, 0, 0]","[]","[]","[]","[]"')
-    path.write_text("\n".join(lines) + "\n")
-    return path
-
-
 def _row(values, separator: str) -> str:
     return separator.join(repr(float(value)) for value in values)
 
 
 FORMS: dict[str, Callable[[Path, Measurement], Path]] = {
     "ROS 2 db3": rosbag2("SQLITE3"),
-    "ROS 2 db3, zstd file": rosbag2("SQLITE3", "FILE"),
-    "ROS 2 db3, zstd message": rosbag2("SQLITE3", "MESSAGE"),
-    "ROS 2 mcap": rosbag2("MCAP"),
-    "ROS 2 mcap, zstd": rosbag2("MCAP", "STORAGE"),
-    "single mcap": single_mcap,
-    "ROS 1 bag": rosbag1(),
-    "ROS 1 bag, lz4": rosbag1("LZ4"),
-    "DynamicJointState": dynamic_joint_state,
-    "FrankaRobotState": franka_state,
-    "LeRobot v2": lerobot("v2.1"),
-    "LeRobot v3": lerobot("v3.0"),
-    "robomimic": robomimic,
+    "ROS 2 single mcap": single_mcap,
+    "ROS 1 bag": rosbag1,
+    "ROS 2 DynamicJointState": dynamic_joint_state,
+    "ROS 2 FrankaRobotState": franka_state,
+    "LeRobot": lerobot("v2.1"),
     "npz": npz,
     "MATLAB": matlab,
     "libfranka": libfranka,
     "RTDE": rtde,
     "PlotJuggler": plotjuggler,
-    "SAGE": sage,
 }

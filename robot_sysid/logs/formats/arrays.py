@@ -1,5 +1,5 @@
-"""Recordings kept as named arrays: NumPy's .npz, MATLAB's .mat, HDF5 as ALOHA and robomimic write
-it, and LeRobot data sets: a folder with meta/info.json and Parquet files.
+"""Recordings kept as named arrays: NumPy's .npz, MATLAB's .mat, HDF5 (also as ALOHA writes it), and
+LeRobot data sets: a folder with meta/info.json and Parquet files.
 """
 
 from __future__ import annotations
@@ -27,12 +27,7 @@ LARGEST = 1e9
 ALOHA_RATE = 50.0
 """Rows per second of ALOHA's recorder [Hz]; its files hold no time."""
 _ALOHA = [*("waist", "shoulder", "elbow", "forearm_roll", "wrist_angle", "wrist_rotate", "gripper")]
-_ROBOMIMIC = {"joint_pos": "position", "joint_vel": "velocity", "joint_torque": "torque"}
 
-NPZ = b"PK\x03\x04"
-MATLAB = b"MATLAB 5.0"
-HDF5 = (b"\x89HDF\r\n\x1a\n", b"MATLAB 7.3")
-"""How files begin; .mat files are HDF5 since version 7.3."""
 _UNPACK = """
 import sys
 import numpy as np
@@ -69,10 +64,8 @@ except Exception as error:
 """Makes an .npz file of a .mat file; SciPy ends the process on some damaged ones."""
 
 
-def npz_table(asked: table.Asked) -> table.LogTable | None:
+def npz_table(asked: table.Asked) -> table.LogTable:
     """Return the arrays of an .npz file: time (N,), q, qd, tau (N, n), by these or like names."""
-    if not asked.start.startswith(NPZ):
-        return None
     return table.arrays_table(asked.path, "NumPy .npz", npz_arrays(asked.path))
 
 
@@ -105,10 +98,8 @@ def _stated_bytes(packed: zipfile.ZipFile, name: str) -> int:
     return math.prod(shape) * kind.itemsize
 
 
-def matlab_table(asked: table.Asked) -> table.LogTable | None:
+def matlab_table(asked: table.Asked) -> table.LogTable:
     """Return the arrays of a .mat file, also those in its structs."""
-    if not asked.start.startswith(MATLAB):
-        return None
     complaints = table.as_input_errors(asked.path, "a MATLAB .mat file")
     with complaints, tempfile.TemporaryDirectory() as folder:
         unpacked = Path(folder, "log.npz")
@@ -122,29 +113,27 @@ def matlab_table(asked: table.Asked) -> table.LogTable | None:
     return table.arrays_table(asked.path, "MATLAB .mat", named)
 
 
-def hdf5_table(asked: table.Asked) -> table.LogTable | None:
-    """Return the joint states in an HDF5 file; where commands are asked for, actions too."""
-    path, commanded = asked.path, asked.options.commanded
-    if not asked.start.startswith(HDF5):
-        return None
+def hdf5_table(asked: table.Asked) -> table.LogTable:
+    """Return the joint states in an HDF5 file, and ALOHA's actions where commands are asked for."""
+    path, found = asked.path, {}
     h5py = table.library("h5py", "hdf5", "an HDF5 file")
+
+    def collect(name: str, member: Any) -> None:
+        # What is called #refs# holds the cells of a MATLAB file.
+        if isinstance(member, h5py.Dataset) and not name.startswith("#"):
+            found[name] = member
+
     with table.as_input_errors(path, "an HDF5 file"), h5py.File(path, "r") as file:
         if "observations/qpos" in file:
-            action = _whole(path, file["action"]) if commanded and "action" in file else None
-            return _aloha(path, file["observations"], action)
-        if "data" in file and isinstance(file["data"], h5py.Group):
-            return _robomimic(path, file["data"])
-        found: dict[str, Any] = {}
-        # What is called #refs# holds the cells of a MATLAB file.
-        file.visititems(
-            lambda name, member: (
-                found.update({name: member})
-                if isinstance(member, h5py.Dataset) and not name.startswith("#")
-                else None
-            )
-        )
+            names = {n: f"observations/{n}" for n in ("qpos", "qvel", "effort")}
+            names.update({"command": "action"} if asked.options.commanded else {})
+            found.update({n: file[place] for n, place in names.items() if place in file})
+        else:
+            file.visititems(collect)
         _refuse_bomb(path, sum(data.nbytes for data in found.values()))
         arrays = {name: data[()] for name, data in found.items()}
+        if "qpos" in arrays:
+            return _aloha(path, arrays)
     return table.arrays_table(path, "HDF5", arrays)
 
 
@@ -156,19 +145,12 @@ def _refuse_bomb(path: Path, size: float) -> None:
         )
 
 
-def _whole(path: Path, dataset: Any) -> Any:
-    _refuse_bomb(path, dataset.nbytes)
-    return dataset[()]
-
-
-def _aloha(path: Path, group: Any, action: Any = None) -> table.LogTable:
-    if "effort" not in group and action is None:
+def _aloha(path: Path, arrays: Mapping[str, Any]) -> table.LogTable:
+    if not {"effort", "command"} & {*arrays}:
         raise InputError(
             f"{path} has no /observations/effort; without measured torque nothing can be "
             "identified: record effort"
         )
-    arrays = {n: _whole(path, group[n]) for n in ("qpos", "qvel", "effort") if n in group}
-    arrays.update({} if action is None else {"command": action})
     width = arrays["qpos"].shape[1]
     both = [f"{side}/{joint}" for side in ("left", "right") for joint in _ALOHA]
     known = {len(_ALOHA): _ALOHA, len(both): both}
@@ -178,31 +160,6 @@ def _aloha(path: Path, group: Any, action: Any = None) -> table.LogTable:
     rate = ColumnChoices(rate=ALOHA_RATE)
     layout = f"ALOHA HDF5, without time stamps: rows taken to be {ALOHA_RATE:g} Hz"
     return table.pieces_table(path, layout, titles, (cells,), rate)
-
-
-def _robomimic(path: Path, group: Any) -> table.LogTable:
-    """Return every demonstration as a piece; arrays are called such as robot0_joint_pos."""
-    titles: tuple[str, ...] = ()
-    pieces = []
-    for name in sorted(group, key=lambda n: (len(n), n)):
-        observed = {f"/{n}": d for n, d in group[name].get("obs", {}).items()}
-        arrays = {
-            title: _whole(path, observed[n])
-            for part, title in _ROBOMIMIC.items()
-            for n in observed
-            if n.endswith(part)
-        }
-        times = {"time": _whole(path, observed["/time"])} if "/time" in observed else {}
-        if "position" not in arrays or "torque" not in arrays:
-            raise InputError(
-                f"{path}: demonstration {name} has no joint torques (an array whose name ends in "
-                "joint_torque); without measured torque nothing can be identified: record it"
-            )
-        titles, cells = table.titled_arrays(path, {**times, **arrays})
-        pieces.append(cells)
-    if not pieces:
-        raise InputError(f"{path} holds no demonstrations in /data")
-    return table.pieces_table(path, f"robomimic HDF5, {len(pieces)} demonstrations", titles, pieces)
 
 
 LEROBOT = "a LeRobot data set"
@@ -215,13 +172,10 @@ _FEATURES = {"observation.velocity": "velocity", "observation.effort": "torque"}
 ACTION = "action"
 
 
-def lerobot_table(asked: table.Asked) -> table.LogTable | None:
+def lerobot_table(asked: table.Asked) -> table.LogTable:
     """Return the episodes of a data set that are asked for, or all, each a piece."""
     path, joint_names, commanded = asked.path, asked.joint_names, asked.options.commanded
-    described = path / "meta" / "info.json"
-    if not described.is_file():
-        return None
-    info = _mapping(read_json(described, "download the data set whole"))
+    info = _mapping(read_json(path / "meta" / "info.json", "download the data set whole"))
     features = _mapping(info.get("features"))
     read = (STATE, ACTION) if commanded else (STATE, *_FEATURES)
     titles = {name: _titles(features, name, joint_names) for name in read}

@@ -6,17 +6,23 @@ publishers may share a topic, and a message may hold a gripper only. Time is tha
 header, or where that is empty the time at which the message was recorded.
 
 ``rosbags`` unpacks each chunk, message or file whole, whatever comes out: a few kilobytes may
-become the computer's whole memory, or disk. So what it unpacks with gets a bound.
+become the computer's whole memory, or disk. So a private copy of its readers, with a bound on what
+they unpack, reads here; the ``rosbags`` that others import stays as it is.
 """
 
 from __future__ import annotations
 
+import bz2
 import contextlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import functools
+import importlib.util
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -26,20 +32,108 @@ from robot_sysid.logs.formats import table
 from robot_sysid.logs.formats.table import Asked, Block, LogTable, as_input_errors, library, renamed
 
 WHAT = "a ROS bag"
-QUANTITIES = ("position", "velocity", "effort", "current")
-_BEGINNINGS = (b"\x89MCAP0", b"#ROSBAG V", b"SQLite format 3")
-# So many messages of a topic are looked at to find out which joints it has.
+POSITION, TORQUE = ("position",), ("effort", "current")
+QUANTITIES = (*POSITION, "velocity", *TORQUE)
+# So many messages of a topic are looked at to find out which joints it has: a second or more, in
+# which each publisher of the topic has spoken.
 _LOOKED_AT = 200
+_STATE = "sensor_msgs/msg/JointState"
+_DYNAMIC = "control_msgs/msg/DynamicJointState"
+_FRANKA = "franka_msgs/msg/FrankaRobotState"
 # control_msgs is not among the types that the reader knows by itself.
-_DYNAMIC = {
+_DEFINED = {
     "control_msgs/msg/InterfaceValue": "string[] interface_names\nfloat64[] values\n",
-    "control_msgs/msg/DynamicJointState": "std_msgs/Header header\nstring[] joint_names\n"
+    _DYNAMIC: "std_msgs/Header header\nstring[] joint_names\n"
     "control_msgs/InterfaceValue[] interface_values\n",
 }
 
 Key = tuple[str, str]
 """Joint and quantity."""
 Sample = Mapping[Key, float]
+Stamped = tuple[tuple[int, int], Sample]
+"""When a message was sampled and when it was recorded [ns], and what it says."""
+
+
+def bag_table(asked: Asked) -> LogTable:
+    """Return the topic of a bag with the arm's joints: the one asked for, or the only one."""
+    path, joints, topic = asked.path, asked.joint_names, asked.options.topic
+    with _opened(path) as bag:
+        known = {c.topic: c.msgtype for c in bag.connections if c.msgtype in _READ}
+        topics = sorted({f"{c.topic} ({c.msgtype})" for c in bag.connections})
+        listed = f"its topics: {', '.join(topics) or 'none'}"
+        if topic is not None and topic not in known:
+            raise InputError(f"{path} has no joint states in topic {topic!r}; {listed}")
+        wanted = [topic] if topic else sorted(known)
+        tables = {name: _topic(path, bag, name, joints) for name in wanted}
+    found = {name: each for name, each in tables.items() if each is not None}
+    if not found:
+        raise InputError(f"{path} holds no joint states; {listed}")
+    positions = [name for name in found if _has(found[name], joints, POSITION)]
+    fitting = positions or list(found)
+    measured = [name for name in fitting if _has(found[name], joints, TORQUE)]
+    if positions and not measured and len(fitting) == 1:
+        raise InputError(
+            f"{path}: topic {fitting[0]} has no effort of joint {joints[-1]}; without "
+            "measured torque nothing can be identified: let the driver publish effort and record "
+            "again"
+        )
+    chosen = measured or fitting
+    if len(chosen) > 1:
+        listed = ", ".join(f"{name} ({known[name]})" for name in chosen)
+        raise InputError(f"{path}: several topics could be the arm: {listed}; choose with --topic")
+    return found[chosen[0]]
+
+
+def _has(topic: LogTable, joint_names: Sequence[str], quantities: Sequence[str]) -> bool:
+    titles = set(topic.titles)
+    return any({f"{joint} {q}" for joint in joint_names} <= titles for q in quantities)
+
+
+def _topic(path: Path, bag: Any, topic: str, joint_names: Sequence[str]) -> LogTable | None:
+    """Return a topic with time and a column per joint and quantity in its first messages."""
+    first = list(islice(_messages(bag, topic), _LOOKED_AT))
+    seen = dict.fromkeys(key for _, sample in first for key in sample)
+    if not seen:
+        return None
+    # Where no header has a time stamp, the time of recording stands in.
+    clock = 0 if any(stamps[0] for stamps, _ in first) else 1
+    names = list(dict.fromkeys(joint for joint, _ in seen))
+    spelling = dict(zip(names, renamed(names, joint_names)))
+    titles = ("time", *(f"{spelling[joint]} {quantity}" for joint, quantity in seen))
+    late = ", headers without time: when it was recorded" if clock else ""
+    kind = next(c.msgtype for c in bag.connections if c.topic == topic)
+    layout = f"ROS bag, topic {topic} ({kind}), joints by name{late}"
+    read = partial(_blocks, path, topic, list(seen), clock, first[0][0][clock])
+    return LogTable(path, layout, titles, read, word="message")
+
+
+def _blocks(
+    path: Path, topic: str, keys: Sequence[Key], clock: int, start: int, columns: Sequence[int]
+) -> Iterator[Block]:
+    """Yield the messages of a topic in their order, by one of their clocks from a start [ns]."""
+    place = {key: k + 1 for k, key in enumerate(keys)}
+    with _opened(path) as bag:
+        total = max(1, sum(c.msgcount for c in bag.connections if c.topic == topic))
+        messages, done = _messages(bag, topic), 0
+        while batch := list(islice(messages, table.BLOCK)):
+            cells = np.full((len(batch), 1 + len(keys)), np.nan)
+            for row, (stamps, sample) in zip(cells, batch):
+                row[0] = 1e-9 * (stamps[clock] - start)
+                known = [key for key in sample if key in place]
+                row[[place[key] for key in known]] = [sample[key] for key in known]
+            lines = np.arange(done, done + len(batch)) + 1
+            done += len(batch)
+            yield Block(lines, cells[:, list(columns)], done=done / total)
+
+
+def _messages(bag: Any, topic: str) -> Iterator[Stamped]:
+    connections = [c for c in bag.connections if c.topic == topic]
+    for connection, received, raw in bag.messages(connections=connections):
+        message = bag.deserialize(raw, connection.msgtype)
+        message = getattr(message, "measured_joint_state", message)
+        stamp = message.header.stamp
+        sampled = int(stamp.sec) * 10**9 + int(stamp.nanosec)
+        yield (sampled, int(received)), _READ[connection.msgtype](message)
 
 
 def _joint_state(message: Any) -> Sample:
@@ -61,204 +155,100 @@ def _dynamic_joint_state(message: Any) -> Sample:
     }
 
 
-_READERS: Mapping[str, Callable[[Any], Sample]] = {
-    "sensor_msgs/msg/JointState": _joint_state,
-    "control_msgs/msg/DynamicJointState": _dynamic_joint_state,
-    "franka_msgs/msg/FrankaRobotState": lambda message: _joint_state(message.measured_joint_state),
-}
-Stamped = tuple[tuple[int, int], Sample]
-"""When a message was sampled and when it was recorded [ns], and what it says."""
-
-
-def bag_table(asked: Asked) -> LogTable | None:
-    """Return the topic of a bag with the arm's joints: that asked for, or the only one that fits.
-
-    A bag is known by its content.
-    """
-    path, joint_names, topic = asked.path, asked.joint_names, asked.options.topic
-    if not (asked.start.startswith(_BEGINNINGS) or (path / "metadata.yaml").is_file()):
-        return None
-    with _opened(path) as bag:
-        known = {c.topic: c.msgtype for c in bag.connections if c.msgtype in _READERS}
-        topics = sorted({f"{c.topic} ({c.msgtype})" for c in bag.connections})
-        listed = f"its topics: {', '.join(topics) or 'none'}"
-        if topic is not None and topic not in known:
-            raise InputError(f"{path} has no joint states in topic {topic!r}; {listed}")
-        wanted = [topic] if topic else sorted(known)
-        tables = {name: _topic(path, bag, name, joint_names) for name in wanted}
-    found = {name: each for name, each in tables.items() if each is not None}
-    if not found:
-        raise InputError(f"{path} holds no joint states; {listed}")
-    positions, torques = (
-        [name for name in found if _has(found[name], joint_names, quantities)]
-        for quantities in (QUANTITIES[:1], QUANTITIES[2:])
-    )
-    fitting = positions or list(found)
-    measured = [name for name in fitting if name in torques] or fitting
-    if len(measured) > 1:
-        listed = ", ".join(f"{name} ({known[name]})" for name in measured)
-        raise InputError(f"{path}: several topics could be the arm: {listed}; choose with --topic")
-    chosen = measured[0]
-    if chosen in positions and chosen not in torques:
-        raise InputError(
-            f"{path}: topic {chosen} has no effort of joint {joint_names[-1]}; without "
-            "measured torque nothing can be identified: let the driver publish effort and record "
-            "again"
-        )
-    return found[chosen]
-
-
-def _has(topic: LogTable, joint_names: Sequence[str], quantities: Sequence[str]) -> bool:
-    titles = set(topic.titles)
-    return any({f"{joint} {q}" for joint in joint_names} <= titles for q in quantities)
-
-
-def _topic(path: Path, bag: Any, topic: str, joint_names: Sequence[str]) -> LogTable | None:
-    """Return a topic with time and a column per joint and quantity in its first messages."""
-    connections = [c for c in bag.connections if c.topic == topic]
-    first = list(islice(_messages(bag, connections), _LOOKED_AT))
-    seen = dict.fromkeys(key for _, sample in first for key in sample)
-    if not seen:
-        return None
-    # Where no header has a time stamp, the time of recording stands in.
-    clock = 0 if any(stamps[0] for stamps, _ in first) else 1
-    names = list(dict.fromkeys(joint for joint, _ in seen))
-    spelling = dict(zip(names, renamed(names, joint_names)))
-    titles = ("time", *(f"{spelling[joint]} {quantity}" for joint, quantity in seen))
-    late = ", headers without time: when it was recorded" if clock else ""
-    layout = f"ROS bag, topic {topic} ({connections[-1].msgtype}), joints by name{late}"
-    read = partial(_blocks, path, topic, list(seen), clock, first[0][0][clock])
-    return LogTable(path, layout, titles, read, word="message")
-
-
-def _blocks(
-    path: Path, topic: str, keys: Sequence[Key], clock: int, start: int, columns: Sequence[int]
-) -> Iterator[Block]:
-    """Yield the messages of a topic in their order, by one of their clocks from a start [ns]."""
-    place = {key: k + 1 for k, key in enumerate(keys)}
-    with _opened(path) as bag:
-        connections = [c for c in bag.connections if c.topic == topic]
-        total = max(1, sum(c.msgcount for c in connections))
-        messages, done = _messages(bag, connections), 0
-        while batch := list(islice(messages, table.BLOCK)):
-            cells = np.full((len(batch), 1 + len(keys)), np.nan)
-            for row, (stamps, sample) in zip(cells, batch):
-                row[0] = 1e-9 * (stamps[clock] - start)
-                known = [key for key in sample if key in place]
-                row[[place[key] for key in known]] = [sample[key] for key in known]
-            lines = np.arange(done, done + len(batch)) + 1
-            done += len(batch)
-            yield Block(lines, cells[:, list(columns)], done=done / total)
-
-
-def _messages(bag: Any, connections: Sequence[Any]) -> Iterator[Stamped]:
-    for connection, received, raw in bag.messages(connections=connections):
-        message = bag.deserialize(raw, connection.msgtype)
-        stamp = getattr(message, "measured_joint_state", message).header.stamp
-        sampled = int(stamp.sec) * 10**9 + int(stamp.nanosec)
-        yield (sampled, int(received)), _READERS[connection.msgtype](message)
+_READ = {_STATE: _joint_state, _FRANKA: _joint_state, _DYNAMIC: _dynamic_joint_state}
 
 
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator[Any]:
     """Yield a bag that is open within a block; what goes wrong in it is an InputError."""
-    highlevel = library("rosbags.highlevel", "rosbag", WHAT)
     typesys = library("rosbags.typesys", "rosbag", WHAT)
+    library("rosbags.highlevel", "rosbag", WHAT)
     single = path.suffix in (".db3", ".mcap") and (path.parent / "metadata.yaml").is_file()
-    bound_unpacking()
     with as_input_errors(path, WHAT):
         store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-        for name, text in _DYNAMIC.items():
+        for name, text in _DEFINED.items():
             store.register(typesys.get_types_from_msg(text, name))
-        bag = highlevel.AnyReader([path.parent if single else path], default_typestore=store)
-        with bag:
+        reader = bounded_reader().AnyReader
+        with reader([path.parent if single else path], default_typestore=store) as bag:
             yield bag
 
 
 MOST_RATIO, ALWAYS = 100, 10**8
 """Recordings shrink to a tenth; a piece may unpack to 100 times its size, or to 100 MB."""
-_BLOCK = 2**20
 
 
-class TooMuchError(Exception):
-    """A piece of a bag unpacks to more than the bound."""
-
-
-def bound_unpacking() -> None:
-    """Have ``rosbags`` unpack no more than the bound, in this process from now on."""
-    import bz2
-
+@functools.cache
+def bounded_reader() -> ModuleType:
+    """Return a copy of ``rosbags.highlevel.anyreader`` that unpacks no more than the bound."""
     import lz4.frame
-    from rosbags.rosbag1 import reader as ros1
-    from rosbags.rosbag2 import reader as ros2
-    from rosbags.rosbag2 import storage_mcap as mcap
 
-    two = {"bz2": Bounded(bz2).decompress, "lz4": Bounded(lz4.frame).decompress}
-    getattr(ros1, "decompressors", {}).update(two)
-    for module, name in ((ros1, "bz2"), (ros1, "lz4"), (mcap, "lz4")):
-        setattr(module, f"{name}_decompress", two[name])
-    for module, name in ((mcap, "zstd"), (ros2, "zstd"), (ros2, "zstandard")):
-        library = getattr(module, name, None)
-        if library is not None and not isinstance(library, Bounded):
-            setattr(module, name, Bounded(library))
-            if name == "zstandard":  # of the last rosbags for Python 3.9
-                mcap.DECOMPRESSORS["zstd"] = Bounded(library).decompress
+    mcap, two = _copy("rosbags.rosbag2.storage_mcap"), _copy("rosbags.rosbag2.reader")
+    one, reader = _copy("rosbags.rosbag1.reader"), _copy("rosbags.highlevel.anyreader")
+    # The last rosbags for Python 3.9 unpacks with another library, called zstandard.
+    zstd = Bounded(vars(mcap).get("zstd") or vars(mcap)["zstandard"])
+    unpackers = {"bz2": Bounded(bz2).decompress, "lz4": Bounded(lz4.frame).decompress}
+    for module in (mcap, two, one):
+        names: dict[str, Any] = {f"{name}_decompress": unpackers[name] for name in unpackers}
+        names.update(zstd=zstd, zstandard=zstd)
+        vars(module).update({n: bounded for n, bounded in names.items() if n in vars(module)})
+    mcap.DECOMPRESSORS.update(lz4=unpackers["lz4"], zstd=zstd.decompress)
+    vars(one).get("decompressors", {}).update(unpackers)
+    for each in vars(two).values():
+        plugins = getattr(each, "STORAGE_PLUGINS", {})
+        for name, kind in dict(plugins).items():
+            plugins[name] = getattr(mcap, kind.__name__, kind)
+    vars(reader).update(Reader1=one.Reader, Reader2=two.Reader)
+    return reader
+
+
+def _copy(name: str) -> Any:
+    """Return a module once more, beside the one that everybody imports."""
+    spec = importlib.util.find_spec(name)
+    if spec is None or spec.loader is None:
+        raise ImportError(name)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 class Bounded:
-    """A compression library, a module like ``bz2``, that reads within the bound."""
+    """A compression library, a module like ``bz2``, that unpacks within the bound."""
 
     def __init__(self, library: Any) -> None:
         self._library = library
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._library, name)
-
-    def decompress(self, packed: bytes, _: int = 0) -> bytes:
-        """Return the content of packed bytes, or raise TooMuchError."""
-        content = BytesIO()
-        self.copy_stream(BytesIO(packed), content)
-        return content.getvalue()
 
     def ZstdDecompressor(self) -> Bounded:
         """Return what ``zstandard`` has its functions in."""
         return self
 
+    def decompress(self, packed: bytes, _: int = 0) -> bytes:
+        """Return the content of packed bytes, or raise ValueError."""
+        content = BytesIO()
+        self.copy_stream(BytesIO(packed), content)
+        return content.getvalue()
+
     def copy_stream(self, packed: Any, content: Any) -> None:
-        """Write the content of a packed file to another, or raise TooMuchError."""
+        """Write the content of a packed file to another, or raise ValueError."""
         with self.open(packed) as stream:
-            while piece := stream.read(_BLOCK):
-                content.write(piece)
+            shutil.copyfileobj(stream, content)
 
-    def open(self, file: Any, mode: str = "rb", **options: Any) -> Any:
-        """Open a file as the library does; reading on beyond the bound raises TooMuchError."""
-        stream = self._library.open(file, mode, **options)
-        if mode != "rb" or not hasattr(file, "seek"):
-            return stream
-        size = file.seek(0, 2)
+    @contextlib.contextmanager
+    def open(self, file: Any, mode: str = "rb") -> Iterator[Any]:
+        """Yield a packed file's content; reading on beyond the bound raises ValueError."""
+        most = max(ALWAYS, MOST_RATIO * file.seek(0, 2))
         file.seek(0)
-        return _Stream(stream, max(ALWAYS, MOST_RATIO * size))
+        seen = 0
 
+        def read(size: int) -> bytes:
+            nonlocal seen
+            piece: bytes = stream.read(size)
+            seen += len(piece)
+            if seen > most:
+                raise ValueError(
+                    f"a piece of it unpacks to more than {most / 1e6:g} MB, far more than any "
+                    "recording would; record it again without compression"
+                )
+            return piece
 
-class _Stream:
-    """What comes out of a packed stream, up to ``most`` bytes."""
-
-    def __init__(self, stream: Any, most: int) -> None:
-        self._stream, self._most, self._read = stream, most, 0
-
-    def __enter__(self) -> _Stream:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stream.close()
-
-    def read(self, size: int) -> bytes:
-        """Return the next bytes, at most ``size``."""
-        piece: bytes = self._stream.read(size)
-        self._read += len(piece)
-        if self._read > self._most:
-            raise TooMuchError(
-                f"a piece of it unpacks to more than {self._most / 1e6:g} MB, far more than any "
-                "recording would; record it again without compression"
-            )
-        return piece
+        with self._library.open(file, mode) as stream:
+            yield SimpleNamespace(read=read)

@@ -6,7 +6,7 @@ import contextlib
 import importlib
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,10 +22,8 @@ from robot_sysid.records import Array
 
 Lines = NDArray[np.int64]
 """Numbers of lines, messages or rows, counted from 1."""
-NO_LINES: Lines = np.empty(0, np.int64)
-NO_LINES.flags.writeable = False
 BLOCK = 10_000
-"""So many rows are in memory as text or messages at a time."""
+"""So many rows are in memory as text or messages at a time: some 10 MB of a wide log."""
 
 
 @dataclass(frozen=True)
@@ -34,18 +32,15 @@ class Block:
 
     Attributes:
         lines: (R,) their numbers in the file.
-        cells: (R, C) the wanted columns; NaN where a cell is empty or not readable.
-        unreadable: which ``lines`` hold no row of numbers.
-        cut_off: number of a last row that is incomplete and not among ``lines``; else nothing.
-        complaint: what is wrong with the first of the unreadable rows.
+        cells: (R, C) the wanted columns; NaN where a cell is empty, infinite where a row is none of
+            numbers.
+        complaint: what is wrong with the first of those rows.
         piece: recordings in one file, such as episodes, each with a clock of its own.
         done: share of the file that was read.
     """
 
     lines: Lines
     cells: Array
-    unreadable: Lines = field(default_factory=lambda: NO_LINES)
-    cut_off: Lines = field(default_factory=lambda: NO_LINES)
     complaint: str = ""
     piece: int = 0
     done: float = 1.0
@@ -82,7 +77,7 @@ class LogTable:
 
 @dataclass(frozen=True)
 class Asked:
-    """A recording whose form is asked for; each form answers with a table, or None for another.
+    """A recording that is to be read.
 
     Attributes:
         start: its first bytes; nothing of a folder.
@@ -134,7 +129,6 @@ def titled_arrays(path: Path, arrays: Mapping[str, Any]) -> tuple[tuple[str, ...
     """
     last = [name.rsplit("/", 1)[-1] for name in arrays]
     ends = zip(last, arrays.items())
-    # What a file holds beside arrays, such as text, has no numbers in it either.
     named = {end if last.count(end) == 1 else name: np.asarray(a) for end, (name, a) in ends}
     sized = {
         n: a for n, a in named.items() if a.dtype.kind in "fiub" and a.ndim in (1, 2) and a.size > 1
@@ -150,12 +144,10 @@ def titled_arrays(path: Path, arrays: Mapping[str, Any]) -> tuple[tuple[str, ...
     columns: list[Array] = []
     for name, values in sized.items():
         upright = values if len(values) == rows else values.T
-        if len(upright) != rows:
-            continue
-        flat = np.asarray(upright, dtype=float).reshape(rows, -1)
-        width = flat.shape[1]
-        titles += [name] if width == 1 else [f"{name}[{k}]" for k in range(width)]
-        columns.append(flat)
+        if len(upright) == rows:
+            columns.append(np.asarray(upright, dtype=float).reshape(rows, -1))
+            width = columns[-1].shape[1]
+            titles += [name] if width == 1 else [f"{name}[{k}]" for k in range(width)]
     return tuple(titles), np.hstack(columns)
 
 
@@ -186,9 +178,8 @@ def library(module: str, extra: str, what: str) -> Any:
     try:
         return importlib.import_module(module)
     except ImportError:
-        name = module.split(".")[0]
         raise InputError(
-            f"reading {what} needs {name}: pip install 'robot-sysid[{extra}]'"
+            f"reading {what} needs {module.split('.')[0]}: pip install 'robot-sysid[{extra}]'"
         ) from None
 
 
