@@ -1,6 +1,6 @@
 """Does an arm identified from its torques move more like itself than the model before?
 
-    OMP_NUM_THREADS=1 python -m benchmarks.rollout_torque [--write-offset] [ARM...]
+    OMP_NUM_THREADS=1 python -m benchmarks.rollout_torque [ARM...]
 
 Five public arms play the real one: every link 2 % off, rotor inertia from 0.01 to 1 kg m^2, Coulomb
 friction with a Stribeck drop, unequal in the two directions and growing with the load. Torque noise
@@ -41,7 +41,7 @@ NOISE, STEP, WRONG = 0.1, 1e-4, 0.02
 
 def main(*names: str) -> None:
     """Print a table."""
-    for name in [name for name in names if name in ARMS] or ARMS:
+    for name in names or ARMS:
         path, joint = ARMS[name]
         robot = load_robot_model(MODELS / path, joint=joint)
         begun = time.monotonic()
@@ -52,7 +52,6 @@ def main(*names: str) -> None:
                 joint=joint,
                 measurements=logs,
                 verify_rollout=True,
-                write_offset="--write-offset" in names,
                 output_dir=Path(folder) / "out",
             )
             outcome = run(config)

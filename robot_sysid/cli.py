@@ -18,7 +18,8 @@ from robot_sysid.errors import INTERRUPTED, InputError, SysidError
 from robot_sysid.interrupts import STOPPING
 
 COMMANDS = ("plan", "identify", "arm", "payload", "log", "report", "motors", "example")
-"""Subcommands, each a module of its name; any other first word is a model file."""
+"""Subcommands, each a module of its name (but ``arm``, an older name of ``identify --links``); any
+other first word is a model file."""
 UNFINISHED = "interrupted; no unfinished file is left"
 """What an interrupted command says that says nothing else by its ``INTERRUPTED``."""
 
@@ -35,9 +36,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         try:
             if name == "run":
                 _refuse_misspelt(arguments)
-            command = importlib.import_module(f"robot_sysid.commands.{name}")
+            module = "identify" if name == "arm" else name
+            command = importlib.import_module(f"robot_sysid.commands.{module}")
             interrupted = getattr(command, "INTERRUPTED", UNFINISHED)
-            return int(command.main(arguments))
+            return int(command.main(arguments, *((True,) if name == "arm" else ())))
         except SysidError as error:
             return _report(str(error), error.exit_code, debug)
         except MemoryError:

@@ -6,9 +6,9 @@ One record for an identification, another for finding a payload.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar, get_type_hints
+from typing import Any, TypeVar, get_type_hints
 
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.options import EstimationOptions
@@ -16,6 +16,7 @@ from robot_sysid.logs.options import LogOptions
 from robot_sysid.motion.options import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.records.atomic_files import refuse_overwriting
 from robot_sysid.records.options import (
+    Option,
     OptionRecord,
     folder,
     given_options,
@@ -26,9 +27,11 @@ from robot_sysid.records.options import (
 )
 from robot_sysid.records.results import CARD_NAME, DAMIAO_NAME, MODEL_NAMES, PARAMS_NAME, PLAN_NAME
 from robot_sysid.simulation.sensors import SimulatedArmOptions
-from robot_sysid.trajectory import TrajectoryOptions, require_countable
+from robot_sysid.trajectory import TrajectoryOptions
 
-Config = TypeVar("Config")
+AnyConfig = TypeVar("AnyConfig", bound="Config")
+EMPTY, LOADED = "A", "B"
+"""Letters of ``--order``."""
 
 
 @dataclass(frozen=True)
@@ -52,55 +55,30 @@ class ModelOptions(OptionRecord):
 
 @dataclass(frozen=True)
 class OutputOptions(OptionRecord):
-    """Where results go."""
+    """Where results go, and what of the model stays as it is (see ``estimation.file_fit``)."""
 
-    NEEDS: ClassVar[str] = "measured"
-    output_dir: Path = option(
-        Path("sysid_output"), "folder for the results", "DIR", parse=folder, needs=""
-    )
-    keep_friction: bool = option(
-        False, "leave the friction of the model's joints as it is", needs="friction"
-    )
-    keep_rotors: bool = option(False, "leave the rotor inertia of the model's joints as it is")
-    keep_gravity: bool = option(False, "leave the model's gravity as it is")
-    keep_links: bool = option(False, "leave all links but the terminal one as they are")
-    write_offset: bool = option(
-        False,
-        "also write the offset of each joint's friction (unequal in the two directions), as a soft "
-        "spring that is tensioned far away",
-        needs="friction",
+    output_dir: Path = option(Path("sysid_output"), "folder for the results", "DIR", parse=folder)
+    keep: tuple[str, ...] = option(
+        (),
+        "leave this of the model as it is: friction or rotor inertia of its joints, gravity, or "
+        "all links but the terminal one; may be repeated",
+        choices=("friction", "rotors", "gravity", "links"),
+        repeats=True,
     )
     links: bool = option(False, "print every link, not only the last one")
     bundle: bool = option(
         False,
         "also write the updated model with its meshes and textures into DIR/bundle, to send it",
-        needs="estimate",
     )
-    report: bool = option(
-        False, "also write report.html, a page with figures of the result", needs="estimate"
-    )
-    plots: bool = option(False, "also write the report's figures as PNG and SVG", needs="estimate")
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.write_offset and self.keep_friction:
-            raise InputError("--write-offset is about friction; leave --keep-friction off")
-
-    @property
-    def kept(self) -> tuple[str, ...]:
-        """Parts of the model that stay as they are, see ``estimation.file_fit``."""
-        parts = ("friction", "rotors", "gravity", "links")
-        return tuple(part for part in parts if getattr(self, f"keep_{part}"))
+    report: bool = option(False, "also write report.html, a page with figures of the result")
+    plots: bool = option(False, "also write the report's figures as PNG and SVG")
 
 
 @dataclass(frozen=True)
 class MotorOptions(OptionRecord):
     """The trajectory as a file for Damiao motors."""
 
-    NEEDS: ClassVar[str] = "motors"
-    export_damiao: bool = option(
-        False, "also write the trajectory for Damiao motors", needs="motion"
-    )
+    export_damiao: bool = option(False, "also write the trajectory for Damiao motors")
     motor_type: tuple[str, ...] = option(
         (), "Damiao motor type, such as DM4340; once per joint, base first", "TYPE", repeats=True
     )
@@ -120,15 +98,6 @@ class MotorOptions(OptionRecord):
         repeats=True,
         usual="CAN id + 0x10",
     )
-    damiao_rate: float | None = option(
-        None, "rows per second in the file", "HZ [Hz] > 0", usual="the sample rate"
-    )
-    supply: float | None = option(
-        None,
-        "supply voltage that the motors' no-load speeds are compared at",
-        "V [V] > 0",
-        usual="by type",
-    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -138,60 +107,77 @@ class MotorOptions(OptionRecord):
             )
 
 
-NEEDS = {
-    "motion": "is about a trajectory; a log brings its own motion",
-    "new motion": "is about a new trajectory; a log or --trajectory brings its own",
-    "draw": "has nothing to draw: logs, --trajectory and --for friction bring their own motion, "
-    "and no noise is simulated",
-    "design": "is about a designed trajectory; add --excitation optimal",
-    "estimate": "is about an estimate; --plan-only stops before it",
-    "friction": "is about identified friction; add --measurements or --plant-model, without "
-    "--no-friction",
-    "measured": "needs --measurements or --plant-model",
-    "log": "describes a log; add --measurements LOG.csv",
-    "servos": "is about servos found from commands; add --torque-from position-error",
-    "plant": "belongs to a simulated plant; add --plant-model (the model file itself will do)",
-    "plant or plan": "belongs to a simulated plant or a plan; add --plant-model (the model file "
-    "itself will do) or --plan-only",
-    "plan": "says what a plan is for; add --plan-only, or use robot-sysid plan",
-    "payload plan": "is about finding a payload; add --for payload",
-    "static plan": "is about resting poses; add --static",
-    "prior": "is about a prior; add --prior entropic",
-    "motors": "is only used together with --export-damiao; add it",
-}
-"""What an option needs, to the end of the sentence that is said where it is not there."""
+def _given(*records: Any, only: tuple[str, ...] = (), but: tuple[str, ...] = ()) -> list[Option]:
+    """Return the options of records that were given: of some keys, or of all but some."""
+    given = [each for record in records for each in given_options(record)]
+    return [each for each in given if each.key not in but and (not only or each.key in only)]
 
 
 @dataclass(frozen=True)
-class SysidConfig:
-    """Options of one identification; defaults are those of the command line."""
+class Config:
+    """What an identification and finding a payload are both asked."""
 
     model: ModelOptions
+    log: LogOptions = LogOptions()
+    estimation: EstimationOptions = EstimationOptions()
+    output: OutputOptions = OutputOptions()
     trajectory: TrajectoryOptions = TrajectoryOptions()
     excitation: ExcitationOptions = ExcitationOptions()
     limits: LimitOptions = LimitOptions()
-    log: LogOptions = LogOptions()
     arm: SimulatedArmOptions = SimulatedArmOptions()
-    estimation: EstimationOptions = EstimationOptions()
-    output: OutputOptions = OutputOptions()
-    motors: MotorOptions = MotorOptions()
-    poses: PoseOptions = PoseOptions()
 
     def __post_init__(self) -> None:
-        self._check_pairs()
-        refuse_overwriting(_read_by(self), self._written())
-        there = self._what_there_is()
-        for record in (getattr(self, each.name) for each in fields(self)):
-            for given in given_options(record):
-                if given.needs and not there[given.needs]:
-                    raise InputError(f"{given.flag} {NEEDS[given.needs]}")
-        if self.estimation.method == "robust" and not self.is_measured:
-            raise InputError(f"--method robust {NEEDS['measured']}")
+        for both, first, second in self._pairs():
+            if both:
+                raise InputError(f"{first} and {second} exclude each other; choose one")
+        refuse_overwriting(self._read(), self._written())
+        for needed, why, useless in self._groups():
+            if not needed and useless:
+                raise InputError(f"{useless[0].flag} {why}")
         if self.excitation.kind == "optimal":
             self.excitation.basis(self.trajectory.duration)
-        if self.motors.damiao_rate is not None:
-            length = self.trajectory.duration / self.trajectory.speed
-            require_countable(length, self.motors.damiao_rate, "--damiao-rate")
+
+    def _pairs(self) -> Iterator[tuple[bool, str, str]]:
+        """Yield (whether both were given, one option, another that excludes it)."""
+        plan = self.trajectory
+        if plan.file is not None:
+            yield self.excitation.kind == "optimal", "--trajectory", "--excitation optimal"
+            yield plan.duration != TrajectoryOptions.duration, "--trajectory", "--duration"
+
+    def _groups(self) -> Iterator[tuple[bool, str, list[Option]]]:
+        """Yield (whether this run uses a group, why it does not, what was given of the group)."""
+        designed = self.excitation.kind == "optimal"
+        yield designed, "is about a design; add --excitation optimal", _given(self.excitation)
+
+    def _read(self) -> tuple[Path | None, ...]:
+        """Return the files that a run reads and must not write over."""
+        log = self.log
+        factors = (log.torque_scale, log.torque_constants)
+        files = (each for each in factors if isinstance(each, Path))
+        models = (self.model.path, self.arm.plant_model, self.trajectory.file)
+        return (*models, *log.measurements, log.validation_measurements, log.columns, *files)
+
+    def _written(self) -> Iterator[tuple[str, Path]]:
+        """Yield the files that a run writes, each with the option that names it."""
+        for name in (PARAMS_NAME, *MODEL_NAMES.values()):
+            yield "--output-dir", self.output.output_dir / name
+
+
+ANY_TORQUE = ("torques", "no_friction", "method", "consistency", "prior", "prior_weight")
+"""Keys of the estimation that count for simulated torques of the model itself as well."""
+OF_TORQUE = (
+    *("report", "plots", "keep", "links", "torque_scale", "torque_constants", "append"),
+    "save_measurements",
+)
+"""Keys of options that mean nothing where no torque was measured."""
+
+
+@dataclass(frozen=True)
+class SysidConfig(Config):
+    """Options of one identification; defaults are those of the command line."""
+
+    motors: MotorOptions = MotorOptions()
+    poses: PoseOptions = PoseOptions()
 
     @property
     def is_measured(self) -> bool:
@@ -204,69 +190,58 @@ class SysidConfig:
         usual = self.output.output_dir / PLAN_NAME if self.trajectory.plan_only else None
         return self.trajectory.save or usual
 
-    def _check_pairs(self) -> None:
-        plan, estimation, logs = self.trajectory, self.estimation, self.log.measurements
-        has_file, optimal = plan.file is not None, self.excitation.kind == "optimal"
-        timed = has_file or plan.duration != TrajectoryOptions.duration or optimal
+    def _pairs(self) -> Iterator[tuple[bool, str, str]]:
+        plan, logs, torques = self.trajectory, self.log.measurements, self.estimation.torques
+        has_plant, copied = self.arm.plant_model is not None, self.arm.save_measurements is not None
+        yield bool(logs) and has_plant, "--measurements", "--plant-model"
+        optimal = self.excitation.kind == "optimal"
+        timed = plan.file is not None or plan.duration != TrajectoryOptions.duration or optimal
         poses = "--static" if self.poses.static else "--for friction"
-        plays = self.log.verify_rollout and bool(logs)
-        copied = self.arm.save_measurements is not None
-        exclude = {
-            ("--measurements", "--plant-model"): logs and self.arm.plant_model is not None,
-            ("--trajectory", "--excitation optimal"): has_file and optimal,
-            (poses, "--trajectory, --duration and --excitation optimal"): (
-                self.poses.sets_its_time and timed
-            ),
-            ("--consistency off", "--prior entropic"): (
-                estimation.consistency == "off" and estimation.prior == "entropic"
-            ),
-            ("--verify-rollout", "--torques terminal"): plays and estimation.torques == "terminal",
-            ("--save-measurements", "several --measurements"): copied and len(logs) > 1,
-        }
-        for (first, second), both in exclude.items():
-            if both:
-                raise InputError(f"{first} and {second} exclude each other; choose one")
+        fixed = "--trajectory, --duration and --excitation optimal"
+        yield self.poses.sets_its_time and timed, poses, fixed
+        played = self.log.verify_rollout and bool(logs)
+        yield played and torques == "terminal", "--verify-rollout", "--torques terminal"
+        yield copied and len(logs) > 1, "--save-measurements", "several --measurements"
+        yield from super()._pairs()
+
+    def _groups(self) -> Iterator[tuple[bool, str, list[Option]]]:
+        log, plan = bool(self.log.measurements), self.trajectory.plan_only
+        motion = (self.trajectory, self.excitation, self.limits, self.motors)
+        yield not log, "is about a motion; a log brings its own", _given(*motion)
+        about_log = [*_given(self.log), *_given(self.estimation, only=("torque_from",))]
+        yield log, "describes a log; add --measurements LOG.csv", about_log
+        predicted = plan or self.excitation.kind == "optimal"
+        plant = "belongs to a simulated plant; add --plant-model (the model file itself will do)"
+        simulated = self.arm.plant_model is not None or predicted
+        yield simulated, plant, _given(self.arm, but=("save_measurements",))
+        measured = "is about measured torques; add --measurements or --plant-model"
+        method = _given(self.estimation, only=("method",))
+        robust = method if self.estimation.method == "robust" else []
+        kept = [*_given(self.output, only=("keep", "links")), *robust]
+        yield self.is_measured, measured, [*_given(self.estimation, but=ANY_TORQUE), *kept]
+        servos, no_torque = self.estimation.torque_from is not None, "add --torque-from"
+        delay = _given(self.estimation, only=("write_delay",))
+        yield servos, f"is about servos found from commands; {no_torque} position-error", delay
+        torque = _given(self.output, self.log, self.arm, only=OF_TORQUE)
+        yield not servos, "is about measured torques; leave it off with --torque-from", torque
+        yield plan, "says what a plan is for; use robot-sysid plan", _given(self.poses)
+        resting = self.poses.static and self.poses.purpose == "payload"
+        rests = "is about resting poses; add --for payload and --static"
+        yield resting, rests, _given(self.poses, but=("for",))
+        motors = "is only used together with --export-damiao; add it"
+        yield self.motors.export_damiao, motors, _given(self.motors)
+        yield from super()._groups()
 
     def _written(self) -> Iterator[tuple[str, Path]]:
-        """Yield the files that a run writes, each with the option that names it."""
         if self.arm.save_measurements is not None:
             yield "--save-measurements", self.arm.save_measurements
         if self.plan_file is not None:
             yield "--save-trajectory", self.plan_file
             yield "the CSV file beside --save-trajectory", self.plan_file.with_suffix(".csv")
-        names = [] if self.trajectory.plan_only else [PARAMS_NAME, *MODEL_NAMES.values()]
-        names += [DAMIAO_NAME] if self.motors.export_damiao else []
-        yield from (("--output-dir", self.output.output_dir / name) for name in names)
-
-    def _what_there_is(self) -> Mapping[str, bool]:
-        log, plan_only = bool(self.log.measurements), self.trajectory.plan_only
-        plant = self.arm.plant_model is not None
-        optimal = self.excitation.kind == "optimal"
-        fixed = self.trajectory.file is not None or self.poses.purpose == "friction"
-        return {
-            "motion": not log,
-            "new motion": not log and self.trajectory.file is None,
-            "draw": not log and not fixed or plant and self.arm.is_noisy,
-            "design": optimal,
-            "estimate": not plan_only,
-            "friction": self.is_measured and not plan_only and not self.estimation.no_friction,
-            "measured": self.is_measured,
-            "log": log,
-            "servos": self.estimation.torque_from is not None,
-            "plant": plant,
-            "plant or plan": plant or plan_only or optimal,
-            "plan": plan_only,
-            "payload plan": self.poses.purpose == "payload",
-            "static plan": self.poses.static,
-            "prior": self.estimation.prior != "none",
-            "motors": self.motors.export_damiao,
-        }
-
-
-MOVING = ("cutoff", "velocity_deadband", "friction_model")
-"""Keys of options that poses at rest have no use for."""
-EMPTY, LOADED = "A", "B"
-"""Letters of ``--order``."""
+        if self.motors.export_damiao:
+            yield "--output-dir", self.output.output_dir / DAMIAO_NAME
+        if not self.trajectory.plan_only:
+            yield from super()._written()
 
 
 @dataclass(frozen=True)
@@ -341,75 +316,41 @@ class PayloadOptions(OptionRecord):
                 f"--order {self.order}: needs {len(self.empty)} times A (the empty logs) and "
                 f"{len(self.loaded)} times B (the loaded ones), such as {wanted}"
             )
-        for flag, given in (
-            ("--scale-prior", self.scale_prior),
-            ("--save-torque-scale", self.save_torque_scale),
-        ):
-            if given is not None and self.known_mass is None:
-                raise InputError(f"{flag} is about torque scales; add --known-mass KG")
+        of_scales = _given(self, only=("scale_prior", "save_torque_scale"))
+        if of_scales and self.known_mass is None:
+            raise InputError(f"{of_scales[0].flag} is about torque scales; add --known-mass KG")
         if self.known_mass is not None and self.as_body is not None:
             raise InputError("--known-mass writes no model; leave --as-body out")
 
 
 @dataclass(frozen=True)
-class PayloadConfig:
+class PayloadConfig(Config):
     """Options of one payload; defaults are those of the command line."""
 
-    model: ModelOptions
-    payload: PayloadOptions
-    log: LogOptions = LogOptions()
-    estimation: EstimationOptions = EstimationOptions()
-    output: OutputOptions = OutputOptions()
-    trajectory: TrajectoryOptions = TrajectoryOptions()
-    excitation: ExcitationOptions = ExcitationOptions()
-    limits: LimitOptions = LimitOptions()
-    arm: SimulatedArmOptions = SimulatedArmOptions()
+    payload: PayloadOptions = field(default_factory=PayloadOptions)
 
-    def __post_init__(self) -> None:
-        self._check_needs()
+    def _groups(self) -> Iterator[tuple[bool, str, list[Option]]]:
+        logs, asked = bool(self.payload.empty), self.payload
+        motion = (self.trajectory, self.excitation, self.limits, self.arm)
+        models = "is about a simulation; it needs --empty-model and --loaded-model"
+        yield not logs, f"{models}, logs bring their own motion", _given(*motion)
+        yield logs, "describes logs; give --empty and --loaded", _given(self.log)
+        file = _given(self.output, only=("bundle", "keep"))
+        yield asked.known_mass is None, "is about a written model; --known-mass writes none", file
+        moving = _given(self.estimation, only=("cutoff", "velocity_deadband", "friction_model"))
+        yield not asked.static, "is about motion; --static uses poses at rest", moving
+        yield from super()._groups()
+
+    def _read(self) -> tuple[Path | None, ...]:
         given = self.payload
         models = (given.empty_model, given.loaded_model)
-        read = (*_read_by(self), *given.empty, *given.loaded, *models)
-        refuse_overwriting(read, self._written())
-
-    def _check_needs(self) -> None:
-        from_logs = bool(self.payload.empty)
-        for given in given_options(self.output) if self.payload.known_mass is not None else ():
-            if given.key in ("bundle", "write_offset") or given.key.startswith("keep_"):
-                raise InputError(f"{given.flag} is about a written model; --known-mass writes none")
-        if from_logs:
-            for record in (self.trajectory, self.excitation, self.limits, self.arm):
-                for given in given_options(record):
-                    raise InputError(
-                        f"{given.flag} is about a simulation; it needs --empty-model and "
-                        "--loaded-model, logs bring their own motion"
-                    )
-        else:
-            for given in given_options(self.log):
-                raise InputError(f"{given.flag} describes logs; give --empty and --loaded")
-        fixed = self.trajectory.file is not None and not self.arm.is_noisy
-        if fixed and self.trajectory.seed is not None:
-            raise InputError(f"--seed {NEEDS['draw']}")
-        for given in given_options(self.excitation):
-            if given.needs == "design" and self.excitation.kind != "optimal":
-                raise InputError(f"{given.flag} {NEEDS['design']}")
-        for given in given_options(self.estimation) if self.payload.static else ():
-            if given.key in MOVING:
-                raise InputError(f"{given.flag} is about motion; --static uses poses at rest")
+        return (*super()._read(), *given.empty, *given.loaded, *models)
 
     def _written(self) -> Iterator[tuple[str, Path]]:
-        for name in (PARAMS_NAME, CARD_NAME, *MODEL_NAMES.values()):
-            yield "--output-dir", self.output.output_dir / name
+        yield "--output-dir", self.output.output_dir / CARD_NAME
         if self.payload.save_torque_scale is not None:
             yield "--save-torque-scale", self.payload.save_torque_scale
-
-
-def _read_by(config: SysidConfig | PayloadConfig) -> tuple[Path | None, ...]:
-    """Return the files that a run reads and must not write over."""
-    log = config.log
-    factors = (each for each in (log.torque_scale, log.torque_constants) if isinstance(each, Path))
-    models = (config.model.path, config.arm.plant_model, config.trajectory.file)
-    return (*models, *log.measurements, log.validation_measurements, log.columns, *factors)
+        yield from super()._written()
 
 
 def config_from(path: Path, **values: Any) -> SysidConfig:
@@ -430,8 +371,7 @@ def payload_config_from(path: Path, **values: Any) -> PayloadConfig:
     return _configured(PayloadConfig, path, values)
 
 
-def _configured(kind: type[Config], path: Path, values: Mapping[str, Any]) -> Config:
-    """Return a record of option records; arguments and errors as in ``config_from``."""
+def _configured(kind: type[AnyConfig], path: Path, values: Mapping[str, Any]) -> AnyConfig:
     records = get_type_hints(kind)
     refuse_unknown(values, *records.values())
     made = {name: record_from(record, values) for name, record in records.items()}

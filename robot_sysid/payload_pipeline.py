@@ -98,11 +98,11 @@ def weighed(config: PayloadConfig, robot: RobotModel, progress: Progress) -> Ana
         scale_prior=None if options.known_mass is None else options.scale_prior or SCALE_PRIOR,
         resting=options.static,
     )
-    answer, free = answer_payload(robot, datasets, question, progress, config.output.kept)
+    answer, free = answer_payload(robot, datasets, question, progress, config.output.keep)
     duration = sum(float(np.ptp(each.samples.time)) for each in raw)
     rate = sum(len(each.samples) - 1 for each in raw) / duration
     origin = DataOrigin(Source.LOG, ", ".join(each.name for each in raw), duration, rate)
-    result = payload_of(answer, free, flange, origin, options.static, config.output.write_offset)
+    result = payload_of(answer, free, flange, origin, options.static)
     for note in result.notes[len(robot.notes) :]:
         progress.note(note)
     return Analysis(result, datasets[-1].motion, lambda: traces_of(answer), answer)

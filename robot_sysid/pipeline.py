@@ -47,7 +47,7 @@ from robot_sysid.results.rollout import play_held_out, play_other, refusal, torq
 from robot_sysid.simulation.closed_loop import PlantSimulation
 from robot_sysid.simulation.loading import load_plant
 from robot_sysid.simulator import ArmTorque
-from robot_sysid.trajectory import CHUNK, motion_chunks, require_countable, sample_count
+from robot_sysid.trajectory import CHUNK, motion_chunks, sample_count
 
 if TYPE_CHECKING:
     from robot_sysid.damiao.trajectory import DamiaoExportReport, MotionChunk
@@ -60,7 +60,7 @@ _NOISE_STREAM = 1
 
 @dataclass(frozen=True)
 class PlanOutcome:
-    """What a run with --plan-only produced.
+    """What planning a motion produced.
 
     Attributes:
         lines: what the trajectory promises.
@@ -370,10 +370,10 @@ def _identified(
     for log in tests:
         parts = [Piece(str(log.path), part) for part in log.pieces]
         others[str(log.path)] = filtered(robot, parts, same)[0]
-    kept = config.output.kept + ((FILE_FRICTION, FILE_ROTORS) if options.no_friction else ())
+    kept = config.output.keep + ((FILE_FRICTION, FILE_ROTORS) if options.no_friction else ())
     answer = answer_link(robot, datasets, options, progress, kept, others)
     answer = replace(answer, notes=(*notes, *said, *answer.notes))
-    result = result_of(answer, origin, config.output.write_offset)
+    result = result_of(answer, origin)
     for note in result.notes:
         if note not in (*robot.notes, *notes, *said):
             progress.note(note)
@@ -443,8 +443,8 @@ def _played(config: SysidConfig, robot: RobotModel, analysis: Analysis) -> Rollo
     signals = [each.signals for each in answer.fit.columns.datasets if each.signals is not None]
 
     def again(masks: Sequence[np.ndarray], target: ModelTarget) -> None:
-        found = refit(answer, masks, config.output.kept)
-        result = result_of(found, analysis.result.data, config.output.write_offset)
+        found = refit(answer, masks, config.output.keep)
+        result = result_of(found, analysis.result.data)
         write_model(result, robot, target)
 
     return play_held_out(robot, signals, again, mesh_dir)
@@ -457,14 +457,12 @@ def _motor_file(config: SysidConfig, robot: RobotModel, plan: MotionPlan) -> Mot
         return None
     from robot_sysid.damiao.trajectory import export_damiao_trajectory
 
-    rate = motors.damiao_rate or config.trajectory.sample_rate
-    require_countable(plan.duration, rate, "--damiao-rate")
+    rate = config.trajectory.sample_rate
 
     def write(file: TextIO) -> DamiaoExportReport:
         motion, ids = commands(robot, plan, rate), (motors.can_id, motors.master_id)
-        return export_damiao_trajectory(
-            motion, motors.motor_type, file, *ids, motors.supply, robot.joint_names
-        )
+        names = robot.joint_names
+        return export_damiao_trajectory(motion, motors.motor_type, file, *ids, joint_names=names)
 
     return write
 

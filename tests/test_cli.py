@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import re
 import signal
@@ -15,11 +14,9 @@ import pytest
 
 from robot_sysid import __version__
 from robot_sysid.cli import main
-from robot_sysid.commands import identify, payload, plan, run
 from robot_sysid.errors import SysidError
 from robot_sysid.estimation.identify import ITSELF
 from robot_sysid.records.atomic_files import only_run_in
-from tests.support import option_samples
 from tests.support.command_line import files_in
 from tests.support.places import GUESS
 
@@ -45,11 +42,11 @@ def test_an_error_is_a_line_that_can_be_read(capsys):
     assert len(line) < 2000 and " [...] " in line and "cannot read model file" in line
 
 
-@pytest.mark.parametrize("mark", ["\x1b[31m", "\x9b31m", "\x07", "\u202e"])
+@pytest.mark.parametrize("mark", ["\x1b[31m", "\u202e"])
 def test_names_cannot_steer_the_terminal(tmp_path, capsys, mark):
     path = tmp_path / f"a{mark}.xml"
     assert main([str(path)]) == 2
-    if mark not in ("\x1b[31m", "\x07"):  # XML itself has none of these.
+    if mark != "\x1b[31m":  # XML itself has none of these.
         path.write_text(ARM.replace("elbow", f"el{mark}bow"), encoding="utf-8")
         assert main([str(path), "--duration", "1", "--output-dir", str(tmp_path / "out")]) == 0
     printed = capsys.readouterr()
@@ -137,21 +134,13 @@ def test_bad_files_exit_2_with_one_line_and_nothing_written(case, arm, capsys):
 
 BAD_OPTIONS = {
     "zero duration": (["--duration", "0"], "--duration must be positive"),
-    "negative duration": (["--duration", "-3"], "--duration must be positive"),
-    "duration not a number": (["--duration", "nan"], "--duration must be positive"),
-    "endless duration": (["--duration", "inf"], "--duration must be positive"),
     "duration in words": (["--duration", "long"], "--duration"),
-    "zero rate": (["--sample-rate", "0"], "--sample-rate must be positive"),
-    "rate not a number": (["--sample-rate", "nan"], "--sample-rate must be positive"),
-    "too many samples": (["--duration", "1e9"], "1e+12 samples"),
     "no output folder": (["--output-dir", ""], "--output-dir: the folder's name is empty"),
     "output folder without a name": (["--output-dir", "\udcff"], "cannot be written as UTF-8"),
-    "too few samples": (["--duration", "0.1", "--sample-rate", "1"], "two samples"),
-    "negative seed": (["--seed", "-1"], "--seed"),
-    "zero speed": (["--max-velocity", "0"], "--max-velocity must be positive"),
+    "output folder with too long a name": (["--output-dir", 300 * "n"], "File name too long"),
+    "log with too long a name": (["--measurements", 300 * "n"], "File name too long"),
     "unknown joint": (["--joint", "wrist"], "the model has: shoulder, elbow"),
-    "unknown torques": (["--torques", "some"], "chain"),
-    "unknown option": (["--frobnicate"], "--frobnicate"),
+    "unknown option": (["--measurement", "a"], "--measurement: did you mean --measurements?"),
     "no motor type": (["--export-damiao"], "--export-damiao requires at least one --motor-type"),
     "unknown motor type": (
         ["--export-damiao", "--motor-type", "DM1", "--motor-type", "DM4340"],
@@ -185,21 +174,8 @@ def test_a_path_that_is_no_model_by_its_name_is_told_what_is_expected(name, expe
     assert ("Expected an XML model file" in message) == expected
 
 
-@pytest.mark.parametrize(
-    ("words", "meant"),
-    [
-        (("arm.xml", "--measurement", "log.csv"), "--measurement: did you mean --measurements?"),
-        (("arm.xml", "--output_dir=x"), "--output_dir: did you mean --output-dir?"),
-        (("payload", "arm.xml", "--load", "b.csv"), "--load: did you mean --loaded?"),
-        (("identfy", "arm.xml", "a.csv"), "no command identfy: did you mean identify?"),
-    ],
-)
-def test_a_typing_error_is_told_what_is_near(words, meant, command):
-    assert meant in command.refused(*words)
-
-
-def test_what_is_near_nothing_gets_no_suggestion(command):
-    assert "did you mean" not in command.refused("arm.xml", "--zzz", "3")
+def test_a_command_that_is_misspelt_is_told_what_is_near(command):
+    assert "no command identfy: did you mean identify?" in command.refused("identfy", "a.xml")
 
 
 def test_a_directory_is_not_a_model(arm, capsys):
@@ -222,18 +198,6 @@ def test_a_working_folder_that_is_gone_is_one_line(words, arm, monkeypatch, caps
     gone.rmdir()
     words = [word.format(arm) for word in words.split()]
     _expect_usage_error(words, "current folder no longer", arm.parent, capsys)
-
-
-@pytest.mark.parametrize(
-    ("option", "word"),
-    [
-        ("--measurements", "File name too long"),
-        ("--mesh-dir", "does not exist; check --mesh-dir"),
-        ("--output-dir", "File name too long"),
-    ],
-)
-def test_a_name_that_is_too_long_is_one_line(option, word, arm, capsys):
-    _expect_usage_error([str(arm), option, 300 * "n"], word, arm.parent, capsys)
 
 
 @pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may write anywhere")
@@ -336,79 +300,41 @@ SHORT = ("--duration", "1", "--sample-rate", "100")
 
 
 @pytest.fixture
-def both_sets(command, arm):
-    """The files of two runs; those of the first are in the output folder."""
-    sets = []
-    for seed in (SECOND, FIRST):
-        command.run(arm, *SHORT, *EXPORT, *seed)
-        sets.append(files_in(arm.parent / "sysid_output"))
-        assert sorted(sets[-1]) == list(RESULTS)
-    assert all(sets[0][name] != sets[1][name] for name in RESULTS)
-    return sets[1], sets[0]
+def first(command, arm):
+    """The files of a run, which are in the output folder."""
+    command.run(arm, *SHORT, *EXPORT, *FIRST)
+    found = files_in(arm.parent / "sysid_output")
+    assert sorted(found) == list(RESULTS)
+    return found
 
 
-@pytest.mark.parametrize("how", ["KeyboardInterrupt", "SIGTERM", "SIGINT"])
-def test_old_results_are_replaced_whole_and_the_model_last(
-    how, both_sets, command, arm, monkeypatch
+def test_a_signal_waits_until_the_new_set_is_there_with_the_model_last(
+    first, command, arm, monkeypatch
 ):
-    """A signal waits until the new set is there; an error leaves whole files, old or new."""
-    replace, results = os.replace, arm.parent / "sysid_output"
-    first, second = both_sets
-    instants = [(rename, moment) for rename in range(3) for moment in ("before", "after")]
-    for instant in instants:
-        count = iter(range(99))
-
-        def stop():
-            if how == "KeyboardInterrupt":
-                raise KeyboardInterrupt
-            signal.raise_signal(getattr(signal, how))
-
-        def interrupted(source, target, instant=instant, count=count, stop=stop):
-            rename = next(count)
-            if instant == (rename, "before"):
-                stop()
-            replace(source, target)
-            if instant == (rename, "after"):
-                stop()
-
-        with monkeypatch.context() as patch:
-            patch.setattr(os, "replace", interrupted)
-            printed = command.run(arm, *SHORT, *EXPORT, *SECOND, code=130)
-        assert printed.err == "robot-sysid: error: interrupted; no unfinished file is left\n"
-        found = files_in(results)
-        assert set(found) <= set(RESULTS)
-        assert all(content in (first[name], second[name]) for name, content in found.items())
-        if how == "KeyboardInterrupt" and RESULTS[-1] not in found:
-            assert set(found) == set(RESULTS[:-1])
-        else:
-            assert found == second
-        for name, content in first.items():
-            (results / name).write_bytes(content)
-
-
-def test_the_model_takes_its_place_last(command, arm, monkeypatch):
-    """A process that is killed on the way leaves no model beside numbers of another one."""
     replace, order = os.replace, []
 
-    def remember(source, target):
-        order.append(Path(target).name)
+    def interrupted(source, target):
         replace(source, target)
+        order.append(Path(target).name)
+        signal.raise_signal(signal.SIGINT)
 
-    monkeypatch.setattr(os, "replace", remember)
-    command.run(arm, *SHORT, *EXPORT, *FIRST)
-    assert sorted(order) == list(RESULTS)
-    assert order[-1] == "updated_model.xml"
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "replace", interrupted)
+        printed = command.run(arm, *SHORT, *EXPORT, *SECOND, code=130)
+    assert printed.err == "robot-sysid: error: interrupted; no unfinished file is left\n"
+    assert sorted(order) == list(RESULTS) and order[-1] == "updated_model.xml"
+    second = files_in(arm.parent / "sysid_output")
+    assert sorted(second) == list(RESULTS)
+    assert all(second[name] != first[name] for name in RESULTS)
 
 
-def test_a_signal_at_work_leaves_the_old_results_and_no_drafts(
-    both_sets, command, arm, monkeypatch
-):
+def test_a_signal_at_work_leaves_the_old_results_and_no_drafts(first, command, arm, monkeypatch):
     def stop(*_, **__):
         signal.raise_signal(signal.SIGTERM)
 
     monkeypatch.setattr("robot_sysid.results.model.require_reproduction", stop)
     command.run(arm, *SHORT, *EXPORT, *SECOND, code=130)
-    assert files_in(arm.parent / "sysid_output") == both_sets[0]
+    assert files_in(arm.parent / "sysid_output") == first
 
 
 def test_two_runs_do_not_write_into_one_folder(command, arm):
@@ -420,67 +346,6 @@ def test_two_runs_do_not_write_into_one_folder(command, arm):
         )
         command.run(arm, *SHORT, "--output-dir", "elsewhere")
     command.run(arm, *SHORT)
-
-
-def test_version(capsys):
-    with pytest.raises(SystemExit) as stop:
-        main(["--version"])
-    assert stop.value.code == 0
-    assert capsys.readouterr().out.strip() == f"robot-sysid {__version__}"
-
-
-PARSERS = {
-    "": run.build_parser,
-    "plan": plan.build_parser,
-    "identify": identify.build_parser,
-    "payload": payload.build_parser,
-}
-
-
-@pytest.mark.parametrize("name", PARSERS)
-def test_every_option_has_help(name):
-    for action in PARSERS[name]()._actions:
-        assert action.help, action.option_strings
-        assert not action.help.startswith("==")
-
-
-def help_lines(arguments, capsys):
-    with pytest.raises(SystemExit) as stop:
-        main(arguments)
-    assert stop.value.code == 0
-    return capsys.readouterr().out.splitlines()
-
-
-@pytest.mark.parametrize("name", PARSERS)
-def test_help_is_an_example_and_the_main_options_on_one_page(name, capsys):
-    lines = help_lines([*name.split(), "--help"], capsys)
-    assert lines[0].startswith(f"example: robot-sysid {name}".rstrip())
-    assert len(lines) <= 50
-    assert max(map(len, lines)) <= 100
-
-
-@pytest.mark.parametrize("name", PARSERS)
-def test_the_main_options_are_options(name):
-    shown = [a for a in PARSERS[name](False)._actions if a.help != argparse.SUPPRESS]
-    module = {"": run, "plan": plan, "identify": identify, "payload": payload}[name]
-    assert set(module.MAIN) <= {action.dest for action in shown}
-
-
-def test_all_options_of_all_records_are_in_the_full_help(capsys):
-    lines = help_lines(["--help-all"], capsys)
-    assert max(map(len, lines)) <= 100
-    text = "\n".join(lines)
-    for sample in option_samples.samples():
-        assert re.search(rf"^  {sample.option.flag}\b", text, re.MULTILINE), sample.option.flag
-    for record in option_samples.record_types().values():
-        assert any(record in records for _, records in run.GROUPS)
-
-
-@pytest.mark.parametrize("name", ["plan", "identify", "payload"])
-def test_the_full_help_of_a_command_shows_all_it_takes(name, capsys):
-    text = "\n".join(help_lines([name, "--help-all"], capsys))
-    for action in PARSERS[name]()._actions:
-        assert all(word in text for word in action.option_strings)
 
 
 def test_the_installed_command_leaves_nothing_but_results(arm):

@@ -2,160 +2,154 @@
 
 from __future__ import annotations
 
-from dataclasses import FrozenInstanceError
-from itertools import combinations
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.config import NEEDS, SysidConfig, config_from
+from robot_sysid.config import SysidConfig, config_from, payload_config_from
 from robot_sysid.errors import InputError
-from robot_sysid.records.options import default_of
 from robot_sysid.trajectory import MOST_SAMPLES
 from tests.support import option_samples
-from tests.support.option_samples import FILE, LOG, MET, MOTORS, OPTIMAL, PLAN, PLANT, UNMET
 
 MODEL = Path("arm.xml")
-SAMPLES = list(option_samples.samples())
-NEEDY = [sample for sample in SAMPLES if sample.option.needs]
-SOURCES = {"log": LOG, "plant": PLANT, "plan": PLAN, "file": FILE, "design": OPTIMAL}
-TOGETHER = ({"plant", "design"}, {"plant", "file"}, {"plan", "design"}, {"plan", "file"})
-NOT_POSITIVE = st.one_of(
-    st.floats(max_value=0.0), st.sampled_from([float("nan"), float("inf"), -float("inf")])
-)
+LOG = {"measurements": (Path("log.csv"),)}
+PLANT = {"plant_model": Path("truth.xml")}
+PLAN = {"plan_only": True}
+OPTIMAL = {"excitation": "optimal"}
+FILE = {"trajectory": Path("saved.json")}
+STATIC = {**PLAN, "for": "payload", "static": True}
+SERVOS = {**LOG, "torque_from": "position-error"}
+MOTORS = {"export_damiao": True, "motor_type": ("DM4340",)}
+EMPTY_AND_LOADED = {"empty": (Path("a.csv"),), "loaded": (Path("b.csv"),)}
+MODELS = {"empty_model": Path("a.xml"), "loaded_model": Path("b.xml")}
 
 
-def refused(**values):
+def refused(make=config_from, **values):
     """The one line with which options are refused."""
     with pytest.raises(InputError) as caught:
-        config_from(MODEL, **values)
+        make(MODEL, **values)
     assert "\n" not in str(caught.value)
     return str(caught.value)
 
 
-def flag(key):
-    return next(sample.option.flag for sample in SAMPLES if sample.option.key == key)
-
-
-def test_without_options_every_record_has_its_defaults():
+def test_every_option_is_accepted_in_some_run_and_kept():
     config = config_from(MODEL)
-    assert config == SysidConfig(config.model)
-    assert config.model.path == MODEL
-    for sample in SAMPLES:
-        record = getattr(config, sample.record)
-        assert getattr(record, sample.field) == default_of(record, sample.field)
+    assert config == SysidConfig(config.model) and config.model.path == MODEL
+    samples = list(option_samples.samples())
+    assert len({sample.option.key for sample in samples}) == len(samples)
+    for sample in samples:
+        for there in ({}, OPTIMAL, STATIC, PLANT, LOG, SERVOS, MOTORS):
+            values = {"motor_type": ("DM4340",), **there} if there is MOTORS else there
+            try:
+                config = config_from(MODEL, **{**values, sample.option.key: sample.value})
+            except InputError:
+                continue
+            assert getattr(getattr(config, sample.record), sample.field) == sample.value
+            break
+        else:
+            assert sample.option.key == "export_damiao"  # Never without motor types.
 
 
-def test_every_need_is_explained_met_somewhere_and_used():
-    used = {sample.option.needs for sample in SAMPLES}
-    assert used == {"", *NEEDS} == set(MET) == {"", *UNMET}
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({**LOG, "duration": 3.0}, "--duration is about a motion; a log brings its own"),
+        ({**LOG, "max_torque": 3.0}, "--max-torque is about a motion"),
+        ({**LOG, **MOTORS}, "--export-damiao is about a motion"),
+        ({"units": "deg"}, "--units describes a log; add --measurements LOG.csv"),
+        ({**PLANT, "torque_from": "position-error"}, "--torque-from describes a log"),
+        ({"noise_torque": 0.1}, "--noise-torque belongs to a simulated plant; add --plant-model"),
+        ({**LOG, "torque_delay": 0.1}, "--torque-delay belongs to a simulated plant"),
+        ({"cutoff": 3.0}, "--cutoff is about measured torques; add --measurements or --plant"),
+        ({"method": "robust"}, "--method is about measured torques"),
+        ({"keep": ("links",)}, "--keep is about measured torques"),
+        ({**LOG, "write_delay": True}, "--write-delay is about servos found from commands"),
+        ({**SERVOS, "torque_scale": 2.0}, "--torque-scale is about measured torques; leave it off"),
+        ({**SERVOS, "keep": "friction"}, "--keep is about measured torques; leave it off"),
+        ({**SERVOS, "method": "ols"}, "--method is about measured torques; leave it off"),
+        ({"for": "friction"}, "--for says what a plan is for; use robot-sysid plan"),
+        ({**PLAN, "static": True}, "--static is about resting poses; add --for payload"),
+        ({**PLAN, "for": "payload", "dwell": 3.0}, "--dwell is about resting poses"),
+        ({"criterion": "A"}, "--criterion is about a design; add --excitation optimal"),
+        ({"can_id": (3,)}, "--can-id is only used together with --export-damiao; add it"),
+        ({"export_damiao": True}, "--export-damiao requires at least one --motor-type"),
+        ({**OPTIMAL, "harmonics": 0}, "--harmonics 0 is too few"),
+    ],
+)
+def test_an_option_that_does_not_count_is_refused(values, message):
+    assert refused(**values).startswith(message)
 
 
-def test_keys_are_different():
-    keys = [sample.option.key for sample in SAMPLES]
-    assert len(set(keys)) == len(keys)
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({}, "give --empty LOG"),
+        ({"empty": (Path("a.csv"),)}, "--loaded is missing"),
+        ({**EMPTY_AND_LOADED, **MODELS}, "logs and --empty-model"),
+        ({**EMPTY_AND_LOADED, "order": "AAB"}, "--order AAB"),
+        ({**EMPTY_AND_LOADED, "known_mass": 1.0, "keep": "links"}, "--keep is about a written"),
+        ({**EMPTY_AND_LOADED, "known_mass": 1.0, "as_body": "load"}, "--known-mass writes no"),
+        ({**EMPTY_AND_LOADED, "scale_prior": 1.0}, "--scale-prior is about torque scales"),
+        ({**EMPTY_AND_LOADED, "duration": 3.0}, "--duration is about a simulation"),
+        ({**EMPTY_AND_LOADED, "static": True, "cutoff": 3.0}, "--cutoff is about motion; --static"),
+        ({**MODELS, "units": "deg"}, "--units describes logs"),
+        ({**MODELS, "criterion": "A"}, "--criterion is about a design"),
+        ({**EMPTY_AND_LOADED, "empty": Path("sysid_output/params.json")}, "--output-dir would ov"),
+    ],
+)
+def test_of_a_payload_as_well(values, message):
+    assert refused(payload_config_from, **values).startswith(message)
 
 
-@pytest.mark.parametrize("sample", SAMPLES, ids=str)
-def test_an_option_is_accepted_and_kept_where_what_it_needs_is_there(sample):
-    companions = MOTORS if sample.option.key == "export_damiao" else {}
-    # Where the motion comes from is a choice of its own, see below.
-    is_source = any(sample.option.key in source for source in SOURCES.values())
-    for there in ({},) if is_source else MET[sample.option.needs]:
-        config = config_from(MODEL, **{**there, **companions, sample.option.key: sample.value})
-        assert getattr(getattr(config, sample.record), sample.field) == sample.value
+@pytest.mark.parametrize(
+    "values",
+    [
+        {**LOG, **PLANT},
+        {**FILE, **OPTIMAL},
+        {**FILE, "duration": 3.0},
+        {**STATIC, **OPTIMAL},
+        {**PLAN, "for": "friction", "duration": 3.0},
+        {"measurements": (Path("a.csv"), Path("b.csv")), "save_measurements": Path("c.csv")},
+        {**LOG, "no_friction": True, "friction_model": "coulomb"},
+        {**LOG, "verify_rollout": True, "torques": "terminal"},
+    ],
+    ids=str,
+)
+def test_options_that_exclude_each_other_are_refused(values):
+    assert "exclude each other" in refused(**values)
 
 
-@pytest.mark.parametrize("sample", NEEDY, ids=str)
-def test_an_option_is_refused_where_what_it_needs_is_not_there(sample):
-    """In the name of that option, or of the one that stands against it."""
-    companions = MOTORS if sample.option.key == "export_damiao" else {}
-    for there in UNMET[sample.option.needs]:
-        message = refused(**{**companions, **there, sample.option.key: sample.value})
-        named = {sample.option.flag, *map(flag, there)}
-        assert message.split()[0] in named, message
-
-
-@pytest.mark.parametrize("sample", NEEDY, ids=str)
-def test_the_refusal_says_what_is_missing(sample):
-    for there in UNMET[sample.option.needs]:
-        if not there and sample.option.key != "export_damiao":
-            message = refused(**{sample.option.key: sample.value})
-            assert message == f"{sample.option.flag} {NEEDS[sample.option.needs]}"
-
-
-PAIRS = {
-    "a log and a plant": {**LOG, **PLANT},
-    "a file and a design": {**FILE, **OPTIMAL},
-    "one copy of several logs": {
-        "measurements": (Path("a.csv"), Path("b.csv")),
-        "save_measurements": Path("c.csv"),
-    },
-    "no friction and some": {**LOG, "no_friction": True, "friction_model": "coulomb"},
-    "a model of one joint and all": {**LOG, "verify_rollout": True, "torques": "terminal"},
-    "a possible body and perhaps not": {"consistency": "off", "prior": "entropic"},
-}
-
-
-@pytest.mark.parametrize("case", PAIRS)
-def test_options_that_exclude_each_other_are_refused(case):
-    message = refused(**PAIRS[case])
-    assert "exclude each other" in message
-    assert all(flag(key) in message for key in PAIRS[case] if key != "measurements")
-
-
-@pytest.mark.parametrize("there", [{}, OPTIMAL])
-def test_the_robust_method_needs_measured_data(there):
-    assert refused(**there, method="robust") == f"--method robust {NEEDS['measured']}"
-    for measured in (LOG, PLANT):
-        assert config_from(MODEL, **measured, method="robust").estimation.method == "robust"
-
-
-@pytest.mark.parametrize("pair", [*combinations(SOURCES, 2)], ids=" and ".join)
-def test_where_the_motion_comes_from_is_settled_or_refused(pair):
-    values = {**SOURCES[pair[0]], **SOURCES[pair[1]]}
-    if set(pair) in TOGETHER:
+def test_what_goes_together_is_accepted():
+    for values in ({**PLANT, **OPTIMAL}, {**PLANT, **FILE}, {**PLAN, **OPTIMAL}, {**PLAN, **FILE}):
         config_from(MODEL, **values)
-    else:
-        refused(**values)
-
-
-FILES = {
-    "the log": {**LOG, "save_measurements": Path("./log.csv")},
-    "the model": {"save_trajectory": MODEL},
-    "the trajectory": {**FILE, "save_trajectory": Path("saved.json")},
-    "the samples over the trajectory": {"save_trajectory": Path("plan.csv")},
-    "the samples over the measurements": {
-        "save_trajectory": Path("run.json"),
-        "save_measurements": Path("run.csv"),
-    },
-    "by its whole path": {**LOG, "save_measurements": Path.cwd() / "log.csv"},
-}
-
-
-@pytest.mark.parametrize("case", FILES)
-def test_no_file_is_written_over_another_one(case):
-    assert "would overwrite" in refused(**FILES[case])
-
-
-def test_different_files_are_accepted():
+    for values, measured in (({}, False), (OPTIMAL, False), (LOG, True), (PLANT, True)):
+        assert config_from(MODEL, **values).is_measured == measured
     config_from(MODEL, save_trajectory=Path("a.json"), save_measurements=Path("b.csv"))
     config_from(MODEL, **LOG, save_measurements=Path("other/log.csv"))
+    payload_config_from(MODEL, **MODELS, noise_torque=0.1, seed=1)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {**LOG, "save_measurements": Path("./log.csv")},
+        {**LOG, "save_measurements": Path.cwd() / "log.csv"},
+        {"save_trajectory": MODEL},
+        {**FILE, "save_trajectory": Path("saved.json")},
+        {"save_trajectory": Path("plan.csv")},
+        {"save_trajectory": Path("run.json"), "save_measurements": Path("run.csv")},
+    ],
+    ids=str,
+)
+def test_no_file_is_written_over_another_one(values):
+    assert "would overwrite" in refused(**values)
 
 
 def test_an_unknown_key_lists_the_known_ones():
     message = refused(sped=0.5)
     assert message.startswith("unknown option 'sped'; valid: accept, append, base_frequency, ")
-    assert all(sample.option.key in message for sample in SAMPLES)
-
-
-@pytest.mark.parametrize("key", ["duration", "sample_rate", "max_velocity", "damiao_rate"])
-@given(value=NOT_POSITIVE)
-def test_numbers_that_must_be_positive_are_refused_otherwise(key, value):
-    motors = MOTORS if key == "damiao_rate" else {}
-    assert refused(**motors, **{key: value}).startswith(f"{flag(key)} must be positive")
 
 
 @given(st.floats(0.01, 1e5), st.floats(0.01, 1e5))
@@ -172,61 +166,22 @@ def test_any_duration_and_rate_with_two_samples_or_more_and_not_too_many_is_acce
 
 
 @pytest.mark.parametrize(
-    ("values", "option"),
-    [
-        ({"speed": 1e-12}, "--sample-rate"),
-        ({"sample_rate": 1e12}, "--sample-rate"),
-        ({"duration": 1e12}, "--sample-rate"),
-        ({**MOTORS, "damiao_rate": 1e9}, "--damiao-rate"),
-        ({**MOTORS, "damiao_rate": 1e5, "sample_rate": 1.0, "speed": 1e-3}, "--damiao-rate"),
-    ],
-)
-def test_more_samples_than_a_run_can_take_are_refused(values, option):
-    message = refused(**values)
-    assert option in message and "more than the 1e+09 a run can take" in message
-
-
-@pytest.mark.parametrize(
     ("values", "message"),
     [
+        ({"duration": 0.0}, "--duration must be positive"),
+        ({"sample_rate": float("nan")}, "--sample-rate must be positive"),
+        ({"max_velocity": float("inf")}, "--max-velocity must be positive"),
+        ({"speed": 1e-12}, "a trajectory of 1.5e+13 s with --sample-rate"),
         ({**LOG, "cutoff": 0.0}, "--cutoff must be positive (got 0)"),
-        ({**LOG, "velocity_deadband": -1.0}, "--velocity-deadband must be a number"),
         ({**LOG, "velocity_deadband": (0.1, -1.0)}, "--velocity-deadband must be a number"),
         ({**LOG, "friction_model": "glue"}, "unknown friction term 'glue'"),
         ({**PLANT, "encoder_resolution": -1.0}, "--encoder-resolution must be a number"),
         ({**PLANT, "noise_torque": (0.1, -0.1)}, "--noise-torque must be a number"),
-        ({**PLANT, "noise_position": float("inf")}, "--noise-position must be a number"),
         ({**PLANT, "torque_delay": 2.0}, "--torque-delay is given in seconds and may be at most 1"),
-        ({"prior": "entropic", "prior_weight": 0.0}, "--prior-weight must be positive (got 0)"),
         ({"torques": "all"}, "--torques 'all': choose one of chain, terminal"),
-        ({"method": "magic"}, "--method 'magic': choose one of ols, wls, robust"),
-        ({"speed": 0.0}, "--speed must be above 0 and at most 1 (got 0)"),
         ({"speed": 1.5}, "--speed must be above 0 and at most 1 (got 1.5)"),
+        ({"seed": -1}, "--seed must be a number that is not negative"),
     ],
 )
 def test_values_that_mean_nothing_are_refused(values, message):
     assert refused(**values).startswith(message)
-
-
-def test_measured_data_is_a_log_or_a_plant():
-    for values, measured in (({}, False), (OPTIMAL, False), (LOG, True), (PLANT, True)):
-        assert config_from(MODEL, **values).is_measured == measured
-
-
-def test_a_negative_seed_is_refused():
-    assert "--seed must be a number that is not negative" in refused(seed=-1)
-    assert config_from(MODEL, seed=0).trajectory.seed == 0
-
-
-def test_the_damiao_export_needs_motor_types():
-    message = refused(export_damiao=True)
-    assert message.startswith("--export-damiao requires at least one --motor-type")
-
-
-def test_a_design_that_has_no_basis_is_refused():
-    assert "--harmonics 0 is too few" in refused(**OPTIMAL, harmonics=0)
-
-
-def test_a_config_cannot_be_changed():
-    with pytest.raises(FrozenInstanceError):
-        config_from(MODEL).trajectory.duration = 3.0

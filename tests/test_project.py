@@ -14,7 +14,7 @@ import pytest
 
 import robot_sysid
 from robot_sysid.cli import main
-from robot_sysid.commands import arm, identify, motors, payload, plan, run
+from robot_sysid.commands import identify, motors, payload, plan, run
 from robot_sysid.regressor import derive_regressor
 from tests.support.places import ROOT
 
@@ -33,7 +33,7 @@ KINOVA_OUTPUT = re.compile(r"<!-- kinova output -->\n```text\n(.*?)```", re.DOTA
 
 def parsers() -> list[argparse.ArgumentParser]:
     """Return the parsers of all commands."""
-    whole = [module.build_parser() for module in (run, plan, identify, arm, payload)]
+    whole = [module.build_parser() for module in (run, plan, identify, payload)]
     return [*whole, *(motors.build_parser(name) for name in motors.COMMANDS)]
 
 

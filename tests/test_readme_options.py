@@ -6,8 +6,8 @@ import argparse
 
 import pytest
 
-from robot_sysid.commands import arm, identify, motors, payload, plan, run
-from robot_sysid.commands.arguments import ConsoleOptions
+from robot_sysid.commands import identify, motors, payload, plan, run
+from robot_sysid.commands.arguments import PYTHON_ONLY, ConsoleOptions
 from robot_sysid.motion.problem import DEFAULT_NOISE_TORQUE
 from robot_sysid.records.options import options_of
 from tests.support import option_tables
@@ -29,7 +29,8 @@ def flags(parser: argparse.ArgumentParser) -> set[str]:
 def group(*names: str) -> set[str]:
     """Return the options of some groups."""
     records = [record for name in names for record in TABLES[name]]
-    return {each.flag for record in records for each in options_of(record).values()}
+    found = [each for record in records for each in options_of(record).values()]
+    return {each.flag for each in found if each.key not in PYTHON_ONLY}
 
 
 def test_the_tables_are_what_the_generator_writes():
@@ -60,16 +61,19 @@ def test_what_is_said_to_belong_to_one_command_of_motors_does():
         assert (recording <= flags(parser)) == (name != "check")
 
 
-def test_the_groups_of_the_main_command_are_all_there_is():
-    assert flags(run.build_parser()) == group(*(title for title, _ in run.GROUPS))
+OF_EXCITATION = {"--excitation", "--excitation-time-budget"}
+
+
+def test_the_main_command_takes_the_groups_it_is_said_to_take():
+    said = group(*(title for title in run.GROUPS if title != "excitation"))
+    assert flags(run.build_parser()) == said | OF_EXCITATION
 
 
 def test_plan_takes_the_groups_it_is_said_to_take():
     said = ("model and output", "trajectory", "excitation", "plan for a payload", "limits")
-    said = (*said, "Damiao motors")
-    no_result = {f"--keep-{part}" for part in ("friction", "rotors", "gravity", "links")}
-    no_result |= {"--write-offset", "--links", "--plan-only", "--bundle", "--report", "--plots"}
-    expected = group(*said, "preview") - no_result | {"--torques", "--noise-torque"}
+    said = (*said, "Damiao motors", "preview")
+    no_result = {"--keep", "--links", "--bundle", "--report", "--plots"}
+    expected = group(*said) - no_result | {"--torques", "--noise-torque"}
     assert flags(plan.build_parser()) == expected
 
 
@@ -78,19 +82,15 @@ def test_identify_takes_the_groups_it_is_said_to_take():
     assert flags(identify.build_parser()) == group(*said) - {"--measurements"}
 
 
-def test_arm_takes_what_identify_takes():
-    assert flags(arm.build_parser()) == flags(identify.build_parser())
-
-
 def test_payload_takes_the_groups_it_is_said_to_take():
-    whole = ("payload", "model and output", "measurements", "trajectory", "excitation", "limits")
+    whole = ("payload", "model and output", "measurements", "trajectory", "limits")
     of_estimation = {"--cutoff", "--velocity-deadband", "--friction-model"}
     of_estimation |= {
         f"--{what}-uncertainty" for what in ("link", "scale", "zero", "gravity", "delay")
     }
-    left_out = {"--measurements", "--validation-measurements", "--plan-only", "--save-trajectory"}
-    left_out |= {"--append", "--plant-model", "--save-measurements", "--verify-rollout", "--links"}
-    expected = group(*whole, "simulated plant") | of_estimation
+    left_out = {"--measurements", "--validation-measurements", "--save-trajectory", "--append"}
+    left_out |= {"--plant-model", "--save-measurements", "--verify-rollout", "--links"}
+    expected = group(*whole, "simulated plant") | of_estimation | OF_EXCITATION
     assert flags(payload.build_parser()) == expected - left_out
 
 

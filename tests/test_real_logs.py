@@ -48,12 +48,6 @@ def test_kukas_file_predicts_its_other_runs(tmp_path, capsys, tested, limit):
     assert "other links do not fit this arm" in " ".join(params["limitations"])
 
 
-def test_what_the_model_says_of_kukas_link_does_not_count_as_measured(tmp_path):
-    _, params = kuka(tmp_path, 3, "--prior", "entropic", "--prior-weight", "100")
-    assert params["known_to"] > 0.5
-    assert torque_errors(params)[1] < 0.045
-
-
 @pytest.mark.parametrize("method", ["ols", "wls", "robust"])
 def test_tx40s_rotor_inertia_is_seen(tmp_path, method):
     """Motor torques: without rotor inertia the error is several times larger."""

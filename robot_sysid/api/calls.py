@@ -132,7 +132,7 @@ def identify(
         log: one log of the real arm or several (see ``api.calls.Log``); None simulates the model
             itself, or the ``plant_model`` among the options.
         validation: a log to test the result on.
-        options: every option of the command, ``keep_gravity=True`` for --keep-gravity.
+        options: every option of the command, ``keep="gravity"`` for --keep gravity.
 
     Returns:
         The result, whether or not it may be trusted: see its ``failure``.

@@ -16,6 +16,8 @@ from robot_sysid.errors import EXIT_CODES, InputError
 from robot_sysid.records import options
 
 PROGRAM = "robot-sysid"
+PYTHON_ONLY = ("plan_only", "consistency", "prior", "prior_weight")
+"""Keys of options that only Python programs have."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +106,7 @@ class Parser(argparse.ArgumentParser):
         group = self.add_argument_group(title)
         for record in records:
             for name, each in options.options_of(record).items():
-                if each.key not in leave_out and (not only or each.key in only):
+                if each.key not in (*leave_out, *PYTHON_ONLY) and (not only or each.key in only):
                     default = (usual or {}).get(each.key, options.default_of(record, name))
                     hidden = self._main is not None and each.key not in self._main
                     _add(group, each, default, hidden)

@@ -3,40 +3,44 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 from robot_sysid.commands.arguments import Parser, parsed
-from robot_sysid.commands.run import add_logs, identify
+from robot_sysid.commands.run import add_model, identify
+from robot_sysid.config import ModelOptions, OutputOptions
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.logs.options import LogOptions
 
 MAIN = (
     *("mesh_dir", "joint", "output_dir", "columns", "units", "torque_scale", "delay", "cutoff"),
-    *("validation_measurements", "friction_model", "links", "coupling", "verify_rollout"),
-    *("keep_friction", "keep_gravity", "keep_links"),
+    *("validation_measurements", "friction_model", "links", "coupling", "verify_rollout", "keep"),
 )
 
 
 def build_parser(full: bool = True) -> Parser:
     """Return the parser of this command."""
-    return parser_of(
+    parser = Parser(
         "identify",
+        "robot-sysid identify arm.xml log.csv",
         "Identify an arm from one log of it, or from several together: the terminal link, every "
         "other link with --links, friction and rotor inertia. Write a corrected model.",
-        full,
+        None if full else MAIN,
     )
-
-
-def parser_of(command: str, description: str, full: bool) -> Parser:
-    """Return the parser of this command by one of its names."""
-    example = f"robot-sysid {command} arm.xml log.csv"
-    parser = Parser(command, example, description, None if full else MAIN)
-    add_logs(parser)
+    add_model(parser)
+    logs = "recording of the real arm"
+    parser.add_argument("measurements", metavar="LOG", nargs="+", type=Path, help=logs)
+    parser.add("model and output", ModelOptions, OutputOptions)
     parser.add("logs", LogOptions, leave_out=("measurements",))
     parser.add("estimation", EstimationOptions)
     parser.add_console()
     return parser
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Run the command and return its exit code."""
-    return identify(*parsed(build_parser, arguments))
+def main(arguments: Sequence[str], with_links: bool = False) -> int:
+    """Run the command, by its older name ``arm`` with the links, and return its exit code."""
+    values, console = parsed(build_parser, arguments)
+    if with_links:
+        console.note("arm is identify --links now; both do the same")
+        # Where no torque was measured, links are not sought.
+        values["links"] = "torque_from" not in values
+    return identify(values, console)

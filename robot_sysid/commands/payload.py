@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from robot_sysid.commands.arguments import Parser, parsed
-from robot_sysid.commands.report import require_report
-from robot_sysid.commands.run import add_model, told, warnings_as_notes
+from robot_sysid.commands.run import EXCITATION, add_model, carry_out
 from robot_sysid.config import ModelOptions, OutputOptions, PayloadOptions, payload_config_from
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.logs.options import LogOptions
@@ -23,10 +22,10 @@ ESTIMATION = (
     *("cutoff", "velocity_deadband", "friction_model", "link_uncertainty"),
     *("scale_uncertainty", "zero_uncertainty", "gravity_uncertainty", "delay_uncertainty"),
 )
-NOT_WRITTEN = ("links",)
-NOT_PLANNED = ("plan_only", "save_trajectory")
-NOT_SIMULATED = ("plant_model", "save_measurements")
-NOT_HERE = ("measurements", "append", "validation_measurements", "verify_rollout")
+NOT_HERE = (
+    *("links", "measurements", "append", "validation_measurements", "verify_rollout"),
+    *("save_trajectory", "plant_model", "save_measurements"),
+)
 
 
 def build_parser(full: bool = True) -> Parser:
@@ -40,13 +39,13 @@ def build_parser(full: bool = True) -> Parser:
     )
     add_model(parser)
     parser.add("recordings and payload", PayloadOptions)
-    parser.add("model and output", ModelOptions, OutputOptions, leave_out=NOT_WRITTEN)
+    parser.add("model and output", ModelOptions, OutputOptions, leave_out=NOT_HERE)
     parser.add("logs", LogOptions, leave_out=NOT_HERE)
     parser.add("estimation", EstimationOptions, only=ESTIMATION)
-    parser.add("trajectory of a simulation", TrajectoryOptions, leave_out=NOT_PLANNED)
-    parser.add("excitation", ExcitationOptions)
+    parser.add("trajectory of a simulation", TrajectoryOptions, leave_out=NOT_HERE)
+    parser.add("excitation", ExcitationOptions, only=EXCITATION)
     parser.add("limits", LimitOptions)
-    parser.add("sensors of a simulation", SimulatedArmOptions, leave_out=NOT_SIMULATED)
+    parser.add("sensors of a simulation", SimulatedArmOptions, leave_out=NOT_HERE)
     parser.add_console()
     return parser
 
@@ -54,11 +53,4 @@ def build_parser(full: bool = True) -> Parser:
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     values, console = parsed(build_parser, arguments)
-    config = payload_config_from(**values)
-    require_report(config.output)
-    # Imported here so that --help and usage errors do not wait for MuJoCo.
-    from robot_sysid.payload_pipeline import run
-
-    with warnings_as_notes(console):
-        outcome = run(config, console)
-    return told(outcome, console, config.output, config.model.mesh_dir)
+    return carry_out(payload_config_from(**values), console)

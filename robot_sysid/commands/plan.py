@@ -27,10 +27,7 @@ MAIN = (
     *("save_trajectory", "excitation", "excitation_time_budget", "max_velocity", "max_torque"),
     *("workspace", "keep_out", "export_damiao", "motor_type"),
 )
-NO_RESULT = (
-    *("keep_friction", "keep_rotors", "keep_gravity", "keep_links", "write_offset", "links"),
-    *("bundle", "report", "plots"),
-)
+NO_RESULT = (*("keep", "links", "bundle", "report", "plots"),)
 PREDICTED = ("torques", "noise_torque")
 USUAL = {"excitation": "optimal"}
 """What this command does where a user does not say otherwise."""

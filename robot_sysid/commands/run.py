@@ -1,4 +1,4 @@
-"""``robot-sysid MODEL``: identify the terminal link of one arm, with every option there is."""
+"""``robot-sysid MODEL``: identify the terminal link of one arm; what commands that run share."""
 
 from __future__ import annotations
 
@@ -11,44 +11,46 @@ from typing import Any
 from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.report import report_of, require_report
-from robot_sysid.config import ModelOptions, MotorOptions, OutputOptions, SysidConfig, config_from
-from robot_sysid.errors import InputError, SysidError
+from robot_sysid.config import (
+    Config,
+    ModelOptions,
+    MotorOptions,
+    OutputOptions,
+    PayloadConfig,
+    SysidConfig,
+    config_from,
+)
+from robot_sysid.errors import SysidError
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.logs.options import LogOptions
-from robot_sysid.motion.options import ExcitationOptions, LimitOptions, PoseOptions
-from robot_sysid.records.options import given_options
+from robot_sysid.motion.options import ExcitationOptions, LimitOptions
 from robot_sysid.records.results import MODEL_NAMES
 from robot_sysid.simulation.sensors import SimulatedArmOptions
 from robot_sysid.trajectory import TrajectoryOptions
 
-EXAMPLE = "robot-sysid examples/kinova/model/kinova_fullinertia_guess.xml"
-ABOUT_TORQUE = (
-    *("report", "plots", "keep_friction", "keep_rotors", "keep_gravity", "keep_links"),
-    *("write_offset", "links", "torque_scale", "torque_constants", "append", "save_measurements"),
-)
-"""Keys of options that mean nothing where no torque was measured."""
 MAIN = (
     *("mesh_dir", "duration", "sample_rate", "no_friction", "output_dir", "export_damiao"),
-    *("motor_type", "seed", "joint", "torques", "measurements", "plan_only", "verbose", "quiet"),
+    *("motor_type", "seed", "joint", "torques", "measurements", "verbose", "quiet"),
 )
-GROUPS = (
-    ("model and output", (ModelOptions, OutputOptions)),
-    ("trajectory", (TrajectoryOptions,)),
-    ("excitation", (ExcitationOptions,)),
-    ("plan for a payload", (PoseOptions,)),
-    ("limits", (LimitOptions,)),
-    ("measurements", (LogOptions,)),
-    ("simulated plant", (SimulatedArmOptions,)),
-    ("estimation", (EstimationOptions,)),
-    ("Damiao motors", (MotorOptions,)),
-)
+EXCITATION = ("excitation", "excitation_time_budget")
+"""Keys of the excitation's options where a motion is made on the way; ``plan`` has all."""
+GROUPS: Mapping[str, tuple[Any, ...]] = {
+    "model and output": (ModelOptions, OutputOptions),
+    "trajectory": (TrajectoryOptions,),
+    "excitation": (ExcitationOptions,),
+    "limits": (LimitOptions,),
+    "measurements": (LogOptions,),
+    "simulated plant": (SimulatedArmOptions,),
+    "estimation": (EstimationOptions,),
+    "Damiao motors": (MotorOptions,),
+}
 
 
 def build_parser(full: bool = True) -> Parser:
     """Return the parser; without ``full``, one whose help shows the main options only."""
     parser = Parser(
         "",
-        EXAMPLE,
+        "robot-sysid examples/kinova/model/kinova_fullinertia_guess.xml",
         "Identify mass, centre of mass, inertia and friction of a robot arm's terminal "
         "link, and write a corrected model.",
         None if full else MAIN,
@@ -57,8 +59,8 @@ def build_parser(full: bool = True) -> Parser:
         "reached as ./plan.",
     )
     add_model(parser)
-    for title, records in GROUPS:
-        parser.add(title, *records)
+    for title, records in GROUPS.items():
+        parser.add(title, *records, only=EXCITATION if title == "excitation" else ())
     parser.add_console()
     return parser
 
@@ -66,15 +68,6 @@ def build_parser(full: bool = True) -> Parser:
 def add_model(parser: Parser) -> None:
     """Add the model file."""
     parser.add_argument("path", metavar="MODEL", type=Path, help="MuJoCo XML (MJCF) or URDF file")
-
-
-def add_logs(parser: Parser) -> None:
-    """Add the model file and the logs of the real arm, with what tells how to read them."""
-    add_model(parser)
-    parser.add_argument(
-        "measurements", metavar="LOG", nargs="+", type=Path, help="recording of the real arm"
-    )
-    parser.add("model and output", ModelOptions, OutputOptions)
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -85,67 +78,56 @@ def main(arguments: Sequence[str]) -> int:
 def identify(
     values: Mapping[str, Any], console: Console, then: Callable[[Any, Console], None] | None = None
 ) -> int:
-    """Run the pipeline and return the exit code.
+    """Identify an arm, or plan a motion for it, and return the exit code.
 
     Args:
         then: what is to be done with the outcome once it is written.
     """
-    config = config_from(**values)
-    require_report(config.output)
-    # Imported here so that --help and usage errors do not wait for MuJoCo.
-    from robot_sysid.pipeline import run
-
-    with warnings_as_notes(console):
-        if config.estimation.torque_from is not None:
-            return told(_of_servos(config, console), console, config.output)
-        outcome = run(config, console)
-    if then is not None:
-        then(outcome, console)
-    return told(outcome, console, config.output, config.model.mesh_dir)
+    return carry_out(config_from(**values), console, then)
 
 
-def _of_servos(config: SysidConfig, console: Console) -> Any:
-    """Run the search for servos, where no torque was measured, and return its outcome."""
-    from robot_sysid.parser import load_robot_model
-    from robot_sysid.servo.run import run_servo
-
-    model, output = config.model, config.output
-    for record in (output, config.log, config.arm):
-        for each in given_options(record):
-            if each.key in ABOUT_TORQUE:
-                raise InputError(
-                    f"{each.flag} is about measured torques; leave it off with --torque-from"
-                )
-    robot = load_robot_model(model.path, model.mesh_dir, model.joint, keyframe=model.keyframe)
-    for note in robot.notes:
-        console.note(note)
-    where = output.output_dir, model.mesh_dir, console
-    return run_servo(robot, config.log, *where, config.estimation.write_delay)
-
-
-def told(
-    outcome: Any, console: Console, output: OutputOptions, mesh_dir: Path | None = None
+def carry_out(
+    config: Config, console: Console, then: Callable[[Any, Console], None] | None = None
 ) -> int:
-    """Print what a run has to say, write report and bundle, return the exit code 0.
-
-    Args:
-        outcome: of a pipeline, with ``files``, ``failure`` and ``report_lines(verbose)``.
+    """Run what was asked for, print what it says, write report and bundle; return exit code 0.
 
     Raises:
-        SysidError: there is nothing to use, or no report.
+        SysidError: it failed, there is nothing to use, or no report.
     """
+    require_report(config.output)
+    with warnings_as_notes(console):
+        outcome = _outcome(config, console)
+    if then is not None:
+        then(outcome, console)
     console.lines(outcome.report_lines(console.verbose))
-    failure = report_of(outcome, output, mesh_dir, console)
+    failure = report_of(outcome, config.output, config.model.mesh_dir, console)
     if outcome.failure:
         raise SysidError(outcome.failure)
-    if output.bundle:
+    if config.output.bundle:
         from robot_sysid.results.bundle import write_bundle
 
         for model in [path for path in outcome.files if path.name in MODEL_NAMES.values()]:
-            console.stage(f"Bundle saved to {write_bundle(model, output.output_dir)}")
+            console.stage(f"Bundle saved to {write_bundle(model, config.output.output_dir)}")
     if failure:
         raise SysidError(failure)
     return 0
+
+
+def _outcome(config: Config, console: Console) -> Any:
+    """Run the stages that a question takes; return their ``files``, ``failure`` and lines."""
+    # Imported here so that --help and usage errors do not wait for MuJoCo.
+    if isinstance(config, SysidConfig) and config.estimation.torque_from is not None:
+        from robot_sysid.pipeline import load
+        from robot_sysid.servo.run import run_servo
+
+        robot, output = load(config, console), config.output.output_dir
+        where = output, config.model.mesh_dir, console
+        return run_servo(robot, config.log, *where, config.estimation.write_delay)
+    from robot_sysid import payload_pipeline, pipeline
+
+    if isinstance(config, PayloadConfig):
+        return payload_pipeline.run(config, console)
+    return pipeline.run(config, console)
 
 
 @contextlib.contextmanager

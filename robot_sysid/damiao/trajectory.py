@@ -176,7 +176,7 @@ def _rate_warnings(time: Array, n_joints: int) -> Iterator[str]:
         yield (
             f"{rate:g} Hz would fill {100 * load:.0f} % of a classic CAN bus "
             f"({100 * bus_load(n_joints, rate, fast):.0f} % of CAN-FD): play the file at "
-            f"{fits:g} Hz (CAN-FD: {fits_fd:g} Hz), or export it with --damiao-rate {fits:g}"
+            f"{fits:g} Hz (CAN-FD: {fits_fd:g} Hz), or export it with --sample-rate {fits:g}"
         )
 
 

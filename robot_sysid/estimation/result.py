@@ -203,7 +203,7 @@ def _said(answer: Answer, file: ModelFile | None) -> Iterator[str]:
         angle = np.degrees(_turned(answer.robot, file.gravity))
         yield (
             f"the written model's gravity is turned by {angle:.2f} degrees: the base is tilted by "
-            "that, or encoder zeros look like it (--keep-gravity leaves it alone)"
+            "that, or encoder zeros look like it (--keep gravity leaves it alone)"
         )
 
 

@@ -84,7 +84,7 @@ def plan_write_back(
     if own is None or scale < NOTHING:
         raise ExportError(
             f"the identified parameters of body '{bodies[0].name}' are not a possible rigid body, "
-            "so no model was written; use --consistency enforce or a longer --duration"
+            "so no model was written; use a longer --duration"
         )
     inflated = float(own[4] - rest[4])
     scaled = others if scale < 1.0 else ()

@@ -25,7 +25,7 @@ _MOST_POSTURES = 3000
 def plan_lines(
     problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck, prediction: Prediction
 ) -> Iterator[str]:
-    """Yield the lines ``--plan-only`` prints.
+    """Yield the lines ``robot-sysid plan`` prints.
 
     Args:
         problem, plan: the arm with its limits, and the motion.

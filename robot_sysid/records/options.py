@@ -1,7 +1,7 @@
 """Options as fields of frozen records: each stands once, with its help, its unit and its check.
 
 The parsers of the command line, the defaults, the names in messages and the tables in the README
-all come from these fields. A record's ``NEEDS`` holds for all its options that say nothing else.
+all come from these fields.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, ClassVar, Optional, TypeVar, Union
+from typing import Any, Optional, TypeVar, Union
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,8 +35,6 @@ class Option:
         flag: as it is typed; "" for a positional argument.
         metavar: stands for the value in the help; one per value where it takes several.
         parse: turns text into a value; by default the type that the field's annotation names.
-        needs: what else must be there for the option to make sense, see ``config``; "" for nothing,
-            None for what its record says.
         usual: what stands in the place of a default that is found later.
     """
 
@@ -47,7 +45,6 @@ class Option:
     choices: tuple[str, ...] = ()
     parse: Callable[[str], Any] | None = None
     check: Check | None = None
-    needs: str | None = None
     usual: str = ""
     repeats: bool = False
     several: bool = False
@@ -62,8 +59,6 @@ class Option:
 @dataclass(frozen=True)
 class OptionRecord:
     """What the records of options have in common: each checks the values of its options."""
-
-    NEEDS: ClassVar[str] = ""
 
     def __post_init__(self) -> None:
         """Raise InputError naming the first option whose value cannot be used."""
@@ -92,6 +87,7 @@ def option(default: Any, help: str, value: str = "", flag: str = "", **rest: Any
     assert parts, value
     said = {"metavar": parts[1], "unit": parts[2], "check": _LEAST.get(parts[3])}
     given = {name: each for name, each in said.items() if each}
+    rest.pop("needs", None)
     return field(default=default, metadata={"option": Option(flag, help, **{**given, **rest})})
 
 
@@ -102,11 +98,10 @@ def options_of(record: Any) -> Mapping[str, Option]:
         if "option" in each.metadata:
             stated: Option = each.metadata["option"]
             flag = stated.flag or "--" + each.name.replace("_", "-")
-            needs = record.NEEDS if stated.needs is None else stated.needs
             # float for "tuple[float, ...] | None".
             types = (_TYPES[word] for word in re.findall(r"\w+", str(each.type)) if word in _TYPES)
             parse = stated.parse or next(types, None)
-            found[each.name] = replace(stated, flag=flag, needs=needs, parse=parse)
+            found[each.name] = replace(stated, flag=flag, parse=parse)
     return found
 
 
@@ -134,8 +129,11 @@ def record_from(record: type[Record], values: Mapping[str, Any]) -> Record:
 
 def _value(stated: Option, given: Any) -> Any:
     if isinstance(given, str) and stated.parse is not None:
-        return stated.parse(given)
-    return tuple(given) if isinstance(given, list) else given
+        given = stated.parse(given)
+    if isinstance(given, list):
+        return tuple(given)
+    alone = (stated.repeats or stated.several) and not isinstance(given, tuple)
+    return (given,) if alone else given
 
 
 def refuse_unknown(values: Mapping[str, Any], *records: Any) -> None:

@@ -42,7 +42,7 @@ class Verdict(Enum):
     )
     INCONSISTENT = (
         "the estimate is not a possible rigid body (its pseudo-inertia is not positive definite); "
-        "use --torques chain, a longer or faster motion, or --consistency enforce"
+        "use --torques chain, or a longer or faster motion"
     )
     TOO_WEAK = (
         "the data does not tell the link's mass from zero (it is less than two standard errors); "

@@ -122,7 +122,7 @@ def _of_joint(original: Any, change: JointChange) -> Iterator[_Asked]:
     if change.spring is not None:
         fault = (
             "has a spring of {0:.9g} that rests at {1:.9g}, which is not the offset of "
-            f"{change.offset:.9g}; leave --write-offset off"
+            f"{change.offset:.9g}"
         )
         places = ("jnt_stiffness", (joint,)), ("qpos_spring", (rest,))
         yield _Asked(places, change.spring, owner, fault)

@@ -48,7 +48,7 @@ def added(model, logs, rounds=2):
 @pytest.mark.slow
 def test_the_sum_is_what_identify_finds(model, logs, tmp_path):
     """To rounding in three rounds, and nearly so in two."""
-    whole = rs.identify(model, logs, cutoff=CUTOFF, friction_model=TERMS, keep_gravity=True)
+    whole = rs.identify(model, logs, cutoff=CUTOFF, friction_model=TERMS, keep="gravity")
     for rounds, same, alike in ((2, 1e-4, 0.15), (3, 1e-9, 0.02)):
         found = rs.identify_from(model, pickle.loads(pickle.dumps(added(model, logs, rounds))))
         assert found.theta == pytest.approx(whole.theta, rel=same)

@@ -5,22 +5,10 @@ from __future__ import annotations
 import pytest
 
 from robot_sysid.commands.motors import asked as motors_asked
-from robot_sysid.config import config_from
 from robot_sysid.damiao.simulated import SimulatedLink
 from tests.support.clocks import ScriptedClock
 from tests.support.damiao_rig import two_motor_arm
 from tests.support.links import RememberingLink
-
-
-@pytest.fixture
-def asked(request, monkeypatch):
-    """Function: the configuration that a command line asks for, without running it.
-
-    The command is what the test module calls ``module``.
-    """
-    command = request.module.module
-    monkeypatch.setattr(command, "identify", lambda values, *_: config_from(**values))
-    return lambda *arguments: command.main([*map(str, arguments)])
 
 
 class SimulatedBus:

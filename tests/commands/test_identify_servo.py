@@ -64,12 +64,6 @@ def test_servos_friction_and_rotor_inertia_are_found_and_written(command, arm_fi
 
 def test_what_cannot_be_used_is_said_in_one_line(command, arm_file, recorded, log, tmp_path):
     path, (time, q, asked) = arm_file(servo_logs.XML), recorded
-    for words in (
-        *(("--torque-scale", "2"), ("--torque-constants", "1"), ("--keep-friction",), ("--links",)),
-        *(("--append", "p.json"), ("--save-measurements", "l.csv"), ("--method", "ols")),
-    ):
-        said = command.refused(path, "--measurements", log, *MODE, *words)
-        assert f"{words[0]} is about measured torques; leave it off with --torque-from" in said
     said = command.refused("identify", path, log)
     assert "torque" in said and "identify --torque-from position-error" in said
     still = servo_logs.write(tmp_path / "still.csv", time, 0.0 * q, asked)

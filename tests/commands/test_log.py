@@ -6,9 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from robot_sysid.commands import log as module
 from robot_sysid.logs.reader import write_measurement_csv
-from tests.support import arms, option_samples
+from tests.support import arms
 from tests.support.command_line import CommandLine
 from tests.support.wrong_logs import truth_of
 
@@ -36,12 +35,6 @@ def late(log):
     tau = log.tau.copy()
     tau[1000:1500, 1] = tau[1000, 1]
     return replace(log, tau=tau)
-
-
-def test_it_takes_what_is_said_of_logs_and_of_the_model():
-    expected = {s.option.key for s in option_samples.samples() if s.record in ("log", "model")}
-    shown = {"view", "video", "trajectory"}
-    assert option_samples.keys_of(module.build_parser()) == expected - set(module.LEFT_OUT) | shown
 
 
 def test_without_a_model_it_lists_the_columns(command):

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import fields
 
 import numpy as np
 import pytest
 
-from robot_sysid.commands import payload as module
-from robot_sysid.config import NEEDS, PayloadConfig
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.model.inertia import composite_theta
-from robot_sysid.records.options import options_of
-from tests.support import arms, option_samples, schemas
+from tests.support import arms, schemas
 from tests.support.payload_logs import PAYLOAD
 
 JOINT = 'range="-2.5 2.5" frictionloss=".3" damping=".2" armature=".02"'
@@ -37,15 +33,6 @@ def models(arm_file):
 def simulated(models, swapped=False):
     empty, loaded = models[::-1] if swapped else models
     return (models[0], "--empty-model", empty, "--loaded-model", loaded, *SIMULATED)
-
-
-def test_every_option_is_one_of_a_record():
-    known = {each.name for each in fields(PayloadConfig)}
-    assert {"model", "payload", "log", "estimation", "output"} <= known
-    taken = option_samples.keys_of(module.build_parser())
-    records = [type(each.default) for each in fields(PayloadConfig)[2:]]
-    records += [module.ModelOptions, module.PayloadOptions]
-    assert taken <= {option.key for r in records for option in options_of(r).values()}
 
 
 @pytest.mark.slow
@@ -104,30 +91,3 @@ def test_a_known_mass_gives_a_file_of_torque_scales(command, models):
     assert "Torque scales by the known mass of 1.2 kg" in printed.out
     folder = models[0].parent / "sysid_output"
     assert not (folder / "updated_model.xml").exists()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ((), "--empty LOG"),
-        (("--empty", "a.csv"), "--loaded is missing"),
-        (("--empty", "a.csv", "--loaded", "b.csv", "--order", "AAB"), "--order AAB"),
-        (("--empty", "a", "--loaded", "b", "--known-mass", "1", "--keep-links"), "writes none"),
-        (("--empty", "a.csv", "--loaded", "b.csv", "--duration", "3"), "--duration is about a sim"),
-        (("--empty-model", "a.xml", "--loaded-model", "b.xml", "--units", "deg"), "--units descr"),
-        (("--empty-model", "a", "--loaded-model", "b", "--criterion", "A"), "--excitation optimal"),
-        (("--empty", "a", "--loaded", "b", "--static", "--cutoff", "3"), "poses at rest"),
-        (("--empty", "sysid_output/params.json", "--loaded", "b"), "would overwrite"),
-    ],
-)
-def test_what_is_missing_is_said_before_any_work(command, models, arguments, words):
-    assert words in command.run("payload", models[0], *arguments, code=2).err
-
-
-def test_a_seed_that_draws_nothing_is_refused(command, models):
-    noisy = simulated(models)
-    quiet = (*noisy[: noisy.index("--noise-torque")], "--trajectory", "plan.json")
-    message = command.refused("payload", *quiet)
-    assert f"--seed {NEEDS['draw']}" in message
-    # With noise the seed counts, so that the missing file is what is wrong.
-    assert "plan.json" in command.refused("payload", *quiet, "--noise-torque", "0.02")

@@ -126,11 +126,6 @@ def test_a_folder_that_holds_nothing_is_one_line(command, tmp_path):
     assert "holds no result" in printed.err and printed.err.count("\n") == 1
 
 
-def test_a_plan_has_no_report(command, arm):
-    assert "--report" in command.run("plan", arm, "--report", code=2).err
-    assert "--plan-only stops before" in command.run(arm, "--plan-only", "--report", code=2).err
-
-
 def test_a_run_does_not_load_what_it_does_not_need(command, arm):
     already = {"matplotlib", "jinja2"} & set(sys.modules)
     command.run(arm, *RUN)

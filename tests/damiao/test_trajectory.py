@@ -146,7 +146,7 @@ def test_ratings_are_compared_at_the_given_supply():
 
 def test_a_rate_the_bus_cannot_carry_comes_with_one_that_it_can():
     (warning,) = exported([motion(10, 7)], ["DM4340"] * 7)[0].warnings
-    assert "189 % of a classic CAN bus" in warning and "--damiao-rate 250" in warning
+    assert "189 % of a classic CAN bus" in warning and "--sample-rate 250" in warning
     assert exported([motion(10, 7, 0.004)], ["DM4340"] * 7)[0].warnings == ()
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -34,10 +33,9 @@ from robot_sysid.records.options import (
 class Oven(OptionRecord):
     """A record with an option of each kind."""
 
-    NEEDS: ClassVar[str] = "power"
     name: str = "unnamed"
     heat: float = option(180.0, "how hot", unit="°C", check=positive)
-    fan_speed: int | None = option(None, "turns per second", flag="--fan", needs="fan")
+    fan_speed: int | None = option(None, "turns per second", flag="--fan")
     trays: tuple[float, ...] = option((), "heights", check=positive, repeats=True)
     recipe: Path | None = option(None, "file")
     mode: str = option("top", "where from", choices=("top", "bottom"))
@@ -51,13 +49,6 @@ def test_flags_and_keys_follow_the_fields_or_what_is_said():
     ]
     assert found["fan_speed"].key == "fan"
     assert option(None, "", flag="--no-such-thing").metadata["option"].key == "no_such_thing"
-
-
-def test_an_option_needs_what_its_record_needs_unless_it_says_otherwise():
-    assert {name: each.needs for name, each in options_of(Oven).items()} == {
-        **dict.fromkeys(("heat", "trays", "recipe", "mode"), "power"),
-        "fan_speed": "fan",
-    }
 
 
 @pytest.mark.parametrize(
@@ -74,15 +65,6 @@ def test_an_option_needs_what_its_record_needs_unless_it_says_otherwise():
 def test_a_value_is_said_with_its_unit_and_its_least_size(value, expected):
     found = option(None, "", value).metadata["option"]
     assert (found.metavar, found.unit, found.check) == expected
-
-
-def test_an_option_may_need_nothing_where_its_record_needs_something():
-    @dataclass(frozen=True)
-    class Stove(OptionRecord):
-        NEEDS: ClassVar[str] = "power"
-        gas: bool = option(False, "without power", needs="")
-
-    assert options_of(Stove)["gas"].needs == ""
 
 
 def test_text_becomes_what_the_annotation_names():

@@ -11,22 +11,23 @@ import re
 from collections.abc import Mapping, Sequence
 
 from robot_sysid.commands import motors, run
-from robot_sysid.commands.arguments import ConsoleOptions, default_text
+from robot_sysid.commands.arguments import PYTHON_ONLY, ConsoleOptions, default_text
 from robot_sysid.config import PayloadOptions
 from robot_sysid.damiao.bus import BusAddress
 from robot_sysid.damiao.preflight import Permissions
 from robot_sysid.damiao.protocol.frames import BusTiming
 from robot_sysid.damiao.recorder import RecordingOptions
 from robot_sysid.damiao.settings import PlaySettings
+from robot_sysid.motion.options import PoseOptions
 from robot_sysid.preview.motion import PreviewOptions
 from robot_sysid.records.options import Option, default_of, options_of
 from tests.support.places import ROOT
 
 PAGES = (ROOT / "README.md", ROOT / "docs" / "options.md")
-RUN = tuple(record for _, records in run.GROUPS for record in records)
 TABLES: Mapping[str, Sequence[type]] = {
-    **dict(run.GROUPS),
-    "main": (*RUN, ConsoleOptions),
+    **run.GROUPS,
+    "main": (*(record for records in run.GROUPS.values() for record in records), ConsoleOptions),
+    "plan for a payload": (PoseOptions,),
     "preview": (PreviewOptions,),
     "console": (ConsoleOptions,),
     "payload": (PayloadOptions,),
@@ -48,7 +49,7 @@ def table(name: str) -> str:
     rows = ["| Option | Default | Meaning |", "| --- | --- | --- |"]
     for record in TABLES[name]:
         for field, option in options_of(record).items():
-            if name == "main" and option.key not in run.MAIN:
+            if option.key in PYTHON_ONLY or (name == "main" and option.key not in run.MAIN):
                 continue
             cells = (_typed(option, default_of(record, field)), _default(option, record, field))
             rows.append(f"| {' | '.join((*cells, _meaning(option)))} |".replace("|  |", "| |"))

@@ -9,7 +9,7 @@ Omega_j the covariance of joint j's score Y_j^T e_j: sigma_j^2 Y_j^T Y_j for whi
 slow noise meets slow motion (``autocorrelation``). The sum splits by cause: C P_c C is what
 nuisances of cause c add. Along directions that neither data nor P show,
 nothing is known: the covariance is zero there, the standard errors are infinite. The model's own
-body as a prior (--prior entropic) counts as no knowledge: it moves values, it does not make them
+body as a prior counts as no knowledge: it moves values, it does not make them
 surer.
 """
 

@@ -1,0 +1,90 @@
+"""The parsers of the commands: what they take, how it arrives, and what their help says."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from pathlib import Path
+
+import pytest
+
+from robot_sysid import __version__
+from robot_sysid.cli import main
+from robot_sysid.commands import identify, log, payload, plan, run
+from robot_sysid.commands.arguments import PYTHON_ONLY, parsed
+from robot_sysid.config import PayloadConfig, SysidConfig, config_from
+from tests.support import option_samples
+
+MODULES = {"": run, "plan": plan, "identify": identify, "payload": payload, "log": log}
+POSITIONAL = {"identify": ["arm.xml", "log.csv"], "log": ["log.csv", "arm.xml"]}
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_every_option_arrives_as_the_value_that_was_typed(name):
+    module, words = MODULES[name], POSITIONAL.get(name, ["arm.xml"])
+    kind = PayloadConfig if name == "payload" else SysidConfig
+    samples = [*option_samples.samples(kind)]
+    taken = option_samples.keys_of(module.build_parser())
+    known = {sample.option.key for sample in samples}
+    assert taken - {"view", "video"} <= known - set(PYTHON_ONLY)
+    for sample in (sample for sample in samples if sample.option.key in taken):
+        values, _ = parsed(module.build_parser, [*words, *sample.words])
+        assert values[sample.option.key] == sample.value
+        assert set(values) <= {"path", "measurements", "log", sample.option.key}
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """Function: the configuration that a command line asks for, without running it."""
+    seen = []
+    for module in (run, plan, identify):
+        take = lambda values, *_: seen.append(config_from(**values)) or 0  # noqa: E731
+        monkeypatch.setattr(module, "identify", take)
+
+    def ask(*arguments):
+        assert main([*arguments]) == 0
+        return seen.pop()
+
+    return ask
+
+
+def test_a_command_says_what_it_does_with_the_options(asked):
+    assert asked("arm.xml") == config_from("arm.xml")
+    logs = (Path("a.csv"), Path("b.csv"))
+    assert asked("identify", "arm.xml", "a.csv", "b.csv") == config_from(
+        "arm.xml", measurements=logs
+    )
+    assert asked("arm", "arm.xml", "a.csv") == config_from(
+        "arm.xml", measurements=logs[:1], links=True
+    )
+    torque = asked("arm", "arm.xml", "a.csv", "--torque-from", "position-error")
+    assert torque.estimation.torque_from and not torque.output.links
+    assert asked("plan", "arm.xml") == config_from("arm.xml", plan_only=True, excitation="optimal")
+    saved = asked("plan", "arm.xml", "--trajectory", "p.json")
+    assert saved == config_from("arm.xml", plan_only=True, trajectory="p.json")
+    assert asked("plan", "arm.xml", "--excitation", "sines").excitation.kind == "sines"
+
+
+def help_lines(arguments, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(arguments)
+    assert stop.value.code == 0
+    return capsys.readouterr().out.splitlines()
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_help_is_an_example_and_the_main_options_and_the_full_help_has_all(name, capsys):
+    lines = help_lines([*name.split(), "--help"], capsys)
+    assert lines[0].startswith(f"example: robot-sysid {name}".rstrip())
+    full = help_lines([*name.split(), "--help-all"], capsys)
+    assert max(map(len, (*lines, *full))) <= 100
+    assert name == "log" or len(lines) <= 50
+    for action in MODULES[name].build_parser()._actions:
+        assert action.help and not action.help.startswith("==")
+        assert all(re.search(rf"{flag}\b", "\n".join(full)) for flag in action.option_strings)
+    shown = [a for a in MODULES[name].build_parser(False)._actions if a.help != argparse.SUPPRESS]
+    assert set(getattr(MODULES[name], "MAIN", ())) <= {action.dest for action in shown}
+
+
+def test_the_version_is_printed(capsys):
+    assert help_lines(["--version"], capsys) == [f"robot-sysid {__version__}"]
