@@ -62,7 +62,6 @@ LAYERS = (
 MAY_PRINT = {"cli", "commands"}
 LIBRARIES = {
     "mujoco": {"model", "parser", "dynamics", "simulation", "motion", "results", "preview"},
-    "lxml": {"mjcf"},
     "can": {"damiao.bus", "damiao.serial_adapter"},
     "matplotlib": {"report", "preview", "api"},
     "imageio": {"preview"},
@@ -71,7 +70,7 @@ LIBRARIES = {
     "pyarrow": {"logs"},
     "h5py": {"logs"},
 }
-SLOW_TO_IMPORT = {"scipy", "sympy", *LIBRARIES} - {"mujoco", "lxml"}
+SLOW_TO_IMPORT = {"scipy", "sympy", *LIBRARIES} - {"mujoco"}
 MOST_FILES = 16
 MOST_FUNCTION_LINES, MOST_MODULE_LINES, MOST_NESTING = 40, 500, 3
 
@@ -246,7 +245,6 @@ DEEP = "def deep():\n  if 1:\n    for _ in ():\n      with x:\n        while 1:\
             "(damiao.bus) imports",
         ),
         ("solver", "import scipy.linalg", import_faults, "at start-up"),
-        ("parser", "def f():\n    import lxml", import_faults, "(parser) imports lxml"),
         ("solver", "from robot_sysid import solver2", circles, "robot_sysid.solver imports itself"),
         ("solver", LONG, size_faults, "solver.long has 42 lines of code"),
         ("solver", DEEP, size_faults, "solver.deep is nested 4 deep"),

@@ -19,7 +19,7 @@ from functools import partial
 from pathlib import Path
 
 from robot_sysid.errors import ModelError
-from robot_sysid.mjcf.documents import ModelDocument, Node, local_name
+from robot_sysid.mjcf.documents import ModelDocument, Node
 from robot_sysid.mjcf.edits import Edits, reference
 
 _CUBE_SIDES = ("fileright", "fileleft", "fileup", "filedown", "filefront", "fileback")
@@ -29,16 +29,17 @@ _ATTRIBUTES: Mapping[str, tuple[str, ...]] = {
 }
 SHAPES = ("visual", "collision")
 _SCHEME = re.compile(r"^(package|model|file)://")
+_FOLDERS = ("assetdir", "meshdir", "texturedir")
 
 
 @dataclass(frozen=True)
 class AssetFolders:
-    """Where MuJoCo looks for assets; ``mesh_overridden``: the user said where meshes are."""
+    """Where MuJoCo looks for assets; ``given``: the user said where meshes are."""
 
     mesh: Path
     texture: Path
     strip: bool
-    mesh_overridden: bool
+    given: bool
 
 
 @dataclass(frozen=True)
@@ -54,18 +55,18 @@ class Asset:
 
 def asset_folders(document: ModelDocument, mesh_dir: Path | None = None) -> AssetFolders:
     """Return where the assets of an MJCF document are; ``mesh_dir`` replaces its meshdir."""
-    mesh, texture, strip = ".", ".", False
-    for compiler in document.compilers():
+    mesh, texture, strip = ".", ".", "false"
+    for compiler in document.settings("compiler"):
         both = compiler.get("assetdir")
         mesh = compiler.get("meshdir") or both or mesh
         texture = compiler.get("texturedir") or both or texture
-        strip = (compiler.get("strippath") or str(strip)).lower() == "true"
-    base = document.folder
-    chosen = _joined(base, mesh) if mesh_dir is None else Path(mesh_dir).absolute()
-    textures = _joined(base, texture)
-    if mesh_dir is not None and not os.path.isdir(textures):
-        textures = chosen
-    return AssetFolders(chosen, textures, strip, mesh_dir is not None)
+        strip = compiler.get("strippath") or strip
+    given = None if mesh_dir is None else Path(mesh_dir).absolute()
+    textures = _joined(document.path.parent, texture)
+    if given is not None and not os.path.isdir(textures):
+        textures = given
+    meshes = given or _joined(document.path.parent, mesh)
+    return AssetFolders(meshes, textures, strip.lower() == "true", given is not None)
 
 
 def find_assets(document: ModelDocument, mesh_dir: Path | None = None) -> tuple[Asset, ...]:
@@ -79,11 +80,11 @@ def find_assets(document: ModelDocument, mesh_dir: Path | None = None) -> tuple[
         shapes = (node for link in document.tagged("link") for node in link.children())
         inner = (node for shape in shapes if shape.tag in SHAPES for node in shape.walk())
         uses = [(node, "filename") for node in inner if node.tag == "mesh"]
-        candidates = partial(_mesh_candidates, document, mesh_dir)
+        candidates = partial(_in_packages, document, mesh_dir)
     else:
-        every = ((n, name) for n in document.walk() for name in _ATTRIBUTES.get(n.tag, ()))
+        every = ((node, name) for node in document.walk() for name in _ATTRIBUTES.get(node.tag, ()))
         uses = [(node, name) for node, name in every if node.get(name)]
-        candidates = partial(_candidates, document, asset_folders(document, mesh_dir))
+        candidates = partial(_in_folders, document, asset_folders(document, mesh_dir))
     found = []
     for node, attribute in uses:
         name = node.get(attribute) or ""
@@ -106,18 +107,20 @@ def check_assets(document: ModelDocument, mesh_dir: Path | None = None) -> None:
             )
 
 
-def _candidates(
+def _in_folders(
     document: ModelDocument, folders: AssetFolders, node: Node, name: str
 ) -> Iterator[Path]:
-    if folders.strip and node.tag != "model":
-        name = Path(name).name
-    own = {"model": document.folder, "texture": folders.texture}
-    yield _joined(own.get(node.tag, folders.mesh), name)
-    if folders.mesh_overridden and node.tag != "model":
-        # People keep textures beside the meshes, and drop sub-folders when they move both.
-        yield _joined(folders.mesh, name)
-        yield folders.mesh / Path(name).name
-    elif node.file is not document.main:
+    """Yield where a file of an MJCF document may be."""
+    if node.tag == "model":
+        yield _joined(document.path.parent, name)
+    else:
+        name = Path(name).name if folders.strip else name
+        yield _joined(folders.texture if node.tag == "texture" else folders.mesh, name)
+        if folders.given:
+            # People keep textures beside the meshes, and drop sub-folders when they move both.
+            yield from (_joined(folders.mesh, name), folders.mesh / Path(name).name)
+            return
+    if node.file is not document.main:
         yield _joined(node.file.path.parent, name)
 
 
@@ -126,9 +129,10 @@ def _joined(folder: Path, name: str) -> Path:
     return Path(os.path.normpath(folder / name.replace("\\", "/")))
 
 
-def _mesh_candidates(
+def _in_packages(
     document: ModelDocument, mesh_dir: Path | None, node: Node, name: str
 ) -> Iterator[Path]:
+    """Yield where a mesh of a URDF may be."""
     scheme = _SCHEME.match(name)
     rest = Path(name[scheme.end() :] if scheme else name)
     if scheme and scheme.group(1) == "file":
@@ -137,8 +141,8 @@ def _mesh_candidates(
     if mesh_dir is not None:
         folder = Path(mesh_dir).absolute()
         yield from (folder / rest, folder / inside, folder / rest.name)
-    own = document.folder
-    for setting in document.compilers():
+    own = document.path.parent
+    for setting in document.settings("compiler"):
         own_meshes = own / (setting.get("meshdir") or ".")
         yield from (own_meshes / rest, own_meshes / rest.name)
     yield own / rest
@@ -146,9 +150,6 @@ def _mesh_candidates(
         for folder in (own, *own.parents):
             yield from (folder / rest, folder / inside)
     yield own / rest.name
-
-
-_FOLDER_ATTRIBUTES = ("assetdir", "meshdir", "texturedir", "strippath")
 
 
 def relocated_text(edits: Edits, folder: Path | None, mesh_dir: Path | None = None) -> bytes:
@@ -163,13 +164,12 @@ def relocated_text(edits: Edits, folder: Path | None, mesh_dir: Path | None = No
     assets = find_assets(document, mesh_dir)
     if document.kind == "urdf":
         return _renamed(edits, [(a, reference(a.path, folder) if a.path else None) for a in assets])
-    needing = {asset.node.file.path for asset in assets}
+    needing = {asset.node.file for asset in assets}
     for file in document.files:
-        compilers = (each for each in file.elements if local_name(each) == "compiler")
-        sets_folder = any(each.get(a) for each in compilers for a in _FOLDER_ATTRIBUTES)
-        needs_folder = file.includes or sets_folder or file.path in needing
-        if folder is None or not file.is_utf8 or needs_folder:
-            edits.inlined.add(file.path)
+        compilers = (node for node in file.elements if node.tag == "compiler")
+        sets_folder = any(each.get(a) for each in compilers for a in (*_FOLDERS, "strippath"))
+        if folder is None or not file.is_utf8 or file.includes or sets_folder or file in needing:
+            edits.inlined.add(file)
     folders = asset_folders(document, mesh_dir)
     _move_folders(edits, folders, {asset.node.tag for asset in assets})
     return _renamed(edits, [(a, _new_name(a, folders, folder)) for a in assets])
@@ -183,9 +183,9 @@ def bundled_text(document: ModelDocument, names: Mapping[Path, str]) -> bytes:
         names: asset file to its copy's path, relative to the text.
     """
     edits = Edits(document)
-    edits.inlined = {file.path for file in document.files}
-    for node in document.compilers() if document.kind == "mjcf" else ():
-        for name in _FOLDER_ATTRIBUTES:
+    edits.inlined = set(document.files)
+    for node in document.settings("compiler") if document.kind == "mjcf" else ():
+        for name in (*_FOLDERS, "strippath"):
             edits.set(node, name, None)
     return _renamed(edits, [(a, names[a.path] if a.path else None) for a in find_assets(document)])
 
@@ -208,7 +208,7 @@ def _new_name(asset: Asset, folders: AssetFolders, folder: Path | None) -> str |
         return None
     if asset.node.tag == "model":
         return reference(asset.path, folder)
-    if asset.path == Path(os.path.normpath(base / asset.name.replace("\\", "/"))):
+    if asset.path == _joined(base, asset.name):
         return asset.name
     return reference(asset.path, base if folder is not None else None)
 
@@ -216,12 +216,12 @@ def _new_name(asset: Asset, folders: AssetFolders, folder: Path | None) -> str |
 def _move_folders(edits: Edits, folders: AssetFolders, tags: set[str]) -> None:
     """Make one compiler element name the asset folders as seen from the new place."""
     used = {"meshdir": bool(tags - {"texture", "model"}), "texturedir": "texture" in tags}
-    compilers = edits.document.compilers()
+    compilers = edits.document.settings("compiler")
     named = {n for node in compilers for n in used if node.get(n) or node.get("assetdir")}
     places = dict(zip(used, (reference(f, edits.folder) for f in (folders.mesh, folders.texture))))
     places = {n: p for n, p in places.items() if n in named or (used[n] and p != ".")}
     for number, node in enumerate(compilers):
-        for name in ("assetdir", "meshdir", "texturedir"):
+        for name in _FOLDERS:
             edits.set_path(node, name, None if number else places.get(name))
         if folders.strip and node.get("strippath"):
             edits.set(node, "strippath", "false")

@@ -9,14 +9,10 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 from xml.parsers import expat
-
-from lxml import etree
 
 from robot_sysid.errors import InputError, ModelError
 from robot_sysid.records.atomic_files import require_utf8
@@ -25,44 +21,26 @@ _ENCODING = re.compile(rb"^\s*<\?xml[^>]*encoding\s*=\s*[\"']([A-Za-z0-9._-]+)[\
 _KINDS = {"mujoco": "mjcf", "robot": "urdf"}
 _SUFFIXES = (".xml", ".mjcf", ".urdf")
 _DEEPEST = 50
+"""Includes in one another; no model at hand has more than three."""
+_DEEPEST_ELEMENT = 256
+"""Elements in one another, as libxml2 allows them; Python's own stack ends at 1000."""
 _START_TAG = re.compile(rb"""<[^\s/>]+(?:[^>"']|"[^"]*"|'[^']*')*>""")
 
 
-@dataclass(frozen=True)
-class Span:
-    """Byte offsets of one element and of what lies between its tags; for ``<a/>`` both its end."""
-
-    start: int
-    inner_start: int
-    inner_end: int
-    end: int
-
-    @property
-    def is_empty_tag(self) -> bool:
-        """Whether the element is written as ``<a/>``."""
-        return self.inner_start == self.end
-
-
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class SourceFile:
     """One XML file.
 
     Attributes:
+        raw: its bytes on disk.
         text: the same as UTF-8 without byte order mark.
         elements: all its elements in document order, the root first.
-        includes: index of an ``<include>`` in ``elements`` to the file it brings in.
     """
 
     path: Path
     raw: bytes
     text: bytes
-    elements: tuple[Any, ...]
-    includes: Mapping[int, SourceFile]
-
-    @property
-    def root(self) -> Any:
-        """The root element."""
-        return self.elements[0]
+    elements: list[Node] = field(default_factory=list)
 
     @property
     def is_utf8(self) -> bool:
@@ -73,52 +51,57 @@ class SourceFile:
             return False
         return True
 
-    @cached_property
-    def index(self) -> Mapping[Any, int]:
-        """Element to its place in ``elements``."""
-        return {element: i for i, element in enumerate(self.elements)}
-
-    @cached_property
-    def spans(self) -> tuple[Span, ...]:
-        """Where each element stands in ``text``."""
-        return element_spans(self.text)
+    @property
+    def includes(self) -> list[Node]:
+        """Its elements whose place another file takes."""
+        return [node for node in self.elements if node.included is not None]
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class Node:
-    """An element of the expanded model."""
+    """An element of the expanded model.
+
+    Attributes:
+        tag: without namespace.
+        start, end: where it begins and ends in the text of its file [bytes].
+        inner_start, inner_end: what lies between its tags; for ``<a/>`` both its end.
+        written: the elements in it as they stand in the file.
+        included: the file that takes its place, if it is an ``<include>``.
+    """
 
     file: SourceFile
-    element: Any
+    tag: str
+    attributes: dict[str, str]
+    line: int
+    start: int
+    inner_start: int
+    inner_end: int
+    end: int
+    written: list[Node] = field(default_factory=list)
+    included: SourceFile | None = None
+
+    def get(self, name: str) -> str | None:
+        """Return an attribute's value."""
+        return self.attributes.get(name)
 
     @property
-    def tag(self) -> str:
-        """Tag without namespace."""
-        return local_name(self.element)
-
-    def get(self, name: str, default: str | None = None) -> str | None:
-        """Return an attribute's value."""
-        return self.element.get(name, default)
+    def is_empty_tag(self) -> bool:
+        """Whether it is written as ``<a/>``."""
+        return self.inner_start == self.end
 
     def children(self) -> Iterator[Node]:
-        """Yield the child elements, those of included files in place of the ``<include>``."""
-        for child in self.element.iterchildren(etree.Element):
-            included = self.file.includes.get(self.file.index[child])
-            if included is None:
-                yield Node(self.file, child)
+        """Yield the elements in it, those of included files in place of the ``<include>``."""
+        for child in self.written:
+            if child.included is None:
+                yield child
             else:
-                yield from Node(included, included.root).children()
+                yield from child.included.elements[0].children()
 
     def walk(self) -> Iterator[Node]:
         """Yield this element and all below it in document order."""
         yield self
         for child in self.children():
             yield from child.walk()
-
-    @property
-    def span(self) -> Span:
-        """Where it stands in the text of its file."""
-        return self.file.spans[self.file.index[self.element]]
 
     def child(self, *tags: str) -> Node | None:
         """Return the first child with a tag, of that one the first with the next tag, and so on."""
@@ -134,10 +117,6 @@ class Node:
         node = self.child(*tags)
         return None if node is None else node.get(name)
 
-    def holds(self, other: Node) -> bool:
-        """Tell whether an element is this one or below it."""
-        return any(node.element is other.element for node in self.walk())
-
 
 @dataclass(frozen=True)
 class ModelDocument:
@@ -148,9 +127,13 @@ class ModelDocument:
         files: the main file and the included ones, in the order MuJoCo reads them.
     """
 
-    main: SourceFile
     kind: str
     files: tuple[SourceFile, ...]
+
+    @property
+    def main(self) -> SourceFile:
+        """The file that was asked for."""
+        return self.files[0]
 
     @property
     def path(self) -> Path:
@@ -158,23 +141,22 @@ class ModelDocument:
         return self.main.path
 
     @property
-    def folder(self) -> Path:
-        """Folder of the main file."""
-        return self.main.path.parent
-
-    @property
     def root(self) -> Node:
         """Root of the expanded model."""
-        return Node(self.main, self.main.root)
+        return self.main.elements[0]
 
     @property
     def sha256(self) -> str:
         """SHA-256 of the main file's bytes followed by those of the included files."""
         return hashlib.sha256(b"".join(file.raw for file in self.files)).hexdigest()
 
-    def walk(self) -> Iterator[Node]:
-        """Yield all elements of the expanded model in document order."""
-        return self.root.walk()
+    def walk(self, *tags: str) -> Iterator[Node]:
+        """Yield the elements of the expanded model in document order, those with some tags."""
+        return (node for node in self.root.walk() if not tags or node.tag in tags)
+
+    def tagged(self, tag: str) -> list[Node]:
+        """Return the children of the root with a tag."""
+        return [node for node in self.root.children() if node.tag == tag]
 
     def settings(self, tag: str) -> list[Node]:
         """Return the elements of MuJoCo's settings with a tag, the one that counts most last.
@@ -183,19 +165,6 @@ class ModelDocument:
         """
         tops = self.tagged("mujoco") if self.kind == "urdf" else [self.root]
         return [node for top in tops for node in top.children() if node.tag == tag]
-
-    def tagged(self, tag: str) -> list[Node]:
-        """Return the children of the root with a tag."""
-        return [node for node in self.root.children() if node.tag == tag]
-
-    def compilers(self) -> list[Node]:
-        """Return the compiler elements."""
-        return self.settings("compiler")
-
-
-def local_name(element: Any) -> str:
-    """Return an element's tag without its namespace."""
-    return str(etree.QName(element).localname)
 
 
 def read_document(path: Path) -> ModelDocument:
@@ -209,54 +178,43 @@ def read_document(path: Path) -> ModelDocument:
         ModelError: it is not XML, only a fragment of a model, or an include fails.
     """
     known: dict[Path, SourceFile] = {}
-    main = _read(Path(path).absolute(), known)
-    document = ModelDocument(main, _KINDS.get(local_name(main.root), ""), tuple(known.values()))
-    _check_is_whole_model(document)
-    return document
-
-
-def _check_is_whole_model(document: ModelDocument) -> None:
-    name, advice = document.path, "pass the main model file, the one that includes this one"
-    if not document.kind:
-        tag = local_name(document.main.root)
-        raise ModelError(
-            f"{name} is a fragment, not a whole model: its root is <{tag}>, expected <mujoco> "
-            f"(MJCF) or <robot> (URDF); {advice}"
-        )
-    if document.kind == "mjcf" and not document.tagged("worldbody"):
-        raise ModelError(f"{name} is a fragment, not a whole model: no <worldbody>; {advice}")
-    if document.kind == "urdf" and not document.tagged("link"):
-        xacro = any("xacro" in str(uri) for uri in document.main.root.nsmap.values())
-        hint = "run xacro on it first" if xacro else advice
-        raise ModelError(f"{name} is a fragment, not a whole model: no <link>; {hint}")
+    root = _read(Path(path).absolute(), known).elements[0]
+    document = ModelDocument(_KINDS.get(root.tag, ""), tuple(known.values()))
+    needed = {"mjcf": "worldbody", "urdf": "link"}.get(document.kind)
+    advice = "pass the main model file, the one that includes this one"
+    if needed is None:
+        fault = f"its root is <{root.tag}>, expected <mujoco> (MJCF) or <robot> (URDF)"
+    elif not document.tagged(needed):
+        fault = f"no <{needed}>"
+        if any("xacro" in f"{key} {value}" for key, value in root.attributes.items()):
+            advice = "run xacro on it first"
+    else:
+        return document
+    raise ModelError(f"{document.path} is a fragment, not a whole model: {fault}; {advice}")
 
 
 def _read(path: Path, known: dict[Path, SourceFile], depth: int = 0) -> SourceFile:
     """Return a file with its includes, and note each with its real path, the main file first."""
     raw = _read_bytes(path)
-    text = _as_utf8(raw, path)
-    elements = tuple(_parse(text, path).iter(etree.Element))
-    includes: dict[int, SourceFile] = {}
-    file = known[path.resolve()] = SourceFile(path, raw, text, elements, includes)
-    for i, element in enumerate(elements):
-        if local_name(element) == "include" and local_name(elements[0]) != "robot":
-            includes[i] = _read_include(file, element, known, depth + 1)
+    file = known[path.resolve()] = SourceFile(path, raw, _as_utf8(raw, path))
+    _parse(file)
+    # MuJoCo knows no includes in a URDF.
+    if file.elements[0].tag != "robot":
+        for node in (each for each in file.elements if each.tag == "include"):
+            node.included = _read_include(node, known, depth + 1)
     return file
 
 
-def _read_include(
-    above: SourceFile, element: Any, known: dict[Path, SourceFile], depth: int
-) -> SourceFile:
-    where = f"{above.path}, line {element.sourceline}"
-    name = element.get("file")
+def _read_include(node: Node, known: dict[Path, SourceFile], depth: int) -> SourceFile:
+    above, name = node.file.path, node.get("file")
+    where = f"{above}, line {node.line}"
     if not name:
         raise ModelError(f"{where}: <include> without a file attribute")
-    main = next(iter(known.values()))
-    folders = (main.path.parent, above.path.parent)
+    folders = (next(iter(known.values())).path.parent, above.parent)
     candidates = (folder / name.replace("\\", "/") for folder in folders)
     path = next((path for path in candidates if os.path.isfile(path)), None)
     if path is None:
-        raise ModelError(f"{where}: included file {name} not found (looked in {above.path.parent})")
+        raise ModelError(f"{where}: included file {name} not found (looked in {above.parent})")
     if path.resolve() in known:
         raise ModelError(
             f"{where}: {name} is included twice or includes itself; each file may be included once"
@@ -264,7 +222,7 @@ def _read_include(
     if depth > _DEEPEST:
         raise ModelError(f"{where}: includes are nested more than {_DEEPEST} deep")
     included = _read(path, known, depth)
-    if next(included.root.iterchildren(etree.Element), None) is None:
+    if not included.elements[0].written:
         raise ModelError(f"{where}: included file {name} is empty")
     return included
 
@@ -299,18 +257,38 @@ def _as_utf8(raw: bytes, path: Path) -> bytes:
     raise ModelError(f"Expected an XML model file, but {path} is not text")
 
 
-def _parse(text: bytes, path: Path) -> Any:
+def _parse(file: SourceFile) -> None:
+    """Find the elements of a file."""
+    text, path = file.text, file.path
     if text.find(b"<!ENTITY", max(0, text.find(b"<!DOCTYPE"))) >= 0 and b"<!DOCTYPE" in text:
         raise ModelError(
             f"{path} declares XML entities, which a model file does not need and which can hide an "
             "attack; remove its <!DOCTYPE ...>"
         )
-    xml = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, encoding="utf-8")
+    parser, above = expat.ParserCreate("utf-8"), list[Node]()
+
+    def opened(name: str, attributes: dict[str, str]) -> None:
+        start = parser.CurrentByteIndex
+        tag = _START_TAG.match(text, start)
+        if tag is None or len(above) == _DEEPEST_ELEMENT:
+            raise expat.ExpatError(f"elements are nested more than {_DEEPEST_ELEMENT} deep")
+        name, line, end = name.rpartition(":")[2], parser.CurrentLineNumber, tag.end()
+        node = Node(file, name, attributes, line, start, end, end, end)
+        file.elements.append(node)
+        for parent in above[-1:]:
+            parent.written.append(node)
+        above.append(node)
+
+    def closed(name: str) -> None:
+        node, closing = above.pop(), parser.CurrentByteIndex
+        if not text.endswith(b"/>", node.start, node.inner_start):
+            node.inner_end, node.end = closing, text.index(b">", closing) + 1
+
+    parser.StartElementHandler, parser.EndElementHandler = opened, closed
     try:
-        return etree.fromstring(masked_comments(text), xml)
-    except etree.XMLSyntaxError as error:
-        reason = " ".join(str(error.msg).split())
-        raise ModelError(f"Expected an XML model file, but {path} is not XML: {reason}") from None
+        parser.Parse(masked_comments(text), True)
+    except expat.ExpatError as error:
+        raise ModelError(f"Expected an XML model file, but {path} is not XML: {error}") from None
 
 
 def masked_comments(text: bytes) -> bytes:
@@ -326,31 +304,3 @@ def masked_comments(text: bytes) -> bytes:
         pieces += [text[position : start + 4], text[start + 4 : end].replace(b"-", b"~")]
         position = end
     return b"".join([*pieces, text[position:]])
-
-
-def element_spans(text: bytes) -> tuple[Span, ...]:
-    """Return the span of every element of a well-formed UTF-8 text, in document order."""
-    starts: list[int] = []
-    closings: dict[int, int] = {}
-    open_elements: list[int] = []
-    parser = expat.ParserCreate("utf-8")
-
-    def opened(name: str, attributes: dict[str, str]) -> None:
-        open_elements.append(len(starts))
-        starts.append(parser.CurrentByteIndex)
-
-    def closed(name: str) -> None:
-        closings[open_elements.pop()] = parser.CurrentByteIndex
-
-    parser.StartElementHandler = opened
-    parser.EndElementHandler = closed
-    parser.Parse(masked_comments(text), True)
-    return tuple(_span(text, start, closings[i]) for i, start in enumerate(starts))
-
-
-def _span(text: bytes, start: int, closing: int) -> Span:
-    match = _START_TAG.match(text, start)
-    assert match is not None
-    if match.group().endswith(b"/>"):
-        return Span(start, match.end(), match.end(), match.end())
-    return Span(start, match.end(), closing, text.index(b">", closing) + 1)

@@ -10,26 +10,25 @@ import os
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
-from robot_sysid.mjcf.documents import ModelDocument, Node, SourceFile, Span
+from robot_sysid.mjcf.documents import ModelDocument, Node, SourceFile
 
 _OLD_COMMENT = re.compile(rb"<!--\s*System ID:(?:(?!-->).)*-->\s*\Z", re.DOTALL)
 _DECLARED_ENCODING = re.compile(rb"""\A(<\?xml[^>]*encoding\s*=\s*["'])[^"']*(["'])""")
 _ATTRIBUTE = re.compile(rb"""([^\s=/<>"']+)(\s*=\s*)("[^"]*"|'[^']*')""")
-_TAG_NAME = re.compile(rb"<([^\s/>]+)")
+_TAG_NAME = re.compile(rb"<[^\s/>]+")
 _ESCAPES = {"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;"}
 _ESCAPED = str.maketrans({**_ESCAPES, "\t": "&#9;", "\n": "&#10;", "\r": "&#13;"})
 
 
-@dataclass(frozen=True)
-class Edit:
-    """Replace text[start:end] by ``replacement``."""
+class Edit(NamedTuple):
+    """Replace text[start:end] by ``new``."""
 
     start: int
     end: int
-    replacement: bytes
+    new: bytes
 
 
 class Edits:
@@ -44,32 +43,18 @@ class Edits:
         inlined: further included files whose text must take the place of their ``<include>``.
     """
 
-    def __init__(self, document: ModelDocument, folder: Path | None = None) -> None:
-        self.document, self.folder = document, folder
+    def __init__(self, document: ModelDocument) -> None:
+        self.document = document
+        self.folder: Path | None = None
         self.settings: list[str] = []
         self.lead = line_break(document.main.text) + b"  "
-        self.inlined: set[Path] = set()
-        self._edits: dict[Path, list[Edit]] = defaultdict(list)
-
-    def add(self, node: Node, edit: Edit) -> None:
-        """Add an edit in the file of an element."""
-        self._edits[node.file.path].append(edit)
-
-    def insert(self, node: Node, child: bytes) -> None:
-        """Put text first into an element."""
-        self.add(node, insert_child(node.file.text, node.span, child))
-
-    def append(self, node: Node, child: str) -> None:
-        """Put lines of text last into an element."""
-        self.add(node, append_child(node.file.text, node.span, child))
+        self.inlined: set[SourceFile] = set()
+        self._edits: dict[SourceFile, list[Edit]] = defaultdict(list)
 
     def set(self, node: Node, name: str, value: str | None) -> None:
         """Give an element an attribute, or take it away where the value is None."""
-        text = node.file.text
-        if value is not None:
-            self.add(node, set_attribute(text, node.span, name, value))
-        elif (removal := remove_attribute(text, node.span, name)) is not None:
-            self.add(node, removal)
+        for edit in _attribute_edit(node, name, value):
+            self._edits[node.file].append(edit)
 
     def set_path(self, node: Node, name: str, value: str | None) -> None:
         """Do the same with an attribute that is a path, where it is not the same one already."""
@@ -79,65 +64,82 @@ class Edits:
 
     def set_compiler(self, values: Mapping[str, str]) -> None:
         """Set attributes of the compiler: in a URDF of every one, which lose their meshdir."""
-        compilers, is_urdf = self.document.compilers(), self.document.kind == "urdf"
+        compilers, is_urdf = self.document.settings("compiler"), self.document.kind == "urdf"
         for node in compilers if is_urdf else compilers[:1]:
             for name, value in values.items():
                 self.set(node, name, value)
             if is_urdf:
                 self.set(node, "meshdir", None)
         if not compilers:
-            attributes = "".join(f" {name}={quoted(v)}" for name, v in values.items())
-            self.settings.insert(0, f"<compiler{attributes}/>")
+            self.settings.insert(0, f"<compiler{attributes(values)}/>")
+
+    def put_inertial(self, body: Node, inertial: str, own_line: bool = True) -> None:
+        """Give a body or link this inertial, in place of its old one, or else first."""
+        old = body.child("inertial")
+        if old is not None:
+            self.replace(old, inertial)
+        else:
+            lead = _own_line(body) + b"  " if own_line and not body.is_empty_tag else b""
+            self._edits[body.file].append(_first_in(body, lead + inertial.encode()))
+
+    def append(self, node: Node, *lines: str) -> None:
+        """Put lines of text last into an element, indented one step deeper."""
+        text, indent = node.file.text, _own_line(node)
+        added = b"".join(indent + b"  " + line.encode() for line in lines)
+        end = len(text[node.inner_start : node.inner_end].rstrip()) + node.inner_start
+        edit = Edit(end, end, added + (indent if end == node.inner_end else b""))
+        if node.is_empty_tag:
+            edit = _first_in(node, added + indent)
+        self._edits[node.file].append(edit)
 
     def replace(self, node: Node, new: str, keep_lines: bool = False) -> None:
         """Put text in the place of an element, with as many line breaks where that is wanted."""
-        start, end = node.span.start, node.span.end
-        lines = node.file.text[start:end].count(b"\n") if keep_lines else 0
-        self.add(node, Edit(start, end, new.encode() + b"\n" * lines))
+        lines = node.file.text.count(b"\n", node.start, node.end) if keep_lines else 0
+        self._edits[node.file].append(Edit(node.start, node.end, new.encode() + b"\n" * lines))
 
     def comment(self, node: Node, comment: str) -> None:
         """Put a comment before an element, in place of an older one of this program."""
-        text, start = node.file.text, node.span.start
-        old = _OLD_COMMENT.search(text[:start])
+        old = _OLD_COMMENT.search(node.file.text[: node.start])
         # What follows the comment repeats the element's own indentation.
-        between = line_break(text) + indentation(text, start)
-        self.add(node, Edit(old.start() if old else start, start, comment.encode() + between))
+        new = comment.encode() + _own_line(node)
+        self._edits[node.file].append(Edit(old.start() if old else node.start, node.start, new))
 
     def text(self) -> bytes:
         """Return the text, whose XML declaration, if it has one, says that it is UTF-8."""
         main = self.document.main
-        text = apply_edits(main.text, [*self._settings_edits(), *self._all_edits(main)])
+        text = _edited(main.text, [*self._settings_edits(), *self._all_edits(main)])
         return _DECLARED_ENCODING.sub(rb"\1utf-8\2", text, count=1)
 
     def _settings_edits(self) -> Iterator[Edit]:
         """Yield the edit that adds the settings; MuJoCo reads one ``<mujoco>`` of a URDF only."""
         root, new = self.document.root, [each.encode() for each in self.settings]
-        start = root.span.inner_start
         if not new:
             return
         if self.document.kind != "urdf":
-            yield Edit(start, start, b"".join(self.lead + each for each in new))
+            yield _first_in(root, b"".join(self.lead + each for each in new))
         elif (part := root.child("mujoco")) is not None:
-            yield insert_child(part.file.text, part.span, b"".join(new))
+            yield _first_in(part, b"".join(new))
         else:
-            yield Edit(start, start, self.lead + b"<mujoco>" + b"".join(new) + b"</mujoco>")
+            yield _first_in(root, self.lead + b"<mujoco>" + b"".join(new) + b"</mujoco>")
 
     def _all_edits(self, file: SourceFile) -> list[Edit]:
-        return [*self._edits.get(file.path, ()), *self._include_edits(file)]
-
-    def _include_edits(self, file: SourceFile) -> Iterator[Edit]:
-        for i, included in file.includes.items():
-            span = file.spans[i]
+        """Return the edits of a file, those of its includes among them."""
+        edits = list(self._edits.get(file, ()))
+        for node in file.includes:
+            included = node.included
+            assert included is not None
             if self._must_inline(included):
-                inner, edits = included.spans[0], self._all_edits(included)
-                ends = inner.inner_start, inner.inner_end
-                yield Edit(span.start, span.end, apply_edits(included.text, edits, *ends).strip())
+                root = included.elements[0]
+                inner = _edited(included.text, self._all_edits(included), root)
+                edits.append(Edit(node.start, node.end, inner.strip()))
             else:
-                yield set_attribute(file.text, span, "file", reference(included.path, self.folder))
+                edits += _attribute_edit(node, "file", reference(included.path, self.folder))
+        return edits
 
     def _must_inline(self, file: SourceFile) -> bool:
-        return file.path in {*self.inlined, *self._edits} or any(
-            self._must_inline(included) for included in file.includes.values()
+        below = (node.included for node in file.includes)
+        return file in {*self.inlined, *self._edits} or any(
+            self._must_inline(included) for included in below if included is not None
         )
 
 
@@ -156,75 +158,53 @@ def reference(target: Path, folder: Path | None) -> str:
     return Path(relative).as_posix()
 
 
-def quoted(value: str) -> str:
-    """Return the value of an attribute in quotes; the standard library's way loads HTTP and SSL."""
-    return f'"{value.translate(_ESCAPED)}"'
+def attributes(values: Mapping[str, str]) -> str:
+    """Return attributes as an element has them; the standard library's way loads HTTP and SSL."""
+    return "".join(f' {name}="{value.translate(_ESCAPED)}"' for name, value in values.items())
 
 
-def set_attribute(text: bytes, span: Span, name: str, value: str) -> Edit:
-    """Return the edit that gives an element's start tag the attribute name="value"."""
-    written = quoted(value).encode()
-    found = _attribute(text, span, name)
-    if found is not None:
-        return Edit(found.start(3), found.end(3), written)
-    end = span.inner_start - (2 if span.is_empty_tag else 1)
-    while text[end - 1 : end].isspace():
-        end -= 1
-    return Edit(end, end, b" " + name.encode() + b"=" + written)
+def _attribute_edit(node: Node, name: str, value: str | None) -> Iterator[Edit]:
+    """Yield the edit, if one is needed, that gives an element an attribute; None takes it away."""
+    text, end = node.file.text, node.inner_start - (2 if node.is_empty_tag else 1)
+    matches = _ATTRIBUTE.finditer(text, node.start, node.inner_start)
+    found = next((m for m in matches if m.group(1) == name.encode()), None)
+    new = b"" if value is None else attributes({name: value}).encode()
+    if found is not None and value is not None:
+        yield Edit(found.start(3), found.end(3), new[len(name) + 2 :])
+    elif found is not None:
+        yield Edit(len(text[: found.start()].rstrip()), found.end(), new)
+    elif value is not None:
+        end = len(text[:end].rstrip())
+        yield Edit(end, end, new)
 
 
-def remove_attribute(text: bytes, span: Span, name: str) -> Edit | None:
-    """Return the edit that removes an attribute with the space before it; None if absent."""
-    found = _attribute(text, span, name)
-    if found is None:
-        return None
-    start = found.start()
-    while text[start - 1 : start].isspace():
-        start -= 1
-    return Edit(start, found.end(), b"")
-
-
-def insert_child(text: bytes, span: Span, child: bytes) -> Edit:
+def _first_in(node: Node, child: bytes) -> Edit:
     """Return the edit that puts text first into an element."""
-    if not span.is_empty_tag:
-        return Edit(span.inner_start, span.inner_start, child)
-    opened = text[span.start : span.end - 2].rstrip() + b">"
+    if not node.is_empty_tag:
+        return Edit(node.inner_start, node.inner_start, child)
+    opened = node.file.text[node.start : node.end - 2].rstrip() + b">"
     name = _TAG_NAME.match(opened)
     assert name is not None
-    return Edit(span.start, span.end, opened + child + b"</" + name.group(1) + b">")
+    return Edit(node.start, node.end, opened + child + b"</" + name.group()[1:] + b">")
 
 
-def append_child(text: bytes, span: Span, child: str) -> Edit:
-    """Return the edit that puts lines of text last into an element, indented one step deeper."""
-    indent = line_break(text) + indentation(text, span.start)
-    lines = b"".join(indent + b"  " + line.encode() for line in child.split("\n"))
-    if span.is_empty_tag:
-        return insert_child(text, span, lines + indent)
-    end = len(text[span.inner_start : span.inner_end].rstrip()) + span.inner_start
-    return Edit(end, end, lines + (indent if end == span.inner_end else b""))
-
-
-def _attribute(text: bytes, span: Span, name: str) -> re.Match[bytes] | None:
-    matches = _ATTRIBUTE.finditer(text, span.start, span.inner_start)
-    return next((m for m in matches if m.group(1) == name.encode()), None)
-
-
-def apply_edits(text: bytes, edits: Iterable[Edit], start: int = 0, end: int = -1) -> bytes:
-    """Return text[start:end] with the edits that lie in it made; edits must not overlap."""
-    end = len(text) if end < 0 else end
-    pieces, position = [], start
-    for edit in sorted(edits, key=lambda e: (e.start, e.end)):
+def _edited(text: bytes, edits: Iterable[Edit], inside: Node | None = None) -> bytes:
+    """Return a text, or what lies in one of its elements, with edits made that do not overlap."""
+    position, end = (inside.inner_start, inside.inner_end) if inside else (0, len(text))
+    pieces = []
+    for edit in sorted(edits, key=lambda edit: edit[:2]):
         if edit.start < position:
             raise ValueError(f"overlapping edits at byte {edit.start}")
-        pieces += [text[position : edit.start], edit.replacement]
+        pieces += [text[position : edit.start], edit.new]
         position = edit.end
     return b"".join([*pieces, text[position:end]])
 
 
-def indentation(text: bytes, position: int) -> bytes:
-    """Return the white space between the start of the line and ``position`` (empty if text)."""
-    lead = text[text.rfind(b"\n", 0, position) + 1 : position]
-    return lead if not lead.strip() else b""
+def _own_line(node: Node) -> bytes:
+    """Return a line break with the white space that stands before an element, if only that does."""
+    text = node.file.text
+    lead = text[text.rfind(b"\n", 0, node.start) + 1 : node.start]
+    return line_break(text) + (b"" if lead.strip() else lead)
 
 
 def line_break(text: bytes) -> bytes:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
-from itertools import islice
+from itertools import islice, takewhile
 from pathlib import Path
 
 import numpy as np
@@ -17,23 +17,20 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.assets import relocated_text
 from robot_sysid.mjcf.documents import ModelDocument, Node, read_document
-from robot_sysid.mjcf.edits import Edits, quoted
+from robot_sysid.mjcf.edits import Edits, attributes
 from robot_sysid.mjcf.inertial import (
-    MULTIPLIERS,
     check_settings,
-    comment_text,
-    find_body,
-    find_named,
     let_inertials_count,
     mjcf_inertial,
     number,
     numbers,
+    rmse_words,
     setting,
-    urdf_inertial,
-    write_inertial,
+    urdf_inertial_about_com,
 )
 from robot_sysid.mjcf.urdf import give_minimum
 from robot_sysid.mjcf.write_back import ActuatorChange, JointChange, ModelChange, WeldedBody
+from robot_sysid.records import Array
 
 
 def changed_model_text(
@@ -59,89 +56,84 @@ def changed_model_text(
     for actuator in change.actuators:
         write_actuator(edits, actuator)
     if change.welded is not None:
-        weld(edits, change.welded, change)
+        _weld(edits, change.welded, change)
     if change.gravity is not None:
-        write_gravity(edits, change.gravity, change.rmse)
+        _write_gravity(edits, change.gravity, change.rmse)
     if edits.document.kind == "urdf":
         # Also what was added to get it compiled: MuJoCo has to load the text by itself.
-        give_minimum(edits, but={body.get("name") for body in written})
+        give_minimum(edits, but=written)
     else:
         let_inertials_count(edits, written)
     return relocated_text(edits, folder, mesh_dir)
 
 
 def _write_bodies(edits: Edits, change: ModelChange) -> list[Node]:
-    document, principal, written = edits.document, change.principal, []
+    document, written = edits.document, list[Node]()
     for body in change.bodies:
-        found, theta = find_body(document, body.label), body.plan.theta
+        found, theta = find_element(document, "body", body.label), body.plan.theta
         check_settings(document, found, theta)
-        lumped = [find_body(document, other.name) for other in body.plan.lumped]
-        edits.comment(found, comment_text(f"body '{body.label}'", change.rmse, body.comment))
-        for node, parameters in ((found, theta), *((other, 0.0 * theta) for other in lumped)):
-            is_urdf = document.kind == "urdf"
-            text = urdf_inertial(parameters) if is_urdf else mjcf_inertial(parameters, principal)
-            write_inertial(edits, node, text)
+        edits.comment(found, _comment(f"body '{body.label}'", change.rmse, body.comment))
+        edits.put_inertial(found, _inertial(document, theta, change.principal))
+        lumped = [find_element(document, "body", other.name) for other in body.plan.lumped]
+        for other in lumped:
+            edits.put_inertial(other, _inertial(document, np.zeros(10), change.principal))
         written += [found, *lumped]
     return written
 
 
-def weld(edits: Edits, body: WeldedBody, change: ModelChange) -> None:
-    """Add the new body of a change."""
-    document = edits.document
-    carrier = find_body(document, body.carrier)
-    check_settings(document, carrier, body.theta, gets_child=True)
-    _check_name(document, body.name)
-    comment = comment_text(f"body '{body.name}'", change.rmse, body.words)
+def _inertial(document: ModelDocument, theta: Array, principal: bool) -> str:
     if document.kind == "urdf":
-        # All links of a URDF stand side by side.
-        place, lines = document.root, [comment, *_urdf_lines(body)]
-    else:
-        turn = numbers(spatial.quaternion(body.rotation))
-        pose = f'pos="{numbers(body.translation)}" quat="{turn}"'
-        inertial = f"  {mjcf_inertial(body.theta, change.principal)}"
-        lines = [comment, f"<body name={quoted(body.name)} {pose}>", inertial, "</body>"]
-        place = carrier
-    edits.append(place, "\n".join(lines))
+        return urdf_inertial_about_com(*spatial.com_from_theta(theta))
+    return mjcf_inertial(theta, principal)
 
 
-def _urdf_lines(body: WeldedBody) -> list[str]:
-    name, carrier = quoted(body.name), quoted(body.carrier)
-    turn = numbers(spatial.roll_pitch_yaw(body.rotation))
-    return [
-        f"<link name={name}>{urdf_inertial(body.theta)}</link>",
-        f'<joint name={quoted(joint_name(body.name))} type="fixed"><parent link={carrier}/>'
-        f'<child link={name}/><origin xyz="{numbers(body.translation)}" rpy="{turn}"/></joint>',
-    ]
+def _comment(what: str, rmse: float, addition: str | None) -> str:
+    """Return the comment that says what was identified, of which body, say."""
+    words = f"System ID: {what} identified with {rmse_words(rmse)}"
+    words += f"; {addition}" if addition else ""
+    return f"<!-- {words.replace('--', '- -')} -->"
 
 
-def joint_name(body: str) -> str:
-    """Return what the fixed joint of a URDF's new link is called."""
-    return f"{body}_joint"
-
-
-def _check_name(document: ModelDocument, name: str) -> None:
-    bodies = {n.get("name") for n in document.walk() if n.tag in ("body", "link")} | {"world"}
-    joints = {n.get("name") for n in document.walk() if n.tag == "joint"}
-    is_urdf = document.kind == "urdf"
-    if not name.strip() or name in bodies or (is_urdf and joint_name(name) in joints):
+def _weld(edits: Edits, body: WeldedBody, change: ModelChange) -> None:
+    """Add the new body of a change."""
+    document, joint = edits.document, f"{body.name}_joint"
+    carrier = find_element(document, "body", body.carrier)
+    check_settings(document, carrier, body.theta, gets_child=True)
+    is_urdf, bodies = (
+        document.kind == "urdf",
+        {n.get("name") for n in document.walk("body", "link")},
+    )
+    joints = {node.get("name") for node in document.walk("joint")}
+    if not body.name.strip() or body.name in {*bodies, "world"} or (is_urdf and joint in joints):
+        listed = ", ".join(sorted(name for name in {*bodies, "world"} if name))
         raise ExportError(
-            f"{document.path}: the new body cannot be called '{name}', because that name is empty "
-            f"or taken; bodies of the model: {', '.join(sorted(str(b) for b in bodies if b))}"
+            f"{document.path}: the new body cannot be called '{body.name}', because that name is "
+            f"empty or taken; bodies of the model: {listed}"
         )
+    comment = _comment(f"body '{body.name}'", change.rmse, body.words)
+    inertial = _inertial(document, body.theta, change.principal)
+    name, place = attributes({"name": body.name}), numbers(body.translation)
+    if is_urdf:
+        # All links of a URDF stand side by side.
+        parent, child = attributes({"link": body.carrier}), attributes({"link": body.name})
+        turn = numbers(spatial.roll_pitch_yaw(body.rotation))
+        fixed = (
+            f'<joint{attributes({"name": joint})} type="fixed"><parent{parent}/>'
+            f'<child{child}/><origin xyz="{place}" rpy="{turn}"/></joint>'
+        )
+        edits.append(document.root, comment, f"<link{name}>{inertial}</link>", fixed)
+    else:
+        pose = f'pos="{place}" quat="{numbers(spatial.quaternion(body.rotation))}"'
+        edits.append(carrier, comment, f"<body{name} {pose}>", f"  {inertial}", "</body>")
 
 
 _MUJOCOS_OWN = "0 0 -9.81"
 
 
-def write_gravity(edits: Edits, gravity: tuple[float, float, float], rmse: float) -> None:
-    """Give a model another gravity; MuJoCo reads the ``<option>`` in a URDF's ``<mujoco>`` part.
-
-    Args:
-        gravity: in the model's world frame [m/s^2].
-        rmse: of the identification [N m], for the comment.
-    """
+def _write_gravity(edits: Edits, gravity: tuple[float, float, float], rmse: float) -> None:
+    """Give a model another gravity; MuJoCo reads the ``<option>`` in a URDF's ``<mujoco>`` part."""
     options = edits.document.settings("option")
-    flags = [node for option in options for node in option.children() if node.tag == "flag"]
+    flags = (node for option in options for node in option.children() if node.tag == "flag")
     if any(flag.get("gravity") == "disable" for flag in flags):
         raise ExportError(
             f'{edits.document.path}: <flag gravity="disable"/> switches gravity off, so that the '
@@ -152,7 +144,7 @@ def write_gravity(edits: Edits, gravity: tuple[float, float, float], rmse: float
     stating = [option for option in options if option.get("gravity")]
     before = (stating[-1].get("gravity") if stating else None) or _MUJOCOS_OWN
     words = f"in place of {before}, because the arm does not stand as the file said"
-    comment, text = comment_text("gravity", rmse, words), numbers(np.asarray(gravity))
+    comment, text = _comment("gravity", rmse, words), numbers(np.asarray(gravity))
     if not options:
         edits.settings += [comment, f'<option gravity="{text}"/>']
         return
@@ -162,10 +154,6 @@ def write_gravity(edits: Edits, gravity: tuple[float, float, float], rmse: float
     edits.set(node, "gravity", text)
 
 
-_IN_URDF = {"damping": "damping", "frictionloss": "friction"}
-_TAGS = ("joint", "freejoint")
-
-
 def write_joint(edits: Edits, change: JointChange) -> None:
     """Give a joint its new numbers.
 
@@ -173,7 +161,7 @@ def write_joint(edits: Edits, change: JointChange) -> None:
         ExportError: the joint is not written out in the file, a URDF cannot hold the number, or a
             joint with it would drive itself.
     """
-    document = edits.document
+    document, is_urdf = edits.document, edits.document.kind == "urdf"
     further = {"nonlinear damping": min(change.polynomial)} if change.polynomial else {}
     for name, value in {**change.numbers, **further}.items():
         if not 0.0 <= value < math.inf:
@@ -181,21 +169,31 @@ def write_joint(edits: Edits, change: JointChange) -> None:
                 f"joint '{change.label}' cannot get {name} {value:.4g}: it would drive itself, or "
                 "is no number"
             )
-    node = find_joint(document, change.label)
-    if document.kind == "urdf":
-        _write_urdf(edits, node, change)
-        return
-    for name, value in change.numbers.items():
+    node = find_element(document, "joint", change.label)
+    written = {name: number(value) for name, value in change.numbers.items()}
+    if is_urdf:
+        if "armature" in written:
+            raise ExportError(
+                f"{document.path}: a URDF cannot hold the rotor inertia of joint "
+                f"'{change.label}'; convert the model to MJCF first"
+            )
+        written = {{"frictionloss": "friction"}.get(n, n): value for n, value in written.items()}
+        old = node.child("dynamics")
+        if old is None and written:
+            edits.append(node, f"<dynamics{attributes(written)}/>")
+        node, written = old or node, written if old else {}
+    elif "damping" in written:
         # Nonlinear damping stands behind the linear one; where none was found the model's stays.
-        beyond = (node.get(name) or "").split()[1:]
-        if name == "damping" and change.polynomial is not None:
-            beyond = [number(each) for each in change.polynomial]
-        edits.set(node, name, " ".join([number(value), *beyond]))
-    if change.spring is not None:
+        beyond = (node.get("damping") or "").split()[1:]
+        beyond = beyond if change.polynomial is None else [number(n) for n in change.polynomial]
+        written["damping"] = " ".join([written["damping"], *beyond])
+    if change.spring is not None and not is_urdf:
         stiffness, rest = change.spring
         in_degrees = node.get("type") != "slide" and setting(document, "angle") != "radian"
-        edits.set(node, "stiffness", number(stiffness))
-        edits.set(node, "springref", number(math.degrees(rest) if in_degrees else rest))
+        rest = math.degrees(rest) if in_degrees else rest
+        written |= {"stiffness": number(stiffness), "springref": number(rest)}
+    for name, text in written.items():
+        edits.set(node, name, text)
 
 
 def write_actuator(edits: Edits, change: ActuatorChange) -> None:
@@ -204,68 +202,69 @@ def write_actuator(edits: Edits, change: ActuatorChange) -> None:
     written = (node for section in document.tagged("actuator") for node in section.children())
     node = next(islice(written, change.actuator, None), None)
     kp, kv = number(change.stiffness), number(change.damping)
-    attributes = {
+    gains = {
         "position": {"kp": kp, "kv": kv},
         "general": {"gainprm": kp, "biasprm": f"0 -{kp} -{kv}"},
     }.get("" if node is None else node.tag)
-    if node is None or attributes is None:
+    if node is None or gains is None:
         raise ExportError(
             f"{document.path}: actuator number {change.actuator} is not written out in the file as "
             "a <position> or <general> element; write it out"
         )
     if change.delay is not None:
-        attributes |= {"delay": number(change.delay), "nsample": str(change.samples)}
-        attributes["interp"] = "linear"
-    for name, value in attributes.items():
+        gains |= {"delay": number(change.delay), "nsample": str(change.samples)}
+        gains["interp"] = "linear"
+    for name, value in gains.items():
         edits.set(node, name, value)
 
 
-def _write_urdf(edits: Edits, node: Node, change: JointChange) -> None:
-    if change.armature is not None:
-        raise ExportError(
-            f"{edits.document.path}: a URDF cannot hold the rotor inertia of joint "
-            f"'{change.label}'; convert the model to MJCF first"
-        )
-    values = {_IN_URDF[name]: number(value) for name, value in change.numbers.items()}
-    old = node.child("dynamics")
-    if old is not None:
-        for name, value in values.items():
-            edits.set(old, name, value)
-    elif values:
-        attributes = "".join(f' {name}="{value}"' for name, value in values.items())
-        edits.append(node, f"<dynamics{attributes}/>")
+_MULTIPLIERS = ("replicate", "attach", "composite", "flexcomp")
+"""Elements that make bodies which are not written out."""
 
 
-def find_joint(document: ModelDocument, label: str) -> Node:
-    """Return the ``<joint>`` of a compiled joint.
+def find_element(document: ModelDocument, kind: str, label: str) -> Node:
+    """Return the element of a compiled body (a ``<link>`` in a URDF) or joint.
 
     Args:
-        label: the joint's name, or "#3" for the nameless joint with MuJoCo id 3.
+        kind: "body" or "joint".
+        label: its name, or "#7" for the nameless one with MuJoCo id 7.
 
     Raises:
-        ExportError: it is not written out in the file, or a <replicate> repeats it.
+        ExportError: it is not written out in the file, or there are several.
     """
-    joints = list(_joints(document))
-    found = find_named(document, joints, "joint", label)
-    by_number = re.fullmatch(r"#(\d+)", label)
-    multipliers = [node for node in document.walk() if node.tag in MULTIPLIERS]
-    if found is None and by_number and document.kind == "mjcf" and not multipliers:
-        found = next(islice(joints, int(by_number.group(1)), None), None)
-    if found is None or any(node.holds(found) for node in multipliers):
+    nodes = list(_in_order(document, kind))
+    found = [n for n in nodes if n.get("name") == label and n.tag not in _MULTIPLIERS]
+    if len(found) > 1:
         raise ExportError(
-            f"{document.path}: joint '{label}' is not written out in the file (it comes from an "
+            f"{document.path}: {kind} '{label}' stands in the file {len(found)} times"
+        )
+    by_number = re.fullmatch(r"#(\d+)", label)
+    if by_number and not found and document.kind == "mjcf":
+        # The world is body 0; behind a multiplier nobody knows the number.
+        index = int(by_number[1]) - (kind == "body")
+        counted = takewhile(lambda node: node.tag not in _MULTIPLIERS, nodes)
+        found = list(islice(counted, index, index + 1)) if index >= 0 else []
+    repeated = (node for top in document.walk(*_MULTIPLIERS) for node in top.walk())
+    if not found or found[0] in repeated:
+        raise ExportError(
+            f"{document.path}: {kind} '{label}' is not written out in the file (it comes from an "
             "attached, repeated or generated part); write it out, with a name"
         )
-    return found
+    return found[0]
 
 
-def _joints(document: ModelDocument) -> Iterator[Node]:
-    """Yield the joints in MuJoCo's order: those of a body before those of the bodies in it."""
+def _in_order(document: ModelDocument, kind: str) -> Iterator[Node]:
+    """Yield bodies or joints as MuJoCo numbers them, and the elements that multiply bodies.
+
+    Depth first, the joints of a body before those of the bodies in it; ``<frame>`` adds none.
+    """
     if document.kind == "urdf":
-        yield from document.tagged("joint")
-    for world in document.tagged("worldbody"):
-        for body in (n for n in world.walk() if n.tag in ("worldbody", "body", *MULTIPLIERS)):
-            yield from (node for node in _without_frames(body) if node.tag in _TAGS)
+        yield from document.tagged("link" if kind == "body" else "joint")
+    for node in (each for world in document.tagged("worldbody") for each in world.walk()):
+        if node.tag in _MULTIPLIERS or node.tag == kind == "body":
+            yield node
+        if kind == "joint" and node.tag in ("worldbody", "body", *_MULTIPLIERS):
+            yield from (n for n in _without_frames(node) if n.tag in ("joint", "freejoint"))
 
 
 def _without_frames(body: Node) -> Iterator[Node]:

@@ -15,16 +15,17 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ModelError
-from robot_sysid.mjcf.assets import SHAPES, Asset, find_assets
+from robot_sysid.mjcf.assets import SHAPES, find_assets
 from robot_sysid.mjcf.documents import ModelDocument, Node
 from robot_sysid.mjcf.edits import Edits
 from robot_sysid.mjcf.inertial import urdf_inertial_about_com
 from robot_sysid.records import Array
 
-READABLE_MESHES = (".stl", ".obj", ".msh")
-MINIMUM_MASS = 1e-6
-MINIMUM_INERTIA = 1e-9
-_SETTINGS = {"fusestatic": "false", "strippath": "false"}
+_READABLE_MESHES = (".stl", ".obj", ".msh")
+_MINIMUM_MASS, _MINIMUM_INERTIA = 1e-6, 1e-9
+"""What a moving link gets that weighs nothing [kg, kg m^2]: MuJoCo refuses less than 1e-15."""
+LARGEST = 1e12
+"""Largest size of any number of an arm in SI units; squares of far larger ones overflow."""
 
 
 def compilable_urdf(
@@ -33,7 +34,7 @@ def compilable_urdf(
     """Return (text MuJoCo can compile, notes on what had to be changed).
 
     Args:
-        with_minimum: give moving links without mass ``MINIMUM_MASS`` and ``MINIMUM_INERTIA``.
+        with_minimum: give moving links without mass a minimum.
 
     Raises:
         ModelError: a mesh that determines a link's inertia is missing.
@@ -42,14 +43,20 @@ def compilable_urdf(
     # Line numbers in MuJoCo's messages must stay those of the file.
     edits.lead = b""
     notes = list(_use_absolute_meshes(edits, mesh_dir))
-    edits.set_compiler(_SETTINGS)
-    _level_inertials(edits)
+    edits.set_compiler({"fusestatic": "false", "strippath": "false"})
+    inertias = link_inertias(document)
+    for link in document.tagged("link"):
+        inertial, turn = link.child("inertial"), link.inner("inertial", "origin", "rpy")
+        if inertial and np.any(_floats(turn)) and not _lacks_inertia(link):
+            # MuJoCo 3.3 ignores the rpy of an inertial.
+            text = urdf_inertial_about_com(*inertias[str(link.get("name"))])
+            edits.replace(inertial, text, keep_lines=True)
     found = give_minimum(edits) if with_minimum else []
     if found:
         links = ", ".join(f"'{name}'" for name in found)
         notes.append(
             f"moving link {links} has no mass, or no inertia, which MuJoCo refuses; where it has "
-            f"none it was given {MINIMUM_MASS:g} kg and {MINIMUM_INERTIA:g} kg m^2"
+            f"none it was given {_MINIMUM_MASS:g} kg and {_MINIMUM_INERTIA:g} kg m^2"
         )
     return edits.text(), tuple(notes)
 
@@ -57,20 +64,27 @@ def compilable_urdf(
 def _use_absolute_meshes(edits: Edits, mesh_dir: Path | None) -> Iterator[str]:
     """Name all meshes by their place; leave out shapes whose mesh is not usable. Yields notes."""
     document, collisions = edits.document, set()
-    from_geometry = any(c.get("inertiafromgeom") == "true" for c in document.compilers())
-    uses = find_assets(document, mesh_dir)
+    from_geometry = any(c.get("inertiafromgeom") == "true" for c in document.settings("compiler"))
+    uses = {use.node: use for use in find_assets(document, mesh_dir)}
     shapes = [(link, node) for link in document.tagged("link") for node in link.children()]
     for link, shape in shapes:
-        meshes = [use for use in uses if shape.tag in SHAPES and shape.holds(use.node)]
-        unusable = [m for m in meshes if not m.path or m.path.suffix.lower() not in READABLE_MESHES]
-        for mesh in meshes if not unusable else ():
-            edits.set(mesh.node, "filename", str(mesh.path))
-        if unusable and shape.tag == "collision":
+        meshes = [uses[node] for node in shape.walk() if shape.tag in SHAPES and node in uses]
+        unusable = [use for use in meshes if not _is_readable(use.path)]
+        for use in meshes if not unusable else ():
+            edits.set(use.node, "filename", str(use.path))
+        if not unusable:
+            continue
+        edits.replace(shape, "", keep_lines=True)
+        if shape.tag == "collision":
+            name, path = unusable[0].name, unusable[0].path
             if link.child("inertial") is None or from_geometry:
-                raise _cannot_drop(document, link, unusable[0])
-            collisions.add(unusable[0].name)
-        if unusable:
-            edits.replace(shape, "", keep_lines=True)
+                why = f"in a format MuJoCo cannot read ({path.suffix})" if path else "not found"
+                raise ModelError(
+                    f"{document.path}: collision mesh {name} of link '{link.get('name')}' is "
+                    f"{why}, and the link has no <inertial> of its own; pass --mesh-dir FOLDER or "
+                    "add an <inertial>"
+                )
+            collisions.add(name)
     if collisions:
         yield (
             "collision meshes that are missing or unreadable to MuJoCo were left out "
@@ -81,31 +95,19 @@ def _use_absolute_meshes(edits: Edits, mesh_dir: Path | None) -> Iterator[str]:
         )
 
 
-def _cannot_drop(document: ModelDocument, link: Node, mesh: Asset) -> ModelError:
-    unreadable = f"in a format MuJoCo cannot read ({mesh.path.suffix})" if mesh.path else ""
-    why = unreadable or "not found"
-    return ModelError(
-        f"{document.path}: collision mesh {mesh.name} of link '{link.get('name')}' is {why}, "
-        "and the link has no <inertial> of its own; pass --mesh-dir FOLDER or add an <inertial>"
-    )
+def _is_readable(mesh: Path | None) -> bool:
+    return mesh is not None and mesh.suffix.lower() in _READABLE_MESHES
 
 
-def give_minimum(edits: Edits, but: Collection[str | None] = ()) -> list[str]:
+def give_minimum(edits: Edits, but: Collection[Node] = ()) -> list[str]:
     """Give moving links that weigh nothing a minimum, but for some; returns their names."""
-    found = [link for link in _massless_moving_links(edits.document) if link.get("name") not in but]
+    found = [link for link in _massless_moving_links(edits.document) if link not in but]
     for link in found:
         com = _floats(link.inner("inertial", "origin", "xyz"))
-        inertia = MINIMUM_INERTIA * np.eye(3)
-        minimum = urdf_inertial_about_com(max(_mass(link), MINIMUM_MASS), com, inertia)
-        old = link.child("inertial")
-        if old is not None:
-            edits.replace(old, minimum)
-        else:
-            edits.insert(link, minimum.encode())
+        inertia = _MINIMUM_INERTIA * np.eye(3)
+        minimum = urdf_inertial_about_com(max(_mass(link), _MINIMUM_MASS), com, inertia)
+        edits.put_inertial(link, minimum, own_line=False)
     return [str(link.get("name")) for link in found]
-
-
-_LARGEST = 1e12  # squares of far larger numbers overflow
 
 
 def link_inertias(document: ModelDocument) -> dict[str, tuple[float, Array, Array]]:
@@ -122,7 +124,7 @@ def link_inertias(document: ModelDocument) -> dict[str, tuple[float, Array, Arra
         rotation = Rotation.from_euler("xyz", turn).as_matrix()
         six = [float(inertia.get(n) or 0.0) for n in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")]
         matrix = rotation @ spatial.symmetric_from_six(np.array(six)) @ rotation.T
-        if not np.all(np.abs([*matrix.ravel(), *com]) <= _LARGEST):
+        if not np.all(np.abs([*matrix.ravel(), *com]) <= LARGEST):
             raise ValueError(f"the inertial of link {link.get('name')} is none that an arm has")
         found[str(link.get("name"))] = (_mass(link), com, matrix)
     return found
@@ -134,23 +136,13 @@ def velocity_limits(document: ModelDocument) -> dict[str, float]:
     for joint in document.tagged("joint"):
         with contextlib.suppress(ValueError):
             value = float(joint.inner("limit", "velocity") or "")
-            if value > 0.0 and math.isfinite(value):
+            if 0.0 < value < math.inf:
                 found[str(joint.get("name"))] = value
     return found
 
 
 def _floats(text: str | None) -> Array:
     return np.array([float(word) for word in text.split()]) if text else np.zeros(3)
-
-
-def _level_inertials(edits: Edits) -> None:
-    """Turn inertias into link axes: MuJoCo 3.3 ignores the ``rpy`` of an inertial."""
-    inertias = link_inertias(edits.document)
-    for link in edits.document.tagged("link"):
-        inertial, turn = link.child("inertial"), link.inner("inertial", "origin", "rpy")
-        if inertial and np.any(_floats(turn)) and not _lacks_inertia(link):
-            text = urdf_inertial_about_com(*inertias[str(link.get("name"))])
-            edits.replace(inertial, text, keep_lines=True)
 
 
 def _massless_moving_links(document: ModelDocument) -> Iterator[Node]:

@@ -24,13 +24,11 @@ from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.assets import Asset, check_assets, find_assets, relocated_text
 from robot_sysid.mjcf.documents import ModelDocument, Node, read_document
 from robot_sysid.mjcf.edits import Edits
-from robot_sysid.mjcf.urdf import compilable_urdf, link_inertias, velocity_limits
+from robot_sysid.mjcf.urdf import LARGEST, compilable_urdf, link_inertias, velocity_limits
 from robot_sysid.model.inertia import inertia_about_com
 from robot_sysid.records import Array
 from robot_sysid.records.progress import Progress
 
-LARGEST = 1e12
-"""Largest size of any number of an arm in SI units; squares of far larger ones overflow."""
 # RuntimeError is what the bindings make of an exception of C++, such as one for want of memory.
 _FAILURES = (ValueError, RuntimeError, mujoco.FatalError, mujoco.UnexpectedError)
 _NAME = re.compile(r"(?:Element name|Object name =) ?'?([^',\n]+)")
@@ -243,7 +241,7 @@ def _refuse_element(document: ModelDocument, node: Node, times: float) -> None:
         )
     cells = math.prod(_count(node, name) for name in _CELLS.get(node.tag, ()))
     if node.tag == "size":
-        cells = max([_bytes(node) / 100.0, *(_count(node, n) for n in node.element.attrib)])
+        cells = max([_bytes(node) / 100.0, *(_count(node, n) for n in node.attributes)])
     if cells > MOST_CELLS:
         raise ModelError(
             f"{document.path}: a {node.tag} of {cells:.3g} cells; at most "

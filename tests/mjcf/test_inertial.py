@@ -13,27 +13,18 @@ from robot_sysid.errors import ExportError
 from robot_sysid.export import export_updated_xml
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.edits import Edits
-from robot_sysid.mjcf.inertial import (
-    check_settings,
-    comment_text,
-    find_body,
-    mjcf_inertial,
-    numbers,
-    setting,
-    urdf_inertial,
-    write_inertial,
-)
+from robot_sysid.mjcf.inertial import check_settings, mjcf_inertial, numbers
+from robot_sysid.mjcf.inertial import urdf_inertial_about_com as urdf_inertial
+from robot_sysid.mjcf.updated_model import find_element
 from robot_sysid.mjcf.write_back import BodyChange, ModelChange, WriteBack
 from robot_sysid.model.inertia import body_label, body_theta
 from robot_sysid.results.verification import reads_fullinertia_exactly, verify_written_model
-from tests.support.model_files import ARM, random_theta, urdf_link, urdf_robot, write_files
+from tests.support.model_files import ARM, random_theta, write_files
 from tests.support.releases import since
-
-seeds = st.integers(0, 2**32 - 1)
 
 
 @pytest.mark.parametrize("principal", [True, False])
-@given(seed=seeds)
+@given(seed=st.integers(0, 2**32 - 1))
 def test_mujoco_reads_back_what_was_written(principal, seed):
     rng = np.random.default_rng(seed)
     theta = random_theta(rng, 10.0 ** rng.uniform(-3, 1), 10.0 ** rng.uniform(-2, 0))
@@ -46,30 +37,20 @@ def test_mujoco_reads_back_what_was_written(principal, seed):
     assert np.max(np.abs(got - theta) / scale) < 1e-12
 
 
-def test_fullinertia_is_about_the_centre_of_mass_in_mujoco_order():
-    theta = spatial.theta_from_com(
-        2.0,
-        np.array([0.0, 0.0, 1.0]),
-        np.array([[4.0, 1.0, 2.0], [1.0, 5.0, 3.0], [2.0, 3.0, 6.0]]),
-    )
-    assert mjcf_inertial(theta) == (
+def test_inertias_are_about_the_centre_of_mass_in_the_order_of_their_format():
+    inertia = np.array([[4.0, 1.0, 2.0], [1.0, 5.0, 3.0], [2.0, 3.0, 6.0]])
+    com = np.array([0.0, 0.0, 1.0])
+    assert mjcf_inertial(spatial.theta_from_com(2.0, com, inertia)) == (
         '<inertial pos="0.0 0.0 1.0" mass="2.0" fullinertia="4.0 5.0 6.0 1.0 2.0 3.0"/>'
     )
-    assert 'xyz="0.0 0.0 1.0" rpy="0 0 0"' in urdf_inertial(theta)
-    assert 'ixx="4.0" ixy="1.0" ixz="2.0" iyy="5.0" iyz="3.0" izz="6.0"' in urdf_inertial(theta)
+    assert urdf_inertial(2.0, com, inertia) == (
+        '<inertial><origin xyz="0.0 0.0 1.0" rpy="0 0 0"/><mass value="2.0"/>'
+        '<inertia ixx="4.0" ixy="1.0" ixz="2.0" iyy="5.0" iyz="3.0" izz="6.0"/></inertial>'
+    )
 
 
 def test_numbers_that_mujoco_cannot_read_are_zero():
     assert numbers(np.array([-0.0, 5e-324, -2e-310, 1e-300, 0.1])) == "0.0 0.0 0.0 1e-300 0.1"
-
-
-def edited(tmp_path, body_text, make):
-    text = f"<mujoco><worldbody>{body_text}</worldbody></mujoco>"
-    document = read_document(write_files(tmp_path, {"m.xml": text}))
-    body = next(node for node in document.walk() if node.tag == "body")
-    edits = Edits(document)
-    make(edits, body)
-    return edits.text().decode().split("<worldbody>")[1].split("</worldbody>")[0]
 
 
 @pytest.mark.parametrize(
@@ -77,55 +58,20 @@ def edited(tmp_path, body_text, make):
     [
         ("<body name='a'/>", "<body name='a'><NEW/></body>"),
         ("<body><inertial pos='0 0 0'\n mass='1'/><joint/></body>", "<body><NEW/><joint/></body>"),
-        ("<body><inertial></inertial></body>", "<body><NEW/></body>"),
         ("\n  <body>\n    <joint/>\n  </body>", "\n  <body>\n    <NEW/>\n    <joint/>\n  </body>"),
         (
             "<body><body><inertial/></body></body>",
             "<body>\n  <NEW/><body><inertial/></body></body>",
         ),
+        ("<body><include file='i.xml'/></body>", "<body><NEW/></body>"),
     ],
 )
 def test_the_old_inertial_goes_and_a_missing_one_comes(tmp_path, before, after):
-    assert (
-        edited(tmp_path, before, lambda edits, body: write_inertial(edits, body, "<NEW/>")) == after
-    )
-
-
-COMMENT = "<!-- System ID: body 'a' identified with RMSE 0.000123 Nm -->"
-
-
-@pytest.mark.parametrize(
-    ("before", "after"),
-    [
-        ("\n    <body/>", f"\n    {COMMENT}\n    <body/>"),
-        ("<body/>", f"{COMMENT}\n<body/>"),
-        (f"\n    {COMMENT}\n    <body/>", f"\n    {COMMENT}\n    <body/>"),
-        ("\n  <!-- System ID: old -->\n  <body/>", f"\n  {COMMENT}\n  <body/>"),
-        ("\n  <!-- mine -->\n  <body/>", f"\n  <!-- mine -->\n  {COMMENT}\n  <body/>"),
-        (
-            "\n  <!-- System ID: x --><geom/>\n  <body/>",
-            f"\n  <!-- System ID: x --><geom/>\n  {COMMENT}\n  <body/>",
-        ),
-    ],
-)
-def test_one_comment_stands_before_the_body(tmp_path, before, after):
-    comment = comment_text("body 'a'", 0.000123, None)
-    assert edited(tmp_path, before, lambda edits, body: edits.comment(body, comment)) == after
-
-
-def test_a_comment_is_legal_whatever_the_name(tmp_path):
-    comment = comment_text("body 'a--b'", 1.5e-13, "said--so")
-    text = edited(tmp_path, "<body/>", lambda edits, body: edits.comment(body, comment))
-    assert text.count("--") == 2 and "RMSE 1.5e-13 Nm; said" in text
-
-
-def test_an_inertial_in_an_included_file_is_found_there(tmp_path):
-    main = "<mujoco><worldbody><body><include file='i.xml'/></body></worldbody></mujoco>"
-    files = {"m.xml": main, "i.xml": "<x><inertial pos='0 0 0' mass='1'/></x>"}
-    document = read_document(write_files(tmp_path, files))
-    edits = Edits(document)
-    write_inertial(edits, next(node for node in document.walk() if node.tag == "body"), "<NEW/>")
-    assert edits.text().decode() == main.replace("<include file='i.xml'/>", "<NEW/>")
+    text = f"<mujoco><worldbody>{before}</worldbody></mujoco>"
+    included = "<x><inertial pos='0 0 0' mass='1'/></x>"
+    edits = Edits(read_document(write_files(tmp_path, {"m.xml": text, "i.xml": included})))
+    edits.put_inertial(next(edits.document.walk("body")), "<NEW/>")
+    assert edits.text().decode() == text.replace(before, after)
 
 
 # Each body carries its MuJoCo id as mass of its only geom.
@@ -141,9 +87,8 @@ def test_nameless_bodies_are_counted_as_mujoco_counts(tmp_path):
     path = write_files(tmp_path, {"m.xml": NAMELESS, "a.xml": INCLUDED})
     mj_model, document = mujoco.MjModel.from_xml_path(str(path)), read_document(path)
     for number in range(1, mj_model.nbody):
-        node = find_body(document, body_label(mj_model, number))
-        geom = next(child for child in node.children() if child.tag == "geom")
-        assert float(geom.get("mass")) == mj_model.body_mass[number] == number
+        node = find_element(document, "body", body_label(mj_model, number))
+        assert float(node.child("geom").get("mass")) == mj_model.body_mass[number] == number
 
 
 @pytest.mark.parametrize(
@@ -151,35 +96,27 @@ def test_nameless_bodies_are_counted_as_mujoco_counts(tmp_path):
     [
         ("<body name='a'/>", "b", "'b' is not written out in the file"),
         ("<body name='a'/><body name='a'/>", "a", "'a' stands in the file 2 times"),
-        ("<replicate count='2'><body name='a'/></replicate>", "a", "repeated by a <replicate>"),
-        ("<replicate count='2'><body/></replicate><body/>", "#3", "past a <replicate>"),
-        ("<body><attach model='x' body='y' prefix='z'/></body><body/>", "#4", "past a <attach>"),
-        ("<body/>", "#2", "no body number #2"),
+        ("<replicate count='2'><body name='a'/></replicate>", "a", "repeated or generated part"),
+        ("<replicate count='2'><body/></replicate><body/>", "#3", "is not written out"),
+        ("<body><attach model='x' body='y' prefix='z'/></body><body/>", "#4", "is not written out"),
+        ("<body/><replicate count='2'><body/></replicate>", "#2", "is not written out"),
+        ("<body/>", "#0", "is not written out"),
     ],
 )
 def test_what_is_not_written_out_is_one_line(tmp_path, content, label, message):
     text = f"<mujoco><worldbody>{content}</worldbody></mujoco>"
     with pytest.raises(ExportError, match=message) as caught:
-        find_body(read_document(write_files(tmp_path, {"m.xml": text})), label)
+        find_element(read_document(write_files(tmp_path, {"m.xml": text})), "body", label)
     assert "\n" not in str(caught.value)
 
 
 def test_multipliers_behind_the_body_do_not_matter(tmp_path):
     text = "<mujoco><worldbody><body pos='1 0 0'/><replicate count='2'><body/></replicate>"
-    path = write_files(tmp_path, {"m.xml": text + "</worldbody></mujoco>"})
-    assert find_body(read_document(path), "#1").get("pos") == "1 0 0"
-
-
-def test_a_link_is_found_by_name(tmp_path):
-    text = urdf_robot(urdf_link("a"), urdf_link("b"))
-    assert find_body(read_document(write_files(tmp_path, {"m": text})), "b").get("name") == "b"
+    document = read_document(write_files(tmp_path, {"m.xml": text + "</worldbody></mujoco>"}))
+    assert find_element(document, "body", "#1").get("pos") == "1 0 0"
 
 
 THETA = random_theta(np.random.default_rng(5), 1.7)
-
-
-def change_of(original, plan):
-    return ModelChange((BodyChange("link2", original.body("link2").id, plan),), 0.0)
 
 
 def arm(tmp_path, compiler, text=ARM):
@@ -193,6 +130,7 @@ def arm(tmp_path, compiler, text=ARM):
         ("settotalmass='3'", "settotalmass"),
         ("settotalmass='0x10'", "settotalmass"),
         ("boundmass='2'", "boundmass"),
+        ("boundmass='1'/><compiler boundmass='2'", "boundmass"),
         ("boundinertia='1'", "boundinertia"),
         ("fusestatic='true'", "fusestatic"),
     ],
@@ -200,48 +138,35 @@ def arm(tmp_path, compiler, text=ARM):
 def test_a_setting_that_would_change_the_value_is_refused_by_name(tmp_path, compiler, name):
     document = read_document(arm(tmp_path, compiler))
     with pytest.raises(ExportError, match=f"compiler setting {name} ") as caught:
-        check_settings(document, find_body(document, "link2"), THETA)
+        check_settings(document, find_element(document, "body", "link2"), THETA)
     assert "\n" not in str(caught.value)
-
-
-def test_a_value_at_its_bound_but_for_rounding_is_written(tmp_path):
-    theta = spatial.theta_from_com(1.0, np.array([0.0, 0.0, 0.1]), (1e-6 - 3e-16) * np.eye(3))
-    source, target = arm(tmp_path, "boundinertia='1e-6'"), tmp_path / "out" / "m.xml"
-    original = mujoco.MjModel.from_xml_path(str(source))
-    export_updated_xml(source, "link2", WriteBack(theta), 0.0, target)
-    verify_written_model(original, target, change_of(original, WriteBack(theta)))
 
 
 def test_fusestatic_does_not_matter_to_a_body_without_welded_children(tmp_path):
     document = read_document(arm(tmp_path, "fusestatic='true'"))
-    check_settings(document, find_body(document, "finger"), THETA)
+    check_settings(document, find_element(document, "body", "finger"), THETA)
 
 
-def test_the_last_setting_counts(tmp_path):
-    text = ARM.replace("<worldbody>", "<compiler boundmass='1'/><worldbody>")
-    document = read_document(arm(tmp_path, "boundmass='2'", text))
-    assert setting(document, "boundmass") == "2" and setting(document, "strippath") is None
+AT_ITS_BOUND = spatial.theta_from_com(1.0, np.array([0.0, 0.0, 0.1]), (1e-6 - 3e-16) * np.eye(3))
 
 
 @pytest.mark.parametrize(
-    "compiler",
+    ("compiler", "theta"),
     [
-        "inertiafromgeom='true'",
-        "inertiafromgeom='true' inertiagrouprange='0 5'",
-        "inertiafromgeom='auto'",
-        "balanceinertia='true'",
-        "boundmass='1e-3' boundinertia='1e-6'",
-        "inertiagrouprange='3 4'",
+        ("inertiafromgeom='true' inertiagrouprange='0 5'", THETA),
+        ("inertiafromgeom='auto' inertiagrouprange='3 4'", THETA),
+        ("balanceinertia='true' boundmass='1e-3' boundinertia='1e-6'", THETA),
+        ("boundinertia='1e-6'", AT_ITS_BOUND),
     ],
 )
-def test_the_written_value_survives_and_the_other_bodies_stay(tmp_path, compiler):
+def test_the_written_value_survives_and_the_other_bodies_stay(tmp_path, compiler, theta):
     # With inertiafromgeom the geom of link1 decides, although it has an inertial.
     text = ARM.replace('<joint name="j1"', '<geom name="g" size="0.05"/><joint name="j1"')
     text = text.replace(
         '<geom size="0.1"/>', '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
     )
-    source = arm(tmp_path, compiler, text)
-    original = mujoco.MjModel.from_xml_path(str(source))
-    target, plan = tmp_path / "out" / "m.xml", WriteBack(THETA)
+    source, target = arm(tmp_path, compiler, text), tmp_path / "out" / "m.xml"
+    original, plan = mujoco.MjModel.from_xml_path(str(source)), WriteBack(theta)
     export_updated_xml(source, "link2", plan, 0.0, target, principal=True)
-    verify_written_model(original, target, change_of(original, plan))
+    change = BodyChange("link2", original.body("link2").id, plan)
+    verify_written_model(original, target, ModelChange((change,), 0.0))

@@ -22,7 +22,7 @@ from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.edits import Edits
 from robot_sysid.mjcf.updated_model import (
     changed_model_text,
-    find_joint,
+    find_element,
     write_actuator,
     write_joint,
 )
@@ -139,14 +139,6 @@ def test_its_own_output_can_be_exported_again(tmp_path):
     assert second.read_bytes().count(b"System ID") == 1
 
 
-def test_the_input_file_may_be_overwritten(tmp_path):
-    source = write_files(tmp_path, {"m.xml": ARM})
-    original = compile_model(source).mj_model
-    write(source, "link2", WriteBack(THETA), source)
-    change = change_of("link2", WriteBack(THETA), original.body("link2").id)
-    verify_written_model(original, source, change)
-
-
 MASSLESS = ARM.replace(
     """<inertial pos="0 0 0.1" quat="0.9 0.1 0.2 0.3" mass="1.5"
                     diaginertia="2e-3 3e-3 4e-3"/>
@@ -214,19 +206,6 @@ def test_the_users_mesh_folder_goes_into_the_written_model(tmp_path):
     arm = arm.replace("<worldbody>", '<asset><mesh name="m" file="x/m.obj"/></asset><worldbody>')
     source = write_files(tmp_path, {"m.xml": arm, "mine/m.obj": TETRAHEDRON})
     exported(source, "link2", 2.0 * THETA, tmp_path / "out" / "m.xml", tmp_path / "mine")
-
-
-def test_a_relative_output_folder_works(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    source = write_files(tmp_path, {"in/m.urdf": URDF}).relative_to(tmp_path)
-    exported(source, "l2", 2.0 * THETA, source.parent.parent / "out" / "deep" / "m.urdf")
-
-
-def test_nothing_is_written_when_the_body_is_not_in_the_file(tmp_path):
-    source = write_files(tmp_path, {"m.xml": ARM})
-    with pytest.raises(ExportError, match="'link9' is not written out"):
-        write(source, "link9", WriteBack(THETA), tmp_path / "out" / "m.xml")
-    assert not (tmp_path / "out").exists()
 
 
 WITHOUT_ONE_TERMINAL = (
@@ -297,15 +276,12 @@ def with_options(*options):
 
 
 def test_an_option_is_added_and_nothing_else(tmp_path):
-    difference = list(
-        difflib.ndiff(ARM.splitlines(), changed(tmp_path, {"m.xml": ARM}).splitlines())
-    )
-    assert [line for line in difference if line.startswith(("- ", "? "))] == []
-    assert [line[2:] for line in difference if line.startswith("+ ")] == [
+    lines = changed(tmp_path, {"m.xml": ARM}).splitlines()
+    comment = (
         "  <!-- System ID: gravity identified with RMSE 0.000123 Nm; in place of 0 0 -9.81, "
-        "because the arm does not stand as the file said -->",
-        f"  <option {WRITTEN}/>",
-    ]
+        "because the arm does not stand as the file said -->"
+    )
+    assert lines == [ARM.splitlines()[0], comment, f"  <option {WRITTEN}/>", *ARM.splitlines()[1:]]
 
 
 @pytest.mark.parametrize(
@@ -432,12 +408,6 @@ def test_a_joint_is_found_by_its_number(tmp_path, joint):
         np.testing.assert_array_equal(getattr(after, f"dof_{field}"), expected)
 
 
-def test_every_digit_is_written(tmp_path):
-    document = read_document(write_files(tmp_path, {"m.xml": MIXED}))
-    text = with_joints(document, JointChange("last", damping=np.float64(0.1) + 0.2))
-    assert 'damping="0.30000000000000004"' in text
-
-
 def test_nonlinear_damping_behind_the_linear_one_stays(tmp_path):
     text = MIXED.replace('name="last"', 'name="last" damping=".5 .3  .2"')
     document = read_document(write_files(tmp_path, {"m.xml": text}))
@@ -451,16 +421,11 @@ def test_a_joint_that_would_drive_itself_is_refused(tmp_path, value):
         with_joints(document, JointChange("last", armature=value))
 
 
-def test_nothing_is_written_where_nothing_is_new(tmp_path):
-    document = read_document(write_files(tmp_path, {"m.xml": MIXED}))
-    assert with_joints(document, JointChange("last")) == MIXED
-
-
 @pytest.mark.parametrize("label", ["first", "#9", "#x", ""])
 def test_a_joint_that_is_not_there_is_refused(tmp_path, label):
     document = read_document(write_files(tmp_path, {"m.xml": MIXED}))
     with pytest.raises(ExportError, match="is not written out in the file"):
-        find_joint(document, label)
+        find_element(document, "joint", label)
 
 
 @pytest.mark.parametrize("label", ["last", "#1"])
@@ -469,14 +434,14 @@ def test_a_joint_that_is_repeated_or_past_a_repetition_is_refused(tmp_path, labe
     text = text.replace("</body>\n  </worldbody>", "</body></replicate>\n  </worldbody>")
     document = read_document(write_files(tmp_path, {"m.xml": text}))
     with pytest.raises(ExportError, match="attached, repeated or generated part"):
-        find_joint(document, label)
+        find_element(document, "joint", label)
 
 
 def test_a_name_that_stands_twice_is_refused(tmp_path):
     text = MIXED.replace('<joint type="slide"', '<joint name="last" type="slide"')
     document = read_document(write_files(tmp_path, {"m.xml": text}))
     with pytest.raises(ExportError, match="stands in the file 2 times"):
-        find_joint(document, "last")
+        find_element(document, "joint", "last")
 
 
 DAMPED = urdf_robot(
