@@ -10,12 +10,11 @@ its linear part is the classical acceleration minus omega x v minus g, so that g
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from robot_sysid.derived_regressor import PLACES, entries
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.records import Array, BodyMotion
 
@@ -31,64 +30,28 @@ def derive_regressor() -> tuple[Any, tuple[Any, ...]]:
     """
     import sympy as sp
 
+    def hat(x: Any, y: Any, z: Any) -> Any:
+        return sp.Matrix([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+
     motion = sp.symbols("wx wy wz vx vy vz awx awy awz avx avy avz")
     twist, acceleration = sp.Matrix(motion[:6]), sp.Matrix(motion[6:])
-    omega, v = _hat(sp, twist[:3]), _hat(sp, twist[3:])
+    omega, v = hat(*twist[:3]), hat(*twist[3:])
     # ad(V) = [[[omega]x, 0], [[v]x, [omega]x]].
     adjoint = omega.row_join(sp.zeros(3)).col_join(v.row_join(omega))
     columns = []
     for k in range(len(PARAMETER_NAMES)):
         m, hx, hy, hz, xx, xy, xz, yy, yz, zz = (int(i == k) for i in range(len(PARAMETER_NAMES)))
         # G = [[I, [h]x], [-[h]x, m 1]].
-        inertia, h = sp.Matrix([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), _hat(sp, (hx, hy, hz))
+        inertia, h = sp.Matrix([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), hat(hx, hy, hz)
         spatial_inertia = inertia.row_join(h).col_join((-h).row_join(m * sp.eye(3)))
         columns.append(spatial_inertia * acceleration - adjoint.T * (spatial_inertia * twist))
     return sp.Matrix.hstack(*columns), motion
 
 
-def _hat(sp: Any, vector: Sequence[Any]) -> Any:
-    x, y, z = vector
-    return sp.Matrix([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-
-
-def derived_source() -> str:
-    """Return the text of ``derived_regressor.py``: the non-zero entries of Y6 as plain Python.
-
-    Importing SymPy takes longer than an identification; so the derivation is kept, and a test
-    compares it with a fresh one.
-    """
-    import sympy as sp
-
-    matrix, symbols = derive_regressor()
-    places = [(i, j) for i in range(6) for j in range(10) if matrix[i, j] != 0]
-    shared, values = sp.cse([matrix[i, j] for i, j in places])
-    # The entries are polynomials: plain operators serve arrays too.
-    lines = [f"    {name} = {sp.pycode(value)}" for name, value in shared]
-    return "\n".join(
-        (
-            '"""Non-zero entries of the regressor, written by ``regressor.derived_source``."""\n',
-            "from __future__ import annotations\n\nfrom typing import Any\n\n# fmt: off",
-            f"PLACES = (\n{_filled(map(str, places), 4)}\n)",
-            '"""Row and column of each."""\n\n',
-            f"def entries(\n{_filled((f'{symbol}: Any' for symbol in symbols), 4)}",
-            ") -> tuple[Any, ...]:",
-            '    """Return their values for a twist [omega, v] and an acceleration."""',
-            *lines,
-            f"    return (\n{_filled(map(sp.pycode, values), 8)}\n    )\n",
-        )
-    )
-
-
-def _filled(items: Iterable[str], indent: int) -> str:
-    """Return items with commas in lines of at most 100 characters."""
-    import textwrap
-
-    text, margin = " ".join(f"{item}," for item in items), " " * indent
-    return textwrap.fill(text, 100, initial_indent=margin, subsequent_indent=margin)
-
-
 def wrench_regressor(velocity: Array, acceleration: Array) -> Array:
-    """Return Y6 with wrench = Y6 theta.
+    """Return Y6 with wrench = Y6 theta: what ``derive_regressor`` finds, written out.
+
+    Importing SymPy takes longer than an identification; a test compares the two.
 
     Args:
         velocity: (N, 6) twist [omega, v] in body coordinates [rad/s, m/s].
@@ -97,10 +60,22 @@ def wrench_regressor(velocity: Array, acceleration: Array) -> Array:
     Returns:
         (6, 10, N) regressor of the wrench [n, f] at the body origin in body coordinates.
     """
+    wx, wy, wz, vx, vy, vz = np.ascontiguousarray(velocity.T)
+    alpha_x, alpha_y, alpha_z, *linear = np.ascontiguousarray(acceleration.T)
+    # Classical acceleration of the origin minus gravity: v' + omega x v.
+    ax = linear[0] - vy * wz + vz * wy
+    ay = linear[1] + vx * wz - vz * wx
+    az = linear[2] - vx * wy + vy * wx
+    xx, yy, zz, xy, xz, yz = wx**2, wy**2, wz**2, wx * wy, wx * wz, wy * wz
+    less_x, less_y, less_z = alpha_x - yz, alpha_y - xz, alpha_z - xy
+    more_x, more_y, more_z = alpha_x + yz, alpha_y + xz, alpha_z + xy
     regressor = np.zeros((6, len(PARAMETER_NAMES), len(velocity)))
-    values = entries(*np.ascontiguousarray(velocity.T), *np.ascontiguousarray(acceleration.T))
-    for (i, j), value in zip(PLACES, values):
-        regressor[i, j] = value
+    regressor[0, 2:] = (az, -ay, alpha_x, less_y, more_z, -yz, yy - zz, yz)
+    regressor[1, 1], regressor[1, 3:] = -az, (ax, xz, more_x, zz - xx, alpha_y, less_z, -xz)
+    regressor[2, 1:3], regressor[2, 4:] = (ay, -ax), (-xy, xx - yy, less_x, xy, more_y, alpha_z)
+    regressor[3, :4] = (ax, -zz - yy, -less_z, more_y)
+    regressor[4, :4] = (ay, more_z, -zz - xx, -less_x)
+    regressor[5, :4] = (az, -less_y, more_x, -yy - xx)
     return regressor
 
 
@@ -120,8 +95,3 @@ def joint_regressor(motion: BodyMotion, joints: Sequence[int]) -> Array:
     for row, joint in zip(rows, joints):
         row[...] = np.einsum("ik,ijk->jk", jacobian[joint], wrench).T
     return rows
-
-
-def joint_torque(motion: BodyMotion, theta: Array) -> Array:
-    """Return tau_rest + Y theta (N, n) [N m], without friction, for a terminal link theta (10,)."""
-    return motion.tau_rest + (joint_regressor(motion, range(motion.tau_rest.shape[1])) @ theta).T

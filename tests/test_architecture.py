@@ -50,7 +50,6 @@ LAYERS = (
     ("estimation.algebra",),
     ("dynamics",),
     ("regressor",),
-    ("derived_regressor",),
     ("records",),
     # The conversions that the records themselves need.
     ("dynamics.spatial",),

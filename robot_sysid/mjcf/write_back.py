@@ -71,32 +71,37 @@ def plan_write_back(
         ExportError: the composite is no possible body itself, or nothing of the bodies on joints
             has room in it.
     """
-    others, mass = tuple(bodies[1:]), float(composite[0])
-    lumped: tuple[SubtreeBody, ...] = ()
-    scale, tolerance = 1.0, (least_moment, most_inflated)
-    if possible_body(composite - _sum(others), mass, *tolerance) is None:
-        lumped = tuple(body for body in others if body.welded and np.any(body.theta))
-        others = tuple(body for body in others if not body.welded and np.any(body.theta))
-        if possible_body(composite - _sum(others), mass, *tolerance) is None:
-            scale = _largest_scale(composite, _sum(others))
-    rest = composite - scale * _sum(others)
+    top, lumped, scaled, scale = bodies[0], (), (), 1.0
+    mass, tolerance = float(composite[0]), (least_moment, most_inflated)
+    beside = _sum(bodies[1:])
+    if possible_body(composite - beside, mass, *tolerance) is None:
+        below = [body for body in bodies[1:] if np.any(body.theta)]
+        lumped = tuple(body for body in below if body.welded)
+        hanging = tuple(body for body in below if not body.welded)
+        beside = _sum(hanging)
+        if possible_body(composite - beside, mass, *tolerance) is None:
+            scale, scaled = _largest_scale(composite, beside), hanging
+    rest = composite - scale * beside
     own = possible_body(rest, mass, *tolerance)
     if own is None or scale < NOTHING:
         raise ExportError(
-            f"the identified parameters of body '{bodies[0].name}' are not a possible rigid body, "
+            f"the identified parameters of body '{top.name}' are not a possible rigid body, "
             "so no model was written; use a longer --duration"
         )
     inflated = float(own[4] - rest[4])
-    scaled = others if scale < 1.0 else ()
-    notes = (*_shared_notes(bodies[0], lumped, scaled, scale), *_inflated_note(own, inflated))
+    notes = (*_shared_notes(top, lumped, scaled, scale), *_inflated_note(own, inflated))
     return WriteBack(own, lumped, "; ".join(notes) or None, inflated, scaled, scale)
+
+
+def _sum(bodies: Sequence[SubtreeBody]) -> Array:
+    return np.sum([np.zeros(10), *(body.theta for body in bodies)], axis=0)
 
 
 def _largest_scale(composite: Array, hanging: Array) -> float:
     """Return the largest part, below 1, of bodies that leaves a possible rest; 0 for none."""
     # Possible bodies are a convex set: what leaves one is an interval that begins at nothing.
     low, high = 0.0, 1.0
-    for _ in range(60):
+    for _ in range(60):  # down to the last digit
         middle = (low + high) / 2.0
         leaves_a_body = possible_body(composite - middle * hanging, float(composite[0])) is not None
         low, high = (middle, high) if leaves_a_body else (low, middle)
@@ -155,10 +160,6 @@ def _inflated_note(theta: Array, inflated: float) -> Iterator[str]:
             "settings, or what other bodies hold already), so all three are written "
             f"{inflated:.2g} kg m^2 larger; that is less than their standard errors"
         )
-
-
-def _sum(bodies: Sequence[SubtreeBody]) -> Array:
-    return np.sum([body.theta for body in bodies], axis=0) if bodies else np.zeros(10)
 
 
 JOINT_NUMBERS = ("armature", "damping", "frictionloss")
