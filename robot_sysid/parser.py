@@ -66,7 +66,7 @@ def robot_from_compiled(
     chain = arm_without_base(mj_model, whole)
     body = int(mj_model.jnt_bodyid[terminal])
     rest = rest_keyframe(mj_model, keyframe)
-    qpos = reference_configuration(mj_model, rest)
+    qpos = np.array(mj_model.qpos0 if rest is None else mj_model.key_qpos[rest], dtype=float)
     dofs = mj_model.jnt_dofadr[list(chain)].astype(np.int64)
     names = tuple(joint_label(mj_model, j) for j in chain)
     speeds = [compiled.velocity_limits.get(name) for name in names]
@@ -93,29 +93,21 @@ def robot_from_compiled(
 def rest_keyframe(mj_model: Any, name: str | None = None) -> int | None:
     """Return which keyframe is the arm at rest; None where the model does not say.
 
-    The one that is asked for; else "home"; else the only one there is.
+    The one that is asked for ("#1" for a nameless one); else "home"; else the only one there is.
 
     Raises:
         InputError: none is called that; lists those there are.
     """
     names = _keyframe_names(mj_model)
     if name is None:
-        usual = [index for index, each in enumerate(names) if each == "home"]
-        return usual[0] if usual else 0 if len(names) == 1 else None
+        return names.index("home") if "home" in names else 0 if len(names) == 1 else None
     if name not in names:
         there = ", ".join(names) or "none"
         raise InputError(f"--keyframe {name}: no such keyframe; the model has {there}")
     return names.index(name)
 
 
-def reference_configuration(mj_model: Any, keyframe: int | None) -> Array:
-    """Return the (nq,) configuration at rest: of a keyframe, else the joints' own reference."""
-    source = mj_model.qpos0 if keyframe is None else mj_model.key_qpos[keyframe]
-    return np.array(source, dtype=float)
-
-
 def _keyframe_names(mj_model: Any) -> list[str]:
-    """Return all keyframes' names, "#1" for a nameless one."""
     return [mj_model.key(index).name or f"#{index}" for index in range(mj_model.nkey)]
 
 
@@ -164,17 +156,14 @@ def _closes_a_loop(mj_model: Any, chain: tuple[int, ...], eq: int) -> bool:
     kinds = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
     if int(mj_model.eq_type[eq]) not in kinds:
         return False
-    first, second = int(mj_model.eq_obj1id[eq]), int(mj_model.eq_obj2id[eq])
+    bodies = [int(mj_model.eq_obj1id[eq]), int(mj_model.eq_obj2id[eq])]
     # Releases before 3.2 know no other objects than bodies here.
     site = int(mujoco.mjtObj.mjOBJ_SITE)
     if hasattr(mj_model, "eq_objtype") and int(mj_model.eq_objtype[eq]) == site:
-        first, second = int(mj_model.site_bodyid[first]), int(mj_model.site_bodyid[second])
-    return _carrier(mj_model, chain, first) != _carrier(mj_model, chain, second)
-
-
-def _carrier(mj_model: Any, chain: tuple[int, ...], body: int) -> int:
-    """Return the link of the arm that a body belongs to or hangs on; 0 for none."""
+        bodies = [int(mj_model.site_bodyid[each]) for each in bodies]
     links = {int(mj_model.jnt_bodyid[joint]) for joint in chain}
-    while body > 0 and body not in links:
-        body = int(mj_model.body_parentid[body])
-    return body
+    for index in range(2):
+        # The link of the arm that the body belongs to or hangs on; the world for none.
+        while bodies[index] > 0 and bodies[index] not in links:
+            bodies[index] = int(mj_model.body_parentid[bodies[index]])
+    return bodies[0] != bodies[1]

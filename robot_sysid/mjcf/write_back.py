@@ -71,8 +71,9 @@ def plan_write_back(
         ExportError: the composite is no possible body itself, or nothing of the bodies on joints
             has room in it.
     """
-    top, lumped, scaled, scale = bodies[0], (), (), 1.0
-    mass, tolerance = float(composite[0]), (least_moment, most_inflated)
+    top, mass, tolerance = bodies[0], float(composite[0]), (least_moment, most_inflated)
+    lumped: tuple[SubtreeBody, ...] = ()
+    scaled, scale = lumped, 1.0
     beside = _sum(bodies[1:])
     if possible_body(composite - beside, mass, *tolerance) is None:
         below = [body for body in bodies[1:] if np.any(body.theta)]
