@@ -90,7 +90,7 @@ def identified(truth, log, folder: Path) -> Outcome:
     listener = Listener()
     try:
         config = config_from(truth.robot.path, measurements=(file,))
-        result = analysed(config, truth.robot, listener)[0].result
+        result = analysed(config, truth.robot, listener).result
     except SysidError as error:
         return Outcome(error.exit_code, " ".join([*listener.said, str(error)]), None)
     mass, sigma = result.links[-1].inertial.mass, float(result.links[-1].errors[0])

@@ -130,7 +130,7 @@ class Config:
         for both, first, second in self._pairs():
             if both:
                 raise InputError(f"{first} and {second} exclude each other; choose one")
-        refuse_overwriting(self._read(), self._written())
+        refuse_overwriting(self.read_files(), self._written())
         for needed, why, useless in self._groups():
             if not needed and useless:
                 raise InputError(f"{useless[0].flag} {why}")
@@ -149,7 +149,7 @@ class Config:
         designed = self.excitation.kind == "optimal"
         yield designed, "is about a design; add --excitation optimal", _given(self.excitation)
 
-    def _read(self) -> tuple[Path | None, ...]:
+    def read_files(self) -> tuple[Path | None, ...]:
         """Return the files that a run reads and must not write over."""
         log = self.log
         factors = (log.torque_scale, log.torque_constants)
@@ -341,10 +341,11 @@ class PayloadConfig(Config):
         yield not asked.static, "is about motion; --static uses poses at rest", moving
         yield from super()._groups()
 
-    def _read(self) -> tuple[Path | None, ...]:
+    def read_files(self) -> tuple[Path | None, ...]:
+        """Return the files that a run reads and must not write over."""
         given = self.payload
         models = (given.empty_model, given.loaded_model)
-        return (*super()._read(), *given.empty, *given.loaded, *models)
+        return (*super().read_files(), *given.empty, *given.loaded, *models)
 
     def _written(self) -> Iterator[tuple[str, Path]]:
         yield "--output-dir", self.output.output_dir / CARD_NAME

@@ -1,30 +1,27 @@
-"""The stages of ``robot-sysid payload`` in order: load, record, identify, write."""
+"""The stage between arm and files of ``robot-sysid payload``: record or read, identify."""
 
 from __future__ import annotations
 
 import secrets
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from robot_sysid.config import LOADED, PayloadConfig, PayloadOptions
 from robot_sysid.diagnosis.run import look_at
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.answer import traces_of
+from robot_sysid.estimation.answer import Answer
 from robot_sysid.estimation.dataset import Dataset, RestingPoses
 from robot_sysid.estimation.identify import Piece, answer_payload, filtered, shared_notes
 from robot_sysid.estimation.result import payload_of
 from robot_sysid.estimation.unknowns import Question
-from robot_sysid.export import locked_folder, save
 from robot_sysid.logs.reader import join_measurements, open_log
 from robot_sysid.model.flange import find_flange
 from robot_sysid.motion.plan import MotionRequest, make_plan
-from robot_sysid.pipeline import Analysis, Outcome, loaded
 from robot_sysid.records import Array, DataOrigin, Measurement, MotionPlan, RobotModel, Source
 from robot_sysid.records.progress import Progress
-from robot_sysid.records.torque_scale import write_torque_scale
+from robot_sysid.results.record import Result
 from robot_sysid.signals.poses import resting_poses
 from robot_sysid.simulation.closed_loop import PlantSimulation
 from robot_sysid.simulation.loading import load_plant
@@ -60,24 +57,8 @@ class RawRecording:
     notes: tuple[str, ...] = ()
 
 
-def run(config: PayloadConfig, progress: Progress | None = None) -> Outcome:
-    """Identify a payload and write it.
-
-    Args:
-        config: what to do.
-        progress: where to tell how far it is; None stays silent.
-
-    Raises:
-        SysidError: with the exit code that fits, see ``errors``.
-    """
-    progress = progress or Progress()
-    with locked_folder(config.output.output_dir, progress):
-        robot = loaded(config.model, config.limits, progress)
-        return written(config, robot, weighed(config, robot, progress), progress)
-
-
-def weighed(config: PayloadConfig, robot: RobotModel, progress: Progress) -> Analysis:
-    """Identify a payload and write nothing."""
+def weighed(config: PayloadConfig, robot: RobotModel, progress: Progress) -> tuple[Answer, Result]:
+    """Identify a payload and write nothing; returns the estimate and all that is said of it."""
     options = config.payload
     flange = find_flange(robot, options.flange)
     if flange.note:
@@ -105,7 +86,7 @@ def weighed(config: PayloadConfig, robot: RobotModel, progress: Progress) -> Ana
     result = payload_of(answer, free, flange, origin, options.static)
     for note in result.notes[len(robot.notes) :]:
         progress.note(note)
-    return Analysis(result, datasets[-1].motion, lambda: traces_of(answer), answer)
+    return answer, result
 
 
 def _datasets(
@@ -224,25 +205,3 @@ def drift_shows(recordings: Sequence[RawRecording], at: Array) -> bool:
 def _scaled(at: Array) -> Array:
     low, high = float(np.min(at)), float(np.max(at))
     return 2.0 * (at - low) / (high - low) - 1.0 if high > low else 0.0 * at
-
-
-def written(
-    config: PayloadConfig, robot: RobotModel, analysis: Analysis, progress: Progress
-) -> Outcome:
-    """Write params.json, and model and card where the result may be used."""
-    folder, options, result = config.output.output_dir, config.payload, analysis.result
-    saved = save(
-        result,
-        robot,
-        folder,
-        analysis.checkpoints,
-        mesh_dir=config.model.mesh_dir,
-        as_body=options.as_body,
-        inputs=[Path(path) for path in (*options.empty, *options.loaded)],
-    )
-    if options.save_torque_scale is not None and saved.failure is None and result.payload:
-        scales = {joint: each.value for joint, each in result.payload.torque_scale.items()}
-        write_torque_scale(options.save_torque_scale, scales)
-    for note in saved.notes:
-        progress.note(note)
-    return Outcome(result, saved, folder, traces=analysis.traces)

@@ -1,4 +1,4 @@
-"""The stages in order: load, excite, simulate or read, identify, write."""
+"""The stages in order, whatever is asked: load, excite, simulate or read, identify, write."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, TextIO
 
 import numpy as np
 
-from robot_sysid.config import ModelOptions, SysidConfig
+from robot_sysid.config import Config, PayloadConfig, SysidConfig
 from robot_sysid.diagnosis.run import look_at
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.options import EstimationOptions
@@ -31,15 +31,16 @@ from robot_sysid.logs.reader import (
     origin_of,
     write_measurement_csv,
 )
-from robot_sysid.motion.options import LimitOptions
 from robot_sysid.motion.plan import CheckedPlan, MotionRequest, make_plan
 from robot_sysid.parser import load_robot_model
+from robot_sysid.payload_pipeline import weighed
 from robot_sysid.records import DataOrigin, Motion, MotionPlan, RobotModel, Source
 from robot_sysid.records.atomic_files import WholeFiles, temporary_folder, whole_files
 from robot_sysid.records.data import Traces
 from robot_sysid.records.options import per_joint
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.results import DAMIAO_NAME, MODEL_NAMES, RolloutTest
+from robot_sysid.records.torque_scale import write_torque_scale
 from robot_sysid.results.console import block_lines, clamping_lines, folder_text, more_lines
 from robot_sysid.results.model import CHECKPOINTS, ModelTarget, write_model
 from robot_sysid.results.record import Result
@@ -63,22 +64,20 @@ class PlanOutcome:
     """What planning a motion produced.
 
     Attributes:
-        lines: what the trajectory promises.
+        lines: what it promises, and what exporting it to motors had to say.
         failure: why it must not be run, or None; nothing is written then.
         files: what was written.
-        damiao: report lines of the Damiao export, where one was asked for.
-        checked: the trajectory itself.
+        checked: the motion itself.
     """
 
     lines: tuple[str, ...]
     failure: str | None
     files: tuple[Path, ...] = ()
-    damiao: tuple[str, ...] = ()
     checked: CheckedPlan | None = None
 
     def report_lines(self, verbose: bool) -> list[str]:
         """Return what the command line prints at the end."""
-        return [*self.lines, *self.damiao, *(f"Trajectory saved to {path}" for path in self.files)]
+        return [*self.lines, *(f"Trajectory saved to {path}" for path in self.files)]
 
 
 @dataclass(frozen=True)
@@ -91,6 +90,7 @@ class Analysis:
         traces: makes what a report draws.
         answer: the estimate behind it; None of the model's own simulation.
         tests: recordings that only test it.
+        plan: the motion that a simulation followed; None of logs.
     """
 
     result: Result
@@ -98,6 +98,7 @@ class Analysis:
     traces: Callable[[], Traces]
     answer: Answer | None = None
     tests: tuple[Dataset, ...] = ()
+    plan: MotionPlan | None = None
 
 
 @dataclass(frozen=True)
@@ -141,8 +142,8 @@ class Outcome:
         return [*block_lines(self.result), saved, *more, *clamping]
 
 
-def run(config: SysidConfig, progress: Progress | None = None) -> Outcome | PlanOutcome:
-    """Identify one arm and write the results.
+def run(config: Config, progress: Progress | None = None) -> Outcome | PlanOutcome:
+    """Answer what was asked about one arm, and write it.
 
     Args:
         config: what to do.
@@ -154,13 +155,10 @@ def run(config: SysidConfig, progress: Progress | None = None) -> Outcome | Plan
     progress = progress or Progress()
     with locked_folder(config.output.output_dir, progress):
         robot = load(config, progress)
-        if config.trajectory.plan_only:
+        if isinstance(config, SysidConfig) and config.trajectory.plan_only:
             with only_the_first():
-                checked, _ = designed(config, robot, progress)
-                return replace(_plan_outcome(config, robot, checked), checked=checked)
-        analysis, plan = analysed(config, robot, progress)
-        motor_file = None if plan is None else _motor_file(config, robot, plan)
-        return written(config, robot, analysis, motor_file, progress)
+                return _plan_outcome(config, robot, designed(config, robot, progress)[0])
+        return written(config, robot, analysed(config, robot, progress), progress)
 
 
 def designed(config: SysidConfig, robot: RobotModel, progress: Progress) -> tuple[CheckedPlan, int]:
@@ -173,15 +171,18 @@ def designed(config: SysidConfig, robot: RobotModel, progress: Progress) -> tupl
     return make_plan(request, robot, seed, progress), seed
 
 
-def analysed(
-    config: SysidConfig, robot: RobotModel, progress: Progress
-) -> tuple[Analysis, MotionPlan | None]:
-    """Identify, and write no result; returns also the motion that a simulation followed."""
+def analysed(config: Config, robot: RobotModel, progress: Progress) -> Analysis:
+    """Identify, and write no result."""
+    if isinstance(config, PayloadConfig):
+        answer, result = weighed(config, robot, progress)
+        motion = answer.fit.columns.datasets[-1].motion
+        return Analysis(result, motion, lambda: traces_of(answer), answer)
+    assert isinstance(config, SysidConfig)
     band = config.estimation.velocity_deadband
     if band is not None:
         per_joint(band, robot.n_joints, "--velocity-deadband")
     if config.log.measurements:
-        return _of_logs(config, robot, progress), None
+        return _of_logs(config, robot, progress)
     with only_the_first():
         checked, seed = designed(config, robot, progress)
         if checked.failure:
@@ -192,30 +193,25 @@ def analysed(
         with whole_files() as files:
             save_plan(files, config, robot, checked.plan)
     source = _of_itself if config.arm.plant_model is None else _of_plant
-    return source(config, robot, checked.plan, seed, progress), checked.plan
+    return replace(source(config, robot, checked.plan, seed, progress), plan=checked.plan)
 
 
-def load(config: SysidConfig, progress: Progress) -> RobotModel:
-    """Load the model and find its terminal joint."""
-    robot = loaded(config.model, config.limits, progress)
-    if config.motors.export_damiao:
-        from robot_sysid.damiao.protocol.joints import damiao_joints
-
-        # Refused before any work where the export could not be done.
-        motors = config.motors
-        damiao_joints(motors.motor_type, robot.n_joints, motors.can_id, motors.master_id)
-    return robot
-
-
-def loaded(model: ModelOptions, limits: LimitOptions, progress: Progress) -> RobotModel:
-    """Load a model, find its terminal joint and tell of it."""
+def load(config: Config, progress: Progress) -> RobotModel:
+    """Load the model, find its terminal joint and tell of it."""
+    model = config.model
     progress.stage(f"Loading robot model from {model.path}...")
-    speed = limits.max_velocity
+    speed = config.limits.max_velocity
     robot = load_robot_model(model.path, model.mesh_dir, model.joint, speed, model.keyframe)
     progress.stage(f"Identified terminal joint: {robot.terminal_joint}")
     for note in robot.notes:
         progress.note(note)
     progress.detail(f"Joints that carry it: {', '.join(robot.joint_names)}")
+    if isinstance(config, SysidConfig) and config.motors.export_damiao:
+        from robot_sysid.damiao.protocol.joints import damiao_joints
+
+        # Refused before any work where the export could not be done.
+        motors = config.motors
+        damiao_joints(motors.motor_type, robot.n_joints, motors.can_id, motors.master_id)
     return robot
 
 
@@ -239,17 +235,15 @@ def save_plan(
 def _plan_outcome(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> PlanOutcome:
     lines = tuple(promise(config, robot, checked))
     if checked.failure:
-        return PlanOutcome(lines, f"{checked.failure}; nothing was written")
+        return PlanOutcome(lines, f"{checked.failure}; nothing was written", checked=checked)
     motor_file = _motor_file(config, robot, checked.plan)
     with whole_files() as files:
         paths = save_plan(files, config, robot, checked.plan)
-        if motor_file is None:
-            return PlanOutcome(lines, None, paths)
-        path = config.output.output_dir / DAMIAO_NAME
-        with files.open(path) as file:
-            report = motor_file(file)
-    damiao = tuple(clamping_lines(report, robot.joint_names))
-    return PlanOutcome(lines, None, (*paths, path), damiao)
+        if motor_file is not None:
+            paths = (*paths, config.output.output_dir / DAMIAO_NAME)
+            with files.open(paths[-1]) as file:
+                lines += tuple(clamping_lines(motor_file(file), robot.joint_names))
+    return PlanOutcome(lines, None, paths, checked)
 
 
 def promise(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> Iterator[str]:
@@ -402,34 +396,35 @@ def _file_tested(robot: RobotModel, found: Analysis, mesh_dir: Path | None) -> R
     return replace(result, file=replace(result.file, others=tuple(pairs)))
 
 
-def written(
-    config: SysidConfig,
-    robot: RobotModel,
-    analysis: Analysis,
-    motor_file: MotorFile | None,
-    progress: Progress,
-) -> Outcome:
+def written(config: Config, robot: RobotModel, found: Analysis, progress: Progress) -> Outcome:
     """Write all results and pass on what writing them had to say."""
-    folder, mesh_dir, result = config.output.output_dir, config.model.mesh_dir, analysis.result
-    refused = None
-    if config.log.verify_rollout and result.file is not None and result.verdict.is_trustworthy:
-        progress.stage("Playing the model on held-out pieces...")
-        result = replace(result, rollout=_played(config, robot, analysis))
-        refused = refusal(result.rollout, config.log.accept)
-    read = (*config.log.measurements, config.log.validation_measurements)
+    folder, mesh_dir, result = config.output.output_dir, config.model.mesh_dir, found.result
+    refused, as_body, motor_file, scales = None, None, None, None
+    if isinstance(config, PayloadConfig):
+        as_body, scales = config.payload.as_body, config.payload.save_torque_scale
+    elif isinstance(config, SysidConfig):
+        motor_file = None if found.plan is None else _motor_file(config, robot, found.plan)
+        if config.log.verify_rollout and result.file is not None and result.verdict.is_trustworthy:
+            progress.stage("Playing the model on held-out pieces...")
+            result = replace(result, rollout=_played(config, robot, found))
+            refused = refusal(result.rollout, config.log.accept)
     saved = save(
         result,
         robot,
         folder,
-        analysis.checkpoints,
+        found.checkpoints,
         mesh_dir=mesh_dir,
+        as_body=as_body,
         motor_file=motor_file,
         refused=refused,
-        inputs=[Path(path) for path in read if path is not None],
+        inputs=[Path(path) for path in config.read_files() if path is not None],
     )
+    if scales is not None and saved.failure is None and result.payload:
+        factors = {joint: each.value for joint, each in result.payload.torque_scale.items()}
+        write_torque_scale(scales, factors)
     for note in saved.notes:
         progress.note(note)
-    return Outcome(result, saved, folder, config.output.links, analysis.traces)
+    return Outcome(result, saved, folder, config.output.links, found.traces)
 
 
 def _played(config: SysidConfig, robot: RobotModel, analysis: Analysis) -> RolloutTest:

@@ -9,16 +9,15 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import partial, reduce
+from functools import reduce
 from operator import add
 from pathlib import Path
 from typing import Any, Union
 
 import numpy as np
 
-from robot_sysid import payload_pipeline as payload_stages
 from robot_sysid.api.results import Identified, PlanResult, one_thread
-from robot_sysid.config import ModelOptions, SysidConfig, config_from, payload_config_from
+from robot_sysid.config import Config, ModelOptions, SysidConfig, config_from, payload_config_from
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.result import result_of
@@ -33,9 +32,7 @@ from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.reader import MeasurementLog, open_log
 from robot_sysid.model.compilation import warnings_as_notes
 from robot_sysid.parser import load_robot_model
-from robot_sysid.pipeline import Analysis, analysed, checked, designed, promise, written
-from robot_sysid.pipeline import load as link_load
-from robot_sysid.pipeline import loaded as load_arm
+from robot_sysid.pipeline import Analysis, analysed, checked, designed, load, promise
 from robot_sysid.records import Measurement, RobotModel
 from robot_sysid.records.data import Traces
 from robot_sysid.records.options import record_from, refuse_unknown
@@ -74,8 +71,6 @@ def as_logs(logs: Any) -> tuple[Any, ...]:
 
 Model = Union[str, "os.PathLike[str]"]
 """Path of an MJCF or URDF file."""
-LINK_FILES = partial(written, motor_file=None)
-"""Writes the files of ``identify``."""
 
 
 class _Notes(Progress):
@@ -94,6 +89,13 @@ def quietly() -> Iterator[_Notes]:
     notes = _Notes()
     with one_thread(), warnings_as_notes(notes):
         yield notes
+
+
+def _answered(config: Config) -> Identified:
+    with quietly() as notes:
+        robot = load(config, notes)
+        analysis = analysed(config, robot, notes)
+    return Identified(robot, analysis, config, tuple(notes.notes))
 
 
 def read_log(log: Log, model: Model | RobotModel, **options: Any) -> MeasurementLog:
@@ -151,10 +153,7 @@ def identify(
     config = config_from(Path(model), **values)
     if config.trajectory.plan_only:
         raise InputError("plan_only designs a motion; call plan instead")
-    with quietly() as notes:
-        robot = link_load(config, notes)
-        analysis, _ = analysed(config, robot, notes)
-    return Identified(robot, analysis, config, LINK_FILES, tuple(notes.notes))
+    return _answered(config)
 
 
 def identify_arm(
@@ -163,10 +162,7 @@ def identify_arm(
     """Identify an arm, and print every link of it: ``identify(..., links=True)``.
 
     Args:
-        model: as for ``identify``.
-        logs: the same.
-        validation: the same.
-        **options: the same.
+        model, logs, validation, **options: as for ``identify``.
 
     Raises:
         InputError: as for ``identify``.
@@ -189,7 +185,7 @@ def plan(model: Model, **options: Any) -> PlanResult:
     usual = {} if {"trajectory", "static"} & options.keys() else {"excitation": "optimal"}
     config = config_from(Path(model), **{**usual, **options, "plan_only": True})
     with quietly() as notes:
-        robot = link_load(config, notes)
+        robot = load(config, notes)
         made, _ = designed(config, robot, notes)
         lines = tuple(promise(config, robot, made))
     return PlanResult(config, robot, made, lines, tuple(notes.notes))
@@ -216,11 +212,7 @@ def payload(
     values = dict(options)
     values.update({} if empty is None else {"empty": as_logs(empty)})
     values.update({} if loaded is None else {"loaded": as_logs(loaded)})
-    config = payload_config_from(Path(model), **values)
-    with quietly() as notes:
-        robot = load_arm(config.model, config.limits, notes)
-        analysis = payload_stages.weighed(config, robot, notes)
-    return Identified(robot, analysis, config, payload_stages.written, tuple(notes.notes))
+    return _answered(payload_config_from(Path(model), **values))
 
 
 _ADDED = Path("added information")
@@ -282,7 +274,7 @@ def identify_from(
         answer = answer_from(robot, found, validation)
         result = result_of(answer, found.origin)
     analysis = Analysis(result, found.checkpoints, _no_traces, answer)
-    return Identified(robot, analysis, config, LINK_FILES, (*found.notes, *notes.notes))
+    return Identified(robot, analysis, config, (*found.notes, *notes.notes))
 
 
 def _no_traces() -> Traces:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from html import escape
@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from robot_sysid.config import SysidConfig
+from robot_sysid.config import Config, SysidConfig
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.export import Saved, locked_folder
 from robot_sysid.motion.plan import CheckedPlan
-from robot_sysid.pipeline import Analysis, save_plan
+from robot_sysid.pipeline import Analysis, save_plan, written
 from robot_sysid.records import Array, InertialParameters, Motion, RobotModel
 from robot_sysid.records.atomic_files import temporary_folder, whole_files
 from robot_sysid.records.progress import Progress
@@ -47,14 +47,12 @@ class Identified:
         robot: the arm as its model describes it.
         analysis: what the pipeline returned.
         config: what was asked for.
-        stage: the pipeline's last, which writes the files.
         notes: one sentence each: what the commands would have printed as notes.
     """
 
     robot: RobotModel
     analysis: Analysis
-    config: Any
-    stage: Callable[..., Any]
+    config: Config
     notes: tuple[str, ...] = ()
 
     @property
@@ -148,16 +146,14 @@ class Identified:
         Raises:
             InputError: the folder cannot be written to.
         """
-        place = Path(folder)
-        with one_thread(), locked_folder(place, Progress()):
-            files = self._write(place).files
-        models = [path for path in files if path.name in MODEL_NAMES.values()]
-        return (*files, *(write_bundle(model, place) for model in models if bundle))
+        with one_thread(), locked_folder(Path(folder), Progress()):
+            files = self._write(Path(folder)).files
+        models = _models_in(files) if bundle else []
+        return (*files, *(write_bundle(model, Path(folder)) for model in models))
 
     def _write(self, folder: Path) -> Saved:
         there = replace(self.config, output=replace(self.config.output, output_dir=folder))
-        saved: Saved = self.stage(there, self.robot, self.analysis, progress=Progress()).saved
-        return saved
+        return written(there, self.robot, self.analysis, Progress()).saved
 
     def spec(self) -> Any:
         """Return a ``mujoco.MjSpec`` with the result applied; meshes and textures are in memory.
@@ -167,10 +163,9 @@ class Identified:
         """
         with one_thread(), temporary_folder() as folder:
             saved = self._write(folder)
-            models = [path for path in saved.files if path.name in MODEL_NAMES.values()]
-            if not models:
+            if not _models_in(saved.files):
                 raise SysidError(saved.failure or "this result is written into no model")
-            return model_in_memory(models[0])
+            return model_in_memory(_models_in(saved.files)[0])
 
     def plot(self) -> Any:
         """Return a matplotlib Figure: measured and predicted torque of each joint over time [N m].
@@ -208,6 +203,10 @@ class Identified:
         )
         verdict = f"<p><b>Not to be used:</b> {escape(self.failure)}</p>" if self.failure else ""
         return f"{verdict}<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def _models_in(files: Sequence[Path]) -> list[Path]:
+    return [path for path in files if path.name in MODEL_NAMES.values()]
 
 
 @dataclass(frozen=True, repr=False)
@@ -249,13 +248,9 @@ class PlanResult:
 
     def to_dict(self) -> dict[str, Any]:
         """Return joint names, duration [s] and what is promised, as plain values."""
-        return {
-            "joint_names": list(self.robot.joint_names),
-            "duration": self.duration,
-            "failure": self.failure,
-            "promised": list(self.promised),
-            "notes": list(self.notes),
-        }
+        own = {"joint_names": list(self.robot.joint_names), "duration": self.duration}
+        said = {"promised": list(self.promised), "notes": list(self.notes)}
+        return {**own, "failure": self.failure, **said}
 
     def save(self, path: str | Path) -> tuple[Path, Path]:
         """Write the trajectory (.json) and its samples (.csv) and return both paths.

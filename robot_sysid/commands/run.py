@@ -16,7 +16,6 @@ from robot_sysid.config import (
     ModelOptions,
     MotorOptions,
     OutputOptions,
-    PayloadConfig,
     SysidConfig,
     config_from,
 )
@@ -123,11 +122,9 @@ def _outcome(config: Config, console: Console) -> Any:
         robot, output = load(config, console), config.output.output_dir
         where = output, config.model.mesh_dir, console
         return run_servo(robot, config.log, *where, config.estimation.write_delay)
-    from robot_sysid import payload_pipeline, pipeline
+    from robot_sysid.pipeline import run
 
-    if isinstance(config, PayloadConfig):
-        return payload_pipeline.run(config, console)
-    return pipeline.run(config, console)
+    return run(config, console)
 
 
 @contextlib.contextmanager
