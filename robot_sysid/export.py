@@ -22,30 +22,20 @@ from robot_sysid.records import Motion, RobotModel, atomic_files
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.results import CARD_NAME, DAMIAO_NAME, MODEL_NAMES, PARAMS_NAME
 from robot_sysid.results.cards import Card, card_text, load_errors, payload_cards
-from robot_sysid.results.json import export_params_json, params_json_text
+from robot_sysid.results.json import export_params_json as export_params_json
+from robot_sysid.results.json import params_json_text
 from robot_sysid.results.model import ModelTarget, write_model
 from robot_sysid.results.record import Payload, Result
-
-__all__ = [
-    "MotorFile",
-    "Saved",
-    "export_params_json",
-    "export_updated_xml",
-    "locked_folder",
-    "remove_earlier",
-    "save",
-]
 
 if TYPE_CHECKING:
     from robot_sysid.damiao.trajectory import DamiaoExportReport
 
+_REPORT_DATA = "report_data.npz"
 RESULT_NAMES = (
     *(PARAMS_NAME, "arm.json", "friction.json", "servo.json", *MODEL_NAMES.values()),
     *(CARD_NAME, DAMIAO_NAME, "report.html"),
 )
 """What a run leaves, whichever command and release it was; a planned motion is no result."""
-_REPORT_DATA = "report_data.npz"
-
 MotorFile = Callable[[TextIO], "DamiaoExportReport"]
 """Writes the motor trajectory into an open file."""
 
@@ -121,9 +111,6 @@ def save(
     which says why. An error before files take their places leaves the folder as it was.
 
     Args:
-        result: what was identified.
-        robot: the arm as loaded.
-        folder: where to.
         checkpoints: motion on which the written model must reproduce the predicted torque.
         mesh_dir: the user's mesh folder, if any.
         as_body: name of a new body for the payload; None merges it into the terminal link.
@@ -134,12 +121,14 @@ def save(
     Raises:
         InputError: the folder cannot be written to.
     """
-    failure, report = _refusal(result) or refused, None
+    # A known mass weighed the torques: there is nothing to write of such a payload.
+    calibrates = result.payload is not None and result.payload.known_mass is not None
+    failure, report = _refusal(result, calibrates) or refused, None
     cards: tuple[Card, ...] = ()
     written: list[Path] = []
     notes: tuple[str, ...] = ()
     with atomic_files.whole_files() as files:
-        if failure is None and not _calibrates(result):
+        if failure is None and not calibrates:
             # Drafted first, it takes its place last: what the other files say then holds for it.
             path = folder / MODEL_NAMES[robot.kind]
             target = ModelTarget(files, path, checkpoints, result.estimate.rmse, mesh_dir)
@@ -161,8 +150,7 @@ def save(
         files.write(written[-1], text)
         read = (*inputs, *(file.path for file in read_document(robot.path).files))
         notes += remove_earlier(files, folder, written, read)
-    digest = hashlib.sha256(text.encode("utf-8")).hexdigest()
-    return Saved(tuple(written), notes, report, failure, digest)
+    return Saved(tuple(written), notes, report, failure, hashlib.sha256(text.encode()).hexdigest())
 
 
 def remove_earlier(
@@ -171,17 +159,13 @@ def remove_earlier(
     written: Collection[Path],
     inputs: Collection[Path],
 ) -> tuple[str, ...]:
-    """Have the results of an earlier run removed once this run's are in place; returns notes.
+    """Have results of an earlier run removed once this run's are in place; returns notes.
 
-    Args:
-        files: those of this run.
-        folder: where results are.
-        written: what this run writes there.
-        inputs: what it reads, which stays.
+    What this run writes, and what it reads, stays.
     """
     kept = {os.path.realpath(path) for path in (*written, *inputs)}
-    stale = [folder / name for name in (*RESULT_NAMES, _REPORT_DATA) if (folder / name).is_file()]
-    stale = [path for path in stale if os.path.realpath(path) not in kept]
+    there = [folder / name for name in (*RESULT_NAMES, _REPORT_DATA) if (folder / name).is_file()]
+    stale = [path for path in there if os.path.realpath(path) not in kept]
     for path in stale:
         files.remove(path)
     # Data for a report are written anew once this run's files are in place.
@@ -189,18 +173,10 @@ def remove_earlier(
     return tuple(f"{path} of an earlier run was removed" for path in told)
 
 
-def _calibrates(result: Result) -> bool:
-    """Whether a known mass weighed the torques, so that there is nothing to write of a payload."""
-    return result.payload is not None and result.payload.known_mass is not None
-
-
-def _refusal(result: Result) -> str | None:
-    if result.failure is None:
-        return None
-    if _calibrates(result):
-        return f"no torque scales were written: {result.failure}"
+def _refusal(result: Result, calibrates: bool) -> str | None:
     what = "no model was" if result.payload is None else "no model and no card were"
-    return f"{what} written: {result.failure}"
+    what = "no torque scales were" if calibrates else what
+    return None if result.failure is None else f"{what} written: {result.failure}"
 
 
 def _card_file(result: Result, payload: Payload) -> tuple[tuple[Card, ...], str]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import hashlib
 import json
-import os
 from dataclasses import replace
 
 import numpy as np
@@ -13,11 +12,9 @@ import pytest
 
 from robot_sysid import export as module
 from robot_sysid.errors import InputError
-from robot_sysid.export import RESULT_NAMES, locked_folder, save
+from robot_sysid.export import RESULT_NAMES, save
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import InertialParameters
-from robot_sysid.records.atomic_files import only_run_in
-from robot_sysid.records.progress import Progress
 from robot_sysid.results.record import Verdict
 from tests.results.test_model import TURNED, checkpoints, file_of, payload_of, result_of, whole
 from tests.support.command_line import files_in
@@ -90,11 +87,6 @@ def test_a_result_that_is_not_trusted_gets_a_params_json_alone(robot, out, with_
     assert names_in(out) == ["params.json"]
     what = "no model and no card were" if with_payload else "no model was"
     assert found.failure.startswith(f"{what} written: so light; {Verdict.TOO_WEAK.value[:30]}")
-
-
-def test_what_was_refused_says_why(robot, out):
-    found = saved(robot, heavier(robot), out, refused="played worse")
-    assert names_in(out) == ["params.json"] and found.failure == "played worse"
 
 
 def test_a_result_the_model_cannot_hold_gets_a_params_json_and_a_reason(robot, out):
@@ -180,60 +172,6 @@ def test_a_run_that_ends_with_an_error_leaves_the_old_set(robot, out, monkeypatc
     assert files_in(out) == before
 
 
-@pytest.mark.parametrize("step", range(len(RESULT_NAMES) + 2))
-def test_an_error_at_any_step_of_taking_places_leaves_whole_files(robot, out, monkeypatch, step):
-    """The model, the first to be drafted, is never beside numbers of another set."""
-    write_files(out, {**EARLIER, **OTHERS})
-    before, result = files_in(out), heavier(robot)
-    count = [0]
-
-    def failing(function):
-        def call(path, *rest, **options):
-            # Only what takes a place or leaves it: drafts come and go.
-            if os.path.basename(rest[0] if rest else path) in RESULT_NAMES:
-                count[0] += 1
-                if count[0] == step + 1:
-                    raise OSError(28, "No space left on device")
-            return function(path, *rest, **options)
-
-        return call
-
-    with monkeypatch.context() as patch:
-        patch.setattr(os, "replace", failing(os.replace))
-        patch.setattr(os, "unlink", failing(os.unlink))
-        patch.setattr(type(out), "unlink", failing(type(out).unlink))
-        if step <= len(RESULT_NAMES):
-            with pytest.raises(InputError, match="No space left"):
-                saved(robot, result, out)
-    if step <= len(RESULT_NAMES):
-        left, model = files_in(out), "updated_model.xml"
-        saved(robot, result, out.parent / "new")
-        after = files_in(out.parent / "new")
-        for name, content in left.items():
-            assert content in (before[name], after.get(name))
-        pair = left.get(model), left["params.json"]
-        sets = [(files[model], files["params.json"]) for files in (before, after)]
-        assert model not in left or pair in sets
-    else:
-        saved(robot, result, out)
-        assert set(names_in(out)) == {"updated_model.xml", "params.json", *OTHERS}
-
-
-def test_the_new_set_is_in_place_before_the_old_one_goes(robot, out, monkeypatch):
-    write_files(out, EARLIER)
-    seen, unlink = [], type(out).unlink
-
-    def watched(path, *rest, **options):
-        if path.name in RESULT_NAMES and path.name != "updated_model.xml":
-            new = [out / name for name in ("params.json", "updated_model.xml")]
-            seen.append(all("an earlier" not in each.read_text() for each in new))
-        return unlink(path, *rest, **options)
-
-    monkeypatch.setattr(type(out), "unlink", watched)
-    saved(robot, heavier(robot), out)
-    assert seen == [True] * (len(RESULT_NAMES) - 2)
-
-
 def test_all_that_the_file_holds_is_in_the_model(robot, out):
     thetas = np.array([link.theta for link in robot.links]) + [0.5 * THETA, THETA]
     result = result_of(robot, file=file_of(robot, thetas, gravity=TURNED))
@@ -242,9 +180,3 @@ def test_all_that_the_file_holds_is_in_the_model(robot, out):
         np.testing.assert_allclose(link.theta, theta, rtol=0, atol=1e-11)
     np.testing.assert_array_equal(again.mj_model.opt.gravity, TURNED)
     np.testing.assert_allclose(whole(again.mj_model, again), thetas[-1], rtol=0, atol=1e-11)
-
-
-def test_a_folder_belongs_to_one_run(out):
-    refused = pytest.raises(InputError, match="another run is writing")
-    with locked_folder(out, Progress()), refused, only_run_in(out):
-        pass

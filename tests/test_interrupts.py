@@ -67,35 +67,6 @@ def test_a_signal_waits_for_the_end_of_the_block(number, threads, stops, other_t
     assert stops == [number]
 
 
-def test_without_a_signal_nothing_happens(stops):
-    handlers = [signal.getsignal(number) for number in STOPPING]
-    with held_back():
-        pass
-    assert stops == []
-    assert [signal.getsignal(number) for number in STOPPING] == handlers
-
-
-def test_an_error_in_the_block_is_not_lost(stops):
-    with pytest.raises(ZeroDivisionError), held_back():
-        raise ZeroDivisionError
-
-
-def test_another_thread_may_hold_signals_back_as_well(stops):
-    failed = []
-
-    def work():
-        try:
-            with held_back():
-                pass
-        except BaseException as error:
-            failed.append(error)
-
-    thread = threading.Thread(target=work)
-    thread.start()
-    thread.join()
-    assert failed == []
-
-
 def test_only_the_first_ctrl_c_counts():
     usual = signal.getsignal(signal.SIGINT)
     with only_the_first():
@@ -105,15 +76,6 @@ def test_only_the_first_ctrl_c_counts():
         with held_back():
             signal.raise_signal(signal.SIGINT)
     assert signal.getsignal(signal.SIGINT) is usual
-
-
-def test_of_a_handler_that_stops_only_the_first_request_counts(stops):
-    for _ in range(2):
-        with only_the_first():
-            with pytest.raises(KeyboardInterrupt):
-                signal.raise_signal(signal.SIGINT)
-            signal.raise_signal(signal.SIGINT)
-    assert stops == 2 * [signal.SIGINT]
 
 
 def test_a_handler_that_stops_nothing_hears_every_request():
