@@ -48,7 +48,7 @@ def _search(path: Path, workers: int) -> None:
 
     from robot_sysid.api.results import one_thread
     from robot_sysid.motion.design.search import design_excitation
-    from robot_sysid.motion.trajectory_files import save_trajectory
+    from robot_sysid.motion.trajectories import save_trajectory
     from tests.support.excitation_arms import TUBES_AND_POST, design
 
     few = {"draws": 30, "starts": 3, "rounds": 3, "iterations": 20, "time_budget": 600.0}

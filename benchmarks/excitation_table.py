@@ -4,7 +4,7 @@
         [--iterations K] [--rounds K] [--draws N]
 
 One line per arm: mass and centre of mass of random sinusoids (median of ten) over those of a design
-with criterion D (median of the seeds), by the bound for all samples; the smallest distance that the
+(median of the seeds), by the bound for all samples; the smallest distance that the
 plan states and the real one, by MuJoCo's contacts at 500 Hz; the speed of the tool's fastest point;
 processor time of one design; and by how much the mean deviation falls, in %, per % that a family
 of limits is raised by. A few draws and no rounds show the distances of all arms in minutes.

@@ -134,8 +134,6 @@ class Config:
         for needed, why, useless in self._groups():
             if not needed and useless:
                 raise InputError(f"{useless[0].flag} {why}")
-        if self.excitation.kind == "optimal":
-            self.excitation.basis(self.trajectory.duration)
 
     def _pairs(self) -> Iterator[tuple[bool, str, str]]:
         """Yield (whether both were given, one option, another that excludes it)."""

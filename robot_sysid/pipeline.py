@@ -222,7 +222,7 @@ def save_plan(
     path = config.plan_file
     if path is None:
         return ()
-    from robot_sysid.motion.trajectory_files import save_samples, save_trajectory
+    from robot_sysid.motion.trajectories import save_samples, save_trajectory
 
     samples = path.with_suffix(".csv")
     with files.open(path) as file:

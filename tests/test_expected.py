@@ -24,7 +24,7 @@ from tests.support.excitation_arms import problem, robot
 RATE, SIGMA = 250.0, 0.01
 # With rotors: an estimate that stops at none spreads less than it could.
 ARM = arms.SEVEN.replace("damping=", 'armature=".05" damping=')
-PLAN = a_plan(ARM, duration=10.0, harmonics=5)
+PLAN = a_plan(ARM, duration=10.0)
 CAUSES = ("link", "scale", "zero", "gravity", "friction")
 KNOWN_ARM = EstimationOptions(
     consistency="off", **{f"{cause}_uncertainty": 0.0 for cause in CAUSES}

@@ -11,7 +11,7 @@ import pytest
 
 from robot_sysid.config import SysidConfig, config_from
 from robot_sysid.errors import InputError
-from robot_sysid.motion.trajectory_files import load_trajectory
+from robot_sysid.motion.trajectories import load_trajectory
 from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline import run
 from robot_sysid.records.progress import Progress

@@ -20,8 +20,14 @@ from robot_sysid.damiao.trajectory import (
 )
 from robot_sysid.motion.options import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.motion.plan import MotionRequest, make_plan
-from robot_sysid.motion.trajectories import FourierBasis, FourierTrajectory, LineTrajectory
-from robot_sysid.motion.trajectory_files import at_speed, load_trajectory, save_trajectory
+from robot_sysid.motion.trajectories import (
+    FourierBasis,
+    FourierTrajectory,
+    LineTrajectory,
+    at_speed,
+    load_trajectory,
+    save_trajectory,
+)
 from robot_sysid.records.progress import Progress
 from robot_sysid.trajectory import (
     SineTrajectory,

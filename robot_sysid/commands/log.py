@@ -90,7 +90,7 @@ def _shown(robot: RobotModel, samples: Measurement, trajectory: Path | None) -> 
         return shown_log(robot, samples)
     from robot_sysid.motion.options import LimitOptions
     from robot_sysid.motion.problem import DEFAULT_NOISE_TORQUE, build_problem
-    from robot_sysid.motion.trajectory_files import load_trajectory
+    from robot_sysid.motion.trajectories import load_trajectory
 
     saved = load_trajectory(trajectory)
     saved.require_fits(robot.joint_names)

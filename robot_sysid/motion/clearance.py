@@ -28,7 +28,7 @@ import numpy as np
 from robot_sysid.dynamics.spatial import cross
 from robot_sysid.model.chain import body_label
 from robot_sysid.model.contacts import ContactFinder, joint_ranges, parts_of
-from robot_sysid.motion.obstacles import Closest, HalfSpace, Slack
+from robot_sysid.motion.options import HalfSpace
 from robot_sysid.motion.solids import HalfSpaces
 from robot_sysid.records import Array, RobotModel
 
@@ -49,6 +49,36 @@ MOST_GROUPS = 31
 """Bits there are for groups of geoms."""
 _UNLIMITED_TRAVEL = 1.0
 """Travel assumed for a slide joint without limits [m]."""
+
+
+@dataclass(frozen=True)
+class Closest:
+    """The tightest distance at one configuration.
+
+    Attributes:
+        slack: distance minus the distance that must be kept [m]; negative where it is not kept.
+        distance: [m]; infinite where nothing is near.
+        label: between what.
+        time: when, along a motion [s].
+    """
+
+    slack: float
+    distance: float
+    label: str
+    time: float = 0.0
+
+
+@dataclass(frozen=True)
+class Slack:
+    """How much room N configurations have.
+
+    Attributes:
+        value: (N,) smallest slack [m], at most the horizon.
+        gradient: (N, n) with respect to the joint positions.
+    """
+
+    value: Array
+    gradient: Array
 
 
 @dataclass

@@ -11,20 +11,33 @@ and L^-1 is the covariance of the least-squares estimate in white noise (Cramer-
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
 
+from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_model
+from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.screws import ChainMotion, ScrewChain
-from robot_sysid.records import Array
+from robot_sysid.motion.problem import ExcitationProblem
+from robot_sysid.records import Array, MotionPlan
 from robot_sysid.regressor import wrench_regressor
 
 _RIDGE = 1e-10
 """Keeps the elimination defined where a joint stands still and its friction has no columns."""
+ARM_RATE_HZ = 20.0
+"""How densely a candidate for a whole arm is looked at: 33 times per period of 0.6 Hz."""
+KNOWN = 0.3
+"""How well the model is taken to know each link, as a share of its numbers.
 
+A vendor's model may be off by this much; what no motion shows must not count as unknown.
+"""
+_OWN = friction_model("coulomb-viscous-offset-armature")
+_UNIT_ROTOR = 0.1
+"""Size of a rotor's inertia seen from its joint, as gears of 1:100 make it [kg m^2]."""
 
 Gradient = tuple[Array, Array, Array]
 """Of a scalar, with respect to q, qd and qdd (N, n)."""
@@ -149,68 +162,83 @@ def _wrench_vjp(velocity: Array, wrench_adjoint: Array) -> tuple[Array, Array]:
     return 2.0 * np.einsum("kmn,mn->kn", products_adjoint, velocity), linear.T @ adjoint
 
 
-Criterion = Callable[[Array], "tuple[float, Array]"]
 _SINGULAR = 1e-14
-
-
-def a_criterion(information: Array) -> tuple[float, Array]:
-    """Return (ln sqrt(tr L^-1), gradient (r, r)); infinite where L is singular."""
-    if _is_singular(information):
-        return np.inf, np.zeros_like(information)
-    covariance = np.linalg.inv(information)
-    trace = float(np.trace(covariance))
-    return 0.5 * float(np.log(trace)), -0.5 * covariance @ covariance / trace
+"""Smallest eigenvalue, of L with a unit diagonal, that an inverse in double precision survives."""
 
 
 def d_criterion(information: Array) -> tuple[float, Array]:
-    """Return (-ln det L / 2r, gradient (r, r)); infinite where L is singular."""
-    if _is_singular(information):
+    """Return (-ln det L / 2r, gradient (r, r)) of L (r, r); infinite where L is singular.
+
+    The logarithm of the geometric mean of the standard deviations along the axes of the confidence
+    ellipsoid: a change of 0.01 is one of about 1 % (D-optimality; Pukelsheim, "Optimal Design of
+    Experiments", 2006, ch. 6).
+    """
+    diagonal, size = np.diag(information), len(information)
+    if not np.all(np.isfinite(information)) or np.any(diagonal <= 0.0):
         return np.inf, np.zeros_like(information)
-    size = len(information)
+    root = np.sqrt(diagonal)
+    if np.linalg.eigvalsh(information / np.outer(root, root))[0] <= _SINGULAR:
+        return np.inf, np.zeros_like(information)
     value = -float(np.linalg.slogdet(information)[1]) / (2.0 * size)
     return value, np.asarray(-np.linalg.inv(information) / (2.0 * size), dtype=float)
 
 
-def condition_criterion(information: Array) -> tuple[float, Array]:
-    """Return (ln of the condition number with columns of unit length, gradient (r, r))."""
-    if _is_singular(information):
-        return np.inf, np.zeros_like(information)
-    root = np.sqrt(np.diag(information))
-    values, vectors = np.linalg.eigh(information / np.outer(root, root))
-    low, high = vectors[:, 0], vectors[:, -1]
-    # d ln(high / low) / 2 with respect to the scaled matrix, then through the scaling.
-    # Each eigenvector's share of the scaling's own derivative is its squared entries.
-    inner = np.outer(high, high) / values[-1] - np.outer(low, low) / values[0]
-    gradient = inner / np.outer(root, root) - np.diag((high**2 - low**2) / root**2)
-    return 0.5 * float(np.log(values[-1] / values[0])), 0.5 * gradient
+def predicted_information(
+    problem: ExcitationProblem, sigma: Array, coordinates: Array, smoothing: float = 0.0
+) -> PredictedInformation:
+    """Return what tells the information of motions about x, theta = coordinates @ x (10, r).
+
+    From torques with noise sigma (rows,) [N m]; Coulomb friction's jump is rounded off below a
+    share of the speed limits.
+    """
+    smooth = smoothing * problem.limits.velocity
+    # From one torque rotor inertias are not estimated: they are the link's.
+    rotors = "armature" in DEFAULT_MEASURED and len(problem.rows) > 1
+    return PredictedInformation(problem.chain, problem.rows, sigma, smooth, coordinates, rotors)
 
 
-def _is_singular(information: Array) -> bool:
-    """Tell whether L, scaled to unit diagonal, has no usable inverse."""
-    diagonal = np.diag(information)
-    if not np.all(np.isfinite(information)) or np.any(diagonal <= 0.0):
-        return True
-    root = np.sqrt(diagonal)
-    return bool(np.linalg.eigvalsh(information / np.outer(root, root))[0] <= _SINGULAR)
+def visible_coordinates(problem: ExcitationProblem) -> Array:
+    """Return (10, r): scaled directions of theta that some motion of this arm can show.
+
+    Found from unrelated positions, velocities and accelerations, a fixed set of random numbers.
+    What such data cannot see, no trajectory of these joints can.
+    """
+    scale = np.diag(problem.scale)
+    rng = np.random.default_rng(0)
+    q, qd, qdd = rng.normal(size=(3, 400, problem.n_joints))
+    q = np.clip(problem.rest + 2.0 * q, problem.limits.lower, problem.limits.upper)
+    information = predicted_information(problem, np.ones(len(problem.rows)), scale)
+    matrix = information.evaluate(q, qd, qdd).information
+    values, vectors = np.linalg.eigh(matrix)
+    return scale @ vectors[:, values > 1e-9 * values[-1]]
 
 
-CRITERIA: Mapping[str, Criterion] = {
-    "A": a_criterion,
-    "D": d_criterion,
-    "cond": condition_criterion,
-}
-"""Criterion name to function; a new criterion is one more line here.
+def arm_criterion(problem: ExcitationProblem, plan: MotionPlan) -> float:
+    """Return -ln det L / 2r of what a motion says of all links, rotors and friction, r unknowns.
 
-Each is the logarithm of something readable, so that a change of 0.01 means about 1 %:
-
-====  =============================================  ==========================================
-name  exp(value)                                     makes small
-====  =============================================  ==========================================
-A     root of the sum of variances, sqrt(tr L^-1)    the average uncertainty
-D     det(L)^(-1/2r), r parameters                   the volume of the confidence ellipsoid
-cond  condition number of the scaled regressor       the spread between best and worst direction
-====  =============================================  ==========================================
-
-(Pukelsheim, "Optimal Design of Experiments", 2006, ch. 6.) The condition number says nothing about
-how large the information is; it is offered for comparison.
-"""
+    L = Y^T Y / sigma^2 + P, with P what the model knows beforehand, so that what no motion shows
+    does not count (Bayesian D-optimality; Chaloner, Verdinelli, "Bayesian experimental design: a
+    review", Statistical Science 10(3), 1995).
+    """
+    motion = plan.evaluate(np.arange(0.0, plan.duration, 1.0 / ARM_RATE_HZ))
+    robot = problem.robot
+    links = [k for k, link in enumerate(robot.links) if link.has_mass]
+    columns = LinkDynamics(robot).motion(motion.q, motion.qd, motion.qdd).columns(links)
+    scale = []
+    for theta in (robot.links[k].theta for k in links):
+        length = max(spatial.characteristic_length(theta), 1e-3)
+        scale.append(KNOWN * spatial.parameter_scale(float(theta[0]), length))
+    columns = columns * np.concatenate(scale)
+    sigma = np.full(problem.n_joints, np.inf)
+    sigma[list(problem.rows)] = problem.sigma
+    size = np.where(np.array(_OWN.terms) == "armature", _UNIT_ROTOR, 1.0)
+    total = np.eye(columns.shape[-1] + len(size) * problem.n_joints)
+    for joint in range(problem.n_joints):
+        nothing = np.zeros(len(motion.time))
+        own = _OWN.columns(motion.qd[:, joint], motion.qdd[:, joint], nothing) * size
+        rows = np.zeros((len(motion.time), len(total)))
+        rows[:, : columns.shape[-1]] = columns[:, joint]
+        place = columns.shape[-1] + joint * len(size)
+        rows[:, place : place + len(size)] = own
+        total += rows.T @ rows / sigma[joint] ** 2
+    return -float(np.linalg.slogdet(total)[1]) / (2.0 * len(total))

@@ -17,8 +17,7 @@ from itertools import chain
 
 import numpy as np
 
-from robot_sysid.motion.clearance import Clearance
-from robot_sysid.motion.obstacles import Closest
+from robot_sysid.motion.clearance import Clearance, Closest
 from robot_sysid.motion.problem import OBSTACLE_LENGTH, ROUNDING, ExcitationProblem
 from robot_sysid.records import Array, Motion, MotionPlan
 from robot_sysid.trajectory import SineTrajectory, sample_times

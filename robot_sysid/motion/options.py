@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
@@ -9,25 +10,19 @@ from typing import ClassVar
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.motion.information import CRITERIA
-from robot_sysid.motion.obstacles import HalfSpace, box_half_spaces, plane_half_space
 from robot_sysid.motion.trajectories import FourierBasis
+from robot_sysid.records import Array
 from robot_sysid.records.arm import DEFAULT_MAX_VELOCITY
-from robot_sysid.records.options import (
-    OptionRecord,
-    PerJoint,
-    levels,
-    option,
-    processors,
-    whole_number,
-)
+from robot_sysid.records.options import OptionRecord, PerJoint, levels, option, processors
 
 EXCITATIONS = ("sines", "optimal")
-ENDS = ("faded", "periodic")
 LONGEST_FADE = 1.5
-"""Fade of a faded trajectory [s]; shorter where the trajectory is short."""
+"""Fade of a designed trajectory [s]; shorter where the trajectory is short.
+
+It takes 7.5 / 1.5^2 = 3.3 / s^2 of an offset, a quarter of what a swing as wide at 0.6 Hz takes.
+"""
 TOP_FREQUENCY_HZ = 0.6
-"""Highest harmonic where --harmonics leaves the choice to us: that of the random sinusoids.
+"""Highest harmonic: the top of the band of the random sinusoids.
 
 Full speed at this frequency takes the usual acceleration limit.
 """
@@ -35,9 +30,22 @@ FEWEST_HARMONICS = 3
 LONGEST_PERIOD = 60.0
 """A longer motion repeats itself, so that a search costs in proportion to its length [s]."""
 WORTH_WORKERS = 5.0
-"""Time budget from which on it pays to start other processes [s]."""
-FEWEST_POSES = 5
-"""Poses that tell a payload's mass and centre of mass, with something left to check them by."""
+"""Time budget from which on it pays to start other processes, which takes each a second [s]."""
+
+
+@dataclass(frozen=True)
+class HalfSpace:
+    """Space some bodies must stay in: normal . x >= offset.
+
+    The normal (3,) is a unit vector of the world, the clearance the distance to keep from the
+    boundary [m].
+    """
+
+    normal: Array
+    offset: float
+    clearance: float
+    bodies: tuple[int, ...]
+    label: str
 
 
 @dataclass(frozen=True)
@@ -64,9 +72,6 @@ class LimitOptions(OptionRecord):
         "T [N·m] > 0",
         parse=levels,
         usual="the model's own",
-    )
-    ignore_torque_limit: tuple[str, ...] = option(
-        (), "joint whose torque limit is not obeyed; may be repeated", "JOINT", repeats=True
     )
     payload_reserve: float = option(
         0.0,
@@ -101,9 +106,40 @@ class LimitOptions(OptionRecord):
         self, moving: Sequence[int] = (), link: Sequence[int] = ()
     ) -> tuple[HalfSpace, ...]:
         """Return what moving bodies (planes) and those of the terminal link (box) stay in."""
-        planes = [plane_half_space(plane, self.clearance, moving) for plane in self.keep_out]
-        box = () if self.workspace is None else box_half_spaces(self.workspace, link)
+        planes = [_plane(plane, self.clearance, tuple(moving)) for plane in self.keep_out]
+        box = () if self.workspace is None else _box(self.workspace, tuple(link))
         return (*planes, *box)
+
+
+def _plane(values: Sequence[float], clearance: float, bodies: tuple[int, ...]) -> HalfSpace:
+    """Return the allowed side of a keep-out plane; OFFSET is in multiples of its normal."""
+    length = math.hypot(*values[:3]) if len(values) == 4 else 0.0
+    if not (length > 0.0 and math.isfinite(length) and math.isfinite(values[3])):
+        raise InputError(
+            "--keep-out takes four numbers NX NY NZ OFFSET with a normal that is not zero; "
+            "0 0 1 0 keeps the arm above the floor"
+        )
+    *normal, offset = (float(v) / length for v in values)
+    label = f"the keep-out plane {np.round(normal, 3).tolist()} at {offset:g} m"
+    return HalfSpace(np.array(normal), offset, clearance, bodies, label)
+
+
+def _box(sides: Sequence[float], bodies: tuple[int, ...]) -> tuple[HalfSpace, ...]:
+    """Return the finite sides of a workspace [m] in the world; its walls may be touched."""
+    if len(sides) != 6:
+        raise InputError("--workspace takes six numbers: XMIN XMAX YMIN YMAX ZMIN ZMAX")
+    found = []
+    for axis, low, high in zip(range(3), sides[0::2], sides[1::2]):
+        if not low < high:
+            raise InputError(
+                f"--workspace is empty along {'xyz'[axis]}: {low:g} is not below {high:g}; "
+                "the order is XMIN XMAX YMIN YMAX ZMIN ZMAX"
+            )
+        for sign, bound, side in ((1.0, low, "min"), (-1.0, high, "max")):
+            if np.isfinite(bound):
+                label = f"the workspace's {'xyz'[axis]}{side} = {bound:g} m"
+                found.append(HalfSpace(sign * np.eye(3)[axis], sign * bound, 0.0, bodies, label))
+    return tuple(found)
 
 
 @dataclass(frozen=True)
@@ -125,31 +161,11 @@ class ExcitationOptions(OptionRecord):
         choices=EXCITATIONS,
         needs="motion",
     )
-    criterion: str = option(
-        "D",
-        "what the design makes small: summed variances (A), their joint volume (D), or the "
-        "condition number",
-        choices=tuple(CRITERIA),
-        needs="design",
-    )
     time_budget: float = option(
         60.0,
         "stop designing after this time and keep the best",
         "S [s] > 0",
         flag="--excitation-time-budget",
-        needs="design",
-    )
-    harmonics: int | None = option(
-        None, "harmonics of a designed trajectory", "K", usual="up to 0.6 Hz", needs="design"
-    )
-    base_frequency: float | None = option(
-        None, "first harmonic", "F [Hz] > 0", usual="one period, of at most 60 s", needs="design"
-    )
-    ends: str = option(
-        "faded",
-        "come to rest by a fade, or by the trajectory's own shape",
-        flag="--excitation-ends",
-        choices=ENDS,
         needs="design",
     )
     draws: int = 300
@@ -158,27 +174,16 @@ class ExcitationOptions(OptionRecord):
     iterations: int = 120
     workers: int | None = None
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name, value in {"draws": 1, "rounds": 0, "iterations": 1, "workers": 1}.items():
-            chosen = getattr(self, name)
-            if chosen is not None and chosen < value:
-                raise InputError(f"{name} must be at least {value} (got {chosen})")
-
     def basis(self, duration: float) -> FourierBasis:
         """Return the Fourier basis of a designed trajectory of this duration [s]."""
-        periods = max(1, int(np.ceil(duration / LONGEST_PERIOD)))
-        base = periods / duration if self.base_frequency is None else self.base_frequency
-        reaching = int(np.floor(TOP_FREQUENCY_HZ / base + 1e-9))
-        chosen = max(FEWEST_HARMONICS, reaching) if self.harmonics is None else self.harmonics
-        fade = min(LONGEST_FADE, 0.25 * duration) if self.ends == "faded" else 0.0
-        return FourierBasis(duration, base, chosen, fade)
+        base = max(1, int(np.ceil(duration / LONGEST_PERIOD))) / duration
+        harmonics = max(FEWEST_HARMONICS, int(np.floor(TOP_FREQUENCY_HZ / base + 1e-9)))
+        return FourierBasis(duration, base, harmonics, min(LONGEST_FADE, 0.25 * duration))
 
     @property
     def n_starts(self) -> int:
         """How many of the best random trajectories are improved."""
-        per_budget = 2 * max(1, round(self.time_budget / 60.0))
-        return max(1, per_budget if self.starts is None else self.starts)
+        return self.starts or 2 * max(1, round(self.time_budget / 60.0))
 
     @property
     def n_workers(self) -> int:
@@ -191,13 +196,14 @@ class ExcitationOptions(OptionRecord):
         return min(self.workers or processors(), max(2, self.n_starts))
 
 
-def _enough(value: int) -> str | None:
-    return None if value >= FEWEST_POSES else f"must be at least {FEWEST_POSES} (got {value})"
-
-
 @dataclass(frozen=True)
 class PoseOptions(OptionRecord):
-    """What a plan is for, and which poses it rests in."""
+    """What a plan is for.
+
+    Attributes:
+        poses: how many poses a payload is looked at in.
+        dwell: how long each rest lasts [s].
+    """
 
     purpose: str = option(
         "link",
@@ -213,17 +219,8 @@ class PoseOptions(OptionRecord):
         "not move fast",
         needs="payload plan",
     )
-    poses: int = option(
-        12,
-        "with --static, number of poses",
-        "N",
-        parse=whole_number,
-        check=_enough,
-        needs="static plan",
-    )
-    dwell: float = option(
-        1.5, "with --static, how long each rest lasts", "S [s] > 0", needs="static plan"
-    )
+    poses: int = 12
+    dwell: float = 1.5
 
     @property
     def sets_its_time(self) -> bool:

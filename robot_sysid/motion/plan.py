@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 
 LONGEST_CHECKED = 86400.0
 """Length of a motion beyond which its limits are not checked any more [s]."""
-NOTABLE_MEMORY = 2e8
-"""Memory from which on a search says beforehand how much it takes [bytes]."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +92,7 @@ def make_plan(
         _require_checkable(options.duration / options.speed)
     made = _new_plan(request, robot, seed, progress)
     if options.speed != 1.0:
-        from robot_sysid.motion.trajectory_files import at_speed
+        from robot_sysid.motion.trajectories import at_speed
 
         made = CheckedPlan(at_speed(made.plan, options.speed), made.problem)
     require_countable(made.plan.duration, options.sample_rate, "--sample-rate")
@@ -144,7 +142,7 @@ def _new_plan(
 
 
 def _loaded(request: MotionRequest, robot: RobotModel, progress: Progress) -> CheckedPlan:
-    from robot_sysid.motion.trajectory_files import load_trajectory
+    from robot_sysid.motion.trajectories import load_trajectory
 
     assert request.trajectory.file is not None
     saved = load_trajectory(request.trajectory.file)
@@ -200,26 +198,18 @@ def _designed(
     request: MotionRequest, robot: RobotModel, rng: np.random.Generator, progress: Progress
 ) -> CheckedPlan:
     from robot_sysid.motion.design.optimise import Design
-    from robot_sysid.motion.design.search import check_time, design_excitation
+    from robot_sysid.motion.design.search import design_excitation
 
     problem, for_arm = _problem(request, robot), request.poses.purpose == "arm"
     design = Design(problem, request.excitation, request.trajectory, for_arm)
-    if design.memory > NOTABLE_MEMORY:
-        progress.note(f"the search will hold about {design.memory / 1e9:.1f} GB of memory")
-    if (seconds := check_time(design)) > request.excitation.time_budget:
-        progress.note(
-            f"checking the limits of so long a motion takes about {seconds:.0f} s, more than "
-            "--excitation-time-budget"
-        )
-
     result = design_excitation(design, rng, progress)
     for note in result.notes:
         progress.note(note)
-    gain, name = result.start_objective / result.objective, request.excitation.criterion
+    gain = result.start_objective / result.objective
     if not for_arm:
         progress.detail(
-            f"Criterion {name}: {result.objective:.4g}, {gain:.2f} times better than the best of "
-            f"{result.n_feasible} feasible random trajectories"
+            f"Mean standard deviation: {result.objective:.4g}, {gain:.2f} times better than the "
+            f"best of {result.n_feasible} feasible random trajectories"
         )
     return CheckedPlan(result.trajectory, problem, result.limit_check)
 

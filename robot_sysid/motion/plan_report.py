@@ -195,5 +195,5 @@ def _advice_lines(prediction: Prediction) -> Iterator[str]:
         yield (
             f"{spatial.PARAMETER_NAMES[k]} stays loose ({percent(prediction.share[k])}): "
             f"{100.0 * LOOSE_SHARE:.0f} % would take {factor:.1f} times the duration, or faster "
-            "motion (higher speed limits, --harmonics)"
+            "motion (higher speed limits)"
         )

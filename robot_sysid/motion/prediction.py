@@ -7,10 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_model
-from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.estimation.algebra.identifiability import describe
-from robot_sysid.motion.information import PredictedInformation
+from robot_sysid.motion.information import predicted_information, visible_coordinates
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.records import Array, Identifiability, MotionPlan
 from robot_sysid.trajectory import sample_count, spread_motion
@@ -19,12 +17,6 @@ PREDICTION_RATE_HZ = 100.0
 """Sampling of the motion for the prediction: far above its band, see docs/excitation.md."""
 MOST_INSTANTS = 60_000
 """Instants of the motion that are looked at: all of the first ten minutes, or spread over it."""
-ARM_RATE_HZ = 20.0
-"""How densely a candidate for a whole arm is looked at."""
-KNOWN = 0.3
-"""How well the model is taken to know each link, as a share of its numbers."""
-_OWN = friction_model("coulomb-viscous-offset-armature")
-_UNIT_ROTOR = 0.1
 LOOSE_SHARE = 0.2
 """A predicted standard deviation above this share of the parameter's size is called loose."""
 _INVISIBLE = 1e-10
@@ -89,20 +81,6 @@ class Seen:
 
     information: Array
     signal: float
-
-
-def predicted_information(
-    problem: ExcitationProblem, sigma: Array, coordinates: Array, smoothing: float = 0.0
-) -> PredictedInformation:
-    """Return what tells the information of motions about x, theta = coordinates @ x (10, r).
-
-    From torques with noise sigma (rows,) [N m]; Coulomb friction's jump is rounded off below a
-    share of the speed limits.
-    """
-    smooth = smoothing * problem.limits.velocity
-    # From one torque rotor inertias are not estimated: they are the link's.
-    rotors = "armature" in DEFAULT_MEASURED and len(problem.rows) > 1
-    return PredictedInformation(problem.chain, problem.rows, sigma, smooth, coordinates, rotors)
 
 
 def predict(
@@ -181,50 +159,3 @@ def _com_deviation(prior: Array, covariance: Array) -> float:
 
 def _words(problem: ExcitationProblem, space: Array) -> tuple[str, ...]:
     return describe(space, problem.scale, spatial.PARAMETER_NAMES) if space.shape[1] else ()
-
-
-def visible_coordinates(problem: ExcitationProblem) -> Array:
-    """Return (10, r): scaled directions of theta that some motion of this arm can show.
-
-    Found from unrelated positions, velocities and accelerations, a fixed set of random numbers.
-    What such data cannot see, no trajectory of these joints can.
-    """
-    scale = np.diag(problem.scale)
-    rng = np.random.default_rng(0)
-    q, qd, qdd = rng.normal(size=(3, 400, problem.n_joints))
-    q = np.clip(problem.rest + 2.0 * q, problem.limits.lower, problem.limits.upper)
-    information = predicted_information(problem, np.ones(len(problem.rows)), scale)
-    matrix = information.evaluate(q, qd, qdd).information
-    values, vectors = np.linalg.eigh(matrix)
-    return scale @ vectors[:, values > 1e-9 * values[-1]]
-
-
-def arm_criterion(problem: ExcitationProblem, plan: MotionPlan) -> float:
-    """Return -ln det L / 2r of what a motion says of all links, rotors and friction, r unknowns.
-
-    L = Y^T Y / sigma^2 + P, with P what the model knows beforehand, so that what no motion shows
-    does not count (Bayesian D-optimality; Chaloner, Verdinelli, "Bayesian experimental design: a
-    review", Statistical Science 10(3), 1995).
-    """
-    motion = plan.evaluate(np.arange(0.0, plan.duration, 1.0 / ARM_RATE_HZ))
-    robot = problem.robot
-    links = [k for k, link in enumerate(robot.links) if link.has_mass]
-    columns = LinkDynamics(robot).motion(motion.q, motion.qd, motion.qdd).columns(links)
-    scale = []
-    for theta in (robot.links[k].theta for k in links):
-        length = max(spatial.characteristic_length(theta), 1e-3)
-        scale.append(KNOWN * spatial.parameter_scale(float(theta[0]), length))
-    columns = columns * np.concatenate(scale)
-    sigma = np.full(problem.n_joints, np.inf)
-    sigma[list(problem.rows)] = problem.sigma
-    size = np.where(np.array(_OWN.terms) == "armature", _UNIT_ROTOR, 1.0)
-    total = np.eye(columns.shape[-1] + len(size) * problem.n_joints)
-    for joint in range(problem.n_joints):
-        nothing = np.zeros(len(motion.time))
-        own = _OWN.columns(motion.qd[:, joint], motion.qdd[:, joint], nothing) * size
-        rows = np.zeros((len(motion.time), len(total)))
-        rows[:, : columns.shape[-1]] = columns[:, joint]
-        place = columns.shape[-1] + joint * len(size)
-        rows[:, place : place + len(size)] = own
-        total += rows.T @ rows / sigma[joint] ** 2
-    return -float(np.linalg.slogdet(total)[1]) / (2.0 * len(total))

@@ -14,12 +14,12 @@ from robot_sysid.dynamics.screws import ScrewChain
 from robot_sysid.errors import InputError
 from robot_sysid.model.chain import DEFAULT_SLIDE_VELOCITY
 from robot_sysid.motion.clearance import Clearance
-from robot_sysid.motion.information import body_wrench
 from robot_sysid.motion.options import TOP_FREQUENCY_HZ, LimitOptions
 from robot_sysid.motion.solids import has_floor, outermost_points
 from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.records.arm import DEFAULT_MAX_VELOCITY
 from robot_sysid.records.options import PerJoint, per_joint
+from robot_sysid.regressor import wrench_regressor
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import POSITION_MARGIN, TORQUE_MARGIN, UNLIMITED_RANGE, TorqueFunction
 
@@ -177,7 +177,9 @@ class ExcitationProblem:
         """Return the torques (N, n) that a load at the tool's tip adds, per kilogram [N m/kg]."""
         body = self.chain.evaluate(motion.q, motion.qd, motion.qdd)
         theta = spatial.theta_from_com(1.0, self.tool.tip, np.zeros((3, 3)))
-        wrench = np.einsum("ikn,k->in", body_wrench(body.velocity, body.acceleration), theta)
+        wrench = np.einsum(
+            "ikn,k->in", wrench_regressor(body.velocity.T, body.acceleration.T), theta
+        )
         return np.einsum("ijn,in->nj", body.jacobian, wrench)
 
     def load_left(self, motion: Motion) -> tuple[float, int]:
@@ -249,12 +251,8 @@ def build_problem(
         InputError: the arm breaks a limit already at rest; says which.
     """
     motion_limits, origins = _limits(robot, limits, top_frequency_hz)
-    notes: tuple[str, ...] = ()
-    if ignored := ", ".join(limits.ignore_torque_limit):
-        notes = (f"the torque limit of {ignored} is not obeyed, as asked",)
     rest = np.clip(robot.reference, motion_limits.lower, motion_limits.upper)
-    if not np.array_equal(rest, robot.reference):
-        notes += _moved_rest_note(robot, rest)
+    notes = _moved_rest_note(robot, rest)
     obstacles, more = _obstacles(robot, limits, rest)
     rows = tuple(range(robot.n_joints)) if torques == "chain" else (robot.n_joints - 1,)
     return ExcitationProblem(
@@ -300,12 +298,14 @@ def _limits(
     top = np.inf if top_frequency_hz is None else min(top_frequency_hz, TOP_FREQUENCY_HZ)
     natural = 2.0 * np.pi * top * own.velocity
     lower, upper = _position_limits(robot)
+    strongest = np.inf if options.max_torque is None else options.max_torque
+    most = per_joint(strongest, robot.n_joints, "--max-torque")
     limits = MotionLimits(
         lower=lower,
         upper=upper,
         velocity=own.velocity,
         acceleration=natural if asked is None else np.where(slide, natural, asked),
-        torque=TORQUE_MARGIN * _torque_limits(robot, options),
+        torque=TORQUE_MARGIN * np.minimum(own.torque, most),
         tool_speed=np.inf if options.max_tool_speed is None else options.max_tool_speed,
     )
     speed = per_joint(options.max_velocity, robot.n_joints, "--max-velocity")
@@ -324,34 +324,14 @@ def _limits(
     return limits, origins
 
 
-def _torque_limits(robot: RobotModel, options: LimitOptions) -> Array:
-    """Return the torque limits (n,), the model's own and those asked for; infinite without one.
-
-    Raises:
-        InputError: a joint to ignore is none of the arm's, or a list does not fit the joints.
-    """
-    unknown = [name for name in options.ignore_torque_limit if name not in robot.joint_names]
-    if unknown:
-        raise InputError(
-            f"--ignore-torque-limit {unknown[0]}: no such joint; the chain has "
-            f"{', '.join(robot.joint_names)}"
-        )
-    asked = np.inf if options.max_torque is None else options.max_torque
-    both = np.minimum(robot.limits.torque, per_joint(asked, robot.n_joints, "--max-torque"))
-    ignored = np.isin(robot.joint_names, options.ignore_torque_limit)
-    return np.where(ignored, np.inf, both)
-
-
 def _moved_rest_note(robot: RobotModel, rest: Array) -> tuple[str, ...]:
-    moved = [
+    moved = ", ".join(
         f"{name} at {q:.3f} instead of {reference:.3f}"
         for name, q, reference in zip(robot.joint_names, rest, robot.reference)
         if q != reference
-    ]
-    return (
-        "the reference configuration is at or beyond a position limit; the motion starts and "
-        f"ends with {', '.join(moved)}",
     )
+    words = "the reference configuration is at or beyond a position limit; the motion starts and"
+    return (f"{words} ends with {moved}",) if moved else ()
 
 
 def _obstacles(

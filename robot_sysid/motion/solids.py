@@ -17,7 +17,7 @@ import numpy as np
 from robot_sysid.dynamics.kinematics import subtree
 from robot_sysid.model.chain import body_label
 from robot_sysid.model.contacts import parts_of
-from robot_sysid.motion.obstacles import HalfSpace
+from robot_sysid.motion.options import HalfSpace
 from robot_sysid.records import Array, RobotModel
 
 _TYPES = mujoco.mjtGeom

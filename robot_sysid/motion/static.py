@@ -24,7 +24,7 @@ import numpy as np
 from robot_sysid.dynamics.kinematics import ChainKinematics
 from robot_sysid.errors import InputError
 from robot_sysid.motion.limit_check import first_contact, keeps_limits
-from robot_sysid.motion.options import FEWEST_POSES, PoseOptions
+from robot_sysid.motion.options import PoseOptions
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.motion.trajectories import (
     PEAK_ACCELERATION,
@@ -48,6 +48,8 @@ CREEP = 1e-3
 MOST_WAYS = 50
 """Poses of which the way there is looked at, in the hope of a free one."""
 
+FEWEST_POSES = 5
+"""Poses that tell a payload's mass and centre of mass, with something left to check them by."""
 APPROACH = 0.05
 """From how far a pose is approached [rad or m]."""
 GENTLE = 0.6
@@ -92,7 +94,7 @@ def startable(problem: ExcitationProblem) -> ExcitationProblem:
     else:
         reason = _too_heavy(problem, worst, share[worst])
         joint = problem.joint_names[worst]
-        remedy = f"give --ignore-torque-limit {joint} if the joint can carry it"
+        remedy = f"raise the torque limit of {joint} in the model if the joint can carry it"
     # One that is held and touches nothing, if possible with a free way there.
     found = list(islice(_held(problem), MOST_WAYS))
     free = (pose for pose in found if contact_on_the_way(problem, pose) is None)

@@ -1,35 +1,41 @@
-"""Kinds of trajectories beside random sinusoids: Fourier series, poses, and sweeps.
+"""Kinds of trajectories, at any speed and as files: sines, Fourier series, and straight lines.
 
 Of a Fourier series joint j follows q_j(t) = r_j + w(t) (o_j + sum_k a_jk sin(k W t) + b_jk cos(k W
 t)), W = 2 pi f0, as in Swevers, Ganseman, Tukel, De Schutter, Van Brussel, "Optimal robot
-excitation and identification", IEEE Trans. Robotics and Automation 13(5), 1997, eq. 5. Rest at both
-ends comes from one of two places:
+excitation and identification", IEEE Trans. Robotics and Automation 13(5), 1997, eq. 5, under a
+window w that rises smoothly from 0 to 1 and falls back (``trajectory.window``). Because q is linear
+in (o, a, b), so are velocity and acceleration, and all joints share one matrix of basis functions.
 
-- faded: a window w rises smoothly from 0 to 1 and falls back (``trajectory.window``);
-- periodic (fade = 0): w = 1, and the coefficients obey sum b = -o, sum k a = 0, sum k^2 b = 0, so
-  that the motion can be repeated without a stop.
+Poses and sweeps follow straight lines in joint space; poses rest, sweeps keep their speed.
 
-Because q is linear in (o, a, b), so are velocity and acceleration, and all joints share one matrix
-of basis functions. Poses and sweeps follow straight lines in joint space; poses rest, sweeps keep
-their speed.
+A JSON file holds what a trajectory is made of, so it is small, its derivatives are exact, and
+loading it gives back every bit. A CSV file of samples is for other programs and is not read back.
 """
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TextIO, TypeVar
 
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.records import Array, Motion, checked_array
-from robot_sysid.trajectory import Series, faded, smooth_step, window
+from robot_sysid.json_files import read_json
+from robot_sysid.records import Array, Motion, MotionPlan, checked_array
+from robot_sysid.records.atomic_files import whole_file
+from robot_sysid.trajectory import Series, SineTrajectory, faded, motion_chunks, smooth_step, window
 
-END_TOLERANCE = 1e-9
-"""Largest velocity and acceleration a periodic trajectory may have at its ends [rad/s, rad/s^2]."""
 PEAK_SPEED, PEAK_ACCELERATION = 2.1875, 7.5132
-"""Largest first and second derivative of a smooth step from 0 to 1 in unit time."""
+"""Largest first and second derivative of a smooth step from 0 to 1 in unit time (its maxima)."""
 PEAK_OF_RAMP = 1.875
-"""Largest derivative of the rise of a sweep's speed from 0 to 1 in unit time."""
+"""Largest derivative of the rise of a sweep's speed from 0 to 1 in unit time: 30 / 16."""
+REST_TOLERANCE = 1e-6
+"""Speed and acceleration of an end at rest [rad/s, rad/s^2]: rounding leaves a thousandth of it."""
+FORMAT = "robot-sysid trajectory"
+VERSION = 1
 
 
 @dataclass(frozen=True)
@@ -40,7 +46,8 @@ class FourierBasis:
         duration: length [s].
         base_frequency_hz: frequency f0 of the first harmonic [Hz].
         harmonics: number of harmonics K.
-        fade: time the window takes to rise and to fall [s]; 0 for a periodic trajectory.
+        fade: time the window takes to rise and to fall [s]; 0 in files of earlier versions, whose
+            coefficients end at rest by themselves.
     """
 
     duration: float
@@ -51,22 +58,8 @@ class FourierBasis:
     def __post_init__(self) -> None:
         if not (0.0 < self.duration < np.inf and 0.0 < self.base_frequency_hz < np.inf):
             raise InputError("a Fourier series needs a finite positive duration and base frequency")
-        least = 1 if self.fade > 0.0 else 3
-        if self.harmonics < least:
-            raise InputError(
-                f"--harmonics {self.harmonics} is too few: a trajectory that is at rest at both "
-                f"ends this way needs at least {least}"
-            )
         if not 0.0 <= 2.0 * self.fade <= self.duration:
             raise InputError(f"fade {self.fade} s does not fit twice into {self.duration} s")
-        periods = self.duration * self.base_frequency_hz
-        if self.fade == 0.0 and (
-            round(periods) < 1 or abs(periods - round(periods)) > 1e-12 * (1.0 + periods)
-        ):
-            raise InputError(
-                f"--base-frequency {self.base_frequency_hz:g}: a periodic trajectory of "
-                f"{self.duration:g} s must hold a whole number of periods (it holds {periods:g})"
-            )
 
     @property
     def size(self) -> int:
@@ -78,24 +71,20 @@ class FourierBasis:
         """Frequency of the last harmonic [Hz]."""
         return self.harmonics * self.base_frequency_hz
 
-    @property
-    def order(self) -> Array:
-        """Harmonic numbers k = 1..K."""
-        return np.arange(1.0, self.harmonics + 1.0)
+    def waves(self, time: Array) -> tuple[Any, Any]:
+        """Return exp(i k W t) (N, K + 1), by products: far cheaper than sines; and i k W (K + 1,).
 
-    @property
-    def rates(self) -> Array:
-        """What each derivative multiplies exp(i k W t) by, k = 0..K (K + 1,) [1/s]."""
-        return np.asarray(2j * np.pi * self.base_frequency_hz * np.arange(self.harmonics + 1.0))
-
-    def waves(self, time: Array) -> Array:
-        """Return exp(i k W t) (N, K + 1), by products: far cheaper than sines."""
-        first = np.exp(2j * np.pi * self.base_frequency_hz * np.asarray(time, dtype=float))
-        return np.vander(first, self.harmonics + 1, increasing=True)
+        The second is what each derivative multiplies them by [1/s].
+        """
+        base = 2j * np.pi * self.base_frequency_hz
+        first = np.exp(base * np.asarray(time, dtype=float))
+        order = np.arange(self.harmonics + 1.0)
+        return np.vander(first, self.harmonics + 1, increasing=True), base * order
 
     def evaluate(self, time: Array) -> Series:
         """Return the functions and their first and second derivatives (N, 2 K + 1)."""
-        turned = (self.waves(time) * self.rates**k for k in range(3))
+        waves, rates = self.waves(time)
+        turned = (waves * rates**k for k in range(3))
         s, ds, dds = (np.hstack((w.real[:, :1], w.imag[:, 1:], w.real[:, 1:])) for w in turned)
         return self.at_rest(time, (s, ds, dds))
 
@@ -104,18 +93,6 @@ class FourierBasis:
         if self.fade == 0.0:
             return series
         return faded(window(np.asarray(time, dtype=float), self.duration, self.fade), series)
-
-    def free_directions(self) -> Array:
-        """Return (2 K + 1, M) orthonormal directions that keep both ends at rest.
-
-        All of them where a window does that; otherwise those of o + sum b = 0, sum k a = 0,
-        sum k^2 b = 0.
-        """
-        if self.fade > 0.0:
-            return np.eye(self.size)
-        k, none = self.order / self.harmonics, np.zeros(self.harmonics)
-        ends = (([1.0], none, none + 1.0), ([0.0], k, none), ([0.0], none, k**2))
-        return np.linalg.svd([np.concatenate(row) for row in ends])[2][3:].T
 
 
 @dataclass(frozen=True)
@@ -136,14 +113,6 @@ class FourierTrajectory:
         shape = (len(self.rest), self.basis.size)
         value = checked_array(self.coefficients, shape, "Fourier coefficients")
         object.__setattr__(self, "coefficients", value)
-        # Without a window the coefficients must start at rest; 0 at time 0 is 0 after each period.
-        for row in self.basis.evaluate(np.zeros(1)) if self.basis.fade == 0.0 else ():
-            worst = float(np.max(np.abs(row @ self.coefficients.T)))
-            if worst > END_TOLERANCE:
-                raise InputError(
-                    f"the coefficients of a periodic trajectory do not start at rest (off by "
-                    f"{worst:.1e}); use a trajectory with a fade, or design it again"
-                )
 
     @property
     def duration(self) -> float:
@@ -158,9 +127,9 @@ class FourierTrajectory:
     def evaluate(self, time: Array) -> Motion:
         """Return position, velocity and acceleration at times (N,) [s]."""
         offset, a, b = np.split(self.coefficients, (1, 1 + self.basis.harmonics), axis=1)
-        wave, turned = self.basis.waves(time), np.hstack((1j * offset, a + 1j * b))
+        (waves, rates), turned = self.basis.waves(time), np.hstack((1j * offset, a + 1j * b))
         # All joints in one product each, before any window.
-        s, ds, dds = ((wave @ (self.basis.rates**k * turned).T).imag for k in range(3))
+        s, ds, dds = ((waves @ (rates**k * turned).T).imag for k in range(3))
         s, ds, dds = self.basis.at_rest(time, (s, ds, dds))
         return Motion(np.asarray(time, dtype=float), self.rest + s, ds, dds)
 
@@ -237,15 +206,171 @@ def straight_way(begin: Array, end: Array) -> LineTrajectory:
 def _cruise(gone: Array, length: Array, ramp: Array) -> Series:
     """Return way [s], speed and its change [1/s] (N,) at unit speed, ``gone`` [s] after the start.
 
-    A way takes ``length`` [s], rising and falling ``ramp`` [s] each; ramps count half.
+    A way takes ``length`` [s], rising and falling ``ramp`` [s] each; ramps count half. The speed
+    rises as 10 x^3 - 15 x^4 + 6 x^5 does from 0 to 1.
     """
     near = np.minimum(gone, length - gone)
-    rise, speed, bend = _rise(np.minimum(near / ramp, 1.0))
-    way, falls = ramp * rise + np.maximum(near - ramp, 0.0), gone > near
+    x, falls = np.minimum(near / ramp, 1.0), gone > near
+    way = ramp * x**4 * (2.5 + x * (x - 3.0)) + np.maximum(near - ramp, 0.0)
+    speed, bend = x**3 * (10.0 + x * (6.0 * x - 15.0)), 30.0 * (x * (1.0 - x)) ** 2
     return np.where(falls, length - ramp - way, way), speed, np.where(falls, -bend, bend) / ramp
 
 
-def _rise(x: Array) -> Series:
-    """Return integral, value and slope (N,) of 10 x^3 - 15 x^4 + 6 x^5, which rises from 0 to 1."""
-    integral = x**4 * (2.5 + x * (x - 3.0))
-    return integral, x**3 * (10.0 + x * (6.0 * x - 15.0)), 30.0 * (x * (1.0 - x)) ** 2
+_KINDS: Mapping[str, tuple[Any, tuple[str, ...]]] = {
+    "sines": (SineTrajectory, ("duration", "fade", "center", "amplitude", "frequency_hz", "phase")),
+    "fourier": (FourierTrajectory, ("rest", "coefficients")),
+    "poses": (LineTrajectory, ("points", "moves", "dwells")),
+    "sweeps": (LineTrajectory, ("points", "moves", "ramps")),
+}
+"""Each kind of trajectory, and what makes it; that of a Fourier series is its basis too."""
+_BASIS = ("duration", "base_frequency_hz", "harmonics", "fade")
+_TIMES = ("duration", "fade", "moves", "dwells", "ramps")
+"""What takes longer where a trajectory is slowed down; frequencies fall."""
+_Plan = TypeVar("_Plan", bound=MotionPlan)
+
+
+def _parts(plan: MotionPlan) -> tuple[str, dict[str, Any]]:
+    """Return a trajectory's kind and the numbers that make it."""
+    for kind, (made, names) in reversed(list(_KINDS.items())):
+        if isinstance(plan, made) and getattr(plan, names[-1]) is not None:
+            basis = vars(plan.basis) if isinstance(plan, FourierTrajectory) else {}
+            return kind, {**basis, **{name: getattr(plan, name) for name in names}}
+    raise InputError(f"a {type(plan).__name__} has no coefficients to save")
+
+
+def _built(kind: str, parts: Mapping[str, Any]) -> Any:
+    """Return the trajectory that is made of some numbers."""
+    made, names = _KINDS[kind]
+    given: dict[str, Any] = {name: np.array(parts[name], dtype=float) for name in names}
+    if kind == "sines":
+        given |= {name: float(parts[name]) for name in ("duration", "fade")}
+    elif kind == "fourier":
+        duration, base, harmonics, fade = (float(parts[name]) for name in _BASIS)
+        given["basis"] = FourierBasis(duration, base, int(harmonics), fade)
+    elif kind == "sweeps":
+        given["dwells"] = np.zeros(len(given["points"]))
+    return made(**given)
+
+
+def at_speed(plan: _Plan, speed: float) -> _Plan:
+    """Return the trajectory scaled in time: q(s t), s q'(s t), s^2 q''(s t); 0 < s <= 1.
+
+    Raises:
+        InputError: it would be faster, and leave the limits it was made for.
+    """
+    if not 0.0 < speed <= 1.0:
+        raise InputError(
+            f"--speed must be above 0 and at most 1 (got {speed:g}): the trajectory was made for "
+            "full speed and can only be slowed down"
+        )
+    if speed == 1.0:
+        return plan
+    kind, parts = _parts(plan)
+    for name in parts:
+        if name in _TIMES:
+            parts[name] = parts[name] / speed
+        elif name.endswith("frequency_hz"):
+            parts[name] = parts[name] * speed
+    slowed: _Plan = _built(kind, parts)
+    return slowed
+
+
+@dataclass(frozen=True)
+class SavedTrajectory:
+    """A trajectory from a file; the joints, and model file (its sha256 or ""), it was made for."""
+
+    plan: MotionPlan
+    joint_names: tuple[str, ...]
+    sha256: str = ""
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.plan.duration < np.inf:
+            raise InputError(
+                f"a trajectory needs a finite duration above 0, not {self.plan.duration:g} s"
+            )
+        ends = self.plan.evaluate(np.array([0.0, self.plan.duration]))
+        moved = ends.q.shape[1]
+        if moved != len(self.joint_names):
+            raise InputError(
+                f"a trajectory of {moved} joints names {len(self.joint_names)}: "
+                f"{', '.join(self.joint_names)}"
+            )
+        if not max(np.max(np.abs(ends.qd)), np.max(np.abs(ends.qdd))) <= REST_TOLERANCE:
+            raise InputError("the trajectory does not start and end at rest; design it again")
+
+    def require_fits(self, joint_names: Sequence[str]) -> None:
+        """Raise InputError unless it was made for joints of these names, in this order."""
+        if self.joint_names != tuple(joint_names):
+            raise InputError(
+                f"--trajectory: made for the {len(self.joint_names)} joints "
+                f"{', '.join(self.joint_names)}, but this arm has the {len(joint_names)} joints "
+                f"{', '.join(joint_names)}; design one for this arm with --excitation optimal"
+            )
+
+
+def save_trajectory(
+    path: Path | TextIO, plan: MotionPlan, joint_names: Sequence[str], sha256: str = ""
+) -> None:
+    """Write a trajectory's coefficients as JSON; the file appears whole or not at all.
+
+    Args:
+        path: file, or an open one.
+        plan: a sum of sinusoids, a Fourier series, poses, or sweeps; else InputError.
+        joint_names: one per joint.
+        sha256: of the model file it was made for.
+    """
+    content: dict[str, Any] = {"format": FORMAT, "version": VERSION, "joints": list(joint_names)}
+    if sha256:
+        content["model_sha256"] = sha256
+    kind, parts = _parts(plan)
+    # The repr of a float is exact.
+    numbers = {name: np.asarray(value).tolist() for name, value in parts.items()}
+    with whole_file(path) as file:
+        json.dump({**content, "kind": kind, **numbers}, file, indent=1)
+        file.write("\n")
+
+
+def load_trajectory(path: Path) -> SavedTrajectory:
+    """Read a trajectory that ``save_trajectory`` has written, in this version or an earlier one.
+
+    Raises:
+        InputError: the file cannot be read, or is something else; says what.
+    """
+    content = read_json(Path(path), "--trajectory takes the .json file of --save-trajectory")
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise InputError(
+            f"{path} is not a trajectory of this program; --save-trajectory writes one"
+        )
+    if content.get("version") != VERSION:
+        raise InputError(
+            f"{path} has version {content.get('version')!r} of the format, this program reads "
+            f"version {VERSION}; save it again with the program it came from"
+        )
+    try:
+        kind = content["kind"]
+        if kind not in _KINDS:
+            raise InputError(
+                f"{path}: unknown kind of trajectory {kind!r}; valid: {', '.join(_KINDS)}"
+            )
+        plan = at_speed(_built(kind, content), float(content.get("speed", 1.0)))
+        names = tuple(str(name) for name in content["joints"])
+        return SavedTrajectory(plan, names, str(content.get("model_sha256", "")))
+    except KeyError as error:
+        raise InputError(f"{path}: the trajectory lacks the entry {error}") from None
+    except (TypeError, ValueError, IndexError, OverflowError) as error:
+        raise InputError(f"{path}: not a usable trajectory ({error})") from None
+
+
+def save_samples(
+    path: Path | TextIO, plan: MotionPlan, joint_names: Sequence[str], sample_rate: float
+) -> None:
+    """Write a trajectory's samples as CSV: time, then q, qd and qdd of each joint, SI units.
+
+    The file appears whole or not at all; it has ``sample_rate`` rows per second.
+    """
+    titles = [f"{quantity}_{name}" for quantity in ("q", "qd", "qdd") for name in joint_names]
+    with whole_file(path) as file:
+        file.write(",".join(["time", *titles]) + "\n")
+        for motion in motion_chunks(plan, sample_rate):
+            table = np.hstack((motion.time[:, None], motion.q, motion.qd, motion.qdd))
+            file.writelines(",".join(map(repr, row)) + "\n" for row in table.tolist())

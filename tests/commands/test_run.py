@@ -10,7 +10,7 @@ import pytest
 
 from robot_sysid.cli import main
 from robot_sysid.motion.limit_check import LimitCheck
-from robot_sysid.motion.trajectory_files import load_trajectory
+from robot_sysid.motion.trajectories import load_trajectory
 from robot_sysid.simulation.forward_dynamics import ForwardPlant
 from tests.support import arms, witness
 from tests.support.excitation_arms import TUBES

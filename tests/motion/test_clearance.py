@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from robot_sysid.dynamics.kinematics import subtree
 from robot_sysid.model.contacts import ContactFinder
 from robot_sysid.motion.clearance import HORIZON, KEPT_SHARE, MOST_GROUPS, Clearance, drop_pairs
-from robot_sysid.motion.obstacles import plane_half_space
+from robot_sysid.motion.options import LimitOptions
 from tests.support.arms import SEEDS, X, Y, Z, compile_xml, hinge, link, world
 from tests.support.excitation_arms import POST, TOUCHING_AT_REST, TUBES_AND_POST, robot, tube_arm
 
@@ -36,8 +36,8 @@ BALLS = world(
 def clearance_of(xml, planes=(), keep=KEEP):
     arm = robot(xml)
     moving = subtree(arm.mj_model, int(arm.mj_model.jnt_bodyid[0]))
-    spaces = [plane_half_space(plane, keep, moving) for plane in planes]
-    return Clearance(arm, arm.reference, keep, spaces)
+    limits = LimitOptions(clearance=keep, keep_out=planes)
+    return Clearance(arm, arm.reference, keep, limits.half_spaces(moving))
 
 
 def test_distance_of_two_balls_is_that_of_their_centres_minus_radii():

@@ -14,7 +14,7 @@ from robot_sysid.motion import problem
 from robot_sysid.motion.limit_check import check_limits
 from robot_sysid.motion.options import ExcitationOptions, LimitOptions
 from robot_sysid.motion.plan import MotionRequest, make_plan
-from robot_sysid.motion.trajectory_files import save_trajectory
+from robot_sysid.motion.trajectories import save_trajectory
 from robot_sysid.records.progress import Progress
 from robot_sysid.trajectory import TrajectoryOptions
 from tests.support import arms, witness
@@ -62,7 +62,6 @@ CHECKED = {
     "saved": {"trajectory": {"save": "plan.json"}},
     "acceleration": {"limits": {"max_acceleration": 30.0}},
     "torque": {"limits": {"max_torque": 100.0}},
-    "ignored torque": {"limits": {"ignore_torque_limit": ("joint1",)}},
     "payload": {"limits": {"payload_reserve": 1.0}},
     "tool speed": {"limits": {"max_tool_speed": 5.0}},
     "workspace": {"limits": {"workspace": (-2.0, 2.0, -2.0, 2.0, -2.0, 2.0)}},
@@ -243,16 +242,3 @@ def test_what_takes_hours_to_check_is_refused_at_once(kind):
     excitation = options(kind=kind)
     with pytest.raises(InputError, match="a motion of 1e[+]08 s takes too long to check"):
         planned(TUBES, trajectory=long, excitation=excitation)
-
-
-def test_a_search_that_takes_much_memory_says_so_beforehand(monkeypatch):
-    monkeypatch.setattr("robot_sysid.motion.plan.NOTABLE_MEMORY", 0.0)
-    listener = Listener()
-    planned(arms.THREE, listener=listener, excitation=options(kind="optimal"))
-    assert listener.notes[0] == "the search will hold about 0.0 GB of memory"
-
-
-def test_a_check_that_takes_longer_than_the_budget_says_so_beforehand():
-    listener, brief = Listener(), options(kind="optimal", time_budget=0.01)
-    planned(arms.THREE, listener=listener, excitation=brief)
-    assert "takes about 0 s, more than --excitation-time-budget" in listener.notes[0]

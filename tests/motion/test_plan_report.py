@@ -43,13 +43,13 @@ def test_lines_tell_peaks_clearance_and_broken_limits():
     lines = report(some, sines(TUBES_AND_POST))
     assert sum(line.startswith("  joint") for line in lines) == 4
     assert the(lines, "Clearance: ")
-    wild = FourierTrajectory(a_plan(TUBES_AND_POST).basis, some.rest, 2.0 * np.ones((4, 9)))
+    wild = FourierTrajectory(a_plan(TUBES_AND_POST).basis, some.rest, 2.0 * np.ones((4, 7)))
     assert any(line.startswith("NOT KEPT: ") for line in report(some, wild))
 
 
 def test_what_a_still_arm_does_not_show_is_said():
     some = problem(arms.THREE)
-    still = FourierTrajectory(a_plan(arms.THREE).basis, some.rest, np.zeros((3, 9)))
+    still = FourierTrajectory(a_plan(arms.THREE).basis, some.rest, np.zeros((3, 7)))
     text = "\n".join(report(some, still))
     assert "not identified" in text
     assert "This motion does not show mass: move more joints" in text

@@ -74,7 +74,7 @@ def test_four_times_the_rate_is_half_the_deviation():
 
 def test_an_arm_at_rest_shows_nothing_of_what_it_could():
     some = problem(arms.THREE)
-    still = FourierTrajectory(a_plan(arms.THREE).basis, some.rest, np.zeros((3, 9)))
+    still = FourierTrajectory(a_plan(arms.THREE).basis, some.rest, np.zeros((3, 7)))
     promised = predict(some, still, 500.0)
     assert promised.never == predict(some, a_plan(arms.THREE), 500.0).never
     assert len(promised.unseen) > 0

@@ -64,23 +64,6 @@ def test_a_reference_beyond_a_limit_is_moved_to_it_and_noted():
     assert any("joint1 at 0.530 instead of 0.000" in note for note in some.notes)
 
 
-def leaning(allowed):
-    """An arm whose second joint carries weight at rest, with that torque limit."""
-    weak = limits()
-    weak = JointLimits(weak.lower, weak.upper, weak.velocity, np.array([50.0, allowed, 50.0]))
-    return replace(robot_of(arms.THREE), limits=weak, reference_qpos=np.array([0.0, 0.7, 0.2]))
-
-
-def test_a_torque_limit_is_ignored_where_that_is_asked_for():
-    some = built(leaning(0.1), ignore_torque_limit=("joint1",), max_torque=30.0)
-    assert np.allclose(some.limits.torque, [28.5, np.inf, 28.5])
-    assert "the torque limit of joint1 is not obeyed, as asked" in some.notes
-    with pytest.raises(
-        InputError, match="--ignore-torque-limit elbow: no such joint; the chain has"
-    ):
-        built(leaning(0.1), ignore_torque_limit=("elbow",))
-
-
 def test_without_a_band_only_an_asked_limit_binds_accelerations():
     arm = robot(arms.SLIDE_IN_CHAIN)
     assert np.all(np.isinf(built(arm, "chain", 0.3, None).limits.acceleration))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from robot_sysid.motion.obstacles import box_half_spaces, plane_half_space
+from robot_sysid.motion.options import LimitOptions
 from robot_sysid.motion.solids import HalfSpaces, Solids, outermost_points, swept_space
 from tests.support.arms import SEEDS, X, Y, Z, compile_xml, hinge, link, world
 from tests.support.excitation_arms import FLOOR, robot, tube_arm
@@ -117,21 +117,6 @@ def test_a_body_is_its_collision_geoms_else_its_visuals_else_its_origin():
     assert np.allclose(heights, [0.1, 0.3, 7.0], atol=1e-12)
 
 
-def test_a_box_has_one_half_space_per_finite_side():
-    spaces = box_half_spaces((-1.0, np.inf, -np.inf, 2.0, 0.1, 3.0), [4])
-    inside, outside = np.array([0.0, 0.0, 1.0]), np.array([-2.0, 3.0, 0.0])
-    assert len(spaces) == 4
-    assert all(space.normal @ inside > space.offset for space in spaces)
-    assert sum(space.normal @ outside < space.offset for space in spaces) == 3
-
-
-def test_a_plane_keeps_its_distance_whatever_the_length_of_its_normal():
-    space = plane_half_space((0.0, 0.0, 2.0, 0.5), 0.01, [1])
-    assert np.array_equal(space.normal, [0.0, 0.0, 1.0])
-    assert space.offset == 0.25
-    assert "0.25 m" in space.label
-
-
 def test_each_half_space_binds_its_own_bodies():
     model = compile_xml(
         '<mujoco><worldbody><body pos="0 0 1"><geom size=".1"/></body>'
@@ -139,9 +124,9 @@ def test_each_half_space_binds_its_own_bodies():
     )
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    floor = plane_half_space((0.0, 0.0, 1.0, 0.5), 0.01, [1, 2])
-    box = box_half_spaces((-np.inf, np.inf, -np.inf, np.inf, -np.inf, 4.0), [2])
-    spaces = HalfSpaces(model, (floor, *box))
+    sides = (-np.inf, np.inf, -np.inf, np.inf, -np.inf, 4.0)
+    limits = LimitOptions(keep_out=((0.0, 0.0, 1.0, 0.5),), workspace=sides)
+    spaces = HalfSpaces(model, limits.half_spaces([1, 2], [2]))
     (ball, block) = spaces.heights(data)
     assert np.allclose(ball[1], [0.4, 2.9]) and np.allclose(block[1], [1.2, 1.7])
     assert np.array_equal(spaces.required, [[0.01, -np.inf], [0.01, 0.0]])

@@ -1,6 +1,9 @@
-"""Fourier series, motions through poses, and sweeps: derivatives, ends, and what is refused."""
+"""Kinds of trajectories: derivatives, rest at both ends, the same at half speed and from a file."""
 
 from __future__ import annotations
+
+import csv
+import json
 
 import numpy as np
 import pytest
@@ -15,108 +18,93 @@ from robot_sysid.motion.trajectories import (
     FourierBasis,
     FourierTrajectory,
     LineTrajectory,
+    at_speed,
+    load_trajectory,
+    save_samples,
+    save_trajectory,
 )
-from robot_sysid.trajectory import smooth_step
+from robot_sysid.trajectory import SineTrajectory, smooth_step
 from tests.support.arms import SEEDS
 
-JOINTS = 3
+NAMES = ("base", "elbow", "wrist")
 
 
-@st.composite
-def bases(draw):
-    """Any faded or periodic basis."""
-    duration, harmonics = draw(st.floats(1.0, 60.0)), draw(st.integers(3, 12))
-    if draw(st.booleans()):
-        fade = draw(st.floats(0.05, 0.5)) * duration
-        return FourierBasis(duration, draw(st.floats(0.02, 1.0)), harmonics, fade)
-    return FourierBasis(duration, draw(st.integers(1, 4)) / duration, harmonics, 0.0)
-
-
-def trajectory(basis, seed, size=1.0):
-    """A random trajectory that is at rest at both ends."""
+def sines(seed):
     rng = np.random.default_rng(seed)
-    directions = basis.free_directions()
-    x = size * rng.normal(size=(JOINTS, directions.shape[1]))
-    return FourierTrajectory(basis, rng.normal(size=JOINTS), x @ directions.T)
+    amplitude, frequency, phase = rng.normal(size=(3, 3, 4))
+    return SineTrajectory(rng.normal(size=3), amplitude, np.abs(frequency), phase, 7.3, 1.1)
 
 
-@given(bases(), SEEDS)
-def test_starts_and_ends_at_rest_in_the_rest_configuration(basis, seed):
-    plan = trajectory(basis, seed)
-    ends = plan.evaluate(np.array([0.0, plan.duration]))
-    fastest = 2.0 * np.pi * max(basis.top_frequency_hz, 1.0)
-    assert np.max(np.abs(ends.q - plan.rest)) < 1e-9
-    assert np.max(np.abs(ends.qd)) < 1e-9 * fastest
-    assert np.max(np.abs(ends.qdd)) < 1e-9 * fastest**2
+def fourier(seed):
+    rng = np.random.default_rng(seed)
+    duration, harmonics = rng.uniform(1.0, 60.0), int(rng.integers(3, 12))
+    fade = rng.uniform(0.05, 0.5) * duration
+    basis = FourierBasis(duration, rng.uniform(0.02, 1.0), harmonics, fade)
+    return FourierTrajectory(basis, rng.normal(size=3), rng.normal(size=(3, basis.size)))
 
 
-@given(bases(), SEEDS)
-def test_velocity_and_acceleration_are_the_derivatives(basis, seed):
-    plan = trajectory(basis, seed)
-    step = 1e-4 / max(basis.top_frequency_hz, 1.0 / (basis.fade or basis.duration))
-    time = np.linspace(2.0 * step, plan.duration - 2.0 * step, 50)
-    before, here, after = (plan.evaluate(time + d) for d in (-step, 0.0, step))
-    speed = np.max(np.abs(here.qd)) + 1e-3
-    push = np.max(np.abs(here.qdd)) + 1e-3
-    assert np.max(np.abs((after.q - before.q) / (2 * step) - here.qd)) < 1e-5 * speed
-    assert np.max(np.abs((after.qd - before.qd) / (2 * step) - here.qdd)) < 1e-5 * push
-
-
-def test_a_periodic_trajectory_repeats_without_a_step():
-    plan = trajectory(FourierBasis(5.0, 0.2, 6, 0.0), 0)
-    time = np.linspace(0.0, 5.0, 40)
-    assert np.allclose(plan.evaluate(time).qdd, plan.evaluate(time + 5.0).qdd, atol=1e-9)
-
-
-def test_free_directions_span_all_that_is_at_rest():
-    basis = FourierBasis(5.0, 0.2, 6, 0.0)
-    directions = basis.free_directions()
-    assert directions.shape == (basis.size, basis.size - 3)
-    assert np.allclose(directions.T @ directions, np.eye(basis.size - 3), atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("values", "word"),
-    [
-        ((0.0, 0.1, 5, 0.1), "positive"),
-        ((10.0, float("inf"), 5, 1.0), "positive"),
-        ((10.0, 0.1, 5, 6.0), "twice"),
-        ((10.0, 0.1, 5, float("nan")), "twice"),
-        ((10.0, 0.13, 5, 0.0), "whole number of periods"),
-        ((10.0, 0.1, 2, 0.0), "--harmonics"),
-        ((10.0, 0.1, 0, 1.0), "--harmonics"),
-    ],
-)
-def test_refuses_a_basis_that_cannot_be(values, word):
-    with pytest.raises(InputError, match=word):
-        FourierBasis(*values)
-
-
-def test_refuses_periodic_coefficients_that_do_not_start_at_rest():
-    basis = FourierBasis(10.0, 0.1, 4, 0.0)
-    with pytest.raises(InputError, match="do not start at rest"):
-        FourierTrajectory(basis, np.zeros(2), np.ones((2, basis.size)))
-
-
-def test_refuses_coefficients_of_the_wrong_shape():
-    with pytest.raises(InputError, match="Fourier coefficients has shape"):
-        FourierTrajectory(FourierBasis(10.0, 0.1, 4, 1.0), np.zeros(2), np.zeros((2, 8)))
-
-
-def random_poses(seed):
+def poses(seed):
     rng = np.random.default_rng(seed)
     count = int(rng.integers(2, 7))
     moves, dwells = rng.uniform(0.3, 2.0, count - 1), rng.uniform(0.0, 1.0, count)
     return LineTrajectory(rng.normal(size=(count, 3)), moves, dwells)
 
 
+def sweeps(seed):
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(2, 7))
+    ramps = rng.uniform(0.1, 0.5, count - 1)
+    moves = ramps * rng.uniform(2.0, 6.0, count - 1)
+    return LineTrajectory(rng.normal(size=(count, 3)), moves, np.zeros(count), ramps)
+
+
+KINDS = st.sampled_from((sines, fourier, poses, sweeps))
+
+
+@given(KINDS, SEEDS, st.sampled_from([1.0, 0.37, 1.0 / 3.0]))
+def test_what_holds_of_every_kind(tmp_path_factory, make, seed, speed):
+    """Rest at both ends, derivatives, the same path later, and the same bits from a file."""
+    plan, path = make(seed), tmp_path_factory.mktemp("saved") / "plan.json"
+    slow = at_speed(plan, speed)
+    save_trajectory(path, slow, NAMES, "abc")
+    saved = load_trajectory(path)
+    assert (saved.joint_names, saved.sha256) == (NAMES, "abc")
+    save_trajectory(path.with_name("again.json"), saved.plan, NAMES, "abc")
+    assert path.read_bytes() == path.with_name("again.json").read_bytes()
+
+    assert slow.duration == pytest.approx(plan.duration / speed)
+    time = np.linspace(0.0, plan.duration, 41)
+    full, later, read = plan.evaluate(time), slow.evaluate(time / speed), saved.plan
+    for name, power in (("q", 0), ("qd", 1), ("qdd", 2)):
+        exact = getattr(later, name)
+        np.testing.assert_array_equal(getattr(read.evaluate(time / speed), name), exact)
+        np.testing.assert_allclose(exact, speed**power * getattr(full, name), atol=1e-6)
+
+    ends = plan.evaluate(np.array([0.0, plan.duration]))
+    np.testing.assert_allclose((ends.qd, ends.qdd), 0.0, atol=1e-8)
+    time = np.linspace(0.01, plan.duration - 0.01, 40)
+    ahead, behind, here = (plan.evaluate(time + s) for s in (1e-5, -1e-5, 0.0))
+    error = 1e-4 * (1.0 + np.max(np.abs(here.qdd)))
+    np.testing.assert_allclose((ahead.q - behind.q) / 2e-5, here.qd, atol=error)
+    np.testing.assert_allclose((ahead.qd - behind.qd) / 2e-5, here.qdd, atol=200.0 * error)
+
+
 @given(SEEDS)
-def test_the_arm_rests_in_every_point(seed):
-    plan = random_poses(seed)
+def test_each_pose_is_held_and_each_speed_of_a_sweep(seed):
+    plan = poses(seed)
     for arrival, dwell, point in zip(plan.arrivals, plan.dwells, plan.points):
         motion = plan.evaluate(arrival + np.linspace(0.0, 1.0, 5) * dwell)
         np.testing.assert_allclose(motion.q, np.broadcast_to(point, (5, 3)), atol=1e-9)
         np.testing.assert_allclose(motion.qd, 0.0, atol=1e-9)
+    plan = sweeps(seed)
+    at_ends = plan.evaluate(plan.arrivals)
+    np.testing.assert_allclose(at_ends.q, plan.points, atol=1e-12)
+    np.testing.assert_allclose(at_ends.qd, 0.0, atol=1e-12)
+    middle = plan.evaluate(plan.arrivals[:-1] + 0.5 * plan.moves)
+    np.testing.assert_allclose(middle.qd, plan.speeds, atol=1e-12)
+    along = plan.evaluate(np.linspace(0.0, plan.duration, 2000))
+    most = np.max(PEAK_OF_RAMP * np.abs(plan.speeds) / plan.ramps[:, None], axis=0)
+    assert np.all(np.max(np.abs(along.qdd), axis=0) <= most * (1.0 + 1e-12))
 
 
 def test_peaks_of_the_step():
@@ -125,46 +113,122 @@ def test_peaks_of_the_step():
     assert np.max(np.abs(acceleration)) == pytest.approx(PEAK_ACCELERATION, rel=1e-4)
 
 
-def test_a_move_takes_time():
-    with pytest.raises(InputError, match="take time"):
-        LineTrajectory(np.zeros((1, 2)), np.zeros(0), np.ones(1))
-    with pytest.raises(InputError, match="take time"):
-        LineTrajectory(np.zeros((2, 1)), np.zeros(1), np.zeros(2))
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: FourierBasis(0.0, 0.1, 5, 0.1), "positive"),
+        (lambda: FourierBasis(10.0, float("inf"), 5, 1.0), "positive"),
+        (lambda: FourierBasis(10.0, 0.1, 5, 6.0), "twice"),
+        (
+            lambda: FourierTrajectory(FourierBasis(9.0, 0.1, 4, 1.0), np.zeros(2), np.ones((2, 8))),
+            "Fourier coefficients has shape",
+        ),
+        (lambda: LineTrajectory(np.zeros((1, 2)), np.zeros(0), np.ones(1)), "take time"),
+        (lambda: LineTrajectory(np.zeros((2, 1)), np.zeros(1), np.zeros(2)), "take time"),
+        *(
+            (lambda r=r: LineTrajectory(np.zeros((2, 1)), np.ones(1), np.zeros(2), [r]), "ramps f")
+            for r in (0.0, 0.6)
+        ),
+        (lambda: at_speed(sines(0), 0.0), "--speed must be above 0 and at most 1"),
+        (lambda: at_speed(sines(0), 1.2), "--speed must be above 0 and at most 1"),
+        (lambda: at_speed(sines(0), float("nan")), "--speed must be above 0 and at most 1"),
+    ],
+)
+def test_refuses_what_cannot_be(make, words):
+    with pytest.raises(InputError, match=words):
+        make()
 
 
-def random_sweeps(seed):
-    rng = np.random.default_rng(seed)
-    count = int(rng.integers(2, 7))
-    ramps = rng.uniform(0.1, 0.5, count - 1)
-    moves = ramps * rng.uniform(2.0, 6.0, count - 1)
-    return LineTrajectory(rng.normal(size=(count, 3)), moves, np.zeros(count), ramps)
+EARLIER = {
+    "format": "robot-sysid trajectory",
+    "version": 1,
+    "joints": list(NAMES),
+    "kind": "sines",
+    "duration": 5.0,
+    "fade": 1.0,
+    "center": [0.0, 0.0, 0.0],
+    "amplitude": [[0.1]] * 3,
+    "frequency_hz": [[0.1]] * 3,
+    "phase": [[0.0]] * 3,
+}
 
 
-@pytest.mark.parametrize(("make", "error"), [(random_poses, 2e-5), (random_sweeps, 2e-4)])
-@given(seed=SEEDS)
-def test_derivatives_of_lines_are_those_of_the_positions(make, error, seed):
-    plan = make(seed)
-    time, step = np.linspace(0.01, plan.duration - 0.01, 40), 1e-5
-    ahead, behind, here = (plan.evaluate(time + s) for s in (step, -step, 0.0))
-    np.testing.assert_allclose((ahead.q - behind.q) / (2 * step), here.qd, atol=error)
-    np.testing.assert_allclose((ahead.qd - behind.qd) / (2 * step), here.qdd, atol=100.0 * error)
+def changed(**changes):
+    """Text of a saved trajectory with some entries changed; None removes one."""
+    content = {**EARLIER, **changes}
+    return json.dumps({key: value for key, value in content.items() if value is not None})
 
 
-@given(SEEDS)
-def test_each_point_is_reached_at_rest_and_each_speed_held(seed):
-    plan = random_sweeps(seed)
-    ends = np.concatenate(([0.0], np.cumsum(plan.moves)))
-    at_ends = plan.evaluate(ends)
-    np.testing.assert_allclose(at_ends.q, plan.points, atol=1e-12)
-    np.testing.assert_allclose(at_ends.qd, 0.0, atol=1e-12)
-    middle = plan.evaluate(ends[:-1] + 0.5 * plan.moves)
-    np.testing.assert_allclose(middle.qd, plan.speeds, atol=1e-12)
-    along = plan.evaluate(np.linspace(0.0, plan.duration, 2000))
-    most = np.max(PEAK_OF_RAMP * np.abs(plan.speeds) / plan.ramps[:, None], axis=0)
-    assert np.all(np.max(np.abs(along.qdd), axis=0) <= most * (1.0 + 1e-12))
+def test_files_of_earlier_versions_are_read(tmp_path):
+    """Slowed in the file, with the marks of an editor; or a series that ends at rest by itself."""
+    path = tmp_path / "plan.json"
+    path.write_bytes(b"\xef\xbb\xbf" + changed(speed=0.5).replace(", ", ",\r\n").encode())
+    plan = load_trajectory(path).plan
+    assert plan.duration == 10.0
+    rising = 0.1 * np.sin(2.0 * np.pi * 0.05 * 4.0)
+    np.testing.assert_allclose(plan.evaluate(np.array([4.0])).q, rising)
+    # Speed: a_1 + 2 a_2 = 0; acceleration: b_1 + 4 b_2 = 0.
+    wave = [[-0.05, 2.0, -1.0, 0.0, 0.08, -0.02, 0.0]] * 3
+    series = {"kind": "fourier", "fade": 0.0, "base_frequency_hz": 0.2, "harmonics": 3}
+    path.write_text(changed(**series, rest=[0.0] * 3, coefficients=wave))
+    plan = load_trajectory(path).plan
+    phase = 2.0 * np.pi * 0.2 * 1.3
+    by_hand = 2.0 * np.sin(phase) - np.sin(2.0 * phase) - 0.05
+    by_hand += 0.08 * np.cos(phase) - 0.02 * np.cos(2.0 * phase)
+    np.testing.assert_allclose(plan.evaluate(np.array([1.3])).q, by_hand)
+    wave[0][1] = 2.1
+    path.write_text(changed(**series, rest=[0.0] * 3, coefficients=wave))
+    with pytest.raises(InputError, match="does not start and end at rest"):
+        load_trajectory(path)
 
 
-@pytest.mark.parametrize("ramps", [[0.0], [0.6], [-0.1]])
-def test_ramps_that_do_not_fit_are_refused(ramps):
-    with pytest.raises(InputError, match="ramps fit into it twice"):
-        LineTrajectory(np.array([[0.0], [1.0]]), np.array([1.0]), np.zeros(2), np.array(ramps))
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("time,q1\n0,0\n", "takes the .json file"),
+        ("[1, 2]", "not a trajectory of this program"),
+        (changed(version=9), "has version 9 of the format"),
+        (changed(kind="splines"), "unknown kind of trajectory 'splines'; valid: sines, fourier"),
+        (changed(phase=None), "lacks the entry 'phase'"),
+        (changed(phase=[[0.0]]), "phase has shape"),
+        (changed(center=["x", 0, 0]), "not a usable trajectory"),
+        (changed(fade=9.0), "does not fit twice"),
+        (changed(speed=3.0), "--speed must be above 0"),
+        (changed(joints=["base", "elbow"]), "a trajectory of 3 joints names 2: base, elbow"),
+        (changed(center=[0.0, float("nan"), 0.0]), "center"),
+        ("[" * 100_000, "is not JSON"),
+        (changed(duration=float("inf")), "finite"),
+        (changed(duration=10**400), "finite"),
+        (changed(kind=["sines"]), "not a usable trajectory"),
+        (None, "cannot read .*plan.json"),
+    ],
+)
+def test_refuses_in_one_line(tmp_path, text, words):
+    path = tmp_path / "plan.json"
+    if text is not None:
+        path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=words) as caught:
+        load_trajectory(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_samples_are_the_motion_to_the_last_bit(tmp_path):
+    plan = sines(1)
+    save_samples(tmp_path / "plan.csv", plan, NAMES, 100.0)
+    with open(tmp_path / "plan.csv", encoding="utf-8", newline="") as file:
+        titles, *rows = csv.reader(file)
+    motion = plan.evaluate(np.arange(731) / 100.0)
+    table = np.hstack((motion.time[:, None], motion.q, motion.qd, motion.qdd))
+    assert titles[:4] == ["time", "q_base", "q_elbow", "q_wrist"]
+    assert titles[-1] == "qdd_wrist"
+    assert np.array_equal(np.array(rows, dtype=float), table)
+
+
+def test_an_arm_with_other_joints_is_refused(tmp_path):
+    save_trajectory(tmp_path / "plan.json", sines(0), NAMES)
+    saved = load_trajectory(tmp_path / "plan.json")
+    saved.require_fits(NAMES)
+    for others in (("elbow", "base", "wrist"), NAMES[:2], (*NAMES, "hand")):
+        with pytest.raises(InputError, match="made for the 3 joints base, elbow, wrist") as caught:
+            saved.require_fits(others)
+        assert f"this arm has the {len(others)} joints {', '.join(others)}" in str(caught.value)

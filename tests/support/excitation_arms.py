@@ -35,11 +35,10 @@ TUBES_ON_FLOOR = tube_arm((Z, Y, X, Y), FLOOR)
 TOUCHING_AT_REST = tube_arm((Z, Y, X, Y), POST, joint='range="-2.5 2.5"', pos="0 0 .25").replace(
     _TUBE, '<geom type="capsule" size=".03" fromto="0 0 -.1 0 0 .3"/>'
 )
-SLIDING = arms.SLIDE_IN_CHAIN
 
 DURATION = 6.0
-SMALL = {"harmonics": 4, "draws": 6, "starts": 1, "rounds": 1, "iterations": 8, "workers": 1}
-TOP_FREQUENCY_HZ = ExcitationOptions(harmonics=4).basis(DURATION).top_frequency_hz
+SMALL = {"draws": 6, "starts": 1, "rounds": 1, "iterations": 8, "workers": 1}
+TOP_FREQUENCY_HZ = ExcitationOptions().basis(DURATION).top_frequency_hz
 
 
 @cache
@@ -70,7 +69,7 @@ def design(xml, torques="chain", duration=DURATION, **changes):
 
 def random_x(some_design, seed, size=0.3):
     """Random free coefficients (n, M) of a design."""
-    shape = (some_design.problem.n_joints, some_design.n_free)
+    shape = (some_design.problem.n_joints, some_design.basis.size)
     return size * np.random.default_rng(seed).normal(size=shape)
 
 

@@ -1,6 +1,6 @@
 """What the optimiser minimises, and one round of it: minimise, update multipliers, check or repair.
 
-The objective is a criterion of the information plus an augmented Lagrangian of the constraints.
+The objective is -ln det of the information plus an augmented Lagrangian of the constraints.
 For constraints g <= 0 with multipliers l and weight m the penalty is
 sum (max(0, l + m g)^2 - l^2) / 2 m; between minimisations l becomes max(0, l + m g)
 (Nocedal, Wright, "Numerical Optimization", 2006, section 17.4). It leads to a feasible optimum
@@ -15,6 +15,7 @@ over a limit is taken off by shrinking the whole motion towards rest.
 from __future__ import annotations
 
 import contextlib
+import time
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Callable, NamedTuple
@@ -22,39 +23,60 @@ from typing import Callable, NamedTuple
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.motion.design.workers import is_over
-from robot_sysid.motion.information import CRITERIA, Criterion, Gradient
+from robot_sysid.motion.information import (
+    Gradient,
+    arm_criterion,
+    d_criterion,
+    predicted_information,
+    visible_coordinates,
+)
 from robot_sysid.motion.limit_check import excess_times, keeps_limits
 from robot_sysid.motion.options import ExcitationOptions
-from robot_sysid.motion.prediction import arm_criterion, predicted_information, visible_coordinates
 from robot_sysid.motion.problem import LIMIT_NAMES, OBSTACLE_LENGTH, ExcitationProblem
 from robot_sysid.motion.trajectories import FourierBasis, FourierTrajectory
 from robot_sysid.records import Array, Motion
 from robot_sysid.trajectory import Series, TrajectoryOptions
 
-FIRST_WEIGHT = 1.0
-WEIGHT_GROWTH = 1.5
-PLAIN_ROUNDS = 2
-"""Rounds before the weight begins to grow: the multipliers should do the work."""
+FIRST_WEIGHT, WEIGHT_GROWTH, PLAIN_ROUNDS = 1.0, 1.5, 2
+"""Weight of the penalty, its growth per round, and the rounds before it begins to grow.
+
+The multipliers should do the work: the weight only grows where they converge slowly.
+"""
 MEMORY = 20
-"""Gradient pairs L-BFGS keeps."""
+"""Gradient pairs L-BFGS keeps: the upper end of what Nocedal, Wright, section 7.2, recommend."""
 MOST_EXTRA_TIMES = 60
+"""Times beside the grid: a quarter of the usual grid, so that a round stays as dear as it is."""
 _TORQUE_STEP = 1e-6
+"""Step of differences [rad, s]: about the root of the torques' rounding."""
 REPAIRS = (1.0, 0.999, 0.998, 0.996, 0.992, 0.985, 0.97, 0.94, 0.9, 0.8, 0.6, 0.4, 0.2, 0.1)
 """Factors tried until a motion keeps all limits."""
 GRID_PER_CYCLE = 25
 """Grid points per period of the highest frequency; see docs/excitation.md for why."""
 FEWEST_GRID_POINTS = 60
 LIMIT_SHARE = 0.99
-"""Share of the limits the search uses; the rest covers peaks between grid points."""
+"""Share of the limits the search uses; the rest covers peaks between grid points.
+
+A peak between two of 25 points per period is cos(pi / 25) = 0.992 of itself at the nearer one.
+"""
 EXTRA_SLACK = 0.003
-"""Distance the search keeps beside the required one [m]."""
+"""Distance the search keeps beside the required one [m]: what 0.1 s of it misses at 3 cm/s."""
 SMOOTHING_SHARE = 0.03
-"""Share of the speed limit below which the search rounds off Coulomb friction's jump."""
+"""Share of the speed limit below which the search rounds off Coulomb friction's jump.
+
+With it no deviation is off by more than 3 % (``test_the_grid_is_fine_enough_for_the_band``).
+"""
 MOST_MEMORY, COPIES = 2e9, 3
 """Most memory that a search may take [bytes], and how often each process holds its functions."""
 _WORST = 1e6
 """Stands for an infinite criterion: the optimiser needs a number."""
+
+clock = time.monotonic
+"""Gives the time [s], of the machine, so that a deadline can be told to other processes too."""
+
+
+def is_over(deadline: float) -> bool:
+    """Tell whether a deadline on the ``clock`` [s] has passed."""
+    return clock() > deadline
 
 
 @dataclass(frozen=True)
@@ -90,15 +112,15 @@ class Candidate:
         return {name: float(value) for name, value in found}
 
 
-def first_candidate(design: Design, x: Array) -> Candidate:
-    """Return a candidate at free coefficients x (n, M), checked against all limits."""
-    return _checked(design, unchecked_candidate(design, x))
-
-
-def unchecked_candidate(design: Design, x: Array) -> Candidate:
+def candidate_at(design: Design, x: Array) -> Candidate:
     """Return a candidate at free coefficients x (n, M) of which nothing is known yet."""
     none = np.zeros((len(design.grid), 4 * design.problem.n_joints + 2))
     return Candidate(x, none, np.zeros(0))
+
+
+def first_candidate(design: Design, x: Array) -> Candidate:
+    """Return a candidate at free coefficients x (n, M), checked against all limits."""
+    return _checked(design, candidate_at(design, x))
 
 
 def improve(design: Design, candidate: Candidate, deadline: float = np.inf) -> Candidate:
@@ -164,10 +186,9 @@ class Design:
     Attributes:
         for_arm: whether the motion is for all links, rotors and friction, not the last link alone.
         unit: (M,) of each free coefficient in the optimiser's eyes [rad].
-        memory: about how much a search will hold, in all its processes [bytes].
 
     Raises:
-        InputError: it is more than any search may hold.
+        InputError: it takes more memory than any search may hold, or more samples than there are.
     """
 
     def __init__(
@@ -180,43 +201,41 @@ class Design:
         self.problem, self.options, self.sample_rate = problem, options, motion.sample_rate
         self.for_arm = for_arm
         self.basis: FourierBasis = options.basis(motion.duration)
-        _require_sampled(self.basis, motion.sample_rate)
-        wanted = GRID_PER_CYCLE * self.basis.top_frequency_hz * self.basis.duration
-        points = max(FEWEST_GRID_POINTS, int(np.ceil(wanted)))
-        self.memory = _memory(self.basis, points, options.n_workers)
-        self.directions = self.basis.free_directions()
-        # All harmonics are alike as speeds, so L-BFGS needs fewer steps; the directions of a
-        # periodic trajectory are mixtures of harmonics.
-        alike = np.concatenate(([1.0], np.tile(1.0 / self.basis.order, 2)))
-        self.unit = alike if self.basis.fade > 0.0 else np.ones(self.n_free)
+        top = self.basis.top_frequency_hz
+        if top > 0.5 * motion.sample_rate:
+            raise InputError(
+                f"--sample-rate {motion.sample_rate:g} cannot show the motion's highest frequency, "
+                f"{top:.4g} Hz; give at least {2.0 * top:.4g}"
+            )
+        points = int(np.ceil(GRID_PER_CYCLE * top * self.basis.duration))
+        points = max(FEWEST_GRID_POINTS, points)
+        # The basis functions, and two derivatives.
+        held = options.n_workers * COPIES * 3.0 * 8.0 * points * self.basis.size
+        if held > MOST_MEMORY:
+            raise InputError(
+                f"designing {motion.duration:g} s would take about {held / 1e9:.2g} GB of memory, "
+                f"the most is {MOST_MEMORY / 1e9:g} GB; make the motion shorter and repeat it"
+            )
+        # All harmonics are alike as speeds, so L-BFGS needs fewer steps.
+        self.harmonic = np.tile(np.arange(1.0, self.basis.harmonics + 1.0), 2)
+        self.unit = np.concatenate(([1.0], 1.0 / self.harmonic))
         self.grid = (np.arange(points) + 0.5) * self.basis.duration / points
-        self.criterion: Criterion = CRITERIA[options.criterion]
         self.coordinates = visible_coordinates(problem)
         sigma = problem.sigma / np.sqrt(motion.duration * motion.sample_rate / points)
         self.information = predicted_information(problem, sigma, self.coordinates, SMOOTHING_SHARE)
 
-    @property
-    def n_free(self) -> int:
-        """Number of free coefficients per joint."""
-        return self.directions.shape[1]
-
     def trajectory(self, x: Array) -> FourierTrajectory:
         """Return the trajectory of the free coefficients x (n, M)."""
-        return FourierTrajectory(self.basis, self.problem.rest, x @ self.directions.T)
+        return FourierTrajectory(self.basis, self.problem.rest, x)
 
     @cached_property
     def on_grid(self) -> Series:
         """The functions on the grid: most of what a search holds in memory."""
-        b, db, ddb = self.basis.evaluate(self.grid)
-        return b @ self.directions, db @ self.directions, ddb @ self.directions
+        return self.basis.evaluate(self.grid)
 
     def functions(self, extra: Array) -> Series:
-        """Return the basis of the free coefficients, and its derivatives (N + E, M).
-
-        On the grid, and at further times (E,) [s].
-        """
-        more = (values @ self.directions for values in self.basis.evaluate(extra))
-        b, db, ddb = (np.vstack(both) for both in zip(self.on_grid, more))
+        """Return the basis and its derivatives (N + E, M) on the grid and at times (E,) [s]."""
+        b, db, ddb = map(np.vstack, zip(self.on_grid, self.basis.evaluate(extra)))
         return b, db, ddb
 
     def motion(self, x: Array, functions: Series | None = None) -> Series:
@@ -228,7 +247,7 @@ class Design:
         """Return the criterion of free coefficients x (n, M) alone."""
         if self.for_arm:
             return arm_criterion(self.problem, self.trajectory(x))
-        return self.criterion(self.information.evaluate(*self.motion(x)).information)[0]
+        return d_criterion(self.information.evaluate(*self.motion(x)).information)[0]
 
 
 class Constraints(NamedTuple):
@@ -315,7 +334,7 @@ def penalised(
     multipliers, weight, count = candidate.multipliers, candidate.weight, len(design.grid)
     motion = design.motion(x, functions)
     told = design.information.evaluate(*(part[:count] for part in motion))
-    criterion, slope = design.criterion(told.information)
+    criterion, slope = d_criterion(told.information)
     constraints = constraints_of(design.problem, motion, LIMIT_SHARE, EXTRA_SLACK)
     active = np.maximum(0.0, multipliers + weight * constraints.value)
     penalty = float(np.sum(active**2 - multipliers**2)) / (2.0 * weight)
@@ -324,26 +343,3 @@ def penalised(
         adjoint[:count] += part
     gradient = sum(a.T @ f for a, f in zip(adjoints, functions))
     return min(criterion, _WORST) + penalty, np.asarray(gradient), active
-
-
-def _require_sampled(basis: FourierBasis, rate: float) -> None:
-    """Raise InputError where samples [Hz] cannot show the highest harmonic."""
-    if basis.top_frequency_hz > 0.5 * rate:
-        raise InputError(
-            f"--base-frequency {basis.base_frequency_hz:g}: harmonic {basis.harmonics} of it is at "
-            f"{basis.top_frequency_hz:.4g} Hz, above half the --sample-rate of {rate:g} Hz, "
-            "which samples cannot show; lower it, or leave it off"
-        )
-
-
-def _memory(basis: FourierBasis, points: int, processes: int) -> float:
-    """Return about how much a search will hold [bytes]: basis functions, three times each."""
-    held = processes * COPIES * 3.0 * 8.0 * points * basis.size
-    if held > MOST_MEMORY:
-        fewer = int(basis.harmonics * np.sqrt(MOST_MEMORY / held))
-        raise InputError(
-            f"designing {basis.harmonics} harmonics over {basis.duration:g} s would take about "
-            f"{held / 1e9:.2g} GB of memory, the most is {MOST_MEMORY / 1e9:g} GB; lower "
-            f"--harmonics to {fewer}, or make the motion shorter and repeat it"
-        )
-    return held

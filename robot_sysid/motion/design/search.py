@@ -6,31 +6,40 @@ the same trajectory on a fast and on a slow machine, with one worker or with sev
 budget only cuts the search short, which the result then says.
 
 For a whole arm the best of the random feasible trajectories is taken, by
-``prediction.arm_criterion``.
+``information.arm_criterion``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import contextlib
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
+from typing import Any, Callable
 
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.motion.design import workers
+from robot_sysid.interrupts import held_back
+from robot_sysid.motion.design import optimise
 from robot_sysid.motion.design.optimise import (
     GRID_PER_CYCLE,
     REPAIRS,
     Candidate,
     Design,
+    candidate_at,
     constraints_of,
     first_candidate,
     improve,
-    unchecked_candidate,
+    is_over,
 )
-from robot_sysid.motion.design.workers import WorkerPool
 from robot_sysid.motion.limit_check import (
     EXACT_UP_TO,
     LimitCheck,
@@ -46,15 +55,12 @@ from robot_sysid.records.progress import Progress
 DRAWS_PER_JOB = 5
 """An interruption loses no more of them than one job holds."""
 CHECK_COST, EXACT_COST = 1.0 / 40.0, 1.0 / 9.0
-"""Time that is left for the last check, per time of motion that it looks at; exactly, if short."""
+"""Time that is left for the last check, per time of motion that it looks at; exactly, if short.
+
+Measured with a seven-joint arm (docs/excitation.md).
+"""
 RAISED, NEARER, WORTH_TELLING = 0.1, 0.005, 0.005
 """Change of a limit [share], of clearances [m], by which its worth is told; the least that is."""
-OBJECTIVES = {
-    "A": "root of summed variances",
-    "D": "mean standard deviation",
-    "cond": "condition number",
-}
-"""Criterion to what exp of its value is; deviations relative to m, m L and m L^2."""
 _CUT: Mapping[str, tuple[str, ...]] = {
     "": (),
     "interrupted": (
@@ -70,6 +76,7 @@ SHRINK = (1.0, 0.8, 0.6, 0.4, 0.2, 0.1, 0.04, 0.01, 0.003, 0.001)
 """Factors tried until a drawn motion obeys torque limits and touches nothing."""
 FULL = 0.99 * np.cos(np.pi / GRID_PER_CYCLE)
 """Share of the limits of motion that a draw uses: as much may be seen of a peak between points."""
+_THREAD_COUNTS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @dataclass(frozen=True)
@@ -98,7 +105,7 @@ class ExcitationResult:
 
 def check_time(design: Design) -> float:
     """Return about how long the check of the limits of what is found takes [s]."""
-    still = np.zeros((design.problem.n_joints, design.n_free))
+    still = np.zeros((design.problem.n_joints, design.basis.size))
     looked_at = checked_time(design.trajectory(still))
     return max(CHECK_COST * looked_at, EXACT_COST * min(EXACT_UP_TO, looked_at))
 
@@ -115,150 +122,117 @@ def design_excitation(
         InputError: no drawn trajectory obeys all limits; names the one that is in the way.
         KeyboardInterrupt: interrupted before there was any trajectory.
     """
-    search = _Search(design, int(rng.integers(2**62)), progress or Progress())
+    draws, candidates, interruption = list[Draw](), list[Candidate](), None
     try:
-        search.run()
-    except KeyboardInterrupt:
-        search.stopped = "interrupted"
-        search.settle_for_a_draw()
-        if search.best is None:
-            raise
-    return search.result()
+        seed = int(rng.integers(2**62))
+        stopped = _search(design, seed, draws, candidates, progress or Progress())
+    except KeyboardInterrupt as error:
+        stopped, interruption = "interrupted", error
+    best, check = _best(candidates), None
+    if best is None:
+        best, check = _settled(design, draws)
+    if best is None or best.feasible_x is None:
+        raise interruption or InputError(_why_none(draws, design))
+    trajectory = design.trajectory(best.feasible_x)
+    return ExcitationResult(
+        trajectory=trajectory,
+        objective=float(np.exp(best.feasible_score)),
+        start_objective=float(np.exp(min(draw.score for draw in draws))),
+        limit_check=check or check_limits(design.problem, trajectory, design.sample_rate),
+        n_feasible=len(_feasible(draws)),
+        n_drawn=len(draws),
+        prices=best.prices,
+        stopped=stopped,
+        notes=design.problem.notes + _price_note(best.prices) + _CUT[stopped],
+    )
 
 
-class _Search:
-    """One search; what it has found so far survives an interruption."""
+def _search(
+    design: Design, seed: int, draws: list[Draw], candidates: list[Candidate], progress: Progress
+) -> str:
+    """Draw, choose, improve; fill the lists, and return what cut the search, or ""."""
+    options = design.options
+    budget, rounds = options.time_budget, 0 if design.for_arm else options.rounds
+    deadline = optimise.clock() + budget - min(0.5 * budget, check_time(design))
+    drawn = range(options.draws)
+    numbers = [drawn[k : k + DRAWS_PER_JOB] for k in drawn[::DRAWS_PER_JOB]]
+    done, jobs = 0, len(numbers) + rounds * options.n_starts
 
-    def __init__(self, design: Design, seed: int, progress: Progress) -> None:
-        self._design, self._seed, self._progress = design, seed, progress
-        self._rounds = 0 if design.for_arm else design.options.rounds
-        budget = design.options.time_budget
-        self._deadline = workers.clock() + budget - min(0.5 * budget, check_time(design))
-        self._check: LimitCheck | None = None
-        self._draws: list[Draw] = []
-        self._candidates: list[Candidate] = []
-        self._done, self.stopped = 0, ""
+    def tell() -> None:
+        best = _best(candidates)
+        score = best.feasible_score if best else min(draw.score for draw in draws)
+        text = f"mean standard deviation {float(np.exp(score)):.3g}"
+        progress.advance("Designing the trajectory", done, jobs, text)
 
-    @property
-    def best(self) -> Candidate | None:
-        """The best candidate that obeys everything; of equally good ones the first."""
-        fit = [c for c in self._candidates if c.feasible_x is not None]
-        return min(fit, key=lambda c: c.feasible_score) if fit else None
-
-    def run(self) -> None:
-        """Draw, choose, improve; stop early where time is up."""
-        draw = partial(draw_trajectories, seed=self._seed, deadline=self._deadline)
-        with WorkerPool(self._design, self._design.options.n_workers) as pool:
-            for draws in pool.run([partial(draw, numbers=some) for some in self._numbers]):
-                self._draws += draws
-                self._tell(1)
-                if self._is_late() and self._feasible():
-                    break
-            self._check_starts(pool)
-            for _ in range(self._rounds):
-                if self._is_late():
-                    return
-                job = partial(improve, deadline=self._deadline)
-                jobs = [partial(job, candidate=c) for c in self._candidates]
-                for k, candidate in enumerate(pool.run(jobs)):
-                    self._candidates[k] = candidate
-                    self._tell(1)
-
-    @property
-    def _numbers(self) -> list[range]:
-        drawn = range(self._design.options.draws)
-        return [drawn[k : k + DRAWS_PER_JOB] for k in drawn[::DRAWS_PER_JOB]]
-
-    def settle_for_a_draw(self) -> None:
-        """Take the best draw that keeps all limits, where nothing better was found in time."""
-        draws = self._feasible() if self.best is None else []
-        for draw, factor in product(draws, REPAIRS):
-            found = unchecked_candidate(self._design, factor * draw.x)
-            trajectory = self._design.trajectory(found.x)
-            if breaks_limits_at_few(self._design.problem, trajectory):
-                continue
-            check = self._check_of(found.x)
-            if check.holds:
-                score = self._design.criterion_of(found.x)
-                self._candidates = [replace(found, feasible_x=found.x, feasible_score=score)]
-                self._check = check
-                return
-
-    def _check_of(self, x: Array) -> LimitCheck:
-        design = self._design
-        return check_limits(design.problem, design.trajectory(x), design.sample_rate)
-
-    def _is_late(self) -> bool:
-        if is_late := workers.is_over(self._deadline):
-            self.stopped = "time budget"
-        return is_late
-
-    def _feasible(self) -> list[Draw]:
-        """Return the feasible draws, best first."""
-        return sorted((d for d in self._draws if np.isfinite(d.score)), key=lambda d: d.score)
-
-    def _check_starts(self, pool: WorkerPool) -> None:
-        """Take the best draws as starts; without a feasible one there is no search."""
-        feasible = self._feasible()
-        if not feasible:
-            raise InputError(_why_none(self._draws, self._design))
-        if self._is_late():
-            self.settle_for_a_draw()
-            return
-        starts = feasible[: self._design.options.n_starts]
-        for candidate in pool.run([partial(first_candidate, x=draw.x) for draw in starts]):
-            self._candidates.append(candidate)
-            self._tell(0)
-
-    def _tell(self, done: int) -> None:
-        self._done += done
-        options = self._design.options
-        jobs = len(self._numbers) + self._rounds * options.n_starts
-        score = self.best.feasible_score if self.best else _smallest_score(self._draws)
-        name = OBJECTIVES["D" if self._design.for_arm else options.criterion]
-        text = f"{name} {float(np.exp(score)):.3g}"
-        self._progress.advance("Designing the trajectory", self._done, jobs, text)
-
-    def result(self) -> ExcitationResult:
-        """Return the best trajectory with the check of its limits."""
-        best = self.best
-        if best is None or best.feasible_x is None:
-            raise InputError(_why_none(self._draws, self._design))
-        return ExcitationResult(
-            trajectory=self._design.trajectory(best.feasible_x),
-            objective=float(np.exp(best.feasible_score)),
-            start_objective=float(np.exp(_smallest_score(self._draws))),
-            limit_check=self._check or self._check_of(best.feasible_x),
-            n_feasible=len(self._feasible()),
-            n_drawn=len(self._draws),
-            prices=best.prices,
-            stopped=self.stopped,
-            notes=self._design.problem.notes + _price_note(best.prices) + _CUT[self.stopped],
-        )
+    with _workers(design, options.n_workers) as run:
+        for some in run(partial(_draw_some, seed=seed, deadline=deadline), numbers):
+            draws += some
+            done += 1
+            tell()
+            if is_over(deadline) and _feasible(draws):
+                return "time budget"
+        starts = _feasible(draws)[: options.n_starts]
+        for candidate in run(_started, starts):
+            candidates.append(candidate)
+            tell()
+        for _ in range(rounds if candidates else 0):
+            if is_over(deadline):
+                return "time budget"
+            improved = run(partial(improve, deadline=deadline), list(candidates))
+            for k, candidate in enumerate(improved):
+                candidates[k] = candidate
+                done += 1
+                tell()
+    return ""
 
 
-def _smallest_score(draws: list[Draw]) -> float:
-    return min((draw.score for draw in draws), default=np.inf)
+def _best(candidates: Sequence[Candidate]) -> Candidate | None:
+    """Return the best candidate that obeys everything; of equally good ones the first."""
+    fit = [c for c in candidates if c.feasible_x is not None]
+    return min(fit, key=lambda c: c.feasible_score) if fit else None
+
+
+def _feasible(draws: Sequence[Draw]) -> list[Draw]:
+    """Return the feasible draws, best first."""
+    return sorted((d for d in draws if np.isfinite(d.score)), key=lambda d: d.score)
+
+
+def _settled(
+    design: Design, draws: Sequence[Draw]
+) -> tuple[Candidate, LimitCheck] | tuple[None, None]:
+    """Return the best draw that keeps all limits, where nothing better was found in time."""
+    for draw, factor in product(_feasible(draws), REPAIRS):
+        x = factor * draw.x
+        if breaks_limits_at_few(design.problem, design.trajectory(x)):
+            continue
+        check = check_limits(design.problem, design.trajectory(x), design.sample_rate)
+        if check.holds:
+            found = candidate_at(design, x)
+            return replace(found, feasible_x=x, feasible_score=design.criterion_of(x)), check
+    return None, None
 
 
 def _price_note(prices: Mapping[str, float]) -> tuple[str, ...]:
     """Say which limits keep the motion from telling more, and by how much."""
-    raised = {name: 1.0 - np.exp(-RAISED * price) for name, price in prices.items()}
-    nearer = 1.0 - np.exp(-NEARER / OBSTACLE_LENGTH * prices["clearance"])
-    parts = [
-        f"{name} ({100.0 * RAISED:.0f} % more: {100.0 * gain:.2g} %)"
-        for name, gain in sorted(raised.items(), key=lambda entry: -entry[1])
-        if gain > WORTH_TELLING and name != "clearance"
+    more, less = f"{100.0 * RAISED:.0f} % more", f"{1e3 * NEARER:.0f} mm less"
+    gains = [
+        (1.0 - np.exp(-price * RAISED), f"{name} ({more}")
+        for name, price in sorted(prices.items(), key=lambda entry: -entry[1])
+        if name != "clearance"
     ]
-    if nearer > WORTH_TELLING:
-        parts.append(f"clearance ({1e3 * NEARER:.0f} mm less: {100.0 * nearer:.2g} %)")
-    if not parts:
-        return ()
-    listed = "; ".join(parts)
-    return (f"limits that keep the errors from being smaller, and by about how much: {listed}",)
+    nearer = 1.0 - np.exp(-prices["clearance"] * NEARER / OBSTACLE_LENGTH)
+    parts = [
+        f"{what}: {100.0 * gain:.2g} %)"
+        for gain, what in (*gains, (nearer, f"clearance ({less}"))
+        if gain > WORTH_TELLING
+    ]
+    listed = (
+        f"limits that keep the errors from being smaller, and by about how much: {'; '.join(parts)}"
+    )
+    return (listed,) if parts else ()
 
 
-def _why_none(draws: list[Draw], design: Design) -> str:
+def _why_none(draws: Sequence[Draw], design: Design) -> str:
     """Say which limit is in the way of all drawn trajectories."""
     reasons = [draw.obstacle for draw in draws if draw.obstacle]
     if not reasons:
@@ -302,30 +276,36 @@ def draw_trajectories(
     for number in numbers:
         full = _within_motion_limits(design, np.random.default_rng([seed, number]))
         draws.append(_shrunk(design, full))
-        if workers.is_over(deadline) and np.isfinite(draws[-1].score):
+        if is_over(deadline) and np.isfinite(draws[-1].score):
             break
     return draws
+
+
+def _draw_some(design: Design, numbers: range, seed: int, deadline: float) -> list[Draw]:
+    return draw_trajectories(design, seed, numbers, deadline)
+
+
+def _started(design: Design, draw: Draw) -> Candidate:
+    return first_candidate(design, draw.x)
 
 
 def _within_motion_limits(design: Design, rng: np.random.Generator) -> Array:
     """Return a random motion, each joint as large as position, speed and acceleration allow.
 
-    A faded trajectory moves each joint to a random middle and back, besides; the offset of a
-    periodic one follows from the rest. Of harmonics the speeds, not the angles, are alike.
+    It moves each joint to a random middle and back, besides. Of harmonics the speeds, not the
+    angles, are alike.
     """
     limits, rest = design.problem.limits, design.problem.rest
-    offset = np.zeros((len(rest), design.n_free))
+    size = (len(rest), design.basis.size)
+    offset = np.zeros(size)
     middle = rng.uniform(0.2, 0.8, size=len(rest))
-    if design.basis.fade > 0.0:
-        offset[:, 0] = limits.lower + middle * (limits.upper - limits.lower) - rest
+    offset[:, 0] = limits.lower + middle * (limits.upper - limits.lower) - rest
     room = _room(design, np.zeros_like(offset), offset)
     offset *= np.minimum(1.0, 0.7 * room)[:, None]
-    size = (len(rest), design.basis.size)
-    falling = np.tile(1.0 / design.basis.order, 2) ** rng.uniform(0.0, 1.0)
-    harmonics = rng.normal(size=size) * rng.uniform(0.2, 1.0, size=size)
-    harmonics[:, 1:] *= falling
-    harmonics[:, 0] = 0.0
-    shape = harmonics @ design.directions
+    falling = (1.0 / design.harmonic) ** rng.uniform(0.0, 1.0)
+    shape = rng.normal(size=size) * rng.uniform(0.2, 1.0, size=size)
+    shape[:, 1:] *= falling
+    shape[:, 0] = 0.0
     return offset + shape * (FULL * _room(design, offset, shape))[:, None]
 
 
@@ -355,12 +335,91 @@ def _shrunk(design: Design, full: Array) -> Draw:
         value = constraints_of(design.problem, motion).value
         if np.max(value) <= ROUNDING:
             return Draw(design.criterion_of(x), x, "")
-    return Draw(np.inf, np.zeros_like(full), _obstacle(design, value, motion[0]))
-
-
-def _obstacle(design: Design, value: Array, q: Array) -> str:
-    """Name the constraint that is exceeded most."""
+    # The constraint that is exceeded most.
     sample, column = np.unravel_index(int(np.argmax(value)), value.shape)
-    if column < value.shape[1] - 1:
-        return design.problem.signal_names[column]
-    return f"clearance of {design.problem.obstacles.closest(q[sample]).label}"
+    names, obstacles = design.problem.signal_names, design.problem.obstacles
+    if column < len(names):
+        return Draw(np.inf, np.zeros_like(full), names[column])
+    label = obstacles.closest(motion[0][sample]).label
+    return Draw(np.inf, np.zeros_like(full), f"clearance of {label}")
+
+
+Runner = Callable[[Callable[[Any, Any], Any], Sequence[Any]], Iterator[Any]]
+
+# What the jobs of this process work on, where this process is a worker.
+_received: Any = None
+
+
+@contextlib.contextmanager
+def _workers(shared: Any, count: int) -> Iterator[Runner]:
+    """Give a function that yields job(shared, item) of each item, in order, from processes.
+
+    They are started afresh ("spawn"), so nothing depends on what this process has loaded; each
+    receives what is shared once and keeps it. With one worker the present process does the work.
+    """
+    pool, others = None, multiprocessing.active_children()
+    # Without room for another process, for its pipes or its semaphores there is no pool.
+    with contextlib.suppress(OSError, RuntimeError, ImportError):
+        if count > 1:
+            context = multiprocessing.get_context("spawn")
+            pool = ProcessPoolExecutor(count, context, _receive, (shared,))
+    try:
+        yield partial(_run, shared, pool)
+    finally:
+        if pool is not None:
+            ours = [p for p in multiprocessing.active_children() if p not in others]
+            pool.shutdown(wait=False, cancel_futures=True)
+            # A job that nobody waits for any more would keep this program from ending.
+            for process in ours:
+                process.terminate()
+
+
+def _run(
+    shared: Any, pool: ProcessPoolExecutor | None, job: Callable[[Any, Any], Any], items: Any
+) -> Iterator[Any]:
+    """Yield the results; what workers that died, or could not be started, left is done here."""
+    done = 0
+    with contextlib.suppress(BrokenProcessPool, OSError, RuntimeError):
+        for future in () if pool is None else _submitted(pool, job, items):
+            yield future.result()
+            done += 1
+    # An error in a job is seen here.
+    yield from (job(shared, item) for item in items[done:])
+
+
+def _submitted(
+    pool: ProcessPoolExecutor, job: Callable[[Any, Any], Any], items: Iterable[Any]
+) -> list[Future[Any]]:
+    """Return the futures of jobs; the first ones start processes, as far as the system lets.
+
+    These never get Ctrl-C, and do their linear algebra in one thread: the matrices are small, and
+    threads that wait for each other would cost as much as they do. Whoever has set one of the
+    variables for that keeps his value.
+    """
+    unset = [name for name in _THREAD_COUNTS if name not in os.environ]
+    os.environ.update(dict.fromkeys(unset, "1"))
+    try:
+        with held_back((signal.SIGINT,)):
+            return [pool.submit(_do, job, item) for item in items]
+    finally:
+        for name in unset:
+            os.environ.pop(name, None)
+
+
+def _receive(shared: Any) -> None:
+    """Make this process a worker on an object, which ends with the one that started it."""
+    global _received
+    _received = shared
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    # Workers hold both ends of their queue: one whose parent was killed would wait for ever.
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def _do(job: Callable[[Any, Any], Any], item: Any) -> Any:
+    return job(_received, item)
