@@ -27,13 +27,17 @@ from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Motion, SampleSource, SquareRootInformation
 
 PROBES = 2000
-"""So many rows, spread evenly, stand for all."""
+"""So many rows, spread evenly, stand for all; a third of all tells D within a quarter (tests)."""
 NEAR = 0.7
-"""Of a row's step: rows of another passage are found about once each."""
+"""Of a row's step: of another passage, with a row each step, about one is found."""
 APART = 20
-"""Rows that are nearer in time belong to the same passage."""
+"""Rows that are nearer in time belong to the same passage: ten periods of the cut-off."""
+# A joint that hardly moves beside the others counts as if it moved by this part of them.
 _LEAST_SCALE = 0.01
+# Probes whose distances from all rows are in memory at a time.
 _CHUNK = 100
+MOST_ROWS = 2000
+"""Rows of a sample; as many as ``PROBES``."""
 
 
 @dataclass(frozen=True)
@@ -69,16 +73,13 @@ def visits(motions: Sequence[Motion]) -> Visits:
     q, qd = (np.concatenate([getattr(m, name) for m in motions]) for name in ("q", "qd"))
     off = q - np.mean(q, axis=0)
     state = np.hstack([off / scales(off), qd / scales(qd)])
-    radius = NEAR * np.concatenate(
-        [_steps(part) for part in np.split(state, np.cumsum([len(m.time) for m in motions])[:-1])]
-    )
+    ends = np.cumsum([len(m.time) for m in motions])[:-1]
+    radius = NEAR * np.concatenate([_steps(part) for part in np.split(state, ends)])
     chosen = np.unique(np.linspace(0, len(state) - 1, PROBES).astype(np.int64))
-    squares, rows = np.sum(state**2, axis=1), np.arange(len(state))
     pairs = []
     for some in np.array_split(chosen, -(-len(chosen) // _CHUNK)):
-        apart = squares[some, None] + squares - 2.0 * state[some] @ state.T
-        near = apart < radius[some, None] ** 2
-        near &= np.abs(some[:, None] - rows) > APART
+        near = _near(state[some], radius[some], state)
+        near &= np.abs(some[:, None] - np.arange(len(state))) > APART
         probe, other = np.nonzero(near)
         pairs.append((some[probe], other))
     probes, others = (np.concatenate(same) for same in zip(*pairs))
@@ -97,7 +98,10 @@ def _steps(state: Array) -> Array:
     return 0.5 * (np.append(moved[:1], moved) + np.append(moved, moved[-1:]))
 
 
-MOST_ROWS = 2000
+def _near(probes: Array, radius: Array, state: Array) -> NDArray[np.bool_]:
+    """Return (P, K) which rows' states lie within the radius (P,) of each of P."""
+    apart = np.sum(probes**2, axis=1)[:, None] + np.sum(state**2, axis=1) - 2.0 * probes @ state.T
+    return np.asarray(apart < radius[:, None] ** 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,12 +146,11 @@ class RowSample:
 
     def motion(self, most: int) -> Motion:
         """Return some of the motion; its time only counts the rows."""
-        rows = slice(most)
-        time = np.arange(len(self.q[rows]), dtype=float)
-        return Motion(time, self.q[rows], self.qd[rows], self.qdd[rows])
+        time = np.arange(min(most, len(self.q)), dtype=float)
+        return Motion(time, self.q[:most], self.qd[:most], self.qdd[:most])
 
     def inflation(self) -> Array:
-        """Return D (joints,) as ``repetition.Visits.inflation`` does, from the sampled rows.
+        """Return D (joints,) from the sampled rows.
 
         Where few of very many rows are sampled, chance makes it too large rather than too small.
         """
@@ -155,9 +158,7 @@ class RowSample:
         off = self.q - np.mean(self.q, axis=0)
         scale = np.concatenate([scales(off), scales(self.qd)])
         state = np.hstack([off, self.qd]) / scale
-        step = np.linalg.norm(self.moved / scale, axis=1)
-        squares = np.sum(state**2, axis=1)
-        near = squares[:, None] + squares - 2.0 * state @ state.T < (NEAR * step[:, None]) ** 2
+        near = _near(state, NEAR * np.linalg.norm(self.moved / scale, axis=1), state)
         same = self.log[:, None] == self.log
         near &= ~(same & (np.abs(self.place[:, None] - self.place) <= APART))
         share = self.total / size

@@ -78,13 +78,9 @@ def test_thinning_does_not_reach_over_a_gap():
     assert not np.any((thinned[:, 1] > 2.0) & (thinned[:, 1] < 5.0))
 
 
-def test_a_log_that_is_long_enough_is_thinned_to_what_is_needed(monkeypatch):
+def test_a_log_that_is_long_enough_is_thinned_to_what_is_needed():
     time = np.arange(1000) / 1000.0
     assert Thinning.of(time, pieces.MOST_KEPT).every == 1
     assert Thinning.of(time, 4.0 * pieces.MOST_KEPT).every == 4
     assert Thinning.of(time, 1e9).every == 1000 // pieces.LEAST_RATE
-
-
-@pytest.mark.parametrize("rate", [10.0, 20.0])
-def test_a_slow_log_is_never_thinned(rate):
-    assert Thinning.of(np.arange(100) / rate, 1e9).every == 1
+    assert Thinning.of(np.arange(100) / 20.0, 1e9).every == 1

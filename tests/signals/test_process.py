@@ -11,12 +11,8 @@ from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Measurement
-from robot_sysid.signals import process as processing
-from robot_sysid.signals.cutoff import spectra_of
 from robot_sysid.signals.filters import FINE_REACH, REACH
-from robot_sysid.signals.process import LARGEST_SLOW_SHARE, LogPiece, process, with_delay
-from tests.support.log_files import read_measurements
-from tests.support.places import DATA
+from robot_sysid.signals.process import LARGEST_SLOW_SHARE, process, with_delay
 from tests.support.swing import Swing, seconds
 
 
@@ -24,53 +20,45 @@ def root_mean_square(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-@pytest.mark.slow
-@given(st.integers(0, 2**32), st.sampled_from([200.0, 400.0]))
-def test_motion_of_a_quantised_log_is_recovered(seed, rate):
+@pytest.mark.parametrize("seed", [0, 1])
+def test_motion_of_a_quantised_log_is_recovered(seed):
     """Acceleration within 1 % of its root mean square from a 1e-4 rad encoder."""
     swing = Swing(seed)
-    signals = process(swing.measured(seconds(12.0, rate), 1e-4))
+    signals = process(swing.measured(seconds(12.0, 200.0), 1e-4))
     for order, limit in ((0, 3e-4), (1, 2e-3), (2, 1e-2)):
         true = swing.q(signals.time, order)
         got = (signals.q, signals.qd, signals.qdd)[order]
         assert root_mean_square(got - true) < limit * root_mean_square(true)
-    np.testing.assert_array_equal(signals.tau.shape, signals.q.shape)
     np.testing.assert_allclose(signals.tau, swing.tau(signals.time), rtol=0.0, atol=1e-12)
 
 
-def test_rows_and_masks_have_the_same_length_and_times():
-    signals = process(Swing().measured(seconds(10.0, 200.0)), cutoff=8.0)
-    stream = signals.decimator()
-    rows = np.concatenate([stream.push(tau) for _, tau in signals.chunks(37)])
-    assert len(rows) == len(signals.usable()) == len(signals.decimated_time())
-    true = Swing().tau(signals.decimated_time())
-    np.testing.assert_allclose(rows, true, rtol=0.0, atol=1e-3)
-
-
-@pytest.mark.slow
-@given(st.floats(0.0, 2.0), st.integers(0, 1000))
-def test_rows_that_mix_in_too_many_slow_samples_are_masked_and_only_those(deadband, seed):
+@pytest.mark.parametrize("deadband", [0.05, 0.5])
+def test_rows_that_mix_in_too_many_slow_samples_are_masked_and_only_those(deadband):
     """A row is a sum over a window; what counts is the window's weight on slow samples."""
-    log = Swing(seed).measured(seconds(6.0, 100.0))
-    signals = process(log, cutoff=8.0, deadband=deadband)
+    signals = process(Swing().measured(seconds(6.0, 100.0)), cutoff=8.0, deadband=deadband)
     weight = np.abs(signals.low_pass.kernel) / np.sum(np.abs(signals.low_pass.kernel))
-    half = signals.low_pass.half_width
-    slow = np.abs(signals.qd) < deadband
-    for row, centre in enumerate(signals.low_pass.centres(len(signals))):
-        share = weight @ slow[centre - half : centre + half + 1]
-        np.testing.assert_allclose(signals.slow_share()[row], share, rtol=0.0, atol=1e-12)
-        np.testing.assert_array_equal(signals.usable()[row], share <= LARGEST_SLOW_SHARE)
+    half, stream = signals.low_pass.half_width, signals.decimator()
+    slow, centres = np.abs(signals.qd) < deadband, signals.low_pass.centres(len(signals))
+    share = np.array([weight @ slow[at - half : at + half + 1] for at in centres])
+    np.testing.assert_allclose(signals.slow_share(), share, rtol=0.0, atol=1e-12)
+    np.testing.assert_array_equal(signals.usable(), share <= LARGEST_SLOW_SHARE)
+    assert np.any(~signals.usable() & ~slow[centres])
+    rows = np.concatenate([stream.push(tau) for _, tau in signals.chunks(37)])
+    np.testing.assert_allclose(rows, Swing().tau(signals.decimated_time()), atol=1e-3)
 
 
-def test_a_row_beside_a_reversal_is_masked_though_its_own_instant_is_fast():
-    time = seconds(10.0, 200.0)
-    q = np.sin(2.0 * np.pi * 0.2 * time)[:, None]
-    log = Measurement(time, q, None, q + 1.0)
-    signals = process(log, cutoff=8.0, deadband=0.05)
-    fast = np.abs(signals.qd[signals.low_pass.centres(len(signals))]) >= 0.05
-    assert not np.any(signals.usable() & ~fast)
-    beside = fast & ~signals.usable()
-    assert 0 < np.sum(beside) <= 4 * 4
+def test_the_deadband_is_a_part_of_the_peak_speed_unless_another_is_given():
+    log = Swing().measured(seconds(10.0, 200.0))
+    usual = process(log, cutoff=8.0)
+    np.testing.assert_array_equal(usual.deadband, 0.005 * np.max(np.abs(usual.qd), axis=0))
+    least = np.array([0.5, 2.0, 0.1]) * usual.deadband
+    raised = process(log, cutoff=8.0, least_deadband=tuple(least)).deadband
+    np.testing.assert_array_equal(raised, np.maximum(usual.deadband, least))
+    np.testing.assert_array_equal(process(log, cutoff=8.0, deadband=0.1).deadband, [0.1] * 3)
+    each = process(log, cutoff=8.0, deadband=(0.1, 0.2, 0.0), least_deadband=(1.0, 1.0, 1.0))
+    np.testing.assert_array_equal(each.deadband, [0.1, 0.2, 0.0])
+    with pytest.raises(InputError, match="--velocity-deadband takes one number, or one for each"):
+        process(log, cutoff=8.0, deadband=(0.1, 0.2))
 
 
 def test_positions_pass_a_filter_as_flat_as_their_noise_is_low():
@@ -85,7 +73,7 @@ def test_positions_pass_a_filter_as_flat_as_their_noise_is_low():
     assert root_mean_square(signals.qdd - true) < 1e-6 * root_mean_square(true)
 
 
-@given(st.integers(0, 2**32), st.sampled_from([10.0, 100.0, 1000.0]))
+@pytest.mark.parametrize(("seed", "rate"), [(0, 10.0), (1, 1000.0)])
 def test_positions_without_noise_are_differentiated_as_they_are(seed, rate):
     """To 1e-8, most of it in the time stamps; with noise they pass a low-pass."""
     swing, time, cutoff = Swing(seed), seconds(20.0, rate), 0.2 * min(rate, 60.0)
@@ -159,15 +147,6 @@ def test_joints_that_hardly_move_both_ways_are_named():
     assert "100 % backwards" in backwards
 
 
-def test_a_joint_that_turns_too_slowly_moves_no_way_at_all():
-    time = seconds(10.0, 200.0)
-    q = 0.01 * np.sin(2.0 * np.pi * 0.4 * time)[:, None]
-    log = Measurement(time, q, None, q + 1.0)
-    (sentence,) = process(log, cutoff=8.0, deadband=0.05).one_way_joints(("a",))
-    assert "0 % of the samples forwards and in 0 % backwards" in sentence
-    assert list(process(log, cutoff=8.0, deadband=0.001).one_way_joints(("a",))) == []
-
-
 def test_a_joint_at_rest_is_masked_and_named():
     log = Swing().measured(seconds(10.0, 200.0), 1e-4)
     still = np.array(log.q)
@@ -190,6 +169,9 @@ def test_rows_over_a_long_hole_are_masked_and_short_holes_are_bridged():
     reach = (signals.low_pass.half_width + signals.flat.half_width + REACH) / 200.0
     assert hole[0] - reach - 0.1 < dropped.min() < hole[0] < hole[1] < dropped.max()
     assert dropped.max() < hole[1] + reach + 0.1
+    later = with_delay(signals, 0.02)
+    masked = later.decimated_time()[~np.all(later.usable(), axis=1)]
+    np.testing.assert_allclose([masked[0], masked[-1]], [dropped[0], dropped[-1]], atol=0.1)
     kept = np.repeat(np.all(signals.usable(), axis=1), signals.low_pass.step)[: len(signals)]
     error = np.abs(signals.qdd - swing.q(signals.time, 2))[: len(kept)][kept]
     assert np.max(error) < 1e-2
@@ -222,59 +204,10 @@ def _remaining_delay(signals) -> float:
     return float(solution[2])
 
 
-def test_a_delay_longer_than_the_log_is_refused():
-    signals = process(Swing().measured(seconds(10.0, 200.0)), cutoff=8.0)
-    with pytest.raises(InputError, match="leaves nothing"):
-        with_delay(signals, 9.5)
-
-
 def test_a_log_too_short_for_its_cutoff_says_how_long_it_must_be():
     with pytest.raises(InputError, match=r"2 s are too short for a cut-off of 3 Hz, which needs"):
         process(Swing().measured(seconds(2.0, 200.0)), cutoff=3.0)
-
-
-def test_one_deadband_per_joint_or_one_for_all():
-    log = Swing().measured(seconds(10.0, 200.0))
-    np.testing.assert_array_equal(process(log, cutoff=8.0, deadband=0.1).deadband, [0.1] * 3)
-    each = process(log, cutoff=8.0, deadband=(0.1, 0.2, 0.0))
-    np.testing.assert_array_equal(each.deadband, [0.1, 0.2, 0.0])
-    with pytest.raises(InputError, match="--velocity-deadband takes one number, or one for each"):
-        process(log, cutoff=8.0, deadband=(0.1, 0.2))
-
-
-def test_a_least_deadband_only_raises_the_usual_one():
-    log = Swing().measured(seconds(10.0, 200.0))
-    usual = process(log, cutoff=8.0).deadband
-    least = np.array([0.5, 2.0, 0.1]) * usual
-    raised = process(log, cutoff=8.0, least_deadband=tuple(least)).deadband
-    np.testing.assert_array_equal(raised, np.maximum(usual, least))
-    given_one = process(log, cutoff=8.0, deadband=0.01, least_deadband=tuple(least))
-    np.testing.assert_array_equal(given_one.deadband, [0.01] * 3)
-
-
-@pytest.mark.parametrize(
-    ("name", "n_joints", "lowest", "highest"),
-    [("tx40/tx40_500Hz.csv", 6, 10.0, 60.0), ("kuka_lwr4/lwr4_hw1_200Hz.csv", 7, 3.0, 12.0)],
-)
-def test_the_cutoff_of_real_logs_is_sensible(name, n_joints, lowest, highest):
-    """Published identifications of these arms used 60 and 8 Hz."""
-    if not (DATA / name).exists():
-        pytest.skip("the logs of real arms are not here")
-    joints = [f"joint_{k}" for k in range(n_joints)]
-    signals = process(read_measurements(DATA / name, joints).samples, joints)
-    assert lowest < signals.cutoff < highest
-    assert np.all(np.isfinite(signals.qdd))
-
-
-def test_the_spectra_of_a_piece_of_a_log_are_taken_once(monkeypatch):
-    log, taken = Swing().measured(seconds(15.0, 200.0), 1e-4), []
-
-    def counted(*given):
-        taken.append(given)
-        return spectra_of(*given)
-
-    monkeypatch.setattr(processing, "spectra_of", counted)
-    piece = LogPiece(**vars(log))
-    assert process(piece).cutoff == process(piece).cutoff
-    process(piece, cutoff=5.0)
-    assert len(taken) == 1
+    with pytest.raises(InputError, match="--cutoff HZ"):
+        process(Swing().measured(seconds(0.1, 200.0)))
+    with pytest.raises(InputError, match="leaves nothing"):
+        with_delay(process(Swing().measured(seconds(10.0, 200.0)), cutoff=8.0), 9.5)
