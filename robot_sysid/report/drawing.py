@@ -14,13 +14,14 @@ import logging
 import math
 import re
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from robot_sysid.errors import InputError
+from robot_sysid.records import Array
 from robot_sysid.records.figures import figure as number_text
 
 MOST_ROWS = 60
@@ -67,14 +68,14 @@ class Section:
 
     key: str
     title: str
-    sentences: tuple[str, ...] = ()
-    tables: tuple[Table, ...] = ()
-    figures: tuple[Figure, ...] = ()
-    points: tuple[str, ...] = ()
-    blocks: tuple[tuple[str, str], ...] = ()
-    missing: tuple[str, ...] = ()
+    sentences: Sequence[str] = ()
+    tables: Sequence[Table] = ()
+    figures: Sequence[Figure] = ()
+    points: Sequence[str] = ()
+    blocks: Sequence[tuple[str, str]] = ()
+    missing: Sequence[str] = ()
     verdict: str = ""
-    details: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    details: Sequence[tuple[str, Sequence[str]]] = ()
 
 
 def text(value: Any, error: float | None = None) -> str:
@@ -190,6 +191,50 @@ def drawn(
     return Figure(name, caption, table(*numbers), canvas, wide=width > NARROW)
 
 
+Curves = Mapping[str, tuple[Array, dict[str, Any]]]
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Curves over one axis.
+
+    Attributes:
+        label: of the upright axis.
+        curves: name to values (K,) and matplotlib's style; a name ends in its unit.
+        marks: values at which a dashed line is drawn.
+        height: beside the other panels.
+    """
+
+    label: str
+    curves: Curves
+    marks: Sequence[float] = ()
+    height: float = 1.0
+
+
+def curves(
+    name: str, caption: str, across: tuple[str, Array], panels: Sequence[Panel], height: float
+) -> Figure:
+    """Return curves in panels over one axis, which is ``across``; their numbers are its table."""
+    every = {label: each for panel in panels for label, (each, _) in panel.curves.items()}
+
+    def draw(canvas: Any) -> None:
+        ratios = [panel.height for panel in panels]
+        axes = canvas.subplots(len(panels), 1, sharex=True, squeeze=False, height_ratios=ratios)
+        for (ax,), panel in zip(axes, panels):
+            for label, (values, style) in panel.curves.items():
+                ax.plot(across[1], values, label=label.split(" [")[0], **style)
+            for mark in panel.marks:
+                ax.axhline(mark, color=OTHER, ls="--", lw=1.0)
+            ax.set_ylabel(panel.label)
+        axes[-1, 0].set_xlabel(across[0])
+        canvas.align_ylabels()
+        if len(panels[0].curves) > 1:
+            legend(canvas, axes[0, 0])
+
+    numbers = (across[0], *every), zip(across[1], *every.values())
+    return drawn(name, caption, numbers, height, draw)
+
+
 def svg(figure: Figure) -> str:
     """Return a drawing as an SVG file; the same text for the same drawing."""
     buffer = io.StringIO()
@@ -236,13 +281,18 @@ def legend(canvas: Any, axes: Any, columns: int = 3) -> None:
 
 
 def bars(
-    canvas: Any, groups: Sequence[str], series: Sequence[tuple[str, Any, str]], label: str
-) -> Any:
-    """Draw bars beside each other, and return their axes.
+    canvas: Any,
+    groups: Sequence[str],
+    series: Sequence[tuple[str, Any, str]],
+    label: str,
+    mark: float | None = None,
+) -> None:
+    """Draw bars beside each other.
 
     Args:
         series: (name, heights (n,), colour) of the first, second, ... bar of each group; what is
             not finite is not drawn.
+        mark: where a dashed line is drawn.
     """
     axes = canvas.subplots()
     width, places = 0.8 / len(series), np.arange(len(groups), dtype=float)
@@ -253,8 +303,9 @@ def bars(
         axes.bar(at, drawable, 0.92 * width, label=shortened(name, 60), **style)
     axes.set_xticks(places, [shortened(name) for name in groups], rotation=20, ha="right")
     axes.set_ylabel(label)
+    if mark is not None:
+        axes.axhline(mark, color=OTHER, ls="--", lw=1.0)
     legend(canvas, axes, 3 if all(len(name) < 20 for name, _, _ in series) else 1)
-    return axes
 
 
 def shortened(name: str, most: int = 22) -> str:

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import hashlib
 import io
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,16 +19,27 @@ from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
 from robot_sysid.json_files import read_json
 from robot_sysid.logs.formats.arrays import npz_arrays
-from robot_sysid.records import Array
+from robot_sysid.records import Array, Validation
 from robot_sysid.records.data import SIGNALS, Signals, Traces
 from robot_sysid.records.results import PARAMS_NAME, Source
 from robot_sysid.results.json import SCHEMA_VERSION
-from robot_sysid.results.record import LINK, PAYLOAD
+from robot_sysid.results.record import PAYLOAD, Figure
 
 DATA_NAME = "report_data.npz"
 MOST = 2000
-"""Instants that are kept for drawing."""
+"""Instants that are kept for drawing: more than a figure has pixels across."""
+BINS, SPEED_BINS = 31, 24
+"""Bars of a histogram and bins of speed: as many as a figure of 11 cm shows."""
+LONGEST_LAG = 2.0
+"""Up to which lag the autocorrelation is computed [s]: friction remembers for tenths of it."""
+_MOST_LAGS = 80
+_WIDE = 4.0
+"""Reach of a histogram in root mean squares: noise is beyond it once in 16 000 samples."""
+_LEAST_IN_BIN = 4
+"""Samples of which a mean and a spread say anything."""
 _VERSION = 1
+_REMEDY = "identify again"
+BY_SPEED = ("speed", "residual_mean", "residual_spread", "friction_measured", "friction_predicted")
 
 
 @dataclass(frozen=True)
@@ -64,20 +75,6 @@ class ReportData(Signals):
     torque: Array
     truth: Array
     result: str = ""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        n = len(self.joints)
-        for name in ("counts", "correlation", "speed", "lower", "independent"):
-            if len(getattr(self, name)) != n:
-                raise ValueError(f"{name} does not fit {n} joints")
-        if len(self.truth) not in (0, 10):
-            raise ValueError("truth has no ten parameters")
-
-    @property
-    def step(self) -> int:
-        """Every which instant is drawn."""
-        return max(1, round(self.n_samples / max(len(self.time), 1)))
 
     @property
     def drawn(self) -> str:
@@ -120,44 +117,24 @@ def data_bytes(data: ReportData) -> bytes:
 
 
 def load_data(path: Path) -> ReportData:
-    """Return what was saved.
-
-    Raises:
-        InputError: the file is not there, or is not what this program writes.
-    """
-    remedy = "identify again with this version to have it written"
-    if not path.exists():
-        raise InputError(f"there is no {path}; {remedy}")
-    try:
-        content = npz_arrays(path)
-    except InputError as error:
-        raise InputError(f"{error}; {remedy}") from None
-    version = content.pop("version", None)
-    if version is None or version.shape != () or version != _VERSION:
-        raise InputError(f"{path} was written by another version; {remedy}")
-    try:
-        return _restored(content)
-    except (InputError, KeyError, TypeError, ValueError, IndexError) as error:
-        raise InputError(f"{path} is damaged: {error}; {remedy}") from None
-
-
-def _restored(content: Mapping[str, Array]) -> ReportData:
-    values: dict[str, Any] = {each.name: content[each.name] for each in fields(ReportData)}
-    kinds: dict[str, Callable[[Any], Any]] = {
+    """Return what was saved; InputError where there is nothing, or nothing of this program."""
+    kinds: dict[str, Callable[[Array], Any]] = {
+        **{each.name: lambda a: np.asarray(a, dtype=float) for each in fields(ReportData)},
         **{"n_samples": int, "result": str},
         **{"joints": lambda a: tuple(map(str, a)), "is_slide": lambda a: tuple(map(bool, a))},
     }
-    for name, array in values.items():
-        values[name] = kinds[name](array) if name in kinds else np.asarray(array, dtype=float)
-    return ReportData(**values)
-
-
-BINS, SPEED_BINS = 31, 24
-LONGEST_LAG = 2.0
-"""Up to which lag the autocorrelation is computed [s]."""
-_MOST_LAGS = 80
-_WIDE = 4.0
-_LEAST_IN_BIN = 4
+    try:
+        if not path.exists():
+            raise InputError(f"there is no {path}")
+        content = npz_arrays(path)
+        if content.pop("version", None) != _VERSION:
+            raise InputError(f"{path} was written by another version")
+        return ReportData(**{name: kind(content[name]) for name, kind in kinds.items()})
+    except InputError as error:
+        cause = str(error)
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        cause = f"{path} is damaged: {error}"
+    raise InputError(f"{cause}; identify again with this version to have it written")
 
 
 def histogram(residual: Array) -> dict[str, Array]:
@@ -168,11 +145,9 @@ def histogram(residual: Array) -> dict[str, Array]:
     edges, counts = [], []
     for column in residual.T:
         known = column[np.isfinite(column)]
-        rms = float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
-        reach = _WIDE * rms or 1.0
-        limits = np.linspace(-reach, reach, BINS + 1)
-        edges.append(limits)
-        counts.append(np.histogram(np.clip(known, -reach, reach), limits)[0])
+        reach = _WIDE * float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
+        edges.append(np.linspace(-(reach or 1.0), reach or 1.0, BINS + 1))
+        counts.append(np.histogram(np.clip(known, *edges[-1][[0, -1]]), edges[-1])[0])
     return {"edges": np.array(edges), "counts": np.array(counts, dtype=float)}
 
 
@@ -187,25 +162,24 @@ def autocorrelation(time: Array, residual: Array) -> dict[str, Array]:
         time: (K,) [s].
         residual: (K, n); NaN where a sample was not used.
     """
-    step = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
-    step = step if step > 0.0 else 1.0
+    step = (float(np.median(np.diff(time))) if len(time) > 1 else 0.0) or 1.0
     last = int(min(LONGEST_LAG / step, len(time) // 4))
     shifts = np.unique(np.linspace(0, last, min(last, _MOST_LAGS) + 1).round().astype(int))
     used = np.isfinite(residual)
-    values = np.where(used, residual, 0.0)
-    power = np.mean(values**2, axis=0, where=used) if np.any(used) else np.zeros(used.shape[1])
-    found = np.zeros((residual.shape[1], len(shifts)))
-    for k, shift in enumerate(shifts):
-        end = len(values) - shift
-        pairs = np.sum(used[:end] & used[shift:], axis=0)
-        total = np.sum(values[:end] * values[shift:], axis=0)
-        scale = power * np.maximum(pairs, 1)
-        found[:, k] = np.divide(total, scale, out=np.zeros_like(total), where=scale > 0.0)
-    independent = 1.96 / np.sqrt(np.maximum(np.sum(used, axis=0), 1))
-    return {"lags": shifts * step, "correlation": found, "independent": independent}
+    values, size = np.where(used, residual, 0.0), 1 << (len(time) + last).bit_length()
 
+    def products(signal: Array) -> Array:
+        """Return sum_k x_k x_{k+l} (L, n), all shifts at once by Fourier's transform."""
+        spectrum = np.fft.rfft(signal, size, axis=0)
+        return np.asarray(np.fft.irfft(np.abs(spectrum) ** 2, size, axis=0)[shifts])
 
-BY_SPEED = ("speed", "residual_mean", "residual_spread", "friction_measured", "friction_predicted")
+    count = np.maximum(np.sum(used, axis=0), 1)
+    power = np.sum(values**2, axis=0) / count
+    scale = power * np.maximum(np.rint(products(used.astype(float))), 1.0)
+    total = np.where(scale > 0.0, products(values), 0.0)
+    correlation = (total / np.where(scale > 0.0, scale, 1.0)).T
+    independent = 1.96 / np.sqrt(count)
+    return {"lags": shifts * step, "correlation": correlation, "independent": independent}
 
 
 def by_speed(qd: Array, residual: Array, friction: Array) -> dict[str, Array]:
@@ -217,25 +191,18 @@ def by_speed(qd: Array, residual: Array, friction: Array) -> dict[str, Array]:
     Returns:
         ``BY_SPEED`` to (n, S); NaN where a bin has hardly any samples.
     """
-    found = {name: np.full((qd.shape[1], SPEED_BINS), np.nan) for name in BY_SPEED}
-    for joint, speed in enumerate(qd.T):
+    found = np.full((len(BY_SPEED), qd.shape[1], SPEED_BINS), np.nan)
+    for joint in range(qd.shape[1]):
         used = np.isfinite(residual[:, joint])
-        fastest = float(np.max(np.abs(speed), initial=0.0, where=used)) or 1.0
+        speed, left, predicted = (each[used, joint] for each in (qd, residual, friction))
+        fastest = float(np.max(np.abs(speed), initial=0.0)) or 1.0
         edges = np.linspace(-fastest, fastest, SPEED_BINS + 1)
         place = np.clip(np.digitize(speed, edges) - 1, 0, SPEED_BINS - 1)
-        for k in range(SPEED_BINS):
-            here = used & (place == k)
-            if np.count_nonzero(here) < _LEAST_IN_BIN:
-                continue
-            left, predicted = residual[here, joint], friction[here, joint]
-            means = (np.mean(each) for each in (predicted + left, predicted))
-            numbers = np.mean(speed[here]), np.mean(left), np.std(left), *means
-            for name, number in zip(BY_SPEED, numbers):
-                found[name][joint, k] = number
-    return found
-
-
-_REMEDY = "identify again"
+        for k in np.flatnonzero(np.bincount(place, minlength=SPEED_BINS) >= _LEAST_IN_BIN):
+            here = place == k
+            middle, mean, own = (np.mean(each[here]) for each in (speed, left, predicted))
+            found[:, joint, k] = middle, mean, np.std(left[here]), mean + own, own
+    return dict(zip(BY_SPEED, found))
 
 
 @dataclass(frozen=True)
@@ -256,7 +223,7 @@ class Body:
     errors: Array
     budget: Mapping[str, Array]
     share: Array
-    kept: tuple[bool, ...]
+    kept: Sequence[bool]
 
     @property
     def after(self) -> Array:
@@ -266,10 +233,18 @@ class Body:
 
 @dataclass(frozen=True)
 class Run:
-    """What a run left behind: its JSON file's content, data to draw, and what is not there."""
+    """What a run left behind.
+
+    Attributes:
+        content: of its JSON file, with figures, validations and inertia as the records they were.
+        bodies: the payload, the link without and with it; or all links, the terminal one first.
+        data: what there is to draw.
+        missing: why there is nothing, one sentence.
+    """
 
     folder: Path
     content: Mapping[str, Any]
+    bodies: Sequence[Body]
     data: ReportData | None
     missing: tuple[str, ...] = ()
 
@@ -279,75 +254,30 @@ class Run:
         return self.folder.resolve().name or str(self.folder)
 
     @property
-    def question(self) -> str:
-        """``LINK`` or ``PAYLOAD``."""
-        return PAYLOAD if self.content.get("question") == PAYLOAD else LINK
+    def is_payload(self) -> bool:
+        """Whether it was asked for a payload."""
+        return bool(self.content["question"] == PAYLOAD)
 
     @property
     def trustworthy(self) -> bool:
         """Whether the result may be used."""
-        return bool(mapping(self.content, "valid").get("trustworthy"))
+        return bool(self.content["valid"]["trustworthy"])
 
     @property
     def is_itself(self) -> bool:
         """Whether the model identified its own simulation."""
-        return str(self.content.get("source", "")).startswith(Source.ITSELF.value)
+        return str(self.content["source"]).startswith(Source.ITSELF.value)
 
-    def bodies(self) -> list[Body]:
-        """Return the payload, the link without and with it; or all links, the terminal one first.
-
-        Raises:
-            KeyError, TypeError, ValueError: the file is damaged.
-        """
-        content = self.content
-        if self.question == PAYLOAD:
-            titles = {"body": "payload", "link": "link without payload"}
-            titles["total"] = "link with payload"
-            return [_body(content["payload"][key], words) for key, words in titles.items()]
-        truth = None if self.data is None or not len(self.data.truth) else self.data.truth
-        alone = {**content, "name": content.get("body_name", "link"), "model": None}
-        alone["source"] = content.get("parameter_source")
-        *others, last = mappings(content, "links") or [alone]
-        return [_body(last, str(last["name"]), truth), *(_body(e, str(e["name"])) for e in others)]
-
-    def friction(self, kind: str = "terms") -> list[tuple[str, str, float, float]]:
-        """Return (joint, term, value, standard error; NaN where not known) of all joints.
-
-        Args:
-            kind: "terms", or "in_the_file" for what the written model holds.
-        """
-        owners = {**mapping(self.content, "joints"), **mapping(self.content, "couplings")}
-        terms = [(owner, mapping(mapping(owners, owner), kind)) for owner in owners]
-        return [(owner, name, *figure(found, name)) for owner, found in terms for name in found]
-
-
-def mapping(content: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    """Return the entries under a key; none where there are none."""
-    found = content.get(key)
-    return found if isinstance(found, Mapping) else {}
-
-
-def mappings(content: Mapping[str, Any], key: str) -> list[Mapping[str, Any]]:
-    """Return the list of entries under a key; an empty one where there is none."""
-    found = content.get(key)
-    return [e for e in found if isinstance(e, Mapping)] if isinstance(found, list) else []
-
-
-def listed(content: Mapping[str, Any], key: str) -> tuple[str, ...]:
-    """Return the sentences under a key."""
-    found = content.get(key)
-    return tuple(str(each) for each in found) if isinstance(found, list) else ()
+    def friction(self, kind: str = "terms") -> dict[tuple[str, str], Figure]:
+        """Return (joint, term) to its figure; ``kind`` "in_the_file" is for the written model's."""
+        owners = {**self.content["joints"], **self.content["couplings"]}
+        terms = [(owner, entry.get(kind, {})) for owner, entry in owners.items()]
+        return {(owner, name): each for owner, found in terms for name, each in found.items()}
 
 
 def number(value: Any) -> float:
     """Return a number of a JSON file; NaN for null."""
-    return np.nan if value is None or isinstance(value, bool) else float(value)
-
-
-def figure(content: Mapping[str, Any], key: str) -> tuple[float, float]:
-    """Return the value and its standard error under a key; NaN where they are not known."""
-    found = mapping(content, key)
-    return number(found.get("value")), number(found.get("standard_error"))
+    return np.nan if value is None else float(value)
 
 
 def fingerprint(path: Path) -> str:
@@ -381,39 +311,73 @@ def load_run(folder: Path) -> Run:
             raise InputError(f"{folder / DATA_NAME} belongs to another run; {_REMEDY}")
     except InputError as error:
         data, missing = None, (f"measured and predicted torques cannot be drawn: {error}",)
-    run = Run(folder, content, data, missing)
     try:
-        if not all(np.all(np.isfinite(body.after)) for body in run.bodies()):
+        content = {key: _restored(value) for key, value in content.items()}
+        bodies = _bodies(content, None if data is None or not len(data.truth) else data.truth)
+        if not all(np.all(np.isfinite(body.after)) for body in bodies):
             raise ValueError("a parameter is not a number")
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
         cause = f"{type(error).__name__}: {error}"
         raise InputError(f"{path} is damaged ({cause}); {_REMEDY}") from None
-    return run
+    return Run(folder, content, bodies, data, missing)
+
+
+_VALIDATION = {each.name for each in fields(Validation)}
+
+
+def _restored(value: Any) -> Any:
+    """Return part of a JSON file with the records in it: figures, validations, bodies, inertia."""
+    if isinstance(value, list):
+        return [_restored(each) for each in value]
+    if not isinstance(value, dict):
+        return value
+    entries = {key: _restored(each) for key, each in value.items()}
+    if entries.keys() == {"value", "standard_error", "interval"}:
+        return Figure(number(entries["value"]), number(entries["standard_error"]))
+    if entries.keys() == _VALIDATION:
+        return Validation(**entries)
+    if "error_budget" in entries:
+        return _body(entries)
+    return _theta(entries) if "inertia_tensor" in entries else entries
+
+
+def _bodies(content: Mapping[str, Any], truth: Array | None) -> list[Body]:
+    if content["question"] == PAYLOAD:
+        titles = {"body": "payload", "link": "link without payload", "total": "link with payload"}
+        return [replace(content["payload"][key], title=words) for key, words in titles.items()]
+    alone = {**content, "name": content["body_name"], "source": content["parameter_source"]}
+    links = list(content["links"]) or [_body({**alone, "error_budget": {}, "model": None})]
+    if truth is not None:
+        links[-1] = replace(links[-1], thetas={**links[-1].thetas, "truth": truth})
+    return [links[-1], *links[:-1]]
 
 
 def _theta(entries: Mapping[str, Any]) -> Array:
     inertia = entries["inertia_tensor"]
     values = [entries["mass"], *entries["center_of_mass_moment"]]
-    theta = np.array([number(v) for v in (*values, *(inertia[n] for n in PARAMETER_NAMES[4:]))])
+    theta = np.array([*values, *(inertia[name] for name in PARAMETER_NAMES[4:])], dtype=float)
     if theta.shape != (10,):
         raise ValueError("the centre of mass has not three components")
     return theta
 
 
-def _body(entries: Mapping[str, Any], title: str, truth: Array | None = None) -> Body:
-    kept, budget = mapping(entries, "source"), mapping(entries, "error_budget")
-    places = {"before": "model", "after": "", "in the file": "in_the_file"}
-    found = {what: mapping(entries, key) if key else entries for what, key in places.items()}
-    thetas = {what: _theta(each) for what, each in found.items() if each}
+def _body(entries: Mapping[str, Any]) -> Body:
+    thetas = {
+        "before": entries["model"],
+        "after": _theta(entries),
+        "in the file": entries.get("in_the_file"),
+    }
+    kept = entries["source"]
     return Body(
-        title=title,
-        thetas=thetas if truth is None else {**thetas, "truth": truth},
-        errors=_ten(entries, "standard_errors"),
-        budget={cause: _ten(budget, cause) for cause in budget},
-        share=_ten(entries, "data_share"),
-        kept=tuple(kept.get(name) == "from_model" for name in PARAMETER_NAMES),
+        title=str(entries["name"]),
+        thetas={what: theta for what, theta in thetas.items() if theta is not None},
+        errors=_ten(entries["standard_errors"]),
+        budget={cause: _ten(part) for cause, part in entries["error_budget"].items()},
+        share=_ten(entries.get("data_share")),
+        kept=[kept.get(name) == "from_model" for name in PARAMETER_NAMES],
     )
 
 
-def _ten(entries: Mapping[str, Any], key: str) -> Array:
-    return np.array([number(mapping(entries, key).get(name)) for name in PARAMETER_NAMES])
+def _ten(named: Mapping[str, Any] | None) -> Array:
+    """Return the values of the ten parameters (10,); NaN for null."""
+    return np.array([(named or {}).get(name) for name in PARAMETER_NAMES], dtype=float)

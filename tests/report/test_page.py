@@ -7,7 +7,7 @@ from html.parser import HTMLParser
 
 import pytest
 
-from robot_sysid.report.page import html, write_report
+from robot_sysid.report.page import write_report
 
 VOID = {"meta", "link", "br", "img", "input", "hr"}
 
@@ -38,36 +38,31 @@ def text(page):
     return page.read_text(encoding="utf-8")
 
 
-@pytest.fixture(scope="module")
-def tags(text):
-    return Tags(text)
-
-
-def test_every_tag_is_closed_and_names_are_text(tags, text):
+def test_every_tag_is_closed_names_are_text_and_nothing_is_loaded_from_elsewhere(text):
+    tags = Tags(text)
     assert tags.faults == [] and tags.opened == []
     assert not any(tag in ("script", "iframe", "object", "link") for tag, _ in tags.seen)
     assert not any(name.startswith("on") for _, attrs in tags.seen for name in attrs)
     assert "&lt;script&gt;alert(1)" in text and "$x^{1}&amp;" in text and "関節" in text
-
-
-def test_nothing_is_loaded_from_elsewhere(tags):
     for _, attrs in tags.seen:
         for name in ("src", "href", "xlink:href", "action", "data"):
             assert str(attrs.get(name, "#")).startswith(("#", "data:image/png;base64,"))
     policies = [a for tag, a in tags.seen if tag == "meta" and "http-equiv" in a]
     assert policies[0]["content"].startswith("default-src 'none'")
-
-
-def test_no_id_is_used_twice_and_every_reference_leads_somewhere(tags, text):
     ids = [attrs["id"] for tag, attrs in tags.seen if "id" in attrs and tag == "section"]
     assert len(ids) == len(set(ids)) > 8
     every = {attrs["id"] for _, attrs in tags.seen if "id" in attrs}
     assert set(re.findall(r"url\(#([^)]+)\)", text)) <= every
-    links = {a["xlink:href"][1:] for tag, a in tags.seen if tag == "use"}
-    assert links <= every
+    assert {a["xlink:href"][1:] for tag, a in tags.seen if tag == "use"} <= every
 
 
-def test_every_figure_has_a_caption_a_unit_and_its_numbers(text):
+def test_every_part_is_there_and_every_figure_has_a_caption_a_unit_and_its_numbers(text):
+    for words in (
+        *("This result", "What to do next", "Before and after", "Identified, kept, not visible"),
+        *("Measured and predicted torque", "What is left over", "Excitation", "Friction"),
+        *("Prediction errors", "truth", "Inertia on the arm", "20 % of the log"),
+    ):
+        assert words in text, words
     figures = re.findall(r"<figure.*?</figure>", text, re.DOTALL)
     assert len(figures) > 12
     for figure in figures:
@@ -76,23 +71,7 @@ def test_every_figure_has_a_caption_a_unit_and_its_numbers(text):
         assert re.search(r"\[|±|%|posture", figure)
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        *("This result", "What to do next", "Before and after", "Identified, kept, not visible"),
-        *("Measured and predicted torque", "What is left over", "Excitation", "Friction"),
-        *("Prediction errors", "truth", "Inertia on the arm", "20 % of the log"),
-    ],
-)
-def test_every_part_is_there(text, words):
-    assert words in text
-
-
 @pytest.mark.slow
 def test_the_same_run_makes_the_same_bytes(page, link_run, tmp_path):
     (again,) = write_report([link_run], tmp_path)
     assert again.read_bytes() == page.read_bytes()
-
-
-def test_an_empty_page_is_a_page():
-    assert "<main>" in html("title <b>", []) and "title &lt;b&gt;" in html("title <b>", [])

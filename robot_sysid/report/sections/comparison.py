@@ -12,7 +12,7 @@ from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.records.figures import THETA, with_error
 from robot_sysid.report import drawing
 from robot_sysid.report.drawing import Figure, Section, drawn, table
-from robot_sysid.report.runs import Run, mapping
+from robot_sysid.report.runs import Run
 from robot_sysid.report.sections.signals import error_bars, error_sets
 
 
@@ -20,13 +20,13 @@ def verdicts(runs: Sequence[Run]) -> Section:
     """Return each run's verdict."""
     rows, told = [], []
     for name, run in names(runs).items():
-        body, use = run.bodies()[0], "may be used" if run.trustworthy else "must not be used"
+        body, use = run.bodies[0], "may be used" if run.trustworthy else "must not be used"
         mass = with_error(float(body.after[0]), float(body.errors[0]), "kg")
-        path = str(mapping(run.content, "model").get("path", "–"))
-        rows.append((name, run.question, use, body.title, mass, path))
+        path = run.content["model"]["path"]
+        rows.append((name, run.content["question"], use, body.title, mass, path))
         told += [f"{name}: {line}" for line in run.missing]
     header = ("run", "what", "verdict", "body", "mass", "model")
-    models = {mapping(run.content, "model").get("sha256") for run in runs}
+    models = {run.content["model"]["sha256"] for run in runs}
     warned = ("The runs are of different model files.",) if len(models) > 1 else ()
     return Section("verdicts", "Verdicts", warned, (table(header, rows),), missing=tuple(told))
 
@@ -42,7 +42,7 @@ def names(runs: Sequence[Run]) -> dict[str, Run]:
 def compared(runs: Sequence[Run]) -> Section:
     """Return the parameters of each run's first body beside each other."""
     words = "Bars are ± one standard error. Runs whose bars do not meet contradict each other."
-    titles = dict.fromkeys(run.bodies()[0].title for run in runs)
+    titles = dict.fromkeys(run.bodies[0].title for run in runs)
     careful = f"Careful: these are different bodies ({', '.join(titles)})."
     sentences = (words, careful) if len(titles) > 1 else (words,)
     figures = tuple(_parameter(names(runs), k) for k in range(10))
@@ -51,7 +51,7 @@ def compared(runs: Sequence[Run]) -> Section:
 
 def _parameter(runs: dict[str, Run], k: int) -> Figure:
     label, unit = PARAMETER_NAMES[k], THETA[k]
-    bodies = [run.bodies()[0] for run in runs.values()]
+    bodies = [run.bodies[0] for run in runs.values()]
     found = [(float(body.after[k]), float(body.errors[k])) for body in bodies]
     rows = [(name, *drawing.cells(*pair)) for name, pair in zip(runs, found)]
     numbers = ("run", f"{label} [{unit}]", "± standard error"), rows
@@ -86,7 +86,7 @@ def predicted(runs: Sequence[Run]) -> Section:
 
 def friction_beside(runs: Sequence[Run]) -> Section:
     """Return the friction of each run."""
-    found = [{pair[:2]: with_error(*pair[2:]) for pair in run.friction()} for run in runs]
+    found = [{key: with_error(*each) for key, each in run.friction().items()} for run in runs]
     keys = dict.fromkeys(key for each in found for key in each)
     rows = [(*key, *(each.get(key, "–") for each in found)) for key in keys]
     return Section("friction", "Friction", tables=(table(("joint", "term", *names(runs)), rows),))

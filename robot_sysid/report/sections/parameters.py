@@ -9,36 +9,38 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.records import Array
 from robot_sysid.records.figures import THETA, percent, with_error
 from robot_sysid.report import drawing
 from robot_sysid.report.drawing import AFTER, BEFORE, MEASURED, Figure, Section, Table, drawn, table
-from robot_sysid.report.runs import Body, Run, figure, listed, mapping, mappings, number
-from robot_sysid.results.record import PAYLOAD
+from robot_sysid.report.runs import Body, Run, number
 
 _GROUPS = ((0, 1, "mass"), (1, 4, "first moment"), (4, 10, "inertia about the origin"))
-_MARKS: dict[str, dict[str, Any]] = {
-    "before": {"marker": "D", "mfc": "none", "mec": drawing.BEFORE},
-    "in the file": {"marker": "s", "mfc": "none", "mec": drawing.OTHER},
-    "truth": {"marker": "x", "mew": 1.8, "color": drawing.TRUTH},
+_MARKS: dict[str, tuple[float, dict[str, Any]]] = {
+    "before": (0.16, {"marker": "D", "mfc": "none", "mec": drawing.BEFORE}),
+    "in the file": (-0.16, {"marker": "s", "mfc": "none", "mec": drawing.OTHER}),
+    "truth": (-0.16, {"marker": "x", "mew": 1.8, "color": drawing.TRUTH}),
 }
+"""What stands beside the identified value: by how much of a row above it, and its marker."""
+_LEAST_SPAN = 0.02
+"""Width of an axis, relative to its values, below which what is drawn would be rounding."""
+_MOSTLY = 0.5
+"""Share of the data in a value below which the model has more say."""
 
 
 def parameters(run: Run) -> Section:
     """Return the ten parameters of every body, before and after."""
-    figures, bodies = [], run.bodies()
-    for place, body in enumerate(bodies):
+    figures = []
+    for place, body in enumerate(run.bodies):
         figures.append(_before_after(body, f"parameters-{place}"))
         if body.budget:
             figures.append(_causes(body, f"errors-{place}"))
-    carried = run.question == PAYLOAD
     words = (
         "m is the mass, h the first moment (mass times centre of mass), I the inertia about the "
-        f"origin of the {'flange' if carried else 'body'}'s frame. Bars are ± one standard error, "
-        "all causes together; a value without a bar has an error that is not known."
+        f"origin of the {'flange' if run.is_payload else 'body'}'s frame. Bars are ± one standard "
+        "error, all causes together; a value without a bar has an error that is not known."
     )
-    title = "The numbers" if carried else "Before and after"
-    return Section("parameters", title, (words,), (masses(bodies),), tuple(figures))
+    title = "The numbers" if run.is_payload else "Before and after"
+    return Section("parameters", title, (words,), (masses(run.bodies),), figures)
 
 
 def masses(bodies: Sequence[Body]) -> Table:
@@ -71,36 +73,28 @@ def _before_after(body: Body, name: str) -> Figure:
     against = " against the model's values before" if "before" in told else ""
     known = " and the truth of the simulated arm" if "truth" in told else ""
     caption = f"{body.title}: identified parameters{against}{known}, ± one standard error."
-    return drawn(name, caption, numbers, 4.6, lambda canvas: _draw(canvas, body))
 
+    def draw(canvas: Any) -> None:
+        axes = canvas.subplots(3, 1, height_ratios=[end - start + 0.6 for start, end, _ in _GROUPS])
+        errors = np.where(np.isfinite(body.errors), body.errors, 0.0)
+        for (start, end, title), ax in zip(_GROUPS, axes):
+            places, part = -np.arange(end - start, dtype=float), slice(start, end)
+            for what, (shift, style) in _MARKS.items():
+                if what in told:
+                    ax.plot(told[what][part], places + shift, label=what, ls="none", **style)
+            bar: Any = {"fmt": "o", "color": AFTER, "ms": 5, "capsize": 3, "label": "after"}
+            ax.errorbar(body.after[part], places, xerr=errors[part], **bar)
+            ax.set_yticks(places, PARAMETER_NAMES[part])
+            ax.set(ylim=(places[-1] - 0.6, 0.6), xlabel=f"{title} [{THETA[start]}]")
+            ax.margins(x=0.08)
+            ax.locator_params(axis="x", nbins=6)
+            least = 0.5 * _LEAST_SPAN * float(np.max(np.abs(body.after[part]))) or 5e-7
+            low, high = ax.get_xlim()
+            if high - low < 2.0 * least:
+                ax.set_xlim(0.5 * (low + high) - least, 0.5 * (low + high) + least)
+        drawing.legend(canvas, axes[0], 4)
 
-def _draw(canvas: Any, body: Body) -> None:
-    axes = canvas.subplots(3, 1, height_ratios=[end - start + 0.6 for start, end, _ in _GROUPS])
-    errors = np.where(np.isfinite(body.errors), body.errors, 0.0)
-    for (start, end, title), ax in zip(_GROUPS, axes):
-        places = -np.arange(end - start, dtype=float)
-        part = slice(start, end)
-        for (what, style), shift in zip(_MARKS.items(), (0.16, -0.16, -0.16)):
-            if what in body.thetas:
-                ax.plot(body.thetas[what][part], places + shift, label=what, ls="none", **style)
-        bar: Any = {"fmt": "o", "color": AFTER, "ms": 5, "capsize": 3, "label": "after"}
-        ax.errorbar(body.after[part], places, xerr=errors[part], **bar)
-        ax.set_yticks(places, PARAMETER_NAMES[part])
-        ax.set_ylim(places[-1] - 0.6, 0.6)
-        ax.set_xlabel(f"{title} [{THETA[start]}]")
-        ax.margins(x=0.08)
-        ax.locator_params(axis="x", nbins=6)
-        _room(ax, body.after[part])
-    drawing.legend(canvas, axes[0], 4)
-
-
-def _room(ax: Any, values: Array) -> None:
-    """Widen an axis whose values are all but the same: what is drawn would be rounding."""
-    low, high = ax.get_xlim()
-    least = 0.02 * float(np.max(np.abs(values))) or 1e-6
-    if high - low < least:
-        middle = 0.5 * (low + high)
-        ax.set_xlim(middle - 0.5 * least, middle + 0.5 * least)
+    return drawn(name, caption, numbers, 4.6, draw)
 
 
 def _causes(body: Body, name: str) -> Figure:
@@ -126,8 +120,7 @@ def _causes(body: Body, name: str) -> Figure:
             ax.barh(places, 100.0 * share, left=left, label=cause, **style)
             left = left + 100.0 * share
         ax.set_yticks(places, PARAMETER_NAMES)
-        ax.set_xlabel("share of the error's variance [%]")
-        ax.set_xlim(0.0, 100.0)
+        ax.set(xlabel="share of the error's variance [%]", xlim=(0.0, 100.0))
         drawing.legend(canvas, ax, 2)
 
     numbers = ("parameter", "± standard error", *causes), rows
@@ -136,87 +129,75 @@ def _causes(body: Body, name: str) -> Figure:
 
 def visibility(run: Run) -> Section:
     """Return what is identified, what was kept from the model, and what does not show."""
-    body, content = run.bodies()[0], run.content
+    body, content = run.bodies[0], run.content
     rows = [
         (label, _source(body, k), percent(body.share[k]), drawing.plus_minus(body.errors[k]))
         for k, label in enumerate(PARAMETER_NAMES)
     ]
     tables, sentences = [table((body.title, "comes from", "data", "±"), rows)], []
-    base, sensors = mappings(content, "base_parameters"), mapping(content, "sensors")
+    base, sensors = content["base_parameters"], content["sensors"]
     if base:
         sentences.append(
             f"The torques show {len(base)} combinations of the links' parameters; any motion of "
-            f"this arm could show {content.get('structural_rank') or 'as many'}. Numbers of a "
+            f"this arm could show {content['structural_rank'] or 'as many'}. Numbers of a "
             "single link beyond these combinations lean on the model."
         )
-        tables.append(_base_table(base))
+        header = ("combination", "value", "± standard error", "essential")
+        essential = {True: "yes", False: "no"}
+        rows = [(e, *drawing.cells(*pair), essential[k]) for e, *pair, k in map(dict.values, base)]
+        tables.append(table(header, rows))
     if sensors:
-        found = [(name, with_error(*figure(sensors, name))) for name in sensors]
+        found = [(name, with_error(*each)) for name, each in sensors.items()]
         tables.append(table(("sensor", "found beside them"), found))
-    hidden = "; ".join(listed(content, "unidentifiable_combinations"))
+    hidden = "; ".join(content["unidentifiable_combinations"])
     every = "All parameters that were asked for show in these torques."
     sentences.append(f"These torques do not show: {hidden}." if hidden else every)
-    return Section("visible", "Identified, kept, not visible", tuple(sentences), tuple(tables))
-
-
-def _base_table(base: Sequence[Any]) -> Table:
-    rows = [
-        (
-            str(each["combination"]),
-            *drawing.cells(each["value"], each["standard_error"]),
-            "yes" if each["essential"] else "no",
-        )
-        for each in base
-    ]
-    return table(("combination", "value", "± standard error", "essential"), rows)
+    return Section("visible", "Identified, kept, not visible", sentences, tables)
 
 
 def _source(body: Body, k: int) -> str:
     if body.kept[k]:
         return "the model (not visible)"
-    if np.isfinite(body.share[k]) and body.share[k] < 0.5:
+    if np.isfinite(body.share[k]) and body.share[k] < _MOSTLY:
         return "more model than data"
     return "the data" if np.isfinite(body.errors[k]) or not body.budget else "partly the model"
 
 
 def card(run: Run) -> Section | None:
-    """Return the payload as controllers take it; None of other questions."""
-    if run.question != PAYLOAD:
+    """Return the payload as controllers take it; None where there is none."""
+    payload = run.content["payload"]
+    if payload is None:
         return None
-    payload = mapping(run.content, "payload")
-    cards, scales = mapping(payload, "cards"), mapping(payload, "torque_scale")
-    rows = [(joint, with_error(*figure(scales, joint))) for joint in scales]
-    tables = (table(("joint", "torque scale"), rows),) if rows else ()
-    if not cards:
-        known = payload.get("known_mass") is not None
+    rows = [(joint, with_error(*each)) for joint, each in payload["torque_scale"].items()]
+    tables = [table(("joint", "torque scale"), rows)] if rows else []
+    if not payload["cards"]:
         reason = "no card was written, because the payload is not to be used"
-        reason = "this run calibrated the torques; it writes no card" if known else reason
-        return Section("card", "Payload card", tables=tables, missing=(reason,))
-    flange = mapping(payload, "flange")
+        if payload["known_mass"] is not None:
+            reason = "this run calibrated the torques; it writes no card"
+        return Section("card", "Payload card", (), tables, missing=(reason,))
+    flange = payload["flange"]
     words = (
-        f"In the frame of the flange {flange.get('name', '?')} on body "
-        f"{flange.get('in_body', '?')}. Check that the controller means the same frame."
+        f"In the frame of the flange {flange['name']} on body {flange['in_body']}. Check that the "
+        "controller means the same frame."
     )
     blocks = []
-    for entry in cards.values():
-        about = (str(entry.get("explanation", "")), *listed(entry, "notes"))
-        comment = "\n".join(f"# {line}" for line in about if line)
-        blocks.append((str(entry.get("title", "card")), f"{comment}\n{entry.get('text', '')}"))
-    return Section("card", "Payload card", (words,), tables, blocks=tuple(blocks))
+    for entry in payload["cards"].values():
+        comment = "\n".join(f"# {line}" for line in (entry["explanation"], *entry["notes"]) if line)
+        blocks.append((entry["title"], f"{comment}\n{entry['text']}"))
+    return Section("card", "Payload card", (words,), tables, blocks=blocks)
 
 
 def scatter(run: Run) -> Section | None:
     """Return the payload according to each recording alone, or None where nothing is known."""
-    payload = mapping(run.content, "payload")
-    found = mappings(payload, "scatter")
-    if not found:
+    payload = run.content["payload"]
+    if payload is None or not payload["scatter"]:
         return None
-    mass = number(mapping(payload, "body").get("mass"))
-    names = [str(one.get("name", "?")) for one in found]
+    found = payload["scatter"]
+    names = [one["name"] for one in found]
     keys = ("mass", "noise_error", "error")
-    masses, noise, whole = np.array([[number(one.get(k)) for one in found] for k in keys])
+    masses, noise, whole = np.array([[number(one[k]) for one in found] for k in keys])
     header = ("recording", "kind", "mass [kg]", "± noise alone [kg]", "± all [kg]")
-    kinds = ["loaded" if one.get("is_loaded") else "empty" for one in found]
+    kinds = ["loaded" if one["is_loaded"] else "empty" for one in found]
     rows = [
         (name, kind, *drawing.cells(*pair), drawing.plus_minus(error))
         for name, kind, error, *pair in zip(names, kinds, whole, masses, noise)
@@ -229,7 +210,7 @@ def scatter(run: Run) -> Section | None:
     def draw(canvas: Any) -> None:
         ax = canvas.subplots()
         places = -np.arange(len(names), dtype=float)
-        ax.axvline(mass, color=MEASURED, label="all together")
+        ax.axvline(run.bodies[0].after[0], color=MEASURED, label="all together")
         thin: Any = {"fmt": "none", "ecolor": BEFORE, "lw": 1.0, "capsize": 3}
         ax.errorbar(masses, places, xerr=np.nan_to_num(whole), **thin)
         thick: Any = {"fmt": "o", "color": AFTER, "elinewidth": 3.0, "label": "one alone"}

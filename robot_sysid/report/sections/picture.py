@@ -16,9 +16,8 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.preview.studio import Colour, Studio
 from robot_sysid.records import Flange, RobotModel
 from robot_sysid.report.drawing import Figure, Section
-from robot_sysid.report.runs import Body, Run, mapping
+from robot_sysid.report.runs import Body, Run
 from robot_sysid.report.sections.parameters import masses
-from robot_sysid.results.record import PAYLOAD
 
 _SIZE = (800, 620)
 _COLOURS: dict[str, Colour] = {"before": (0.9, 0.45, 0.05, 0.3), "after": (0.05, 0.38, 0.75, 0.5)}
@@ -29,14 +28,13 @@ Bodies = list[tuple[int, Body]]
 
 def picture(run: Run, mesh_dir: Path | None = None) -> Section:
     """Return pictures of the arm with ellipsoids of the same mass and inertia as its links."""
-    entry = mapping(run.content, "model")
-    path = Path(str(entry.get("path", "")))
-    joint = run.content.get("joint_name")
+    entry = run.content["model"]
+    path = Path(entry["path"])
     try:
         if not path.is_file():
             raise SysidError(f"no pictures of the arm: its model is not at {path} any more")
-        robot = load_robot_model(path, mesh_dir, joint if isinstance(joint, str) else None)
-        if robot.sha256 != entry.get("sha256"):
+        robot = load_robot_model(path, mesh_dir, run.content["joint_name"])
+        if robot.sha256 != entry["sha256"]:
             raise SysidError(f"no pictures of the arm: {path} has changed since the run")
         return _drawn(robot, list(_bodies(robot, run)))
     except SysidError as error:
@@ -87,9 +85,9 @@ def _add_ellipsoids(studio: Studio, bodies: Bodies) -> Iterator[str]:
 
 def _bodies(robot: RobotModel, run: Run) -> Iterator[tuple[int, Body]]:
     """Yield (MuJoCo id, body in its frame), what was asked for first."""
-    first, *others = run.bodies()
-    if run.question == PAYLOAD:
-        entry = mapping(mapping(run.content, "payload"), "flange")
+    first, *others = run.bodies
+    if run.is_payload:
+        entry = run.content["payload"]["flange"]
         flange = Flange("flange", np.array(entry["rotation"]), np.array(entry["translation"]))
         yield robot.body_id, replace(first, thetas={"after": flange.from_flange(first.after)})
         thetas = {"before": others[0].after, "after": others[1].after}

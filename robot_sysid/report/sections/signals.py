@@ -3,25 +3,43 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from robot_sysid.records import Array
+from robot_sysid.records import Array, Validation
 from robot_sysid.records.figures import percent, position, term_unit, torque, with_error
 from robot_sysid.report import drawing
-from robot_sysid.report.drawing import AFTER, BEFORE, MEASURED, OTHER, Figure, Section, Table, drawn
-from robot_sysid.report.runs import LONGEST_LAG, ReportData, Run, listed, mapping, mappings, number
-from robot_sysid.results.record import PAYLOAD
+from robot_sysid.report.drawing import (
+    AFTER,
+    BEFORE,
+    MEASURED,
+    OTHER,
+    Curves,
+    Figure,
+    Panel,
+    Section,
+    Table,
+    curves,
+    drawn,
+)
+from robot_sysid.report.runs import LONGEST_LAG, ReportData, Run, number
+from robot_sysid.results.record import Figure as Estimated
 
 _SCATTERED = 400
+"""Dots of a cloud: more of them are one blot."""
 _NEAR = 0.5
 """Share of what a joint moved through within which a limit is near enough to be drawn."""
+_MOST_SETS = 7
+"""Bars beside each other that can be told apart, one for each hatching."""
+_WHEN = {"before": BEFORE, "after": AFTER}
 
 
 def torques(run: Run) -> Section | None:
     """Return measured and predicted torque of each joint, the residual below."""
-    before = "the arm without the payload" if run.question == PAYLOAD else "the model before"
+    before = "the arm without the payload" if run.is_payload else "the model before"
     words = (
         f"Grey: measured. Blue: predicted by the result. Orange, dashed: predicted by {before}. "
         "Below: measured minus predicted by the result. Gaps are samples that were not used, "
@@ -30,7 +48,7 @@ def torques(run: Run) -> Section | None:
     if run.data is not None and run.data.drawn:
         words += f" Long recording: {run.data.drawn}."
     title = "Measured and predicted torque"
-    return _by_joint(run, "torques", title, words, lambda data, j: _torque(data, j, before))
+    return _by_joint(run, "torques", title, words, partial(_torque, before=before))
 
 
 def _by_joint(
@@ -44,28 +62,24 @@ def _by_joint(
 
 def _torque(data: ReportData, joint: int, before: str) -> Figure:
     unit, name = torque(data.is_slide[joint]), data.joints[joint]
-    measured, after = data.measured[:, joint], data.predicted[:, joint]
-    earlier, left = data.before[:, joint], measured - after
-    header = ("time [s]", *(f"{n} [{unit}]" for n in ("measured", "after", "before", "residual")))
+    measured, earlier, after = (
+        each[:, joint] for each in (data.measured, data.before, data.predicted)
+    )
+    left = measured - after
+    rms, whole, old = map(_rms, (left, measured, measured - earlier))
     caption = (
         f"{name}: measured torque, predicted after and before, and the residual [{unit}]; "
-        f"root mean square {_rms(left):.3g} {unit} of {_rms(measured):.3g} {unit} "
-        f"({before} leaves {_rms(measured - earlier):.3g} {unit})."
+        f"root mean square {rms:.3g} {unit} of {whole:.3g} {unit} "
+        f"({before} leaves {old:.3g} {unit})."
     )
-
-    def draw(canvas: Any) -> None:
-        upper, lower = canvas.subplots(2, 1, sharex=True, height_ratios=(3, 1.2))
-        upper.plot(data.time, measured, color=MEASURED, lw=2.2, alpha=0.8, label="measured")
-        upper.plot(data.time, earlier, color=BEFORE, ls="--", lw=0.9, label="before")
-        upper.plot(data.time, after, color=AFTER, label="after")
-        lower.plot(data.time, left, color=drawing.INK, lw=0.7)
-        upper.set_ylabel(f"torque [{unit}]")
-        lower.set(xlabel="time [s]", ylabel=f"residual [{unit}]")
-        canvas.align_ylabels()
-        drawing.legend(canvas, upper)
-
-    rows = zip(data.time, measured, after, earlier, left)
-    return drawn(f"torque-{joint}", caption, (header, rows), 3.6, draw)
+    above: Curves = {
+        f"measured [{unit}]": (measured, {"color": MEASURED, "lw": 2.2, "alpha": 0.8}),
+        f"before [{unit}]": (earlier, {"color": BEFORE, "ls": "--", "lw": 0.9}),
+        f"after [{unit}]": (after, {"color": AFTER}),
+    }
+    below: Curves = {f"residual [{unit}]": (left, {"color": drawing.INK, "lw": 0.7})}
+    panels = Panel(f"torque [{unit}]", above, height=2.5), Panel(f"residual [{unit}]", below)
+    return curves(f"torque-{joint}", caption, ("time [s]", data.time), panels, 3.6)
 
 
 def _rms(values: Array) -> float:
@@ -139,7 +153,7 @@ def friction(run: Run) -> Section:
     words = (
         "Dots: what is left of the measured torque when all but friction is taken off. Circles: "
         "their mean in bins of speed. Blue: the identified friction in the same bins, with all its "
-        f"terms ({run.content.get('friction_model') or 'as listed'})."
+        f"terms ({run.content['friction_model'] or 'as listed'})."
     )
     if not tables or data is None:
         words = "Curves need the torques." if tables else "No friction was estimated."
@@ -150,14 +164,14 @@ def friction(run: Run) -> Section:
 
 
 def _coefficients(
-    title: str, found: Sequence[tuple[str, str, float, float]], slides: Mapping[str, bool]
+    title: str, found: Mapping[tuple[str, str], Estimated], slides: Mapping[str, bool]
 ) -> Table:
     """Return one row per joint, one column per term."""
-    values = {(owner, name): with_error(value, error) for owner, name, value, error in found}
-    owners, terms = (dict.fromkeys(key[k] for key in values) for k in (0, 1))
+    owners, terms = (dict.fromkeys(key[k] for key in found) for k in (0, 1))
     slide = any(slides.values())
     header = (title, *(f"{name} [{term_unit(name, slide) or '1'}]" for name in terms))
-    rows = [(owner, *(values.get((owner, name), "–") for name in terms)) for owner in owners]
+    cells = {key: with_error(*each) for key, each in found.items()}
+    rows = [(owner, *(cells.get((owner, name), "–") for name in terms)) for owner in owners]
     mixed = slide and not all(slides.values())
     note = "Units are those of slides; of hinges N·m for N and rad for m." if mixed else ""
     return drawing.table(header, rows, note)
@@ -186,15 +200,15 @@ def _curve(data: ReportData, joint: int) -> Figure:
 
 def excitation(run: Run) -> Section | None:
     """Return what share of its limits each joint used, and its motion."""
-    if run.data is None:
-        return None
     words = (
         "A motion that uses little of its limits tells little: the larger and faster it is, the "
         "smaller the errors. Speed limits are those that a motion of this program keeps, where the "
         "model has none of its own."
     )
-    motions = (_motion(run.data, joint) for joint in range(len(run.data.joints)))
-    return Section("excitation", "Excitation", (words,), figures=(_shares(run.data), *motions))
+    section = _by_joint(run, "excitation", "Excitation", words, _motion)
+    if section is None or run.data is None:
+        return None
+    return replace(section, figures=(_shares(run.data), *section.figures))
 
 
 def _shares(data: ReportData) -> Figure:
@@ -213,65 +227,47 @@ def _shares(data: ReportData) -> Figure:
         "Share of each limit that the motion used [%]; a joint without a bar has no limit of that "
         "kind in its model. Over 100 % the recording went beyond what the model allows."
     )
-
-    def draw(canvas: Any) -> None:
-        ax = drawing.bars(canvas, data.joints, series, "share of limit [%]")
-        ax.axhline(100.0, color=OTHER, ls="--", lw=1.0)
-
+    draw = partial(
+        drawing.bars, groups=data.joints, series=series, label="share of limit [%]", mark=100.0
+    )
     return drawn("excitation", caption, numbers, 3.2, draw, drawing.WIDE)
 
 
 def _motion(data: ReportData, joint: int) -> Figure:
     unit = position(data.is_slide[joint])
-    q, qd = data.q[:, joint], data.qd[:, joint]
     low, high, fast = (float(v[joint]) for v in (data.lower, data.upper, data.velocity))
-    header = ("time [s]", f"position [{unit}]", f"speed [{unit}/s]")
     limits = f"{low:.3g} to {high:.3g} {unit}" if np.isfinite(high - low) else "no position limit"
     caption = (
         f"{data.joints[joint]}: position [{unit}] and speed [{unit}/s] as recorded; limits "
         f"(dashed where near): {limits}, ± {fast:.3g} {unit}/s."
     )
-
-    def draw(canvas: Any) -> None:
-        axes = canvas.subplots(2, 1, sharex=True)
-        curves = ((q, AFTER, (low, high)), (qd, MEASURED, (-fast, fast)))
-        for ax, (values, colour, limits), label in zip(axes, curves, header[1:]):
-            ax.plot(data.time, values, color=colour)
-            ax.set_ylabel(label)
-            room = _NEAR * np.ptp(values)
-            for limit in limits:
-                if np.min(values) - room <= limit <= np.max(values) + room:
-                    ax.axhline(limit, color=OTHER, ls="--", lw=1.0)
-        axes[1].set_xlabel("time [s]")
-        canvas.align_ylabels()
-
-    return drawn(f"motion-{joint}", caption, (header, zip(data.time, q, qd)), 3.0, draw)
-
-
-_MOST_SETS = 7
-_WHEN = {"before": BEFORE, "after": AFTER}
+    panels = []
+    for label, values, colour, both in (
+        (f"position [{unit}]", data.q[:, joint], AFTER, (low, high)),
+        (f"speed [{unit}/s]", data.qd[:, joint], MEASURED, (-fast, fast)),
+    ):
+        room = _NEAR * np.ptp(values)
+        near = [x for x in both if np.min(values) - room <= x <= np.max(values) + room]
+        panels.append(Panel(label, {label: (values, {"color": colour})}, near))
+    return curves(f"motion-{joint}", caption, ("time [s]", data.time), panels, 3.0)
 
 
 class ErrorSet(NamedTuple):
-    """Prediction errors on some data.
-
-    Attributes:
-        test: "rmse", "relative_error" and "rmse_per_joint", as in the result file.
-    """
+    """Prediction errors on some data."""
 
     words: str
-    test: Mapping[str, Any]
+    test: Validation
     colour: str
 
     @property
     def cells(self) -> tuple[float, str]:
         """Error [N m] and its share of the torque, as cells of a table."""
-        share = number(self.test.get("relative_error"))
-        return number(self.test.get("rmse")), percent(share) if np.isfinite(share) else "–"
+        share = self.test.relative_error
+        return number(self.test.rmse), "–" if share is None else percent(share)
 
     def of(self, joints: Sequence[str]) -> list[float]:
         """Return the error [N m] of each joint; NaN where it is not known."""
-        return [number(mapping(self.test, "rmse_per_joint").get(joint)) for joint in joints]
+        return [number(self.test.rmse_per_joint.get(joint)) for joint in joints]
 
 
 def errors(run: Run) -> Section:
@@ -290,7 +286,7 @@ def errors(run: Run) -> Section:
 
 def error_bars(name: str, sets: Sequence[ErrorSet], words: str) -> Figure:
     """Return the errors per joint of some sets of data, the first of them as bars too."""
-    joints = list(dict.fromkeys(joint for each in sets for joint in each.test["rmse_per_joint"]))
+    joints = list(dict.fromkeys(joint for each in sets for joint in each.test.rmse_per_joint))
     rows = [(each.words, *each.cells, *each.of(joints)) for each in sets]
     header = ("data", "all joints [N·m]", "of the torque", *(f"{j} [N·m or N]" for j in joints))
     start = "Root mean square error of the predicted torque of each joint [N·m, N for slides]: "
@@ -298,57 +294,52 @@ def error_bars(name: str, sets: Sequence[ErrorSet], words: str) -> Figure:
         words += f" The figure shows the first {_MOST_SETS} of {len(sets)}, the table all."
     series = [(each.words, each.of(joints), each.colour) for each in sets[:_MOST_SETS]]
     width = drawing.WIDE if len(joints) > 2 else drawing.NARROW
-
-    def draw(canvas: Any) -> None:
-        drawing.bars(canvas, joints, series, "error [N·m]")
-
+    draw = partial(drawing.bars, groups=joints, series=series, label="error [N·m]")
     return drawn(name, start + words, (header, rows), 2.8 + 0.2 * len(series), draw, width)
 
 
 def error_sets(run: Run) -> Iterator[ErrorSet]:
     """Yield all errors per joint that the result file holds, those farthest from the fit last."""
-    file, tests = mapping(run.content, "file"), mappings(run.content, "validation")
-    found = [("fit", test, drawing.OTHER) for test in tests[:1]] + _pair(file)
+    content, file, tests = run.content, run.content["file"], run.content["validation"]
+    rmse = content["rmse_per_joint"]
+    if rmse:
+        fitted = Validation("", 0, content["rmse"], None, rmse, {})
+        yield ErrorSet("fitted", fitted, MEASURED)
+    pairs = [] if file is None else [(file["before"], file["after"])]
+    found = [("fit", test, OTHER) for test in tests[:1]] + _pairs(pairs)
     found += [("fit", test, drawing.TRUTH) for test in tests[1:]]
-    for other in mappings(file, "others"):
-        found += _pair(other)
-    if mapping(run.content, "rmse_per_joint"):
-        yield ErrorSet("fitted", run.content, drawing.MEASURED)
+    found += _pairs([] if file is None else [(e["before"], e["after"]) for e in file["others"]])
     for words, test, colour in found:
-        if mapping(test, "rmse_per_joint"):
-            yield ErrorSet(f"{words}: {test.get('source')}", test, colour)
+        if test is not None and test.rmse_per_joint:
+            yield ErrorSet(f"{words}: {test.source}", test, colour)
 
 
-def _pair(pair: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any], str]]:
-    written = ("written model", mapping(pair, "after"), AFTER)
-    return [("model before", mapping(pair, "before"), BEFORE), written]
+def _pairs(pairs: Sequence[tuple[Any, Any]]) -> list[tuple[str, Any, str]]:
+    both = (("model before", BEFORE), ("written model", AFTER))
+    return [(words, test, c) for pair in pairs for test, (words, c) in zip(pair, both)]
 
 
 def rollout(run: Run) -> Section | None:
     """Return how far the model moves away from the arm when it is played, or None."""
-    found = mapping(run.content, "rollout")
-    if not found:
+    found = run.content["rollout"]
+    if found is None:
         return None
-    words = f"Both models were played on {found.get('held_out', 'held-out pieces')}"
-    said = [f"{words}; in closed loop with {found.get('closed_loop_is', 'a servo')}."]
-    score = number(found.get("score"))
-    if np.isfinite(score):
+    words = f"Both models were played on {found['held_out']}; in closed loop with"
+    said = [f"{words} {found['closed_loop_is']}."]
+    score = found["score"]
+    if score is not None:
         better = "smaller" if score < 1.0 else "not smaller"
         said.append(f"Errors are {better} than before: {score:.3g} times, all together.")
-    figures = tuple(_played(test, k) for k, test in enumerate(mappings(found, "errors")))
-    points = listed(found, "notes")
-    return Section("rollout", "Played in the simulator", tuple(said), (), figures, points)
+    figures = tuple(_played(test, k) for k, test in enumerate(found["errors"]))
+    return Section("rollout", "Played in the simulator", said, (), figures, found["notes"])
 
 
 def _played(test: Mapping[str, Any], place: int) -> Figure:
-    joints = {"all": mapping(test, "overall"), **mapping(test, "joints")}
-    pairs = {when: [number(each.get(when)) for each in joints.values()] for when in _WHEN}
+    joints = {"all": test["overall"], **test["joints"]}
+    pairs = {when: [number(each[when]) for each in joints.values()] for when in _WHEN}
     series = [(when, heights, _WHEN[when]) for when, heights in pairs.items()]
-    played = f"{test.get('loop', 'loop')}, {drawing.text(number(test.get('horizon')))} s"
+    played = f"{test['loop']}, {drawing.text(test['horizon'])} s"
     error = "root mean square position error of the model before and after [rad, m for slides]"
-
-    def draw(canvas: Any) -> None:
-        drawing.bars(canvas, list(joints), series, "position error [rad]")
-
     numbers = ("joint", *(f"{when} [rad or m]" for when in _WHEN)), zip(joints, *pairs.values())
+    draw = partial(drawing.bars, groups=list(joints), series=series, label="position error [rad]")
     return drawn(f"rollout-{place}", f"{played}: {error}.", numbers, 3.2, draw)

@@ -10,13 +10,8 @@ from robot_sysid.mjcf.inertial import rmse_words
 from robot_sysid.records.figures import percent, with_error
 from robot_sysid.records.results import MODEL_NAMES
 from robot_sysid.report.drawing import Section
-from robot_sysid.report.runs import Run, listed, mapping, mappings, number
-from robot_sysid.results.record import LINK, PAYLOAD
+from robot_sysid.report.runs import Run
 
-_KINDS = {
-    LINK: "the terminal link, with the other links around it",
-    PAYLOAD: "a payload, from recordings without and with it",
-}
 _LESS = {
     "noise": "record longer, or move faster and wider (`robot-sysid plan` designs such a motion)",
     "links": "move the other joints too, so that the other links show (`robot-sysid identify "
@@ -33,58 +28,54 @@ _LESS = {
 }
 """Cause of error to what makes it smaller."""
 _LARGE = 0.02
-"""Error of the mass, as a part of it, above which something is to be done about it."""
+"""Error of the mass, as a part of it, above which something is to be done about it: what
+friction and sensors leave of it at best."""
+_PART = 0.3
+"""Share of the whole error from which a cause is worth a remedy: without it 5 % less is left."""
 
 
 def verdict(run: Run) -> Section:
     """Return what was found, whether it may be used, and why not."""
     content, good = run.content, run.trustworthy
-    words = f"This result {'may be used' if good else 'must not be used'}"
-    status = f"{words}: {content.get('status_text', 'no status is given')}."
+    use = "may be used" if good else "must not be used"
     return Section(
         "verdict",
         "Verdict",
-        sentences=(status, *_masses(run), *_predicted(run), *_came_from(run)),
-        points=(*listed(content, "reasons"), *listed(content, "limitations")),
+        sentences=(f"This result {use}: {content['status_text']}.", *_masses(run), *_origin(run)),
+        points=(*content["reasons"], *content["limitations"]),
         missing=run.missing,
         verdict="good" if good else "bad",
-        details=(("What the run had to say", listed(content, "notes")),),
+        details=(("What the run had to say", content["notes"]),),
     )
 
 
 def _masses(run: Run) -> Iterator[str]:
-    bodies = run.bodies()
-    for body in bodies if run.question == PAYLOAD else bodies[:1]:
+    for body in run.bodies if run.is_payload else run.bodies[:1]:
         mass, error = float(body.after[0]), float(body.errors[0])
-        known = number(run.content.get("known_to")) if body is bodies[0] else error / mass
-        relative = f" ({percent(known)})" if np.isfinite(known) else ""
+        relative = f" ({percent(error / mass)})" if np.isfinite(error) and mass > 0.0 else ""
         if run.is_itself:
             relative = " (the model's own value, which had to come back)"
         yield f"Mass of {body.title}: {with_error(mass, error, 'kg')}{relative}."
+    if run.content["file"] is not None:
+        errors = run.content["file"]["torque_error"].values()
+        before, after = (None if each is None else percent(each) for each in errors)
+        if before is not None:
+            after = after or "not known, no model was written"
+            yield f"Torque error of the model on held-out data: {before} -> {after}."
 
 
-def _predicted(run: Run) -> Iterator[str]:
-    errors = mapping(mapping(run.content, "file"), "torque_error")
-    before, after = (number(errors.get(when)) for when in ("before", "after"))
-    if np.isfinite(before):
-        written = percent(after) if np.isfinite(after) else "not known, no model was written"
-        yield f"Torque error of the model on held-out data: {percent(before)} -> {written}."
-
-
-def _came_from(run: Run) -> Iterator[str]:
-    content = run.content
-    model = mapping(content, "model").get("path", "an unknown model")
-    joint, duration = content.get("joint_name"), number(content.get("duration"))
-    place = f", joint {joint}" if joint else ""
-    length = f", {duration:.3g} s" if np.isfinite(duration) else ""
-    source = content.get("source") or "recordings"
-    logs = [n for kind in mapping(mapping(content, "payload"), "recordings").values() for n in kind]
-    given = f" {', '.join(map(str, logs))}" if logs else ""
-    kind = _KINDS[run.question]
-    yield f"Identified: {kind}{place}. Model: {model}. Data: {source}{given}{length}."
-    rmse = number(content.get("rmse"))
-    if np.isfinite(rmse):
-        yield f"Root mean square of the torque that is left over: {rmse:.3g} N·m."
+def _origin(run: Run) -> Iterator[str]:
+    content, payload = run.content, run.content["payload"]
+    kind, given = "the terminal link, with the other links around it", ""
+    if payload is not None:
+        kind = "a payload, from recordings without and with it"
+        given = " " + ", ".join(name for names in payload["recordings"].values() for name in names)
+    yield (
+        f"Identified: {kind}, joint {content['joint_name']}. Model: {content['model']['path']}. "
+        f"Data: {content['source']}{given}, {content['duration']:.3g} s."
+    )
+    if content["rmse"] is not None:
+        yield f"Root mean square of the torque that is left over: {content['rmse']:.3g} N·m."
 
 
 def next_steps(run: Run) -> Section:
@@ -100,14 +91,14 @@ def _steps(run: Run) -> Iterator[str]:
         )
         return
     if not run.trustworthy:
-        status = str(run.content.get("status_text", ""))
+        status = str(run.content["status_text"])
         yield "Do not load these numbers into a model or a controller."
         yield f"{status[:1].upper()}{status[1:]}."
         yield "`robot-sysid log LOG MODEL` says what is wrong with a log."
     yield from _smaller_errors(run)
     if run.trustworthy:
         yield from _uses(run)
-    if run.question == LINK and len(mappings(run.content, "validation")) < 2:
+    if not run.is_payload and len(run.content["validation"]) < 2:
         yield (
             "Test the result on a log that was not fitted, with another motion: "
             "`--validation-measurements LOG`."
@@ -115,17 +106,16 @@ def _steps(run: Run) -> Iterator[str]:
 
 
 def _uses(run: Run) -> Iterator[str]:
-    tests = (run.content, *mappings(run.content, "validation")[:1])
-    ours = [rmse_words(number(test.get("rmse"))) for test in tests]
+    ours, payload = rmse_words(run.content["rmse"]), run.content["payload"]
     for path in (run.folder / name for name in MODEL_NAMES.values()):
         if path.is_file():
-            text = path.read_text("utf-8", errors="replace")
+            # A model that this run read from its own folder stays there where it writes none.
+            own = ours in path.read_text("utf-8", errors="replace")
             older = f"Do not load {path.name}: it is from another run, and this one wrote none."
-            own = any(words in text for words in ours)
             yield f"Load {path.name} in place of the model." if own else older
-    if mapping(mapping(run.content, "payload"), "cards"):
+    if payload is not None and payload["cards"]:
         yield "Copy the payload into the controller from the card below; mind the frame it names."
-    if any(run.bodies()[0].kept):
+    if any(run.bodies[0].kept):
         yield (
             "Some values are the model's own, because these torques do not show them: use "
             "`--torques chain` and a designed motion (`robot-sysid plan`) to see more."
@@ -133,12 +123,12 @@ def _uses(run: Run) -> Iterator[str]:
 
 
 def _smaller_errors(run: Run) -> Iterator[str]:
-    body = run.bodies()[0]
+    body = run.bodies[0]
     mass, error = float(body.after[0]), float(body.errors[0])
     if not np.isfinite(error) or error <= _LARGE * abs(mass):
         return
     parts = {cause: float(np.nan_to_num(values[0])) for cause, values in body.budget.items()}
     for cause in sorted(parts, key=lambda c: -parts[c])[:2]:
-        if cause in _LESS and parts[cause] > 0.3 * error:
+        if cause in _LESS and parts[cause] > _PART * error:
             share = percent(parts[cause] / abs(mass)) if mass else ""
             yield f"To know the mass better: {_LESS[cause]} ({cause} is {share} of it)."
