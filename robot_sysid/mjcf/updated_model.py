@@ -25,7 +25,6 @@ from robot_sysid.mjcf.inertial import (
     number,
     numbers,
     rmse_words,
-    setting,
     urdf_inertial_about_com,
 )
 from robot_sysid.mjcf.urdf import give_minimum
@@ -187,11 +186,6 @@ def write_joint(edits: Edits, change: JointChange) -> None:
         beyond = (node.get("damping") or "").split()[1:]
         beyond = beyond if change.polynomial is None else [number(n) for n in change.polynomial]
         written["damping"] = " ".join([written["damping"], *beyond])
-    if change.spring is not None and not is_urdf:
-        stiffness, rest = change.spring
-        in_degrees = node.get("type") != "slide" and setting(document, "angle") != "radian"
-        rest = math.degrees(rest) if in_degrees else rest
-        written |= {"stiffness": number(stiffness), "springref": number(rest)}
     for name, text in written.items():
         edits.set(node, name, text)
 

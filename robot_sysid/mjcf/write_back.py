@@ -165,8 +165,6 @@ def _inflated_note(theta: Array, inflated: float) -> Iterator[str]:
 
 JOINT_NUMBERS = ("armature", "damping", "frictionloss")
 """What may be written into a joint, by its name in MJCF."""
-FAR = 1000.0
-"""Where the spring rests that makes an offset [rad or m]: over a turn it changes by 0.6 %."""
 
 
 @dataclass(frozen=True)
@@ -199,8 +197,6 @@ class JointChange:
         damping: viscous friction [N m s/rad or N s/m].
         frictionloss: Coulomb friction [N m or N].
         polynomial: damping beyond the linear one, of qd abs(qd) and of qd^3; MuJoCo 3.7 and later.
-        offset: torque that motion takes in both directions [N m or N]; with Coulomb friction
-            larger than it, the joint has friction that is unequal in the two directions.
         words: what a comment says of the numbers; empty for their names alone.
     """
 
@@ -209,7 +205,6 @@ class JointChange:
     damping: float | None = None
     frictionloss: float | None = None
     polynomial: tuple[float, float] | None = None
-    offset: float | None = None
     words: str = ""
 
     @property
@@ -217,13 +212,6 @@ class JointChange:
         """What is to be written, by its name in MJCF."""
         values = {name: getattr(self, name) for name in JOINT_NUMBERS}
         return {name: float(value) for name, value in values.items() if value is not None}
-
-    @property
-    def spring(self) -> tuple[float, float] | None:
-        """Stiffness, and where it rests [rad or m], of the spring that makes the offset."""
-        if self.offset is None:
-            return None
-        return abs(self.offset) / FAR, -FAR if self.offset > 0.0 else FAR
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ from robot_sysid.results.verification import (
 
 _MOMENTS = [4, 7, 9]
 _IN_MJCF = {"armature": "armature", "viscous": "damping", "coulomb": "frictionloss"}
-_NOT_IN_URDF = {"rotor inertia": "armature", "nonlinear damping": "polynomial", "offsets": "offset"}
+_NOT_IN_URDF = {"rotor inertia": "armature", "nonlinear damping": "polynomial"}
 _ONLY_MUJOCO = (
     "the written URDF states gravity in its <mujoco> part, which MuJoCo reads and other readers "
     "ignore"
@@ -146,18 +146,14 @@ def _joint_changes(
             polynomial = values.get("quadratic", 0.0), values.get("cubic", 0.0)
             # One attribute holds all three numbers, so that the one that stays is written again.
             values.setdefault("viscous", own[joint])
-        armature, damping, coulomb = (values.get(term) for term in _IN_MJCF)
-        words = ", ".join(_words(term, figure) for term, figure in terms.items())
-        offset = values.get("offset")
-        changes.append(JointChange(joint, armature, damping, coulomb, polynomial, offset, words))
+        numbers = {name: values.get(term) for term, name in _IN_MJCF.items()}
+        words = ", ".join(
+            f"{_IN_MJCF.get(term, f'{term} damping')} {each.value:.4g}"
+            + (f" ± {each.error:.2g}" if np.isfinite(each.error) else "")
+            for term, each in terms.items()
+        )
+        changes.append(JointChange(joint, **numbers, polynomial=polynomial, words=words))
     return tuple(changes)
-
-
-def _words(term: str, figure: Figure) -> str:
-    what = f"{_IN_MJCF.get(term, f'{term} damping')} {figure.value:.4g}"
-    if term == "offset":
-        what = f"offset, as a spring tensioned far away, {figure.value:.4g}"
-    return f"{what} ± {figure.error:.2g}" if np.isfinite(figure.error) else what
 
 
 def _that_fit(
@@ -171,7 +167,7 @@ def _that_fit(
         for what, name in _NOT_IN_URDF.items()
         if any(np.any(getattr(change, name) or 0.0) for change in joints)
     ]
-    kept = (replace(each, armature=None, polynomial=None, offset=None, words="") for each in joints)
+    kept = (replace(each, armature=None, polynomial=None, words="") for each in joints)
     note = f"a URDF cannot hold {' or '.join(lost)}, so the written model lacks it"
     return tuple(kept), (note,) if lost else ()
 
@@ -215,8 +211,7 @@ def _joint_words(
     for change in joints:
         what = change.words or ", ".join(change.numbers)
         if what and change.label in body:
-            at = place.get(body[change.label], len(robot.links) - 1)
-            words[at].append(f"{what} of joint '{change.label}'")
+            words[place.get(body[change.label], -1)].append(f"{what} of joint '{change.label}'")
     return words
 
 

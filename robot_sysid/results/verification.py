@@ -22,21 +22,21 @@ from robot_sysid.dynamics.kinematics import ArmDynamics
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.errors import ExportError, InputError
 from robot_sysid.mjcf.inertial import mjcf_inertial
-from robot_sysid.mjcf.write_back import ActuatorChange, JointChange, ModelChange, WeldedBody
+from robot_sysid.mjcf.write_back import ModelChange, WeldedBody
 from robot_sysid.model.chain import body_label, joint_label
 from robot_sysid.model.compilation import CompiledModel, captured_warnings, compile_model
 from robot_sysid.model.inertia import body_theta
 from robot_sysid.records import Array, Motion, RobotModel
 
 TOLERANCE = 1e-9
-"""Largest relative deviation of the compiled inertia from what was asked for."""
+"""Largest relative deviation of the compiled inertia from what was asked for: MuJoCo's own way to
+principal axes and back leaves up to 1e-10."""
 ACCURATE = 1e-12
 """Deviation below which MuJoCo's principal axes count as accurate; 4.0.0 stays below 1e-13."""
 
 # What is written of a body, and whether its frame and its inertial frame coincide. Compared row by
 # row: only the changed bodies may differ.
 BODY_FIELDS = ("body_mass", "body_inertia", "body_ipos", "body_iquat", "body_sameframe")
-_DELAY, _LINEAR = ("actuator_delay", "actuator_history"), 1
 # What MuJoCo computes from masses and inertias when it compiles.
 DERIVED = {
     *("body_subtreemass", "body_invweight0", "dof_M0", "dof_invweight0", "dof_length"),
@@ -69,81 +69,54 @@ _ADVICE = {
     "jnt_stiffness": _SPRINGDAMPER,
     "dof_dampingpoly": "write a joint's nonlinear damping into the joint instead of its class",
 }
+_OWN_GAINS = "give the actuator kp and kv of its own"
+_OWN_DELAY = "give the actuator a delay of its own, or leave --write-delay off"
 _NUMBERS = (int, float, bytes, np.ndarray)
+_LINEAR = 1
+"""How MuJoCo interpolates between remembered commands (mjSAMPLE_LINEAR)."""
 
 
 class _Asked(NamedTuple):
-    """Values that a change asks for at places: compiled fields, and the place in each, row first.
+    """A number or a row that a change asks for: the compiled field, the place in it, the value."""
 
-    ``fault`` says what is wrong where others stand there, the numbers found as {0}, {1}, ...
-    """
-
-    places: tuple[tuple[str, tuple[Any, ...]], ...]
-    values: tuple[Any, ...]
     owner: str
-    fault: str
+    field: str
+    at: tuple[Any, ...]
+    value: Any
+    advice: str = "no model was written"
 
     def require(self, mj_model: Any) -> None:
-        """Raise ExportError unless the numbers stand in a compiled model."""
-        found = [attrgetter(name)(mj_model)[at].tolist() for name, at in self.places]
-        pairs = zip(found, self.values)
-        if not all(np.allclose(*pair, rtol=TOLERANCE, atol=0.0) for pair in pairs):
-            fault = self.fault.format(*found)
-            raise ExportError(f"in the written model, {self.owner} {fault}")
+        """Raise ExportError unless it stands in a compiled model."""
+        found = attrgetter(self.field)(mj_model)[self.at].tolist()
+        if not np.allclose(found, self.value, rtol=TOLERANCE, atol=0.0):
+            what = f"{self.owner} has {self.field} {found} instead of {self.value}"
+            raise ExportError(f"in the written model, {what}; {self.advice}")
 
     def put(self, mj_model: Any) -> None:
-        """Write the numbers into a compiled model."""
-        for (name, at), value in zip(self.places, self.values):
-            attrgetter(name)(mj_model)[at] = value
+        """Write it into a compiled model."""
+        attrgetter(self.field)(mj_model)[self.at] = self.value
 
 
 def _asked(original: Any, change: ModelChange) -> Iterator[_Asked]:
+    labels = [joint_label(original, joint) for joint in range(original.njnt)]
     for joint in change.joints:
-        yield from _of_joint(original, joint)
-    for actuator in change.actuators:
-        yield from _of_actuator(actuator)
+        at = (int(original.jnt_dofadr[labels.index(joint.label)]),)
+        numbers: dict[str, Any] = {f"dof_{name}": value for name, value in joint.numbers.items()}
+        if joint.polynomial is not None and hasattr(original, "dof_dampingpoly"):
+            numbers["dof_dampingpoly"] = joint.polynomial
+        for field, value in numbers.items():
+            advice = _ADVICE.get(field, "no model was written")
+            yield _Asked(f"joint '{joint.label}'", field, at, value, advice)
+    for servo in change.actuators:
+        at, owner = (servo.actuator,), f"actuator number {servo.actuator}"
+        yield _Asked(owner, "actuator_gainprm", (*at, 0), servo.stiffness, _OWN_GAINS)
+        bias = (0.0, -servo.stiffness, -servo.damping)
+        yield _Asked(owner, "actuator_biasprm", (*at, slice(3)), bias, _OWN_GAINS)
+        if servo.delay is not None:
+            yield _Asked(owner, "actuator_delay", at, servo.delay, _OWN_DELAY)
+            yield _Asked(owner, "actuator_history", at, (servo.samples, _LINEAR), _OWN_DELAY)
     if change.gravity is not None:
-        fault = f"is {{0}} instead of {list(change.gravity)}; no model was written"
-        yield _Asked((("opt.gravity", ([0, 1, 2],)),), (change.gravity,), "gravity", fault)
-
-
-def _of_joint(original: Any, change: JointChange) -> Iterator[_Asked]:
-    joint = [joint_label(original, joint) for joint in range(original.njnt)].index(change.label)
-    dof, rest = int(original.jnt_dofadr[joint]), int(original.jnt_qposadr[joint])
-    owner = f"joint '{change.label}'"
-    for name, value in change.numbers.items():
-        advice = _ADVICE.get(f"dof_{name}", "no model was written")
-        fault = f"has {name} {{0:.9g}} instead of {value:.9g}; {advice}"
-        yield _Asked(((f"dof_{name}", (dof,)),), (value,), owner, fault)
-    if change.polynomial is not None and hasattr(original, "dof_dampingpoly"):
-        advice = _ADVICE["dof_dampingpoly"]
-        fault = f"has the nonlinear damping {{0}} instead of {change.polynomial}; {advice}"
-        yield _Asked((("dof_dampingpoly", (dof,)),), (change.polynomial,), owner, fault)
-    if change.spring is not None:
-        fault = (
-            "has a spring of {0:.9g} that rests at {1:.9g}, which is not the offset of "
-            f"{change.offset:.9g}"
-        )
-        places = ("jnt_stiffness", (joint,)), ("qpos_spring", (rest,))
-        yield _Asked(places, change.spring, owner, fault)
-
-
-def _of_actuator(change: ActuatorChange) -> Iterator[_Asked]:
-    at, kp, kv = change.actuator, change.stiffness, change.damping
-    owner = f"actuator number {at}"
-    fault = (
-        f"has gains [{{0}}, {{1[0]}}, {{1[1]}}, {{1[2]}}] instead of kp {kp:.9g} and kv {kv:.9g}; "
-        "give it kp and kv of its own"
-    )
-    gains = ("actuator_gainprm", (at, 0)), ("actuator_biasprm", (at, slice(3)))
-    yield _Asked(gains, (kp, (0.0, -kp, -kv)), owner, fault)
-    if change.delay is not None:
-        fault = (
-            f"acts late by {{0:.9g}} s instead of {change.delay:.9g}; give it a delay of its own, "
-            "or leave --write-delay off"
-        )
-        late = tuple((name, (at,)) for name in _DELAY)
-        yield _Asked(late, (change.delay, (change.samples, _LINEAR)), owner, fault)
+        yield _Asked("the world", "opt.gravity", ([0, 1, 2],), change.gravity)
 
 
 def verify_written_model(original: Any, written: Path, change: ModelChange) -> CompiledModel:
@@ -172,8 +145,8 @@ def require_change(original: Any, found: Any, change: ModelChange) -> None:
     }
     asked = list(_asked(original, change))
     rows: dict[str, set[int]] = {name: set(thetas) for name in BODY_FIELDS}
-    for name, at in (place for each in asked for place in each.places):
-        rows.setdefault(name, set()).update(np.ravel(at[0]).tolist())
+    for each in asked:
+        rows.setdefault(each.field, set()).update(np.ravel(each.at[0]).tolist())
     require_same_model(original, found, rows, new)
     for body, (theta, size) in thetas.items():
         require_theta(found, body + (new is not None and body >= new), theta, size)
@@ -222,7 +195,7 @@ def require_theta(
     Args:
         size: (10,) a body that says what is large; deviations are relative to it.
     """
-    mass, com, inertia = spatial.com_from_theta(size)
+    mass, _, inertia = spatial.com_from_theta(size)
     scale = spatial.parameter_scale(mass, spatial.characteristic_length(size))
     deviation = float(np.max(np.abs(body_theta(mj_model, body_id) - theta) / scale))
     if np.any(theta):
@@ -252,24 +225,14 @@ def reads_fullinertia_exactly(theta: Array) -> bool:
     return True
 
 
-def compiled_fields(mj_model: Any) -> Iterator[tuple[str, Any]]:
+def compiled_fields(mj_model: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Yield every number and array of a compiled model with its name, options included."""
-    yield from _numbers(mj_model, "")
-    yield from _numbers(mj_model.opt, "opt.")
-    yield from _numbers(mj_model.stat, "stat.")
-    for part in _public(mj_model.vis):
-        yield from _numbers(getattr(mj_model.vis, part), f"vis.{part}.")
-
-
-def _numbers(holder: Any, prefix: str) -> Iterator[tuple[str, Any]]:
-    for name in _public(holder):
-        value = getattr(holder, name)
+    for name in (name for name in dir(mj_model) if not name.startswith("_")):
+        value = getattr(mj_model, name)
         if isinstance(value, _NUMBERS):
             yield prefix + name, value
-
-
-def _public(holder: Any) -> list[str]:
-    return [name for name in dir(holder) if not name.startswith("_")]
+        elif name in ("opt", "stat", "vis") or prefix == "vis.":
+            yield from compiled_fields(value, f"{prefix}{name}.")
 
 
 def _same(name: str, ours: Any, theirs: Any, changed: Collection[int], new: int | None) -> bool:
@@ -292,7 +255,10 @@ def _same(name: str, ours: Any, theirs: Any, changed: Collection[int], new: int 
 
 
 TORQUE_TOLERANCE = 1e-9
-"""Largest deviation of a written model's torque, relative to the joint's largest torque."""
+"""Largest deviation of a written model's torque, relative to the joint's largest torque; beside
+``TOLERANCE`` of the inertia that makes it."""
+_LEAST_SHARE = 1e-3
+"""Share of the largest torque by which a joint that carries next to nothing is judged."""
 
 
 def require_reproduction(
@@ -318,8 +284,7 @@ def require_reproduction(
     predicted += ArmDynamics(asked).beyond_rigid_bodies(*samples)
     actual = ArmDynamics(robot, written_model).torque(*samples)
     peak = np.max(np.abs(predicted), axis=0)
-    # A joint that carries next to nothing is judged by what its neighbours carry.
-    scale = np.maximum(peak, 1e-3 * np.max(peak, initial=0.0))
+    scale = np.maximum(peak, _LEAST_SHARE * np.max(peak, initial=0.0))
     relative = np.max(np.abs(actual - predicted), axis=0) / np.where(scale > 0.0, scale, 1.0)
     worst = int(np.argmax(relative))
     if not relative[worst] <= TORQUE_TOLERANCE:
@@ -331,7 +296,7 @@ def require_reproduction(
 
 
 PLACE = 1e-12
-"""Largest deviation of the new body's place [m] and axes."""
+"""Largest deviation of the new body's place [m] and axes: some roundings of a quaternion."""
 # Names and their places, and tables that list each body or number the pairs of them.
 _BOOKKEEPING = {
     *("nbody", "nB", "nnames", "nnames_map", "names", "names_map", "signature"),

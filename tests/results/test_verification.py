@@ -74,14 +74,6 @@ def test_an_actuators_own_force_and_stiffness_may_not_change(bias):
         require_same_model(with_servo("0 -10 0"), with_servo(bias), {})
 
 
-@pytest.mark.skipif(not RATIO, reason="this MuJoCo knows no damping ratios")
-def test_a_damping_that_follows_from_the_inertia_may_change():
-    heavier = model(FULL.replace('mass="1.5"', 'mass="9.5"'))
-    damping = [m.actuator_biasprm[0, 2] for m in (model(), heavier)]
-    assert damping[1] < damping[0] < 0.0
-    require_same_model(model(), heavier, dict.fromkeys(BODY_FIELDS, {heavier.body("link2").id}))
-
-
 def test_a_model_is_the_same_as_itself():
     require_same_model(model(), model(), {})
 
@@ -164,12 +156,12 @@ def test_gravity_may_differ_only_where_it_was_written_and_only_as_written(tmp_pa
     original = model()
     for asked, words in (
         (None, "differs from the original in opt.gravity"),
-        ((0.0, 0.0, -9.8 + 1e-8), "gravity is .* instead of"),
+        ((0.0, 0.0, -9.8 + 1e-8), "opt.gravity .* instead of"),
     ):
         with pytest.raises(ExportError, match=words):
             verify_written_model(original, source, ModelChange((), 0.0, gravity=asked))
     verify_written_model(original, source, ModelChange((), 0.0, gravity=(0.0, 0.0, -9.8)))
-    with pytest.raises(ExportError, match="gravity is .* instead of"):
+    with pytest.raises(ExportError, match="opt.gravity .* instead of"):
         require = ModelChange((), 0.0, gravity=(1e-8, 0.0, -9.8))
         verify_written_model(original, source, require)
 
@@ -177,10 +169,10 @@ def test_gravity_may_differ_only_where_it_was_written_and_only_as_written(tmp_pa
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (JointChange("j{1}", armature=0.7), "joint 'j{1}' has armature 0 instead of 0.7"),
-        (JointChange("j{1}", damping=0.7), "joint 'j{1}' has damping 0 instead of 0.7"),
-        (JointChange("j{1}", offset=0.5), "a spring of 0 that rests at 0, which is not the offset"),
-        (ActuatorChange(0, 5.0, 1.0), "number 0 has gains [10.0, 0.0, -10.0, 0.0] instead of kp 5"),
+        (JointChange("j{1}", armature=0.7), "joint 'j{1}' has dof_armature 0.0 instead of 0.7"),
+        (JointChange("j{1}", damping=0.7), "joint 'j{1}' has dof_damping 0.0 instead of 0.7"),
+        (ActuatorChange(0, 5.0, 1.0), "number 0 has actuator_gainprm 10.0 instead of 5.0"),
+        (ActuatorChange(0, 10.0, 1.0), "number 0 has actuator_biasprm [0.0, -10.0, 0.0] instead"),
     ],
 )
 def test_a_number_that_is_not_there_is_named(tmp_path, change, words):
@@ -190,23 +182,6 @@ def test_a_number_that_is_not_there_is_named(tmp_path, change, words):
     kind = "actuators" if isinstance(change, ActuatorChange) else "joints"
     with pytest.raises(ExportError, match=re.escape(words)):
         verify_written_model(model(text), source, ModelChange((), 0.0, **{kind: (change,)}))
-
-
-def test_whether_mujoco_finds_axes_accurately_is_measured():
-    diagonal = spatial.theta_from_com(1.0, np.zeros(3), np.diag([1.0, 2.0, 2.5]))
-    assert reads_fullinertia_exactly(diagonal)
-    text = f"<mujoco><worldbody><body>{mjcf_inertial(THETA)}</body></worldbody></mujoco>"
-    try:
-        require_theta(model(text), 1, THETA, THETA, 1e-12)
-        accurate = True
-    except ExportError:
-        accurate = False
-    assert reads_fullinertia_exactly(THETA) == accurate
-
-
-def test_a_difference_that_a_springdamper_makes_says_so():
-    with pytest.raises(ExportError, match="springdamper computes it from the inertia"):
-        compare('<joint name="j2"', '<joint damping="3" name="j2"')
 
 
 def some_motion(seed: int, joints: int) -> Motion:
@@ -254,7 +229,7 @@ def torque_refused(robot, mj_model, thetas=None, change=None):
     return False
 
 
-@pytest.mark.parametrize("name", sorted(arms.MODELS))
+@pytest.mark.parametrize("name", ["seven", "springs", "coupled fingers"])
 def test_the_prediction_of_the_models_own_numbers_is_its_inverse_dynamics(name):
     robot = arms.robot_of(arms.MODELS[name])
     assert not torque_refused(robot, robot.mj_model)
@@ -281,7 +256,6 @@ SMALL = 1e-7
         ModelChange((), 0.0, gravity=(0.0, 0.0, -9.81 + SMALL)),
         ModelChange((), 0.0, (JointChange("joint2", armature=SMALL),)),
         ModelChange((), 0.0, (JointChange("joint2", polynomial=(0.0, SMALL)),)),
-        ModelChange((), 0.0, (JointChange("joint2", offset=SMALL),)),
     ],
 )
 def test_what_is_not_in_the_file_is_missed_in_its_torque(arm, change):
@@ -314,10 +288,6 @@ def with_load(new=NEW, before="", after=""):
     text = WITH_CUP.replace(PLACE, PLACE + new)
     assert before in text
     return mujoco.MjModel.from_xml_string(text.replace(before, after, 1) if before else text)
-
-
-def test_one_more_body_is_all_that_is_new():
-    require_change(with_load(""), with_load(), ONE_MORE)
 
 
 @pytest.mark.parametrize(
