@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import errno
-import filecmp
 import os
 import shutil
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -39,35 +36,21 @@ def write_bundle(model: Path, folder: Path) -> Path:
     """
     place = folder / BUNDLE_NAME
     try:
-        with only_run_in(folder), draft_folder(place) as draft:
-            text, names = _bundled(model, f"{ASSETS}/", place)
+        with only_run_in(folder), draft_folder(place) as draft, draft_folder(place) as earlier:
+            text, names = _bundled(model, f"{ASSETS}/")
             (draft / ASSETS).mkdir()
             for source, name in names.items():
                 shutil.copyfile(source, draft / name)
             (draft / model.name).write_bytes(text)
             same = compile_model(model).mj_model, compiled_again(draft / model.name).mj_model
             require_same_model(*same, {})
-            _take_place(draft, place, [*names.values(), model.name])
+            with held_back():
+                if os.path.lexists(place):
+                    os.replace(place, earlier / BUNDLE_NAME)
+                os.replace(draft, place)
     except OSError as error:
         raise InputError(f"--bundle: cannot write {place}: {error.strerror or error}") from None
     return place / model.name
-
-
-def _take_place(draft: Path, place: Path, files: Iterable[str]) -> None:
-    """Move files into a folder, the model last, and remove what else is there.
-
-    At every instant the model that is there, old or new, finds its own meshes.
-    """
-    if place.is_symlink():
-        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
-    with held_back():
-        (place / ASSETS).mkdir(parents=True, exist_ok=True)
-        for name in files:
-            os.replace(draft / name, place / name)
-        kept = {place / ASSETS, *(place / name for name in files)}
-        for path in sorted(set(place.rglob("*")) - kept, reverse=True):
-            is_folder = path.is_dir() and not path.is_symlink()
-            path.rmdir() if is_folder else path.unlink()
 
 
 def model_in_memory(model: Path) -> Any:
@@ -78,12 +61,12 @@ def model_in_memory(model: Path) -> Any:
     """
     if not hasattr(mujoco, "MjSpec"):
         raise ExportError(f"a spec needs MuJoCo 3.2 or later, not {mujoco.__version__}; use save()")
-    text, names = _bundled(model, "", None)
+    text, names = _bundled(model, "")
     assets = {name: path.read_bytes() for path, name in names.items()}
     return mujoco.MjSpec.from_string(text.decode("utf-8"), assets=assets)
 
 
-def _bundled(model: Path, folder: str, earlier: Path | None) -> tuple[bytes, dict[Path, str]]:
+def _bundled(model: Path, folder: str) -> tuple[bytes, dict[Path, str]]:
     """Return (the text of a model that stands beside its assets, file to its name there)."""
     document = read_document(model)
     assets = find_assets(document)
@@ -92,25 +75,12 @@ def _bundled(model: Path, folder: str, earlier: Path | None) -> tuple[bytes, dic
             "--bundle: the model attaches other model files (<model file=...>), which a bundle "
             "cannot hold; send the folders as they are"
         )
-    names = _names((asset.path for asset in assets if asset.path is not None), folder, earlier)
-    return bundled_text(document, names), names
-
-
-def _names(paths: Iterable[Path], folder: str, earlier: Path | None) -> dict[Path, str]:
-    """Return file to its place; two files, or one of an earlier bundle, never get one name."""
     names: dict[Path, str] = {}
-    for path in paths:
-        if path not in names:
-            taken, count = {other.lower() for other in names.values()}, 1
-            name = f"{folder}{path.name}"
-            while name.lower() in taken or _differs(path, earlier, name):
-                count += 1
-                name = f"{folder}{path.stem}_{count}{path.suffix}"
-            names[path] = name
-    return names
-
-
-def _differs(path: Path, earlier: Path | None, name: str) -> bool:
-    if earlier is None or not os.path.lexists(earlier / name):
-        return False
-    return not ((earlier / name).is_file() and filecmp.cmp(path, earlier / name, shallow=False))
+    for path in dict.fromkeys(asset.path for asset in assets if asset.path is not None):
+        # Two files never get one name, not even on a disk that knows no capital letters.
+        taken, number, name = {other.lower() for other in names.values()}, 1, path.name
+        while f"{folder}{name}".lower() in taken:
+            number += 1
+            name = f"{path.stem}_{number}{path.suffix}"
+        names[path] = f"{folder}{name}"
+    return bundled_text(document, names), names
