@@ -14,7 +14,7 @@ import pytest
 from robot_sysid.damiao.bus import BusAddress, GuardedLink, SystemClock, open_bus
 from robot_sysid.damiao.execution import run
 from robot_sysid.damiao.inspection import inspect_bus
-from robot_sysid.damiao.preflight import Permissions, Plan
+from robot_sysid.damiao.preflight import Plan
 from robot_sysid.damiao.protocol.codec import MitCommand, Scaling, decode_feedback, encode_mit
 from robot_sysid.damiao.protocol.frames import BusTiming
 from robot_sysid.damiao.protocol.joints import damiao_joints
@@ -60,8 +60,7 @@ def arm_and_plan(folder, rate: float) -> tuple[SimulatedArm, Plan]:
     # Measure lateness instead of stopping for it.
     settings = PlaySettings(rate=rate, max_lateness=10.0, max_missed=10_000, max_tracking_error=3.0)
     recording = RecordingOptions(folder / "measured.csv", overwrite=True)
-    allowed = Permissions(bus_load=True)
-    plan = Plan(read_damiao_trajectory(path), settings, BusTiming(), allowed, recording)
+    plan = Plan(read_damiao_trajectory(path), settings, BusTiming(fd=True), recording=recording)
     motors = [simulated_motor(j, watchdog=3.0) for j in joints]
     return SimulatedArm(Pendulums(JOINTS), motors), plan
 

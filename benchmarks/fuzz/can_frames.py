@@ -26,7 +26,6 @@ from robot_sysid.damiao.protocol.frames import DISABLE, ENABLE, REGISTER_ID, Fra
 from robot_sysid.damiao.protocol.joints import damiao_joints
 from robot_sysid.damiao.serial_adapter import PacketReader
 from robot_sysid.damiao.session import MotorSession
-from robot_sysid.damiao.simulated import frame_from_line, line_from_frame
 from robot_sysid.errors import SysidError
 
 N = 2
@@ -57,9 +56,7 @@ def _frame(random: Random) -> bytes:
 
 def _line(random: Random) -> bytes:
     """What an adapter sends over its serial line."""
-    whole = (
-        line_from_frame(Frame(0x11, bytes(8))).encode() + b"\r" + b"\xaa\x11" + bytes(13) + b"\x55"
-    )
+    whole = b"\xaa\x11" + bytes(13) + b"\x55"
     pieces = bytearray(whole * random.randint(1, 6))
     for _ in range(random.randint(0, 8)):
         pieces[random.randrange(len(pieces))] = random.getrandbits(8)
@@ -155,9 +152,6 @@ def _line_read(line: bytes) -> None:
     for k in range(0, len(line), 7):
         for packet in reader.take(line[k : k + 7]):
             assert len(packet.data) == 8
-    for text in line.decode("latin-1").split("\r"):
-        frame = frame_from_line(text)
-        assert frame is None or len(frame.data) <= 8
 
 
 def _through_driver(frames: list[Frame]) -> None:
@@ -195,7 +189,7 @@ def _session(frames: list[Frame]) -> None:
     link = GuardedLink(TalkativeBus(frames, clock), clock)
     scaling = Scaling([(12.5, 10.0, 28.0)] * N)
     zeros = np.zeros(N)
-    with MotorSession(link, _joints(), scaling, half_step=True) as session:
+    with MotorSession(link, _joints(), scaling) as session:
         session.enable()
         for _ in range(3):
             command = MitCommand(zeros, zeros, zeros + 10.0, zeros + 1.0, zeros)

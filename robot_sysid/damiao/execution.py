@@ -16,7 +16,7 @@ from robot_sysid.damiao.preflight import Plan, bus_checks, plan_checks, require_
 from robot_sysid.damiao.protocol.codec import Scaling
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.protocol.motors import matching_types
-from robot_sysid.damiao.recorder import Aside, MeasurementRecorder, RecordingHead
+from robot_sysid.damiao.recorder import Aside, MeasurementRecorder, head_lines
 from robot_sysid.damiao.references import Reference, ReferenceFunction, TrajectorySampler
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.settings import PlaySettings
@@ -52,7 +52,7 @@ def run(
     motors = [inspection.motors[joint.address] for joint in joints]
     scaling = Scaling(motor.limits or (0.0, 0.0, 0.0) for motor in motors)
     places = np.array([motor.position for motor in motors[n:]])
-    session = MotorSession(link, joints, scaling, not plan.recording.no_half_step)
+    session = MotorSession(link, joints, scaling)
     settings = _with_held(plan, held)
     park = settings.park if pose is None else np.concatenate([pose, places])
     check = pose_check and (lambda q, tau: pose_check(q[:n], tau[:n]))
@@ -116,14 +116,15 @@ def _require_told(console: Aside, written: Aside) -> None:
 def _recorder(
     link: GuardedLink, plan: Plan, motors: Sequence[asked.InspectedMotor], aside: Aside
 ) -> Iterator[MeasurementRecorder | None]:
-    path = plan.recording.frames
+    path, record, n = plan.recording.frames, plan.recording.record, plan.trajectory.n_joints
     with RawFrameLog(path, link) if path else contextlib.nullcontext() as frames:
-        if plan.recording.record is None:
+        if record is None:
             yield None
             return
-        n, source = plan.trajectory.n_joints, plan.trajectory.path.name
         registers = [motor.registers for motor in motors[:n]]
-        run = plan.settings, plan.recording, source
-        head = RecordingHead(plan.trajectory.joints, registers, *run)
-        with MeasurementRecorder(plan.recording.record, head, aside, frames) as recorder:
+        head = head_lines(
+            plan.trajectory.joints, registers, plan.settings, plan.trajectory.path.name
+        )
+        how = n, aside, frames, plan.recording.overwrite
+        with MeasurementRecorder(record, head, *how) as recorder:
             yield recorder

@@ -130,7 +130,7 @@ class GravityCheck:
 
     def __init__(self, robot: RobotModel, joints: tuple[DamiaoJoint, ...]) -> None:
         self._torque, self._joints, self._path = ArmTorque(robot), joints, robot.path
-        peak = [joint.spec.strongest for joint in joints]
+        peak = [joint.spec.peak_torque for joint in joints]
         self._doubt = _SHARE * np.array(peak) + robot.friction.coulomb
 
     def holding(self, q: Array) -> Array:

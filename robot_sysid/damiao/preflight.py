@@ -27,23 +27,25 @@ from robot_sysid.records import Array
 from robot_sysid.records.options import OptionRecord, option
 
 OK, NOTE, STOP = "ok", "note", "stop"
+# A quarter of the speed at which an arm goes to its first point [rad/s].
 _REST_SPEED = 0.05
-# A motor whose answer is missing gets no command for some cycles.
+# A motor whose answer is missing gets no command for some cycles; twice that, and both ends.
 _LEAST_WATCHDOG_CYCLES = 2 + 2 * PAUSE
-_LONG_WATCHDOG, _NO_WATCHDOG = 0.5, 5.0
-_LONGEST_SET_WATCHDOG = 1.0
-# Share of a control cycle within which all answers have to be there.
+# Judgements [s]: half a second lets an arm that nobody commands fall or run a quarter of its
+# range; nobody waits five for a stop; and no run needs a watchdog above one.
+_LONG_WATCHDOG, _NO_WATCHDOG, _LONGEST_SET_WATCHDOG = 0.5, 5.0, 1.0
+# Share of a control cycle within which all answers have to be there: the player waits that long.
 _ANSWER_SHARE = 0.9
-# Speed that one step of torque may give a joint within a cycle [rad/s].
+# Speed that one step of torque may give a joint within a cycle [rad/s]: a judgement, a third of
+# what ``--max-speed-error`` stops at.
 _SHAKEN = 0.3
+# Relative; register values went through float32.
+_FLOAT32_SLACK = 1e-6
 
 
 @dataclass(frozen=True)
 class Check:
-    """One point of the list.
-
-    ``text`` is one line: what was found and, unless ok, what to do.
-    """
+    """One point of the list: ``text`` is what was found and, unless ok, what to do."""
 
     severity: str
     text: str
@@ -66,7 +68,6 @@ class Permissions(OptionRecord):
         "use the motors' own PMAX, VMAX, TMAX where they differ from the motor type's",
         flag="--accept-register-limits",
     )
-    bus_load: bool = option(False, "go above 70 % bus load", flag="--force-bus-load")
     watchdog: float | None = option(
         None,
         "set the motors' watchdogs for this run; nothing is stored in them",
@@ -107,10 +108,10 @@ class Plan:
     def pose(self) -> Array | None:
         """Positions (n,) in which to leave the arm [rad]; None where --park names no file."""
         where, n = self.settings.park, self.trajectory.n_joints
-        if where is None or where in ("rest", "start"):
+        if where in (None, "rest", "start"):
             return None
         try:
-            cells = Path(where).read_text(encoding="utf-8-sig").split(",")
+            cells = Path(str(where)).read_text(encoding="utf-8-sig").split(",")
             pose = np.array([float(cell) for cell in cells])
         except (OSError, ValueError) as error:
             raise InputError(
@@ -126,77 +127,6 @@ class Plan:
         return tuple(m for address, m in sorted(inspection.motors.items()) if address not in known)
 
 
-def plan_checks(plan: Plan) -> list[Check]:
-    """Return what can be said without a bus: ids, limits, ends at rest, bus load."""
-    limits = [joint.spec.limits for joint in plan.trajectory.joints]
-    return [
-        *_ids(plan.trajectory.joints),
-        *_ends(plan),
-        *_columns(plan),
-        *_ratings(plan),
-        *_load(plan),
-        *_light(plan),
-        *_within_limits(plan, limits, "its type's"),
-        *_parked(plan),
-    ]
-
-
-def _parked(plan: Plan) -> Iterator[Check]:
-    """Yield what the motors' types say to the pose in which the arm is to be left."""
-    joints, pose = plan.trajectory.joints, plan.pose
-    turned = () if pose is None else JointSpace.of(joints).motor_position(pose)
-    for joint, place in zip(joints, turned):
-        if abs(place) > joint.spec.limits[0]:
-            yield _stop(
-                f"{joint.label}: to be parked it would turn to {place:.4g} rad, beyond its type's "
-                f"limit {joint.spec.limits[0]:g}; choose another --park pose"
-            )
-
-
-def bus_checks(plan: Plan, inspection: Inspection) -> list[Check]:
-    """Return what the motors on the bus say to the plan."""
-    return [*_own_motors(plan, inspection), *_other_motors(plan, inspection)]
-
-
-def _own_motors(plan: Plan, inspection: Inspection) -> Iterator[Check]:
-    yield from _bus_itself(inspection)
-    joints, found = plan.trajectory.joints, inspection.motors
-    for joint in joints:
-        if joint.address not in found:
-            yield _stop(f"{joint.label} does not answer; check power, wiring, its id, bit rate")
-    present = [(found[joint.address], joint) for joint in joints if joint.address in found]
-    for motor, joint in present:
-        yield from _condition(motor, plan.settings, plan.allowed, joint)
-    limits = [motor.limits for motor, _ in present if motor.limits]
-    if len(limits) == len(joints):
-        yield from _within_limits(plan, limits, "its registers'")
-        yield from _in_time(inspection, plan.settings)
-        yield from _near_start(plan, [motor for motor, _ in present])
-
-
-def _other_motors(plan: Plan, inspection: Inspection) -> Iterator[Check]:
-    others = plan.others(inspection)
-    names = ", ".join(motor.name for motor in others)
-    if others and plan.settings.others == "limp":
-        yield _note(f"not in the trajectory and left limp: {names} (--others hold holds them)")
-    elif others:
-        yield _note(f"not in the trajectory and held where they are: {names}")
-        for motor in others:
-            yield from _condition(motor, plan.settings, plan.allowed)
-            if motor.limits is None or not matching_types(motor.limits):
-                text = f"{motor.name} is of no known type and cannot be held; use --others limp"
-                yield _stop(text)
-
-
-def general_checks(inspection: Inspection, settings: PlaySettings) -> list[Check]:
-    """Return what motors say on their own, without a trajectory to compare them with."""
-    checks = [*_bus_itself(inspection)]
-    for motor in inspection.motors.values():
-        checks += _shared_id(motor)
-        checks += _condition(motor, settings, Permissions())
-    return checks
-
-
 def stops(checks: Sequence[Check]) -> list[str]:
     """Return the texts of the checks that forbid to play."""
     return [check.text for check in checks if check.severity == STOP]
@@ -208,60 +138,56 @@ def require_no_stop(checks: Sequence[Check], words: str) -> None:
         raise HardwareAbort(f"{words}: {text}")
 
 
-def _condition(
-    motor: InspectedMotor, play: PlaySettings, allow: Permissions, joint: DamiaoJoint | None = None
-) -> Iterator[Check]:
-    lacking = [frames.NAMES[n] for n in frames.REQUIRED if n not in motor.registers]
-    if lacking:
-        yield _stop(f"{motor.name} does not answer for {', '.join(lacking)}; try again")
-        return
-    if joint:
-        yield from (*_identity(motor, joint), *_scaling(motor, joint, allow))
-    mode = int(motor.registers[frames.CTRL_MODE])
-    if mode != frames.MIT_MODE:
-        said = frames.MODES.get(mode, "unknown")
-        yield _stop(f"{motor.name} is in mode {mode} ({said}); set CTRL_MODE to 1 (MIT)")
-    yield from (*_watchdog(motor, play, allow), *_state(motor, play))
+# --- without a bus ------------------------------------------------------------------------------
+
+
+def plan_checks(plan: Plan) -> list[Check]:
+    """Return what can be said without a bus: ids, limits, ends at rest, bus load."""
+    limits = [joint.spec.limits for joint in plan.trajectory.joints]
+    return [
+        *_ids(plan.trajectory.joints),
+        *_motion(plan),
+        *_ratings(plan),
+        *_load(plan),
+        *_light(plan),
+        *_within_limits(plan, limits, "its type's"),
+        *_parked(plan),
+    ]
 
 
 def _ids(joints: Sequence[DamiaoJoint]) -> Iterator[Check]:
     problems = list(id_problems([(j.bus, j.can_id, j.master_id) for j in joints]))
-    yield from (_stop(problem) for problem in problems)
+    yield from map(_stop, problems)
     if not problems:
         yield _ok(f"ids are unique: {', '.join(str(j.can_id) for j in joints)}")
     if any(joint.master_id == 0 for joint in joints):
         yield _note("a master id of 0 is a poor choice; set it to CAN id + 0x10")
 
 
-def _ends(plan: Plan) -> Iterator[Check]:
+def _motion(plan: Plan) -> Iterator[Check]:
+    """Yield whether it begins and ends at rest, and whether velocities belong to positions."""
     worst = float(np.max(plan.scan.end_velocity)) * plan.settings.speed
     if worst > _REST_SPEED:
-        yield _stop(
-            f"the trajectory starts or ends at {worst:.2f} rad/s; it has to start and end at rest"
-        )
+        text = f"the trajectory starts or ends at {worst:.2f} rad/s"
+        yield _stop(f"{text}; it has to start and end at rest")
     else:
         yield _ok(f"starts and ends at rest, {plan.duration:.1f} s")
-
-
-def _columns(plan: Plan) -> Iterator[Check]:
-    found = plan.scan.mismatch
-    if found is None:
+    if (found := plan.scan.mismatch) is None:
         yield _ok("velocities and positions agree")
-        return
-    label = plan.trajectory.joints[found.joint].label
-    yield _stop(
-        f"line {found.line}: velocity {found.stated:.4g} rad/s of {label}, but the positions "
-        f"change by {found.shown:.4g} rad/s; export the file again, with at least four decimals"
-    )
+    else:
+        label = plan.trajectory.joints[found.joint].label
+        yield _stop(
+            f"line {found.line}: velocity {found.stated:.4g} rad/s of {label}, but the positions "
+            f"change by {found.shown:.4g} rad/s; export the file again, with at least four decimals"
+        )
 
 
 def _ratings(plan: Plan) -> Iterator[Check]:
     for j, joint in enumerate(plan.trajectory.joints):
         spec, torque = joint.spec, plan.scan.peak_torque[j] / joint.torque_ratio
         velocity = plan.scan.peak_velocity[j] * plan.settings.speed
-        beyond = spec.peak_torque is not None and torque > spec.peak_torque
         for text in motion.rating_warnings(joint, velocity, torque):
-            yield Check(STOP if beyond and "peak torque" in text else NOTE, text)
+            yield Check(STOP if "the peak torque" in text else NOTE, text)
         if spec.note:
             yield _note(f"{joint.label}, {spec.name}: {spec.note}")
 
@@ -274,10 +200,9 @@ def _load(plan: Plan) -> Iterator[Check]:
     text = f"{n_motors} motors at {settings.rate:g} Hz load {timing.name} to {100 * load:.0f} %"
     if load <= frames.PLANNING_LIMIT:
         yield _ok(text)
-        return
-    handy = frames.suggested_rate(n_motors, timing)
-    text += f", limit {100 * frames.PLANNING_LIMIT:.0f} %; use --rate {handy:g}"
-    yield Check(NOTE if plan.allowed.bus_load else STOP, text + " (or --force-bus-load)")
+    else:
+        handy = frames.suggested_rate(n_motors, timing)
+        yield _stop(f"{text}, limit {100 * frames.PLANNING_LIMIT:.0f} %; use --rate {handy:g}")
 
 
 def _light(plan: Plan) -> Iterator[Check]:
@@ -307,7 +232,7 @@ def _within_limits(
     )
     for j, (joint, limit) in enumerate(zip(joints, limits)):
         for (what, unit, peaks), top in zip(asked, (*limit, limit[1])):
-            if peaks[j] > top * (1.0 + 1e-6):
+            if peaks[j] > top * (1.0 + _FLOAT32_SLACK):
                 fine = False
                 yield _stop(
                     f"{joint.label}: {what} {peaks[j]:.4g} {unit} is beyond {whose} limit {top:g}; "
@@ -315,6 +240,38 @@ def _within_limits(
                 )
     if fine:
         yield _ok(f"the trajectory stays within {whose} limits")
+
+
+def _parked(plan: Plan) -> Iterator[Check]:
+    """Yield what the motors' types say to the pose in which the arm is to be left."""
+    joints, pose = plan.trajectory.joints, plan.pose
+    turned = () if pose is None else JointSpace.of(joints).motor_position(pose)
+    for joint, place in zip(joints, turned):
+        if abs(place) > joint.spec.limits[0]:
+            yield _stop(
+                f"{joint.label}: to be parked it would turn to {place:.4g} rad, beyond its type's "
+                f"limit {joint.spec.limits[0]:g}; choose another --park pose"
+            )
+
+
+# --- what the motors say ------------------------------------------------------------------------
+
+
+def general_checks(inspection: Inspection, settings: PlaySettings) -> list[Check]:
+    """Return what motors say on their own, without a trajectory to compare them with."""
+    checks = [*_bus_itself(inspection)]
+    for motor in inspection.motors.values():
+        checks += [*_shared_id(motor), *_condition(motor, settings, Permissions())]
+    return checks
+
+
+def bus_checks(plan: Plan, inspection: Inspection) -> list[Check]:
+    """Return what the motors on the bus say to the plan."""
+    return [
+        *_bus_itself(inspection),
+        *_own_motors(plan, inspection),
+        *_other_motors(plan, inspection),
+    ]
 
 
 def _bus_itself(inspection: Inspection) -> Iterator[Check]:
@@ -329,7 +286,56 @@ def _bus_itself(inspection: Inspection) -> Iterator[Check]:
             "set to CAN-FD (use --fd) or to another bit rate"
         )
     ids = [(*address, motor.master_id) for address, motor in inspection.motors.items()]
-    yield from (_stop(problem) for problem in id_problems(ids))
+    yield from map(_stop, id_problems(ids))
+
+
+def _own_motors(plan: Plan, inspection: Inspection) -> Iterator[Check]:
+    joints, present = plan.trajectory.joints, []
+    for joint in joints:
+        if (motor := inspection.motors.get(joint.address)) is not None:
+            present.append((motor, joint))
+        else:
+            yield _stop(f"{joint.label} does not answer; check power, wiring, its id, bit rate")
+    for motor, joint in present:
+        yield from _condition(motor, plan.settings, plan.allowed, joint)
+    limits = [motor.limits for motor, _ in present if motor.limits]
+    if len(limits) == len(joints):
+        yield from _within_limits(plan, limits, "its registers'")
+        yield from _in_time(inspection, plan.settings)
+        yield from _near_start(plan, [motor for motor, _ in present])
+
+
+def _other_motors(plan: Plan, inspection: Inspection) -> Iterator[Check]:
+    others = plan.others(inspection)
+    names = ", ".join(motor.name for motor in others)
+    if others and plan.settings.others == "limp":
+        yield _note(f"not in the trajectory and left limp: {names} (--others hold holds them)")
+    elif others:
+        yield _note(f"not in the trajectory and held where they are: {names}")
+        for motor in others:
+            yield from _condition(motor, plan.settings, plan.allowed)
+            if motor.limits is None or not matching_types(motor.limits):
+                text = f"{motor.name} is of no known type and cannot be held; use --others limp"
+                yield _stop(text)
+
+
+def _condition(
+    motor: InspectedMotor, play: PlaySettings, allow: Permissions, joint: DamiaoJoint | None = None
+) -> Iterator[Check]:
+    lacking = [frames.NAMES[n] for n in frames.REQUIRED if n not in motor.registers]
+    if lacking:
+        yield _stop(f"{motor.name} does not answer for {', '.join(lacking)}; try again")
+        return
+    if joint:
+        yield from (*_identity(motor, joint), *_scaling(motor, joint, allow))
+    mode = int(motor.registers[frames.CTRL_MODE])
+    if mode != frames.MIT_MODE:
+        said = frames.MODES.get(mode, "unknown")
+        yield _stop(f"{motor.name} is in mode {mode} ({said}); set CTRL_MODE to 1 (MIT)")
+    stored = motor.registers[frames.TIMEOUT] * frames.TIMEOUT_UNIT
+    watchdog = stored if allow.watchdog is None else allow.watchdog
+    yield _watchdog(motor.name, watchdog, play)
+    yield from _state(motor, play)
 
 
 def _shared_id(motor: InspectedMotor) -> Iterator[Check]:
@@ -339,10 +345,9 @@ def _shared_id(motor: InspectedMotor) -> Iterator[Check]:
 
 def _identity(motor: InspectedMotor, joint: DamiaoJoint) -> Iterator[Check]:
     yield from _shared_id(motor)
-    found = int(motor.registers[frames.ESC_ID])
+    found, stored = (int(motor.registers[n]) for n in (frames.ESC_ID, frames.MST_ID))
     if found != joint.can_id:
         yield _stop(f"{motor.name} says that its CAN id is {found}; power-cycle it")
-    stored = int(motor.registers[frames.MST_ID])
     if stored != joint.master_id or set(motor.reply_ids) != {joint.master_id}:
         answers = ", ".join(f"{i:#x}" for i in sorted(set(motor.reply_ids)))
         yield _stop(
@@ -352,66 +357,58 @@ def _identity(motor: InspectedMotor, joint: DamiaoJoint) -> Iterator[Check]:
 
 
 def _scaling(motor: InspectedMotor, joint: DamiaoJoint, allowed: Permissions) -> Iterator[Check]:
-    name, found = motor.name, motor.limits or (0.0, 0.0, 0.0)
+    found, wanted = motor.limits or (0.0, 0.0, 0.0), joint.spec.limits
+    held, usual = (", ".join(f"{value:g}" for value in values) for values in (found, wanted))
+    text = f"{motor.name} has PMAX, VMAX, TMAX {held}"
+    other = f"{text} but a {joint.motor_type} has {usual}"
     if min(found) <= 0.0:
-        yield _stop(f"{name} has PMAX, VMAX, TMAX {_three(found)}: not usable")
-    elif not limits_agree(joint.spec.limits, found):
-        text = (
-            f"{name} has PMAX, VMAX, TMAX {_three(found)} but a {joint.motor_type} has "
-            f"{_three(joint.spec.limits)}"
-        )
-        if allowed.register_limits:
-            yield _note(f"{text}: the motor's own values are used")
-        else:
-            yield _stop(f"{text}; if the motor is right, give --accept-register-limits")
+        yield _stop(f"{text}: not usable")
+    elif limits_agree(wanted, found):
+        yield _ok(f"{motor.name} is scaled as a {joint.motor_type}: {held}")
+    elif allowed.register_limits:
+        yield _note(f"{other}: the motor's own values are used")
     else:
-        yield _ok(f"{name} is scaled as a {joint.motor_type}: {_three(found)}")
+        yield _stop(f"{other}; if the motor is right, give --accept-register-limits")
 
 
-def _watchdog(motor: InspectedMotor, settings: PlaySettings, allow: Permissions) -> Iterator[Check]:
-    name, stored = motor.name, motor.registers[frames.TIMEOUT] * frames.TIMEOUT_UNIT
-    timeout = stored if allow.watchdog is None else allow.watchdog
+def _watchdog(name: str, timeout: float, settings: PlaySettings) -> Check:
+    milliseconds = f"{name}'s watchdog of {1e3 * timeout:g} ms"
     if timeout == 0.0:
         text = f"{name} has no watchdog: it would go on for ever if this program died"
-        yield _stop(f"{text}; give --set-watchdog 0.1 or set TIMEOUT")
-    elif timeout > _NO_WATCHDOG:
+        return _stop(f"{text}; give --set-watchdog 0.1 or set TIMEOUT")
+    if timeout > _NO_WATCHDOG:
         text = f"{name}'s watchdog of {timeout:g} s is none: the arm would go on that long"
-        yield _stop(f"{text}; give --set-watchdog 0.1 or set TIMEOUT")
-    elif timeout < _LEAST_WATCHDOG_CYCLES * settings.period:
-        text = f"{name}'s watchdog of {1e3 * timeout:g} ms is too short for {settings.rate:g} Hz"
-        yield _stop(f"{text}; give --set-watchdog 0.1")
-    elif timeout > _LONG_WATCHDOG:
-        text = f"{name}'s watchdog of {1e3 * timeout:g} ms is long; --set-watchdog 0.1 is better"
-        yield _note(text)
-    else:
-        yield _ok(f"{name}'s watchdog stops it after {1e3 * timeout:g} ms")
+        return _stop(f"{text}; give --set-watchdog 0.1 or set TIMEOUT")
+    if timeout < _LEAST_WATCHDOG_CYCLES * settings.period:
+        text = f"{milliseconds} is too short for {settings.rate:g} Hz"
+        return _stop(f"{text}; give --set-watchdog 0.1")
+    if timeout > _LONG_WATCHDOG:
+        return _note(f"{milliseconds} is long; --set-watchdog 0.1 is better")
+    return _ok(f"{name}'s watchdog stops it after {1e3 * timeout:g} ms")
 
 
 def _state(motor: InspectedMotor, settings: PlaySettings) -> Iterator[Check]:
-    name = motor.name
-    if motor.feedback is None:
+    name, told = motor.name, motor.feedback
+    if told is None:
         yield _stop(f"{name} does not tell its state; its firmware may be too old")
         return
-    code = int(motor.feedback.status[0])
+    code = int(told.status[0])
     if code == frames.ENABLED:
         yield _stop(f"{name} is enabled already; end the program that uses it")
     elif code != frames.DISABLED:
-        text = (
-            f"{name} reports {frames.describe(code)}; find the cause, then clear it or power-cycle"
-        )
-        yield _stop(text)
-    hot = int(max(motor.feedback.temperature_mos[0], motor.feedback.temperature_rotor[0]))
-    if hot > settings.start_temperature:
-        text = f"{name} is at {hot} deg C, above {settings.start_temperature:g}; let it cool down"
-        yield _stop(text)
+        said = frames.describe(code)
+        yield _stop(f"{name} reports {said}; find the cause, then clear it or power-cycle")
+    hot, most = max(told.temperature_mos[0], told.temperature_rotor[0]), settings.start_temperature
+    if hot > most:
+        yield _stop(f"{name} is at {hot} deg C, above {most:g}; let it cool down")
 
 
 def _in_time(inspection: Inspection, settings: PlaySettings) -> Iterator[Check]:
     if inspection.round_trip is None:
         return
-    took, waits = inspection.round_trip, _ANSWER_SHARE * settings.period
+    took = inspection.round_trip
     text = f"all motors have answered after {1e3 * took:.1f} ms"
-    if took <= waits:
+    if took <= _ANSWER_SHARE * settings.period:
         yield _ok(f"{text}, in time for {settings.rate:g} Hz")
         return
     rates = frames.HANDY_RATES
@@ -434,7 +431,3 @@ def _near_start(plan: Plan, motors: Sequence[InspectedMotor]) -> Iterator[Check]
                 f"{joint.label} is at {here:.3f} rad but the trajectory starts at {first:.3f}, "
                 f"more than {tolerance:g} away; move it there by hand{turn}"
             )
-
-
-def _three(values: tuple[float, float, float]) -> str:
-    return ", ".join(f"{value:g}" for value in values)

@@ -35,6 +35,7 @@ from robot_sysid.records import Array
 from robot_sysid.records.options import OptionRecord, option
 
 Action = Callable[[], object]
+# A judgement: longer than a healthy disk takes, shorter than a person waits for the end of a run.
 _PATIENCE = 2.0
 
 
@@ -102,12 +103,6 @@ class RecordingOptions(OptionRecord):
         usual="beside --record",
     )
     overwrite: bool = option(False, "replace existing recordings")
-    no_half_step: bool = option(
-        False, "add no half quantisation step to measured values (motors drop the fraction)"
-    )
-    no_centring: bool = option(
-        False, "record torques as measured at the end of each cycle, not centred on its step"
-    )
 
     @property
     def frames(self) -> Path | None:
@@ -129,49 +124,38 @@ class RecordingOptions(OptionRecord):
             taken.add(os.path.realpath(path))
 
 
-@dataclass(frozen=True)
-class RecordingHead:
-    """What the comment lines of a recording say.
+def head_lines(
+    joints: Sequence[DamiaoJoint],
+    registers: Sequence[Mapping[int, float]],
+    run: PlaySettings,
+    source: str,
+) -> list[str]:
+    """Return what the comment lines of a recording say.
 
-    The registers are, per joint, number to value; these are what the codec used. For the centring
-    see ``torque_step``.
+    The registers are, per joint, number to value; ``source`` is the trajectory's name.
     """
-
-    joints: Sequence[DamiaoJoint]
-    registers: Sequence[Mapping[int, float]]
-    settings: PlaySettings
-    options: RecordingOptions
-    source: str
-
-    def lines(self) -> list[str]:
-        """Return the comment lines without their mark."""
-        run, options = self.settings, self.options
-        lines = ["robot-sysid motors recording", f"trajectory={self.source}"]
-        lines += [
+    texts = [",".join(text_of(k, held[k]) for k in sorted(held)) for held in registers]
+    return [
+        "robot-sysid motors recording",
+        f"trajectory={source}",
+        *(
             f"motor_type={j.motor_type},can_id={j.can_id},mode=MIT,master_id={j.master_id}"
-            for j in self.joints
-        ]
-        for j, values in enumerate(self.registers):
-            texts = ",".join(text_of(number, values[number]) for number in sorted(values))
-            lines.append(f"registers_j{j}: {texts}")
-        half_step, centred = not options.no_half_step, not options.no_centring
-        added = "added to" if half_step else "not added to"
-        halved = "with half of jN_cmd_step added" if centred else "as measured"
-        return [
-            *lines,
-            f"rate_hz={run.rate:g},speed={run.speed:g}",
-            "kp=" + " ".join(f"{x:g}" for x in run.kp),
-            "kd=" + " ".join(f"{x:g}" for x in run.kd),
-            f"half_step={int(half_step)}: half a quantisation step {added} measured position, "
-            "velocity and torque, because motors drop the fraction",
-            f"centred={int(centred)}: jN_tau is the torque {halved}",
-            "jN_cmd_step is the torque step that the command answered by this sample then made",
-            "jN_time is when joint N was sampled, jN_cmd_* the command in force at that moment",
-        ]
+            for j in joints
+        ),
+        *(f"registers_j{j}: {text}" for j, text in enumerate(texts)),
+        f"rate_hz={run.rate:g},speed={run.speed:g}",
+        "kp=" + " ".join(f"{x:g}" for x in run.kp),
+        "kd=" + " ".join(f"{x:g}" for x in run.kd),
+        "half_step=1: half a quantisation step added to measured position, velocity and torque, "
+        "because motors drop the fraction",
+        "centred=1: jN_tau is the torque with half of jN_cmd_step added",
+        "jN_cmd_step is the torque step that the command answered by this sample then made",
+        "jN_time is when joint N was sampled, jN_cmd_* the command in force at that moment",
+    ]
 
 
 class MeasurementRecorder:
-    """Writes a run to a new CSV file, each row at once but aside of the control loop.
+    """Writes a run of n joints to a CSV file, each row at once but aside of the control loop.
 
     A context manager; the file's last line says how the run ended. Only opening raises: what goes
     wrong later is kept in ``failure``, and the arm is brought to rest first. ``aside`` does the
@@ -179,16 +163,20 @@ class MeasurementRecorder:
     """
 
     def __init__(
-        self, path: Path, head: RecordingHead, aside: Aside, frames: RawFrameLog | None = None
+        self,
+        path: Path,
+        head: Sequence[str],
+        n: int,
+        aside: Aside,
+        frames: RawFrameLog | None = None,
+        overwrite: bool = False,
     ) -> None:
-        self._aside, self._frames = aside, frames
-        self._centred, self._n = not head.options.no_centring, len(head.joints)
-        columns = ["time", *trajectory_columns(self._n)]
-        columns += [f"j{j}_{what}" for j in range(self._n) for what in _EXTRA]
-        comments = [f"# {line}\n" for line in head.lines()]
+        self._aside, self._frames, self._n = aside, frames, n
+        columns = ["time", *trajectory_columns(n)]
+        columns += [f"j{j}_{what}" for j in range(n) for what in _EXTRA]
         try:
-            self._file = open(path, "w" if head.options.overwrite else "x", encoding="utf-8")  # noqa: SIM115
-            self._file.writelines([*comments, ",".join(columns) + "\n"])
+            self._file = open(path, "w" if overwrite else "x", encoding="utf-8")  # noqa: SIM115
+            self._file.writelines([*(f"# {line}\n" for line in head), ",".join(columns) + "\n"])
             self._file.flush()
         except OSError as error:
             raise InputError(f"cannot write {path}: {error.strerror}") from None
@@ -227,12 +215,11 @@ class MeasurementRecorder:
             self._aside(lambda: log.write(frames))
 
     def _row(self, time: float, origin: float, replies: Replies, acted: MitCommand) -> str:
-        measured = replies.feedback
-        step = torque_step(replies, acted)
-        torque = measured.torque + 0.5 * step if self._centred else measured.torque
+        measured, step = replies.feedback, torque_step(replies, acted)
         cells = [f"{time:.6f}"]
-        for values in list(zip(measured.position, measured.velocity, torque))[: self._n]:
-            cells += _numbers(values)
+        values = measured.position, measured.velocity, measured.torque + 0.5 * step
+        for joint in list(zip(*values))[: self._n]:
+            cells += _numbers(joint)
         columns = (replies.time - origin, acted.position, acted.velocity, acted.torque, step)
         state = (measured.status, measured.temperature_mos, measured.temperature_rotor)
         for j, answered in enumerate(replies.answered[: self._n]):

@@ -1,7 +1,7 @@
-"""The maker's serial USB-CAN adapter (921600 baud) as a python-can bus: ``interface="damiao"``.
+"""The maker's serial USB-CAN adapter (921600 baud) as a python-can bus, and a pretended adapter.
 
-python-can finds the class by its entry point; it is made on first use, because python-can is an
-extra.
+python-can finds the class (``interface="damiao"``) by its entry point; it is made on first use,
+because python-can is an extra.
 
 To the adapter, 30 bytes per CAN frame:
 
@@ -26,13 +26,17 @@ endian, eight bytes of data, 55.
 
 from __future__ import annotations
 
+import contextlib
+import os
 import re
+import select
 import time
 from collections import deque
 from functools import cache
 from typing import Any
 
 from robot_sysid.damiao.protocol.frames import Frame
+from robot_sysid.errors import InputError
 
 _HEAD = bytes([0x55, 0xAA, 30, 0x03, 1, 0, 0, 0, 10, 0, 0, 0, 0])
 _RECEIVED, _A_FRAME = 16, b"\x11"
@@ -69,6 +73,8 @@ class PacketReader:
 BAUD = 921_600
 # Longest wait for the line to take a packet: longer, and the motors' watchdogs are near [s].
 _WRITE_TIMEOUT = 0.02
+# How long python-can's slcan waits for a byte by default before it looks at its own time-out [s].
+_PATIENCE = 1e-3
 
 
 def __getattr__(name: str) -> Any:
@@ -120,3 +126,68 @@ def _bus_class() -> Any:
             self._port.close()
 
     return DamiaoSerialBus
+
+
+class _NearEnd:
+    """Our end of a pseudo-terminal, as the serial line that python-can's slcan wants."""
+
+    write_timeout: float | None = None
+
+    def __init__(self) -> None:
+        import tty
+
+        # The far end stays open here too, so that a client may come and go.
+        self._near, self._far = os.openpty()
+        tty.setraw(self._far)
+        os.set_blocking(self._near, False)
+        self.device, self._come = os.ttyname(self._far), b""
+
+    @property
+    def in_waiting(self) -> int:
+        """How many bytes have come."""
+        if not self._come and select.select([self._near], [], [], _PATIENCE)[0]:
+            # python-can gives up at a byte that is no text.
+            self._come = os.read(self._near, 4096).decode("ascii", "ignore").encode()
+        return len(self._come)
+
+    def read(self, size: int) -> bytes:
+        """Return up to that many of the bytes that have come."""
+        piece, self._come = self._come[:size], self._come[size:]
+        return piece
+
+    def write(self, data: bytes) -> None:
+        """Write; what nobody reads is dropped, as on a bus."""
+        with contextlib.suppress(BlockingIOError):
+            os.write(self._near, data)
+
+    def flush(self) -> None:
+        """Nothing is held back."""
+
+    def close(self) -> None:
+        """Close the terminal."""
+        os.close(self._near)
+        os.close(self._far)
+
+
+def slcan_terminal() -> tuple[Any, str]:
+    """Return a python-can bus behind a pseudo-terminal, and the device at which to open it.
+
+    Whoever opens the device with python-can's slcan interface talks to this process; nothing leaves
+    the computer. InputError where there are no pseudo-terminals.
+    """
+    if not hasattr(os, "openpty"):
+        raise InputError("pseudo-terminals need a Unix system")
+    from can.interfaces.slcan import slcanBus
+
+    class Terminal(slcanBus):
+        """Frames are the same text both ways; what sets an adapter up is passed over."""
+
+        def _recv_internal(self, timeout: float | None) -> tuple[Any, bool]:
+            # What a client that was killed left of its last line is no frame either.
+            with contextlib.suppress(ValueError, IndexError):
+                return super()._recv_internal(timeout)
+            return None, False
+
+    bus, line = Terminal("loop://", sleep_after_open=0), _NearEnd()
+    bus.serialPortOrig = line
+    return bus, line.device

@@ -98,7 +98,8 @@ class MotorSession:
     times to disable, and has to confirm it. Before ``enable`` nothing is sent on the way out.
 
     Commands and measurements are in joint space, see ``JointSpace``. The scaling is that of the
-    motors' registers; half a quantisation step may be added to what they measure.
+    motors' registers; half a quantisation step is added to what they measure, because motors drop
+    the fraction.
 
     Attributes:
         n_joints: number of joints n.
@@ -109,18 +110,14 @@ class MotorSession:
     """
 
     def __init__(
-        self,
-        link: GuardedLink,
-        joints: Sequence[DamiaoJoint],
-        scaling: codec.Scaling,
-        half_step: bool,
+        self, link: GuardedLink, joints: Sequence[DamiaoJoint], scaling: codec.Scaling
     ) -> None:
         self._link, self.clock = link, link.clock
-        self.joints, self.scaling, self._half_step = tuple(joints), scaling, half_step
+        self.joints, self.scaling = tuple(joints), scaling
         self.n_joints, self.space = len(joints), JointSpace.of(joints)
         position, velocity, torque = scaling.steps
         self.steps = position, velocity, torque * self.space.ratio
-        peaks = [joint.spec.strongest for joint in joints]
+        peaks = [joint.spec.peak_torque for joint in joints]
         # A frame cannot say more than the scale's end either.
         self.peak_torque: Array = np.minimum(peaks, scaling.limits[:, 2]) * self.space.ratio
         self.unconfirmed: tuple[DamiaoJoint, ...] = ()
@@ -270,7 +267,7 @@ class MotorSession:
                 missing -= self._take(frame, wanted, raw, received, sent)
         finally:
             answered = np.isfinite(received)
-            feedback = codec.decode_feedback(raw, self.scaling, self._half_step)
+            feedback = codec.decode_feedback(raw, self.scaling, half_step=True)
             feedback = self.space.measured(feedback)
             for values in (feedback.position, feedback.velocity, feedback.torque):
                 values[~answered] = np.nan

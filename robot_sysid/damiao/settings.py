@@ -14,21 +14,18 @@ from robot_sysid.damiao.protocol.motors import MotorSpec
 from robot_sysid.records import Array
 from robot_sysid.records.options import OptionRecord, option, per_joint, speed_factor
 
+# A judgement: half way from a warm room to the limit, so that a run does not end in its middle.
 _START_TEMPERATURE = 60.0
 # Stiffness per rated torque [1/rad], and damping per stiffness [s]: between what makers of arms
 # with these motors use for the strong (240 and 5 at 9 N m) and for the weak ones (10 and 1.5 at 3).
 _STIFFNESS, _DAMPING, _LEAST_DAMPING = 20.0, 0.025, 0.05
+# Of the peak torque: more push than any excitation needs, less than the motor has.
 _PUSH = 2.0 / 3.0
 # Models often lack the rotors' inertia: never less than this share of the usual damping.
 _LEAST_SHARE = 0.4
 _EACH = "one for all or one per joint"
 _BY_TYPE: dict[str, Any] = {"several": True, "usual": "by motor type"}
 _ANGLE, _SPEED = "ANGLE [rad] >= 0", "V [rad/s] > 0"
-
-
-def milliseconds(text: str) -> float:
-    """Return seconds from a number of milliseconds."""
-    return 1e-3 * float(text)
 
 
 def _stiffness(value: float) -> str | None:
@@ -46,6 +43,10 @@ class PlaySettings(OptionRecord):
     """Gains, speeds and limits of a run; ``for_motors`` fills in what was left open.
 
     Attributes:
+        max_missed: unanswered commands in a row that stop the run; three cycles are a third of the
+            shortest watchdog that is allowed.
+        max_lateness: how late a control cycle may be [s]: far more than a busy computer's pauses
+            (docs/damiao.md: 1.3 ms), far less than a watchdog's time.
         ramp_time: how long the gains take to rise [s]; short, because meanwhile the arm sinks under
             whatever load the feed-forward torque does not know.
         approach_time: least duration of the way to the first point [s].
@@ -80,15 +81,6 @@ class PlaySettings(OptionRecord):
         usual="two thirds of the motor's peak torque",
     )
     max_temperature: float = option(80.0, "of power stage and winding", "T [°C] >= 0")
-    max_missed: int = option(3, "unanswered commands in a row that stop the run", "N > 0")
-    max_lateness: float = option(
-        0.02,
-        "how late a control cycle may be",
-        "MS [ms] >= 0",
-        flag="--max-lateness-ms",
-        parse=milliseconds,
-        usual="20",
-    )
     park: str | None = option(
         None,
         "where to leave it: rest (lowered), start (where it stood), or a file of positions",
@@ -101,6 +93,8 @@ class PlaySettings(OptionRecord):
         "HOW",
         choices=("limp", "hold"),
     )
+    max_missed: int = 3
+    max_lateness: float = 0.02
     ramp_time: float = 0.3
     approach_time: float = 1.0
     rest_time: float = 0.5
@@ -117,24 +111,22 @@ class PlaySettings(OptionRecord):
         is damped less, so that its speed does not settle within a cycle: it would have used up the
         torque step that is to be measured. ``inertia`` (n,) is what each joint moves [kg m^2].
         """
-        n = len(specs)
-        rate = self.rate or default_rate(n, timing)
-        light = np.full(n, np.inf) if inertia is None else inertia * rate
-        rated = np.array([s.rated_torque or 0.3 * s.limits[2] for s in specs])
-        peak = np.array([spec.strongest for spec in specs])
-        usual = np.minimum(_STIFFNESS * rated, KP_MAX)
-        least = np.maximum(_LEAST_SHARE * _DAMPING * usual, _LEAST_DAMPING)
-        damping = np.clip(np.minimum(_DAMPING * usual, light), least, KD_MAX)
-        push = self.max_torque_error
-        return replace(
-            self,
-            kp=tuple(per_joint(self.kp, n, "--kp") if self.kp else usual),
-            kd=tuple(per_joint(self.kd, n, "--kd") if self.kd else damping),
-            max_torque_error=tuple(
-                per_joint(push, n, "--max-torque-error") if push else _PUSH * peak
-            ),
-            rate=rate,
-        )
+        n, rate = len(specs), self.rate or default_rate(len(specs), timing)
+        light = np.inf if inertia is None else inertia * rate
+        rated = np.array([spec.rated_torque for spec in specs])
+        push = _PUSH * np.array([spec.peak_torque for spec in specs])
+        stiffness = np.minimum(_STIFFNESS * rated, KP_MAX)
+        least = np.maximum(_LEAST_SHARE * _DAMPING * stiffness, _LEAST_DAMPING)
+        damping = np.clip(np.minimum(_DAMPING * stiffness, light), least, KD_MAX)
+        chosen: dict[str, Any] = {
+            name: tuple(per_joint(asked, n, flag) if asked else usual)
+            for name, asked, usual, flag in (
+                ("kp", self.kp, stiffness, "--kp"),
+                ("kd", self.kd, damping, "--kd"),
+                ("max_torque_error", self.max_torque_error, push, "--max-torque-error"),
+            )
+        }
+        return replace(self, rate=rate, **chosen)
 
     @property
     def period(self) -> float:

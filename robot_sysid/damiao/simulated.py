@@ -1,9 +1,11 @@
-"""Simulated motors on a mechanism: torque law, time, their answers, and what goes wrong on demand.
+"""Simulated motors, the arm that they drive, and the bus that they are on.
 
 A motor behaves as the real ones do where that matters: it only speaks when spoken to, matches the
 low eight bits of an arbitration id, answers a command with the state before the command acted,
 drops the fraction when it packs a value, leaves the enabled state on any fault and when commands
 stay away for longer than its watchdog allows, and does not come back by itself.
+
+The arm lives in simulated time, exact and without waiting, or in real time behind an adapter.
 """
 
 from __future__ import annotations
@@ -11,10 +13,6 @@ from __future__ import annotations
 import functools
 import heapq
 import itertools
-import math
-import os
-import re
-import select
 from collections import defaultdict, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -22,17 +20,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robot_sysid.damiao.bus import Clock, Link, LinkError, SimulatedClock
+from robot_sysid.damiao.bus import Clock, Link, SimulatedClock
 from robot_sysid.damiao.protocol import codec, frames
 from robot_sysid.damiao.protocol.frames import BusTiming, Frame
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace
-from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 
 if TYPE_CHECKING:
     from robot_sysid.simulation.forward_dynamics import ArmStepper
 
 DEFAULT_WATCHDOG = 0.1
+"""What docs/damiao.md asks for with ``--set-watchdog`` [s]."""
 _scaling = functools.cache(lambda limits: codec.Scaling([limits]))
 _NOTHING = (0.0,) * 5
 
@@ -47,11 +45,7 @@ class SimulatedMotor:
         brake: damping of the shorted windings while it is disabled [N m s/rad].
         position, velocity, torque: what its sensors read, set by the arm.
         fed_at: when it last got a frame of its own [s].
-        jammed: its joint is blocked.
-        silent: it hears nothing and says nothing.
-        lost_replies: it obeys but its answers do not arrive.
-        velocity_factor, torque_factor: factors on the velocity and the torque it reports.
-        slip: angle by which the position it reports is off [rad].
+        shift: what it adds to its position since a zero was set [rad].
         stored: registers that it keeps when the power goes off.
     """
 
@@ -67,12 +61,7 @@ class SimulatedMotor:
     temperature_rotor: int = 29
     command: Sequence[float] = _NOTHING
     fed_at: float = 0.0
-    jammed: bool = False
-    silent: bool = False
-    lost_replies: bool = False
-    velocity_factor: float = 1.0
-    torque_factor: float = 1.0
-    slip: float = 0.0
+    shift: float = 0.0
     stored: dict[int, float] = field(default_factory=dict)
 
     @property
@@ -105,7 +94,7 @@ class SimulatedMotor:
 
     def handle(self, frame: frames.Frame, time: float) -> frames.Frame | None:
         """Take a frame from the bus and return the answer, if there is one."""
-        if self.silent or len(frame.data) < 4 or frame.bus != self.joint.bus:
+        if len(frame.data) < 4 or frame.bus != self.joint.bus:
             return None
         if frame.id == frames.REGISTER_ID:
             data = self._register_answer(frame.data)
@@ -113,7 +102,7 @@ class SimulatedMotor:
             data = self._command_answer(frame.data, time)
         else:
             return None
-        if data is None or self.lost_replies:
+        if data is None:
             return None
         fd = self.registers[frames.CAN_BR] > frames.FD_BITRATE_CODES_ABOVE
         return frames.Frame(int(self.registers[frames.MST_ID]), data, fd=fd, bus=self.joint.bus)
@@ -136,7 +125,7 @@ class SimulatedMotor:
         if code == frames.ENABLE:
             self.status = frames.ENABLED
         elif code == frames.SET_ZERO and not self.driving:
-            self.slip -= self.position + self.slip
+            self.shift = -self.position
         elif code in (frames.DISABLE, frames.CLEAR_ERROR):
             self.status, self.command = frames.DISABLED, _NOTHING
 
@@ -160,9 +149,9 @@ class SimulatedMotor:
         state = codec.Feedback(
             np.array([self.can_id]),
             np.array([self.status]),
-            one * (self.position + self.slip),
-            one * self.velocity * self.velocity_factor,
-            one * self.torque * self.torque_factor,
+            one * (self.position + self.shift),
+            one * self.velocity,
+            one * self.torque,
             np.array([self.temperature_mos]),
             np.array([self.temperature_rotor]),
         )
@@ -171,7 +160,7 @@ class SimulatedMotor:
 
 def simulated_motor(joint: DamiaoJoint, watchdog: float = DEFAULT_WATCHDOG) -> SimulatedMotor:
     """Return a joint's motor as it leaves the factory, apart from ids and watchdog [s]."""
-    peak, gear = joint.spec.strongest, joint.spec.gear_ratio or 1.0
+    peak, gear = joint.spec.peak_torque, joint.spec.gear_ratio
     registers: dict[int, float] = {
         0: 15.0, 1: 0.0, 2: 100.0, 3: 0.8, 11: 1.96e-4, 12: 1.97e-5, 14: 5013.0, 16: 14.0,
         17: 0.84, 19: 5.16e-3, 29: 32.0, 30: 1.0, frames.CAN_BR: 4.0, frames.GR: gear,
@@ -184,70 +173,6 @@ def simulated_motor(joint: DamiaoJoint, watchdog: float = DEFAULT_WATCHDOG) -> S
     return SimulatedMotor(joint, registers, peak, brake=0.5 * peak)
 
 
-_ATTRIBUTES = (
-    *("jammed", "silent", "lost-replies", "temperature-mos", "temperature-rotor"),
-    *("velocity-factor", "torque-factor", "slip", "peak-torque"),
-)
-_REGISTERS = {
-    "tmax": frames.TMAX,
-    "vmax": frames.VMAX,
-    "mode": frames.CTRL_MODE,
-    "watchdog": frames.TIMEOUT,
-}
-FAULT_KINDS = ("status", *_ATTRIBUTES, *_REGISTERS)
-
-
-@dataclass(frozen=True)
-class Fault:
-    """One thing that goes wrong.
-
-    Joints are counted from 0. The value is a status code, temperature, new register value, ... or 1
-    for "on" and 0 for "off". It happens so many seconds after the arm was first enabled; 0 means
-    from the beginning.
-    """
-
-    kind: str
-    joint: int
-    value: float = 1.0
-    after: float = 0.0
-
-    def __post_init__(self) -> None:
-        if self.kind not in FAULT_KINDS:
-            raise InputError(f"unknown fault {self.kind!r}; valid: {', '.join(FAULT_KINDS)}")
-
-    def apply(self, motor: SimulatedMotor) -> None:
-        """Let it happen."""
-        if self.kind == "status":
-            motor.fail(int(self.value))
-        elif self.kind in _REGISTERS:
-            unit = frames.TIMEOUT_UNIT if self.kind == "watchdog" else 1.0
-            motor.registers[_REGISTERS[self.kind]] = self.value * (1.0 / unit)
-        else:
-            name = self.kind.replace("-", "_")
-            setattr(motor, name, type(getattr(motor, name))(self.value))
-
-
-def parse_fault(text: str) -> Fault:
-    """Return the fault written as KIND:JOINT[=VALUE][@SECONDS], for instance status:2=13@4.5."""
-    rest, _, after = text.partition("@")
-    rest, _, value = rest.partition("=")
-    kind, _, joint = rest.partition(":")
-    try:
-        amount, delay = float(value or 1.0), float(after or 0.0)
-        if not math.isfinite(amount + delay):
-            raise ValueError
-        return Fault(kind, int(joint), amount, delay)
-    except ValueError:
-        raise InputError(
-            f"a fault is written KIND:JOINT[=VALUE][@SECONDS], got {text!r}; "
-            f"kinds: {', '.join(FAULT_KINDS)}"
-        ) from None
-
-
-# Damping that holds a blocked joint [N m s/rad].
-_JAM = 1e6
-
-
 class SimulatedArm:
     """An arm whose joints are driven by simulated motors.
 
@@ -257,33 +182,22 @@ class SimulatedArm:
     terminal; more are on the bus but move nothing.
     """
 
-    def __init__(
-        self, mechanism: ArmStepper, motors: Sequence[SimulatedMotor], faults: Sequence[Fault] = ()
-    ) -> None:
-        if any(not 0 <= fault.joint < len(motors) for fault in faults):
-            raise InputError(f"faults name joints 0 to {len(motors) - 1}")
+    def __init__(self, mechanism: ArmStepper, motors: Sequence[SimulatedMotor]) -> None:
         self.mechanism, self.motors = mechanism, list(motors)
         self._space = JointSpace.of([m.joint for m in self.motors[: mechanism.n_joints]])
-        self.time = 0.0
-        self._enabled_at: float | None = None
-        self._faults = sorted(faults, key=lambda fault: fault.after)
-        self._changed = True
-        self._apply_faults(0.0)
+        self.time, self._was_enabled, self._changed = 0.0, False, True
 
     def advance(self, until: float) -> None:
         """Let physics run up to ``until`` [s]."""
-        if self._enabled_at is None:
+        if not self._was_enabled:
             self.time = max(self.time, until)
         while self.time + self.mechanism.timestep <= until:
             self.time += self.mechanism.timestep
             for motor in self.motors:
                 self._changed |= motor.tick(self.time)
-            if self._faults and self._enabled_at is not None:
-                self._apply_faults(self.time - self._enabled_at)
             # The position half a step ahead stands for the whole step to second order.
             ahead = self.mechanism.q + 0.5 * self.mechanism.timestep * self.mechanism.qd
-            torque, damping = self._law(ahead)
-            self.mechanism.step(torque, np.where(self._jammed, _JAM, damping))
+            self.mechanism.step(*self._law(ahead))
 
     def handle(self, frame: frames.Frame, time: float) -> list[frames.Frame]:
         """Let all motors take a frame at ``time`` [s]; return their answers."""
@@ -297,15 +211,8 @@ class SimulatedArm:
                 # Another motor whose id matches that of an answer takes it for a command.
                 heard = [each.handle(answer, time) for each in self.motors if each is not motor]
                 answers += [answer, *filter(None, heard)]
-        if self._enabled_at is None and any(motor.driving for motor in self.motors):
-            self._enabled_at = time
+        self._was_enabled |= any(motor.driving for motor in self.motors)
         return answers
-
-    def _apply_faults(self, elapsed: float) -> None:
-        while self._faults and self._faults[0].after <= elapsed:
-            fault = self._faults.pop(0)
-            fault.apply(self.motors[fault.joint])
-            self._changed = True
 
     def _gather(self) -> None:
         motors = self.motors[: self.mechanism.n_joints]
@@ -318,7 +225,6 @@ class SimulatedArm:
         self._offset = np.where(driving, kd * v + t, 0.0)
         self._kp = np.where(driving, kp, 0.0)
         self._limited = driving
-        self._jammed = np.array([m.jammed for m in motors])
         self._changed = False
 
     def _law(self, q: Array) -> tuple[Array, Array]:
@@ -343,6 +249,7 @@ class SimulatedArm:
             motor.torque = float(torques[j]) if motor.driving else 0.0
 
 
+# Between a command's last bit and the first of its answer [s]: an assumption, a third of a frame.
 _TURNAROUND = 50e-6
 
 
@@ -405,8 +312,10 @@ class SimulatedLink:
         """Nothing to release."""
 
 
+# How long to wait for a frame before the physics goes on: one step of them [s].
 _TICK = 1e-3
-_MOST_BEHIND = 0.1
+# The motors' own default watchdog: who is later has lost them anyway [s].
+_MOST_BEHIND = DEFAULT_WATCHDOG
 
 
 def serve(arm: SimulatedArm, link: Link, clock: Clock, running: Callable[[], bool]) -> float:
@@ -426,75 +335,3 @@ def serve(arm: SimulatedArm, link: Link, clock: Clock, running: Callable[[], boo
             for reply in arm.handle(frame, now):
                 link.send(reply)
     return left_out
-
-
-class SlcanTerminal:
-    """The adapter's end of the line, as a link; ``device`` is what to give to ``--channel``."""
-
-    def __init__(self, clock: Clock) -> None:
-        try:
-            import tty
-        except ImportError:
-            raise InputError("pseudo-terminals need a Unix system") from None
-        self._clock = clock
-        # The far end stays open here too, so that a client may come and go.
-        self._near, self._far = os.openpty()
-        tty.setraw(self._far)
-        os.set_blocking(self._near, False)
-        self.device = os.ttyname(self._far)
-        self._text = b""
-        self._frames: list[Frame] = []
-
-    def receive(self, until: float) -> Frame | None:
-        """Return the next frame, or None at ``until`` [s]."""
-        while not self._frames:
-            left = max(until - self._clock.now(), 0.0)
-            readable, _, _ = select.select([self._near], [], [], left)
-            if not readable:
-                return None
-            self._take(os.read(self._near, 4096))
-        return self._frames.pop(0)
-
-    def send(self, frame: Frame) -> None:
-        """Write a frame; one that nobody reads is dropped, as on a bus."""
-        self._write(line_from_frame(frame).encode() + END)
-
-    def close(self) -> None:
-        """Close the terminal."""
-        os.close(self._near)
-        os.close(self._far)
-
-    def _take(self, data: bytes) -> None:
-        *lines, self._text = (self._text + data).split(END)
-        for line in lines:
-            frame = frame_from_line(line.decode("ascii", errors="replace"))
-            if frame is None:
-                self._write(END)
-            else:
-                self._frames.append(frame._replace(time=self._clock.now()))
-
-    def _write(self, data: bytes) -> None:
-        try:
-            os.write(self._near, data)
-        except BlockingIOError:
-            return  # a full buffer: nobody has the terminal open
-        except OSError as error:
-            raise LinkError(f"the pseudo-terminal is closed: {error.strerror}") from error
-
-
-END = b"\r"
-
-
-def frame_from_line(line: str) -> Frame | None:
-    """Return the frame that a line stands for, or None where it is a set-up command or broken."""
-    parts = re.match("([tdb])([0-9A-Fa-f]{3})([0-8])([0-9A-Fa-f]*)", line)
-    digits = parts[4][: 2 * int(parts[3])] if parts else ""
-    if parts is None or len(digits) != 2 * int(parts[3]):
-        return None
-    return Frame(int(parts[2], 16), bytes.fromhex(digits), fd=parts[1] != "t")
-
-
-def line_from_frame(frame: Frame) -> str:
-    """Return the line for a frame of up to eight bytes."""
-    kind = "b" if frame.fd else "t"
-    return f"{kind}{frame.id:03X}{len(frame.data):X}{frame.data.hex().upper()}"

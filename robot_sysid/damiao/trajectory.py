@@ -101,7 +101,7 @@ def export_damiao_trajectory(
         motion_chunks: the motion, see ``MotionChunk``.
         motor_types, can_ids, master_ids: see ``damiao_joints``.
         path_or_file: where to write.
-        supply: voltage that the no-load speeds are compared at [V]; None takes each type's own.
+        supply: without effect.
         joint_names: of the joints in the model, for the warnings.
 
     Raises:
@@ -112,29 +112,24 @@ def export_damiao_trajectory(
     if first is None or len(first[0]) == 0:
         raise InputError("the trajectory to export has no samples")
     joints = damiao_joints(motor_types, np.shape(first[1])[1], can_ids, master_ids, joint_names)
-    tally = ClampTally(joints)
+    limits = np.array([joint.spec.limits for joint in joints]).T[:, None]
+    rows, (changed, peak_velocity, peak_torque) = 0, np.zeros((3, len(joints)))
     # Milliseconds where all moments are on their grid.
     decimals = 3 if np.all(np.abs(first[0] - np.round(first[0], 3)) < 1e-9) else 6
     with whole_file(path_or_file) as file:
         file.write(_head(joints))
         for chunk in chain([first], chunks):
-            file.write(_rows(chunk, tally, decimals))
-    warnings = (*tally.warnings(supply), *_rate_warnings(first[0], len(joints)))
-    return DamiaoExportReport(joints, tally.clamped_percent, warnings)
-
-
-def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
-    """Read the head of a trajectory file, or raise InputError; rows come from its ``chunks``."""
-    path = Path(path)
-    joints: list[DamiaoJoint] = []
-    with _opened(path) as file:
-        for number, line in enumerate(file, start=1):
-            if not line.startswith("#"):
-                _check_columns(line, len(joints), path, number)
-                return DamiaoTrajectory(path, tuple(joints), number)
-            if "motor_type" in line:
-                joints.append(_parse_joint(line, path, number))
-    raise InputError(f"{path} has no column line; it is not a Damiao trajectory")
+            asked = _checked(chunk, len(joints))
+            inside = np.clip(asked, -limits, limits)
+            changed += np.any(inside != asked, axis=0).sum(axis=0)
+            peak_velocity = np.maximum(peak_velocity, np.abs(asked[1]).max(axis=0, initial=0.0))
+            peak_torque = np.maximum(peak_torque, np.abs(asked[2]).max(axis=0, initial=0.0))
+            rows += len(chunk[0])
+            file.write(_rows(chunk[0], inside, decimals))
+    percent = 100.0 * changed / rows
+    peaks = zip(joints, percent, peak_velocity, peak_torque)
+    warnings = (*_warnings(peaks), *_rate_warnings(first[0], len(joints)))
+    return DamiaoExportReport(joints, percent, warnings)
 
 
 def _head(joints: Sequence[DamiaoJoint]) -> str:
@@ -151,33 +146,67 @@ def trajectory_columns(n_joints: int) -> list[str]:
     return [f"j{j}_{what}" for j in range(n_joints) for what in ("pos", "vel", "tau")]
 
 
-def _rows(chunk: MotionChunk, tally: ClampTally, decimals: int) -> str:
-    time, q, qd, tau = (np.asarray(x, dtype=float) for x in chunk)
-    n = len(tally.joints)
-    if time.ndim != 1 or not q.shape == qd.shape == tau.shape == (len(time), n):
+def _checked(chunk: MotionChunk, n: int) -> Array:
+    """Return position, velocity and torque (3, N, n) of a chunk that can be written."""
+    time, *signals = (np.asarray(x, dtype=float) for x in chunk)
+    if time.ndim != 1 or any(x.shape != (len(time), n) for x in signals):
         raise InputError(f"motion chunks must be (N,), (N, {n}), (N, {n}), (N, {n}) arrays")
-    if not all(np.all(np.isfinite(x)) for x in (time, q, qd, tau)):
+    if not all(np.all(np.isfinite(x)) for x in (time, *signals)):
         raise InputError("the trajectory to export contains values that are not finite")
-    values = np.stack(tally.clamp(q, qd, tau), axis=2).reshape(len(time), 3 * n)
+    return np.stack(signals)
+
+
+def _rows(time: Array, values: Array, decimals: int) -> str:
     # Adding zero turns the -0.0 that rounding leaves into 0.0.
-    table = np.column_stack([time, np.round(values, 4) + 0.0])
-    row = ",".join([f"%.{decimals}f"] + ["%.4f"] * (3 * n)) + "\n"
-    return (row * len(time)) % tuple(table.ravel())
+    cells = np.round(values.transpose(1, 2, 0).reshape(len(time), -1), 4) + 0.0
+    row = ",".join([f"%.{decimals}f"] + ["%.4f"] * cells.shape[1]) + "\n"
+    return (row * len(time)) % tuple(np.column_stack([time, cells]).ravel())
 
 
-def _rate_warnings(time: Array, n_joints: int) -> Iterator[str]:
-    if len(time) < 2:
-        return
-    rate = 1.0 / float(np.median(np.diff(time)))
-    classic, fast = BusTiming(), BusTiming(fd=True)
-    load = bus_load(n_joints, rate, classic)
-    if load > PLANNING_LIMIT:
-        fits, fits_fd = suggested_rate(n_joints, classic), suggested_rate(n_joints, fast)
+def _warnings(peaks: Iterable[tuple[DamiaoJoint, float, float, float]]) -> Iterator[str]:
+    """Yield a sentence per joint and limit or rating that what was asked for exceeds."""
+    for joint, percent, velocity, torque in peaks:
+        if percent:
+            yield (
+                f"{joint.label}: {percent:.2f} % of the samples were clamped to the limits of a "
+                f"{joint.motor_type}; use a stronger motor or a slower trajectory"
+            )
+        yield from rating_warnings(joint, velocity, torque)
+
+
+def rating_warnings(joint: DamiaoJoint, velocity: float, torque: float) -> Iterator[str]:
+    """Yield a sentence for each rating of a motor that a peak velocity or torque exceeds."""
+    spec = joint.spec
+    for limit, name, remedy in (
+        (spec.peak_torque, "peak", "it cannot follow"),
+        (spec.rated_torque, "rated", "fine for a moment, too hot for long"),
+    ):
+        if torque > limit:
+            yield (
+                f"{joint.label}: {torque:.2f} N m exceeds the {name} torque of a {spec.name}, "
+                f"{limit:g} N m; {remedy}"
+            )
+            break
+    if spec.no_load_rpm is not None and velocity > spec.no_load_rpm * RPM:
         yield (
-            f"{rate:g} Hz would fill {100 * load:.0f} % of a classic CAN bus "
-            f"({100 * bus_load(n_joints, rate, fast):.0f} % of CAN-FD): play the file at "
-            f"{fits:g} Hz (CAN-FD: {fits_fd:g} Hz), or export it with --sample-rate {fits:g}"
+            f"{joint.label}: {velocity:.2f} rad/s ({velocity / RPM:.0f} rpm) exceeds the no-load "
+            f"speed of a {spec.name} at {spec.supply:g} V, {spec.no_load_rpm * RPM:.2f} rad/s; "
+            "it cannot follow"
         )
+
+
+def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
+    """Read the head of a trajectory file, or raise InputError; rows come from its ``chunks``."""
+    path = Path(path)
+    joints: list[DamiaoJoint] = []
+    with _opened(path) as file:
+        for number, line in enumerate(file, start=1):
+            if not line.startswith("#"):
+                _check_columns(line, len(joints), path, number)
+                return DamiaoTrajectory(path, tuple(joints), number)
+            if "motor_type" in line:
+                joints.append(_parse_joint(line, path, number))
+    raise InputError(f"{path} has no column line; it is not a Damiao trajectory")
 
 
 def _parse_joint(line: str, path: Path, number: int) -> DamiaoJoint:
@@ -276,76 +305,12 @@ def scan_trajectory(trajectory: DamiaoTrajectory) -> TrajectoryScan:
     return TrajectoryScan(last_time[0] - start, first, end_velocity, *extremes, columns.mismatch)
 
 
-class ClampTally:
-    """Clamps chunks to the motors' limits and counts what it changed.
-
-    ``clamped`` (n,) counts rows in which at least one value of the joint was changed; the peaks
-    (n,) are largest magnitudes before that [rad/s, N m].
-    """
-
-    def __init__(self, joints: tuple[DamiaoJoint, ...]) -> None:
-        self.joints, self.samples = joints, 0
-        self.clamped, self.peak_velocity, self.peak_torque = np.zeros((3, len(joints)))
-
-    def clamp(self, q: Array, qd: Array, tau: Array) -> tuple[Array, Array, Array]:
-        """Return the chunk within the motors' limits, counting what had to change."""
-        limits = np.array([joint.spec.limits for joint in self.joints]).T
-        self.peak_velocity = np.maximum(self.peak_velocity, np.abs(qd).max(axis=0))
-        self.peak_torque = np.maximum(self.peak_torque, np.abs(tau).max(axis=0))
-        inside = [np.clip(x, -limit, limit) for x, limit in zip((q, qd, tau), limits)]
-        self.clamped += np.any([a != b for a, b in zip((q, qd, tau), inside)], axis=0).sum(axis=0)
-        self.samples += len(q)
-        return inside[0], inside[1], inside[2]
-
-    @property
-    def clamped_percent(self) -> Array:
-        """Share of rows (n,) with a changed value [%]."""
-        return np.asarray(100.0 * self.clamped / max(self.samples, 1))
-
-    def warnings(self, supply: float | None) -> Iterator[str]:
-        """Yield a sentence per joint and limit or rating that the trajectory exceeds."""
-        for j, joint in enumerate(self.joints):
-            if self.clamped[j]:
-                yield (
-                    f"{joint.label}: {self.clamped_percent[j]:.2f} % of the samples were clamped "
-                    f"to the limits of a {joint.motor_type}; use a stronger motor or a slower "
-                    "trajectory"
-                )
-            yield from rating_warnings(joint, self.peak_velocity[j], self.peak_torque[j], supply)
-
-
-def rating_warnings(
-    joint: DamiaoJoint, velocity: float, torque: float, supply: float | None = None
-) -> Iterator[str]:
-    """Yield a sentence for each rating of a motor that a peak velocity or torque exceeds.
-
-    No-load speeds are taken at a supply voltage [V]; None takes the type's own.
-    """
-    spec = joint.spec
-    for limit, name, remedy in (
-        (spec.peak_torque, "peak", "it cannot follow"),
-        (spec.rated_torque, "rated", "fine for a moment, too hot for long"),
-    ):
-        if limit is not None and torque > limit:
-            yield (
-                f"{joint.label}: {torque:.2f} N m exceeds the {name} torque of a {spec.name}, "
-                f"{limit:g} N m; {remedy}"
-            )
-            break
-    top = spec.no_load_speed(supply)
-    if top is not None and velocity > top:
-        volts = spec.supply if supply is None else supply
-        yield (
-            f"{joint.label}: {velocity:.2f} rad/s ({velocity / RPM:.0f} rpm) exceeds "
-            f"the no-load speed of a {spec.name} at {volts:g} V, {top:.2f} rad/s; "
-            "it cannot follow"
-        )
-
-
 # Numbers with four decimals, as the export writes them, are this far from what was meant.
 _ROUNDING = 0.5e-4
+# A tenth of a second hides 1e-4 rad of rounding behind 1e-3 rad/s and is short beside a swing.
 _WINDOW, _LEAST_ROWS = 0.1, 4
-# Rows on either side whose slopes count as around.
+# Rows on either side whose slopes count as around: a difference quotient is half a row early or
+# late, and one more row is room for where the motion bends.
 _AROUND = 2
 
 
@@ -431,3 +396,18 @@ def _windows_off(time: Array, q: Array, qd: Array, slope: Array) -> Iterator[Mis
 def _summed(parts: Array) -> Array:
     """Return the sums (N, n) of the first 0, 1, ... of (N - 1, n) parts."""
     return np.vstack([np.zeros(parts.shape[1]), np.cumsum(parts, axis=0)])
+
+
+def _rate_warnings(time: Array, n_joints: int) -> Iterator[str]:
+    if len(time) < 2:
+        return
+    rate = 1.0 / float(np.median(np.diff(time)))
+    classic, fast = BusTiming(), BusTiming(fd=True)
+    load = bus_load(n_joints, rate, classic)
+    if load > PLANNING_LIMIT:
+        fits, fits_fd = suggested_rate(n_joints, classic), suggested_rate(n_joints, fast)
+        yield (
+            f"{rate:g} Hz would fill {100 * load:.0f} % of a classic CAN bus "
+            f"({100 * bus_load(n_joints, rate, fast):.0f} % of CAN-FD): play the file at "
+            f"{fits:g} Hz (CAN-FD: {fits_fd:g} Hz), or export it with --sample-rate {fits:g}"
+        )

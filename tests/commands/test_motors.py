@@ -18,16 +18,15 @@ from robot_sysid import parser
 from robot_sysid.cli import main
 from robot_sysid.damiao.bus import BusAddress, SystemClock, open_bus
 from robot_sysid.damiao.protocol.frames import DISABLED, TIMEOUT, Address, BusTiming, enable_frame
-from robot_sysid.damiao.simulated import Fault
-from robot_sysid.damiao.trajectory import export_damiao_trajectory
 from tests.support import arms
 from tests.support.command_line import run_motors as run
-from tests.support.damiao_rig import only_asks, swing, two_motor_arm
+from tests.support.damiao_rig import fault, only_asks, swing, trajectory_file, two_motor_arm
 from tests.support.links import served_in_background
 from tests.support.recordings import read_recording
 
 COMMANDS = ("check", "play", "simulate")
 CAN0 = ("--channel", "can0")
+AT_100 = ("--rate", "100")
 
 
 @pytest.fixture
@@ -36,9 +35,7 @@ def trajectory(tmp_path):
 
 
 def written(folder, motion):
-    path = folder / "damiao_trajectory.csv"
-    export_damiao_trajectory([motion], ["DM4340"] * motion[1].shape[1], path)
-    return path
+    return trajectory_file(folder, motion).path
 
 
 @pytest.fixture
@@ -71,14 +68,9 @@ def test_check_prints_a_table_and_enables_nothing(capsys, bus, trajectory):
     assert [m.status for m in bus.motors] == [DISABLED] * 2
 
 
-def test_check_works_without_a_trajectory(capsys, bus):
-    code, out, _ = run(capsys, "check", *CAN0)
-    assert code == 0 and "DM4340 " in out
-
-
 def test_check_says_what_has_to_change(capsys, bus, trajectory):
-    Fault("mode", 0, 2.0).apply(bus.motors[0])
-    Fault("tmax", 1, 40.0).apply(bus.motors[1])
+    fault("mode", 0, 2)(bus)
+    fault("tmax", 1, 40.0)(bus)
     code, out, _ = run(capsys, "check", trajectory, *CAN0)
     assert code == 1
     assert "[STOP] motor 1 is in mode 2 (POS_VEL); set CTRL_MODE to 1 (MIT)" in out
@@ -110,7 +102,7 @@ def test_play_records_and_disables(capsys, bus, trajectory, tmp_path):
 
 def test_frames_can_be_logged_without_a_recording(capsys, bus, trajectory, tmp_path):
     raw = tmp_path / "frames.asc"
-    code, _, err = run(capsys, "play", trajectory, *CAN0, "--yes", "--raw-log", raw)
+    code, _, err = run(capsys, "play", trajectory, *CAN0, *AT_100, "--yes", "--raw-log", raw)
     assert (code, err) == (0, "")
     assert sorted(tmp_path.iterdir()) == sorted([trajectory, raw])
     with can.LogReader(raw) as reader:
@@ -134,13 +126,6 @@ def test_dry_run_without_a_bus_checks_the_file(capsys, bus, trajectory):
     assert bus.wire is None
 
 
-def test_a_motor_with_another_scaling_is_refused(capsys, bus, trajectory):
-    Fault("tmax", 0, 20.0).apply(bus.motors[0])
-    code, _, err = run(capsys, "play", trajectory, *CAN0, "--yes")
-    assert code == 3 and "--accept-register-limits" in err
-    assert only_asks(bus.wire.sent)
-
-
 def test_playing_needs_a_confirmation(capsys, bus, trajectory, monkeypatch):
     code, _, err = run(capsys, "play", trajectory, *CAN0)
     assert code == 2 and "give --yes" in err
@@ -150,7 +135,7 @@ def test_playing_needs_a_confirmation(capsys, bus, trajectory, monkeypatch):
     assert code == 2 and "not confirmed" in err
     assert only_asks(bus.wire.sent)
     monkeypatch.setattr("builtins.input", lambda prompt: " Yes ")
-    assert run(capsys, "play", trajectory, *CAN0)[0] == 0
+    assert run(capsys, "play", trajectory, *CAN0, *AT_100)[0] == 0
 
 
 @pytest.mark.parametrize("there", ["measured.csv", "measured.log"])
@@ -168,7 +153,7 @@ def test_existing_recordings_are_kept_and_nobody_is_asked_first(
     assert code == 2 and f"{there} exists" in err
     assert (tmp_path / there).read_text() == "precious"
     assert sorted(tmp_path.iterdir()) == sorted([trajectory, tmp_path / there])
-    assert run(capsys, "play", trajectory, *CAN0, *record, "--yes", "--overwrite")[0] == 0
+    assert run(capsys, "play", trajectory, *CAN0, *record, *AT_100, "--yes", "--overwrite")[0] == 0
     assert read_recording(tmp_path / "measured.csv").ending == "completed"
 
 
@@ -186,7 +171,7 @@ def test_interrupting_before_anything_moves(capsys, bus, trajectory, monkeypatch
 def test_interrupting_while_it_moves_comes_to_rest_and_disables(capsys, bus, trajectory, tmp_path):
     bus.clock.at(2.5, lambda: signal.raise_signal(signal.SIGINT))
     record = tmp_path / "measured.csv"
-    code, out, err = run(capsys, "play", trajectory, *CAN0, "--yes", "--record", record)
+    code, out, err = run(capsys, "play", trajectory, *CAN0, *AT_100, "--yes", "--record", record)
     assert code == 3 and "stopped by SIGINT" in err and "stopping" in out
     assert [m.status for m in bus.motors] == [DISABLED] * 2
 
@@ -202,24 +187,15 @@ def test_interrupting_while_it_moves_comes_to_rest_and_disables(capsys, bus, tra
         (["play", "T"], "play needs --channel"),
         (["play", *CAN0], "the following arguments are required: TRAJECTORY"),
         (["play", "T", *CAN0, "--kd", "0"], "--kd must be at least 0.0012"),
-        (["play", "T", *CAN0, "--kd", "6"], "--kd must be at least 0.0012 and at most 5"),
-        (["play", "T", *CAN0, "--kp", "501"], "--kp must be from 0 to 500"),
         (["play", "T", *CAN0, "--kp", "1", "2", "3"], "--kp takes one number, or one for each of"),
         (["play", "T", *CAN0, "--speed", "1.5"], "--speed must be above 0 and at most 1"),
-        (["play", "T", *CAN0, "--speed", "0"], "--speed must be above 0"),
-        (["play", "T", *CAN0, "--rate", "0"], "--rate must be positive"),
         (["play", "T", *CAN0, "--rate", "nan"], "--rate must be positive"),
-        (["play", "T", *CAN0, "--set-watchdog", "0"], "--set-watchdog must be above 0 and at most"),
         (["play", "T", *CAN0, "--set-watchdog", "100"], "--set-watchdog must be above 0"),
-        (["play", "T", *CAN0, "--set-watchdog", "1e9"], "--set-watchdog must be above 0"),
-        (["play", "T", *CAN0, "--bitrate", "0"], "--bitrate must be positive"),
         (["play", "missing.csv", *CAN0], "cannot read missing.csv"),
         (["check", *CAN0, "--interface", "udp_multicast"], "invalid choice: 'udp_multicast'"),
         (["check", *CAN0, "--model", "arm.xml"], "--model needs a TRAJECTORY to check"),
         (["simulate", "T"], "the following arguments are required: --model"),
         (["simulate", "T", "--model", "missing.xml"], "missing.xml"),
-        (["simulate", "T", "--model", "M", "--play", "--fault", "flood:1"], "unknown fault"),
-        (["simulate", "T", "--model", "M", "--play", "--fault", "silent:2"], "joints 0 to 1"),
         (["simulate", "T", "--model", "M", "--watchdog", "0"], "--watchdog must be positive"),
         (["simulate", "T", "--model", "M", "--interface", "pcan"], "--interface needs --channel"),
     ],
@@ -230,11 +206,6 @@ def test_bad_usage_is_one_line_and_exit_code_2(capsys, trajectory, model, argume
     assert code == 2 and words in err, err
 
 
-def test_debug_shows_a_traceback(capsys):
-    assert main(["motors", "play", "missing.csv", *CAN0, "--debug"]) == 2
-    assert "Traceback" in capsys.readouterr().err
-
-
 def help_of(capsys, *arguments):
     with pytest.raises(SystemExit) as caught:
         main(["motors", *arguments])
@@ -242,7 +213,7 @@ def help_of(capsys, *arguments):
     return capsys.readouterr().out
 
 
-@pytest.mark.parametrize("arguments", [[], ["--help"], ["-h"]])
+@pytest.mark.parametrize("arguments", [[], ["--help"]])
 def test_the_command_alone_prints_its_help(capsys, arguments):
     text = help_of(capsys, *arguments)
     assert text.startswith("example: robot-sysid motors check --channel can0\n")
@@ -265,7 +236,6 @@ def test_each_command_has_a_short_help_and_one_with_all_options(capsys, name):
 # --- a model of the arm -------------------------------------------------------------------------
 
 NARROW = 'range="-.3 .3"'
-WEAK = 'range="-2 2" actuatorfrcrange="-1 1"'
 
 
 def refused_by(capsys, folder, trajectory, path):
@@ -299,19 +269,10 @@ def test_a_trajectory_beyond_the_joint_ranges_is_refused(capsys, bus, tmp_path, 
     assert only_asks(bus.wire.sent)
 
 
-def test_a_torque_beyond_the_models_limit_is_refused(capsys, bus, tmp_path, arm_file):
-    trajectory = written(tmp_path, swing(2, amplitude=0.98))
-    path = arm_file(arms.serial_arm((arms.Z, arms.Y), joint=WEAK))
-    stops = refused_by(capsys, tmp_path, trajectory, path)
-    assert [text[:20] for text in stops] == ["joint joint0: torque", "joint joint1: torque"]
-    assert only_asks(bus.wire.sent)
-
-
 def test_a_trajectory_inside_the_models_limits_is_played(capsys, bus, trajectory, model):
-    for arguments in (("check", trajectory), ("play", trajectory, "--yes")):
-        code, out, err = run(capsys, *arguments, "--model", model, *CAN0)
-        assert (code, err) == (0, "")
-        assert f"[ok  ] the trajectory stays within the limits of {model.name}" in out
+    code, out, err = run(capsys, "play", trajectory, "--yes", *AT_100, "--model", model, *CAN0)
+    assert (code, err) == (0, "")
+    assert f"[ok  ] the trajectory stays within the limits of {model.name}" in out
 
 
 @pytest.mark.parametrize(
@@ -327,16 +288,21 @@ def test_a_model_with_other_joints_is_refused(capsys, bus, trajectory, arm_file,
 # --- simulate -----------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
-def test_a_rehearsal_takes_no_real_time(capsys, no_real_time, trajectory, model, tmp_path):
+def test_a_rehearsal_takes_no_real_time_and_reads_its_model_once(
+    capsys, no_real_time, trajectory, model, tmp_path, monkeypatch
+):
+    read, load = [], parser.load_robot_model
+    monkeypatch.setattr(parser, "load_robot_model", lambda *a: read.append(a) or load(*a))
     record = tmp_path / "measured.csv"
-    arguments = ("--model", model, "--play", "--record", record)
+    arguments = ("--model", model, "--play", "--fd", "--rate", "250", "--record", record)
     code, out, err = run(capsys, "simulate", trajectory, *arguments)
     assert (code, err) == (0, "")
-    assert "played 126 cycles, 0 skipped; started late by 0.00 ms" in out
+    assert "played 126 cycles, 0 skipped; started late by 0.00 ms" in out and len(read) == 1
     recording = read_recording(record)
     assert recording.ending == "completed"
     assert np.all(np.isfinite(recording.joint_values("pos")))
+    with can.LogReader(record.with_suffix(".log")) as reader:
+        assert {m.is_fd for m in reader if not m.is_rx} == {True}
 
 
 def frames_of(path):
@@ -347,19 +313,12 @@ def frames_of(path):
     return [(m.timestamp - start, m.arbitration_id, bytes(m.data), m.is_rx) for m in messages]
 
 
-def test_a_rehearsal_reads_its_model_once(capsys, trajectory, model, monkeypatch):
-    read, load = [], parser.load_robot_model
-    monkeypatch.setattr(parser, "load_robot_model", lambda *a: read.append(a) or load(*a))
-    run(capsys, "simulate", trajectory, "--model", model, "--play")
-    assert len(read) == 1
-
-
 @pytest.mark.slow
 def test_a_rehearsal_is_exactly_repeatable(capsys, trajectory, model, tmp_path):
     records = [tmp_path / name / "measured.csv" for name in ("first", "second")]
     for record in records:
         record.parent.mkdir()
-        arguments = ("--model", model, "--play", "--record", record, "--fault", "jammed:1@1.9")
+        arguments = ("--model", model, "--play", "--record", record)
         run(capsys, "simulate", trajectory, *arguments)
     first, second = (record.read_bytes() for record in records)
     assert first == second and first.count(b"\n") > 100
@@ -368,23 +327,6 @@ def test_a_rehearsal_is_exactly_repeatable(capsys, trajectory, model, tmp_path):
     assert [frame[1:] for frame in logs[0]] == [frame[1:] for frame in logs[1]]
     first_times, second_times = (np.array([frame[0] for frame in log]) for log in logs)
     np.testing.assert_allclose(first_times, second_times, rtol=0, atol=3e-6)
-
-
-def test_a_rehearsal_with_a_fault(capsys, no_real_time, trajectory, model, tmp_path):
-    record = tmp_path / "measured.csv"
-    arguments = ("--model", model, "--play", "--fault", "status:1=10@1.9", "--record", record)
-    code, _, err = run(capsys, "simulate", trajectory, *arguments)
-    assert code == 3 and "motor 2 (joint joint1) reports status A: over-current" in err
-    assert read_recording(record).ending.startswith("stopped: motor 2")
-
-
-@pytest.mark.parametrize("fd", [(), ("--fd",)])
-def test_a_rehearsal_uses_the_frames_it_is_told_to(capsys, trajectory, model, tmp_path, fd):
-    raw = tmp_path / "frames.log"
-    arguments = ("--model", model, "--play", *fd, "--raw-log", raw)
-    assert run(capsys, "simulate", trajectory, *arguments)[0] == 0
-    with can.LogReader(raw) as reader:
-        assert {m.is_fd for m in reader if not m.is_rx} == {bool(fd)}
 
 
 @pytest.mark.parametrize("fd", [(), ("--fd",)])
@@ -408,10 +350,7 @@ def test_a_simulated_arm_goes_on_until_it_is_interrupted(capsys, bus, trajectory
 # --- real time ----------------------------------------------------------------------------------
 
 # Wide enough for most computers.
-SLOWLY = (
-    *("--rate", "25", "--max-lateness-ms", "2000", "--max-missed", "100"),
-    *("--max-tracking-error", "1"),
-)
+SLOWLY = ("--rate", "25", "--max-tracking-error", "1")
 
 
 @pytest.mark.realtime

@@ -90,7 +90,7 @@ def test_a_zero_is_set_after_two_questions(capsys, bus, answers):
     waiting += ["yes", "yes"]
     code, out, _ = run(capsys, "setup", *CAN0, "--motor", 1, "--set-zero")
     assert code == 0 and "motor 1: 0.4000 rad is now" in out and len(asked) == 4
-    assert bus.motors[0].slip == pytest.approx(-0.4)
+    assert bus.motors[0].shift == pytest.approx(-0.4)
 
 
 def test_no_zero_is_set_where_the_angle_is_not_known(capsys, bus, answers):

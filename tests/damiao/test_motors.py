@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from robot_sysid.damiao.protocol.joints import damiao_joints
@@ -29,9 +28,12 @@ LIMITS = {
 }
 
 
-def test_every_type_has_its_limits_and_the_seven_common_ones_come_first():
+def test_every_type_has_its_limits_and_finds_itself_by_them():
     assert {name: spec.limits for name, spec in MOTORS.items()} == LIMITS
     assert list(MOTORS)[:7] == list(LIMITS)[:7]
+    for name, spec in MOTORS.items():
+        assert 0 < spec.rated_torque < spec.peak_torque
+        assert name in matching_types(spec.limits)
 
 
 def test_an_unknown_type_lists_the_valid_ones():
@@ -51,22 +53,3 @@ def test_an_unknown_type_lists_the_valid_ones():
 def test_motor_types_have_to_match_the_chain(names, words):
     with pytest.raises(InputError, match=words):
         damiao_joints(names, 7)
-
-
-@pytest.mark.parametrize("name", list(MOTORS))
-def test_ratings_are_ordered_and_every_type_finds_itself_by_its_limits(name):
-    spec = MOTORS[name]
-    if spec.rated_torque is not None and spec.peak_torque is not None:
-        assert 0 < spec.rated_torque < spec.peak_torque
-    assert name in matching_types(spec.limits)
-    assert min(spec.limits) > 0
-
-
-def test_no_load_speed_follows_the_supply_voltage():
-    rpm = 2 * np.pi / 60
-    spec = MOTORS["DM4340"]
-    assert spec.no_load_speed() == pytest.approx(52 * rpm)
-    assert spec.no_load_speed(48.0) == pytest.approx(100 * rpm)
-    assert spec.no_load_speed(36.0) == pytest.approx(76 * rpm)
-    assert spec.no_load_speed(12.0) == pytest.approx(26 * rpm)
-    assert MOTORS["DMH3510"].no_load_speed() is None

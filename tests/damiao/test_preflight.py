@@ -1,4 +1,4 @@
-"""The checks that need no bus; those of the motors themselves are in test_fault_table.py."""
+"""The checks that need no bus; those of the motors themselves are in test_runs.py."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.preflight import NOTE, OK, STOP, Permissions, plan_checks, stops
+from robot_sysid.damiao.preflight import NOTE, OK, STOP, plan_checks, stops
 from robot_sysid.damiao.protocol.frames import BusTiming, bus_load
 from robot_sysid.damiao.protocol.joints import damiao_joints
 from robot_sysid.damiao.protocol.motors import MOTORS
@@ -31,18 +31,15 @@ def scan_of(n, **peaks):
     return TrajectoryScan(5.0, **{name: peaks.get(name, np.zeros(n)) for name in names})
 
 
-def checks_of(scan, types, allowed=None, timing=None, inertia=None, **settings):
-    joints = damiao_joints(types, len(types))
+def checks_of(scan, types, timing=None, inertia=None, pose=None, offset=0.0, **settings):
+    """What is said to what the checks look at of a plan, without a trajectory file."""
+    joints = [replace(joint, offset=offset) for joint in damiao_joints(types, len(types))]
     timing = timing or BusTiming()
     chosen = PlaySettings(**settings).for_motors([joint.spec for joint in joints], timing)
-    return plan_checks(plan_of(joints, scan, chosen, timing, allowed or Permissions(), inertia))
-
-
-def plan_of(joints, scan, settings, timing, allowed, inertia=None, pose=None):
-    """What the checks look at of a plan, without a trajectory file."""
-    asked = {"settings": settings, "timing": timing, "allowed": allowed, "inertia": inertia}
-    trajectory, duration = SimpleNamespace(joints=joints), scan.duration / settings.speed
-    return SimpleNamespace(trajectory=trajectory, scan=scan, duration=duration, pose=pose, **asked)
+    asked = {"settings": chosen, "timing": timing, "inertia": inertia, "pose": pose}
+    duration = scan.duration / chosen.speed
+    joints = SimpleNamespace(joints=joints)
+    return plan_checks(SimpleNamespace(trajectory=joints, scan=scan, duration=duration, **asked))
 
 
 def beyond(checks):
@@ -76,13 +73,13 @@ def test_both_ends_have_to_be_at_rest_at_the_speed_they_are_played_at(worst, spe
     assert [check.severity for check in said] == [STOP if worst * speed > 0.05 else OK]
 
 
-@given(rate=st.floats(10.0, 3000.0), n=st.integers(1, 8), fd=st.booleans(), forced=st.booleans())
-def test_a_bus_that_is_too_full_is_refused_unless_forced(rate, n, fd, forced):
+@given(rate=st.floats(10.0, 3000.0), n=st.integers(1, 8), fd=st.booleans())
+def test_a_bus_that_is_too_full_is_refused(rate, n, fd):
     timing = BusTiming(fd=fd)
-    checks = checks_of(scan_of(n), ["DM4340"] * n, Permissions(bus_load=forced), timing, rate=rate)
+    checks = checks_of(scan_of(n), ["DM4340"] * n, timing, rate=rate)
     (said,) = [check for check in checks if " load " in check.text]
     full = bus_load(n, rate, timing) > 0.7
-    assert said.severity == ((NOTE if forced else STOP) if full else OK)
+    assert said.severity == (STOP if full else OK)
     assert full == ("use --rate" in said.text)
 
 
@@ -93,12 +90,9 @@ def test_a_torque_beyond_the_peak_is_refused_and_one_beyond_the_rating_noted(nam
         checks = checks_of(scan_of(1, peak_torque=np.array([1.001 * torque])), [name])
         (said,) = [c for c in checks if "exceeds the" in c.text and "torque of a" in c.text]
         assert said.severity == severity
-    assert [c.text for c in checks_of(scan_of(1), [name]) if "exceeds" in c.text] == []
-
-
-@pytest.mark.parametrize("name", [name for name, spec in MOTORS.items() if spec.note])
-def test_what_is_special_about_a_type_is_noted(name):
-    assert any(MOTORS[name].note in c.text for c in checks_of(scan_of(1), [name]))
+    checks = checks_of(scan_of(1), [name])
+    assert [c.text for c in checks if "exceeds" in c.text] == []
+    assert any(spec.note in c.text for c in checks)
 
 
 def test_a_joint_that_its_motor_would_shake_is_noted():
@@ -111,10 +105,8 @@ def test_a_joint_that_its_motor_would_shake_is_noted():
 
 @given(place=st.floats(-12.4, 12.4) | st.floats(12.6, 30.0), offset=st.floats(-3.0, 3.0))
 def test_a_motor_cannot_be_parked_beyond_what_its_frames_carry(place, offset):
-    joints = [replace(joint, offset=offset) for joint in damiao_joints(["DM4340"] * 2, 2)]
-    asked = PlaySettings().for_motors([joint.spec for joint in joints], BusTiming())
     pose = np.array([-offset, place - offset])
-    plan = plan_of(joints, scan_of(2), asked, BusTiming(), Permissions(), pose=pose)
-    found = [check for check in plan_checks(plan) if "parked" in check.text]
+    checks = checks_of(scan_of(2), ["DM4340"] * 2, pose=pose, offset=offset)
+    found = [check for check in checks if "parked" in check.text]
     assert [check.severity for check in found] == [STOP] * (place > 12.5)
     assert all(c.text.startswith("motor 2") and "limit 12.5" in c.text for c in found)

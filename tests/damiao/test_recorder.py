@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import threading
 from pathlib import Path
 
@@ -20,7 +19,7 @@ from robot_sysid.damiao.protocol.codec import (
 )
 from robot_sysid.damiao.protocol.joints import damiao_joints
 from robot_sysid.damiao.protocol.motors import MOTORS
-from robot_sysid.damiao.recorder import Aside, MeasurementRecorder, RecordingHead, RecordingOptions
+from robot_sysid.damiao.recorder import Aside, MeasurementRecorder, RecordingOptions, head_lines
 from robot_sysid.damiao.session import Replies
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.damiao.simulated import simulated_motor
@@ -29,14 +28,14 @@ from tests.support.log_files import read_measurements
 from tests.support.recordings import read_recording
 
 
-def recorder_for(path, types=("DM4340",), frames=None, **options):
+def recorder_for(path, types=("DM4340",), frames=None, overwrite=False):
     """A recorder that writes at once, for motors of these types."""
     joints = damiao_joints(types, len(types))
     registers = [simulated_motor(j).registers for j in joints]
     registers = [{k: v for k, v in r.items() if k in (7, 8, 9, 10, 21, 22, 23)} for r in registers]
     settings = PlaySettings(kp=(20.0,) * len(types), kd=(1.0,) * len(types), rate=250.0)
-    head = RecordingHead(joints, registers, settings, RecordingOptions(**options), "swing.csv")
-    return MeasurementRecorder(path, head, Aside(threaded=False), frames)
+    head = head_lines(joints, registers, settings, "swing.csv")
+    return MeasurementRecorder(path, head, len(joints), Aside(threaded=False), frames, overwrite)
 
 
 @st.composite
@@ -98,7 +97,7 @@ def test_every_frame_can_be_told_back_from_the_recording(data, tmp_path_factory)
             np.testing.assert_allclose(recording.joint_values(what)[k], command[row], atol=6e-7)
 
 
-def write_two_rows(path, gap=False):
+def write_rows(path, gap=False):
     n, one = 2, np.ones(2)
     codes = np.ones(n, dtype=int)
     with recorder_for(path, ["DM4340"] * n) as recorder:
@@ -107,15 +106,13 @@ def write_two_rows(path, gap=False):
             q = np.where(answered, 0.1 * np.sin(0.3 * k) * one, np.nan)
             feedback = Feedback(codes, codes, q, q, q, 30 * codes, 31 * codes)
             stamps = np.where(answered, 0.004 * k + np.array([0.0001, 0.0002]), np.nan)
-            recorder.write(
-                0.004 * k, 0.0, Replies(answered, stamps, feedback), MitCommand(*[one] * 5)
-            )
-            recorder.end_cycle()
+            replies = Replies(answered, stamps, feedback)
+            recorder.write(0.004 * k, 0.0, replies, MitCommand(*[one] * 5))
 
 
 def test_cells_of_a_joint_that_did_not_answer_are_empty(tmp_path):
     path = tmp_path / "measured.csv"
-    write_two_rows(path, gap=True)
+    write_rows(path, gap=True)
     rows = [line for line in path.read_text().splitlines() if not line.startswith("#")]
     titles, _, cells = (row.split(",") for row in rows[:3])
     empty = [title for title, cell in zip(titles, cells) if not cell]
@@ -123,15 +120,13 @@ def test_cells_of_a_joint_that_did_not_answer_are_empty(tmp_path):
     assert empty == [f"j1_{what}" for what in named]
 
 
-@pytest.mark.parametrize("gap", [False, True])
-def test_the_identification_reads_it_directly(tmp_path, gap):
+def test_the_identification_reads_it_directly(tmp_path):
     path = tmp_path / "measured.csv"
-    write_two_rows(path, gap)
+    write_rows(path, gap=True)
     log = read_measurements(path, ("first", "second"))
-    assert [s.title for s in log.columns.position] == ["j0_pos", "j1_pos"]
-    assert [s.title for s in log.columns.velocity] == ["j0_vel", "j1_vel"]
-    assert [s.title for s in log.columns.torque] == ["j0_tau", "j1_tau"]
-    assert [s.title for s in log.columns.joint_time] == ["j0_time", "j1_time"]
+    found = log.columns.position, log.columns.velocity, log.columns.torque, log.columns.joint_time
+    for what, signals in zip(("pos", "vel", "tau", "time"), found):
+        assert [signal.title for signal in signals] == [f"j0_{what}", f"j1_{what}"]
     assert log.columns.time.title == "time"
 
 
@@ -144,44 +139,23 @@ registers_j1: MST_ID=18,ESC_ID=2,TIMEOUT=2000,CTRL_MODE=1,PMAX=12.5,VMAX=30,TMAX
 rate_hz=250,speed=1
 kp=20 20
 kd=1 1
-half_step={half_step} measured position, velocity and torque, because motors drop the fraction
-centred={centred}
+half_step=1: half a quantisation step added to measured position, velocity and torque, because \
+motors drop the fraction
+centred=1: jN_tau is the torque with half of jN_cmd_step added
 jN_cmd_step is the torque step that the command answered by this sample then made
 jN_time is when joint N was sampled, jN_cmd_* the command in force at that moment"""
 
 
-@pytest.mark.parametrize(
-    ("options", "half_step", "centred"),
-    [
-        (
-            {},
-            "1: half a quantisation step added to",
-            "1: jN_tau is the torque with half of jN_cmd_step added",
-        ),
-        (
-            {"no_half_step": True, "no_centring": True},
-            "0: half a quantisation step not added to",
-            "0: jN_tau is the torque as measured",
-        ),
-    ],
-)
-def test_the_head_tells_how_the_recording_was_made(tmp_path, options, half_step, centred):
+def test_the_head_tells_how_the_recording_was_made(tmp_path):
     path = tmp_path / "measured.csv"
-    with recorder_for(path, ["DM4340", "DM4310"], **options):
+    with recorder_for(path, ["DM4340", "DM4310"]):
         pass
-    expected = HEAD.format(half_step=half_step, centred=centred).splitlines()
-    assert list(read_recording(path).head) == expected
-
-
-def test_what_is_recorded_cannot_be_changed_underway():
-    for record in (RecordingOptions(), RecordingHead((), (), None, None, "")):
-        with pytest.raises(AttributeError):
-            record.options = None
+    assert list(read_recording(path).head) == HEAD.splitlines()
 
 
 def test_titles_name_each_joints_columns(tmp_path):
     path = tmp_path / "measured.csv"
-    write_two_rows(path)
+    write_rows(path)
     extra = [
         "time",
         "cmd_pos",
@@ -270,13 +244,10 @@ def test_a_disk_that_becomes_full_is_told_and_raises_nothing(tmp_path):
 def test_rows_are_in_the_file_before_the_run_ends(tmp_path):
     path = tmp_path / "measured.csv"
     recorder = recorder_for(path)
-    one = np.ones(1)
-    feedback = Feedback(one, one, one, one, one, one, one)
-    recorder.write(0.0, 0.0, Replies(one > 0, one, feedback), MitCommand(*[one] * 5))
+    recorder.write(*one_cycle(1))
     recorder.end_cycle()
-    rows = [line for line in path.read_text().splitlines() if not line.startswith("#")]
-    assert len(list(csv.reader(rows))) == 2
-    assert read_recording(path).ending == "cut short"
+    found = read_recording(path)
+    assert len(found.columns["time"]) == 1 and found.ending == "cut short"
     recorder.__exit__(None, None, None)
 
 
@@ -287,18 +258,12 @@ def test_an_error_is_written_at_the_end(tmp_path):
     assert read_recording(path).ending == "stopped: two lines"
 
 
-@pytest.mark.parametrize(
-    ("name", "words"), [("no/such/folder.csv", "cannot write"), ("there.csv", "exists")]
-)
-def test_a_file_that_cannot_be_made_is_said(tmp_path, name, words):
-    (tmp_path / "there.csv").write_text("precious")
-    with pytest.raises(InputError, match=words):
-        recorder_for(tmp_path / name)
-
-
-def test_a_file_that_may_be_overwritten_is(tmp_path):
+def test_only_what_may_be_replaced_is(tmp_path):
     path = tmp_path / "there.csv"
     path.write_text("precious")
+    for name in ("no/such/folder.csv", "there.csv"):
+        with pytest.raises(InputError, match=f"cannot write .*{name}"):
+            recorder_for(tmp_path / name)
     with recorder_for(path, overwrite=True):
         pass
     assert read_recording(path).ending == "completed"
@@ -360,20 +325,13 @@ def test_a_centred_torque_is_the_mean_of_both_sides_of_the_step(
     before, after = (command.motor_torque(q, qd) for command in (acted, sent))
     feedback = Feedback(code, code, q, qd, before, code, code)
     replies = Replies(code > 0, np.zeros(1), feedback, sent)
-    recorded = {}
-    for no_centring in (False, True):
-        path = tmp_path_factory.mktemp("rec") / "measured.csv"
-        with recorder_for(path, no_centring=no_centring) as recorder:
-            recorder.write(0.0, 0.0, replies, acted)
-        recorded[no_centring] = {k: v[0] for k, v in read_recording(path).columns.items()}
+    path = tmp_path_factory.mktemp("rec") / "measured.csv"
+    with recorder_for(path) as recorder:
+        recorder.write(0.0, 0.0, replies, acted)
+    recorded = {k: v[0] for k, v in read_recording(path).columns.items()}
     # Six decimals are printed.
-    digits = 1e-6
-    assert abs(recorded[False]["j0_tau"] - 0.5 * (before + after)[0]) < digits
-    assert abs(recorded[True]["j0_tau"] - before[0]) < digits
-    for columns in recorded.values():
-        assert abs(columns["j0_cmd_step"] - (after - before)[0]) < digits
-    taken_back = recorded[False]["j0_tau"] - 0.5 * recorded[False]["j0_cmd_step"]
-    assert abs(taken_back - recorded[True]["j0_tau"]) < 3 * digits
+    assert abs(recorded["j0_tau"] - 0.5 * (before + after)[0]) < 1e-6
+    assert abs(recorded["j0_cmd_step"] - (after - before)[0]) < 1e-6
 
 
 @pytest.mark.parametrize("threaded", [False, True])

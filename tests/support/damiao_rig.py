@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,22 +10,16 @@ from robot_sysid.damiao.bus import GuardedLink
 from robot_sysid.damiao.execution import run
 from robot_sysid.damiao.inspection import inspect_bus
 from robot_sysid.damiao.preflight import Permissions, Plan, bus_checks
-from robot_sysid.damiao.protocol.frames import (
-    DISABLE,
-    DISABLED,
-    ENABLE,
-    ESC_ID,
-    MST_ID,
-    READ,
-    REFRESH,
-    REGISTER_ID,
-    BusTiming,
-    is_special,
-)
+from robot_sysid.damiao.protocol import frames
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, damiao_joints
 from robot_sysid.damiao.recorder import RecordingOptions
 from robot_sysid.damiao.settings import PlaySettings
-from robot_sysid.damiao.simulated import SimulatedArm, SimulatedLink, simulated_motor
+from robot_sysid.damiao.simulated import (
+    SimulatedArm,
+    SimulatedLink,
+    SimulatedMotor,
+    simulated_motor,
+)
 from robot_sysid.damiao.supervision import StopRequest
 from robot_sysid.damiao.trajectory import export_damiao_trajectory, read_damiao_trajectory
 from tests.support.clocks import ScriptedClock
@@ -33,25 +27,78 @@ from tests.support.links import RememberingLink, SlowAdapter
 from tests.support.recordings import read_recording
 
 INERTIA, GRAVITY = 0.1, 2.0
-CLASSIC = BusTiming()
+CLASSIC = frames.BusTiming()
 
 
 class Pendulums:
-    """Independent pendulums: INERTIA qdd + GRAVITY sin(q) = torque."""
+    """Independent pendulums: INERTIA qdd + GRAVITY sin(q) = torque; those jammed stand."""
 
-    timestep = 1e-3
+    timestep = 2e-3
 
     def __init__(self, n_joints, q=None):
         self.n_joints = n_joints
         self.q = np.zeros(n_joints) if q is None else np.array(q, dtype=float)
-        self.qd = np.zeros(n_joints)
+        self.qd, self.jammed = np.zeros(n_joints), np.zeros(n_joints, bool)
 
     def step(self, torque, damping):
-        h = self.timestep
+        h, damping = self.timestep, np.where(self.jammed, 1e6, damping)
         force = torque - GRAVITY * np.sin(self.q)
         self.qd = (self.qd + h * force / INERTIA) / (1.0 + h * damping / INERTIA)
         self.q = self.q + h * self.qd
-        return torque - damping * self.qd
+
+
+@dataclass
+class FaultyMotor(SimulatedMotor):
+    """A motor in which something may be wrong.
+
+    Attributes:
+        silent: it hears nothing and says nothing.
+        lost_replies: it obeys but its answers do not arrive.
+        velocity_factor, torque_factor: factors on the velocity and the torque it reports.
+    """
+
+    silent: bool = False
+    lost_replies: bool = False
+    velocity_factor: float = 1.0
+    torque_factor: float = 1.0
+
+    def handle(self, frame, time):
+        answer = None if self.silent else super().handle(frame, time)
+        return None if self.lost_replies else answer
+
+    def _feedback(self):
+        true = self.velocity, self.torque
+        self.velocity, self.torque = true[0] * self.velocity_factor, true[1] * self.torque_factor
+        said = super()._feedback()
+        self.velocity, self.torque = true
+        return said
+
+
+def motor(joint, watchdog=0.1):
+    """A joint's motor, in which nothing is wrong yet."""
+    return FaultyMotor(**vars(simulated_motor(joint, watchdog)))
+
+
+REGISTERS = {"tmax": frames.TMAX, "vmax": frames.VMAX, "mode": frames.CTRL_MODE}
+
+
+def fault(kind, joint, value=1):
+    """Function: let something go wrong with a motor of a rig, or of the motors in a list."""
+
+    def cause(rig):
+        hit = (rig if isinstance(rig, list) else rig.motors)[joint]
+        if kind == "status":
+            hit.fail(int(value))
+        elif kind == "watchdog":
+            hit.registers[frames.TIMEOUT] = round(value / frames.TIMEOUT_UNIT)
+        elif kind in REGISTERS:
+            hit.registers[REGISTERS[kind]] = float(value)
+        elif kind == "jammed":
+            rig.arm.mechanism.jammed[joint] = True
+        else:
+            setattr(hit, kind, value)
+
+    return cause
 
 
 def swing(n_joints=3, duration=2.0, rate=250.0, amplitude=0.4):
@@ -72,30 +119,33 @@ def map_line(name, channel, can_id, master_id, *mounted):
 
 def two_motor_arm(watchdog=0.1):
     """Two pendulums with their motors."""
-    motors = [simulated_motor(joint, watchdog) for joint in damiao_joints(["DM4340"] * 2, 2)]
-    return SimulatedArm(Pendulums(2), motors)
+    joints = damiao_joints(["DM4340"] * 2, 2)
+    return SimulatedArm(Pendulums(2), [motor(joint, watchdog) for joint in joints])
 
 
-def trajectory_file(folder, motion):
+def trajectory_file(folder, motion, motor_type="DM4340"):
     """A motion as a trajectory file for motors of one type, read back."""
-    path = folder / "t.csv"
-    export_damiao_trajectory([motion], ["DM4340"] * motion[1].shape[1], path)
+    path = folder / "damiao_trajectory.csv"
+    export_damiao_trajectory([motion], [motor_type] * motion[1].shape[1], path)
     return read_damiao_trajectory(path)
 
 
-def only_asks(frames):
+def only_asks(sent):
     """Whether none of these frames can move a motor or change what it holds."""
-    return all(f.id == REGISTER_ID and f.data[2] in (READ, REFRESH) for f in frames)
+    asking = frames.READ, frames.REFRESH
+    return all(f.id == frames.REGISTER_ID and f.data[2] in asking for f in sent)
 
 
 class Rig:
-    """Builds an arm, plays a swing on it, and keeps what happened."""
+    """Builds an arm, plays a swing on it, and keeps what happened.
+
+    ``faults`` are there from the beginning.
+    """
 
     def __init__(
         self,
         folder,
-        n_joints=3,
-        motor_type="DM4340",
+        n_joints=2,
         faults=(),
         timing=CLASSIC,
         echo=False,
@@ -110,13 +160,12 @@ class Rig:
         pose_check=None,
         **settings,
     ):
-        types = [motor_type] * n_joints
-        joints = damiao_joints(types, n_joints)
-        path = folder / "damiao_trajectory.csv"
-        export_damiao_trajectory([motion or swing(n_joints)], types, path)
-        self.motors = [simulated_motor(joint, watchdog) for joint in joints]
-        mechanism = Pendulums(n_joints, start)
-        self.arm = SimulatedArm(mechanism, [*self.motors, *extra_motors], faults)
+        trajectory = trajectory_file(folder, motion or swing(n_joints, duration=1.0))
+        self.motors = [motor(joint, watchdog) for joint in trajectory.joints]
+        self.arm = SimulatedArm(Pendulums(n_joints, start), [*self.motors, *extra_motors])
+        for cause in faults:
+            cause(self)
+        self.states_before = self.states()
         self.clock = ScriptedClock()
         self.bus = SimulatedLink(self.clock, self.arm, timing, echo)
         self.adapter = SlowAdapter(self.bus, self.clock, adapter)
@@ -124,9 +173,10 @@ class Rig:
         self.wire = RememberingLink(self.adapter, self.clock)
         self.link = GuardedLink(self.wire, self.clock, timing.fd)
         self.record_path = folder / f"{name}.csv"
+        usual = {"ramp_time": 0.3, "approach_time": 0.3, "rest_time": 0.1}
         self.plan = Plan(
-            read_damiao_trajectory(path),
-            PlaySettings(**{"ramp_time": 0.3, "approach_time": 0.3, "rest_time": 0.1, **settings}),
+            trajectory,
+            PlaySettings(**{**usual, **settings}),
             timing,
             allowed or Permissions(),
             RecordingOptions(self.record_path),
@@ -138,15 +188,14 @@ class Rig:
 
     def mount(self, j, can_id=None, master_id=None, **how):
         """Mount a motor in another way, and let the plan know it."""
-        motor, joints = self.motors[j], list(self.plan.trajectory.joints)
+        joints = list(self.plan.trajectory.joints)
         ids = {"can_id": can_id or joints[j].can_id, "master_id": master_id or joints[j].master_id}
-        joints[j] = replace(joints[j], **ids, **how)
-        motor.joint = joints[j]
-        motor.registers[ESC_ID], motor.registers[MST_ID] = ids["can_id"], ids["master_id"]
+        self.motors[j].joint = joints[j] = replace(joints[j], **ids, **how)
+        held = self.motors[j].registers
+        held[frames.ESC_ID], held[frames.MST_ID] = ids["can_id"], ids["master_id"]
         trajectory = replace(self.plan.trajectory, joints=tuple(joints))
         self.plan = replace(self.plan, trajectory=trajectory)
-        self.arm = SimulatedArm(self.arm.mechanism, self.arm.motors)
-        self.bus.arm = self.arm
+        self.bus.arm = self.arm = SimulatedArm(self.arm.mechanism, self.arm.motors)
 
     @property
     def phases(self):
@@ -210,18 +259,18 @@ class Rig:
     def assert_stopped(self, cause, states=None):
         """The run ended with this cause, all motors in these states, nothing harmful was sent."""
         assert self.error is not None and cause in str(self.error), self.error
-        assert "\n" not in str(self.error)
-        expected = [DISABLED] * len(self.arm.motors)
+        assert "\n" not in str(self.error) and self.error.exit_code == 3
+        expected = [frames.DISABLED] * len(self.arm.motors)
         for joint, code in (states or {}).items():
             expected[joint] = code
         assert self.states() == expected
         self.assert_harmless()
+        self.assert_nothing_lost()
 
     def assert_harmless(self):
         """Nothing was sent that stores something in a motor or clears an error."""
-        special = [frame.data[7] for frame in self.wire.sent if is_special(frame.data)]
-        assert set(special) <= {ENABLE, DISABLE}
-        assert only_asks(frame for frame in self.wire.sent if frame.id == REGISTER_ID)
+        special = [frame.data[7] for frame in self.wire.sent if frames.is_special(frame.data)]
+        assert set(special) <= {frames.ENABLE, frames.DISABLE}
 
     def assert_nothing_lost(self):
         """Every reply that arrived while the trajectory played is in the recording."""

@@ -11,9 +11,9 @@ from robot_sysid.damiao.protocol.frames import REGISTER_ID, WRITE, BusTiming
 from robot_sysid.damiao.protocol.joints import damiao_joints
 from robot_sysid.damiao.protocol.motors import MOTORS
 from robot_sysid.damiao.session import MotorSession
-from robot_sysid.damiao.simulated import SimulatedArm, SimulatedLink, simulated_motor
+from robot_sysid.damiao.simulated import SimulatedArm, SimulatedLink
 from tests.support.clocks import ScriptedClock
-from tests.support.damiao_rig import Pendulums
+from tests.support.damiao_rig import Pendulums, motor
 from tests.support.links import RememberingLink
 
 SPEC = MOTORS["DM4340"]
@@ -24,14 +24,14 @@ class Bench:
 
     def __init__(self, n=2, echo=False):
         joints = damiao_joints(["DM4340"] * n, n)
-        self.motors = [simulated_motor(joint) for joint in joints]
+        self.motors = [motor(joint) for joint in joints]
         self.clock = ScriptedClock()
         self.arm = SimulatedArm(Pendulums(n), self.motors)
         bus = SimulatedLink(self.clock, self.arm, BusTiming(), echo)
         self.bus = RememberingLink(bus, self.clock)
         self.link = GuardedLink(self.bus, self.clock)
         self.client = RegisterClient(self.link)
-        self.session = MotorSession(self.link, joints, Scaling([SPEC.limits] * n), half_step=True)
+        self.session = MotorSession(self.link, joints, Scaling([SPEC.limits] * n))
 
     def command(self, q=0.0, kp=20.0):
         n = len(self.motors)

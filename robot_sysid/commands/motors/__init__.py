@@ -17,13 +17,21 @@ from robot_sysid.commands.motors.asked import Asked
 from robot_sysid.commands.motors.tables import check_lines, load_line, motor_table, run_lines
 from robot_sysid.config import ModelOptions
 from robot_sysid.damiao import preflight, simulated
-from robot_sysid.damiao.bus import BusAddress, GuardedLink, Link, SimulatedClock
+from robot_sysid.damiao.bus import (
+    BusAddress,
+    BusLink,
+    GuardedLink,
+    Link,
+    SimulatedClock,
+    import_can,
+)
 from robot_sysid.damiao.execution import run
 from robot_sysid.damiao.inspection import inspect_bus
 from robot_sysid.damiao.protocol.frames import BusTiming, default_rate
 from robot_sysid.damiao.recorder import RecordingOptions
+from robot_sysid.damiao.serial_adapter import slcan_terminal
 from robot_sysid.damiao.settings import PlaySettings
-from robot_sysid.damiao.simulated import SimulatedLink, SlcanTerminal, serve
+from robot_sysid.damiao.simulated import SimulatedLink, serve
 from robot_sysid.damiao.supervision import StopRequest
 from robot_sysid.errors import InputError
 from robot_sysid.records.options import OptionRecord, option, options_of, record_from
@@ -51,13 +59,6 @@ class SimulatedMotorOptions(OptionRecord):
     play: bool = option(False, "play the trajectory at once, in simulated time, without a bus")
     lifetime: float | None = motors_setup.lifetime_option()
     watchdog: float = option(simulated.DEFAULT_WATCHDOG, "of the simulated motors", "S [s] > 0")
-    fault: tuple[str, ...] = option(
-        (),
-        "let something go wrong, S seconds after the motors were enabled; may be repeated. Kinds: "
-        + ", ".join(simulated.FAULT_KINDS),
-        metavar="KIND:JOINT[=VALUE][@S]",
-        repeats=True,
-    )
 
 
 def check(asked: Asked) -> int:
@@ -180,7 +181,7 @@ COMMANDS: Mapping[str, _Command] = {
 }
 _MAIN = (
     *("interface", "channel", "fd", "speed", "rate", "kp", "park"),
-    *("record", "dry_run", "yes", "play", "fault"),
+    *("record", "dry_run", "yes", "play"),
 )
 _MAIN_ON_MOTORS = (*_MAIN, "joint_map", "accept_register_limits", "set_watchdog")
 
@@ -275,9 +276,7 @@ def _simulated_arm(asked: Asked, plan: preflight.Plan, *timestep: float) -> simu
 
     options = record_from(SimulatedMotorOptions, asked.values)
     motors = [simulated.simulated_motor(each, options.watchdog) for each in plan.trajectory.joints]
-    faults = [simulated.parse_fault(text) for text in options.fault]
-    mechanism = ArmStepper(asked.robot, plan.scan.first, *timestep)
-    return simulated.SimulatedArm(mechanism, motors, faults)
+    return simulated.SimulatedArm(ArmStepper(asked.robot, plan.scan.first, *timestep), motors)
 
 
 def _simulated_end(asked: Asked) -> Link:
@@ -288,8 +287,9 @@ def _simulated_end(asked: Asked) -> Link:
     elif "interface" in asked.values:
         raise InputError("--interface needs --channel")
     else:
-        link = terminal = SlcanTerminal(asked.clock)
-        interface, channels = "slcan", (terminal.device,)
+        import_can()
+        terminal, device = slcan_terminal()
+        link, interface, channels = BusLink([terminal], asked.clock), "slcan", (device,)
     reach = " --channel ".join([f"--interface {interface}", *channels])
     fd, mounted = " --fd" if asked.timing.fd else "", asked.values.get("joint_map")
     fd += f" --joint-map {mounted}" if mounted else ""

@@ -11,80 +11,60 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import pi
 
-import numpy as np
-
 from robot_sysid.errors import InputError
 
 RPM = 2.0 * pi / 60.0
 """One revolution per minute [rad/s]."""
+# Relative; PMAX of two types is 12.5 and 12.566, five times as far apart.
 _AGREEMENT = 1e-3
 
 
 @dataclass(frozen=True)
 class MotorSpec:
-    """One motor type; all quantities are at the output shaft.
+    """One motor type, from the maker's data sheets; all quantities are at the output shaft.
 
     Attributes:
         limits: PMAX [rad], VMAX [rad/s], TMAX [N m].
-        rated_torque: torque the motor can hold for good [N m], None where the maker states none.
-        peak_torque: torque it reaches for a short time [N m], or None.
+        rated_torque: torque the motor can hold for good [N m].
+        peak_torque: torque it reaches for a short time [N m].
+        gear_ratio: motor turns per output turn.
         supply: supply voltage the type is usually run at [V].
-        no_load_rpm: (supply [V], no-load speed [rev/min]) pairs, ascending; empty where unknown.
-        gear_ratio: motor turns per output turn, or None.
+        no_load_rpm: its speed without load at that voltage [rev/min], None where unknown.
     """
 
     name: str
     limits: tuple[float, float, float]
-    rated_torque: float | None = None
-    peak_torque: float | None = None
+    rated_torque: float
+    peak_torque: float
+    gear_ratio: float
     supply: float = 24.0
-    no_load_rpm: tuple[tuple[float, float], ...] = ()
-    gear_ratio: float | None = None
+    no_load_rpm: float | None = None
     note: str = ""
 
-    @property
-    def strongest(self) -> float:
-        """Peak torque, or the largest that a frame carries where the maker states none [N m]."""
-        return self.peak_torque or self.limits[2]
 
-    def no_load_speed(self, supply: float | None = None) -> float | None:
-        """Return the no-load speed [rad/s] at a supply voltage [V], or None where unknown.
-
-        Between two data-sheet points it is interpolated, outside them the nearest one is scaled.
-        """
-        if not self.no_load_rpm:
-            return None
-        volts, (stated, rpm) = self.supply if supply is None else supply, zip(*self.no_load_rpm)
-        nearest = min(max(volts, stated[0]), stated[-1])
-        return RPM * float(np.interp(nearest, stated, rpm)) * volts / nearest
-
-
-_DM4340_RPM = ((24.0, 52.0), (48.0, 100.0))
 _SPECS = (
-    MotorSpec("DM4310", (12.5, 30.0, 10.0), 3.0, 7.0, 24.0, ((24.0, 200.0),), 10.0),
-    MotorSpec("DM4340", (12.5, 10.0, 28.0), 9.0, 27.0, 24.0, _DM4340_RPM, 40.0),
-    MotorSpec("DM4340_48V", (12.5, 20.0, 28.0), 9.0, 27.0, 48.0, _DM4340_RPM, 40.0),
-    MotorSpec("DM6006", (12.5, 45.0, 12.0), 4.0, 12.0, 24.0, ((24.0, 240.0), (48.0, 408.0)), 6.0),
-    MotorSpec("DM8006", (12.5, 45.0, 20.0), 8.0, 20.0, 24.0, ((24.0, 200.0), (48.0, 393.0)), 6.0),
+    MotorSpec("DM4310", (12.5, 30.0, 10.0), 3.0, 7.0, 10.0, 24.0, 200.0),
+    MotorSpec("DM4340", (12.5, 10.0, 28.0), 9.0, 27.0, 40.0, 24.0, 52.0),
+    MotorSpec("DM4340_48V", (12.5, 20.0, 28.0), 9.0, 27.0, 40.0, 48.0, 100.0),
+    MotorSpec("DM6006", (12.5, 45.0, 12.0), 4.0, 12.0, 6.0, 24.0, 240.0),
+    MotorSpec("DM8006", (12.5, 45.0, 20.0), 8.0, 20.0, 6.0, 24.0, 200.0),
+    MotorSpec("DM10010L", (12.5, 25.0, 200.0), 40.0, 120.0, 10.0, 24.0, 100.0),
+    MotorSpec("DM8009", (12.5, 45.0, 54.0), 20.0, 40.0, 9.0, 24.0, 160.0),
+    MotorSpec("DM3507", (12.566, 50.0, 5.0), 0.8, 3.0, 7.0, 24.0, 460.0),
     MotorSpec(
-        "DM10010L", (12.5, 25.0, 200.0), 40.0, 120.0, 24.0, ((24.0, 100.0), (48.0, 200.0)), 10.0
-    ),
-    MotorSpec("DM8009", (12.5, 45.0, 54.0), 20.0, 40.0, 24.0, ((24.0, 160.0), (48.0, 320.0)), 9.0),
-    MotorSpec("DM3507", (12.566, 50.0, 5.0), 0.8, 3.0, 24.0, ((24.0, 460.0), (48.0, 910.0)), 7.0),
-    MotorSpec(
-        *("DM4310_48V", (12.5, 50.0, 10.0), 3.0, 7.0, 48.0, ((48.0, 400.0),), 10.0),
+        *("DM4310_48V", (12.5, 50.0, 10.0), 3.0, 7.0, 10.0, 48.0, 400.0),
         note="the maker's sources disagree about VMAX (30 or 50 rad/s)",
     ),
-    MotorSpec("DM6248", (12.566, 20.0, 120.0), 30.0, 97.0, 48.0, (), 48.0),
-    MotorSpec("DM10010", (12.5, 20.0, 200.0), 40.0, 150.0, 48.0, ((48.0, 150.0),), 10.0),
-    MotorSpec("DMH3510", (12.5, 280.0, 1.0), 0.18, 0.45, 24.0, (), 1.0),
-    MotorSpec("DMH6215", (12.5, 45.0, 10.0), 1.0, 2.0, 24.0, (), 1.0),
+    MotorSpec("DM6248", (12.566, 20.0, 120.0), 30.0, 97.0, 48.0, 48.0),
+    MotorSpec("DM10010", (12.5, 20.0, 200.0), 40.0, 150.0, 10.0, 48.0, 150.0),
+    MotorSpec("DMH3510", (12.5, 280.0, 1.0), 0.18, 0.45, 1.0),
+    MotorSpec("DMH6215", (12.5, 45.0, 10.0), 1.0, 2.0, 1.0),
     MotorSpec(
-        *("DMS3519", (12.5, 2000.0, 2.0), 3.5, 7.8, 24.0, (), 19.2),
+        *("DMS3519", (12.5, 2000.0, 2.0), 3.5, 7.8, 19.2),
         note="its TMAX is below the motor's rated torque and its VMAX leaves steps of 1 rad/s: "
         "compare with the registers before using torques or velocities",
     ),
-    MotorSpec("DMG6220", (12.5, 45.0, 10.0), 1.3, 2.7, 24.0, (), 1.0),
+    MotorSpec("DMG6220", (12.5, 45.0, 10.0), 1.3, 2.7, 1.0),
 )
 MOTORS = {spec.name: spec for spec in _SPECS}
 

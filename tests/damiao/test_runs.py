@@ -1,0 +1,576 @@
+"""Whole runs: those that end well, what is refused before anything moves, and what goes wrong.
+
+One line per fault: what every motor does 0.1, 0.5 and 2 s later, and what is said. States are the
+status codes of motors 1 and 2 (0 disabled, 1 enabled, D watchdog expired); a controlled stop keeps
+them enabled while it brakes.
+"""
+
+from __future__ import annotations
+
+import errno
+import signal
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+
+from robot_sysid.damiao.bus import LinkError
+from robot_sysid.damiao.preflight import Permissions, stops
+from robot_sysid.damiao.protocol import frames
+from robot_sysid.damiao.protocol.frames import DISABLED, ENABLED, BusTiming, Frame, is_special
+from robot_sysid.damiao.protocol.joints import DamiaoJoint
+from robot_sysid.damiao.recorder import MeasurementRecorder
+from robot_sysid.damiao.session import MotorSession
+from robot_sysid.errors import HardwareAbort, InputError, SysidError
+from tests.support.damiao_rig import GRAVITY, Rig, fault, motor, swing
+from tests.support.motor_bench import answering_writes_with
+from tests.support.places import ROOT
+
+SHORT = {"ramp_time": 0.1, "approach_time": 0.1}
+
+
+@pytest.fixture
+def rig(tmp_path):
+    return lambda *arguments, **options: Rig(tmp_path, *arguments, **{**SHORT, **options})
+
+
+# --- runs that end well -------------------------------------------------------------------------
+
+
+def test_an_undisturbed_run_plays_everything_and_disables(rig):
+    run = rig(3, ramp_time=0.3, rest_time=0.5).run()
+    assert run.error is None and run.states() == [DISABLED] * 3
+    recording = run.assert_nothing_lost()
+    assert recording.ending == "completed"
+    assert len(recording.columns["time"]) == run.report.cycles == 251
+    assert np.all(np.isfinite(recording.joint_values("pos")))
+    disabled = [f.time for f in run.wire.sent if f.data[7:] == b"\xfd" and f.id == 1]
+    assert len(disabled) == 6
+    np.testing.assert_allclose(np.diff(disabled[:5]), 2e-3, atol=1e-9)
+    run.assert_harmless()
+
+
+def test_the_gains_rise_in_a_straight_line_and_the_feed_forward_torque_five_times_as_fast(rig):
+    """Otherwise a loaded arm sinks, or is thrown, in the first moment."""
+    q = np.full((250, 1), 0.5)
+    motion = np.arange(250) / 250, q, 0 * q, 0 * q + GRAVITY * np.sin(0.5)
+    run = rig(1, motion=motion, start=[0.5], ramp_time=0.3)
+    told, exchange = [], MotorSession.exchange
+
+    def watched(self, command, *rest, **options):
+        told.append((command.kp[0], command.torque[0]))
+        return exchange(self, command, *rest, **options)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(MotorSession, "exchange", watched)
+        run.run()
+    assert run.error is None
+    kp, torque = np.array(told[:76]).T
+    share = np.arange(76) / 75
+    np.testing.assert_allclose(kp, 180.0 * share, atol=1e-9)
+    np.testing.assert_allclose(torque, GRAVITY * np.sin(0.5) * np.minimum(5 * share, 1), atol=1e-3)
+
+
+def test_a_stop_that_was_asked_for_before_enables_nothing(rig):
+    run = rig()
+    run.stop("stopped by SIGINT")
+    run.run()
+    assert run.error.exit_code == 3 and str(run.error) == "stopped by SIGINT"
+    assert run.phases == []
+    run.assert_never_moved()
+
+
+def test_a_few_lost_replies_leave_gaps_but_do_not_stop(rig):
+    run = rig()
+
+    def lose(rig):
+        rig.motors[1].lost_replies = True
+        rig.clock.at(rig.clock.now() + 0.008, lambda: fault("lost_replies", 1, False)(rig))
+
+    run.during("playing", 0.3, lose).run()
+    assert run.error is None and run.states() == [DISABLED] * 2
+    q = run.assert_nothing_lost().joint_values("pos")
+    assert np.isfinite(q[:, 0]).all() and np.isnan(q[:, 1]).sum() == 5
+    # One command is not answered; the motor is not asked again for four cycles.
+    assert run.report.missed.tolist() == [0, 1]
+
+
+def test_a_short_stall_skips_cycles_and_never_replays_them(rig):
+    run = rig().during("playing", 0.5, lambda r: r.clock.stall(0.015)).run()
+    assert run.error is None and run.states() == [DISABLED] * 2
+    time = run.assert_nothing_lost().columns["time"]
+    assert run.report.skipped in (2, 3) and len(time) == 251 - run.report.skipped
+    assert np.max(np.diff(time)) == pytest.approx(0.004 * (1 + run.report.skipped), abs=1e-9)
+    assert np.all(np.diff(run.recording.columns["j0_cmd_pos"][:120]) >= 0.0)
+
+
+@pytest.mark.parametrize("opcode", [0x33, 0x55])
+def test_a_missing_watchdog_is_set_for_the_run_and_put_back(rig, opcode):
+    run = rig(watchdog=0.0, allowed=Permissions(watchdog=0.1), rate=100.0)
+    for each in run.motors:
+        answering_writes_with(opcode, each)
+    seen, timeout = [], frames.TIMEOUT
+    run.during("playing", 0.1, lambda r: seen.append(r.motors[1].registers[timeout])).run()
+    assert run.error is None and run.states() == [DISABLED] * 2
+    assert seen == [2000.0]
+    assert [m.registers[timeout] for m in run.motors] == [0.0, 0.0]
+
+
+def test_register_limits_can_be_accepted_by_name_and_are_what_the_codec_uses(rig):
+    plain = rig(name="plain", rate=100.0).run().recording.joint_values("tau")
+    faults, allowed = [fault("tmax", 0, 20.0)], Permissions(register_limits=True)
+    run = rig(faults=faults, allowed=allowed, rate=100.0).run()
+    assert run.error is None and run.states() == [DISABLED] * 2
+    recording = run.assert_nothing_lost()
+    assert any("TMAX=20," in line for line in recording.head)
+    np.testing.assert_allclose(recording.joint_values("tau"), plain, rtol=0, atol=0.05)
+
+
+def test_can_fd_motors_play_on_an_fd_host(rig):
+    run = rig(timing=BusTiming(fd=True), rate=100.0)
+    run.motors[0].registers[frames.CAN_BR] = 9.0  # the other one answers in classic frames
+    run.run()
+    assert run.error is None and run.states() == [DISABLED] * 2
+    assert {frame.fd for frame in run.play_frames} == {True, False}
+    run.assert_nothing_lost()
+
+
+def test_time_stamps_come_from_the_bus_where_it_reports_sent_frames(rig):
+    motion = swing(3, duration=0.5, amplitude=0.05)
+    late = rig(3, motion=motion, name="late", rate=100.0).run().recording.joint_values("time")
+    run = rig(3, motion=motion, echo=True, rate=100.0).run()
+    early = run.assert_nothing_lost().joint_values("time")
+    cycle, frame = run.recording.columns["time"], 135e-6
+    expected = np.tile([frame, 2 * frame, 3 * frame], (len(cycle), 1))
+    np.testing.assert_allclose(early - cycle[:, None], expected, atol=2e-6)
+    assert np.all(late > early)
+
+
+def test_the_frames_in_the_manual_are_those_of_a_run(tmp_path):
+    """Each line of the manual is found in a run, in its order."""
+    text = (ROOT / "docs" / "damiao.md").read_text(encoding="utf-8")
+    block = text.partition("## The frames of a run")[2].partition("```text\n")[2].split("```")[0]
+    motion, allowed = swing(1, duration=1.0), Permissions(watchdog=0.1)
+    run = Rig(tmp_path, 1, motion=motion, watchdog=0.0, allowed=allowed).run()
+    said = iter(
+        f"{'->' if sent else '<-'} {frame.id:03X} {frame.data.hex(' ').upper()}"
+        for frame, sent in run.wire.frames
+    )
+    for line in block.splitlines():
+        assert line[:30] in said, line
+
+
+# --- refused before anything moves --------------------------------------------------------------
+
+WRONG = (
+    (fault("tmax", 0, 40.0), "has PMAX, VMAX, TMAX 12.5, 10, 40 but a DM4340 has"),
+    (
+        fault("vmax", 1, 8.0),
+        "12.5, 8, 28 but a DM4340 has 12.5, 10, 28; if the motor is right, give --acc",
+    ),
+    (fault("mode", 2, 2), "is in mode 2 (POS_VEL)"),
+    (fault("watchdog", 3, 0.0), "no watchdog"),
+    (fault("watchdog", 4, 0.005), "watchdog of 5 ms is too short"),
+    (fault("watchdog", 5, 100.0), "watchdog of 100 s is none"),
+    (fault("status", 6, 0x8), "reports status 8: over-voltage"),
+    (fault("temperature_mos", 7, 70), "is at 70 deg C, above 60"),
+    (fault("temperature_rotor", 8, 61), "is at 61 deg C, above 60"),
+    (fault("silent", 9), "motor 10 does not answer"),
+    (fault("lost_replies", 10), "motor 11 does not answer"),
+    (fault("status", 11, ENABLED), "motor 12 is enabled already"),
+    (
+        lambda rig: rig.motors[12].registers.update({frames.MST_ID: 0x21}),
+        "answers on 0x21 (MST_ID 0x21) but the trajectory expects 0x1d",
+    ),
+    (lambda rig: rig.motors[13].registers.pop(frames.CTRL_MODE), "answer for CTRL_MODE; try again"),
+)
+
+
+def test_every_motor_that_is_not_as_expected_is_named_with_what_is_wrong(rig):
+    run = rig(14, motion=swing(14), faults=[cause for cause, _ in WRONG])
+    run.motors[11].registers[frames.TIMEOUT] = 6e4
+    run.states_before = run.states()
+    run.run()
+    said = stops(run.checks)
+    for number, (_, words) in enumerate(WRONG, start=1):
+        (found,) = [text for text in said if words in text]
+        assert f"motor {number} " in found or f"motor {number}'s" in found, found
+    assert len(said) == len(WRONG)
+    assert str(run.error).startswith("not played: ") and isinstance(run.error, HardwareAbort)
+    run.assert_never_moved()
+    assert not run.record_path.exists()
+
+
+def as_if_somebody_talked(run):
+    for k in range(10):
+        run.bus._replies.append((0.004 * k, 0x11, -k, Frame(0x11, bytes(8))))
+
+
+def answers_in_fd(run):
+    run.motors[0].registers[frames.CAN_BR] = 9.0
+
+
+def extra(*joint):
+    return {"extra_motors": [motor(DamiaoJoint(*joint))]}
+
+
+@pytest.mark.parametrize(
+    ("options", "change", "words"),
+    [
+        (extra("DM4340", 2, 0x12), None, "2 motors answer to the id of motor 2"),
+        (extra("DM4310", 9, 0x102), None, "would be taken as commands by the motor with CAN id 2"),
+        (extra("DM4310", 9, 0x12), None, "master id 0x12 is used by more than one motor"),
+        ({}, as_if_somebody_talked, "another program is talking to these motors"),
+        ({}, answers_in_fd, "motor 1 does not answer"),
+        ({"start": [0.0, 0.7]}, None, "but the trajectory starts at 0.000, more than 0.5 away"),
+        ({"start": [-2 * np.pi, 0.0]}, None, "lost its turn count"),
+        ({"adapter": lambda: 0.016}, None, "use --rate 50"),
+        ({"rate": 2000.0}, None, "load classic CAN to 108 %, limit 70 %; use --rate 1000"),
+    ],
+)
+def test_a_bus_or_an_arm_that_is_not_as_it_should_be_is_refused(rig, options, change, words):
+    run = rig(**options)
+    if change:
+        change(run)
+    run.run()
+    assert isinstance(run.error, HardwareAbort) and words in str(run.error), run.error
+    run.assert_never_moved()
+    if change is answers_in_fd:
+        assert any("use --fd" in check.text for check in run.checks)
+
+
+def changed(change):
+    time, q, qd, tau = (x.copy() for x in swing(2, duration=1.0))
+    change(q, qd, tau)
+    return time, q, qd, tau
+
+
+def moving(q, qd, tau):
+    qd[[0, -1], 0] = 0.06
+
+
+def strong(q, qd, tau):
+    tau[50:60, 1] = 27.5
+
+
+def drifting(q, qd, tau):
+    q[:, 0], qd[:, 0] = 0.0, 9.0
+    qd[[0, -1], 0] = 0.0
+
+
+def flipped(q, qd, tau):
+    qd[:, 1] *= -1.0
+
+
+def jumping(q, qd, tau):
+    q[125:, 0] += 0.15
+
+
+COLUMN = "but the positions change by"
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (moving, "starts or ends at 0.06 rad/s"),
+        (strong, "exceeds the peak torque"),
+        (drifting, f"line 5: velocity 9 rad/s of motor 1, {COLUMN} 0 "),
+        (flipped, f"of motor 2, {COLUMN}"),
+        (jumping, f"of motor 1, {COLUMN}"),
+    ],
+)
+def test_a_trajectory_that_no_motor_can_follow_is_refused(rig, change, words):
+    run = rig(motion=changed(change)).run()
+    assert words in str(run.error)
+    run.assert_never_moved()
+
+
+def pushed(q, qd, tau):
+    """Constant feed-forward torque just below what the motor can do, on a joint that stands."""
+    q[:, 0] = qd[:, 0] = 0.0
+    tau[:, 0] = 26.9
+
+
+def lifted(q, qd, tau):
+    """The whole motion where gravity pulls."""
+    tau += GRAVITY * (np.sin(q + 0.8) - np.sin(q))
+    q += 0.8
+
+
+@pytest.mark.parametrize(
+    ("change", "options", "words"),
+    [
+        (pushed, {}, "motor 1 is"),
+        (
+            lifted,
+            {"faults": [fault("torque_factor", 1, 5 / 3)], "start": [0.8, 0.8]},
+            "motor 2 reports 1.67 times",
+        ),
+    ],
+)
+def test_what_cannot_be_known_before_is_stopped_before_it_plays(tmp_path, change, options, words):
+    run = Rig(tmp_path, motion=changed(change), **options).run()
+    assert words in str(run.error) and run.states() == [DISABLED] * 2
+    assert not any(sentence.startswith("playing") for sentence in run.phases)
+    assert np.max(np.abs(run.arm.mechanism.qd)) < 1.0
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".log"])
+def test_an_existing_recording_is_not_overwritten(rig, suffix):
+    run = rig()
+    there = run.record_path.with_suffix(suffix)
+    there.write_text("precious")
+    files = sorted(there.parent.iterdir())
+    run.run()
+    assert isinstance(run.error, InputError) and f"{there} exists" in str(run.error)
+    assert there.read_text() == "precious" and sorted(there.parent.iterdir()) == files
+    run.assert_never_moved()
+
+
+def test_a_damping_that_would_be_sent_as_zero_is_refused(rig):
+    with pytest.raises(SysidError, match="--kd must be at least") as refused:
+        rig(kp=(100.0,), kd=(5e-4,))
+    assert refused.value.exit_code == 2
+
+
+# --- faults while it plays ----------------------------------------------------------------------
+
+AFTER = (0.1, 0.5, 2.0)
+BRAKES, DROPS, TRIPS = "11 00 00", "00 00 00", "DD DD DD"
+
+
+def raising(error):
+    def fail(*_):
+        raise error
+
+    return fail
+
+
+def hung_up(rig):
+    """The terminal is closed: printing fails from now on, and two signals come."""
+    rig.console = raising(OSError(errno.EIO, "Input/output error"))
+    rig.stop("stopped by SIGHUP")
+    rig.clock.at(rig.clock.now() + 0.01, lambda: rig.stop("stopped by SIGHUP"))
+
+
+def terminated(rig):
+    """Nobody reads our output any more, and the system asks us to end."""
+    rig.console = raising(BrokenPipeError(errno.EPIPE, "Broken pipe"))
+    rig.stop("stopped by SIGTERM")
+
+
+def insisted(rig):
+    """Ctrl-C, and again while the motors brake."""
+    rig.stop("stopped by SIGINT")
+    rig.clock.at(rig.clock.now() + 0.02, lambda: rig.stop("again", insist=True))
+
+
+def signalled(name):
+    return lambda rig: signal.raise_signal(getattr(signal, name))
+
+
+def disk_full(rig):
+    rig.patch.setattr(MeasurementRecorder, "_row", raising(OSError(28, "No space left on device")))
+
+
+def driver_fails(kind, seconds):
+    """The driver raises something of its own for a while."""
+
+    def cause(rig):
+        until, send, receive = rig.clock.now() + seconds, rig.bus.send, rig.bus.receive
+
+        def failing(call):
+            def wrapped(*arguments):
+                rig.clock.sleep_until(rig.clock.now() + 1e-4)
+                if rig.clock.now() < until:
+                    raise kind
+                return call(*arguments)
+
+            return wrapped
+
+        rig.bus.send, rig.bus.receive = failing(send), failing(receive)
+
+    return cause
+
+
+def both(*causes):
+    return lambda rig: [cause(rig) for cause in causes]
+
+
+def then(first, seconds, second):
+    """One cause, and another one while the first one's stop is under way."""
+
+    def cause(rig):
+        first(rig)
+        rig.clock.at(rig.clock.now() + seconds, lambda: second(rig))
+
+    return cause
+
+
+def slow_adapter(rig):
+    rig.adapter.delay = iter(np.random.default_rng(0).uniform(5e-3, 16e-3, 10**5)).__next__
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of the table; ``phase`` and ``begins`` say when [s]."""
+
+    fault: str
+    cause: Callable[[Any], object]
+    states: str
+    said: str
+    options: dict[str, Any] = field(default_factory=dict)
+    phase: str = "playing"
+    begins: float = 0.15
+
+
+KEPT = {"watchdog": 0.0, "allowed": Permissions(watchdog=0.1)}
+DEAF = {"max_speed_error": 9.0, "max_tracking_error": 9.0}
+PATH = {"max_speed_error": 9.0, "max_torque_error": (99.0,)}
+UNPLUGGED = driver_fails(LinkError("gone"), 1e9)
+LOST = "answer in time for 6 cycles; no confirmation that these motors are disabled: motor 2. Cut"
+RAMP, WAY, FIRST = "raising the gains", "moving to the first point", {"start": [0.3, -0.3]}
+TABLE = (
+    Line("terminal closed", hung_up, BRAKES, "stopped by SIGHUP"),
+    Line("output closed, SIGTERM", terminated, BRAKES, "stopped by SIGTERM"),
+    Line("Ctrl-C", signalled("SIGINT"), BRAKES, "stopped by SIGINT"),
+    Line("SIGTERM", signalled("SIGTERM"), BRAKES, "stopped by SIGTERM"),
+    Line("Ctrl-C twice", insisted, DROPS, "stopped by SIGINT"),
+    Line("disk full", disk_full, BRAKES, "cannot record: No space left on device"),
+    Line("a defect", raising(RuntimeError("unforeseen")), BRAKES, "RuntimeError: unforeseen"),
+    Line("driver raises, 20 ms", driver_fails(RuntimeError("usb"), 0.02), BRAKES, "usb"),
+    Line("driver raises, for good", driver_fails(KeyError("x"), 1e9), TRIPS, "Cut their power"),
+    Line("adapter unplugged", UNPLUGGED, TRIPS, "gone; no confirmation"),
+    Line("motor dies", fault("silent", 1), "1D 0D 0D", LOST),
+    Line("answers lost", fault("lost_replies", 1), "11 00 00", LOST),
+    Line("over-current", fault("status", 1, 0xA), "1A 0A 0A", "motor 2 reports status A"),
+    Line("disabled by itself", fault("status", 1, 0), "10 00 00", "motor 2 reports status 0"),
+    Line("watchdog", fault("status", 0, 0xD), "D1 D0 D0", "status D: communication lost"),
+    Line("unknown status", fault("status", 0, 0xF), "F1 F0 F0", "motor 1 reports status F"),
+    Line("all fail", both(fault("status", 0, 9), fault("status", 1, 9)), "99 99 99", "status 9"),
+    Line(
+        "a second one fails while it brakes",
+        then(fault("status", 0, 0xA), 0.02, fault("status", 1, 0xB)),
+        *("AB AB AB", "motor 1 reports status A"),
+    ),
+    Line("watchdog set for the run", fault("silent", 1), "1D 0D 0D", "motor 2. Cut", KEPT),
+    Line("blocked joint", fault("jammed", 0), BRAKES, "off its speed, limit 1.0"),
+    Line("weak motor", fault("peak_torque", 1, 0.05), BRAKES, "motor 2 is"),
+    Line("off its path", fault("jammed", 0), BRAKES, "rad off its path, limit 0.2", PATH),
+    Line("torque turned round", fault("torque_factor", 1, -1), BRAKES, "motor 2 reports -0.0"),
+    Line("power stage hot", fault("temperature_mos", 1, 81), BRAKES, "motor 2 is at 81 deg C"),
+    Line("winding hot", fault("temperature_rotor", 1, 81), BRAKES, "at 81 deg C, limit 80"),
+    Line("encoder slips 0.15 rad", fault("shift", 1, 0.15), BRAKES, "motor 2 jumped by 0.15"),
+    Line("stall", lambda rig: rig.clock.stall(0.05), BRAKES, "late for a control cycle, limit 20"),
+    Line("long stall", lambda rig: rig.clock.stall(0.2), TRIPS, "ms late for a control cycle"),
+    Line("adapter turns slow", slow_adapter, BRAKES, "did not answer in time for"),
+    Line("fault in the ramp", fault("status", 0, 0xA), "A1 A0 A0", "status A", FIRST, RAMP, 0.05),
+    Line("fault on the way", fault("status", 0, 0xA), "A1 A0 A0", "status A", FIRST, WAY),
+    Line("does not enable", fault("status", 1, 9), "09 09 09", "not enable", {}, "enabling", 0.0),
+)  # fmt: skip
+
+
+def states(rig):
+    rig.arm.advance(rig.clock.now())
+    return "".join(f"{motor.status:X}" for motor in rig.motors)
+
+
+@pytest.mark.parametrize("line", TABLE, ids=lambda line: line.fault)
+def test_while_it_moves(rig, line, monkeypatch):
+    run, began, seen = rig(**line.options), [], []
+    run.patch = monkeypatch
+
+    def cause(rig):
+        began.append(rig.clock.now())
+        for later in AFTER:
+            rig.clock.at(rig.clock.now() + later, lambda: seen.append(states(rig)))
+        line.cause(rig)
+
+    with run.stop.on_signals():
+        run.during(line.phase, line.begins, cause).run(settle=0.0)
+    run.clock.sleep_until(began[0] + AFTER[-1])
+    last = {j: int(code, 16) for j, code in enumerate(line.states[-2:])}
+    if line.fault in ("disk full", "adapter turns slow"):  # what is not recorded, by its nature
+        monkeypatch.setattr(run, "assert_nothing_lost", lambda: None)
+    assert line.said in str(run.error), run.error
+    run.assert_stopped(line.said, last)
+    if line.phase != "enabling":
+        assert " ".join(seen) == line.states
+        assert "stopping" in run.phases
+    enabled = [frame.data[7] for frame in run.wire.sent if is_special(frame.data)].count(0xFC)
+    assert enabled == 2
+    if line.options is KEPT:
+        # The one that was seen to be off has its old value back, the other one keeps its watchdog.
+        assert [m.registers[frames.TIMEOUT] for m in run.motors] == [0.0, 2000.0]
+
+
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        ("broken", "expected 7 finite numbers"),
+        ("{},{},{},30.0000,{},{},{}", "torque 30 of motor number 1 is outside its range"),
+    ],
+)
+def test_a_file_that_changed_since_it_was_checked_stops_the_run(rig, row, said):
+    run = rig()
+    lines = run.plan.trajectory.path.read_text().splitlines()
+    cells = lines[60].split(",")
+    lines[60] = row.format(*cells[:3], *cells[4:])
+    run.plan.trajectory.path.write_text("\n".join(lines))
+    run.run().assert_stopped(said)
+
+
+def test_the_other_motors_come_to_rest_before_they_are_disabled(rig):
+    run, speeds = rig(3, rest_time=0.5), []
+    send = run.bus.send
+
+    def watched(frame):
+        if frame.data == b"\xff" * 7 + b"\xfd" and not speeds:
+            speeds.extend(abs(run.arm.mechanism.qd[[0, 2]]))
+        send(frame)
+
+    run.bus.send = watched
+    run.during("playing", 0.15, fault("status", 1, 0xA)).run()
+    run.assert_stopped("status A", {1: 0xA})
+    assert max(speeds) < 0.05
+    recording = run.recording
+    assert recording.ending.startswith("stopped: motor 2 reports status A")
+    assert recording.columns["j1_status"][-1] == 0xA
+
+
+def test_velocities_that_do_not_add_up_to_positions_stop_the_run(rig):
+    faults, motion = [fault("velocity_factor", 1, 0.8)], swing(2, 4.0)
+    rig(motion=motion, faults=faults, rate=100.0).run().assert_stopped("motor 2 moves 1.2")
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_what_a_slow_adapter_delivers_is_never_paired_with_another_command(rig, seed):
+    """Answers begin to come 5 to 16 ms late: each one that is believed answers the last command."""
+    run = rig(1, max_missed=50, **DEAF)
+    hit, commands, answered = run.motors[0], [], []
+    answer, exchange = hit._command_answer, MotorSession.exchange
+
+    def numbered(data, time):
+        """Let the winding's temperature say how many commands the motor has had."""
+        commands.append(data)
+        hit.temperature_rotor = len(commands) % 60
+        return answer(data, time)
+
+    def watched(self, *arguments, **options):
+        replies = exchange(self, *arguments, **options)
+        if replies.answered[0] and not options:
+            answered.append((replies.feedback.temperature_rotor[0], len(commands) % 60))
+        return replies
+
+    def slow(rig):
+        delays = np.random.default_rng(seed).uniform(5e-3, 16e-3, 10**5)
+        rig.adapter.delay = iter(delays).__next__
+
+    hit._command_answer = numbered
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(MotorSession, "exchange", watched)
+        run.during("playing", 0.1, slow).run()
+    assert len(answered) > 100
+    assert [got for got, _ in answered] == [told for _, told in answered]
