@@ -144,6 +144,7 @@ class BusAddress(OptionRecord):
 
 
 SERIAL_ADAPTER = "damiao"
+# Two and a half cycles at 250 Hz: later is no use [s].
 _SEND_TIMEOUT = 0.01
 # A queue that is full for longer than this is not going to empty within a control cycle.
 _FULL_PATIENCE, _FULL_PAUSE = 1.5e-3, 2e-4
@@ -155,7 +156,9 @@ _GARBLED = (
     "the adapter sent a line that is no CAN frame; check its cable and that nothing else reads "
     "from its port"
 )
+# Older than any frame that waited for us: stamped by another clock [s].
 _PLAUSIBLE_AGE = 1.0
+# A clock that PCAN's and Kvaser's CAN-FD controllers can be set to [Hz].
 _FD_CLOCK = 80_000_000
 
 

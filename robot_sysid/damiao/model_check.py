@@ -121,7 +121,8 @@ def _contact(robot: RobotModel, motion: MotionPlan) -> Iterator[tuple[str, float
         yield touched.label, touched.time
 
 
-# Torque that says nothing about gravity: this share of the motor's peak, and dry friction.
+# Torque that says nothing about gravity: this share of the motor's peak (a judgement),
+# and the model's own dry friction.
 _SHARE = 0.06
 
 

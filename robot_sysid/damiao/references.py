@@ -98,10 +98,11 @@ def hold(reference: Reference) -> ReferenceFunction:
     return lambda time: still
 
 
-# Share of the peak torque at which a joint yields with full speed; less load, less speed.
+# Share of the peak torque at which a joint yields with full speed; less load, less speed. A
+# judgement: dry friction is of this size, and leaves a joint alone.
 _FULL_LOAD = 0.05
-_FADE = 1.0
-_STILL_SPEED, _STILL_TIME = 0.02, 0.5
+# Judgements: the feed-forward torque fades in [s]; slower than [rad/s] for so long [s] is still.
+_FADE, _STILL_SPEED, _STILL_TIME = 1.0, 0.02, 0.5
 LONGEST = 20.0
 """After this time [s] the arm counts as lowered."""
 

@@ -24,8 +24,9 @@ from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
 
-_DISABLE_REPEATS = 5
-_DISABLE_SPACING = 2e-3
+# A frame may be lost; five in a row are not, and 2 ms lets a full queue of 14 frames empty [s].
+_DISABLE_REPEATS, _DISABLE_SPACING = 5, 2e-3
+# Far more than the slowest adapter takes (16 ms, see docs/damiao.md) [s].
 _CONFIRM_TIMEOUT = 0.02
 # A bus that comes back within this time still gets its motors disabled.
 _CONFIRM_PATIENCE = 0.5
@@ -59,7 +60,8 @@ class Replies:
 
 
 PAUSE = 4
-"""Cycles of silence after which a missing answer counts as lost."""
+"""Cycles of silence after which a missing answer counts as lost: 16 ms at 250 Hz, the latest that
+a slow adapter was seen to deliver (docs/damiao.md)."""
 
 
 class Outstanding:

@@ -25,6 +25,7 @@ from robot_sysid.interrupts import STOPPING
 from robot_sysid.records import Array
 
 # One key press may arrive twice: from the terminal, and passed on by a program that started us.
+# Longer than a busy computer takes to pass it on, shorter than pressing a key twice on purpose [s].
 _SAME_WISH = 0.2
 
 
@@ -53,8 +54,11 @@ class StopRequest:
 
     @contextlib.contextmanager
     def on_signals(self) -> Iterator[None]:
-        """Turn interrupt, terminate and hang-up signals into wishes inside the block."""
-        # What nohup or a shell makes a process ignore stays ignored.
+        """Turn interrupt, terminate and hang-up signals into wishes inside the block.
+
+        One that this process was started to ignore (by nohup, or Ctrl-C by a shell's ``&``) stays
+        ignored: it is meant for others. Terminating stops the arm all the same.
+        """
         heard = [number for number in STOPPING if signal.getsignal(number) is not signal.SIG_IGN]
         before = {number: signal.signal(number, self._handle) for number in heard}
         try:
@@ -72,10 +76,14 @@ class StopRequest:
         self(f"stopped by {signal.Signals(number).name}", again)
 
 
-# What an arm's joints do at most from one sample to the next, beside going on as they were.
+# What an arm's joints do at most from one sample to the next, beside going on as they were:
+# judgements [rad, rad/s^2, share]. 200 rad/s^2 is 7 N m (a DM4310) on a light 0.035 kg m^2; a slip
+# of 0.15 rad, as in the table of faults in docs/damiao.md, has to be seen.
 _LEAST_JUMP, _TOP_ACCELERATION, _SPEED_DOUBT = 0.05, 200.0, 0.5
+# Both velocities compared may be off by a quantisation step.
 _STEPS = 2.0
-# Cycles without an answer per unanswered command that is allowed.
+# Cycles without an answer per unanswered command that is allowed: a motor whose answer is missing
+# is told nothing for four cycles, see ``session.PAUSE``, so commands alone would count too slowly.
 _SILENT_CYCLES = 2
 
 
@@ -169,9 +177,10 @@ def _off(what: str, unit: str, error: Array, limit: Array) -> Callable[[int], st
     return lambda j: f"is {error[j]:.3f} {unit} {what}, limit {limit[j]:g}"
 
 
+# Long beside a cycle and short beside a swing; ten of them give a scatter [s].
 _WINDOW = 0.2
 _LEAST_WINDOWS = 10
-# How far the slope may be from 1.
+# How far the slope may be from 1: two types' VMAX differ by a tenth or more (45 and 50).
 _SLOPE_TOLERANCE = 0.03
 
 
@@ -238,9 +247,12 @@ class VelocityScalingCheck:
         return (j, float(slope[j])) if excess[j] > _SLOPE_TOLERANCE else None
 
 
+# A tenth of a second at 250 Hz.
 _ENOUGH_SAMPLES = 25
-# Torque is an estimate from the current; but both directions use the same constant.
+# Torque is an estimate from the current; but both directions use the same constant. Two types' TMAX
+# differ by a fifth or more (10 and 12).
 _RATIO_TOLERANCE = 0.15
+# Half the speed on the way to the first point [rad/s].
 _SLOW = 0.1
 
 

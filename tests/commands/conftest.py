@@ -6,7 +6,7 @@ import pytest
 
 from robot_sysid.commands.motors import asked as motors_asked
 from robot_sysid.damiao.simulated import SimulatedLink
-from tests.support.clocks import ScriptedClock
+from tests.support.clocks import ScriptedClock, heard_signals
 from tests.support.damiao_rig import two_motor_arm
 from tests.support.links import RememberingLink
 
@@ -41,4 +41,5 @@ def bus(monkeypatch):
     simulated = SimulatedBus()
     monkeypatch.setattr(motors_asked, "SystemClock", lambda: simulated.clock)
     monkeypatch.setattr(motors_asked, "open_bus", simulated.open)
-    return simulated
+    with heard_signals():
+        yield simulated

@@ -385,7 +385,8 @@ def simulator(trajectory, model, watchdog="2"):
             device = match and match.group(1)
         yield device
     finally:
-        server.send_signal(signal.SIGINT)
+        # Whoever ignores Ctrl-C, as in the background of a script, hears this.
+        server.send_signal(signal.SIGTERM)
         assert server.wait(timeout=20) == 0
         server.stdout.close()
         server.stderr.close()

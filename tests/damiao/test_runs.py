@@ -478,7 +478,7 @@ def states(rig):
 
 
 @pytest.mark.parametrize("line", TABLE, ids=lambda line: line.fault)
-def test_while_it_moves(rig, line, monkeypatch):
+def test_while_it_moves(rig, line, monkeypatch, heard):
     run, began, seen = rig(**line.options), [], []
     run.patch = monkeypatch
 

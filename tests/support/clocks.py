@@ -1,9 +1,11 @@
-"""A simulated clock on which things happen by themselves."""
+"""A simulated clock on which things happen by themselves, and signals that are heard."""
 
 from __future__ import annotations
 
+import contextlib
 import heapq
 import itertools
+import signal
 
 from robot_sysid.damiao.bus import SimulatedClock
 
@@ -31,3 +33,18 @@ class ScriptedClock(SimulatedClock):
     def stall(self, duration):
         """Let time [s] pass without anybody having slept: a computer that was busy."""
         super().sleep_until(self.now() + duration)
+
+
+SIGNALS = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
+
+@contextlib.contextmanager
+def heard_signals():
+    """Signals that are not ignored, also where nohup or a shell's ``&`` started the tests."""
+    numbers = [getattr(signal, name) for name in SIGNALS]
+    before = {number: signal.signal(number, signal.default_int_handler) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -42,6 +42,7 @@ from robot_sysid.records.options import (
     whole_number,
 )
 
+# A judgement: longer than a flash memory takes to be written [s].
 _STORE_TIME = 0.05
 
 
@@ -191,8 +192,11 @@ class MotorSetup:
 
 
 Positions = Mapping[frames.Address, float]
+# Half of the 20 degrees that are asked for [rad]; the motor that was meant turns three times as far
+# as any that a limp arm drags along. Judgements.
 _MOVED, _CLEARLY = 0.15, 3.0
 _TRIES = 3
+# A turn of 17 degrees [rad] that moves the tip by less than this [m] is not seen at the tip.
 _PROBE, _SEEN = 0.3, 0.02
 _AXES = ("x", "y", "z")
 _WAYS = {"+z": " (up)", "-z": " (down)"}
