@@ -161,7 +161,7 @@ class Config:
             yield "--output-dir", self.output.output_dir / name
 
 
-ANY_TORQUE = ("torques", "no_friction", "method", "consistency", "prior", "prior_weight")
+ANY_TORQUE = ("torques", "no_friction")
 """Keys of the estimation that count for simulated torques of the model itself as well."""
 OF_TORQUE = (
     *("report", "plots", "keep", "links", "torque_scale", "torque_constants", "append"),
@@ -213,13 +213,9 @@ class SysidConfig(Config):
         simulated = self.arm.plant_model is not None or predicted
         yield simulated, plant, _given(self.arm, but=("save_measurements",))
         measured = "is about measured torques; add --measurements or --plant-model"
-        method = _given(self.estimation, only=("method",))
-        robust = method if self.estimation.method == "robust" else []
-        kept = [*_given(self.output, only=("keep", "links")), *robust]
+        kept = _given(self.output, only=("keep", "links"))
         yield self.is_measured, measured, [*_given(self.estimation, but=ANY_TORQUE), *kept]
-        servos, no_torque = self.estimation.torque_from is not None, "add --torque-from"
-        delay = _given(self.estimation, only=("write_delay",))
-        yield servos, f"is about servos found from commands; {no_torque} position-error", delay
+        servos = self.estimation.torque_from is not None
         torque = _given(self.output, self.log, self.arm, only=OF_TORQUE)
         yield not servos, "is about measured torques; leave it off with --torque-from", torque
         yield plan, "says what a plan is for; use robot-sysid plan", _given(self.poses)

@@ -1,4 +1,4 @@
-"""From square-root information to an Estimate, by the estimator's name."""
+"""From square-root information to an estimate by plain least squares."""
 
 from __future__ import annotations
 
@@ -7,42 +7,30 @@ import math
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.consistency import consistent_least_squares
+from robot_sysid.estimation.algebra.consistent_links import ConsistentLinks, LinksProblem
 from robot_sysid.estimation.algebra.identifiability import N_INERTIAL, analyse_identifiability
 from robot_sysid.estimation.algebra.information import joint_rmse
-from robot_sysid.estimation.algebra.least_squares import WeightedEquations, least_correction
-from robot_sysid.estimation.algebra.options import ESTIMATORS, EstimationOptions
-from robot_sysid.estimation.algebra.uncertainty import white_uncertainty, with_body_prior
+from robot_sysid.estimation.algebra.least_squares import least_squares, ordinary
+from robot_sysid.estimation.algebra.uncertainty import white_uncertainty
 from robot_sysid.records import Array, Estimate, SquareRootInformation
 
 
 def identify_parameters(
-    information: SquareRootInformation,
-    prior: Array,
-    method: str = "ols",
-    options: EstimationOptions | None = None,
+    information: SquareRootInformation, prior: Array, possible: bool = False
 ) -> Estimate:
     """Estimate all parameters; what the data cannot see keeps the prior's value.
 
     Args:
         prior: (p,) the model's own values, in the order of ``information.names``.
-        method: name of the estimator: "ols" or "wls"; "robust" needs every sample.
-        options: physical consistency and prior; None takes the plain estimate.
-
-    Raises:
-        InputError: the method is unknown, or it is "robust".
+        possible: replace a link that no rigid body can be by the best that one can.
     """
-    chosen = options or EstimationOptions(consistency="off")
-    if method not in ESTIMATORS:
-        raise InputError(f"unknown method {method!r}; valid: {', '.join(ESTIMATORS)}")
-    equations = ESTIMATORS[method](information, prior, None)
-    values, constrained = solve(equations, prior, chosen)
-    weights = 1.0 / equations.noise
-    errors = white_uncertainty(information, weights, equations.noise)
-    if chosen.entropic_weight:
-        body, pull = prior[:N_INERTIAL], chosen.entropic_weight
-        errors = with_body_prior(errors, information, weights, body, pull)
+    equations = ordinary(information, prior)
+    values = free = least_squares(information, prior, 1.0 / equations.noise)
+    if possible and not spatial.is_consistent(free[:N_INERTIAL]):
+        usual = np.append(prior[:N_INERTIAL], np.zeros(len(prior) - N_INERTIAL))
+        problem = LinksProblem((np.arange(N_INERTIAL),), usual)
+        values = ConsistentLinks(*equations.whitened(), problem).best()
+    errors = white_uncertainty(information, 1.0 / equations.noise, equations.noise)
     counts = {joint.joint: joint.n_samples for joint in information.joints}
     noise = dict(zip(counts, equations.noise.tolist()))
     squared = float(np.sum(information.squared_residuals(values)))
@@ -52,7 +40,7 @@ def identify_parameters(
         identifiability=analyse_identifiability(information),
         rmse=math.sqrt(squared / max(information.n_samples, 1)),
         rmse_per_joint=dict(zip(counts, joint_rmse(information, values).tolist())),
-        method=method,
+        method="ols",
         covariance=errors.covariance,
         standard_errors=errors.standard_errors,
         noise_errors=errors.noise_errors,
@@ -60,24 +48,5 @@ def identify_parameters(
         noise_per_joint={joint: noise[joint] for joint, count in counts.items() if count},
         samples=counts,
         effective_samples={joint: float(count) for joint, count in counts.items()},
-        constrained=constrained,
+        constrained=bool(np.any(values != free)),
     )
-
-
-def solve(
-    equations: WeightedEquations, prior: Array, options: EstimationOptions
-) -> tuple[Array, bool]:
-    """Return (values (p,), whether they are a constrained fit) of whitened equations.
-
-    Args:
-        prior: (p,) the model's values.
-    """
-    matrix, right = equations.whitened()
-    if options.entropic_weight > 0.0:
-        return consistent_least_squares(matrix, right, prior, options.entropic_weight), False
-    free = least_correction(matrix, right, prior)
-    possible = options.consistency == "auto" and spatial.is_consistent(free[:N_INERTIAL])
-    if options.consistency == "off" or possible:
-        return free, False
-    values = consistent_least_squares(matrix, right, prior)
-    return values, bool(np.any(values != free))

@@ -26,9 +26,7 @@ RATE, SIGMA = 250.0, 0.01
 ARM = arms.SEVEN.replace("damping=", 'armature=".05" damping=')
 PLAN = a_plan(ARM, duration=10.0)
 CAUSES = ("link", "scale", "zero", "gravity", "friction")
-KNOWN_ARM = EstimationOptions(
-    consistency="off", **{f"{cause}_uncertainty": 0.0 for cause in CAUSES}
-)
+KNOWN_ARM = EstimationOptions(**{f"{cause}_uncertainty": 0.0 for cause in CAUSES})
 
 
 def promised(options, **changes):

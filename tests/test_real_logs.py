@@ -48,14 +48,13 @@ def test_kukas_file_predicts_its_other_runs(tmp_path, capsys, tested, limit):
     assert "other links do not fit this arm" in " ".join(params["limitations"])
 
 
-@pytest.mark.parametrize("method", ["ols", "wls", "robust"])
-def test_tx40s_rotor_inertia_is_seen(tmp_path, method):
+def test_tx40s_rotor_inertia_is_seen(tmp_path):
     """Motor torques: without rotor inertia the error is several times larger."""
     log, model = TX40 / "tx40_500Hz.csv", TX40 / "tx40.urdf"
     known = [f"--{cause}-uncertainty=0" for cause in ("link", "scale", "zero", "delay", "friction")]
     found = {}
     for terms in ("coulomb-viscous-offset-armature", "coulomb-viscous-offset"):
-        options = ("--friction-model", terms, "--method", method, *known)
+        options = ("--friction-model", terms, *known)
         _, found[terms] = identified(tmp_path / terms, model, log, *options)
         assert found[terms]["valid"]["physically_consistent"]
     with_it, without = found.values()

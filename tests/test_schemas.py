@@ -18,9 +18,7 @@ def test_a_schema_is_one(name):
     jsonschema.Draft202012Validator.check_schema(schemas.schema(name))
 
 
-@pytest.mark.parametrize(
-    "options", [[], ["--torques", "terminal"], ["--no-friction"], ["--method", "wls"]]
-)
+@pytest.mark.parametrize("options", [[], ["--torques", "terminal"], ["--no-friction"]])
 def test_what_a_simulation_writes_is_valid(tmp_path, monkeypatch, options):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "arm.xml").write_text(arms.THREE, encoding="utf-8")

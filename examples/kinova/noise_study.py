@@ -160,21 +160,22 @@ class NoiseStudy:
         pairs = zip(self.samples.tau, added.T)
         return replace(self.samples, tau=tuple(tau + extra for tau, extra in pairs))
 
-    def identified(self, samples: DecimatedSamples, consistency: str = "auto") -> Estimate:
-        """Return the estimate, as the command line would make it."""
-        question = Question(EstimationOptions(consistency=consistency, **KNOWN))
+    def identified(self, samples: DecimatedSamples) -> tuple[Estimate, Estimate]:
+        """Return the estimate of the command line, and that before it had to be possible."""
+        question = Question(EstimationOptions(**KNOWN))
         choice, start = Choice(self.friction), self.columns.start()
         data = evidence((samples,), mean_torque(self.columns.datasets))
         fit = solved(self.columns, question, choice, start, data, (samples,))
-        return estimate_of(Answer(fit, None, fit_errors(fit)))
+        fits, errors = (fit, replace(fit, values=fit.free)), fit_errors(fit)
+        possible, plain = (estimate_of(Answer(each, None, errors)) for each in fits)
+        return possible, plain
 
     def run(self, noise: Noise, draws: int, seed: int = 0) -> Outcome:
         """Identify from many draws of noise."""
         errors, plain_errors, reach, constrained, impossible = [], [], [], 0, 0
         for draw in range(draws):
             samples = self.noisy(noise, np.random.default_rng([seed, draw]))
-            estimate = self.identified(samples)
-            plain = self.identified(samples, "off") if estimate.constrained else estimate
+            estimate, plain = self.identified(samples)
             errors.append(self.errors(estimate))
             plain_errors.append(self.errors(plain))
             reach.append([NORMAL_95 * (estimate.error(name) or 0.0) for name in self.names])

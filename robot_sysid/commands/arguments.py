@@ -16,7 +16,7 @@ from robot_sysid.errors import EXIT_CODES, InputError
 from robot_sysid.records import options
 
 PROGRAM = "robot-sysid"
-PYTHON_ONLY = ("plan_only", "consistency", "prior", "prior_weight")
+PYTHON_ONLY = ("plan_only",)
 """Keys of options that only Python programs have."""
 
 

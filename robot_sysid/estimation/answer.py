@@ -207,7 +207,7 @@ def estimate_of(answer: Answer) -> Estimate:
         identifiability=analyse_identifiability(restricted(fit.evidence.whole, interest)),
         rmse=float(np.sqrt(squared / max(information.n_samples, 1))),
         rmse_per_joint=dict(zip(counts, rmse.tolist())),
-        method=fit.question.options.method or "wls",
+        method="wls",
         covariance=whole.covariance[np.ix_(order, order)],
         standard_errors=whole.standard_errors[order],
         noise_errors=np.sqrt(np.maximum(np.diag(errors.noise), 0.0))[order],

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from robot_sysid.dynamics.equations import Equations
 from robot_sysid.estimation.algebra.autocorrelation import JointResiduals, collect_residuals
 from robot_sysid.estimation.algebra.information import restricted, sample_counts
-from robot_sysid.estimation.algebra.least_squares import no_clip
 from robot_sysid.estimation.algebra.nuisances import misfits
 from robot_sysid.estimation.algebra.uncertainty import (
     Uncertainty,
@@ -173,7 +172,7 @@ def residuals_of(fit: Fit) -> list[JointResiduals]:
     """Return each joint's sums over lags of residuals, from one pass over the rows."""
     weights, found = 1.0 / fit.weighted.noise, fit.values[fit.unknowns.kept]
     root = joint_space(fit.information, weights).inverse_root()
-    return collect_residuals(fit.information, fit.rows, found, fit.weighted.clip, root, weights)
+    return collect_residuals(fit.information, fit.rows, found, root, weights)
 
 
 def residuals_to_add(fit: Fit, samples: DecimatedSamples) -> list[JointResiduals]:
@@ -188,8 +187,7 @@ def residuals_to_add(fit: Fit, samples: DecimatedSamples) -> list[JointResiduals
     root[sought.kept] = own
     given = restricted(fit.evidence.whole, every.kept_names, sought.held), fit.values[every.kept]
     rows = ChosenRows(JoinedSamples((samples,)), every)
-    clip = no_clip(given[0])
-    found = collect_residuals(given[0], rows, given[1], clip, root[every.kept], weights, True)
+    found = collect_residuals(given[0], rows, given[1], root[every.kept], weights, True)
     return [replace(each, columns=every.kept[each.columns]) for each in found]
 
 

@@ -18,16 +18,15 @@ from robot_sysid.estimation.algebra.least_squares import (
     joint_noise,
     least_squares,
     noise_floor,
+    weighted,
 )
 from robot_sysid.estimation.algebra.nuisances import widened_groups, with_prior
-from robot_sysid.estimation.algebra.options import ESTIMATORS, EstimationOptions
 from robot_sysid.estimation.columns import Columns, Point
 from robot_sysid.estimation.dataset import DecimatedSamples, JoinedSamples, block_masks
 from robot_sysid.estimation.unknowns import Choice, Question, Unknowns, unknowns
 from robot_sysid.records import DELAY_NAME, Array, SquareRootInformation
 from robot_sysid.signals.repetition import Visits
 
-DEFAULT_METHOD = "wls"
 _MOST_ROUNDS, _MOST_BOUNDS, _WIDENING_ROUNDS = 8, 6, 2
 # Rounds of a delay or tilt that is sought; what no longer counts as movement: of the prediction, in
 # standard deviations of the noise, of the delay [s], of gravity [rad], of speeds (a share).
@@ -247,54 +246,45 @@ def solved(
 
     Args:
         data: what the rows around the point say.
-        samples: the rows themselves, for robust methods and motion that repeats.
+        samples: the rows themselves, for motion that repeats.
         visits: which of them pass the same states.
         inflation: (joints,) where no rows are there to tell it.
         noise: (joints,) to begin with [N m].
     """
     sought = unknowns(columns, question, choice, data.torque, data.shown)
-    method, ones = question.options.method or DEFAULT_METHOD, np.ones(len(columns.joints))
-    counted = ones if inflation is None else inflation
+    counted = np.ones(len(columns.joints)) if inflation is None else inflation
     inside: Unknowns | None = sought
     for _ in range(_MOST_BOUNDS):
         sought = inside or sought
         for _ in range(_WIDENING_ROUNDS if visits is not None else 1):
-            given = data, samples, method, counted, noise
-            sought, weighted, free = _bounded(columns, sought, *given)
-            noise = weighted.noise / np.sqrt(counted)
+            sought, equations, free = _bounded(columns, sought, data, counted, noise)
+            noise = equations.noise / np.sqrt(counted)
             if visits is None:
                 break
             rows = ChosenRows(JoinedSamples(samples), sought)
             found = free[sought.kept]
-            before, counted = counted, visits.inflation(weighted.information, rows, found)
+            before, counted = counted, visits.inflation(equations.information, rows, found)
             if np.array_equal(before, counted):
                 break
-        values = possible(columns, sought, weighted, free, question.options)
+        values = possible(sought, equations, free)
         # Bodies that have to be possible push others across their bounds.
         inside = sought.bounded(values)
         if inside is None:
             break
     values = np.clip(values, sought.lower, sought.upper)
     return Fit(
-        columns, question, choice, point, samples, data, sought, weighted, counted, free, values
+        columns, question, choice, point, samples, data, sought, equations, counted, free, values
     )
 
 
 def _bounded(
-    columns: Columns,
-    sought: Unknowns,
-    data: Evidence,
-    samples: tuple[DecimatedSamples, ...],
-    method: str,
-    inflation: Array,
-    noise: Array | None,
+    columns: Columns, sought: Unknowns, data: Evidence, inflation: Array, noise: Array | None
 ) -> tuple[Unknowns, WeightedEquations, Array]:
     """Return (what is sought in the end, the weighted equations, values (p,)) within bounds."""
     while True:  # each round holds at least one more parameter
         prior = columns.prior[sought.kept]
         plain = restricted(data.whole, sought.kept_names, sought.held)
-        source = ChosenRows(JoinedSamples(samples), sought) if method == "robust" else None
-        found = ESTIMATORS[method](with_prior(plain, sought.groups), prior, source, noise)
+        found = weighted(with_prior(plain, sought.groups), prior, start=noise)
         noise = found.noise
         found = replace(found, noise=found.noise * np.sqrt(inflation))
         groups = widened_groups(plain, found.noise, sought.groups)
@@ -325,28 +315,18 @@ def _sharpened(found: WeightedEquations, prior: Array) -> WeightedEquations:
     return replace(found, noise=noise)
 
 
-def possible(
-    columns: Columns,
-    sought: Unknowns,
-    weighted: WeightedEquations,
-    free: Array,
-    options: EstimationOptions,
-) -> Array:
+def possible(sought: Unknowns, equations: WeightedEquations, free: Array) -> Array:
     """Return the best values (p,) with which all bodies that are sought are possible.
 
     Where they are possible already, that is the plain estimate.
     """
-    if options.consistency == "off" or not sought.bodies:
+    if all(spatial.is_consistent(free[places]) for places, _ in sought.bodies.values()):
         return free
-    fine = all(spatial.is_consistent(free[places]) for places, _ in sought.bodies.values())
-    if fine and options.consistency == "auto" and not options.entropic_weight:
-        return free
-    matrix, right = weighted.whitened()
-    problem = links_problem(columns, sought, options.entropic_weight)
-    return sought.full(ConsistentLinks(matrix, right, problem).best())
+    problem = links_problem(sought)
+    return sought.full(ConsistentLinks(*equations.whitened(), problem).best())
 
 
-def links_problem(columns: Columns, sought: Unknowns, entropic: float = 0.0) -> LinksProblem:
+def links_problem(sought: Unknowns) -> LinksProblem:
     """Return which of the parameters sought are bodies, and what such bodies usually are."""
     prior = np.zeros(len(sought.kept))
     links = []
@@ -354,10 +334,7 @@ def links_problem(columns: Columns, sought: Unknowns, entropic: float = 0.0) -> 
         at = np.searchsorted(sought.kept, places)
         links.append(at)
         prior[at] = usual
-    last = list(sought.bodies).index(columns.robot.body_name)
-    weights = np.zeros(len(links))
-    weights[last] = 0.5 * entropic
-    return LinksProblem(tuple(links), prior, weights)
+    return LinksProblem(tuple(links), prior)
 
 
 def _rests(fit: Fit, before: Point, after: Point) -> bool:

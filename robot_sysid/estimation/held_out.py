@@ -79,7 +79,7 @@ class HeldOut:
     def of(self, fit: Fit) -> Array:
         """Return the same of a fit, with bodies that are possible."""
         sought, errors = fit.unknowns, []
-        problem = links_problem(fit.columns, sought)
+        problem = links_problem(sought)
         places = [at for at, _ in sought.bodies.values()]
         for number, values in enumerate(self._predicted(sought)):
             if places and not all(spatial.is_consistent(values[at]) for at in places):

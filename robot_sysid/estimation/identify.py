@@ -266,7 +266,7 @@ def identify_itself(
     tracked = progress.track(simulated, "Collecting regressor data", count)
     information = collect_sysid_data(equations, tracked)
     progress.stage("Solving for parameters...")
-    estimate = identify_parameters(information, equations.prior, options.method or "ols", options)
+    estimate = identify_parameters(information, equations.prior, possible=True)
     progress.note(ITSELF)
     own = zip(equations.names[N_INERTIAL:], equations.prior[N_INERTIAL:].tolist())
     before = {name.partition("[")[0]: value for name, value in own}

@@ -174,7 +174,6 @@ def settled_options(options: EstimationOptions) -> EstimationOptions:
         ("friction_model", CHOSEN, "name one, such as the default coulomb-viscous-offset-armature"),
         ("delay", "auto", "put a delay right in the logs' time stamps"),
         ("tilt", "auto", "turn the gravity of the model"),
-        ("method", "robust", "it needs every sample; take wls or ols"),
     ):
         if getattr(options, name) == value:
             raise InputError(

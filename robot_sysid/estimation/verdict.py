@@ -254,7 +254,7 @@ def of_known_mass(found: Sequence[Finding], weighed: float, known: float) -> Ite
 def inconsistent(fit: Fit) -> Iterator[Finding]:
     """Yield what is left of an impossible terminal link, where it was not made possible."""
     if not spatial.is_consistent(fit.values[:10]):
-        yield Verdict.INCONSISTENT, "the plain estimate was asked for"
+        yield Verdict.INCONSISTENT, "the terminal link is not a possible rigid body"
 
 
 def of_own_simulation(estimate: Estimate) -> Verdict:

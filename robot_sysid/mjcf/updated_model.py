@@ -205,9 +205,6 @@ def write_actuator(edits: Edits, change: ActuatorChange) -> None:
             f"{document.path}: actuator number {change.actuator} is not written out in the file as "
             "a <position> or <general> element; write it out"
         )
-    if change.delay is not None:
-        gains |= {"delay": number(change.delay), "nsample": str(change.samples)}
-        gains["interp"] = "linear"
     for name, value in gains.items():
         edits.set(node, name, value)
 

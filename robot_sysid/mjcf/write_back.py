@@ -220,15 +220,11 @@ class ActuatorChange:
 
     Attributes:
         actuator: its MuJoCo id, counted in the order of the file.
-        delay: by which it acts late [s]; None leaves what the file says.
-        samples: commands that it remembers for that, one of each time step.
     """
 
     actuator: int
     stiffness: float
     damping: float
-    delay: float | None = None
-    samples: int = 0
 
 
 @dataclass(frozen=True)

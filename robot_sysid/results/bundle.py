@@ -44,13 +44,18 @@ def write_bundle(model: Path, folder: Path) -> Path:
             (draft / model.name).write_bytes(text)
             same = compile_model(model).mj_model, compiled_again(draft / model.name).mj_model
             require_same_model(*same, {})
-            with held_back():
-                if os.path.lexists(place):
-                    os.replace(place, earlier / BUNDLE_NAME)
-                os.replace(draft, place)
+            _put_in_place(draft, place, earlier / BUNDLE_NAME)
     except OSError as error:
         raise InputError(f"--bundle: cannot write {place}: {error.strerror or error}") from None
     return place / model.name
+
+
+def _put_in_place(draft: Path, place: Path, earlier: Path) -> None:
+    """Move a finished folder to its place, and what stands there out of the way."""
+    with held_back():
+        if os.path.lexists(place):
+            os.replace(place, earlier)
+        os.replace(draft, place)
 
 
 def model_in_memory(model: Path) -> Any:

@@ -66,14 +66,10 @@ _SPRINGDAMPER = (
 )
 _ADVICE = {
     "dof_damping": _SPRINGDAMPER,
-    "jnt_stiffness": _SPRINGDAMPER,
     "dof_dampingpoly": "write a joint's nonlinear damping into the joint instead of its class",
 }
 _OWN_GAINS = "give the actuator kp and kv of its own"
-_OWN_DELAY = "give the actuator a delay of its own, or leave --write-delay off"
 _NUMBERS = (int, float, bytes, np.ndarray)
-_LINEAR = 1
-"""How MuJoCo interpolates between remembered commands (mjSAMPLE_LINEAR)."""
 
 
 class _Asked(NamedTuple):
@@ -112,9 +108,6 @@ def _asked(original: Any, change: ModelChange) -> Iterator[_Asked]:
         yield _Asked(owner, "actuator_gainprm", (*at, 0), servo.stiffness, _OWN_GAINS)
         bias = (0.0, -servo.stiffness, -servo.damping)
         yield _Asked(owner, "actuator_biasprm", (*at, slice(3)), bias, _OWN_GAINS)
-        if servo.delay is not None:
-            yield _Asked(owner, "actuator_delay", at, servo.delay, _OWN_DELAY)
-            yield _Asked(owner, "actuator_history", at, (servo.samples, _LINEAR), _OWN_DELAY)
     if change.gravity is not None:
         yield _Asked("the world", "opt.gravity", ([0, 1, 2],), change.gravity)
 

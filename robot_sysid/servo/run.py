@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.errors import ExportError, InputError
+from robot_sysid.errors import ExportError
 from robot_sysid.export import locked_folder, remove_earlier
 from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.reader import MeasurementLog, open_log, origin_of
@@ -29,7 +28,7 @@ from robot_sysid.servo import fit as search
 from robot_sysid.servo.commands import MOST_PERIODS, commanded_pieces, moving
 from robot_sysid.servo.fit import ServoFit, model_servos
 from robot_sysid.signals.resampling import usual_period
-from robot_sysid.simulation.rollout.servo import HOLDS_DELAY, Servos, actuators_of
+from robot_sysid.simulation.rollout.servo import Servos, actuators_of
 
 SERVO_NAME, SERVO_SCHEMA = "servo.json", "robot-sysid servo 1"
 WITHOUT_TORQUE = (
@@ -88,8 +87,7 @@ def servo_lines(found: ServoIdentification, verbose: bool = False) -> list[str]:
     return [
         "Servos, friction and rotor inertia, before -> after, ± one standard error:",
         f"  {WITHOUT_TORQUE}.",
-        f"  delay of the commands: {1e3 * delay:.1f} ± {1e3 * error:.1g} ms "
-        "(--write-delay puts it into the model)",
+        f"  delay of the commands: {1e3 * delay:.1f} ± {1e3 * error:.1g} ms",
         *(f"  {joint}: {'; '.join(_figures(found, joint))}" for joint in found.robot.joint_names),
         *rollout_lines(found.rollout, verbose),
     ]
@@ -179,10 +177,6 @@ def servo_notes(found: ServoIdentification, period: float) -> Iterator[str]:
 
 MOST_WINDOWS = 24
 """Windows that are fitted, spread evenly over the logs."""
-SHORTEST_STEP = 5e-4
-"""Time step down to which a written delay is kept [s]; MuJoCo shortens it below."""
-PROVEN = 2.0
-"""Standard errors from which on a delay is there."""
 _POSITIONS = 200
 
 
@@ -202,27 +196,16 @@ class ServoOutcome:
 
 
 def run_servo(
-    robot: RobotModel,
-    logs: LogOptions,
-    folder: Path,
-    mesh_dir: Path | None,
-    progress: Progress,
-    write_delay: bool = False,
+    robot: RobotModel, logs: LogOptions, folder: Path, mesh_dir: Path | None, progress: Progress
 ) -> ServoOutcome:
     """Identify servos, friction and rotor inertia from commands and positions; write the results.
 
     Args:
         robot: the arm, whose links are trusted.
-        write_delay: also write the delay of the commands into the model's position actuators.
 
     Raises:
         SysidError: with the exit code that fits, see ``errors``.
     """
-    if write_delay and not HOLDS_DELAY:
-        raise InputError(
-            "--write-delay: the actuators of the installed MuJoCo cannot act late; install a newer "
-            "mujoco, or leave it off"
-        )
     given = (robot.path, *logs.measurements, logs.validation_measurements, logs.columns)
     read = [path for path in given if path is not None]
     names = (SERVO_NAME, *MODEL_NAMES.values())
@@ -234,7 +217,7 @@ def run_servo(
         with whole_files() as files:
             target = ModelTarget(files, folder / MODEL_NAMES[robot.kind], rest, 0.0, mesh_dir)
             refused = refusal(found.rollout, logs.accept)
-            outcome = _write(robot, found, target, write_delay, refused)
+            outcome = _write(robot, found, target, refused)
             read += [file.path for file in read_document(robot.path).files]
             removed = remove_earlier(files, folder, outcome.files, read)
     for note in (*outcome.identification.notes[len(found.notes) :], *removed):
@@ -293,18 +276,9 @@ def _before(robot: RobotModel, found: Servos) -> Servos:
     return replace(own, stiffness=stiffness, damping=damping, delay=found.delay)
 
 
-def changes(
-    found: ServoIdentification, delay: float | None = None
-) -> tuple[list[JointChange], list[ActuatorChange]]:
-    """Return what the joints and the position actuators of the model get.
-
-    Args:
-        delay: by which the actuators are to act late [s]; None leaves the model's.
-    """
+def changes(found: ServoIdentification) -> tuple[list[JointChange], list[ActuatorChange]]:
+    """Return what the joints and the position actuators of the model get."""
     own, joints, servos = actuators_of(found.robot), [], []
-    # So many commands an actuator has to remember, at shorter time steps too.
-    step = min(found.robot.mj_model.opt.timestep, SHORTEST_STEP)
-    late = () if delay is None else (delay, math.ceil(delay / step) + 2)
     for k in np.flatnonzero(found.moves).tolist():
         gain, damping, friction, armature = found.fit.servos.vector()[:-1].reshape(4, -1)[:, k]
         kv, gear = float(own.share[k] * damping), float(own.gear[k]) ** 2
@@ -312,43 +286,20 @@ def changes(
         joints.append(JointChange(found.robot.joint_names[k], *rest))
         if found.has_servo[k]:
             gains = float(gain) / gear, kv / gear
-            servos.append(ActuatorChange(int(own.index[k]), *gains, *late))
+            servos.append(ActuatorChange(int(own.index[k]), *gains))
     return joints, servos
 
 
-def delay_to_write(
-    found: ServoIdentification, wanted: bool
-) -> tuple[float | None, tuple[str, ...]]:
-    """Return the delay that the model gets [s], None for its own, and what there is to say."""
-    delay = found.fit.servos.delay
-    if not wanted:
-        return None, ()
-    if not np.any(found.moves & found.has_servo):
-        return None, ("the model has no position actuator that could hold the delay",)
-    if delay < PROVEN * found.fit.errors.delay:
-        return None, ("the delay is not proven: the model's actuators keep theirs",)
-    return delay, (
-        f"the actuators of the written model act {1e3 * delay:.3g} ms late, also after each "
-        "reset, when they hold the command 0 that long unless mj_initCtrlHistory gives them "
-        "another; simulators other than MuJoCo may not read it",
-    )
-
-
 def _write(
-    robot: RobotModel,
-    found: ServoIdentification,
-    target: ModelTarget,
-    write_delay: bool,
-    refused: str | None,
+    robot: RobotModel, found: ServoIdentification, target: ModelTarget, refused: str | None
 ) -> ServoOutcome:
     """Write servo.json and, where the new model moves more like the arm, that."""
     path, failure, notes = target.path.parent / SERVO_NAME, refused, found.notes
     written = [path]
     if refused is None:
-        delay, said = delay_to_write(found, write_delay)
         try:
-            said += write_joints(robot, *changes(found, delay), target)
-            notes, written = (*notes, *said), [target.path, path]
+            notes = (*notes, *write_joints(robot, *changes(found), target))
+            written = [target.path, path]
         except ExportError as error:
             target.files.withdraw(target.path)
             failure = f"{error} (the identified numbers are in {SERVO_NAME})"

@@ -8,7 +8,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from robot_sysid.simulation.rollout.servo import HOLDS_DELAY
 from tests.support import schemas, servo_logs
 from tests.support.arms import robot_of
 
@@ -30,8 +29,7 @@ def log(recorded, tmp_path):
 @pytest.mark.slow
 def test_servos_friction_and_rotor_inertia_are_found_and_written(command, arm_file, log):
     path = arm_file(servo_logs.XML)
-    late = ("--write-delay",) if HOLDS_DELAY else ()
-    out = command.run("identify", path, log, *MODE, *late).out
+    out = command.run("identify", path, log, *MODE).out
     folder = path.parent / "sysid_output"
     schemas.check(folder / "servo.json")
     content, truth = json.loads((folder / "servo.json").read_text()), servo_logs.TRUTH
@@ -54,8 +52,6 @@ def test_servos_friction_and_rotor_inertia_are_found_and_written(command, arm_fi
     written = mujoco.MjModel.from_xml_path(str(folder / "updated_model.xml"))
     after = [content["joints"][joint]["gain"]["value"] for joint in ("joint0", "joint1")]
     np.testing.assert_allclose(written.actuator_gainprm[:, 0], after, rtol=1e-6)
-    if HOLDS_DELAY:
-        np.testing.assert_allclose(written.actuator_delay, content["delay"]["value"], rtol=1e-6)
     whole = written.dof_damping - written.actuator_biasprm[:, 2]
     np.testing.assert_allclose(whole[1], truth.damping[1], rtol=0.05)
     text = (folder / "updated_model.xml").read_text()

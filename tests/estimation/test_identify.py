@@ -49,10 +49,6 @@ def test_what_there_is_to_say_is_said_once_with_what_it_is_about(robot, noisy):
 @pytest.mark.parametrize(
     "options",
     [
-        {"method": "ols"},
-        {"method": "robust"},
-        {"prior": "entropic"},
-        {"consistency": "enforce"},
         {"friction_model": f"{BASIC}-sqrt"},
         {"no_friction": True},
         {"torques": "terminal"},

@@ -9,14 +9,16 @@ import numpy as np
 from robot_sysid.estimation.algebra.autocorrelation import collect_residuals
 from robot_sysid.estimation.algebra.identifiability import analyse_identifiability
 from robot_sysid.estimation.algebra.information import joint_rmse, restricted, sample_counts
+from robot_sysid.estimation.algebra.least_squares import least_squares, ordinary, weighted
 from robot_sysid.estimation.algebra.nuisances import with_prior
-from robot_sysid.estimation.algebra.options import ESTIMATORS, EstimationOptions
 from robot_sysid.estimation.algebra.uncertainty import (
     coloured_uncertainty,
     joint_space,
     white_uncertainty,
 )
-from robot_sysid.solver import identify_parameters, solve
+from robot_sysid.solver import identify_parameters
+
+METHODS = {"ols": ordinary, "wls": weighted}
 
 
 def explained(errors, group, names):
@@ -26,32 +28,24 @@ def explained(errors, group, names):
 
 
 def identified(
-    information,
-    prior,
-    method="ols",
-    options=None,
-    samples=None,
-    nuisances=(),
-    inflation=None,
-    residuals=None,
+    information, prior, method="ols", samples=None, nuisances=(), inflation=None, residuals=None
 ):
     """An estimate as ``solver.identify_parameters`` makes it, of more than the data's triangles.
 
     ``samples`` (or what a pass over them left, ``residuals``) are for noise that is correlated in
-    time and for "robust"; ``nuisances`` are what is known of the last parameters; ``inflation``
+    time; ``nuisances`` are what is known of the last parameters; ``inflation``
     (joints,) is by how much less than independent samples each joint's count.
     """
-    chosen = options or EstimationOptions(consistency="off")
     information = with_prior(information, nuisances)
     fewer = np.ones(len(information.joints)) if inflation is None else inflation
-    equations = ESTIMATORS[method](information, prior, samples)
+    equations = METHODS[method](information, prior)
     equations = replace(equations, noise=equations.noise * np.sqrt(fewer))
-    values, constrained = solve(equations, prior, chosen)
+    values = least_squares(information, prior, 1.0 / equations.noise)
     known = sum(len(group.names) for group in nuisances)
     interest = information.names[: len(information.names) - known]
     left = residuals if samples is None else _residuals(information, equations, values, samples)
     errors, effective = _errors(information, equations, left, fewer)
-    plain = identify_parameters(information, prior, "wls" if method == "robust" else method)
+    plain = identify_parameters(information, prior)
     counts = plain.samples
     noise = dict(zip(counts, (equations.noise / np.sqrt(fewer)).tolist()))
     return replace(
@@ -66,7 +60,6 @@ def identified(
         error_budget={g.cause: explained(errors, g, information.names) for g in nuisances},
         noise_per_joint={joint: noise[joint] for joint, count in counts.items() if count},
         effective_samples=dict(zip(counts, effective)),
-        constrained=constrained,
     )
 
 
@@ -84,4 +77,4 @@ def _errors(information, equations, residuals, inflation):
 def _residuals(information, equations, values, samples):
     weights = 1.0 / equations.noise
     root = joint_space(information, weights).inverse_root()
-    return collect_residuals(information, samples, values, equations.clip, root, weights)
+    return collect_residuals(information, samples, values, root, weights)

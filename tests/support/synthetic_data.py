@@ -119,11 +119,11 @@ def noisy_samples(seed, noises=(0.1, 0.1, 0.1), count=200):
     return Samples(equations, torques), names, truth, rng
 
 
-def terminal_information(rng, truth, axis=Z, offset=ORIGIN, count=80):
+def terminal_information(rng, truth, axis=Z, offset=ORIGIN, count=80, noise=0.0):
     """What ``--torques terminal`` collects: one joint, ten inertial and two friction columns."""
     equations = [(joint_rows(rng, count, axis, offset), np.arange(12))]
     names = (*spatial.PARAMETER_NAMES, "coulomb[joint0]", "viscous[joint0]")
-    return information_of(equations, names, truth)
+    return information_of(equations, names, truth, noise, rng)
 
 
 def _solved(problem, tolerance):

@@ -128,7 +128,6 @@ def collect_residuals(
     information: SquareRootInformation,
     samples: SampleSource,
     values: Array,
-    clip: Array,
     root: Array,
     weights: Array,
     to_add: bool = False,
@@ -137,21 +136,15 @@ def collect_residuals(
 
     Args:
         values: (p,) the estimate.
-        clip: (joints,) residuals beyond this are cut to it [N m].
         root: (p, r) with C = root root^T.
         weights: (joints,) of the fit [1/(N m)].
         to_add: keep all lags, so that other logs' sums can be added.
     """
     results = []
     for index, rows, tau in samples:
-        columns, largest = information.joints[index].columns, clip[index]
-        residual = tau - rows @ values[columns]
-        cut = np.clip(residual, -largest, largest)
-        found = joint_residuals(columns, weights[index] * root[columns], rows, cut, to_add)
-        # Cut residuals carry less of each error into the estimate: psi(r) / mean psi' (Huber 1964).
-        inside = int(np.count_nonzero(np.abs(residual) <= largest))
-        share = max(inside, 1) / max(found.count, 1)
-        results.append(replace(found, products=found.products / share**2))
+        columns = information.joints[index].columns
+        residual, scaled = tau - rows @ values[columns], weights[index] * root[columns]
+        results.append(joint_residuals(columns, scaled, rows, residual, to_add))
     return results
 
 

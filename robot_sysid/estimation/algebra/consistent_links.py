@@ -9,12 +9,14 @@ Wensing, Park, "Geometric robot dynamic identification: a convex programming app
 Transactions on Robotics 36(2), 2020, for a whole arm. Priors stand among the equations; g_i is far
 below what data can resolve and only keeps bodies possible, unless a link is to be held near P0_i.
 
-The problem is convex. A primal-dual method follows g down from where P0 alone decides, in
-the scaling of Nesterov and Todd with Mehrotra's predictor and corrector; a step is one
-factorisation for all links, of rows and not of their squares. Two changes of coordinates keep steps
-accurate however weak a direction is. Each link is measured in the pseudo-inertia of a body like it,
-P_i = L_i (1 + Z_i) L_i^T: its usual body's where nothing better is known. Then everything is turned
-into the singular directions of A, where the data's part of the second derivative is diagonal.
+The problem is convex. A primal-dual method follows g down from where P0 alone decides, in the
+scaling of Nesterov and Todd, in which the matrices and their duals become the same diagonal matrix
+(Toh, Todd, Tutuncu, "SDPT3 - a MATLAB software package for semidefinite programming", 1999), with
+Mehrotra's predictor and corrector; a step is one factorisation for all links, of rows and not of
+their squares. Two changes of coordinates keep steps accurate however weak a direction is. Each link
+is measured in the pseudo-inertia of its usual body, P_i = L_i K_i L_i^T with K_i = 1 + Z_i. Then
+everything is turned into the singular directions of A, where the data's part of the second
+derivative is diagonal.
 """
 
 from __future__ import annotations
@@ -23,13 +25,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import SysidError
-from robot_sysid.estimation.algebra.cones import Cone, ScaledCone
 from robot_sysid.estimation.algebra.identifiability import RELATIVE_CUT, visible_space
 from robot_sysid.records import Array
 
@@ -40,9 +42,9 @@ count: chance alone makes as many as there are parameters."""
 _FLOOR = 1e-6
 # What nothing shows stays at zero: 1 would be as strong as the data's sight of a column.
 _RIDGE = 1e-5
-# Where the path of gamma begins: at usual bodies, and at others; how small a step is none, in units
-# of gamma.
-_EASY, _EASIER, _CONVERGED, _MOST_STEPS = 100.0, 1e4, 1e-6, 1000
+# Where the path of gamma begins; how small a step is none, in units of gamma; steps that no problem
+# needs (most take 15 to 30).
+_EASY, _CONVERGED, _MOST_STEPS = 100.0, 1e-6, 1000
 _TO_THE_WALL = 0.95
 # How far the products of primal and dual eigenvalues may lag behind their mean.
 _CENTRALITY = 0.02
@@ -63,37 +65,21 @@ class LinksProblem:
     Attributes:
         links: per link, where its ten parameters stand among all.
         prior: (p,) usual bodies at those places, zero elsewhere.
-        weights: (links,) least weight of each link's divergence from its usual body.
-        start: (p,) bodies closer to what will be found than the usual ones; None for those.
     """
 
     links: tuple[NDArray[np.int64], ...]
     prior: Array
-    weights: Array
-    start: Array | None = None
 
     @cached_property
     def bodies(self) -> tuple[tuple[Array, Array], ...]:
-        """Where each link starts, possible, theta (10,), and U (10, 10) with theta + U z."""
-        like = self.prior if self.start is None else self.start
+        """Each link's usual body, possible, theta (10,), and U (10, 10) with theta + U z."""
         found = []
         for link in self.links:
-            theta = _lifted(like[link])
+            theta = spatial.lifted_body(self.prior[link], self.prior[link], _FLOOR)
             root = np.linalg.cholesky(spatial.pseudo_inertia(theta))
             units = np.einsum("kij,bij->kb", root @ _BASIS @ root.T, _BASIS) @ _THETAS
             found.append((theta, units.T))
         return tuple(found)
-
-    @cached_property
-    def cone(self) -> Cone:
-        """The cone of the links: 1 + Z_i, pulled to the usual body by w(t) tr P0_i^-1 P_i."""
-        count, linear = len(self.links), []
-        for link, (_, units) in zip(self.links, self.bodies):
-            usual = np.linalg.inv(spatial.pseudo_inertia(_lifted(self.prior[link])))
-            linear.append(np.einsum("kij,ij->k", spatial.pseudo_inertia(units.T), usual))
-        basis = np.repeat(_BASIS[None], count, axis=0)
-        constant = np.repeat(np.eye(4)[None], count, axis=0)
-        return Cone(constant, basis, np.array(linear), self.weights)
 
 
 class ConsistentLinks:
@@ -118,7 +104,6 @@ class ConsistentLinks:
         self._turn, self._singular, self._seen = directions.T, singular, left.T @ rest[:-1, -1]
         self._least_seen = np.min(singular) / np.max(singular, initial=_RIDGE)
         self._squared, self._unseen = float(self._seen @ self._seen), float(rest[-1, -1] ** 2)
-        self._cone = problem.cone
 
     def _eliminated(self) -> tuple[Array, Array]:
         """Return (triangular rows of what is no body, those of bodies alone), right sides last."""
@@ -177,22 +162,19 @@ class ConsistentLinks:
         Raises:
             SysidError: the method did not converge.
         """
-        least = _RESOLUTION * self._squared
-        gammas = [max(gamma, least) for gamma in gammas]
-        easy = _EASY if self._problem.start is None else _EASIER
-        t, z = max(easy, *gammas, 0.0), np.zeros(len(self._bodies))
-        dual_roots = self._cone.dual_roots(z, t)
-        for gamma in gammas:
-            z, dual_roots = self._follow(z, dual_roots, t, gamma)
+        t, z = max(_EASY, *gammas), np.zeros(len(self._bodies))
+        duals = np.repeat(np.sqrt(t) * np.eye(4)[None], len(z) // 10, axis=0)
+        for gamma in (max(gamma, _RESOLUTION * self._squared) for gamma in gammas):
+            z, duals = self._follow(z, duals, max(t, gamma), gamma)
             t = gamma
             yield self._all(z)
 
-    def _follow(self, z: Array, dual_roots: Array, t: float, gamma: float) -> tuple[Array, Array]:
-        """Return coordinates and roots of the duals at gamma, coming from those at t."""
+    def _follow(self, z: Array, duals: Array, t: float, gamma: float) -> tuple[Array, Array]:
+        """Return coordinates (k,) and roots of the duals at gamma, coming from those at t."""
         length, least = 1.0, max(_CONVERGED * gamma, _SHORTEST * self._squared)
         for _ in range(_MOST_STEPS):
             try:
-                cone = self._cone.scaled(z, dual_roots)
+                cone = ScaledBodies(z, duals)
                 unexplained = self._seen - self._singular * (self._turn.T @ z)
                 newton = _Newton(cone, self._singular, unexplained, self._turn)
                 bold = newton.step(gamma)
@@ -201,15 +183,73 @@ class ConsistentLinks:
                 left = min((1.0 - min(1.0, newton.room(bold))) ** 2, 1.0 - _EAGER * length)
                 t = max(gamma, left * t)
                 step, length = newton.best(t, bold)
-                z, dual_roots = z + length * step.direction, cone.moved(length * step.dual)
+                z, duals = z + length * step.direction, cone.moved(length * step.dual)
             except np.linalg.LinAlgError:
                 break
             if t == gamma and step.size <= least:
-                return z, dual_roots
+                return z, duals
         raise SysidError(
             "the fit of all links did not converge; check the units of the torques and of the "
             "model's inertias"
         )
+
+
+class ScaledBodies:
+    """The links' K at one point and their duals Z, which are to be t K^-1, both as one diagonal D.
+
+    Args:
+        z: (10 links,) coordinates.
+        duals: (links, 4, 4) roots of the duals: squared, rounding would hide what is least.
+
+    Raises:
+        numpy.linalg.LinAlgError: a matrix is not positive definite.
+    """
+
+    def __init__(self, z: Array, duals: Array) -> None:
+        bodies = np.eye(4) + np.tensordot(z.reshape(-1, 10), _BASIS, 1)
+        left, self._diagonal, _ = np.linalg.svd(_transposed(duals) @ np.linalg.cholesky(bodies))
+        # G^-1 with G^-1 K G^-T = G^T Z G = D.
+        self._inverse = _transposed(left / np.sqrt(self._diagonal)[:, None, :]) @ _transposed(duals)
+        self._basis = self._inverse[:, None] @ _BASIS @ _transposed(self._inverse)[:, None]
+        self._here = self._diagonal[:, :, None] * np.eye(4)
+
+    def rows(self) -> Array:
+        """Return (16 links, 10 links) rows whose squares are the barrier's curvature."""
+        from scipy.linalg import block_diag
+
+        return np.asarray(block_diag(*_transposed(self._basis.reshape(-1, 10, 16))))
+
+    def aim(self, t: float) -> Array:
+        """Return K and its duals (links, 4, 4) as they are to be at t, scaled."""
+        return np.asarray((t / self._diagonal)[:, :, None] * np.eye(4))
+
+    def changes(self, step: Array, t: float, correction: Array) -> tuple[Array, Array]:
+        """Return what a step (10 links,) does to K and to the duals, scaled, (links, 4, 4) each."""
+        primal = np.einsum("mk,mkij->mij", step.reshape(-1, 10), self._basis)
+        return primal, self.aim(t) - self._here - correction - primal
+
+    def second_order(self, primal: Array, dual: Array) -> Array:
+        """Return the correction (links, 4, 4) for the product of both changes."""
+        product = primal @ dual
+        both = self._diagonal[:, :, None] + self._diagonal[:, None, :]
+        return np.asarray((product + _transposed(product)) / both)
+
+    def room(self, change: Array) -> float:
+        """Return which part of a change leaves the matrices positive definite."""
+        roots = np.sqrt(self._diagonal)
+        relative = change / (roots[:, :, None] * roots[:, None, :])
+        lowest = float(np.min(np.linalg.eigvalsh(relative), initial=0.0))
+        return -1.0 / lowest if lowest < 0.0 else np.inf
+
+    def centrality(self, primal: Array, dual: Array) -> float:
+        """Return the least eigenvalue of a K Z over their mean after scaled changes."""
+        roots = [np.linalg.cholesky(self._here + change) for change in (primal, dual)]
+        products = np.linalg.svd(_transposed(roots[0]) @ roots[1], compute_uv=False) ** 2
+        return float(np.min(products / np.mean(products, axis=1, keepdims=True)))
+
+    def moved(self, change: Array) -> Array:
+        """Return roots of the duals (links, 4, 4) after a scaled change."""
+        return np.asarray(_transposed(self._inverse) @ np.linalg.cholesky(self._here + change))
 
 
 @dataclass(frozen=True)
@@ -226,13 +266,15 @@ class _Newton:
     """Newton's equations at one point, as least squares: squared, rounding would hide what is weak.
 
     Args:
-        cone: scaled there.
+        cone: the bodies there.
         singular: (k,) singular values of the data.
         unexplained: (k,) what is left there of what they see.
         turn: (k, k) the axes they belong to, as columns.
     """
 
-    def __init__(self, cone: ScaledCone, singular: Array, unexplained: Array, turn: Array) -> None:
+    def __init__(
+        self, cone: ScaledBodies, singular: Array, unexplained: Array, turn: Array
+    ) -> None:
         self._cone, self._unexplained, self._turn = cone, unexplained, turn
         rows = np.vstack((np.diag(singular), cone.rows() @ turn))
         self._orthogonal, triangle = np.linalg.qr(rows)
@@ -240,14 +282,11 @@ class _Newton:
 
     def step(self, t: float, bold: _Step | None = None) -> _Step:
         """Return the step towards t, corrected for what a bolder one showed of second order."""
-        cone = self._cone
-        if bold is None:
-            correction = np.zeros_like(cone.inverse)
-        else:
-            correction = cone.second_order(bold.primal, bold.dual)
-        goal = np.append(self._unexplained, cone.aim(t) - correction)
-        slope = self._inverse.T @ (self._turn.T @ cone.slope(t))
-        scaled = self._orthogonal.T @ goal - slope
+        cone, goal = self._cone, self._cone.aim(t)
+        correction = 0.0 * goal if bold is None else cone.second_order(bold.primal, bold.dual)
+        slope = t * (self._turn.T @ np.tile(_TRACES, len(goal)))
+        goal = np.append(self._unexplained, goal - correction)
+        scaled = self._orthogonal.T @ goal - self._inverse.T @ slope
         direction = self._turn @ (self._inverse @ scaled)
         return _Step(direction, *cone.changes(direction, t, correction), float(scaled @ scaled))
 
@@ -275,8 +314,8 @@ class _Newton:
         return length
 
 
-def _lifted(theta: Array) -> Array:
-    return spatial.lifted_body(theta, theta, _FLOOR)
+def _transposed(matrices: NDArray[Any]) -> NDArray[Any]:
+    return np.swapaxes(matrices, -1, -2)
 
 
 def _orthonormal_basis() -> Array:
@@ -292,3 +331,4 @@ def _orthonormal_basis() -> Array:
 
 _BASIS = _orthonormal_basis()
 _THETAS = np.array([spatial.theta_from_pseudo_inertia(matrix) for matrix in _BASIS])
+_TRACES = np.trace(_BASIS, axis1=1, axis2=2)

@@ -8,23 +8,17 @@ import numpy as np
 
 from robot_sysid.estimation.algebra.identifiability import VisibleSpace, visible_space
 from robot_sysid.estimation.algebra.information import sample_counts
-from robot_sysid.records import Array, SampleSource, SquareRootInformation
+from robot_sysid.records import Array, SquareRootInformation
 
-MOST_ROUNDS = 30
-"""Of methods that find their weights by iteration."""
+_MOST_ROUNDS = 30
 _SETTLED = 1e-6
 _NOISE_FLOOR, _NOISE_FLOOR_WITH_PRIOR, _RIDGE = 1e-9, 1e-4, 1e-12
 
 
-def ordinary(
-    information: SquareRootInformation,
-    prior: Array,
-    samples: SampleSource | None = None,
-    start: Array | None = None,
-) -> WeightedEquations:
+def ordinary(information: SquareRootInformation, prior: Array) -> WeightedEquations:
     """Weigh all joints alike; the common noise comes from all residuals together."""
     ones, common = np.ones(len(information.joints)), 1.0
-    for _ in range(MOST_ROUNDS):
+    for _ in range(_MOST_ROUNDS):
         values, paid = _solved(information, prior, ones / common)
         freedom = max(information.n_samples - float(np.sum(paid)), 1.0)
         rms = np.sqrt(float(np.sum(information.squared_residuals(values))) / freedom)
@@ -32,7 +26,7 @@ def ordinary(
         # Without a prior the estimate does not depend on the size of the noise.
         if information.prior is None or abs(common / before - 1.0) < _SETTLED:
             break
-    return WeightedEquations(information, common * ones, no_clip(information))
+    return WeightedEquations(information, common * ones)
 
 
 def least_squares(
@@ -56,10 +50,7 @@ def least_correction(matrix: Array, right: Array, prior: Array) -> Array:
 
 
 def weighted(
-    information: SquareRootInformation,
-    prior: Array,
-    samples: SampleSource | None = None,
-    start: Array | None = None,
+    information: SquareRootInformation, prior: Array, start: Array | None = None
 ) -> WeightedEquations:
     """Find noise and estimate in turns until the noise settles, from (joints,) noise on.
 
@@ -68,13 +59,13 @@ def weighted(
     """
     noise = ordinary(information, prior).noise if start is None else start
     normal = None if information.prior is None else _Normal(information, prior)
-    for _ in range(MOST_ROUNDS):
+    for _ in range(_MOST_ROUNDS):
         solved = None if normal is None else normal.solved(1.0 / noise)
         values, paid = solved or _solved(information, prior, 1.0 / noise)
         before, noise = noise, _noise(information, values, paid)
         if np.max(np.abs(noise / before - 1.0)) < _SETTLED:
             break
-    return WeightedEquations(information, noise, no_clip(information))
+    return WeightedEquations(information, noise)
 
 
 class _Normal:
@@ -119,23 +110,16 @@ class WeightedEquations:
     """Equations ready to be solved: divided by the noise they are all alike.
 
     Attributes:
-        information: the equations; robust methods have down-weighted outliers in them.
+        information: the equations.
         noise: (joints,) standard deviation to divide each joint's equations by [N m].
-        clip: (joints,) residuals beyond this count no more than it [N m]; infinite unless robust.
     """
 
     information: SquareRootInformation
     noise: Array
-    clip: Array
 
     def whitened(self) -> tuple[Array, Array]:
         """Return (A (M, p), b (M,)) with residuals of unit variance."""
         return self.information.stacked(1.0 / self.noise)
-
-
-def no_clip(information: SquareRootInformation) -> Array:
-    """Return (joints,) infinities: no residual is an outlier."""
-    return np.full(len(information.joints), np.inf)
 
 
 def noise_floor(information: SquareRootInformation) -> float:

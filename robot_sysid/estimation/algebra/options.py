@@ -1,27 +1,18 @@
-"""How parameters are estimated: the estimators by name, and what else a user may choose."""
+"""What a user may choose about the estimate."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
 from robot_sysid.dynamics.friction import DEFAULT_TERMINAL, FrictionModel, friction_model
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.least_squares import WeightedEquations, ordinary, weighted
-from robot_sysid.estimation.algebra.robust import huber
 from robot_sysid.records import TORQUE_CHOICES
 from robot_sysid.records.options import OptionRecord, PerJoint, given_options, option
 
-Estimator = Callable[..., WeightedEquations]
-"""Takes information, prior values (p,), its rows (or None) and noise to begin with (or None)."""
-
-ESTIMATORS: Mapping[str, Estimator] = {"ols": ordinary, "wls": weighted, "robust": huber}
-"""Name to estimator; a new one is one more entry here."""
 CHOSEN = "auto"
 """Friction model that is chosen from the data."""
-_OF_SERVOS = ("torque_from", "write_delay")
 
 
 def _uncertainty(usual: float, help: str, unit: str = "%") -> Any:
@@ -42,26 +33,6 @@ class EstimationOptions(OptionRecord):
     no_friction: bool = option(
         False, "leave friction out and identify the 10 inertial parameters only", needs="estimate"
     )
-    method: str | None = option(
-        None,
-        "least squares: plain, weighted by each joint's noise, or robust against outliers",
-        choices=tuple(ESTIMATORS),
-        usual="wls for measured data, else ols",
-        needs="estimate",
-    )
-    consistency: str = option(
-        "auto",
-        "whether the result has to be a possible rigid body: where needed, always, never",
-        choices=("auto", "enforce", "off"),
-        needs="estimate",
-    )
-    prior: str = option(
-        "none",
-        "pull the result towards the model's own body",
-        choices=("none", "entropic"),
-        needs="estimate",
-    )
-    prior_weight: float = option(1.0, "how strongly", "W > 0", needs="prior")
     friction_model: str | None = option(
         None,
         "friction terms of every joint, such as coulomb-viscous-offset, or auto",
@@ -121,12 +92,6 @@ class EstimationOptions(OptionRecord):
         usual="measured torques",
         needs="log",
     )
-    write_delay: bool = option(
-        False,
-        "with --torque-from, also write the delay of the commands into the model's position "
-        "actuators",
-        needs="servos",
-    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -134,7 +99,7 @@ class EstimationOptions(OptionRecord):
             raise InputError("--friction-model and --no-friction exclude each other")
         if self.friction_model not in (None, CHOSEN):
             friction_model(str(self.friction_model))
-        others = [each for each in given_options(self) if each.key not in _OF_SERVOS]
+        others = [each for each in given_options(self) if each.key != "torque_from"]
         if self.torque_from is not None and others:
             raise InputError(
                 f"{others[0].flag} is about measured torques; leave it off with --torque-from "
@@ -149,8 +114,3 @@ class EstimationOptions(OptionRecord):
         if self.friction_model in (None, CHOSEN):
             return None if self.torques == "chain" else friction_model(DEFAULT_TERMINAL)
         return friction_model(str(self.friction_model))
-
-    @property
-    def entropic_weight(self) -> float:
-        """Weight of the divergence from the model's body; 0 without a prior."""
-        return self.prior_weight if self.prior == "entropic" else 0.0

@@ -8,25 +8,21 @@ known of the nuisances beforehand (``nuisances``), so that its covariance is
 Omega_j the covariance of joint j's score Y_j^T e_j: sigma_j^2 Y_j^T Y_j for white noise, more where
 slow noise meets slow motion (``autocorrelation``). The sum splits by cause: C P_c C is what
 nuisances of cause c add. Along directions that neither data nor P show,
-nothing is known: the covariance is zero there, the standard errors are infinite. The model's own
-body as a prior counts as no knowledge: it moves values, it does not make them
-surer.
+nothing is known: the covariance is zero there, the standard errors are infinite.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.algebra.autocorrelation import JointResiduals
-from robot_sysid.estimation.algebra.identifiability import N_INERTIAL, VisibleSpace, visible_space
+from robot_sysid.estimation.algebra.identifiability import VisibleSpace, visible_space
 from robot_sysid.records import Array, SquareRootInformation
 
 _ROUNDS = 3
-_SAFE_FLOOR = 1e-6
 
 
 @dataclass(frozen=True)
@@ -89,36 +85,6 @@ def coloured_uncertainty(
 def joint_space(information: SquareRootInformation, weights: Array) -> VisibleSpace:
     """Return what data and prior knowledge see together; its inverse is C. Arguments as above."""
     return visible_space(information.stacked(weights)[0])
-
-
-def with_body_prior(
-    found: Uncertainty, information: SquareRootInformation, weights: Array, body: Array, pull: float
-) -> Uncertainty:
-    """Return the uncertainty with the share that a prior body leaves to the data.
-
-    The share is 1 - (variance with data and prior) / (variance with the prior alone); the prior's
-    precision is half the Hessian of pull d(J(theta) || J0) at the body itself, where
-    d^2 / dtheta_k dtheta_l = tr(J0^-1 B_k J0^-1 B_l). Nothing of what the data does not show is the
-    data's.
-
-    Args:
-        found: without the prior body.
-        information, weights: as in ``white_uncertainty``.
-        body: (10,) the model's link.
-        pull: weight of the divergence, in units of squared whitened residuals.
-    """
-    safe = spatial.lifted_body(body, body, _SAFE_FLOOR)
-    inverse = np.linalg.inv(spatial.pseudo_inertia(safe))
-    product = inverse @ spatial.pseudo_inertia(np.eye(N_INERTIAL))
-    precision = 0.5 * pull * np.einsum("kij,lji->kl", product, product)
-    rows = np.zeros((N_INERTIAL, len(information.names)))
-    rows[:, :N_INERTIAL] = np.linalg.cholesky(precision).T
-    both = visible_space(np.vstack((information.stacked(weights)[0], rows))).inverse()
-    left = np.diag(both)[:N_INERTIAL] / np.diag(np.linalg.inv(precision))
-    share = found.data_share.copy()
-    seen = np.isfinite(found.standard_errors[:N_INERTIAL])
-    share[:N_INERTIAL] = np.where(seen, np.clip(1.0 - left, 0.0, 1.0), 0.0)
-    return replace(found, data_share=share)
 
 
 def _score(

@@ -7,9 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.estimation.algebra.autocorrelation import collect_residuals, joint_residuals
-from robot_sysid.estimation.algebra.information import InformationAccumulator
-from robot_sysid.estimation.algebra.robust import THRESHOLD
+from robot_sysid.estimation.algebra.autocorrelation import joint_residuals
 from tests.support.smooth_arm import remembering_noise
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -54,30 +52,6 @@ def test_effective_samples_of_noise_with_a_known_memory(memory):
     assert np.all(kernels >= 0.0)
     assert np.sum(kernels) == pytest.approx(1.0, rel=0.1)
     assert found.effective_samples(kernels) == pytest.approx(expected, rel=0.2)
-
-
-@pytest.mark.parametrize(
-    ("threshold", "variance"),
-    # E psi^2 / (E psi')^2 of the standard normal, worked by hand from its density and its integral;
-    # 1.345 is the threshold of 95 % efficiency.
-    [(THRESHOLD, 1.0 / 0.95), (0.5, 1.2625), (np.inf, 1.0)],
-)
-def test_cut_residuals_count_as_the_errors_of_hubers_estimate(threshold, variance):
-    """They carry less of each error into the estimate, so its variance is divided by a square."""
-    rng = np.random.default_rng(3)
-    count, sigma = 400_000, 0.2
-    rows, tau = np.ones((count, 1)), 7.0 + sigma * rng.normal(size=count)
-    information = InformationAccumulator("a", ["j"], [np.array([0])])
-    information.add(0, rows, tau)
-    (found,) = collect_residuals(
-        information.result(),
-        [(0, rows, tau)],
-        np.array([7.0]),
-        np.array([threshold * sigma]),
-        np.zeros((1, 1)),
-        np.ones(1),
-    )
-    assert found.products[0] == pytest.approx(variance * sigma**2, rel=0.01)
 
 
 def test_silence_is_not_an_error():

@@ -7,18 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.least_squares import joint_noise, leverage
-from robot_sysid.estimation.algebra.options import ESTIMATORS
-from robot_sysid.solver import identify_parameters
-from tests.support.estimates import identified
-from tests.support.synthetic_data import Samples, arm_equations, information_of, noisy_samples
+from tests.support.estimates import METHODS, identified
+from tests.support.synthetic_data import Samples, noisy_samples
 
 SEEDS = st.integers(0, 2**32 - 1)
 PRIOR = np.zeros(16)
 
 
-@pytest.mark.parametrize("method", ESTIMATORS)
+@pytest.mark.parametrize("method", METHODS)
 def test_noise_free_data_is_recovered_by_every_method(method):
     samples, names, truth, _ = noisy_samples(0, noises=(0.0, 0.0, 0.0))
     estimate = identified(samples.information(names), PRIOR, method, samples=samples)
@@ -73,21 +70,3 @@ def test_noise_is_unbiased_with_few_samples():
         values = identified(information, PRIOR).values
         squares.append(joint_noise(information, values, np.ones(3)) ** 2)
     assert np.mean(squares) == pytest.approx(0.25, rel=0.05)
-
-
-def test_an_unknown_method_lists_the_valid_ones():
-    information = noisy_samples(0)[0].information(noisy_samples(0)[1])
-    with pytest.raises(InputError, match="unknown method 'lasso'; valid: ols, wls, robust"):
-        identify_parameters(information, PRIOR, "lasso")
-
-
-def test_information_of_helpers_agree():
-    rng = np.random.default_rng(5)
-    equations, names = arm_equations(rng)
-    truth = rng.normal(size=16)
-    torques = [rows @ truth[columns] for rows, columns in equations]
-    one = Samples(equations, torques).information(names)
-    two = information_of(equations, names, truth)
-    np.testing.assert_allclose(
-        one.squared_residuals(PRIOR), two.squared_residuals(PRIOR), rtol=1e-12
-    )

@@ -10,7 +10,6 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.information import InformationAccumulator
 from robot_sysid.estimation.algebra.least_squares import least_squares
 from robot_sysid.estimation.algebra.nuisances import (
@@ -22,7 +21,6 @@ from robot_sysid.estimation.algebra.nuisances import (
     widened_groups,
     with_prior,
 )
-from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.algebra.uncertainty import white_uncertainty
 from tests.support.arms import SEEDS, rigid_bodies
 from tests.support.estimates import explained, identified
@@ -154,16 +152,10 @@ def test_data_without_noise_gives_the_truth_whatever_the_prior(method):
     body = spatial.theta_from_com(2.0, np.array([0.1, 0.0, 0.2]), np.diag([0.02, 0.03, 0.04]))
     truth = np.concatenate((body, groups[0].mean + 3.0, [0.5, -0.5]))
     information, _ = information_of(rng, truth, 0.0)
-    options = EstimationOptions()
-    found = identified(information, np.zeros(16), method, options, None, groups)
+    found = identified(information, np.zeros(16), method, nuisances=groups)
     np.testing.assert_allclose(found.values, truth, rtol=0.0, atol=1e-5)
     assert len(found.identifiability.identified) == 10
     assert set(found.error_budget) == {"links", "scale"}
-
-
-def test_a_negative_share_is_refused():
-    with pytest.raises(InputError, match="--link-uncertainty"):
-        EstimationOptions(link_uncertainty=-1.0)
 
 
 def test_what_one_aspect_contradicts_is_not_lost_among_the_others():

@@ -6,16 +6,13 @@ import pytest
 
 from robot_sysid.dynamics.friction import DEFAULT_TERMINAL, FrictionModel, friction_model
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.options import CHOSEN, ESTIMATORS, EstimationOptions
+from robot_sysid.estimation.algebra.options import CHOSEN, EstimationOptions
 
 
 @pytest.mark.parametrize(
     ("options", "words"),
     [
         ({"torques": "all"}, "--torques 'all': choose one of chain, terminal"),
-        ({"method": "lasso"}, "--method 'lasso': choose one of ols, wls, robust"),
-        ({"consistency": "maybe"}, "--consistency 'maybe': choose one of auto, enforce, off"),
-        ({"prior": "ridge"}, "--prior 'ridge': choose one of none, entropic"),
         ({"delay": "yes"}, "--delay 'yes': choose one of off, auto"),
         ({"tilt": "yes"}, "--tilt 'yes': choose one of off, auto"),
         ({"friction_model": "coulomb-glue"}, "unknown friction term 'glue'"),
@@ -25,12 +22,6 @@ from robot_sysid.estimation.algebra.options import CHOSEN, ESTIMATORS, Estimatio
 def test_unknown_words_list_the_valid_ones(options, words):
     with pytest.raises(InputError, match=words):
         EstimationOptions(**options)
-
-
-@pytest.mark.parametrize("weight", [0.0, -1.0, float("nan"), float("inf")])
-def test_prior_weight_must_be_positive(weight):
-    with pytest.raises(InputError, match="--prior-weight must be positive"):
-        EstimationOptions(prior="entropic", prior_weight=weight)
 
 
 @pytest.mark.parametrize(
@@ -46,11 +37,6 @@ def test_prior_weight_must_be_positive(weight):
 def test_signal_options_out_of_range_are_refused(options, words):
     with pytest.raises(InputError, match=words):
         EstimationOptions(**options)
-
-
-def test_a_weight_without_a_prior_pulls_nothing():
-    assert EstimationOptions(prior_weight=50.0).entropic_weight == 0.0
-    assert EstimationOptions(prior="entropic", prior_weight=50.0).entropic_weight == 50.0
 
 
 @pytest.mark.parametrize(
@@ -71,7 +57,3 @@ def test_friction_is_chosen_by_the_data_unless_it_is_said(options, expected):
 def test_options_of_measured_torques_are_refused_without_torques():
     with pytest.raises(InputError, match="--cutoff is about measured torques; leave it off"):
         EstimationOptions(torque_from="position-error", cutoff=5.0)
-
-
-def test_every_method_of_the_table_may_be_chosen():
-    assert [EstimationOptions(method=name).method for name in ESTIMATORS] == list(ESTIMATORS)

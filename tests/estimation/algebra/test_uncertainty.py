@@ -7,9 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.estimation.algebra.options import EstimationOptions
-from robot_sysid.estimation.algebra.uncertainty import white_uncertainty, with_body_prior
-from robot_sysid.solver import identify_parameters
+from robot_sysid.estimation.algebra.uncertainty import white_uncertainty
 from tests.support.arms import SEEDS
 from tests.support.estimates import identified
 from tests.support.smooth_arm import SmoothArm, information_of_samples, samples_of
@@ -73,41 +71,6 @@ def test_unidentifiable_parameters_have_no_error_bars_and_no_share_of_the_data()
     np.testing.assert_allclose(estimate.data_share[[0, 3]], 0.0, atol=1e-12)
     np.testing.assert_allclose(estimate.data_share[[4, 7]], 0.5, atol=0.05)
     np.testing.assert_allclose(estimate.data_share[seen], 1.0, atol=1e-12)
-
-
-@given(SEEDS)
-def test_a_stronger_prior_leaves_a_smaller_share_to_the_data(seed):
-    rng = np.random.default_rng(seed)
-    equations, names = arm_equations(rng)
-    information = information_of(equations, names, rng.normal(size=16))
-    body, noise = random_body(rng), np.ones(3)
-    alone = white_uncertainty(information, noise, noise)
-    shares = [
-        with_body_prior(alone, information, noise, body, pull).data_share
-        for pull in (1e-3, 1.0, 1e3, 1e6)
-    ]
-    for weak, strong in zip(shares, shares[1:]):
-        assert np.all(strong <= weak + 1e-7)
-        assert np.all((strong >= 0.0) & (weak <= 1.0))
-
-
-def test_an_entropic_prior_is_felt_in_values_and_shares_but_makes_nothing_surer():
-    rng = np.random.default_rng(1)
-    equations, names = arm_equations(rng)
-    truth = np.concatenate((random_body(rng), np.full(6, 0.3)))
-    information = information_of(equations, names, truth, 2.0, rng)
-    prior = np.concatenate((1.2 * truth[:10], np.zeros(6)))
-    results = [
-        identify_parameters(
-            information, prior, "wls", EstimationOptions(prior="entropic", prior_weight=w)
-        )
-        for w in (1e-6, 1e6)
-    ]
-    far, near = (np.linalg.norm(r.values[:10] - prior[:10]) for r in results)
-    assert near < 0.1 * far
-    assert np.mean(results[1].data_share[:10]) < 0.5 < np.mean(results[0].data_share[:10])
-    ratio = results[1].standard_errors[:10] / results[0].standard_errors[:10]
-    assert np.all(ratio > 0.99)
 
 
 @pytest.mark.parametrize("duration", [0.05, 15.0])
