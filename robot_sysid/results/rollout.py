@@ -30,7 +30,7 @@ from robot_sysid.records.results import (
 )
 from robot_sysid.results.model import CHECKPOINTS, ModelTarget
 from robot_sysid.signals.process import ProcessedSignals
-from robot_sysid.simulation.rollout import playback
+from robot_sysid.simulation import playback
 
 HORIZONS = (0.1, 0.3, 1.0, 3.0)
 """Lengths of time over which the models are played [s]."""

@@ -24,11 +24,10 @@ from robot_sysid.results.console import folder_text
 from robot_sysid.results.json import json_text
 from robot_sysid.results.model import ModelTarget, versions, write_joints
 from robot_sysid.results.rollout import LAST_FIFTH, refusal, rollout_entry, rollout_lines
-from robot_sysid.servo import fit as search
-from robot_sysid.servo.commands import MOST_PERIODS, commanded_pieces, moving
-from robot_sysid.servo.fit import ServoFit, model_servos
+from robot_sysid.servo import search
+from robot_sysid.servo.search import MOST_PERIODS, ServoFit
 from robot_sysid.signals.resampling import usual_period
-from robot_sysid.simulation.rollout.servo import Servos, actuators_of
+from robot_sysid.simulation.servos import Servos, actuators_of, model_servos
 
 SERVO_NAME, SERVO_SCHEMA = "servo.json", "robot-sysid servo 1"
 WITHOUT_TORQUE = (
@@ -38,10 +37,10 @@ WITHOUT_TORQUE = (
 UNITS = {"gain": "N·m/rad", "damping": "N·m·s/rad", "frictionloss": "N·m", "armature": "kg·m²"}
 """What is found of a joint, in the order of ``Servos``, and its unit."""
 _KEYS = ("before", "value", "standard_error", "data_share")
-OFTEN = 0.2
-"""Share of time at its limit from which on a servo's gain is hardly seen."""
-UNSURE = 0.1
-"""Relative error of a gain from which on only ratios are seen."""
+OFTEN, UNSURE = 0.2, 0.1
+"""Share of time at its limit, and relative error, from which on a gain is said to be hardly seen;
+chosen, nothing else depends on them."""
+_POSITIONS = 200
 
 
 @dataclass(frozen=True)
@@ -80,6 +79,42 @@ class ServoIdentification:
             for k, joint in enumerate(names)
         }
 
+    def changes(self) -> tuple[list[JointChange], list[ActuatorChange]]:
+        """Return what the joints and the position actuators of the model get."""
+        own, joints, servos = actuators_of(self.robot), [], []
+        for k in np.flatnonzero(self.moves).tolist():
+            gain, damping, friction, armature = self.fit.servos.vector()[:-1].reshape(4, -1)[:, k]
+            kv, gear = float(own.share[k] * damping), float(own.gear[k]) ** 2
+            rest = float(armature), float(damping) - kv, float(friction)
+            joints.append(JointChange(self.robot.joint_names[k], *rest))
+            if self.has_servo[k]:
+                servos.append(ActuatorChange(int(own.index[k]), float(gain) / gear, kv / gear))
+        return joints, servos
+
+    def entries(self) -> dict[str, Any]:
+        """Return the content of servo.json."""
+        joints = {
+            joint: {
+                **{name: {**n, "unit": UNITS[name]} for name, n in numbers.items()},
+                **{name: getattr(self, name)[k] for name in ("moves", "has_servo", "at_limit")},
+            }
+            for k, (joint, numbers) in enumerate(self.numbers.items())
+        }
+        return {
+            "schema": SERVO_SCHEMA,
+            "torque": "none measured; from position error",
+            "meaning": WITHOUT_TORQUE,
+            "delay": {"value": self.fit.servos.delay, "standard_error": self.fit.errors.delay},
+            "joints": joints,
+            "rollout": rollout_entry(self.rollout),
+            "position_errors": dict(zip(self.robot.joint_names, self.fit.sigma)),
+            "source": self.data.words,
+            "duration": self.data.duration,
+            "model": {"path": str(self.robot.path), "sha256": self.robot.sha256},
+            "versions": versions(),
+            "notes": self.notes,
+        }
+
 
 def servo_lines(found: ServoIdentification, verbose: bool = False) -> list[str]:
     """Return the block line by line; ``verbose`` adds the rollouts of every joint."""
@@ -104,37 +139,8 @@ def _figures(found: ServoIdentification, joint: str) -> Iterator[str]:
         yield f"{name} {old}{value:.3g} ± {error:.1g} {UNITS[name]}{doubt}"
 
 
-def servo_entries(found: ServoIdentification) -> dict[str, Any]:
-    """Return the content of servo.json."""
-    joints = {
-        joint: {
-            **{name: {**n, "unit": UNITS[name]} for name, n in numbers.items()},
-            **{name: getattr(found, name)[k] for name in ("moves", "has_servo", "at_limit")},
-        }
-        for k, (joint, numbers) in enumerate(found.numbers.items())
-    }
-    return {
-        "schema": SERVO_SCHEMA,
-        "torque": "none measured; from position error",
-        "meaning": WITHOUT_TORQUE,
-        "delay": {"value": found.fit.servos.delay, "standard_error": found.fit.errors.delay},
-        "joints": joints,
-        "rollout": rollout_entry(found.rollout),
-        "position_errors": dict(zip(found.robot.joint_names, found.fit.sigma)),
-        "source": found.data.words,
-        "duration": found.data.duration,
-        "model": {"path": str(found.robot.path), "sha256": found.robot.sha256},
-        "versions": versions(),
-        "notes": found.notes,
-    }
-
-
 def servo_notes(found: ServoIdentification, period: float) -> Iterator[str]:
-    """Yield a sentence on each thing that the numbers do not say.
-
-    Args:
-        period: between samples [s].
-    """
+    """Yield a sentence on each thing that the numbers do not say; ``period`` of samples in s."""
     outside = found.robot.mj_model.nv - found.robot.n_joints
     if outside:
         yield (
@@ -150,34 +156,34 @@ def servo_notes(found: ServoIdentification, period: float) -> Iterator[str]:
             f"the delay is at the end of what is sought ({MOST_PERIODS} samples): check the time "
             "stamps of the commands"
         )
-    limit, has_servo = actuators_of(found.robot).limit, found.has_servo
     for k, (joint, numbers) in enumerate(found.numbers.items()):
-        gain, error = numbers["gain"]["value"], numbers["gain"]["standard_error"]
-        if not found.moves[k]:
+        if found.moves[k]:
+            yield from _joint_notes(found, k, joint, numbers["gain"])
+        else:
             yield f"{joint} does not move in these logs: it keeps the model's numbers"
-            continue
-        if found.at_limit[k] > OFTEN:
-            yield (
-                f"the servo of {joint} asks for more than its limit of {limit[k]:.3g} N·m (the "
-                f"model's) in {100.0 * found.at_limit[k]:.0f} % of the time: its gain is then "
-                "hardly seen, and its limit matters"
-            )
-        if error > UNSURE * gain:
-            yield (
-                "these logs hardly show the absolute size of gain, friction and rotor inertia of "
-                f"{joint}, only their ratios (gravity and the links' inertia would); the size "
-                "stays near where the search began"
-            )
-        if not has_servo[k]:
-            yield (
-                f"the model has no position actuator on {joint}: its gain of {gain:.4g} "
-                "N·m/rad is told, not written"
-            )
 
 
-MOST_WINDOWS = 24
-"""Windows that are fitted, spread evenly over the logs."""
-_POSITIONS = 200
+def _joint_notes(
+    found: ServoIdentification, k: int, joint: str, gain: dict[str, float]
+) -> Iterator[str]:
+    if found.at_limit[k] > OFTEN:
+        yield (
+            f"the servo of {joint} asks for more than its limit of "
+            f"{actuators_of(found.robot).limit[k]:.3g} N·m (the model's) in "
+            f"{100.0 * found.at_limit[k]:.0f} % of the time: its gain is then hardly seen, and its "
+            "limit matters"
+        )
+    if gain["standard_error"] > UNSURE * gain["value"]:
+        yield (
+            "these logs hardly show the absolute size of gain, friction and rotor inertia of "
+            f"{joint}, only their ratios (gravity and the links' inertia would); the size "
+            "stays near where the search began"
+        )
+    if not found.has_servo[k]:
+        yield (
+            f"the model has no position actuator on {joint}: its gain of {gain['value']:.4g} "
+            "N·m/rad is told, not written"
+        )
 
 
 @dataclass(frozen=True)
@@ -216,8 +222,7 @@ def run_servo(
             progress.note(note)
         with whole_files() as files:
             target = ModelTarget(files, folder / MODEL_NAMES[robot.kind], rest, 0.0, mesh_dir)
-            refused = refusal(found.rollout, logs.accept)
-            outcome = _write(robot, found, target, refused)
+            outcome = _write(robot, found, target, refusal(found.rollout, logs.accept))
             read += [file.path for file in read_document(robot.path).files]
             removed = remove_earlier(files, folder, outcome.files, read)
     for note in (*outcome.identification.notes[len(found.notes) :], *removed):
@@ -235,32 +240,27 @@ def identify_servos(
         return open_log(robot, path, replace(logs, commanded=True), progress)
 
     opened, other = [read(path) for path in logs.measurements], logs.validation_measurements
-    pieces, words = commanded_pieces(opened, robot.joint_names), LAST_FIFTH
+    pieces, words = search.commanded_pieces(opened, robot.joint_names), LAST_FIFTH
     fitted, held = search.parted(pieces)
     if other is not None:
-        held, words = commanded_pieces([read(other)], robot.joint_names), "the validation log"
-        fitted = pieces
-    moves = moving(pieces)
+        held = search.commanded_pieces([read(other)], robot.joint_names)
+        fitted, words = pieces, "the validation log"
+    moves = search.moving(pieces)
     period = float(np.median([usual_period(piece.time) for piece in pieces]))
     q = np.concatenate([piece.q for piece in pieces])
     q = q[np.linspace(0, len(q) - 1, _POSITIONS).astype(int)]
     start = search.first_servos(robot, q, period, moves)
     progress.stage("Searching for servos, friction and rotor inertia...")
-    problem = search.problem_of(robot, fitted, MOST_WINDOWS)
+    problem = search.problem_of(robot, fitted)
     fit = search.fit_servos(problem, search.better_start(problem, start), progress)
     rollout = search.play_servos(robot, held, (_before(robot, fit.servos), fit.servos), words)
     if other is None:
         # What was held out has done its work; the numbers come from all that was recorded.
-        problem = search.problem_of(robot, pieces, MOST_WINDOWS)
+        problem = search.problem_of(robot, pieces)
         fit = search.fit_servos(problem, replace(start, start=fit.servos), progress)
-    found = ServoIdentification(
-        robot,
-        search.with_links_error(fit, search.links_share(robot, pieces, fit.servos)),
-        moves,
-        search.at_limit(problem, fit.servos),
-        origin_of(opened),
-        rollout,
-    )
+    fit = search.with_links_error(fit, search.links_share(robot, pieces, fit.servos))
+    limited = search.at_limit(problem, fit.servos)
+    found = ServoIdentification(robot, fit, moves, limited, origin_of(opened), rollout)
     notes = [note for log in opened for note in log.notes]
     notes += servo_notes(found, period)
     rest = Motion(np.arange(len(q), dtype=float), q, 0.0 * q, 0.0 * q)
@@ -276,20 +276,6 @@ def _before(robot: RobotModel, found: Servos) -> Servos:
     return replace(own, stiffness=stiffness, damping=damping, delay=found.delay)
 
 
-def changes(found: ServoIdentification) -> tuple[list[JointChange], list[ActuatorChange]]:
-    """Return what the joints and the position actuators of the model get."""
-    own, joints, servos = actuators_of(found.robot), [], []
-    for k in np.flatnonzero(found.moves).tolist():
-        gain, damping, friction, armature = found.fit.servos.vector()[:-1].reshape(4, -1)[:, k]
-        kv, gear = float(own.share[k] * damping), float(own.gear[k]) ** 2
-        rest = float(armature), float(damping) - kv, float(friction)
-        joints.append(JointChange(found.robot.joint_names[k], *rest))
-        if found.has_servo[k]:
-            gains = float(gain) / gear, kv / gear
-            servos.append(ActuatorChange(int(own.index[k]), *gains))
-    return joints, servos
-
-
 def _write(
     robot: RobotModel, found: ServoIdentification, target: ModelTarget, refused: str | None
 ) -> ServoOutcome:
@@ -298,11 +284,11 @@ def _write(
     written = [path]
     if refused is None:
         try:
-            notes = (*notes, *write_joints(robot, *changes(found), target))
+            notes = (*notes, *write_joints(robot, *found.changes(), target))
             written = [target.path, path]
         except ExportError as error:
             target.files.withdraw(target.path)
             failure = f"{error} (the identified numbers are in {SERVO_NAME})"
     final = replace(found, notes=notes)
-    target.files.write(path, json_text(servo_entries(final)))
+    target.files.write(path, json_text(final.entries()))
     return ServoOutcome(final, path.parent, tuple(written), failure)

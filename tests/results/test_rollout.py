@@ -23,8 +23,8 @@ from robot_sysid.results.rollout import (
 )
 from robot_sysid.signals.process import process
 from robot_sysid.simulator import ArmTorque
-from tests.simulation.rollout import test_playback
-from tests.simulation.rollout.test_playback import JOINT, SECONDS, arm, recording
+from tests.simulation import test_playback
+from tests.simulation.test_playback import JOINT, SECONDS, arm, recording
 from tests.support import arms
 from tests.support.arms import X, Y, Z, serial_arm
 from tests.support.model_files import write_files

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.records import Measurement
-from robot_sysid.servo.fit import (
+from robot_sysid.servo.search import (
     LEAST_SHARE,
     LINKS_WRONG,
     STEP,
@@ -17,7 +17,7 @@ from robot_sysid.servo.fit import (
     parted,
     with_links_error,
 )
-from robot_sysid.simulation.rollout.servo import Servos
+from robot_sysid.simulation.servos import Servos
 from tests.support.arms import robot_of
 from tests.support.servo_logs import SERVOS, TRUTH, XML
 

@@ -13,9 +13,9 @@ from robot_sysid.records import Motion
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.results import DataOrigin, RolloutError, RolloutTest, Source
 from robot_sysid.servo import run as module
-from robot_sysid.servo.fit import ServoFit
 from robot_sysid.servo.run import ServoIdentification, servo_lines
-from robot_sysid.simulation.rollout.servo import Servos
+from robot_sysid.servo.search import ServoFit
+from robot_sysid.simulation.servos import Servos
 from tests.support import schemas
 from tests.support.model_files import urdf_inertial, urdf_joint, urdf_link, urdf_robot, write_files
 from tests.support.servo_logs import XML

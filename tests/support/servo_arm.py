@@ -9,7 +9,7 @@ import numpy as np
 from robot_sysid.records import JointFriction
 from robot_sysid.records.arm import RobotModel
 from robot_sysid.simulation.forward_dynamics import ArmStepper
-from robot_sysid.simulation.rollout.servo import actuators_of
+from robot_sysid.simulation.servos import actuators_of
 
 TICK = 1e-3
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from robot_sysid.simulation.rollout.servo import Servos, Window, played_servos
+from robot_sysid.simulation.servos import Servos, Window, played_servos
 from tests.support.arms import Y, Z, serial_arm
 
 RATE = 50.0

@@ -6,16 +6,16 @@ import mujoco
 import numpy as np
 import pytest
 
-from robot_sysid.simulation.rollout.servo import (
-    HOLDS_DELAY,
+from robot_sysid.simulation.servos import (
     NONE,
-    Servos,
     Window,
     actuators_of,
+    model_servos,
     played_servos,
     servo_copy,
 )
 from tests.support.arms import robot_of
+from tests.support.releases import since
 from tests.support.servo_logs import SERVOS, TRUTH, XML, commanded
 
 EDGES = np.linspace(0.0, 1.0, 501)
@@ -24,17 +24,6 @@ EDGES = np.linspace(0.0, 1.0, 501)
 def window(seed=0):
     time, command = commanded(4.0, seed)
     return Window(1.0, command[50], np.zeros(2), time, command)
-
-
-def model_servos(robot, delay=0.0):
-    own, model = actuators_of(robot), robot.mj_model
-    return Servos(
-        own.stiffness,
-        model.dof_damping + own.damping,
-        np.array(model.dof_frictionloss),
-        np.array(model.dof_armature),
-        delay,
-    )
 
 
 def test_the_models_own_servos_move_it_as_mujoco_does():
@@ -97,11 +86,13 @@ def test_a_geared_actuator_is_seen_at_the_joint():
     assert own.stiffness[0] == 400.0 and own.damping[0] == 8.0 and own.limit[0] == 120.0
 
 
-@pytest.mark.skipif(not HOLDS_DELAY, reason="actuators of this MuJoCo cannot act late")
+@pytest.mark.skipif(
+    not hasattr(mujoco.MjModel, "actuator_delay"), reason="actuators of this MuJoCo cannot act late"
+)
 def test_a_delay_of_the_models_own_does_not_act_a_second_time():
     delayed = XML.replace(' kp="100"', ' kp="100" delay="0.04" nsample="50"')
     played = [
-        played_servos(robot, [model_servos(robot, 0.04)], [window()], EDGES)
+        played_servos(robot, [replace(model_servos(robot), delay=0.04)], [window()], EDGES)
         for robot in map(robot_of, (XML, delayed))
     ]
     np.testing.assert_array_equal(*played)

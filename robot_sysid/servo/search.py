@@ -1,65 +1,130 @@
-"""Servo gains, delay, friction and rotor inertia by output error, and how sure they are.
+"""An arm without torque sensors: servos, friction and rotor inertia from commands and positions.
 
-What is sought is the logarithm of each number over its usual size, softened so that zero is not
-far away: gain, damping, friction and rotor inertia of a joint that grow together by the same factor
-change little where links and gravity are small beside them, and in logarithms that is a straight
-line.
+By output error: the numbers whose rollouts come nearest to the measured positions. What is sought
+is the logarithm of each over its usual size, softened so that zero is not far away: gain, damping,
+friction and rotor inertia of a joint that grow together by the same factor change little where
+links and gravity are small beside them, and in logarithms that is a straight line.
 """
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.errors import InputError
+from robot_sysid.logs.reader import MeasurementLog
 from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.results import CLOSED, RolloutError, RolloutTest
 from robot_sysid.results.rollout import HELD_OUT_SHARE, HORIZONS
-from robot_sysid.servo.commands import MOST_PERIODS
 from robot_sysid.signals.resampling import part_of, usual_period
-from robot_sysid.simulation.rollout import playback
-from robot_sysid.simulation.rollout.servo import Servos, Window, actuators_of, played_servos
+from robot_sysid.simulation.playback import MOST_WINDOWS
+from robot_sysid.simulation.servos import Servos, Window, actuators_of, model_servos, played_servos
 
-STEP = 0.002
-"""Time step of the rollouts [s], at most."""
-LENGTH = 3.0
-"""Length of a window [s]."""
-SETTLED = 0.6
-"""Beginning of a window that does not count: the state there is known from steps of the encoder."""
-SMOOTHED = 0.12
-"""Length of the parabolas that give the state at the start of a window [s]."""
 SERVO_WORDS = "the log's commands through the model's servos, both late by the delay that was found"
-GAINS = (0.03, 0.1, 0.3, 1.0, 3.0)
-"""Factors on the gains of the start that are tried beforehand; luck decides where a servo with a
-larger one is at its limit all the time."""
-FEW_WINDOWS = 6
-"""Windows that are enough for that."""
-MOST_ROUNDS = 8
-WIDEST = 100.0
-"""How many times its usual size a number may be."""
-SOFT = 0.3
-"""Part of its usual size below which steps are no longer shares of a number: zero can be left."""
-PULL = 2.5
-"""Standard deviation of a weak pull of each unknown towards the start: a factor of twelve."""
-LINKS_WRONG = 0.02
-"""How far masses and inertias of the links, which are trusted, may be off."""
-UNEXPLAINED = 0.005
-"""Part of a joint's torque that a model of servo and friction does not explain at best."""
-LEAST_SHARE = 0.1
-"""Share of the links in a joint's torque below which only the ratios of its numbers are seen."""
+# Logs: range of positions from which on a joint moves [rad or m]; largest delay that is sought, in
+# sampling periods; slopes of commands in other units; how much is alike, followed, off.
+MOVES, MOST_PERIODS = 0.02, 10
+_SLOPES = {"degrees": 180.0 / np.pi, "steps of 4096 a turn": 4096 / (2 * np.pi)}
+_ALIKE, _FOLLOWS, _OFFSET = 0.98, 0.5, 0.3
+# Windows: time step of rollouts, at most, length, what does not count at the beginning, where the
+# state is known from steps of the encoder, the parabolas that give it [s]; how many are fitted.
+STEP, LENGTH, SETTLED, SMOOTHED = 0.002, 3.0, 0.6, 0.12
+FITTED = 24
+# Factors on the gains of the start that are tried beforehand, in so many windows: luck decides
+# where a servo with a larger one is at its limit all the time.
+GAINS, _FEW = (0.03, 0.1, 0.3, 1.0, 3.0), 6
+# The search: how many times its usual size a number may be, below which part of that steps are no
+# longer shares of it, the weak pull towards the start (a factor of twelve), rounds of a search;
+# step of differences: a servo that is at its limit again and again is rough over smaller ones.
+WIDEST, SOFT, PULL, MOST_ROUNDS = 100.0, 0.3, 2.5, 8
+_STEP, _SETTLED, _LEAST_SIZE = 0.04, 1e-4, 1e-3
+# Bandwidth of a servo of which nothing is known [rad/s].
 _UNKNOWN_RATE = 20.0
-"""Bandwidth of a servo of which nothing is known [rad/s]."""
-# A servo that is at its limit again and again makes rollouts rough over smaller steps.
-_STEP = 0.04
-_SETTLED = 1e-4
-_LEAST_SIZE = 1e-3
+# How far the links' masses, which are trusted, may be off; what of a joint's torque a model does
+# not explain at best (both docs/rollout.md); the links' share below which only ratios are seen.
+LINKS_WRONG, UNEXPLAINED, LEAST_SHARE = 0.02, 0.005, 0.1
+
+
+def commanded_pieces(logs: Sequence[MeasurementLog], joints: Sequence[str]) -> list[Measurement]:
+    """Return the pieces between the gaps of some logs that were read for their commands.
+
+    Raises:
+        InputError: the commands cannot be what they seem; says which joint and why.
+    """
+    for log in logs:
+        for joint in np.flatnonzero(moving(log.pieces)).tolist():
+            asked = [(p.q, p.command) for p in log.pieces if p.command is not None]
+            pairs = [(q[:, joint], command[:, joint]) for q, command in asked]
+            for fault in _faults(pairs):
+                raise InputError(f"{log.path}: the commands of joint {joints[joint]} {fault}")
+    return [part for log in logs for part in log.pieces]
+
+
+def moving(parts: Sequence[Measurement]) -> NDArray[np.bool_]:
+    """Return (n,) which joints move."""
+    return np.asarray(np.ptp(np.concatenate([part.q for part in parts]), axis=0) >= MOVES)
+
+
+def _faults(pairs: Sequence[tuple[Array, Array]]) -> Iterator[str]:
+    """Yield what is wrong with a joint's commands, as the end of a sentence."""
+    best, at, slope = _best_lag(pairs)
+    same = [[np.abs(c[: len(c) - lag] - q[lag:]) < 1e-9 for q, c in pairs] for lag in range(4)]
+    unit = next((u for u, k in _SLOPES.items() if 0.7 < abs(slope) / k < 1.4), None)
+    offset = float(np.median(np.concatenate([c - q for q, c in pairs])))
+    if max(float(np.mean(np.concatenate(each))) for each in same) > _ALIKE:
+        yield (
+            "repeat the measured positions: the log holds no real commands; record what was sent "
+            "to the servos"
+        )
+    if unit is not None:
+        yield (
+            f"change {abs(slope):.3g} times as much as its positions: they look like {unit}; say "
+            "what they are with --units, or scale the columns with --columns FILE, such as "
+            f"'command.JOINT = {1.0 / slope:.4g} * TITLE'"
+        )
+    if best < _FOLLOWS:
+        yield (
+            f"are not followed (correlation {best:.2f} at the best delay); check the columns, and "
+            "that the servos were on"
+        )
+    if not 0.5 < slope < 2.0:
+        yield f"change {slope:.3g} times as much as its positions; check their units and sign"
+    if at < 0:
+        yield (
+            f"come {-at} samples after its positions; check the time stamps, and whether the "
+            "columns of commands and positions were exchanged"
+        )
+    if at > MOST_PERIODS:
+        yield (
+            f"come {at} samples before its positions, more than the {MOST_PERIODS} that are "
+            "sought; check the time stamps, or record faster"
+        )
+    if abs(offset) > _OFFSET:
+        yield (
+            f"differ from its positions by {offset:.3g} all the time; check that both count from "
+            "the same zero"
+        )
+
+
+def _best_lag(pairs: Sequence[tuple[Array, Array]]) -> tuple[float, int, float]:
+    """Return (correlation, by how many samples positions are behind, slope of commands) there."""
+    reach = min(3 * MOST_PERIODS, min(len(q) for q, _ in pairs) // 4)
+    found = []
+    for lag in range(-reach, reach + 1):
+        first, last = max(0, lag), min(0, lag)
+        same = [(q[first : len(q) + last], c[-last : len(c) - first]) for q, c in pairs]
+        position, asked = (np.concatenate([v - np.mean(v) for v in side]) for side in zip(*same))
+        own, both = float(position @ position), float(position @ asked)
+        norm = np.sqrt(own) * float(np.linalg.norm(asked))
+        alike, slope = (abs(both) / norm, both / own) if norm > 0.0 else (0.0, 0.0)
+        found.append((alike, -abs(lag), lag, slope))
+    alike, _, lag, slope = max(found)
+    return alike, lag, slope
 
 
 @dataclass(frozen=True)
@@ -82,8 +147,7 @@ class Problem:
 
     def played(self, choices: Sequence[Servos]) -> Array:
         """Return positions (C, W, S + 1, n) of each choice in every window."""
-        windows = [window for window, _, _ in self.windows]
-        return played_servos(self.robot, choices, windows, self.edges)
+        return played_servos(self.robot, choices, [own[0] for own in self.windows], self.edges)
 
     def errors(self, choices: Sequence[Servos]) -> Array:
         """Return position errors (C, M, n) of all windows [rad]; pi where a rollout diverges."""
@@ -92,18 +156,15 @@ class Problem:
             found = np.stack([np.interp(time, self.edges, column) for column in q.T], axis=1)
             return np.nan_to_num(found - measured, nan=np.pi)
 
-        return np.stack(
-            [
-                np.concatenate([error(q, *own[1:]) for q, own in zip(each, self.windows)])
-                for each in self.played(choices)
-            ]
-        )
+        every = self.played(choices)
+        pairs = [[error(q, *own[1:]) for q, own in zip(each, self.windows)] for each in every]
+        return np.stack([np.concatenate(each) for each in pairs])
 
 
 def problem_of(
     robot: RobotModel,
     pieces: Sequence[Measurement],
-    most: int,
+    most: int = FITTED,
     length: float = LENGTH,
     settled: float = SETTLED,
 ) -> Problem:
@@ -155,7 +216,7 @@ def play_servos(
     errors, notes = [], ["open loop was not played: no torque was measured"]
     for horizon in HORIZONS:
         try:
-            problem = problem_of(robot, pieces, playback.MOST_WINDOWS, horizon, 0.0)
+            problem = problem_of(robot, pieces, MOST_WINDOWS, horizon, 0.0)
         except InputError:
             notes.append(f"no held-out piece is as long as {horizon:g} s")
             continue
@@ -166,7 +227,7 @@ def play_servos(
 
 @dataclass(frozen=True)
 class Scale:
-    """How a vector of unknowns stands for servos.
+    """How a vector of unknowns (p,) stands for servos.
 
     Attributes:
         size: servos whose numbers are usual sizes.
@@ -178,13 +239,13 @@ class Scale:
     free: NDArray[np.bool_]
 
     def unknowns(self, servos: Servos) -> Array:
-        """Return the vector (p,) of some servos."""
+        """Return the vector of some servos."""
         values = servos.vector() / self.size.vector()
         values[:-1] = np.log(values[:-1] + SOFT)
         return values[self.free]
 
     def servos(self, unknowns: Array) -> Servos:
-        """Return what a vector (p,) stands for."""
+        """Return what a vector stands for."""
         whole = np.zeros(len(self.free))
         whole[self.free] = unknowns
         whole[:-1] = np.maximum(np.exp(whole[:-1]) - SOFT, 0.0)
@@ -196,30 +257,11 @@ class Scale:
         size[:-1] = servos.vector()[:-1] + SOFT * size[:-1]
         return size[self.free]
 
-
-@dataclass(frozen=True)
-class ServoFit:
-    """What was found.
-
-    Attributes:
-        errors: their standard errors, zero for what was not sought.
-        share: (4 n + 1,) how much of each comes from the data: 1 all, 0 all from the start.
-        sigma: (n,) root mean square position error [rad].
-    """
-
-    servos: Servos
-    errors: Servos
-    share: Array
-    sigma: Array
-
-
-def model_servos(robot: RobotModel) -> Servos:
-    """Return the model's own numbers, never late; gains are NaN where it has no position servo."""
-    model, dofs, actuators = robot.mj_model, robot.dof_index, actuators_of(robot)
-    damping = model.dof_damping[dofs] + np.nan_to_num(actuators.damping)
-    return Servos(
-        actuators.stiffness, damping, model.dof_frictionloss[dofs], model.dof_armature[dofs], 0.0
-    )
+    def bounds(self) -> tuple[Array, Array]:
+        """Return the least and the largest vector that is sought."""
+        size = self.size.vector()
+        widest = replace(Servos.of(WIDEST * size), delay=MOST_PERIODS * self.size.delay)
+        return self.unknowns(Servos.of(0.0 * size)), self.unknowns(widest)
 
 
 def first_servos(robot: RobotModel, q: Array, period: float, moves: NDArray[np.bool_]) -> Scale:
@@ -265,11 +307,10 @@ def better_start(problem: Problem, scale: Scale) -> Scale:
     Raises:
         InputError: no servo follows these commands.
     """
-    few, start = problem.some(FEW_WINDOWS), scale.start
-    delays = scale.size.delay * np.arange(0.0, MOST_PERIODS + 1.0)
+    start, delays = scale.start, scale.size.delay * np.arange(0.0, MOST_PERIODS + 1.0)
     grid = [(gain, delay) for gain in GAINS for delay in delays]
     choices = [replace(start, stiffness=g * start.stiffness, delay=float(d)) for g, d in grid]
-    squared = np.mean(few.errors(choices) ** 2, axis=1)
+    squared = np.mean(problem.some(_FEW).errors(choices) ** 2, axis=1)
     if not np.all(np.isfinite(squared)):
         raise InputError("the model cannot be played with these commands; check their units")
     by_gain = squared.reshape(len(GAINS), len(delays), -1)
@@ -279,6 +320,22 @@ def better_start(problem: Problem, scale: Scale) -> Scale:
     return replace(scale, start=better)
 
 
+@dataclass(frozen=True)
+class ServoFit:
+    """What was found.
+
+    Attributes:
+        errors: their standard errors, zero for what was not sought.
+        share: (4 n + 1,) how much of each comes from the data: 1 all, 0 all from the start.
+        sigma: (n,) root mean square position error [rad].
+    """
+
+    servos: Servos
+    errors: Servos
+    share: Array
+    sigma: Array
+
+
 def fit_servos(problem: Problem, scale: Scale, progress: Progress) -> ServoFit:
     """Search for the servos whose rollouts come nearest to the measured positions.
 
@@ -286,25 +343,27 @@ def fit_servos(problem: Problem, scale: Scale, progress: Progress) -> ServoFit:
     """
     from scipy.optimize import least_squares
 
-    widest = replace(Servos.of(WIDEST * scale.size.vector()), delay=MOST_PERIODS * scale.size.delay)
-    bounds = scale.unknowns(Servos.of(0.0 * scale.size.vector())), scale.unknowns(widest)
+    bounds = scale.bounds()
     origin = x = np.clip(scale.unknowns(scale.start), *bounds)
+    done = 0.0
 
-    def residuals(at: Array, sigma: Array, *_: Any) -> Array:
+    def residuals(at: Array, sigma: Array, _: str) -> Array:
         error = problem.errors([scale.servos(at)])[0] / sigma
         return np.concatenate((error.ravel(), (at - origin) / PULL))
 
-    def jacobian(at: Array, sigma: Array, stage: str, rounds: Iterator[int]) -> Array:
-        progress.advance(stage, min(next(rounds), MOST_ROUNDS - 0.5), MOST_ROUNDS, "")
-        slopes = _slopes(problem, scale, at, bounds) / sigma[:, None]
+    def jacobian(at: Array, sigma: Array, stage: str) -> Array:
+        nonlocal done
+        done = min(done + 1.0, MOST_ROUNDS - 0.5)
+        progress.advance(stage, done, MOST_ROUNDS, "")
+        slopes = _slopes(problem, scale, at) / sigma[:, None]
         return np.vstack((slopes.reshape(-1, len(at)), np.eye(len(at)) / PULL))
 
     settled = {"xtol": _SETTLED, "ftol": _SETTLED, "max_nfev": MOST_ROUNDS}
     for stage in ("First search", "Second search"):
-        own = _sigma(problem.errors([scale.servos(x)])[0]), stage, itertools.count(1)
-        x = least_squares(residuals, x, jacobian, bounds, args=own, **settled).x
+        done, sigma = 0.0, _sigma(problem.errors([scale.servos(x)])[0])
+        x = least_squares(residuals, x, jacobian, bounds, args=(sigma, stage), **settled).x
         progress.advance(stage, 1.0, 1.0, "")
-    return _judged(problem, scale, x, bounds)
+    return _judged(problem, scale, x)
 
 
 def _sigma(errors: Array) -> Array:
@@ -312,31 +371,32 @@ def _sigma(errors: Array) -> Array:
     return np.asarray(np.sqrt(np.mean(errors**2, axis=0)) + 1e-9)
 
 
-def _slopes(problem: Problem, scale: Scale, x: Array, bounds: tuple[Array, Array]) -> Array:
+def _slopes(problem: Problem, scale: Scale, x: Array) -> Array:
     """Return the derivative (M, n, p) of the errors, by central differences.
 
     Differences to one side would hide the directions in which hardly anything changes.
     """
-    low, high = np.maximum(x - _STEP, bounds[0]), np.minimum(x + _STEP, bounds[1])
+    least, most = scale.bounds()
+    low, high = np.maximum(x - _STEP, least), np.minimum(x + _STEP, most)
     moved = np.vstack([np.where(np.eye(len(x), dtype=bool), end, x) for end in (low, high)])
     low_errors, high_errors = np.split(problem.errors([scale.servos(each) for each in moved]), 2)
     return np.moveaxis(high_errors - low_errors, 0, -1) / (high - low)
 
 
-def _judged(problem: Problem, scale: Scale, x: Array, bounds: tuple[Array, Array]) -> ServoFit:
+def _judged(problem: Problem, scale: Scale, x: Array) -> ServoFit:
     """Return the result with its errors: noise as long-lived as the residuals' own.
 
     A number that is next to nothing may still be as large as is usual: what is known beforehand of
     each is its usual size, or the pull of the search where that is wider.
     """
-    servos = scale.servos(x)
-    derivative, free = scale.derivative(servos), scale.free
+    servos, free = scale.servos(x), scale.free
+    derivative = scale.derivative(servos)
     reach = np.maximum(scale.size.vector()[free] / derivative, 1.0) * PULL
     residuals = problem.errors([servos])[0]
     sigma = _sigma(residuals)
     normal = np.diag(reach**-2.0)
     score = normal.copy()
-    slopes = _slopes(problem, scale, x, bounds) / sigma[:, None]
+    slopes = _slopes(problem, scale, x) / sigma[:, None]
     for rows, own in zip(np.moveaxis(slopes, 1, 0), residuals.T):
         normal += rows.T @ rows
         score += correlation_stretch(own) * rows.T @ rows
@@ -375,9 +435,9 @@ def with_links_error(fit: ServoFit, share: Array) -> ServoFit:
 
     All numbers of a joint grow together with the links' torque, so links that are off by
     ``LINKS_WRONG`` move them by as much; and where that torque is a small share of the whole, what
-    no model explains (``UNEXPLAINED`` of the whole) passes for a part of it; below ``LEAST_SHARE``
-    it may be anything, and the errors are as large as the numbers. A step h of the
-    implicit integrator adds an apparent rotor inertia of h times the damping, which no arm has.
+    no model explains passes for a part of it; below ``LEAST_SHARE`` it may be anything, and the
+    errors are as large as the numbers. A step h of the implicit integrator adds an apparent rotor
+    inertia of h times the damping, which no arm has.
 
     Args:
         share: (n,) root mean square torque of the links over that of all.

@@ -21,11 +21,9 @@ from numpy.typing import NDArray
 
 from robot_sysid.model.chain import actuators_on
 from robot_sysid.records import Array, RobotModel
-from robot_sysid.simulation.rollout.playback import Inputs, interpolated, roll, rollout_copy
+from robot_sysid.simulation.playback import Inputs, interpolated, roll, rollout_copy
 
 NONE = -1
-HOLDS_DELAY = hasattr(mujoco.MjModel, "actuator_delay")
-"""Whether the installed MuJoCo's actuators can act late."""
 
 
 @dataclass(frozen=True)
@@ -121,6 +119,14 @@ def _is_position(model: Any, actuator: int) -> bool:
     return bool(fixed and affine and kp > 0.0 and bias[0] == 0.0 and bias[1] == -kp)
 
 
+def model_servos(robot: RobotModel) -> Servos:
+    """Return the model's own numbers, never late; gains are NaN where it has no position servo."""
+    model, dofs, actuators = robot.mj_model, robot.dof_index, actuators_of(robot)
+    damping = model.dof_damping[dofs] + np.nan_to_num(actuators.damping)
+    rest = model.dof_frictionloss[dofs], model.dof_armature[dofs]
+    return Servos(actuators.stiffness, damping, *rest, 0.0)
+
+
 def servo_copy(robot: RobotModel, servos: Servos, timestep: float) -> Any:
     """Return a copy of an arm's model with these servos and joints, to be rolled out."""
     model, dofs, actuators = rollout_copy(robot, timestep), robot.dof_index, actuators_of(robot)
@@ -129,8 +135,8 @@ def servo_copy(robot: RobotModel, servos: Servos, timestep: float) -> Any:
     model.actuator_biastype[:] = int(mujoco.mjtBias.mjBIAS_AFFINE)
     model.actuator_gainprm[:] = model.actuator_biasprm[:] = 0.0
     model.actuator_ctrllimited[:] = 0
-    if HOLDS_DELAY:
-        # The delay is in the commands of a window already.
+    if hasattr(model, "actuator_delay"):
+        # Releases whose actuators can act late; the delay is in the commands of a window already.
         model.actuator_delay[:] = 0.0
     model.dof_armature[dofs], model.dof_frictionloss[dofs] = servos.armature, servos.frictionloss
     kv, driven = actuators.share * servos.damping, actuators.index != NONE

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from robot_sysid.records import Measurement
-from robot_sysid.simulation.rollout import playback
-from robot_sysid.simulation.rollout.playback import (
+from robot_sysid.simulation import playback
+from robot_sysid.simulation.playback import (
     STEP,
     Inputs,
     played,

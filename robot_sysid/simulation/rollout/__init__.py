@@ -1,1 +1,0 @@
-"""Models that are played: many rollouts at a time, in MuJoCo."""
