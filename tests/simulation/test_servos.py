@@ -15,7 +15,6 @@ from robot_sysid.simulation.servos import (
     servo_copy,
 )
 from tests.support.arms import robot_of
-from tests.support.releases import since
 from tests.support.servo_logs import SERVOS, TRUTH, XML, commanded
 
 EDGES = np.linspace(0.0, 1.0, 501)
