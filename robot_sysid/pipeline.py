@@ -292,8 +292,7 @@ def _of_plant(
     least, ramp = _past_the_ramp(config.estimation, simulation)
     if arm.save_measurements is not None:
         write_measurement_csv(arm.save_measurements, robot.joint_names, [samples], ramp)
-    band = config.estimation.velocity_deadband
-    notes = (*plant.notes, *simulation.notes((least or None) if band is None else band), *ramp)
+    notes = (*plant.notes, *simulation.notes(), *ramp)
     detail = f"{arm.plant_model}, {arm.simulation}"
     origin = DataOrigin(Source.SIMULATED_ARM, detail, plan.duration, rate, seed)
     pieces = [Piece(str(arm.plant_model), samples, least_deadband=least)]

@@ -25,7 +25,7 @@ import numpy as np
 from robot_sysid.errors import InputError, SimulationError
 from robot_sysid.model.compilation import captured_warnings
 from robot_sysid.records import Array, Measurement, Motion, MotionPlan, RobotModel
-from robot_sysid.records.options import PerJoint, per_joint
+from robot_sysid.records.options import per_joint
 from robot_sysid.simulation.forward_dynamics import ForwardPlant, RampUse
 from robot_sysid.simulation.sensors import Sensors, SimulatedArmOptions
 from robot_sysid.simulator import simulate_inverse
@@ -96,7 +96,7 @@ class ClosedLoop:
                 measurement = self._chunk(time, held, feed_forward)
             yield measurement
 
-    def notes(self, deadband: PerJoint | None = None) -> tuple[str, ...]:
+    def notes(self) -> tuple[str, ...]:
         """Return what the run showed so far: torque limits met, dry friction that does not show."""
         limits = tuple(
             f"the plant's {self._plant.joint_names[j]} was at its torque limit of "
@@ -104,7 +104,7 @@ class ClosedLoop:
             f"{100.0 * self.limited[j] / self._ticks:.2g} % of the time"
             for j in np.flatnonzero(self.limited)
         )
-        return limits + self.ramp_use.sentences(deadband)
+        return limits + self.ramp_use.sentences()
 
     def _chunk(self, time: Array, motion: Motion, feed_forward: Array) -> Measurement:
         samples = np.empty((5, len(time), self._plant.n_joints))
@@ -199,12 +199,9 @@ class PlantSimulation:
         motions = motion_chunks(self._plan, self._sample_rate)
         return self._sensors.read(simulate_inverse(self._plant, motions))
 
-    def notes(self, deadband: PerJoint | None = None) -> tuple[str, ...]:
-        """Return what the last reading showed, one sentence each; ask once it is at its end.
-
-        The ``deadband`` is that of ``RampUse.sentences``.
-        """
-        return () if self._loop is None else self._loop.notes(deadband)
+    def notes(self) -> tuple[str, ...]:
+        """Return what the last reading showed, one sentence each; ask once it is at its end."""
+        return () if self._loop is None else self._loop.notes()
 
     def least_deadband(self) -> tuple[float, ...]:
         """Return (n,) speeds below which MuJoCo's dry friction was not complete [rad/s].

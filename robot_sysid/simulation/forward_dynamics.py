@@ -38,8 +38,6 @@ from numpy.typing import NDArray
 from robot_sysid.dynamics.kinematics import analysis_copy, inverse_dynamics
 from robot_sysid.errors import SimulationError
 from robot_sysid.records import Array, RobotModel
-from robot_sysid.records.options import PerJoint
-from robot_sysid.signals.process import USUAL_DEADBAND
 
 HELD_ARMATURE = 1e9
 """Armature that holds joints outside the chain still [kg m^2]."""
@@ -180,10 +178,11 @@ class ForwardPlant:
         It is the largest eigenvalue of M^-1 B over the configurations (K, n), M the mass matrix
         and B the damping; the joint is the one that moves most in its eigenvector.
         """
-        units = np.eye(self._plant.n_joints)
-        at_rest = self._passive(np.zeros_like(units[0]))
-        damping = np.column_stack([at_rest - self._passive(unit) for unit in units])
-        rates = []
+        units, passive, rates = np.eye(self._plant.n_joints), [], []
+        for qd in (0.0 * units[0], *units):
+            self.reset(self._plant.reference, qd)
+            passive.append(np.array(self.data.qfrc_passive[self._plant.dof_index]))
+        damping = np.column_stack([passive[0] - torque for torque in passive[1:]])
         for q in configurations:
             self.reset(q, np.zeros_like(q))
             mass = np.column_stack([self.times_mass(unit) for unit in units])
@@ -193,11 +192,6 @@ class ForwardPlant:
             joint = int(np.argmax(np.abs(vectors[:, fastest])))
             rates.append((float(values.real[fastest]), joint))
         return max(rates)
-
-    def _passive(self, qd: Array) -> Array:
-        """Return the torques (n,) of springs and dampers at rest position and velocities (n,)."""
-        self.reset(self._plant.reference, qd)
-        return np.array(self.data.qfrc_passive[self._plant.dof_index])
 
     def _require_positive(self, mass: Array) -> None:
         """Raise SimulationError unless every motion of the chain has a positive kinetic energy."""
@@ -213,6 +207,7 @@ class ForwardPlant:
 
 STANDSTILL = 1e-6
 """Highest speed of a joint that is taken not to move at all [rad/s]."""
+# MuJoCo's solver reaches the Coulomb level to about this share.
 _FULL = 1e-6
 
 
@@ -241,8 +236,7 @@ class RampUse:
 
     def __init__(self, joints: tuple[str, ...], ramp: FrictionRamp) -> None:
         self._joints, self._ramp = joints, ramp
-        self._samples = 0
-        self._full = np.zeros(len(joints), dtype=np.int64)
+        self._was_full = np.zeros(len(joints), dtype=bool)
         self._speed = np.zeros(len(joints))
         self.ramp_speed: Array = np.zeros(len(joints))
 
@@ -250,40 +244,26 @@ class RampUse:
         """Count a chunk: velocities (N, n) and resisting dry friction torques (N, n) [N m]."""
         full = dry * np.sign(qd) >= (1.0 - _FULL) * self._ramp.coulomb
         speed = np.abs(qd)
-        self._samples += len(qd)
-        self._full += np.count_nonzero(full, axis=0)
+        self._was_full |= np.any(full, axis=0)
         self._speed = np.maximum(self._speed, np.max(speed, axis=0))
-        on_ramp = np.max(np.where(full, 0.0, speed), axis=0)
-        self.ramp_speed = np.maximum(self.ramp_speed, on_ramp)
-
-    @property
-    def share(self) -> Array:
-        """Share of the samples (n,) with full dry friction; 1 for joints that have none."""
-        return np.where(self._ramp.coulomb > 0.0, self._full / max(self._samples, 1), 1.0)
+        self.ramp_speed = np.maximum(self.ramp_speed, np.max(np.where(full, 0.0, speed), axis=0))
 
     @property
     def never_full(self) -> tuple[str, ...]:
         """Names of the joints whose dry friction never reaches its full size."""
-        return tuple(name for name, share in zip(self._joints, self.share) if share == 0.0)
+        never = (self._ramp.coulomb > 0.0) & ~self._was_full
+        return tuple(self._joints[j] for j in np.flatnonzero(never))
 
-    def sentences(self, deadband: PerJoint | None = None) -> tuple[str, ...]:
-        """Return what the user should know, one sentence each.
-
-        Args:
-            deadband: speed below which samples are going to be left out [rad/s]; None stands for
-                the usual share of each joint's highest speed.
-        """
-        moving = self._speed >= STANDSTILL
-        never = (self.share == 0.0) & moving
-        left_out = USUAL_DEADBAND * self._speed if deadband is None else deadband
-        partly = (self.ramp_speed > left_out) & ~never & moving
-        still = (self._ramp.coulomb > 0.0) & ~moving
-        found = [self._never(int(j)) for j in np.flatnonzero(never)]
-        found += [self._partly(np.flatnonzero(partly))] if np.any(partly) else []
-        found += [
-            f"{self._joints[j]} does not move, so its friction does not show in the data"
-            for j in np.flatnonzero(still)
-        ]
+    def sentences(self) -> tuple[str, ...]:
+        """Return what the user should know, one sentence each."""
+        found = []
+        for j in np.flatnonzero(self._ramp.coulomb > 0.0).tolist():
+            if self._speed[j] < STANDSTILL:
+                found.append(
+                    f"{self._joints[j]} does not move, so its friction does not show in the data"
+                )
+            elif self._joints[j] in self.never_full:
+                found.append(self._never(j))
         return tuple(found)
 
     def _never(self, j: int) -> str:
@@ -295,19 +275,6 @@ class RampUse:
             f"rad/s. It acts as {viscous:.2g} N m s/rad of extra viscous friction, so its Coulomb "
             "coefficient cannot be identified; give the joint armature in the plant model or let "
             "it move faster"
-        )
-
-    def _partly(self, joints: NDArray[np.int64]) -> str:
-        listed = ", ".join(f"{self._joints[j]} {self.ramp_speed[j]:.2g}" for j in joints)
-        highest = float(np.max(self.ramp_speed[joints]))
-        # The next number of two digits that is not smaller.
-        step = 10.0 ** (math.floor(math.log10(highest)) - 1)
-        covering = float(f"{math.ceil(highest / step) * step:.2g}")
-        return (
-            f"MuJoCo's frictionloss is incomplete below these speeds in rad/s: {listed}. Friction "
-            "coefficients come out wrong unless slower samples are left out "
-            f"(--velocity-deadband {covering:g} covers all joints); armature in the "
-            "plant model lowers these speeds"
         )
 
 

@@ -33,21 +33,12 @@ from tests.support.closed_loop_proof import (
 )
 from tests.support.places import MODELS
 
+# The heaviest, one of two arms, the lightest with stiff damping.
 PUBLIC_ARMS = {
     "kinova_gen3/gen3.xml": None,
-    "kinova_gen3/gen3_7dof_2023.xml": None,
-    "franka_panda/panda.xml": None,
-    "franka_fr3/FrankaFR3_7DoF.urdf": None,
-    "kuka_iiwa_14/iiwa14.xml": None,
-    "universal_robots_ur5e/ur5e.xml": None,
-    "ufactory_xarm7/xarm7.xml": None,
-    "ufactory_xarm7/xarm7_nohand.xml": None,
-    "trossen/wxai/wxai_follower.xml": None,
-    "openarm_v2/openarm_bimanual.xml": "openarm_left_joint7",
     "aloha/aloha.xml": "left/wrist_rotate",
     "so101/so101_new_calib.xml": "wrist_roll",
 }
-CANNOT_MOVE_WITHIN_LIMITS = {"limits violated"}
 
 
 def swing(robot, speed=1.0, duration=4.0, frequency=0.5):
@@ -62,7 +53,7 @@ def swing(robot, speed=1.0, duration=4.0, frequency=0.5):
     )
 
 
-@pytest.mark.parametrize("name", sorted(set(arms.MODELS) - CANNOT_MOVE_WITHIN_LIMITS))
+@pytest.mark.parametrize("name", ["seven", "slide in chain", "coupled fingers", "dry friction"])
 def test_the_log_obeys_the_equations_of_motion_and_the_trajectory_is_followed(name):
     robot = robot_of(arms.MODELS[name])
     plan = swing(robot, duration=1.0)
@@ -99,14 +90,6 @@ def test_the_control_period_divides_the_sample_period_and_is_at_most_the_models_
     assert ClosedLoop(robot, swing(robot), rate).period == pytest.approx(period, rel=1e-12)
     slower = ClosedLoop(robot, swing(robot), 300.0)
     assert slower.period == pytest.approx(1.0 / 600.0, rel=1e-12)
-
-
-def test_a_second_run_is_the_same_bit_by_bit():
-    robot = robot_of(arms.DRY_FRICTION)
-    loop = ClosedLoop(robot, swing(robot, duration=1.0), 200.0)
-    first, second = recorded(loop), recorded(loop)
-    np.testing.assert_array_equal(first.tau, second.tau)
-    np.testing.assert_array_equal(first.q, second.q)
 
 
 def with_torque_limit(robot, limit):
@@ -161,13 +144,6 @@ def test_impossible_inertias_are_refused_before_the_run(capfd):
     assert capfd.readouterr().err == ""
 
 
-def test_the_first_chunk_comes_before_the_rest_is_simulated():
-    robot = robot_of(arms.THREE)
-    loop = ClosedLoop(robot, swing(robot, duration=1000.0), 200.0)
-    first = next(loop.run())
-    assert first.time[-1] < 20.0
-
-
 @pytest.fixture(scope="module")
 def arm():
     """The seven-joint arm without friction of its own, as the engineer believes it to be."""
@@ -190,9 +166,7 @@ def test_without_leaving_out_the_ramp_friction_would_be_wrong(arm, proof):
     _, log, loop = proof
     plant = plant_from(arm)
     assert errors_of(identified(arm, log, 0.0), plant).viscous > 0.2
-    assert loop.ramp_use.never_full == ()
-    assert "--velocity-deadband" in loop.notes()[0]
-    assert loop.notes(deadband=0.2) == ()
+    assert loop.ramp_use.never_full == () == loop.notes()
 
 
 def test_a_wrist_without_armature_is_reported_because_its_friction_never_saturates(arm):
@@ -270,26 +244,6 @@ def test_reading_twice_gives_the_same_measurements(plant, plan, simulation):
     first, second = joined(measurements), joined(measurements)
     np.testing.assert_array_equal(first.tau, second.tau)
     np.testing.assert_array_equal(first.q, second.q)
-
-
-@pytest.mark.parametrize("simulation", ["inverse", "forward"])
-def test_sensors_act_on_what_perfect_ones_would_see(plant, plan, simulation):
-    measurements = run(plant, plan, simulation, encoder_resolution=1e-3, noise_torque=0.05)
-    exact, seen = joined(run(plant, plan, simulation)), joined(measurements)
-    assert seen.qd is None and seen.qdd is None
-    assert np.max(np.abs(seen.q - exact.q)) <= 0.5e-3 * (1.0 + 1e-9)
-    assert np.std(seen.tau - exact.tau) == pytest.approx(0.05, rel=0.1)
-
-
-def test_notes_of_the_inverse_simulation_are_empty(plant, plan):
-    measurements = run(plant, plan, "inverse")
-    joined(measurements)
-    assert measurements.notes() == ()
-
-
-def test_what_was_asked_for_is_checked_by_name():
-    with pytest.raises(InputError, match="--simulation 'both': choose one of inverse, forward"):
-        SimulatedArmOptions(simulation="both")
 
 
 def test_noise_levels_and_trajectory_must_fit_the_plant(plant, plan):

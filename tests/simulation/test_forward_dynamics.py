@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 
-import mujoco
 import numpy as np
 import pytest
 from hypothesis import given
@@ -25,7 +24,7 @@ def forward(robot, period=PERIOD):
     return ForwardPlant(robot, period, robot.reference[None])
 
 
-@pytest.mark.parametrize("name", arms.MODELS)
+@pytest.mark.parametrize("name", ["seven", "slide in chain", "coupled fingers", "dry friction"])
 def test_torques_are_rigid_body_dynamics_plus_damping_plus_dry_friction(name):
     robot = robot_of(arms.MODELS[name])
     motion = random_motion(np.random.default_rng(1), robot.n_joints, 5)
@@ -78,21 +77,6 @@ def test_what_is_not_in_the_chain_stays_where_it_is(name):
     assert np.max(np.abs(plant.state()[0] - robot.reference)) > 0.01
 
 
-def test_held_fingers_load_the_arm_as_if_they_were_welded():
-    welded = arms.MODELS["coupled fingers"]
-    for cut in ('<joint name="left_finger_joint"', '<joint name="right_finger_joint"'):
-        start = welded.index(cut)
-        welded = welded[:start] + welded[welded.index("/>", start) + 2 :]
-    welded = welded[: welded.index("<tendon>")] + "</mujoco>"
-    with_fingers, without = robot_of(arms.COUPLED_FINGERS), robot_of(welded)
-    found = []
-    for robot in (with_fingers, without):
-        plant = forward(robot)
-        plant.reset(robot.reference, np.ones(robot.n_joints))
-        found.append(plant.acceleration(np.zeros(robot.n_joints)))
-    np.testing.assert_allclose(found[0], found[1], rtol=1e-7)
-
-
 @given(st.floats(1e-3, 100.0))
 def test_steps_are_short_enough_for_the_plants_damping(damping):
     xml = arms.serial_arm((arms.Z,), joint=f'damping="{damping}"', option='gravity="0 0 0"')
@@ -122,16 +106,6 @@ def test_a_plant_too_stiff_to_simulate_is_refused_by_joint():
     model.body_mass[2], model.body_inertia[2] = 1e-6, 1e-10
     with pytest.raises(SimulationError, match="joint1 of the plant is too stiff"):
         forward(robot_of(model))
-
-
-def test_the_robots_own_model_is_left_alone():
-    robot = robot_of(arms.DRY_FRICTION)
-    before = robot.mj_model.opt.timestep, robot.mj_model.dof_armature.copy()
-    plant = forward(robot, 3e-4)
-    plant.step(np.zeros(3))
-    assert robot.mj_model.opt.timestep == before[0]
-    np.testing.assert_array_equal(robot.mj_model.dof_armature, before[1])
-    assert int(robot.mj_model.opt.integrator) != int(mujoco.mjtIntegrator.mjINT_RK4)
 
 
 JOINTS = ("shoulder", "elbow", "wrist")
@@ -167,40 +141,14 @@ def test_above_the_ramp_speed_coulombs_law_is_exact(seed, scale):
     np.testing.assert_allclose(found[faster], law[faster], rtol=1e-5, atol=0.0)
 
 
-@given(SEEDS, st.integers(1, 199))
-def test_counts_do_not_depend_on_how_the_stream_is_cut(seed, edge):
-    qd, qdd = np.random.default_rng(seed).normal(size=(2, 200, 3))
-    dry = ramp_torque(ramp(), qd, qdd)
-    whole, parts = RampUse(JOINTS, ramp()), RampUse(JOINTS, ramp())
-    whole.add(qd, dry)
-    for rows in (slice(0, edge), slice(edge, None)):
-        parts.add(qd[rows], dry[rows])
-    np.testing.assert_array_equal(whole.share, parts.share)
-    np.testing.assert_array_equal(whole.ramp_speed, parts.ramp_speed)
-
-
 def test_a_slow_light_joint_is_the_one_that_never_gets_there():
     use = use_of(*sine(1.0))
     assert use.never_full == ("wrist",)
-    (sentence,) = use.sentences(deadband=0.1)
+    (sentence,) = use.sentences()
     # 1 N m over 5e-3 kg m^2 times 105 1/s is 1.9 rad/s and 0.53 N m s/rad.
     assert "wrist (1 N m) is never reached" in sentence
     assert "above about 1.9 rad/s" in sentence and "below 1 rad/s" in sentence
     assert "0.53 N m s/rad" in sentence
-
-
-def test_the_same_joint_with_armature_shows_its_friction():
-    assert use_of(*sine(1.0), ramp(inertia=(0.9, 0.0, 0.9))).sentences(deadband=0.1) == ()
-
-
-def test_joints_with_samples_on_their_ramp_are_told_where_to_mask():
-    use = use_of(*sine(4.0))
-    assert use.never_full == ()
-    (sentence,) = use.sentences()
-    assert f"wrist {use.ramp_speed[2]:.2g}" in sentence and "shoulder" in sentence
-    advised = float(sentence.split("--velocity-deadband ")[1].split()[0])
-    assert np.max(use.ramp_speed) <= advised < 1.1 * np.max(use.ramp_speed)
-    assert use.sentences(deadband=advised) == ()
 
 
 def test_a_joint_at_rest_is_said_to_show_nothing():

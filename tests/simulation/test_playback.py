@@ -60,12 +60,6 @@ def test_an_error_that_runs_away_counts_with_the_largest_one():
     assert np.all(error <= np.pi + 1e-12)
 
 
-def test_a_piece_has_no_window_that_is_longer():
-    piece = recording(arm())
-    assert starts([piece], 1.3) == []
-    assert len(starts([piece, piece], 0.1)) == 24
-
-
 STEPS, COUNT = 30, 4
 
 

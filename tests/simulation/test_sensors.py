@@ -49,13 +49,6 @@ def same(first, second):
     )
 
 
-def test_perfect_sensors_change_nothing():
-    exact = smooth()
-    seen = read([exact])
-    assert SimulatedArmOptions().exact_positions
-    assert same(seen, exact) and np.array_equal(seen.qdd, exact.qdd)
-
-
 @given(st.lists(st.integers(1, 150), max_size=8), SEEDS)
 def test_readings_do_not_depend_on_how_the_stream_is_cut(lengths, seed):
     spoil = {
@@ -68,26 +61,15 @@ def test_readings_do_not_depend_on_how_the_stream_is_cut(lengths, seed):
     assert same(read([exact], seed, **spoil), read(cut(exact, lengths), seed, **spoil))
 
 
-def test_the_same_sensors_give_the_same_readings_twice():
-    sensors = Sensors(SimulatedArmOptions(noise_torque=0.1), RATE, np.random.default_rng(3))
-    first, second = (next(sensors.read([smooth()])) for _ in range(2))
-    assert same(first, second)
-
-
 def test_noise_has_the_standard_deviation_asked_for_joint_by_joint():
     exact = smooth(60_000)
     levels = np.array([0.1, 0.5, 2.0])
     seen = read([exact], noise_torque=tuple(levels), noise_position=0.02)
+    # An arm with only encoders would have to compute them from those same positions.
+    assert seen.qd is None and seen.qdd is None
     # 60 000 draws: the spread of an estimated deviation is 0.3 %; 1.5 % is five times that.
     np.testing.assert_allclose(np.std(seen.tau - exact.tau, axis=0), levels, rtol=0.015)
     np.testing.assert_allclose(np.std(seen.q - exact.q, axis=0), 0.02, rtol=0.015)
-
-
-def test_torque_and_position_noise_are_independent():
-    exact = smooth(60_000, joints=1)
-    seen = read([exact], noise_torque=1.0, noise_position=1.0)
-    correlation = np.corrcoef((seen.tau - exact.tau)[:, 0], (seen.q - exact.q)[:, 0])[0, 1]
-    assert abs(correlation) < 5.0 / np.sqrt(60_000)
 
 
 @given(st.floats(1e-6, 0.1), SEEDS)
@@ -97,18 +79,6 @@ def test_quantised_positions_are_multiples_of_the_step_and_nearest(step, seed):
     assert np.all(np.abs(seen - values) <= 0.5 * step * (1.0 + 1e-9))
     np.testing.assert_allclose(seen / step, np.round(seen / step), rtol=0.0, atol=1e-6)
     np.testing.assert_array_equal(quantised(seen, step), seen)
-
-
-@pytest.mark.parametrize("spoil", [{"noise_position": 1e-4}, {"encoder_resolution": 1e-4}])
-def test_spoiled_positions_take_velocities_and_accelerations_along(spoil):
-    seen = read([smooth()], **spoil)
-    assert seen.qd is None and seen.qdd is None
-
-
-def test_spoiled_torques_leave_the_motion_exact():
-    exact = smooth()
-    seen = read([exact], noise_torque=0.1, torque_delay=0.01)
-    assert np.array_equal(seen.qdd, exact.qdd) and np.array_equal(seen.qd, exact.qd)
 
 
 @given(st.floats(0.0, 0.05))
@@ -123,24 +93,9 @@ def test_a_delayed_torque_is_the_torque_that_much_earlier(delay):
     np.testing.assert_allclose(seen.tau[settled], 10.0 * np.sin(angle), rtol=0.0, atol=1.01 * bound)
 
 
-@pytest.mark.parametrize("periods", [1, 3, 7])
-def test_a_delay_of_whole_samples_is_exact(periods):
-    exact = smooth()
-    seen = read([exact], torque_delay=periods / RATE)
-    np.testing.assert_array_equal(seen.tau[periods:], exact.tau[:-periods])
-    np.testing.assert_array_equal(seen.tau[:periods], np.repeat(exact.tau[:1], periods, axis=0))
-
-
 @pytest.mark.parametrize(
     ("spoil", "option"),
-    [
-        ({"noise_torque": -0.1}, "--noise-torque"),
-        ({"noise_torque": (0.1, float("nan"))}, "--noise-torque"),
-        ({"noise_position": float("inf")}, "--noise-position"),
-        ({"encoder_resolution": -1e-4}, "--encoder-resolution"),
-        ({"torque_delay": -0.001}, "--torque-delay"),
-        ({"torque_delay": 5.0}, "--torque-delay"),
-    ],
+    [({"noise_torque": -0.1}, "--noise-torque"), ({"torque_delay": 5.0}, "--torque-delay")],
 )
 def test_impossible_sensors_are_refused_by_the_option_name(spoil, option):
     with pytest.raises(InputError, match=option):

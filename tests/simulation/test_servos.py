@@ -79,12 +79,6 @@ def test_commands_act_late_and_hold_until_the_next(delay):
     np.testing.assert_allclose(control.mean(axis=0), mean, atol=1e-12)
 
 
-def test_a_geared_actuator_is_seen_at_the_joint():
-    robot = robot_of(XML.replace('gainprm="100"', 'gainprm="100" gear="2"'))
-    own = actuators_of(robot)
-    assert own.stiffness[0] == 400.0 and own.damping[0] == 8.0 and own.limit[0] == 120.0
-
-
 @pytest.mark.skipif(
     not hasattr(mujoco.MjModel, "actuator_delay"), reason="actuators of this MuJoCo cannot act late"
 )
