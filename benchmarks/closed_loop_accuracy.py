@@ -12,17 +12,22 @@ from __future__ import annotations
 
 import numpy as np
 
+from robot_sysid.dynamics.equations import Equations
+from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.dynamics.kinematics import ArmDynamics
+from robot_sysid.estimation.algebra.information import InformationAccumulator
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
+from robot_sysid.signals.process import process
 from robot_sysid.simulation.closed_loop import ClosedLoop
 from robot_sysid.simulation.sensors import Sensors, SimulatedArmOptions
+from robot_sysid.solver import identify_parameters
 from tests.support.closed_loop_proof import (
+    TERMS,
     differentiated,
     errors_of,
     excitation,
     identified,
-    identified_from_log,
     plant_from,
     proof_run,
     recorded,
@@ -31,6 +36,19 @@ from tests.support.places import GUESS
 
 RATE = 1000.0
 SEEDS = (1, 2, 3)
+
+
+def identified_from_log(robot, log, deadband, terms=TERMS):
+    """The same from positions and torques by way of low-pass, derivatives and decimation."""
+    signals = process(log, robot.joint_names, deadband=deadband)
+    equations = Equations(robot, "chain", (FrictionModel(terms),) * robot.n_joints)
+    rows_of_joint = InformationAccumulator(equations.names, equations.joints, equations.columns)
+    motion = Measurement(signals.time, signals.q, signals.qd, signals.tau, signals.qdd)
+    usable = signals.usable()
+    for index, (rows, tau) in enumerate(equations.rows(motion)):
+        decimated = signals.decimator().push(np.column_stack((rows, tau)))[usable[:, index]]
+        rows_of_joint.add(index, decimated[:, :-1], decimated[:, -1])
+    return identify_parameters(rows_of_joint.result(), equations.prior)
 
 
 def main() -> None:

@@ -18,7 +18,6 @@ from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.estimation.algebra.information import InformationAccumulator
 from robot_sysid.model.inertia import composite_theta
 from robot_sysid.records import InertialParameters, JointFriction, Measurement
-from robot_sysid.signals.process import process
 from robot_sysid.simulation.closed_loop import ClosedLoop
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.solver import identify_parameters
@@ -84,19 +83,6 @@ def identified(robot, log, deadband, terms=TERMS):
     for index, (rows, tau) in enumerate(equations.rows(log)):
         fast = np.abs(log.qd[:, index]) > np.broadcast_to(deadband, robot.n_joints)[index]
         rows_of_joint.add(index, rows[fast], tau[fast])
-    return identify_parameters(rows_of_joint.result(), equations.prior)
-
-
-def identified_from_log(robot, log, deadband, terms=TERMS):
-    """The same from positions and torques by way of low-pass, derivatives and decimation."""
-    signals = process(log, robot.joint_names, deadband=deadband)
-    equations = Equations(robot, "chain", (FrictionModel(terms),) * robot.n_joints)
-    rows_of_joint = InformationAccumulator(equations.names, equations.joints, equations.columns)
-    motion = Measurement(signals.time, signals.q, signals.qd, signals.tau, signals.qdd)
-    usable = signals.usable()
-    for index, (rows, tau) in enumerate(equations.rows(motion)):
-        decimated = signals.decimator().push(np.column_stack((rows, tau)))[usable[:, index]]
-        rows_of_joint.add(index, decimated[:, :-1], decimated[:, -1])
     return identify_parameters(rows_of_joint.result(), equations.prior)
 
 

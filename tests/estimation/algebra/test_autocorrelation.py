@@ -54,13 +54,6 @@ def test_effective_samples_of_noise_with_a_known_memory(memory):
     assert found.effective_samples(kernels) == pytest.approx(expected, rel=0.2)
 
 
-def test_silence_is_not_an_error():
-    found = collected(np.ones((50, 2)), np.zeros(50))
-    kernels = found.fit(0.01 * np.eye(2), 0.0)
-    np.testing.assert_array_equal(kernels, 0.0)
-    assert found.effective_samples(kernels) == 50.0
-
-
 def test_an_absorbed_share_is_that_of_the_dense_projection():
     rng = np.random.default_rng(2)
     rows = np.column_stack((np.ones(70), np.linspace(-1.0, 1.0, 70), rng.normal(size=70)))

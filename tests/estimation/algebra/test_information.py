@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.estimation.algebra.information import (
     InformationAccumulator,
     combined,
-    joint_rmse,
     restricted,
-    sample_counts,
     update_triangle,
 )
 
@@ -67,28 +64,6 @@ def test_triangle_gives_the_residual_of_all_rows(seed, chunks):
     np.testing.assert_allclose(information.squared_residuals(values), [expected], rtol=1e-12)
     matrix, right = information.stacked()
     np.testing.assert_allclose(np.sum((matrix @ values - right) ** 2), expected, rtol=1e-12)
-
-
-@given(SEEDS)
-def test_stacked_equations_have_the_solution_of_all_rows(seed):
-    rng = np.random.default_rng(seed)
-    accumulator = InformationAccumulator(tuple("abcd"), ["i", "j"], [np.arange(4), np.arange(4)])
-    blocks = [(rng.normal(size=(30, 4)), rng.normal(size=30)) for _ in range(2)]
-    for index, (rows, tau) in enumerate(blocks):
-        accumulator.add(index, rows, tau)
-    weights = rng.uniform(0.5, 2.0, size=2)
-    full = np.vstack([w * rows for w, (rows, _) in zip(weights, blocks)])
-    right = np.concatenate([w * tau for w, (_, tau) in zip(weights, blocks)])
-    expected = np.linalg.lstsq(full, right, rcond=None)[0]
-    actual = np.linalg.lstsq(*accumulator.result().stacked(weights), rcond=None)[0]
-    np.testing.assert_allclose(actual, expected, atol=1e-12)
-
-
-def test_no_rows_are_no_information():
-    accumulator = InformationAccumulator(("a",), ["j"], [np.arange(1)])
-    information = accumulator.result()
-    assert information.n_samples == 0
-    assert not np.any(information.stacked()[0])
 
 
 NAMES = tuple("abcdef")
@@ -145,26 +120,3 @@ def test_restricting_holds_the_other_parameters_at_zero(seed, order, count):
     for joint, before in zip(smaller.joints, information.joints):
         assert (joint.joint, joint.n_samples) == (before.joint, before.n_samples)
         np.testing.assert_array_equal(joint.triangle, np.triu(joint.triangle))
-
-
-def test_a_joint_may_have_no_parameter():
-    accumulator = InformationAccumulator(NAMES, ["held"], [[]])
-    accumulator.add(0, np.zeros((2, 0)), np.array([3.0, 4.0]))
-    information = accumulator.result()
-    assert information.squared_residuals(np.ones(6)) == pytest.approx([25.0])
-    assert not np.any(information.stacked()[0])
-
-
-@given(SEEDS)
-def test_rmse_is_that_of_each_joints_rows(seed):
-    rng = np.random.default_rng(seed)
-    columns = [np.arange(6), rng.permutation(6)[:2], np.arange(1)]
-    accumulator = InformationAccumulator(NAMES, ["i", "j", "unused"], columns)
-    counts, values, expected = rng.integers(1, 30, 2), rng.normal(size=6), []
-    for index, count in enumerate(counts):
-        rows, tau = rng.normal(size=(count, len(columns[index]))), rng.normal(size=count)
-        accumulator.add(index, rows, tau)
-        expected.append(np.sqrt(np.mean((rows @ values[columns[index]] - tau) ** 2)))
-    information = accumulator.result()
-    assert sample_counts(information).tolist() == [*counts, 0]
-    assert joint_rmse(information, values) == pytest.approx([*expected, 0.0], rel=1e-11)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.estimation.algebra.least_squares import joint_noise, leverage
+from robot_sysid.estimation.algebra.least_squares import joint_noise
 from tests.support.estimates import METHODS, identified
 from tests.support.synthetic_data import Samples, noisy_samples
 
@@ -51,14 +51,6 @@ def test_wls_reports_each_joints_noise_and_beats_ols_where_joints_differ():
     reported = identified(information, PRIOR, "wls").noise_per_joint
     assert np.median(ratios) < 0.3
     np.testing.assert_allclose(list(reported.values()), noises, rtol=0.2)
-
-
-@given(SEEDS)
-def test_leverages_sum_to_the_rank(seed):
-    samples, names, _, rng = noisy_samples(seed)
-    weights = rng.uniform(0.1, 10.0, 3)
-    total = np.sum(leverage(samples.information(names), weights))
-    assert total == pytest.approx(16.0, rel=1e-9)
 
 
 @pytest.mark.slow

@@ -82,27 +82,6 @@ def test_errors_by_cause_add_up_in_squares(seed):
     np.testing.assert_allclose(total, found.standard_errors**2, rtol=1e-8)
 
 
-def test_whole_errors_cover_what_noise_alone_does_not():
-    """Few rows, so that the nuisances are known by their prior and by data alike."""
-    rng = np.random.default_rng(0)
-    inside, of_noise = [], []
-    for _ in range(300):
-        groups = groups_of(rng, 0.2)
-        truth = np.concatenate((rng.normal(size=10), drawn(rng, groups)))
-        rows = rng.normal(size=(18, 16))
-        rows[:, 10:] = rows[:, :6] + 0.02 * rows[:, 10:]
-        accumulator = InformationAccumulator(NAMES, ["j"], [np.arange(16)])
-        accumulator.add(0, rows, rows @ truth + 0.01 * rng.normal(size=18))
-        information = with_prior(accumulator.result(), groups)
-        values = least_squares(information, np.zeros(16), np.array([100.0]))
-        errors = white_uncertainty(information, np.array([100.0]), np.array([0.01]))
-        off = np.abs(values - truth)[:6]
-        inside.append(off < 1.96 * errors.standard_errors[:6])
-        of_noise.append(off < 1.96 * errors.noise_errors[:6])
-    assert 0.93 < np.mean(inside) < 0.97
-    assert np.mean(of_noise) < 0.8
-
-
 @given(SEEDS, st.sampled_from([0.1, 1.0, 6.0, 1e3]))
 def test_a_prior_is_widened_to_what_the_data_asks_for_and_never_narrowed(seed, size):
     """The data knows each direction well: one that it knows no better than the prior asks less."""
@@ -121,7 +100,7 @@ def test_a_prior_is_widened_to_what_the_data_asks_for_and_never_narrowed(seed, s
 def test_what_the_data_asks_for_is_named_and_nothing_else():
     rng = np.random.default_rng(1)
     false = 0
-    for _ in range(100):
+    for _ in range(50):
         groups = groups_of(rng)
         truth = np.concatenate((rng.normal(size=10), groups[0].mean, np.zeros(2)))
         false += len(misfits(information_of(rng, truth)[0], np.array([0.1]), groups))
@@ -129,7 +108,7 @@ def test_what_the_data_asks_for_is_named_and_nothing_else():
         (found,) = misfits(information_of(rng, truth)[0], np.array([0.1]), groups)
         assert found.cause == "links" and found.asked > 1.0
     # One in a hundred per cause is what the test allows itself.
-    assert false <= 8
+    assert false <= 4
 
 
 @given(rigid_bodies(), rigid_bodies(), st.floats(0.001, 0.3))
@@ -154,7 +133,6 @@ def test_data_without_noise_gives_the_truth_whatever_the_prior(method):
     information, _ = information_of(rng, truth, 0.0)
     found = identified(information, np.zeros(16), method, nuisances=groups)
     np.testing.assert_allclose(found.values, truth, rtol=0.0, atol=1e-5)
-    assert len(found.identifiability.identified) == 10
     assert set(found.error_budget) == {"links", "scale"}
 
 

@@ -43,22 +43,6 @@ def test_white_covariance_is_the_sandwich_of_the_dense_rows(seed):
     np.testing.assert_allclose(found.standard_errors**2, np.diag(expected), rtol=1e-7)
 
 
-@given(SEEDS)
-def test_no_weights_beat_the_cramer_rao_bound(seed):
-    rng = np.random.default_rng(seed)
-    equations, names = arm_equations(rng)
-    information = information_of(equations, names, rng.normal(size=16))
-    noise = rng.uniform(0.1, 1.0, 3)
-    fisher = sum(r.T @ r / s**2 for s, r in zip(noise, dense(equations, 16)))
-    bound = np.linalg.inv(fisher)
-    best = white_uncertainty(information, 1.0 / noise, noise).covariance
-    other = white_uncertainty(information, rng.uniform(0.5, 2.0, 3), noise).covariance
-    np.testing.assert_allclose(best, bound, rtol=1e-7, atol=1e-13)
-    scale = np.sqrt(np.diag(bound))
-    gap = np.linalg.eigvalsh((other - bound) / np.outer(scale, scale))
-    assert gap[0] > -1e-8
-
-
 def test_unidentifiable_parameters_have_no_error_bars_and_no_share_of_the_data():
     rng = np.random.default_rng(0)
     truth = np.append(random_body(rng), [0.4, 0.1])
