@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks import whole_arm_runs as whole_arm
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.parser import load_robot_model
-from tests.support import whole_arm
 from tests.support.places import DATA
 
 URDF = DATA / "kuka_lwr4" / "kuka_lwr4.urdf"

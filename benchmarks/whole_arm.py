@@ -22,6 +22,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from benchmarks import whole_arm_runs as runs_of
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import SysidError
 from robot_sysid.estimation.algebra.base_parameters import base_combinations
@@ -31,7 +32,7 @@ from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.answer import parameter_scale, structural_base
 from robot_sysid.estimation.choices import CANDIDATES
 from robot_sysid.estimation.columns import Columns
-from robot_sysid.estimation.dataset import Dataset, JoinedSamples
+from robot_sysid.estimation.dataset import Dataset
 from robot_sysid.estimation.identify import Piece, answer_link, filtered, refit, tested
 from robot_sysid.estimation.result import result_of
 from robot_sysid.export import save
@@ -43,7 +44,6 @@ from robot_sysid.results.model import CHECKPOINTS
 from robot_sysid.signals.process import process
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
-from tests.support import whole_arm
 from tests.support.core_fits import ORIGIN
 from tests.support.log_files import read_measurements
 from tests.support.places import DATA, MODELS
@@ -214,7 +214,8 @@ def rank_of_log(robot, seconds: float = 15.0, rate: float = 200.0) -> int:
     q = np.vstack([motion.q for motion in motion_chunks(plan, rate)])
     log = Measurement(np.arange(len(q)) / rate, q, None, rng.normal(size=q.shape))
     columns = Columns(robot, [Dataset("log", process(log, robot.joint_names, 8.0, 0.0))])
-    matrix, _ = JoinedSamples(columns.samples(columns.start())).information().stacked()
+    (samples,) = columns.samples(columns.start())
+    matrix, _ = samples.information().stacked()
     places = [at for name, at in columns.bodies().items() if name != "payload"]
     order = np.concatenate(places)
     return base_combinations(matrix[:, order], parameter_scale(len(places))).rank
@@ -226,13 +227,13 @@ def durations() -> dict[str, float]:
 
     path = DATA / "kuka_lwr4" / "kuka_lwr4.urdf"
     robot, model = load_robot_model(path), pinocchio.buildModelFromUrdf(str(path))
-    log, motion = whole_arm.measured(robot)
+    log, motion = runs_of.measured(robot)
     runs = {
-        "pinocchio's regressor loop and lstsq": lambda: whole_arm.pinocchio_fit(
+        "pinocchio's regressor loop and lstsq": lambda: runs_of.pinocchio_fit(
             model, model.createData(), motion, log.tau
         ),
-        "whole arm, friction given": lambda: whole_arm.ours(robot, log),
-        "whole arm, everything chosen": lambda: whole_arm.ours(robot, log, whole_arm.CHOSEN),
+        "whole arm, friction given": lambda: runs_of.ours(robot, log),
+        "whole arm, everything chosen": lambda: runs_of.ours(robot, log, runs_of.CHOSEN),
     }
     for run in runs.values():
         run()
@@ -277,9 +278,10 @@ def least_squares_error(fit, datasets) -> float:
     names, own = plain_names(fit), fit.columns
     values = solved(fit.evidence.whole, names)
     other = Columns(own.robot, datasets, own.torques, own.couplings)
-    test = JoinedSamples(other.samples(replace(fit.point, values=own.prior)))
-    wrong = restricted(test.information(), names).squared_residuals(values)
-    return float(np.sqrt(np.sum(wrong) / np.sum(test.squared_torque())))
+    test = other.samples(replace(fit.point, values=own.prior))
+    seen = combined([each.information() for each in test])
+    wrong = np.sum(restricted(seen, names).squared_residuals(values))
+    return float(np.sqrt(wrong / np.sum([each.squared_torque() for each in test])))
 
 
 def least_squares_folds(fit) -> float:

@@ -1,6 +1,6 @@
 """How well a log fits its model, once the model is allowed to be as wrong as models usually are.
 
-Minimised is
+Looked at are some hundred instants, motion and torque low-passed alike. Minimised is
 
     sum_j (K_e / K) sum_k ((tau_jk - Y_jk theta - friction_jk) / sigma_j)^2
         + sum_i ((theta_i - theta_i,model) / s_i)^2
@@ -14,17 +14,23 @@ is wrong that could be seen in the torques.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robot_sysid.diagnosis.evidence import TOLERANCE, Evidence, Sample
 from robot_sysid.dynamics.kinematics import ArmDynamics, has_only_armature
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.nuisances import with_gravity
 from robot_sysid.dynamics.spatial import characteristic_length, com_from_theta, parameter_scale
-from robot_sysid.records import Array, RobotModel
+from robot_sysid.records import Array, Measurement, RobotModel
+from robot_sysid.signals.process import ProcessedSignals, process
 
+INSTANTS, FEWEST = 400, 50
+"""So many instants stand for a log, and for each of its pieces at least."""
+DELAYS = (-0.04, -0.02, -0.01, 0.01, 0.02, 0.04, 0.07, 0.1)
+"""Delays of torque that are tried [s]."""
+TOLERANCE = 0.04
+"""Part of a joint's usual torque that a right model may miss."""
 LINK_ERROR = 0.05
 """Standard deviation of another link's parameters as a part of a body of its mass and size."""
 PAYLOAD = 0.3
@@ -34,7 +40,47 @@ LIGHTEST, HEAVIEST = -0.03, 0.6
 INDEPENDENT = 100
 """Independent samples that a log is taken to have per joint."""
 N_FRICTION = 4
-_SLOW = 0.05
+# Of the strongest joint's torque: one that carries next to nothing is judged by what its neighbours
+# carry. Of a joint's top speed: below it the direction of friction is not sure. Of the reach:
+# size of what may hang on the terminal link.
+_LEAST, _SLOW, _REACH = 0.02, 0.05, 0.15
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Motion and torque at K instants: what is measured, or what it would be without a mistake.
+
+    Attributes:
+        q, qd, qdd: (K, n) low-passed motion.
+        tau: (K, n) low-passed torque [N m].
+        sigma: (n,) by how much a right model may miss each joint's torque [N m].
+    """
+
+    q: Array
+    qd: Array
+    qdd: Array
+    tau: Array
+    sigma: Array
+
+    def with_order(self, motion: Sequence[int], torque: Sequence[int]) -> Sample:
+        """Return the sample with the joints' columns in another order."""
+        to, of = list(motion), list(torque)
+        q, qd, qdd = (values[:, to] for values in (self.q, self.qd, self.qdd))
+        return Sample(q, qd, qdd, self.tau[:, of], self.sigma[of])
+
+    def with_motion(self, factor: Array | float) -> Sample:
+        """Return the sample with its motion multiplied by a factor, one for all or (n,)."""
+        q, qd, qdd = (factor * values for values in (self.q, self.qd, self.qdd))
+        return replace(self, q=q, qd=qd, qdd=qdd)
+
+    def with_torque(self, factor: Array | float) -> Sample:
+        """Return the sample with its torque multiplied by a factor, one for all or (n,)."""
+        return replace(self, tau=factor * self.tau, sigma=np.abs(factor) * self.sigma)
+
+    def thinned(self, every: int) -> Sample:
+        """Return every so many of the instants."""
+        q, qd, qdd, tau = (v[::every] for v in (self.q, self.qd, self.qdd, self.tau))
+        return replace(self, q=q, qd=qd, qdd=qdd, tau=tau)
 
 
 @dataclass(frozen=True)
@@ -48,6 +94,7 @@ class Fit:
         friction_torque: (K, n) torque of Coulomb and viscous friction [N m].
         coulomb: (n,) Coulomb friction [N m].
         thetas: (n, 10) the links.
+        extra, error: (e,) coefficients of further columns, and their standard errors.
     """
 
     cost: float
@@ -61,24 +108,47 @@ class Fit:
 
 
 class ModelFit:
-    """Fits samples of one log to the model.
+    """A log as the checks see it, and its fits to the model.
+
+    Args:
+        pieces: of one log.
+        cutoff: of the low-pass [Hz]; None chooses it from the data.
 
     Attributes:
+        sample: what is measured.
+        time: (K,) when [s].
+        shifted: torque (K, n) at later instants, by how much later [s].
+        noise: (n,) standard deviation of what noise is left in the low-passed torque [N m].
+        cutoff: of the low-pass [Hz].
         links: (n, 10) the model's links.
         model_torque: (K, n) what the model says of the motion as recorded, without friction.
     """
 
-    def __init__(self, evidence: Evidence) -> None:
-        robot = evidence.robot
-        self.robot = robot
+    def __init__(
+        self, robot: RobotModel, pieces: Sequence[Measurement], cutoff: float | None = None
+    ) -> None:
+        self.robot, self.pieces = robot, tuple(pieces)
+        parts, noises, count = [], [], max(FEWEST, INSTANTS // len(pieces))
+        for piece in pieces:
+            signals = process(piece, robot.joint_names, cutoff)
+            smooth, lost = signals.low_pass.filtered(signals.tau), signals.low_pass.half_width
+            parts.append(_instants(signals, smooth, count))
+            rest = signals.tau[lost : len(signals) - lost] - smooth
+            noises.append(np.std(rest, axis=0) * np.sqrt(np.sum(signals.low_pass.kernel**2)))
+        self.cutoff = signals.cutoff
+        self.time, q, qd, qdd, tau, *later = (np.concatenate(same) for same in zip(*parts))
+        self.noise = np.sqrt(np.mean(np.square(noises), axis=0))
+        usual = rms(tau)
+        usual = np.maximum(usual, _LEAST * float(np.max(usual)))
+        self.sample = Sample(q, qd, qdd, tau, np.hypot(TOLERANCE * usual, self.noise))
+        self.shifted = dict(zip(DELAYS, later))
         self._dynamics = LinkDynamics(robot)
         self._weightless = LinkDynamics(with_gravity(robot, np.zeros(3)))
         self._beyond = None if has_only_armature(robot.mj_model) else ArmDynamics(robot)
         self.links = np.array([link.theta for link in robot.links])
         self._armature = np.array(robot.mj_model.dof_armature)[robot.dof_index]
         self._scales = _link_scales(robot)
-        sample = evidence.sample
-        self.model_torque = self.torque(sample, self.links) + self._springs(sample)
+        self.model_torque = self.torque(self.sample, self.links) + self._springs(self.sample)
 
     def torque(self, sample: Sample, links: Array) -> Array:
         """Return (K, n) the torque of links (n, 10), without friction, armature and springs."""
@@ -86,14 +156,14 @@ class ModelFit:
 
     def fit(
         self,
-        sample: Sample,
+        sample: Sample | None = None,
         extra: Array | None = None,
         prior: Sequence[float] | Array = (),
         weightless: bool = False,
         known_links: bool = False,
         only_friction: bool = False,
     ) -> Fit:
-        """Fit one sample.
+        """Fit one sample; None for what is measured.
 
         Args:
             extra: (K, n, e) further columns.
@@ -101,6 +171,7 @@ class ModelFit:
             known_links: whether all links but the terminal one are taken to be right.
             only_friction: whether there is nothing but friction, neither links nor rotors.
         """
+        sample = sample or self.sample
         count, n = sample.q.shape
         dynamics = self._weightless if weightless else self._dynamics
         links = dynamics.motion(sample.q, sample.qd, sample.qdd).columns(range(n))
@@ -113,54 +184,59 @@ class ModelFit:
         armature = np.outer(self._armature, [0.0, 0.0, 0.0, 1.0]).ravel()
         known = bodies * self.links.ravel()
         start = np.concatenate((known, own * armature, np.zeros(len(prior))))
-        spread = np.concatenate((scales.ravel(), own * self._friction_spread(sample), prior))
+        spread = np.concatenate((scales.ravel(), own * _friction_spread(sample), prior))
         right = sample.tau - self._springs(sample) - rows @ start
         weight = np.sqrt(INDEPENDENT / count) / sample.sigma
-        values, covariance = _ridge(rows, right, weight, spread)
-        residual = right - rows @ values
+        # Least squares in units of the priors, around the model.
+        scaled = (rows * weight[None, :, None]).reshape(-1, len(spread)) * spread
+        inverse = np.linalg.inv(scaled.T @ scaled + np.eye(len(spread)))
+        off = inverse @ (scaled.T @ (right * weight).ravel())
+        residual = right - rows @ (spread * off)
         per_joint = np.sum((residual * weight) ** 2, axis=0) / INDEPENDENT
-        # What the priors ask for values that are not zero.
-        held = spread > 0.0
-        penalty = float(np.sum((values[held] / spread[held]) ** 2))
-        cost = (float(np.sum(per_joint)) + penalty / INDEPENDENT) / n
-        thetas, of_friction, extras = np.split(start + values, (10 * n, (10 + N_FRICTION) * n))
-        lost, coulomb = of_friction * np.tile([1.0, 1.0, 0.0, 0.0], n), of_friction[::N_FRICTION]
-        error = np.sqrt(np.diag(covariance)[(10 + N_FRICTION) * n :])
-        torque, thetas = friction @ lost, thetas.reshape(n, 10)
-        return Fit(cost, per_joint, residual, torque, coulomb, thetas, extras, error)
+        cost = float(np.sum(per_joint)) + float(np.sum(off[spread > 0.0] ** 2)) / INDEPENDENT
+        thetas, terms, extras = np.split(start + spread * off, (10 * n, (10 + N_FRICTION) * n))
+        torque = friction @ (terms * np.tile([1.0, 1.0, 0.0, 0.0], n))
+        error = (spread * np.sqrt(np.diag(inverse)))[(10 + N_FRICTION) * n :]
+        shape = thetas.reshape(n, 10)
+        return Fit(cost / n, per_joint, residual, torque, terms[::N_FRICTION], shape, extras, error)
 
     def _springs(self, sample: Sample) -> Array:
         """Return (K, n) the torque of springs, tendons and actuators."""
-        still = np.zeros_like(sample.q)
-        beyond = self._beyond
+        still, beyond = np.zeros_like(sample.q), self._beyond
         return beyond.beyond_rigid_bodies(sample.q, sample.qd, still) if beyond else still
 
-    def _friction_spread(self, sample: Sample) -> Array:
-        """Return (4 n,) how large friction may be: up to about what the joint carries."""
-        usual = sample.sigma / TOLERANCE
-        speed, turning = rms(sample.qd), rms(sample.qdd)
-        viscous = usual / np.where(speed > 0.0, speed, 1.0)
-        armature = 0.5 * usual / np.where(turning > 0.0, turning, 1.0)
-        return np.column_stack((usual, viscous, 0.5 * usual, armature)).ravel()
+    def plausible(self, found: Fit, heaviest: float = HEAVIEST) -> bool:
+        """Return whether a terminal link's mass could be that of a link with a payload."""
+        arm = float(np.sum(self.links[:, 0]))
+        share, own = float(found.thetas[-1, 0]) / arm, float(self.links[-1, 0]) / arm
+        # An arm of one joint is all terminal link; one of two often is half of it.
+        return LIGHTEST < share < max(heaviest, own + PAYLOAD)
 
 
-def plausible(fit: ModelFit, found: Fit, heaviest: float = HEAVIEST) -> bool:
-    """Return whether a terminal link's mass could be that of a link with a payload."""
-    arm = float(np.sum(fit.links[:, 0]))
-    share, own = float(found.thetas[-1, 0]) / arm, float(fit.links[-1, 0]) / arm
-    # An arm of one joint is all terminal link; one of two often is half of it.
-    return LIGHTEST < share < max(heaviest, own + PAYLOAD)
+def _instants(signals: ProcessedSignals, smooth: Array, count: int) -> tuple[Array, ...]:
+    """Return (time, q, qd, qdd, tau, then tau later by each of ``DELAYS``) of one piece."""
+    lost = signals.low_pass.half_width
+    inner = slice(lost, lost + len(smooth))
+    time = signals.time[inner]
+    reach = (time + min(DELAYS) >= time[0]) & (time + max(DELAYS) <= time[-1])
+    there = np.flatnonzero(reach & ~signals.bridged[inner])
+    places = there[np.unique(np.linspace(0, len(there) - 1, count).astype(int))]
+    motion = (values[inner][places] for values in (signals.q, signals.qd, signals.qdd))
+    when = time[places]
+    later = (
+        np.column_stack([np.interp(when + delay, time, channel) for channel in smooth.T])
+        for delay in DELAYS
+    )
+    return (when, *motion, smooth[places], *later)
 
 
-def _ridge(rows: Array, right: Array, weight: Array, spread: Array) -> tuple[Array, Array]:
-    """Return (values, covariance) of least squares with independent priors around zero.
-
-    Equations (K, n, p), (K, n) with a weight for each joint (n,); ``spread`` (p,) of the priors.
-    """
-    scaled = (rows * weight[None, :, None]).reshape(-1, len(spread)) * spread
-    inverse = np.linalg.inv(scaled.T @ scaled + np.eye(len(spread)))
-    values = inverse @ (scaled.T @ (right * weight).ravel())
-    return spread * values, inverse * np.outer(spread, spread)
+def _friction_spread(sample: Sample) -> Array:
+    """Return (4 n,) how large friction may be: up to about what the joint carries."""
+    usual = sample.sigma / TOLERANCE
+    speed, turning = rms(sample.qd), rms(sample.qdd)
+    viscous = usual / np.where(speed > 0.0, speed, 1.0)
+    armature = 0.5 * usual / np.where(turning > 0.0, turning, 1.0)
+    return np.column_stack((usual, viscous, 0.5 * usual, armature)).ravel()
 
 
 def _friction_columns(sample: Sample) -> Array:
@@ -168,9 +244,8 @@ def _friction_columns(sample: Sample) -> Array:
     count, n = sample.q.shape
     slow = slow_speed(sample.qd)
     sign = np.clip(sample.qd / np.where(slow > 0.0, slow, 1.0), -1.0, 1.0)
+    columns, joints = np.zeros((count, n, n, N_FRICTION)), np.arange(n)
     own = np.stack((sign, sample.qd, np.ones_like(sign), sample.qdd), axis=2)
-    columns = np.zeros((count, n, n, N_FRICTION))
-    joints = np.arange(n)
     columns[:, joints, joints] = own
     return columns.reshape(count, n, -1)
 
@@ -184,12 +259,9 @@ def _link_scales(robot: RobotModel) -> Array:
     """Return (n, 10) how far each link's parameters may be off."""
     masses = np.array([max(float(link.theta[0]), 0.0) for link in robot.links])
     total, reach = float(np.sum(masses)), sum(np.linalg.norm(b.translation) for b in robot.links)
-    scales = []
-    for link, mass in zip(robot.links, masses):
-        length = _length(link.theta) if mass > 0.0 else 0.0
-        scales.append(LINK_ERROR * parameter_scale(mass, length) if mass > 0.0 else np.zeros(10))
-    wide = max(0.15 * float(reach), _length(robot.links[-1].theta) if masses[-1] > 0.0 else 0.0)
-    scales[-1] = parameter_scale(PAYLOAD * total, wide)
+    lengths = [_length(link.theta) if m > 0.0 else 0.0 for link, m in zip(robot.links, masses)]
+    scales = [LINK_ERROR * parameter_scale(*pair) for pair in zip(masses.tolist(), lengths)]
+    scales[-1] = parameter_scale(PAYLOAD * total, max(_REACH * float(reach), lengths[-1]))
     return np.array(scales)
 
 

@@ -11,8 +11,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from robot_sysid.diagnosis.evidence import Evidence
 from robot_sysid.diagnosis.finding import Finding, Level
+from robot_sysid.diagnosis.model_fit import ModelFit
 from robot_sysid.records import Array, Measurement
 from robot_sysid.signals.resampling import usual_period
 
@@ -38,24 +38,24 @@ def _length(pieces: Sequence[Measurement]) -> float:
     return sum(float(piece.time[-1] - piece.time[0]) for piece in pieces)
 
 
-def slow_findings(evidence: Evidence) -> Iterator[Finding]:
+def slow_findings(log: ModelFit) -> Iterator[Finding]:
     """Yield a finding where no joint moves fast enough to be told from its friction."""
-    fastest = float(np.max(np.abs(evidence.sample.qd)))
+    fastest = float(np.max(np.abs(log.sample.qd)))
     if fastest < SLOWEST:
         text = f"no joint moves faster than {fastest:.2g} rad/s; record a faster motion"
         yield Finding("too-little", Level.REFUSE, text)
 
 
-def enough_findings(evidence: Evidence) -> Iterator[Finding]:
+def enough_findings(log: ModelFit) -> Iterator[Finding]:
     """Yield what there is too little of."""
-    span = _length(evidence.pieces)
-    rows = int(2.0 * evidence.cutoff * span)
-    rate = 1.0 / usual_period(evidence.pieces[0].time)
+    span = _length(log.pieces)
+    rows = int(2.0 * log.cutoff * span)
+    rate = 1.0 / usual_period(log.pieces[0].time)
     if rate < SLOWEST_RATE:
         text = f"{rate:.3g} samples per second are too few; record at 100 or more"
         yield Finding("too-little", Level.REFUSE, text)
     if rows < ROWS:
-        text = f"{span:.3g} s behind a low-pass of {evidence.cutoff:.3g} Hz hold about {rows} "
+        text = f"{span:.3g} s behind a low-pass of {log.cutoff:.3g} Hz hold about {rows} "
         text += f"independent samples per joint, and {ROWS} are needed; record longer"
         yield Finding("too-little", Level.REFUSE, text)
 

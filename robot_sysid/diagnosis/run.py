@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 
-from robot_sysid.diagnosis.evidence import Evidence, evidence_of
 from robot_sysid.diagnosis.finding import Finding, Level, require_acceptable
-from robot_sysid.diagnosis.hypotheses import explanations
 from robot_sysid.diagnosis.model_fit import Fit, ModelFit
 from robot_sysid.diagnosis.recording import (
     clock_findings,
@@ -20,6 +18,7 @@ from robot_sysid.diagnosis.torque import (
     computed_findings,
     contact_findings,
     delay_findings,
+    explanations,
     gravity_findings,
     joint_zeros,
     model_findings,
@@ -48,8 +47,8 @@ def check_against_model(
     raw += sensor_findings(pieces, robot.joint_names)
     if any(each.level is Level.REFUSE for each in raw):
         return tuple(raw)
-    evidence = evidence_of(robot, pieces, cutoff)
-    return (*raw, *([*enough_findings(evidence)] or _of_torque(evidence)))
+    log = ModelFit(robot, pieces, cutoff)
+    return (*raw, *([*enough_findings(log)] or _of_torque(log)))
 
 
 def look_at(
@@ -85,34 +84,28 @@ def look_at(
         raise
 
 
-def _of_torque(evidence: Evidence) -> list[Finding]:
+def _of_torque(log: ModelFit) -> list[Finding]:
     """Return what the torques say; the first mistake that explains them stands alone."""
-    fit = ModelFit(evidence)
-    base = fit.fit(evidence.sample)
-    explained = explanations(evidence, fit)
+    base, explained = log.fit(), explanations(log)
     best = min((after.cost for after, _ in explained), default=base.cost)
-    found = [*gravity_findings(evidence, fit, best)]
+    found = [*gravity_findings(log, best)]
     if found or explained:
-        return found or _likelier(evidence, fit, base, *explained[0])
-    found = [*scale_findings(evidence, fit, base)]
+        return found or _likelier(log, base, *explained[0])
+    found = [*scale_findings(log)]
     if found:
         return found
-    found = [*contact_findings(evidence, base), *computed_findings(evidence, fit, base)]
+    found = [*contact_findings(log, base), *computed_findings(log, base)]
     if not found:
-        found = [*delay_findings(evidence, fit, base)] or [*zero_findings(evidence, fit, base)]
-    return found or [*model_findings(evidence, fit)] or [*slow_findings(evidence)]
+        found = [*delay_findings(log, base)] or [*zero_findings(log, base)]
+    return found or [*model_findings(log)] or [*slow_findings(log)]
 
 
-def _likelier(
-    evidence: Evidence, fit: ModelFit, base: Fit, after: Fit, mistake: Finding
-) -> list[Finding]:
+def _likelier(log: ModelFit, base: Fit, after: Fit, mistake: Finding) -> list[Finding]:
     """Return a scale or zeros where they explain a log better than a mistake does, else that."""
-    scales = [*scale_findings(evidence, fit, base)]
-    if scales:
-        scale, _ = torque_scales(evidence, fit)
-        if fit.fit(evidence.sample.with_torque(1.0 / scale)).cost < after.cost:
-            return scales
-    zeros = [*zero_findings(evidence, fit, base)]
-    if zeros and joint_zeros(evidence, fit)[2].cost < after.cost:
+    scales = [*scale_findings(log)]
+    if scales and log.fit(log.sample.with_torque(1.0 / torque_scales(log)[0])).cost < after.cost:
+        return scales
+    zeros = [*zero_findings(log, base)]
+    if zeros and joint_zeros(log)[2].cost < after.cost:
         return zeros
     return [mistake]

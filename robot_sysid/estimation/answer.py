@@ -1,4 +1,4 @@
-"""From a fit to its answer: bodies, joints and sensors with their errors."""
+"""From a fit to its answer: bodies, joints, sensors and the model file, with their errors."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.newton_euler import LinkDynamics
+from robot_sysid.dynamics.nuisances import gravity
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.estimation import verdict
 from robot_sysid.estimation.algebra.base_parameters import (
     BaseCombinations,
     base_combinations,
@@ -19,15 +19,14 @@ from robot_sysid.estimation.algebra.base_parameters import (
 )
 from robot_sysid.estimation.algebra.identifiability import analyse_identifiability
 from robot_sysid.estimation.algebra.information import joint_rmse, restricted
-from robot_sysid.estimation.choices import Errors
+from robot_sysid.estimation.choices import Errors, held_out
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
 from robot_sysid.estimation.dataset import DecimatedSamples
 from robot_sysid.estimation.errors import FitErrors
 from robot_sysid.estimation.file_fit import FileFit
 from robot_sysid.estimation.fit import Fit
-from robot_sysid.estimation.held_out import OWN_SOURCE, held_out
+from robot_sysid.estimation.unknowns import FILE_FRICTION, LINKS
 from robot_sysid.estimation.unknowns import FRICTION as LACKING
-from robot_sysid.estimation.unknowns import LINKS
 from robot_sysid.records import (
     DELAY_NAME,
     Array,
@@ -39,7 +38,13 @@ from robot_sysid.records import (
     Validation,
 )
 from robot_sysid.records.data import Traces
-from robot_sysid.results.record import BaseParameters, BodyEstimate, Figure, JointEstimate
+from robot_sysid.results.record import (
+    BaseParameters,
+    BodyEstimate,
+    Figure,
+    JointEstimate,
+    ModelFile,
+)
 
 _SIGNS = np.array([[1.0, 1.0], [1.0, -1.0]])
 
@@ -75,7 +80,7 @@ class Answer:
     def validation(self) -> Validation:
         """The fit's own prediction of stretches that were not fitted."""
         judge = held_out(self.fit)
-        return judge.validation(judge.of(self.fit), OWN_SOURCE)
+        return judge.validation(judge.of(self.fit))
 
     def stretch(self) -> float:
         """Return by how much correlated noise makes the mass's error larger than white noise."""
@@ -126,7 +131,7 @@ class Answer:
 
     def joints(self) -> Iterator[tuple[str, JointEstimate]]:
         """Yield each chain joint, and each coupled motor, with its friction."""
-        noise = verdict.noise_per_joint(self.fit)
+        noise = self.fit.noise_per_joint
         own, robot = self._own_terms(), self.robot
         models = dict(zip(robot.joint_names, self.fit.choice.friction))
         armature = robot.mj_model.dof_armature[robot.dof_index]
@@ -186,6 +191,56 @@ class Answer:
         return {name: self.figure(name) for name in names}
 
 
+def model_file(answer: Answer, write_offset: bool) -> tuple[ModelFile, tuple[str, ...]]:
+    """Return what is written, and sentences on what is not."""
+    assert answer.file is not None
+    file, fit, robot = answer.file, answer.file.fit, answer.robot
+    own = replace(answer, fit=fit, file=None, errors=file.errors)
+    thetas = fit.columns.thetas(fit.values)
+    spread = np.zeros_like(thetas)
+    for body in own.links():
+        spread[robot.joint_names.index(str(body.joint))] = body.errors
+    joints, notes = {}, []
+    for index, (joint, each) in enumerate(list(own.joints())[: robot.n_joints]):
+        written = {name: figure for name, figure in each.terms.items() if name != "offset"}
+        if write_offset and "offset" in each.terms and FILE_FRICTION not in file.kept:
+            reason = _why_no_offset(robot, index, each.terms)
+            notes += [f"{joint}: no offset is written, {reason}"] if reason else []
+            written.update({} if reason else {"offset": each.terms["offset"]})
+        if written:
+            joints[joint] = written
+        else:
+            notes.append(
+                f"{joint} does not move fast enough in these logs: nothing is learnt of its "
+                "friction and rotor inertia, the model's own stay"
+            )
+    turned = fit.next_point.gravity if fit.unknowns.settle else None
+    if turned is not None and np.array_equal(turned, gravity(robot)):
+        turned = None
+    kept = tuple(sorted(file.kept))
+    found = ModelFile(thetas, spread, joints, turned, file.before, file.after, kept=kept)
+    return found, () if FILE_FRICTION in kept else tuple(notes)
+
+
+def _why_no_offset(robot: RobotModel, index: int, terms: Mapping[str, Figure]) -> str | None:
+    """Return why a file must not get an offset, or None."""
+    offset, coulomb = terms["offset"], terms.get("coulomb", Figure(0.0, 0.0))
+    if robot.kind != "mjcf":
+        return "a URDF cannot hold it"
+    joint = robot.mj_model.dof_jntid[robot.dof_index[index]]
+    further = getattr(robot.mj_model, "jnt_stiffnesspoly", np.zeros((joint + 1, 1)))
+    if robot.mj_model.jnt_stiffness[joint] or np.any(further[joint]):
+        return "its spring is the model's own"
+    if abs(offset.value) <= 2.0 * offset.error:
+        return "it is within two standard errors of zero"
+    if abs(offset.value) >= coulomb.value:
+        return (
+            f"{abs(offset.value):.2g} is more than its Coulomb friction of {coulomb.value:.2g}: "
+            "the joint would creep by itself"
+        )
+    return None
+
+
 def estimate_of(answer: Answer) -> Estimate:
     """Return all parameters: the terminal link, friction, then what is only allowed for."""
     fit, errors = answer.fit, answer.errors
@@ -198,22 +253,20 @@ def estimate_of(answer: Answer) -> Estimate:
     information = fit.information
     counts = {joint.joint: joint.n_samples for joint in information.joints}
     found = fit.values[fit.unknowns.kept]
-    rmse = joint_rmse(information, found)
-    squared = float(np.sum(information.squared_residuals(found)))
-    whole = errors.whole
+    squared, whole = float(np.sum(information.squared_residuals(found))), errors.whole
     return Estimate(
         names=tuple(names[k] for k in order),
         values=fit.final[fit.unknowns.kept][order],
         identifiability=analyse_identifiability(restricted(fit.evidence.whole, interest)),
         rmse=float(np.sqrt(squared / max(information.n_samples, 1))),
-        rmse_per_joint=dict(zip(counts, rmse.tolist())),
+        rmse_per_joint=dict(zip(counts, joint_rmse(information, found).tolist())),
         method="wls",
         covariance=whole.covariance[np.ix_(order, order)],
         standard_errors=whole.standard_errors[order],
         noise_errors=np.sqrt(np.maximum(np.diag(errors.noise), 0.0))[order],
         error_budget={cause: p[order] for cause, p in errors.of(np.eye(len(order)))[2].items()},
         data_share=errors.share(fit)[order],
-        noise_per_joint=verdict.noise_per_joint(fit),
+        noise_per_joint=fit.noise_per_joint,
         samples=counts,
         effective_samples=dict(zip(counts, errors.effective)),
         constrained=fit.constrained,
@@ -288,19 +341,27 @@ def traced(
     """
     joints = samples[0].joints
     place = [robot.joint_names.index(joint) for joint in joints]
-    missing, measured = (
-        np.concatenate([np.stack(getattr(each, name), axis=1) for each in samples])
-        for name in ("tau", "measured")
-    )
-    used, limits = np.isfinite(missing), robot.limits
+
+    def joined(name: str) -> Array:
+        return np.concatenate([np.stack(getattr(each, name), axis=1) for each in samples])
+
+    def moved(name: str) -> Array:
+        pairs = zip(samples, motions)
+        parts = [
+            [np.interp(each.time, motion.time, one) for one in getattr(motion, name).T[place]]
+            for each, motion in pairs
+        ]
+        return np.concatenate([np.column_stack(part) for part in parts])
+
+    missing, measured, limits = joined("tau"), joined("measured"), robot.limits
     rubbing = {n: v for n, v in after.items() if "[" in n and n.split("[")[0] not in _NOT_FRICTION}
     return Traces(
         joints=joints,
         is_slide=tuple(bool(robot.is_slide[j]) for j in place),
         time=np.concatenate([each.time for each in samples]),
-        q=_joined_at(samples, motions, "q")[:, place],
-        qd=_joined_at(samples, motions, "qd")[:, place],
-        measured=np.where(used, measured, np.nan),
+        q=moved("q"),
+        qd=moved("qd"),
+        measured=np.where(np.isfinite(missing), measured, np.nan),
         predicted=measured - missing + _products(samples, after),
         before=measured - missing + _products(samples, before),
         friction=_products(samples, rubbing),
@@ -315,18 +376,6 @@ def _products(samples: Sequence[DecimatedSamples], values: Mapping[str, float]) 
     known = np.array([values.get(name, 0.0) for name in samples[0].names])
     parts = [[r @ known[c] for r, c in zip(each.rows, each.columns)] for each in samples]
     return np.concatenate([np.stack(part, axis=1) for part in parts])
-
-
-def _joined_at(
-    samples: Sequence[DecimatedSamples], motions: Sequence[Motion], quantity: str
-) -> Array:
-    """Return a quantity (K, n) of the motions at the instants of the samples."""
-    parts = []
-    for each, motion in zip(samples, motions):
-        values = np.asarray(getattr(motion, quantity))
-        columns = [np.interp(each.time, motion.time, column) for column in values.T]
-        parts.append(np.stack(columns, axis=1))
-    return np.concatenate(parts)
 
 
 def traces_of(answer: Answer) -> Traces:

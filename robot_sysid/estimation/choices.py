@@ -1,23 +1,29 @@
 """What the recordings decide: couplings, each joint's friction, how far links may be off.
 
-One rule for all questions: a joint starts with the simplest candidate and moves on as long as
-another one is clearly better on its own held-out torques (``held_out.is_clearly_lower``).
+In-sample errors fall with every term; what counts is the error of stretches of time that were not
+fitted. They are compared by ratios, because a joint may show its friction in one of them far more
+than in the others. A joint starts with the simplest candidate and moves on as long as another one
+is clearly better on its own held-out torques.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
+from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.friction import BENT, FrictionModel, friction_model
+from robot_sysid.estimation.algebra.consistent_links import ConsistentLinks
+from robot_sysid.estimation.algebra.information import sample_counts, update_triangle
 from robot_sysid.estimation.columns import Point
 from robot_sysid.estimation.couplings import Coupling
-from robot_sysid.estimation.fit import Fit, Fitter
-from robot_sysid.estimation.held_out import HeldOut, held_out, is_clearly_lower
+from robot_sysid.estimation.fit import Evidence, Fit, Fitter, links_problem
 from robot_sysid.estimation.unknowns import Choice, Question, Unknowns, unknowns
-from robot_sysid.records import Array
+from robot_sysid.records import Array, Validation
+from robot_sysid.records.results import validation_of
 
 CANDIDATES = (
     "coulomb-viscous-offset-armature",
@@ -33,13 +39,123 @@ CANDIDATES = (
 IN_FILE, WITH_POLYNOMIAL = CANDIDATES[0], CANDIDATES[5]
 """Those that a model file can hold."""
 SCALES = (1.0, 2.0, 4.0, 8.0, 16.0)
-"""Factors of the other links' uncertainty that are tried."""
+"""Factors of the other links' uncertainty that are tried; 16 times 5 % is nearly all of a link."""
 AS_GOOD = 1.02
-"""Squared errors up to this ratio are as good as equal."""
-
+"""Ratio of squared errors up to which they are as good as equal: one per cent of the error."""
+OWN_SOURCE = "the logs, each fifth predicted from the others"
+CLEAR_SHARE, CLEARLY = 0.1, 2.0
+"""A term (or a coupling) has to lower the held-out squared error by this share, and by this many
+standard errors of the mean over the blocks."""
+# Below every squared error [N^2 m^2]; lifts normal equations of what nothing shows off zero.
+_TINY, _RIDGE = 1e-30, 1e-12
 
 Errors = Mapping[str, Mapping[str, float]]
 """Joint to friction model to its held-out root mean square error [N m]."""
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Recordings in blocks, each to be predicted from the others.
+
+    Attributes:
+        data: the blocks.
+        noise: (joints,) standard deviation of each joint's torque, as it counts [N m].
+    """
+
+    data: Evidence
+    noise: Array
+
+    @cached_property
+    def counts(self) -> Array:
+        """How many rows each block has of each joint (blocks, joints)."""
+        return np.array([sample_counts(part) for part in self.data.blocks])
+
+    def _whitened(self) -> list[Array]:
+        return [np.column_stack(part.stacked(1.0 / self.noise)) for part in self.data.blocks]
+
+    @cached_property
+    def _grams(self) -> tuple[Array, ...]:
+        """Gram matrix (p+1, p+1) of all whitened equations without each block in turn."""
+        each = [block.T @ block for block in self._whitened()]
+        return tuple(sum(each[:k] + each[k + 1 :]) for k in range(len(each)))
+
+    @cached_property
+    def _rests(self) -> tuple[Array, ...]:
+        """Triangle (p+1, p+1) of all whitened equations without each block in turn."""
+        rows = self._whitened()
+        nothing = np.zeros((rows[0].shape[1],) * 2)
+        each = [update_triangle(nothing, block) for block in rows]
+        others = (each[:k] + each[k + 1 :] for k in range(len(each)))
+        return tuple(update_triangle(nothing, np.vstack(parts)) for parts in others)
+
+    def squared(self, sought: Unknowns) -> Array:
+        """Return (blocks, joints) squared error of each block, predicted from the others."""
+        pairs = zip(self._predicted(sought), self.data.blocks)
+        return np.array([part.squared_residuals(values) for values, part in pairs])
+
+    def _predicted(self, sought: Unknowns) -> Iterator[Array]:
+        """Yield for each block the values (p,) that all others ask for.
+
+        What they do not show stays near zero; priors and friction terms leave nothing else.
+        """
+        kept, held = sought.kept, sought.held.copy()
+        held[kept] = 0.0
+        prior = _prior_rows(sought)
+        for gram in self._grams:
+            right = gram[kept, -1] - gram[kept, :-1] @ held + prior[:, :-1].T @ prior[:, -1]
+            normal = gram[np.ix_(kept, kept)] + prior[:, :-1].T @ prior[:, :-1]
+            size = np.sqrt(np.diag(normal))
+            scale = 1.0 / np.where(size > 0.0, size, 1.0)
+            scaled = scale[:, None] * normal * scale
+            scaled[np.diag_indices_from(scaled)] += _RIDGE
+            yield sought.full(scale * np.linalg.solve(scaled, scale * right))
+
+    def of(self, fit: Fit) -> Array:
+        """Return the same of a fit, with bodies that are possible."""
+        sought, errors = fit.unknowns, []
+        problem = links_problem(sought)
+        places = [at for at, _ in sought.bodies.values()]
+        for number, values in enumerate(self._predicted(sought)):
+            if places and not all(spatial.is_consistent(values[at]) for at in places):
+                rest, kept = self._rests[number], sought.kept
+                held = np.delete(rest[:, :-1], kept, 1) @ np.delete(sought.held, kept)
+                own = np.column_stack((rest[:, kept], rest[:, -1] - held))
+                rows = np.vstack((own, _prior_rows(sought)))
+                values = sought.full(ConsistentLinks(rows[:, :-1], rows[:, -1], problem).best())
+            errors.append(self.data.blocks[number].squared_residuals(values))
+        return np.array(errors)
+
+    def score(self, squared: Array) -> Array:
+        """Return (blocks,) mean of squared errors (blocks, joints) over their variance."""
+        counts = np.maximum(np.sum(self.counts, axis=1), 1.0)
+        return np.asarray(np.sum(squared / self.noise**2, axis=-1) / counts)
+
+    def validation(self, squared: Array, source: str = OWN_SOURCE) -> Validation:
+        """Return squared errors (blocks, joints) as one record."""
+        joints = [joint.joint for joint in self.data.blocks[0].joints]
+        torque, counts = np.sum(self.data.squared_torque, axis=0), np.sum(self.counts, axis=0)
+        return validation_of(joints, np.sum(squared, axis=0), torque, counts, source)
+
+
+def held_out(fit: Fit) -> HeldOut:
+    """Return what judges choices around a fit."""
+    return HeldOut(fit.evidence, fit.weighted.noise)
+
+
+def _prior_rows(sought: Unknowns) -> Array:
+    rows = [group.rows(sought.kept_names) for group in sought.groups]
+    return np.vstack(rows) if rows else np.zeros((0, len(sought.kept) + 1))
+
+
+def is_clearly_lower(after: Array, before: Array) -> bool:
+    """Tell whether squared errors per block (blocks,) are clearly lower."""
+    if not np.all(np.isfinite(after)) or not np.all(np.isfinite(before)):
+        return bool(np.all(np.isfinite(after)))
+    ratio = np.log((after + _TINY) / (before + _TINY))
+    mean, spread = float(np.mean(ratio)), float(np.std(ratio, ddof=1)) / np.sqrt(len(ratio))
+    needed = np.log(1.0 - CLEAR_SHARE)
+    lower = np.sum(after) < (1.0 - CLEAR_SHARE) * np.sum(before)
+    return bool(lower and mean < needed and mean + CLEARLY * spread < 0.0)
 
 
 def choose(
@@ -106,16 +222,19 @@ def _with_friction(
     fitter: Fitter, question: Question, choice: Choice, fit: Fit
 ) -> tuple[Choice, Errors, Fit]:
     """Give each joint the terms that predict its held-out torques clearly better."""
-    joints, robot = fitter.columns.joints, fitter.columns.robot
     squared, speeds = _tried(fitter, question, choice, fit)
-    models, errors = _per_joint(joints, squared, held_out(fit).counts)
+    counts = held_out(fit).counts
     friction, speed = list(choice.friction), dict(fit.point.speed or {})
-    for place, joint in enumerate(joints):
-        index = robot.joint_names.index(joint)
-        friction[index] = friction_model(models[joint])
+    errors = {}
+    for place, (index, joint) in enumerate(zip(fitter.columns.rows_of, fitter.columns.joints)):
+        own = {name: each[:, place] for name, each in squared.items()}
+        rows, total = np.maximum(counts[:, place], 1.0), max(np.sum(counts[:, place]), 1.0)
+        best = clearly_best({name: each / rows for name, each in own.items()})
+        errors[joint] = {name: float(np.sqrt(np.sum(each) / total)) for name, each in own.items()}
+        friction[index] = friction_model(best)
         for term in friction[index].bent:
             speed[term] = speed[term].copy()
-            speed[term][index] = speeds[models[joint]][place]
+            speed[term][index] = speeds[best][place]
     choice = replace(choice, friction=tuple(friction))
     point = replace(fit.point, speed=speed, values=fit.values)
     return choice, errors, fitter.fit(question, choice, point, rounds=1)
@@ -148,22 +267,6 @@ def _tried(
             squared[name] = np.where(lower, error, before)
             speeds[name] = np.where(lower, speed, speeds.get(name, np.zeros(error.shape[1])))
     return squared, speeds
-
-
-def _per_joint(
-    joints: tuple[str, ...], squared: Mapping[str, Array], counts: Array
-) -> tuple[dict[str, str], dict[str, dict[str, float]]]:
-    """Return (joint to its candidate, joint to candidate to its root mean square error)."""
-    mean = {name: each / np.maximum(counts, 1.0) for name, each in squared.items()}
-    total = np.maximum(counts.sum(axis=0), 1.0)
-    models, errors = {}, {}
-    for place, joint in enumerate(joints):
-        models[joint] = clearly_best({name: each[:, place] for name, each in mean.items()})
-        errors[joint] = {
-            name: float(np.sqrt(each[:, place].sum() / total[place]))
-            for name, each in squared.items()
-        }
-    return models, errors
 
 
 def clearly_best(scores: Mapping[str, Array]) -> str:

@@ -94,34 +94,32 @@ def read_couplings(path: Path, robot: RobotModel) -> tuple[Coupling, ...]:
     Raises:
         InputError: the file cannot be read, or does not fit the arm.
     """
+    names = robot.joint_names
     content = read_json(path, '--coupling takes JSON such as {"motor": {"joint": 1.0}}')
     if isinstance(content, dict):
-        rows = [_row(path, robot, motor, given) for motor, given in content.items()]
+        rows = {f"motor {name!r}": given for name, given in content.items()}
+    elif isinstance(content, list):
+        rows = {f"row {place + 1}": given for place, given in enumerate(content)}
     else:
-        given: list[Any] = content if isinstance(content, list) else [None]
-        fits = all(isinstance(row, list) and len(row) == robot.n_joints for row in given)
-        if not fits or not all(_is_number(ratio) for row in given for ratio in row):
+        rows = {"": content}
+    found = []
+    for where, row in rows.items():
+        given: Any = row
+        if isinstance(given, list) and len(given) == robot.n_joints:
+            given = dict(zip(names, given))
+        if not isinstance(given, dict) or not all(map(_is_number, given.values())):
             raise InputError(
-                f"--coupling {path}: must be an object of motors, or a matrix with "
+                f'--coupling {path}: {where} must be like {{"{names[-1]}": 1.0}}, or in a matrix '
                 f"{robot.n_joints} finite numbers in each row, one per joint of the chain"
             )
-        rows = [np.array(row, dtype=float) for row in given]
-    return tuple(coupling(robot, row) for row in rows if np.count_nonzero(row) > 1)
-
-
-def _row(path: Path, robot: RobotModel, motor: str, given: Any) -> Array:
-    where = f"--coupling {path}: motor {motor!r}"
-    if not isinstance(given, dict):
-        raise InputError(f'{where} must be like {{"{robot.joint_names[-1]}": 1.0}}')
-    ratios = np.zeros(robot.n_joints)
-    for joint, ratio in given.items():
-        if joint not in robot.joint_names:
-            known = ", ".join(robot.joint_names)
-            raise InputError(f"{where} turns with {joint!r}, which is no joint of the arm: {known}")
-        if not _is_number(ratio):
-            raise InputError(f"{where}: the ratio of {joint!r} is no finite number ({ratio!r})")
-        ratios[robot.joint_names.index(joint)] = ratio
-    return ratios
+        unknown = [joint for joint in given if joint not in names]
+        if unknown:
+            raise InputError(
+                f"--coupling {path}: {where} turns with {unknown[0]!r}, which is no joint of the "
+                f"arm: {', '.join(names)}"
+            )
+        found.append(np.array([float(given.get(joint, 0.0)) for joint in names]))
+    return tuple(coupling(robot, row) for row in found if np.count_nonzero(row) > 1)
 
 
 def _is_number(value: Any) -> bool:

@@ -1,4 +1,4 @@
-"""One recording, ready to be fitted: filtered motion, or poses at which the arm rests."""
+"""One recording as equations: filtered motion, or poses at which the arm rests."""
 
 from __future__ import annotations
 
@@ -11,18 +11,22 @@ from numpy.typing import NDArray
 from robot_sysid.dynamics.equations import Equations
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.information import InformationAccumulator
-from robot_sysid.records import Array, Measurement, Motion, SampleSource, SquareRootInformation
+from robot_sysid.records import Array, Measurement, Motion, SquareRootInformation
 from robot_sysid.signals.process import ProcessedSignals, with_delay
-
-_CHUNK = 2048
 
 SharedColumns = Callable[[Motion], Array]
 """Columns (m, n, s) of the shared parameters for a motion."""
+Mask = NDArray[np.bool_]
+BLOCKS, LONGEST_STRETCH = 5, 10.0
+"""How many parts recordings are predicted in, each from the others. A part is every fifth stretch
+of a recording; stretches are less than so long [s], as a motion may show a joint for a while."""
+# Samples per pass: memory stays small, results are the same for any number.
+_CHUNK = 2048
 
 
 @dataclass(frozen=True)
 class DecimatedSamples:
-    """Equations of all joints at K instants; iterating over it is one pass over the data.
+    """Equations of some joints at K instants; iterating over it is one pass over the data.
 
     Attributes:
         names: (p,) parameter names.
@@ -51,11 +55,16 @@ class DecimatedSamples:
 
     def information(self) -> SquareRootInformation:
         """Return the square-root information of the samples in use."""
-        return information_of(self, self.names, self.joints, self.columns)
+        accumulator = InformationAccumulator(self.names, self.joints, self.columns)
+        for index, rows, tau in self:
+            used = np.isfinite(tau)
+            accumulator.add(index, rows[used], tau[used])
+        return accumulator.result()
 
-    def where(self, used: NDArray[np.bool_]) -> DecimatedSamples:
-        """Return the samples with those left out for which ``used`` (K,) is false."""
-        return replace(self, tau=tuple(np.where(used, tau, np.nan) for tau in self.tau))
+    def where(self, used: Mask) -> DecimatedSamples:
+        """Return the samples without those for which ``used``, (K,) or (K, joints), is false."""
+        each = np.broadcast_to(used.T, (len(self.tau), len(self)))
+        return replace(self, tau=tuple(np.where(ok, t, np.nan) for ok, t in zip(each, self.tau)))
 
     def only(self, names: tuple[str, ...]) -> DecimatedSamples:
         """Return the samples with some of their parameters, in that order."""
@@ -70,44 +79,24 @@ class DecimatedSamples:
         return np.array([np.sum(measured[np.isfinite(tau)] ** 2) for tau, measured in pairs])
 
 
-@dataclass(frozen=True)
-class JoinedSamples:
-    """Equations of several logs for the same parameters; only one joint's stand together in memory.
-
-    Attributes:
-        parts: the logs', at least one.
-    """
-
-    parts: tuple[DecimatedSamples, ...]
-
-    def __iter__(self) -> Iterator[tuple[int, Array, Array]]:
-        """Yield (joint number, rows, right-hand sides) of each joint."""
-        for same in zip(*self.parts):
-            rows, tau = (np.concatenate([each[k] for each in same]) for k in (1, 2))
-            yield same[0][0], rows, tau
-
-    def information(self) -> SquareRootInformation:
-        """Return the square-root information of the samples in use."""
-        first = self.parts[0]
-        return information_of(self, first.names, first.joints, first.columns)
-
-    def squared_torque(self) -> Array:
-        """Return (joints,) sum of squares of the measured torque where it is used [N^2 m^2]."""
-        return np.sum([part.squared_torque() for part in self.parts], axis=0)
+def _samples_of(equations: Equations, time: Array, tables: Sequence[Array]) -> DecimatedSamples:
+    """Return samples from a table per joint: rows, right-hand side, the whole measured torque."""
+    return DecimatedSamples(
+        equations.names,
+        equations.joints,
+        equations.columns,
+        time,
+        tuple(table[:, :-2] for table in tables),
+        tuple(table[:, -2] for table in tables),
+        tuple(table[:, -1] for table in tables),
+    )
 
 
-def information_of(
-    samples: SampleSource,
-    names: Sequence[str],
-    joints: Sequence[str],
-    columns: Sequence[NDArray[np.int64]],
-) -> SquareRootInformation:
-    """Return the square-root information of samples; those that are NaN are not used."""
-    accumulator = InformationAccumulator(names, joints, columns)
-    for index, rows, tau in samples:
-        used = np.isfinite(tau)
-        accumulator.add(index, rows[used], tau[used])
-    return accumulator.result()
+def _tables(
+    equations: Equations, measurement: Measurement, shared: Array | None
+) -> Iterator[Array]:
+    for joint, (rows, right) in zip(equations.rows_of, equations.rows(measurement, shared)):
+        yield np.column_stack((rows, right, measurement.tau[:, joint]))
 
 
 def decimated_equations(
@@ -119,55 +108,30 @@ def decimated_equations(
         shared: makes the columns of the shared parameters, where the equations have any.
 
     Raises:
-        InputError: a joint never moves fast enough for its equations to be used.
+        InputError: no joint ever moves fast enough for its equations to be used.
     """
     decimators = [signals.decimator() for _ in equations.joints]
     parts: list[list[Array]] = [[] for _ in equations.joints]
     for motion, tau in signals.chunks(_CHUNK):
         measurement = Measurement(motion.time, motion.q, motion.qd, tau, motion.qdd)
         common = None if shared is None else shared(motion)
-        for joint, (rows, right) in enumerate(equations.rows(measurement, common)):
-            whole = tau[:, equations.rows_of[joint]]
-            parts[joint].append(decimators[joint].push(np.column_stack((rows, right, whole))))
-    tables = [np.concatenate(part) for part in parts]
+        for joint, table in enumerate(_tables(equations, measurement, common)):
+            parts[joint].append(decimators[joint].push(table))
     usable = signals.usable()[:, list(equations.rows_of)]
     if not np.any(usable):
         raise InputError(
             f"none of the joints {', '.join(equations.joints)} moves faster than its velocity "
             "deadband; record a motion, or lower --velocity-deadband"
         )
-    return DecimatedSamples(
-        equations.names,
-        equations.joints,
-        equations.columns,
-        signals.decimated_time(),
-        tuple(table[:, :-2] for table in tables),
-        tuple(np.where(ok, table[:, -2], np.nan) for table, ok in zip(tables, usable.T)),
-        tuple(table[:, -1] for table in tables),
-    )
+    tables = [np.concatenate(part) for part in parts]
+    return _samples_of(equations, signals.decimated_time(), tables).where(usable)
 
 
 def equations_at(
     equations: Equations, measurement: Measurement, shared: Array | None = None
 ) -> DecimatedSamples:
     """Return the equations at every sample of a measurement; ``shared`` as ``Equations.rows``."""
-    rows = list(equations.rows(measurement, shared))
-    return DecimatedSamples(
-        equations.names,
-        equations.joints,
-        equations.columns,
-        measurement.time,
-        tuple(block for block, _ in rows),
-        tuple(tau for _, tau in rows),
-        tuple(measurement.tau[:, joint] for joint in equations.rows_of),
-    )
-
-
-BLOCKS, LONGEST_STRETCH = 5, 10.0
-"""How many parts recordings are predicted in, each from the others. A part is every fifth stretch
-of a recording; stretches are less than so long [s], as a motion may show a joint for a while."""
-
-Mask = NDArray[np.bool_]
+    return _samples_of(equations, measurement.time, list(_tables(equations, measurement, shared)))
 
 
 @dataclass(frozen=True)
@@ -181,19 +145,6 @@ class RestingPoses:
 
     poses: Measurement
     used: Mask
-
-    @property
-    def motion(self) -> Motion:
-        """The arm at rest in the poses (K, n)."""
-        still = 0.0 * self.poses.q
-        return Motion(self.poses.time, self.poses.q, still, still)
-
-    def samples(self, equations: Equations, shared: SharedColumns | None) -> DecimatedSamples:
-        """Return the rows of some equations."""
-        common = None if shared is None else shared(self.motion)
-        found = equations_at(equations, self.poses, common)
-        used = self.used.T[list(equations.rows_of)]
-        return replace(found, tau=tuple(np.where(ok, t, np.nan) for ok, t in zip(used, found.tau)))
 
 
 @dataclass(frozen=True)
@@ -224,7 +175,8 @@ class Dataset:
     def motion(self) -> Motion:
         """The motion (K, n) at the instants of the rows."""
         if isinstance(self.source, RestingPoses):
-            return self.source.motion
+            poses, still = self.source.poses, 0.0 * self.source.poses.q
+            return Motion(poses.time, poses.q, still, still)
         return self.source.decimated_motion()
 
     @property
@@ -243,7 +195,9 @@ class Dataset:
     ) -> DecimatedSamples:
         """Return the rows of some equations, those in use."""
         if isinstance(self.source, RestingPoses):
-            found = self.source.samples(equations, shared)
+            common = None if shared is None else shared(self.motion)
+            found = equations_at(equations, self.source.poses, common)
+            found = found.where(self.source.used[:, list(equations.rows_of)])
         else:
             found = decimated_equations(equations, self.source, shared)
         # A delay shortens recordings at their ends; what is used then ends earlier.
@@ -257,26 +211,16 @@ def block_masks(log: DecimatedSamples) -> Iterator[Mask]:
         InputError: the recording has fewer rows in use than blocks.
     """
     rows = np.flatnonzero(np.any([np.isfinite(tau) for tau in log.tau], axis=0))
+    if len(rows) < BLOCKS:
+        raise InputError(f"{len(rows)} rows cannot be cut into {BLOCKS} blocks; record longer")
     rounds = int(max((log.time[-1] - log.time[0]) // (BLOCKS * 0.5 * LONGEST_STRETCH), 1))
-    rounds = min(rounds, max(len(rows) // BLOCKS, 1))
-    stretches = blocks(len(rows), BLOCKS * rounds)
+    count = BLOCKS * min(rounds, len(rows) // BLOCKS)
+    edges = [round(k * len(rows) / count) for k in range(count + 1)]
     for block in range(BLOCKS):
         mask = np.zeros(len(log), dtype=bool)
-        for stretch in stretches[block::BLOCKS]:
-            mask[rows[stretch]] = True
+        for k in range(block, count, BLOCKS):
+            mask[rows[edges[k] : edges[k + 1]]] = True
         yield mask
-
-
-def blocks(n_rows: int, count: int) -> tuple[slice, ...]:
-    """Cut consecutive rows into ``count`` blocks of nearly equal length.
-
-    Raises:
-        InputError: there are fewer rows than blocks.
-    """
-    if n_rows < count:
-        raise InputError(f"{n_rows} rows cannot be cut into {count} blocks; record longer")
-    edges = [round(k * n_rows / count) for k in range(count + 1)]
-    return tuple(slice(start, stop) for start, stop in zip(edges, edges[1:]))
 
 
 def mean_torque(datasets: Sequence[Dataset]) -> Array:

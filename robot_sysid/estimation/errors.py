@@ -27,7 +27,7 @@ from robot_sysid.estimation.algebra.uncertainty import (
     white_uncertainty,
 )
 from robot_sysid.estimation.columns import Columns, Point
-from robot_sysid.estimation.dataset import Dataset, DecimatedSamples, JoinedSamples
+from robot_sysid.estimation.dataset import Dataset, DecimatedSamples
 from robot_sysid.estimation.fit import ChosenRows, Fit
 from robot_sysid.estimation.unknowns import COMMON, SCALES
 from robot_sysid.records import Array, Measurement, Motion, PriorConflict
@@ -186,7 +186,7 @@ def residuals_to_add(fit: Fit, samples: DecimatedSamples) -> list[JointResiduals
     root = np.zeros((len(names), own.shape[1]))
     root[sought.kept] = own
     given = restricted(fit.evidence.whole, every.kept_names, sought.held), fit.values[every.kept]
-    rows = ChosenRows(JoinedSamples((samples,)), every)
+    rows = ChosenRows((samples,), every)
     found = collect_residuals(given[0], rows, given[1], root[every.kept], weights, True)
     return [replace(each, columns=every.kept[each.columns]) for each in found]
 

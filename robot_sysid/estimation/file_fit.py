@@ -13,11 +13,18 @@ import numpy as np
 
 from robot_sysid.dynamics.friction import FrictionModel, friction_model
 from robot_sysid.estimation.algebra.options import EstimationOptions
-from robot_sysid.estimation.choices import IN_FILE, WITH_POLYNOMIAL, prior_scale, squared_errors
+from robot_sysid.estimation.choices import (
+    IN_FILE,
+    WITH_POLYNOMIAL,
+    HeldOut,
+    held_out,
+    is_clearly_lower,
+    prior_scale,
+    squared_errors,
+)
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
 from robot_sysid.estimation.errors import FitErrors, fit_errors
 from robot_sysid.estimation.fit import Fit, Fitter
-from robot_sysid.estimation.held_out import OWN_SOURCE, HeldOut, held_out, is_clearly_lower
 from robot_sysid.estimation.unknowns import (
     FILE_FRICTION,
     FILE_GRAVITY,
@@ -86,7 +93,7 @@ def fit_file(
         judge, errors = held_out(fit), held_out(level).of(level)
         if not is_clearly_lower(judge.score(squared), judge.score(errors)):
             fit, squared = level, errors
-    found = held_out(fit).validation(squared, OWN_SOURCE)
+    found = held_out(fit).validation(squared)
     return FileFit(fit, before, found, kept, fit_errors(fit, (), pull))
 
 
@@ -124,7 +131,7 @@ def _as_it_was(fitter: Fitter, question: Question, choice: Choice) -> Validation
         held[columns.at(PAYLOAD_NAMES)] = question.carried
     only = Unknowns(columns.names, kept, held, (), sought.lower, sought.upper, {})
     judge = HeldOut(data, np.ones(len(columns.joints)))
-    return judge.validation(judge.squared(only), OWN_SOURCE)
+    return judge.validation(judge.squared(only))
 
 
 def holds_polynomial(robot: RobotModel, joint: int) -> bool:

@@ -22,17 +22,20 @@ from robot_sysid.estimation.algebra.least_squares import (
 )
 from robot_sysid.estimation.algebra.nuisances import widened_groups, with_prior
 from robot_sysid.estimation.columns import Columns, Point
-from robot_sysid.estimation.dataset import DecimatedSamples, JoinedSamples, block_masks
+from robot_sysid.estimation.dataset import DecimatedSamples, block_masks
 from robot_sysid.estimation.unknowns import Choice, Question, Unknowns, unknowns
 from robot_sysid.records import DELAY_NAME, Array, SquareRootInformation
 from robot_sysid.signals.repetition import Visits
 
+# Most rounds of the point that rows are made around; of what crosses bounds; of what repeats.
 _MOST_ROUNDS, _MOST_BOUNDS, _WIDENING_ROUNDS = 8, 6, 2
 # Rounds of a delay or tilt that is sought; what no longer counts as movement: of the prediction, in
 # standard deviations of the noise, of the delay [s], of gravity [rad], of speeds (a share).
 _SOUGHT_ROUNDS = 20
 _SETTLED, _SETTLED_DELAY, _SETTLED_ANGLE = 0.05, 1e-6, 1e-6
 _SPEED_SETTLED = 0.02
+# Noise within one per cent of its floor is at it; there it may be as small as a hundredth of the
+# floor, found in so many rounds.
 _AT_FLOOR, _SHARPEST, _SHARPER = 1.01, 0.01, 2
 
 
@@ -77,20 +80,21 @@ class ChosenRows:
     """Rows of what is sought, the rest taken off; iterating over it is one pass.
 
     Attributes:
-        rows: of all parameters.
+        parts: each recording's rows of all parameters.
         unknowns: which are sought.
     """
 
-    rows: JoinedSamples
+    parts: tuple[DecimatedSamples, ...]
     unknowns: Unknowns
 
     def __iter__(self) -> Iterator[tuple[int, Array, Array]]:
-        """Yield (joint number, rows, right-hand sides) of each joint."""
-        columns = self.rows.parts[0].columns
-        for index, rows, tau in self.rows:
-            stay = np.isin(columns[index], self.unknowns.kept)
-            known = rows[:, ~stay] @ self.unknowns.held[columns[index][~stay]]
-            yield index, rows[:, stay], tau - known
+        """Yield (joint number, rows, right-hand sides) of each joint, all recordings together."""
+        for same in zip(*self.parts):
+            index = same[0][0]
+            rows, tau = (np.concatenate([each[k] for each in same]) for k in (1, 2))
+            columns = self.parts[0].columns[index]
+            stay = np.isin(columns, self.unknowns.kept)
+            yield index, rows[:, stay], tau - rows[:, ~stay] @ self.unknowns.held[columns[~stay]]
 
 
 @dataclass(frozen=True)
@@ -133,6 +137,12 @@ class Fit:
         return np.asarray(self.weighted.noise / np.sqrt(self.inflation))
 
     @property
+    def noise_per_joint(self) -> dict[str, float]:
+        """Joint to standard deviation of its torque noise [N m], of joints with samples."""
+        pairs = zip(self.information.joints, self.noise.tolist())
+        return {each.joint: noise for each, noise in pairs if each.n_samples}
+
+    @property
     def constrained(self) -> bool:
         """Whether the plain estimate was replaced by the best possible bodies."""
         return bool(np.any(self.values != self.free))
@@ -140,7 +150,7 @@ class Fit:
     @property
     def rows(self) -> ChosenRows:
         """The rows of what was sought."""
-        return ChosenRows(JoinedSamples(self.samples), self.unknowns)
+        return ChosenRows(self.samples, self.unknowns)
 
     def value(self, name: str) -> float:
         """Return one parameter, with what the point holds of it."""
@@ -213,22 +223,40 @@ class Fitter:
         terms = {term for model in choice.friction for term in model.terms}
         exact = not terms.isdisjoint(("load", *BENT))
         point = replace(point or self.columns.start(), exact_load=exact)
-        seeks = "auto" in (question.options.delay, question.options.tilt)
-        rounds = _SOUGHT_ROUNDS if seeks and not question.in_file else rounds
-        noise = None
+        options, noise = question.options, None
+        sought = [name for name in ("delay", "tilt") if getattr(options, name) == "auto"]
+        rounds = _SOUGHT_ROUNDS if sought and not question.in_file else rounds
         for _ in range(rounds):
             samples, data = self.around(point)
-            fit = solved(
-                self.columns, question, choice, point, data, samples, self.visits, noise=noise
-            )
-            noise = fit.noise
-            after = fit.next_point
-            if _rests(fit, point, after):
+            given = self.columns, question, choice, point, data, samples, self.visits
+            fit = solved(*given, noise=noise)
+            noise, after = fit.noise, fit.next_point
+            if _rests(fit, after):
                 return fit
             point = after
         if rounds == _SOUGHT_ROUNDS:
-            _require_settled(fit, rounds)
+            raise SysidError(
+                f"the estimates of {' and '.join(sought)} do not settle within {rounds} rounds "
+                f"(last delay {1e3 * fit.point.delay:.3g} ms): this log does not show them well "
+                "enough; lower --cutoff, or leave --delay and --tilt off"
+            )
         return fit
+
+
+def _rests(fit: Fit, after: Point) -> bool:
+    """Tell whether the prediction, delay, tilt and speeds hardly move any more."""
+    before, kept = fit.point, fit.unknowns.kept
+    steady = [k for k in kept if fit.columns.names[k] not in fit.unknowns.settle]
+    moved = np.zeros(len(fit.values))
+    moved[steady] = (after.values - before.values)[steady]
+    effect = fit.weighted.whitened()[0] @ moved[kept]
+    turn = float(np.linalg.norm(np.cross(after.gravity, before.gravity)))
+    turn /= float(after.gravity @ after.gravity) or 1.0
+    speeds = zip((after.speed or {}).values(), (before.speed or {}).values())
+    faster = max((float(np.max(np.abs(a / b - 1.0))) for a, b in speeds), default=0.0)
+    late = abs(after.delay - before.delay)
+    small = float(effect @ effect) < _SETTLED**2 and late < _SETTLED_DELAY
+    return small and turn < _SETTLED_ANGLE and faster < _SPEED_SETTLED
 
 
 def solved(
@@ -261,8 +289,7 @@ def solved(
             noise = equations.noise / np.sqrt(counted)
             if visits is None:
                 break
-            rows = ChosenRows(JoinedSamples(samples), sought)
-            found = free[sought.kept]
+            rows, found = ChosenRows(samples, sought), free[sought.kept]
             before, counted = counted, visits.inflation(equations.information, rows, found)
             if np.array_equal(before, counted):
                 break
@@ -289,8 +316,7 @@ def _bounded(
         found = replace(found, noise=found.noise * np.sqrt(inflation))
         groups = widened_groups(plain, found.noise, sought.groups)
         sought = replace(sought, groups=groups)
-        known = replace(found.information, prior=with_prior(plain, groups).prior)
-        found = _sharpened(replace(found, information=known), prior)
+        found = _sharpened(replace(found, information=with_prior(plain, groups)), prior)
         values = sought.full(least_squares(found.information, prior, 1.0 / found.noise))
         inside = sought.bounded(values)
         if inside is None:
@@ -328,34 +354,8 @@ def possible(sought: Unknowns, equations: WeightedEquations, free: Array) -> Arr
 
 def links_problem(sought: Unknowns) -> LinksProblem:
     """Return which of the parameters sought are bodies, and what such bodies usually are."""
-    prior = np.zeros(len(sought.kept))
-    links = []
+    prior, links = np.zeros(len(sought.kept)), []
     for places, usual in sought.bodies.values():
-        at = np.searchsorted(sought.kept, places)
-        links.append(at)
-        prior[at] = usual
+        links.append(np.searchsorted(sought.kept, places))
+        prior[links[-1]] = usual
     return LinksProblem(tuple(links), prior)
-
-
-def _rests(fit: Fit, before: Point, after: Point) -> bool:
-    """Tell whether the prediction, delay, tilt and speeds hardly move any more."""
-    steady = [k for k in fit.unknowns.kept if fit.columns.names[k] not in fit.unknowns.settle]
-    moved = np.zeros(len(fit.values))
-    moved[steady] = (after.values - before.values)[steady]
-    effect = fit.weighted.whitened()[0] @ moved[fit.unknowns.kept]
-    turn = float(np.linalg.norm(np.cross(after.gravity, before.gravity)))
-    turn /= float(after.gravity @ after.gravity) or 1.0
-    speeds = zip((after.speed or {}).values(), (before.speed or {}).values())
-    faster = max((float(np.max(np.abs(a / b - 1.0))) for a, b in speeds), default=0.0)
-    late = abs(after.delay - before.delay)
-    small = float(effect @ effect) < _SETTLED**2 and late < _SETTLED_DELAY
-    return small and turn < _SETTLED_ANGLE and faster < _SPEED_SETTLED
-
-
-def _require_settled(fit: Fit, rounds: int) -> None:
-    sought = [name for name in ("delay", "tilt") if getattr(fit.question.options, name) == "auto"]
-    raise SysidError(
-        f"the estimates of {' and '.join(sought)} do not settle within {rounds} rounds (last delay "
-        f"{1e3 * fit.point.delay:.3g} ms): this log does not show them well enough; lower "
-        "--cutoff, or leave --delay and --tilt off"
-    )

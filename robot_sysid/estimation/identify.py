@@ -18,20 +18,19 @@ from robot_sysid.dynamics.equations import (
 from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.dynamics.nuisances import gravity, tilt_axes
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.information import sample_counts
+from robot_sysid.estimation.algebra.information import combined, sample_counts
 from robot_sysid.estimation.algebra.options import EstimationOptions
 from robot_sysid.estimation.answer import Answer, traced
 from robot_sysid.estimation.choices import choose, coupled
 from robot_sysid.estimation.columns import PAYLOAD_NAMES, Columns
 from robot_sysid.estimation.couplings import couplings_of
-from robot_sysid.estimation.dataset import Dataset, JoinedSamples, Mask, equations_at, mean_torque
+from robot_sysid.estimation.dataset import Dataset, Mask, equations_at, mean_torque
 from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.file_fit import fit_file
 from robot_sysid.estimation.fit import Fit, Fitter
 from robot_sysid.estimation.recordings import logs_compared
-from robot_sysid.estimation.result import about
+from robot_sysid.estimation.result import about, of_own_simulation
 from robot_sysid.estimation.unknowns import Question
-from robot_sysid.estimation.verdict import of_own_simulation
 from robot_sysid.logs.checks import sign_check
 from robot_sysid.records import (
     DataOrigin,
@@ -226,11 +225,12 @@ def tested(fit: Fit, datasets: Sequence[Dataset], source: str) -> Validation:
     """
     columns = Columns(fit.columns.robot, datasets, fit.columns.torques, fit.columns.couplings)
     samples = columns.samples(replace(fit.point, values=fit.values))
-    part = JoinedSamples(samples).information()
+    part = combined([each.information() for each in samples])
     counts = sample_counts(part)
     if not np.any(counts):
         raise InputError(f"no usable torque samples to validate on in {source}")
-    wrong, squares = part.squared_residuals(fit.values), JoinedSamples(samples).squared_torque()
+    wrong = part.squared_residuals(fit.values)
+    squares = np.sum([each.squared_torque() for each in samples], axis=0)
     return validation_of([joint.joint for joint in part.joints], wrong, squares, counts, source)
 
 

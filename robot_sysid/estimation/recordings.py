@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,10 +13,10 @@ from robot_sysid.estimation.algebra.identifiability import visible_space
 from robot_sysid.estimation.algebra.information import combined, restricted, sample_counts
 from robot_sysid.estimation.algebra.least_squares import least_squares, weighted
 from robot_sysid.estimation.algebra.nuisances import with_prior
+from robot_sysid.estimation.choices import HeldOut
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
-from robot_sysid.estimation.dataset import DecimatedSamples, JoinedSamples, information_of
+from robot_sysid.estimation.dataset import DecimatedSamples
 from robot_sysid.estimation.fit import ChosenRows, Evidence, Fit
-from robot_sysid.estimation.held_out import HeldOut
 from robot_sysid.estimation.unknowns import WEIGHT
 from robot_sysid.records import Array, Flange, SquareRootInformation, Validation
 from robot_sysid.records.results import validation_of
@@ -24,32 +24,20 @@ from robot_sysid.results.record import OneRecording
 
 DISAGREE, SURE = 2.0, 3.0
 """Scatter over stated errors beyond which logs do not agree; standard errors between a recording
-and all others above which it is said to disagree."""
+and all others above which it is said to disagree (one in 370 by chance)."""
 LEAST_MISFIT, SURE_MISFIT = 0.1, 4.0
 """Share of the payload, and standard errors, by which recordings of one kind differ at least where
 that is refused."""
 
 
-@dataclass(frozen=True)
-class Alone:
-    """What some of the recordings say by themselves.
-
-    Attributes:
-        values: (k,) of what is sought.
-        noise: (k,) standard errors of noise alone, white.
-        errors: (k,) whole ones.
-    """
-
-    values: Array
-    noise: Array
-    errors: Array
-
-
-def alone(fit: Fit, parts: Sequence[SquareRootInformation]) -> Alone:
+def alone(fit: Fit, parts: Sequence[SquareRootInformation]) -> tuple[Array, Array, Array]:
     """Return what some recordings say with the noise and the priors of the whole fit.
 
     Args:
         parts: information of some, in all parameters.
+
+    Returns:
+        (values (k,) of what is sought, their errors by white noise alone, their whole errors).
     """
     weights, sought = 1.0 / fit.weighted.noise, fit.unknowns
     plain = restricted(combined(parts), sought.kept_names, sought.held)
@@ -57,9 +45,9 @@ def alone(fit: Fit, parts: Sequence[SquareRootInformation]) -> Alone:
     of_data = plain.stacked(weights)[0]
     space, prior = visible_space(matrix), fit.columns.prior[sought.kept]
     inverse = space.inverse()
-    data = np.sqrt(np.maximum(np.sum((of_data @ inverse) ** 2, axis=0), 0.0))
+    noise = np.sqrt(np.maximum(np.sum((of_data @ inverse) ** 2, axis=0), 0.0))
     errors = np.where(space.identified, np.sqrt(np.maximum(np.diag(inverse), 0.0)), np.inf)
-    return Alone(prior + space.solve(right - matrix @ prior), data, errors)
+    return prior + space.solve(right - matrix @ prior), noise, errors
 
 
 def logs_compared(
@@ -71,52 +59,51 @@ def logs_compared(
         names: per dataset, the log that it is of.
         stretch: by how much correlated noise makes errors larger than white noise would.
     """
-    logs = {
-        name: combined([s.information() for s, n in zip(fit.samples, names) if n == name])
-        for name in dict.fromkeys(names)
-    }
+    logs = {name: [s for s, n in zip(fit.samples, names) if n == name] for name in names}
     if len(logs) < 2:
         return (), ()
-    each = {name: alone(fit, [part]) for name, part in logs.items()}
-    squares = [
-        np.sum([s.squared_torque() for s, n in zip(fit.samples, names) if n == name], axis=0)
-        for name in logs
-    ]
-    data = Evidence(tuple(logs.values()), np.array(squares), fit.evidence.torque)
+    parts = [combined([each.information() for each in log]) for log in logs.values()]
+    squares = [np.sum([each.squared_torque() for each in log], axis=0) for log in logs.values()]
+    data = Evidence(tuple(parts), np.array(squares), fit.evidence.torque)
     wrong = HeldOut(data, fit.weighted.noise).of(fit)
     joints = [joint.joint for joint in fit.information.joints]
     tests = tuple(
         validation_of(
             joints, error, square, sample_counts(part), f"{name}, predicted from the other logs"
         )
-        for (name, part), error, square in zip(logs.items(), wrong, squares)
+        for name, part, error, square in zip(logs, parts, wrong, squares)
     )
-    return tuple(_sentences(each, stretch)), tests
+    masses = {}
+    for name, part in zip(logs, parts):
+        values, noise, errors = alone(fit, [part])
+        masses[name] = float(values[0]), float(np.hypot(errors[0], stretch * noise[0]))
+    return tuple(_agreement(masses)), tests
 
 
-def _sentences(logs: Mapping[str, Alone], stretch: float) -> Iterator[str]:
-    said, masses, errors = [], [], []
-    for name, one in logs.items():
-        error = float(np.hypot(one.errors[0], stretch * one.noise[0]))
-        if not np.isfinite(error) or error <= 0.0:
-            said.append(f"{name} does not tell the mass")
-            continue
-        masses.append(float(one.values[0]))
-        errors.append(error)
-        said.append(f"{name} {masses[-1]:.4g} \u00b1 {error:.2g} kg")
+def _agreement(masses: Mapping[str, tuple[float, float]]) -> Iterator[str]:
+    """Yield what the masses of logs and their errors [kg] say of each other."""
+    known = {name: pair for name, pair in masses.items() if 0.0 < pair[1] < np.inf}
+    said = [
+        f"{name} {masses[name][0]:.4g} \u00b1 {masses[name][1]:.2g} kg"
+        if name in known
+        else f"{name} does not tell the mass"
+        for name in masses
+    ]
     yield f"mass of each log alone: {'; '.join(said)}"
-    if len(masses) < 2:
+    if len(known) < 2:
         return
+    each, errors = np.array(list(known.values())).T
     weights = 1.0 / np.square(errors)
-    mean = float(np.sum(weights * masses) / np.sum(weights))
-    ratio = float(np.sqrt(np.sum(weights * (np.array(masses) - mean) ** 2) / (len(masses) - 1)))
+    mean = float(np.sum(weights * each) / np.sum(weights))
+    ratio = float(np.sqrt(np.sum(weights * (each - mean) ** 2) / (len(each) - 1)))
+    scatter = f"their masses scatter by {ratio:.2g} times their stated errors"
     if ratio > DISAGREE:
         yield (
-            f"the logs do not agree: their masses scatter by {ratio:.2g} times their stated "
-            "errors; did the arm carry the same, and were all recorded in the same way?"
+            f"the logs do not agree: {scatter}; did the arm carry the same, and were all recorded "
+            "in the same way?"
         )
     else:
-        yield f"the logs agree: their masses scatter by {ratio:.2g} times their stated errors"
+        yield f"the logs agree: {scatter}"
 
 
 def each_recording(fit: Fit, flange: Flange, stretch: float) -> tuple[OneRecording, ...]:
@@ -124,7 +111,7 @@ def each_recording(fit: Fit, flange: Flange, stretch: float) -> tuple[OneRecordi
 
     Args:
         flange: frame of the centres of mass.
-        stretch: see ``logs_compared``.
+        stretch: by how much correlated noise makes errors larger than white noise would.
     """
     informations = [part.information() for part in fit.samples]
     recordings, found = fit.columns.datasets, []
@@ -133,9 +120,9 @@ def each_recording(fit: Fit, flange: Flange, stretch: float) -> tuple[OneRecordi
         same = [k for k, each in enumerate(recordings) if each.is_loaded is kind]
         others = [k for k, each in enumerate(recordings) if each.is_loaded is not kind]
         for k in same if len(same) > 1 else ():
-            one = alone(fit, [informations[i] for i in (k, *others)])
-            theta, noise = flange.to_flange(one.values[places]), stretch * one.noise[places[0]]
-            rest = np.sqrt(max(one.errors[places[0]] ** 2 - one.noise[places[0]] ** 2, 0.0))
+            values, white, errors = alone(fit, [informations[i] for i in (k, *others)])
+            theta, noise = flange.to_flange(values[places]), stretch * white[places[0]]
+            rest = np.sqrt(max(errors[places[0]] ** 2 - white[places[0]] ** 2, 0.0))
             mass = float(theta[0])
             com = theta[1:4] / mass if mass else np.full(3, np.nan)
             error = float(np.hypot(rest, noise))
@@ -174,20 +161,23 @@ def masses_apart(fit: Fit, samples: Sequence[DecimatedSamples]) -> tuple[Array, 
     kept = np.setdiff1d(sought.kept, fit.columns.at(PAYLOAD_NAMES))
     fewer = replace(sought, kept=kept)
     names = (*fewer.kept_names, *(f"{n}({k})" for k in range(count) for n in PARAMETER_NAMES))
-    parts = []
-    for number, part in enumerate(samples):
-        rows = ChosenRows(JoinedSamples((part,)), fewer)
-        stay = [np.searchsorted(kept, c[np.isin(c, kept)]) for c in part.columns]
-        own = len(kept) + N_INERTIAL * (number - 1) + np.arange(N_INERTIAL)
-        columns = [np.concatenate((s, own)) if number else s for s in stay]
-        wider = [
-            (k, np.hstack((block, full[:, :N_INERTIAL])) if number else block, tau)
-            for (k, block, tau), full in zip(rows, part.rows)
-        ]
-        parts.append(information_of(wider, names, part.joints, columns))
+
+    def wider(number: int, part: DecimatedSamples) -> SquareRootInformation:
+        rows, columns = [], []
+        for (_, block, _), full, at in zip(ChosenRows((part,), fewer), part.rows, part.columns):
+            own = np.zeros((len(block), count, N_INERTIAL))
+            if number:
+                own[:, number - 1] = full[:, :N_INERTIAL]
+            rows.append(np.hstack((block, own.reshape(len(block), -1))))
+            stay = np.searchsorted(kept, at[np.isin(at, kept)])
+            columns.append(np.append(stay, np.arange(len(kept), len(names))))
+        tau = tuple(right for _, _, right in ChosenRows((part,), fewer))
+        own_names = replace(part, names=names, columns=tuple(columns))
+        return replace(own_names, rows=tuple(rows), tau=tau).information()
+
     # Recordings on the wrong side widen priors that have nothing to do with it.
     priors = [replace(g, widened=1.0) for g in sought.groups if g.cause != WEIGHT]
-    known = with_prior(_summed(parts, names), priors)
+    known = with_prior(combined([wider(*pair) for pair in enumerate(samples)]), priors)
     prior = np.append(fit.columns.prior[kept], np.zeros(N_INERTIAL * count))
     found = weighted(known, prior)
     space = visible_space(found.whitened()[0])
@@ -195,23 +185,6 @@ def masses_apart(fit: Fit, samples: Sequence[DecimatedSamples]) -> tuple[Array, 
     places = [names.index(f"m({k})") for k in range(count)]
     errors = np.sqrt(np.diag(space.inverse())[places])
     return np.append(0.0, values[places]), np.append(0.0, errors)
-
-
-def _summed(
-    parts: Sequence[SquareRootInformation], names: tuple[str, ...]
-) -> SquareRootInformation:
-    """Return the information of parts whose rows have different columns."""
-    every = []
-    for part in parts:
-        joints = []
-        for joint in part.joints:
-            triangle = np.zeros((len(names) + 1, len(names) + 1))
-            triangle[: len(joint.triangle), np.append(joint.columns, len(names))] = joint.triangle
-            joints.append(
-                replace(joint, columns=np.arange(len(names), dtype=np.int64), triangle=triangle)
-            )
-        every.append(replace(part, joints=tuple(joints)))
-    return combined(every)
 
 
 def _misfits(fit: Fit, masses: Array, errors: Array) -> tuple[tuple[str, float], ...]:

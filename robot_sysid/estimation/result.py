@@ -1,8 +1,13 @@
-"""From an answer to the result: the file, the verdict, and what the user should know."""
+"""From an answer to the result: the file, what may be believed, and what the user should know.
+
+A wide error is an answer, a wrong one is a defect: nothing is refused because it is not known well,
+but what cannot hang on this arm, what does not follow from the motion, and a file that predicts no
+better than the one before.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -11,14 +16,24 @@ import numpy as np
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.nuisances import gravity
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.estimation import verdict
-from robot_sysid.estimation.answer import Answer, base_parameters, estimate_of
+from robot_sysid.estimation.algebra.information import sample_counts
+from robot_sysid.estimation.answer import Answer, base_parameters, estimate_of, model_file
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
 from robot_sysid.estimation.fit import Fit
 from robot_sysid.estimation.recordings import contradictions, disagreeing, each_recording
-from robot_sysid.estimation.unknowns import FILE_FRICTION
-from robot_sysid.model.inertia import subtree_bodies
-from robot_sysid.records import DELAY_NAME, Array, DataOrigin, Flange, RobotModel
+from robot_sysid.estimation.unknowns import PLACEHOLDER, usual_bodies
+from robot_sysid.model.inertia import link_reach, subtree_bodies
+from robot_sysid.records import (
+    DELAY_NAME,
+    Array,
+    DataOrigin,
+    Estimate,
+    Flange,
+    InertialParameters,
+    RobotModel,
+    Validation,
+)
+from robot_sysid.records.figures import percent
 from robot_sysid.results.model import versions
 from robot_sysid.results.record import (
     LINK,
@@ -26,87 +41,270 @@ from robot_sysid.results.record import (
     BodyEstimate,
     Figure,
     ModelFile,
+    OneRecording,
     Payload,
     Result,
     Verdict,
 )
 
+NOISE_EXPLAINS = 3.0
+"""Held-out error over noise up to which noise, and not a wrong model, may be its cause."""
+HARMLESS = 0.02
+"""Held-out error, as a part of the torque, that is no reason to doubt whatever the noise is."""
+ODD_JOINT, ODD_NOISE = 10.0, 0.3
+"""A joint is odd whose noise, as a part of its torque, is so many times the others' and large."""
+COM_BEYOND, GYRATION_BEYOND = 0.3, 0.1
+"""How far beyond the link of the model, in parts of the arm's reach, centre of mass and radius of
+gyration may be: something may be bolted to it that the model does not have."""
+MOVED_UNSEEN = 2.0
+"""Factor between the model's mass and a mass that only consistency or a prior has moved."""
+COARSE = 0.2
+"""Expected error of the acceleration, as a part of it, beyond which it says nothing."""
+LARGEST_RATIO, FARTHEST_LINK = 20.0, 1.5
+"""By how much another link's mass may differ from the model's; how many times the link's size its
+centre of mass may move, or its radius of gyration be."""
+WORST, CLEARLY_LOWER, WORSE, NEGLIGIBLE = 0.5, 0.9, 1.1, 1e-3
+"""Held-out error of a file, as a part of the torque, above which nothing is written; parts of the
+error before below which it is clearly better, and above which it is worse; an error that is none.
+"""
+FARTHEST_PAYLOAD, LEAST_REACH = 0.5, 0.6
+"""How far a payload's centre of mass may be from the flange, as a share of the arm's reach, and the
+reach that an arm is taken to have at least [m]."""
+MOST_FACTOR = 2.0
+"""How far a known mass and its weighing may be apart, as a factor: gears lose a third at most."""
 WIDER = 2.0
 """Factor beyond which a prior that had to be widened is told of."""
-_CLEAR = 3.0
+# Standard errors: those a mass has to be away from zero, and a size beyond its bound (95 %); those
+# an encoder zero has to be away from none before it is told of.
+_SURE, _CLEAR = 2.0, 3.0
+# Standard error of a mass that is never too large [kg]; a link's smallest size [m]; an encoder zero
+# that is not worth telling [rad].
+_KNOWN_MASS, _LEAST_SIZE, _SMALL_ZERO = 1e-6, 0.02, 1e-3
+
+Judged = tuple[Verdict, str]
+"""A verdict and its reason in words."""
 
 
-def model_file(answer: Answer, write_offset: bool) -> tuple[ModelFile, tuple[str, ...]]:
-    """Return what is written, and sentences on what is not."""
-    assert answer.file is not None
-    fit, robot = answer.file.fit, answer.robot
-    own = replace(answer, fit=fit, file=None, errors=answer.file.errors)
-    thetas = fit.columns.thetas(fit.values)
-    spread = np.zeros_like(thetas)
-    for body in own.links():
-        spread[robot.joint_names.index(str(body.joint))] = body.errors
-    joints, notes = {}, []
-    kept = set(answer.file.kept)
-    for index, (joint, each) in enumerate(list(own.joints())[: robot.n_joints]):
-        written = {name: figure for name, figure in each.terms.items() if name != "offset"}
-        if write_offset and "offset" in each.terms and FILE_FRICTION not in kept:
-            reason = _why_no_offset(robot, index, each.terms)
-            notes += [f"{joint}: no offset is written, {reason}"] if reason else []
-            written.update({} if reason else {"offset": each.terms["offset"]})
-        if written:
-            joints[joint] = written
-        else:
-            notes.append(
-                f"{joint} does not move fast enough in these logs: nothing is learnt of its "
-                "friction and rotor inertia, the model's own stay"
-            )
-    turned = fit.next_point.gravity if fit.unknowns.settle else None
-    if turned is not None and np.array_equal(turned, gravity(robot)):
-        turned = None
-    tested = answer.file.before, answer.file.after
-    found = ModelFile(thetas, spread, joints, turned, *tested, kept=tuple(sorted(kept)))
-    return found, tuple(notes if FILE_FRICTION not in kept else ())
+def first(findings: Iterable[Judged], otherwise: Verdict) -> tuple[Verdict, tuple[str, ...]]:
+    """Return (the first verdict that is found, every reason), or what it is otherwise."""
+    found = list(findings)
+    return (found[0][0] if found else otherwise), tuple(reason for _, reason in found)
 
 
-def _why_no_offset(robot: RobotModel, index: int, terms: Mapping[str, Figure]) -> str | None:
-    """Return why a file must not get an offset, or None."""
-    offset, coulomb = terms["offset"], terms.get("coulomb", Figure(0.0, 0.0))
-    if robot.kind != "mjcf":
-        return "a URDF cannot hold it"
-    joint = robot.mj_model.dof_jntid[robot.dof_index[index]]
-    further = getattr(robot.mj_model, "jnt_stiffnesspoly", np.zeros((joint + 1, 1)))
-    if robot.mj_model.jnt_stiffness[joint] or np.any(further[joint]):
-        return "its spring is the model's own"
-    if abs(offset.value) <= 2.0 * offset.error:
-        return "it is within two standard errors of zero"
-    if abs(offset.value) >= coulomb.value:
-        return (
-            f"{abs(offset.value):.2g} is more than its Coulomb friction of {coulomb.value:.2g}: "
-            "the joint would creep by itself"
+# ---- what speaks against a fit, a link, a file, a payload
+
+
+def unexplained(
+    fit: Fit, tests: Sequence[Validation], acceleration_error: float
+) -> Iterator[Judged]:
+    """Yield why torques do not follow from the motion as far as noise would let them.
+
+    Args:
+        tests: its prediction of what was not fitted.
+        acceleration_error: expected error of the acceleration, as a part of it; 0 where unknown.
+    """
+    noise = fit.noise_per_joint
+    if acceleration_error > COARSE:
+        yield (
+            Verdict.UNEXPLAINED,
+            "the positions are too coarse or too seldom to have accelerations: expected error "
+            f"{percent(acceleration_error)}",
         )
-    return None
+    for test in tests:
+        errors = test.rmse_per_joint
+        squares = [(errors[joint] / noise[joint]) ** 2 for joint in noise if joint in errors]
+        ratio = float(np.sqrt(np.mean(squares or [0.0])))
+        if ratio > NOISE_EXPLAINS and (test.relative_error or 0.0) > HARMLESS:
+            yield (
+                Verdict.UNEXPLAINED,
+                f"torques of {test.source} are predicted {ratio:.1f} times worse than the noise "
+                "of the fit allows",
+            )
+    torque = dict(zip(fit.columns.robot.joint_names, fit.evidence.torque.tolist()))
+    shares = {joint: noise[joint] / torque[joint] for joint in noise if torque.get(joint)}
+    for joint, share in shares.items():
+        others = [shares[other] for other in shares if other != joint]
+        if others and share > max(ODD_NOISE, ODD_JOINT * float(np.median(others))):
+            yield (
+                Verdict.UNEXPLAINED,
+                f"{percent(share)} of the torque of {joint} is unexplained, of the other "
+                f"joints' {percent(float(np.median(others)))}",
+            )
+
+
+def implausible_link(robot: RobotModel, link: BodyEstimate) -> Iterator[Judged]:
+    """Yield why a terminal link cannot hang on this arm."""
+    body, errors = link.inertial, link.errors
+    if not body.mass > 0.0:
+        return
+    reach = link_reach(robot.mj_model, robot.reference_qpos, robot.body_id)
+    arm = reach + sum(float(np.linalg.norm(each.translation)) for each in robot.links[1:])
+    off = _SURE * float(np.linalg.norm(errors[1:4])) / body.mass
+    distance = float(np.linalg.norm(body.com))
+    where = f"on a link that reaches {reach:.2g} m"
+    if distance - off > reach + COM_BEYOND * arm:
+        yield Verdict.IMPLAUSIBLE, f"the centre of mass is {distance:.2g} m away {where}"
+    moment, slack = float(body.principal_moments[-1]), _SURE * float(np.max(errors[4:10]))
+    if moment - slack > body.mass * (reach + GYRATION_BEYOND * arm) ** 2:
+        radius = np.sqrt(moment / body.mass)
+        yield Verdict.IMPLAUSIBLE, f"the radius of gyration is {radius:.2g} m {where}"
+    ratio = body.mass / robot.prior.mass
+    if not np.isfinite(errors[0]) and not 1.0 / MOVED_UNSEEN <= ratio <= MOVED_UNSEEN:
+        yield (
+            Verdict.IMPLAUSIBLE,
+            f"these torques do not show the mass, yet the rest is only possible with "
+            f"{body.mass:.3g} kg where the model has {robot.prior.mass:.3g} kg",
+        )
+
+
+def implausible_links(robot: RobotModel, thetas: Array) -> Iterator[Judged]:
+    """Yield what none of the other links (n, 10) of this arm can be like."""
+    typical = float(np.median([body[0] for body in usual_bodies(robot).values()]))
+    for index, (link, theta) in enumerate(zip(robot.links[:-1], thetas)):
+        if link.has_mass and link.theta[0] >= PLACEHOLDER * typical:
+            own = np.sqrt(3.0) * spatial.characteristic_length(link.theta)
+            reach = float(np.linalg.norm(robot.links[index + 1].translation))
+            size = max(float(own), reach, _LEAST_SIZE)
+            reason = _strangeness(link.body_name, link.theta, theta, size)
+            if reason:
+                yield Verdict.IMPLAUSIBLE, reason
+
+
+def _strangeness(name: str, before: Array, theta: Array, size: float) -> str:
+    """Return why a link of some size [m] cannot be like that; "" where it can."""
+    if not spatial.is_consistent(theta):
+        return f"{name} is no possible rigid body"
+    mass, com, inertia = spatial.com_from_theta(theta)
+    model_mass, centre, _ = spatial.com_from_theta(before)
+    moved = float(np.linalg.norm(com - centre))
+    radius = float(np.sqrt(0.5 * np.trace(inertia) / mass))
+    if not 1.0 / LARGEST_RATIO <= mass / model_mass <= LARGEST_RATIO:
+        return f"{name} would weigh {mass:.3g} kg (model: {model_mass:.3g})"
+    if moved > FARTHEST_LINK * size:
+        return f"the centre of mass of {name} would be {moved:.2g} m from the model's"
+    if radius > FARTHEST_LINK * size:
+        return f"{name} would have a radius of gyration of {radius:.2g} m"
+    return ""
+
+
+def noise_share(fit: Fit) -> float:
+    """Return the torque noise of a fit as a part of the torque."""
+    squares = float(np.sum(fit.noise**2 * sample_counts(fit.information)))
+    torque = float(np.sum(fit.evidence.squared_torque))
+    return float(np.sqrt(squares / torque)) if torque > 0.0 else 0.0
+
+
+def of_file(before: Validation, after: Validation, noise: float = 0.0) -> Judged:
+    """Return how a written file predicts beside the one before, and that in words.
+
+    Args:
+        before, after: their errors on held-out data.
+        noise: of the torque, as a part of it; a model that was no worse than that before was right.
+    """
+    old, new = before.relative_error, after.relative_error
+    if old is None or new is None:
+        return Verdict.NO_BETTER, "the measured torque is zero"
+    said = f"torque error of the model on held-out data: {percent(old)} -> {percent(new)}"
+    right = old <= WORSE * max(noise, NEGLIGIBLE)
+    if new > WORST or (new > WORSE * old + 1e-9 and not right):
+        return Verdict.NO_BETTER, said
+    return (Verdict.BETTER if new < CLEARLY_LOWER * old else Verdict.AS_GOOD), said
+
+
+def of_payload(
+    robot: RobotModel,
+    payload: BodyEstimate,
+    contradicting: Sequence[tuple[str, float]],
+    validation: Validation,
+) -> Iterator[Judged]:
+    """Yield why a payload may not go into a model and a controller.
+
+    Args:
+        payload: in the flange frame, before it was made a possible body.
+        contradicting: name and mass of each recording, where those of one kind are not alike.
+        validation: prediction of what was not fitted.
+    """
+    mass, error = payload.inertial.mass, float(payload.errors[0])
+    said = f"the payload comes out as {mass:.4g} \u00b1 {error:.2g} kg"
+    if contradicting:
+        listed = ", ".join(f"{name} {carried:.3g} kg" for name, carried in contradicting)
+        yield Verdict.DISAGREE, f"compared with {contradicting[0][0]} the arm carries: {listed}"
+    if mass < -_SURE * error:
+        yield Verdict.SWAPPED, said
+    elif not np.isfinite(error) or mass <= _SURE * error:
+        yield Verdict.NOT_SEEN, said
+    elif (validation.relative_error or 0.0) > WORST:
+        share = percent(validation.relative_error or 0.0)
+        yield Verdict.UNEXPLAINED, f"held-out torques are predicted with an error of {share}"
+    else:
+        yield from _far_payload(robot, payload.inertial)
+
+
+def _far_payload(robot: RobotModel, payload: InertialParameters) -> Iterator[Judged]:
+    lengths = [float(np.linalg.norm(link.translation)) for link in robot.links[1:]]
+    farthest = FARTHEST_PAYLOAD * max(sum(lengths), LEAST_REACH)
+    distance = float(np.linalg.norm(payload.com))
+    gyration = float(np.sqrt(max(np.trace(payload.inertia_com), 0.0) / (2.0 * payload.mass)))
+    for what, size in (("centre of mass is", distance), ("radius of gyration is", gyration)):
+        if size > farthest:
+            yield (
+                Verdict.IMPLAUSIBLE,
+                f"its {what} {size:.3g} m (from the flange); more than {farthest:.3g} m, half the "
+                "arm's reach, is not believed",
+            )
+
+
+def of_known_mass(found: Sequence[Judged], weighed: float, known: float) -> Iterator[Judged]:
+    """Yield why torque scales may not be taken from a known mass.
+
+    Args:
+        found: what speaks against the payload as if its mass were not known.
+        weighed: its mass then [kg].
+        known: what it weighs [kg].
+    """
+    # Sizes that a known mass puts right are no reason to refuse it.
+    yield from (each for each in found if each[0] is not Verdict.IMPLAUSIBLE)
+    if not known / MOST_FACTOR < weighed < known * MOST_FACTOR:
+        said = f"weighed with torques as they are, {known:g} kg come out as {weighed:.4g} kg"
+        yield Verdict.WRONG_WEIGHT, said
+
+
+def of_own_simulation(estimate: Estimate) -> Verdict:
+    """Return how the identification of a model's own simulation ended."""
+    errors = estimate.standard_errors
+    weak = np.inf if errors is None else errors[0]
+    if not estimate.inertial.is_consistent:
+        return Verdict.INCONSISTENT
+    if np.isfinite(weak) and weak > max(_KNOWN_MASS, 0.5 * estimate.inertial.mass):
+        return Verdict.TOO_WEAK
+    seen = estimate.identifiability
+    return Verdict.OK if seen.rank >= seen.n_parameters else Verdict.PARTLY_FROM_MODEL
+
+
+# ---- the result
 
 
 def result_of(answer: Answer, data: DataOrigin, write_offset: bool = False) -> Result:
     """Return everything that is said of the arm from recordings of it alone."""
-    fit, robot = answer.fit, answer.robot
-    links = tuple(answer.links())
-    tests, notes = (answer.validation, *answer.tests), answer.notes
-    file, judged = None, _file_verdict(answer)
-    if answer.file is not None:
-        file, said = model_file(answer, write_offset)
-        notes += said
-    findings = [
-        *verdict.inconsistent(fit),
-        *verdict.unexplained(fit, tests, answer.acceleration_error),
-        *verdict.implausible_link(robot, links[-1]),
-        *(() if file is None else verdict.implausible_links(robot, file.thetas)),
-        *(() if judged is None or judged[0].is_trustworthy else (judged,)),
-    ]
+    fit, robot, file = answer.fit, answer.robot, None
+    links, tests, notes = tuple(answer.links()), (answer.validation, *answer.tests), answer.notes
+    findings: list[Judged] = []
+    if not spatial.is_consistent(fit.values[:10]):
+        said = "the terminal link is not a possible rigid body"
+        findings.append((Verdict.INCONSISTENT, said))
+    findings += unexplained(fit, tests, answer.acceleration_error)
+    findings += implausible_link(robot, links[-1])
     common = _common(answer, data)
     seen = common.estimate.identifiability
     ended = Verdict.OK if seen.rank >= seen.n_parameters else Verdict.PARTLY_FROM_MODEL
-    status, reasons = verdict.first(findings, ended if judged is None else judged[0])
+    judged = _file_verdict(answer)
+    if judged is not None:
+        file, more = model_file(answer, write_offset)
+        notes += more
+        findings += implausible_links(robot, file.thetas)
+        findings += [] if judged[0].is_trustworthy else [judged]
+        ended = judged[0]
+    status, reasons = first(findings, ended)
     return replace(
         common,
         verdict=status,
@@ -119,11 +317,11 @@ def result_of(answer: Answer, data: DataOrigin, write_offset: bool = False) -> R
     )
 
 
-def _file_verdict(answer: Answer) -> verdict.Finding | None:
+def _file_verdict(answer: Answer) -> Judged | None:
     """Return how the written file predicts beside the one before; None where none is asked for."""
     if answer.file is None:
         return None
-    return verdict.of_file(answer.file.before, answer.file.after, verdict.noise_share(answer.fit))
+    return of_file(answer.file.before, answer.file.after, noise_share(answer.fit))
 
 
 def about(robot: RobotModel) -> dict[str, Any]:
@@ -172,28 +370,24 @@ def _turned(robot: RobotModel, down: Array) -> float:
     return float(np.arctan2(np.linalg.norm(np.cross(down, there)), down @ there))
 
 
-_ASKED = "held-out torques ask for it"
-
-
 def _said(answer: Answer, file: ModelFile | None) -> Iterator[str]:
     """Yield sentences on what the user should know of the estimate."""
-    scale = answer.fit.choice.prior_scale
+    scale, asked = answer.fit.choice.prior_scale, "held-out torques ask for it"
     if scale > 1.0:
-        yield (
-            f"the other links are allowed to be off by {scale:g} times --link-uncertainty: {_ASKED}"
-        )
+        allowed = f"the other links are allowed to be off by {scale:g} times --link-uncertainty"
+        yield f"{allowed}: {asked}"
     given = answer.fit.question.options.coupling is not None
     for motor in answer.fit.choice.couplings:
-        yield f"a motor turns with {motor.name}: {'as given' if given else _ASKED}"
+        yield f"a motor turns with {motor.name}: {'as given' if given else asked}"
     for group in answer.fit.unknowns.groups:
         if group.may_widen and group.widened > WIDER:
             yield (
                 f"the recordings ask for errors by {group.cause} {group.widened:.1f} times as "
                 "large as was thought; those that are printed allow for it"
             )
-    zeros = {n: f for n, f in answer.sensors().items() if n.startswith("zero[")}
-    for name, figure in zeros.items():
-        if abs(figure.value) > max(_CLEAR * figure.error, 1e-3):
+    for name, figure in answer.sensors().items():
+        large = abs(figure.value) > max(_CLEAR * figure.error, _SMALL_ZERO)
+        if name.startswith("zero[") and large:
             yield (
                 f"the log reads {name[5:-1]} {1e3 * figure.value:.1f} \u00b1 "
                 f"{1e3 * figure.error:.1g} mrad too large; the links are those of the true "
@@ -223,27 +417,22 @@ def payload_of(
         resting: whether they are poses at rest, which do not show inertia.
         write_offset: whether the file is to hold the offset of each joint's friction.
     """
-    known, robot = answer.fit.question.known_mass, answer.robot
+    fit, robot, known = answer.fit, answer.robot, answer.fit.question.known_mass
     free = _payload(weighed, flange, weighed.fit.free)
-    found = list(verdict.of_payload(robot, free, contradictions(weighed.fit), weighed.validation))
+    found = list(of_payload(robot, free, contradictions(weighed.fit), weighed.validation))
     if known is not None:
-        found = list(verdict.of_known_mass(found, free.inertial.mass, known))
-    status, reasons = verdict.first(found, Verdict.OK)
-    values = answer.fit.values if status.is_trustworthy else answer.fit.free
+        found = list(of_known_mass(found, free.inertial.mass, known))
+    status, reasons = first(found, Verdict.OK)
+    values = (fit.values if status.is_trustworthy else fit.free).copy()
     if resting and status.is_trustworthy:
-        values = _with_ball(answer.fit, values)
+        # Nothing shows the inertia: a ball of aluminium of that mass is as good a guess as any.
+        places = fit.columns.at(PAYLOAD_NAMES)
+        mass, com, _ = spatial.com_from_theta(values[places])
+        values[places] = spatial.aluminium_ball(mass, com)
     scatter = each_recording(weighed.fit, flange, weighed.stretch()) if known is None else ()
-    link, total = (_link(answer, values, loaded) for loaded in (False, True))
-    datasets = answer.fit.columns.datasets
-    names = {
-        kind: tuple(each.name for each in datasets if each.is_loaded is loaded)
-        for kind, loaded in (("empty", False), ("loaded", True))
-    }
-    body, scales = _payload(answer, flange, values), {} if known is None else _scales(answer)
-    payload = Payload(flange, body, link, total, names, scatter, scales, known)
+    payload = _came_on(answer, flange, values, scatter)
     file, said = _arm_file(answer, write_offset)
-    notes = (*answer.notes, *said, *_said(answer, file))
-    notes = (*notes, *disagreeing(scatter, free.inertial.mass))
+    notes = (*robot.notes, *answer.notes, *said, *_said(answer, file))
     return replace(
         _common(answer, data),
         verdict=status,
@@ -252,7 +441,28 @@ def payload_of(
         payload=payload,
         file=file,
         validation=(answer.validation, *answer.tests),
-        notes=tuple(dict.fromkeys((*robot.notes, *notes))),
+        notes=tuple(dict.fromkeys((*notes, *disagreeing(scatter, free.inertial.mass)))),
+    )
+
+
+def _came_on(
+    answer: Answer, flange: Flange, values: Array, scatter: tuple[OneRecording, ...]
+) -> Payload:
+    """Return what some values (p,) say of the payload, and of the link without and with it."""
+    columns, known = answer.fit.columns, answer.fit.question.known_mass
+    scales = {joint: answer.figure(f"scale[{joint}]") for joint in columns.joints if known}
+    return Payload(
+        flange,
+        _payload(answer, flange, values),
+        _link(answer, values, False),
+        _link(answer, values, True),
+        {
+            kind: tuple(each.name for each in columns.datasets if each.is_loaded is loaded)
+            for kind, loaded in (("empty", False), ("loaded", True))
+        },
+        scatter,
+        {joint: Figure(1.0 + each.value, each.error) for joint, each in scales.items()},
+        known,
     )
 
 
@@ -262,12 +472,6 @@ def _arm_file(answer: Answer, write_offset: bool) -> tuple[ModelFile | None, tup
     if judged is None or judged[0].is_trustworthy:
         return (None, ()) if judged is None else model_file(answer, write_offset)
     return None, (f"the written model is the arm's own with the payload on it: {judged[1]}",)
-
-
-def _scales(answer: Answer) -> dict[str, Figure]:
-    """Return joint to what its torques are to be divided by."""
-    found = {joint: answer.figure(f"scale[{joint}]") for joint in answer.fit.columns.joints}
-    return {joint: Figure(1.0 + each.value, each.error) for joint, each in found.items()}
 
 
 def _payload(answer: Answer, flange: Flange, values: Array) -> BodyEstimate:
@@ -285,14 +489,3 @@ def _link(answer: Answer, values: Array, loaded: bool) -> BodyEstimate:
         theta = theta + values[answer.fit.columns.at(PAYLOAD_NAMES)]
     name = answer.robot.body_name
     return answer.body(name, change, theta, None if loaded else answer.robot.prior.theta)
-
-
-def _with_ball(fit: Fit, values: Array) -> Array:
-    """Return values with the payload's inertia that of a ball of aluminium of its mass.
-
-    At rest nothing shows the inertia; a small body there is as good a guess as any.
-    """
-    places, found = fit.columns.at(PAYLOAD_NAMES), values.copy()
-    mass, com, _ = spatial.com_from_theta(values[places])
-    found[places] = spatial.aluminium_ball(mass, com)
-    return found

@@ -34,9 +34,10 @@ LACKING = ("load", "sqrt")
 """Friction terms that a real joint has and a simpler model of it lacks."""
 CURVATURE, LEAST_COULOMB = 5.0, 0.02
 """How curved friction may be, as part of its Coulomb friction and in units of what it may grow with
-the gear's torque; Coulomb friction is at least so much of the joint's usual torque."""
+the gear's torque (documented with --friction-uncertainty); Coulomb friction is at least so much of
+the joint's usual torque."""
 LARGEST_LOSS = 0.3
-"""Share of its load that a gear loses at most."""
+"""Share of its load that a gear loses at most: one that lost half of it would lock backwards."""
 DRIFTS, LOADED_LOSS = 0.2, 0.1
 """Standard deviations: of friction's drift from the middle of the recordings to their ends (a
 share), of a gear's loss where loads differ."""
@@ -59,9 +60,8 @@ class Question:
         drifts: whether a drift of friction over the recordings is sought.
         known_mass: of the payload [kg], where torque scales are sought with it.
         scale_prior: how far torque scales may be off then [%].
-        in_file: whether what is sought has to fit into a model file; which parts of it are kept as
-            they are, see ``FILE_FRICTION``.
-        kept_parts: those parts.
+        in_file: whether what is sought has to fit into a model file.
+        kept_parts: parts of that file that stay as they are, ``FILE_FRICTION`` and the like.
         carried: the payload (10,) that loaded recordings carry, where it is known.
         resting: whether the recordings are poses at rest.
     """
@@ -240,9 +240,9 @@ def _held(columns: Columns, question: Question, choice: Choice) -> Array:
             held[places] = columns.prior[places]
     if question.carried is not None:
         held[columns.at(PAYLOAD_NAMES)] = question.carried
-    keeps = question.kept_parts
     for joint, model in zip(columns.robot.joint_names, choice.friction):
-        own = () if model.terms and FILE_FRICTION not in keeps else ("coulomb", "viscous")
+        keeps = not model.terms or FILE_FRICTION in question.kept_parts
+        own = ("coulomb", "viscous") if keeps else ()
         # A URDF cannot hold rotor inertia.
         lacks_rotor = question.in_file and columns.robot.kind == "urdf"
         armature = "armature" not in model.terms and not lacks_rotor

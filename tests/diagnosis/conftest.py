@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 
-from robot_sysid.diagnosis.evidence import evidence_of
 from robot_sysid.diagnosis.model_fit import ModelFit
 from tests.support import arms
 from tests.support.wrong_logs import truth_of
@@ -18,10 +17,5 @@ def truth():
 
 
 @pytest.fixture(scope="session")
-def evidence(truth):
-    return evidence_of(truth.robot, [truth.log])
-
-
-@pytest.fixture(scope="session")
-def fit(evidence):
-    return ModelFit(evidence)
+def right(truth):
+    return ModelFit(truth.robot, [truth.log])

@@ -5,16 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robot_sysid.diagnosis.evidence import evidence_of
-from robot_sysid.diagnosis.model_fit import ModelFit
 from robot_sysid.diagnosis.run import check_against_model
-from robot_sysid.diagnosis.torque import loaded
 from robot_sysid.records import Measurement
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import motion_chunks
 from tests.support import arms
 from tests.support.closed_loop_proof import excitation
-from tests.support.wrong_logs import truth_of
 
 RATE = 200.0
 ROBOT = arms.robot_of(
@@ -36,29 +32,18 @@ def log_that_creeps_to_rest(seed, push=0.0, robot=ROBOT):
     return Measurement(motion.time, np.round(motion.q, 5), None, tau)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_dry_friction_at_rest_is_no_contact(seed):
     assert check_against_model(ROBOT, [log_that_creeps_to_rest(seed)]) == ()
 
 
 @pytest.mark.parametrize("axes", [(arms.Y,), (arms.Z, arms.Y), (arms.Y, arms.X)])
-@pytest.mark.parametrize("seed", range(2))
-def test_an_arm_that_is_mostly_terminal_link_is_no_odd_one(axes, seed):
+def test_an_arm_that_is_mostly_terminal_link_is_no_odd_one(axes):
     joint = 'range="-2.5 2.5" frictionloss=".4" damping=".2"'
     short = arms.robot_of(arms.serial_arm(axes, joint=joint))
-    assert check_against_model(short, [log_that_creeps_to_rest(seed, robot=short)]) == ()
+    assert check_against_model(short, [log_that_creeps_to_rest(0, robot=short)]) == ()
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_a_push_while_it_moves_still_is(seed):
-    found = check_against_model(ROBOT, [log_that_creeps_to_rest(seed, push=4.0)])
+def test_a_push_while_it_moves_still_is():
+    found = check_against_model(ROBOT, [log_that_creeps_to_rest(0, push=4.0)])
     assert [each.name for each in found] == ["contact"]
-
-
-def test_the_newtons_of_a_lift_say_nothing_of_the_arm_on_it():
-    carriage = '<inertial pos="0 0 0" mass="1000" diaginertia="9 9 9"/>'
-    lift = '<joint name="lift" type="slide" axis="0 0 1" range="0 .3"/>'
-    bodies = arms.serial_bodies((arms.Z, arms.Y, arms.Y), joint='range="-2 2"')
-    robot = arms.robot_of(arms.world(arms.link(lift, bodies, quat="1 0 0 0", inertial=carriage)))
-    fit = ModelFit(evidence_of(robot, [truth_of(robot, 7).log]))
-    assert loaded(fit)[0] and loaded(fit)[2]

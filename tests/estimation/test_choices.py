@@ -7,16 +7,27 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.signal import lfilter
 
+from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.friction import friction_model
 from robot_sysid.dynamics.newton_euler import LinkDynamics
-from robot_sysid.estimation.choices import CANDIDATES, choose, clearly_best, coupled
+from robot_sysid.estimation.choices import (
+    CANDIDATES,
+    CLEAR_SHARE,
+    choose,
+    clearly_best,
+    coupled,
+    held_out,
+    is_clearly_lower,
+)
 from robot_sysid.estimation.couplings import neighbours
-from robot_sysid.estimation.held_out import CLEAR_SHARE
+from robot_sysid.estimation.dataset import block_masks
 from robot_sysid.estimation.unknowns import Question
 from tests.support import arms
-from tests.support.core_fits import BASIC, datasets_of, fitter_of
+from tests.support.core_fits import BASIC, KNOWN, datasets_of, fitted, fitter_of
 from tests.support.measured_logs import JOINT, RATE, log_of, plan_of
 from tests.support.payload_logs import changed
 
@@ -38,12 +49,28 @@ def scores(**factors):
         # As good, but with more terms, or a little better only.
         (scores(**{STRIBECK: 0.5, RICHEST: 0.5}), STRIBECK),
         (scores(**{STRIBECK: 1.0 - 0.8 * CLEAR_SHARE}), CANDIDATES[0]),
+        # Clearly lower on average, but not by two standard errors of that; and by more.
+        ({**scores(), RICHEST: BLOCKS * np.exp([-0.9, -0.5, 0.6, 0.2, -0.1])}, CANDIDATES[0]),
+        ({**scores(), RICHEST: BLOCKS * np.exp([-0.4, -0.1, -0.3, -0.1, -0.2])}, RICHEST),
         # Much better here, worse there.
         ({**scores(), RICHEST: BLOCKS * [0.2, 1.6, 1.0, 0.9, 1.3]}, CANDIDATES[0]),
     ],
 )
 def test_the_simplest_is_taken_that_is_not_clearly_beaten(found, taken):
     assert clearly_best(found) == taken
+
+
+def test_a_stretch_that_shows_friction_far_more_than_others_does_not_hide_it():
+    """Every stretch is far better; their gains differ by a factor of a hundred."""
+    before = np.array([4.2, 3.9, 2.8, 3.9, 400.0])
+    assert is_clearly_lower(before / 5.0, before)
+
+
+@given(st.floats(1e-12, 1e12), st.lists(st.floats(0.1, 10.0), min_size=5, max_size=5))
+def test_units_do_not_decide(scale, ratios):
+    before = np.linspace(1.0, 3.0, 5)
+    after = before * np.array(ratios)
+    assert is_clearly_lower(scale * after, scale * before) == is_clearly_lower(after, before)
 
 
 def chosen(plant, robot, more, offered=False, given=None, seed=1, duration=10.0):
@@ -134,12 +161,61 @@ def test_links_that_are_further_off_are_given_more_room(plant):
     assert found.choice.prior_scale > 1.0
 
 
-@pytest.mark.parametrize("memory", [0.03, 0.3])
-def test_noise_with_a_memory_alone_gives_them_none(plant, robot, memory):
+def test_noise_with_a_memory_alone_gives_them_none(plant, robot):
     def noise(motion):
-        keep = np.exp(-1.0 / (memory * RATE))
+        keep = np.exp(-1.0 / (0.3 * RATE))
         drive = np.sqrt(1.0 - keep**2) * np.random.default_rng(3).standard_normal(motion.q.shape)
         return 0.1 * lfilter([1.0], [1.0, -keep], drive, axis=0)
 
     found, _ = chosen(plant, robot, noise, given=BASIC, duration=30.0)
     assert found.choice.prior_scale == 1.0
+
+
+# ---- the judge
+
+
+def equations(part, sought, weights):
+    """Yield each joint's (rows (M, k), right-hand sides (M,)) in what is sought."""
+    for weight, rows, tau, places in zip(weights, part.rows, part.tau, part.columns):
+        full, used = np.zeros((len(rows), len(sought.names))), np.isfinite(tau)
+        full[:, places] = rows
+        known = np.delete(full, sought.kept, 1) @ np.delete(sought.held, sought.kept)
+        yield weight * full[used][:, sought.kept], weight * (tau - known)[used]
+
+
+def test_each_block_is_predicted_from_the_others(robot, noisy):
+    """Done again by hand, with the rows themselves."""
+    (log,), options = datasets_of(robot, noisy)
+    fit = fitted(robot, [log], options)
+    judge, (samples,), sought = held_out(fit), fit.samples, fit.unknowns
+    prior = np.vstack([group.rows(sought.kept_names) for group in sought.groups])
+    for mask, squared in zip(block_masks(samples), judge.squared(sought)):
+        rest = list(equations(samples.where(~mask), sought, 1.0 / judge.noise))
+        matrix = np.vstack([*(rows for rows, _ in rest), prior[:, :-1]])
+        right = np.concatenate([*(tau for _, tau in rest), prior[:, -1]])
+        values = np.linalg.lstsq(matrix, right, rcond=None)[0]
+        parts = equations(samples.where(mask), sought, np.ones(3))
+        left = [np.sum((rows @ values - tau) ** 2) for rows, tau in parts]
+        np.testing.assert_allclose(squared, left, rtol=1e-4)
+
+
+def test_the_error_is_that_of_the_noise(payload_fit):
+    judge = held_out(payload_fit)
+    found = judge.validation(judge.of(payload_fit), "parts")
+    noise = np.sqrt(np.mean(payload_fit.weighted.noise**2))
+    assert found.rmse == pytest.approx(noise, rel=0.15)
+    assert 0.0 < found.relative_error < 0.05
+    assert tuple(found.rmse_per_joint) == payload_fit.columns.joints
+    assert judge.score(judge.of(payload_fit)) == pytest.approx(1.0, abs=0.3)
+
+
+def test_a_fit_is_judged_with_bodies_that_are_possible(robot, noisy):
+    """Noise ten times as large: what a block alone would give is impossible."""
+    loud = replace(
+        noisy, tau=noisy.tau + 3.0 * np.random.default_rng(1).normal(size=noisy.tau.shape)
+    )
+    (log,), options = datasets_of(robot, loud, **KNOWN)
+    fit = fitted(robot, [log], options)
+    assert spatial.is_consistent(fit.values[:10]) and fit.constrained
+    judge = held_out(fit)
+    assert np.sum(judge.of(fit)) < np.sum(judge.squared(fit.unknowns))

@@ -1,26 +1,88 @@
-"""Recordings: their blocks, their delay, and poses at which the arm rests."""
+"""Recordings as equations: filtered alike on both sides, cut in blocks, delayed, or at rest."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robot_sysid.errors import InputError
+from robot_sysid.estimation.algebra.information import combined
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.dataset import (
     BLOCKS,
     LONGEST_STRETCH,
     Dataset,
+    DecimatedSamples,
     RestingPoses,
     block_masks,
+    decimated_equations,
 )
 from robot_sysid.records import Measurement
-from tests.estimation.test_samples import random_samples
+from robot_sysid.signals.process import process
+from tests.support.arms import SEEDS
+from tests.support.measured_logs import CUTOFF, equations_of, guessed, log_of, true_values
 from tests.support.payload_logs import TrueArm, exact_recording, four_joint_arm, wide_motion
 
 ROBOT = four_joint_arm()
+
+
+@pytest.fixture(scope="module")
+def signals(plant):
+    return process(log_of(plant), plant.joint_names, CUTOFF)
+
+
+def random_samples(seed, count=40):
+    """Two joints that share their first two of five parameters."""
+    rng = np.random.default_rng(seed)
+    tau = rng.normal(size=(2, count))
+    tau[rng.random((2, count)) < 0.3] = np.nan
+    return DecimatedSamples(
+        names=("a", "b", "c", "d", "e"),
+        joints=("one", "two"),
+        columns=(np.array([0, 1, 2]), np.array([0, 1, 3, 4])),
+        time=np.arange(float(count)),
+        rows=(rng.normal(size=(count, 3)), rng.normal(size=(count, 4))),
+        tau=tuple(tau),
+        measured=tuple(rng.normal(size=(2, count))),
+    )
+
+
+def test_the_truth_solves_the_filtered_equations(plant, signals):
+    """Whatever the guess is: other values of the terminal link and no friction at all."""
+    equations = equations_of(guessed(plant))
+    samples = decimated_equations(equations, signals)
+    truth = true_values(plant, samples.names)
+    for rows, tau, columns in zip(samples.rows, samples.tau, samples.columns):
+        used = np.isfinite(tau)
+        assert np.count_nonzero(used) > 80
+        error = tau[used] - rows[used] @ truth[columns]
+        # What remains: the low-pass changes motion a little before the equations are built.
+        assert np.max(np.abs(error)) < 2e-3 * np.max(np.abs(tau[used]))
+
+
+def test_rows_stand_at_the_decimated_instants_and_masked_ones_stay_in_place(plant, signals):
+    samples = decimated_equations(equations_of(plant), signals)
+    np.testing.assert_array_equal(samples.time, signals.decimated_time())
+    for tau, usable in zip(samples.tau, signals.usable().T):
+        np.testing.assert_array_equal(np.isfinite(tau), usable)
+    still = replace(signals, deadband=np.full(3, 1e3))
+    with pytest.raises(InputError, match="faster than its velocity deadband; record a motion, or"):
+        decimated_equations(equations_of(plant), still)
+
+
+@given(SEEDS)
+def test_parts_add_up_to_the_whole(seed):
+    samples = random_samples(seed)
+    first = np.random.default_rng(seed).random(len(samples)) < 0.5
+    parts = [samples.where(first).information(), samples.where(~first).information()]
+    whole, joined = samples.information(), combined(parts)
+    x = np.random.default_rng(seed + 1).normal(size=5)
+    np.testing.assert_allclose(whole.squared_residuals(x), joined.squared_residuals(x), rtol=1e-10)
+    assert whole.n_samples == joined.n_samples
 
 
 @given(st.integers(BLOCKS, 500), st.integers(0, 100), st.floats(0.01, 5.0))
@@ -39,14 +101,9 @@ def test_blocks_are_apart_alike_in_size_and_short(count, seed, step):
     assert longest < LONGEST_STRETCH or rows < 2 * BLOCKS * rounds + BLOCKS
 
 
-def smooth_recording():
-    """A recording whose torque is smooth, with its motion."""
-    motion = wide_motion(1)
-    return motion, exact_recording(motion, 3.0 * motion.q + motion.qd, False)
-
-
 def test_a_delay_is_taken_out():
-    motion, late = smooth_recording()
+    motion = wide_motion(1)
+    late = exact_recording(motion, 3.0 * motion.q + motion.qd, False)
     made = late.delayed(0.02)
     at = np.isclose(motion.time[:, None], made.source.time).any(axis=1)
     later = np.interp(made.source.time + 0.02, motion.time, late.torque[:, 0])

@@ -69,6 +69,9 @@ def test_another_last_link_is_recovered_whatever_is_uncertain(seed):
     for options, allowed in ((EstimationOptions(), 1e-8), (EstimationOptions(**KNOWN), 1e-10)):
         fit = fitted(ROBOT, [recording], options)
         assert off_by(fit.values[:10], arm.thetas[-1]) < allowed
+        # Exact data makes no error smaller than a millionth of the torque would.
+        torque = np.sqrt(np.mean(recording.torque**2))
+        assert np.all(fit.weighted.noise > 0.9e-6 * torque) or options.link_uncertainty == 0.0
         truth = arm.values(fit.columns)[fit.unknowns.kept]
         np.testing.assert_allclose(fit.values[fit.unknowns.kept], truth, atol=1e-6)
 
@@ -185,6 +188,8 @@ def test_a_recording_given_twice_says_no_more(robot, noisy):
     assert np.all((errors[1] > 0.85 * errors[0]) & (errors[1] < 1.05 * errors[0]))
     moved = (twice.values - once.values)[once.unknowns.kept]
     assert np.max(np.abs(moved) / errors[0]) < 0.02
+    # What is said of a single sample is its own noise.
+    np.testing.assert_allclose(twice.noise, once.noise, rtol=0.05)
 
 
 # ---- priors
@@ -203,11 +208,9 @@ def test_a_wrong_zero_is_found_and_taken_from_its_joint_alone(plant):
 # ---- delay and tilt
 
 
-@pytest.mark.parametrize(
-    ("delay", "degrees", "direction", "seed"), [(0.0047, 1.0, 3.0, 9), (0.1, 3.0, 2.0, 5)]
-)
-def test_delay_and_tilt_are_found_together(plant, robot, delay, degrees, direction, seed):
+def test_delay_and_tilt_are_found_together(plant, robot):
     """To 0.1 ms and 0.02 degrees, encoder step 2e-5 rad."""
+    delay, degrees, direction, seed = 0.1, 3.0, 2.0, 5
     turn = np.radians(degrees) * np.array([np.cos(direction), np.sin(direction), 0.0])
     askew = with_gravity(plant, Rotation.from_rotvec(turn).apply(gravity(plant)))
     log = log_of(askew, plan_of(plant, seed), torque_delay=delay, encoder_resolution=2e-5)
@@ -225,13 +228,12 @@ def test_a_search_that_does_not_settle_ends_with_a_remedy(robot, noisy, monkeypa
         fitted(robot, datasets, options)
 
 
-# ---- methods and bodies
+# ---- bodies
 
 
-@pytest.mark.parametrize("guess", [0.3, 3.0])
-def test_a_clean_log_gives_the_truth_whatever_the_guess(plant, guess):
+def test_a_clean_log_gives_the_truth_whatever_the_guess(plant):
     (log,), options = datasets_of(plant, log_of(plant))
-    fit = fitted(guessed(plant, guess), [log], options)
+    fit = fitted(guessed(plant, 3.0), [log], options)
     assert off_by(fit.values[:10], plant.prior.theta) < 1e-5
 
 
@@ -251,11 +253,10 @@ def test_no_estimate_is_an_impossible_body_and_a_possible_one_stays(plant, robot
     assert 0 < impossible < 4
 
 
-@pytest.mark.parametrize("noise", [0.05, 0.3])
-def test_terminal_torques_keep_what_they_cannot_see(plant, robot, noise):
+def test_terminal_torques_keep_what_they_cannot_see(plant, robot):
     """First moments that show are not possible with the model's mass, which gives way a little."""
-    for seed in range(4):
-        log = log_of(plant, plan_of(plant, seed), seed, noise_torque=noise)
+    for seed in range(2):
+        log = log_of(plant, plan_of(plant, seed), seed, noise_torque=0.3)
         (one,), options = datasets_of(robot, log, torques="terminal")
         fit = fitted(robot, [one], options, "coulomb-viscous-offset")
         assert fit.free[0] == pytest.approx(robot.prior.mass)

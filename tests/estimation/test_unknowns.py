@@ -84,6 +84,10 @@ def test_sizes_are_those_that_were_said():
     groups = {group.cause: group for group in asked(options).groups}
     np.testing.assert_allclose(groups[SCALES].factor, 0.04 * np.eye(4))
     np.testing.assert_allclose(groups[ZEROS].factor, 1e-3 * np.eye(4))
+    # Curved by five times two per cent of 2 % of its usual 5 N m, as no model friction is larger.
+    own = dict(zip(groups[FRICTION].names, np.diag(groups[FRICTION].factor)))
+    assert own["sqrt[joint0]"] == pytest.approx(5.0 * 0.02 * 0.02 * 5.0)
+    assert own["load[joint0]"] == 0.02
     mass = groups[LINKS].factor @ groups[LINKS].factor.T
     # Each link on its own, and all in common.
     assert mass[0, 0] == pytest.approx(2.0 * (0.05 * ROBOT.links[0].theta[0]) ** 2, rel=1e-6)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimation import verdict
-from robot_sysid.estimation.verdict import first
+from robot_sysid.estimation import result as verdict
+from robot_sysid.estimation.result import first
 from robot_sysid.model.inertia import link_reach
 from robot_sysid.records import InertialParameters, Validation
 from robot_sysid.results.record import BodyEstimate, Verdict
@@ -21,10 +21,10 @@ REACH = link_reach(SEVEN.mj_model, SEVEN.reference_qpos, SEVEN.body_id)
 ARM = REACH + sum(float(np.linalg.norm(each.translation)) for each in SEVEN.links[1:])
 
 
-def body(mass=1.0, com=(0.0, 0.0, 0.1), error=0.01, size=0.05):
-    """A body estimate; its mass is known to an error."""
+def body(mass=1.0, com=(0.0, 0.0, 0.1), error=0.01, size=0.05, moved=1e-3):
+    """A body estimate; its mass and its first moment along z are known to an error."""
     theta = spatial.theta_from_com(mass, np.array(com), abs(mass) * size**2 * np.eye(3))
-    covariance = np.diag([error**2] + [1e-6] * 9)
+    covariance = np.diag([error**2, 0.0, 0.0, moved**2] + [1e-6] * 6)
     noise = np.sqrt(np.diag(covariance))
     return BodyEstimate(
         "it", InertialParameters(theta), np.nan_to_num(covariance), np.isfinite(noise), noise
@@ -68,6 +68,10 @@ OK, IMPLAUSIBLE = Verdict.OK, Verdict.IMPLAUSIBLE
         (of_link(body(error=5.0)), OK, ""),
         # A gripper and what it holds, a fifth of the arm's reach beyond the flange.
         (of_link(body(mass=2.0, com=(0.0, 0.0, REACH + 0.2 * ARM))), OK, ""),
+        # A tenth of a metre too far away: one standard error of that, or three.
+        (of_link(body(com=(0.0, 0.0, REACH + 0.3 * ARM + 0.1), moved=0.1)), OK, ""),
+        (of_link(body(com=(0.0, 0.0, REACH + 0.3 * ARM + 0.1), moved=0.07)), OK, ""),
+        (of_link(body(com=(0.0, 0.0, REACH + 0.3 * ARM + 0.1), moved=0.03)), IMPLAUSIBLE, "away"),
         (of_link(body(com=(0.0, 0.0, 1.8))), IMPLAUSIBLE, "centre of mass is 1.8 m away"),
         (of_link(body(size=0.6)), IMPLAUSIBLE, "radius of gyration is 0.6 m"),
         (of_link(body(mass=10.4, error=np.inf)), IMPLAUSIBLE, "do not show the mass"),
@@ -78,6 +82,10 @@ OK, IMPLAUSIBLE = Verdict.OK, Verdict.IMPLAUSIBLE
         (of_payload(body(error=0.4)), OK, ""),
         (of_payload(body(mass=-1.0)), Verdict.SWAPPED, "-1"),
         (of_payload(body(mass=0.01, error=0.02)), Verdict.NOT_SEEN, "0.01 ± 0.02"),
+        # Two standard errors of its mass decide.
+        (of_payload(body(mass=0.038, error=0.02)), Verdict.NOT_SEEN, "0.038"),
+        (of_payload(body(mass=0.042, error=0.02)), OK, ""),
+        (of_payload(body(mass=-0.038, error=0.02)), Verdict.NOT_SEEN, "-0.038"),
         (of_payload(body(error=np.inf)), Verdict.NOT_SEEN, "inf"),
         (of_payload(body(com=(0.0, 1.8, 0.0))), IMPLAUSIBLE, "1.8 m"),
         (of_payload(body(size=1.5)), IMPLAUSIBLE, "radius of gyration"),
@@ -119,7 +127,7 @@ def fit_of(robot, log):
 
 def test_held_out_torque_may_be_three_times_the_noise(robot, noisy):
     fit = fit_of(robot, noisy)
-    noise = verdict.noise_per_joint(fit)
+    noise = fit.noise_per_joint
     for times, relative, status in ((2.5, 0.1, OK), (3.5, 0.01, OK), (3.5, 0.1, None)):
         errors = {joint: times * each for joint, each in noise.items()}
         test = replace(prediction(relative), rmse_per_joint=errors)
