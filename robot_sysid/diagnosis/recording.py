@@ -61,12 +61,14 @@ def enough_findings(log: ModelFit) -> Iterator[Finding]:
 
 
 LOST, REPEATED = (1.6, 4.0), 0.3
-"""Speed over that of the steps around it, of a step with lost samples and of a repeated one."""
+"""Speed over that of the steps around it, of a step with lost samples (one lost is 2) and of a
+repeated one (0)."""
 FEW, MANY = 0.003, 0.02
 """Share of such steps that is warned of, and that is refused."""
+# Length of a step, in usual ones, and its way, in those of the steps around it, of a clock's jump.
 _JUMP, _NO_WAY = 1.75, 1.4
-_CLEAR = 8.0
-_ENOUGH = 100
+# Ratio to noise of a step that counts, and how many of them say something.
+_CLEAR, _ENOUGH = 8.0, 100
 
 
 def clock_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
@@ -117,10 +119,10 @@ LONG = 0.3
 """Time for which a torque that changes otherwise is not exactly the same [s]."""
 OFTEN = 0.005
 """Share of samples at the largest value beyond which a sensor is at its end."""
+# A channel of fewer values has coarse steps, which repeat by themselves.
 _MANY_VALUES = 100
-_MOVING = 0.05
-_RUN = 4
-_SEEN = 20
+# Speed of an arm that moves [rad/s]; samples in a row, or in all, that are no chance.
+_MOVING, _RUN, _SEEN = 0.05, 4, 20
 
 
 def sensor_findings(pieces: Sequence[Measurement], joint_names: Sequence[str]) -> Iterator[Finding]:

@@ -24,8 +24,8 @@ from robot_sysid.dynamics.nuisances import zero_columns
 from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.records.figures import percent
 
-# Chosen on the table of benchmarks/wrong_log_table.py, as are all numbers below that say nothing
-# else: there they name 287 of 288 wrong logs and leave 50 of 50 right ones in peace.
+# Numbers that say nothing else are judged by the table of benchmarks/wrong_log_table.py: with them
+# 287 of 288 wrong logs are named, and 50 of 50 right ones draw no alarm.
 CLEARLY = 60.0
 """Fall of chi-squared by undoing a mistake that chance and small errors of a model do not bring."""
 LIKELY = 15.0
@@ -43,20 +43,23 @@ SURE = 3.0
 UNITS = {1e3: "mN·m", 100.0: "N·cm", 10.197: "kgf·cm", 8.851: "lbf·in"}
 UNITS.update({0.7376: "lbf·ft", 141.6: "ozf·in", 1e-3: "kN·m"})
 """Newton metre in other units."""
-_CLOSE = 1.25
-_SAME = 1.35
-# Torque at the joint per ampere of its motor, at most and at least [N m/A].
+# A scale is a unit's within this factor (N cm and kgf cm differ by 1.02, lbf in by 1.15); scales of
+# the joints are one within that factor.
+_CLOSE, _SAME = 1.25, 1.35
+# Torque at the joint per ampere of its motor, at least and at most [N m/A]: a UR10e's is 10 to 12.
 _PER_AMPERE = (2.0, 25.0)
-_SCALE_ROUNDS = 6
 # Mass of a terminal link, as a part of the arm's, that speaks for a wrong scale.
 _RATHER_HEAVY = 0.35
 # Relative standard error of a joint's scale beyond which it is taken from the other joints.
 _KNOWN = 0.3
 # Part of the strongest joint's load, by the known links, below which a joint's scale is not asked.
 _LOADED = 0.1
+# Scales of any unit and gear lie between.
 _LEAST, _MOST = 1e-4, 1e5
-# How far a scale may be from where a round begins.
-_FAR = 0.7
+# Rounds in which a scale is found, and standard deviation of how far it may be from where a round
+# begins (a share): the ratio of the usual torques is right within a factor of a few.
+_SCALE_ROUNDS, _FAR = 6, 0.7
+# Tolerance of a joint that is not asked, in units of its own.
 _IGNORED = 1e3
 
 
@@ -226,7 +229,9 @@ def _meaning(typical: float, spread: float, error: float) -> str:
 
 SMALL = 0.6
 """Size of a torque without gravity over that of the model, at most."""
+# How much more friction alone may cost than links without gravity, to be as good.
 _NO_MORE = 1.3
+# What is left, and what friction is, of a torque that follows from rigid bodies alone.
 _EXACT, _FRICTIONLESS = 0.02, 5e-3
 # Noise in a torque that somebody computed, as a part of it.
 _QUIET = 1e-3
@@ -294,8 +299,8 @@ SURE_ZERO = 3.5
 """Standard errors that a zero has to be away from nothing."""
 SHORT_DELAY = 0.015
 """Delay that is only told [s]: friction that builds up over some speed looks like one."""
-_LIKELY = 0.5
-_ZERO_ROUNDS = 4
+# Standard deviation of a zero, and largest step in one of the rounds in which it is found [rad].
+_LIKELY, _ZERO_ROUNDS = 0.5, 4
 
 
 def zero_findings(log: ModelFit, base: Fit) -> Iterator[Finding]:

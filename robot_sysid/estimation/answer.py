@@ -200,10 +200,10 @@ def model_file(answer: Answer, write_offset: bool) -> tuple[ModelFile, tuple[str
     spread = np.zeros_like(thetas)
     for body in own.links():
         spread[robot.joint_names.index(str(body.joint))] = body.errors
-    joints, notes = {}, []
+    joints, notes, kept = {}, [], fit.question.kept_parts
     for index, (joint, each) in enumerate(list(own.joints())[: robot.n_joints]):
         written = {name: figure for name, figure in each.terms.items() if name != "offset"}
-        if write_offset and "offset" in each.terms and FILE_FRICTION not in file.kept:
+        if write_offset and "offset" in each.terms and FILE_FRICTION not in kept:
             reason = _why_no_offset(robot, index, each.terms)
             notes += [f"{joint}: no offset is written, {reason}"] if reason else []
             written.update({} if reason else {"offset": each.terms["offset"]})
@@ -217,8 +217,8 @@ def model_file(answer: Answer, write_offset: bool) -> tuple[ModelFile, tuple[str
     turned = fit.next_point.gravity if fit.unknowns.settle else None
     if turned is not None and np.array_equal(turned, gravity(robot)):
         turned = None
-    kept = tuple(sorted(file.kept))
-    found = ModelFile(thetas, spread, joints, turned, file.before, file.after, kept=kept)
+    said = file.before, file.after, (), tuple(sorted(kept))
+    found = ModelFile(thetas, spread, joints, turned, *said)
     return found, () if FILE_FRICTION in kept else tuple(notes)
 
 

@@ -34,6 +34,7 @@ from robot_sysid.records import Array, Measurement, Motion, PriorConflict
 
 FILTERING, HELD = "filtering", "friction at its bound"
 """What these causes of error are called in results."""
+# Weight of a hidden parameter in a combination that is rounding alone.
 _ROUNDING = 1e-9
 
 
@@ -44,7 +45,7 @@ class FitErrors:
     Attributes:
         whole: of all causes, noise correlated in time.
         noise: (k, k) covariance of what torque noise explains.
-        causes: cause to (k, k) covariance of what it explains.
+        causes: cause to the same of what it explains.
         data: (k, k) normal matrix of the data alone, weighted.
         effective: (joints,) number of independent samples.
         common: how far all torque scales may be off together, where nothing tells it (a share).
@@ -115,7 +116,11 @@ def fit_errors(
             works it out from the rows.
     """
     information, weights = fit.information, 1.0 / fit.weighted.noise
-    left = list(residuals) or (residuals_of(fit) if fit.samples else [])
+    left = list(residuals)
+    if fit.samples and not left:
+        values, root = fit.values[fit.unknowns.kept], joint_space(information, weights)
+        given = fit.rows, values, root.inverse_root(), weights
+        left = collect_residuals(information, *given)
     left = [replace(r, products=d * r.products) for r, d in zip(left, fit.inflation)]
     whole = white_uncertainty(information, weights, fit.weighted.noise)
     effective = sample_counts(information).tolist()
@@ -126,8 +131,12 @@ def fit_errors(
         for group in fit.unknowns.groups
     }
     noise = whole.covariance - sum(causes.values(), np.zeros_like(whole.covariance))
-    moved, found = filtering(fit) if pull is None else pull, _conflicts(fit)
-    bias = whole.inverse @ (weights**2 @ moved[:, fit.unknowns.kept])
+    if pull is None:
+        point = replace(fit.point, values=fit.values)
+        pairs = zip([each.delayed(point.delay) for each in fit.columns.datasets], fit.samples)
+        pull = np.sum([filtering_bias(fit.columns, point, *pair) for pair in pairs], axis=0)
+    found = _conflicts(fit)
+    bias = whole.inverse @ (weights**2 @ pull[:, fit.unknowns.kept])
     more = _more(fit, whole.inverse, causes, found)
     for name, part in (*more, (FILTERING, np.outer(bias, bias))):
         causes[name] = causes.get(name, 0.0) + part
@@ -168,15 +177,8 @@ def _more(
         yield HELD, moved @ np.linalg.pinv(left, rcond=1e-12, hermitian=True) @ moved.T
 
 
-def residuals_of(fit: Fit) -> list[JointResiduals]:
-    """Return each joint's sums over lags of residuals, from one pass over the rows."""
-    weights, found = 1.0 / fit.weighted.noise, fit.values[fit.unknowns.kept]
-    root = joint_space(fit.information, weights).inverse_root()
-    return collect_residuals(fit.information, fit.rows, found, root, weights)
-
-
 def residuals_to_add(fit: Fit, samples: DecimatedSamples) -> list[JointResiduals]:
-    """Return the same of other rows than the fit's, in the columns of all parameters.
+    """Return sums over lags of other rows than the fit's, in the columns of all parameters.
 
     A fit of their sum may hold other friction at its bound than this one.
     """
@@ -208,13 +210,6 @@ def _common(fit: Fit) -> float:
         return 0.0
     scale = groups[SCALES]
     return scale.widened * float(scale.factor[0, 0]) / float(np.sqrt(len(scale.names)))
-
-
-def filtering(fit: Fit) -> Array:
-    """Return the sum of all recordings' Y_j^T d_j (joints, p)."""
-    point = replace(fit.point, values=fit.values)
-    pairs = zip([each.delayed(point.delay) for each in fit.columns.datasets], fit.samples)
-    return np.sum([filtering_bias(fit.columns, point, each, rows) for each, rows in pairs], axis=0)
 
 
 def filtering_bias(

@@ -36,6 +36,7 @@ from robot_sysid.estimation.unknowns import (
 )
 from robot_sysid.records import Array, RobotModel, Validation
 
+# Rounds of a fit that starts at one with the same rows.
 _ROUNDS = 2
 
 
@@ -47,14 +48,12 @@ class FileFit:
         fit: its parameters.
         before, after: held-out error of the model as it was and of the file, each joint's sensor
             offset taken out.
-        kept: parts that were to stay as they are.
         errors: how far off its parameters may be.
     """
 
     fit: Fit
     before: Validation
     after: Validation
-    kept: tuple[str, ...]
     errors: FitErrors
 
 
@@ -76,9 +75,14 @@ def fit_file(
         carried: the payload (10,) of loaded recordings.
     """
     question = Question(options, in_file=True, kept_parts=kept, carried=carried)
-    choice = Choice(tuple(_friction(fitter.columns.robot, question, IN_FILE)))
+    choice = Choice(_friction(fitter.columns.robot, question, IN_FILE))
     before = _as_it_was(fitter, question, choice)
-    point = replace(fitter.columns.start(), values=_without_sensors(fitter, start))
+    # What a file cannot hold is the model's again.
+    known, beyond = start.copy(), ("scale", "drift", "zero", "load")
+    for name, place in fitter.columns.place.items():
+        if name.partition("[")[0] in beyond or "[" not in name:
+            known[place] = fitter.columns.prior[place]
+    point = replace(fitter.columns.start(), values=known)
     fit = fitter.fit(question, choice, point, rounds=1)
     choice = replace(choice, friction=_polynomials(fit, question, choice))
     choice = replace(choice, prior_scale=prior_scale(fit, question, choice))
@@ -92,21 +96,12 @@ def fit_file(
     if level is not None:
         judge, errors = held_out(fit), held_out(level).of(level)
         if not is_clearly_lower(judge.score(squared), judge.score(errors)):
-            fit, squared = level, errors
+            fit, squared = replace(level, question=question), errors
     found = held_out(fit).validation(squared)
-    return FileFit(fit, before, found, kept, fit_errors(fit, (), pull))
+    return FileFit(fit, before, found, fit_errors(fit, (), pull))
 
 
-def _without_sensors(fitter: Fitter, values: Array) -> Array:
-    """Return values (p,) of which a file can hold all."""
-    start = values.copy()
-    for name, place in fitter.columns.place.items():
-        if name.partition("[")[0] in ("scale", "drift", "zero", "load") or "[" not in name:
-            start[place] = fitter.columns.prior[place]
-    return start
-
-
-def _friction(robot: RobotModel, question: Question, name: str) -> list[FrictionModel]:
+def _friction(robot: RobotModel, question: Question, name: str) -> tuple[FrictionModel, ...]:
     """Return each joint's terms that a file can hold, beside a sensor's offset."""
     gone: set[str] = set()
     if FILE_FRICTION in question.kept_parts:
@@ -116,7 +111,7 @@ def _friction(robot: RobotModel, question: Question, name: str) -> list[Friction
     if FILE_ROTORS in question.kept_parts or robot.kind == "urdf" or alone:
         gone |= {"armature"}
     terms = tuple(term for term in friction_model(name).terms if term not in gone)
-    return [FrictionModel(terms)] * robot.n_joints
+    return (FrictionModel(terms),) * robot.n_joints
 
 
 def _as_it_was(fitter: Fitter, question: Question, choice: Choice) -> Validation:
@@ -146,7 +141,7 @@ def _polynomials(fit: Fit, question: Question, choice: Choice) -> tuple[Friction
     if FILE_FRICTION in question.kept_parts:
         return choice.friction
     judge = held_out(fit)
-    wider = tuple(_friction(robot, question, WITH_POLYNOMIAL))
+    wider = _friction(robot, question, WITH_POLYNOMIAL)
     tried = choice, replace(choice, friction=wider)
     squared = [squared_errors(judge, fit, question, each) for each in tried]
     for place, joint in enumerate(fit.columns.rows_of):

@@ -27,7 +27,7 @@ from robot_sysid.estimation.couplings import couplings_of
 from robot_sysid.estimation.dataset import Dataset, Mask, equations_at, mean_torque
 from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.file_fit import fit_file
-from robot_sysid.estimation.fit import Fit, Fitter
+from robot_sysid.estimation.fit import Evidence, Fit, Fitter
 from robot_sysid.estimation.recordings import logs_compared
 from robot_sysid.estimation.result import about, of_own_simulation
 from robot_sysid.estimation.unknowns import Question
@@ -226,12 +226,22 @@ def tested(fit: Fit, datasets: Sequence[Dataset], source: str) -> Validation:
     columns = Columns(fit.columns.robot, datasets, fit.columns.torques, fit.columns.couplings)
     samples = columns.samples(replace(fit.point, values=fit.values))
     part = combined([each.information() for each in samples])
-    counts = sample_counts(part)
+    squares = np.sum([each.squared_torque() for each in samples], axis=0)
+    return predicted(fit, Evidence((part,), squares[None], fit.evidence.torque), source)
+
+
+def predicted(fit: Fit, data: Evidence, source: str) -> Validation:
+    """Return the error with which a fit predicts what rows that it was not made from say.
+
+    Raises:
+        InputError: they hold no usable samples.
+    """
+    counts, squares = sample_counts(data.whole), np.sum(data.squared_torque, axis=0)
     if not np.any(counts):
         raise InputError(f"no usable torque samples to validate on in {source}")
-    wrong = part.squared_residuals(fit.values)
-    squares = np.sum([each.squared_torque() for each in samples], axis=0)
-    return validation_of([joint.joint for joint in part.joints], wrong, squares, counts, source)
+    wrong = data.whole.squared_residuals(fit.values)
+    joints = [joint.joint for joint in data.whole.joints]
+    return validation_of(joints, wrong, squares, counts, source)
 
 
 _DRAWN = 2000

@@ -1,10 +1,9 @@
 """What logs say of an arm as a record of bounded size that adds: many logs, many machines.
 
-The triangles of all joints' equations add (``estimation.algebra.information``), and so do the
-sums behind the standard errors; what would depend on all logs at once is settled beforehand. Two
-rounds give what one process finds: in the first, columns that depend on what is known are those of
-the model, in the second those of the first round's estimate, whose residuals also say how torque
-noise is correlated in time.
+Triangles of equations add, and so do the sums behind the standard errors; what would depend on all
+logs at once is settled beforehand. Two rounds give what one process finds: in the first, columns
+that depend on what is known are those of the model, in the second those of the first round's
+estimate, whose residuals also say how torque noise is correlated in time.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.autocorrelation import JointResiduals
-from robot_sysid.estimation.algebra.information import combined, sample_counts
+from robot_sysid.estimation.algebra.information import combined
 from robot_sysid.estimation.algebra.options import CHOSEN, EstimationOptions
 from robot_sysid.estimation.answer import Answer
 from robot_sysid.estimation.choices import CANDIDATES, choose, coupled
@@ -34,7 +33,7 @@ from robot_sysid.estimation.errors import (
 )
 from robot_sysid.estimation.file_fit import fit_file
 from robot_sysid.estimation.fit import Evidence, Fit, Fitter, evidence, solved
-from robot_sysid.estimation.identify import Piece, filtered
+from robot_sysid.estimation.identify import Piece, filtered, predicted
 from robot_sysid.estimation.unknowns import FILE_GRAVITY, Choice, Question
 from robot_sysid.records import (
     Array,
@@ -45,7 +44,6 @@ from robot_sysid.records import (
     Source,
     Validation,
 )
-from robot_sysid.records.results import validation_of
 from robot_sysid.results.model import CHECKPOINTS
 from robot_sysid.signals.repetition import RowSample, sampled
 
@@ -313,13 +311,7 @@ def answer_from(
     errors = fit_errors(fit, residuals, found.pull)
     fixed = _Fixed(robot, found, fit.point)
     file = fit_file(fixed, options, (FILE_GRAVITY,), fit.values, found.pull)
-    tests = () if validation is None else (_validated(fit, validation),)
+    tests: tuple[Validation, ...] = ()
+    if validation is not None:
+        tests = (predicted(fit, validation.evidence, f"{validation.origin.detail}, not fitted"),)
     return Answer(fit, file, errors, tests, {}, found.acceleration_error, found.notes)
-
-
-def _validated(fit: Fit, found: LogInformation) -> Validation:
-    part = found.evidence.whole
-    wrong = part.squared_residuals(fit.values)
-    squares = np.sum(found.evidence.squared_torque, axis=0)
-    joints, source = [j.joint for j in part.joints], f"{found.origin.detail}, not fitted"
-    return validation_of(joints, wrong, squares, sample_counts(part), source)

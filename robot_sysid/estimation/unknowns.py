@@ -45,6 +45,7 @@ FILE_TILT = np.radians(2.0)
 """Standard deviation of the direction of gravity that a file is given [rad]."""
 PLACEHOLDER = 1e-3
 """Share of the other links' usual mass below which a body's numbers say nothing."""
+# Standard deviations of what is known exactly: of coefficients, and of a mass as a share.
 _EXACT, _EXACT_MASS = 1e-9, 1e-6
 _FREE_SIGN = ("offset", "sqrt")
 PER_CENT, MILLI = 0.01, 1e-3
@@ -208,12 +209,11 @@ def _is_bounded(name: str, terms: Mapping[str, set[str]]) -> bool:
 
 def _terms(columns: Columns, choice: Choice) -> Iterator[tuple[str, set[str]]]:
     """Yield joint or motor to its friction terms; a motor has those of all joints it turns with."""
-    names = columns.robot.joint_names
-    own = dict(zip(names, choice.friction))
-    for joint in columns.joints:
-        yield joint, {*own[joint].terms, *{f"{term}_speed" for term in own[joint].bent}}
+    for row, joint in zip(columns.rows_of, columns.joints):
+        model = choice.friction[row]
+        yield joint, {*model.terms, *(f"{term}_speed" for term in model.bent)}
     for motor in choice.couplings:
-        turned = [own[names[k]] for k in np.flatnonzero(motor.ratios)]
+        turned = [choice.friction[k] for k in np.flatnonzero(motor.ratios)]
         inside = {name.partition("[")[0] for name in motor.parameter_names}
         yield motor.name, {term for model in turned for term in model.terms} & inside
 
@@ -228,8 +228,8 @@ def _settled(columns: Columns, question: Question, choice: Choice) -> Iterator[s
         yield DELAY_NAME
     if question.options.tilt == "auto":
         yield from TILT_NAMES
-    own = dict(zip(columns.robot.joint_names, choice.friction))
-    yield from (speed_name(t, joint) for joint in columns.joints for t in own[joint].bent)
+    for row, joint in zip(columns.rows_of, columns.joints):
+        yield from (speed_name(term, joint) for term in choice.friction[row].bent)
 
 
 def _held(columns: Columns, question: Question, choice: Choice) -> Array:
@@ -258,14 +258,12 @@ def _bodies(
 ) -> Iterator[tuple[str, tuple[NDArray[np.int64], Array]]]:
     """Yield each body that is sought, with where it stands and a usual body of its kind."""
     last, options = columns.robot.body_name, question.options
-    only_last = options.link_uncertainty == 0.0 or FILE_LINKS in question.kept_parts
+    others = options.link_uncertainty > 0.0 and FILE_LINKS not in question.kept_parts
     usual = usual_bodies(columns.robot)
     for name, places in columns.bodies().items():
-        if name == "payload":
-            if question.loaded:
-                yield name, (places, usual[last])
-        elif name == last or not only_last:
-            yield name, (places, usual[name])
+        wanted = question.loaded if name == "payload" else name == last or others
+        if wanted:
+            yield name, (places, usual[last if name == "payload" else name])
 
 
 def usual_bodies(robot: RobotModel) -> dict[str, Array]:
@@ -342,19 +340,17 @@ def _friction_group(
     """Yield what friction may have that its model lacks."""
     share = PER_CENT * question.options.friction_uncertainty
     loss = max(share, LOADED_LOSS) if question.loaded else share
-    own = dict(zip(columns.robot.joint_names, choice.friction))
-    coulomb = dict(zip(columns.robot.joint_names, columns.robot.friction.coulomb.tolist()))
-    usual = dict(zip(columns.robot.joint_names, torque.tolist()))
-    names, sizes, members = [], [], []
-    for term in LACKING if share > 0.0 else ():
-        for joint in columns.joints:
-            if own[joint].terms and term not in own[joint].terms:
-                size = CURVATURE * share * max(coulomb[joint], LEAST_COULOMB * usual[joint])
-                names.append(f"{term}[{joint}]")
-                sizes.append(max(loss if term == "load" else size, _EXACT))
-                members.append(joint)
-    if names:
-        yield independent(FRICTION, names, members, np.array(sizes), question.loaded)
+    coulomb = np.maximum(columns.robot.friction.coulomb, LEAST_COULOMB * torque)
+    sizes = {"load": np.full(len(coulomb), loss), "sqrt": CURVATURE * share * coulomb}
+    lacking = [
+        (f"{term}[{joint}]", joint, max(float(sizes[term][row]), _EXACT))
+        for term in (LACKING if share > 0.0 else ())
+        for row, joint in zip(columns.rows_of, columns.joints)
+        if choice.friction[row].terms and term not in choice.friction[row].terms
+    ]
+    if lacking:
+        names, members, each = zip(*lacking)
+        yield independent(FRICTION, names, members, np.array(each), question.loaded)
 
 
 def _link_group(columns: Columns, question: Question, choice: Choice) -> NuisanceGroup | None:

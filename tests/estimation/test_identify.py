@@ -1,4 +1,4 @@
-"""From recordings to an answer: one filter for all, every option, other logs that test it."""
+"""From recordings to an answer: one filter for all, every option, other logs, the model itself."""
 
 from __future__ import annotations
 
@@ -10,18 +10,31 @@ import pytest
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.options import EstimationOptions
-from robot_sysid.estimation.identify import Piece, answer_link, filtered, refit
+from robot_sysid.estimation.answer import base_parameters, structural_base, traces_of
+from robot_sysid.estimation.errors import fit_errors
+from robot_sysid.estimation.identify import (
+    ITSELF,
+    Piece,
+    answer_link,
+    filtered,
+    identify_itself,
+    refit,
+)
 from robot_sysid.estimation.identify import tested as validated
 from robot_sysid.estimation.result import result_of
-from robot_sysid.records import Measurement
+from robot_sysid.records import Measurement, Source
 from robot_sysid.records.progress import Progress
+from robot_sysid.results.record import Verdict
+from robot_sysid.trajectory import CHUNK
 from tests.support import arms
 from tests.support.core_fits import BASIC, ORIGIN, datasets_of, fitted
 from tests.support.measured_logs import CUTOFF, log_of, plan_of
+from tests.support.payload_logs import TrueArm, four_joint_arm, wide_motion
+from tests.support.payload_logs import noisy as with_noise
 
 
 def answered(robot, *logs, kept=None, **options):
-    datasets, chosen = datasets_of(robot, *logs, **options)
+    datasets, chosen = datasets_of(robot, *logs, **{"friction_model": BASIC, **options})
     return answer_link(robot, datasets, chosen, Progress(), kept)
 
 
@@ -49,14 +62,10 @@ def test_what_there_is_to_say_is_said_once_with_what_it_is_about(robot, noisy):
 @pytest.mark.parametrize(
     "options",
     [
-        {"friction_model": f"{BASIC}-sqrt"},
-        {"no_friction": True},
-        {"torques": "terminal"},
-        {"torques": "terminal", "friction_model": "auto"},
         {"velocity_deadband": (0.01, 0.02, 0.03)},
-        {"link_uncertainty": 0.0},
-        {"delay": "auto"},
-        {"tilt": "auto"},
+        {"no_friction": True, "friction_model": None},
+        {"torques": "terminal", "friction_model": "auto"},
+        {"delay": "auto", "tilt": "auto", "link_uncertainty": 0.0},
     ],
     ids=str,
 )
@@ -97,3 +106,96 @@ def test_rows_that_a_refit_leaves_out_say_nothing(robot, noisy):
     assert again.fit.values[0] == pytest.approx(0.8, abs=0.2)
     assert again.file is not None and spatial.is_consistent(again.file.fit.values[:10])
     assert not 0.5 < answer.fit.values[0] < 1.1
+
+
+def test_what_a_report_draws_is_the_residual_of_the_file(robot, noisy):
+    answer = answered(robot, noisy, kept=())
+    fit, traces = answer.file.fit, traces_of(answer)
+    squares = fit.evidence.whole.squared_residuals(fit.values)
+    # Near a reversal the low-pass takes from friction's jump.
+    moves = np.isfinite(traces.measured[:, -1]) & (np.abs(traces.qd[:, -1]) > 0.3)
+    assert traces.joints == robot.joint_names
+    np.testing.assert_allclose(np.nansum(traces.residual**2, axis=0), squares, rtol=1e-9)
+    # The guess is clearly worse, and dry friction is most of what friction makes at low speed.
+    worse = np.nanstd(traces.measured - traces.before, axis=0)
+    assert np.all(worse > 2.0 * np.nanstd(traces.residual, axis=0))
+    speed, friction = (np.abs(each[moves, -1]) for each in (traces.qd, traces.friction))
+    offset = abs(fit.value("offset[joint2]"))
+    np.testing.assert_allclose(friction, 0.3 + 0.2 * speed, atol=0.05 + offset)
+
+
+# ---- base parameters
+
+
+def test_structural_rank_is_that_of_textbooks():
+    """A vertical first axis shows one parameter, an arm of three crossing ones fifteen."""
+    assert structural_base(arms.robot_of(arms.serial_arm((arms.Z,)))).rank == 1
+    assert structural_base(arms.robot_of(arms.THREE)).rank == 15
+
+
+def combined(words, known):
+    """What a combination such as "m + 0.5*hz(link1)" is."""
+    total, sign = 0.0, 1.0
+    for word in words.split():
+        if word in ("+", "-"):
+            sign = 1.0 if word == "+" else -1.0
+        else:
+            weight, _, name = word.rpartition("*")
+            total += sign * float(weight or 1.0) * known[name]
+    return total
+
+
+@pytest.mark.parametrize("link_uncertainty", [5.0, 0.0])
+def test_what_the_torques_show_is_found_whatever_is_sought(link_uncertainty):
+    robot = four_joint_arm()
+    arm = TrueArm(robot, 3, wrong=0.0)
+    recording = with_noise(arm.recording(wide_motion(3), False), 0.01, 0)
+    options = EstimationOptions(link_uncertainty=link_uncertainty)
+    fit = fitted(robot, [recording], options)
+    found = base_parameters(fit, fit_errors(fit))
+    assert found.rank == found.structural_rank == structural_base(robot).rank
+    known = dict(zip(fit.columns.names, arm.values(fit.columns)))
+    truth = np.array([combined(words, known) for words in found.combinations])
+    assert np.all(np.abs(found.values - truth) < 4.0 * found.standard_errors + 1e-3)
+    kept = dict(zip((words.split()[0] for words in found.combinations), found.essential))
+    # Rotors turn as some of the inertia does, so that nobody misses it.
+    assert kept["m"] and kept["Ixx"] and kept["Izz"] and not kept["Izz(link0)"]
+
+
+# ---- the model's own simulation
+
+
+class Listener(Progress):
+    """Remembers what it is told."""
+
+    def __init__(self):
+        self.notes, self.steps = [], 0
+
+    def note(self, message):
+        self.notes.append(message)
+
+    def track(self, items, label, total):
+        for item in items:
+            self.steps += 1
+            yield item
+        assert self.steps == total
+
+
+@pytest.mark.parametrize(("torques", "friction"), [("chain", True), ("terminal", False)])
+def test_the_models_own_values_come_back_with_where_they_are_from(plant, torques, friction):
+    options = EstimationOptions(torques=torques, no_friction=not friction)
+    listener, plan = Listener(), plan_of(plant, 1, 4.0)
+    found, traces = identify_itself(plant, plan, 500.0, 7, options, listener)
+    estimate, data = found.estimate, found.data
+    np.testing.assert_allclose(estimate.values[:10], plant.prior.theta, rtol=0.0, atol=1e-10)
+    values = [estimate.value(f"{term}[joint2]") for term in ("coulomb", "viscous")]
+    assert values == (pytest.approx([0.3, 0.2], abs=1e-10) if friction else [None, None])
+    whole = torques == "chain"
+    assert found.verdict is (Verdict.OK if whole else Verdict.PARTLY_FROM_MODEL)
+    assert (found.torques, found.known_to, found.is_measured) == (torques, None, False)
+    drawn = traces()
+    np.testing.assert_allclose(drawn.predicted, drawn.measured, atol=1e-9)
+    np.testing.assert_allclose(drawn.before, drawn.measured, atol=1e-9)
+    assert listener.notes == [ITSELF] and listener.steps == int(np.ceil(2001 / CHUNK))
+    origin = data.source, data.duration, data.sample_rate, data.seed
+    assert origin == (Source.ITSELF, plan.duration, 500.0, 7)

@@ -87,10 +87,9 @@ def test_a_still_joint_keeps_what_the_model_says_of_it(plant, robot):
     assert any("joint2 does not move fast enough" in note for note in result.notes)
 
 
-def test_a_log_turned_in_time_or_in_its_joints_is_refused(robot, noisy):
-    for tau in (noisy.tau[::-1], noisy.tau[:, ::-1]):
-        result = of_link(robot, replace(noisy, tau=tau))
-        assert result.verdict is Verdict.NO_BETTER and result.failure
+def test_a_log_turned_in_its_joints_is_refused(robot, noisy):
+    result = of_link(robot, replace(noisy, tau=noisy.tau[:, ::-1]))
+    assert result.verdict is Verdict.NO_BETTER and result.failure
 
 
 def test_a_right_model_is_as_good_as_before(plant, noisy):
@@ -126,21 +125,10 @@ def flipped(recordings):
     return [replace(each, is_loaded=not each.is_loaded) for each in recordings]
 
 
-def misplaced(recordings):
-    kinds = (True, False, True, False)
-    return [replace(each, is_loaded=kind) for each, kind in zip(recordings, kinds)]
-
-
-def all_empty(recordings):
-    return [*recordings[::3], replace(recordings[3], is_loaded=True, name="log4")]
-
-
 @pytest.mark.parametrize(
     ("spoil", "question", "verdict"),
     [
         (flipped, {}, Verdict.SWAPPED),
-        (misplaced, {}, Verdict.DISAGREE),
-        (all_empty, {}, Verdict.NOT_SEEN),
         (list, {"torques": "terminal"}, Verdict.NOT_SEEN),
         (list, {"known_mass": 3.0, "scale_prior": 3.0}, Verdict.WRONG_WEIGHT),
     ],
