@@ -21,6 +21,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from benchmarks.wrong_logs import ARMS, KINDS, robot_of
 from robot_sysid.config import config_from
 from robot_sysid.diagnosis.finding import Level
 from robot_sysid.diagnosis.run import check_against_model
@@ -28,7 +29,7 @@ from robot_sysid.errors import SysidError
 from robot_sysid.logs.reader import write_measurement_csv
 from robot_sysid.pipeline import analysed
 from robot_sysid.records.progress import Progress
-from tests.support.wrong_logs import ARMS, KINDS, robot_of, truth_of
+from tests.support.wrong_logs import truth_of
 
 TABLE_ARMS = ("gen3", "panda", "iiwa14", "ur5e", "xarm7", "openarm")
 SCALE = ("torque-scale",)

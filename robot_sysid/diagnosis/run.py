@@ -63,9 +63,9 @@ def look_at(
 
     Args:
         accepted: names of checks whose warnings are no reason to stop.
-        cutoff: of the low-pass [Hz]; None chooses it from the data.
-        links_known: whether the model's links are taken to be right; where they are to be found,
-            what they would bring as well is only told.
+        cutoff: see ``check_against_model``.
+        links_known: whether the model's links are right; where they are to be found, what wrong
+            ones would bring as well is only told.
 
     Raises:
         InputError: a finding refuses the log.

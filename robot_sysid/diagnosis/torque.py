@@ -306,23 +306,21 @@ _LIKELY, _ZERO_ROUNDS = 0.5, 4
 def zero_findings(log: ModelFit, base: Fit) -> Iterator[Finding]:
     """Yield a finding per joint whose position is surely off by a constant."""
     zeros, errors, after = joint_zeros(log)
+    names = log.robot.joint_names
     # How sure each zero is decides; the fit as a whole need not fall as much as for a mistake.
     if not explains(base, after, certain=False):
         return
     far = int(np.argmax(np.abs(zeros) * (np.abs(zeros) > SURE_ZERO * errors)))
     if abs(zeros[far]) > _LIKELY:
-        name = log.robot.joint_names[far]
-        text = f"to fit this log, the position of joint {name} would have to be off by "
+        text = f"to fit this log, the position of joint {names[far]} would have to be off by "
         text += f"{zeros[far]:.2g} rad: is the model of this arm, with zeros in the same places?"
         yield Finding("model", Level.REFUSE, text)
         return
-    for joint, name in enumerate(log.robot.joint_names):
-        size = abs(zeros[joint])
-        if size < max(SMALL_ZERO, SURE_ZERO * errors[joint]):
-            continue
-        level = Level.WARN if size >= LARGE_ZERO else Level.NOTE
-        text = f"the position of joint {name} reads {zeros[joint]:+.3g} rad too much (standard "
-        yield Finding("zero", level, f"{text}error {errors[joint]:.1g}); correct its zero")
+    for name, zero, error in zip(names, zeros, errors):
+        if abs(zero) >= max(SMALL_ZERO, SURE_ZERO * error):
+            level = Level.WARN if abs(zero) >= LARGE_ZERO else Level.NOTE
+            text = f"the position of joint {name} reads {zero:+.3g} rad too much (standard "
+            yield Finding("zero", level, f"{text}error {error:.1g}); correct its zero")
 
 
 def joint_zeros(log: ModelFit) -> tuple[Array, Array, Fit]:

@@ -198,12 +198,7 @@ def squared_errors(judge: HeldOut, fit: Fit, question: Question, choice: Choice)
 def coupled(
     fitter: Fitter, question: Question, given: FrictionModel | None, offered: tuple[Coupling, ...]
 ) -> tuple[Coupling, ...]:
-    """Return which neighbours share a motor: where that predicts torques clearly better.
-
-    Args:
-        given: friction terms of every joint, where the user says them.
-        offered: couplings that have columns.
-    """
+    """Return which offered couplings are there: those that predict torques clearly better."""
     fit = fitter.fit(question, _simplest(fitter, given, ()), rounds=1)
     judge, left, choice = held_out(fit), list(offered), fit.choice
     best = judge.score(squared_errors(judge, fit, question, choice))

@@ -32,15 +32,7 @@ from robot_sysid.estimation.recordings import logs_compared
 from robot_sysid.estimation.result import about, of_own_simulation
 from robot_sysid.estimation.unknowns import Question
 from robot_sysid.logs.checks import sign_check
-from robot_sysid.records import (
-    DataOrigin,
-    Estimate,
-    Measurement,
-    MotionPlan,
-    RobotModel,
-    Source,
-    Validation,
-)
+from robot_sysid.records import DataOrigin, Measurement, MotionPlan, RobotModel, Source, Validation
 from robot_sysid.records.data import Traces
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.results import validation_of
@@ -80,8 +72,7 @@ def filtered(
 ) -> tuple[list[Dataset], tuple[str, ...]]:
     """Return recordings, each filtered on its own, with the lowest cut-off that one asks for.
 
-    Returns:
-        (they; what there is to say of them, one sentence each).
+    With them comes what there is to say of them, one sentence each.
 
     Raises:
         InputError: one is too short, or a joint's torque runs against the model's.
@@ -244,6 +235,7 @@ def predicted(fit: Fit, data: Evidence, source: str) -> Validation:
     return validation_of(joints, wrong, squares, counts, source)
 
 
+# Samples that a report draws of a simulation.
 _DRAWN = 2000
 ITSELF = (
     "this run simulates the model itself, so it can only return the model's own values; give "
@@ -290,15 +282,12 @@ def identify_itself(
         joints={robot.terminal_joint: JointEstimate(model.name, {}, before)},
         notes=robot.notes,
     )
-    return result, lambda: _traces(robot, equations, plan, estimate)
 
+    def traces() -> Traces:
+        motion = spread_motion(plan, _DRAWN)
+        (measurement,) = simulate_inverse(robot, [motion])
+        samples = equations_at(equations, measurement)
+        after, prior = (dict(zip(equations.names, v)) for v in (estimate.values, equations.prior))
+        return traced(robot, [samples], [motion], after, prior)
 
-def _traces(
-    robot: RobotModel, equations: Equations, plan: MotionPlan, estimate: Estimate
-) -> Traces:
-    """Return what a report draws of the simulation, at some of its samples."""
-    motion = spread_motion(plan, _DRAWN)
-    (measurement,) = simulate_inverse(robot, [motion])
-    samples = equations_at(equations, measurement)
-    after, before = (dict(zip(equations.names, v)) for v in (estimate.values, equations.prior))
-    return traced(robot, [samples], [motion], after, before)
+    return result, traces

@@ -34,7 +34,7 @@ def alone(fit: Fit, parts: Sequence[SquareRootInformation]) -> tuple[Array, Arra
     """Return what some recordings say with the noise and the priors of the whole fit.
 
     Args:
-        parts: information of some, in all parameters.
+        parts: their information in all parameters.
 
     Returns:
         (values (k,) of what is sought, their errors by white noise alone, their whole errors).

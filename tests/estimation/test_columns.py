@@ -14,7 +14,7 @@ from robot_sysid.dynamics.kinematics import ArmDynamics
 from robot_sysid.dynamics.nuisances import gravity, turned
 from robot_sysid.estimation import columns as columns_module
 from robot_sysid.estimation import dataset as samples_module
-from robot_sysid.estimation.columns import PAYLOAD_NAMES, Columns
+from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.couplings import neighbours
 from robot_sysid.records import DELAY_NAME
 from robot_sysid.signals.filters import LowPass
@@ -84,7 +84,7 @@ def rigid_torque(columns, motion, values, is_loaded):
     return ArmDynamics(robot, model).torque(motion.q - zero, motion.qd, motion.qdd)
 
 
-def recorded(columns, values, is_loaded, seed=0, low_pass=UNFILTERED, duration=0.6):
+def recorded(columns, values, is_loaded, seed=0, low_pass=UNFILTERED, duration=0.3):
     """(motion, the columns of its recording): torques that these values make, motion exact."""
     motion = wide_motion(seed, columns.robot.n_joints, duration, RATE)
     tau = np.zeros_like(motion.q)
@@ -152,20 +152,6 @@ def test_the_truth_solves_the_equations(seed):
         for rows, tau in zip(dense(samples), samples.tau):
             off = np.max(np.abs(rows @ values - tau))
             assert off < 1e-9 * max(np.max(np.abs(tau)), 1.0)
-
-
-def test_a_payload_stands_in_loaded_recordings_only():
-    bare = Columns(ARMS["four"], ())
-    values = true_values(bare, 3)
-    for is_loaded in (False, True):
-        _, columns = recorded(bare, values, is_loaded)
-        (samples,) = columns.samples(point_at(columns, values))
-        for full in dense(samples):
-            payload, link = full[:, columns.at(PAYLOAD_NAMES)], full[:, :10]
-            np.testing.assert_array_equal(payload, link * is_loaded)
-    thetas = columns.thetas(values, True) - columns.thetas(values, False)
-    np.testing.assert_allclose(thetas[-1], values[columns.at(PAYLOAD_NAMES)], atol=1e-15)
-    assert not np.any(thetas[:-1])
 
 
 def test_the_chunk_size_changes_nothing(monkeypatch):

@@ -23,17 +23,19 @@ from tests.support.core_fits import datasets_of, fitter_of
 from tests.support.measured_logs import log_of, plan_of
 
 
-def file_of(plant, model, kept=(), more=None, seed=1):
-    """(the file's fit, a recording that made it, another one)."""
-    logs = []
-    for number in (seed, seed + 10):
-        plan = plan_of(plant, number, 20.0)
-        log = log_of(plant, plan, number, noise_torque=0.02, encoder_resolution=1e-5)
-        moved = 0.0 if more is None else more(plan.evaluate(log.time))
-        logs.append(replace(log, tau=log.tau + moved))
-    datasets, options = datasets_of(model, *logs)
-    fitter = fitter_of(model, datasets[:1])
-    return fit_file(fitter, options, kept, fitter.columns.prior), *datasets
+def recorded(plant, model, seed=1, more=None):
+    """(the filtered log of an arm, the options)."""
+    plan = plan_of(plant, seed, 20.0)
+    log = log_of(plant, plan, seed, noise_torque=0.02, encoder_resolution=1e-5)
+    moved = 0.0 if more is None else more(plan.evaluate(log.time))
+    return datasets_of(model, replace(log, tau=log.tau + moved))
+
+
+def file_of(plant, model, kept=(), more=None):
+    """The file's fit."""
+    datasets, options = recorded(plant, model, more=more)
+    fitter = fitter_of(model, datasets)
+    return fit_file(fitter, options, kept, fitter.columns.prior)
 
 
 def compiled(robot, fit):
@@ -62,8 +64,8 @@ def angle(found, truth):
 
 
 def test_the_file_predicts_as_it_is_said_to(plant, robot):
-    found, own, other = file_of(plant, robot)
-    fit = found.fit
+    found = file_of(plant, robot)
+    fit, own, other = found.fit, *(recorded(plant, robot, seed)[0][0] for seed in (1, 11))
     assert all(spatial.is_consistent(theta) for theta in fit.columns.thetas(fit.values))
     before = torque_error(robot.mj_model, robot, own.signals, "own").relative_error
     assert found.before.relative_error == pytest.approx(before, rel=0.05)
@@ -80,16 +82,16 @@ def test_the_file_predicts_as_it_is_said_to(plant, robot):
 
 def test_a_turned_gravity_is_found_and_kept_out_where_it_is_to_stay(plant, robot):
     askew = turned(plant, 2.0)
-    found = file_of(askew, robot)[0]
+    found = file_of(askew, robot)
     assert angle(found.fit.point.gravity, gravity(askew)) < 0.3
-    kept = file_of(askew, robot, (GRAVITY,))[0]
+    kept = file_of(askew, robot, (GRAVITY,))
     assert np.array_equal(kept.fit.point.gravity, gravity(robot))
     assert kept.after.relative_error > found.after.relative_error
 
 
 @pytest.mark.parametrize("part", [FRICTION, ROTORS, LINKS])
 def test_a_part_that_is_to_stay_stays(plant, robot, part):
-    fit = file_of(plant, robot, (part, GRAVITY))[0].fit
+    fit = file_of(plant, robot, (part, GRAVITY)).fit
     stays = {
         FRICTION: ["coulomb[joint1]", "viscous[joint2]"],
         ROTORS: ["armature[joint0]", "armature[joint2]"],
@@ -104,7 +106,7 @@ def test_a_part_that_is_to_stay_stays(plant, robot, part):
 def test_a_urdf_gets_no_rotors(plant, robot):
     """It cannot hold them: what it has beside links is friction, and rotors count as links."""
     model = replace(robot, kind="urdf")
-    fit = file_of(plant, model)[0].fit
+    fit = file_of(plant, model).fit
     assert not [name for name in fit.unknowns.kept_names if name.startswith("armature[")]
     assert all(fit.value(f"armature[{joint}]") == 0.0 for joint in model.joint_names)
 
@@ -114,12 +116,12 @@ def test_nonlinear_damping_is_given_to_the_joint_that_has_it(plant, robot):
     def more(motion):
         return 0.3 * motion.qd * np.abs(motion.qd) * [0.0, 1.0, 0.0]
 
-    fit = file_of(plant, robot, (GRAVITY,), more)[0].fit
+    fit = file_of(plant, robot, (GRAVITY,), more).fit
     bent = ["quadratic" in model.terms for model in fit.choice.friction]
     assert bent == [False, True, False]
     joint = robot.joint_names[1]
     curve = fit.value(f"quadratic[{joint}]") + fit.value(f"cubic[{joint}]")
     assert curve == pytest.approx(0.3, abs=0.15)
     assert not holds_polynomial(replace(robot, kind="urdf"), 1)
-    other = file_of(plant, robot, (FRICTION, GRAVITY), more)[0].fit
+    other = file_of(plant, robot, (FRICTION, GRAVITY), more).fit
     assert not any("quadratic" in model.terms for model in other.choice.friction)

@@ -1,4 +1,4 @@
-"""Logs of arms whose truth is known, and twenty ways in which a log can be wrong.
+"""Logs of arms whose truth is known, for tests of what is wrong with a log.
 
 The truth is the public model with every link a little off, a payload on the terminal link, dry
 friction with a Stribeck bump, and torque noise.
@@ -6,32 +6,16 @@ friction with a Stribeck bump, and torque noise.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.newton_euler import LinkDynamics
-from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement, RobotModel
 from robot_sysid.trajectory import generate_excitation_trajectory
-from tests.support.places import MODELS
 
 RATE, DURATION = 250.0, 12.0
-ARMS: dict[str, tuple[str, str | None]] = {
-    "gen3": ("kinova_gen3/gen3.xml", None),
-    "panda": ("franka_panda/panda_nohand.xml", None),
-    "fr3": ("franka_fr3/FrankaFR3_7DoF.urdf", None),
-    "iiwa14": ("kuka_iiwa_14/iiwa14.xml", None),
-    "ur5e": ("universal_robots_ur5e/ur5e.xml", None),
-    "xarm7": ("ufactory_xarm7/xarm7_nohand.xml", None),
-    "wxai": ("trossen/wxai/wxai_follower.xml", None),
-    "openarm": ("openarm_v2/openarm_bimanual.xml", "openarm_left_joint7"),
-    "gen3 2023": ("kinova_gen3/gen3_7dof_2023.xml", None),
-    "gen3 official": ("kinova_gen3/gen3_official.xml", None),
-}
-"""Name to (model file, terminal joint)."""
 
 
 @dataclass(frozen=True)
@@ -55,11 +39,6 @@ class Truth:
     rigid: np.ndarray
     model: np.ndarray
     rng: np.random.Generator
-
-
-def robot_of(arm: str) -> RobotModel:
-    path, joint = ARMS[arm]
-    return load_robot_model(MODELS / path, None, joint, 2.0)
 
 
 def truth_of(robot: RobotModel, seed: int, wrong_links: float = 0.02) -> Truth:
@@ -100,186 +79,3 @@ def _friction(rng, rigid, qd):
     stribeck = 0.5 * coulomb * np.exp(-((qd / 0.1) ** 2))
     speed = np.sqrt(np.mean(qd**2, axis=0))
     return np.sign(qd) * (coulomb + stribeck) + 0.05 * usual / speed * qd
-
-
-def _joint(truth: Truth, first: int = 0) -> int:
-    return int(truth.rng.integers(first, truth.robot.n_joints))
-
-
-def _torque(truth: Truth, tau: np.ndarray) -> Measurement:
-    return replace(truth.log, tau=tau)
-
-
-def _position(truth: Truth, q: np.ndarray, qd: np.ndarray) -> Measurement:
-    return replace(truth.log, q=q, qd=qd)
-
-
-def millinewtonmetres(truth):
-    return _torque(truth, 1e3 * truth.log.tau)
-
-
-def other_unit(truth):
-    """N cm, kgf cm, lbf in."""
-    return _torque(truth, truth.rng.choice([100.0, 10.197, 8.851]) * truth.log.tau)
-
-
-def motor_side(truth):
-    """On the motor's side of the gear."""
-    return _torque(truth, truth.log.tau / truth.rng.choice([50.0, 100.0, 101.0, 121.0, 160.0]))
-
-
-def amperes(truth):
-    """Motor currents; every motor has a constant of its own."""
-    return _torque(truth, truth.log.tau / truth.rng.uniform(6.0, 14.0, truth.robot.n_joints))
-
-
-def per_cent(truth):
-    """Per cent of rated torque; the base's motors are the strongest."""
-    peak = np.max(np.abs(truth.rigid), axis=0)
-    rated = np.maximum(peak, 0.1 * peak.max()) * truth.rng.uniform(0.8, 1.5, len(peak))
-    return _torque(truth, 100.0 * truth.log.tau / rated)
-
-
-def times_two_or_more(truth):
-    return _torque(truth, truth.rng.uniform(2.0, 5.0) * truth.log.tau)
-
-
-def gravity_compensated(truth):
-    return _torque(truth, truth.log.tau - truth.still)
-
-
-def external(truth):
-    """What is left after the controller's model is taken off."""
-    return _torque(truth, truth.log.tau - truth.rigid)
-
-
-def computed(truth):
-    """The controller's model in place of a measurement."""
-    return _torque(truth, truth.rigid)
-
-
-def torque_sign(truth):
-    sign = np.ones(truth.robot.n_joints)
-    sign[_carrying(truth)] = -1.0
-    return _torque(truth, sign * truth.log.tau)
-
-
-def position_sign(truth):
-    sign = np.ones(truth.robot.n_joints)
-    sign[_carrying(truth)] = -1.0
-    return _position(truth, sign * truth.log.q, sign * truth.log.qd)
-
-
-def exchanged(truth):
-    """Two joints' columns are exchanged, those of position, of torque, or all."""
-    order = np.arange(truth.robot.n_joints)
-    first = _carrying(truth)
-    second = int(truth.rng.choice(np.delete(order, first)))
-    order[[first, second]] = order[[second, first]]
-    which = truth.rng.integers(3)
-    log = truth.log
-    q, qd = (log.q[:, order], log.qd[:, order]) if which != 1 else (log.q, log.qd)
-    tau = log.tau[:, order] if which != 0 else log.tau
-    return replace(log, q=q, qd=qd, tau=tau)
-
-
-def reversed_order(truth):
-    log = truth.log
-    return replace(log, q=log.q[:, ::-1], qd=log.qd[:, ::-1], tau=log.tau[:, ::-1])
-
-
-def degrees_as_radians(truth):
-    return _position(truth, np.degrees(truth.log.q), np.degrees(truth.log.qd))
-
-
-def radians_as_degrees(truth):
-    """Radians that were declared to be degrees."""
-    return _position(truth, np.radians(truth.log.q), np.radians(truth.log.qd))
-
-
-def position_offset(truth):
-    """One joint's zero is off; one that gravity would not tell is not drawn."""
-    q = truth.log.q.copy()
-    weight = np.sqrt(np.mean(truth.still**2, axis=0))
-    joint = truth.rng.choice(np.flatnonzero(weight >= 0.2 * weight.max()))
-    q[:, joint] += truth.rng.choice([-1.0, 1.0]) * truth.rng.uniform(0.08, 0.3)
-    return _position(truth, q, truth.log.qd)
-
-
-def dropped_samples(truth):
-    """A tenth of the samples is lost, time is the row number over the rate."""
-    kept = np.flatnonzero(truth.rng.random(len(truth.log)) > 0.1)
-    log = truth.log
-    return Measurement(log.time[: len(kept)], log.q[kept], None, log.tau[kept])
-
-
-def milliseconds(truth):
-    return replace(truth.log, time=1e3 * truth.log.time)
-
-
-def saturated(truth):
-    """A torque sensor that ends short of what the joint needs for a fifth of the time."""
-    tau = truth.log.tau.copy()
-    joint = _carrying(truth)
-    limit = float(np.quantile(np.abs(tau[:, joint]), 0.8))
-    tau[:, joint] = np.clip(tau[:, joint], -limit, limit)
-    return _torque(truth, tau)
-
-
-def held(truth):
-    """A torque channel that stands still for some seconds."""
-    tau = truth.log.tau.copy()
-    joint, start = _carrying(truth), int(truth.rng.integers(500, 1200))
-    tau[start : start + 750, joint] = tau[start, joint]
-    return _torque(truth, tau)
-
-
-def collision(truth):
-    """Half a second of contact."""
-    tau = truth.log.tau.copy()
-    start = int(truth.rng.integers(600, len(tau) - 600))
-    bump = np.sin(np.linspace(0.0, np.pi, 125))[:, None]
-    reach = 0.5 + 0.5 * truth.rng.random(truth.robot.n_joints)
-    tau[start : start + 125] += bump * reach * np.max(np.abs(truth.rigid), axis=0)
-    return _torque(truth, tau)
-
-
-def late_torque(truth):
-    """Torque 20 ms and more behind position."""
-    shift = int(truth.rng.integers(5, 15))
-    log = truth.log
-    return Measurement(log.time[shift:], log.q[shift:], log.qd[shift:], log.tau[:-shift])
-
-
-def clock_jump(truth):
-    """The clock jumps ahead by some tenths of a second, twice; no sample is missing."""
-    time = truth.log.time.copy()
-    for at in truth.rng.integers(500, len(time) - 500, 2):
-        time[at:] += truth.rng.uniform(0.1, 0.4)
-    return replace(truth.log, time=time)
-
-
-def other_arm(truth):
-    """The log is of another arm with as many joints."""
-    rivals = {6: ("ur5e", "wxai"), 7: ("panda", "iiwa14", "xarm7", "gen3")}[truth.robot.n_joints]
-    robots = (robot_of(name) for name in truth.rng.permutation(rivals))
-    other = next(r for r in robots if r.path != truth.robot.path)
-    return truth_of(other, int(truth.rng.integers(2**31))).log
-
-
-def _carrying(truth: Truth) -> int:
-    """A joint, drawn from those that carry a fair part of what the strongest one carries."""
-    usual = np.sqrt(np.mean(truth.rigid**2, axis=0))
-    return int(truth.rng.choice(np.flatnonzero(usual >= 0.1 * usual.max())))
-
-
-KINDS: dict[str, Callable[[Truth], Measurement]] = {
-    kind.__name__: kind
-    for kind in (
-        *(millinewtonmetres, other_unit, motor_side, amperes, per_cent, times_two_or_more),
-        *(gravity_compensated, external, computed, torque_sign, position_sign, exchanged),
-        *(reversed_order, degrees_as_radians, radians_as_degrees, position_offset),
-        *(dropped_samples, milliseconds, saturated, held, collision, late_torque, clock_jump),
-        other_arm,
-    )
-}
