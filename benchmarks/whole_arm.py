@@ -297,7 +297,7 @@ def least_squares_folds(fit) -> float:
 def solved(information, names):
     """Least squares in some of the columns."""
     few = restricted(information, names)
-    return least_squares(few, np.zeros(len(few.names)))
+    return least_squares(few, np.zeros(len(few.names)), np.ones(len(few.joints)))
 
 
 def described(fit) -> str:

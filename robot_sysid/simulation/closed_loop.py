@@ -37,8 +37,9 @@ BANDWIDTH_TIMES_PERIOD = 0.1
 """Largest w h: far enough below 1, where the sampled loop would become unstable."""
 LOST_TRACKING = {False: 0.2, True: 0.05}
 """Position error that ends the run: hinge [rad], slide [m]."""
-_DIVERGED = 1e3
-_CONFIGURATIONS = 33
+# Times the lost-tracking error from which on it is the simulation, not the controller; places along
+# the motion where the plant's stiffness is judged.
+_DIVERGED, _CONFIGURATIONS = 1e3, 33
 
 
 class ClosedLoop:

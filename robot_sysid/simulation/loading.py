@@ -68,15 +68,13 @@ def _hinges_and_slides(mj_model: Any) -> list[str]:
 def joint_differences(robot: RobotModel, plant: RobotModel) -> tuple[str, ...]:
     """Return in words how the chain of a plant differs from the robot's; empty if it does not."""
     ours, theirs = robot.joint_names, plant.joint_names
+    missing = ", ".join(name for name in ours if name not in theirs)
+    extra = ", ".join(name for name in theirs if name not in ours)
     found = []
     if len(ours) != len(theirs):
         found.append(f"{len(theirs)} joints in the chain instead of {len(ours)}")
-    missing = [name for name in ours if name not in theirs]
-    extra = [name for name in theirs if name not in ours]
-    if missing:
-        found.append(f"missing {', '.join(missing)}")
-    if extra:
-        found.append(f"not in the robot: {', '.join(extra)}")
+    found += [f"missing {missing}"] if missing else []
+    found += [f"not in the robot: {extra}"] if extra else []
     if not found and ours != theirs:
         found.append(f"order {', '.join(theirs)} instead of {', '.join(ours)}")
     kinds = dict(zip(theirs, plant.is_slide))
@@ -89,20 +87,17 @@ def joint_differences(robot: RobotModel, plant: RobotModel) -> tuple[str, ...]:
 
 def _geometry_notes(robot: RobotModel, plant: RobotModel) -> tuple[str, ...]:
     """Return a sentence where the same joint positions put the terminal body elsewhere."""
-    distance = max(
-        float(np.linalg.norm(terminal_position(robot, q) - terminal_position(plant, q)))
-        for q in (robot.reference, robot.reference + 0.5)
-    )
+
+    def place(arm: RobotModel, q: Array) -> Array:
+        qpos = arm.reference_qpos.copy()
+        qpos[arm.qpos_index] = q
+        return np.array(posed(arm.mj_model, qpos).xpos[arm.body_id])
+
+    poses = robot.reference, robot.reference + 0.5
+    distance = max(float(np.linalg.norm(place(robot, q) - place(plant, q))) for q in poses)
     if distance <= GEOMETRY_TOLERANCE:
         return ()
     return (
         f"the same joint positions put the terminal body of the plant {1e3 * distance:.3g} mm from "
         "where the model has it, so the identified values also carry that difference",
     )
-
-
-def terminal_position(robot: RobotModel, q: Array) -> Array:
-    """Return where the terminal body is in the world (3,) [m] at chain positions q (n,)."""
-    qpos = robot.reference_qpos.copy()
-    qpos[robot.qpos_index] = q
-    return np.array(posed(robot.mj_model, qpos).xpos[robot.body_id])

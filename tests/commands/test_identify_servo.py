@@ -27,6 +27,7 @@ def log(recorded, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)  # 16 s of processor time on two threads; the machine may be busy
 def test_servos_friction_and_rotor_inertia_are_found_and_written(command, arm_file, log):
     path = arm_file(servo_logs.XML)
     out = command.run("identify", path, log, *MODE).out

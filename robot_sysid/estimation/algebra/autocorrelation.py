@@ -21,9 +21,11 @@ from numpy.typing import NDArray
 
 from robot_sysid.records import Array, SampleSource, SquareRootInformation
 
-_MAX_LAG = 2000
-_LAG_BINS = 60
+# Largest lag that is looked at [samples], and bins over the lags: chosen for cost.
+_MAX_LAG, _LAG_BINS = 2000, 60
+# Largest share of a kernel's noise that a fit is said to take out: noise is divided by the rest.
 _MOST_ABSORBED = 0.8
+# How many channels are transformed at a time: memory against calls.
 _CHANNELS = 8
 
 

@@ -24,6 +24,7 @@ from robot_sysid.records import Array, Identifiability, SquareRootInformation
 
 RELATIVE_CUT = 1e-10
 """Singular values (and column lengths) below this share of the largest count as zero."""
+# Components of unit vectors below this count as rounding; chosen, far above that (1e-13).
 _COMPONENT_TOLERANCE = 1e-6
 N_INERTIAL = 10
 _SAME_UNIT = (slice(1, 4), slice(4, 10))
@@ -138,8 +139,8 @@ def _condition(matrix: Array) -> float:
     return float(singular[0] / singular[rank - 1]) if rank else float("inf")
 
 
-_TOLERANCE = 1e-6
-_ROUNDING = 5e-3
+# What is zero in words, and what is the same number with two digits.
+_TOLERANCE, _ROUNDING = 1e-6, 5e-3
 _FIRST_MOMENT, _INERTIA = range(1, 4), range(4, 10)
 _SINGLE = {
     "m": "mass",

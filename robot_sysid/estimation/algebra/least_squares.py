@@ -10,8 +10,10 @@ from robot_sysid.estimation.algebra.identifiability import VisibleSpace, visible
 from robot_sysid.estimation.algebra.information import sample_counts
 from robot_sysid.records import Array, SquareRootInformation
 
-_MOST_ROUNDS = 30
-_SETTLED = 1e-6
+# Measured: 5 to 7 rounds for seven joints; a millionth of the noise moves no printed digit.
+_MOST_ROUNDS, _SETTLED = 30, 1e-6
+# Shares of the root mean square torque, see ``noise_floor``; what keeps a scaled matrix, whose
+# diagonal is 1, definite in spite of rounding.
 _NOISE_FLOOR, _NOISE_FLOOR_WITH_PRIOR, _RIDGE = 1e-9, 1e-4, 1e-12
 
 
@@ -29,23 +31,16 @@ def ordinary(information: SquareRootInformation, prior: Array) -> WeightedEquati
     return WeightedEquations(information, common * ones)
 
 
-def least_squares(
-    information: SquareRootInformation, prior: Array, weights: Array | None = None
-) -> Array:
-    """Return ``least_correction`` for data, weights (joints,) [1/(N m)] or None for all alike."""
-    return least_correction(*information.stacked(weights), prior)
-
-
-def least_correction(matrix: Array, right: Array, prior: Array) -> Array:
+def least_squares(information: SquareRootInformation, prior: Array, weights: Array) -> Array:
     """Return x = prior + argmin_d ||A d - (b - A prior)||, of minimum norm in scaled columns.
 
-    Whatever A cannot see keeps the prior's value, because d has no part there.
+    Whatever the data cannot see keeps the prior's value, because d has no part there.
 
     Args:
-        matrix: (M, p) A.
-        right: (M,) b.
         prior: (p,) values to stay at where the data shows nothing.
+        weights: (joints,) by which each joint's equations are multiplied [1/(N m)].
     """
+    matrix, right = information.stacked(weights)
     return prior + visible_space(matrix).solve(right - matrix @ prior)
 
 
@@ -143,7 +138,8 @@ def joint_noise(information: SquareRootInformation, values: Array, weights: Arra
         values: (p,) their solution.
         weights: (joints,) weights it was found with.
     """
-    return _noise(information, values, leverage(information, weights))
+    space = visible_space(information.stacked(weights)[0])
+    return _noise(information, values, _paid(information, weights, space))
 
 
 def _noise(information: SquareRootInformation, values: Array, paid: Array) -> Array:
@@ -152,15 +148,10 @@ def _noise(information: SquareRootInformation, values: Array, paid: Array) -> Ar
     return np.maximum(np.sqrt(squared / freedom), noise_floor(information))
 
 
-def leverage(information: SquareRootInformation, weights: Array) -> Array:
-    """Return (joints,) how many parameters each joint's equations pay for; sums to the rank."""
-    return _paid(information, weights, visible_space(information.stacked(weights)[0]))
-
-
 def _solved(
     information: SquareRootInformation, prior: Array, weights: Array
 ) -> tuple[Array, Array]:
-    """Return (``least_squares``, ``leverage``), with one decomposition for both."""
+    """Return (``least_squares``, how many parameters each joint's equations pay for)."""
     matrix, right = information.stacked(weights)
     space = visible_space(matrix)
     return prior + space.solve(right - matrix @ prior), _paid(information, weights, space)

@@ -29,7 +29,9 @@ SURE = 0.99
 """Probability with which the data must contradict what was thought before it is said."""
 WIDEST = 20.0
 """Factor that no prior is widened by more than: 20 times 5 % is all."""
+# A member is named with the worst one from this share of its squared deviation on; chosen.
 _SHARE_OF_WORST = 0.3
+# Most rounds until a width rests, and to what; widths for "may be narrower" and "is known".
 _ROUNDS, _SETTLED, _NARROWEST, _FIXED = 30, 1e-3, 0.01, 1e-4
 
 

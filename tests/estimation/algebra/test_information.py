@@ -35,10 +35,11 @@ def tall_matrices(draw):
     return rows
 
 
-@given(tall_matrices(), st.lists(st.integers(0, 60), max_size=6))
-def test_chunked_triangle_is_the_one_shot_triangle(rows, cuts):
+@given(tall_matrices(), st.lists(st.integers(0, 60), max_size=6), SEEDS)
+def test_rows_in_any_order_and_chunks_have_the_one_shot_triangle(rows, cuts, seed):
     triangle = np.zeros((COLUMNS, COLUMNS))
-    for part in np.split(rows, sorted(min(cut, len(rows)) for cut in cuts)):
+    mixed = np.random.default_rng(seed).permutation(rows)
+    for part in np.split(mixed, sorted(min(cut, len(rows)) for cut in cuts)):
         triangle = update_triangle(triangle, part)
     once = update_triangle(np.zeros((COLUMNS, COLUMNS)), rows)
     size = np.max(np.abs(once))
