@@ -10,7 +10,7 @@ import numpy as np
 
 from robot_sysid.dynamics.kinematics import posed
 from robot_sysid.errors import InputError
-from robot_sysid.model.chain import find_terminal_joint, is_hinge_or_slide, joint_label
+from robot_sysid.model.chain import is_hinge_or_slide, joint_label
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.parser import robot_from_compiled
 from robot_sysid.records import Array, RobotModel
@@ -38,15 +38,11 @@ def load_plant(robot: RobotModel, plant_path: Path, mesh_dir: Path | None = None
     compiled = compile_model(Path(plant_path), mesh_dir)
     terminal = robot.terminal_joint
     if terminal not in _hinges_and_slides(compiled.mj_model):
-        # The plant's last joint by its own rules, so that the two chains can be compared.
-        try:
-            terminal = joint_label(compiled.mj_model, find_terminal_joint(compiled.mj_model))
-        except InputError as error:
-            known = ", ".join(_hinges_and_slides(compiled.mj_model)) or "none"
-            raise InputError(
-                f"--plant-model {Path(plant_path).name} has no joint {robot.terminal_joint}, the "
-                f"last joint of {robot.path.name}; its joints are: {known}"
-            ) from error
+        known = ", ".join(_hinges_and_slides(compiled.mj_model)) or "none"
+        raise InputError(
+            f"--plant-model {Path(plant_path).name} has no joint {terminal}, the last joint of "
+            f"{robot.path.name}; its joints are: {known}"
+        )
     plant = robot_from_compiled(compiled, Path(plant_path), terminal)
     differences = joint_differences(robot, plant)
     if differences:

@@ -17,8 +17,7 @@ from robot_sysid.records import Measurement
 from robot_sysid.simulation.closed_loop import ClosedLoop, PlantSimulation
 from robot_sysid.simulation.forward_dynamics import ForwardPlant
 from robot_sysid.simulation.sensors import SimulatedArmOptions
-from robot_sysid.simulator import simulate_inverse
-from robot_sysid.trajectory import SineTrajectory, motion_chunks
+from robot_sysid.trajectory import SineTrajectory
 from tests.support import arms
 from tests.support.arms import robot_of
 from tests.support.closed_loop_proof import (
@@ -84,12 +83,10 @@ def test_reported_torque_is_the_effective_torque_to_second_order_in_the_period()
     assert fine < 1e-4
 
 
-@pytest.mark.parametrize(("rate", "period"), [(1000.0, 1e-3), (500.0, 2e-3), (100.0, 2e-3)])
+@pytest.mark.parametrize(("rate", "period"), [(1000.0, 1e-3), (100.0, 2e-3), (300.0, 1.0 / 600.0)])
 def test_the_control_period_divides_the_sample_period_and_is_at_most_the_models_step(rate, period):
     robot = robot_of(arms.THREE)
     assert ClosedLoop(robot, swing(robot), rate).period == pytest.approx(period, rel=1e-12)
-    slower = ClosedLoop(robot, swing(robot), 300.0)
-    assert slower.period == pytest.approx(1.0 / 600.0, rel=1e-12)
 
 
 def with_torque_limit(robot, limit):
@@ -221,11 +218,6 @@ def run(plant, plan, simulation, **sensors):
     """One simulation with these sensors."""
     options = SimulatedArmOptions(simulation=simulation, **sensors)
     return PlantSimulation(plant, plan, options, RATE, np.random.default_rng(5))
-
-
-def test_inverse_with_perfect_sensors_is_the_models_own_simulation(plant, plan):
-    own = joined(simulate_inverse(plant, motion_chunks(plan, RATE)))
-    np.testing.assert_array_equal(joined(run(plant, plan, "inverse")).tau, own.tau)
 
 
 def test_forward_and_inverse_agree_where_friction_is_complete(plant, plan):
