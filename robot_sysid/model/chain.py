@@ -24,9 +24,11 @@ from robot_sysid.records.options import PerJoint, per_joint
 
 _JAW_JOINT = re.compile(r"grip|finger|jaw|claw|knuckle|pinch", re.IGNORECASE)
 _JAW_BODY = re.compile(r"finger|jaw|claw|knuckle", re.IGNORECASE)
+_HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _AT_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 RIVAL_SHARE = 0.6
-"""A run beside the longest one that has at least this share of its joints may be an arm too."""
+"""A run beside the longest one that has at least this share of its joints may be an arm too: a head
+of two or three joints beside a seven-joint arm is none, an arm of five is."""
 
 
 def joint_label(mj_model: Any, joint: int) -> str:
@@ -41,14 +43,7 @@ def body_label(mj_model: Any, body: int) -> str:
 
 def is_hinge_or_slide(mj_model: Any, joint: int) -> bool:
     """Tell whether a joint has one degree of freedom."""
-    kind = int(mj_model.jnt_type[joint])
-    return kind in (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
-
-
-def parent_joint(mj_model: Any, joint: int) -> int | None:
-    """Return the next joint towards the world, or None."""
-    dof = int(mj_model.dof_parentid[mj_model.jnt_dofadr[joint]])
-    return None if dof < 0 else int(mj_model.dof_jntid[dof])
+    return int(mj_model.jnt_type[joint]) in (_HINGE, _SLIDE)
 
 
 def chain_to(mj_model: Any, joint: int) -> tuple[int, ...]:
@@ -69,11 +64,17 @@ def chain_to(mj_model: Any, joint: int) -> tuple[int, ...]:
     return chain
 
 
+def _parent(mj_model: Any, joint: int) -> int | None:
+    """Return the next joint towards the world, or None."""
+    dof = int(mj_model.dof_parentid[mj_model.jnt_dofadr[joint]])
+    return None if dof < 0 else int(mj_model.dof_jntid[dof])
+
+
 def _towards_world(mj_model: Any, joint: int | None) -> Iterator[int]:
     """Yield a joint and all between it and the world."""
     while joint is not None:
         yield joint
-        joint = parent_joint(mj_model, joint)
+        joint = _parent(mj_model, joint)
 
 
 Run = tuple[int, ...]
@@ -82,7 +83,7 @@ Run = tuple[int, ...]
 
 def serial_runs(mj_model: Any) -> list[Run]:
     """Return all maximal serial runs of hinge and slide joints."""
-    parents = [parent_joint(mj_model, joint) for joint in range(mj_model.njnt)]
+    parents = [_parent(mj_model, joint) for joint in range(mj_model.njnt)]
     # By their last joints. A joint comes after those that carry it; a run goes on where it is the
     # only one behind the last.
     runs: dict[int | None, Run] = {}
@@ -113,46 +114,35 @@ def find_terminal_joint(mj_model: Any) -> int:
         # Their ends, and what all of them hang on.
         trunks = [run for run in runs if all(run[-1] in carriers[rival] for rival in rivals)]
         ends = [run[-1] for run in [*trunks, *rivals]]
-        reason = f"{len(rivals)} serial chains of joints could be the arm"
-        raise AmbiguousJointError(reason, _candidates(mj_model, ends))
-    _require_no_ball(mj_model, arm)
-    _require_no_jaw(mj_model, arm)
-    _require_drive(mj_model, arm)
+        raise _doubt(mj_model, f"{len(rivals)} serial chains of joints could be the arm", ends)
+    _require_end(mj_model, arm)
     return arm[-1]
 
 
-def _require_no_ball(mj_model: Any, arm: Run) -> None:
-    last = arm[-1]
-    behind = [j for j in range(mj_model.njnt) if parent_joint(mj_model, j) == last]
+def _require_end(mj_model: Any, arm: Run) -> None:
+    """Raise where the last joint of a run may not be the arm's: a jaw, a loose tool, a ball."""
+    last, joint = arm[-1], joint_label(mj_model, arm[-1])
+    behind = [j for j in range(mj_model.njnt) if _parent(mj_model, j) == last]
     if len(behind) == 1 and not is_hinge_or_slide(mj_model, behind[0]):
         raise ModelError(
             f"ball joint {joint_label(mj_model, behind[0])} is part of the chain; only hinge and "
-            "slide joints can be identified, so weld it, or hold it where it is with --joint "
-            f"{joint_label(mj_model, last)}"
+            f"slide joints can be identified, so weld it, or hold it where it is with --joint "
+            f"{joint}"
         )
-
-
-def _require_no_jaw(mj_model: Any, arm: Run) -> None:
-    last = arm[-1]
-    joint = joint_label(mj_model, last)
     body = body_label(mj_model, int(mj_model.jnt_bodyid[last]))
     if len(arm) > 1 and (_JAW_JOINT.search(joint) or _JAW_BODY.search(body)):
-        raise AmbiguousJointError(
-            f"the last joint {joint} looks like the jaw of a gripper",
-            _candidates(mj_model, list(arm[-2:])),
-        )
-
-
-def _require_drive(mj_model: Any, arm: Run) -> None:
-    """Ask where motors drive the arm but not its last joint: a hose, a pendulum, a loose tool."""
+        raise _doubt(mj_model, f"the last joint {joint} looks like the jaw of a gripper", arm[-2:])
     driven = driven_joints(mj_model)
-    with_motor = [joint for joint in arm if joint in driven]
-    last = arm[-1]
+    with_motor = [each for each in arm if each in driven]
     if with_motor and last not in driven:
-        raise AmbiguousJointError(
-            f"the last joint {joint_label(mj_model, last)} has no actuator, but others do",
-            _candidates(mj_model, [with_motor[-1], last]),
-        )
+        reason = f"the last joint {joint} has no actuator, but others do"
+        raise _doubt(mj_model, reason, (with_motor[-1], last))
+
+
+def _doubt(mj_model: Any, reason: str, joints: Sequence[int]) -> AmbiguousJointError:
+    bodies = (body_label(mj_model, int(mj_model.jnt_bodyid[joint])) for joint in joints)
+    names = (joint_label(mj_model, joint) for joint in joints)
+    return AmbiguousJointError(reason, list(zip(names, bodies)))
 
 
 def driven_joints(mj_model: Any) -> set[int]:
@@ -171,11 +161,6 @@ def driven_joints(mj_model: Any) -> set[int]:
         if joints.intersection(pair):
             joints.update(int(joint) for joint in pair)
     return joints
-
-
-def _candidates(mj_model: Any, joints: list[int]) -> list[tuple[str, str]]:
-    bodies = (body_label(mj_model, int(mj_model.jnt_bodyid[j])) for j in joints)
-    return list(zip((joint_label(mj_model, j) for j in joints), bodies))
 
 
 def resolve_joint(mj_model: Any, name: str) -> int:
@@ -200,34 +185,29 @@ def resolve_joint(mj_model: Any, name: str) -> int:
     return joint
 
 
-N_JOINTS = 3
-"""Two directions and a turn."""
-LEAST_ARM = 3
-"""Joints that must remain for the rest to be an arm; three can show all ten parameters."""
+_BASE, _LEAST_ARM = 3, 3
+"""Joints of a base (two directions and a turn), and those that must remain for the rest to be an
+arm; three can show all ten parameters."""
 _PERPENDICULAR = 1e-6
+"""Cosine of what counts as a right angle: axes from CAD are straight to six digits."""
 
 
 def arm_without_base(mj_model: Any, chain: tuple[int, ...]) -> tuple[int, ...]:
-    """Return a chain (joint ids, outwards) without the joints of a mobile base at its beginning."""
-    if len(chain) < N_JOINTS + LEAST_ARM or not _is_planar_base(mj_model, chain[:N_JOINTS]):
+    """Return a chain (joint ids, outwards) without the joints of a mobile base at its beginning.
+
+    Those are two slides and a hinge normal to each other, all unlimited.
+    """
+    first = list(chain[:_BASE])
+    is_planar = sorted(mj_model.jnt_type[first]) == sorted((_SLIDE, _SLIDE, _HINGE))
+    if len(chain) < _BASE + _LEAST_ARM or not is_planar or np.any(mj_model.jnt_limited[first]):
         return chain
-    return chain[N_JOINTS:]
-
-
-def _is_planar_base(mj_model: Any, joints: tuple[int, ...]) -> bool:
-    """Tell whether three joints are two slides and a hinge normal to both, all unlimited."""
-    ids = list(joints)
-    kinds = mj_model.jnt_type[ids]
-    slides = kinds == int(mujoco.mjtJoint.mjJNT_SLIDE)
-    hinges = kinds == int(mujoco.mjtJoint.mjJNT_HINGE)
-    if np.any(mj_model.jnt_limited[ids]) or np.sum(slides) != 2 or np.sum(hinges) != 1:
-        return False
-    axes = posed(mj_model, mj_model.qpos0).xaxis[ids]
-    return bool(np.max(np.abs(axes @ axes.T - np.eye(N_JOINTS))) <= _PERPENDICULAR)
+    axes = posed(mj_model, mj_model.qpos0).xaxis[first]
+    square = np.max(np.abs(axes @ axes.T - np.eye(_BASE))) <= _PERPENDICULAR
+    return chain[_BASE:] if square else chain
 
 
 DEFAULT_SLIDE_VELOCITY = 0.25
-"""Speed limit of slide joints [m/s]."""
+"""Speed limit of slide joints [m/s]: the one that ISO 10218-1 calls reduced."""
 
 
 def joint_limits(
@@ -242,7 +222,7 @@ def joint_limits(
     """
     index = np.array(joints)
     limited = mj_model.jnt_limited[index].astype(bool)
-    slide = mj_model.jnt_type[index] == int(mujoco.mjtJoint.mjJNT_SLIDE)
+    slide = mj_model.jnt_type[index] == _SLIDE
     asked = per_joint(max_velocity, len(joints), "--max-velocity")
     usual = np.where(slide, np.minimum(DEFAULT_SLIDE_VELOCITY, asked), asked)
     return JointLimits(
@@ -259,9 +239,10 @@ def _torque_limit(mj_model: Any, joint: int) -> float:
     """
     limited = mj_model.jnt_actfrclimited[joint]
     own = _symmetric(mj_model.jnt_actfrcrange[joint]) if limited else np.inf
-    actuators = actuators_on(mj_model, joint)
-    gears = (abs(float(mj_model.actuator_gear[a, 0])) for a in actuators)
-    limits = [gear * _force_limit(mj_model, a) for gear, a in zip(gears, actuators)]
+    limits = [
+        abs(float(mj_model.actuator_gear[a, 0])) * _force_limit(mj_model, a)
+        for a in actuators_on(mj_model, joint)
+    ]
     return min(own, sum(limits) if limits else np.inf)
 
 

@@ -21,7 +21,7 @@ import mujoco
 import numpy as np
 
 from robot_sysid.errors import ModelError
-from robot_sysid.mjcf.assets import Asset, check_assets, find_assets, relocated_text
+from robot_sysid.mjcf.assets import check_assets, find_assets, relocated_text
 from robot_sysid.mjcf.documents import ModelDocument, Node, read_document
 from robot_sysid.mjcf.edits import Edits
 from robot_sysid.mjcf.urdf import LARGEST, compilable_urdf, link_inertias, velocity_limits
@@ -157,15 +157,17 @@ def _one_line(document: ModelDocument, error: BaseException) -> str:
 def _check_values(mj_model: Any, document: ModelDocument) -> None:
     held = {name: getattr(mj_model, name) for name in _MUST_BE_FINITE}
     for name, values in {**held, "gravity": mj_model.opt.gravity}.items():
-        if not np.all(np.isfinite(values)):
+        largest = float(np.max(np.abs(values), initial=0.0))
+        if not np.isfinite(largest):
             raise ModelError(f"{document.path} contains a value that is not a number ({name})")
-        if np.any(np.abs(values) > LARGEST):
-            largest = float(np.max(np.abs(values)))
+        if largest > LARGEST:
             raise ModelError(f"{document.path} contains a value no arm has ({name} {largest:g})")
 
 
 _SAME_TRACE = 1e-9
+"""Relative difference of traces that six-digit axes leave: turning keeps the trace."""
 _ALREADY_EXACT = 1e-13
+"""Relative difference from the stated inertia that rounding alone makes."""
 
 
 def restore_exact_inertias(
@@ -182,32 +184,23 @@ def restore_exact_inertias(
     changed = False
     for name, (_, _, inertia) in inertias.items():
         body = mujoco.mj_name2id(mj_model, int(mujoco.mjtObj.mjOBJ_BODY), name)
-        if body > 0 and _is_inaccurate(mj_model, body, inertia):
-            moments, axes = np.linalg.eigh(inertia)
-            if np.linalg.det(axes) < 0.0:
-                axes = -axes
+        moments, axes = np.linalg.eigh(inertia)
+        # balanceinertia keeps the trace too, and only touches what breaks the triangle inequality.
+        if body <= 0 or moments[0] + moments[1] < moments[2]:
+            continue
+        size, compiled = float(np.trace(inertia)), inertia_about_com(mj_model, body)
+        turned = abs(float(np.trace(compiled)) - size) <= _SAME_TRACE * size
+        if turned and np.max(np.abs(compiled - inertia)) > _ALREADY_EXACT * size:
             mj_model.body_inertia[body] = moments
+            axes = axes if np.linalg.det(axes) > 0.0 else -axes
             mujoco.mju_mat2Quat(mj_model.body_iquat[body], axes.ravel())
             changed = True
     if changed:
         mujoco.mj_setConst(mj_model, mujoco.MjData(mj_model))
 
 
-def _is_inaccurate(mj_model: Any, body: int, inertia: Array) -> bool:
-    compiled = inertia_about_com(mj_model, body)
-    size = float(np.trace(inertia))
-    moments = np.linalg.eigvalsh(inertia)
-    # Equal traces but another matrix: turned. balanceinertia keeps the trace too, and only
-    # touches what breaks the triangle inequality.
-    turned = abs(float(np.trace(compiled)) - size) <= _SAME_TRACE * size
-    balanced = moments[0] + moments[1] < moments[2]
-    return bool(
-        turned and not balanced and np.max(np.abs(compiled - inertia)) > _ALREADY_EXACT * size
-    )
-
-
 MOST_CELLS = 5e7
-"""Largest height field, texture or block of user data that is worth its memory, in numbers."""
+"""Largest height field, texture or block of user data, in numbers: 0.4 GB of doubles."""
 MOST_COPIES = 3000
 """Copies of a part; MuJoCo takes the square of their number, a minute for 20 000."""
 _CELLS = {
@@ -228,7 +221,7 @@ def refuse_hazards(document: ModelDocument, mesh_dir: Path | None = None) -> Non
             copies without end, or has the name of a class with a format in it.
     """
     _refuse_element(document, document.root, 1.0)
-    _refuse_attached(document, mesh_dir, (), set())
+    _refuse_files(document, mesh_dir, (), set())
 
 
 def _refuse_element(document: ModelDocument, node: Node, times: float) -> None:
@@ -239,16 +232,16 @@ def _refuse_element(document: ModelDocument, node: Node, times: float) -> None:
             f"{document.path}: the class {node.get('class')!r} of a {node.tag} has a % in its "
             "name, over which MuJoCo may end the process; rename it"
         )
-    cells = math.prod(_count(node, name) for name in _CELLS.get(node.tag, ()))
+    cells = math.prod(_product(node.get(name)) for name in _CELLS.get(node.tag, ()))
     if node.tag == "size":
-        cells = max([_bytes(node) / 100.0, *(_count(node, n) for n in node.attributes)])
+        cells = max([_bytes(node) / 100.0, *map(_product, node.attributes.values())])
     if cells > MOST_CELLS:
         raise ModelError(
             f"{document.path}: a {node.tag} of {cells:.3g} cells; at most "
             f"{MOST_CELLS:.0e} are read, and identification needs none of them"
         )
     if node.tag in _COPIED:
-        times *= max(1.0, _count(node, "count"))
+        times *= max(1.0, _product(node.get("count")))
     if times > MOST_COPIES:
         raise ModelError(
             f"{document.path}: a {node.tag} makes {times:.3g} copies; at most {MOST_COPIES} are "
@@ -262,41 +255,33 @@ def _bytes(node: Node) -> float:
     """Return the memory that a <size> asks for: a number with K, M, G, T, P or E behind it."""
     text = (node.get("memory") or "0").strip()
     power = "KMGTPE".find(text[-1:].upper()) + 1
-    try:
-        return float(text[: -1 if power else None]) * 1024.0**power
-    except ValueError:
-        return 0.0
+    return _product(text[: -1 if power else None]) * 1024.0**power
 
 
-def _count(node: Node, name: str) -> float:
+def _product(text: str | None) -> float:
     """Return the product of an attribute's numbers; zero for none, of which MuJoCo will speak."""
     try:
-        return math.prod(float(word) for word in (node.get(name) or "0").split())
+        return math.prod(float(word) for word in (text or "0").split())
     except ValueError:
         return 0.0
 
 
-def _refuse_attached(
+def _refuse_files(
     document: ModelDocument, mesh_dir: Path | None, above: tuple[Path, ...], known: set[Path]
 ) -> None:
     """Refuse special files, and models that attach one of those ``above`` them."""
     own = document.path.resolve()
     for asset in find_assets(document, mesh_dir):
-        _refuse_special(document, asset)
+        # What was not found is no file, but may be there; too long a name is an error to Path.
+        name = Path(asset.name.replace("\\", "/")).name
+        for path in (folder / name for folder in asset.looked_in if asset.path is None):
+            if os.path.exists(path) and not os.path.isdir(path):
+                raise ModelError(f"{document.path}: {path} is not a file but a pipe or a device")
         if asset.node.tag != "model" or asset.path is None:
             continue
         attached = asset.path.resolve()
         if attached in (*above, own):
             raise ModelError(f"{document.path} attaches itself by way of {asset.name}; take it out")
         if attached not in known and attached.suffix.lower() in _MODELS:
-            _refuse_attached(read_document(attached), None, (*above, own), known)
+            _refuse_files(read_document(attached), None, (*above, own), known)
             known.add(attached)
-
-
-def _refuse_special(document: ModelDocument, asset: Asset) -> None:
-    if asset.path is not None:
-        return
-    for folder in asset.looked_in:
-        path = folder / Path(asset.name.replace("\\", "/")).name
-        if os.path.exists(path) and not os.path.isdir(path):
-            raise ModelError(f"{document.path}: {path} is not a file but a pipe or a device")

@@ -65,7 +65,11 @@ def neighbours(mj_model: Any) -> NDArray[np.bool_]:
 
 
 class ContactFinder:
-    """Tells which bodies touch in a configuration, those in the reference one taken for granted."""
+    """Tells which bodies touch in a configuration, those in the reference one taken for granted.
+
+    Attributes:
+        at_rest: pairs of body ids that touch in the reference configuration.
+    """
 
     def __init__(self, robot: RobotModel) -> None:
         self._robot = robot
@@ -73,11 +77,7 @@ class ContactFinder:
         self._data = mujoco.MjData(self._model)
         self._data.qpos[:] = robot.reference_qpos
         self._part = parts_of(robot)
-        self._at_rest = self._touching()
-
-    def collisions_at_rest(self) -> set[tuple[int, int]]:
-        """Return pairs of body ids that touch at rest, but not by design."""
-        return self._at_rest - self.by_design(self._at_rest)
+        self.at_rest = self._touching()
 
     def by_design(self, pairs: Collection[tuple[int, int]]) -> set[tuple[int, int]]:
         """Return those of some touching pairs of body ids that a model is drawn with.
@@ -105,7 +105,7 @@ class ContactFinder:
     def new_pairs(self, q: Array) -> set[tuple[int, int]]:
         """Return pairs of body ids that touch at chain positions q (n,) but not at rest."""
         self._data.qpos[self._robot.qpos_index] = q
-        return self._touching() - self._at_rest
+        return self._touching() - self.at_rest
 
     def _touching(self) -> set[tuple[int, int]]:
         mujoco.mj_kinematics(self._model, self._data)
@@ -126,14 +126,14 @@ class ContactFinder:
 def find_new_contacts(robot: RobotModel, motions: Iterable[Motion]) -> tuple[str, ...]:
     """Return in words which bodies collide at rest, and when others first do along a motion."""
     finder = ContactFinder(robot)
+    resting = finder.at_rest - finder.by_design(finder.at_rest)
     first_time: dict[tuple[int, int], float] = {}
     for motion in motions:
         for time, q in zip(motion.time, motion.q):
             for pair in finder.new_pairs(q):
                 first_time.setdefault(pair, float(time))
+    words = [(pair, "at rest") for pair in resting]
+    words += [(pair, f"at {time:.2f} s") for pair, time in first_time.items()]
     name = partial(body_label, robot.mj_model)
-    resting = [f"{name(a)} and {name(b)} touch at rest" for a, b in finder.collisions_at_rest()]
-    return (
-        *sorted(resting),
-        *(f"{name(a)} and {name(b)} touch at {time:.2f} s" for (a, b), time in first_time.items()),
-    )
+    said = [f"{name(a)} and {name(b)} touch {when}" for (a, b), when in words]
+    return (*sorted(said[: len(resting)]), *said[len(resting) :])

@@ -6,16 +6,14 @@ A site or a body of the model, or plain numbers. What moves against the terminal
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import mujoco
 import numpy as np
 
 from robot_sysid.dynamics.kinematics import posed
 from robot_sysid.errors import ModelError
-from robot_sysid.model.chain import body_label
 from robot_sysid.model.inertia import subtree_bodies
 from robot_sysid.records import Array, Flange, RobotModel
 
@@ -26,7 +24,8 @@ _LIKELY = tuple(
 )
 _DOUBT = "; an end effector's frame may also be the tip of the tool: check"
 REACH = 3.0
-"""Distance of a flange from its link beyond which the numbers must be millimetres [m]."""
+"""Distance of a flange from its link beyond which the numbers must be millimetres [m]: no arm is as
+long."""
 
 
 def find_flange(robot: RobotModel, text: str | None = None) -> Flange:
@@ -41,87 +40,90 @@ def find_flange(robot: RobotModel, text: str | None = None) -> Flange:
         ModelError: there is no such frame (lists those there are), it moves against the terminal
             body, several could be meant, or the numbers are none.
     """
-    frames = tuple(_fixed_frames(robot))
+    sites, bodies = _fixed_frames(robot)
     if text is None:
-        chosen, note = _likely(robot, frames)
-        return replace(chosen, note=note)
+        return _likely(robot, sites, bodies)
     wanted = text.strip()
-    for _, name, flange in frames:
-        if name == wanted:
-            return flange
+    if wanted in (known := {**bodies, **sites}):
+        return known[wanted]
     if "," in wanted:
         return _from_numbers(robot, wanted)
-    raise ModelError(_unknown(robot, wanted, frames))
+    listed = ", ".join(flange.name for flange in (*sites.values(), *bodies.values()))
+    fault = "no such site or body"
+    for kind in _OBJECTS:
+        if mujoco.mj_name2id(robot.mj_model, int(_OBJECTS[kind]), wanted) >= 0:
+            fault = (
+                f"{kind} '{wanted}' moves against the terminal body, or stands before it, so it is "
+                "no flange"
+            )
+    raise ModelError(
+        f"flange {wanted}: {fault}; fixed to body '{robot.body_name}' are: {listed}; or give x,y,z "
+        "in metres"
+    )
 
 
 def place_in_carrier(robot: RobotModel, flange: Flange) -> tuple[Array, Array]:
     """Return (rotation (3, 3), translation (3,)) of a flange in the frame of its carrier [m]."""
-    carrier = _frame_of(flange.carrier, _fixed_frames(robot))
+    carrier = next(f for f in _fixed_frames(robot)[1].values() if f.carrier == flange.carrier)
     turned = carrier.rotation.T @ flange.rotation
     moved = carrier.rotation.T @ (flange.translation - carrier.translation)
     # What is left of a distance after adding and subtracting it is no distance.
     return np.round(turned, 15), np.round(moved, 15)
 
 
-_Frame = tuple[str, str, Flange]
-"""Kind and name of what a frame belongs to, and the frame."""
+_OBJECTS = {"site": mujoco.mjtObj.mjOBJ_SITE, "body": mujoco.mjtObj.mjOBJ_BODY}
+_Frames = Mapping[str, Flange]
+"""Name of what frames belong to, and the frames."""
 
 
-def _fixed_frames(robot: RobotModel) -> Iterator[_Frame]:
-    """Yield all sites and bodies that are fixed to the terminal body, sites first."""
+def _fixed_frames(robot: RobotModel) -> tuple[_Frames, _Frames]:
+    """Return all sites, and all bodies, that are fixed to the terminal body."""
     mj_model, top = robot.mj_model, robot.body_id
     data = posed(mj_model, robot.reference_qpos)
     axes, origin = data.xmat[top].reshape(3, 3), data.xpos[top]
     bodies = subtree_bodies(mj_model, robot.reference_qpos, top)
     fixed = {body.body_id: body.name for body in bodies if body.welded}
 
-    def frame(kind: str, name: str, carrier: int, xmat: Array, xpos: Array) -> _Frame:
+    def frame(words: str, carrier: int, xmat: Array, xpos: Array) -> Flange:
         rotation, translation = axes.T @ xmat.reshape(3, 3), axes.T @ (xpos - origin)
-        words = f"{kind} '{name}'"
-        return kind, name, Flange(words, rotation, translation, robot.body_name, carrier)
+        return Flange(words, rotation, translation, robot.body_name, carrier)
 
-    for name, site in _sites(mj_model).items():
-        carrier = int(mj_model.site_bodyid[site])
-        if carrier in fixed:
-            yield frame("site", name, carrier, data.site_xmat[site], data.site_xpos[site])
-    for i, name in fixed.items():
-        yield frame("body", name, i, data.xmat[i], data.xpos[i])
+    sites = {}
+    for i, carrier in enumerate(mj_model.site_bodyid.tolist()):
+        name = mj_model.site(i).name
+        if name and carrier in fixed:
+            sites[name] = frame(f"site '{name}'", carrier, data.site_xmat[i], data.site_xpos[i])
+    return sites, {
+        name: frame(f"body '{name}'", i, data.xmat[i], data.xpos[i]) for i, name in fixed.items()
+    }
 
 
-def _frame_of(body: int, frames: Iterable[_Frame]) -> Flange:
-    return next(f for kind, _, f in frames if kind == "body" and f.carrier == body)
+def _likely(robot: RobotModel, sites: _Frames, bodies: _Frames) -> Flange:
+    """Return the frame that is called like a flange, with a note on the choice."""
+    terminal, beside = bodies[robot.body_name], {**bodies}
+    del beside[robot.body_name]
+    for pattern in _LIKELY:
+        # A site counts more than a body.
+        called = ([frames[n] for n in frames if pattern.fullmatch(n)] for frames in (sites, beside))
+        found = next(filter(None, called), [])
+        if not found:
+            continue
+        if not all(_is_at(flange, found[0]) for flange in found):
+            listed = ", ".join(flange.name for flange in found)
+            raise ModelError(f"{listed} could each be the flange; choose one by its name")
+        words = f"{found[0].name} was taken for the flange, because of its name"
+        return replace(found[0], note=words + _DOUBT * (pattern is _LIKELY[-1]))
+    listed = ", ".join(flange.name for flange in (*sites.values(), *beside.values())) or "none"
+    note = (
+        f"no site or body that is fixed to body '{robot.body_name}' is called like a flange, so "
+        f"the frame of that body is taken; others that can be named: {listed}"
+    )
+    return replace(terminal, note=note)
 
 
 def _is_at(ours: Flange, theirs: Flange) -> bool:
     pairs = ((ours.rotation, theirs.rotation), (ours.translation, theirs.translation))
     return all(np.allclose(*pair, rtol=0.0, atol=1e-9) for pair in pairs)
-
-
-def _sites(mj_model: Any) -> Mapping[str, int]:
-    kind = int(mujoco.mjtObj.mjOBJ_SITE)
-    names = [mujoco.mj_id2name(mj_model, kind, i) for i in range(mj_model.nsite)]
-    return {name: i for i, name in enumerate(names) if name}
-
-
-def _likely(robot: RobotModel, frames: tuple[_Frame, ...]) -> tuple[Flange, str]:
-    """Return the frame that is called like a flange, and a sentence on the choice."""
-    terminal = _frame_of(robot.body_id, frames)
-    others = [each for each in frames if each[2] is not terminal]
-    for pattern in _LIKELY:
-        called = [each for each in others if pattern.fullmatch(each[1])]
-        sites = [flange for kind, _, flange in called if kind == "site"]
-        found = sites or [flange for _, _, flange in called]
-        if found and not all(_is_at(flange, found[0]) for flange in found):
-            listed = ", ".join(flange.name for flange in found)
-            raise ModelError(f"{listed} could each be the flange; choose one by its name")
-        if found:
-            words = f"{found[0].name} was taken for the flange, because of its name"
-            return found[0], words + _DOUBT * (pattern is _LIKELY[-1])
-    listed = ", ".join(flange.name for _, _, flange in others) or "none"
-    return terminal, (
-        f"no site or body that is fixed to body '{robot.body_name}' is called like a flange, so "
-        f"the frame of that body is taken; others that can be named: {listed}"
-    )
 
 
 def _from_numbers(robot: RobotModel, text: str) -> Flange:
@@ -145,18 +147,3 @@ def _from_numbers(robot: RobotModel, text: str) -> Flange:
     # Rz(yaw) Ry(pitch) Rx(roll), as in a URDF.
     turn = Rotation.from_euler("xyz", numbers[3:] or [0.0] * 3, degrees=True).as_matrix()
     return Flange(text.replace(" ", ""), turn, translation, robot.body_name, robot.body_id)
-
-
-def _unknown(robot: RobotModel, name: str, frames: tuple[_Frame, ...]) -> str:
-    mj_model = robot.mj_model
-    bodies = {body_label(mj_model, i) for i in range(mj_model.nbody)}
-    known = (
-        f"fixed to body '{robot.body_name}' are: {', '.join(flange.name for *_, flange in frames)}"
-    )
-    if name in bodies or name in _sites(mj_model):
-        kind = "body" if name in bodies else "site"
-        return (
-            f"flange {name}: {kind} '{name}' moves against the terminal body, or stands before "
-            f"it, so it is no flange; {known}; or give x,y,z in metres"
-        )
-    return f"flange {name}: no such site or body; {known}; or give x,y,z in metres"

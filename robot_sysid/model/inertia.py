@@ -79,32 +79,26 @@ def arm_links(mj_model: Any, qpos: Array, chain: Sequence[int]) -> tuple[ArmLink
     data = posed(mj_model, qpos)
     mujoco.mj_comPos(mj_model, data)
     bodies = [int(mj_model.jnt_bodyid[joint]) for joint in chain]
-    rotations = [np.eye(3), *(data.xmat[body].reshape(3, 3).copy() for body in bodies)]
-    places = [np.zeros(3), *(data.xpos[body].copy() for body in bodies)]
-    links = []
-    for index, (joint, body) in enumerate(zip(chain, bodies)):
-        before, here = rotations[index], rotations[index + 1]
+    links, before, origin = [], np.eye(3), np.zeros(3)
+    turn, slide = np.zeros((2, 3, mj_model.nv))
+    for index, body in enumerate(bodies):
+        here, place = data.xmat[body].reshape(3, 3), data.xpos[body]
+        mujoco.mj_jacBody(mj_model, data, slide, turn, body)
+        column = np.array([turn, slide])[..., int(mj_model.jnt_dofadr[chain[index]])]
         # Without what later chain joints move.
         own = link_bodies(mj_model, qpos, body, bodies[index + 1 :])
         links.append(
             ArmLink(
                 body_id=body,
                 body_name=body_label(mj_model, body),
-                screw=_screw(mj_model, data, joint, here),
+                screw=np.concatenate([here.T @ part for part in column]),
                 rotation=before.T @ here,
-                translation=before.T @ (places[index + 1] - places[index]),
+                translation=before.T @ (place - origin),
                 theta=np.sum([np.zeros(10), *(part.theta for part in own)], axis=0),
             )
         )
+        before, origin = here, place
     return tuple(links)
-
-
-def _screw(mj_model: Any, data: Any, joint: int, rotation: Array) -> Array:
-    """Return the body Jacobian's column of a joint at its own body (6,): [omega, v]."""
-    turn, slide = np.zeros((2, 3, mj_model.nv))
-    mujoco.mj_jacBody(mj_model, data, slide, turn, int(mj_model.jnt_bodyid[joint]))
-    dof = int(mj_model.jnt_dofadr[joint])
-    return np.concatenate((rotation.T @ turn[:, dof], rotation.T @ slide[:, dof]))
 
 
 def link_bodies(
