@@ -73,23 +73,22 @@ class Equations:
         self.rows_of = tuple(range(robot.n_joints)) if torques == "chain" else (last,)
         self.joints = tuple(robot.joint_names[j] for j in self.rows_of)
         self.shared = tuple(shared)
-        own = [name for j in self.rows_of for name in self._friction_names(j)]
-        others = [name for link in self._links for name in link_names(robot, link)]
-        self.names = (*PARAMETER_NAMES, *own, *self.shared, *others)
-        self.columns = tuple(self._columns_of(j) for j in self.rows_of)
+        names = zip(self._friction, robot.joint_names)
+        own = [model.parameter_names(name) for model, name in names]
+        others = {link: link_names(robot, link) for link in self._links}
+        of_rows = (name for j in self.rows_of for name in own[j])
+        of_links = (name for each in others.values() for name in each)
+        self.names = (*PARAMETER_NAMES, *of_rows, *self.shared, *of_links)
+        place = {name: index for index, name in enumerate(self.names)}
+        # Which parameters (k,) each joint's equations contain: of links those that it carries.
+        columns = []
+        for j in self.rows_of:
+            beyond = (name for link, each in others.items() if link >= j for name in each)
+            mine = (*PARAMETER_NAMES, *own[j], *self.shared, *beyond)
+            columns.append(np.array([place[name] for name in mine]))
+        self.columns: tuple[NDArray[np.int64], ...] = tuple(columns)
         thetas = [robot.links[link].theta for link in self._links]
         self._known_links = np.concatenate([np.zeros(0), *thetas])
-
-    def _friction_names(self, joint: int) -> tuple[str, ...]:
-        return self._friction[joint].parameter_names(self._robot.joint_names[joint])
-
-    def _columns_of(self, joint: int) -> NDArray[np.int64]:
-        """Return which parameters (k,) a joint's equations contain."""
-        beyond = [link for link in self._links if link >= joint]
-        others = [name for link in beyond for name in link_names(self._robot, link)]
-        place = {name: index for index, name in enumerate(self.names)}
-        own = self._friction_names(joint)
-        return np.array([place[n] for n in (*PARAMETER_NAMES, *own, *self.shared, *others)])
 
     @property
     def prior(self) -> Array:

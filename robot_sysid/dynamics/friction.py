@@ -50,10 +50,11 @@ class BentTerm:
         slope: its derivative by vs, of the same arguments.
         usual: vs where nothing is known of it [rad/s].
         tried: speeds worth trying, ascending; vs is sought from half the first to twice the last.
+            Stribeck velocities of geared joints lie between 0.01 and 0.3 rad/s at the output.
     """
 
-    column: Callable[[Array, Array], Array]
-    slope: Callable[[Array, Array], Array]
+    column: Callable[[Array, Array | float], Array]
+    slope: Callable[[Array, Array | float], Array]
     usual: float
     tried: tuple[float, ...]
 
@@ -63,32 +64,25 @@ class BentTerm:
         return 0.5 * self.tried[0], 2.0 * self.tried[-1]
 
 
-def _stribeck(qd: Array, speed: Array) -> Array:
+def _stribeck(qd: Array, speed: Array | float) -> Array:
     return np.asarray(np.sign(qd) * np.exp(-((qd / speed) ** 2)))
 
 
-# Stribeck velocities of geared joints lie between 0.01 and 0.3 rad/s at the output.
-BENT: Mapping[str, BentTerm] = {
-    "stribeck": BentTerm(
-        _stribeck,
-        lambda qd, speed: _stribeck(qd, speed) * 2.0 * qd**2 / speed**3,
-        usual=0.1,
-        tried=(0.02, 0.05, 0.1, 0.2),
-    ),
-    "sigmoid": BentTerm(
-        lambda qd, speed: np.sign(qd) * np.tanh(np.abs(qd) / speed),
-        lambda qd, speed: -qd / (speed * np.cosh(np.minimum(np.abs(qd / speed), 300.0))) ** 2,
-        usual=0.05,
-        tried=(0.01, 0.03, 0.1, 0.3),
-    ),
-}
+_STRIBECK = BentTerm(
+    _stribeck,
+    lambda qd, speed: _stribeck(qd, speed) * 2.0 * qd**2 / speed**3,
+    usual=0.1,
+    tried=(0.02, 0.05, 0.1, 0.2),
+)
+# The square of cosh(300) is the last one that is a number.
+_SIGMOID = BentTerm(
+    lambda qd, speed: np.sign(qd) * np.tanh(np.abs(qd) / speed),
+    lambda qd, speed: -qd / (speed * np.cosh(np.minimum(np.abs(qd / speed), 300.0))) ** 2,
+    usual=0.05,
+    tried=(0.01, 0.03, 0.1, 0.3),
+)
+BENT: Mapping[str, BentTerm] = {"stribeck": _STRIBECK, "sigmoid": _SIGMOID}
 """Terms that are nonlinear in one parameter; the fit of a whole arm seeks it too."""
-
-
-def _usual(term: str) -> Callable[[Array, Array, Array], Array]:
-    bent = BENT[term]
-    return lambda qd, qdd, load: bent.column(qd, np.array(bent.usual))
-
 
 TERMS: Mapping[str, Callable[[Array, Array, Array], Array]] = {
     "coulomb": lambda qd, qdd, load: np.sign(qd),
@@ -96,11 +90,11 @@ TERMS: Mapping[str, Callable[[Array, Array, Array], Array]] = {
     "offset": lambda qd, qdd, load: np.ones_like(qd),
     "armature": lambda qd, qdd, load: qdd,
     "sqrt": lambda qd, qdd, load: np.sign(qd) * np.sqrt(np.abs(qd)),
-    "stribeck": _usual("stribeck"),
+    "stribeck": lambda qd, qdd, load: _STRIBECK.column(qd, _STRIBECK.usual),
     "load": lambda qd, qdd, load: np.sign(qd) * np.abs(load),
     "quadratic": lambda qd, qdd, load: qd * np.abs(qd),
     "cubic": lambda qd, qdd, load: qd * qd * qd,
-    "sigmoid": _usual("sigmoid"),
+    "sigmoid": lambda qd, qdd, load: _SIGMOID.column(qd, _SIGMOID.usual),
 }
 """Term name to the function that makes its column, see ``FrictionModel.columns``; a new term is one
 more line here. Those of ``BENT`` take their usual speed."""
@@ -169,10 +163,8 @@ class FrictionModel:
             qdd: (N,) acceleration [rad/s^2].
             load: (N,) torque the joint's gear transmits [N m].
         """
-        columns = np.empty((len(qd), len(self.terms)))
-        for index, term in enumerate(self.terms):
-            columns[:, index] = TERMS[term](qd, qdd, load)
-        return columns
+        columns = [TERMS[term](qd, qdd, load) for term in self.terms]
+        return np.column_stack(columns) if columns else np.empty((len(qd), 0))
 
 
 def speed_name(term: str, joint: str) -> str:

@@ -87,7 +87,7 @@ def inverse_dynamics(
 
 
 class ArmDynamics:
-    """Inverse dynamics of the whole arm, sample by sample.
+    """Inverse dynamics of the whole arm by MuJoCo, sample by sample.
 
     Args:
         mj_model: another compiled model of the same arm (for instance one that was written and
@@ -123,47 +123,25 @@ class ChainKinematics:
     """
 
     def __init__(self, robot: RobotModel) -> None:
-        full = analysis_copy(robot.mj_model)
-        self._robot = robot
-        self._model = copy.copy(full)
-        self._model.body_mass[subtree(full, robot.body_id)] = 0.0
-        self._model.body_inertia[subtree(full, robot.body_id)] = 0.0
+        self._robot, self._model = robot, analysis_copy(robot.mj_model)
+        self._full = None if has_only_armature(self._model) else ArmDynamics(robot)
+        self.armature: Array = self._model.dof_armature[robot.dof_index].copy()
+        link = subtree(self._model, robot.body_id)
+        self._model.body_mass[link] = self._model.body_inertia[link] = 0.0
         self._data = mujoco.MjData(self._model)
         self._data.qpos[:] = robot.reference_qpos
         self._chain = _as_slice(robot.qpos_index), _as_slice(robot.dof_index)
-        self.armature: Array = full.dof_armature[robot.dof_index].copy()
-        self._full = None if has_only_armature(full) else ArmDynamics(robot)
 
     def evaluate(self, q: Array, qd: Array, qdd: Array) -> BodyMotion:
-        """Return the body motion for chain motions (N, n)."""
-        jacobians, rotation, acceleration, rest = self._sweep(q, qd, qdd)
-        to_body = rotation.reshape(-1, 1, 3, 3).swapaxes(2, 3)
-        jacobian = (to_body @ jacobians).reshape(len(q), 6, self._robot.n_joints)
-        velocity = np.einsum("kij,kj->ki", jacobian, qd)
-        # MuJoCo's linear acceleration is the classical one minus gravity; the spatial one lacks
-        # the omega x v of the moving body frame.
-        acceleration[:, 3:] -= np.cross(velocity[:, :3], velocity[:, 3:])
-        if self._full is None:
-            beyond = self.armature * qdd
-        else:
-            beyond = self._full.beyond_rigid_bodies(q, qd, qdd)
-        return BodyMotion(velocity, acceleration, jacobian, rest + beyond)
-
-    def _sweep(self, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array, Array, Array]:
-        """Go through the samples with the minimal sequence of MuJoCo calls.
-
-        Returns:
-            (Jacobians (N, 2, 3, n) of the body's rotation and position in the world, its rotation
-            (N, 9), its acceleration (N, 6) as MuJoCo has it, torques without the link (N, n)).
-        """
+        """Return the body motion for chain motions (N, n), by the least of MuJoCo's calls."""
         model, data, body = self._model, self._data, self._robot.body_id
-        qpos, qvel, qacc, xmat = data.qpos, data.qvel, data.qacc, data.xmat
         at_q, at_v = self._chain
-        frame = int(mujoco.mjtObj.mjOBJ_XBODY)
-        jacobians = np.zeros((len(q), 2, 3, model.nv))
-        rotation, acceleration = np.empty((len(q), 9)), np.empty((len(q), 6))
-        rest = np.empty((len(q), model.nv))
-        for k in range(len(q)):
+        frame, samples = int(mujoco.mjtObj.mjOBJ_XBODY), len(q)
+        jacobians = np.zeros((samples, 2, 3, model.nv))
+        rotation, acceleration = np.empty((samples, 9)), np.empty((samples, 6))
+        rest = np.empty((samples, model.nv))
+        qpos, qvel, qacc, xmat = data.qpos, data.qvel, data.qacc, data.xmat
+        for k in range(samples):
             qpos[at_q], qvel[at_v], qacc[at_v] = q[k], qd[k], qdd[k]
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)
@@ -174,7 +152,16 @@ class ChainKinematics:
             mujoco.mj_jacBody(model, data, jacobians[k, 1], jacobians[k, 0], body)
             rotation[k] = xmat[body]
         chain = self._robot.dof_index
-        return jacobians[..., chain], rotation, acceleration, rest[:, chain]
+        to_body = rotation.reshape(-1, 1, 3, 3).swapaxes(2, 3)
+        jacobian = (to_body @ jacobians[..., chain]).reshape(samples, 6, len(chain))
+        velocity = np.einsum("kij,kj->ki", jacobian, qd)
+        # MuJoCo's linear acceleration is the classical one minus gravity; the spatial one lacks
+        # the omega x v of the moving body frame.
+        acceleration[:, 3:] -= np.cross(velocity[:, :3], velocity[:, 3:])
+        beyond = self.armature * qdd
+        if self._full is not None:
+            beyond = self._full.beyond_rigid_bodies(q, qd, qdd)
+        return BodyMotion(velocity, acceleration, jacobian, rest[:, chain] + beyond)
 
 
 def _as_slice(index: Any) -> Any:

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from robot_sysid.dynamics.screws import bracket, exponential
+from robot_sysid.dynamics.screws import bracket, bracket_transposed, exponential
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES, cross, skew, symmetric_from_six
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.regressor import wrench_regressor
@@ -127,15 +127,7 @@ class Step:
 
 
 def _wrench(theta: Array, velocity: Array, acceleration: Array) -> Array:
-    """Return G A - ad(V)^T G V (6, N)."""
-    momentum = _spatial_inertia(theta) @ velocity
-    force = _spatial_inertia(theta) @ acceleration
-    force[:3] += cross(velocity[:3], momentum[:3]) + cross(velocity[3:], momentum[3:])
-    force[3:] += cross(velocity[:3], momentum[3:])
-    return force
-
-
-def _spatial_inertia(theta: Array) -> Array:
-    """Return G = [[I, [h]x], [-[h]x, m 1]] (6, 6)."""
+    """Return G A - ad(V)^T G V (6, N) with G = [[I, [h]x], [-[h]x, m 1]]."""
     hat = skew(theta[1:4])
-    return np.block([[symmetric_from_six(theta[4:]), hat], [-hat, theta[0] * np.eye(3)]])
+    inertia = np.block([[symmetric_from_six(theta[4:]), hat], [-hat, theta[0] * np.eye(3)]])
+    return inertia @ acceleration - bracket_transposed(velocity, inertia @ velocity)

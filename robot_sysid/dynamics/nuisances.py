@@ -77,8 +77,9 @@ def tilt_columns(robot: RobotModel, thetas: Array, q: Array) -> Array:
 
 
 _STEP = 1e-5
+"""Shift of a central difference [rad]: its error is of the order of 1e-10, as is rounding's."""
 _MOST_SHIFTED = 20000
-"""Samples of shifted motions at once."""
+"""Samples of shifted motions at once: a few tens of MB."""
 
 
 def zero_columns(robot: RobotModel, thetas: Array, motion: Motion) -> Array:
@@ -88,17 +89,14 @@ def zero_columns(robot: RobotModel, thetas: Array, motion: Motion) -> Array:
         thetas: (n, 10) what is known of the links.
     """
     count, dynamics = motion.q.shape[1], LinkDynamics(robot)
-
-    def shifted(directions: Array) -> Array:
-        """Return (K, n, s) minus the torque per radian along directions (s, n)."""
-        steps = _STEP * np.concatenate((-directions, directions))
-        size = (len(steps), *motion.q.shape)
-        qd, qdd = (np.broadcast_to(v, size).reshape(-1, size[2]) for v in (motion.qd, motion.qdd))
-        q = (motion.q + steps[:, None]).reshape(qd.shape)
-        below, above = np.split(dynamics.motion(q, qd, qdd).torque(thetas).reshape(size), 2)
-        return np.asarray(np.moveaxis(below - above, 0, -1) / (2.0 * _STEP))
-
     # Many shifted motions at once: a call's cost hardly depends on its samples, memory does.
     parts = -(-2 * motion.q.size // _MOST_SHIFTED)
-    joints = np.array_split(np.eye(count), min(parts, count))
-    return np.concatenate([shifted(some) for some in joints], axis=-1)
+    columns = []
+    for directions in np.array_split(np.eye(count), min(parts, count)):
+        steps = _STEP * np.concatenate((-directions, directions))
+        size = (len(steps), *motion.q.shape)
+        qd, qdd = (np.broadcast_to(v, size).reshape(-1, count) for v in (motion.qd, motion.qdd))
+        q = (motion.q + steps[:, None]).reshape(qd.shape)
+        below, above = np.split(dynamics.motion(q, qd, qdd).torque(thetas).reshape(size), 2)
+        columns.append(np.moveaxis(below - above, 0, -1) / (2.0 * _STEP))
+    return np.concatenate(columns, axis=-1)

@@ -57,16 +57,19 @@ def theta_from_com(mass: float, com: Array, inertia_com: Array) -> Array:
     Parallel-axis theorem: I_origin = I_com + m (|c|^2 1 - c c^T).
     """
     com = np.asarray(com, dtype=float)
-    steiner = mass * (com @ com * np.eye(3) - np.outer(com, com))
-    return np.concatenate(([mass], mass * com, six_from_symmetric(inertia_com + steiner)))
+    about_origin = inertia_com + _steiner(mass, com)
+    return np.concatenate(([mass], mass * com, six_from_symmetric(about_origin)))
 
 
 def com_from_theta(theta: Array) -> tuple[float, Array, Array]:
     """Return (mass, centre of mass (3,), inertia about it (3, 3)); a massless body keeps c = 0."""
     mass, h = float(theta[0]), np.asarray(theta[1:4], dtype=float)
     com = h / mass if mass != 0.0 else np.zeros(3)
-    steiner = mass * (com @ com * np.eye(3) - np.outer(com, com))
-    return mass, com, symmetric_from_six(theta[4:10]) - steiner
+    return mass, com, symmetric_from_six(theta[4:10]) - _steiner(mass, com)
+
+
+def _steiner(mass: float, com: Array) -> Array:
+    return mass * (com @ com * np.eye(3) - np.outer(com, com))
 
 
 def aluminium_ball(mass: float, com: Array) -> Array:
