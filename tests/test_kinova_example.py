@@ -1,12 +1,10 @@
-"""The Kinova example: published geometry and inertials, possible bodies, closed meshes, scripts."""
+"""The Kinova example: published geometry and inertials, closed meshes, scripts."""
 
 from __future__ import annotations
 
 import dataclasses
 import importlib
-import os
 import re
-import subprocess
 import sys
 from xml.etree import ElementTree
 
@@ -61,26 +59,12 @@ def at(model: mujoco.MjModel, qpos: np.ndarray) -> mujoco.MjData:
 
 
 @pytest.mark.parametrize("file", MODELS)
-def test_seven_joints_and_eight_bodies_in_a_row(file):
-    model = load(file)
-    assert [model.joint(j).name for j in range(model.njnt)] == [f"joint{j}" for j in range(7)]
-    assert tuple(model.body(b).name for b in range(1, model.nbody)) == LINKS
-    assert list(model.body_parentid) == [0, *range(model.nbody - 1)]
-
-
-@pytest.mark.parametrize("file", MODELS)
-def test_joints_stand_at_the_published_heights(file):
-    model = load(file)
-    data = at(model, np.zeros(7))
+def test_joints_stand_at_the_published_heights_and_turn_in_the_published_sense(file):
+    data = at(load(file), np.zeros(7))
     heights = [0.15643, 0.28481, 0.49519, 0.70557, 0.91400, 1.01993, 1.12586]
     np.testing.assert_allclose(data.xanchor[:, 2], heights, atol=2e-5)
     np.testing.assert_allclose(data.site("flange").xpos[2], 1.18739, atol=2e-5)
     np.testing.assert_allclose(data.site("flange").xpos[1], -0.0249, atol=1e-4)
-
-
-@pytest.mark.parametrize("file", MODELS)
-def test_axes_keep_the_published_sense_and_the_last_frame_looks_out_of_the_arm(file):
-    data = at(load(file), np.zeros(7))
     down, sideways = [0, 0, -1], [0, 1, 0]
     expected = [down, sideways, down, sideways, down, sideways, down]
     np.testing.assert_allclose(data.xaxis, expected, atol=1e-12)
@@ -104,24 +88,16 @@ def test_the_guess_has_the_terminal_link_of_the_readme():
     np.testing.assert_allclose(theta_of(load(MODELS[0]), "link6"), README_THETA, atol=COMPILED)
 
 
-@pytest.mark.parametrize(("file", "total"), [(MODELS[0], 8.47706), (MODELS[1], 9.526438)])
-def test_total_mass(file, total):
-    np.testing.assert_allclose(load(file).body_mass.sum(), total, atol=1e-6)
-
-
 @pytest.mark.parametrize(("file", "table"), [(MODELS[0], "STANDARD"), (MODELS[1], "BRAKES")])
-@pytest.mark.parametrize("link", LINKS[:-1])
-def test_links_have_the_published_inertials(file, table, link):
-    published = gen3.theta(getattr(gen3, table)[link])
-    np.testing.assert_allclose(written_theta(file, link), published, atol=1e-15)
-    np.testing.assert_allclose(theta_of(load(file), link), published, atol=COMPILED)
-
-
-@pytest.mark.parametrize("file", MODELS)
-@pytest.mark.parametrize("link", LINKS)
-def test_every_link_is_a_possible_body(file, link):
-    pseudo_inertia = spatial.pseudo_inertia(theta_of(load(file), link))
-    assert np.linalg.eigvalsh(pseudo_inertia)[0] > 1e-4
+def test_links_have_the_published_inertials_of_possible_bodies(file, table):
+    model = load(file)
+    for link in LINKS[:-1]:
+        published = gen3.theta(getattr(gen3, table)[link])
+        np.testing.assert_allclose(written_theta(file, link), published, atol=1e-15)
+        np.testing.assert_allclose(theta_of(model, link), published, atol=COMPILED)
+    for link in LINKS:
+        pseudo_inertia = spatial.pseudo_inertia(theta_of(model, link))
+        assert np.linalg.eigvalsh(pseudo_inertia)[0] > 1e-4
 
 
 def test_the_true_tool_is_the_sum_of_its_parts():
@@ -134,36 +110,17 @@ def test_the_true_tool_is_the_sum_of_its_parts():
 
 
 @pytest.mark.parametrize("file", MODELS)
-def test_nothing_touches_at_rest(file):
+def test_home_is_reachable_free_and_held_within_the_nominal_torques(file):
     model = load(file)
-    for qpos in (np.zeros(7), model.key("home").qpos):
-        assert at(model, qpos).ncon == 0
-
-
-def test_a_folded_arm_does_touch_itself():
-    """The collision capsules are real: folding the forearm back and the wrist in hits the arm."""
-    data = at(load(MODELS[0]), np.array([0.0, 0.0, 0.0, 2.57, 0.0, 2.09, 0.0]))
-    assert data.ncon > 0
-
-
-@pytest.mark.parametrize("file", MODELS)
-def test_home_is_reachable_and_held_within_the_nominal_torques(file):
-    model = load(file)
+    assert at(model, np.zeros(7)).ncon == 0
     data = at(model, model.key("home").qpos)
+    assert data.ncon == 0
     limited = model.jnt_limited.astype(bool)
     assert list(limited) == [False, True, False, True, False, True, False]
     assert np.all(np.abs(data.qpos[limited]) < model.jnt_range[limited, 1])
     limits = model.actuator_forcerange[:, 1]
     np.testing.assert_array_equal(limits, [39, 39, 39, 39, 9, 9, 9])
     assert np.all(np.abs(data.qfrc_bias) < 0.5 * limits)
-
-
-def test_friction_of_both_models():
-    guess, truth = load(MODELS[0]), load(MODELS[1])
-    np.testing.assert_array_equal(guess.dof_frictionloss, [0, 0, 0, 0, 0, 0, 0.4])
-    np.testing.assert_array_equal(np.ravel(guess.dof_damping)[-1], 0.1)
-    assert np.all(truth.dof_frictionloss > 0.1)
-    assert np.all(np.ravel(truth.dof_damping) > 0.0)
 
 
 @pytest.mark.parametrize("variant", make_model.variants(), ids=lambda variant: variant.file)
@@ -173,14 +130,6 @@ def test_committed_models_are_what_the_script_writes(variant):
     assert NUMBER.sub("#", committed) == NUMBER.sub("#", written)
     numbers = [[float(n) for n in NUMBER.findall(text)] for text in (committed, written)]
     np.testing.assert_allclose(*numbers, rtol=1e-9, atol=1e-15)
-
-
-@pytest.mark.parametrize("name", sorted(links.link_meshes()))
-def test_committed_meshes_are_what_the_script_writes(name, tmp_path):
-    shapes.write_stl(tmp_path / "again.stl", links.link_meshes()[name])
-    committed = shapes.read_stl(EXAMPLE / "model" / "meshes" / f"{name}.stl")
-    written = shapes.read_stl(tmp_path / "again.stl")
-    np.testing.assert_allclose(committed, written, atol=2.0 * shapes.GRID)
 
 
 def open_edges(mesh: np.ndarray) -> int:
@@ -197,27 +146,13 @@ def open_edges(mesh: np.ndarray) -> int:
 
 
 @pytest.mark.parametrize("name", sorted(links.link_meshes()))
-def test_meshes_are_closed_small_and_seen_from_outside(name):
-    path = EXAMPLE / "model" / "meshes" / f"{name}.stl"
-    mesh = shapes.read_stl(path)
-    assert open_edges(mesh) == 0
-    assert shapes.volume(mesh) > 1e-6
-    assert path.stat().st_size < 130_000
-
-
-def test_a_missing_triangle_would_be_noticed():
-    mesh = shapes.box((0.0, 0.0, 0.0), (0.1, 0.1, 0.1))
-    assert open_edges(mesh) == 0
-    assert open_edges(mesh[1:]) == 3
-
-
-@given(sizes, sizes, sizes, sizes)
-def test_volume_of_a_cylinder(radius, height, x, y):
-    """A lathe of two equal radii holds the prism over a regular polygon, wherever it stands."""
-    mesh = shapes.moved(shapes.lathe([(radius, 0.0), (radius, height)]), (x, y, -height))
-    n = shapes.SEGMENTS
-    polygon = 0.5 * n * radius**2 * np.sin(2.0 * np.pi / n)
-    np.testing.assert_allclose(shapes.volume(mesh), polygon * height, rtol=1e-9)
+def test_committed_meshes_are_what_the_script_writes_and_closed(name, tmp_path):
+    shapes.write_stl(tmp_path / "again.stl", links.link_meshes()[name])
+    committed = shapes.read_stl(EXAMPLE / "model" / "meshes" / f"{name}.stl")
+    written = shapes.read_stl(tmp_path / "again.stl")
+    np.testing.assert_allclose(committed, written, atol=2.0 * shapes.GRID)
+    assert open_edges(committed) == 0 and open_edges(committed[1:]) == 3
+    assert shapes.volume(committed) > 1e-6
 
 
 @given(sizes, sizes, sizes)
@@ -246,20 +181,10 @@ def test_regressor_script_notices_a_wrong_column(capsys, monkeypatch):
     assert "DOES NOT AGREE" in capsys.readouterr().out
 
 
-def test_identification_script_finds_the_truth(capsys):
+def test_identification_script_finds_the_truth(capsys, monkeypatch):
+    monkeypatch.setattr(validate_identification, "SAMPLE_RATE", 100.0)
     assert validate_identification.main() == 0
     assert "4 of 4 exact cases are exact" in capsys.readouterr().out
-
-
-def test_identification_script_notices_a_wrong_result(capsys, monkeypatch):
-    collect = validate_identification.collect_sysid_data
-
-    def forgetful(equations, measurements):
-        halved = (dataclasses.replace(m, tau=0.5 * m.tau) for m in measurements)
-        return collect(equations, halved)
-
-    monkeypatch.setattr(validate_identification, "collect_sysid_data", forgetful)
-    assert validate_identification.main() == 1
 
 
 @pytest.fixture(scope="module")
@@ -267,15 +192,7 @@ def noise_study():
     return validate_uncertainty.NoiseStudy()
 
 
-def test_few_draws_of_noise_already_look_right(noise_study):
-    noise = validate_uncertainty.Noise(0.3)
-    outcome = noise_study.run(noise, 25)
-    assert outcome.impossible == 0
-    assert 0.9 < np.mean(outcome.plain_covered) < 0.99
-    # The median over 31 parameters of a root mean square over 25 draws, good to some percent.
-    assert 0.8 < np.median(outcome.over_bound(noise_study.bound(noise))) < 1.2
-
-
+@pytest.mark.slow
 def test_uncertainty_script_notices_errors_stated_too_small(noise_study, capsys, monkeypatch):
     identify = validate_uncertainty.NoiseStudy.identified
 
@@ -299,22 +216,3 @@ def test_uncertainty_script_finds_its_limits_kept(noise_study, capsys):
 def test_measurements_script_finds_its_limits_kept(capsys):
     assert validate_measurements.main() == 0
     assert "all limits hold" in capsys.readouterr().out
-
-
-def test_pictures_are_skipped_with_a_note_where_nothing_can_draw():
-    environment = {**os.environ, "MUJOCO_GL": "nothing"}
-    command = [sys.executable, str(EXAMPLE / "render.py")]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=120)
-    assert done.returncode == 0
-    assert done.stdout.startswith("No pictures drawn")
-
-
-def test_drawing_without_matplotlib_is_one_clear_line():
-    code = (
-        "import sys; sys.modules['matplotlib'] = None; "
-        f"sys.path.insert(0, {str(EXAMPLE)!r}); "
-        "import render; sys.exit(render.main())"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.count("\n") == 1 and "pip install matplotlib" in done.stdout
