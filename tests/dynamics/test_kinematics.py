@@ -3,27 +3,23 @@
 from __future__ import annotations
 
 import copy
-from types import SimpleNamespace
 
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given
 
-from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.kinematics import (
     ArmDynamics,
     ChainKinematics,
-    _as_slice,
     analysis_copy,
     has_only_armature,
-    subtree,
 )
 from robot_sysid.model.inertia import body_theta, composite_theta
 from robot_sysid.regressor import joint_regressor
 from tests.support import arms
 from tests.support.arms import SEEDS, random_chain, random_motion, rigid_bodies, robot_of
+from tests.support.model_files import random_theta
 
 SAMPLES = 4
 
@@ -62,27 +58,17 @@ def test_rest_plus_link_is_mujocos_inverse_dynamics_on_any_chain(xml, theta, see
     assert_reproduces(robot, theta, motion)
 
 
-@pytest.mark.parametrize("name", arms.MODELS)
-@settings(max_examples=15)
-@given(theta=rigid_bodies(), seed=SEEDS)
-def test_rest_plus_link_is_mujocos_inverse_dynamics_on(name, theta, seed):
-    robot = robot_of(arms.MODELS[name])
-    motion = random_motion(np.random.default_rng(seed), robot.n_joints, SAMPLES)
-    assert_reproduces(robot, theta, motion)
-
-
-@pytest.mark.parametrize("name", arms.NEWER_MODELS)
-def test_rest_plus_link_covers_what_newer_releases_add(name):
+@pytest.mark.parametrize("name", [*arms.MODELS, *arms.NEWER_MODELS])
+def test_rest_plus_link_is_mujocos_inverse_dynamics_on(name):
     try:
-        robot = robot_of(arms.NEWER_MODELS[name])
+        robot = robot_of({**arms.MODELS, **arms.NEWER_MODELS}[name])
     except ValueError:
         pytest.skip("this MuJoCo does not know the attribute")
     rng = np.random.default_rng(0)
-    for _ in range(20):
-        own = composite_theta(robot.mj_model, robot.mj_model.qpos0, robot.body_id)
-        theta = own * rng.uniform(0.5, 2.0)
-        assert_reproduces(robot, theta, random_motion(rng, robot.n_joints, SAMPLES))
-    assert not has_only_armature(analysis_copy(robot.mj_model))
+    for _ in range(3):
+        motion = random_motion(rng, robot.n_joints, SAMPLES)
+        assert_reproduces(robot, random_theta(rng, 10.0 ** rng.uniform(-2, 1)), motion)
+    assert name not in arms.NEWER_MODELS or not has_only_armature(robot.mj_model)
 
 
 @given(random_chain(), SEEDS)
@@ -139,28 +125,10 @@ def pose(robot, q):
     return data.xmat[robot.body_id].reshape(3, 3).copy(), data.xpos[robot.body_id].copy()
 
 
-@pytest.mark.slow
-@given(random_chain(), SEEDS)
-def test_a_sample_needs_no_neighbours(xml, seed):
-    """No finite differences: each sample alone, in any order, gives the very same numbers."""
-    robot = robot_of(xml)
-    rng = np.random.default_rng(seed)
-    motion = random_motion(rng, robot.n_joints, 5)
-    together = ChainKinematics(robot).evaluate(*motion)
-    kinematics = ChainKinematics(robot)
-    for k in rng.permutation(5):
-        alone = kinematics.evaluate(*(part[k : k + 1] for part in motion))
-        for field in ("velocity", "acceleration", "jacobian", "tau_rest"):
-            np.testing.assert_allclose(
-                getattr(alone, field)[0], getattr(together, field)[k], rtol=1e-13, atol=1e-13
-            )
-
-
-@given(st.sampled_from(sorted(arms.MODELS)), SEEDS)
-def test_model_of_the_user_is_left_alone(name, seed):
-    robot = robot_of(arms.MODELS[name])
+def test_model_of_the_user_is_left_alone():
+    robot = robot_of(arms.COUPLED_FINGERS)
     before = robot.mj_model.body_mass.copy(), robot.mj_model.opt.disableflags
-    motion = random_motion(np.random.default_rng(seed), robot.n_joints, 2)
+    motion = random_motion(np.random.default_rng(0), robot.n_joints, 2)
     ChainKinematics(robot).evaluate(*motion)
     ArmDynamics(robot).torque(*motion)
     np.testing.assert_array_equal(robot.mj_model.body_mass, before[0])
@@ -190,21 +158,6 @@ def test_springs_and_armature_stay_in_the_torque():
     np.testing.assert_allclose(armature, 0.3 * motion[2], rtol=1e-10, atol=1e-10)
 
 
-@pytest.mark.parametrize("what", ['stiffness="25" springlength=".2"', 'damping="3"'])
-def test_one_thing_a_tendon_does_is_enough_for_the_full_dynamics(what):
-    """The part that the rest of the arm takes has to hold it."""
-    both = 'stiffness="25" springlength=".2" damping="3"'
-    robot = robot_of(arms.TENDON_SPRING.replace(both, what))
-    motion = random_motion(np.random.default_rng(6), 3, 20)
-    assert np.max(np.abs(plain_torque(arms.THREE, motion) - ArmDynamics(robot).torque(*motion))) > 1
-    assert not has_only_armature(robot.mj_model)
-    assert_reproduces(robot, robot.prior.theta, motion)
-
-
-def test_an_arm_without_springs_and_tendons_needs_no_full_dynamics():
-    assert has_only_armature(robot_of(arms.ARMATURE).mj_model)
-
-
 BESIDE_ARMATURE = [
     f"{what}{kind}"
     for what in ("jnt_stiffness", "dof_damping", "tendon_stiffness", "tendon_damping")
@@ -222,19 +175,6 @@ def test_each_thing_beside_armature_alone_needs_the_full_dynamics(field):
     assert has_only_armature(model)
     getattr(model, field).flat[-1] = 0.1
     assert not has_only_armature(model)
-
-
-def test_what_a_release_does_not_know_no_model_of_it_has():
-    assert has_only_armature(SimpleNamespace(jnt_stiffness=np.zeros(3)))
-
-
-@pytest.mark.parametrize(
-    ("index", "expected"),
-    [([0], slice(0, 1)), ([3, 4, 5], slice(3, 6)), ([0, 2], [0, 2]), ([4, 3], [4, 3])],
-)
-def test_addresses_in_a_row_are_a_slice(index, expected):
-    """numpy writes to a slice several times faster."""
-    assert _as_slice(index) == expected
 
 
 def test_an_analysis_copy_holds_no_drag_and_no_discrete_inverse():
@@ -263,21 +203,6 @@ def test_a_branch_may_stand_in_front_of_the_link_or_behind_it(first):
     assert_reproduces(robot, body_theta(robot.mj_model, robot.body_id), motion)
 
 
-def test_massless_link_leaves_no_warning_behind():
-    robot = robot_of(arms.COUPLED_FINGERS)
-    kinematics = ChainKinematics(robot)
-    kinematics.evaluate(*random_motion(np.random.default_rng(3), robot.n_joints, 50))
-    assert not np.any(kinematics._data.warning.number)
-
-
-def test_subtree_is_a_body_and_all_below_it():
-    model = arms.compile_xml(arms.COUPLED_FINGERS)
-    names = [mujoco.mj_id2name(model, int(mujoco.mjtObj.mjOBJ_BODY), b) for b in subtree(model, 5)]
-    assert names == ["link4", "link5", "left_finger", "right_finger"]
-    assert subtree(model, model.nbody - 1) == [model.nbody - 1]
-    assert subtree(model, 0) == list(range(model.nbody))
-
-
 def test_held_joints_stay_at_the_home_keyframe():
     robot = robot_of(arms.HOME_KEYFRAME)
     motion = random_motion(np.random.default_rng(4), robot.n_joints, SAMPLES)
@@ -286,10 +211,3 @@ def test_held_joints_stay_at_the_home_keyframe():
     assert np.max(np.abs(moved[0] - moved[1])) > 1e-4
     np.testing.assert_allclose(robot.prior.theta, moved[0], rtol=1e-14)
     assert_reproduces(robot, body_theta(robot.mj_model, robot.body_id), motion)
-
-
-def test_point_mass_far_out_is_still_exact():
-    robot = robot_of(arms.SEVEN)
-    theta = spatial.theta_from_com(10.0, np.array([3.0, 0.0, 0.0]), 1e-9 * np.eye(3))
-    motion = random_motion(np.random.default_rng(5), robot.n_joints, SAMPLES, speed=10.0)
-    assert_reproduces(robot, theta, motion)
