@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import mujoco
-import numpy as np
 import pytest
 
 from robot_sysid.errors import ModelError
@@ -14,7 +13,6 @@ from tests.support.model_files import TETRAHEDRON, write_files
 
 MESH = "<asset><mesh name='m' file='{}'/></asset>"
 USE = "<worldbody><body><geom type='mesh' mesh='m'/></body></worldbody>"
-BOTH = MESH + "<worldbody><body name='b'><geom type='mesh' mesh='m'/></body></worldbody>"
 CASES = {
     "no folder named": {"m.xml": f"<mujoco>{MESH.format('m.obj')}{USE}</mujoco>", "m.obj": ""},
     "meshdir": {
@@ -67,51 +65,12 @@ def test_in_its_own_folder_nothing_changes(tmp_path):
     assert relocated_text(Edits(read_document(source)), tmp_path) == source.read_bytes()
 
 
-def test_an_include_without_paths_stays_an_include(tmp_path):
-    files = {
-        "m.xml": "<mujoco><worldbody/><include file='s/a.xml'/></mujoco>",
-        "s/a.xml": "<mujoco><size memory='1M'/></mujoco>",
-    }
-    source = write_files(tmp_path, files)
-    text = relocated_text(Edits(read_document(source)), tmp_path / "out")
-    assert b'<include file="../s/a.xml"/>' in text
-
-
-def test_the_users_mesh_folder_is_found_from_the_new_place(tmp_path):
-    files = {"m.xml": CASES["meshdir"]["m.xml"], "mine/m.obj": TETRAHEDRON}
-    source = write_files(tmp_path, files)
-    (tmp_path / "out").mkdir()
-    target = tmp_path / "out" / "copy.xml"
-    target.write_bytes(
-        relocated_text(Edits(read_document(source)), target.parent, tmp_path / "mine")
-    )
-    assert mujoco.MjModel.from_xml_path(str(target)).nmesh == 1
-
-
-def test_absolute_text_needs_no_folder_at_all(tmp_path):
-    files = {n: t or TETRAHEDRON for n, t in CASES["folder named in an include"].items()}
-    source = write_files(tmp_path, files)
-    text = relocated_text(Edits(read_document(source)), None)
-    np.testing.assert_array_equal(
-        mujoco.MjModel.from_xml_string(text.decode()).body_mass,
-        mujoco.MjModel.from_xml_path(str(source)).body_mass,
-    )
-
-
 def test_behind_a_symbolic_link_the_path_is_absolute(tmp_path):
     (tmp_path / "real" / "deep").mkdir(parents=True)
     (tmp_path / "link").symlink_to(tmp_path / "real" / "deep")
     target = tmp_path / "file"
     assert reference(target, tmp_path / "link") == str(target)
     assert reference(target, tmp_path / "real") == "../file"
-
-
-def test_the_declared_encoding_becomes_the_real_one(tmp_path):
-    path = tmp_path / "m.xml"
-    text = "<?xml version='1.0' encoding='latin-1'?>\n<mujoco model='\u00e9'><worldbody/></mujoco>"
-    path.write_bytes(text.encode("latin-1"))
-    moved = relocated_text(Edits(read_document(path)), tmp_path / "out").decode("utf-8")
-    assert moved == text.replace("latin-1", "utf-8")
 
 
 def test_an_included_file_that_is_not_utf8_takes_its_place(tmp_path):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import mujoco
 import numpy as np
 import pytest
 
@@ -68,15 +67,6 @@ def test_the_minimum_goes_to_moving_links_without_inertia(tmp_path, content, giv
         assert b'<mass value="2.0"/>' in text
 
 
-def test_a_point_mass_stays_where_it_is(tmp_path):
-    """A link with mass and no inertia: what MuJoCo loads has the same mass in the same place."""
-    content = urdf_inertial(mass=2.0, inertia="0 0 0")
-    text, _ = compilable_urdf(arm(tmp_path, content), with_minimum=True)
-    model = mujoco.MjModel.from_xml_string(text.decode())
-    assert model.body("l1").mass[0] == 2.0
-    np.testing.assert_allclose(model.body("l1").ipos, [0.1, 0.0, 0.0])
-
-
 def test_a_link_whose_mass_is_welded_to_it_needs_no_minimum(tmp_path):
     more = (urdf_link("tool", urdf_inertial()), urdf_joint("l1", "tool", "fixed"))
     assert compilable_urdf(arm(tmp_path, "", *more), with_minimum=True)[1] == ()
@@ -129,11 +119,6 @@ def mesh_found(tmp_path, name, mesh_dir=None):
 def test_a_mesh_is_found_in_the_folders_above(tmp_path, name, place):
     write_files(tmp_path, {place: ""})
     assert mesh_found(tmp_path, name) == tmp_path / place
-
-
-def test_a_file_address_is_absolute(tmp_path):
-    write_files(tmp_path, {"a.stl": ""})
-    assert mesh_found(tmp_path, f"file://{tmp_path}/a.stl") == tmp_path / "a.stl"
 
 
 @pytest.mark.parametrize("place", ["pack/meshes/a.stl", "meshes/a.stl", "a.stl"])

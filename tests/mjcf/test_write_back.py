@@ -47,15 +47,6 @@ def test_a_massless_terminal_body_takes_the_whole_rigid_group(seed):
 
 
 @given(seed=seeds)
-def test_a_lighter_tool_than_the_model_says_is_folded(seed):
-    rng = np.random.default_rng(seed)
-    link, tool = random_theta(rng, 0.1), random_theta(rng, 1.0)
-    plan = plan_write_back(link + 0.8 * tool, [body(1, link), body(2, tool)])
-    total = link + 0.8 * tool
-    np.testing.assert_allclose(plan.theta, total, rtol=0, atol=1e-14)
-
-
-@given(seed=seeds)
 def test_what_hangs_on_joints_gets_as_light_as_it_has_to(seed):
     rng = np.random.default_rng(seed)
     link, tool, finger, thumb = (random_theta(rng, m) for m in (0.2, 0.3, 2.0, 1.0))
@@ -73,24 +64,11 @@ def test_what_hangs_on_joints_gets_as_light_as_it_has_to(seed):
     assert f"inertia are {plan.scale:.4g} of the model's" in plan.note
 
 
-def test_a_finger_takes_nearly_all_where_nothing_else_was_there():
-    finger = random_theta(np.random.default_rng(0), 1.0)
-    plan = plan_write_back(0.9 * finger, [body(1, NOTHING), body(2, finger, welded=False)])
-    assert plan.scale == pytest.approx(0.9, rel=1e-5) and plan.lumped == ()
-    np.testing.assert_allclose(plan.theta + plan.scale * finger, 0.9 * finger, rtol=0, atol=1e-12)
-
-
 def test_no_scale_makes_an_impossible_link_possible():
     finger = random_theta(np.random.default_rng(0), 1.0)
     with pytest.raises(ExportError, match="'b1' are not a possible rigid body") as e:
         plan_write_back(-0.9 * finger, [body(1, NOTHING), body(2, finger, welded=False)])
     assert "\n" not in str(e.value)
-
-
-def test_an_impossible_link_alone_says_so():
-    impossible = spatial.theta_from_com(1.0, np.zeros(3), np.diag([1.0, 1.0, 3.0]))
-    with pytest.raises(ExportError, match="'b1' are not a possible rigid body"):
-        plan_write_back(impossible, [body(1, NOTHING)])
 
 
 @given(seed=seeds, flatness=st.floats(-1e-11, 1e-11))

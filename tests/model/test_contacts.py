@@ -32,23 +32,9 @@ def contacts(xml, angles):
     return find_new_contacts(robot_of(xml), [sweep(angles)])
 
 
-def test_free_motion_touches_nothing():
-    assert contacts(arm_with_tip(WALL), np.zeros(4)) == ()
-
-
 def test_first_touch_of_a_pair_is_told_once_with_time_and_names():
     (contact,) = contacts(arm_with_tip(WALL), [0.0, 0.3, 1.5, 0.0, 1.5])
     assert contact == "tip and wall touch at 2.00 s"
-
-
-def test_chunks_do_not_matter():
-    robot = robot_of(arm_with_tip(WALL))
-    whole = sweep([0.0, 0.3, 1.5, 0.0])
-    parts = [
-        Motion(whole.time[k : k + 1], *(getattr(whole, f)[k : k + 1] for f in ("q", "qd", "qdd")))
-        for k in range(4)
-    ]
-    assert find_new_contacts(robot, parts) == find_new_contacts(robot, [whole])
 
 
 def test_what_touches_at_rest_is_told_once_and_is_no_news_later():
@@ -118,17 +104,6 @@ def test_a_near_miss_inside_the_contact_margin_is_no_touch():
     finder = ContactFinder(robot_of(arm_with_tip(near)))
     assert finder.new_pairs(np.array([0.3, 0.0])) == set()
     assert len(finder.new_pairs(np.array([1.5, 0.0]))) == 1
-
-
-def test_nameless_bodies_are_told_by_number():
-    (contact,) = contacts(arm_with_tip(WALL.replace('name="wall"', "")), [0.0, 1.5])
-    assert contact == "tip and #3 touch at 1.00 s"
-
-
-@pytest.mark.parametrize("name", arms.MODELS)
-def test_rest_is_free_of_new_contacts_on(name):
-    robot = robot_of(arms.MODELS[name])
-    assert ContactFinder(robot).new_pairs(robot.reference) == set()
 
 
 def test_more_contacts_than_mujoco_holds_are_a_matter_of_the_model():

@@ -8,11 +8,10 @@ import pytest
 from hypothesis import given
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.errors import InputError, ModelError
+from robot_sysid.errors import ModelError
 from robot_sysid.model.flange import find_flange
 from robot_sysid.records import Flange
 from tests.support.arms import SEEDS, X, Y, Z, random_rotation, robot_of, serial_arm
-from tests.support.model_files import random_theta
 
 TIP = (
     '<site name="attachment_site" pos=".01 -.02 .1" quat="1 .2 -.3 .4"/>'
@@ -26,10 +25,10 @@ ARM = serial_arm((Z, Y, X), tip=TIP)
 ROBOT = robot_of(ARM, joint="joint2")
 
 
-def world_pose(robot, kind, name, seed=0):
+def world_pose(robot, kind, name):
     """(rotation, origin) of a site or body relative to the terminal body, in some configuration."""
     data = mujoco.MjData(robot.mj_model)
-    data.qpos[:] = np.random.default_rng(seed).uniform(-1.0, 1.0, robot.mj_model.nq)
+    data.qpos[:] = np.random.default_rng(0).uniform(-1.0, 1.0, robot.mj_model.nq)
     mujoco.mj_kinematics(robot.mj_model, data)
     place = getattr(data, kind)(name)
     axes = data.xmat[robot.body_id].reshape(3, 3)
@@ -39,19 +38,14 @@ def world_pose(robot, kind, name, seed=0):
 @pytest.mark.parametrize(
     ("kind", "name"), [("site", "attachment_site"), ("site", "palm"), ("body", "hand")]
 )
-@pytest.mark.parametrize("seed", range(3))
-def test_a_named_flange_is_where_mujoco_puts_it_whatever_the_joints_do(kind, name, seed):
+def test_a_named_flange_is_where_mujoco_puts_it_whatever_the_joints_do(kind, name):
     flange = find_flange(ROBOT, name)
-    rotation, translation = world_pose(ROBOT, kind, name, seed)
+    rotation, translation = world_pose(ROBOT, kind, name)
     np.testing.assert_allclose(flange.rotation, rotation, rtol=0.0, atol=1e-14)
     np.testing.assert_allclose(flange.translation, translation, rtol=0.0, atol=1e-14)
     assert (flange.name, flange.terminal, flange.note) == (f"{kind} '{name}'", "link2", None)
-
-
-def test_the_body_that_carries_it_is_known():
-    carriers = {name: find_flange(ROBOT, name).carrier for name in ("attachment_site", "palm")}
-    expected = {"attachment_site": ROBOT.body_id, "palm": ROBOT.mj_model.body("hand").id}
-    assert carriers == expected
+    carrier = "link2" if name == "attachment_site" else "hand"
+    assert flange.carrier == ROBOT.mj_model.body(carrier).id
 
 
 @given(SEEDS)
@@ -104,14 +98,6 @@ def test_a_site_counts_more_than_a_body_that_is_called_the_same():
     assert flange.name == "site 'attachment_site'" and abs(flange.rotation[1, 0] - 1.0) < 1e-12
 
 
-def test_a_frame_that_may_be_the_tools_tip_is_taken_with_a_doubt():
-    notes = [
-        find_flange(robot_of(serial_arm((Z, Y, X), tip=f'<site name="{name}"/>'))).note
-        for name in ("ee_site", "flange")
-    ]
-    assert "may also be the tip of the tool" in notes[0] and "tip" not in notes[1]
-
-
 def test_two_places_that_could_be_the_flange_are_asked_for():
     tip = '<site name="a_flange"/><site name="b_flange" pos="0 0 .1"/>'
     with pytest.raises(ModelError, match="site 'a_flange', site 'b_flange' could each be") as error:
@@ -149,14 +135,6 @@ def some_flange(rng):
 
 
 @given(SEEDS)
-def test_there_and_back_is_the_same_body(seed):
-    rng = np.random.default_rng(seed)
-    flange, theta = some_flange(rng), random_theta(rng)
-    back = flange.from_flange(flange.to_flange(theta))
-    np.testing.assert_allclose(back, theta, rtol=0.0, atol=1e-13)
-
-
-@given(SEEDS)
 def test_a_point_stays_where_it_is(seed):
     rng = np.random.default_rng(seed)
     flange, point = some_flange(rng), rng.normal(size=3)
@@ -166,9 +144,3 @@ def test_a_point_stays_where_it_is(seed):
     moved = flange.translation + flange.rotation @ com
     np.testing.assert_allclose(moved, point, rtol=0.0, atol=1e-13)
     np.testing.assert_allclose(inertia, 0.0, rtol=0.0, atol=1e-12)
-
-
-@pytest.mark.parametrize("rotation", [np.diag([1.0, 1.0, -1.0]), 2.0 * np.eye(3)])
-def test_axes_that_are_no_frame_are_refused(rotation):
-    with pytest.raises(InputError, match="not a right-handed frame"):
-        Flange("mirror", rotation, np.zeros(3))

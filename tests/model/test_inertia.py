@@ -61,18 +61,6 @@ def test_a_hinge_feels_the_composite_inertia(q):
     assert abs(column[dof] - inertia[0, 0]) < 1e-14
 
 
-def test_the_subtree_knows_what_is_welded():
-    bodies = subtree_bodies(MODEL, MODEL.qpos0, LINK2)
-    assert [(b.name, b.welded) for b in bodies] == [
-        ("link2", True),
-        ("tool", True),
-        ("finger", False),
-    ]
-    np.testing.assert_array_equal(bodies[0].theta, body_theta(MODEL, LINK2))
-    total = np.sum([b.theta for b in bodies], axis=0)
-    np.testing.assert_allclose(total, composite_theta(MODEL, MODEL.qpos0, LINK2), rtol=1e-15)
-
-
 def test_what_is_fixed_to_a_finger_is_not_welded_to_the_link():
     """Whatever lies behind a joint moves against the link, however it is fastened there."""
     inertial = '<inertial pos="0 0 0" mass="0.01" diaginertia="1e-6 1e-6 1e-6"/>'
@@ -82,10 +70,3 @@ def test_what_is_fixed_to_a_finger_is_not_welded_to_the_link():
     bodies = subtree_bodies(model, model.qpos0, model.body("link2").id)
     welded = {b.name: b.welded for b in bodies}
     assert welded == {"link2": True, "tool": True, "finger": False, "pad": False, "screw": False}
-
-
-def test_a_nameless_body_is_called_by_its_number():
-    text = "<mujoco><worldbody><body/><body><geom size='1'/></body></worldbody></mujoco>"
-    model = mujoco.MjModel.from_xml_string(text)
-    bodies = subtree_bodies(model, model.qpos0, 2)
-    assert [body.name for body in bodies] == ["#2"]
