@@ -111,10 +111,6 @@ def test_what_the_analysis_leaves_out_is_told():
     assert notes_of(arms.SEVEN) == ""
 
 
-def test_couplings_outside_the_chain_are_no_news():
-    assert notes_of(arms.COUPLED_FINGERS) == ""
-
-
 def tied(one, other, extra_bodies=""):
     tie = f'<equality><weld body1="{one}" body2="{other}"/></equality>'
     return world(serial_bodies((Z, Y, X), tip=arms.fingers()) + extra_bodies, extra=tie)
@@ -136,11 +132,6 @@ MOCAP = '<body name="hand_target" mocap="true"/>'
 )
 def test_a_loop_closed_around_joints_of_the_arm_is_told(one, other, told):
     assert ("closed loop" in notes_of(tied(one, other, MOCAP))) is told
-
-
-def test_a_tie_between_things_beside_the_arm_is_no_news():
-    cup = '<body name="cup" pos="1 0 0"><freejoint/><geom size=".1"/></body>'
-    assert notes_of(tied("cup", "hand_target", MOCAP + cup)) == ""
 
 
 def test_angles_in_degrees_inertia_from_geoms_and_default_classes():

@@ -149,15 +149,6 @@ def test_torque_is_that_of_the_rigid_bodies_alone(name):
     np.testing.assert_allclose(plain_torque(arms.MODELS[name], motion), expected, rtol=1e-12)
 
 
-def test_springs_and_armature_stay_in_the_torque():
-    motion = random_motion(np.random.default_rng(2), 3, 20)
-    rigid = plain_torque(arms.THREE, motion)
-    springs = plain_torque(arms.SPRINGS, motion) - rigid
-    np.testing.assert_allclose(springs, 30.0 * (motion[0] - 0.7), rtol=1e-10, atol=1e-10)
-    armature = plain_torque(arms.ARMATURE, motion) - rigid
-    np.testing.assert_allclose(armature, 0.3 * motion[2], rtol=1e-10, atol=1e-10)
-
-
 BESIDE_ARMATURE = [
     f"{what}{kind}"
     for what in ("jnt_stiffness", "dof_damping", "tendon_stiffness", "tendon_damping")
@@ -211,3 +202,12 @@ def test_held_joints_stay_at_the_home_keyframe():
     assert np.max(np.abs(moved[0] - moved[1])) > 1e-4
     np.testing.assert_allclose(robot.prior.theta, moved[0], rtol=1e-14)
     assert_reproduces(robot, body_theta(robot.mj_model, robot.body_id), motion)
+
+
+def test_springs_and_armature_stay_in_the_torque():
+    motion = random_motion(np.random.default_rng(2), 3, 20)
+    rigid = plain_torque(arms.THREE, motion)
+    springs = plain_torque(arms.SPRINGS, motion) - rigid
+    np.testing.assert_allclose(springs, 30.0 * (motion[0] - 0.7), rtol=1e-10, atol=1e-10)
+    armature = plain_torque(arms.ARMATURE, motion) - rigid
+    np.testing.assert_allclose(armature, 0.3 * motion[2], rtol=1e-10, atol=1e-10)

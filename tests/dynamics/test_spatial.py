@@ -132,12 +132,6 @@ def test_the_size_of_a_body_is_the_root_mean_square_distance_of_its_mass(seed):
     assert size == pytest.approx(expected, rel=1e-12)
 
 
-@pytest.mark.parametrize("inertia", [0.0, -1.0])
-def test_a_body_without_a_size_has_the_unit_of_length(inertia):
-    theta = np.array([2.0, *[0.0] * 3, inertia, 0.0, 0.0, inertia, 0.0, inertia])
-    assert spatial.characteristic_length(theta) == 1.0
-
-
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_numbers_that_are_none_are_no_body(bad):
     theta = spatial.theta_from_com(1.0, np.zeros(3), np.eye(3))

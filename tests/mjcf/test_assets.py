@@ -5,7 +5,6 @@ from __future__ import annotations
 import mujoco
 import pytest
 
-from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.assets import check_assets, find_assets, relocated_text
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.edits import Edits, reference
@@ -110,31 +109,6 @@ def test_a_mesh_is_found_where_mujoco_finds_it(tmp_path, files, place):
     path = write_files(tmp_path, {**files, place: TETRAHEDRON})
     mujoco.MjModel.from_xml_path(str(path))
     assert [asset.path for asset in find_assets(read_document(path))] == [tmp_path / place]
-
-
-def test_a_file_beside_the_including_one_comes_last(tmp_path):
-    path = write_files(tmp_path, {"m.xml": included(), "s/a.xml": model(""), "s/m.obj": "x"})
-    assert find_assets(read_document(path))[0].path == tmp_path / "s" / "m.obj"
-    write_files(tmp_path, {"m.obj": "x"})
-    assert find_assets(read_document(path))[0].path == tmp_path / "m.obj"
-
-
-@pytest.mark.parametrize(
-    ("asset", "kind"),
-    [
-        ("<texture name='t' file='t.png'/>", "texture"),
-        ("<texture name='t' type='cube' fileright='t.png'/>", "texture"),
-        ("<hfield name='h' size='1 1 1 1' file='t.png'/>", "hfield"),
-        ("<skin name='s' file='t.png'/>", "skin"),
-        ("<model name='s' file='t.png'/>", "model"),
-    ],
-)
-def test_every_kind_of_file_is_seen_and_named(tmp_path, asset, kind):
-    text = f"<mujoco><asset>{asset}</asset><worldbody/></mujoco>"
-    document = read_document(write_files(tmp_path, {"m.xml": text}))
-    with pytest.raises(ModelError, match=f"{kind} file t.png not found .looked in") as caught:
-        check_assets(document)
-    assert str(tmp_path) in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_the_users_mesh_folder_replaces_that_of_the_file(tmp_path):

@@ -110,12 +110,6 @@ def test_what_is_not_written_out_is_one_line(tmp_path, content, label, message):
     assert "\n" not in str(caught.value)
 
 
-def test_multipliers_behind_the_body_do_not_matter(tmp_path):
-    text = "<mujoco><worldbody><body pos='1 0 0'/><replicate count='2'><body/></replicate>"
-    document = read_document(write_files(tmp_path, {"m.xml": text + "</worldbody></mujoco>"}))
-    assert find_element(document, "body", "#1").get("pos") == "1 0 0"
-
-
 THETA = random_theta(np.random.default_rng(5), 1.7)
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.assets import find_assets, relocated_text
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.edits import Edits
-from robot_sysid.mjcf.urdf import compilable_urdf, link_inertias
+from robot_sysid.mjcf.urdf import compilable_urdf
 from tests.support.model_files import (
     urdf_inertial,
     urdf_joint,
@@ -70,28 +69,6 @@ def test_the_minimum_goes_to_moving_links_without_inertia(tmp_path, content, giv
 def test_a_link_whose_mass_is_welded_to_it_needs_no_minimum(tmp_path):
     more = (urdf_link("tool", urdf_inertial()), urdf_joint("l1", "tool", "fixed"))
     assert compilable_urdf(arm(tmp_path, "", *more), with_minimum=True)[1] == ()
-
-
-def turn_x(angle):
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
-
-
-def turn_y(angle):
-    return np.roll(turn_x(angle), (1, 1), (0, 1))
-
-
-def turn_z(angle):
-    return np.roll(turn_x(angle), (2, 2), (0, 1))
-
-
-def test_link_inertias_are_in_link_axes(tmp_path):
-    mass, com, inertia = link_inertias(arm(tmp_path, urdf_inertial(2.0, "0.1 0.2 0.3")))["l1"]
-    rotation = turn_z(0.3) @ turn_y(0.2) @ turn_x(0.1)
-    assert mass == 2.0
-    np.testing.assert_array_equal(com, [0.1, 0.0, 0.0])
-    expected = rotation @ np.diag([0.01, 0.02, 0.025]) @ rotation.T
-    np.testing.assert_allclose(inertia, expected, rtol=0, atol=1e-16)
 
 
 def document(tmp_path, *parts, name="robots/arm.urdf"):

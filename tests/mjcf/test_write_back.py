@@ -117,14 +117,6 @@ def test_moments_below_the_files_bound_are_raised_where_they_are_not_known_bette
 
 
 @given(seed=seeds)
-def test_moments_that_are_known_better_are_left_for_the_compiler_check_to_refuse(seed):
-    identified = rod(np.random.default_rng(seed))
-    plan = plan_write_back(identified, [body(1, NOTHING)], 1e-4, 1e-5)
-    assert plan.note is None
-    np.testing.assert_allclose(plan.theta, identified, rtol=0, atol=1e-11)
-
-
-@given(seed=seeds)
 def test_a_small_body_below_a_rod_is_kept_where_the_moments_allow(seed):
     """A compiler gives massless frames 1e-6 kg m^2; the rod minus that is impossible by as much."""
     rng = np.random.default_rng(seed)

@@ -85,11 +85,6 @@ def test_things_that_touch_each_other_beside_the_arm_are_no_news():
     assert contacts(arm_with_tip(WALL + falling), np.zeros(3)) == ()
 
 
-def test_excluded_pairs_are_not_contacts():
-    exclude = '<contact><exclude body1="wall" body2="tip"/></contact>'
-    assert contacts(arm_with_tip(WALL, exclude), [0.0, 1.5]) == ()
-
-
 def test_links_of_the_arm_touching_each_other_are_found():
     base = '<body name="base" pos=".2 0 .3"><geom size=".1"/></body>'
     folded = world(

@@ -137,10 +137,7 @@ MASSLESS_TIP = serial_arm(
     tip_inertial="",
 )
 TILTED_GRAVITY = serial_arm((Z, Y, X), option='gravity="3 -4 8"')
-NO_GRAVITY = world(serial_bodies((Z, Y, X)), extra="").replace(
-    "<option />", '<option><flag gravity="disable"/></option>'
-)
-GRAVITY_COMPENSATED = serial_arm((Z, Y, X)).replace("<body ", '<body gravcomp="1" ')
+NO_GRAVITY = THREE.replace("<option />", '<option><flag gravity="disable"/></option>')
 IN_WATER = serial_arm((Z, Y, X), option='density="1000" viscosity=".1" wind="1 2 0"')
 ARMATURE = serial_arm((Z, Y, X), joint='range="-2.5 2.5" armature=".3"')
 DRY_FRICTION = serial_arm((Z, Y, X), joint='range="-2 2" frictionloss="1.5" damping="2"')
@@ -153,24 +150,13 @@ TENDON_SPRING = serial_arm(
 EQUALITY_ON_CHAIN = serial_arm(
     (Z, Y, X), extra='<equality><joint joint1="joint1" joint2="joint2"/></equality>'
 )
-LIMITS_VIOLATED = serial_arm((Z, Y, X), joint='range=".5 .6"')
 HOME_KEYFRAME = serial_arm(
     (Z, Y, X, Z),
     tip=fingers(),
     extra='<keyframe><key name="other" qpos="0 0 0 0 0 0"/>'
     '<key name="home" qpos=".1 .2 .3 .4 .03 .01"/></keyframe>',
 )
-DISCRETE_INVERSE = world(serial_bodies((Z, Y, X))).replace(
-    "<option />", '<option integrator="implicitfast"><flag invdiscrete="enable"/></option>'
-)
-
-# Attributes that came with later releases of MuJoCo; older ones refuse these models.
 NONLINEAR_DAMPING = serial_arm((Z, Y, X), joint='range="-2 2" damping=".5 .3 .2"')
-NONLINEAR_SPRING = serial_arm((Z, Y, X), joint='range="-2 2" stiffness="5 2 1" springref=".3"')
-TENDON_ARMATURE = TENDON_SPRING.replace("<fixed ", '<fixed armature=".2" ')
-ACTUATOR_ARMATURE = serial_arm(
-    (Z, Y, X), extra='<actuator><motor joint="joint2" armature=".05" damping=".4"/></actuator>'
-)
 
 MODELS = {
     "seven": SEVEN,
@@ -184,22 +170,29 @@ MODELS = {
     "massless tip": MASSLESS_TIP,
     "tilted gravity": TILTED_GRAVITY,
     "no gravity": NO_GRAVITY,
-    "gravity compensated": GRAVITY_COMPENSATED,
+    "gravity compensated": THREE.replace("<body ", '<body gravcomp="1" '),
     "in water": IN_WATER,
     "armature": ARMATURE,
     "dry friction": DRY_FRICTION,
     "springs": SPRINGS,
     "tendon spring": TENDON_SPRING,
     "equality on chain": EQUALITY_ON_CHAIN,
-    "limits violated": LIMITS_VIOLATED,
+    "limits violated": serial_arm((Z, Y, X), joint='range=".5 .6"'),
     "home keyframe": HOME_KEYFRAME,
-    "discrete inverse": DISCRETE_INVERSE,
+    "discrete inverse": THREE.replace(
+        "<option />", '<option integrator="implicitfast"><flag invdiscrete="enable"/></option>'
+    ),
 }
+# Attributes that came with later releases of MuJoCo; older ones refuse these models.
 NEWER_MODELS = {
     "nonlinear damping": NONLINEAR_DAMPING,
-    "nonlinear spring": NONLINEAR_SPRING,
-    "tendon armature": TENDON_ARMATURE,
-    "actuator armature": ACTUATOR_ARMATURE,
+    "nonlinear spring": serial_arm(
+        (Z, Y, X), joint='range="-2 2" stiffness="5 2 1" springref=".3"'
+    ),
+    "tendon armature": TENDON_SPRING.replace("<fixed ", '<fixed armature=".2" '),
+    "actuator armature": serial_arm(
+        (Z, Y, X), extra='<actuator><motor joint="joint2" armature=".05" damping=".4"/></actuator>'
+    ),
 }
 
 
