@@ -49,10 +49,8 @@ class Equations:
         torques: "chain" for every joint that carries the link, "terminal" for the last one only.
         friction: terms to estimate, one model per chain joint; where a joint has none, the model's
             own friction is taken as known.
-        shared: names of further parameters that enter every joint's equations; whoever asks for
-            rows brings their columns.
-        links: numbers of other links whose parameters are sought too; the model's are known of the
-            rest.
+        shared: names of parameters that enter every joint's equations; ``rows`` gets their columns.
+        links: numbers of other links whose parameters are sought too.
     """
 
     def __init__(

@@ -18,10 +18,8 @@ cubic        qd^3                          N m s^3/rad^3
 sigmoid      tanh(qd/vs)                   N m (Coulomb friction that turns round softly)
 ===========  ============================  ==========================================
 
-Coulomb friction that differs between the two directions, f+ forward and f- backward, is coulomb and
-offset together: f+ = coulomb + offset, f- = coulomb - offset. A moving joint cannot tell it from a
-torque sensor that reads a constant too much. Viscous, quadratic and cubic terms are the polynomial
-of a joint's ``damping="a b c"`` in MuJoCo 3.7 and later.
+Coulomb friction that differs between the two directions is coulomb plus, and minus, offset.
+Viscous, quadratic and cubic terms are the polynomial of a joint's ``damping="a b c"`` in MuJoCo.
 
 Sources: Coulomb, viscous and Stribeck terms as in Armstrong-Helouvry, Dupont, Canudas de Wit,
 "A survey of models, analysis tools and compensation methods for the control of machines with
@@ -99,21 +97,6 @@ TERMS: Mapping[str, Callable[[Array, Array, Array], Array]] = {
 """Term name to the function that makes its column, see ``FrictionModel.columns``; a new term is one
 more line here. Those of ``BENT`` take their usual speed."""
 
-PRESETS = (
-    "none",
-    "coulomb-viscous",
-    "coulomb-viscous-offset",
-    "coulomb-viscous-offset-armature",
-    "coulomb-viscous-offset-sqrt",
-    "coulomb-viscous-offset-armature-sqrt",
-    "coulomb-viscous-offset-armature-stribeck",
-    "coulomb-viscous-offset-load",
-    "coulomb-viscous-offset-armature-load",
-    "coulomb-viscous-offset-armature-quadratic-cubic",
-    "sigmoid-viscous-offset-armature",
-)
-"""Names worth trying; any other combination of terms works too."""
-
 DEFAULT_MEASURED = "coulomb-viscous-offset-armature"
 """Friction model for measured data."""
 DEFAULT_TERMINAL = "coulomb-viscous-offset"
@@ -180,7 +163,7 @@ def friction_model(name: str) -> FrictionModel:
             measured data, so "+sqrt" is "coulomb-viscous-offset-armature-sqrt".
 
     Raises:
-        InputError: a term is unknown; lists the valid terms and presets.
+        InputError: a term is unknown; lists the valid ones.
     """
     terms = () if name == "none" else tuple(re.split(r"[-+]", name.lstrip("+")))
     if name.startswith("+"):
@@ -190,6 +173,6 @@ def friction_model(name: str) -> FrictionModel:
     if unknown:
         raise InputError(
             f"unknown friction term {unknown[0]!r} in {name!r}; join any of {', '.join(TERMS)} "
-            f"with '-', or use one of: {', '.join(PRESETS)}"
+            f"with '-', as in {DEFAULT_MEASURED}, or use none"
         )
     return FrictionModel(terms)

@@ -46,12 +46,10 @@ def posed(mj_model: Any, qpos: Array) -> Any:
 
 
 def subtree(mj_model: Any, body_id: int) -> list[int]:
-    """Return the ids of a body and all its descendants."""
-    inside = {body_id}
-    for body in range(body_id + 1, mj_model.nbody):
-        if int(mj_model.body_parentid[body]) in inside:
-            inside.add(body)
-    return sorted(inside)
+    """Return the ids of a body and all its descendants, which MuJoCo numbers in a row."""
+    outside = np.flatnonzero(mj_model.body_parentid[body_id + 1 :] < body_id)
+    end = body_id + 1 + int(outside[0]) if len(outside) else mj_model.nbody
+    return list(range(body_id, end))
 
 
 def has_only_armature(mj_model: Any) -> bool:

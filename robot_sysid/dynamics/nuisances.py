@@ -1,23 +1,12 @@
 """What a real arm does not tell of itself, as columns in the joints' equations.
 
-A torque sensor that reads (1 + s) times the torque, an encoder whose zero is off by z, a base that
-is tilted by two angles: to first order each adds its column times an unknown. Their size is known
-beforehand, which makes them a prior (``estimation.algebra.nuisances``).
+An encoder whose zero is off, a base that is tilted by two angles: to first order each adds its
+column, here, times an unknown whose size is known beforehand (``estimation.algebra.nuisances``).
 
-=============  ===================================  ==================================
-parameter      column in joint j's equation         unit
-=============  ===================================  ==================================
-scale[joint]   torque of the joint's own gear       1
-load[joint]    sign(qd) abs(torque of its gear)     1
-sqrt[joint]    sign(qd) sqrt(abs(qd))               N m (s/rad)^0.5
-zero[joint]    -d tau_j / d q_joint                 N m/rad
-tilt angles    torque at rest, gravity turned       N m/rad
-=============  ===================================  ==================================
-
-Tilt: joint torques are linear in the gravity vector g. Turning g by small angles a1, a2 about two
-axes e1, e2 perpendicular to it adds a1 tau(e1 x g) + a2 tau(e2 x g), tau(.) the torque of the
-resting arm under that gravity. Estimated, applied and estimated again, this converges in a few
-rounds.
+Zero of a joint: -d tau / d q_joint [N m/rad]. Tilt: joint torques are linear in gravity g. Turning
+it by small angles a1, a2 about two axes e1, e2 perpendicular to it adds a1 tau(e1 x g) +
+a2 tau(e2 x g), tau(.) the torque of the resting arm under that gravity. Estimated, applied and
+estimated again, this converges in a few rounds.
 """
 
 from __future__ import annotations
@@ -77,7 +66,7 @@ def tilt_columns(robot: RobotModel, thetas: Array, q: Array) -> Array:
 
 
 _STEP = 1e-5
-"""Shift of a central difference [rad]: its error is of the order of 1e-10, as is rounding's."""
+"""Shift of a central difference [rad]: error and rounding are both about 1e-11 of the torque."""
 _MOST_SHIFTED = 20000
 """Samples of shifted motions at once: a few tens of MB."""
 

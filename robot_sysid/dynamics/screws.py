@@ -15,8 +15,7 @@ class ScrewChain:
     """A serial arm as seen from its terminal body.
 
     Product of exponentials in the body frame (Lynch and Park, "Modern Robotics", 2017, eq. 4.16 and
-    5.18): all that has to be known about an arm is the body Jacobian B of its terminal body at one
-    configuration. With Ad and ad of SE(3) and J_i the columns of the body Jacobian at q,
+    5.18). With B the body Jacobian of its terminal body at ``home`` and J_i its columns at q,
 
         J_i = Ad(exp(-B_n d_n) ... exp(-B_{i+1} d_{i+1})) B_i,      d = q - home,
         dJ_i / dq_k = ad(J_i) J_k for k > i, else 0,

@@ -65,7 +65,7 @@ def rmse_words(rmse: float) -> str:
 
 
 _ROUNDING = 1e-9
-"""Relative difference that the check of the written model lets pass."""
+"""Relative difference that the check of the written model lets pass (``results.verification``)."""
 
 
 def setting(document: ModelDocument, name: str) -> str | None:

@@ -1,9 +1,8 @@
 """What a written model has that the user's file has not, and which body gets which part of a link.
 
-What was identified is the composite: the terminal body and all below it. The file keeps every body
-of it, so the terminal body gets the composite minus the bodies the file already describes. Where
-that difference is no possible body, it gets the whole rigidly attached group instead, and where
-bodies on joints of their own leave too little even for that, those are made lighter.
+The terminal body gets what was identified of the link minus the bodies below it that the file
+describes. Where that is no possible body, it gets the whole rigidly attached group instead, and
+where bodies on joints of their own leave too little even for that, those are made lighter.
 """
 
 from __future__ import annotations
@@ -17,12 +16,10 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError
 from robot_sysid.records import Array, SubtreeBody
 
-NOTHING = 1e-6
-"""Mass, relative to the composite, below which a difference is only rounding."""
-SLACK = 1e-10
-"""How far, relative to its size, a body may be from possible before it is refused."""
-MARGIN = 1e-11
-"""How far inside the possible a body is written: MuJoCo refuses what rounding puts outside."""
+NOTHING, SLACK, MARGIN = 1e-6, 1e-10, 1e-11
+"""Mass, relative to the link's, below which a difference is only rounding; how far, relative to its
+size, a body may be from possible before it is refused; how far inside the possible it is written,
+some 4e4 roundings, because MuJoCo refuses what these put outside."""
 _MOMENTS = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0])
 
 
