@@ -1,4 +1,4 @@
-"""The Kinova example: published geometry and inertials, closed meshes, scripts."""
+"""The Kinova example: published geometry and inertials, meshes, scripts."""
 
 from __future__ import annotations
 
@@ -128,26 +128,12 @@ def test_committed_models_are_what_the_script_writes(variant):
     np.testing.assert_allclose(*numbers, rtol=1e-9, atol=1e-15)
 
 
-def open_edges(mesh: np.ndarray) -> int:
-    """Count edges that are not run through once in each direction."""
-    keys = np.round(mesh / shapes.GRID).astype(np.int64)
-    edges: dict[tuple, int] = {}
-    for a, b in ((0, 1), (1, 2), (2, 0)):
-        for start, end in zip(map(tuple, keys[:, a]), map(tuple, keys[:, b])):
-            if start == end:
-                continue
-            sign, key = (1, (start, end)) if start < end else (-1, (end, start))
-            edges[key] = edges.get(key, 0) + sign
-    return sum(count != 0 for count in edges.values())
-
-
 @pytest.mark.parametrize("name", sorted(links.link_meshes()))
-def test_committed_meshes_are_what_the_script_writes_and_closed(name, tmp_path):
+def test_committed_meshes_are_what_the_script_writes(name, tmp_path):
     shapes.write_stl(tmp_path / "again.stl", links.link_meshes()[name])
     committed = shapes.read_stl(EXAMPLE / "model" / "meshes" / f"{name}.stl")
     written = shapes.read_stl(tmp_path / "again.stl")
     np.testing.assert_allclose(committed, written, atol=2.0 * shapes.GRID)
-    assert open_edges(committed) == 0 and open_edges(committed[1:]) == 3
     assert shapes.volume(committed) > 1e-6
 
 

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.model.inertia import body_theta
-from robot_sysid.records import BodyMotion
-from robot_sysid.regressor import derive_regressor, joint_regressor, wrench_regressor
+from robot_sysid.regressor import derive_regressor, wrench_regressor
 from tests.support.arms import SEEDS, random_rotation, rigid_bodies
 
 SPEEDS = st.sampled_from([0.0, 1e-6, 1.0, 100.0])
@@ -96,18 +95,3 @@ def test_wrench_of_a_free_body_is_mujocos(seed):
     expected = np.append(data.qfrc_inverse[3:], rotation.T @ data.qfrc_inverse[:3])
     scale = wrench_scale(theta, omega, alpha, linear - gravity)
     np.testing.assert_array_less(np.abs(wrench - expected), 1e-11 * scale)
-
-
-@given(SEEDS, st.integers(1, 5), st.integers(1, 7))
-def test_joint_rows_are_the_transposed_jacobian_times_the_wrench_rows(seed, samples, joints):
-    rng = np.random.default_rng(seed)
-    twist, rate = rng.normal(size=(2, samples, 6))
-    jacobian = rng.normal(size=(samples, 6, joints))
-    motion = BodyMotion(twist, rate, jacobian, np.zeros((samples, joints)))
-    chosen = rng.permutation(joints)[: rng.integers(1, joints + 1)]
-    rows = joint_regressor(motion, chosen)
-    wrench = wrench_regressor(twist, rate)
-    for block, joint in zip(rows, chosen):
-        for k in range(samples):
-            expected = jacobian[k, :, joint] @ wrench[:, :, k]
-            np.testing.assert_allclose(block[k], expected, rtol=1e-12, atol=1e-12)

@@ -159,22 +159,6 @@ def test_a_wrong_regressor_column_shows_on_the_models_own_simulation(monkeypatch
     assert broken.values[column] == pytest.approx(truth[column] / 1.01, rel=1e-6)
 
 
-@pytest.mark.slow
-@given(st.sampled_from(["three", "shared bodies", "armature", "springs"]), SEEDS, st.floats(-3, 3))
-def test_torques_times_k_give_theta_times_k(name, seed, exponent):
-    """An arm k times as heavy needs k times the torque and has k times the parameters."""
-    robot, factor = ARMS[name], 10.0**exponent
-    model = copy.copy(robot.mj_model)
-    for field in ("body_mass", "body_inertia", "dof_armature", "dof_damping", "jnt_stiffness"):
-        getattr(model, field)[:] *= factor
-    heavy = robot_of(model)
-    measurements = measure(robot, seed)
-    scaled = [replace(m, tau=factor * m.tau) for m in measurements]
-    theta = identify(robot, measurements).values[:10]
-    error = np.abs(identify(heavy, scaled).values[:10] - factor * theta)
-    np.testing.assert_array_less(error, factor * 1e-8 * scale_of(theta))
-
-
 @pytest.mark.parametrize("missing", ["qd", "qdd"])
 def test_a_measurement_without_derivatives_is_refused(missing):
     equations = Equations(SEVEN, "chain", friction_per_joint(SEVEN, "terminal", TERMINAL_FRICTION))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 
-import mujoco
 import numpy as np
 import pytest
 from hypothesis import given
@@ -82,49 +81,6 @@ def test_torque_of_the_rest_does_not_know_the_link(xml, seed):
     np.testing.assert_allclose(rest, same, rtol=0.0, atol=1e-13 * np.max(np.abs(rest), initial=1.0))
 
 
-@given(random_chain(), SEEDS)
-def test_body_velocity_is_the_derivative_of_the_body_pose(xml, seed):
-    robot = robot_of(xml)
-    rng = np.random.default_rng(seed)
-    q, qd, qdd = random_motion(rng, robot.n_joints, 1)
-    velocity = ChainKinematics(robot).evaluate(q, qd, qdd).velocity[0]
-    step = 1e-6
-    (r0, p0), (r1, p1) = (pose(robot, (q + s * step * qd)[0]) for s in (-1, 1))
-    spin, at = (r1 @ r0.T - r0 @ r1.T) / (4.0 * step), pose(robot, q[0])[0]
-    world = np.concatenate(([spin[2, 1], spin[0, 2], spin[1, 0]], (p1 - p0) / (2.0 * step)))
-    expected = np.concatenate((at.T @ world[:3], at.T @ world[3:]))
-    np.testing.assert_allclose(velocity, expected, rtol=0.0, atol=1e-7 * (1.0 + speed(qd)))
-
-
-@given(random_chain(), SEEDS)
-def test_body_acceleration_is_the_derivative_of_the_body_velocity_minus_gravity(xml, seed):
-    """In body coordinates the twist's rate is the spatial acceleration."""
-    robot = robot_of(xml)
-    q, qd, qdd = random_motion(np.random.default_rng(seed), robot.n_joints, 1)
-    kinematics, step = ChainKinematics(robot), 1e-5
-    before, after = (
-        kinematics.evaluate(q + h * qd + 0.5 * h * h * qdd, qd + h * qdd, qdd).velocity[0]
-        for h in (-step, step)
-    )
-    down = pose(robot, q[0])[0].T @ robot.mj_model.opt.gravity
-    expected = (after - before) / (2.0 * step) - np.concatenate((np.zeros(3), down))
-    actual = kinematics.evaluate(q, qd, qdd).acceleration[0]
-    np.testing.assert_allclose(actual, expected, rtol=0.0, atol=1e-6 * (1.0 + speed(qd) ** 3))
-
-
-def speed(qd):
-    return float(np.sum(np.abs(qd)))
-
-
-def pose(robot, q):
-    """(rotation, position) of the terminal body."""
-    data = mujoco.MjData(robot.mj_model)
-    data.qpos[:] = robot.reference_qpos
-    data.qpos[robot.qpos_index] = q
-    mujoco.mj_kinematics(robot.mj_model, data)
-    return data.xmat[robot.body_id].reshape(3, 3).copy(), data.xpos[robot.body_id].copy()
-
-
 def test_model_of_the_user_is_left_alone():
     robot = robot_of(arms.COUPLED_FINGERS)
     before = robot.mj_model.body_mass.copy(), robot.mj_model.opt.disableflags
@@ -166,20 +122,6 @@ def test_each_thing_beside_armature_alone_needs_the_full_dynamics(field):
     assert has_only_armature(model)
     getattr(model, field).flat[-1] = 0.1
     assert not has_only_armature(model)
-
-
-def test_an_analysis_copy_holds_no_drag_and_no_discrete_inverse():
-    """Beside what the torques show: a flag left on would cost time or change what qacc means."""
-    flags = '<flag invdiscrete="enable" energy="enable"/></option>'
-    xml = arms.IN_WATER.replace('wind="1 2 0"/>', 'wind="1 2 0">' + flags)
-    model = arms.compile_xml(xml)
-    assert model.opt.density and model.opt.viscosity and model.opt.enableflags
-    model = analysis_copy(model)
-    assert (model.opt.density, model.opt.viscosity, model.opt.enableflags) == (0.0, 0.0, 0)
-    assert not np.any(model.body_gravcomp) and not np.any(model.dof_damping)
-    off = mujoco.mjtDisableBit
-    for flag in (off.mjDSBL_CONSTRAINT, off.mjDSBL_CONTACT, off.mjDSBL_SENSOR):
-        assert model.opt.disableflags & int(flag)
 
 
 @pytest.mark.parametrize("first", [True, False])

@@ -85,32 +85,6 @@ def model(compiler: str, file: str = "m.obj") -> str:
     return f"<mujoco>{compiler}{MESH.format(file)}{USE}</mujoco>"
 
 
-def included(compiler: str = "", where: str = "s/a.xml") -> str:
-    return f"<mujoco>{compiler}<include file='{where}'/></mujoco>"
-
-
-PLACES = [
-    ({"m.xml": model("")}, "m.obj"),
-    ({"m.xml": model("<compiler meshdir='d'/>")}, "d/m.obj"),
-    ({"m.xml": model("<compiler assetdir='d'/>")}, "d/m.obj"),
-    ({"m.xml": model("<compiler assetdir='no' meshdir='d'/>")}, "d/m.obj"),
-    ({"m.xml": model("<compiler meshdir='d'/><compiler assetdir='e'/>")}, "e/m.obj"),
-    ({"m.xml": model("<compiler assetdir='e'/><compiler meshdir='d'/>")}, "d/m.obj"),
-    ({"m.xml": model("<compiler meshdir='d'/>", "s/m.obj")}, "d/s/m.obj"),
-    ({"m.xml": model("<compiler meshdir='d' strippath='true'/>", "s/m.obj")}, "d/m.obj"),
-    ({"m.xml": included(), "s/a.xml": model("")}, "m.obj"),
-    ({"m.xml": included("<compiler meshdir='d'/>"), "s/a.xml": model("")}, "d/m.obj"),
-    ({"m.xml": included(), "s/a.xml": model("<compiler meshdir='d'/>")}, "d/m.obj"),
-]
-
-
-@pytest.mark.parametrize(("files", "place"), PLACES)
-def test_a_mesh_is_found_where_mujoco_finds_it(tmp_path, files, place):
-    path = write_files(tmp_path, {**files, place: TETRAHEDRON})
-    mujoco.MjModel.from_xml_path(str(path))
-    assert [asset.path for asset in find_assets(read_document(path))] == [tmp_path / place]
-
-
 def test_the_users_mesh_folder_replaces_that_of_the_file(tmp_path):
     text = model("<compiler meshdir='d'/>", "s/m.obj").replace(
         "<asset>", "<asset><texture name='t' file='t.png'/>"

@@ -73,35 +73,17 @@ def test_what_mujoco_accepts_is_accepted(tmp_path, content):
     assert names(path) == ["base", "link1", "link2", "tool", "finger"]
 
 
+ONE, TWO = "<mujoco><include file='s/a'/></mujoco>", "<mujoco><include file='b'/></mujoco>"
+INSIDE = "<worldbody><body name='1'><include file='a'/></body><body name='4'/></worldbody>"
+THREE = "<anything><body name='2'><body name='3'/></body></anything>"
+
+
 @pytest.mark.parametrize(
     ("files", "bodies"),
     [
-        ({"m": "<mujoco><include file='s/a'/></mujoco>", "s/a": BODY.format("x")}, ["x"]),
-        (
-            {
-                "m": "<mujoco><include file='s/a'/></mujoco>",
-                "s/a": "<mujoco><include file='b'/></mujoco>",
-                "s/b": BODY.format("beside the includer"),
-            },
-            ["beside the includer"],
-        ),
-        (
-            {
-                "m": "<mujoco><include file='s/a'/></mujoco>",
-                "s/a": "<mujoco><include file='b'/></mujoco>",
-                "s/b": BODY.format("beside the includer"),
-                "b": BODY.format("beside the main file"),
-            },
-            ["beside the main file"],
-        ),
-        (
-            {
-                "m": "<mujoco><worldbody><body name='1'><include file='a'/></body>"
-                "<body name='4'/></worldbody></mujoco>",
-                "a": "<anything><body name='2'><body name='3'/></body></anything>",
-            },
-            ["1", "2", "3", "4"],
-        ),
+        ({"m": ONE, "s/a": TWO, "s/b": BODY.format("x")}, ["x"]),
+        ({"m": ONE, "s/a": TWO, "s/b": BODY.format("x"), "b": BODY.format("first")}, ["first"]),
+        ({"m": f"<mujoco>{INSIDE}</mujoco>", "a": THREE}, ["1", "2", "3", "4"]),
     ],
 )
 def test_includes_are_found_where_mujoco_finds_them(tmp_path, files, bodies):
