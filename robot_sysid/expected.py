@@ -115,4 +115,4 @@ def _without_friction(samples: DecimatedSamples, noise: Array, scale: Array) -> 
     link, cross, own = normal[:10, :10], normal[:10, 10:], normal[10:, 10:]
     units = np.outer(scale, scale)
     left = link - cross @ np.linalg.pinv(own, rcond=1e-12, hermitian=True) @ cross.T
-    return Seen(units * left, float(np.trace(units * link)))
+    return units * left, float(np.trace(units * link))

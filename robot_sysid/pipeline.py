@@ -249,7 +249,7 @@ def _plan_outcome(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) 
 def promise(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> Iterator[str]:
     """Yield what a motion promises, and what it does beside its limits."""
     from robot_sysid.expected import expect
-    from robot_sysid.motion.plan_report import motion_lines, plan_lines
+    from robot_sysid.motion.prediction import motion_lines, plan_lines
     from robot_sysid.motion.static import pose_lines, sweep_lines
 
     assert checked.problem is not None and checked.check is not None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -11,15 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid import trajectory
-from robot_sysid.errors import InputError
 from robot_sysid.records import JointLimits
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import (
     FREQUENCY_BAND_HZ,
     TERMS_PER_JOINT,
-    SineTrajectory,
     generate_excitation_trajectory,
-    motion_chunks,
     sample_count,
     sample_times,
     window,
@@ -132,16 +128,6 @@ def test_frequencies_are_in_the_band_and_never_meet(seed):
 
 
 @given(SEEDS)
-def test_frequencies_of_a_joint_are_incommensurate(seed):
-    """No two are in the ratio of small whole numbers, so that the motion does not repeat."""
-    plan, _ = excitation(robot_of(arms.SEVEN), seed)
-    for frequency, amplitude in zip(plan.frequency_hz, plan.amplitude):
-        for one, other in itertools.combinations(frequency[amplitude != 0.0], 2):
-            ratio = np.arange(1, 10) * one / other
-            assert np.min(np.abs(ratio - np.round(ratio))) > 1e-9
-
-
-@given(SEEDS)
 def test_same_seed_same_trajectory_and_another_seed_another_one(seed):
     first, second = excitation(THREE, seed)[0], excitation(THREE, seed)[0]
     np.testing.assert_array_equal(first.amplitude, second.amplitude)
@@ -161,24 +147,6 @@ def test_samples_are_the_same_however_they_are_cut(duration, rate, chunk):
     assert np.all(np.diff(times) > 0.0)
 
 
-@given(SEEDS)
-def test_chunks_are_the_whole_motion(seed):
-    plan, _ = excitation(THREE, seed, 6.0)
-    chunks = list(motion_chunks(plan, 700.0))
-    assert len(chunks) > 1
-    whole = plan.evaluate(np.concatenate([chunk.time for chunk in chunks]))
-    for field in ("q", "qd", "qdd"):
-        joined = np.concatenate([getattr(chunk, field) for chunk in chunks])
-        np.testing.assert_array_equal(joined, getattr(whole, field))
-
-
-def test_an_hour_is_evaluated_lazily():
-    plan, _ = excitation(THREE, 0, 15.0)
-    hour = replace(plan, duration=3600.0)
-    first = next(motion_chunks(hour, 1000.0))
-    assert len(first.time) < 10_000
-
-
 def test_window_rises_from_zero_to_one_and_falls_back():
     time = np.linspace(0.0, 10.0, 1001)
     w, dw, ddw = window(time, 10.0, 2.0)
@@ -190,12 +158,6 @@ def test_window_rises_from_zero_to_one_and_falls_back():
     assert np.max(np.abs(ddw[[0, 200, 800, 1000]])) < 1e-12
 
 
-def test_the_terminal_joint_moves_most():
-    plan, _ = excitation(robot_of(arms.SEVEN), 3)
-    reach = np.max(np.abs(dense(plan).q - plan.center), axis=0)
-    assert reach[-1] > 2.0 * np.max(reach[:-1])
-
-
 def test_a_joint_whose_weight_exceeds_its_limit_is_named_and_the_rest_still_moves():
     limits = replace(THREE.limits, torque=np.array([50.0, 1.0, 50.0]))
     robot = replace(THREE, limits=limits)
@@ -205,45 +167,3 @@ def test_a_joint_whose_weight_exceeds_its_limit_is_named_and_the_rest_still_move
     plan, notes = excitation(robot, 0, 15.0, ArmTorque(robot))
     assert any("joint joint1;" in note and "smallest motion" in note for note in notes)
     assert np.max(np.abs(dense(plan).q - plan.center)) > 0.1
-
-
-def test_dry_friction_above_the_limit_is_named_instead_of_freezing_the_arm():
-    """However small the motion, sign(qd) costs the whole Coulomb torque."""
-    friction = replace(THREE.friction, coulomb=np.array([5.0, 0.0, 0.0]))
-    limits = replace(THREE.limits, torque=np.array([2.0, 100.0, 100.0]))
-    robot = replace(THREE, friction=friction, limits=limits)
-    plan, notes = excitation(robot, 0, 15.0, ArmTorque(robot))
-    assert any("joint joint0;" in note for note in notes)
-    assert np.max(np.abs(dense(plan).q - plan.center)) > 0.1
-
-
-def test_scaling_down_is_told():
-    limits = replace(THREE.limits, torque=np.array([np.inf, 0.8, np.inf]))
-    robot = replace(THREE, limits=limits)
-    _, notes = excitation(robot, 0, 15.0, ArmTorque(robot))
-    assert any("motion scaled to" in note for note in notes)
-
-
-def test_a_fade_that_does_not_fit_is_refused():
-    one = np.ones((1, 1))
-    with pytest.raises(InputError, match="does not fit twice"):
-        SineTrajectory(np.zeros(1), one, one, one, duration=1.0, fade=0.6)
-
-
-def test_no_module_of_the_pipeline_differentiates_numerically():
-    """Samples are never compared with their neighbours."""
-    import ast
-    from pathlib import Path
-
-    import robot_sysid
-
-    package = Path(robot_sysid.__file__).parent
-    used = set()
-    for module in (
-        *("trajectory", "simulator", "regressor", "solver"),
-        *("dynamics/kinematics", "dynamics/equations"),
-    ):
-        tree = ast.parse((package / f"{module}.py").read_text(encoding="utf-8"))
-        used |= {node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
-    assert used.isdisjoint({"diff", "gradient", "ediff1d", "mjd_inverseFD", "mjd_transitionFD"})
-    assert "mj_rne" in used

@@ -51,21 +51,27 @@ _UNLIMITED_TRAVEL = 1.0
 """Travel assumed for a slide joint without limits [m]."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class Closest:
-    """The tightest distance at one configuration.
+    """The tightest pair of one configuration.
 
     Attributes:
         slack: distance minus the distance that must be kept [m]; negative where it is not kept.
         distance: [m]; infinite where nothing is near.
         label: between what.
         time: when, along a motion [s].
+        normal, point: (3,) in which direction, and where.
+        bodies: the two; the world and one where it is a half-space that is near.
     """
 
     slack: float
-    distance: float
-    label: str
+    distance: float = np.inf
+    label: str = ""
     time: float = 0.0
+    normal: Array = field(default_factory=lambda: np.zeros(3))
+    point: Array = field(default_factory=lambda: np.zeros(3))
+    bodies: tuple[int, int] = (0, 0)
+    space: HalfSpace | None = None
 
 
 @dataclass(frozen=True)
@@ -79,18 +85,6 @@ class Slack:
 
     value: Array
     gradient: Array
-
-
-@dataclass
-class _Nearest:
-    """The tightest pair of one configuration, filled in as pairs are looked at."""
-
-    slack: float
-    distance: float = np.inf
-    normal: Array = field(default_factory=lambda: np.zeros(3))
-    point: Array = field(default_factory=lambda: np.zeros(3))
-    bodies: tuple[int, int] = (0, 0)
-    space: HalfSpace | None = None
 
 
 class Clearance:
@@ -120,33 +114,26 @@ class Clearance:
     ) -> None:
         self._arguments = (robot, rest, clearance, tuple(half_spaces))
         self._robot = robot
-        self._model = _with_margin(robot.mj_model, clearance + HORIZON)
-        self._body_of_geom = np.array(self._model.geom_bodyid)
-        self._data = mujoco.MjData(self._model)
+        self._model = model = _with_margin(robot.mj_model, clearance + HORIZON)
+        self._data = mujoco.MjData(model)
         self._data.qpos[:] = robot.reference_qpos
-        self._joints = self._model.dof_jntid[robot.dof_index]
-        self._required = np.full((self._model.nbody, self._model.nbody), clearance)
+        self._joints = model.dof_jntid[robot.dof_index]
+        self._body_of_geom = np.array(model.geom_bodyid)
+        self._required = np.full((model.nbody, model.nbody), clearance)
         self._place(rest)
         self._part = part = parts_of(robot)
-        solid = np.any(self._model.geom_contype | self._model.geom_conaffinity)
-        self.is_empty = not (solid or self._model.npair or half_spaces)
+        solid = np.any(model.geom_contype | model.geom_conaffinity)
+        self.is_empty = not (solid or model.npair or half_spaces)
         # Where nothing is in the way, no motion uses up any of its room.
         self.rates = approach_rates(robot, self._data, part) * (not self.is_empty)
         self._rows = part[:, None] * (robot.n_joints + 1) + part
-        self._free = np.full(len(self.rates), np.inf)
-        self._free[-1] = self.horizon
+        self._free = np.append(np.full(len(self.rates) - 1, np.inf), self.horizon)
         self.at_rest = self._learn_pairs(clearance)
         self.neighbours = self._settle_neighbours(rest)
-        drop_pairs(self._model, self._part, np.isneginf(self._required))
+        drop_pairs(model, part, np.isneginf(self._required))
         self._place(rest)
-        self.left_at_rest: list[tuple[HalfSpace, str, float]] = []
-        self._spaces = HalfSpaces(robot.mj_model, half_spaces) if half_spaces else None
-        if self._spaces is not None:
-            for shape, height, _ in self._spaces.heights(self._data):
-                required, body = self._spaces.required[shape], self._label(self._spaces.body[shape])
-                for k in np.flatnonzero((height <= 0.0) & np.isfinite(required)).tolist():
-                    self.left_at_rest.append((half_spaces[k], body, -float(height[k])))
-                required[:] = np.minimum(required, np.maximum(0.0, KEPT_SHARE * height))
+        self._spaces = HalfSpaces(model, half_spaces) if half_spaces else None
+        self.left_at_rest = [] if self._spaces is None else self._settle_spaces(self._spaces)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Travel to another process as what it was made from: MuJoCo data is made anew there."""
@@ -182,11 +169,11 @@ class Clearance:
     def closest(self, q: Array) -> Closest:
         """Return the tightest distance at one configuration q (n,)."""
         near = self._nearest_at(q)
-        first, second = (self._label(body) for body in near.bodies)
-        label = f"{first} and {second}" if np.isfinite(near.distance) else ""
         if near.space is not None:
-            label = f"{second} and {near.space.label}"
-        return Closest(near.slack, near.distance, label)
+            near.label = f"{body_label(self._model, near.bodies[1])} and {near.space.label}"
+        elif np.isfinite(near.distance):
+            near.label = self._label(*near.bodies)
+        return near
 
     @property
     def distances(self) -> Clearance:
@@ -195,6 +182,9 @@ class Clearance:
         other._required = np.where(np.isneginf(self._required), -np.inf, 0.0)
         other._spaces = None
         return other
+
+    def _label(self, first: int, second: int) -> str:
+        return f"{body_label(self._model, first)} and {body_label(self._model, second)}"
 
     def _place(self, q: Array) -> None:
         self._data.qpos[self._robot.qpos_index] = q
@@ -218,24 +208,32 @@ class Clearance:
 
         Bodies of one part do not move against each other.
         """
-        part, distances = self._part, dict[tuple[int, int], float]()
-        for distance, bodies in zip(*self._contact_bodies()):
-            a, b = sorted(int(body) for body in bodies)
-            distances[a, b] = min(distances.get((a, b), np.inf), float(distance))
-        touching = [(a, b) for (a, b), d in distances.items() if d <= 0.0 and part[a] != part[b]]
+        distances, part = dict[tuple[int, int], float](), self._part
+        for distance, (a, b) in zip(*self._contact_bodies()):
+            if part[a] != part[b]:
+                pair = (min(int(a), int(b)), max(int(a), int(b)))
+                distances[pair] = min(distances.get(pair, np.inf), float(distance))
+        touching = [pair for pair, distance in distances.items() if distance <= 0.0]
         by_design = ContactFinder(self._robot).by_design(touching) if touching else set()
         self._required[part[:, None] == part] = -np.inf
         found: dict[str, list[str]] = {kind: [] for kind in ("ignored", "deep", "touching", "near")}
         for (a, b), distance in distances.items():
-            if part[a] == part[b]:
-                continue
             kind, required = _settled(distance, clearance, (a, b) in by_design)
             self._required[a, b] = self._required[b, a] = required
-            apart = "apart" if distance > 0.0 else "deep"
             if kind:
-                pair = f"{self._label(a)} and {self._label(b)}"
-                found[kind].append(f"{pair} ({1e3 * abs(distance):.2g} mm {apart})")
+                apart = "apart" if distance > 0.0 else "deep"
+                found[kind].append(f"{self._label(a, b)} ({1e3 * abs(distance):.2g} mm {apart})")
         return found
+
+    def _settle_spaces(self, spaces: HalfSpaces) -> list[tuple[HalfSpace, str, float]]:
+        """Let what is near a boundary at rest keep half that distance; return what is beyond."""
+        left = []
+        for each, height, _ in spaces.heights(self._data):
+            required, body = spaces.required[each], spaces.solids[each].body
+            for k in np.flatnonzero((height <= 0.0) & np.isfinite(required)).tolist():
+                left.append((spaces.spaces[k], body_label(self._model, body), -float(height[k])))
+            required[:] = np.minimum(required, np.maximum(0.0, KEPT_SHARE * height))
+        return left
 
     def _settle_neighbours(self, rest: Array) -> Closest:
         """Drop pairs with one joint between them that keep their distance over all its range.
@@ -249,10 +247,10 @@ class Clearance:
             about = (high - low) / _NEIGHBOUR_POSTURES * np.linspace(-1.0, 1.0, _FINER)
             self._sweep(rest, joint, np.clip(nearest + about, low, high), least)
         harmless = np.isfinite(least) & (least >= self._required) & np.isfinite(self._required)
-        first, second = divmod(int(np.argmin(np.where(harmless, least, np.inf))), len(least))
+        pair = divmod(int(np.argmin(np.where(harmless, least, np.inf))), len(least))
         apart = float(np.min(least[harmless], initial=np.inf))
-        label = f"{self._label(first)} and {self._label(second)}" if np.any(harmless) else ""
         self._required[harmless | harmless.T] = -np.inf
+        label = self._label(*pair) if np.any(harmless) else ""
         return Closest(min(apart, self.horizon), apart, label)
 
     def _sweep(self, rest: Array, joint: int, positions: Array, least: Array) -> float:
@@ -272,45 +270,40 @@ class Clearance:
             nearest, at = (here, float(q[joint])) if here < nearest else (nearest, at)
         return at
 
-    def _nearest_at(self, q: Array, budget: Array | None = None) -> _Nearest:
+    def _nearest_at(self, q: Array, budget: Array | None = None) -> Closest:
         """Return what is nearest, among contacts and half-spaces, at one configuration.
 
         Lowers the budget (P,) of each row of ``rates`` to the least slack of its pairs.
         """
         self._place(q)
-        near = _Nearest(self.horizon)
+        near = Closest(self.horizon)
         if self._data.ncon:
-            self._add_contacts(near, budget)
-        if self._spaces is not None:
-            self._add_half_spaces(near, budget, self._spaces)
-        return near
+            distance, bodies = self._contact_bodies()
+            first, second = bodies.T
+            slack = distance - self._required[first, second]
+            if budget is not None:
+                np.minimum.at(budget, self._rows[first, second], slack)
+            k = int(slack.argmin())
+            if slack[k] < near.slack:
+                contact, pair = self._data.contact[k], (int(first[k]), int(second[k]))
+                normal, point = contact.frame[:3].copy(), contact.pos.copy()
+                here = float(slack[k]), float(distance[k])
+                near = Closest(*here, normal=normal, point=point, bodies=pair)
+        return near if self._spaces is None else self._above(self._spaces, near, budget)
 
-    def _add_contacts(self, near: _Nearest, budget: Array | None) -> None:
-        distance, bodies = self._contact_bodies()
-        first, second = bodies.T
-        slack = distance - self._required[first, second]
-        if budget is not None:
-            np.minimum.at(budget, self._rows[first, second], slack)
-        tightest = int(slack.argmin())
-        if slack[tightest] < near.slack:
-            contact = self._data.contact[tightest]
-            near.slack, near.distance = float(slack[tightest]), float(distance[tightest])
-            near.normal, near.point = contact.frame[:3].copy(), contact.pos.copy()
-            near.bodies = (int(bodies[tightest, 0]), int(bodies[tightest, 1]))
-
-    def _add_half_spaces(self, near: _Nearest, budget: Array | None, spaces: HalfSpaces) -> None:
-        for shape, height, lowest in spaces.heights(self._data, self.horizon):
-            body, slack = int(spaces.body[shape]), height - spaces.required[shape]
+    def _above(self, spaces: HalfSpaces, near: Closest, budget: Array | None) -> Closest:
+        """Return what is nearest, where it is a half-space that is."""
+        for each, height, lowest in spaces.heights(self._data, self.horizon):
+            body, slack = spaces.solids[each].body, height - spaces.required[each]
             k = int(np.argmin(slack))
             if budget is not None:
                 budget[self._rows[0, body]] = min(budget[self._rows[0, body]], slack[k])
             if slack[k] < near.slack:
-                near.slack, near.distance = float(slack[k]), float(height[k])
-                near.space, near.point = spaces.spaces[k], lowest[k]
-                near.normal, near.bodies = near.space.normal, (0, body)
-
-    def _label(self, body: int) -> str:
-        return body_label(self._model, int(body))
+                space, here = spaces.spaces[k], (float(slack[k]), float(height[k]))
+                near = Closest(
+                    *here, normal=space.normal, point=lowest[k], bodies=(0, body), space=space
+                )
+        return near
 
 
 def _with_margin(mj_model: Any, margin: float) -> Any:
@@ -354,25 +347,21 @@ def drop_pairs(mj_model: Any, part: Any, ignored: Any) -> None:
     body = mj_model.geom_bodyid
     keys = np.stack((part[body], mj_model.geom_contype, mj_model.geom_conaffinity), axis=1)
     groups, member = np.unique(keys, axis=0, return_inverse=True)
-    member = np.ravel(member)
     if len(groups) > MOST_GROUPS:
         return
     one_way = (groups[:, 1:2] & groups[:, 2]) != 0
-    belongs = (np.arange(len(groups))[:, None] == member).astype(float)
+    belongs = (np.arange(len(groups))[:, None] == np.ravel(member)).astype(float)
     matters = belongs @ (~ignored[np.ix_(body, body)]).astype(float) @ belongs.T > 0.0
     tested = (one_way | one_way.T) & (groups[:, :1] != groups[:, 0]) & matters
     bit = 1 << np.arange(len(groups))
-    _write(mj_model, "contype", bit[member])
-    _write(mj_model, "conaffinity", (tested @ bit)[member])
-
-
-def _write(mj_model: Any, name: str, value: Any) -> None:
-    """Give geoms new filter bits, and bodies all bits of their geoms: they are tested first."""
-    getattr(mj_model, f"geom_{name}")[:] = value
-    of_bodies = getattr(mj_model, f"body_{name}", None)
-    if of_bodies is not None:
-        of_bodies[:] = 0
-        np.bitwise_or.at(of_bodies, mj_model.geom_bodyid, value.astype(of_bodies.dtype))
+    for name, value in (("contype", bit), ("conaffinity", tested @ bit)):
+        value = value[np.ravel(member)]
+        getattr(mj_model, f"geom_{name}")[:] = value
+        # Bodies have all bits of their geoms, in releases that test them first.
+        of_bodies = getattr(mj_model, f"body_{name}", None)
+        if of_bodies is not None:
+            of_bodies[:] = 0
+            np.bitwise_or.at(of_bodies, body, value.astype(of_bodies.dtype))
 
 
 def approach_rates(robot: RobotModel, data: Any, part: Any) -> Array:

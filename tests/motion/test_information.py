@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from robot_sysid.dynamics.equations import Equations
 from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.dynamics.kinematics import ChainKinematics
-from robot_sysid.dynamics.screws import ScrewChain, bracket, bracket_transposed, exponential
 from robot_sysid.errors import AmbiguousJointError
 from robot_sysid.motion.information import PredictedInformation
 from robot_sysid.motion.problem import screw_chain
@@ -78,26 +77,6 @@ def test_gradient_equals_differences(seed, smoothing, rotors):
     assert value == pytest.approx(exact, abs=1e-5 * size)
 
 
-@given(SEEDS)
-def test_further_samples_only_add_information(seed):
-    robot = robot_of(arms.THREE)
-    q, qd, qdd = random_motion(np.random.default_rng(seed), 3, 30)
-    information = predicted(robot)
-    some = information.evaluate(q[:20], qd[:20], qdd[:20]).information
-    all_of_it = information.evaluate(q, qd, qdd).information
-    smallest = np.linalg.eigvalsh(all_of_it - some)[0]
-    assert smallest > -1e-8 * np.max(np.abs(all_of_it))
-
-
-def test_a_joint_at_rest_tells_no_less_than_its_offset_allows():
-    robot = robot_of(arms.THREE)
-    q, qd, qdd = random_motion(np.random.default_rng(1), 3, 40)
-    qd[:, 0] = 0.0
-    information = predicted(robot).evaluate(q, qd, qdd)
-    by_hand = eliminated_by_hand(robot, (q, qd, qdd), "chain", predicted(robot).sigma)
-    assert np.allclose(information.information, by_hand, rtol=1e-6, atol=1e-6)
-
-
 def arm_or_none(xml):
     """RobotModel of a random chain; None where its end is a matter of taste."""
     try:
@@ -140,34 +119,3 @@ def test_gradient_of_a_chain_motion_equals_differences(xml):
     gradient = chain.evaluate(*motion).vjp(*adjoints)
     exact = sum(np.sum(g * d) for g, d in zip(gradient, direction))
     assert exact == pytest.approx(slope(scalar, motion, direction), rel=1e-7)
-
-
-@given(SEEDS)
-def test_bracket_is_antisymmetric_and_its_transpose_is_adjoint(seed):
-    a, b, c = np.random.default_rng(seed).normal(size=(3, 6))
-    assert np.allclose(bracket(a, b), -bracket(b, a), atol=1e-12)
-    assert np.dot(bracket(a, b), c) == pytest.approx(np.dot(b, bracket_transposed(a, c)), abs=1e-10)
-
-
-@given(SEEDS)
-def test_exponential_is_a_rigid_motion_and_adds_up(seed):
-    rng = np.random.default_rng(seed)
-    axis = rng.normal(size=3)
-    twist = np.concatenate((axis / np.linalg.norm(axis), rng.normal(size=3)))
-    one, two, both = (exponential(twist, np.array([a])) for a in (0.4, 0.9, 1.3))
-    rotation, position = (np.squeeze(v) for v in both)
-    first, second = np.squeeze(one[0]), np.squeeze(two[0])
-    assert np.allclose(rotation.T @ rotation, np.eye(3), atol=1e-12)
-    assert np.allclose(first @ second, rotation, atol=1e-12)
-    assert np.allclose(first @ two[1][:, 0] + one[1][:, 0], position, atol=1e-12)
-
-
-def test_at_home_the_jacobian_is_the_screws():
-    screws = np.random.default_rng(0).normal(size=(6, 3))
-    screws[:3] /= np.linalg.norm(screws[:3], axis=0)
-    home = np.array([0.1, 0.2, 0.3])
-    chain = ScrewChain(screws, home, np.array([0.0, 0.0, -9.81]))
-    still = np.zeros((1, 3))
-    motion = chain.evaluate(home[None], still, still)
-    assert np.allclose(motion.jacobian[..., 0], screws, atol=1e-14)
-    assert np.allclose(motion.acceleration[:, 0], [0, 0, 0, 0, 0, 9.81], atol=1e-14)

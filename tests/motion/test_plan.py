@@ -6,11 +6,8 @@ from functools import partial
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
-from robot_sysid.motion import problem
 from robot_sysid.motion.limit_check import check_limits
 from robot_sysid.motion.options import ExcitationOptions, LimitOptions
 from robot_sysid.motion.plan import MotionRequest, make_plan
@@ -18,7 +15,6 @@ from robot_sysid.motion.trajectories import save_trajectory
 from robot_sysid.records.progress import Progress
 from robot_sysid.trajectory import TrajectoryOptions
 from tests.support import arms, witness
-from tests.support.arms import SEEDS
 from tests.support.excitation_arms import TUBES, TUBES_AND_POST, options, robot
 
 
@@ -43,16 +39,6 @@ def planned(xml, seed=1, listener=None, **request):
     speed = request.get("limits", {}).get("max_velocity", 2.0)
     arm = arms.robot_of(xml, max_velocity=speed)
     return make_plan(requested(**request), arm, seed, listener or Listener())
-
-
-def test_the_search_for_contacts_tells_how_far_it_is():
-    """Every step once, the last one complete, so that the bar goes away."""
-    listener = Listener()
-    long = {"duration": 300.0, "sample_rate": 1000.0}
-    planned(arms.MODELS["three"], listener=listener, trajectory=long)
-    total = len(listener.steps)
-    assert total > 1
-    assert listener.steps == [("Looking for contacts", i, total) for i in range(1, total + 1)]
 
 
 CHECKED = {
@@ -86,14 +72,6 @@ def test_the_check_is_that_of_the_motion_that_comes_out(case, speed):
     fresh = check_limits(found.problem, found.plan, 200.0)
     np.testing.assert_array_equal(found.check.largest, fresh.largest)
     np.testing.assert_array_equal(found.check.highest, fresh.highest)
-
-
-@pytest.mark.parametrize("case", ["designed", "plan only"])
-def test_the_limits_of_an_arm_are_collected_once(case, monkeypatch):
-    built, build = [], problem.build_problem
-    monkeypatch.setattr(problem, "build_problem", lambda *a: built.append(a) or build(*a))
-    planned(arms.THREE, **CHECKED[case])
-    assert len(built) == 1
 
 
 def test_what_nobody_plays_is_not():
@@ -148,12 +126,6 @@ def assert_keeps(case, seed):
     assert np.all(moved.highest - moved.lowest > 0.0)
 
 
-@pytest.mark.slow
-@given(st.sampled_from(sorted(LIMITS)), SEEDS)
-def test_random_sinusoids_are_scaled_until_every_limit_holds(case, seed):
-    assert_keeps(case, seed)
-
-
 @pytest.mark.parametrize("case", LIMITS)
 @pytest.mark.parametrize("seed", [0, 1])
 def test_some_random_sinusoids_are_scaled_until_every_limit_holds(case, seed):
@@ -166,12 +138,6 @@ def test_without_the_limit_the_motion_goes_beyond_it(case):
     assert min(excess_over(LIMITS[case], robot(TUBES), free).values()) > 0.0
 
 
-def test_a_motion_that_was_made_smaller_is_noted():
-    listener = Listener()
-    planned(TUBES, listener=listener, limits=LIMITS["acceleration"])
-    assert any(note.startswith("motion scaled down to ") for note in listener.notes)
-
-
 @pytest.mark.parametrize("case", sorted({*LIMITS} - {"velocity"}))
 def test_a_trajectory_from_a_file_that_breaks_a_limit_fails(case, tmp_path):
     """It is used as it is or not at all: nothing scales what somebody has chosen."""
@@ -180,15 +146,6 @@ def test_a_trajectory_from_a_file_that_breaks_a_limit_fails(case, tmp_path):
     found = planned(TUBES, trajectory={"file": path}, limits=LIMITS[case])
     assert found.failure.startswith("this trajectory must not be run: it breaks ")
     assert planned(TUBES, trajectory={"file": path}).failure is None
-
-
-def test_a_trajectory_from_a_file_keeps_the_speed_limit_of_the_arm(tmp_path):
-    path = tmp_path / "plan.json"
-    save_trajectory(path, planned(TUBES).plan, robot(TUBES).joint_names)
-    found = planned(TUBES, trajectory={"file": path}, limits={"max_velocity": 0.3})
-    assert "velocity limit of joint" in found.failure
-    slow = {"file": path, "speed": 0.1}
-    assert planned(TUBES, trajectory=slow, limits={"max_velocity": 0.3}).failure is None
 
 
 def test_a_trajectory_edited_to_leave_a_joints_range_fails(tmp_path):
@@ -234,11 +191,3 @@ def test_a_file_that_never_ends_is_refused(tmp_path, duration, words):
     path.write_text(text.replace("inf", "Infinity"))
     with pytest.raises(InputError, match=words):
         planned(TUBES, trajectory={"file": path})
-
-
-@pytest.mark.parametrize("kind", ["sines", "optimal"])
-def test_what_takes_hours_to_check_is_refused_at_once(kind):
-    long = {"duration": 1e8, "sample_rate": 1.0, "plan_only": True}
-    excitation = options(kind=kind)
-    with pytest.raises(InputError, match="a motion of 1e[+]08 s takes too long to check"):
-        planned(TUBES, trajectory=long, excitation=excitation)

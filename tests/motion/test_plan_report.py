@@ -10,8 +10,7 @@ import pytest
 
 from robot_sysid.motion.limit_check import check_limits
 from robot_sysid.motion.options import LimitOptions
-from robot_sysid.motion.plan_report import plan_lines
-from robot_sysid.motion.prediction import predict
+from robot_sysid.motion.prediction import plan_lines, predict
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.motion.trajectories import FourierTrajectory
 from robot_sysid.trajectory import generate_excitation_trajectory

@@ -66,12 +66,6 @@ def test_twice_the_noise_is_twice_the_deviation():
     assert np.allclose(loud.deviation, 2.0 * quiet.deviation, rtol=1e-9)
 
 
-def test_four_times_the_rate_is_half_the_deviation():
-    plan, some = a_plan(arms.THREE), problem(arms.THREE)
-    slow, fast = predict(some, plan, 250.0), predict(some, plan, 1000.0)
-    assert np.allclose(slow.deviation / fast.deviation, 2.0, rtol=1e-3)
-
-
 def test_an_arm_at_rest_shows_nothing_of_what_it_could():
     some = problem(arms.THREE)
     still = FourierTrajectory(a_plan(arms.THREE).basis, some.rest, np.zeros((3, 7)))
@@ -81,21 +75,7 @@ def test_an_arm_at_rest_shows_nothing_of_what_it_could():
     assert np.all(np.isinf(promised.deviation))
 
 
-def test_what_one_torque_can_never_show_is_said():
-    some = problem(arms.SEVEN, torques="terminal")
-    promised = predict(some, a_plan(arms.SEVEN, torques="terminal"), 500.0)
-    assert "mass" in promised.never
-    assert promised.unseen == ()
-    assert np.isinf(promised.deviation[0]) and np.isinf(promised.com_deviation)
-
-
 def test_a_designed_arm_has_nothing_unseen():
     promised = predict(problem(arms.SEVEN), a_plan(arms.SEVEN), 500.0)
     assert promised.never == promised.unseen == ()
     assert np.all(np.isfinite(promised.deviation))
-
-
-def test_what_is_known_to_less_than_a_fifth_is_loose():
-    some = problem(arms.SEVEN, noise_torque=300.0)
-    promised = predict(some, a_plan(arms.SEVEN), 500.0)
-    assert len(promised.loose) > 0

@@ -26,7 +26,6 @@ from robot_sysid.motion.static import (
     startable,
     sweep_lines,
 )
-from robot_sysid.motion.trajectories import at_speed, load_trajectory, save_trajectory
 from robot_sysid.records import Motion
 from tests.support import arms
 from tests.support.arms import X, Y, Z, robot_of
@@ -56,11 +55,6 @@ def held(some, pose):
     still = np.zeros((1, len(pose)))
     torque = some.torque(Motion(np.zeros(1), pose[None], still, still))
     return np.max(np.abs(torque[0]) / some.limits.torque)
-
-
-def test_a_start_that_can_be_held_stays_as_it_is():
-    some = built(arm(), max_torque=40.0)
-    assert startable(some) is some
 
 
 def test_a_motion_starts_where_nothing_collides():
@@ -109,12 +103,6 @@ def test_what_cannot_be_held_starts_where_it_can_be(lean, share):
     assert "holding still takes" in note and "at joint joint1" in note
 
 
-def test_the_other_start_depends_on_no_seed():
-    some = weakened(leaning(0.8), 0.5)
-    assert np.array_equal(startable(some).rest, startable(some).rest)
-    assert not np.array_equal(startable(some).rest, some.rest)
-
-
 def test_dry_friction_counts_where_the_arm_moves_off():
     """A pose that is just held cannot be left: the motion starts where there is room to."""
     stiff = TUBES.replace('range="-2.5 2.5"', 'range="-2.5 2.5" frictionloss="0.3"')
@@ -139,13 +127,6 @@ def test_the_way_to_another_start_is_looked_at_too():
     assert contact_on_the_way(some, some.rest) is None
     assert contact_on_the_way(some, np.array([0.5, -0.5, 0.2, 0.1])) is None
     assert "wall" in contact_on_the_way(some, through)
-
-
-def test_a_free_way_is_preferred():
-    """Both sides are as light; a wall stands before one of them."""
-    weak = arm(tube_arm((Z, Y, X, Y), WALL), (0.0, -1.5, 0.0, 0.0))
-    some = built(weak, max_torque=3.0)
-    assert contact_on_the_way(some, startable(some).rest) is None
 
 
 POSING = arms.robot_of(arms.serial_arm((arms.Z, arms.Y, arms.Y, arms.X)))
@@ -181,20 +162,6 @@ def test_each_pose_is_approached_from_both_sides(poses):
 def test_the_promise_tells_the_mass(posing, poses):
     told = " ".join(pose_lines(posing, poses))
     assert "6 poses" in told and "mass to 0.0" in told
-
-
-def test_a_saved_plan_is_the_same(poses, tmp_path):
-    path = tmp_path / "plan.json"
-    save_trajectory(path, poses, POSING.joint_names)
-    again = load_trajectory(path).plan
-    for name in ("points", "moves", "dwells"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(poses, name))
-
-
-def test_where_nothing_can_be_reached_it_is_said(posing):
-    lame = replace(posing.limits, torque=np.full(4, 1e-3))
-    with pytest.raises(InputError, match="poses within the limits"):
-        design_poses(replace(posing, limits=lame), OPTIONS, np.random.default_rng(0))
 
 
 SWEEPING = arms.robot_of(arms.serial_arm((arms.Z, arms.Y)))
@@ -245,13 +212,3 @@ def test_a_joint_that_starts_at_its_limit_is_swept_the_other_way():
     start = np.append(some.rest[:3], some.limits.upper[3])
     points = design_sweeps(replace(some, rest=start)).points
     assert np.max(points[:, 3]) <= start[3] and np.min(points[:, 3]) < start[3] - 0.1
-
-
-def test_saved_sweeps_are_the_same_at_half_speed_too(sweeping, sweeps, tmp_path):
-    path = tmp_path / "plan.json"
-    slow = at_speed(sweeps, 0.5)
-    save_trajectory(path, slow, SWEEPING.joint_names)
-    again = load_trajectory(path).plan
-    time = np.linspace(0.0, slow.duration, 50)
-    np.testing.assert_array_equal(again.evaluate(time).q, slow.evaluate(time).q)
-    assert "joint1 0.5" in sweep_lines(sweeping, again)[0]
