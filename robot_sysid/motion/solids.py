@@ -25,7 +25,7 @@ _CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z i
 _ENDS = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
 _AXES = np.vstack((np.eye(3), -np.eye(3)))
 _MANY = 60
-"""Corners of a tool beyond which a convex hull takes less time than it saves."""
+"""Corners beyond which a convex hull takes less time than it saves."""
 _AT_ONCE = 256
 """Postures looked at in one product: as much memory as fits into a processor's cache."""
 
@@ -55,6 +55,9 @@ class Solid:
             spread.append(np.tile(turn * axes, (len(corners), 1, 1)))
         self.points, self.spread = np.concatenate(points), np.concatenate(spread)
         self.radius = np.max(np.linalg.norm(self.spread, axis=1), axis=1)
+        kept = _on_the_hull(self.points, self.radius)
+        self.points, self.spread = self.points[kept], self.spread[kept]
+        self.radius = self.radius[kept]
         empty = len(self.points) == 0
         ends = (np.zeros(3),) if empty else (np.min(self.points, 0), np.max(self.points, 0))
         self.center = np.mean(ends, axis=0)
@@ -190,7 +193,9 @@ def outermost_points(robot: RobotModel) -> tuple[Array, Array]:
         place = data.xpos[solid.body] + solid.points @ data.xmat[solid.body].reshape(3, 3).T
         points.append((place - data.xpos[body]) @ axes)
         radius.append(solid.radius)
-    return _on_the_hull(np.vstack(points), np.concatenate(radius))
+    all_points, all_radius = np.vstack(points), np.concatenate(radius)
+    kept = _on_the_hull(all_points, all_radius)
+    return all_points[kept], all_radius[kept]
 
 
 def _resting(robot: RobotModel) -> Any:
@@ -199,16 +204,15 @@ def _resting(robot: RobotModel) -> Any:
     return data
 
 
-def _on_the_hull(points: Array, radius: Array) -> tuple[Array, Array]:
-    """Leave out points without radius that are inside the convex hull of the others."""
+def _on_the_hull(points: Array, radius: Array) -> Any:
+    """Return which points have a radius, or are no points inside the convex hull of the others."""
     sharp = np.flatnonzero(radius == 0.0)
     if len(sharp) <= _MANY:
-        return points, radius
+        return np.arange(len(points))
     from scipy.spatial import ConvexHull, QhullError
 
     try:
         outer = sharp[ConvexHull(points[sharp]).vertices]
     except QhullError:  # All in one plane.
-        return points, radius
-    kept = np.sort(np.concatenate((outer, np.flatnonzero(radius > 0.0))))
-    return points[kept], radius[kept]
+        return np.arange(len(points))
+    return np.sort(np.concatenate((outer, np.flatnonzero(radius > 0.0))))

@@ -130,7 +130,7 @@ def test_finds_a_wall_that_samples_step_over():
 
 
 class Stopping:
-    """The first joint moves at 2 rad/s and stops from one instant to the next."""
+    """The first joint moves at 2.1 rad/s and stops from one instant to the next."""
 
     duration = 0.2
 
@@ -140,12 +140,12 @@ class Stopping:
     def evaluate(self, time):
         """Motion at times (N,), the speed before an instant rather than after it."""
         q, moving = np.zeros((2, len(time), 3))
-        q[:, 0] = np.minimum(self.end, 2.0 * time)
-        moving[:, 0] = 2.0 * (2.0 * time < self.end)
+        q[:, 0] = np.minimum(self.end, 2.1 * time)
+        moving[:, 0] = 2.1 * (2.1 * time < self.end)
         return Motion(time, q, moving, np.zeros_like(q))
 
 
-@pytest.mark.parametrize(("end", "touches"), [(0.1988, False), (0.1992, True)])
+@pytest.mark.parametrize(("end", "touches"), [(0.1988, False), (0.19945, True)])
 def test_a_motion_that_stops_behind_a_wall_is_found(end, touches):
     """Between two samples it is as fast as at the start of the step."""
     some = dataclasses.replace(problem(arms.THREE), obstacles=ThinWall())
