@@ -5,13 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.model.contacts import CHECK_RATE_HZ, find_new_contacts
+from robot_sysid.motion.limit_check import LimitCheck, check_limits, scaled_to_limits
 from robot_sysid.motion.options import ExcitationOptions, LimitOptions, PoseOptions
+from robot_sysid.motion.problem import DEFAULT_NOISE_TORQUE, ExcitationProblem, build_problem
+from robot_sysid.motion.static import design_poses, design_sweeps, startable
+from robot_sysid.motion.trajectories import at_speed, load_trajectory
 from robot_sysid.records import Motion, MotionPlan, RobotModel
 from robot_sysid.records.options import PerJoint, given_options
 from robot_sysid.records.progress import Progress
@@ -25,10 +28,6 @@ from robot_sysid.trajectory import (
     require_countable,
     sample_count,
 )
-
-if TYPE_CHECKING:
-    from robot_sysid.motion.limit_check import LimitCheck
-    from robot_sysid.motion.problem import ExcitationProblem
 
 LONGEST_CHECKED = 86400.0
 """Length of a motion beyond which its limits are not checked any more [s]."""
@@ -92,8 +91,6 @@ def make_plan(
         _require_checkable(options.duration / options.speed)
     made = _new_plan(request, robot, seed, progress)
     if options.speed != 1.0:
-        from robot_sysid.motion.trajectories import at_speed
-
         made = CheckedPlan(at_speed(made.plan, options.speed), made.problem)
     require_countable(made.plan.duration, options.sample_rate, "--sample-rate")
     if made.problem is None:
@@ -101,8 +98,6 @@ def make_plan(
             progress.note(f"{contact} along this trajectory; do not play it on the arm")
         return made
     _require_checkable(made.plan.duration)
-    from robot_sysid.motion.limit_check import check_limits
-
     for note in () if request.is_designed else made.problem.notes:
         progress.note(note)
     check = made.check or check_limits(made.problem, made.plan, options.sample_rate)
@@ -122,37 +117,32 @@ def _new_plan(
     request: MotionRequest, robot: RobotModel, seed: int, progress: Progress
 ) -> CheckedPlan:
     """Return the trajectory with the limits it has to keep; checked where making it took that."""
-    options = request.trajectory
+    options, rng = request.trajectory, np.random.default_rng(seed)
     if options.file is not None:
         progress.stage(f"Loading excitation trajectory from {options.file}...")
-        return _loaded(request, robot, progress)
+        saved = load_trajectory(options.file)
+        saved.require_fits(robot.joint_names)
+        if saved.sha256 not in ("", robot.sha256):
+            progress.note(
+                f"{options.file} was made for another model file; it is checked against the "
+                f"limits of {robot.path}"
+            )
+        return CheckedPlan(saved.plan, _problem(request, robot))
     what = "Designing" if request.is_designed else "Generating"
-    rate = f"{options.sample_rate:g} Hz"
+    stage = f"{what} excitation trajectory ({options.duration:.1f}s, {options.sample_rate:g} Hz)"
     if request.poses.static:
-        progress.stage(f"Choosing {request.poses.poses} poses to rest in...")
+        stage = f"Choosing {request.poses.poses} poses to rest in"
     elif request.poses.sets_its_time:
-        progress.stage("Looking for room to sweep each joint in...")
-    else:
-        progress.stage(f"{what} excitation trajectory ({options.duration:.1f}s, {rate})...")
+        stage = "Looking for room to sweep each joint in"
+    progress.stage(f"{stage}...")
     if options.seed is None:
         progress.stage(f"Random seed: {seed} (--seed {seed} repeats this run)")
-    make = _designed if request.is_designed else _random
-    make = _slow if request.poses.sets_its_time else make
-    return make(request, robot, np.random.default_rng(seed), progress)
-
-
-def _loaded(request: MotionRequest, robot: RobotModel, progress: Progress) -> CheckedPlan:
-    from robot_sysid.motion.trajectories import load_trajectory
-
-    assert request.trajectory.file is not None
-    saved = load_trajectory(request.trajectory.file)
-    saved.require_fits(robot.joint_names)
-    if saved.sha256 not in ("", robot.sha256):
-        progress.note(
-            f"{request.trajectory.file} was made for another model file; it is checked against "
-            f"the limits of {robot.path}"
-        )
-    return CheckedPlan(saved.plan, _problem(request, robot))
+    if request.poses.sets_its_time:
+        problem = _problem(request, robot)
+        static = request.poses.static
+        plan = design_poses(problem, request.poses, rng) if static else design_sweeps(problem)
+        return CheckedPlan(plan, problem)
+    return (_designed if request.is_designed else _random)(request, robot, rng, progress)
 
 
 def _random(
@@ -172,8 +162,6 @@ def _random(
         progress.note(note)
     if problem is None:
         return CheckedPlan(plan)
-    from robot_sysid.motion.limit_check import scaled_to_limits
-
     smaller, factors = scaled_to_limits(problem, plan, rate)
     if np.min(factors) < 1.0:
         share, joint = 100.0 * np.min(factors), robot.joint_names[int(np.argmin(factors))]
@@ -181,17 +169,6 @@ def _random(
             f"motion scaled down to keep all limits and clearances, most at {joint}: {share:.3g} %"
         )
     return CheckedPlan(smaller, problem)
-
-
-def _slow(
-    request: MotionRequest, robot: RobotModel, rng: np.random.Generator, progress: Progress
-) -> CheckedPlan:
-    from robot_sysid.motion.static import design_poses, design_sweeps
-
-    problem = _problem(request, robot)
-    if request.poses.static:
-        return CheckedPlan(design_poses(problem, request.poses, rng), problem)
-    return CheckedPlan(design_sweeps(problem), problem)
 
 
 def _designed(
@@ -205,8 +182,8 @@ def _designed(
     result = design_excitation(design, rng, progress)
     for note in result.notes:
         progress.note(note)
-    gain = result.start_objective / result.objective
     if not for_arm:
+        gain = result.start_objective / result.objective
         progress.detail(
             f"Mean standard deviation: {result.objective:.4g}, {gain:.2f} times better than the "
             f"best of {result.n_feasible} feasible random trajectories"
@@ -216,9 +193,6 @@ def _designed(
 
 def _problem(request: MotionRequest, robot: RobotModel) -> ExcitationProblem:
     """Return the arm with all limits; of a new motion, its band limits the accelerations too."""
-    from robot_sysid.motion.problem import DEFAULT_NOISE_TORQUE, build_problem
-    from robot_sysid.motion.static import startable
-
     is_new, basis = request.trajectory.file is None, request.excitation.basis
     band = basis(request.trajectory.duration).top_frequency_hz if is_new else None
     noise = request.noise_torque if np.all(request.noise_torque) else DEFAULT_NOISE_TORQUE

@@ -16,7 +16,7 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
@@ -165,20 +165,22 @@ def _search(
         progress.advance("Designing the trajectory", done, jobs, text)
 
     with _workers(design, options.n_workers) as run:
-        for some in run(partial(_draw_some, seed=seed, deadline=deadline), numbers):
+        draw = partial(draw_trajectories, seed=seed, deadline=deadline)
+        for some in run([partial(draw, numbers=some) for some in numbers]):
             draws += some
             done += 1
             tell()
             if is_over(deadline) and _feasible(draws):
                 return "time budget"
         starts = _feasible(draws)[: options.n_starts]
-        for candidate in run(_started, starts):
+        for candidate in run([partial(first_candidate, x=draw.x) for draw in starts]):
             candidates.append(candidate)
             tell()
         for _ in range(rounds if candidates else 0):
             if is_over(deadline):
                 return "time budget"
-            improved = run(partial(improve, deadline=deadline), list(candidates))
+            job = partial(improve, deadline=deadline)
+            improved = run([partial(job, candidate=candidate) for candidate in candidates])
             for k, candidate in enumerate(improved):
                 candidates[k] = candidate
                 done += 1
@@ -281,14 +283,6 @@ def draw_trajectories(
     return draws
 
 
-def _draw_some(design: Design, numbers: range, seed: int, deadline: float) -> list[Draw]:
-    return draw_trajectories(design, seed, numbers, deadline)
-
-
-def _started(design: Design, draw: Draw) -> Candidate:
-    return first_candidate(design, draw.x)
-
-
 def _within_motion_limits(design: Design, rng: np.random.Generator) -> Array:
     """Return a random motion, each joint as large as position, speed and acceleration allow.
 
@@ -344,15 +338,16 @@ def _shrunk(design: Design, full: Array) -> Draw:
     return Draw(np.inf, np.zeros_like(full), f"clearance of {label}")
 
 
-Runner = Callable[[Callable[[Any, Any], Any], Sequence[Any]], Iterator[Any]]
+Job = Callable[[Any], Any]
+"""A function of what is shared; ``functools.partial`` of a module's function, to be sent."""
 
 # What the jobs of this process work on, where this process is a worker.
 _received: Any = None
 
 
 @contextlib.contextmanager
-def _workers(shared: Any, count: int) -> Iterator[Runner]:
-    """Give a function that yields job(shared, item) of each item, in order, from processes.
+def _workers(shared: Any, count: int) -> Iterator[Callable[[Sequence[Job]], Iterator[Any]]]:
+    """Give a function that yields the results of jobs, in order, from processes.
 
     They are started afresh ("spawn"), so nothing depends on what this process has loaded; each
     receives what is shared once and keeps it. With one worker the present process does the work.
@@ -374,22 +369,18 @@ def _workers(shared: Any, count: int) -> Iterator[Runner]:
                 process.terminate()
 
 
-def _run(
-    shared: Any, pool: ProcessPoolExecutor | None, job: Callable[[Any, Any], Any], items: Any
-) -> Iterator[Any]:
+def _run(shared: Any, pool: ProcessPoolExecutor | None, jobs: Sequence[Job]) -> Iterator[Any]:
     """Yield the results; what workers that died, or could not be started, left is done here."""
     done = 0
     with contextlib.suppress(BrokenProcessPool, OSError, RuntimeError):
-        for future in () if pool is None else _submitted(pool, job, items):
+        for future in () if pool is None else _submitted(pool, jobs):
             yield future.result()
             done += 1
     # An error in a job is seen here.
-    yield from (job(shared, item) for item in items[done:])
+    yield from (job(shared) for job in jobs[done:])
 
 
-def _submitted(
-    pool: ProcessPoolExecutor, job: Callable[[Any, Any], Any], items: Iterable[Any]
-) -> list[Future[Any]]:
+def _submitted(pool: ProcessPoolExecutor, jobs: Sequence[Job]) -> list[Future[Any]]:
     """Return the futures of jobs; the first ones start processes, as far as the system lets.
 
     These never get Ctrl-C, and do their linear algebra in one thread: the matrices are small, and
@@ -400,7 +391,7 @@ def _submitted(
     os.environ.update(dict.fromkeys(unset, "1"))
     try:
         with held_back((signal.SIGINT,)):
-            return [pool.submit(_do, job, item) for item in items]
+            return [pool.submit(_do, job) for job in jobs]
     finally:
         for name in unset:
             os.environ.pop(name, None)
@@ -421,5 +412,5 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _do(job: Callable[[Any, Any], Any], item: Any) -> Any:
-    return job(_received, item)
+def _do(job: Job) -> Any:
+    return job(_received)
