@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from robot_sysid.motion.limit_check import check_limits
-from robot_sysid.motion.options import LimitOptions
 from robot_sysid.motion.prediction import plan_lines, predict
-from robot_sysid.motion.problem import build_problem
 from robot_sysid.motion.trajectories import FourierTrajectory
 from robot_sysid.trajectory import generate_excitation_trajectory
 from tests.motion.test_prediction import a_plan
 from tests.support import arms, witness
 from tests.support.arms import X, Y, Z
-from tests.support.excitation_arms import FLOOR, TUBES, TUBES_AND_POST, problem, robot, tube_arm
+from tests.support.excitation_arms import TUBES, problem, robot, tube_arm
 from tests.support.releases import since
 
 STRONG = TUBES.replace('range="-2.5 2.5"', 'range="-2.5 2.5" actuatorfrcrange="-60 60"')
@@ -37,31 +34,12 @@ def the(lines, start):
     return line
 
 
-def test_lines_tell_peaks_clearance_and_broken_limits():
-    some = problem(TUBES_AND_POST)
-    lines = report(some, sines(TUBES_AND_POST))
-    assert sum(line.startswith("  joint") for line in lines) == 4
-    assert the(lines, "Clearance: ")
-    wild = FourierTrajectory(a_plan(TUBES_AND_POST).basis, some.rest, 2.0 * np.ones((4, 7)))
-    assert any(line.startswith("NOT KEPT: ") for line in report(some, wild))
-
-
 def test_what_a_still_arm_does_not_show_is_said():
     some = problem(arms.THREE)
     still = FourierTrajectory(a_plan(arms.THREE).basis, some.rest, np.zeros((3, 7)))
     text = "\n".join(report(some, still))
     assert "not identified" in text
     assert "This motion does not show mass: move more joints" in text
-
-
-def test_what_one_torque_can_never_show_is_said():
-    some = problem(arms.SEVEN, torques="terminal")
-    assert "--torques chain" in "\n".join(report(some, a_plan(arms.SEVEN, torques="terminal")))
-
-
-def test_loose_parameters_come_with_what_would_help():
-    some = problem(arms.SEVEN, noise_torque=300.0)
-    assert "times the duration" in "\n".join(report(some, a_plan(arms.SEVEN)))
 
 
 def test_the_speed_of_the_tools_fastest_point_is_that_of_its_last_tube():
@@ -86,13 +64,6 @@ def test_the_stated_clearance_is_the_smallest_distance_not_the_tightest_slack():
     assert 1e3 * real - 0.25 <= stated <= 1e3 * real
 
 
-def test_what_no_motion_brings_nearer_has_a_line_of_its_own():
-    """The first tube turns about itself, 25 mm above the floor."""
-    low = tube_arm((Z, Y), FLOOR, pos="0 0 .015")
-    line = the(report(problem(low), sines(low)), "No motion brings these nearer")
-    assert line == "No motion brings these nearer than 24.9 mm: world and link0"
-
-
 def test_each_limit_comes_with_where_it_is_from():
     lines = report(problem(STRONG, max_acceleration=5.0), sines(STRONG))
     model = "Limits of the model: position of all joints; torque 60 of all joints"
@@ -101,17 +72,6 @@ def test_each_limit_comes_with_where_it_is_from():
     assert the(lines, "Limits that were") == asked
     assumed = "Limits assumed, not the model's: velocity 2 of all joints"
     assert the(lines, "Limits assumed") == assumed
-
-
-def test_an_unlimited_joint_has_an_assumed_range_and_a_list_of_speeds_was_asked_for():
-    named = 'name="joint1" axis="0 1 0"'
-    free = TUBES.replace(f'{named} range="-2.5 2.5"', named)
-    speeds = (1.5, 2.0, 1.0, 1.0)
-    arm = arms.robot_of(free, max_velocity=speeds)
-    lines = report(build_problem(arm, LimitOptions(max_velocity=speeds)), sines(TUBES))
-    assert "position of joint1; velocity 2 of joint1;" in the(lines, "Limits assumed")
-    assert "velocity 1, 1.5 of joint0, joint2, joint3" in the(lines, "Limits that were")
-    assert "position of joint0, joint2, joint3" in the(lines, "Limits of the model")
 
 
 def test_the_torque_that_is_left_is_said_as_a_load():
@@ -132,14 +92,3 @@ def test_the_swept_box_holds_the_arm():
     assert high >= 1.23 and low <= 0.26
     assert line.endswith("the lowest point is one of link0")
     assert not any(line.startswith("Torque left") for line in lines), "no torque is limited"
-
-
-def test_what_an_identification_will_state_is_said_where_it_is_known():
-    some, plan = problem(TUBES), sines(TUBES)
-    check, promised = check_limits(some, plan), predict(some, plan, 500.0)
-    stated = np.full(10, np.inf)
-    stated[0] = 0.02 * promised.size[0]
-    promised = replace(promised, counted="counted so", stated=stated)
-    lines = list(plan_lines(some, plan, check, promised))
-    assert the(lines, "  counted so")
-    assert the(lines, "An identification of one recording will state").endswith("friction: m 2 %")

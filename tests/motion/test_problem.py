@@ -38,12 +38,6 @@ def test_limits_are_those_of_the_model_less_margins():
     assert np.allclose(some.limits.acceleration, 2.0 * np.pi * 0.5)
 
 
-@pytest.mark.parametrize("top", [0.6, 5.0, 15.0])
-def test_faster_harmonics_do_not_raise_the_acceleration_limit(top):
-    some = built(replace(robot_of(arms.THREE), limits=limits()), "chain", 0.3, top)
-    assert np.allclose(some.limits.acceleration, 2.0 * np.pi * TOP_FREQUENCY_HZ)
-
-
 def test_asked_limits_tighten_those_of_the_model():
     arm = replace(robot_of(arms.THREE), limits=limits(torque=100.0))
     some = built(arm, max_acceleration=3.0, max_torque=(50.0, 60.0, 200.0))
@@ -69,19 +63,6 @@ def test_without_a_band_only_an_asked_limit_binds_accelerations():
     assert np.all(np.isinf(built(arm, "chain", 0.3, None).limits.acceleration))
     asked = built(arm, "chain", 0.3, None, max_acceleration=3.0).limits.acceleration
     assert np.array_equal(asked, np.where(arm.is_slide, np.inf, 3.0))
-
-
-def test_terminal_torques_use_one_row():
-    some = problem(arms.SEVEN, torques="terminal", noise_torque=tuple(range(1, 8)))
-    assert some.rows == (6,)
-    assert some.sigma.tolist() == [7.0]
-    assert problem(arms.SEVEN).rows == tuple(range(7))
-
-
-def test_a_workspace_the_link_leaves_already_at_rest_is_refused():
-    box = (-1.0, 1.0, -1.0, 1.0, 0.0, 1.0)
-    with pytest.raises(InputError, match=r"body link3 is 230 mm beyond the workspace's zmax = 1 m"):
-        problem(TUBES, workspace=box)
 
 
 def test_the_workspace_binds_the_terminal_link_alone():
@@ -184,3 +165,22 @@ def test_without_limits_any_load_is_carried_and_beyond_them_none():
     relieved = replace(some, arm_torque=lambda m: -2.0 * np.sign(some.torque_per_kilogram(m)))
     assert limited(relieved, np.full(7, 3.0)).load_left(motion)[0] > 0.0
     assert limited(relieved, np.full(7, 1.0)).load_left(motion)[0] < 0.0
+
+
+@pytest.mark.parametrize("top", [0.6, 5.0, 15.0])
+def test_faster_harmonics_do_not_raise_the_acceleration_limit(top):
+    some = built(replace(robot_of(arms.THREE), limits=limits()), "chain", 0.3, top)
+    assert np.allclose(some.limits.acceleration, 2.0 * np.pi * TOP_FREQUENCY_HZ)
+
+
+def test_a_workspace_the_link_leaves_already_at_rest_is_refused():
+    box = (-1.0, 1.0, -1.0, 1.0, 0.0, 1.0)
+    with pytest.raises(InputError, match=r"body link3 is 230 mm beyond the workspace's zmax = 1 m"):
+        problem(TUBES, workspace=box)
+
+
+def test_terminal_torques_use_one_row():
+    some = problem(arms.SEVEN, torques="terminal", noise_torque=tuple(range(1, 8)))
+    assert some.rows == (6,)
+    assert some.sigma.tolist() == [7.0]
+    assert problem(arms.SEVEN).rows == tuple(range(7))

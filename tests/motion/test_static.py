@@ -207,8 +207,7 @@ def test_a_joint_without_room_is_left_out_and_said(sweeping):
         design_sweeps(replace(tight, limits=shut))
 
 
-def test_a_joint_that_starts_at_its_limit_is_swept_the_other_way():
-    some = problem(TUBES)
-    start = np.append(some.rest[:3], some.limits.upper[3])
-    points = design_sweeps(replace(some, rest=start)).points
-    assert np.max(points[:, 3]) <= start[3] and np.min(points[:, 3]) < start[3] - 0.1
+def test_a_joint_that_starts_at_its_limit_is_swept_the_other_way(sweeping):
+    start = np.append(sweeping.rest[:1], sweeping.limits.upper[1])
+    points = design_sweeps(replace(sweeping, rest=start)).points
+    assert np.max(points[:, 1]) <= start[1] and np.min(points[:, 1]) < start[1] - 0.1

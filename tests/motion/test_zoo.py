@@ -17,23 +17,15 @@ from robot_sysid.motion.problem import build_problem
 from robot_sysid.parser import load_robot_model
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import TrajectoryOptions, motion_chunks
-from tests.support.places import GUESS, MODELS
+from tests.support.places import MODELS
 
-# One model per arm, some with a floor or a table; ``excitation_table`` in benchmarks has all.
+# The most different ones: ``excitation_table`` in benchmarks has all.
 ARMS = [
-    ("kinova_gen3/gen3.xml", None),
-    ("franka_panda/panda.xml", None),
     ("franka_panda/scene.xml", None),
     ("franka_fr3/FrankaFR3_7DoF.urdf", None),
-    ("kuka_iiwa_14/iiwa14.xml", None),
     ("universal_robots_ur5e/scene.xml", None),
-    ("ufactory_xarm7/xarm7.xml", None),
-    ("trossen/wxai/wxai_follower.xml", None),
     ("openarm_v2/openarm_bimanual.xml", "openarm_left_joint7"),
-    ("aloha/aloha.xml", "left/wrist_rotate"),
-    ("aloha/scene.xml", "right/wrist_rotate"),
     ("so101/so101_new_calib.xml", "wrist_roll"),
-    ("so101/so101_new_calib.urdf", "gripper"),
 ]
 QUICK = {"draws": 60, "starts": 1, "rounds": 6, "iterations": 30}
 
@@ -70,18 +62,3 @@ def test_every_arm_gets_a_trajectory_it_can_run(model, joint):
     assert list(violations(robot, result.trajectory)) == []
     assert find_new_contacts(robot, motion_chunks(result.trajectory, 1000.0)) == ()
     assert result.objective < 0.8 * result.start_objective
-
-
-@pytest.mark.slow
-def test_a_floor_and_a_second_plane_are_kept(tmp_path):
-    planes = ((0.0, 0.0, 1.0, 0.0), (1.0, 0.0, 0.0, -0.4))
-    robot, problem, result = search(GUESS, keep_out=planes)
-    _, _, free = search(GUESS)
-    assert list(violations(robot, result.trajectory)) == []
-    for motion in motion_chunks(result.trajectory, 100.0):
-        assert np.min(problem.obstacles.slack(motion.q).value) >= 0.0
-    crossed = [
-        np.min(problem.obstacles.slack(motion.q).value)
-        for motion in motion_chunks(free.trajectory, 100.0)
-    ]
-    assert min(crossed) < 0.0, "without planes this arm goes there, so the test can fail"
