@@ -1,19 +1,15 @@
 """Choosing the cut-off frequency from the data.
 
 The error of an acceleration taken from low-passed positions has two parts: motion above the
-cut-off, which is lost, and encoder noise below it, which grows with the fourth power of frequency.
-Both can be read off the spectrum of the raw second difference of position: the noise is the level
-at high frequencies, where a second difference of white noise has the known shape
-(2 - 2 cos(2 pi f T))^2 / T^4, and the motion is what stands clearly above it. The steps of an
-encoder are such noise only where a joint passes several of them within a sampling period. A joint
-that creeps over its steps is read as a staircase, whose spectrum stands far above that shape at low
-frequencies; what a staircase differs from the line through its steps is noise as well
-(``encoder_steps``).
+cut-off, which is lost, and encoder noise below it. Both are read off the spectrum of the raw second
+difference of position: the noise is the level at high frequencies, where a second difference of
+white noise has the shape (2 - 2 cos(2 pi f T))^2 / T^4, the motion is what stands clearly above it.
+A joint that creeps over an encoder's steps is read as a staircase, whose spectrum stands far above
+that shape; what it differs from the line through its steps is noise as well (``encoder_steps``).
 
-The chosen cut-off is the highest one whose expected error is small: a higher one keeps more of the
-friction's sign changes and cuts less off the ends of the log, and costs nothing as long as the
-noise stays small. It stays within a multiple of the frequencies that the arm moves at, beyond which
-nothing is gained and torques hold more and more that is not motion.
+The chosen cut-off is the highest one whose expected error is small, which keeps most of friction's
+sign changes and of the ends of the log. It stays within a multiple of the frequencies that the arm
+moves at, beyond which torques hold more and more that is not motion.
 """
 
 from __future__ import annotations
@@ -73,11 +69,7 @@ class Spectra:
 
 
 def choose_cutoff(spectra: Spectra) -> tuple[float, float, str]:
-    """Choose one cut-off for all joints.
-
-    Returns:
-        (cut-off [Hz], expected error of the acceleration as a part of it, where they come from).
-    """
+    """Return (one cut-off for all joints [Hz], expected error of acceleration as a part, why)."""
     rate = spectra.rate
     highest = 0.2 * rate
     half_width_times_cutoff = design_low_pass(highest, rate).half_width * highest / rate
@@ -115,10 +107,8 @@ def spectra_of(q: Array, rate: float, steps: Array) -> Spectra | None:
     """Return the spectra of all joints; None where there are too few samples for any.
 
     Args:
-        q: (N, n) positions on a uniform grid [rad].
+        q, steps: (N, n) positions on a uniform grid, and what ``encoder_steps`` says of them [rad].
         rate: sample rate [Hz].
-        steps: (N, n) the part of q that comes from the steps of encoders [rad], see
-            ``encoder_steps``.
     """
     q, steps, rate = _without_repeats(q, steps, rate)
     if len(q) < _SHORTEST:
@@ -213,9 +203,9 @@ def _squared_speed(frequency: Array, motion: Array) -> Array:
 def _first_gap(frequency: Array, motion: Array) -> int:
     """Return the index of the first octave that adds next to nothing to the squared speed.
 
-    What lies beyond is not the arm's motion: repeated samples and jitter in time leave images of it
-    there, which count as speed all the same. Looked for above the frequency that holds half of the
-    squared speed in the lower half of all octaves, which is motion for sure.
+    What lies beyond are images of the motion, which repeated samples and jitter in time leave.
+    Looked for above the frequency that holds half of the squared speed in the lower half of all
+    octaves, which is motion for sure.
     """
     speed = _squared_speed(frequency, motion)
     octave = np.minimum(np.searchsorted(frequency, 2.0 * frequency), len(frequency) - 1)

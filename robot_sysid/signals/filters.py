@@ -2,16 +2,13 @@
 
 A least-squares fit does not care about a linear filter as long as both sides of Y theta = tau pass
 the same one (parallel filtering: Gautier, "Dynamic identification of robots with power model",
-ICRA 1997). The filter is a symmetric window of finite length, a sinc times a Kaiser window, so that
-it delays nothing, needs no assumption about what happens beyond the ends of a log (the ends are cut
-off), and gives the same numbers whether the rows come at once or in chunks.
+ICRA 1997). The filter is symmetric and of finite length, a sinc times a Kaiser window: it delays
+nothing, assumes nothing beyond the ends of a log (they are cut off), and gives the same numbers
+whether the rows come at once or in chunks.
 
-Derivatives and shifts are symmetric finite stencils, exact for polynomials up to their order, which
-suits signals that a low-pass has already been over: at a tenth of the sample rate an eighth-order
-difference is exact to 4e-5, one of order sixteen to 2e-9. On low-passed encoder data they leave
-only the noise inside the pass band; on the same data a Savitzky-Golay window over the raw positions
-leaves nearly three times as much, a Fourier derivative more than ten times, and a recursive filter
-run both ways as much, but errs near the ends (benchmarks/differentiation_accuracy.py).
+Derivatives and shifts are symmetric finite stencils, exact for polynomials up to their order: at a
+tenth of the sample rate an eighth-order difference is exact to 4e-5, one of order sixteen to 2e-9.
+What others leave on encoder data: benchmarks/differentiation_accuracy.py.
 """
 
 from __future__ import annotations
@@ -24,13 +21,14 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
-from robot_sysid.records import Array, checked_array
+from robot_sysid.records import Array
 
 # Kaiser's design formulas (Oppenheim, Schafer, "Discrete-Time Signal Processing", sec. 7.5.3).
 ATTENUATION = 90.0
 """Usual attenuation [dB]: within 1e-4 of one below 0.4 times the cut-off, below 1e-4 above 1.6
 times. That is 80 dB; the rest makes up for the formulas being approximate for short kernels."""
 _TRANSITION = 1.2
+# Samples of half a kernel that no log has: three hours at 1 kHz.
 _LONGEST = 1e7
 HIGHEST_CUTOFF = 0.3
 """Largest cut-off, as a part of the sample rate, whose stop band still fits below Nyquist."""
@@ -51,12 +49,6 @@ class LowPass:
     rate: float
     kernel: Array
     step: int
-
-    def __post_init__(self) -> None:
-        kernel = checked_array(self.kernel, (None,), "filter kernel")
-        if len(kernel) % 2 == 0 or not np.array_equal(kernel, kernel[::-1]):
-            raise InputError("a zero-phase filter kernel must be symmetric and of odd length")
-        object.__setattr__(self, "kernel", kernel)
 
     @property
     def half_width(self) -> int:
@@ -82,18 +74,13 @@ class LowPass:
 
 
 def design_low_pass(cutoff: float, rate: float, attenuation: float = ATTENUATION) -> LowPass:
-    """Return the low-pass with this cut-off.
+    """Return the low-pass with a cut-off [Hz] at a sample rate [Hz], or raise InputError.
 
     Decimated samples come at about twice the cut-off, so that white noise stays nearly white and
     their number says how much the data really holds.
 
     Args:
-        cutoff: [Hz].
-        rate: sample rate [Hz].
         attenuation: of the stop band, and how flat the pass band is [dB].
-
-    Raises:
-        InputError: the cut-off is not between zero and 0.3 times the sample rate.
     """
     from scipy.signal import firwin, kaiser_beta
 
@@ -187,7 +174,7 @@ def _central_weights(reach: int) -> tuple[Array, Array]:
 
 
 def advanced(values: Array, samples: float) -> tuple[Array, int]:
-    """Return values at fractional later instants: result[k] = values(k + first + samples).
+    """Return (values (K, ...) at later instants, ``first``), k-th = values(k + first + samples).
 
     A band-limited signal is shifted exactly by its sinc series, here cut off by a window; whole
     samples are shifted by slicing, without any loss.
@@ -195,10 +182,6 @@ def advanced(values: Array, samples: float) -> tuple[Array, int]:
     Args:
         values: (N, ...) evenly sampled.
         samples: how many sampling periods later; negative for earlier.
-
-    Returns:
-        (K, ...) shifted values, and the index ``first`` that the first one replaces. The same
-        ``first`` and K hold for every shift of the same number of whole samples.
     """
     from scipy.signal import kaiser_beta
 

@@ -10,11 +10,10 @@
    or over moments in which a joint is too slow for its friction to have a sign, are masked
    (``ProcessedSignals.usable``).
 
-A filtered row mixes all samples under the filter's window. Near a reversal it therefore holds
-samples in which the direction of friction is not known, even where its own instant is fast. What
-counts is the share of the filter's weight on such samples: rows above ``LARGEST_SLOW_SHARE`` are
-masked. In a simulated closed loop a mask that only looks at a row's own instant leaves errors of
-3.8 % in viscous friction, this one 0.9 % (benchmarks/reversal_masking.py).
+A filtered row mixes all samples under the filter's window, near a reversal also some in which the
+direction of friction is not known. Rows with more than ``LARGEST_SLOW_SHARE`` of the filter's
+weight on such samples are masked. In a simulated closed loop a mask that only looks at a row's own
+instant leaves errors of 3.8 % in viscous friction, this one 0.9 % (benchmarks/reversal_masking.py).
 """
 
 from __future__ import annotations
@@ -125,18 +124,14 @@ class ProcessedSignals:
         """Yield (motion, raw torque (m, n)) of consecutive samples, at most ``size`` at a time."""
         for start in range(0, len(self), size):
             part = slice(start, start + size)
-            motion = Motion(self.time[part], self.q[part], self.qd[part], self.qdd[part])
-            yield motion, self.tau[part]
+            yield self.motion(part), self.tau[part]
 
-    def motion(self, at: NDArray[np.int64]) -> Motion:
+    def motion(self, at: NDArray[np.int64] | slice) -> Motion:
         """Return the motion at some samples (m,)."""
         return Motion(self.time[at], self.q[at], self.qd[at], self.qdd[at])
 
     def decimated_motion(self) -> Motion:
-        """Return the motion (K, n) at the instants of the decimated rows.
-
-        It is low-passed already, and slow enough not to need that twice.
-        """
+        """Return the motion (K, n), low-passed once, at the instants of the decimated rows."""
         return self.motion(self.low_pass.centres(len(self)))
 
     def refiltered(self) -> tuple[NDArray[np.int64], Motion]:
@@ -237,9 +232,8 @@ def process(
 
     Args:
         cutoff: of the low-pass [Hz]; None chooses it from the data.
-        deadband: speed of a joint below which its friction has no sure direction [rad/s], one
-            number for all joints or one per joint; rows in which such samples weigh too much are
-            not used. None takes 0.5 % of the joint's peak speed, zero uses all rows.
+        deadband: speed below which a joint's friction has no sure direction [rad/s], one number or
+            one per joint; None takes 0.5 % of the joint's peak speed, zero uses all rows.
         least_deadband: (n,) where the deadband is taken from the data, it is at least this [rad/s].
 
     Raises:
@@ -326,9 +320,8 @@ def _exact_enough(
 ) -> tuple[LowPass, int]:
     """Return the low-pass for positions and the reach of their derivatives.
 
-    Equations do not care for ripples of a filter that both their sides pass. Positions pass theirs
-    alone: it scales motion by up to 1 + ripple, and with it what is identified. So it is as flat as
-    the noise of positions is low, at the cost of some more samples at the ends.
+    Positions pass their filter alone: it scales motion by up to 1 + ripple, and with it what is
+    identified. So it is as flat as the noise of positions is low, for more samples at the ends.
     """
     ripple = max(_UNSEEN * noise_share(spectra, low_pass.cutoff), 10.0 ** (-_FLATTEST / 20.0))
     wanted = -20.0 * math.log10(min(ripple, 1.0))

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.io import savemat
 
 from robot_sysid.records import Measurement
 from tests.support.log_files import JOINTS
@@ -197,13 +196,6 @@ def npz(folder: Path, data: Measurement) -> Path:
     return path
 
 
-def matlab(folder: Path, data: Measurement) -> Path:
-    """Write what ``save log.mat`` does of a struct whose arrays lie on their side."""
-    columns = {"t": data.time, "q": data.q.T, "qd": data.qd.T, "tau": data.tau.T}
-    savemat(folder / "log.mat", {"log": columns, "note": "text"}, do_compression=True)
-    return folder / "log.mat"
-
-
 def libfranka(folder: Path, data: Measurement) -> Path:
     """The columns of logToCSV."""
     path = folder / "franka.csv"
@@ -256,7 +248,6 @@ FORMS: dict[str, Callable[[Path, Measurement], Path]] = {
     "ROS 2 FrankaRobotState": franka_state,
     "LeRobot": lerobot("v2.1"),
     "npz": npz,
-    "MATLAB": matlab,
     "libfranka": libfranka,
     "RTDE": rtde,
     "PlotJuggler": plotjuggler,

@@ -13,7 +13,7 @@ from tests.support import recorded
 from tests.support.log_files import JOINTS, motion, read_measurements
 
 pytest.importorskip("rosbags")
-BYTES = 1_000_000
+BYTES = 300_000
 
 
 def bomb(folder, form):
