@@ -27,7 +27,7 @@ from robot_sysid.logs.formats.ros_bag import bag_table
 from robot_sysid.logs.formats.table import Asked, LogTable
 from robot_sysid.logs.formats.text import is_number, text_table
 from robot_sysid.logs.options import LogOptions
-from robot_sysid.logs.rows import read_rows
+from robot_sysid.logs.rows import followed, read_rows
 from robot_sysid.records import Array, DataOrigin, Measurement, RobotModel, Source
 from robot_sysid.records.atomic_files import whole_file
 from robot_sysid.records.progress import Progress
@@ -129,10 +129,8 @@ def torque_factor(options: LogOptions, joint_names: Sequence[str]) -> Array:
     return factor
 
 
-_WRITTEN = {
-    **{"position": "q", "velocity": "qd", "torque": "tau", "acceleration": "qdd"},
-    "time": "joint_time",
-}
+_WRITTEN = {"position": "q", "velocity": "qd", "torque": "tau", "acceleration": "qdd"}
+_WRITTEN["time"] = "joint_time"
 """Quantity, as titles end in it, to attribute of a measurement."""
 
 
@@ -142,9 +140,7 @@ def write_measurement_csv(
     chunks: Iterable[Measurement],
     header_comments: Sequence[str] = (),
 ) -> None:
-    """Write samples in the form ``open_log`` reads, with every digit.
-
-    The file appears whole or not at all.
+    """Write samples in the form ``open_log`` reads, with every digit; the file appears whole.
 
     Args:
         joint_names: the n chain joints; columns are called ``<joint>_position`` and so on.
@@ -156,15 +152,14 @@ def write_measurement_csv(
     with whole_file(path) as stream:
         stream.writelines(f"# {' '.join(comment.splitlines())}\n" for comment in header_comments)
         writer = csv.writer(stream, lineterminator="\n")
-        quantities: dict[str, str] = {}
+        there: dict[str, str] = {}
         for chunk in chunks:
-            if not quantities:
-                quantities = {n: a for n, a in _WRITTEN.items() if getattr(chunk, a) is not None}
-                writer.writerow(["time", *(f"{j}_{n}" for n in quantities for j in joint_names)])
-            values = [getattr(chunk, attribute) for attribute in quantities.values()]
-            rows = np.column_stack((chunk.time, *values)).tolist()
-            writer.writerows(map(repr, row) for row in rows)
-        if not quantities:
+            if not there:
+                there = {n: a for n, a in _WRITTEN.items() if getattr(chunk, a) is not None}
+                writer.writerow(["time", *(f"{j}_{n}" for n in there for j in joint_names)])
+            values = [getattr(chunk, attribute) for attribute in there.values()]
+            writer.writerows(map(repr, r) for r in np.column_stack((chunk.time, *values)).tolist())
+        if not there:
             raise InputError("there are no samples to write")
 
 
@@ -249,15 +244,13 @@ def earlier_logs(params: Path, robot: RobotModel) -> tuple[Path, ...]:
             or a log is no longer there.
     """
     content = read_json(params, "give the params.json of an earlier run")
-    if not isinstance(content, dict):
-        raise InputError(f"{params} is no params.json: it holds no names and values")
-    logs = content.get("logs")
+    content = content if isinstance(content, dict) else {}
+    logs, model = content.get("logs"), content.get("model")
     if not isinstance(logs, list) or not logs or not all(isinstance(log, str) for log in logs):
         raise InputError(
-            f"{params}: no identification from logs, so there is nothing to add to; give the "
+            f"{params} is of no identification from logs, so there is nothing to add to; give the "
             "params.json of a run with --measurements"
         )
-    model = content.get("model")
     if not isinstance(model, dict) or model.get("sha256") != robot.sha256:
         raise InputError(
             f"{params} was made with another model than {robot.path}; give the same model file, or "
@@ -275,22 +268,20 @@ def content_lines(path: Path, options: LogOptions, progress: Progress) -> list[s
     numeric = [k for k, cell in enumerate(table.first_row) if is_number(cell)]
     columns = numeric if table.first_row else list(range(len(table.titles)))
     least, most, holes = np.tile([[np.nan], [np.nan], [0.0]], len(columns))
-    rows, label = 0, f"Reading {table.path.name}"
-    for block in table.blocks(columns):
+    rows = 0
+    for block in followed(table, columns, progress):
         rows += len(block.cells)
         cells = np.where(np.isfinite(block.cells), block.cells, np.nan)
         holes += np.count_nonzero(np.isnan(cells), axis=0)
         least = np.fmin.reduce(np.vstack((least, cells)))
         most = np.fmax.reduce(np.vstack((most, cells)))
-        progress.advance(label, min(block.done, 0.999), 1.0, f"{rows} rows")
-    progress.advance(label, 1.0, 1.0, "")
     lines = [f"log layout: {table.layout}", f"{rows} {table.word}s"]
     width = max(map(len, table.titles))
     for column, low, high, missing in zip(columns, least, most, holes):
-        title = table.titles[column]
-        kind = "time" if read_title(title).kind == "time" else joint_kind(read_title(title))
+        title = read_title(table.titles[column])
+        kind = "time" if title.kind == "time" else joint_kind(title)
         numbers = f"{low:12.6g} to {high:12.6g}" if low <= high else "no numbers"
         empty = f", {missing:.0f} empty" if missing else ""
-        lines.append(f"  {title:{width}}  {numbers}{empty}" + (f"  ({kind})" if kind else ""))
+        lines.append(f"  {title.text:{width}}  {numbers}{empty}" + (f"  ({kind})" if kind else ""))
     lines.append("give the model too, to see which column is taken for what and what is wrong")
     return lines

@@ -9,7 +9,6 @@ thinned on the way.
 
 from __future__ import annotations
 
-import time as clock
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -83,9 +82,9 @@ def read_rows(
         InputError: time runs backwards, or nothing is left.
     """
     cleaner = _Cleaner(table, columns, is_slide)
-    width = 1 + len(columns.sources()) + (columns.time is None)
-    thinning, kept = None, [np.empty((0, width))]
-    for block in _followed(table, columns, progress or Progress()):
+    wanted = [source.index for source in columns.sources()]
+    thinning, kept = None, [np.empty((0, 1 + len(wanted) + (columns.time is None)))]
+    for block in followed(table, wanted, progress or Progress()):
         rows = cleaner.clean(block)
         if thinning is None and len(rows) > 1:
             thinning = Thinning.of(rows[:, 1], cleaner.n_read / max(block.done, 1e-9))
@@ -98,16 +97,14 @@ def read_rows(
     return LogRows(lines, samples, *told, every, table.word)
 
 
-def _followed(table: LogTable, columns: ColumnMap, progress: Progress) -> Iterator[Block]:
-    label, start, rows, total = f"Reading {table.path.name}", clock.monotonic(), 0, 0
-    for block in table.blocks([source.index for source in columns.sources()]):
+def followed(table: LogTable, columns: Sequence[int], progress: Progress) -> Iterator[Block]:
+    """Yield the blocks of a log, and tell how far it is read."""
+    label, rows = f"Reading {table.path.name}", 0
+    for block in table.blocks(columns):
         yield block
         rows += len(block.lines)
-        total = total or round(rows / max(block.done, 1e-9))
-        speed = rows / max(clock.monotonic() - start, 1e-9)
-        done = round(min(block.done, 0.999) * total)
-        progress.advance(label, done, total, f"{speed:,.0f} rows per second")
-    progress.advance(label, total, total, "")
+        progress.advance(label, min(block.done, 0.999), 1.0, f"{rows} rows")
+    progress.advance(label, 1.0, 1.0, "")
 
 
 def _samples(columns: ColumnMap, cells: Array) -> tuple[Lines, Measurement]:

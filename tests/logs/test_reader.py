@@ -193,7 +193,7 @@ def test_what_cannot_be_a_factor_is_refused(option, wrong):
         ({"logs": []}, "no identification from logs"),
         ({"logs": ["/nowhere/log.csv"]}, "/nowhere/log.csv is no longer there"),
         ({"model": {"sha256": "00"}}, "was made with another model"),
-        (None, "holds no names and values"),
+        (None, "no identification from logs"),
     ],
 )
 def test_a_run_is_continued_with_the_logs_it_names(tmp_path, change, words):
