@@ -41,7 +41,7 @@ _TIMES = ("s", "ms", "us", "ns")
 
 @dataclass(frozen=True)
 class ColumnChoices:
-    """What a columns file says.
+    """What is declared of a log's columns.
 
     Attributes:
         time: title of the time column, or None.
@@ -339,30 +339,24 @@ class _Columns:
 
     def _source(self, kind: str, joint: int, index: int, factor: float) -> Source:
         """Return a column with its factor to SI, by its title or else the declared units."""
-        title, chosen, declared = self._titles[index], self._chosen, None
-        written = self._written(kind, title)
-        if kind in ("time", "joint_time"):
-            declared = None if chosen.time_unit is None else naming.UNITS["time"][chosen.time_unit]
-        elif kind != "torque" and chosen.angle_unit is not None and not self._is_slide[joint]:
-            declared = naming.UNITS["position"][chosen.angle_unit]
-        if written is not None and declared is not None and written != declared:
-            raise InputError(
-                f"column {title.text!r} names a unit that contradicts the declared units; "
-                "declare what the column holds, or drop --units"
-            )
-        unit = next((each for each in (written, declared) if each is not None), 1.0)
-        return Source(index, self._texts[index], factor * unit)
-
-    def _written(self, kind: str, title: naming.Title) -> float | None:
-        if not title.unit:
-            return None
-        factor = naming.UNITS["time" if kind == "joint_time" else kind].get(title.unit)
-        if factor is None:
+        title, chosen = self._titles[index], self._chosen
+        is_time = kind in ("time", "joint_time")
+        known = naming.UNITS["time" if is_time else kind]
+        is_angle = kind != "torque" and not self._is_slide[joint]
+        unit = chosen.time_unit if is_time else chosen.angle_unit if is_angle else None
+        declared = None if unit is None else naming.UNITS["time" if is_time else "position"][unit]
+        written = known.get(title.unit) if title.unit else declared
+        if written is None and title.unit:
             raise InputError(
                 f"unit {title.unit!r} of column {title.text!r} is unknown for a {kind}; rename the "
                 "column, or scale it with --columns FILE"
             )
-        return factor
+        if declared is not None and written != declared:
+            raise InputError(
+                f"column {title.text!r} names a unit that contradicts the declared units; "
+                "declare what the column holds, or drop --units"
+            )
+        return Source(index, self._texts[index], factor * (1.0 if written is None else written))
 
 
 def _quoted(sources: Sequence[Source]) -> str:

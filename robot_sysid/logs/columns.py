@@ -123,8 +123,6 @@ def with_meaning(
 ) -> list[Title]:
     """Return the titles with what they stand for, and with units that no joint's name holds.
 
-    A joint's own name may hold a unit (``right_s0``) or a word of command (``ref_joint_position``).
-
     Args:
         currents: whether motor currents stand for torque and torques for nothing; not where there
             are fewer currents than joints: then the torque columns hold them.
@@ -192,7 +190,7 @@ def without_name(title: Title, name: str) -> Title | None:
     for start in range(len(pieces) - len(wanted) + 1 if wanted else 0):
         if pieces[start : start + len(wanted)] == wanted:
             rest = read_title(" ".join(pieces[:start] + pieces[start + len(wanted) :]))
-            return Title(title.text, rest.words, rest.numbers, unit or rest.unit)
+            return replace(rest, text=title.text, unit=unit or rest.unit)
     return None
 
 

@@ -26,9 +26,10 @@ from robot_sysid.signals.filters import design_low_pass
 # Expected squared error of acceleration, as a part of its mean square, that is no loss yet: it
 # biases an inertia by as much, 0.005 %.
 _HARMLESS = 5e-5
+# Or the least error there is, nearly (chosen: the error is flat around its minimum).
 _NEARLY_BEST = 1.25
 # The arm moves at frequencies that hold this share of the squared speed; the cut-off is at most so
-# many times the highest of them.
+# many times the highest of them (docs/measurements.md, tests/signals/test_cutoff.py).
 _MOSTLY, _WIDEST = 0.99, 15.0
 # Share of rows with a new reading below which readings come slower than rows.
 _HELD, _REGULAR = 0.6, 0.5
@@ -40,10 +41,11 @@ _CLEARLY = 6.0
 # Share of an encoder's steps beside which the reading stays the same, up to which the steps are
 # passed so fast that their noise is white.
 _HARDLY_EVER = 0.01
-# Longer stretches would only resolve frequencies finer than any cut-off needs [s].
+# Longer stretches would only resolve frequencies finer than any cut-off needs (chosen) [s].
 _LONGEST = 20.0
-# Both passes of the filter together may cut off this part of the log.
+# Both passes of the filter together may cut off this part of the log (chosen).
 _TRIMMED = 0.2
+# Samples of a segment, and readings, that a spectrum takes at least (chosen).
 _SHORTEST = 64
 
 

@@ -50,14 +50,16 @@ from robot_sysid.signals.filters import (
 from robot_sysid.signals.resampling import UniformSignals, is_fresh, resampled
 
 LARGEST_SLOW_SHARE = 0.07
-"""Share of the filter's weight that samples inside the deadband may have in a row that is used."""
+"""Share of the filter's weight that samples inside the deadband may have in a row that is used;
+benchmarks/reversal_masking.py compares it with others."""
 USUAL_DEADBAND = 0.005
-"""Share of its own peak speed below which a joint has hardly left stiction."""
+"""Share of its own peak speed below which a joint has hardly left stiction (chosen)."""
 ENOUGH_EACH_WAY = 0.05
-"""Share of the samples in each direction below which a joint is reported."""
+"""Share of the samples in each direction below which a joint is reported (chosen)."""
 # Below this speed a joint is at rest [rad/s]: encoder noise moves it as fast.
 _LEAST_DEADBAND = 1e-3
-# A hole shorter than this part of the cut-off's period is bridged well enough by interpolation.
+# A hole shorter than this part of the cut-off's period is bridged by splines to 0.01 rad/s^2
+# (tests/signals/test_process.py).
 _HARMLESS_GAP = 0.25
 # A pass band's ripple so small beside the noise of single samples is lost in that of a result: the
 # usual filter's, beside the noise of a cut-off that is as high as noise allows.

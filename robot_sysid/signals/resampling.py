@@ -19,8 +19,9 @@ from robot_sysid.records import Array, Measurement
 from robot_sysid.signals.filters import Decimator, design_low_pass
 
 GAP_STEPS = 1.75
-"""A step so many times the usual one has lost at least one sample."""
-# Clocks are rarely better than this part of a sampling period.
+"""A step so many times the usual one has lost at least one sample; a late one comes up to 1.7
+periods after an early one (tests/signals/test_resampling.py)."""
+# Clocks are rarely better than this part of a sampling period (chosen).
 _REGULAR = 0.01
 # Share of long steps beyond which they are how the stamps were rounded.
 _RARELY = 0.01
@@ -138,15 +139,16 @@ def is_fresh(stamps: Array) -> NDArray[np.bool_]:
 
 
 SPLITTING = 0.5
-"""Gap that no filter reaches over [s]."""
+"""Gap that no spline bridges and no filter reaches over (chosen) [s]."""
 SPLITTING_STEPS = 20.0
 """The same in sampling periods, for slow logs."""
 SHORTEST = 4.0
-"""Piece that is too short to be worth filtering [s]."""
+"""Piece that is too short to be worth filtering, as its ends are cut off (chosen) [s]."""
 MOST_ROWS = 100_000
 """Rows of a piece beyond which it is cut, so that filtering it takes little memory."""
 MOST_TIME = 600.0
-"""Length of a log beyond which parts of it, spread evenly, stand for the whole [s]."""
+"""Length of a log beyond which parts of it, spread evenly, stand for the whole [s]: half a minute
+tells nearly as much of the link as an hour (docs/measurements.md)."""
 PART_TIME = 60.0
 """Length of these parts [s]."""
 _MOVING = 0.1
@@ -221,9 +223,9 @@ def part_of(samples: Measurement, start: int, stop: int) -> Measurement:
 
 
 MOST_KEPT = 300_000
-"""Rows beyond which a log is thinned."""
+"""Rows beyond which a log is thinned; so 1 GB is read in 264 MB (docs/logs.md)."""
 LEAST_RATE = 60.0
-"""Rows per second that thinning leaves at least [Hz]."""
+"""Rows per second that thinning leaves at least (docs/logs.md) [Hz]."""
 # Of the rate that is left; flat below 0.4 times this, and what folds back stays above that.
 _CUTOFF = 0.45
 
