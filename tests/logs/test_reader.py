@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.formats import table as formats_table
-from robot_sysid.logs.options import LogOptions
 from robot_sysid.logs.reader import earlier_logs, write_measurement_csv
 from robot_sysid.records import Measurement
 from tests.support.log_files import JOINTS, TITLES, motion, read_measurements, table, write
@@ -109,15 +108,6 @@ def restyled(text: str, style: str) -> bytes:
     return changed.encode("utf-16" if style == "utf16" else "utf-8")
 
 
-def test_degrees_and_milliseconds_are_converted_when_declared(tmp_path):
-    data = motion(60)
-    rows = table(data)
-    rows[:, 0] *= 1e3
-    rows[:, 1:4] = np.degrees(rows[:, 1:4])
-    log = read_measurements(write(tmp_path / "log.csv", rows), JOINTS, units="deg,ms")
-    assert_same(replace(data, qd=None), log.samples, tolerance=1e-14)
-
-
 def test_a_log_without_titles_needs_a_columns_file_and_one_without_time_a_rate(tmp_path):
     data = motion(30)
     path = write(tmp_path / "log.csv", table(data), titles=())
@@ -177,13 +167,6 @@ def test_torque_is_divided_by_scale_and_multiplied_with_constants(tmp_path, scal
     np.testing.assert_array_equal(log.samples.q, motion(20).q)
     notes = " ".join(read_measurements(path, JOINTS, torque_scale=2.0).notes)
     assert "'tau1', 'tau2', 'tau3' (each x 0.5)" in notes
-
-
-@pytest.mark.parametrize("option", ["torque_scale", "torque_constants"])
-@pytest.mark.parametrize("wrong", [0.0, -1.0, float("nan"), (1.0, float("inf"))])
-def test_what_cannot_be_a_factor_is_refused(option, wrong):
-    with pytest.raises(InputError, match="must be positive"):
-        LogOptions(**{option: wrong})
 
 
 @pytest.mark.parametrize(

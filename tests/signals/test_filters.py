@@ -33,33 +33,19 @@ def test_chunks_of_any_size_give_the_same_decimated_samples(cutoff, sizes, seed)
     assert len(low_pass.centres(len(values))) == len(every)
 
 
-@given(st.floats(1.0, 60.0), st.floats(0.0, 1.0), st.floats(0.0, 6.0))
-def test_pass_band_and_stop_band_keep_their_promise(cutoff, where, phase):
-    rate = 200.0
-    low_pass = design_low_pass(cutoff, rate)
-    time = seconds(12.0, rate)
-    half = low_pass.half_width
-    slow = np.sin(2.0 * np.pi * 0.4 * cutoff * where * time + phase)
-    assert np.max(np.abs(low_pass.filtered(slow) - slow[half : len(slow) - half])) < 1e-4
-    stop = 1.6 * cutoff + where * max(0.0, 0.49 * rate - 1.6 * cutoff)
-    assert np.max(np.abs(low_pass.filtered(np.sin(2.0 * np.pi * stop * time + phase)))) < 1e-4
-
-
 @given(st.floats(90.0, 150.0), st.floats(2.0, 50.0), st.floats(0.0, 1.0), st.floats(0.0, 6.0))
-def test_the_pass_band_is_as_flat_as_it_is_asked_for(attenuation, cutoff, where, phase):
+def test_pass_band_and_stop_band_keep_their_promise(attenuation, cutoff, where, phase):
     low_pass = design_low_pass(cutoff, 200.0, attenuation)
-    time = seconds(12.0, 200.0)
+    time, half = seconds(12.0, 200.0), low_pass.half_width
     slow = np.sin(2.0 * np.pi * 0.4 * cutoff * where * time + phase)
-    half = low_pass.half_width
     off = np.max(np.abs(low_pass.filtered(slow) - slow[half : len(slow) - half]))
     # Kaiser's formulas are approximate for short kernels.
-    assert off < 10.0 ** (-(attenuation - 10.0) / 20.0)
-
-
-@pytest.mark.parametrize("cutoff", [0.0, -1.0, 61.0, np.nan])
-def test_a_cutoff_outside_the_sample_rate_is_refused(cutoff):
+    promised = 10.0 ** (-(attenuation - 10.0) / 20.0)
+    stop = 1.6 * cutoff + where * max(0.0, 98.0 - 1.6 * cutoff)
+    left = np.max(np.abs(low_pass.filtered(np.sin(2.0 * np.pi * stop * time + phase))))
+    assert off < promised and left < promised
     with pytest.raises(InputError, match="between 0 and 60 Hz"):
-        design_low_pass(cutoff, 200.0)
+        design_low_pass(60.0 + cutoff, 200.0)
 
 
 @given(st.sampled_from([REACH, FINE_REACH]), st.lists(st.floats(-1.0, 1.0), min_size=17))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.records import Measurement
-from tests.support.log_files import JOINTS
+from tests.support.log_files import JOINTS, write
 
 DYNAMIC = "control_msgs/msg/DynamicJointState"
 FRANKA = "franka_msgs/msg/FrankaRobotState"
@@ -198,46 +198,32 @@ def npz(folder: Path, data: Measurement) -> Path:
 
 def libfranka(folder: Path, data: Measurement) -> Path:
     """The columns of logToCSV."""
-    path = folder / "franka.csv"
-    n = range(data.q.shape[1])
-    groups = ("state.q", "state.q_d", "state.dq", "state.dq_d", "state.tau_J")
-    groups += ("state.tau_ext_hat_filtered", "cmd.q_d", "cmd.tau_J_d")
-    titles = ["time", "success_rate", *(f"{g}[{k}]" for g in groups for k in n)]
     zero = np.zeros_like(data.q)
-    parts = (data.q, zero, data.qd, zero, data.tau, zero, zero, zero)
-    rows = np.column_stack((1e3 * data.time, np.ones(len(data)), *parts))
-    path.write_text("\n".join([",".join(titles), *(_row(r, ",") for r in rows)]) + "\n")
-    return path
+    groups = {"state.q": data.q, "state.q_d": zero, "state.dq": data.qd, "state.dq_d": zero}
+    groups |= {"state.tau_J": data.tau, "state.tau_ext_hat_filtered": zero, "cmd.tau_J_d": zero}
+    titles = ["time", "success_rate", *(f"{g}[{k}]" for g in groups for k in range(3))]
+    rows = np.column_stack((1e3 * data.time, np.ones(len(data)), *groups.values()))
+    return write(folder / "franka.csv", rows, titles)
 
 
 def rtde(folder: Path, data: Measurement, torque: str = "actual_current_as_torque") -> Path:
     """What record.py writes: blanks between cells."""
-    path = folder / "rtde.csv"
-    n = range(data.q.shape[1])
     groups = ("actual_q", "actual_qd", torque, "target_moment")
-    titles = ["timestamp", *(f"{g}_{k}" for g in groups for k in n)]
+    titles = ["timestamp", *(f"{g}_{k}" for g in groups for k in range(3))]
     rows = np.column_stack((data.time, data.q, data.qd, data.tau, -data.tau))
-    path.write_text("\n".join([" ".join(titles), *(_row(r, " ") for r in rows)]) + "\n")
-    return path
+    return write(folder / "rtde.csv", rows, titles, " ")
 
 
 def plotjuggler(folder: Path, data: Measurement) -> Path:
     """One column per series; rows of another topic leave the arm's cells empty."""
-    path = folder / "plot.csv"
     words = ("position", "velocity", "effort")
     titles = ["__time", "/battery/voltage"]
-    titles += [f"/joint_states/{joint}/{word}" for joint in JOINTS for word in words]
-    lines = [",".join(titles)]
+    titles += [f"/joint_states/{joint}/{word}" for word in words for joint in JOINTS]
+    rows: list[list[object]] = []
     for time, *values in zip(data.time, data.q, data.qd, data.tau):
-        cells = [repr(float(v)) for v in np.column_stack(values).ravel()]
-        lines.append(",".join([repr(float(time)), "", *cells]))
-        lines.append(",".join([repr(float(time) + 0.002), "24.1", *[""] * len(cells)]))
-    path.write_text("\n".join(lines) + "\n")
-    return path
-
-
-def _row(values, separator: str) -> str:
-    return separator.join(repr(float(value)) for value in values)
+        rows.append([float(time), "", *np.concatenate(values).tolist()])
+        rows.append([float(time) + 0.002, 24.1, *[""] * 9])
+    return write(folder / "plot.csv", rows, titles)
 
 
 FORMS: dict[str, Callable[[Path, Measurement], Path]] = {
