@@ -91,28 +91,43 @@ class Title:
     stands_for: str | None = None
 
     @property
+    def _kinds(self) -> set[str]:
+        return {KIND_OF_WORD[word] for word in self.words if word in KIND_OF_WORD}
+
+    @property
     def foreign(self) -> bool:
         """Whether it holds a word that says neither a quantity nor that it is commanded."""
-        known = (KIND_OF_WORD, _NEUTRAL, _COMMANDED)
-        return any(not any(word in words for words in known) for word in self.words)
+        return bool({*self.words} - {*KIND_OF_WORD} - _NEUTRAL - _COMMANDED)
 
     @property
     def commanded(self) -> bool:
         """Whether it is a command or a reference, not a measurement."""
-        return any(word in _COMMANDED for word in self.words)
+        return bool(_COMMANDED & {*self.words})
 
     @property
     def kind(self) -> str | None:
         """The measured quantity, or None where it is none, or a word is foreign."""
-        kinds = {KIND_OF_WORD[word] for word in self.words if word in KIND_OF_WORD}
-        plain = not self.foreign and not self.commanded
-        return kinds.pop() if len(kinds) == 1 and plain else None
+        plain = len(self._kinds) == 1 and not self.foreign and not self.commanded
+        return min(self._kinds) if plain else None
 
     @property
     def is_current(self) -> bool:
         """Whether it is a motor's current: the word, and none for another quantity."""
-        other = any(word in KIND_OF_WORD for word in self.words)
-        return bool(_CURRENT & set(self.words)) and not other and not self.commanded
+        return bool(_CURRENT & {*self.words}) and not self._kinds and not self.commanded
+
+    @property
+    def is_torque(self) -> bool:
+        """Whether it speaks of torque, measured or not."""
+        return "torque" in self._kinds
+
+    @property
+    def is_command(self) -> bool:
+        """Whether it is a commanded position."""
+        said = {*self.words} & _COMMANDED - _NO_POSITION
+        # A bare d is too short to stand for a command without a position beside it.
+        plain = bool(said) and (said != {"d"} or self._kinds == {"position"})
+        other = self.foreign or _CURRENT & {*self.words} or self._kinds - {"position"}
+        return plain and not other
 
 
 def with_meaning(
@@ -137,20 +152,12 @@ def with_meaning(
         if currents and title.is_current:
             unit = "" if rest.unit in _AMPERES else rest.unit
             title = replace(title, unit=unit, stands_for="torque")
-        elif currents and any(KIND_OF_WORD.get(word) == "torque" for word in title.words):
+        elif currents and title.is_torque:
             title = replace(title, stands_for="")
-        elif commanded and _is_command(rest):
+        elif commanded and rest.is_command:
             title = replace(title, stands_for="command")
         found.append(title)
     return found
-
-
-def _is_command(title: Title) -> bool:
-    said = {word for word in title.words if word in _COMMANDED} - _NO_POSITION
-    kinds = {KIND_OF_WORD[word] for word in title.words if word in KIND_OF_WORD}
-    # A bare d is too short to stand for a command without a position beside it.
-    plain = bool(said) and (said != {"d"} or kinds == {"position"})
-    return plain and not title.foreign and not _CURRENT & set(title.words) and kinds <= {"position"}
 
 
 def read_title(text: str) -> Title:
@@ -165,33 +172,6 @@ def read_title(text: str) -> Title:
         pair = (joined[-1], word) if joined else ("", word)
         joined[-1:] = [_JOINED[pair]] if pair in _JOINED else [*joined[-1:], word]
     return Title(text, tuple(joined), numbers, unit or "".join(units))
-
-
-def without_written_name(title: Title, name: str) -> Title | None:
-    """Return the rest of a title that begins or ends with a name exactly as written, or None.
-
-    So ``#3`` and ``arm-1`` are found too, and ``arm_1`` is told from ``arm-1``.
-    """
-    text = title.text.strip()
-    behind, before = text[len(name) :], text[: -len(name)]
-    if text.startswith(name) and behind and not behind[0].isalnum():
-        return read_title(behind)
-    fits = text.endswith(name) and before and not before[-1].isalnum()
-    return read_title(before) if fits else None
-
-
-def without_name(title: Title, name: str) -> Title | None:
-    """Return the rest of a title that holds the pieces of a name, or None.
-
-    So ``Joint_1.position`` belongs to ``joint1``.
-    """
-    unit, plain = _bracketed_unit(title.text.strip().lstrip("%#"))
-    pieces, wanted = _pieces(plain), _pieces(name)
-    for start in range(len(pieces) - len(wanted) + 1 if wanted else 0):
-        if pieces[start : start + len(wanted)] == wanted:
-            rest = read_title(" ".join(pieces[:start] + pieces[start + len(wanted) :]))
-            return replace(rest, text=title.text, unit=unit or rest.unit)
-    return None
 
 
 def _bracketed_unit(text: str) -> tuple[str, str]:
@@ -279,13 +259,27 @@ def _by_name(titles: Sequence[Title], joint_names: Sequence[str]) -> Found:
 
 
 def _rests(title: Title, joint_names: Sequence[str]) -> Iterator[tuple[int, Title]]:
-    """Yield (joint, rest of a title that carries its name), by the longest spellings first."""
+    """Yield (joint, rest of a title that carries its name), by the longest spellings first.
+
+    A title may begin or end with a name exactly as written, so that ``#3`` and ``arm-1`` are found
+    and ``arm_1`` is told from ``arm-1``; or hold the pieces of it, as ``Joint_1.position`` does.
+    """
+    text = title.text.strip()
     for joint, name in sorted(enumerate(joint_names), key=lambda pair: -len(pair[1])):
-        if rest := without_written_name(title, name):
-            yield joint, rest
+        behind, before = text[len(name) :], text[: -len(name)]
+        if text.startswith(name) and behind and not behind[0].isalnum():
+            yield joint, read_title(behind)
+        elif text.endswith(name) and before and not before[-1].isalnum():
+            yield joint, read_title(before)
+    unit, plain = _bracketed_unit(text.lstrip("%#"))
+    pieces = _pieces(plain)
     for joint, name in _aliases(tuple(joint_names)):
-        if rest := without_name(title, name):
-            yield joint, rest
+        wanted = _pieces(name)
+        ends = [k + len(wanted) for k in range(len(pieces)) if wanted]
+        end = next((k for k in ends if pieces[k - len(wanted) : k] == wanted), 0)
+        if end:
+            rest = read_title(" ".join(pieces[: end - len(wanted)] + pieces[end:]))
+            yield joint, replace(rest, text=title.text, unit=unit or rest.unit)
 
 
 @lru_cache
