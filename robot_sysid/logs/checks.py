@@ -49,8 +49,6 @@ _AT_REST, _STILL = 0.01, 0.002
 _SHORT_REST, _SHORT_PART = 0.5, 0.02
 # Limits are written with three or more digits [rad].
 _LIMIT_MARGIN = 1e-3
-# What a Dynamixel motor's unit of current is [mA] (XM540 manual, "Present Current").
-_CURRENT_STEP = 2.69
 # A correlation that neither noise nor a payload of usual size brings.
 _OPPOSED = -0.3
 
@@ -252,7 +250,7 @@ def limit_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
 
 
 def require_torque(rows: LogRows, robot: RobotModel) -> None:
-    """Refuse torque columns that carry nothing, or the raw currents that ALOHA's motors report."""
+    """Refuse torque columns that carry nothing."""
     tau = rows.samples.tau
     stuck = np.all(tau == tau[0], axis=0)
     if rows.samples.command is None and np.any(stuck):
@@ -261,10 +259,4 @@ def require_torque(rows: LogRows, robot: RobotModel) -> None:
         raise InputError(
             f"the torque of joint {robot.joint_names[joint]} is {what} in every row; record it, or "
             "name the right column with --columns FILE"
-        )
-    steps = tau / _CURRENT_STEP
-    if np.all(np.abs(steps - np.round(steps)) < 1e-3) and np.max(np.abs(steps)) >= 1.0:
-        raise InputError(
-            f"all torques are multiples of {_CURRENT_STEP}: these are the motors' currents in mA; "
-            "give N·m per mA with --torque-constants"
         )

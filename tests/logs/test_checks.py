@@ -45,7 +45,7 @@ def changed(place, change):
     return fault
 
 
-TIME, Q, TAU = np.s_[:, 0], np.s_[:, 1:4], np.s_[:, 4:]
+TIME, Q = np.s_[:, 0], np.s_[:, 1:4]
 # Each fault changes the table and is an error that says the words.
 ERRORS: dict[str, tuple[Callable, list[str]]] = {
     "text cells": (
@@ -79,10 +79,6 @@ ERRORS: dict[str, tuple[Callable, list[str]]] = {
     "zero torque": (
         changed(np.s_[:, 5], lambda tau: 0.0 * tau),
         ["torque of joint elbow is zero in every row"],
-    ),
-    "motor current": (
-        changed(TAU, lambda tau: 2.69 * np.round(100.0 * tau)),
-        ["multiples of 2.69", "currents in mA", "--torque-constants"],
     ),
     "stuck torque": (
         changed(np.s_[:, 6], lambda tau: np.full(len(tau), 1.25)),

@@ -70,13 +70,7 @@ def write_bag2(path: Path, topics, store, storage="SQLITE3", compression="") -> 
         names = rosbag2 if plugins else writer
         mode, form = names.CompressionMode[compression], names.CompressionFormat.ZSTD
         writer.set_compression(mode, form)
-    with writer:
-        for topic, kind, messages in topics:
-            connection = writer.add_connection(topic, kind, typestore=store)
-            for count, message in enumerate(messages):
-                raw = store.serialize_cdr(message, kind)
-                writer.write(connection, 10**9 + count * 10**6, raw)
-    return path
+    return _written(path, writer, topics, store, store.serialize_cdr)
 
 
 def write_bag1(path: Path, topics, store, compression=None) -> Path:
@@ -86,30 +80,27 @@ def write_bag1(path: Path, topics, store, compression=None) -> Path:
     writer = Writer(path)
     if compression:
         writer.set_compression(Writer.CompressionFormat[compression])
+    return _written(path, writer, topics, store, store.serialize_ros1)
+
+
+def _written(path: Path, writer, topics, store, serialize) -> Path:
     with writer:
         for topic, kind, messages in topics:
             connection = writer.add_connection(topic, kind, typestore=store)
             for count, message in enumerate(messages):
-                raw = store.serialize_ros1(message, kind)
-                writer.write(connection, 10**9 + count * 10**6, raw)
+                writer.write(connection, 10**9 + count * 10**6, serialize(message, kind))
     return path
 
 
-def rosbag2(storage: str) -> Callable[[Path, Measurement], Path]:
-    """Writer of a folder with JointState."""
-
-    def write(folder: Path, data: Measurement) -> Path:
-        store = typestore()
-        topics = [("/joint_states", STATE, shuffled_states(store.types, data))]
-        return write_bag2(folder / "bag", topics, store, storage)
-
-    return write
+def rosbag2(folder: Path, data: Measurement, storage: str = "SQLITE3") -> Path:
+    store = typestore()
+    topics = [("/joint_states", STATE, shuffled_states(store.types, data))]
+    return write_bag2(folder / "bag", topics, store, storage)
 
 
 def single_mcap(folder: Path, data: Measurement) -> Path:
     """The .mcap file alone, without its folder's metadata."""
-    bag = rosbag2("MCAP")(folder, data)
-    (file,) = bag.glob("*.mcap")
+    (file,) = rosbag2(folder, data, "MCAP").glob("*.mcap")
     return file.rename(folder / "alone.mcap")
 
 
@@ -227,7 +218,7 @@ def plotjuggler(folder: Path, data: Measurement) -> Path:
 
 
 FORMS: dict[str, Callable[[Path, Measurement], Path]] = {
-    "ROS 2 db3": rosbag2("SQLITE3"),
+    "ROS 2 db3": rosbag2,
     "ROS 2 single mcap": single_mcap,
     "ROS 1 bag": rosbag1,
     "ROS 2 DynamicJointState": dynamic_joint_state,
