@@ -1,4 +1,4 @@
-"""The functions of the face: the commands' pipelines, with arrays in and nothing printed.
+"""The functions of the face: the commands' pipeline, with arrays in and nothing printed.
 
 Of many logs on many machines, what each log says is a record that adds; a result follows from the
 sum.
@@ -41,14 +41,14 @@ from robot_sysid.records.progress import Progress
 Log = Union[str, "os.PathLike[str]", Mapping[str, Any], Measurement, MeasurementLog, Any]
 """A path; arrays time (N,), q, tau and perhaps qd (N, n) by these or like names [s, rad, N m,
 rad/s]; a data frame with a column per joint and quantity; or a log that was read."""
+Model = Union[str, "os.PathLike[str]"]
+"""Path of an MJCF or URDF file."""
+_ADDED = Path("added information")
+_NOT_ADDED = ("measurements", "append", "validation_measurements", "verify_rollout", "torque_from")
 
 
-def as_log(log: Log) -> Any:
-    """Return a log as something that ``logs.reader.open_log`` takes.
-
-    Raises:
-        InputError: it is none of the forms that are known.
-    """
+def _log(log: Log) -> Any:
+    """Return a log as something that ``logs.reader.open_log`` takes."""
     if isinstance(log, (MeasurementLog, LogTable)):
         return log
     if isinstance(log, (str, os.PathLike)):
@@ -64,13 +64,10 @@ def as_log(log: Log) -> Any:
     return arrays_table(Path("arrays"), "arrays in memory", arrays)
 
 
-def as_logs(logs: Any) -> tuple[Any, ...]:
-    """Return one log or several as a tuple, each by ``as_log``."""
-    return tuple(as_log(log) for log in (logs if isinstance(logs, (list, tuple)) else (logs,)))
-
-
-Model = Union[str, "os.PathLike[str]"]
-"""Path of an MJCF or URDF file."""
+def _logs(**given: Any) -> dict[str, tuple[Any, ...]]:
+    """Return one log or several of each option that was given as a tuple."""
+    several = {k: v if isinstance(v, (list, tuple)) else (v,) for k, v in given.items()}
+    return {k: tuple(map(_log, v)) for k, v in several.items() if given[k] is not None}
 
 
 class _Notes(Progress):
@@ -84,7 +81,7 @@ class _Notes(Progress):
 
 
 @contextmanager
-def quietly() -> Iterator[_Notes]:
+def _quietly() -> Iterator[_Notes]:
     """Work in one thread; keep notes and MuJoCo's warnings from being printed or written."""
     notes = _Notes()
     with one_thread(), warnings_as_notes(notes):
@@ -92,7 +89,7 @@ def quietly() -> Iterator[_Notes]:
 
 
 def _answered(config: Config) -> Identified:
-    with quietly() as notes:
+    with _quietly() as notes:
         robot = load(config, notes)
         analysis = analysed(config, robot, notes)
     return Identified(robot, analysis, config, tuple(notes.notes))
@@ -115,7 +112,7 @@ def read_log(log: Log, model: Model | RobotModel, **options: Any) -> Measurement
     """
     robot = model if isinstance(model, RobotModel) else load_robot_model(model)
     refuse_unknown(options, LogOptions)
-    return open_log(robot, as_log(log), record_from(LogOptions, options))
+    return open_log(robot, _log(log), record_from(LogOptions, options))
 
 
 def identify(
@@ -142,11 +139,9 @@ def identify(
     Raises:
         InputError: an option, the model or a log cannot be used; says why.
     """
-    values = dict(options)
-    if log is not None:
-        values["measurements"] = as_logs(log)
+    values = {**options, **_logs(measurements=log)}
     if validation is not None:
-        values["validation_measurements"] = as_log(validation)
+        values["validation_measurements"] = _log(validation)
     for name in ("torque_from", "verify_rollout"):
         if values.get(name):
             raise InputError(f"{name} plays models; it needs the command robot-sysid identify")
@@ -182,9 +177,10 @@ def plan(model: Model, **options: Any) -> PlanResult:
     Raises:
         InputError: an option or the model cannot be used.
     """
-    usual = {} if {"trajectory", "static"} & options.keys() else {"excitation": "optimal"}
+    rests = "static" in options or options.get("for") == "friction"
+    usual = {} if "trajectory" in options or rests else {"excitation": "optimal"}
     config = config_from(Path(model), **{**usual, **options, "plan_only": True})
-    with quietly() as notes:
+    with _quietly() as notes:
         robot = load(config, notes)
         made, _ = designed(config, robot, notes)
         lines = tuple(promise(config, robot, made))
@@ -209,14 +205,8 @@ def payload(
     Raises:
         InputError: an option, the model or a recording cannot be used.
     """
-    values = dict(options)
-    values.update({} if empty is None else {"empty": as_logs(empty)})
-    values.update({} if loaded is None else {"loaded": as_logs(loaded)})
-    return _answered(payload_config_from(Path(model), **values))
-
-
-_ADDED = Path("added information")
-_NOT_HERE = ("measurements", "append", "validation_measurements", "verify_rollout", "torque_from")
+    logs = _logs(empty=empty, loaded=loaded)
+    return _answered(payload_config_from(Path(model), **{**options, **logs}))
 
 
 def information(
@@ -238,13 +228,13 @@ def information(
     Raises:
         InputError: an option, the model or the log cannot be used, or does not add.
     """
-    for name in _NOT_HERE:
+    for name in _NOT_ADDED:
         if name in options:
             raise InputError(f"{name} is not for information, which holds one log or several alike")
-    robot, logs, chosen = _settled(model, {**options, "measurements": as_logs(log)})
+    robot, logs, chosen = _settled(model, {**options, **_logs(measurements=log)})
     config = SysidConfig(ModelOptions(Path(model)), log=logs, estimation=settled_options(chosen))
     found = []
-    with quietly() as notes:
+    with _quietly() as notes:
         for path in logs.measurements:
             read = open_log(robot, path, logs, notes)
             checked(config, robot, [read], notes)
@@ -270,10 +260,9 @@ def identify_from(
     robot, *_ = _settled(model, options)
     arm, logs = record_from(ModelOptions, options), LogOptions(measurements=(_ADDED,))
     config = SysidConfig(arm, log=logs, estimation=found.settled.estimation)
-    with quietly() as notes:
+    with _quietly() as notes:
         answer = answer_from(robot, found, validation)
-        result = result_of(answer, found.origin)
-    analysis = Analysis(result, found.checkpoints, _no_traces, answer)
+        analysis = Analysis(result_of(answer, found.origin), found.checkpoints, _no_traces, answer)
     return Identified(robot, analysis, config, (*found.notes, *notes.notes))
 
 

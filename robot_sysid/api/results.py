@@ -196,13 +196,10 @@ class Identified:
 
     def _repr_html_(self) -> str:
         """Return the table before -> after for a notebook, with the verdict above it."""
-        head = "".join(f"<th>{escape(name)}</th>" for name in HEADINGS)
-        body = "".join(
-            "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row.cells) + "</tr>"
-            for row in self.rows
-        )
+        lines = [("th", HEADINGS), *(("td", row.cells) for row in self.rows)]
+        rows = ("".join(f"<{tag}>{escape(c)}</{tag}>" for c in cells) for tag, cells in lines)
         verdict = f"<p><b>Not to be used:</b> {escape(self.failure)}</p>" if self.failure else ""
-        return f"{verdict}<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+        return f"{verdict}<table>{''.join(f'<tr>{row}</tr>' for row in rows)}</table>"
 
 
 def _models_in(files: Sequence[Path]) -> list[Path]:
@@ -252,7 +249,7 @@ class PlanResult:
         said = {"promised": list(self.promised), "notes": list(self.notes)}
         return {**own, "failure": self.failure, **said}
 
-    def save(self, path: str | Path) -> tuple[Path, Path]:
+    def save(self, path: str | Path) -> tuple[Path, ...]:
         """Write the trajectory (.json) and its samples (.csv) and return both paths.
 
         Raises:
@@ -263,8 +260,7 @@ class PlanResult:
             raise SysidError(f"{self.failure}; nothing was written")
         config = replace(self.config, trajectory=replace(self.config.trajectory, save=Path(path)))
         with one_thread(), whole_files() as files:
-            written, samples = save_plan(files, config, self.robot, self.checked.plan)
-        return written, samples
+            return save_plan(files, config, self.robot, self.checked.plan)
 
     def __str__(self) -> str:
         return "\n".join(self.promised)
