@@ -20,11 +20,8 @@ def workshop(tmp_path_factory):
     """A folder with arm.xml and logs of different lengths of one arm."""
     folder = tmp_path_factory.mktemp("adding")
     pages.make_models(folder)
-    sensors = {"noise_torque": 0.05, "encoder_resolution": 1e-5, "sample_rate": 200.0}
-    sensors["plant_model"] = folder / "truth.xml"
     for number, duration in enumerate((6.0, 8.0, 12.0)):
-        saved = {"save_measurements": folder / f"log{number}.csv", "seed": number}
-        rs.identify(folder / "arm.xml", duration=duration, **saved, **sensors)
+        pages.record(folder, "truth.xml", f"log{number}.csv", number, duration)
     return folder
 
 

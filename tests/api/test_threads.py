@@ -7,8 +7,9 @@ import scipy.linalg  # noqa: F401 - brings threads of its own, which are counted
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import robot_sysid as rs
+from robot_sysid.api import calls
 from robot_sysid.api.results import one_thread
-from tests.support.places import GUESS, TRUTH
+from tests.support import arms
 
 HERE = [each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"]
 pytestmark = pytest.mark.skipif(not HERE, reason="a linear algebra that has no threads to set")
@@ -36,11 +37,8 @@ def test_there_is_one_inside_and_afterwards_what_was_there():
     assert counts() == {2}
 
 
-def test_results_are_the_same_whatever_the_caller_has_set():
-    recorded = {"duration": 4.0, "sample_rate": 200.0, "noise_torque": 0.1, "seed": 1}
-    found = set()
-    for threads in (1, 2):
-        with threadpool_limits(threads, user_api="blas"):
-            result = rs.identify(GUESS, plant_model=TRUTH, **recorded)
-        found.add((result.theta.tobytes(), str(result.standard_errors)))
-    assert len(found) == 1
+def test_a_function_works_in_one(monkeypatch, arm_file):
+    seen = []
+    monkeypatch.setattr(calls, "analysed", lambda *_: seen.append(counts()))
+    rs.identify(arm_file(arms.THREE))
+    assert seen == [{1}] and counts() == {2}

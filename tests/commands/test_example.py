@@ -10,14 +10,7 @@ import pytest
 
 from robot_sysid.cli import main
 from robot_sysid.commands import example
-from tests.support.command_line import CommandLine
 from tests.support.places import EXAMPLE, ROOT
-
-
-@pytest.fixture
-def command(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    return CommandLine(tmp_path, capsys)
 
 
 @pytest.fixture
@@ -32,19 +25,14 @@ def printed_commands(out: str) -> list[list[str]]:
 
 @pytest.mark.usefixtures("unrecorded")
 def test_it_copies_the_example_and_names_files_that_are_there(command, tmp_path):
-    commands = printed_commands(command.run("example", "kinova").out)
+    out = command.run("example", "kinova", "--output-dir", "a/b").out
+    assert "robot-sysid a/b/model/kinova_fullinertia_guess.xml" in out
+    commands = printed_commands(out)
     assert [words[1] for words in commands[1:]] == ["identify", "payload"]
     named = [word for words in commands for word in words if re.search(r"\.(xml|csv)$", word)]
     assert len(named) == 6 and all((tmp_path / name).is_file() for name in named)
-    meshes = {path.name for path in (tmp_path / "kinova/model/meshes").iterdir()}
+    meshes = {path.name for path in (tmp_path / "a/b/model/meshes").iterdir()}
     assert meshes == {path.name for path in (EXAMPLE / "model/meshes").iterdir()}
-
-
-@pytest.mark.usefixtures("unrecorded")
-def test_another_folder_is_named_in_the_commands(command, tmp_path):
-    out = command.run("example", "kinova", "--output-dir", "a/b").out
-    assert "robot-sysid a/b/model/kinova_fullinertia_guess.xml" in out
-    assert (tmp_path / "a/b/README.md").is_file()
 
 
 def test_a_copy_that_ends_early_leaves_nothing(command, tmp_path, monkeypatch):
@@ -56,13 +44,11 @@ def test_a_copy_that_ends_early_leaves_nothing(command, tmp_path, monkeypatch):
     assert "no unfinished file is left" in command.refused("example", "kinova", code=130)
 
 
-def test_nothing_that_is_there_is_overwritten(command, tmp_path):
+def test_nothing_that_is_there_is_overwritten(command, tmp_path, monkeypatch):
     (tmp_path / "kinova").mkdir()
     assert "kinova exists; choose another folder" in command.refused("example", "kinova")
     assert "invalid choice: 'ur5'" in command.refused("example", "ur5")
-
-
-def test_a_package_without_its_example_says_so(command, tmp_path, monkeypatch):
+    (tmp_path / "kinova").rmdir()
     monkeypatch.setattr("robot_sysid.__file__", str(tmp_path / "lib" / "robot_sysid" / "x.py"))
     assert "is not in this installation" in command.refused("example", "kinova")
 

@@ -67,6 +67,7 @@ def test_data_of_a_run_never_pass_for_those_of_another(command, arm, monkeypatch
 
     monkeypatch.setattr(page, "report_data", slowly)
     command.run(arm, "--plant-model", arm, *RUN)
+    assert (folder / "report_data.npz").is_file() and not (folder / "report.html").exists()
     run = load_run(folder)
     assert run.data is None and "belongs to another run" in " ".join(run.missing)
 
@@ -91,16 +92,12 @@ def test_data_that_cannot_be_left_is_only_noted(command, arm, monkeypatch):
     assert "nothing was left for a later report" in printed.err and "disk full" in printed.err
 
 
-def test_without_the_option_nothing_is_drawn(command, arm):
+def test_without_the_option_nothing_is_drawn_and_nothing_for_it_loaded(command, arm):
+    already = {"matplotlib", "jinja2"} & set(sys.modules)
     command.run(arm, *RUN)
     folder = arm.parent / "sysid_output"
     assert {path.name for path in folder.iterdir()} == {"params.json", "updated_model.xml"}
-
-
-def test_measured_data_leaves_what_a_later_report_needs(command, arm):
-    command.run(arm, "--plant-model", arm, *RUN)
-    folder = arm.parent / "sysid_output"
-    assert (folder / "report_data.npz").is_file() and not (folder / "report.html").exists()
+    assert {"matplotlib", "jinja2"} & set(sys.modules) == already
 
 
 @pytest.mark.slow
@@ -124,9 +121,3 @@ def test_a_page_its_figures_and_a_comparison(command, arm):
 def test_a_folder_that_holds_nothing_is_one_line(command, tmp_path):
     printed = command.run("report", tmp_path, code=2)
     assert "holds no result" in printed.err and printed.err.count("\n") == 1
-
-
-def test_a_run_does_not_load_what_it_does_not_need(command, arm):
-    already = {"matplotlib", "jinja2"} & set(sys.modules)
-    command.run(arm, *RUN)
-    assert {"matplotlib", "jinja2"} & set(sys.modules) == already

@@ -9,7 +9,16 @@ from pathlib import Path
 import numpy as np
 
 from robot_sysid.cli import main
+from robot_sysid.logs.reader import join_measurements, write_measurement_csv
+from robot_sysid.motion.options import ExcitationOptions, LimitOptions
+from robot_sysid.motion.plan import MotionRequest, make_plan
+from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
+from robot_sysid.records.progress import Progress
+from robot_sysid.simulation.closed_loop import PlantSimulation
+from robot_sysid.simulation.loading import load_plant
+from robot_sysid.simulation.sensors import SimulatedArmOptions
+from robot_sysid.trajectory import TrajectoryOptions
 from tests.support import arms, recorded
 from tests.support.places import ROOT
 
@@ -72,9 +81,9 @@ def make_workshop(folder: Path) -> None:
     (folder / "examples").symlink_to(ROOT / "examples")
     make_models(folder)
     for number, log in enumerate(("a", "d", "log1", "log2", "log3", "log")):
-        _record(folder, "truth.xml", f"{log}.csv", number)
+        record(folder, "truth.xml", f"{log}.csv", number)
     for number, log in enumerate(("b", "c")):
-        _record(folder, "loaded.xml", f"{log}.csv", 10 + number)
+        record(folder, "loaded.xml", f"{log}.csv", 10 + number)
     _recorded_poses(folder)
     _run(folder, *_basic(folder), "--export-damiao", *["--motor-type", "DM8009"] * 4)
     for path in (folder / "made").glob("damiao*.csv"):
@@ -110,10 +119,15 @@ def _basic(folder: Path) -> tuple[str, ...]:
     return ("my_arm.xml", "--duration", _SECONDS, "--sample-rate", _RATE, "--output-dir", made)
 
 
-def _record(folder: Path, plant: str, log: str, seed: int) -> None:
-    sensors = ("--noise-torque", ".05", "--encoder-resolution", "1e-5", "--seed", str(seed))
-    played = ("--plant-model", plant, "--save-measurements", log)
-    _run(folder, *_basic(folder), *played, *sensors)
+def record(folder: Path, plant: str, log: str, seed: int = 1, duration: float = 12.0) -> None:
+    """Write what the sensors of an arm in the folder report along a motion for my_arm.xml [s]."""
+    robot = load_robot_model(folder / "my_arm.xml")
+    motion = TrajectoryOptions(duration, 200.0), ExcitationOptions(), LimitOptions()
+    plan = make_plan(MotionRequest(*motion), robot, seed, Progress()).plan
+    sensors = SimulatedArmOptions(noise_torque=0.05, encoder_resolution=1e-5)
+    truth, rng = load_plant(robot, folder / plant), np.random.default_rng([seed, 1])
+    samples = join_measurements(PlantSimulation(truth, plan, sensors, 200.0, rng))
+    write_measurement_csv(folder / log, robot.joint_names, [samples])
 
 
 def _recorded_poses(folder: Path) -> None:
