@@ -28,10 +28,6 @@ EXIT_CODES: Mapping[int, str] = {
 """What a process says with its exit code."""
 
 
-MOST_LISTED = 20
-"""So many candidates are named; nobody reads more in one line."""
-
-
 def words_of(error: BaseException) -> str:
     """Return what an error says, on one line; its type where it says nothing or is not ours."""
     if isinstance(error, OSError) and error.strerror:
@@ -65,9 +61,7 @@ class AmbiguousJointError(ModelError):
 
     def __init__(self, reason: str, candidates: Sequence[tuple[str, str]]) -> None:
         self.candidates = tuple(candidates)
-        named = [f"{joint} (body {body})" for joint, body in self.candidates[:MOST_LISTED]]
-        more = len(self.candidates) - len(named)
-        listed = ", ".join((*named, *([f"and {more} more"] if more else [])))
+        listed = ", ".join(f"{joint} (body {body})" for joint, body in self.candidates)
         super().__init__(f"{reason}; choose one with --joint NAME. Candidates: {listed}")
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, TextIO
 
 import numpy as np
 
-from robot_sysid.config import Config, PayloadConfig, SysidConfig
+from robot_sysid.config import Config, OutputOptions, PayloadConfig, SysidConfig
 from robot_sysid.diagnosis.run import look_at
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.options import EstimationOptions
@@ -103,21 +103,21 @@ class Analysis:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run produced.
+    """What a run produced, what was written, and what was asked of it."""
 
-    Attributes:
-        result: what was identified.
-        saved: what was written.
-        output_dir: where files went.
-        links: whether every link is to be printed.
-        traces: makes what a report draws.
-    """
-
-    result: Result
+    analysis: Analysis
     saved: Saved
-    output_dir: Path
-    links: bool = False
-    traces: Callable[[], Traces] | None = None
+    output: OutputOptions
+
+    @property
+    def result(self) -> Result:
+        """What was identified."""
+        return self.analysis.result
+
+    @property
+    def traces(self) -> Callable[[], Traces]:
+        """Makes what a report draws."""
+        return self.analysis.traces
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -129,15 +129,10 @@ class Outcome:
         """Why there is nothing to use, or None."""
         return self.saved.failure
 
-    @property
-    def leaves_data(self) -> bool:
-        """Whether there is something to draw that a later run could not make again."""
-        return self.result.is_measured
-
     def report_lines(self, verbose: bool) -> list[str]:
         """Return what the command line prints at the end."""
-        saved = f"Results saved to {folder_text(self.output_dir)}"
-        more = more_lines(self.result, self.links, verbose)
+        saved = f"Results saved to {folder_text(self.output.output_dir)}"
+        more = more_lines(self.result, self.output.links, verbose)
         clamping = clamping_lines(self.saved.damiao, self.result.joint_names)
         return [*block_lines(self.result), saved, *more, *clamping]
 
@@ -423,7 +418,7 @@ def written(config: Config, robot: RobotModel, found: Analysis, progress: Progre
         write_torque_scale(scales, factors)
     for note in saved.notes:
         progress.note(note)
-    return Outcome(result, saved, folder, config.output.links, found.traces)
+    return Outcome(replace(found, result=result), saved, config.output)
 
 
 def _played(config: SysidConfig, robot: RobotModel, analysis: Analysis) -> RolloutTest:

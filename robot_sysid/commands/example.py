@@ -99,11 +99,10 @@ def _copy(home: Path, place: Path) -> None:
 def _home(name: str) -> Path:
     """Return an example's folder: in the installed package, or beside it in a checkout."""
     package = Path(robot_sysid.__file__).parent
-    places = (package / "examples" / name, package.parent / "examples" / name)
-    found = next((place for place in places if (place / "model").is_dir()), None)
-    if found is None:
-        raise InputError(f"the example {name} is not in this installation; install it again")
-    return found
+    for place in (package / "examples" / name, package.parent / "examples" / name):
+        if (place / "model").is_dir():
+            return place
+    raise InputError(f"the example {name} is not in this installation; install it again")
 
 
 def _record(model: Path, log: Path) -> None:

@@ -49,14 +49,14 @@ def main(arguments: Sequence[str]) -> int:
     log = record_from(LogOptions, values)
     preview = record_from(PreviewOptions, values)
     require_preview(preview)
-    if values.get("path") is None and (preview.view or preview.video or "trajectory" in values):
+    if values.get("path") is not None:
+        return _checked(values, log, preview, console)
+    if preview.view or preview.video or "trajectory" in values:
         raise InputError("--view, --video and --trajectory need the MODEL after the log")
-    if values.get("path") is None:
-        from robot_sysid.logs.reader import content_lines
+    from robot_sysid.logs.reader import content_lines
 
-        console.lines(content_lines(values["log"], log, console))
-        return 0
-    return _checked(values, log, preview, console)
+    console.lines(content_lines(values["log"], log, console))
+    return 0
 
 
 def _checked(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,6 @@ from robot_sysid.commands.arguments import Parser, parsed
 from robot_sysid.commands.console import Console
 from robot_sysid.config import ModelOptions, OutputOptions
 from robot_sysid.errors import SysidError
-from robot_sysid.records.data import Traces
 from robot_sysid.records.options import OptionRecord, folder, option, record_from
 
 
@@ -20,11 +19,7 @@ class PageOptions(OptionRecord):
     """Where the page goes, and what goes beside it."""
 
     output_dir: Path | None = option(
-        None,
-        "folder for the page",
-        "DIR",
-        parse=folder,
-        usual="the run's own, of several the first one's",
+        None, "folder for the page", "DIR", parse=folder, usual="the run's own, or the first one's"
     )
     plots: bool = option(False, "also write the figures as PNG and SVG")
 
@@ -81,13 +76,9 @@ def report_of(
     Returns:
         Why the report that was asked for was not written, or None.
     """
-    wanted = output.report or output.plots
-    traces: Callable[[], Traces] | None = getattr(outcome, "traces", None)
-    if traces is None:
-        if wanted:
-            console.note("there is no report about such a run; its results are written")
-        return None
-    if not (wanted or getattr(outcome, "leaves_data", True)):
+    wanted, traces = output.report or output.plots, getattr(outcome, "traces", None)
+    # A plan, and servos found without torques, have none to draw.
+    if traces is None or not (wanted or outcome.result.is_measured):
         return None
     from robot_sysid.report.page import save_data, write_report
 

@@ -34,6 +34,12 @@ def checked_array(value: Any, shape: tuple[int | None, ...], name: str) -> Array
     return array
 
 
+def check_arrays(record: Any, **shapes: tuple[int | None, ...]) -> None:
+    """Replace fields of a frozen record by ``checked_array`` of a shape each."""
+    for name, shape in shapes.items():
+        object.__setattr__(record, name, checked_array(getattr(record, name), shape, name))
+
+
 DEFAULT_MAX_VELOCITY = 2.0
 """Speed limit of hinge joints where nobody says one [rad/s]."""
 
@@ -50,7 +56,7 @@ class InertialParameters:
     theta: Array
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "theta", checked_array(self.theta, (10,), "theta"))
+        check_arrays(self, theta=(10,))
 
     @property
     def mass(self) -> float:
@@ -100,7 +106,7 @@ class SubtreeBody:
     welded: bool
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "theta", checked_array(self.theta, (10,), f"theta of {self.name}"))
+        check_arrays(self, theta=(10,))
 
 
 @dataclass(frozen=True)
@@ -124,10 +130,7 @@ class ArmLink:
     theta: Array
 
     def __post_init__(self) -> None:
-        shapes = {"screw": (6,), "rotation": (3, 3), "translation": (3,), "theta": (10,)}
-        for name, shape in shapes.items():
-            label = f"{name} of {self.body_name}"
-            object.__setattr__(self, name, checked_array(getattr(self, name), shape, label))
+        check_arrays(self, screw=(6,), rotation=(3, 3), translation=(3,), theta=(10,))
 
     @property
     def has_mass(self) -> bool:
@@ -155,8 +158,7 @@ class Flange:
     note: str | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "rotation", checked_array(self.rotation, (3, 3), "rotation"))
-        object.__setattr__(self, "translation", checked_array(self.translation, (3,), "flange"))
+        check_arrays(self, rotation=(3, 3), translation=(3,))
         square = self.rotation @ self.rotation.T
         if not np.allclose(square, np.eye(3)) or np.linalg.det(self.rotation) < 0.0:
             raise InputError(f"the axes of flange {self.name} are not a right-handed frame")
@@ -207,9 +209,7 @@ class JointFriction:
     viscous: Array
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "coulomb", checked_array(self.coulomb, (None,), "coulomb"))
-        size = len(self.coulomb)
-        object.__setattr__(self, "viscous", checked_array(self.viscous, (size,), "viscous"))
+        check_arrays(self, coulomb=(None,), viscous=(np.size(self.coulomb),))
 
     def torque(self, qd: Array) -> Array:
         """Return the friction torque (N, n) at velocities qd (N, n)."""

@@ -8,7 +8,7 @@ from enum import Enum
 
 import numpy as np
 
-from robot_sysid.records.arm import Array, InertialParameters, checked_array
+from robot_sysid.records.arm import Array, InertialParameters, check_arrays
 
 DELAY_NAME = "delay"
 """Name of the parameter by which torque lags position."""
@@ -78,8 +78,7 @@ class Estimate:
     constrained: bool = False
 
     def __post_init__(self) -> None:
-        size = len(self.names)
-        object.__setattr__(self, "values", checked_array(self.values, (size,), "estimate"))
+        check_arrays(self, values=(len(self.names),))
 
     @property
     def inertial(self) -> InertialParameters:
@@ -229,8 +228,7 @@ class RolloutError:
     diverged: tuple[int, int] = (0, 0)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "before", checked_array(self.before, (None,), "before"))
-        object.__setattr__(self, "after", checked_array(self.after, (len(self.before),), "after"))
+        check_arrays(self, before=(None,), after=(np.size(self.before),))
 
     @property
     def overall(self) -> tuple[float, float]:
