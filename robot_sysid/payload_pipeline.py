@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot_sysid.config import LOADED, PayloadConfig, PayloadOptions
+from robot_sysid.config import LOADED, PayloadConfig
 from robot_sysid.diagnosis.run import look_at
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.answer import Answer
@@ -19,19 +19,18 @@ from robot_sysid.estimation.unknowns import Question
 from robot_sysid.logs.reader import join_measurements, open_log
 from robot_sysid.model.flange import find_flange
 from robot_sysid.motion.plan import MotionRequest, make_plan
-from robot_sysid.records import Array, DataOrigin, Measurement, MotionPlan, RobotModel, Source
+from robot_sysid.records import Array, DataOrigin, Measurement, RobotModel, Source
 from robot_sysid.records.progress import Progress
 from robot_sysid.results.record import Result
 from robot_sysid.signals.poses import resting_poses
 from robot_sysid.simulation.closed_loop import PlantSimulation
 from robot_sysid.simulation.loading import load_plant
-from robot_sysid.simulation.sensors import SimulatedArmOptions
 
 SIMULATED_ORDER = "ABBA"
 _NOISE_STREAM = 1
 LEAST_WITHIN = 0.15
 """Share of the spread of places within one kind of recording below which a drift and the payload
-cannot be told apart: nothing for A B, 1 for A B B A."""
+cannot be told apart: 0 for A B, 0.2 for A A B B at equal distances, 1 for A B B A."""
 SCALE_PRIOR = 3.0
 """How far torque scales may be off where a known mass is to tell them [%]."""
 
@@ -93,10 +92,9 @@ def _datasets(
     config: PayloadConfig, robot: RobotModel, raw: Sequence[RawRecording], at: Array | None
 ) -> tuple[list[Dataset], tuple[str, ...]]:
     place = np.zeros(len(raw)) if at is None else at
-    pairs = list(zip(raw, place.tolist()))
     if config.payload.static:
         found, told = [], {}
-        for each, where in pairs:
+        for each, where in zip(raw, place.tolist()):
             try:
                 poses, used = resting_poses(each.samples, robot.joint_names)
             except InputError as error:
@@ -105,7 +103,7 @@ def _datasets(
             told[each.name] = (*each.notes, f"{len(poses)} poses, each approached from both sides")
         return found, tuple(shared_notes(told))
     pieces = []
-    for each, where in pairs:
+    for each, where in zip(raw, place.tolist()):
         for number, samples in enumerate(each.pieces, start=1):
             name = f"{each.name} (part {number})" if len(each.pieces) > 1 else each.name
             pieces.append(Piece(name, samples, each.is_loaded, where, each.least_deadband))
@@ -141,34 +139,22 @@ def _recordings(config: PayloadConfig, robot: RobotModel, progress: Progress) ->
 
 
 def _simulated(config: PayloadConfig, robot: RobotModel, progress: Progress) -> list[RawRecording]:
-    chosen, rate = config.trajectory.seed, config.trajectory.sample_rate
+    """Let two models play the arm without and with the payload, in the order ABBA."""
+    chosen, models = config.trajectory.seed, config.payload
     seed = secrets.randbelow(2**31) if chosen is None else chosen
     request = MotionRequest(config.trajectory, config.excitation, config.limits)
     made = make_plan(request, robot, seed, progress)
     if made.failure:
         raise InputError(f"{made.failure}; relax that limit, or try another --seed")
-    return simulate_recordings(robot, config.payload, config.arm, made.plan, rate, seed, progress)
-
-
-def simulate_recordings(
-    robot: RobotModel,
-    options: PayloadOptions,
-    arm: SimulatedArmOptions,
-    plan: MotionPlan,
-    rate: float,
-    seed: int,
-    progress: Progress,
-) -> list[RawRecording]:
-    """Let two models play the arm without and with the payload, in the order ABBA."""
-    assert options.empty_model is not None and options.loaded_model is not None
     found = []
     for number, letter in enumerate(SIMULATED_ORDER):
         is_loaded = letter == LOADED
-        path = options.loaded_model if is_loaded else options.empty_model
+        path = models.loaded_model if is_loaded else models.empty_model
+        assert path is not None
         progress.stage(f"Running MuJoCo simulation of {path}...")
-        plant = load_plant(robot, path)
         rng = np.random.default_rng([seed, _NOISE_STREAM, number])
-        simulation = PlantSimulation(plant, plan, arm, rate, rng)
+        sensors = config.arm, config.trajectory.sample_rate, rng
+        simulation = PlantSimulation(load_plant(robot, path), made.plan, *sensors)
         samples = join_measurements(simulation)
         least = tuple(1.005 * speed for speed in simulation.least_deadband())
         found.append(RawRecording(f"{path} ({number + 1})", is_loaded, samples, (samples,), least))
