@@ -30,7 +30,14 @@ from robot_sysid.records import InertialParameters
 from robot_sysid.records.atomic_files import write_whole
 from robot_sysid.results.cards import Card, card_entries, load_errors
 from robot_sysid.results.console import PRIOR_SHARE, limitations
-from robot_sysid.results.record import BodyEstimate, Figure, JointEstimate, Result
+from robot_sysid.results.record import (
+    BodyEstimate,
+    Figure,
+    JointEstimate,
+    ModelFile,
+    Payload,
+    Result,
+)
 from robot_sysid.results.rollout import rollout_entry
 
 SCHEMA_VERSION = 4
@@ -46,6 +53,10 @@ FORMULAS = {
     "sigmoid": "tanh(qd / sigmoid_speed)",
 }
 _SURE = 1.96
+"""Standard errors on each side of a value that hold 95 % of a bell curve."""
+_WHEN = ("before", "after")
+_OF_PAYLOAD = ("recordings", "scatter", "known_mass", "torque_scale")
+_OF_RUN = ("delay", "tilt", "cutoff", "friction_model")
 _SIX = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 _IN_BAM = {
     "viscous": ("friction_viscous", 1.0),
@@ -71,8 +82,8 @@ def params_json_text(result: Result, cards: Sequence[Card] = (), notes: Sequence
     content = {
         "schema_version": SCHEMA_VERSION,
         **_asked(found),
-        "file": _file(found),
-        "payload": _payload(found, cards),
+        "file": _file(found.file),
+        "payload": _payload(found.payload, cards),
         "links": [_link(found, body) for body in found.links],
         "joints": {name: _joint(found, name, each) for name, each in found.joints.items()},
         "couplings": {name: {"terms": each.terms} for name, each in found.couplings.items()},
@@ -102,9 +113,9 @@ def inertial_entries(inertial: InertialParameters) -> dict[str, Any]:
 
 
 def _asked(result: Result) -> dict[str, Any]:
-    estimate, joint = result.estimate, result.joint_name
-    whole = estimate if result.payload is None else result.payload.total
-    entries = inertial_entries(whole.inertial)
+    estimate, joint, payload = result.estimate, result.joint_name, result.payload
+    entries = inertial_entries((estimate if payload is None else payload.total).inertial)
+    seen = not estimate.identifiability.unidentifiable
     return {
         "joint_name": joint,
         **{key: entries.pop(key) for key in list(entries)[:3]},
@@ -122,45 +133,36 @@ def _asked(result: Result) -> dict[str, Any]:
         "known_to": result.known_to,
         "valid": {
             "physically_consistent": result.asked.is_consistent,
-            "all_identified": not result.estimate.identifiability.unidentifiable
-            if result.payload is None
-            else bool(np.all(result.payload.body.shown)),
+            "all_identified": seen if payload is None else bool(np.all(payload.body.shown)),
             "trustworthy": result.verdict.is_trustworthy,
         },
     }
 
 
-def _file(result: Result) -> dict[str, Any] | None:
-    file = result.file
+def _file(file: ModelFile | None) -> dict[str, Any] | None:
     if file is None:
         return None
-    errors = [None if test is None else test.relative_error for test in (file.before, file.after)]
+    pairs = [dict(zip(_WHEN, tests)) for tests in ((file.before, file.after), *file.others)]
     return {
-        "torque_error": dict(zip(("before", "after"), errors)),
-        "before": file.before,
-        "after": file.after,
-        "others": [dict(zip(("before", "after"), pair)) for pair in file.others],
+        "torque_error": {when: test and test.relative_error for when, test in pairs[0].items()},
+        **pairs[0],
+        "others": pairs[1:],
         "gravity": file.gravity,
         "kept": file.kept,
     }
 
 
-def _payload(result: Result, cards: Sequence[Card]) -> dict[str, Any] | None:
-    found = result.payload
+def _payload(found: Payload | None, cards: Sequence[Card]) -> dict[str, Any] | None:
     if found is None:
         return None
+    flange = found.flange
     return {
         "flange": {
-            "name": found.flange.name,
-            "in_body": found.flange.terminal,
-            "translation": found.flange.translation,
-            "rotation": found.flange.rotation,
+            **{"name": flange.name, "in_body": flange.terminal},
+            **{"translation": flange.translation, "rotation": flange.rotation},
         },
         **{name: _body(getattr(found, name)) for name in ("body", "link", "total")},
-        "recordings": found.recordings,
-        "scatter": found.scatter,
-        "known_mass": found.known_mass,
-        "torque_scale": found.torque_scale,
+        **{name: getattr(found, name) for name in _OF_PAYLOAD},
         "cards": card_entries(cards),
     }
 
@@ -202,7 +204,7 @@ def _joint(result: Result, name: str, joint: JointEstimate) -> dict[str, Any]:
         "model": joint.before,
         "in_the_file": written,
         "held_out_rmse_by_friction_model": joint.candidates,
-        "two_ways": None if ways is None else dict(zip(("forward", "backward"), ways)),
+        "two_ways": ways and dict(zip(("forward", "backward"), ways)),
         "torque_noise": joint.noise,
         "bam": _bam(joint, written),
     }
@@ -217,19 +219,13 @@ def _bam(joint: JointEstimate, written: Mapping[str, Figure]) -> dict[str, Any] 
     if "coulomb" not in figures:
         return None
     number = 1 + ("stribeck" in terms) + 2 * ("load" in terms)
-    found: dict[str, Any] = {
-        "model": f"m{number}",
-        "friction_base": figures["coulomb"].value,
-        "friction_viscous": 0.0,
+    known = {n: share * figures[t].value for t, (n, share) in _IN_BAM.items() if t in figures}
+    return {
+        **{"model": f"m{number}", "friction_base": figures["coulomb"].value},
+        **{"friction_viscous": 0.0, **known},
+        **({"alpha": 2.0} if "stribeck" in terms else {}),
+        **({"load_friction_stribeck": 0.0} if number == 4 else {}),
     }
-    for term, (name, share) in _IN_BAM.items():
-        if term in figures:
-            found[name] = share * figures[term].value
-    if "stribeck" in terms:
-        found["alpha"] = 2.0
-    if number == 4:
-        found["load_friction_stribeck"] = 0.0
-    return found
 
 
 def _fit(result: Result) -> dict[str, Any]:
@@ -254,31 +250,24 @@ def _fit(result: Result) -> dict[str, Any]:
 
 
 def _beside(result: Result) -> dict[str, Any]:
-    base = result.base
-    names = ("combination", "value", "standard_error", "essential")
+    base, data, rows = result.base, result.data, None
+    if base is not None:
+        names = ("combination", "value", "standard_error", "essential")
+        columns = (base.combinations, base.values, base.standard_errors, base.essential)
+        rows = [dict(zip(names, row)) for row in zip(*columns)]
     return {
-        "base_parameters": None
-        if base is None
-        else [
-            dict(zip(names, row))
-            for row in zip(base.combinations, base.values, base.standard_errors, base.essential)
-        ],
+        "base_parameters": rows,
         "structural_rank": None if base is None else base.structural_rank,
         "validation": result.validation,
         "rollout": rollout_entry(result.rollout),
-        "delay": result.delay,
-        "tilt": result.tilt,
-        "cutoff": result.cutoff,
-        "friction_model": result.friction_model,
+        **{name: getattr(result, name) for name in _OF_RUN},
         "limitations": limitations(result),
         "notes": result.notes,
-        "source": result.data.words,
-        "logs": result.data.files,
+        "source": data.words,
+        "logs": data.files,
         "model": {"path": str(result.model_path), "sha256": result.model_sha256},
         "joint_names": result.joint_names,
-        "seed": result.data.seed,
-        "duration": result.data.duration,
-        "sample_rate": result.data.sample_rate,
+        **{name: getattr(data, name) for name in ("seed", "duration", "sample_rate")},
         "versions": result.versions,
     }
 
@@ -286,9 +275,9 @@ def _beside(result: Result) -> dict[str, Any]:
 def _strict(value: Any) -> Any:
     """Return what strict JSON can hold: a figure gets its 95 % interval, a record its names."""
     if isinstance(value, Figure):
-        reach = _SURE * value.error
-        interval = [value.value - reach, value.value + reach]
-        return _strict({"value": value.value, "standard_error": value.error, "interval": interval})
+        found, reach = value.value, _SURE * value.error
+        interval = [found - reach, found + reach]
+        return _strict({"value": found, "standard_error": value.error, "interval": interval})
     if is_dataclass(value) and not isinstance(value, type):
         return _strict(asdict(value))
     if isinstance(value, Mapping):

@@ -35,7 +35,7 @@ from robot_sysid.simulation import playback
 HORIZONS = (0.1, 0.3, 1.0, 3.0)
 """Lengths of time over which the models are played [s]."""
 HELD_OUT_SHARE, LAST_FIFTH = 0.2, "the last fifth of every log, which was not fitted for it"
-"""Part of each log, its end, that is not fitted."""
+"""Part of each log, its end, that is not fitted: the fifth that cross-validation leaves out too."""
 SERVO_WORDS = (
     f"measured torques and a critically damped servo of {playback.SERVO_RATE:g} Hz towards the "
     "measured motion"
@@ -165,34 +165,36 @@ def rollout_entry(test: RolloutTest | None) -> dict[str, Any] | None:
     """Return the entry of params.json; None where nothing was played."""
     if test is None:
         return None
+
+    def figures(before: float, after: float) -> dict[str, float | None]:
+        ratio = after / before if before > 0.0 else None
+        return {"before": before, "after": after, "ratio": ratio}
+
+    errors = [
+        {
+            "loop": error.loop,
+            "horizon": error.horizon,
+            "windows": error.windows,
+            "diverged": dict(zip(("before", "after"), error.diverged)),
+            "overall": figures(*error.overall),
+            "joints": dict(
+                zip(test.joint_names, map(figures, error.before.tolist(), error.after.tolist()))
+            ),
+        }
+        for error in test.errors
+    ]
     return {
         "held_out": test.held_out,
         "closed_loop_is": test.servo,
         "is_better": test.is_better,
         "score": test.score,
-        "errors": [_entry(test, error) for error in test.errors],
+        "errors": errors,
         "notes": list(test.notes),
     }
 
 
-def _entry(test: RolloutTest, error: RolloutError) -> dict[str, Any]:
-    pairs = zip(test.joint_names, error.before.tolist(), error.after.tolist())
-    return {
-        "loop": error.loop,
-        "horizon": error.horizon,
-        "windows": error.windows,
-        "diverged": dict(zip(("before", "after"), error.diverged)),
-        "overall": _figures(*error.overall),
-        "joints": {name: _figures(*pair) for name, *pair in pairs},
-    }
-
-
-def _figures(before: float, after: float) -> dict[str, float | None]:
-    ratio = after / before if before > 0.0 else None
-    return {"before": before, "after": after, "ratio": ratio}
-
-
 _CHUNK = 2048
+"""Samples of a log at a time: what fits into a cache."""
 
 
 def torque_error(
