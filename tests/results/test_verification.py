@@ -74,10 +74,6 @@ def test_an_actuators_own_force_and_stiffness_may_not_change(bias):
         require_same_model(with_servo("0 -10 0"), with_servo(bias), {})
 
 
-def test_a_model_is_the_same_as_itself():
-    require_same_model(model(), model(), {})
-
-
 @pytest.mark.parametrize(
     ("before", "after"),
     [
@@ -95,10 +91,9 @@ def test_the_inertia_of_the_terminal_body_may_differ_with_all_that_follows(befor
     ("before", "after", "field"),
     [
         ('mass="0.2"', 'mass="0.21"', "body_mass"),
-        ('mass="0.1"', 'mass="0.11"', "body_mass"),
         ('pos="0 0 0.3"', 'pos="0 0 0.31"', "body_pos"),
         ('name="j2" axis="1 0 0"', 'name="j2" axis="0 1 0"', "jnt_axis"),
-        ('name="j2" axis', 'name="j2" damping="1" axis', "dof_damping"),
+        ('<joint name="j2"', '<joint damping="3" name="j2"', "dof_damping"),
         ('name="tool"', 'name="tuul"', "names"),
         ('size="0.02 0.1"', 'size="0.02 0.11"', "geom_"),
         ('kp="10"', 'kp="11"', "actuator_"),
@@ -236,14 +231,14 @@ def test_the_prediction_of_the_models_own_numbers_is_its_inverse_dynamics(name):
 
 
 @pytest.mark.parametrize("link", range(3))
-@pytest.mark.parametrize("parameter", range(10))
-def test_a_model_that_is_off_in_any_parameter_is_refused(arm, parameter, link):
+def test_a_model_that_is_off_in_any_parameter_is_refused(arm, link):
     """One part in a million of the link's own size is enough, where its joint can tell."""
-    thetas = own_thetas(arm)
-    thetas[link, parameter] += 1e-6 * (1.0 if parameter < 4 else 0.1)
-    # A link that turns about the vertical shows its moment about it alone.
-    shows = link > 0 or parameter == 9
-    assert torque_refused(arm, compile_model(arm.path).mj_model, thetas) == shows
+    compiled = compile_model(arm.path).mj_model
+    for parameter in range(10):
+        thetas = own_thetas(arm)
+        thetas[link, parameter] += 1e-6 * (1.0 if parameter < 4 else 0.1)
+        # A link that turns about the vertical shows its moment about it alone.
+        assert torque_refused(arm, compiled, thetas) == (link > 0 or parameter == 9)
 
 
 SMALL = 1e-7
@@ -293,11 +288,8 @@ def with_load(new=NEW, before="", after=""):
 @pytest.mark.parametrize(
     ("before", "after", "field"),
     [
-        ('mass="1.5"', 'mass="1.6"', "body_mass"),
         ('mass="0.1"', 'mass="0.11"', "body_mass"),
-        ('pos="0 0.05 0.1"', 'pos="0 0.06 0.1"', "body_pos"),
         ("size='.1'", "size='.1' friction='2'", "geom_friction"),
-        ('name="j2" axis', 'name="j2" damping="1" axis', "dof_damping"),
         ("<geom name='g'", "<site/><geom name='g'", "nsite"),
         ("objname='cup'", "objname='base'", "sensor_objid"),
         ("body1='cup' body2='base'", "body1='cup' body2='tool'", "eq_"),
@@ -323,13 +315,3 @@ def test_everything_else_that_is_new_is_named(before, after, field):
 def test_a_body_that_is_not_the_wanted_one_is_refused(new, words):
     with pytest.raises(ExportError, match=words):
         require_change(with_load(""), with_load(new), ONE_MORE)
-
-
-def test_a_body_below_another_one_or_with_a_joint_is_refused():
-    moved = with_load("", before='<joint name="grip"', after=f'{NEW}<joint name="grip"')
-    with pytest.raises(ExportError, match="not fixed to 'tool'"):
-        require_change(with_load(""), moved, ONE_MORE)
-    with pytest.raises(ExportError, match="differs from the original in"):
-        require_change(
-            with_load(""), with_load(NEW.replace("<inertial", "<joint/><inertial")), ONE_MORE
-        )
