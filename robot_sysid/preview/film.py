@@ -11,6 +11,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.preview.motion import RATE, Shown, at_times
@@ -22,9 +23,11 @@ from robot_sysid.records.progress import Progress
 # Multiples of sixteen, which every player can show.
 _SIZE, _PANEL = (640, 480), 400
 _GIF_STEP = 2
+"""Every which picture goes into a .gif: half of them, for it packs each one for itself."""
 GHOST: Colour = (0.90, 0.45, 0.05, 0.45)
 NO_DISPLAY = "--view needs a display and there is none here; --video FILE.mp4 renders without one"
 _PAUSE = 1.0
+"""Rest before the viewer plays the motion again [s]."""
 _INK, _LINE, _LIMIT, _CURSOR = "#1b1f24", "#0b62a8", "#b02a1c", (176, 42, 28)
 
 
@@ -44,68 +47,52 @@ def require_film(path: Path) -> None:
 
 def write_film(robot: RobotModel, shown: Shown, path: Path, progress: Progress) -> None:
     """Write a motion as .mp4 or .gif; it appears whole or not at all."""
-    step = _GIF_STEP if path.suffix.lower() == ".gif" else 1
-    frames = range(0, len(shown.time), step)
-    panel = Panel(shown)
+    import imageio.v2 as imageio
+
+    is_gif = path.suffix.lower() == ".gif"
+    step = _GIF_STEP if is_gif else 1
+    options: dict[str, Any] = {"fps": RATE, "codec": "libx264", "quality": 7}
+    if is_gif:
+        options = {"mode": "I", "duration": 1000.0 * step / RATE, "loop": 0}
+    frames, (strips, columns) = range(0, len(shown.time), step), _strips(shown)
     with whole_files() as files, Studio(robot, *_SIZE) as studio:
         studio.look_at_arm(shown.q[:: max(1, len(shown.q) // 50)])
-        with _writer(files.draft(path), RATE / step) as writer:
+        writer: Any
+        with imageio.get_writer(files.draft(path), **options) as writer:
             for done, k in enumerate(frames, start=1):
-                writer.append_data(np.hstack((_arm(studio, shown, k), panel.at(k))))
+                studio.pose(shown.q[k])
+                if shown.ghost is not None:
+                    add_ghost(studio.robot, shown.ghost[k], GHOST, studio.scene)
+                beside = strips.copy()
+                beside[:, columns[k]] = _CURSOR
+                writer.append_data(np.hstack((studio.picture(), beside)))
                 progress.advance("Rendering", done, len(frames), "")
 
 
-def _writer(path: Path, rate: float) -> Any:
-    import imageio.v2 as imageio
+def _strips(shown: Shown) -> tuple[Picture, NDArray[np.int64]]:
+    """Return the strips of a motion as a picture, and the column in it of each instant (T,)."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
 
-    if path.suffix.lower() == ".gif":
-        return imageio.get_writer(path, mode="I", duration=1000.0 / rate, loop=0)
-    return imageio.get_writer(path, fps=rate, codec="libx264", quality=7)
-
-
-def _arm(studio: Studio, shown: Shown, k: int) -> Picture:
-    studio.pose(shown.q[k])
-    if shown.ghost is not None:
-        add_ghost(studio.robot, shown.ghost[k], GHOST, studio.scene)
-    return studio.picture()
-
-
-class Panel:
-    """The strips of a motion, drawn once; a line goes through them as time goes by."""
-
-    def __init__(self, shown: Shown) -> None:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-
-        figure = Figure(figsize=(_PANEL / 100, _SIZE[1] / 100), dpi=100, layout="constrained")
-        canvas = FigureCanvasAgg(figure)
-        axes = figure.subplots(len(shown.strips), 1, sharex=True)
-        for ax, strip in zip(axes, shown.strips):
-            _draw(ax, shown, strip)
-        axes[-1].set_xlabel("time [s]", fontsize=8, color=_INK)
-        canvas.draw()
-        self._picture = np.array(canvas.buffer_rgba())[..., :3]
-        ends = [axes[-1].transData.transform((t, 0.0))[0] for t in shown.time]
-        self._columns = np.clip(np.round(ends).astype(int), 0, _PANEL - 1)
-
-    def at(self, k: int) -> Picture:
-        """Return the panel (height, width, 3) at one picture's time."""
-        picture = self._picture.copy()
-        picture[:, self._columns[k]] = _CURSOR
-        return picture
-
-
-def _draw(ax: Any, shown: Shown, strip: Any) -> None:
-    if np.any(np.isfinite(strip.values)):
-        ax.plot(shown.time, strip.values, color=_LINE, lw=1.2)
-    else:
-        ax.text(0.5, 0.5, "no limit in the model", transform=ax.transAxes, ha="center", fontsize=8)
-    if strip.limit is not None:
+    figure = Figure(figsize=(_PANEL / 100, _SIZE[1] / 100), dpi=100, layout="constrained")
+    canvas = FigureCanvasAgg(figure)
+    axes = figure.subplots(len(shown.strips), 1, sharex=True)
+    for ax, strip in zip(axes, shown.strips):
+        if np.any(np.isfinite(strip.values)):
+            ax.plot(shown.time, strip.values, color=_LINE, lw=1.2)
+        else:
+            told = {"transform": ax.transAxes, "ha": "center", "fontsize": 8}
+            ax.text(0.5, 0.5, "no limit in the model", **told)
         ax.axhline(strip.limit, color=_LIMIT, ls="--", lw=1.0)
-    ax.set_title(strip.title, fontsize=8, loc="left", color=_INK)
-    ax.tick_params(labelsize=7, colors=_INK)
-    ax.margins(x=0.0)
-    ax.set_ylim(bottom=min(0.0, ax.get_ylim()[0]))
+        ax.set_title(strip.title, fontsize=8, loc="left", color=_INK)
+        ax.tick_params(labelsize=7, colors=_INK)
+        ax.margins(x=0.0)
+        ax.set_ylim(bottom=min(0.0, ax.get_ylim()[0]))
+    axes[-1].set_xlabel("time [s]", fontsize=8, color=_INK)
+    canvas.draw()
+    places = axes[-1].transData.transform(np.column_stack((shown.time, 0.0 * shown.time)))[:, 0]
+    columns = np.clip(np.round(places).astype(np.int64), 0, _PANEL - 1)
+    return np.array(canvas.buffer_rgba())[..., :3], columns
 
 
 def require_display() -> None:

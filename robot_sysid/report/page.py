@@ -7,6 +7,7 @@ itself forbids scripts and anything from elsewhere.
 from __future__ import annotations
 
 import base64
+import re
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -15,7 +16,7 @@ from typing import Any
 from robot_sysid import __version__
 from robot_sysid.records.atomic_files import require_writable, whole_files
 from robot_sysid.records.data import Traces
-from robot_sysid.report.drawing import Figure, Section, inline, png, svg
+from robot_sysid.report.drawing import Section, inline, png, svg
 from robot_sysid.report.runs import DATA_NAME, Run, data_bytes, load_run, report_data
 from robot_sysid.report.sections import comparison, signals, verdict
 from robot_sysid.report.sections.parameters import card, parameters, scatter, visibility
@@ -63,29 +64,20 @@ def html(title: str, sections: Sequence[Section]) -> str:
     from jinja2 import Environment, StrictUndefined
 
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
-    environment.filters.update(prose=_prose, drawing=_drawing)
+    environment.filters.update(prose=_prose, picture=_picture, inline=inline)
     template = environment.from_string(_TEMPLATE.read_text(encoding="utf-8"))
     return template.render(title=title, sections=sections, version=__version__) + "\n"
 
 
 def _prose(text: str) -> str:
     """Return a sentence with what stands between backticks as code."""
-    from markupsafe import Markup, escape
+    from markupsafe import escape
 
-    parts = [str(escape(part)) for part in text.split("`")]
-    if len(parts) % 2 == 0:
-        return Markup("`".join(parts))
-    return Markup("".join(f"<code>{p}</code>" if k % 2 else p for k, p in enumerate(parts)))
+    return re.sub("`([^`]*)`", r"<code>\1</code>", str(escape(text)))
 
 
-def _drawing(figure: Figure) -> str:
-    from markupsafe import Markup, escape
-
-    if figure.png:
-        data = base64.b64encode(figure.png).decode("ascii")
-        alternative = escape(figure.caption)
-        return Markup(f'<img alt="{alternative}" src="data:image/png;base64,{data}">')
-    return Markup(inline(figure))
+def _picture(content: bytes) -> str:
+    return f"data:image/png;base64,{base64.b64encode(content).decode('ascii')}"
 
 
 REPORT_NAME, COMPARISON_NAME, PLOTS_NAME = "report.html", "comparison.html", "plots"
