@@ -1,5 +1,5 @@
 """Pages of small arms, made once."""
 
-from tests.support.reports import link_run, page, pages
+from tests.support.reports import link_run, page
 
-__all__ = ["link_run", "page", "pages"]
+__all__ = ["link_run", "page"]

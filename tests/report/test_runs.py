@@ -35,7 +35,7 @@ from robot_sysid.report.sections.signals import errors, rollout
 from robot_sysid.report.sections.verdict import next_steps, verdict
 from robot_sysid.results.record import Verdict
 from tests.support.arms import SEEDS
-from tests.support.reports import LONG, payload_result, saved
+from tests.support.reports import ODD, payload_result, saved
 
 
 def traces(count=500, joints=2):
@@ -161,32 +161,32 @@ def test_a_run_is_read_as_it_was_written(link_run):
     written = json.loads((link_run / "params.json").read_text())
     body, *others = run.bodies
     assert run.trustworthy and run.missing == () and body.after[0] == written["mass"]
-    assert [each.title for each in others] == [LONG] and body.title == written["body_name"]
+    assert [each.title for each in others] == ["link5"] and body.title == written["body_name"]
     thetas = body.thetas
-    assert thetas["truth"][0] == thetas["before"][0] == pytest.approx(body.after[0] / 1.05)
-    assert thetas["in the file"][0] == pytest.approx(1.04 * thetas["truth"][0])
+    assert thetas["truth"][0] == thetas["before"][0] == pytest.approx(0.5 * body.after[0])
+    assert thetas["in the file"][0] == pytest.approx(0.9 * body.after[0])
     assert body.errors[0] == written["standard_errors"]["m"]
-    assert {"noise", "torque scale"} <= set(body.budget) and body.kept[8] and not body.kept[0]
-    assert run.friction("in_the_file")["joint0", "coulomb"] == (0.3, 0.01)
-    assert np.isnan(run.friction()["joint0", "viscous"].error)
+    assert {"noise", "links"} == set(body.budget) and body.kept[8] and not body.kept[0]
+    assert run.friction("in_the_file")["j5", "coulomb"] == (0.45, 0.01)
+    assert np.isnan(run.content["sensors"]["zero[j6]"].error)
 
 
 def test_the_verdict_and_the_errors_tell_the_same_of_the_written_file(folder):
     run = load_run(folder)
     said = " ".join(verdict(run).sentences)
-    assert "Torque error of the model on held-out data: 12 % -> 3.4 %." in said
+    assert "Torque error of the model on held-out data: 27 % -> 0.25 %." in said
     (figure,) = errors(run).figures
     told = {row[0]: row[2] for row in figure.table.rows}
-    assert told["model before: 20 % of the log, not fitted"] == "12 %"
-    assert told["written model: 20 % of the log, not fitted"] == "3.4 %"
-    assert list(told)[0] == "fitted" and list(told)[-1] == "written model: other <b>log</b>.csv"
+    assert told["model before: fifths of arm.csv"] == "27 %"
+    assert told["written model: fifths of arm.csv"] == "0.25 %"
+    assert list(told)[0] == "fitted" and list(told)[-1] == f"written model: {ODD}"
     played = rollout(run)
     assert "0.5 times" in " ".join(played.sentences)
-    assert ("joint0", "0.02", "0.01") in played.figures[0].table.rows
+    assert ("j5", "0.2", "0.02") in played.figures[0].table.rows
     file = json.loads((folder / "params.json").read_text())["file"]
     file["torque_error"]["after"] = file["after"] = None
     said = " ".join(verdict(changed(folder, file=file)).sentences)
-    assert "12 % -> not known, no model was written" in said
+    assert "27 % -> not known, no model was written" in said
     nothing = changed(folder, file=None, validation=[])
     assert "Nothing was held out" in errors(nothing).sentences[0]
 
@@ -233,7 +233,7 @@ def test_a_file_of_another_version_is_one_line(folder, version):
 
 
 def test_an_odd_entry_costs_the_parts_that_tell_of_it_only(folder):
-    odd = {"sensors": "much", "rollout": {"errors": 3}, "joints": {"joint0": 7}}
+    odd = {"sensors": "much", "rollout": {"errors": 3}, "joints": {"j5": 7}}
     missing = {p.key: " ".join(p.missing) for p in sections_of(changed(folder, **odd))}
     lost = {key for key, words in missing.items() if "cannot be shown" in words}
     assert lost == {"visibility", "rollout", "friction"} and len(missing) > 6
