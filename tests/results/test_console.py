@@ -116,10 +116,6 @@ def test_the_file_is_told_by_its_errors_before_and_after():
         (found(with_value("m", 2.0, 0.12)), "The mass is known to 6 %"),
         (found(without_mass()), "The mass is not known: these torques do not show it"),
         (
-            found(with_value("m", 2.0, 1.0)),
-            "The mass is not known: 2.0 ± 1.0 kg does not tell it from zero",
-        ),
-        (
             payload(body(-1.0)),
             "The mass is not known: -1.000 ± 0.010 kg does not tell it from zero",
         ),
@@ -168,30 +164,19 @@ def test_a_link_of_several_bodies_says_what_its_mass_is_the_mass_of():
     assert "link7 + hand + finger + 6 more = 2 kg; link7 alone" in told
 
 
-def test_delay_and_tilt_have_errors():
-    lines = more_lines(whole())
+def test_all_that_is_known_is_told_with_its_error():
+    lines = more_lines(whole(), verbose=True)
     assert "Delay of torque behind position: 3.200 ± 0.02 ms" in lines
     assert "Tilt of the base: 0.500 ± 0.05 degrees" in lines
-    assert not any("Delay" in text or "Tilt" in text for text in more_lines(found()))
-
-
-def test_a_rollout_is_told():
-    lines = more_lines(whole())
-    assert line(lines, "Played on last fifths: root mean square position error")
     assert line(lines, "  open loop, 0.2 s (5 windows): 0.158 -> 0.0791, 0.5 times")
     assert "  worse than before over the longest horizon: j6 (closed loop, 1.1 times)" in lines
-    assert "    j5: 0.2 -> 0.02" in more_lines(whole(), verbose=True)
-
-
-def test_more_is_said_on_request():
-    brief, lines = more_lines(whole()), more_lines(whole(), verbose=True)
-    more = [text for text in lines if text not in brief]
-    assert "    j5: 3.00e-02 N·m, noise 0.03" in more
-    assert line(more, "  Standard errors of noise alone: m 0.0012 kg, hx 6e-06 kg·m")
-    assert "    scale[j5]: 1.0100 ± 0.0040" in more and "    zero[j6]: 0 (held)" in more
-    assert "  Held-out error of j5 by friction model, N·m: coulomb-viscous 0.03, none 0.4" in more
-    assert line(more, "  Base parameters of all links: 2 of 9 that any motion can show; 1 of them")
-    assert "    0.020 ± 0.030 = hx(link6) (not essential)" in more
+    assert "    j5: 3.00e-02 N·m, noise 0.03" in lines
+    assert line(lines, "  Standard errors of noise alone: m 0.0012 kg, hx 6e-06 kg·m")
+    assert "    scale[j5]: 1.0100 ± 0.0040" in lines and "    zero[j6]: 0 (held)" in lines
+    assert "  Held-out error of j5 by friction model, N·m: coulomb-viscous 0.03, none 0.4" in lines
+    assert line(lines, "  Base parameters of all links: 2 of 9 that any motion can show; 1 of them")
+    assert "    0.020 ± 0.030 = hx(link6) (not essential)" in lines
+    assert set(more_lines(whole())) < set(lines)
 
 
 def test_a_payloads_block():

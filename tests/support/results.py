@@ -120,29 +120,13 @@ def joint_of(result: Estimate, joint: str) -> JointEstimate:
 
 def itself(result: Estimate | None = None, **changes) -> Result:
     """The model's own simulation, of which most is not asked."""
-    plain = {
-        "standard_errors": None,
-        "covariance": None,
-        "noise_errors": None,
-        "error_budget": {},
-        "data_share": None,
-        "noise_per_joint": {},
-        "samples": {},
-        "effective_samples": {},
-    }
+    given = result or estimate()
+    known = given.names, given.values, given.identifiability, given.rmse, given.rmse_per_joint
     fields = {
-        "data": own_simulation(),
-        "verdict": Verdict.OK,
-        "links": (),
-        "joints": {},
-        "friction_model": None,
+        "data": DataOrigin(Source.ITSELF, "", 15.0, 1000.0, 1),
+        **{"verdict": Verdict.OK, "links": (), "joints": {}, "friction_model": None},
     }
-    return found(replace(result or estimate(), **plain), **{**fields, **changes})
-
-
-def own_simulation() -> DataOrigin:
-    """Data that a simulation of the model itself made."""
-    return DataOrigin(Source.ITSELF, "", 15.0, 1000.0, 1)
+    return found(Estimate(*known), **{**fields, **changes})
 
 
 def with_value(name: str, value: float, error: float) -> Estimate:
