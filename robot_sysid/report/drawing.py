@@ -85,12 +85,12 @@ def text(value: Any, error: float | None = None) -> str:
     return number_text(float(value), error)
 
 
-def plus_minus(error: float | None) -> str:
+def plus_minus(error: float) -> str:
     """Return a standard error as a cell."""
-    return "not known" if error is None else number_text(error, error)
+    return number_text(error, error)
 
 
-def cells(value: float, error: float | None) -> tuple[str, str]:
+def cells(value: float, error: float) -> tuple[str, str]:
     """Return a number and its standard error as cells."""
     return text(value, error), plus_minus(error)
 
@@ -254,17 +254,17 @@ def png(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
-_UNUSED_ID = re.compile(r' id="[A-Za-z][A-Za-z0-9]*_\d+"')
-_STYLE_BLOCK = re.compile(r"<style.*?</style>", re.DOTALL)
+_DROPPED = re.compile(
+    r' id="[A-Za-z][A-Za-z0-9]*_\d+"|<style.*?</style>|<metadata>.*?</metadata>', re.DOTALL
+)
+"""What a drawing inside a page has no use for: ids that nothing refers to, styles, facts."""
 _SIZE = re.compile(r'(<svg[^>]*?) (?:width|height)="[^"]*"')
 
 
 def inline(figure: Figure) -> str:
     """Return a drawing as part of a page: scaled by it, in its colours, no id used twice."""
     text = svg(figure)
-    text = text[text.index("<svg") :]
-    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
-    text = _UNUSED_ID.sub("", _STYLE_BLOCK.sub("", text))
+    text = _DROPPED.sub("", text[text.index("<svg") :])
     text = _SIZE.sub(r"\1", _SIZE.sub(r"\1", text))
     for colour, variable in VARIABLES.items():
         text = text.replace(colour, f"var(--{variable})")

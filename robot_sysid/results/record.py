@@ -85,12 +85,8 @@ class Verdict(Enum):
 
 
 class Figure(NamedTuple):
-    """A number and its whole standard error.
-
-    Attributes:
-        value: the number.
-        error: infinite where the data does not show it, NaN where it was held at a bound.
-    """
+    """A number and its whole standard error: infinite where the data does not show it, NaN where
+    it was held at a bound."""
 
     value: float
     error: float
@@ -134,11 +130,9 @@ class JointEstimate:
 
     Attributes:
         friction_model: its terms joined by "-", "none" where nothing was sought.
-        terms: friction term ("coulomb", "viscous", "offset", "armature", ...) or the speed of a
-            nonlinear one ("stribeck_speed") to its value.
+        terms: friction term ("coulomb", ...) or the speed of a bent one ("stribeck_speed").
         before: "coulomb", "viscous" and "armature" as the model has them.
-        candidates: friction model to the held-out root mean square error [N m] with it; empty where
-            it was given.
+        candidates: friction model to its held-out root mean square error [N m]; empty if given.
         noise: standard deviation of the joint's torque noise after filtering [N m]; NaN if unknown.
         two_ways: Coulomb friction forward and backward, which differ by twice the offset.
     """
@@ -153,12 +147,10 @@ class JointEstimate:
 
 @dataclass(frozen=True)
 class BaseParameters:
-    """Combinations of the links' parameters that torques can show.
+    """The r combinations of the links' parameters that torques can show.
 
     Attributes:
-        combinations: in words, such as ``Izz(link_1) + 0.25*m(link_2)``; the first parameter of
-            each is the one it is named after.
-        values, standard_errors: (r,).
+        combinations: in words, such as ``Izz(link_1) + 0.25*m(link_2)``.
         structural_rank: how many combinations any motion of this arm can show.
         essential: (r,) whether backward elimination keeps it.
     """
@@ -180,13 +172,12 @@ class ModelFile:
     """What the written model holds, fitted as such, and how well a file with it predicts.
 
     Attributes:
-        thetas: (n, 10) links as in ``RobotModel.links``; rows of links without mass are zero.
-        errors: (n, 10) their standard errors.
-        joints: joint to what its joint element gets: "coulomb", "viscous", "armature",
-            "quadratic", "cubic", "offset"; only what is written.
+        thetas, errors: (n, 10) links as in ``RobotModel.links``, zero without mass, and their
+            standard errors.
+        joints: joint to what it gets of "coulomb", "viscous", "armature", "quadratic", "cubic".
         gravity: (3,) in the model's world frame [m/s^2]; None where the file's own stays.
-        before: held-out error of the model as it was, each joint's sensor offset taken out.
-        after: the same of the written file; None until it is known.
+        before, after: held-out error of the model as it was, each joint's sensor offset taken out,
+            and of the written file; None until it is known.
         others: the same pairs on whole other logs.
         kept: parts that were left alone, in words ("friction", "gravity", "other links").
     """
@@ -206,10 +197,7 @@ class OneRecording:
     """The payload according to one recording alone, against all of the other kind.
 
     Attributes:
-        name: the recording.
-        is_loaded: of which kind it is.
-        mass: of the payload [kg].
-        com: (3,) its centre of mass in the flange frame [m].
+        mass, com: of the payload [kg], and (3,) in the flange frame [m].
         noise_error, error: standard errors of the mass [kg]: of noise alone, and whole.
     """
 
@@ -230,9 +218,7 @@ class Payload:
         body: in the FLANGE frame, inertia about its origin.
         link, total: the terminal link without and with it, in the terminal body's frame.
         recordings: "empty" and "loaded" to their names.
-        scatter: it according to each recording alone.
-        torque_scale: joint to its scale, where a known mass was given.
-        known_mass: that mass [kg], or None.
+        known_mass, torque_scale: a weight that was given [kg], and joint to its scale by it.
     """
 
     flange: Flange
@@ -251,16 +237,12 @@ class Result:
 
     Attributes:
         question: ``LINK`` or ``PAYLOAD``.
-        model_path, model_sha256: which model file.
         joint_name, body_name: terminal joint and body.
-        joint_names: all chain joints.
-        slides: the chain joints that are slides, whose friction is a force.
+        joint_names, slides: all chain joints, and those that are slides, whose friction is a force.
         prior: the model's own parameters of the terminal link.
         estimate: all parameters, the terminal link's first (of a payload: without it).
         verdict, reasons: how it ended; one phrase each on what is wrong.
         torques: "chain" or "terminal".
-        data: where the torques came from.
-        versions: package name to version.
         bodies: what the terminal link is made of in the model, the terminal body first.
         links: every link with mass, base to terminal; empty of the model's own simulation.
         joints: chain joint to its friction and rotor inertia.
@@ -268,11 +250,10 @@ class Result:
         sensors: torque scale ("scale[joint]"), zeros, drift, tilt and delay, and so on.
         base: what the torques show of all links; None of the model's own simulation.
         file: what the written model holds; None where nothing was learnt of it.
-        payload: what came on; None of other questions.
         validation: of the fit itself, on its own held-out stretches first, then on other logs.
         friction_model: name of the friction model, or "per joint".
-        delay: by which torque lags position, where it was sought [s].
-        tilt: angle between the model's gravity and the estimated one, where it was sought [rad].
+        delay, tilt: by which torque lags position [s], and angle between the model's gravity and
+            the estimated one [rad], where they were sought.
         cutoff: of the low-pass [Hz]; None of a simulation and of resting poses.
         prior_scale: by how much the other links' uncertainty was widened.
         conflicts: what the data asks for that the model does not have.

@@ -32,11 +32,9 @@ def verdicts(runs: Sequence[Run]) -> Section:
 
 
 def names(runs: Sequence[Run]) -> dict[str, Run]:
-    """Return the runs by a short name, none twice."""
+    """Return the runs by the name of their folder, or its path where two are called the same."""
     short = [run.name for run in runs]
-    pairs = zip(short, runs)
-    long = {f"{run.folder}" if short.count(name) > 1 else name: run for name, run in pairs}
-    return long if len(long) == len(runs) else {f"{k}: {r.folder}": r for k, r in enumerate(runs)}
+    return {run.name if short.count(run.name) < 2 else str(run.folder): run for run in runs}
 
 
 def compared(runs: Sequence[Run]) -> Section:
@@ -86,7 +84,10 @@ def predicted(runs: Sequence[Run]) -> Section:
 
 def friction_beside(runs: Sequence[Run]) -> Section:
     """Return the friction of each run."""
-    found = [{key: with_error(*each) for key, each in run.friction().items()} for run in runs]
-    keys = dict.fromkeys(key for each in found for key in each)
-    rows = [(*key, *(each.get(key, "–") for each in found)) for key in keys]
-    return Section("friction", "Friction", tables=(table(("joint", "term", *names(runs)), rows),))
+    found = {
+        name: {key: with_error(*each) for key, each in run.friction().items()}
+        for name, run in names(runs).items()
+    }
+    keys = dict.fromkeys(key for each in found.values() for key in each)
+    rows = [(*key, *(each.get(key, "–") for each in found.values())) for key in keys]
+    return Section("friction", "Friction", tables=(table(("joint", "term", *found), rows),))

@@ -144,7 +144,10 @@ def visibility(run: Run) -> Section:
         )
         header = ("combination", "value", "± standard error", "essential")
         essential = {True: "yes", False: "no"}
-        rows = [(e, *drawing.cells(*pair), essential[k]) for e, *pair, k in map(dict.values, base)]
+        rows = [
+            (words, *drawing.cells(*map(number, pair)), essential[kept])
+            for words, *pair, kept in map(dict.values, base)
+        ]
         tables.append(table(header, rows))
     if sensors:
         found = [(name, with_error(*each)) for name, each in sensors.items()]
