@@ -117,7 +117,10 @@ NARROW, WIDE = 4.6, 9.4
 """Widths of figures that stand beside another one, and that take the whole page [inch]."""
 HATCHES = ("", "///", "...", "xxx", "\\\\\\", "++", "oo")
 """Of the first, second, ... of several bars beside each other."""
+_SCATTERED = 400
+"""Dots of a cloud: more of them are one blot."""
 _DPI = 150
+"""Of a PNG: twice what a screen shows."""
 _STYLE: dict[str, Any] = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
@@ -202,25 +205,29 @@ class Panel:
         label: of the upright axis.
         curves: name to values (K,) and matplotlib's style; a name ends in its unit.
         marks: values at which a dashed line is drawn.
+        cloud: places (K,) and values (K,) that are drawn as dots; some of them.
         height: beside the other panels.
     """
 
     label: str
     curves: Curves
     marks: Sequence[float] = ()
+    cloud: tuple[Array, Array] | None = None
     height: float = 1.0
 
 
 def curves(
     name: str, caption: str, across: tuple[str, Array], panels: Sequence[Panel], height: float
 ) -> Figure:
-    """Return curves in panels over one axis, which is ``across``; their numbers are its table."""
+    """Return curves in panels over one axis, ``across``, broken where that is NaN; with a table."""
     every = {label: each for panel in panels for label, (each, _) in panel.curves.items()}
 
     def draw(canvas: Any) -> None:
         ratios = [panel.height for panel in panels]
         axes = canvas.subplots(len(panels), 1, sharex=True, squeeze=False, height_ratios=ratios)
         for (ax,), panel in zip(axes, panels):
+            if panel.cloud is not None:
+                dots(ax, *panel.cloud)
             for label, (values, style) in panel.curves.items():
                 ax.plot(across[1], values, label=label.split(" [")[0], **style)
             for mark in panel.marks:
@@ -231,8 +238,8 @@ def curves(
         if len(panels[0].curves) > 1:
             legend(canvas, axes[0, 0])
 
-    numbers = (across[0], *every), zip(across[1], *every.values())
-    return drawn(name, caption, numbers, height, draw)
+    rows = [row for row in zip(across[1], *every.values()) if np.isfinite(row[0])]
+    return drawn(name, caption, ((across[0], *every), rows), height, draw)
 
 
 def svg(figure: Figure) -> str:
@@ -278,6 +285,13 @@ def legend(canvas: Any, axes: Any, columns: int = 3) -> None:
     handles, labels = axes.get_legend_handles_labels()
     if handles:
         canvas.legend(handles, labels, loc="outside upper center", ncols=columns)
+
+
+def dots(axes: Any, places: Array, values: Array) -> None:
+    """Draw some of many values that are known as small dots."""
+    known = np.flatnonzero(np.isfinite(values))
+    known = known[:: max(1, len(known) // _SCATTERED)]
+    axes.plot(places[known], values[known], ".", color=MEASURED, ms=2.5, alpha=0.7)
 
 
 def bars(

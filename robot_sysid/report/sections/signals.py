@@ -28,8 +28,6 @@ from robot_sysid.report.drawing import (
 from robot_sysid.report.runs import LONGEST_LAG, ReportData, Run, number
 from robot_sysid.results.record import Figure as Estimated
 
-_SCATTERED = 400
-"""Dots of a cloud: more of them are one blot."""
 _NEAR = 0.5
 """Share of what a joint moved through within which a limit is near enough to be drawn."""
 _MOST_SETS = 7
@@ -116,7 +114,7 @@ def _left_over(data: ReportData, joint: int) -> Figure:
     def draw(canvas: Any) -> None:
         grid = canvas.add_gridspec(2, 2)
         above = canvas.add_subplot(grid[0, :], xlabel=speed, ylabel=left)
-        _dots(above, data.qd[:, joint], (data.measured - data.predicted)[:, joint])
+        drawing.dots(above, data.qd[:, joint], (data.measured - data.predicted)[:, joint])
         above.errorbar(speeds, mean, spread, color=AFTER, fmt="o-", ms=3, lw=1.0, capsize=2)
         shape = canvas.add_subplot(grid[1, 0], xlabel=left, ylabel="samples")
         _histogram(shape, data.edges[joint], data.counts[joint])
@@ -127,12 +125,6 @@ def _left_over(data: ReportData, joint: int) -> Figure:
 
     numbers = (speed, f"mean {left}", f"spread of the {left}"), zip(speeds, mean, spread)
     return drawn(f"residual-{joint}", caption, numbers, 3.9, draw)
-
-
-def _dots(ax: Any, speed: Array, values: Array) -> None:
-    places = np.flatnonzero(np.isfinite(values))
-    places = places[:: max(1, len(places) // _SCATTERED)]
-    ax.plot(speed[places], values[places], ".", color=MEASURED, ms=2.5, alpha=0.7)
 
 
 def _histogram(ax: Any, edges: Array, counts: Array) -> None:
@@ -178,24 +170,23 @@ def _coefficients(
 
 
 def _curve(data: ReportData, joint: int) -> Figure:
-    unit, speed_unit = torque(data.is_slide[joint]), f"{position(data.is_slide[joint])}/s"
+    unit, speed = torque(data.is_slide[joint]), f"speed [{position(data.is_slide[joint])}/s]"
     known = np.isfinite(data.speed[joint])
     columns = (data.speed, data.friction_measured, data.friction_predicted)
-    speed, measured, identified = (each[joint, known] for each in columns)
-    header = (f"speed [{speed_unit}]", f"measured [{unit}]", f"identified [{unit}]")
-    caption = f"{data.joints[joint]}: friction torque [{unit}] against speed [{speed_unit}]."
-
-    def draw(canvas: Any) -> None:
-        ax = canvas.subplots()
-        _dots(ax, data.qd[:, joint], (data.friction + data.measured - data.predicted)[:, joint])
-        ax.plot(speed, measured, "o", mfc="none", mec=BEFORE, label="measured")
-        for side, label in ((speed < 0.0, None), (speed > 0.0, "identified")):
-            ax.plot(speed[side], identified[side], color=AFTER, lw=1.8, label=label)
-        ax.set(xlabel=header[0], ylabel=f"friction [{unit}]")
-        drawing.legend(canvas, ax)
-
-    rows = zip(speed, measured, identified)
-    return drawn(f"friction-{joint}", caption, (header, rows), 3.0, draw)
+    # Dry friction jumps where the speed changes its sign: no line is drawn across.
+    turn = np.count_nonzero(data.speed[joint, known] < 0.0)
+    across, measured, identified = (np.insert(e[joint, known], turn, np.nan) for e in columns)
+    caption = f"{data.joints[joint]}: friction torque [{unit}] against {speed}."
+    lines: Curves = {
+        f"measured [{unit}]": (
+            measured,
+            {"ls": "none", "marker": "o", "mfc": "none", "mec": BEFORE},
+        ),
+        f"identified [{unit}]": (identified, {"color": AFTER, "lw": 1.8}),
+    }
+    cloud = data.qd[:, joint], (data.friction + data.measured - data.predicted)[:, joint]
+    panel = Panel(f"friction [{unit}]", lines, cloud=cloud)
+    return curves(f"friction-{joint}", caption, (speed, across), (panel,), 3.0)
 
 
 def excitation(run: Run) -> Section | None:
