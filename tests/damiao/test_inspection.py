@@ -8,7 +8,7 @@ from robot_sysid.damiao.inspection import inspect_bus
 from robot_sysid.damiao.protocol import frames
 from robot_sysid.damiao.protocol.frames import DISABLED, ENABLED, REGISTER_ID, Address, Frame
 from robot_sysid.errors import HardwareAbort
-from tests.support.motor_bench import Bench, answering_writes_with
+from tests.support.motor_bench import Bench
 
 
 def test_inspection_reads_everything_and_changes_nothing():
@@ -37,14 +37,6 @@ def test_registers_are_read_and_written():
     assert bench.client.read(Address(0, 2), frames.PMAX) == (12.5, 18)
     bench.client.write(Address(0, 2), frames.TIMEOUT, 4000.0)
     assert bench.motors[1].registers[frames.TIMEOUT] == 4000.0
-
-
-@pytest.mark.parametrize("opcode", [0x33, 0x55])
-def test_a_write_may_be_echoed_with_either_opcode(opcode):
-    bench = Bench()
-    answering_writes_with(opcode, bench.motors[0])
-    bench.client.write(Address(0, 1), frames.TIMEOUT, 4000.0)
-    assert bench.motors[0].registers[frames.TIMEOUT] == 4000.0
 
 
 def test_a_refused_write_is_noticed():

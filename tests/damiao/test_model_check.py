@@ -11,11 +11,10 @@ from hypothesis import strategies as st
 
 from robot_sysid.damiao.model_check import model_checks
 from robot_sysid.damiao.preflight import OK, STOP
-from robot_sysid.damiao.trajectory import export_damiao_trajectory, read_damiao_trajectory
 from robot_sysid.errors import InputError
 from robot_sysid.records import JointLimits
 from tests.support import arms
-from tests.support.damiao_rig import swing
+from tests.support.damiao_rig import swing, trajectory_file
 
 # Wide frames, so that the export clamps nothing.
 MOTOR = "DM10010L"
@@ -39,9 +38,7 @@ def folder(tmp_path_factory):
 
 
 def written(folder, motion):
-    path = folder / "t.csv"
-    export_damiao_trajectory([motion], [MOTOR] * motion[1].shape[1], path)
-    return read_damiao_trajectory(path)
+    return trajectory_file(folder, motion, MOTOR)
 
 
 def limited(arm, share, peaks):
@@ -63,15 +60,6 @@ def exceeded(checks):
 
 def peaks_of(motion):
     return [np.abs(signal).max(axis=0) for signal in motion[1:]]
-
-
-@given(share=st.lists(INSIDE, min_size=9, max_size=9), rate=RATES, speed=SPEEDS)
-def test_a_trajectory_inside_all_limits_is_fine(arm, folder, share, rate, speed):
-    motion = swing(3, duration=1.0, rate=rate)
-    position, velocity, torque = peaks_of(motion)
-    robot = limited(arm, np.reshape(share, (3, 3)), (position, speed * velocity, torque))
-    (check,) = model_checks(written(folder, motion), speed, robot)
-    assert check.severity == OK and check.text.endswith(f"the limits of {robot.path.name}")
 
 
 @given(
@@ -99,7 +87,6 @@ def test_a_joint_scaled_beyond_its_limits_is_named_with_them(
     assert found - doubtful == expected - doubtful
 
 
-@pytest.mark.slow
 @given(
     rows=st.integers(3, 12),
     rate=RATES,
@@ -120,19 +107,6 @@ def test_every_row_counts_however_short_its_peak(arm, folder, rows, rate, speed,
     assert exceeded(model_checks(written(folder, motion), speed, robot)) == expected
 
 
-@pytest.mark.slow
-@given(speed=SPEEDS, share=SHARES, joint=st.integers(0, 2))
-def test_at_a_share_of_the_speed_velocities_count_that_much(arm, folder, speed, share, joint):
-    motion = swing(3, duration=1.0)
-    _, velocity, _ = peaks_of(motion)
-    top = np.where(np.arange(3) == joint, velocity * speed / share, np.inf)
-    free = np.full(3, np.inf)
-    robot = replace(arm, limits=JointLimits(-free, free, top, free))
-    expected = {(JOINTS[joint], "velocity")} if share > 1.0 else set()
-    assert exceeded(model_checks(written(folder, motion), speed, robot)) == expected
-
-
-@pytest.mark.slow
 @given(speed=SPEEDS, share=SHARES, rate=st.sampled_from([100.0, 250.0, 1000.0]))
 def test_what_the_positions_do_counts_also_where_the_file_states_no_velocity(
     arm, folder, speed, share, rate
@@ -146,7 +120,6 @@ def test_what_the_positions_do_counts_also_where_the_file_states_no_velocity(
     assert found == ({(joint, "velocity") for joint in JOINTS} if share > 1.0 else set())
 
 
-@pytest.mark.slow
 @given(velocity=st.floats(0.01, 3.0), rate=RATES)
 def test_printed_digits_of_positions_do_not_count_as_speed(arm, folder, velocity, rate):
     """At 1 kHz the fourth decimal of a position is 0.1 rad/s."""
@@ -156,13 +129,6 @@ def test_printed_digits_of_positions_do_not_count_as_speed(arm, folder, velocity
     robot = replace(arm, limits=JointLimits(-free, free, np.full(3, velocity + 1e-4), free))
     motion = time, q, np.full_like(q, velocity), 0 * q
     assert exceeded(model_checks(written(folder, motion), 1.0, robot)) == set()
-
-
-def test_an_arm_without_limits_takes_everything(folder):
-    arm = arms.robot_of(arms.UNLIMITED, max_velocity=np.inf)
-    time, q, qd, tau = swing(3, duration=1.0)
-    (check,) = model_checks(written(folder, (time, 10 * q, 10 * qd, 10 * tau)), 1.0, arm)
-    assert check.severity == OK
 
 
 def test_one_sided_ranges_hold_on_their_side(arm, folder):
@@ -178,16 +144,15 @@ def test_one_sided_ranges_hold_on_their_side(arm, folder):
         assert said == ([everywhere, set()] if sign > 0.0 else [set(), everywhere])
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_message_tells_joint_limit_value_and_moment(arm, folder, sign):
+def test_a_message_tells_joint_limit_value_and_moment(arm, folder):
     time, q, qd, tau = swing(3, duration=1.0, amplitude=0.98)
     free, narrow = np.full(3, np.inf), np.array([0.3, 2.0, 2.0])
     robot = replace(arm, limits=JointLimits(-narrow, narrow, free, free))
-    (check,) = model_checks(written(folder, (time, sign * q, sign * qd, tau)), 0.5, robot)
+    (check,) = model_checks(written(folder, (time, -q, -qd, tau)), 0.5, robot)
     assert check.severity == STOP
     assert check.text == (
-        f"joint joint0: position {0.98 * sign} rad is beyond the model's limit {0.3 * sign}, at "
-        "1.00 s; export a smaller trajectory for this arm"
+        "joint joint0: position -0.98 rad is beyond the model's limit -0.3, at 1.00 s; export a "
+        "smaller trajectory for this arm"
     )
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from robot_sysid.damiao import serial_adapter
 from robot_sysid.damiao.bus import BusAddress, LinkError, SystemClock, open_bus
 from robot_sysid.damiao.protocol.frames import Address, BusTiming, Frame, disable_frame
-from robot_sysid.damiao.serial_adapter import PacketReader, packet
+from robot_sysid.damiao.serial_adapter import PacketReader
 from robot_sysid.errors import InputError
 
 FRAMES = st.lists(
@@ -23,13 +23,6 @@ FRAMES = st.lists(
 def answer(frame):
     """What the adapter says about a frame that it received."""
     return b"\xaa\x11\x08" + frame.id.to_bytes(4, "little") + frame.data + b"\x55"
-
-
-def test_a_packet_is_as_the_maker_writes_it():
-    """Typed from the maker's description: enabling motor 0x123."""
-    assert packet(0x123, bytes.fromhex("ffffffffffffff fc")) == bytes.fromhex(
-        "55aa1e03 01000000 0a000000 00 23010000 00 08 00 00 ffffffffffffff fc 00"
-    )
 
 
 @given(FRAMES, st.integers(1, 40))
@@ -54,12 +47,6 @@ def test_other_packets_and_broken_ones_are_passed_over():
     assert found.count(one) >= 2 and set(found) == {one}
 
 
-@pytest.mark.parametrize(("identifier", "size"), [(0x800, 8), (-1, 8), (1, 9)])
-def test_what_the_adapter_cannot_send_is_refused(identifier, size):
-    with pytest.raises(ValueError, match="11-bit ids"):
-        packet(identifier, bytes(size))
-
-
 NEEDS_TERMINALS = pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals")
 
 
@@ -80,6 +67,7 @@ def line():
 
 @NEEDS_TERMINALS
 def test_thirty_bytes_go_out_per_frame(line):
+    """Typed from the maker's description."""
     link, near = line
     link.send(disable_frame(Address(0, 3)))
     assert os.read(near, 100) == bytes.fromhex(
@@ -108,8 +96,11 @@ def test_can_fd_is_refused_because_it_would_be_classic_frames():
 
 
 @NEEDS_TERMINALS
-def test_a_line_that_breaks_is_our_error(line):
+def test_a_line_that_breaks_or_a_frame_that_is_none_is_our_error(line):
     link, _ = line
+    for frame in (Frame(0x800, bytes(8)), Frame(1, bytes(9))):
+        with pytest.raises(LinkError):
+            link.send(frame)
     link.close()
     with pytest.raises(LinkError):
         link.send(Frame(1, bytes(8)))

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.references import Reference, TrajectorySampler, approach, come_to_rest, hold
+from robot_sysid.damiao.references import Reference, TrajectorySampler, approach, come_to_rest
 from tests.support.damiao_rig import swing, trajectory_file
 
 ANGLES = st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=7)
@@ -17,17 +17,11 @@ ANGLES = st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=7)
 def test_the_sampler_interpolates_and_scales_velocity_with_speed(tmp_path, speed):
     time, q, qd, tau = swing(3)
     sampler = TrajectorySampler(trajectory_file(tmp_path, (time, q, qd, tau)), speed)
-    for moment in np.arange(0.0, 2.0 / speed, 0.0137):
+    for moment in np.append(np.arange(0.0, 2.0 / speed, 0.0137), 9.0):
         reference = sampler(moment)
         for got, wanted in zip(reference, (q, speed * qd, tau)):
             expected = [np.interp(moment * speed, time, column) for column in wanted.T]
             np.testing.assert_allclose(got, expected, rtol=0, atol=6e-5)
-
-
-def test_the_sampler_holds_the_end(tmp_path):
-    time, q, qd, tau = swing(2)
-    sampler = TrajectorySampler(trajectory_file(tmp_path, (time, q, qd, tau)), 1.0)
-    np.testing.assert_allclose(sampler(5.0).position, q[-1], atol=6e-5)
 
 
 @given(start=ANGLES, data=st.data(), speed=st.floats(0.05, 2.0), shortest=st.floats(0.1, 3.0))
@@ -61,8 +55,3 @@ def test_braking_is_continuous_and_ends_at_rest(q, data, deceleration):
     np.testing.assert_allclose(end.velocity, 0.0, atol=1e-12)
     np.testing.assert_allclose(end.position, q + 0.5 * v * duration, atol=1e-9)
     assert duration == pytest.approx(np.max(np.abs(v)) / deceleration)
-
-
-def test_holding_is_at_rest():
-    still = hold(Reference(np.ones(2), np.ones(2), np.ones(2)))(3.0)
-    assert still.velocity.tolist() == [0.0, 0.0] and still.position.tolist() == [1.0, 1.0]
