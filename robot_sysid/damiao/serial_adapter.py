@@ -3,22 +3,10 @@
 python-can finds the class (``interface="damiao"``) by its entry point; it is made on first use,
 because python-can is an extra.
 
-To the adapter, 30 bytes per CAN frame:
-
-======  =========================================================
-0, 1    55 AA
-2       1E, the length
-3       03, send
-4-7     how often, little endian: 1
-8-11    pause between repetitions, little endian: 10
-12      id type, 0 for 11 bits
-13-16   CAN id, little endian
-17      frame type, 0 for data
-18      number of data bytes, 8
-19, 20  no filters: 0
-21-28   data
-29      check byte, not looked at: 0
-======  =========================================================
+To the adapter, 30 bytes per CAN frame, numbers little endian: 55 AA, the length 1E, 03 for "send",
+how often (4 bytes: 1), the pause between in four bytes (10), id type (0 for 11 bits), CAN id in
+four bytes, frame type (0 for data), number of data bytes, two filters (0), eight bytes of data, and
+a check byte that is not looked at (0).
 
 From the adapter, 16 bytes: AA, kind (11 for a received frame), format, CAN id in four bytes little
 endian, eight bytes of data, 55.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -261,19 +261,21 @@ class MotorSession:
         self, wanted: Mask, until: float, command: codec.MitCommand | None = None
     ) -> Replies:
         raw = np.zeros((self.n_joints, 8), dtype=np.uint8)
-        received = np.full(self.n_joints, np.nan)
-        sent = np.full(self.n_joints, np.nan)
+        received, sent = np.full((2, self.n_joints), np.nan)
         missing = int(np.count_nonzero(wanted))
         try:
             while missing and (frame := self._link.receive(until)) is not None:
                 missing -= self._take(frame, wanted, raw, received, sent)
         finally:
             answered = np.isfinite(received)
-            feedback = codec.decode_feedback(raw, self.scaling, half_step=True)
-            feedback = self.space.measured(feedback)
-            for values in (feedback.position, feedback.velocity, feedback.torque):
-                values[~answered] = np.nan
-            feedback.status[~answered] = NO_STATUS
+            told, space = codec.decode_feedback(raw, self.scaling, half_step=True), self.space
+            feedback = replace(
+                told,
+                status=np.where(answered, told.status, NO_STATUS),
+                position=np.where(answered, space.joint_position(told.position), np.nan),
+                velocity=np.where(answered, space.direction * told.velocity, np.nan),
+                torque=np.where(answered, space.joint_torque(told.torque), np.nan),
+            )
             stamps = np.where(answered & np.isfinite(sent), sent, received)
             self.last_replies = Replies(answered, stamps, feedback, command, wanted)
         return self.last_replies

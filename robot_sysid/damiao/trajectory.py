@@ -229,8 +229,7 @@ def _parse_joint(line: str, path: Path, number: int) -> DamiaoJoint:
 def _check_columns(line: str, n_joints: int, path: Path, number: int) -> None:
     if n_joints == 0:
         raise InputError(f"{path} has no '# motor_type=...' lines; it is not a Damiao trajectory")
-    names = [name.strip() for name in line.strip().split(",")]
-    if names != ["time", *trajectory_columns(n_joints)]:
+    if [name.strip() for name in line.split(",")] != ["time", *trajectory_columns(n_joints)]:
         raise InputError(
             f"{path}, line {number}: expected the columns time,j0_pos,j0_vel,j0_tau,... for "
             f"{n_joints} joints"
@@ -266,11 +265,9 @@ def _opened(path: Path) -> Iterator[TextIO]:
 class TrajectoryScan:
     """What a trajectory asks of the motors; arrays are (n,) [rad, rad/s, N m].
 
-    Attributes:
-        duration: from first to last row [s].
-        end_velocity: larger of the speeds at the first and the last row.
-        peak_step: largest position change per time between two rows [rad/s].
-        mismatch: where the velocity column does not say how the positions change, or None.
+    ``end_velocity`` is the larger of the speeds at the first and the last row, ``peak_step`` the
+    largest position change per time between two rows [rad/s]; ``mismatch`` is where the velocity
+    column does not say how the positions change, or None.
     """
 
     duration: float
@@ -381,7 +378,7 @@ def _windows_off(time: Array, q: Array, qd: Array, slope: Array) -> Iterator[Mis
     way = _summed(0.5 * (qd[1:] + qd[:-1]) * step)
     came, said = q[ends] - q[starts], way[ends] - way[starts]
     turns = _summed(np.abs(np.diff(qd, axis=0)))
-    # Half a row early or late; then what trapezoids leave out where the velocity bends.
+    # Half a row early or late, and a fifth more; then what trapezoids leave out where it bends.
     before = np.vstack([slope[:1], slope])
     sped_up = [np.abs(each[ends] - each[starts]) for each in (slope, before)]
     shifted = 0.6 * longest * np.maximum(*sped_up) + 2.0 * _ROUNDING

@@ -138,21 +138,23 @@ def test_playing_needs_a_confirmation(capsys, bus, trajectory, monkeypatch):
     assert run(capsys, "play", trajectory, *CAN0, *AT_100)[0] == 0
 
 
-@pytest.mark.parametrize("there", ["measured.csv", "measured.log"])
 def test_existing_recordings_are_kept_and_nobody_is_asked_first(
-    capsys, bus, trajectory, tmp_path, there, monkeypatch
+    capsys, bus, trajectory, tmp_path, monkeypatch
 ):
     def asked(prompt):
         raise AssertionError("asked in vain")
 
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
     monkeypatch.setattr("builtins.input", asked)
-    (tmp_path / there).write_text("precious")
     record = ("--record", tmp_path / "measured.csv")
-    code, _, err = run(capsys, "play", trajectory, *CAN0, *record)
-    assert code == 2 and f"{there} exists" in err
-    assert (tmp_path / there).read_text() == "precious"
-    assert sorted(tmp_path.iterdir()) == sorted([trajectory, tmp_path / there])
+    for there in (tmp_path / "measured.csv", tmp_path / "measured.log"):
+        there.write_text("precious")
+        code, _, err = run(capsys, "play", trajectory, *CAN0, *record)
+        assert code == 2 and f"{there.name} exists" in err
+        assert there.read_text() == "precious"
+        assert sorted(tmp_path.iterdir()) == sorted([trajectory, there])
+        there.unlink()
+    there.write_text("precious")
     assert run(capsys, "play", trajectory, *CAN0, *record, *AT_100, "--yes", "--overwrite")[0] == 0
     assert read_recording(tmp_path / "measured.csv").ending == "completed"
 
@@ -329,9 +331,8 @@ def test_a_rehearsal_is_exactly_repeatable(capsys, trajectory, model, tmp_path):
     np.testing.assert_allclose(first_times, second_times, rtol=0, atol=3e-6)
 
 
-@pytest.mark.parametrize("fd", [(), ("--fd",)])
-def test_a_simulated_arm_on_a_bus_says_how_to_reach_it(capsys, bus, trajectory, model, fd):
-    address = ("--interface", "virtual", "--channel", "c")
+def test_a_simulated_arm_on_a_bus_says_how_to_reach_it(capsys, bus, trajectory, model):
+    address, fd = ("--interface", "virtual", "--channel", "c"), ("--fd",)
     code, out, err = run(
         capsys, "simulate", trajectory, "--model", model, *address, *fd, "--for", "2"
     )

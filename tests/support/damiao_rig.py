@@ -33,7 +33,7 @@ CLASSIC = frames.BusTiming()
 class Pendulums:
     """Independent pendulums: INERTIA qdd + GRAVITY sin(q) = torque; those jammed stand."""
 
-    timestep = 2e-3
+    timestep = 4e-3
 
     def __init__(self, n_joints, q=None):
         self.n_joints = n_joints

@@ -198,8 +198,7 @@ _MOVED, _CLEARLY = 0.15, 3.0
 _TRIES = 3
 # A turn of 17 degrees [rad] that moves the tip by less than this [m] is not seen at the tip.
 _PROBE, _SEEN = 0.3, 0.02
-_AXES = ("x", "y", "z")
-_WAYS = {"+z": " (up)", "-z": " (down)"}
+_WAYS = ("-x", "+x"), ("-y", "+y"), ("-z (down)", "+z (up)")
 
 
 def positive_ways(robot: RobotModel) -> list[str]:
@@ -220,8 +219,7 @@ def positive_ways(robot: RobotModel) -> list[str]:
 
 def _way(vector: Array) -> str:
     k = int(np.argmax(np.abs(vector)))
-    way = f"{'+' if vector[k] > 0.0 else '-'}{_AXES[k]}"
-    return way + _WAYS.get(way, "")
+    return _WAYS[k][int(vector[k] > 0.0)]
 
 
 def map_by_hand(
@@ -243,17 +241,15 @@ def map_by_hand(
             raise HardwareAbort("a motor does not answer any more; nothing was written")
         return dict(zip(by_address, told))
 
-    found: list[tuple[str, frames.Address, int]] = []
+    found: dict[frames.Address, tuple[str, int]] = {}
     for name, way in zip(robot.joint_names, positive_ways(robot)):
-        left = set(by_address) - {address for _, address, _ in found}
-        found.append((name, *_moved_one(name, way, left, positions, ask)))
+        address, direction = _moved_one(name, way, set(by_address) - set(found), positions, ask)
+        found[address] = name, direction
     listed = ", ".join(f"{n} {q:.3f}" for n, q in zip(robot.joint_names, robot.reference))
     ask(f"put the arm into the model's own pose ({listed} rad or m) and hold it there")
-    here = positions()
-    rows = []
-    for (name, address, direction), q in zip(found, robot.reference):
-        motor = by_address[address]
-        offset = round(here[address] - direction * float(q), 4)
+    here, rows = positions(), []
+    for (address, (name, direction)), q in zip(found.items(), robot.reference):
+        motor, offset = by_address[address], round(here[address] - direction * float(q), 4)
         place = address.can_id, motor.master_id, name, 0, motor.channel
         rows.append(DamiaoJoint("", *place, direction, offset))
     return rows
@@ -271,15 +267,16 @@ def _moved_one(
         before = positions()
         ask(f"{again}move joint {name} alone, by 20 degrees or more, so that {way}")
         after = positions()
-        turned = sorted(left, key=lambda each: -abs(after[each] - before[each]))
-        way_back = [after[each] - before[each] for each in turned]
-        if turned and abs(way_back[0]) > _MOVED:
-            if len(turned) == 1 or abs(way_back[0]) > _CLEARLY * abs(way_back[1]):
-                return turned[0], 1 if way_back[0] > 0.0 else -1
-            again = "several motors turned; "
-        else:
-            again = "no motor turned far enough; "
+        turns = sorted(((after[each] - before[each], each) for each in left), key=_size)
+        most = abs(turns[0][0]) if turns else 0.0
+        if most > _MOVED and (len(turns) == 1 or most > _CLEARLY * abs(turns[1][0])):
+            return turns[0][1], 1 if turns[0][0] > 0.0 else -1
+        again = "several motors turned; " if most > _MOVED else "no motor turned far enough; "
     raise HardwareAbort(f"it cannot be told which motor drives {name}; nothing was written")
+
+
+def _size(turn: tuple[float, frames.Address]) -> float:
+    return -abs(turn[0])
 
 
 def _require_limp(motors: Collection[InspectedMotor], n: int) -> None:

@@ -175,6 +175,7 @@ def is_fault(code: int) -> bool:
     return code not in (DISABLED, ENABLED)
 
 
+# A judgement: room for error frames and for one frame in three that is sent again.
 PLANNING_LIMIT = 0.70
 HANDY_RATES = (1000.0, 500.0, 250.0, 200.0, 125.0, 100.0, 50.0, 40.0, 25.0, 20.0, 10.0)
 """Cycle rates to propose [Hz], highest first."""
@@ -212,17 +213,12 @@ def bus_load(n_motors: int, rate: float, timing: BusTiming) -> float:
     return n_motors * _FRAMES_PER_CYCLE * timing.frame_time * rate
 
 
-def highest_rate(n_motors: int, timing: BusTiming) -> float:
-    """Return the highest cycle rate [Hz] that keeps the bus load at or below 70 %."""
-    return PLANNING_LIMIT / (n_motors * _FRAMES_PER_CYCLE * timing.frame_time)
-
-
 def default_rate(n_motors: int, timing: BusTiming) -> float:
     """Return the cycle rate to use [Hz]: 250 (classic) or 500 (FD), less where it does not fit."""
     return suggested_rate(n_motors, timing, _FD_RATE_HZ if timing.fd else _CLASSIC_RATE_HZ)
 
 
 def suggested_rate(n_motors: int, timing: BusTiming, most: float = math.inf) -> float:
-    """Return the highest handy rate [Hz] up to ``most`` that the bus can carry for n motors."""
-    top = highest_rate(n_motors, timing)
+    """Return the highest handy rate [Hz] up to ``most`` that loads the bus to 70 % or less."""
+    top = PLANNING_LIMIT / bus_load(n_motors, 1.0, timing)
     return next((rate for rate in HANDY_RATES if rate <= min(top, most)), top)

@@ -30,7 +30,7 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.damiao.protocol.codec import Feedback, MitCommand
+from robot_sysid.damiao.protocol.codec import MitCommand
 from robot_sysid.damiao.protocol.frames import Address
 from robot_sysid.damiao.protocol.motors import MOTORS, MotorSpec, motor_spec
 from robot_sysid.errors import InputError
@@ -116,7 +116,7 @@ def damiao_joints(
     for problem in id_problems([(0, *pair) for pair in zip(ids, replies)]):
         raise InputError(problem)
     called = ["_".join(name.split()) for name in names] or [""] * n_joints
-    return tuple(DamiaoJoint(*each) for each in zip(types, ids, replies, called))
+    return tuple(map(DamiaoJoint, types, ids, replies, called))
 
 
 def id_problems(motors: Sequence[tuple[Any, int, int]]) -> Iterator[str]:
@@ -126,8 +126,7 @@ def id_problems(motors: Sequence[tuple[Any, int, int]]) -> Iterator[str]:
     a reply carries only the low four bits of the sender's id.
     """
     for bus in sorted({each[0] for each in motors}):
-        can_ids, master_ids = zip(*(each[1:] for each in motors if each[0] == bus))
-        yield from _clashes(can_ids, master_ids)
+        yield from _clashes(*zip(*(each[1:] for each in motors if each[0] == bus)))
 
 
 def _clashes(can_ids: Sequence[int], master_ids: Sequence[int]) -> Iterator[str]:
@@ -162,26 +161,17 @@ class JointSpace:
         rows = [(joint.direction, joint.offset, joint.torque_ratio) for joint in joints]
         return cls(*np.array(rows, dtype=float).reshape(-1, 3).T)
 
-    def to_motors(self, command: MitCommand) -> MitCommand:
+    def to_motors(self, told: MitCommand) -> MitCommand:
         """Return a command for joints as one for motors."""
-        p, v, kp, kd, t = command
-        gains = kp / self.ratio, kd / self.ratio
-        return MitCommand(self.motor_position(p), self.direction * v, *gains, self.motor_torque(t))
+        place, torque = self.motor_position(told.position), self.motor_torque(told.torque)
+        gains = told.kp / self.ratio, told.kd / self.ratio
+        return MitCommand(place, self.direction * told.velocity, *gains, torque)
 
-    def from_motors(self, command: MitCommand) -> MitCommand:
+    def from_motors(self, told: MitCommand) -> MitCommand:
         """Return a command for motors as one for joints."""
-        p, v, kp, kd, t = command
-        gains = kp * self.ratio, kd * self.ratio
-        return MitCommand(self.joint_position(p), self.direction * v, *gains, self.joint_torque(t))
-
-    def measured(self, feedback: Feedback) -> Feedback:
-        """Return what motors measure as what their joints do."""
-        return replace(
-            feedback,
-            position=self.joint_position(feedback.position),
-            velocity=self.direction * feedback.velocity,
-            torque=self.joint_torque(feedback.torque),
-        )
+        place, torque = self.joint_position(told.position), self.joint_torque(told.torque)
+        gains = told.kp * self.ratio, told.kd * self.ratio
+        return MitCommand(place, self.direction * told.velocity, *gains, torque)
 
     def motor_position(self, q: Array) -> Array:
         """Return the motors' positions (n,) at joint positions (n,) [rad]."""
