@@ -26,9 +26,9 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from benchmarks.workshop import COMMANDS, EXAMPLE, SEARCH, Run, Workshop
 from robot_sysid.records.atomic_files import LOCK_NAME
 from tests.support.command_line import files_in
-from tests.support.workshop import COMMANDS, EXAMPLE, SEARCH, Run, Workshop
 
 WRITING = 0.02
 """Within this time after the first draft a run is killed while it writes [s]."""

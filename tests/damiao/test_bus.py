@@ -30,7 +30,6 @@ from robot_sysid.damiao.protocol.frames import BusTiming, Frame
 from robot_sysid.errors import InputError, SysidError
 from tests.support.can_frames import FRAMES
 from tests.support.damiao_rig import two_motor_arm
-from tests.support.links import served_in_background
 from tests.support.motor_bench import Bench
 
 WALL = 1.7e9
@@ -114,20 +113,6 @@ def test_receiving_on_a_silent_bus_ends_in_time(wait):
     clock = SimulatedClock()
     assert BusLink([ArmBus(clock)], clock).receive(wait) is None
     assert clock.now() == wait
-
-
-@pytest.mark.realtime
-@pytest.mark.parametrize("fd", [False, True])
-def test_an_arm_on_the_virtual_bus_answers(fd):
-    clock, timing = SystemClock(), BusTiming(fd=fd)
-    near, far = (open_bus(virtual(f"test-{fd}"), timing, clock) for _ in range(2))
-    try:
-        with served_in_background(two_motor_arm(), far, clock):
-            found = inspect_bus(GuardedLink(near, clock, fd))
-    finally:
-        near.close()
-    assert sorted(found.motors) == [(0, 1), (0, 2)]
-    assert found.motors[0, 1].limits == (12.5, 10.0, 28.0)
 
 
 def test_a_bus_that_breaks_raises_our_error():

@@ -32,13 +32,6 @@ def test_inspection_does_not_disturb_a_motor_that_somebody_uses():
     assert bench.motors[0].status == ENABLED
 
 
-def test_registers_are_read_and_written():
-    bench = Bench()
-    assert bench.client.read(Address(0, 2), frames.PMAX) == (12.5, 18)
-    bench.client.write(Address(0, 2), frames.TIMEOUT, 4000.0)
-    assert bench.motors[1].registers[frames.TIMEOUT] == 4000.0
-
-
 def test_a_refused_write_is_noticed():
     bench = Bench()
     with pytest.raises(HardwareAbort, match="motor 1 refused OC_Value = 0.5 and keeps 0.8"):

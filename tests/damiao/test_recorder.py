@@ -110,16 +110,6 @@ def write_rows(path, gap=False):
             recorder.write(0.004 * k, 0.0, replies, MitCommand(*[one] * 5))
 
 
-def test_cells_of_a_joint_that_did_not_answer_are_empty(tmp_path):
-    path = tmp_path / "measured.csv"
-    write_rows(path, gap=True)
-    rows = [line for line in path.read_text().splitlines() if not line.startswith("#")]
-    titles, _, cells = (row.split(",") for row in rows[:3])
-    empty = [title for title, cell in zip(titles, cells) if not cell]
-    named = ("pos", "vel", "tau", "time", "cmd_step", "status", "temp_mos", "temp_rotor")
-    assert empty == [f"j1_{what}" for what in named]
-
-
 def test_the_identification_reads_it_directly(tmp_path):
     path = tmp_path / "measured.csv"
     write_rows(path, gap=True)
@@ -263,42 +253,28 @@ def test_only_what_may_be_replaced_is(tmp_path):
     assert read_recording(path).ending == "completed"
 
 
-@pytest.mark.parametrize(
-    ("options", "expected"),
-    [
-        ({}, None),
-        ({"record": Path("a/m.csv")}, Path("a/m.log")),
-        ({"raw_log": Path("r.asc")}, Path("r.asc")),
-        ({"record": Path("a/m.csv"), "raw_log": Path("r.asc")}, Path("r.asc")),
-    ],
-)
-def test_frames_are_written_beside_the_recording_or_where_that_was_asked_for(options, expected):
-    assert RecordingOptions(**options).frames == expected
+def test_frames_are_written_beside_the_recording_or_where_that_was_asked_for():
+    row, raw = Path("a/m.csv"), Path("r.asc")
+    found = [RecordingOptions(*given).frames for given in ((), (row,), (None, raw), (row, raw))]
+    assert found == [None, Path("a/m.log"), raw, raw]
 
 
-@pytest.mark.parametrize("there", ["m.csv", "m.log"])
-def test_nothing_that_is_there_counts_as_free(tmp_path, there):
-    (tmp_path / there).write_text("precious")
-    with pytest.raises(InputError, match=f"{there} exists; .* --overwrite"):
-        RecordingOptions(record=tmp_path / "m.csv").require_free()
-    RecordingOptions(record=tmp_path / "m.csv", overwrite=True).require_free()
-    RecordingOptions(record=tmp_path / "other.csv").require_free()
-
-
-def test_a_file_that_the_run_reads_is_never_written_to(tmp_path, monkeypatch):
-    """By whatever name it is called, and whether it is there yet or not."""
+def test_neither_what_is_there_nor_what_the_run_reads_is_written_to(tmp_path, monkeypatch):
+    """By whatever name it is called; rows and frames do not go into one file either."""
     monkeypatch.chdir(tmp_path)
     options = RecordingOptions(record=tmp_path / "m.csv", overwrite=True)
     options.require_free(Path("other.csv"))
     for read in (Path("m.csv"), Path("m.log")):
         with pytest.raises(InputError, match=f"{read} is needed for something else; choose"):
             options.require_free(Path("other.csv"), read)
-
-
-def test_rows_and_frames_do_not_go_into_one_file(tmp_path):
-    both = RecordingOptions(record=tmp_path / "m.log", overwrite=True)
     with pytest.raises(InputError, match="m.log is needed for something else"):
-        both.require_free()
+        RecordingOptions(record=tmp_path / "m.log", overwrite=True).require_free()
+    for there in (tmp_path / "m.csv", tmp_path / "m.log"):
+        there.write_text("precious")
+        with pytest.raises(InputError, match=f"{there.name} exists; .* --overwrite"):
+            RecordingOptions(record=tmp_path / "m.csv").require_free()
+        options.require_free()
+        there.unlink()
 
 
 # --- centring -----------------------------------------------------------------------------------
@@ -329,15 +305,6 @@ def test_a_centred_torque_is_the_mean_of_both_sides_of_the_step(
 
 
 @pytest.mark.parametrize("threaded", [False, True])
-def test_everything_is_done_in_order(threaded):
-    done, aside = [], Aside(threaded)
-    for k in range(100):
-        aside(lambda k=k: done.append(k))
-    aside.finish()
-    assert done == list(range(100)) and aside.failure is None
-
-
-@pytest.mark.parametrize("threaded", [False, True])
 @pytest.mark.parametrize(
     "error", [OSError(28, "full"), RuntimeError(), SystemExit(), MemoryError()]
 )
@@ -346,10 +313,12 @@ def test_what_goes_wrong_is_kept_and_nothing_is_done_after_it(threaded, error):
         raise error
 
     done, aside = [], Aside(threaded)
+    for k in range(20):
+        aside(lambda k=k: done.append(k))
     aside(fail)
-    aside(lambda: done.append(1))
+    aside(lambda: done.append("more"))
     aside.finish()
-    assert aside.failure is error and done == []
+    assert aside.failure is error and done == list(range(20))
     assert words_of(error) == ("full" if isinstance(error, OSError) else type(error).__name__)
 
 
