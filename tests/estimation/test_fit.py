@@ -59,7 +59,7 @@ def pair(seed, **arm):
 # ---- exact recordings
 
 
-@settings(max_examples=8)
+@settings(max_examples=4)
 @given(arms.SEEDS)
 def test_another_last_link_is_recovered_whatever_is_uncertain(seed):
     arm = TrueArm(ROBOT, seed, wrong=0.0)
@@ -75,7 +75,7 @@ def test_another_last_link_is_recovered_whatever_is_uncertain(seed):
         np.testing.assert_allclose(fit.values[fit.unknowns.kept], truth, atol=1e-6)
 
 
-@settings(max_examples=4)
+@settings(max_examples=2)
 @given(arms.SEEDS)
 def test_a_payload_is_recovered_whatever_the_model_has_wrong(seed):
     """Links off by up to 30 %, friction and rotors that the model does not have, other motions."""

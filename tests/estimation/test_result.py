@@ -97,9 +97,9 @@ def test_a_right_model_is_as_good_as_before(plant, noisy):
 # ---- payload
 
 
-def of_payload(recordings, kept=None, resting=False, torques="chain", **question):
+def of_payload(recordings, kept=None, resting=False, **question):
     friction = None if resting else BASIC
-    options = EstimationOptions(friction_model=friction, torques=torques)
+    options = EstimationOptions(friction_model=friction)
     asked = Question(options, loaded=True, resting=resting, **question)
     answer, weighed = answer_payload(ROBOT, recordings, asked, Progress(), kept)
     return payload_of(answer, weighed, FLANGE, ORIGIN, resting)
@@ -127,7 +127,6 @@ def flipped(recordings):
     ("spoil", "question", "verdict"),
     [
         (flipped, {}, Verdict.SWAPPED),
-        (list, {"torques": "terminal"}, Verdict.NOT_SEEN),
         (list, {"known_mass": 3.0, "scale_prior": 3.0}, Verdict.WRONG_WEIGHT),
     ],
 )
