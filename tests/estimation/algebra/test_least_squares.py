@@ -53,6 +53,16 @@ def test_wls_reports_each_joints_noise_and_beats_ols_where_joints_differ():
     np.testing.assert_allclose(list(reported.values()), noises, rtol=0.2)
 
 
+@given(SEEDS)
+def test_parameters_that_the_joints_pay_for_sum_to_the_rank(seed):
+    """What is taken off each joint's number of samples, whatever the weights and the values."""
+    samples, names, _, rng = noisy_samples(seed)
+    information, values = samples.information(names), rng.normal(size=16)
+    noise = joint_noise(information, values, rng.uniform(0.1, 10.0, 3))
+    paid = 200.0 - information.squared_residuals(values) / noise**2
+    assert np.sum(paid) == pytest.approx(16.0, rel=1e-9)
+
+
 @pytest.mark.slow
 def test_noise_is_unbiased_with_few_samples():
     squares = []
