@@ -19,7 +19,7 @@ from robot_sysid.records.atomic_files import require_utf8
 
 _ENCODING = re.compile(rb"^\s*<\?xml[^>]*encoding\s*=\s*[\"']([A-Za-z0-9._-]+)[\"']")
 _KINDS = {"mujoco": "mjcf", "robot": "urdf"}
-_SUFFIXES = (".xml", ".mjcf", ".urdf")
+SUFFIXES = (".xml", ".mjcf", ".urdf")
 _DEEPEST = 50
 """Includes in one another; no model at hand has more than three."""
 _DEEPEST_ELEMENT = 256
@@ -45,11 +45,7 @@ class SourceFile:
     @property
     def is_utf8(self) -> bool:
         """Whether the file on disk is UTF-8, which is how MuJoCo reads every file."""
-        try:
-            self.raw.decode("utf-8")
-        except UnicodeDecodeError:
-            return False
-        return True
+        return self.raw.decode("utf-8", "ignore").encode("utf-8") == self.raw
 
     @property
     def includes(self) -> list[Node]:
@@ -236,7 +232,7 @@ def _read_bytes(path: Path) -> bytes:
     except IsADirectoryError:
         raise InputError(f"{path} is a folder; pass a model file (MJCF .xml or .urdf)") from None
     except FileNotFoundError:
-        known = path.suffix.lower() in _SUFFIXES
+        known = path.suffix.lower() in SUFFIXES
         hint = "" if known else " (Expected an XML model file: .xml, .mjcf or .urdf)"
         raise InputError(f"model file {path} not found; check the path{hint}") from None
     except (OSError, ValueError) as error:

@@ -228,9 +228,7 @@ class ActuatorChange:
 class WeldedBody:
     """A body of its own, fixed to one of the file's.
 
-    Attributes:
-        rotation, translation: (3, 3), (3,) its frame in the carrier's [m].
-        theta: (10,) in its own frame, inertia about its origin.
+    Its frame in the carrier's, (3, 3) and (3,) [m], and theta (10,) in its own frame.
     """
 
     name: str

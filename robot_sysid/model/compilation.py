@@ -22,7 +22,7 @@ import numpy as np
 
 from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.assets import check_assets, find_assets, relocated_text
-from robot_sysid.mjcf.documents import ModelDocument, Node, read_document
+from robot_sysid.mjcf.documents import SUFFIXES, ModelDocument, Node, read_document
 from robot_sysid.mjcf.edits import Edits
 from robot_sysid.mjcf.urdf import LARGEST, compilable_urdf, link_inertias, velocity_limits
 from robot_sysid.model.inertia import inertia_about_com
@@ -210,7 +210,6 @@ _CELLS = {
     "user": ("dim",),
 }
 _COPIED = ("replicate", "composite", "flexcomp")
-_MODELS = (".xml", ".mjcf", ".urdf")
 
 
 def refuse_hazards(document: ModelDocument, mesh_dir: Path | None = None) -> None:
@@ -282,6 +281,6 @@ def _refuse_files(
         attached = asset.path.resolve()
         if attached in (*above, own):
             raise ModelError(f"{document.path} attaches itself by way of {asset.name}; take it out")
-        if attached not in known and attached.suffix.lower() in _MODELS:
+        if attached not in known and attached.suffix.lower() in SUFFIXES:
             _refuse_files(read_document(attached), None, (*above, own), known)
             known.add(attached)

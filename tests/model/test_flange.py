@@ -19,7 +19,8 @@ TIP = (
     '<body name="jaw"><joint name="grip" type="slide"/><geom size=".01" mass=".02"/>'
     '<site name="nail"/></body></body>'
 )
-ARM = serial_arm((Z, Y, X), tip=TIP)
+# Turned, so that axes of the world and of the terminal body differ at rest.
+ARM = serial_arm((Z, Y, X), tip=TIP).replace('quat="1 0 0 0"', 'quat="1 .3 -.2 .5"')
 ROBOT = robot_of(ARM, joint="joint2")
 
 
