@@ -33,11 +33,11 @@ ARM_RATE_HZ = 20.0
 KNOWN = 0.3
 """How well the model is taken to know each link, as a share of its numbers.
 
-A vendor's model may be off by this much; what no motion shows must not count as unknown.
+Chosen rough: it only has to keep what no motion shows from counting.
 """
 _OWN = friction_model("coulomb-viscous-offset-armature")
 _UNIT_ROTOR = 0.1
-"""Size of a rotor's inertia seen from its joint, as gears of 1:100 make it [kg m^2]."""
+"""Size of a rotor's inertia at its joint [kg m^2]: 1e-5 kg m^2 behind a gear of 1:100."""
 
 Gradient = tuple[Array, Array, Array]
 """Of a scalar, with respect to q, qd and qdd (N, n)."""

@@ -191,7 +191,7 @@ class ExcitationProblem:
         limit = self.limits.torque
         room = np.where(more >= 0.0, limit - torque, limit + torque)
         room = np.where(np.abs(torque) > limit, limit - np.abs(torque), room)
-        share = np.abs(more) > 1e-12
+        share = np.abs(more) > 1e-12  # More than rounding leaves of a load that a joint carries.
         left = np.where(share, room / np.where(share, np.abs(more), 1.0), np.inf)
         least = np.min(left, axis=0)
         return float(np.min(least)), int(np.argmin(least))

@@ -37,10 +37,11 @@ from robot_sysid.records import Array, MotionPlan
 from robot_sysid.regressor import joint_regressor
 from robot_sysid.trajectory import TORQUE_MARGIN
 
-STARTS, PARENTS = 1000, 50
-"""Poses that are tried at a time; and how many of the lightest get others near them."""
-SPREADS = (0.1, 0.05, 0.02, 0.01, 0.005)
-"""How near, one after the other, as share of the joints' ranges."""
+STARTS, PARENTS, SPREADS = 1000, 50, (0.1, 0.05, 0.02, 0.01, 0.005)
+"""Poses that are tried at a time; how many of the lightest get others near them, and how near.
+
+As share of the joints' ranges, one after the other.
+"""
 EASY_SHARE = 0.8
 """Share of the torque limits up to which moving off leaves room for a motion."""
 CREEP = 1e-3
@@ -58,7 +59,9 @@ SHORTEST_MOVE, RESERVE = 0.6, 1.05
 """Shortest way between two points [s], and how much longer than needed each takes."""
 CANDIDATES, PLACES_ON_A_WAY = 3000, 24
 _MOST_SLOWER, _SLOWER = 12, 1.25
+"""How often a motion that breaks a limit is slowed down, and by how much: 15 times in all."""
 _TINY = 1e-6
+"""Information before the first pose, whose own is singular: a millionth of what noise leaves."""
 
 SLOWEST, FASTEST = 0.02, 1.0
 """Speeds of the first and the last sweep [rad/s]; the last is lower where limits ask for it."""
@@ -67,9 +70,11 @@ SPEEDS, CRUISE = 6, 0.8
 SHARE = 0.8
 """Share of the limits of speed and acceleration that sweeps use."""
 SHORTEST_RAMP = 0.15
+"""Time in which a sweep's speed rises [s]: 30 samples at the 200 Hz that ``expected`` looks at."""
 WIDEST, LEAST_ROOM = 1.0, 0.02
 """Farthest that a joint leaves its rest position, and way below which it is not swept [rad]."""
 _STEP, _MOST_SMALLER, _SMALLER = 0.01, 8, 0.7
+"""Step of looking for room [rad]; how often sweeps that break a limit are made smaller: to 6 %."""
 
 
 def startable(problem: ExcitationProblem) -> ExcitationProblem:
