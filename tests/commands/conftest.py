@@ -4,11 +4,23 @@ from __future__ import annotations
 
 import pytest
 
+from robot_sysid import pipeline
 from robot_sysid.commands.motors import asked as motors_asked
 from robot_sysid.damiao.simulated import SimulatedLink
+from robot_sysid.motion.prediction import motion_lines
 from tests.support.clocks import ScriptedClock, heard_signals
 from tests.support.damiao_rig import two_motor_arm
 from tests.support.links import RememberingLink
+
+
+@pytest.fixture
+def unpredicted(monkeypatch):
+    """Plans say what they do beside their limits, not what an estimate will know: that is slow."""
+
+    def promise(config, robot, checked):
+        return motion_lines(checked.problem, checked.plan, checked.check)
+
+    monkeypatch.setattr(pipeline, "promise", promise)
 
 
 class SimulatedBus:

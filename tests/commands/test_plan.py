@@ -59,6 +59,7 @@ def export(joints):
     return ("--export-damiao", *(MOTOR * joints), "--sample-rate", "100")
 
 
+@pytest.mark.usefixtures("unpredicted")
 def test_what_breaks_a_limit_is_explained_and_leaves_no_file(command, arm_file):
     path = arm_file(arms.THREE.replace("<option ", '<option gravity="9.81 0 0" '))
     command.run("plan", path, *SINES, "--save-trajectory", "plan.json")
@@ -69,6 +70,7 @@ def test_what_breaks_a_limit_is_explained_and_leaves_no_file(command, arm_file):
     assert not (path.parent / "sysid_output").exists()
 
 
+@pytest.mark.usefixtures("unpredicted")
 def test_a_joint_too_weak_to_hold_the_arm_is_refused_or_hangs_where_it_can(command, arm_file):
     """A limit that the motion cannot keep is never left out."""
     pulled = arms.THREE.replace("<option ", '<option gravity="9.81 0 0" ')
@@ -87,6 +89,7 @@ def test_a_joint_too_weak_to_hold_the_arm_is_refused_or_hangs_where_it_can(comma
     assert 0.0 < torque[1] <= 0.5
 
 
+@pytest.mark.usefixtures("unpredicted")
 def test_a_motor_file_that_cannot_be_made_leaves_no_trajectory(command, arm_file, monkeypatch):
     def fail(*_, **__):
         raise OSError(28, "No space left on device")
