@@ -6,6 +6,7 @@ import importlib
 import inspect
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ import robot_sysid as rs
 from robot_sysid.api import calls
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.records import Measurement
+from robot_sysid.results.record import Verdict
 from tests.support import pages
 
 
@@ -111,13 +113,12 @@ def test_a_spec_has_the_result_in_it(result):
     np.testing.assert_allclose(compiled.dof_frictionloss[result.robot.dof_index], coulomb)
 
 
-def test_a_result_that_must_not_be_used_says_so_and_makes_no_model(workshop, tmp_path):
-    swapped = workshop / "loaded.csv", workshop / "log.csv"
-    wrong = rs.payload(workshop / "arm.xml", *swapped, friction_model="coulomb-viscous")
-    assert "the payload comes out as -" in wrong.failure
-    assert "Not to be used" in wrong._repr_html_()
+def test_a_result_that_must_not_be_used_says_so_and_makes_no_model(result, tmp_path):
+    doubtful = replace(result.result, verdict=Verdict.TOO_WEAK, reasons=("so light",))
+    wrong = replace(result, analysis=replace(result.analysis, result=doubtful))
+    assert wrong.failure.startswith("so light") and "Not to be used" in wrong._repr_html_()
     assert [path.name for path in wrong.save(tmp_path / "out")] == ["params.json"]
-    with pytest.raises(SysidError, match="the payload comes out as -"):
+    with pytest.raises(SysidError, match="so light"):
         wrong.spec()
 
 
