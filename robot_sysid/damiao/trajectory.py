@@ -89,7 +89,6 @@ def export_damiao_trajectory(
     path_or_file: str | os.PathLike[str] | TextIO,
     can_ids: Sequence[int] | None = None,
     master_ids: Sequence[int] | None = None,
-    supply: float | None = None,
     joint_names: Sequence[str] = (),
 ) -> DamiaoExportReport:
     """Write a trajectory for Damiao motors, clamped to what their frames can carry.
@@ -101,7 +100,6 @@ def export_damiao_trajectory(
         motion_chunks: the motion, see ``MotionChunk``.
         motor_types, can_ids, master_ids: see ``damiao_joints``.
         path_or_file: where to write.
-        supply: without effect.
         joint_names: of the joints in the model, for the warnings.
 
     Raises:
