@@ -55,14 +55,15 @@ def write_film(robot: RobotModel, shown: Shown, path: Path, progress: Progress) 
     if is_gif:
         options = {"mode": "I", "duration": 1000.0 * step / RATE, "loop": 0}
     frames, (strips, columns) = range(0, len(shown.time), step), _strips(shown)
+    no_ghost = np.full_like(shown.q[0], np.nan)
     with whole_files() as files, Studio(robot, *_SIZE) as studio:
         studio.look_at_arm(shown.q[:: max(1, len(shown.q) // 50)])
         writer: Any
         with imageio.get_writer(files.draft(path), **options) as writer:
             for done, k in enumerate(frames, start=1):
                 studio.pose(shown.q[k])
-                if shown.ghost is not None:
-                    add_ghost(studio.robot, shown.ghost[k], GHOST, studio.scene)
+                ghost = no_ghost if shown.ghost is None else shown.ghost[k]
+                add_ghost(studio.robot, ghost, GHOST, studio.scene)
                 beside = strips.copy()
                 beside[:, columns[k]] = _CURSOR
                 writer.append_data(np.hstack((studio.picture(), beside)))
