@@ -36,7 +36,9 @@ def typestore(ros1: bool = False):
 
 
 def header(types, time: float):
-    stamp = types["builtin_interfaces/msg/Time"](int(time), round(1e9 * (time - int(time))))
+    """A time in 2023, with nanoseconds that a float of seconds does not hold."""
+    whole, part = divmod(round(1e9 * time), 10**9)
+    stamp = types["builtin_interfaces/msg/Time"](1_700_000_000 + whole, part)
     kind = types["std_msgs/msg/Header"]
     return kind(0, stamp, "base") if "seq" in kind.__annotations__ else kind(stamp, "base")
 
