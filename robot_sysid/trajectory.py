@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Callable, ClassVar
+from typing import Callable
 
 import numpy as np
 
@@ -42,10 +42,7 @@ MOST_SAMPLES = 1e9
 class TrajectoryOptions(OptionRecord):
     """Which trajectory the arm moves along, and how finely it is sampled."""
 
-    NEEDS: ClassVar[str] = "motion"
-    duration: float = option(
-        15.0, "length; longer gives better conditioning", "[s] > 0", needs="new motion"
-    )
+    duration: float = option(15.0, "length; longer gives better conditioning", "[s] > 0")
     sample_rate: float = option(
         1000.0, "samples per second; higher gives more equations", "RATE [Hz] > 0"
     )
@@ -55,7 +52,6 @@ class TrajectoryOptions(OptionRecord):
         ">= 0",
         parse=whole_number,
         usual="a fresh one",
-        needs="draw",
     )
     speed: float = option(
         1.0, "slow the whole motion down, for a first run", "FACTOR", check=speed_factor

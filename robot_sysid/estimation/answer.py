@@ -191,7 +191,7 @@ class Answer:
         return {name: self.figure(name) for name in names}
 
 
-def model_file(answer: Answer, write_offset: bool) -> tuple[ModelFile, tuple[str, ...]]:
+def model_file(answer: Answer) -> tuple[ModelFile, tuple[str, ...]]:
     """Return what is written, and sentences on what is not."""
     assert answer.file is not None
     file, fit, robot = answer.file, answer.file.fit, answer.robot
@@ -201,12 +201,8 @@ def model_file(answer: Answer, write_offset: bool) -> tuple[ModelFile, tuple[str
     for body in own.links():
         spread[robot.joint_names.index(str(body.joint))] = body.errors
     joints, notes, kept = {}, [], fit.question.kept_parts
-    for index, (joint, each) in enumerate(list(own.joints())[: robot.n_joints]):
+    for joint, each in list(own.joints())[: robot.n_joints]:
         written = {name: figure for name, figure in each.terms.items() if name != "offset"}
-        if write_offset and "offset" in each.terms and FILE_FRICTION not in kept:
-            reason = _why_no_offset(robot, index, each.terms)
-            notes += [f"{joint}: no offset is written, {reason}"] if reason else []
-            written.update({} if reason else {"offset": each.terms["offset"]})
         if written:
             joints[joint] = written
         else:
@@ -220,25 +216,6 @@ def model_file(answer: Answer, write_offset: bool) -> tuple[ModelFile, tuple[str
     said = file.before, file.after, (), tuple(sorted(kept))
     found = ModelFile(thetas, spread, joints, turned, *said)
     return found, () if FILE_FRICTION in kept else tuple(notes)
-
-
-def _why_no_offset(robot: RobotModel, index: int, terms: Mapping[str, Figure]) -> str | None:
-    """Return why a file must not get an offset, or None."""
-    offset, coulomb = terms["offset"], terms.get("coulomb", Figure(0.0, 0.0))
-    if robot.kind != "mjcf":
-        return "a URDF cannot hold it"
-    joint = robot.mj_model.dof_jntid[robot.dof_index[index]]
-    further = getattr(robot.mj_model, "jnt_stiffnesspoly", np.zeros((joint + 1, 1)))
-    if robot.mj_model.jnt_stiffness[joint] or np.any(further[joint]):
-        return "its spring is the model's own"
-    if abs(offset.value) <= 2.0 * offset.error:
-        return "it is within two standard errors of zero"
-    if abs(offset.value) >= coulomb.value:
-        return (
-            f"{abs(offset.value):.2g} is more than its Coulomb friction of {coulomb.value:.2g}: "
-            "the joint would creep by itself"
-        )
-    return None
 
 
 def estimate_of(answer: Answer) -> Estimate:

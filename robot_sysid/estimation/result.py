@@ -284,7 +284,7 @@ def of_own_simulation(estimate: Estimate) -> Verdict:
 # ---- the result
 
 
-def result_of(answer: Answer, data: DataOrigin, write_offset: bool = False) -> Result:
+def result_of(answer: Answer, data: DataOrigin) -> Result:
     """Return everything that is said of the arm from recordings of it alone."""
     fit, robot, file = answer.fit, answer.robot, None
     links, tests, notes = tuple(answer.links()), (answer.validation, *answer.tests), answer.notes
@@ -299,7 +299,7 @@ def result_of(answer: Answer, data: DataOrigin, write_offset: bool = False) -> R
     ended = Verdict.OK if seen.rank >= seen.n_parameters else Verdict.PARTLY_FROM_MODEL
     judged = _file_verdict(answer)
     if judged is not None:
-        file, more = model_file(answer, write_offset)
+        file, more = model_file(answer)
         notes += more
         findings += implausible_links(robot, file.thetas)
         findings += [] if judged[0].is_trustworthy else [judged]
@@ -402,12 +402,7 @@ def _said(answer: Answer, file: ModelFile | None) -> Iterator[str]:
 
 
 def payload_of(
-    answer: Answer,
-    weighed: Answer,
-    flange: Flange,
-    data: DataOrigin,
-    resting: bool,
-    write_offset: bool = False,
+    answer: Answer, weighed: Answer, flange: Flange, data: DataOrigin, resting: bool
 ) -> Result:
     """Return what came on between recordings.
 
@@ -415,7 +410,6 @@ def payload_of(
         answer: the fit whose scales and payload count, with a known mass where there is one.
         weighed: the fit as if the payload's mass were not known; the same where it is not.
         resting: whether they are poses at rest, which do not show inertia.
-        write_offset: whether the file is to hold the offset of each joint's friction.
     """
     fit, robot, known = answer.fit, answer.robot, answer.fit.question.known_mass
     free = _payload(weighed, flange, weighed.fit.free)
@@ -431,7 +425,7 @@ def payload_of(
         values[places] = spatial.aluminium_ball(mass, com)
     scatter = each_recording(weighed.fit, flange, weighed.stretch()) if known is None else ()
     payload = _came_on(answer, flange, values, scatter)
-    file, said = _arm_file(answer, write_offset)
+    file, said = _arm_file(answer)
     notes = (*robot.notes, *answer.notes, *said, *_said(answer, file))
     return replace(
         _common(answer, data),
@@ -466,11 +460,11 @@ def _came_on(
     )
 
 
-def _arm_file(answer: Answer, write_offset: bool) -> tuple[ModelFile | None, tuple[str, ...]]:
+def _arm_file(answer: Answer) -> tuple[ModelFile | None, tuple[str, ...]]:
     """Return what is written of the arm beneath its payload, and sentences on it."""
     judged = _file_verdict(answer)
     if judged is None or judged[0].is_trustworthy:
-        return (None, ()) if judged is None else model_file(answer, write_offset)
+        return (None, ()) if judged is None else model_file(answer)
     return None, (f"the written model is the arm's own with the payload on it: {judged[1]}",)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
 
 from robot_sysid.records.options import OptionRecord, option
 from robot_sysid.records.torque_scale import Factors, factors_in, usable_factor
@@ -33,13 +32,8 @@ CHECKS = {
 class LogOptions(OptionRecord):
     """Which logs of the real arm, and what their columns are."""
 
-    NEEDS: ClassVar[str] = "log"
     measurements: tuple[Path, ...] = option(
-        (),
-        "identify from this log of the real arm; may be repeated",
-        "LOG.csv",
-        repeats=True,
-        needs="estimate",
+        (), "identify from this log of the real arm; may be repeated", "LOG.csv", repeats=True
     )
     append: Path | None = option(None, "also use the logs of an earlier run", "PARAMS.json")
     columns: Path | None = option(

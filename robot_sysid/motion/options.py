@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -52,7 +51,6 @@ class HalfSpace:
 class LimitOptions(OptionRecord):
     """What every motion has to obey beside the model's own limits."""
 
-    NEEDS: ClassVar[str] = "motion"
     max_velocity: PerJoint = option(
         DEFAULT_MAX_VELOCITY,
         "speed limit of hinge joints, one number or one per joint",
@@ -159,14 +157,12 @@ class ExcitationOptions(OptionRecord):
         "random sinusoids, or a trajectory designed to tell as much as possible",
         flag="--excitation",
         choices=EXCITATIONS,
-        needs="motion",
     )
     time_budget: float = option(
         60.0,
         "stop designing after this time and keep the best",
         "S [s] > 0",
         flag="--excitation-time-budget",
-        needs="design",
     )
     draws: int = 300
     starts: int | None = None
@@ -211,13 +207,11 @@ class PoseOptions(OptionRecord):
         "alone (each joint slowly back and forth at constant speeds), or all links and rotors",
         flag="--for",
         choices=("link", "payload", "friction", "arm"),
-        needs="plan",
     )
     static: bool = option(
         False,
         "with --for payload: resting poses, each approached from both sides, for an arm that may "
         "not move fast",
-        needs="payload plan",
     )
     poses: int = 12
     dwell: float = 1.5

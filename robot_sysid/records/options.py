@@ -87,7 +87,6 @@ def option(default: Any, help: str, value: str = "", flag: str = "", **rest: Any
     assert parts, value
     said = {"metavar": parts[1], "unit": parts[2], "check": _LEAST.get(parts[3])}
     given = {name: each for name, each in said.items() if each}
-    rest.pop("needs", None)
     return field(default=default, metadata={"option": Option(flag, help, **{**given, **rest})})
 
 

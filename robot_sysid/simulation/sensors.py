@@ -11,7 +11,6 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 
@@ -40,9 +39,8 @@ class SimulatedArmOptions(OptionRecord):
             dry friction.
     """
 
-    NEEDS: ClassVar[str] = "plant"
     plant_model: Path | None = option(
-        None, "model that plays the real arm and makes the torques", "TRUTH.xml", needs="estimate"
+        None, "model that plays the real arm and makes the torques", "TRUTH.xml"
     )
     simulation: str = option(
         "inverse",
@@ -50,10 +48,7 @@ class SimulatedArmOptions(OptionRecord):
         choices=SIMULATIONS,
     )
     noise_torque: PerJoint = option(
-        0.0,
-        "standard deviation of the torque noise, one number or one per joint",
-        "S [N·m] >= 0",
-        needs="plant or plan",
+        0.0, "standard deviation of the torque noise, one number or one per joint", "S [N·m] >= 0"
     )
     noise_position: PerJoint = option(
         0.0, "standard deviation of the position noise, one number or one per joint", "S [rad] >= 0"
@@ -63,10 +58,7 @@ class SimulatedArmOptions(OptionRecord):
         0.0, "how much the measured torque lags", "S [s]", check=_plausible_delay
     )
     save_measurements: Path | None = option(
-        None,
-        "write the measurements in the form that --measurements reads",
-        "FILE",
-        needs="estimate",
+        None, "write the measurements in the form that --measurements reads", "FILE"
     )
 
     @property

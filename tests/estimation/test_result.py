@@ -24,10 +24,10 @@ ROBOT = four_joint_arm()
 FLANGE = Flange("here", np.eye(3), np.array([0.0, 0.0, 0.05]))
 
 
-def of_link(robot, log, kept=(), write_offset=False, **options):
+def of_link(robot, log, kept=(), **options):
     datasets, chosen = datasets_of(robot, log, friction_model=BASIC, **options)
     answer = answer_link(robot, datasets, chosen, Progress(), kept)
-    return result_of(answer, ORIGIN, write_offset)
+    return result_of(answer, ORIGIN)
 
 
 @pytest.fixture(scope="module")
@@ -64,17 +64,6 @@ def test_the_estimate_leads_with_the_link_and_its_errors_add_up(result):
     total = np.square(estimate.standard_errors)
     np.testing.assert_allclose(np.diag(estimate.covariance), total, rtol=1e-6)
     assert estimate.samples.keys() == estimate.effective_samples.keys() == result.joints.keys()
-
-
-def test_an_offset_is_written_where_it_is_one(plant, robot, noisy):
-    """Larger than its error, and less than Coulomb friction, which has to hold the joint."""
-    shifted = replace(noisy, tau=noisy.tau + np.array([0.15, 0.0, 0.6]))
-    result = of_link(robot, shifted, write_offset=True)
-    assert result.file.joints["joint0"]["offset"].value == pytest.approx(0.15, abs=0.05)
-    assert [name for name, each in result.file.joints.items() if "offset" in each] == ["joint0"]
-    notes = " ".join(result.notes)
-    assert "joint1: no offset is written, it is within two standard errors of zero" in notes
-    assert "the joint would creep by itself" in notes
 
 
 def test_a_still_joint_keeps_what_the_model_says_of_it(plant, robot):

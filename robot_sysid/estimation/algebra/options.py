@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 from robot_sysid.dynamics.friction import DEFAULT_TERMINAL, FrictionModel, friction_model
 from robot_sysid.errors import InputError
@@ -23,15 +23,13 @@ def _uncertainty(usual: float, help: str, unit: str = "%") -> Any:
 class EstimationOptions(OptionRecord):
     """How parameters are estimated from torques."""
 
-    NEEDS: ClassVar[str] = "measured"
     torques: str = option(
         "chain",
         "use the torques of all joints that carry the link, or of the last joint only",
         choices=TORQUE_CHOICES,
-        needs="",
     )
     no_friction: bool = option(
-        False, "leave friction out and identify the 10 inertial parameters only", needs="estimate"
+        False, "leave friction out and identify the 10 inertial parameters only"
     )
     friction_model: str | None = option(
         None,
@@ -90,7 +88,6 @@ class EstimationOptions(OptionRecord):
         "measured positions",
         choices=("position-error",),
         usual="measured torques",
-        needs="log",
     )
 
     def __post_init__(self) -> None:
