@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import pickle
 from functools import cache
 
 import mujoco
@@ -151,13 +150,6 @@ def test_half_spaces_count_like_bodies():
     closest = found.closest(straight_down)
     assert closest.slack < 0.0
     assert "keep-out plane" in closest.label
-
-
-def test_travels_to_another_process():
-    found = clearance_of(TUBES_AND_POST, ((0.0, 0.0, 1.0, -0.2),))
-    copied = pickle.loads(pickle.dumps(found))
-    q = np.random.default_rng(0).uniform(-1.0, 1.0, size=(20, 4))
-    assert np.array_equal(copied.slack(q).value, found.slack(q).value)
 
 
 BODIES = 6
