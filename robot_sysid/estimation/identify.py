@@ -31,16 +31,14 @@ from robot_sysid.estimation.fit import Evidence, Fit, Fitter
 from robot_sysid.estimation.recordings import logs_compared
 from robot_sysid.estimation.result import about, of_own_simulation
 from robot_sysid.estimation.unknowns import Question
-from robot_sysid.logs.checks import sign_check
 from robot_sysid.records import DataOrigin, Measurement, MotionPlan, RobotModel, Source, Validation
 from robot_sysid.records.data import Traces
 from robot_sysid.records.progress import Progress
 from robot_sysid.records.results import validation_of
-from robot_sysid.results.model import CHECKPOINTS
 from robot_sysid.results.record import LINK, JointEstimate, Result
 from robot_sysid.signals.process import ProcessedSignals, process
 from robot_sysid.signals.repetition import visits
-from robot_sysid.simulator import ArmTorque, collect_sysid_data, simulate_inverse
+from robot_sysid.simulator import collect_sysid_data, simulate_inverse
 from robot_sysid.solver import identify_parameters
 from robot_sysid.trajectory import CHUNK, motion_chunks, sample_count, spread_motion
 
@@ -75,7 +73,7 @@ def filtered(
     With them comes what there is to say of them, one sentence each.
 
     Raises:
-        InputError: one is too short, or a joint's torque runs against the model's.
+        InputError: one is too short.
     """
 
     def processed(piece: Piece, cutoff: float | None) -> ProcessedSignals:
@@ -92,10 +90,7 @@ def filtered(
     found = [Dataset(p.name, each, p.is_loaded, p.place) for p, each in pairs]
     told: dict[str, tuple[str, ...]] = {}
     for piece, each in pairs:
-        at = each.spread(CHECKPOINTS)
-        torque = ArmTorque(robot)(each.motion(at))
-        against = sign_check(each.tau[at], torque, robot.joint_names)
-        told[piece.name] = tuple(dict.fromkeys((*told.get(piece.name, ()), *each.notes, *against)))
+        told[piece.name] = tuple(dict.fromkeys((*told.get(piece.name, ()), *each.notes)))
     return found, tuple(shared_notes(told))
 
 

@@ -6,13 +6,13 @@ numbers could not mean what they seem to). Both name the first line and a remedy
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.rows import MISSING, REPEATED, UNREADABLE, WRAPPED, LogRows
-from robot_sysid.records import Array, RobotModel
+from robot_sysid.records import RobotModel
 from robot_sysid.records.figures import position
 from robot_sysid.signals.resampling import GAP_STEPS, usual_period
 
@@ -35,8 +35,6 @@ _FEWEST_ROWS = 10
 _LONGEST_STEP, _SHORTEST_STEP = 0.5, 1e-5
 # 100 samples per second do for a slow arm, 30 hardly ever (docs/logs.md) [Hz].
 _SLOW_RATE = 50.0
-# Share of long steps beyond which they are no gaps but how the samples come.
-_UNEVEN = 0.1
 # A joint's own stamp is a few periods from the row's, of whatever slow log [s].
 _OTHER_CLOCK = 0.1
 # No arm's joint reaches this [rad/s]; a log in degrees passes it at an easy half radian per second.
@@ -49,29 +47,17 @@ _AT_REST, _STILL = 0.01, 0.002
 _SHORT_REST, _SHORT_PART = 0.5, 0.02
 # Limits are written with three or more digits [rad].
 _LIMIT_MARGIN = 1e-3
-# A correlation that neither noise nor a payload of usual size brings.
-_OPPOSED = -0.3
 
 
 def check_log(name: str, rows: LogRows, robot: RobotModel, in_radians: bool) -> tuple[str, ...]:
-    """Run every check over the rows of a log and return one sentence for what is worth knowing.
-
-    Args:
-        name: what the log is called in errors.
-        in_radians: whether its positions are known to be radians by now.
-    """
+    """Run every check over a log's rows; return one sentence for what is worth knowing."""
     try:
         if not rows.n_read and rows.foreign:
-            raise InputError(
-                f"none of its {rows.foreign} rows holds a position and a torque of "
-                f"{', '.join(robot.joint_names)}"
-            )
+            names = ", ".join(robot.joint_names)
+            raise InputError(f"none of its rows holds a position and a torque of {names}")
         notes = list(_odd_notes(rows))
         if len(rows.lines) < _FEWEST_ROWS:
-            raise InputError(
-                f"the log has only {len(rows.lines)} usable rows; an excitation of several seconds "
-                "is needed"
-            )
+            raise InputError(f"the log has only {len(rows.lines)} usable rows; record longer")
         notes += clock_notes(rows)
         if not in_radians:
             require_radians(rows, robot)
@@ -82,26 +68,6 @@ def check_log(name: str, rows: LogRows, robot: RobotModel, in_radians: bool) -> 
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
     return tuple(notes)
-
-
-def sign_check(
-    tau_measured: Array, tau_model: Array, joint_names: Sequence[str]
-) -> tuple[str, ...]:
-    """Compare the signs of measured torques (N, n) with those the model predicts.
-
-    Returns:
-        One sentence per joint whose torque runs against the model's. A payload can turn the torque
-        of a wrist round; whether a sign is wrong is asked by ``diagnosis``.
-    """
-    product = np.sum(tau_measured * tau_model, axis=0)
-    norm = np.linalg.norm(tau_measured, axis=0) * np.linalg.norm(tau_model, axis=0)
-    correlation = np.divide(product, norm, out=np.zeros_like(product), where=norm > 0.0)
-    return tuple(
-        f"the torque of joint {name} runs against the model's (correlation {value:.2f}); "
-        "check its sign and the order of the columns, unless the payload is heavy"
-        for name, value in zip(joint_names, correlation)
-        if value < _OPPOSED
-    )
 
 
 def _odd_notes(rows: LogRows) -> Iterator[str]:
@@ -120,10 +86,7 @@ def _odd_notes(rows: LogRows) -> Iterator[str]:
     if rows.foreign:
         yield f"left out {rows.foreign} rows that hold nothing of this arm"
     if rows.thinned > 1:
-        yield (
-            f"a long log: every {rows.thinned} rows were low-passed and made one, which leaves "
-            f"{len(rows.lines)}"
-        )
+        yield f"a long log: every {rows.thinned} rows were low-passed and made one"
 
 
 def clock_notes(rows: LogRows) -> Iterator[str]:
@@ -131,25 +94,16 @@ def clock_notes(rows: LogRows) -> Iterator[str]:
     period = usual_period(rows.samples.time)
     if period > _LONGEST_STEP:
         unit = "ms" if period <= 50 else "us" if period <= 5e4 else "ns"
-        raise InputError(
-            f"time steps of {period:.6g} s are too long for a motion; if time is in {unit}, pass "
-            f"--units {unit}"
-        )
+        remedy = f"if time is in {unit}, pass --units {unit}"
+        raise InputError(f"time steps of {period:.6g} s are too long for a motion; {remedy}")
     if period < _SHORTEST_STEP:
-        raise InputError(
-            f"time steps of {period:.3g} s are too short for a recording; declare the unit of time "
-            "with --units (s, ms, us or ns)"
-        )
+        remedy = "declare the unit of time with --units (s, ms, us or ns)"
+        raise InputError(f"time steps of {period:.3g} s are too short for a recording; {remedy}")
     if period * _SLOW_RATE > 1.0:
         yield f"the log has only {1 / period:.3g} samples per second"
     step = np.diff(rows.samples.time)
     late = rows.lines[1:][step > GAP_STEPS * np.median(step)]
-    if len(late) > _UNEVEN * len(rows.lines):
-        yield (
-            f"the samples are unevenly spaced: {len(late)} steps are longer than "
-            f"{GAP_STEPS} times the usual {1e3 * period:.3g} ms ({rows.listed(late)})"
-        )
-    elif len(late):
+    if len(late):
         yield (
             f"samples are missing before {rows.listed(late)}; the longest gap is "
             f"{1e3 * np.max(step):.4g} ms where {1e3 * period:.4g} ms is usual"
@@ -168,9 +122,7 @@ def require_one_clock(rows: LogRows) -> None:
         raise InputError(f"a joint's own time stamp runs backwards at {where}; {remedy}")
     apart = np.max(np.abs(stamps - rows.samples.time[:, None]))
     if apart > _OTHER_CLOCK:
-        raise InputError(
-            f"the joints' own time stamps are up to {apart:.3g} s away from the row's; {remedy}"
-        )
+        raise InputError(f"joints' own time stamps are up to {apart:.3g} s off the row's; {remedy}")
 
 
 def require_radians(rows: LogRows, robot: RobotModel) -> None:
@@ -202,10 +154,8 @@ def require_no_jumps(rows: LogRows, robot: RobotModel) -> None:
     if np.any(jump):
         joint = robot.joint_names[np.argwhere(jump)[0, 1]]
         lines = rows.lines[1:][np.any(jump, axis=1)]
-        raise InputError(
-            f"the position of joint {joint} jumps at {rows.listed(lines)}; delete the bad rows, or "
-            "cut the log there"
-        )
+        where = rows.listed(lines)
+        raise InputError(f"the position of joint {joint} jumps at {where}; delete the bad rows")
 
 
 def rest_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
@@ -214,8 +164,8 @@ def rest_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
     span = np.ptp(q, axis=0)
     if np.all(span < _AT_REST):
         raise InputError(
-            f"the arm is at rest, no joint moves by more than {span.max():.2g} rad; record an "
-            "excitation trajectory (if these are other units, see --units)"
+            f"the arm is at rest, no joint moves by more than {span.max():.2g} rad; record a "
+            "motion (if these are other units, see --units)"
         )
     still = [n for n, s in zip(robot.joint_names, span) if s < _AT_REST]
     if still:

@@ -10,7 +10,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.checks import sign_check
 from robot_sysid.logs.reader import MeasurementLog
 from tests.support.log_files import JOINTS, TITLES, limits, motion, read_measurements, table, write
 
@@ -116,7 +115,7 @@ NOTES: dict[str, tuple[Callable, list[str]]] = {
     ),
     "uneven": (
         lambda rows: rows[np.random.default_rng(0).random(len(rows)) < 0.7],
-        ["unevenly spaced"],
+        ["samples are missing before line"],
     ),
     "cut off": (
         lambda rows: [*rows[:-1].tolist(), rows[-1, :4].tolist()],
@@ -216,17 +215,5 @@ def test_own_time_stamps_are_kept_unless_of_another_clock_or_backwards(tmp_path)
     with pytest.raises(InputError, match="runs backwards at line 9"):
         read(tmp_path, rows, titles)
     rows = np.column_stack((table(motion()), stamps + 5.0))
-    with pytest.raises(InputError, match=r"5 s away.*joint_time = none"):
+    with pytest.raises(InputError, match=r"5 s off.*joint_time = none"):
         read(tmp_path, rows, titles)
-
-
-@given(st.integers(0, 2**32), st.integers(0, 2), st.floats(0.1, 10.0))
-def test_a_flipped_torque_is_found_and_a_right_one_is_not(seed, joint, scale):
-    rng = np.random.default_rng(seed)
-    model = rng.normal(size=(200, 3)) + 1.0
-    measured = scale * (model + 0.3 * rng.normal(size=model.shape))
-    assert sign_check(measured, model, JOINTS) == ()
-    measured[:, joint] *= -1.0
-    (note,) = sign_check(measured, model, JOINTS)
-    assert f"torque of joint {JOINTS[joint]} runs against the model's" in note
-    assert sign_check(measured, 0.0 * model, JOINTS) == ()
