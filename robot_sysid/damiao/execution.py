@@ -17,7 +17,7 @@ from robot_sysid.damiao.protocol.codec import Scaling
 from robot_sysid.damiao.protocol.joints import DamiaoJoint
 from robot_sysid.damiao.protocol.motors import matching_types
 from robot_sysid.damiao.recorder import Aside, MeasurementRecorder, head_lines
-from robot_sysid.damiao.references import Reference, ReferenceFunction, TrajectorySampler
+from robot_sysid.damiao.references import Reference, ReferenceFunction, sampled
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.damiao.supervision import StopRequest
@@ -69,8 +69,8 @@ def run(
                 stack.enter_context(asked.watchdogs_set_to(client, motors, seconds, session.is_off))
             stack.enter_context(session)
             player = Player(session, settings, stop, recorder, *told, park, check)
-            sampler = TrajectorySampler(plan.trajectory, settings.speed)
-            report = player.play(_alongside(sampler, places), plan.duration)
+            own = sampled(plan.trajectory, settings.speed)
+            report = player.play(_alongside(own, places), plan.duration)
     finally:
         console.finish()
     _require_told(console, written)

@@ -34,15 +34,15 @@ _PRINTED = 1e-4
 
 
 class SampledTrajectory:
-    """A motor trajectory as a motion plan, at a share of its speed; all rows are held in memory.
+    """A motor trajectory as a motion plan, at a share of its speed.
 
     These are time (N,) from zero [s], q, qd, tau (N, n) [rad, rad/s, N m] and the slope (N - 1, n)
     between them [rad/s].
     """
 
     def __init__(self, trajectory: DamiaoTrajectory, speed: float) -> None:
-        time, self.q, qd, self.tau = (np.concatenate(x) for x in zip(*trajectory.chunks()))
-        self.time, self.qd = (time - time[0]) / speed, speed * qd
+        self.q, self.tau, self.qd = trajectory.q, trajectory.tau, speed * trajectory.qd
+        self.time = (trajectory.time - trajectory.time[0]) / speed
         self.slope = np.diff(self.q, axis=0) / np.diff(self.time)[:, None]
         self.duration, self.n_joints = float(self.time[-1]), trajectory.n_joints
 

@@ -10,9 +10,6 @@ import numpy as np
 from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.records import Array
 
-# Small, so that parsing the next piece takes a fraction of a control cycle.
-_ROWS = 32
-
 
 class Reference(NamedTuple):
     """What the joints should do at one moment: (n,) position [rad], velocity, torque [N m]."""
@@ -25,35 +22,27 @@ class Reference(NamedTuple):
 ReferenceFunction = Callable[[float], Reference]
 
 
-class TrajectorySampler:
-    """Interpolates a trajectory file at times that never go back.
+def sampled(trajectory: DamiaoTrajectory, speed: float) -> ReferenceFunction:
+    """Return a trajectory between its rows, as a function of the time after its start [s].
 
     Played at ``speed`` s the joints pass the same positions with s times the velocity. The
     feed-forward torque is the file's: at reduced speed its inertial part is too large, which the
-    position control makes up for.
+    position control makes up for. The end is held.
     """
+    times = trajectory.time
+    values = np.hstack([trajectory.q, trajectory.qd, trajectory.tau])
 
-    def __init__(self, trajectory: DamiaoTrajectory, speed: float) -> None:
-        self._speed = speed
-        self._tables = (np.column_stack(chunk) for chunk in trajectory.chunks(_ROWS))
-        self._table = next(self._tables)
-        self._start = float(self._table[0, 0])
+    def reference(time: float) -> Reference:
+        moment = times[0] + time * speed
+        after = int(np.searchsorted(times, moment))
+        row = values[min(after, len(times) - 1)]
+        if 0 < after < len(times):
+            share = (moment - times[after - 1]) / (times[after] - times[after - 1])
+            row = values[after - 1] + (row - values[after - 1]) * share
+        position, velocity, torque = np.split(row, 3)
+        return Reference(position, velocity * speed, torque)
 
-    def __call__(self, time: float) -> Reference:
-        """Return the reference at ``time`` [s] after the start; the end is held."""
-        moment = self._start + time * self._speed
-        while moment > self._table[-1, 0] and (rows := next(self._tables, None)) is not None:
-            self._table = np.vstack([self._table[-1:], rows])
-        position, velocity, torque = np.split(_interpolate(self._table, moment)[1:], 3)
-        return Reference(position, velocity * self._speed, torque)
-
-
-def _interpolate(table: Array, moment: float) -> Array:
-    after = int(np.searchsorted(table[:, 0], moment))
-    if after == 0 or after == len(table):
-        return np.asarray(table[min(after, len(table) - 1)])
-    low, high = table[after - 1], table[after]
-    return np.asarray(low + (high - low) * ((moment - low[0]) / (high[0] - low[0])))
+    return reference
 
 
 def approach(

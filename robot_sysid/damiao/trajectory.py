@@ -27,11 +27,12 @@ import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain, islice
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple, TextIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.damiao.protocol.frames import PLANNING_LIMIT, BusTiming, bus_load, suggested_rate
 from robot_sysid.damiao.protocol.joints import MASTER_ID_OFFSET, DamiaoJoint, damiao_joints
@@ -55,32 +56,22 @@ class DamiaoExportReport:
     warnings: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class DamiaoTrajectory:
-    """A trajectory file, read lazily; ``first_data_line`` counts the lines before its rows."""
+    """A trajectory file: time (N,), q, qd, tau (N, n) [s, rad, rad/s, N m], each row's ``line``."""
 
     path: Path
     joints: tuple[DamiaoJoint, ...]
-    first_data_line: int
+    line: NDArray[np.int64]
+    time: Array
+    q: Array
+    qd: Array
+    tau: Array
 
     @property
     def n_joints(self) -> int:
         """Number of joints n."""
         return len(self.joints)
-
-    def chunks(self, rows: int = 4096) -> Iterator[MotionChunk]:
-        """Yield the rows, at most ``rows`` at a time; raise InputError at one that is malformed."""
-        last, width = -np.inf, 1 + 3 * self.n_joints
-        with _opened(self.path) as file:
-            numbered = islice(enumerate(file, start=1), self.first_data_line, None)
-            filled = ((number, line) for number, line in numbered if line.strip())
-            while piece := list(islice(filled, rows)):
-                table = _table(piece, width, self.path)
-                for row in np.flatnonzero(np.diff(table[:, 0], prepend=last) <= 0.0)[:1]:
-                    where = f"{self.path}, near line {piece[row][0]}"
-                    raise InputError(f"{where}: time does not increase")
-                last = float(table[-1, 0])
-                yield table[:, 0], table[:, 1::3], table[:, 2::3], table[:, 3::3]
 
 
 def export_damiao_trajectory(
@@ -125,9 +116,16 @@ def export_damiao_trajectory(
             rows += len(chunk[0])
             file.write(_rows(chunk[0], inside, decimals))
     percent = 100.0 * changed / rows
-    peaks = zip(joints, percent, peak_velocity, peak_torque)
-    warnings = (*_warnings(peaks), *_rate_warnings(first[0], len(joints)))
-    return DamiaoExportReport(joints, percent, warnings)
+    warnings = [
+        sentence
+        for j, joint in enumerate(joints)
+        for sentence in (
+            *_clamped(joint, percent[j]),
+            *rating_warnings(joint, peak_velocity[j], peak_torque[j]),
+        )
+    ]
+    warnings += _rate_warnings(first[0], len(joints))
+    return DamiaoExportReport(joints, percent, tuple(warnings))
 
 
 def _head(joints: Sequence[DamiaoJoint]) -> str:
@@ -161,15 +159,12 @@ def _rows(time: Array, values: Array, decimals: int) -> str:
     return (row * len(time)) % tuple(np.column_stack([time, cells]).ravel())
 
 
-def _warnings(peaks: Iterable[tuple[DamiaoJoint, float, float, float]]) -> Iterator[str]:
-    """Yield a sentence per joint and limit or rating that what was asked for exceeds."""
-    for joint, percent, velocity, torque in peaks:
-        if percent:
-            yield (
-                f"{joint.label}: {percent:.2f} % of the samples were clamped to the limits of a "
-                f"{joint.motor_type}; use a stronger motor or a slower trajectory"
-            )
-        yield from rating_warnings(joint, velocity, torque)
+def _clamped(joint: DamiaoJoint, percent: float) -> Iterator[str]:
+    if percent:
+        yield (
+            f"{joint.label}: {percent:.2f} % of the samples were clamped to the limits of a "
+            f"{joint.motor_type}; use a stronger motor or a slower trajectory"
+        )
 
 
 def rating_warnings(joint: DamiaoJoint, velocity: float, torque: float) -> Iterator[str]:
@@ -194,17 +189,49 @@ def rating_warnings(joint: DamiaoJoint, velocity: float, torque: float) -> Itera
 
 
 def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
-    """Read the head of a trajectory file, or raise InputError; rows come from its ``chunks``."""
+    """Read a trajectory file, or raise InputError, which names the line that is wrong."""
     path = Path(path)
     joints: list[DamiaoJoint] = []
-    with _opened(path) as file:
-        for number, line in enumerate(file, start=1):
-            if not line.startswith("#"):
-                _check_columns(line, len(joints), path, number)
-                return DamiaoTrajectory(path, tuple(joints), number)
-            if "motor_type" in line:
-                joints.append(_parse_joint(line, path, number))
+    try:
+        with open(path, encoding="utf-8-sig") as file:
+            lines = file.readlines()
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path} is not a text file") from None
+    for number, line in enumerate(lines, start=1):
+        if not line.startswith("#"):
+            _check_columns(line, len(joints), path, number)
+            filled = [(k, row) for k, row in enumerate(lines[number:], number + 1) if row.strip()]
+            return _with_rows(path, tuple(joints), filled)
+        if "motor_type" in line:
+            joints.append(_parse_joint(line, path, number))
     raise InputError(f"{path} has no column line; it is not a Damiao trajectory")
+
+
+def _with_rows(
+    path: Path, joints: tuple[DamiaoJoint, ...], filled: Sequence[tuple[int, str]]
+) -> DamiaoTrajectory:
+    table = _table(filled, 1 + 3 * len(joints), path)
+    number, time = np.array([k for k, _ in filled], int), table[:, 0].copy()
+    for row in np.flatnonzero(np.diff(time) <= 0.0)[:1]:
+        raise InputError(f"{path}, near line {number[row + 1]}: time does not increase")
+    return DamiaoTrajectory(path, joints, number, time, *(table[:, k::3] for k in (1, 2, 3)))
+
+
+def _table(filled: Sequence[tuple[int, str]], width: int, path: Path) -> Array:
+    """Return the numbers (N, width) of numbered lines; halves them down to a line that is bad."""
+    lines = [line for _, line in filled]
+    # NumPy before 1.23 reads 1_0 as 10, as Python does.
+    if not any("_" in line for line in lines):
+        with contextlib.suppress(ValueError):
+            table = np.loadtxt(lines, delimiter=",", ndmin=2) if lines else np.empty((0, width))
+            if table.shape == (len(lines), width) and np.all(np.isfinite(table)):
+                return np.asarray(table)
+    if len(lines) == 1:
+        raise InputError(f"{path}, line {filled[0][0]}: expected {width} finite numbers")
+    half = len(lines) // 2
+    return np.vstack([_table(part, width, path) for part in (filled[:half], filled[half:])])
 
 
 def _parse_joint(line: str, path: Path, number: int) -> DamiaoJoint:
@@ -234,31 +261,6 @@ def _check_columns(line: str, n_joints: int, path: Path, number: int) -> None:
         )
 
 
-def _table(piece: Sequence[tuple[int, str]], width: int, path: Path) -> Array:
-    """Return the numbers (N, width) of numbered lines, or raise InputError naming a bad one."""
-    lines = [line for _, line in piece]
-    # NumPy before 1.23 reads 1_0 as 10, as Python does.
-    if not any("_" in line for line in lines):
-        with contextlib.suppress(ValueError):
-            table = np.loadtxt(lines, delimiter=",", ndmin=2)
-            if table.shape == (len(lines), width) and np.all(np.isfinite(table)):
-                return np.asarray(table)
-    if len(piece) == 1:
-        raise InputError(f"{path}, line {piece[0][0]}: expected {width} finite numbers")
-    return np.vstack([_table([each], width, path) for each in piece])
-
-
-@contextlib.contextmanager
-def _opened(path: Path) -> Iterator[TextIO]:
-    try:
-        with open(path, encoding="utf-8-sig") as file:
-            yield file
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path} is not a text file") from None
-
-
 @dataclass(frozen=True)
 class TrajectoryScan:
     """What a trajectory asks of the motors; arrays are (n,) [rad, rad/s, N m].
@@ -280,24 +282,19 @@ class TrajectoryScan:
 
 
 def scan_trajectory(trajectory: DamiaoTrajectory) -> TrajectoryScan:
-    """Return the extremes of a trajectory file; memory does not grow with its length."""
-    peaks, lowest, highest = np.zeros((3, trajectory.n_joints)), np.inf, -np.inf
-    columns = VelocityColumns(trajectory.first_data_line + 1)
-    samples, last_time, last_q = 0, np.empty(0), np.empty((0, trajectory.n_joints))
-    for time, q, qd, tau in trajectory.chunks():
-        if samples == 0:
-            start, first, first_speed = time[0], q[0], qd[0]
-        steps = np.diff(q, axis=0, prepend=last_q) / np.diff(time, prepend=last_time)[:, None]
-        peaks = np.maximum(peaks, [np.abs(x).max(axis=0, initial=0.0) for x in (qd, tau, steps)])
-        lowest, highest = np.minimum(lowest, q.min(axis=0)), np.maximum(highest, q.max(axis=0))
-        columns.add(time, q, qd)
-        samples += len(time)
-        last_time, last_q, last_speed = time[-1:], q[-1:], qd[-1]
-    if samples < 2:
+    """Return the extremes of a trajectory, or raise InputError for a single row."""
+    time, q, qd = trajectory.time, trajectory.q, trajectory.qd
+    if len(time) < 2:
         raise InputError(f"{trajectory.path} needs at least two rows to be played")
-    end_velocity = np.maximum(np.abs(first_speed), np.abs(last_speed))
-    extremes = np.asarray(lowest), np.asarray(highest), peaks[0], peaks[1], peaks[2]
-    return TrajectoryScan(last_time[0] - start, first, end_velocity, *extremes, columns.mismatch)
+    slope = np.diff(q, axis=0) / np.diff(time)[:, None]
+    parts = qd[[0, -1]], qd, trajectory.tau, slope
+    ends, velocity, torque, step = (np.abs(part).max(axis=0) for part in parts)
+    reach = q.min(axis=0), q.max(axis=0)
+    found = velocity_mismatch(time, q, qd)
+    if found is not None:
+        found = found._replace(line=int(trajectory.line[found.line]))
+    length = float(time[-1] - time[0])
+    return TrajectoryScan(length, q[0], ends, *reach, velocity, torque, step, found)
 
 
 # Numbers with four decimals, as the export writes them, are this far from what was meant.
@@ -310,10 +307,7 @@ _AROUND = 2
 
 
 class Mismatch(NamedTuple):
-    """Where the velocity column is wrong: line, without empty ones, and joint, from 0.
-
-    It states a velocity, and the positions show another [rad/s].
-    """
+    """Where the velocity column states a velocity, and the positions show another [rad/s]."""
 
     line: int
     joint: int
@@ -321,38 +315,14 @@ class Mismatch(NamedTuple):
     shown: float
 
 
-class VelocityColumns:
-    """Compares the velocity columns with the positions, up to the first mismatch."""
-
-    def __init__(self, first_line: int = 1) -> None:
-        self.mismatch: Mismatch | None = None
-        self._rows: Array | None = None
-        self._first_line, self._begun = first_line, False
-
-    def add(self, time: Array, q: Array, qd: Array) -> None:
-        """Add rows (N,), (N, n), (N, n) [s, rad, rad/s]."""
-        if self.mismatch is not None:
-            return
-        table = np.hstack([time[:, None], q, qd])
-        self._rows = table if self._rows is None else np.vstack([self._rows, table])
-        time, (q, qd) = self._rows[:, 0], np.split(self._rows[:, 1:], 2, axis=1)
-        found = None
-        if len(time) > 1:
-            step = np.diff(time)[:, None]
-            slope, first = np.diff(q, axis=0) / step, _AROUND if self._begun else 0
-            wrong = chain(_rows_off(step, slope, qd, first), _windows_off(time, q, qd, slope))
-            found = next(wrong, None)
-        self._begun = True
-        if found is not None:
-            self.mismatch = found._replace(line=found.line + self._first_line)
-        # The end of this chunk is the beginning of the windows that reach into the next one.
-        kept = int(np.searchsorted(time, time[-1] - 2.0 * _WINDOW))
-        kept = max(min(kept, len(time) - 2 * _LEAST_ROWS), 0)
-        self._rows, self._first_line = self._rows[kept:], self._first_line + kept
+def velocity_mismatch(time: Array, q: Array, qd: Array) -> Mismatch | None:
+    """Return where velocities (N, n) first differ from the positions' changes, by row, or None."""
+    step = np.diff(time)[:, None]
+    slope = np.diff(q, axis=0) / step
+    return next(chain(_rows_off(step, slope, qd), _windows_off(time, q, qd, slope)), None)
 
 
-def _rows_off(step: Array, slope: Array, qd: Array, first: int) -> Iterator[Mismatch]:
-    # Rows without neighbours were compared before, or will be with the next chunk.
+def _rows_off(step: Array, slope: Array, qd: Array) -> Iterator[Mismatch]:
     padded = np.pad(slope, ((_AROUND, _AROUND), (0, 0)), mode="edge")
     around = np.lib.stride_tricks.sliding_window_view(padded, 2 * _AROUND, axis=0)
     low, high = around.min(axis=-1), around.max(axis=-1)
@@ -361,18 +331,24 @@ def _rows_off(step: Array, slope: Array, qd: Array, first: int) -> Iterator[Mism
     shortest = np.lib.stride_tricks.sliding_window_view(steps, 2 * _AROUND, axis=0).min(axis=-1)
     slack = 4.0 * _ROUNDING / shortest + _ROUNDING + (high - low)
     off = np.maximum(low - slack - qd, qd - high - slack)
-    off[:first] = off[len(off) - _AROUND :] = 0.0
+    # The last rows have no slopes behind them.
+    off[len(off) - _AROUND :] = 0.0
     for row, joint in np.argwhere(off > 0.0)[:1]:
-        shown = slope[min(row, len(slope) - 1), joint]
-        yield Mismatch(int(row), int(joint), float(qd[row, joint]), float(shown))
+        yield Mismatch(int(row), int(joint), float(qd[row, joint]), float(slope[row, joint]))
 
 
 def _windows_off(time: Array, q: Array, qd: Array, slope: Array) -> Iterator[Mismatch]:
     step = np.diff(time)[:, None]
-    longest = float(np.max(step))
-    ends = np.searchsorted(time, time + max(_WINDOW, _LEAST_ROWS * longest))
+    rows = np.arange(len(time))
+    ends = np.maximum(np.searchsorted(time, time + _WINDOW), rows + _LEAST_ROWS)
     starts = np.flatnonzero(ends < len(slope))
+    if not len(starts):
+        return
     ends = ends[starts]
+    # The longest step of each window and of the rows beside it.
+    beside = np.pad(step[:, 0], 1, mode="edge")
+    spans = np.column_stack([starts, ends + 2]).ravel()
+    longest = np.maximum.reduceat(beside, spans)[::2, None]
     way = _summed(0.5 * (qd[1:] + qd[:-1]) * step)
     came, said = q[ends] - q[starts], way[ends] - way[starts]
     turns = _summed(np.abs(np.diff(qd, axis=0)))

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.references import Reference, TrajectorySampler, approach, come_to_rest
+from robot_sysid.damiao.references import Reference, approach, come_to_rest, sampled
 from tests.support.damiao_rig import swing, trajectory_file
 
 ANGLES = st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=7)
@@ -16,8 +16,8 @@ ANGLES = st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=7)
 @pytest.mark.parametrize("speed", [1.0, 0.3])
 def test_the_sampler_interpolates_and_scales_velocity_with_speed(tmp_path, speed):
     time, q, qd, tau = swing(3)
-    sampler = TrajectorySampler(trajectory_file(tmp_path, (time, q, qd, tau)), speed)
-    for moment in np.append(np.arange(0.0, 2.0 / speed, 0.0137), 9.0):
+    sampler = sampled(trajectory_file(tmp_path, (time, q, qd, tau)), speed)
+    for moment in np.append(np.arange(0.0, 2.0 / speed, 0.137), 9.0):
         reference = sampler(moment)
         for got, wanted in zip(reference, (q, speed * qd, tau)):
             expected = [np.interp(moment * speed, time, column) for column in wanted.T]

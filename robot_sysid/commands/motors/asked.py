@@ -50,8 +50,7 @@ class Asked:
             return None
         from robot_sysid.simulation.forward_dynamics import ArmStepper
 
-        _, q, _, _ = next(trajectory.chunks(1))
-        return ArmStepper(self.robot, q[0]).moved_inertia()
+        return ArmStepper(self.robot, trajectory.q[0]).moved_inertia()
 
     def _mounted(self, joints: Sequence[DamiaoJoint]) -> tuple[DamiaoJoint, ...]:
         names = self.robot.joint_names if self.robot else ()
