@@ -51,7 +51,12 @@ class Check:
     text: str
 
 
-_ok, _note, _stop = (partial(Check, severity) for severity in (OK, NOTE, STOP))
+_note, _stop = partial(Check, NOTE), partial(Check, STOP)
+
+
+def _first(*table: tuple[str, object, str]) -> Check:
+    """Return the first line of a table of severity, whether it holds, and text."""
+    return next(Check(severity, text) for severity, holds, text in table if holds)
 
 
 def _watchdog_time(value: float) -> str | None:
@@ -138,28 +143,23 @@ def require_no_stop(checks: Sequence[Check], words: str) -> None:
         raise HardwareAbort(f"{words}: {text}")
 
 
-# --- without a bus ------------------------------------------------------------------------------
-
-
 def plan_checks(plan: Plan) -> list[Check]:
     """Return what can be said without a bus: ids, limits, ends at rest, bus load."""
     limits = [joint.spec.limits for joint in plan.trajectory.joints]
     return [
         *_ids(plan.trajectory.joints),
         *_motion(plan),
-        *_ratings(plan),
-        *_load(plan),
-        *_light(plan),
+        *_motors(plan),
+        _load(plan),
         *_within_limits(plan, limits, "its type's"),
         *_parked(plan),
     ]
 
 
 def _ids(joints: Sequence[DamiaoJoint]) -> Iterator[Check]:
-    problems = list(id_problems([(j.bus, j.can_id, j.master_id) for j in joints]))
-    yield from map(_stop, problems)
-    if not problems:
-        yield _ok(f"ids are unique: {', '.join(str(j.can_id) for j in joints)}")
+    problems = [_stop(text) for text in id_problems([(*j.address, j.master_id) for j in joints])]
+    unique = f"ids are unique: {', '.join(str(j.can_id) for j in joints)}"
+    yield from problems or [Check(OK, unique)]
     if any(joint.master_id == 0 for joint in joints):
         yield _note("a master id of 0 is a poor choice; set it to CAN id + 0x10")
 
@@ -167,13 +167,11 @@ def _ids(joints: Sequence[DamiaoJoint]) -> Iterator[Check]:
 def _motion(plan: Plan) -> Iterator[Check]:
     """Yield whether it begins and ends at rest, and whether velocities belong to positions."""
     worst = float(np.max(plan.scan.end_velocity)) * plan.settings.speed
-    if worst > _REST_SPEED:
-        text = f"the trajectory starts or ends at {worst:.2f} rad/s"
-        yield _stop(f"{text}; it has to start and end at rest")
-    else:
-        yield _ok(f"starts and ends at rest, {plan.duration:.1f} s")
+    moving = f"the trajectory starts or ends at {worst:.2f} rad/s; it has to start and end at rest"
+    at_rest = f"starts and ends at rest, {plan.duration:.1f} s"
+    yield _first((STOP, worst > _REST_SPEED, moving), (OK, True, at_rest))
     if (found := plan.scan.mismatch) is None:
-        yield _ok("velocities and positions agree")
+        yield Check(OK, "velocities and positions agree")
     else:
         label = plan.trajectory.joints[found.joint].label
         yield _stop(
@@ -182,35 +180,18 @@ def _motion(plan: Plan) -> Iterator[Check]:
         )
 
 
-def _ratings(plan: Plan) -> Iterator[Check]:
-    for j, joint in enumerate(plan.trajectory.joints):
-        spec, torque = joint.spec, plan.scan.peak_torque[j] / joint.torque_ratio
-        velocity = plan.scan.peak_velocity[j] * plan.settings.speed
-        for text in motion.rating_warnings(joint, velocity, torque):
-            yield Check(STOP if "the peak torque" in text else NOTE, text)
-        if spec.note:
-            yield _note(f"{joint.label}, {spec.name}: {spec.note}")
-
-
-def _load(plan: Plan) -> Iterator[Check]:
-    settings, timing = plan.settings, plan.timing
-    buses = [joint.bus for joint in plan.trajectory.joints]
-    n_motors = max(buses.count(bus) for bus in buses)
-    load = frames.bus_load(n_motors, 1.0 / settings.period, timing)
-    text = f"{n_motors} motors at {settings.rate:g} Hz load {timing.name} to {100 * load:.0f} %"
-    if load <= frames.PLANNING_LIMIT:
-        yield _ok(text)
-    else:
-        handy = frames.suggested_rate(n_motors, timing)
-        yield _stop(f"{text}, limit {100 * frames.PLANNING_LIMIT:.0f} %; use --rate {handy:g}")
-
-
-def _light(plan: Plan) -> Iterator[Check]:
-    """Yield which joints one step of their motor's torque throws about within a cycle."""
-    joints, inertia = plan.trajectory.joints, () if plan.inertia is None else plan.inertia
+def _motors(plan: Plan) -> Iterator[Check]:
+    """Yield what is beyond motors' ratings, and which joints a step of torque throws about."""
+    joints, scan, settings = plan.trajectory.joints, plan.scan, plan.settings
     steps = Scaling(joint.spec.limits for joint in joints).steps[2]
-    for joint, step, moved in zip(joints, steps, inertia):
-        if step * plan.settings.period / moved > _SHAKEN:
+    moves = [np.inf] * len(joints) if plan.inertia is None else plan.inertia
+    for j, (joint, step, moved) in enumerate(zip(joints, steps, moves)):
+        torque = scan.peak_torque[j] / joint.torque_ratio
+        for text in motion.rating_warnings(joint, scan.peak_velocity[j] * settings.speed, torque):
+            yield Check(STOP if "the peak torque" in text else NOTE, text)
+        if joint.spec.note:
+            yield _note(f"{joint.label}, {joint.motor_type}: {joint.spec.note}")
+        if step * settings.period / moved > _SHAKEN:
             yield _note(
                 f"{joint.label} moves only {moved:.2g} kg m^2 in the model, and a step of a "
                 f"{joint.motor_type}'s torque is {step:.2g} N m: it will shake; give the model the "
@@ -218,11 +199,22 @@ def _light(plan: Plan) -> Iterator[Check]:
             )
 
 
+def _load(plan: Plan) -> Check:
+    settings, timing, limit = plan.settings, plan.timing, frames.PLANNING_LIMIT
+    buses = [joint.bus for joint in plan.trajectory.joints]
+    n_motors = max(buses.count(bus) for bus in buses)
+    load = frames.bus_load(n_motors, 1.0 / settings.period, timing)
+    text = f"{n_motors} motors at {settings.rate:g} Hz load {timing.name} to {100 * load:.0f} %"
+    handy = frames.suggested_rate(n_motors, timing)
+    full = f"{text}, limit {100 * limit:.0f} %; use --rate {handy:g}"
+    return _first((OK, load <= limit, text), (STOP, True, full))
+
+
 def _within_limits(
     plan: Plan, limits: Sequence[tuple[float, float, float]], whose: str
-) -> Iterator[Check]:
+) -> Sequence[Check]:
     joints, scan, speed = plan.trajectory.joints, plan.scan, plan.settings.speed
-    space, fine = JointSpace.of(joints), True
+    space = JointSpace.of(joints)
     ends = space.motor_position(scan.lowest), space.motor_position(scan.highest)
     asked = (
         ("position", "rad", np.max(np.abs(ends), axis=0)),
@@ -230,16 +222,16 @@ def _within_limits(
         ("torque", "N m", np.abs(space.motor_torque(scan.peak_torque))),
         ("position step", "rad/s", scan.peak_step * speed),
     )
-    for j, (joint, limit) in enumerate(zip(joints, limits)):
-        for (what, unit, peaks), top in zip(asked, (*limit, limit[1])):
-            if peaks[j] > top * (1.0 + _FLOAT32_SLACK):
-                fine = False
-                yield _stop(
-                    f"{joint.label}: {what} {peaks[j]:.4g} {unit} is beyond {whose} limit {top:g}; "
-                    "export a smaller trajectory"
-                )
-    if fine:
-        yield _ok(f"the trajectory stays within {whose} limits")
+    beyond = [
+        _stop(
+            f"{joint.label}: {what} {peaks[j]:.4g} {unit} is beyond {whose} limit {top:g}; "
+            "export a smaller trajectory"
+        )
+        for j, (joint, limit) in enumerate(zip(joints, limits))
+        for (what, unit, peaks), top in zip(asked, (*limit, limit[1]))
+        if peaks[j] > top * (1.0 + _FLOAT32_SLACK)
+    ]
+    return beyond or [Check(OK, f"the trajectory stays within {whose} limits")]
 
 
 def _parked(plan: Plan) -> Iterator[Check]:
@@ -259,19 +251,28 @@ def _parked(plan: Plan) -> Iterator[Check]:
 
 def general_checks(inspection: Inspection, settings: PlaySettings) -> list[Check]:
     """Return what motors say on their own, without a trajectory to compare them with."""
-    checks = [*_bus_itself(inspection)]
-    for motor in inspection.motors.values():
-        checks += [*_shared_id(motor), *_condition(motor, settings, Permissions())]
-    return checks
+    motors = inspection.motors.values()
+    conditions = [check for m in motors for check in _condition(m, settings, Permissions())]
+    return [*_bus_itself(inspection), *conditions]
 
 
 def bus_checks(plan: Plan, inspection: Inspection) -> list[Check]:
     """Return what the motors on the bus say to the plan."""
-    return [
-        *_bus_itself(inspection),
-        *_own_motors(plan, inspection),
-        *_other_motors(plan, inspection),
-    ]
+    joints, settings, checks = plan.trajectory.joints, plan.settings, [*_bus_itself(inspection)]
+    present = [inspection.motors[j.address] for j in joints if j.address in inspection.motors]
+    for joint in joints:
+        if (motor := inspection.motors.get(joint.address)) is None:
+            checks.append(
+                _stop(f"{joint.label} does not answer; check power, wiring, its id, bit rate")
+            )
+        else:
+            checks += _condition(motor, settings, plan.allowed, joint)
+    limits = [motor.limits for motor in present if motor.limits]
+    if len(limits) == len(joints):
+        checks += _within_limits(plan, limits, "its registers'")
+        checks += _in_time(inspection.round_trip, settings)
+        checks += _near_start(plan, present)
+    return [*checks, *_other_motors(plan, plan.others(inspection))]
 
 
 def _bus_itself(inspection: Inspection) -> Iterator[Check]:
@@ -289,62 +290,43 @@ def _bus_itself(inspection: Inspection) -> Iterator[Check]:
     yield from map(_stop, id_problems(ids))
 
 
-def _own_motors(plan: Plan, inspection: Inspection) -> Iterator[Check]:
-    joints, present = plan.trajectory.joints, []
-    for joint in joints:
-        if (motor := inspection.motors.get(joint.address)) is not None:
-            present.append((motor, joint))
-        else:
-            yield _stop(f"{joint.label} does not answer; check power, wiring, its id, bit rate")
-    for motor, joint in present:
-        yield from _condition(motor, plan.settings, plan.allowed, joint)
-    limits = [motor.limits for motor, _ in present if motor.limits]
-    if len(limits) == len(joints):
-        yield from _within_limits(plan, limits, "its registers'")
-        yield from _in_time(inspection, plan.settings)
-        yield from _near_start(plan, [motor for motor, _ in present])
-
-
-def _other_motors(plan: Plan, inspection: Inspection) -> Iterator[Check]:
-    others = plan.others(inspection)
+def _other_motors(plan: Plan, others: Sequence[InspectedMotor]) -> Iterator[Check]:
+    if not others:
+        return
     names = ", ".join(motor.name for motor in others)
-    if others and plan.settings.others == "limp":
+    if plan.settings.others == "limp":
         yield _note(f"not in the trajectory and left limp: {names} (--others hold holds them)")
-    elif others:
-        yield _note(f"not in the trajectory and held where they are: {names}")
-        for motor in others:
-            yield from _condition(motor, plan.settings, plan.allowed)
-            if motor.limits is None or not matching_types(motor.limits):
-                text = f"{motor.name} is of no known type and cannot be held; use --others limp"
-                yield _stop(text)
+        return
+    yield _note(f"not in the trajectory and held where they are: {names}")
+    for motor in others:
+        yield from _condition(motor, plan.settings, plan.allowed)
+        if motor.limits is None or not matching_types(motor.limits):
+            yield _stop(f"{motor.name} is of no known type and cannot be held; use --others limp")
 
 
 def _condition(
     motor: InspectedMotor, play: PlaySettings, allow: Permissions, joint: DamiaoJoint | None = None
 ) -> Iterator[Check]:
-    lacking = [frames.NAMES[n] for n in frames.REQUIRED if n not in motor.registers]
+    name, held = motor.name, motor.registers
+    if len(motor.reply_ids) > 1:
+        yield _stop(f"{len(motor.reply_ids)} motors answer to the id of {name}")
+    lacking = [frames.NAMES[number] for number in frames.REQUIRED if number not in held]
     if lacking:
-        yield _stop(f"{motor.name} does not answer for {', '.join(lacking)}; try again")
+        yield _stop(f"{name} does not answer for {', '.join(lacking)}; try again")
         return
     if joint:
-        yield from (*_identity(motor, joint), *_scaling(motor, joint, allow))
-    mode = int(motor.registers[frames.CTRL_MODE])
+        yield from _identity(motor, joint)
+        yield _scaling(motor, joint, allow)
+    mode = int(held[frames.CTRL_MODE])
     if mode != frames.MIT_MODE:
         said = frames.MODES.get(mode, "unknown")
-        yield _stop(f"{motor.name} is in mode {mode} ({said}); set CTRL_MODE to 1 (MIT)")
-    stored = motor.registers[frames.TIMEOUT] * frames.TIMEOUT_UNIT
-    watchdog = stored if allow.watchdog is None else allow.watchdog
-    yield _watchdog(motor.name, watchdog, play)
+        yield _stop(f"{name} is in mode {mode} ({said}); set CTRL_MODE to 1 (MIT)")
+    stored = held[frames.TIMEOUT] * frames.TIMEOUT_UNIT
+    yield _watchdog(name, stored if allow.watchdog is None else allow.watchdog, play)
     yield from _state(motor, play)
 
 
-def _shared_id(motor: InspectedMotor) -> Iterator[Check]:
-    if len(motor.reply_ids) > 1:
-        yield _stop(f"{len(motor.reply_ids)} motors answer to the id of {motor.name}")
-
-
 def _identity(motor: InspectedMotor, joint: DamiaoJoint) -> Iterator[Check]:
-    yield from _shared_id(motor)
     found, stored = (int(motor.registers[n]) for n in (frames.ESC_ID, frames.MST_ID))
     if found != joint.can_id:
         yield _stop(f"{motor.name} says that its CAN id is {found}; power-cycle it")
@@ -356,35 +338,33 @@ def _identity(motor: InspectedMotor, joint: DamiaoJoint) -> Iterator[Check]:
         )
 
 
-def _scaling(motor: InspectedMotor, joint: DamiaoJoint, allowed: Permissions) -> Iterator[Check]:
+def _scaling(motor: InspectedMotor, joint: DamiaoJoint, allowed: Permissions) -> Check:
     found, wanted = motor.limits or (0.0, 0.0, 0.0), joint.spec.limits
     held, usual = (", ".join(f"{value:g}" for value in values) for values in (found, wanted))
     text = f"{motor.name} has PMAX, VMAX, TMAX {held}"
+    same = f"{motor.name} is scaled as a {joint.motor_type}: {held}"
     other = f"{text} but a {joint.motor_type} has {usual}"
-    if min(found) <= 0.0:
-        yield _stop(f"{text}: not usable")
-    elif limits_agree(wanted, found):
-        yield _ok(f"{motor.name} is scaled as a {joint.motor_type}: {held}")
-    elif allowed.register_limits:
-        yield _note(f"{other}: the motor's own values are used")
-    else:
-        yield _stop(f"{other}; if the motor is right, give --accept-register-limits")
+    return _first(
+        (STOP, min(found) <= 0.0, f"{text}: not usable"),
+        (OK, limits_agree(wanted, found), same),
+        (NOTE, allowed.register_limits, f"{other}: the motor's own values are used"),
+        (STOP, True, f"{other}; if the motor is right, give --accept-register-limits"),
+    )
 
 
 def _watchdog(name: str, timeout: float, settings: PlaySettings) -> Check:
-    milliseconds = f"{name}'s watchdog of {1e3 * timeout:g} ms"
-    if timeout == 0.0:
-        text = f"{name} has no watchdog: it would go on for ever if this program died"
-        return _stop(f"{text}; give --set-watchdog 0.1 or set TIMEOUT")
-    if timeout > _NO_WATCHDOG:
-        text = f"{name}'s watchdog of {timeout:g} s is none: the arm would go on that long"
-        return _stop(f"{text}; give --set-watchdog 0.1 or set TIMEOUT")
-    if timeout < _LEAST_WATCHDOG_CYCLES * settings.period:
-        text = f"{milliseconds} is too short for {settings.rate:g} Hz"
-        return _stop(f"{text}; give --set-watchdog 0.1")
-    if timeout > _LONG_WATCHDOG:
-        return _note(f"{milliseconds} is long; --set-watchdog 0.1 is better")
-    return _ok(f"{name}'s watchdog stops it after {1e3 * timeout:g} ms")
+    held, remedy = f"{name}'s watchdog of {1e3 * timeout:g} ms", "give --set-watchdog 0.1"
+    least = _LEAST_WATCHDOG_CYCLES * settings.period
+    gone = f"{name} has no watchdog: it would go on for ever if this program died"
+    none = f"{name}'s watchdog of {timeout:g} s is none: the arm would go on that long"
+    short = f"{held} is too short for {settings.rate:g} Hz; {remedy}"
+    return _first(
+        (STOP, timeout == 0.0, f"{gone}; {remedy} or set TIMEOUT"),
+        (STOP, timeout > _NO_WATCHDOG, f"{none}; {remedy} or set TIMEOUT"),
+        (STOP, timeout < least, short),
+        (NOTE, timeout > _LONG_WATCHDOG, f"{held} is long; --set-watchdog 0.1 is better"),
+        (OK, True, f"{name}'s watchdog stops it after {1e3 * timeout:g} ms"),
+    )
 
 
 def _state(motor: InspectedMotor, settings: PlaySettings) -> Iterator[Check]:
@@ -403,31 +383,30 @@ def _state(motor: InspectedMotor, settings: PlaySettings) -> Iterator[Check]:
         yield _stop(f"{name} is at {hot} deg C, above {most:g}; let it cool down")
 
 
-def _in_time(inspection: Inspection, settings: PlaySettings) -> Iterator[Check]:
-    if inspection.round_trip is None:
+def _in_time(took: float | None, settings: PlaySettings) -> Iterator[Check]:
+    if took is None:
         return
-    took = inspection.round_trip
     text = f"all motors have answered after {1e3 * took:.1f} ms"
-    if took <= _ANSWER_SHARE * settings.period:
-        yield _ok(f"{text}, in time for {settings.rate:g} Hz")
-        return
     rates = frames.HANDY_RATES
     fits = next((rate for rate in rates if rate * took <= _ANSWER_SHARE), rates[-1])
-    yield _stop(
+    late = (
         f"{text}, too late for {settings.rate:g} Hz: commands and samples would be mixed up; use "
         f"--rate {fits:g} or a faster adapter"
     )
+    timely = took <= _ANSWER_SHARE * settings.period
+    yield _first((OK, timely, f"{text}, in time for {settings.rate:g} Hz"), (STOP, True, late))
 
 
 def _near_start(plan: Plan, motors: Sequence[InspectedMotor]) -> Iterator[Check]:
     joints, tolerance = plan.trajectory.joints, plan.settings.start_tolerance
     places = JointSpace.of(joints).joint_position(np.array([m.position for m in motors]))
     for joint, here, first in zip(joints, places, plan.scan.first):
-        if abs(here - first) > tolerance:
-            turn = ""
-            if abs(abs(here - first) - 2.0 * np.pi) < tolerance:
-                turn = "; a whole turn apart: the motor lost its turn count when it was off"
+        away = abs(here - first)
+        if away > tolerance:
+            turn = "; a whole turn apart: the motor lost its turn count when it was off"
             yield _stop(
                 f"{joint.label} is at {here:.3f} rad but the trajectory starts at {first:.3f}, "
-                f"more than {tolerance:g} away; move it there by hand{turn}"
+                f"more than {tolerance:g} away; move it there by hand"
+                + turn
+                * bool(abs(away - 2.0 * np.pi) < tolerance)
             )
