@@ -66,12 +66,6 @@ def three_joint_arm():
 
 
 @pytest.fixture
-def seven_joint_arm():
-    """An arm with seven joints, each with Coulomb friction 0.4 and viscous friction 0.1."""
-    return arms.robot_of(arms.SEVEN)
-
-
-@pytest.fixture
 def command(tmp_path, monkeypatch, capsys):
     """The command line, in an empty working folder."""
     monkeypatch.chdir(tmp_path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -23,7 +24,10 @@ from tests.support.excitation_arms import problem, robot
 
 RATE, SIGMA = 250.0, 0.01
 # With rotors: an estimate that stops at none spreads less than it could.
-ARM = arms.SEVEN.replace("damping=", 'armature=".05" damping=')
+ARM = arms.serial_arm(
+    (arms.Z, arms.Y, arms.Y, arms.X),
+    joint='range="-2.5 2.5" frictionloss=".4" armature=".05" damping=".1"',
+)
 PLAN = a_plan(ARM, duration=10.0)
 CAUSES = ("link", "scale", "zero", "gravity", "friction")
 KNOWN_ARM = EstimationOptions(**{f"{cause}_uncertainty": 0.0 for cause in CAUSES})
@@ -33,6 +37,7 @@ def promised(options, **changes):
     return expect(problem(ARM, noise_torque=SIGMA, **changes), PLAN, RATE, options)
 
 
+@cache
 def delivered(options, seed):
     """Estimate from one noisy recording, with friction as the promise has it."""
     exact = join_measurements(simulate_inverse(robot(ARM), motion_chunks(PLAN, RATE)))

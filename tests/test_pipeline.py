@@ -59,18 +59,6 @@ def test_a_run_returns_what_its_files_say(arm):
     assert plan.with_suffix(".csv").exists()
 
 
-def test_a_fresh_seed_is_drawn_told_and_stored(arm):
-    listener = Listener()
-    seed = run(config(arm, seed=None), listener).result.data.seed
-    assert f"Random seed: {seed} (--seed {seed} repeats this run)" in listener.stages
-
-
-def test_measured_data_is_weighted(arm):
-    assert run(config(arm)).result.estimate.method == "ols"
-    measured = {"plant_model": arm, "friction_model": "coulomb-viscous"}
-    assert run(config(arm, **measured)).result.estimate.method == "wls"
-
-
 def test_what_is_identified_of_every_joint_goes_into_the_model(arm):
     """The plant's joints have half the dry friction and twice the viscous one."""
     plant = arm.with_name("plant.xml")

@@ -17,7 +17,6 @@ TEXTS = [path.read_text(encoding="utf-8") for path in option_tables.PAGES]
 PAGE = TEXTS[1]
 MOTORS = {name: motors.build_parser(name) for name in ("check", "play", "simulate")}
 CONSOLE = {"--help", "-h", "--help-all", "--version"}
-LISTED = {name: option_tables.table(name) for name in TABLES}
 
 
 def flags(parser: argparse.ArgumentParser) -> set[str]:
@@ -96,12 +95,3 @@ def test_payload_takes_the_groups_it_is_said_to_take():
 
 def test_the_noise_of_a_plan_is_what_the_page_says():
     assert f"without `--noise-torque` is judged for {DEFAULT_NOISE_TORQUE:g} N·m." in PAGE
-
-
-def test_a_row_has_option_default_and_meaning():
-    assert "| `--duration DURATION` | `15` | Length; longer" in LISTED["trajectory"]
-    assert "| `--verbose`, `-v` | | Say more |" in LISTED["console"]
-    assert "| `--columns FILE` | recognised | File that says" in LISTED["measurements"]
-    assert "| `--keep-out NX NY NZ OFFSET` | | Plane that" in LISTED["limits"]
-    for name, rows in LISTED.items():
-        assert all(row.count("|") - row.count("\\|") == 4 for row in rows.splitlines()), name

@@ -35,7 +35,9 @@ def torque_errors(params):
     return before["relative_error"], after["relative_error"]
 
 
-@pytest.mark.parametrize(("tested", "limit"), [(2, 0.025), (3, 0.045)])
+@pytest.mark.parametrize(
+    ("tested", "limit"), [(2, 0.025), pytest.param(3, 0.045, marks=pytest.mark.slow)]
+)
 def test_kukas_file_predicts_its_other_runs(tmp_path, capsys, tested, limit):
     """A last link of 0.3 kg among torques of 60 N m is not known, and that is no failure."""
     code, params = kuka(tmp_path, tested)
@@ -48,6 +50,7 @@ def test_kukas_file_predicts_its_other_runs(tmp_path, capsys, tested, limit):
     assert "other links do not fit this arm" in " ".join(params["limitations"])
 
 
+@pytest.mark.slow
 def test_tx40s_rotor_inertia_is_seen(tmp_path):
     """Motor torques: without rotor inertia the error is several times larger."""
     log, model = TX40 / "tx40_500Hz.csv", TX40 / "tx40.urdf"

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import robot_sysid as rs
 from robot_sysid.api.results import one_thread
+from robot_sysid.cli import main
 from robot_sysid.logs.reader import write_measurement_csv
 from robot_sysid.parser import load_robot_model
 from robot_sysid.results.rollout import compare
 from tests.support import arms, schemas
-from tests.support.command_line import files_in
 from tests.support.measured_logs import JOINT, log_of, plan_of, true_arm
 
 AXES = (arms.Z, arms.Y, arms.X)
@@ -46,19 +47,34 @@ def result_in(folder):
     return json.loads((folder / "params.json").read_text())
 
 
-def test_the_same_log_asked_in_every_way_gives_the_same_numbers(command, arm_file, logs):
-    """To the last digit, printed and in every file."""
-    path = arm_file(HEAVY)
+@pytest.fixture(scope="module")
+def heavy(tmp_path_factory):
+    """The model of an arm whose last link weighs twice as much."""
+    path = tmp_path_factory.mktemp("model") / "arm.xml"
+    path.write_text(HEAVY)
+    return path
+
+
+@pytest.fixture(scope="module")
+def first(heavy, logs):
+    """The folder of a run on the first log."""
+    folder = heavy.with_name("first")
+    words = ("identify", heavy, logs[0], *QUICK, "--output-dir", folder, "--quiet")
     with one_thread():
-        printed = command.run("identify", path, logs[0], *QUICK, "--output-dir", "out")
-        files = files_in(path.parent / "out")
-        rooted = path, "--measurements", logs[0], *QUICK, "--output-dir", "out"
-        assert command.run(*rooted) == printed and files_in(path.parent / "out") == files
-    found = rs.identify(path, logs[0], cutoff=8.0, friction_model=TERMS)
-    assert found.to_dict() == result_in(path.parent / "out")
-    found.save(path.parent / "saved")
+        assert main([str(word) for word in words]) == 0
+    return folder
+
+
+def test_the_same_log_asked_in_every_way_gives_the_same_files(command, heavy, logs, first):
+    """To the last bit."""
+    with one_thread():
+        command.run(heavy, "--measurements", logs[0], *QUICK, "--output-dir", "out")
+    found = rs.identify(heavy, logs[0], cutoff=8.0, friction_model=TERMS)
+    assert found.to_dict() == result_in(first)
+    found.save("saved")
     for name in ("params.json", "updated_model.xml"):
-        assert (path.parent / "saved" / name).read_bytes() == files[name]
+        for folder in ("out", "saved"):
+            assert Path(folder, name).read_bytes() == (first / name).read_bytes()
 
 
 def test_every_link_is_written_and_printed(command, arm_file, logs, plant):
@@ -100,12 +116,10 @@ def test_torques_that_do_not_follow_from_the_motion_change_nothing(
     assert "98 % of the torque unexplained" in message
 
 
-def test_logs_of_an_earlier_run_count_again(command, arm_file, logs):
-    path = arm_file(HEAVY)
-    command.run("identify", path, logs[0], *QUICK)
-    earlier = ("--append", "sysid_output/params.json", "--output-dir", "both")
-    command.run("identify", path, logs[1], *QUICK, *earlier)
-    one, both = (result_in(path.parent / name) for name in ("sysid_output", "both"))
+def test_logs_of_an_earlier_run_count_again(command, heavy, logs, first):
+    earlier = ("--append", first / "params.json", "--output-dir", "both")
+    command.run("identify", heavy, logs[1], *QUICK, *earlier)
+    one, both = result_in(first), result_in(Path("both"))
     assert both["logs"] == [str(log) for log in logs]
     assert both["duration"] == pytest.approx(2.0 * one["duration"])
     assert both["standard_errors"]["m"] < one["standard_errors"]["m"]

@@ -19,22 +19,29 @@ def truth():
     return truth_of(arms.robot_of(ARM), 2)
 
 
-@pytest.fixture
-def command(tmp_path, monkeypatch, capsys, truth):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "arm.xml").write_text(ARM)
-    write_measurement_csv(tmp_path / "log.csv", truth.robot.joint_names, [truth.log])
-    wrong = replace(truth.log, tau=1e3 * truth.log.tau)
-    write_measurement_csv(tmp_path / "wrong.csv", truth.robot.joint_names, [wrong])
-    write_measurement_csv(tmp_path / "late.csv", truth.robot.joint_names, [late(truth.log)])
-    return CommandLine(tmp_path, capsys)
-
-
 def late(log):
     """A channel that holds its value for two seconds."""
     tau = log.tau.copy()
     tau[1000:1500, 1] = tau[1000, 1]
     return replace(log, tau=tau)
+
+
+@pytest.fixture(scope="module")
+def folder(truth, tmp_path_factory):
+    folder, log = tmp_path_factory.mktemp("log"), truth.log
+    (folder / "arm.xml").write_text(ARM)
+    logs = {"log": log, "wrong": replace(log, tau=1e3 * log.tau), "late": late(log)}
+    for name, each in logs.items():
+        write_measurement_csv(folder / f"{name}.csv", truth.robot.joint_names, [each])
+    text = (folder / "log.csv").read_text()
+    (folder / "odd.csv").write_text(text.replace("joint0_torque", "joint0_torque\x1b[2J"))
+    return folder
+
+
+@pytest.fixture
+def command(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    return CommandLine(folder, capsys)
 
 
 def test_without_a_model_it_lists_the_columns(command):
@@ -63,10 +70,8 @@ def test_the_keyframe_is_the_one_that_was_named(command):
     assert "no such keyframe" in said
 
 
-def test_titles_cannot_steer_the_terminal(command, truth):
-    text = (command._folder / "log.csv").read_text()
-    (command._folder / "log.csv").write_text(text.replace("joint0_torque", "joint0_torque\x1b[2J"))
-    assert "\x1b" not in command.run("log", "log.csv").out
+def test_titles_cannot_steer_the_terminal(command):
+    assert "\x1b" not in command.run("log", "odd.csv").out
 
 
 def test_memory_that_is_not_enough_is_one_line(command, monkeypatch):

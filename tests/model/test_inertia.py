@@ -8,7 +8,6 @@ from robot_sysid.model.inertia import subtree_bodies
 from tests.support.model_files import ARM
 
 MODEL = mujoco.MjModel.from_xml_string(ARM)
-LINK2 = MODEL.body("link2").id
 
 
 def test_what_is_fixed_to_a_finger_is_not_welded_to_the_link():

@@ -58,12 +58,6 @@ def random_body(rng, spread=1.0):
     return spatial.theta_from_pseudo_inertia(factor @ factor.T + 1e-6 * np.eye(4) * spread)
 
 
-def body_divergence(theta, prior):
-    """d(J(theta) || J(prior)) >= 0, zero only where they are the same body."""
-    ratio = np.linalg.solve(spatial.pseudo_inertia(prior), spatial.pseudo_inertia(theta))
-    return float(np.trace(ratio) - np.linalg.slogdet(ratio)[1] - 4.0)
-
-
 def arm_equations(rng, joints=3, count=60):
     """[(rows (count, 12), columns (12,))] and names of an arm whose joints point everywhere."""
     names = list(spatial.PARAMETER_NAMES)
