@@ -174,34 +174,10 @@ def keeps_limits(
     problem: ExcitationProblem, plan: MotionPlan, sample_rate: float = LEAST_RATE_HZ
 ) -> bool:
     """Tell whether the whole motion keeps every limit, sampled at ``sample_rate`` [Hz]."""
-    if breaks_limits_at_few(problem, plan):
-        return False
-    broken = any(_excesses(problem, _peaks(problem, plan, sample_rate)))
+    # Most motions that break one break it at a tenth of the samples too.
+    rates = (FEW_RATE_HZ, sample_rate)
+    broken = any(any(_excesses(problem, _peaks(problem, plan, rate))) for rate in rates)
     return not broken and first_contact(problem, plan) is None
-
-
-def breaks_limits_at_few(problem: ExcitationProblem, plan: MotionPlan) -> bool:
-    """Tell whether a limit, clearances apart, is broken at a tenth of the samples of a check.
-
-    Most motions that break one break it there; those that do not have to be checked.
-    """
-    return any(_excesses(problem, _peaks(problem, plan, FEW_RATE_HZ)))
-
-
-def excess_times(problem: ExcitationProblem, plan: MotionPlan) -> Array:
-    """Return when limits are not kept [s].
-
-    Of each but clearances, when it is exceeded most; of these, where the slack, sampled at 100 Hz,
-    has a local minimum below zero.
-    """
-    found = [excess.time for excess in _excesses(problem, _peaks(problem, plan, LEAST_RATE_HZ))]
-    for span in _spans(plan):
-        time = np.concatenate(list(sample_times(plan.duration, FEW_RATE_HZ, *span)))
-        slack = problem.obstacles.slack(plan.evaluate(time).q).value
-        padded = np.pad(slack, 1, constant_values=np.inf)
-        lowest = (slack <= padded[:-2]) & (slack < padded[2:]) & (slack < 0.0)
-        found.extend(time[lowest])
-    return np.array(found)
 
 
 def first_contact(problem: ExcitationProblem, plan: MotionPlan) -> Closest | None:

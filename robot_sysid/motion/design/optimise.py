@@ -7,9 +7,7 @@ sum (max(0, l + m g)^2 - l^2) / 2 m; between minimisations l becomes max(0, l + 
 without an infinite weight, so the problem stays well conditioned.
 
 Constraints hold at all times, the optimiser knows finitely many. After each round the whole motion
-is checked and times at which a limit was exceeded join the optimiser's (exchange method for
-semi-infinite programs, Hettich, Kortanek, SIAM Review 35(3), 1993, section 7). What little is still
-over a limit is taken off by shrinking the whole motion towards rest.
+is checked, and what is over a limit is taken off by shrinking the whole motion towards rest.
 """
 
 from __future__ import annotations
@@ -30,7 +28,7 @@ from robot_sysid.motion.information import (
     predicted_information,
     visible_coordinates,
 )
-from robot_sysid.motion.limit_check import excess_times, keeps_limits
+from robot_sysid.motion.limit_check import keeps_limits
 from robot_sysid.motion.options import ExcitationOptions
 from robot_sysid.motion.problem import LIMIT_NAMES, OBSTACLE_LENGTH, ExcitationProblem
 from robot_sysid.motion.trajectories import FourierBasis, FourierTrajectory
@@ -44,8 +42,6 @@ The multipliers should do the work: the weight only grows where they converge sl
 """
 MEMORY = 20
 """Gradient pairs L-BFGS keeps: the upper end of what Nocedal, Wright, section 7.2, recommend."""
-MOST_EXTRA_TIMES = 60
-"""Times beside the grid: a quarter of the usual grid, so that a round stays as dear as it is."""
 _TORQUE_STEP = 1e-6
 """Step of differences [rad and its rates]: torques round to 1e-13, so slopes to 1e-7."""
 REPAIRS = (1.0, 0.999, 0.998, 0.996, 0.992, 0.985, 0.97, 0.94, 0.9, 0.8, 0.6, 0.4, 0.2, 0.1)
@@ -88,7 +84,7 @@ class Candidate:
 
     Attributes:
         x: (n, M) free coefficients, possibly beyond a limit.
-        multipliers: (N + E, 4 n + 2) on the grid and at the extra times (E,) [s].
+        multipliers: (N, 4 n + 2) on the grid.
         weight: of the penalty.
         rounds: how many are done.
         feasible_x: (n, M) the best one so far that obeys everything, or None; and its criterion.
@@ -96,7 +92,6 @@ class Candidate:
 
     x: Array
     multipliers: Array
-    extra_times: Array
     weight: float = FIRST_WEIGHT
     rounds: int = 0
     feasible_x: Array | None = None
@@ -117,8 +112,7 @@ class Candidate:
 
 def candidate_at(design: Design, x: Array) -> Candidate:
     """Return a candidate at free coefficients x (n, M) of which nothing is known yet."""
-    none = np.zeros((len(design.grid), 4 * design.problem.n_joints + 2))
-    return Candidate(x, none, np.zeros(0))
+    return Candidate(x, np.zeros((len(design.grid), 4 * design.problem.n_joints + 2)))
 
 
 def first_candidate(design: Design, x: Array) -> Candidate:
@@ -131,8 +125,7 @@ def improve(design: Design, candidate: Candidate, deadline: float = np.inf) -> C
     from scipy.optimize import minimize
 
     unit, shape = design.unit, candidate.x.shape
-    objective = partial(penalised, design, candidate, design.functions(candidate.extra_times))
-    reached = [candidate.x]
+    objective, reached = partial(penalised, design, candidate), [candidate.x]
 
     def function(flat: Array) -> tuple[float, Array]:
         if is_over(deadline):
@@ -152,21 +145,7 @@ def improve(design: Design, candidate: Candidate, deadline: float = np.inf) -> C
         grow = WEIGHT_GROWTH if candidate.rounds >= PLAIN_ROUNDS else 1.0
         multipliers, weight = objective(moved.x)[2], grow * candidate.weight
         moved = replace(moved, multipliers=multipliers, weight=weight, rounds=candidate.rounds + 1)
-        moved = _with_extra_times(design, moved)
     return _checked(design, moved, deadline)
-
-
-def _with_extra_times(design: Design, candidate: Candidate) -> Candidate:
-    """Return the candidate with the times at which the whole motion exceeds a limit."""
-    plan = design.trajectory(candidate.x)
-    known, found = np.round(candidate.extra_times, 3), excess_times(design.problem, plan)
-    new = np.setdiff1d(np.round(found, 3), known)[: MOST_EXTRA_TIMES - len(known)]
-    none = np.zeros((len(new), candidate.multipliers.shape[1]))
-    return replace(
-        candidate,
-        extra_times=np.concatenate((candidate.extra_times, new)),
-        multipliers=np.vstack((candidate.multipliers, none)),
-    )
 
 
 def _checked(design: Design, candidate: Candidate, deadline: float = np.inf) -> Candidate:
@@ -236,14 +215,9 @@ class Design:
         """The functions on the grid: most of what a search holds in memory."""
         return self.basis.evaluate(self.grid)
 
-    def functions(self, extra: Array) -> Series:
-        """Return the basis and its derivatives (N + E, M) on the grid and at times (E,) [s]."""
-        b, db, ddb = map(np.vstack, zip(self.on_grid, self.basis.evaluate(extra)))
-        return b, db, ddb
-
-    def motion(self, x: Array, functions: Series | None = None) -> Series:
-        """Return q, qd and qdd (N, n) of the free coefficients x (n, M), usually on the grid."""
-        b, db, ddb = functions or self.on_grid
+    def motion(self, x: Array) -> Series:
+        """Return q, qd and qdd (N, n) of the free coefficients x (n, M) on the grid."""
+        b, db, ddb = self.on_grid
         return self.problem.rest + b @ x.T, db @ x.T, ddb @ x.T
 
     def criterion_of(self, x: Array) -> float:
@@ -325,24 +299,20 @@ def _add_torque(
         totals[which][active, joint] += np.sum(change * adjoint[active], axis=1)
 
 
-def penalised(
-    design: Design, candidate: Candidate, functions: Series, x: Array
-) -> tuple[float, Array, Array]:
+def penalised(design: Design, candidate: Candidate, x: Array) -> tuple[float, Array, Array]:
     """Return the objective of a round at free coefficients x (n, M), gradient and new multipliers.
 
-    Multipliers and weight are those of the candidate; the new ones (N + E, 4 n + 2) are those after
-    a minimisation that ends at x. Constraints hold where the ``functions`` are given: on the grid,
-    and at the extra times.
+    Multipliers and weight are those of the candidate; the new ones (N, 4 n + 2) are those after a
+    minimisation that ends at x.
     """
-    multipliers, weight, count = candidate.multipliers, candidate.weight, len(design.grid)
-    motion = design.motion(x, functions)
-    told = design.information.evaluate(*(part[:count] for part in motion))
+    multipliers, weight, motion = candidate.multipliers, candidate.weight, design.motion(x)
+    told = design.information.evaluate(*motion)
     criterion, slope = d_criterion(told.information)
     constraints = constraints_of(design.problem, motion, LIMIT_SHARE, EXTRA_SLACK)
     active = np.maximum(0.0, multipliers + weight * constraints.value)
     penalty = float(np.sum(active**2 - multipliers**2)) / (2.0 * weight)
     adjoints = constraints.vjp(active)
     for adjoint, part in zip(adjoints, told.vjp(slope)):
-        adjoint[:count] += part
-    gradient = sum(a.T @ f for a, f in zip(adjoints, functions))
+        adjoint += part
+    gradient = sum(a.T @ f for a, f in zip(adjoints, design.on_grid))
     return min(criterion, _WORST) + penalty, np.asarray(gradient), active

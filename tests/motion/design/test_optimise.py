@@ -35,7 +35,7 @@ def best_draw(some, seed=0):
 
 
 def test_rounds_keep_the_best_that_keeps_all_limits():
-    """Also where the start is beyond its limits: times of excess join the grid."""
+    """Also where the start is beyond its limits."""
     some = design(TUBES_AND_POST, iterations=8)
     candidate = first_candidate(some, 1.5 * best_draw(some).x)
     assert not keeps_limits(some.problem, some.trajectory(candidate.x))
@@ -47,23 +47,19 @@ def test_rounds_keep_the_best_that_keeps_all_limits():
         assert check_limits(some.problem, some.trajectory(candidate.feasible_x)).holds
     assert scores[0] >= scores[1] >= scores[2] == some.criterion_of(candidate.feasible_x)
     assert scores[2] < scores[0] - 0.1
-    assert len(candidate.extra_times) == len(set(candidate.extra_times)) > 0
-    assert len(candidate.multipliers) == len(some.grid) + len(candidate.extra_times)
 
 
-def objective_of(some, extra, multipliers):
-    candidate = Candidate(None, multipliers, extra, 10.0)
-    return partial(penalised, some, candidate, some.functions(extra))
+def objective_of(some, multipliers):
+    return partial(penalised, some, Candidate(None, multipliers, 10.0))
 
 
 @given(SEEDS)
 def test_gradient_equals_differences(seed):
     some = design(arms.THREE)
     rng = np.random.default_rng(seed)
-    extra = rng.uniform(0.0, 6.0, size=3)
-    multipliers = rng.uniform(size=(len(some.grid) + 3, 14))
+    multipliers = rng.uniform(size=(len(some.grid), 14))
     x, direction = random_x(some, seed), random_x(some, seed + 1, 1.0)
-    objective = objective_of(some, extra, multipliers)
+    objective = objective_of(some, multipliers)
     exact = np.sum(objective(x)[1] * direction)
     value = slope(lambda at: objective(at)[0], x, direction)
     assert value == pytest.approx(exact, rel=1e-4, abs=1e-4 * (1.0 + np.abs(exact)))
@@ -71,7 +67,7 @@ def test_gradient_equals_differences(seed):
 
 def test_the_objective_is_the_criterion_and_multipliers_grow_where_limits_are_exceeded():
     some = design(arms.THREE)
-    objective = objective_of(some, np.zeros(0), np.zeros((len(some.grid), 14)))
+    objective = objective_of(some, np.zeros((len(some.grid), 14)))
     x = best_draw(some).x
     assert objective(0.9 * x)[0] == some.criterion_of(0.9 * x)
     value = constraints_of(some.problem, some.motion(2.0 * x), LIMIT_SHARE, EXTRA_SLACK).value
