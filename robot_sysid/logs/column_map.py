@@ -27,6 +27,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 
 from robot_sysid.errors import InputError
@@ -41,13 +42,10 @@ _TIMES = ("s", "ms", "us", "ns")
 
 @dataclass(frozen=True)
 class ColumnChoices:
-    """What is declared of a log's columns.
+    """What is declared of a log's columns, by the keys of a columns file; None leaves it open.
 
     Attributes:
-        time: title of the time column, or None.
         columns: quantity to joint name to title; "none" keeps a quantity out.
-        angle_unit, time_unit: None where the column titles (or SI) decide.
-        rate: samples per second of a log without time stamps, or None.
     """
 
     time: str | None = None
@@ -68,29 +66,19 @@ class ColumnChoices:
 
 
 def parse_units(text: str) -> ColumnChoices:
-    """Return the units of a comma- or blank-separated list such as "deg,ms".
-
-    Raises:
-        InputError: a unit is unknown, or two are for the same thing.
-    """
-    words = [word for word in re.split(r"[,\s]+", text.strip()) if word]
-    unknown = [word for word in words if word not in _ANGLES + _TIMES]
-    angles, times = [w for w in words if w in _ANGLES], [w for w in words if w in _TIMES]
-    if unknown or not words or len(angles) > 1 or len(times) > 1:
+    """Return the units of a list with commas or blanks such as "deg,ms", or raise InputError."""
+    words = re.findall(r"[^,\s]+", text)
+    angles, times = ([w for w in words if w in known] for known in (_ANGLES, _TIMES))
+    if not words or len(words) > len(angles[:1] + times[:1]):
         raise InputError(
             f"units {text!r} are not understood; give at most one of {', '.join(_ANGLES)} and one "
             f"of {', '.join(_TIMES)}, for instance 'deg,ms'"
         )
-    angle, time = (found[0] if found else None for found in (angles, times))
-    return ColumnChoices(angle_unit=angle, time_unit=time)
+    return ColumnChoices(angle_unit=next(iter(angles), None), time_unit=next(iter(times), None))
 
 
 def read_columns_file(path: Path, joint_names: Sequence[str]) -> ColumnChoices:
-    """Read a columns file.
-
-    Raises:
-        InputError: it cannot be read, or a key, joint, unit or number in it is unknown.
-    """
+    """Read a columns file; InputError where a key, joint, unit or number in it is unknown."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
@@ -113,7 +101,7 @@ def read_columns_file(path: Path, joint_names: Sequence[str]) -> ColumnChoices:
             chosen = _per_joint(path, quantity, joint, value, joint_names)
             columns.setdefault(quantity, {}).update(chosen)
     units = parse_units(entries["units"]) if "units" in entries else ColumnChoices()
-    rate = _rate(path, entries.get("rate"))
+    rate = _rate(path, entries["rate"]) if "rate" in entries else None
     return replace(units, time=entries.get("time"), columns=columns, rate=rate)
 
 
@@ -137,9 +125,7 @@ def _per_joint(
     return dict(zip(joint_names, titles))
 
 
-def _rate(path: Path, value: str | None) -> float | None:
-    if value is None:
-        return None
+def _rate(path: Path, value: str) -> float:
     with contextlib.suppress(ValueError):
         if 0.0 < float(value) < math.inf:
             return float(value)
@@ -160,10 +146,7 @@ class ColumnMap:
     """Where each quantity comes from; one Source per chain joint, base to terminal.
 
     Attributes:
-        time: the time column, or None where ``rate`` stands in for it.
-        rate: samples per second declared for a log without time stamps.
-        position, torque: always there.
-        velocity, acceleration, joint_time: None where the log has none.
+        rate: samples per second of a log without time stamps.
         angle_declared: whether the unit of angles was declared (option or title), not assumed.
         commanded: whether ``torque`` holds commanded positions instead, of a log read for them.
     """
@@ -179,14 +162,14 @@ class ColumnMap:
     angle_declared: bool
     commanded: bool = False
 
-    def groups(self) -> tuple[tuple[Source, ...] | None, ...]:
+    def groups(self) -> tuple[tuple[Source, ...], ...]:
         """Return the columns of each quantity: position, torque, then what there may be."""
-        return self.position, self.torque, self.velocity, self.acceleration, self.joint_time
+        extra = (self.velocity, self.acceleration, self.joint_time)
+        return self.position, self.torque, *(group or () for group in extra)
 
     def sources(self) -> list[Source]:
         """Return all columns: time, where there is one, and the groups."""
-        time = [self.time] if self.time else []
-        return time + [source for group in self.groups() for source in group or ()]
+        return [*([self.time] if self.time else ()), *chain.from_iterable(self.groups())]
 
     def with_torque_factor(self, factor: Array) -> ColumnMap:
         """Return the map with each joint's torque multiplied by a factor (n,)."""
@@ -202,8 +185,10 @@ class ColumnMap:
         taken += f"{'command' if self.commanded else 'torque'} from {_quoted(self.torque)}"
         for name, extra in (("acceleration", self.acceleration), ("own time", self.joint_time)):
             taken += f"; {name} from {_quoted(extra)}" if extra else ""
-        unused = f"log columns not used: {', '.join(self.unused)}" if self.unused else ""
-        return (taken, unused) if unused else (taken,)
+        return (
+            taken,
+            *([f"log columns not used: {', '.join(self.unused)}"] if self.unused else ()),
+        )
 
 
 def recognise_columns(
@@ -222,7 +207,7 @@ def recognise_columns(
         chosen: what was declared; it outranks the titles.
         first_row: the first row of data (it may hold joint names, as ROS logs do).
         is_slide: (n,) whether a joint is a slide, whose positions are never angles.
-        currents: whether columns of motor current stand in for torque, where there are any.
+        currents, commanded: as in ``columns.with_meaning``.
 
     Raises:
         InputError: a quantity is missing, has two candidates, or contradicts the declared units.
@@ -237,8 +222,7 @@ def recognise_columns(
     columns = _Columns(list(titles), parsed, joint_names, chosen, is_slide, ("position", asked))
     sources = {kind: columns.of_joints(kind, found) for kind in naming.QUANTITIES if kind != other}
     time = columns.time(found)
-    used = {s.index for group in sources.values() if group for s in group}
-    used |= {time.index} if time else set()
+    used = {s.index for group in (*sources.values(), [time]) for s in group or () if s}
     unused = tuple(title for index, title in enumerate(titles) if index not in used)
     position, torque = sources["position"], sources[asked]
     if position is None or torque is None:
@@ -268,13 +252,11 @@ class _Columns:
             return None
         sources = []
         for joint, name in enumerate(self._joints):
-            candidates = found.get((kind, joint), [])
-            if name in explicit:
-                sources.append(self._source(kind, joint, *self._lookup(explicit[name])))
-            elif len(candidates) > 1:
-                raise naming.two_candidates(kind, name, [self._texts[i] for i in candidates])
-            elif candidates:
-                sources.append(self._source(kind, joint, candidates[0], 1.0))
+            places = [(index, 1.0) for index in found.get((kind, joint), ())]
+            places = [self._lookup(explicit[name])] if name in explicit else places
+            if len(places) > 1:
+                raise naming.two_candidates(kind, name, [self._texts[i] for i, _ in places])
+            sources += [self._source(kind, joint, *place) for place in places]
         if len(sources) == len(self._joints):
             return tuple(sources)
         if explicit or kind in self._needed:
@@ -307,10 +289,10 @@ class _Columns:
         found = f"{len(candidates)} ({', '.join(candidates)})" if candidates else "none"
         commanded = [t.text for t in self._titles if t.commanded and t.stands_for != "command"]
         hint = f"; commanded columns are not measurements: {commanded[0]}, ..." if commanded else ""
+        currents = [t.text for t in self._titles if t.is_current and t.stands_for is None]
         if kind == "command":
             hint = " (titles such as action, command, q_des or goal_position)"
-        currents = [t.text for t in self._titles if t.is_current and t.stands_for is None]
-        if kind == "torque" and currents:
+        elif kind == "torque" and currents:
             hint += f"; {currents[0]}, ... are motor currents: give --torque-constants to use them"
         elif kind == "torque" and not candidates:
             hint += "; with commanded positions, identify --torque-from position-error needs none"
@@ -327,12 +309,11 @@ class _Columns:
             title, factor = scaled.group(2).strip(), float(scaled.group(1))
         elif text not in self._texts and text.startswith("-"):
             title, factor = text[1:].strip(), -1.0
-        if re.fullmatch(r"#\d+", title) and title not in self._texts:
-            number = int(title[1:])
-            if 1 <= number <= len(self._texts):
-                return number - 1, factor
-        elif self._texts.count(title) == 1:
-            return self._texts.index(title), factor
+        texts = self._texts
+        if re.fullmatch(r"#\d+", title) and title not in texts:
+            texts = [f"#{k + 1}" for k in range(len(texts))]
+        if texts.count(title) == 1:
+            return texts.index(title), factor
         raise InputError(
             f"the log has no single column {title!r}; its columns are: {', '.join(self._texts)}"
         )

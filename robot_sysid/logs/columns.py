@@ -48,7 +48,7 @@ _NEUTRAL = _words(
 )
 _CURRENT = frozenset({"current", "currents"})
 _AMPERES = _words("a amp amps ampere amperes")
-_JOINED = {("q", "dot"): "qd", ("q", "ddot"): "qdd", ("dot", "q"): "qd", ("ddot", "q"): "qdd"}
+_JOINED = {" q dot ": " qd ", " q ddot ": " qdd ", " dot q ": " qd ", " ddot q ": " qdd "}
 
 _DEGREE, _RPM = math.pi / 180, math.pi / 30
 _IN_SI = {
@@ -75,13 +75,8 @@ _BRACKETS = re.compile(r"[\[({]([^\])}]*)[\])}]")
 
 @dataclass(frozen=True)
 class Title:
-    """What a title says.
-
-    Attributes:
-        words: lower-case words without units and numbers.
-        unit: the unit written in it, squeezed ("deg/s" -> "degs"), or "".
-        stands_for: the quantity that it is taken for in spite of its words, or "" for none at all;
-            None where the words decide.
+    """What a title says: lower-case words without units and numbers, the unit ("deg/s" -> "degs"),
+    and the quantity it stands for in spite of its words: "" for none, None where these decide.
     """
 
     text: str
@@ -91,7 +86,8 @@ class Title:
     stands_for: str | None = None
 
     @property
-    def _kinds(self) -> set[str]:
+    def kinds(self) -> set[str]:
+        """The quantities that its words speak of, measured or not."""
         return {KIND_OF_WORD[word] for word in self.words if word in KIND_OF_WORD}
 
     @property
@@ -107,26 +103,21 @@ class Title:
     @property
     def kind(self) -> str | None:
         """The measured quantity, or None where it is none, or a word is foreign."""
-        plain = len(self._kinds) == 1 and not self.foreign and not self.commanded
-        return min(self._kinds) if plain else None
+        plain = len(self.kinds) == 1 and not self.foreign and not self.commanded
+        return min(self.kinds) if plain else None
 
     @property
     def is_current(self) -> bool:
         """Whether it is a motor's current: the word, and none for another quantity."""
-        return bool(_CURRENT & {*self.words}) and not self._kinds and not self.commanded
-
-    @property
-    def is_torque(self) -> bool:
-        """Whether it speaks of torque, measured or not."""
-        return "torque" in self._kinds
+        return bool(_CURRENT & {*self.words}) and not self.kinds and not self.commanded
 
     @property
     def is_command(self) -> bool:
         """Whether it is a commanded position."""
         said = {*self.words} & _COMMANDED - _NO_POSITION
         # A bare d is too short to stand for a command without a position beside it.
-        plain = bool(said) and (said != {"d"} or self._kinds == {"position"})
-        other = self.foreign or _CURRENT & {*self.words} or self._kinds - {"position"}
+        plain = bool(said) and (said != {"d"} or self.kinds == {"position"})
+        other = self.foreign or _CURRENT & {*self.words} or self.kinds - {"position"}
         return plain and not other
 
 
@@ -148,15 +139,14 @@ def with_meaning(
     for title in titles:
         rests = (rest for _, rest in _rests(title, joint_names))
         rest = min(rests, key=lambda rest: len(rest.words), default=title)
-        title = replace(title, unit=rest.unit)
+        unit, stands_for = rest.unit, title.stands_for
         if currents and title.is_current:
-            unit = "" if rest.unit in _AMPERES else rest.unit
-            title = replace(title, unit=unit, stands_for="torque")
-        elif currents and title.is_torque:
-            title = replace(title, stands_for="")
+            unit, stands_for = "" if unit in _AMPERES else unit, "torque"
+        elif currents and "torque" in title.kinds:
+            stands_for = ""
         elif commanded and rest.is_command:
-            title = replace(title, stands_for="command")
-        found.append(title)
+            stands_for = "command"
+        found.append(replace(title, unit=unit, stands_for=stands_for))
     return found
 
 
@@ -167,11 +157,10 @@ def read_title(text: str) -> Title:
     numbers = tuple(int(piece) for piece in pieces if piece.isdigit())
     words = [piece for piece in pieces if not piece.isdigit()]
     units = [word for word in words if word in _UNIT_WORDS]
-    joined: list[str] = []
-    for word in (each for each in words if each not in _UNIT_WORDS):
-        pair = (joined[-1], word) if joined else ("", word)
-        joined[-1:] = [_JOINED[pair]] if pair in _JOINED else [*joined[-1:], word]
-    return Title(text, tuple(joined), numbers, unit or "".join(units))
+    said = f" {' '.join(word for word in words if word not in _UNIT_WORDS)} "
+    for apart, joined in _JOINED.items():
+        said = said.replace(apart, joined)
+    return Title(text, tuple(said.split()), numbers, unit or "".join(units))
 
 
 def _bracketed_unit(text: str) -> tuple[str, str]:
@@ -202,10 +191,7 @@ REMEDY = "name the columns with --columns FILE"
 def match_joints(
     titles: Sequence[Title], joint_names: Sequence[str], first_row: Sequence[str] = ()
 ) -> Found:
-    """Return the candidate columns of each quantity of each joint; nothing where it is incomplete.
-
-    The log's ``first_row`` of data may list joint names.
-    """
+    """Return the candidate columns of each quantity of each joint; nothing where one is missing."""
     named = _by_name(titles, joint_names)
     owned = {index for columns in named.values() for index in columns}
     counted = _by_number(titles, joint_names, first_row, set())
@@ -220,8 +206,7 @@ def match_joints(
             found.update({key: named[key] for key in keys})
         elif all(key in counted for key in keys):
             off = [(i, key[1]) for key in keys for i in named.get(key, ()) if i not in counted[key]]
-            if off:
-                index, joint = off[0]
+            for index, joint in off:
                 raise InputError(
                     f"column {titles[index].text!r} carries the name of joint "
                     f"{joint_names[joint]}, but by counting it belongs to another joint; {REMEDY}"
@@ -310,12 +295,12 @@ def _by_number(
     found: Found = {}
     for kind, columns in numbered.items():
         # Without a list of names the numbers have to be exactly 0..n-1 or 1..n.
-        expected = range(min(columns), min(columns) + len(joint_names))
-        fits = expected.start in (0, 1) and sorted(columns) == list(expected)
-        counted = {number: joint for joint, number in enumerate(expected) if fits}
-        for number, joint in (order or counted).items():
-            if number in columns:
-                found[kind, joint] = columns[number]
+        fits = sorted(columns) == list(range(min(columns), min(columns) + len(joint_names)))
+        counted = {number: k for k, number in enumerate(sorted(columns)) if min(columns) < 2}
+        places = order or (counted if fits else {})
+        found.update(
+            {(kind, j): columns[number] for number, j in places.items() if number in columns}
+        )
     return found
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -38,12 +38,7 @@ from robot_sysid.signals.resampling import piece_note, pieces_of
 
 @dataclass(frozen=True)
 class MeasurementLog:
-    """A checked log.
-
-    Attributes:
-        pieces: the samples between the gaps, those that are long enough.
-        notes: one sentence each: which columns were used, what was mended, what looks odd.
-    """
+    """A checked log, the pieces between its gaps that are long enough, and what there is to say."""
 
     path: Path
     columns: column_map.ColumnMap
@@ -78,11 +73,7 @@ def open_log(
     options: LogOptions,
     progress: Progress | None = None,
 ) -> MeasurementLog:
-    """Recognise, check and open a log of an arm; one that is open stays so.
-
-    Raises:
-        InputError: the log cannot be read, is ambiguous or cannot be what it seems to be.
-    """
+    """Recognise, check and open a log of an arm, or raise InputError; one that is open stays so."""
     if isinstance(source, MeasurementLog):
         return source
     path, names, slides = Path(source), robot.joint_names, robot.is_slide.tolist()
@@ -104,10 +95,9 @@ def open_log(
     rows = read_rows(table, found, slides, progress)
     checked = check_log(str(path), rows, robot, found.angle_declared)
     pieces = tuple(LogPiece(**vars(piece)) for piece in pieces_of(rows.samples))
-    notes = (f"log layout: {table.layout}", *found.describe(), *checked)
-    return MeasurementLog(
-        path, found, rows.samples, pieces, (*notes, *piece_note(rows.samples, pieces))
-    )
+    notes = (*found.describe(), *checked, *piece_note(rows.samples, pieces))
+    notes = (f"log layout: {table.layout}", *notes)
+    return MeasurementLog(path, found, rows.samples, pieces, notes)
 
 
 def origin_of(logs: Sequence[MeasurementLog]) -> DataOrigin:
@@ -142,12 +132,7 @@ def write_measurement_csv(
 ) -> None:
     """Write samples in the form ``open_log`` reads, with every digit; the file appears whole.
 
-    Args:
-        joint_names: the n chain joints; columns are called ``<joint>_position`` and so on.
-        header_comments: lines written above the titles, each after a "#".
-
-    Raises:
-        InputError: there are no samples, or the file cannot be written.
+    Columns are called ``<joint>_position`` and so on; the comments, each after a "#", come first.
     """
     with whole_file(path) as stream:
         stream.writelines(f"# {' '.join(comment.splitlines())}\n" for comment in header_comments)
@@ -163,81 +148,45 @@ def write_measurement_csv(
             raise InputError("there are no samples to write")
 
 
-@dataclass(frozen=True)
-class Form:
-    """A form of recordings.
-
-    Attributes:
-        what: it, in words.
-        read: reads one.
-        begins: how its files begin.
-        holds: the file by which its folders are known; "" where it has none.
-        option: the option that only it knows; "" for none.
-    """
-
-    what: str
-    read: Callable[[Asked], LogTable]
-    begins: tuple[bytes, ...] = ()
-    holds: str = ""
-    option: str = ""
-
-    def fits(self, asked: Asked) -> bool:
-        """Return whether a recording has this form."""
-        held = bool(self.holds) and (asked.path / self.holds).is_file()
-        return held or asked.start.startswith(self.begins)
-
-
-FORMS = (
-    Form(
-        "a ROS bag",
-        bag_table,
-        (b"\x89MCAP0", b"#ROSBAG V", b"SQLite format 3"),
-        "metadata.yaml",
-        "topic",
-    ),
-    Form("a LeRobot data set", lerobot_table, holds="meta/info.json", option="episode"),
-    Form("a MATLAB file", matlab_table, (b"MATLAB 5.0",)),
+_FORMS: Mapping[bytes, Callable[[Asked], LogTable]] = {
+    **dict.fromkeys((b"\x89MCAP0", b"#ROSBAG V", b"SQLite format 3"), bag_table),
+    b"MATLAB 5.0": matlab_table,
     # .mat files are HDF5 since version 7.3.
-    Form("an HDF5 file", hdf5_table, (b"\x89HDF\r\n\x1a\n", b"MATLAB 7.3")),
-    Form("a NumPy .npz file", npz_table, (b"PK\x03\x04",)),
-)
-"""What is told from a text table."""
-_TEXT = Form("a text table", text_table)
+    **dict.fromkeys((b"\x89HDF\r\n\x1a\n", b"MATLAB 7.3"), hdf5_table),
+    b"PK\x03\x04": npz_table,
+}
+"""How files of a form begin, to what reads it; what begins otherwise is a text table."""
+_FOLDERS = {"metadata.yaml": bag_table, "meta/info.json": lerobot_table}
+"""The file by which a folder is known, to what reads it."""
+_ONLY = {"topic": ("a ROS bag", bag_table), "episode": ("a LeRobot data set", lerobot_table)}
+"""Options that only one form knows."""
 
 
 def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> LogTable:
     """Return a recording as a table."""
-    asked = Asked(path, _start(path), joint_names, options)
-    form = next((form for form in FORMS if form.fits(asked)), _TEXT)
-    for other in FORMS:
-        if other.option and getattr(options, other.option) and other is not form:
-            raise InputError(
-                f"--{other.option} is about {other.what}, and {path} is none; leave it off"
-            )
-    if form is _TEXT and os.path.isdir(path):
+    is_folder, start = os.path.isdir(path), b""  # Path.is_dir raises where a name is too long
+    try:
+        if not is_folder:
+            with path.open("rb") as stream:
+                start = stream.read(4096)
+    except OSError as error:
+        raise InputError(f"cannot read the log {path}: {error.strerror or error}") from error
+    known = (read for name, read in _FOLDERS.items() if is_folder and (path / name).is_file())
+    read = next((_FORMS[first] for first in _FORMS if start.startswith(first)), text_table)
+    read = next(known, read)
+    for option, (what, only) in _ONLY.items():
+        if getattr(options, option) and read is not only:
+            raise InputError(f"--{option} is about {what}, and {path} is none; leave it off")
+    if read is text_table and is_folder:
         raise InputError(
             f"{path} is a folder of no known form; a log is a text table (CSV), a ROS 1 or ROS 2 "
             "bag, a LeRobot data set, HDF5, NumPy .npz or MATLAB .mat"
         )
-    return form.read(asked)
-
-
-def _start(path: Path) -> bytes:
-    """Return the first bytes of a file; nothing of a folder."""
-    if os.path.isdir(path):  # Path.is_dir raises where a name is too long
-        return b""
-    try:
-        with path.open("rb") as stream:
-            return stream.read(4096)
-    except OSError as error:
-        raise InputError(f"cannot read the log {path}: {error.strerror or error}") from error
+    return read(Asked(path, start, joint_names, options))
 
 
 def earlier_logs(params: Path, robot: RobotModel) -> tuple[Path, ...]:
     """Return the logs that an earlier run used, read off its params.json.
-
-    Information adds: the estimate from old and new logs together is the same as if all had been
-    recorded at once.
 
     Raises:
         InputError: the file is none of an identification from logs, it was made with another model,
@@ -247,15 +196,10 @@ def earlier_logs(params: Path, robot: RobotModel) -> tuple[Path, ...]:
     content = content if isinstance(content, dict) else {}
     logs, model = content.get("logs"), content.get("model")
     if not isinstance(logs, list) or not logs or not all(isinstance(log, str) for log in logs):
-        raise InputError(
-            f"{params} is of no identification from logs, so there is nothing to add to; give the "
-            "params.json of a run with --measurements"
-        )
+        raise InputError(f"{params} is of no identification from logs; give one that is")
     if not isinstance(model, dict) or model.get("sha256") != robot.sha256:
-        raise InputError(
-            f"{params} was made with another model than {robot.path}; give the same model file, or "
-            "all logs with --measurements"
-        )
+        remedy = "give the same model file, or all logs with --measurements"
+        raise InputError(f"{params} was made with another model than {robot.path}; {remedy}")
     missing = [log for log in logs if not os.path.exists(log)]
     if missing:
         raise InputError(f"{params}: its log {missing[0]} is no longer there; put it back")

@@ -44,14 +44,13 @@ class Odd:
 
 @dataclass(frozen=True)
 class LogRows:
-    """The usable rows of a log; row i stands in file line ``lines[i]``.
+    """The usable rows of a log.
 
     Attributes:
         lines: (N,) file lines; of thinned rows, those in whose middle a row is.
-        n_read: number of rows in the file, except those of other joints.
+        n_read, foreign: number of rows in the file, and of those that hold nothing of this arm.
         odd: the rows left out as UNREADABLE (no numbers, or none that can be true), MISSING (an
             empty cell) and REPEATED (the time stamp before them), and those that were WRAPPED.
-        foreign: number of rows that hold nothing of this arm.
         thinned: how many rows were made one.
         word: what its rows are called.
     """
@@ -73,13 +72,10 @@ class LogRows:
 def read_rows(
     table: LogTable, columns: ColumnMap, is_slide: Sequence[bool], progress: Progress | None = None
 ) -> LogRows:
-    """Read all rows of a log.
+    """Read all rows of a log, or raise InputError where time runs backwards.
 
     Args:
         is_slide: (n,) whether a joint is a slide, which has no full turn.
-
-    Raises:
-        InputError: time runs backwards, or nothing is left.
     """
     cleaner = _Cleaner(table, columns, is_slide)
     wanted = [source.index for source in columns.sources()]
@@ -91,9 +87,9 @@ def read_rows(
         kept.append(rows if thinning is None else thinning.push(rows))
     cells = np.concatenate(kept)
     kept.clear()
-    lines, samples = _samples(columns, cells)
-    every = 1 if thinning is None else thinning.every
+    every = thinning.every if thinning else 1
     told = cleaner.n_read, cleaner.odd, cleaner.foreign
+    lines, samples = _samples(columns, cells)
     return LogRows(lines, samples, *told, every, table.word)
 
 
@@ -109,7 +105,7 @@ def followed(table: LogTable, columns: Sequence[int], progress: Progress) -> Ite
 
 def _samples(columns: ColumnMap, cells: Array) -> tuple[Lines, Measurement]:
     """Return (lines, samples) of cleaned rows (N, 2 + C): line, time, then the columns' groups."""
-    ends = np.cumsum([1, 1, *(len(group or ()) for group in columns.groups())])
+    ends = np.cumsum([1, 1, *(len(group) for group in columns.groups())])
     lines, time, *parts = np.split(cells, ends[:-1], axis=1)
     q, tau, *others = (np.ascontiguousarray(part) for part in parts)
     qd, qdd, stamps = (values if values.shape[1] else None for values in others)
@@ -141,20 +137,19 @@ class _Cleaner:
             cells = np.column_stack((count / float(self._columns.rate or 1.0), cells))
         usable = self._usable(block, cells)
         lines, cells = lines[usable], cells[usable]
-        if not len(cells):
-            return np.empty((0, cells.shape[1] + 1))
-        self._new_piece(block.piece, cells)
-        cells[:, 0] += self._offset
-        later = self._later(lines, cells[:, 0])
-        self._count(REPEATED, lines[~later])
-        lines, cells = lines[later], cells[later]
+        if len(cells):
+            self._new_piece(block.piece, cells)
+            cells[:, 0] += self._offset
+            later = self._later(lines, cells[:, 0])
+            self._count(REPEATED, lines[~later])
+            lines, cells = lines[later], cells[later]
         if len(cells):
             self._unwrap(lines, cells)
         return np.column_stack((lines, cells))
 
     def _count(self, kind: str, lines: Lines, first: str = "") -> None:
-        before = self.odd[kind]
         if len(lines):
+            before = self.odd[kind]
             first = before.first or first or f"{self._word} {lines[0]}"
             self.odd[kind] = Odd(before.count + len(lines), first)
 

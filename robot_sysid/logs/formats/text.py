@@ -45,8 +45,6 @@ class Dialect:
         separator: "," ";" tab, "|", or " " for any run of blanks.
         header: column titles as written; empty where the file has none.
         header_line: file line of the header; 0 where it has none, or in a comment.
-        first_row: cells of the first row of data.
-        quoted: whether cells are in quotes.
     """
 
     path: Path
@@ -59,26 +57,25 @@ class Dialect:
     quoted: bool
 
     @property
-    def width(self) -> int:
-        """Number of cells a row should have."""
-        return len(self.header or self.first_row)
-
-    @property
     def titles(self) -> tuple[str, ...]:
         """The header, or the numbers of the columns."""
-        return self.header or tuple(f"#{k + 1}" for k in range(self.width))
+        return self.header or tuple(f"#{k + 1}" for k in range(len(self.first_row)))
+
+    def cells(self, line: str) -> list[str]:
+        """Return the cells of a row, without an empty one behind a last separator."""
+        cells = split_line(line, self.separator)
+        return cells[:-1] if len(cells) == len(self.titles) + 1 and not cells[-1] else cells
 
 
 def text_table(asked: Asked) -> LogTable:
     """Return a file as a table of text."""
     dialect = read_dialect(asked.path, asked.start)
-    layout = f"{dialect.width} columns separated by {_SEPARATORS[dialect.separator]}"
+    layout = f"{len(dialect.titles)} columns separated by {_SEPARATORS[dialect.separator]}"
     layout += ", decimal comma" * dialect.decimal_comma
     layout += ", titles in a comment line" * bool(dialect.header and not dialect.header_line)
-    choices = ColumnChoices()
-    if {"time", "state.q[0]", "state.tau_J[0]"} <= set(dialect.header):
-        layout = f"libfranka's logToCSV, time in ms, {layout}"
-        choices = ColumnChoices(time_unit="ms")
+    is_franka = {"time", "state.q[0]", "state.tau_J[0]"} <= set(dialect.header)
+    layout = "libfranka's logToCSV, time in ms, " * is_franka + layout
+    choices = ColumnChoices(time_unit="ms" if is_franka else None)
     read = partial(_blocks, dialect)
     return LogTable(asked.path, layout, dialect.titles, read, choices, "line", dialect.first_row)
 
@@ -88,20 +85,15 @@ def read_dialect(path: Path, start: bytes) -> Dialect:
     encoding = "utf-16" if start[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
     control = len(start) - len(start.translate(None, _CONTROL))
     if encoding != "utf-16" and control > _BINARY * len(start):
-        raise InputError(
-            f"{path} is of no form that is known, and not a text file; export it as CSV"
-        )
+        raise InputError(f"{path} is of no form that is known, and not a text file; export CSV")
     above, lines = _beginning(path, encoding)
     if not lines:
-        raise InputError(
-            f"{path} holds no rows of a table, a sample per line; check that "
-            "the recording was written, or export it as CSV"
-        )
+        raise InputError(f"{path} holds no rows of a table; check that the recording was written")
     (number, first), last = lines[0], lines[-1][1]
     separator = next((mark for mark in _SEPARATORS if mark in first), " ")
     header, row = (_without_gap(split_line(line, separator)) for line in (first, last))
     if not header or not row:
-        raise InputError(f"{path} does not begin with a table of text; export the log as CSV")
+        raise InputError(f"{path} does not begin with a table of text; export CSV")
     if _mostly_numbers(header):
         number, last, row = 0, first, header
         header = _commented_header(above, len(row))
@@ -200,18 +192,17 @@ def _blocks(dialect: Dialect, columns: Sequence[int]) -> Iterator[Block]:
         done = batch[-1][2] if len(batch) == table.BLOCK else 1.0
         cells, complaint = _fast(dialect, columns, texts), ""
         if cells is None:
-            read = [_row(dialect, columns, text) for text in texts]
-            bad = [k for k, row in enumerate(read) if isinstance(row, str)]
-            complaint = f"line {lines[bad[0]]}{read[bad[0]]}" if bad else ""
-            nothing = [np.inf] * len(columns)
-            cells = np.array([nothing if isinstance(row, str) else row for row in read], float)
-        yield Block(lines, cells.reshape(len(texts), len(columns)), complaint, done=done)
+            cells = np.full((len(texts), len(columns)), np.inf)
+            for number, text, row in zip(lines, texts, cells):
+                wrong = _read_row(dialect, columns, text, row)
+                complaint = complaint or (wrong and f"line {number}{wrong}")
+        yield Block(lines, cells, complaint, done=done)
 
 
 def _fast(dialect: Dialect, columns: Sequence[int], texts: list[str]) -> Array | None:
     """Parse rows with numpy; None where a row needs a closer look."""
     mark = None if dialect.separator == " " else dialect.separator
-    if dialect.quoted or any(len(text.split(mark)) != dialect.width for text in texts):
+    if dialect.quoted or any(len(text.split(mark)) != len(dialect.titles) for text in texts):
         return None
     if dialect.decimal_comma:
         texts = [text.replace(",", ".") for text in texts]
@@ -221,16 +212,13 @@ def _fast(dialect: Dialect, columns: Sequence[int], texts: list[str]) -> Array |
         return None
 
 
-def _row(dialect: Dialect, columns: Sequence[int], text: str) -> list[float] | str:
-    """Return the wanted cells of a line, or why it is no row of numbers."""
-    cells = split_line(text, dialect.separator)
-    cells = cells[:-1] if len(cells) == dialect.width + 1 and not cells[-1] else cells
-    if len(cells) != dialect.width:
-        return f": {len(cells)} cells instead of {dialect.width}"
-    row: list[float] = []
-    for index in columns:
-        try:
-            row.append(_number(cells[index], dialect.decimal_comma))
-        except ValueError:
-            return f", column {dialect.titles[index]!r}: {cells[index][:40]!r} is not a number"
-    return row
+def _read_row(dialect: Dialect, columns: Sequence[int], text: str, row: Array) -> str:
+    """Read the wanted cells of a line into a row (C,), or return why it is none of numbers."""
+    cells, titles = dialect.cells(text), dialect.titles
+    if len(cells) != len(titles):
+        return f": {len(cells)} cells instead of {len(titles)}"
+    try:
+        row[:] = [_number(cells[(at := index)], dialect.decimal_comma) for index in columns]
+    except ValueError:
+        return f", column {titles[at]!r}: {cells[at][:40]!r} is not a number"
+    return ""
