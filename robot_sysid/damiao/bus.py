@@ -15,35 +15,23 @@ from robot_sysid.errors import HardwareAbort, InputError, words_of
 from robot_sysid.records.options import OptionRecord, option
 
 
-class Clock(Protocol):
-    """A clock that never runs backwards; a live one moves by itself, whatever this program does."""
-
-    live: bool
-
-    def now(self) -> float:
-        """Return the time [s]; only differences mean anything."""
-
-    def sleep_until(self, moment: float) -> None:
-        """Return at ``moment`` [s], or at once if it has passed."""
-
-
 class SystemClock:
-    """The computer's monotonic clock."""
+    """The computer's monotonic clock: live, it moves whatever this program does."""
 
     live = True
 
     def now(self) -> float:
-        """Return the monotonic time [s]."""
+        """Return the time [s]; only differences mean anything."""
         return time.monotonic()
 
     def sleep_until(self, moment: float) -> None:
-        """Sleep until ``moment`` [s]."""
+        """Return at ``moment`` [s], or at once if it has passed."""
         left = moment - time.monotonic()
         if left > 0.0:
             time.sleep(left)
 
 
-class SimulatedClock:
+class SimulatedClock(SystemClock):
     """A clock that moves only when someone sleeps."""
 
     live = False
@@ -80,15 +68,14 @@ class Link(Protocol):
 class GuardedLink:
     """Passes frames on, refuses the harmful ones, and shows each one to an observer.
 
-    ``clock`` has the time of the link's frames; ``refuse`` raises for frames that must not be sent;
-    ``channels`` are the names of the buses behind the link. The observer is called with every frame
-    and whether it was sent; it must not raise.
+    ``refuse`` raises for frames that must not be sent; ``channels`` are the names of the buses. The
+    observer is called with every frame and whether it was sent; it must not raise.
     """
 
     def __init__(
         self,
         link: Link,
-        clock: Clock,
+        clock: SystemClock,
         fd: bool = False,
         channels: Sequence[str] = ("",),
         refuse: Callable[[Frame], None] = refuse_harmful,
@@ -173,17 +160,10 @@ def import_can() -> Any:
     return can
 
 
-def message_of(can: Any, frame: Frame, **rest: Any) -> Any:
-    """Return a frame as a python-can message; ``rest`` are further attributes of the message."""
-    return can.Message(
-        arbitration_id=frame.id,
-        data=frame.data,
-        is_extended_id=False,
-        is_error_frame=frame.error,
-        is_fd=frame.fd,
-        bitrate_switch=frame.fd,
-        **rest,
-    )
+def _message(can: Any, frame: Frame, **rest: Any) -> Any:
+    fd = {"is_fd": frame.fd, "bitrate_switch": frame.fd}
+    flags = {"is_extended_id": False, "is_error_frame": frame.error, **fd}
+    return can.Message(arbitration_id=frame.id, data=frame.data, **flags, **rest)
 
 
 # How long to leave several buses alone between two looks at them [s].
@@ -193,13 +173,13 @@ _PAUSE = 1e-4
 class BusLink:
     """Open python-can buses in the order of ``Frame.bus``, as one link in ``clock``'s time."""
 
-    def __init__(self, buses: Sequence[Any], clock: Clock) -> None:
+    def __init__(self, buses: Sequence[Any], clock: SystemClock) -> None:
         self._can = import_can()
         self._buses, self._clock = buses, clock
 
     def send(self, frame: Frame) -> None:
         """Send a frame, or raise LinkError."""
-        message, patience = message_of(self._can, frame), self._clock.now() + _FULL_PATIENCE
+        message, patience = _message(self._can, frame), self._clock.now() + _FULL_PATIENCE
         while True:
             try:
                 return self._buses[frame.bus].send(message, timeout=_SEND_TIMEOUT)
@@ -207,9 +187,8 @@ class BusLink:
                 # Whatever a driver raises: the caller has to go on with the other motors.
                 codes = getattr(error, "error_code", None), getattr(error, "errno", None)
                 if errno.ENOBUFS not in codes:
-                    raise LinkError(
-                        f"the CAN bus does not take frames: {words_of(error)}"
-                    ) from error
+                    said = f"the CAN bus does not take frames: {words_of(error)}"
+                    raise LinkError(said) from error
                 if self._clock.now() >= patience:
                     raise LinkError(_FULL) from error
             self._clock.sleep_until(self._clock.now() + _FULL_PAUSE)
@@ -254,7 +233,7 @@ class BusLink:
         return Frame(message.arbitration_id, content, then, *flags, not message.is_rx, bus)
 
 
-def open_bus(address: BusAddress, timing: BusTiming, clock: Clock) -> Link:
+def open_bus(address: BusAddress, timing: BusTiming, clock: SystemClock) -> Link:
     """Open one CAN bus or several, or raise InputError; ``ip link`` sets the rates of socketcan."""
     if timing.fd and address.interface == SERIAL_ADAPTER:
         raise InputError("the maker's serial adapter sends classic CAN frames only; leave --fd off")
@@ -270,7 +249,12 @@ def open_bus(address: BusAddress, timing: BusTiming, clock: Clock) -> Link:
 
 def _open_one(address: BusAddress, channel: str, timing: BusTiming) -> Any:
     can, interface = import_can(), address.interface
-    options = {**_bus_options(can, interface, timing), **_own_options(address.bus_option)}
+    options = _bus_options(can, interface, timing)
+    for text in address.bus_option:
+        name, equals, value = text.partition("=")
+        if not equals or not name.isidentifier():
+            raise InputError(f"--bus-option takes NAME=VALUE, got {text!r}")
+        options[name] = _value(value)
     try:
         if interface == SERIAL_ADAPTER:
             from robot_sysid.damiao.serial_adapter import DamiaoSerialBus
@@ -283,23 +267,12 @@ def _open_one(address: BusAddress, channel: str, timing: BusTiming) -> Any:
         raise InputError(f"cannot open {what}: {words_of(error)}") from error
 
 
-def _own_options(texts: Sequence[str]) -> dict[str, Any]:
-    """Return NAME=VALUE texts as options; numbers and true or false become such."""
-    options: dict[str, Any] = {}
-    for text in texts:
-        name, equals, value = text.partition("=")
-        if not equals or not name.isidentifier():
-            raise InputError(f"--bus-option takes NAME=VALUE, got {text!r}")
-        options[name] = _value(value)
-    return options
-
-
 def _value(text: str) -> Any:
-    known = {"true": True, "false": False}
+    """Return a number, True or False where a text is one."""
     for kind in (int, float):
         with contextlib.suppress(ValueError):
             return kind(text)
-    return known.get(text.lower(), text)
+    return {"true": True, "false": False}.get(text.lower(), text)
 
 
 def _bus_options(can: Any, interface: str, timing: BusTiming) -> dict[str, Any]:
@@ -361,7 +334,7 @@ class RawFrameLog:
         for frame, sent in sorted(frames, key=lambda entry: entry[0].time):
             stamp, channel = frame.time + self._offset, self._link.channels[frame.bus]
             rest = {"timestamp": stamp, "is_rx": not sent, "channel": channel}
-            self._writer.on_message_received(message_of(self._can, frame, **rest))
+            self._writer.on_message_received(_message(self._can, frame, **rest))
         file: Any = getattr(self._writer, "file", None)
         if file is not None:
             file.flush()

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_sysid.damiao import supervision
-from robot_sysid.damiao.bus import Clock
+from robot_sysid.damiao.bus import SystemClock
 from robot_sysid.damiao.protocol.codec import MitCommand
 from robot_sysid.damiao.recorder import MeasurementRecorder
 from robot_sysid.damiao.references import (
@@ -40,7 +40,7 @@ class CycleTimer:
     A cycle that is later than ``max_lateness`` stops the run.
     """
 
-    def __init__(self, clock: Clock, period: float, max_lateness: float) -> None:
+    def __init__(self, clock: SystemClock, period: float, max_lateness: float) -> None:
         self._clock, self.period, self.max_lateness = clock, period, max_lateness
         self._start = clock.now() + period
         self._index = 0

@@ -5,10 +5,9 @@ control cycle: ``time``, position, velocity and torque of each joint, and per jo
 of its own sample, the command in force when it was sampled, status and temperatures. Cells of a
 joint that did not answer are empty.
 
-Printing and recording happen beside a run: never in its way, and never a reason to let an arm drop.
-A terminal that is gone, held (Ctrl-S) or full, a reader that went away, a disk that is full or does
-not answer: a control loop that printed by itself would fail or wait with it, and the motors'
-watchdogs would let the arm go. So what is to be said and written is handed over here.
+Printing and recording happen beside a run. A terminal that is gone, held (Ctrl-S) or full, a disk
+that is full or does not answer: a control loop that printed by itself would fail or wait with it,
+and the motors' watchdogs would let the arm go. So what is to be said and written is handed over.
 """
 
 from __future__ import annotations
@@ -130,10 +129,7 @@ def head_lines(
     run: PlaySettings,
     source: str,
 ) -> list[str]:
-    """Return what the comment lines of a recording say.
-
-    The registers are, per joint, number to value; ``source`` is the trajectory's name.
-    """
+    """Return the comment lines of a recording; registers are, per joint, number to value."""
     texts = [",".join(text_of(k, held[k]) for k in sorted(held)) for held in registers]
     return [
         "robot-sysid motors recording",
@@ -200,11 +196,7 @@ class MeasurementRecorder:
                 self._file.close()
 
     def write(self, time: float, origin: float, replies: Replies, acted: MitCommand) -> None:
-        """Write one cycle at a time since the trajectory's start [s].
-
-        ``origin`` is that start in the link's clock [s], ``acted`` the command in force when the
-        replies were sampled.
-        """
+        """Write a cycle at ``time`` after ``origin`` [s]; its samples were under ``acted``."""
         self._aside(lambda: self._file.write(self._row(time, origin, replies, acted)))
 
     def end_cycle(self) -> None:

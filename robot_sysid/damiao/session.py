@@ -10,16 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.damiao.bus import GuardedLink
-from robot_sysid.damiao.protocol import codec
-from robot_sysid.damiao.protocol.frames import (
-    DISABLED,
-    ENABLED,
-    Address,
-    Frame,
-    describe,
-    disable_frame,
-    enable_frame,
-)
+from robot_sysid.damiao.protocol import codec, frames
+from robot_sysid.damiao.protocol.frames import DISABLED, ENABLED, Address, Frame
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
@@ -39,24 +31,16 @@ Mask = NDArray[np.bool_]
 class Replies:
     """What came back in one cycle; status -1 and NaN values where a joint did not answer.
 
-    Attributes:
-        answered: (n,) which joints answered.
-        time: (n,) when each joint took its sample, in the link's clock [s]: when its command was
-            on the bus where the adapter reports that, else when the reply arrived.
-        command: what each joint is under now, as the motors read it; None where none was sent.
-        asked: (n,) which joints were sent something; None means all.
+    ``time`` (n,) is when each joint took its sample, in the link's clock [s]: when its command was
+    on the bus where the adapter reports that, else when the reply arrived. ``command`` is what each
+    joint is under now, as the motors read it; ``asked`` are those that were sent something.
     """
 
     answered: Mask
     time: Array
     feedback: codec.Feedback
+    asked: Mask
     command: codec.MitCommand | None = None
-    asked: Mask | None = None
-
-    @property
-    def unanswered(self) -> Mask:
-        """(n,) which joints were asked and did not answer."""
-        return ~self.answered if self.asked is None else self.asked & ~self.answered
 
 
 PAUSE = 4
@@ -101,14 +85,9 @@ class MotorSession:
 
     Commands and measurements are in joint space, see ``JointSpace``. The scaling is that of the
     motors' registers; half a quantisation step is added to what they measure, because motors drop
-    the fraction.
-
-    Attributes:
-        n_joints: number of joints n.
-        steps: one quantisation step (n,) of what joints measure [rad, rad/s, N m].
-        peak_torque: what each joint's motor delivers at most (n,) [N m].
-        last_replies: what the last exchange collected, also where it was cut short by an error.
-        unconfirmed: joints whose motors could be enabled and have not said that they are off.
+    the fraction. ``steps`` and ``peak_torque`` (n,) are in [rad, rad/s, N m]; ``last_replies`` is
+    what the last exchange collected, also where an error cut it short; ``unconfirmed`` are the
+    joints whose motors could be enabled and have not said that they are off.
     """
 
     def __init__(
@@ -119,9 +98,9 @@ class MotorSession:
         self.n_joints, self.space = len(joints), JointSpace.of(joints)
         position, velocity, torque = scaling.steps
         self.steps = position, velocity, torque * self.space.ratio
-        peaks = [joint.spec.peak_torque for joint in joints]
         # A frame cannot say more than the scale's end either.
-        self.peak_torque: Array = np.minimum(peaks, scaling.limits[:, 2]) * self.space.ratio
+        peaks = np.minimum([j.spec.peak_torque for j in joints], scaling.limits[:, 2])
+        self.peak_torque: Array = peaks * self.space.ratio
         self.unconfirmed: tuple[DamiaoJoint, ...] = ()
         self.last_replies: Replies | None = None
         self._command: codec.MitCommand | None = None
@@ -156,17 +135,14 @@ class MotorSession:
             ) from error
 
     def enable(self) -> Array:
-        """Enable every motor and return where each one was just then (n,) [rad].
-
-        One that does not enable raises HardwareAbort.
-        """
+        """Enable every motor, or raise HardwareAbort; return where each was then (n,) [rad]."""
         self.unconfirmed = self.joints
         position = np.empty(self.n_joints)
         for j, joint in enumerate(self.joints):
             feedback = self._enable_one(j, joint)
             status = int(feedback.status[j])
             if status != ENABLED:
-                said = "no answer" if status == NO_STATUS else describe(status)
+                said = "no answer" if status == NO_STATUS else frames.describe(status)
                 raise HardwareAbort(f"{joint.label} did not enable: {said}")
             position[j] = feedback.position[j]
         return position
@@ -178,20 +154,11 @@ class MotorSession:
         joints: Mask | None = None,
         regardless: bool = False,
     ) -> Replies:
-        """Command joints and collect their replies.
+        """Command joints (n,), or all, and collect their replies ``until`` then [s].
 
-        The reply to a command is the state before that command acted. An answer carries no number,
-        so one that comes late would pass for the answer to the next command; see ``Outstanding``.
-
-        Args:
-            command: for all n joints.
-            until: when to stop waiting for replies [s].
-            joints: (n,) which ones to command; None means all.
-            regardless: command them also where answers are missing, as braking has to.
-
-        Raises:
-            InputError: a value does not fit into its frame; nothing is sent then.
-            LinkError: the bus does not work.
+        The reply to a command is the state before that command acted. ``regardless`` commands also
+        where answers are missing, see ``Outstanding``, as braking has to. InputError, before
+        anything is sent, where a value does not fit into its frame; LinkError from the bus.
         """
         self.last_replies, self._regardless = None, regardless
         packed = codec.encode_mit(self.space.to_motors(command), self.scaling)
@@ -201,18 +168,13 @@ class MotorSession:
             if (sender := self._sender(frame)) is not None:
                 self._outstanding.heard(sender)
         told = wanted if regardless else self._outstanding.may_be_told(wanted)
-        self._command = self._in_force(codec.decode_mit(packed, self.scaling), told)
+        new = self.space.from_motors(codec.decode_mit(packed, self.scaling))
+        old = self._command or new
+        self._command = codec.MitCommand(*(np.where(told, *pair) for pair in zip(new, old)))
         for j in np.flatnonzero(told):
             bus, can_id = self.joints[j].address
             self._link.send(Frame(can_id, packed[j].tobytes(), bus=bus))
         return self._collect(told, until, self._command)
-
-    def _in_force(self, motor: codec.MitCommand, told: Mask) -> codec.MitCommand:
-        """Return what each joint is under once the joints ``told`` have their new command."""
-        new, old = self.space.from_motors(motor), self._command
-        if old is None:
-            return new
-        return codec.MitCommand(*(np.where(told, *pair) for pair in zip(new, old)))
 
     def disable(self) -> None:
         """Disable every motor; ``unconfirmed`` tells which ones did not confirm it.
@@ -230,7 +192,7 @@ class MotorSession:
     def _tell_off(self, joint: DamiaoJoint) -> None:
         # The next of the five attempts, and the confirmation, tell whether it worked.
         with contextlib.suppress(Exception):
-            self._link.send(disable_frame(joint.address))
+            self._link.send(frames.disable_frame(joint.address))
 
     def _confirm(self) -> None:
         running = np.ones(self.n_joints, bool)
@@ -251,7 +213,7 @@ class MotorSession:
         only = np.arange(self.n_joints) == j
         for _ in range(_ENABLE_TRIES):
             self._link.drain()
-            self._link.send(enable_frame(joint.address))
+            self._link.send(frames.enable_frame(joint.address))
             replies = self._collect(only, self.clock.now() + _CONFIRM_TIMEOUT)
             if replies.feedback.status[j] not in (NO_STATUS, DISABLED):
                 break
@@ -277,17 +239,16 @@ class MotorSession:
                 torque=np.where(answered, space.joint_torque(told.torque), np.nan),
             )
             stamps = np.where(answered & np.isfinite(sent), sent, received)
-            self.last_replies = Replies(answered, stamps, feedback, command, wanted)
+            self.last_replies = Replies(answered, stamps, feedback, wanted, command)
         return self.last_replies
 
     def _take(
         self, frame: Frame, wanted: Mask, raw: codec.Bytes, received: Array, sent: Array
     ) -> bool:
         """File a frame where it belongs; return whether it is an answer that was missing."""
-        if frame.echo:
-            if (address := Address(frame.bus, frame.id)) in self._by_command:
-                sent[self._by_command[address]] = frame.time
-            return False
+        told = self._by_command.get(Address(frame.bus, frame.id))
+        if frame.echo and told is not None:
+            sent[told] = frame.time
         j = self._sender(frame)
         if j is None:
             return False
@@ -303,6 +264,5 @@ class MotorSession:
         if frame.error or frame.echo or len(frame.data) != 8:
             return None
         j = self._by_reply.get((frame.bus, frame.id))
-        if j is None or frame.data[0] & 0xF != self.joints[j].can_id & 0xF:
-            return None
-        return j
+        its_own = j is not None and frame.data[0] & 0xF == self.joints[j].can_id & 0xF
+        return j if its_own else None

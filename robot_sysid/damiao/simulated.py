@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robot_sysid.damiao.bus import Clock, Link, SimulatedClock
+from robot_sysid.damiao.bus import Link, SimulatedClock, SystemClock
 from robot_sysid.damiao.protocol import codec, frames
 from robot_sysid.damiao.protocol.frames import BusTiming, Frame
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, JointSpace
@@ -318,7 +318,7 @@ _TICK = 1e-3
 _MOST_BEHIND = DEFAULT_WATCHDOG
 
 
-def serve(arm: SimulatedArm, link: Link, clock: Clock, running: Callable[[], bool]) -> float:
+def serve(arm: SimulatedArm, link: Link, clock: SystemClock, running: Callable[[], bool]) -> float:
     """Let the arm live and answer until ``running`` says no; return the time it left out [s].
 
     A computer too slow for the physics makes the arm skip time rather than fall behind for ever.

@@ -36,8 +36,7 @@ class StopRequest:
     taken to mean "at once, even if the arm drops": hang-ups and terminations come in bursts when a
     terminal is closed or a computer shuts down.
 
-    ``count`` has the wishes so far, ``reason`` is the first one in words, and ``insisted`` tells
-    whether the motors are to be disabled at once.
+    ``reason`` is the first wish in words.
     """
 
     def __init__(self) -> None:
@@ -107,7 +106,7 @@ class Supervisor:
 
     def update(self, replies: Replies) -> None:
         """Count missed replies and note which motors no longer drive."""
-        unanswered = replies.unanswered
+        unanswered = replies.asked & ~replies.answered
         self.missed = np.where(replies.answered, 0, self.missed + unanswered)
         self.silent = np.where(replies.answered, 0, self.silent + 1)
         self.total_missed += unanswered
@@ -123,15 +122,17 @@ class Supervisor:
         path_limit = np.full(len(self._joints), self._settings.max_tracking_error)
         self._check_states(replies)
         self._check_jump(replies)
-        for what, unit, value, wanted, limit in (
-            ("off its path", "rad", feedback.position, acted.position, path_limit),
-            ("off its speed", "rad/s", feedback.velocity, acted.velocity, self._speed_limit),
-            ("off its torque", "N m", feedback.torque, acted.torque, self._torque_limit),
+        for words, value, wanted, limit in (
+            ("rad off its path", feedback.position, acted.position, path_limit),
+            ("rad/s off its speed", feedback.velocity, acted.velocity, self._speed_limit),
+            ("N m off its torque", feedback.torque, acted.torque, self._torque_limit),
         ):
             error = np.where(answered, np.abs(value - wanted), 0.0)
-            if unit == "rad":
+            if limit is path_limit:
                 self.worst_tracking = np.maximum(self.worst_tracking, error)
-            self._stop_where(error > limit, _off(what, unit, error, limit))
+            for j in np.flatnonzero(error > limit)[:1]:
+                said = f"is {error[j]:.3f} {words}, limit {limit[j]:g}"
+                raise HardwareAbort(f"{self._joints[j].label} {said}")
 
     def _check_states(self, replies: Replies) -> None:
         feedback, limits = replies.feedback, self._settings
@@ -168,13 +169,8 @@ class Supervisor:
         )
 
     def _stop_where(self, bad: NDArray[np.bool_], what: Callable[[int], str]) -> None:
-        if np.any(bad):
-            j = int(np.flatnonzero(bad)[0])
+        for j in np.flatnonzero(bad)[:1]:
             raise HardwareAbort(f"{self._joints[j].label} {what(j)}")
-
-
-def _off(what: str, unit: str, error: Array, limit: Array) -> Callable[[int], str]:
-    return lambda j: f"is {error[j]:.3f} {unit} {what}, limit {limit[j]:g}"
 
 
 # Long beside a cycle and short beside a swing; ten of them give a scatter [s].
@@ -223,10 +219,10 @@ class VelocityScalingCheck:
         self._integral = np.where(full, 0.0, self._integral)
         self._begin = np.where(full, np.stack(self._last[:2]), self._begin)
 
-    def slopes(self) -> tuple[Array, Array]:
-        """Return (slope (n,), how far off it may be (n,)); 1 and infinity where too little moved.
+    def worst(self) -> tuple[int, float] | None:
+        """Return (joint, slope) of a joint whose slope is surely off, or None.
 
-        The second is three standard errors plus the largest effect of rounded velocities.
+        The doubt is three standard errors plus the largest effect of rounded velocities.
         """
         count, x, y, xx, xy, yy = self._sums
         n = np.maximum(count, 1.0)
@@ -237,14 +233,13 @@ class VelocityScalingCheck:
         slope = np.where(moved, cxy / safe, 1.0)
         residual = np.maximum(cyy - slope * cxy, 0.0) / np.maximum(count - 2.0, 1.0)
         doubt = 3.0 * np.sqrt(residual / safe) + self._rounding / np.where(moved, spread, 1.0)
-        return slope, np.where(moved, doubt, np.inf)
+        return _farthest_from_one(slope, np.where(moved, doubt, np.inf), _SLOPE_TOLERANCE)
 
-    def worst(self) -> tuple[int, float] | None:
-        """Return (joint, slope) of a joint whose slope is surely off, or None."""
-        slope, doubt = self.slopes()
-        excess = np.abs(slope - 1.0) - doubt
-        j = int(np.argmax(excess))
-        return (j, float(slope[j])) if excess[j] > _SLOPE_TOLERANCE else None
+
+def _farthest_from_one(ratio: Array, doubt: Array, tolerance: float) -> tuple[int, float] | None:
+    excess = np.abs(ratio - 1.0) - doubt
+    j = int(np.argmax(excess))
+    return (j, float(ratio[j])) if excess[j] > tolerance else None
 
 
 # A tenth of a second at 250 Hz.
@@ -290,6 +285,5 @@ class TorqueScalingCheck:
         size = np.sqrt(xx / np.maximum(count, 1.0))
         seen = (count >= _ENOUGH_SAMPLES) & (size > 2.0 * self._doubt)
         ratio = np.where(seen, xy / np.where(seen, xx, 1.0), 1.0)
-        excess = np.abs(ratio - 1.0) - np.where(seen, self._doubt / np.maximum(size, 1e-9), np.inf)
-        j = int(np.argmax(excess))
-        return (j, float(ratio[j])) if excess[j] > _RATIO_TOLERANCE else None
+        doubt = np.where(seen, self._doubt / np.maximum(size, 1e-9), np.inf)
+        return _farthest_from_one(ratio, doubt, _RATIO_TOLERANCE)

@@ -67,7 +67,7 @@ def test_every_frame_can_be_told_back_from_the_recording(data, tmp_path_factory)
                 values[~answered] = np.nan
             stamps = np.where(answered, stamp, np.nan)
             zero = np.zeros(n)
-            replies = Replies(answered, stamps + 7.0, feedback)
+            replies = Replies(answered, stamps + 7.0, feedback, answered)
             recorder.write(
                 time, 7.0, replies, MitCommand(command[0], command[1], zero, zero, command[2])
             )
@@ -106,7 +106,7 @@ def write_rows(path, gap=False):
             q = np.where(answered, 0.1 * np.sin(0.3 * k) * one, np.nan)
             feedback = Feedback(codes, codes, q, q, q, 30 * codes, 31 * codes)
             stamps = np.where(answered, 0.004 * k + np.array([0.0001, 0.0002]), np.nan)
-            replies = Replies(answered, stamps, feedback)
+            replies = Replies(answered, stamps, feedback, answered)
             recorder.write(0.004 * k, 0.0, replies, MitCommand(*[one] * 5))
 
 
@@ -164,7 +164,8 @@ def test_titles_name_each_joints_columns(tmp_path):
 def one_cycle(n, value=1.0):
     """Arguments of ``MeasurementRecorder.write`` for n joints."""
     same, codes = np.full(n, value), np.ones(n, dtype=int)
-    replies = Replies(codes > 0, same, Feedback(codes, codes, same, same, same, codes, codes))
+    feedback = Feedback(codes, codes, same, same, same, codes, codes)
+    replies = Replies(codes > 0, same, feedback, codes > 0)
     return 0.0, 0.0, replies, MitCommand(*[same] * 5)
 
 
@@ -294,7 +295,7 @@ def test_a_centred_torque_is_the_mean_of_both_sides_of_the_step(
     q, qd, code = np.array([q]), np.array([qd]), np.array([1])
     before, after = (command.motor_torque(q, qd) for command in (acted, sent))
     feedback = Feedback(code, code, q, qd, before, code, code)
-    replies = Replies(code > 0, np.zeros(1), feedback, sent)
+    replies = Replies(code > 0, np.zeros(1), feedback, code > 0, sent)
     path = tmp_path_factory.mktemp("rec") / "measured.csv"
     with recorder_for(path) as recorder:
         recorder.write(0.0, 0.0, replies, acted)

@@ -113,7 +113,7 @@ def sample(time=0.0, q=0.0, qd=0.0, tau=0.0, status=1, mos=30, rotor=30, answere
         codes[0][1] = NO_STATUS
     stamps = np.where([True, answered], time, np.nan)
     feedback = Feedback(np.array([1, 2]), codes[0], *two, *codes[1:])
-    return Replies(np.array([True, answered]), stamps, feedback)
+    return Replies(np.array([True, answered]), stamps, feedback, np.ones(2, bool))
 
 
 def told(*samples, asked=(0.0, 0.0, 0.0), **settings):
@@ -178,7 +178,7 @@ def test_each_limit_holds_to_a_millionth(case, words):
 def test_a_motor_may_be_silent_for_so_long_and_no_longer(asked, cycles, words):
     """Three commands without an answer, or six cycles where it was not commanded."""
     gap = sample(answered=False)
-    gap = Replies(gap.answered, gap.time, gap.feedback, None, np.array([True, asked]))
+    gap = Replies(gap.answered, gap.time, gap.feedback, np.array([True, asked]))
     assert told(*[gap] * (cycles - 1)) is None
     assert told(*[gap] * (cycles - 1), sample(), *[gap] * (cycles - 1)) is None
     assert words in told(*[gap] * cycles)
