@@ -15,19 +15,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from robot_sysid.damiao import references as paths
 from robot_sysid.damiao import supervision
 from robot_sysid.damiao.bus import SystemClock
 from robot_sysid.damiao.protocol.codec import MitCommand
 from robot_sysid.damiao.recorder import MeasurementRecorder
-from robot_sysid.damiao.references import (
-    LONGEST,
-    Lowering,
-    Reference,
-    ReferenceFunction,
-    approach,
-    come_to_rest,
-    hold,
-)
+from robot_sysid.damiao.references import Reference, ReferenceFunction, hold
 from robot_sysid.damiao.session import MotorSession, Replies
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import HardwareAbort, words_of
@@ -35,10 +28,7 @@ from robot_sysid.records import Array
 
 
 class CycleTimer:
-    """Hands out absolute deadlines [s]: a late cycle is skipped, lateness does not add up.
-
-    A cycle that is later than ``max_lateness`` stops the run.
-    """
+    """Hands out absolute deadlines [s]: a late cycle is skipped, lateness does not add up."""
 
     def __init__(self, clock: SystemClock, period: float, max_lateness: float) -> None:
         self._clock, self.period, self.max_lateness = clock, period, max_lateness
@@ -128,8 +118,8 @@ class Player:
         recorder: MeasurementRecorder | None,
         on_phase: Callable[[str], None],
         on_progress: Callable[[float], None],
-        park: str | Array | None = None,
-        pose_check: Callable[[Array, Array], None] | None = None,
+        park: str | Array | None,
+        pose_check: Callable[[Array, Array], None] | None,
     ) -> None:
         self._session, self._clock, self._settings = session, session.clock, settings
         self._stop, self._recorder = stop, recorder
@@ -148,7 +138,7 @@ class Player:
         self._cycles = self._played = 0
         self._told_at = -np.inf
         self._park, self._pose_check = park, pose_check
-        self._lowering: Lowering | None = None
+        self._lowering: paths.Lowering | None = None
         self._still: list[Array] = []
 
     def play(self, trajectory: ReferenceFunction, duration: float) -> PlayReport:
@@ -166,9 +156,8 @@ class Player:
                     raise
                 raise HardwareAbort(f"{type(error).__name__}: {words_of(error)}") from error
         timer, watched = self._timer, self._supervisor
-        late = timer.lateness(50.0), timer.lateness(99.0)
-        counts = self._played, timer.skipped
-        return PlayReport(*counts, *late, watched.total_missed, watched.worst_tracking)
+        counts = self._played, timer.skipped, timer.lateness(50.0), timer.lateness(99.0)
+        return PlayReport(*counts, watched.total_missed, watched.worst_tracking)
 
     def _run_phases(self, trajectory: ReferenceFunction, duration: float) -> None:
         settings = self._settings
@@ -177,7 +166,8 @@ class Player:
         self._announce("enabling the motors")
         start = self._session.enable()
         here = Reference(start, np.zeros_like(start), first.torque)
-        way, way_time = approach(start, first, settings.approach_speed, settings.approach_time)
+        speed, shortest = settings.approach_speed, settings.approach_time
+        way, way_time = paths.approach(start, first, speed, shortest)
         self._timer = CycleTimer(self._clock, settings.period, settings.max_lateness)
         self._announce("raising the gains")
         self._phase(hold(here), settings.ramp_time, ramp=True)
@@ -207,19 +197,21 @@ class Player:
             return
         if isinstance(self._park, str) and self._park == "rest":
             self._announce("lowering the arm")
-            self._lowering = self._lower_from(last)
-            self._phase(self._lowering, LONGEST)
+            self._phase(self._lower_from(last), paths.LONGEST)
             return
         target = stood
         if not isinstance(self._park, str):
             target = Reference(self._park, np.zeros_like(self._park), last.torque)
-        way, time = approach(last.position, target, self._settings.approach_speed, 1.0, last.torque)
+        speed = self._settings.approach_speed
+        way, time = paths.approach(last.position, target, speed, 1.0, last.torque)
         self._announce(f"parking ({time:.1f} s)")
         self._phase(way, time)
         self._phase(hold(target), self._settings.rest_time)
 
-    def _lower_from(self, begin: Reference) -> Lowering:
-        return Lowering(begin, self._settings.approach_speed, self._session.peak_torque)
+    def _lower_from(self, begin: Reference) -> paths.Lowering:
+        speed, peak = self._settings.approach_speed, self._session.peak_torque
+        self._lowering = paths.Lowering(begin, speed, peak)
+        return self._lowering
 
     @property
     def _lowering_is_done(self) -> bool:
@@ -297,18 +289,13 @@ class Player:
             self._check_scaling()
 
     def _check_scaling(self) -> None:
+        torque, moved = self._torque_check.worst(), self._velocity_check.worst()
         for found, words in (
-            (
-                self._torque_check.worst(),
-                "reports {:.2f} times the torque that it was told to make: its TMAX register does "
-                "not describe its torques, or its torque ratio is another",
-            ),
-            (
-                self._velocity_check.worst(),
-                "moves {:.3f} times as far as its velocity says: its VMAX register does not "
-                "describe its velocities",
-            ),
-        ):
+            (torque, "reports {:.2f} times the torque that it was told to make: its TMAX register "
+            "does not describe its torques, or its torque ratio is another"),
+            (moved, "moves {:.3f} times as far as its velocity says: its VMAX register does not "
+            "describe its velocities"),
+        ):  # fmt: skip
             if found:
                 j, factor = found
                 raise HardwareAbort(f"{self._session.joints[j].label} {words.format(factor)}")
@@ -331,13 +318,12 @@ class Player:
         self._heard_at = self._clock.now()
         with contextlib.suppress(Exception):
             start = self._stop_start(self._reference)
-            braking, duration = come_to_rest(start, self._settings.deceleration)
+            braking, duration = paths.come_to_rest(start, self._settings.deceleration)
             rest = hold(braking(duration))
             for reference, length in ((braking, duration), (rest, self._settings.rest_time)):
                 self._stop_phase(reference, length)
             if self._park is not None and not self._stop.insisted:
-                self._lowering = self._lower_from(rest(0.0))
-                self._stop_phase(self._lowering, LONGEST)
+                self._stop_phase(self._lower_from(rest(0.0)), paths.LONGEST)
 
     def _stop_start(self, reference: Reference) -> Reference:
         """Return where braking begins.

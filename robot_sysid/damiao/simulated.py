@@ -13,7 +13,7 @@ from __future__ import annotations
 import functools
 import heapq
 import itertools
-from collections import defaultdict, deque
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -40,7 +40,6 @@ class SimulatedMotor:
     """State of one motor; registers are number to value, ``command`` holds p, v, kp, kd and t.
 
     Attributes:
-        joint: what it is and how it is mounted.
         peak_torque: what it can deliver [N m].
         brake: damping of the shorted windings while it is disabled [N m s/rad].
         position, velocity, torque: what its sensors read, set by the arm.
@@ -70,11 +69,6 @@ class SimulatedMotor:
         return int(self.registers[frames.ESC_ID])
 
     @property
-    def scaling(self) -> codec.Scaling:
-        """How it reads and writes frames."""
-        return _scaling(tuple(self.registers[number] for number in frames.SCALING))
-
-    @property
     def driving(self) -> bool:
         """Whether it follows commands."""
         return self.status == frames.ENABLED
@@ -94,14 +88,13 @@ class SimulatedMotor:
 
     def handle(self, frame: frames.Frame, time: float) -> frames.Frame | None:
         """Take a frame from the bus and return the answer, if there is one."""
-        if len(frame.data) < 4 or frame.bus != self.joint.bus:
+        data = None
+        if frame.bus != self.joint.bus or len(frame.data) < 4:
             return None
         if frame.id == frames.REGISTER_ID:
             data = self._register_answer(frame.data)
         elif frame.id & 0xFF == self.can_id & 0xFF and len(frame.data) == 8:
             data = self._command_answer(frame.data, time)
-        else:
-            return None
         if data is None:
             return None
         fd = self.registers[frames.CAN_BR] > frames.FD_BITRATE_CODES_ABOVE
@@ -115,7 +108,7 @@ class SimulatedMotor:
         # The answer to a command is the state before it acts.
         answer = self._feedback()
         if self.driving and self.registers[frames.CTRL_MODE] == frames.MIT_MODE:
-            told = codec.decode_mit(np.frombuffer(data, dtype=np.uint8)[None], self.scaling)
+            told = codec.decode_mit(np.frombuffer(data, dtype=np.uint8)[None], self._scaling())
             self.command = [float(value[0]) for value in told]
         return answer
 
@@ -145,17 +138,13 @@ class SimulatedMotor:
         return data[:4] + frames.bytes_from_value(number, self.registers[number])
 
     def _feedback(self) -> bytes:
-        one = np.ones(1)
-        state = codec.Feedback(
-            np.array([self.can_id]),
-            np.array([self.status]),
-            one * (self.position + self.shift),
-            one * self.velocity,
-            one * self.torque,
-            np.array([self.temperature_mos]),
-            np.array([self.temperature_rotor]),
-        )
-        return codec.encode_feedback(state, self.scaling)[0].tobytes()
+        measured = self.position + self.shift, self.velocity, self.torque
+        heat = self.temperature_mos, self.temperature_rotor
+        state = (np.array([value]) for value in (self.can_id, self.status, *measured, *heat))
+        return codec.encode_feedback(codec.Feedback(*state), self._scaling())[0].tobytes()
+
+    def _scaling(self) -> codec.Scaling:
+        return _scaling(tuple(self.registers[number] for number in frames.SCALING))
 
 
 def simulated_motor(joint: DamiaoJoint, watchdog: float = DEFAULT_WATCHDOG) -> SimulatedMotor:
@@ -269,9 +258,8 @@ class SimulatedLink:
         self._timing, self._echo = timing, echo
         self._free_at: defaultdict[int, float] = defaultdict(float)
         self._order = itertools.count()
-        # In the order of their times, as the bus carries one frame after the other.
-        self._echoes: deque[Frame] = deque()
-        self._answers: deque[Frame] = deque()
+        # What is through on the wire, by its time, and answers that wait for it.
+        self._through: list[tuple[float, int, Frame]] = []
         self._replies: list[tuple[float, int, int, Frame]] = []
 
     def send(self, frame: Frame) -> None:
@@ -279,34 +267,31 @@ class SimulatedLink:
         end = max(self.clock.now(), self._free_at[frame.bus]) + self._timing.frame_time
         self._free_at[frame.bus] = end
         if self._echo:
-            self._echoes.append(frame._replace(time=end, echo=True))
+            self._deliver(frame._replace(time=end, echo=True))
         for reply in self.arm.handle(frame, end):
             heapq.heappush(self._replies, (end + _TURNAROUND, reply.id, next(self._order), reply))
 
     def receive(self, until: float) -> Frame | None:
         """Return the next frame that is through by ``until`` [s], or None at that time."""
-        while (answer := self._next_answer(until)) is not None:
-            self._answers.append(answer)
-        queues = [queue for queue in (self._echoes, self._answers) if queue]
-        first = min(queues, key=lambda queue: queue[0].time, default=None)
-        if first is None or first[0].time > until:
+        while self._replies:
+            begin, _, _, reply = self._replies[0]
+            arrival = max(begin, self._free_at[reply.bus]) + self._timing.frame_time
+            if arrival > until:
+                break
+            heapq.heappop(self._replies)
+            self._free_at[reply.bus] = arrival
+            garbled = reply.fd and not self._timing.fd
+            data = b"" if garbled else reply.data
+            self._deliver(reply._replace(time=arrival, error=garbled, data=data))
+        if not self._through or self._through[0][0] > until:
             self.clock.sleep_until(until)
             return None
-        self.clock.sleep_until(first[0].time)
-        return first.popleft()
+        frame = heapq.heappop(self._through)[-1]
+        self.clock.sleep_until(frame.time)
+        return frame
 
-    def _next_answer(self, until: float) -> Frame | None:
-        """Take the next answer that is through on the wire by ``until`` [s]."""
-        if not self._replies:
-            return None
-        bus = self._replies[0][-1].bus
-        arrival = max(self._replies[0][0], self._free_at[bus]) + self._timing.frame_time
-        if arrival > until:
-            return None
-        reply = heapq.heappop(self._replies)[-1]
-        self._free_at[bus] = arrival
-        garbled = reply.fd and not self._timing.fd
-        return reply._replace(time=arrival, error=garbled, data=b"" if garbled else reply.data)
+    def _deliver(self, frame: Frame) -> None:
+        heapq.heappush(self._through, (frame.time, next(self._order), frame))
 
     def close(self) -> None:
         """Nothing to release."""

@@ -118,19 +118,12 @@ def test_an_error_is_cleared_by_name(capsys, bus):
         (("--motor", 1, "--new-id", 16), "--new-id must be from 1 to 15", 2),
         (("--motor", 1, "--motor-bitrate", 500000), "with one motor on the bus", 2),
         (("--motor", 1, "--motor-bitrate", 300000), "--motor-bitrate must be one of 125000", 2),
-        (("--scan",), "the bit rate of socketcan is set outside", 2),
     ],
 )
 def test_what_cannot_be_meant_is_refused(capsys, bus, words, said, code):
     got, _, err = run(capsys, "setup", *CAN0, *words)
     assert got == code and said in err
     assert bus.wire is None or only_asks(bus.wire.sent)
-
-
-def test_motors_are_looked_for_at_every_bit_rate(capsys, bus):
-    code, out, _ = run(capsys, "setup", *CAN0, "--interface", "slcan", "--scan")
-    assert code == 0 and "1000000 bit/s: 2 motors" in out
-    assert bus.rates == [1e6, 5e5, 2.5e5, 2e5, 1.25e5]
 
 
 def test_a_bit_rate_is_changed_with_one_motor_on_the_bus(capsys, bus):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -13,7 +12,7 @@ from typing import NamedTuple
 from robot_sysid.commands.arguments import PROGRAM, Parser, parsed
 from robot_sysid.commands.console import Console
 from robot_sysid.commands.motors import setup as motors_setup
-from robot_sysid.commands.motors.asked import Asked
+from robot_sysid.commands.motors.asked import Asked, said_yes
 from robot_sysid.commands.motors.tables import check_lines, load_line, motor_table, run_lines
 from robot_sysid.config import ModelOptions
 from robot_sysid.damiao import preflight, simulated
@@ -254,7 +253,8 @@ def _play_on(
     preflight.require_no_stop(checks, "not played")
     plan.recording.require_free(*filter(None, (plan.trajectory.path, asked.values.get("model"))))
     if not choices.yes:
-        _ask_for_confirmation()
+        if not said_yes(_WARNING, "; give --yes"):
+            raise InputError("not confirmed; nothing was moved")
         # The arm may have moved or been touched in the meantime.
         inspection = inspect_bus(link)
 
@@ -303,18 +303,10 @@ def _simulated_end(asked: Asked) -> Link:
     return link
 
 
-def _ask_for_confirmation() -> None:
-    if not sys.stdin.isatty():
-        raise InputError("nobody can confirm: standard input is no terminal; give --yes")
-    Console().stage(
-        "The arm will move. Keep clear of it, keep the emergency stop at hand, and remember that "
-        "it sinks when it is disabled."
-    )
-    answer = ""
-    with contextlib.suppress(EOFError):
-        answer = input("Type yes to play: ")
-    if answer.strip().lower() != "yes":
-        raise InputError("not confirmed; nothing was moved")
+_WARNING = (
+    "The arm will move. Keep clear of it, keep the emergency stop at hand, and remember that it "
+    "sinks when it is disabled."
+)
 
 
 def _verdict(checks: Sequence[preflight.Check], console: Console) -> int:

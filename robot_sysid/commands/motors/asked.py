@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -21,6 +22,20 @@ from robot_sysid.damiao.trajectory import DamiaoTrajectory, read_damiao_trajecto
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 from robot_sysid.records.options import given_options, record_from
+
+
+def answer(prompt: str) -> str:
+    """Return what a person types."""
+    with contextlib.suppress(EOFError):
+        return input(prompt)
+    raise InputError("not confirmed: standard input has ended")
+
+
+def said_yes(question: str, hint: str = "") -> bool:
+    """Ask a person, who has to sit at a terminal."""
+    if not sys.stdin.isatty():
+        raise InputError(f"nobody can confirm: standard input is no terminal{hint}")
+    return answer(f"{question} Type yes: ").strip().lower() == "yes"
 
 
 class Asked:
@@ -92,16 +107,14 @@ class Asked:
         choice = chosen.mesh_dir, chosen.joint, float("inf"), chosen.keyframe
         return load_robot_model(self.values["model"], *choice)
 
-    def open(self, timing: BusTiming | None = None) -> Link:
-        """Open the bus, with other bit rates than those asked for if given."""
-        return open_bus(self.address, timing or self.timing, self.clock)
+    def open(self) -> Link:
+        """Open the bus."""
+        return open_bus(self.address, self.timing, self.clock)
 
     @contextlib.contextmanager
-    def bus(
-        self, refuse: Callable[[Frame], None] = refuse_harmful, timing: BusTiming | None = None
-    ) -> Iterator[GuardedLink]:
+    def bus(self, refuse: Callable[[Frame], None] = refuse_harmful) -> Iterator[GuardedLink]:
         """Open the bus for as long as the block runs; what ``refuse`` raises for is not sent."""
         if not self.address.channel:
             raise InputError("this command needs --channel, for instance --channel can0")
-        with contextlib.closing(self.open(timing)) as link:
+        with contextlib.closing(self.open()) as link:
             yield GuardedLink(link, self.clock, self.timing.fd, self.address.channel, refuse)

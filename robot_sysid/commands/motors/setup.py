@@ -11,15 +11,15 @@ positive; the motor that turned drives it. Then the arm is put into a pose that 
 from __future__ import annotations
 
 import contextlib
-import sys
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from robot_sysid.commands.motors.asked import Asked
+from robot_sysid.commands.console import Console
+from robot_sysid.commands.motors.asked import Asked, answer, said_yes
 from robot_sysid.commands.motors.tables import motor_table, state_table
 from robot_sysid.damiao.bus import GuardedLink
 from robot_sysid.damiao.inspection import (
@@ -30,10 +30,10 @@ from robot_sysid.damiao.inspection import (
     state_of,
 )
 from robot_sysid.damiao.protocol import frames
-from robot_sysid.damiao.protocol.frames import BIT_RATES, refuse_motion
+from robot_sysid.damiao.protocol.frames import refuse_motion
 from robot_sysid.damiao.protocol.joints import DamiaoJoint, write_joint_map
 from robot_sysid.errors import HardwareAbort, InputError
-from robot_sysid.records import Array, RobotModel
+from robot_sysid.records import RobotModel
 from robot_sysid.records.options import (
     OptionRecord,
     given_options,
@@ -62,7 +62,6 @@ _ID: dict[str, Any] = {"metavar": "ID", "parse": whole_number, "check": _within(
 class SetupOptions(OptionRecord):
     """What ``motors setup`` changes in one motor; nothing lists the motors."""
 
-    scan: bool = option(False, "look for motors at every bit rate that the adapter can be set to")
     motor: int | None = option(None, "CAN id of the motor to change", **_ID)
     new_id: int | None = option(None, "new CAN id", **_ID)
     new_master_id: int | None = option(
@@ -83,11 +82,6 @@ class SetupOptions(OptionRecord):
     clear_error: bool = option(False, "clear its error, once you know its cause")
     store: bool = option(False, "keep the changes when the power goes off")
 
-    @property
-    def changes(self) -> bool:
-        """Whether anything is to be changed."""
-        return any(given.key not in ("scan", "motor") for given in given_options(self))
-
 
 class MotorSetup:
     """Changes one motor; raises HardwareAbort where it is enabled, or does not tell.
@@ -96,16 +90,15 @@ class MotorSetup:
     """
 
     def __init__(self, link: GuardedLink, motor: InspectedMotor) -> None:
-        self._link, self._clock, self._motor = link, link.clock, motor
-        self._client, self._address = RegisterClient(link), motor.address
-        self._master = motor.master_id
+        self._link, self._client, self._motor = link, RegisterClient(link), motor
+        self._address, self._master = motor.address, motor.master_id
         self._require_off()
 
-    def apply(self, asked: SetupOptions, sure: Callable[[str], bool]) -> Iterator[str]:
+    def apply(self, asked: SetupOptions) -> Iterator[str]:
         """Make the changes, in an order in which the motor stays reachable; yield what was done.
 
-        ``sure`` asks a person whether he means it; InputError where he does not, and HardwareAbort
-        where the motor refuses, does not answer any more, or is enabled.
+        InputError where a person does not confirm, and HardwareAbort where the motor refuses, does
+        not answer any more, or is enabled.
         """
         if asked.clear_error:
             yield self._cleared()
@@ -114,7 +107,7 @@ class MotorSetup:
         if asked.watchdog is not None:
             yield self._written(frames.TIMEOUT, float(round(asked.watchdog / frames.TIMEOUT_UNIT)))
         if asked.set_zero:
-            yield self._zeroed(sure)
+            yield self._zeroed()
         if asked.new_master_id is not None:
             yield self._written(frames.MST_ID, asked.new_master_id)
             self._master = asked.new_master_id
@@ -122,7 +115,8 @@ class MotorSetup:
             yield self._written(frames.ESC_ID, asked.new_id)
             self._address = frames.Address(self._address.bus, asked.new_id)
         if asked.store and asked.motor_bitrate is None:
-            yield self._stored()
+            self._send_off(frames.store_frame(self._address))
+            yield f"{self._motor.name} keeps its values when the power goes off"
         if asked.motor_bitrate is not None:
             yield self._written(frames.CAN_BR, frames.BIT_RATES[asked.motor_bitrate], heard=False)
             if asked.store:
@@ -136,44 +130,37 @@ class MotorSetup:
         return f"{self._motor.name}: {old} is now {frames.text_of(register, value)}"
 
     def _cleared(self) -> str:
-        before = self._status()
+        name, before = self._motor.name, self._feedback()[0] >> 4
         if not frames.is_fault(before):
-            return f"{self._motor.name} has no error to clear ({frames.describe(before)})"
+            return f"{name} has no error to clear ({frames.describe(before)})"
         self._link.send(frames.clear_error_frame(self._address))
-        after = self._status()
+        after = self._feedback()[0] >> 4
         if frames.is_fault(after):
-            raise HardwareAbort(f"{self._motor.name} still reports {frames.describe(after)}")
-        return f"{self._motor.name}: {frames.describe(before)} is cleared"
+            raise HardwareAbort(f"{name} still reports {frames.describe(after)}")
+        return f"{name}: {frames.describe(before)} is cleared"
 
-    def _zeroed(self, sure: Callable[[str], bool]) -> str:
-        before = self._position()
+    def _zeroed(self) -> str:
+        name, before = self._motor.name, self._position()
         for question in (
-            f"{self._motor.name} stands at {before:.4f} rad; make that its zero?",
+            f"{name} stands at {before:.4f} rad; make that its zero?",
             "every joint map, recording and trajectory made with the old zero is wrong then; sure?",
         ):
-            if not sure(question):
+            if not said_yes(question):
                 raise InputError("not confirmed; the zero is as it was")
-        self._require_off()
-        self._link.send(frames.set_zero_frame(self._address))
-        self._clock.sleep_until(self._clock.now() + _STORE_TIME)
-        after = self._position()
-        return f"{self._motor.name}: {before:.4f} rad is now {after:.4f} rad; the motor keeps it"
+        self._send_off(frames.set_zero_frame(self._address))
+        return f"{name}: {before:.4f} rad is now {self._position():.4f} rad; the motor keeps it"
 
-    def _stored(self) -> str:
+    def _send_off(self, frame: frames.Frame) -> None:
+        """Send what a motor that is off writes to its flash memory."""
         self._require_off()
-        self._link.send(frames.store_frame(self._address))
-        self._clock.sleep_until(self._clock.now() + _STORE_TIME)
-        return f"{self._motor.name} keeps its values when the power goes off"
+        self._link.send(frame)
+        self._link.clock.sleep_until(self._link.clock.now() + _STORE_TIME)
 
     def _require_off(self) -> None:
-        status = self._status()
-        if status != frames.DISABLED and not frames.is_fault(status):
+        if self._feedback()[0] >> 4 == frames.ENABLED:
             raise HardwareAbort(
                 f"{self._motor.name} is enabled; end the program that uses it, nothing was changed"
             )
-
-    def _status(self) -> int:
-        return self._feedback()[0] >> 4
 
     def _position(self) -> float:
         told = self._motor.meaning(self._feedback())
@@ -195,7 +182,7 @@ Positions = Mapping[frames.Address, float]
 # Half of the 20 degrees that are asked for [rad]; the motor that was meant turns three times as far
 # as any that a limp arm drags along. Judgements.
 _MOVED, _CLEARLY = 0.15, 3.0
-_TRIES = 3
+_TRIES, _ENTER = 3, "; then press Enter: "
 # A turn of 17 degrees [rad] that moves the tip by less than this [m] is not seen at the tip.
 _PROBE, _SEEN = 0.3, 0.02
 _WAYS = ("-x", "+x"), ("-y", "+y"), ("-z (down)", "+z (up)")
@@ -210,29 +197,30 @@ def positive_ways(robot: RobotModel) -> list[str]:
     for j in range(robot.n_joints):
         q = robot.reference + _PROBE * (np.arange(robot.n_joints) == j)
         shift = ArmStepper(robot, q).tip() - begin.tip()
-        if np.max(np.abs(shift)) > _SEEN:
-            words.append(f"the end of the arm moves towards {_way(shift)}")
-        else:
-            words.append(f"it turns counter-clockwise seen from {_way(begin.axis(j))}")
+        seen = np.max(np.abs(shift)) > _SEEN
+        vector = shift if seen else begin.axis(j)
+        k = int(np.argmax(np.abs(vector)))
+        start = (
+            "the end of the arm moves towards" if seen else "it turns counter-clockwise seen from"
+        )
+        words.append(f"{start} {_WAYS[k][int(vector[k] > 0.0)]}")
     return words
 
 
-def _way(vector: Array) -> str:
-    k = int(np.argmax(np.abs(vector)))
-    return _WAYS[k][int(vector[k] > 0.0)]
-
-
-def map_by_hand(
-    link: GuardedLink, robot: RobotModel, ask: Callable[[str], None]
-) -> list[DamiaoJoint]:
+def map_by_hand(link: GuardedLink, robot: RobotModel) -> list[DamiaoJoint]:
     """Return the joint map that a person shows; all motors are limp.
 
-    ``ask`` says what to do and returns when it is done. InputError for fewer motors than joints;
-    HardwareAbort where one is not off for sure or does not answer any more, or where a movement
-    could not be told from others three times.
+    InputError for fewer motors than joints; HardwareAbort where one is not off for sure or does not
+    answer any more, or where a movement could not be told from others three times.
     """
     client, by_address = RegisterClient(link), inspect_bus(link).motors
-    _require_limp(by_address.values(), robot.n_joints)
+    if len(by_address) < robot.n_joints:
+        raise InputError(
+            f"{len(by_address)} motors answer but the model's chain has {robot.n_joints} joints"
+        )
+    for motor in by_address.values():
+        if motor.feedback is None or motor.feedback.status[0] == frames.ENABLED:
+            raise HardwareAbort(f"{motor.name} is enabled or does not tell; the arm has to be limp")
 
     def positions() -> Positions:
         states = [state_of(client, motor) for motor in by_address.values()]
@@ -243,10 +231,10 @@ def map_by_hand(
 
     found: dict[frames.Address, tuple[str, int]] = {}
     for name, way in zip(robot.joint_names, positive_ways(robot)):
-        address, direction = _moved_one(name, way, set(by_address) - set(found), positions, ask)
+        address, direction = _moved_one(name, way, set(by_address) - set(found), positions)
         found[address] = name, direction
     listed = ", ".join(f"{n} {q:.3f}" for n, q in zip(robot.joint_names, robot.reference))
-    ask(f"put the arm into the model's own pose ({listed} rad or m) and hold it there")
+    answer(f"put the arm into the model's own pose ({listed} rad or m) and hold it there{_ENTER}")
     here, rows = positions(), []
     for (address, (name, direction)), q in zip(found.items(), robot.reference):
         motor, offset = by_address[address], round(here[address] - direction * float(q), 4)
@@ -256,40 +244,20 @@ def map_by_hand(
 
 
 def _moved_one(
-    name: str,
-    way: str,
-    left: set[frames.Address],
-    positions: Callable[[], Positions],
-    ask: Callable[[str], None],
+    name: str, way: str, left: set[frames.Address], positions: Callable[[], Positions]
 ) -> tuple[frames.Address, int]:
     again = ""
     for _ in range(_TRIES):
         before = positions()
-        ask(f"{again}move joint {name} alone, by 20 degrees or more, so that {way}")
+        answer(f"{again}move joint {name} alone, by 20 degrees or more, so that {way}{_ENTER}")
         after = positions()
-        turns = sorted(((after[each] - before[each], each) for each in left), key=_size)
-        most = abs(turns[0][0]) if turns else 0.0
-        if most > _MOVED and (len(turns) == 1 or most > _CLEARLY * abs(turns[1][0])):
-            return turns[0][1], 1 if turns[0][0] > 0.0 else -1
+        turns = {each: after[each] - before[each] for each in left}
+        moved, *others = sorted(left, key=lambda each: -abs(turns[each]))
+        most = abs(turns[moved])
+        if most > _MOVED and (not others or most > _CLEARLY * abs(turns[others[0]])):
+            return moved, 1 if turns[moved] > 0.0 else -1
         again = "several motors turned; " if most > _MOVED else "no motor turned far enough; "
     raise HardwareAbort(f"it cannot be told which motor drives {name}; nothing was written")
-
-
-def _size(turn: tuple[float, frames.Address]) -> float:
-    return -abs(turn[0])
-
-
-def _require_limp(motors: Collection[InspectedMotor], n: int) -> None:
-    if len(motors) < n:
-        raise InputError(f"{len(motors)} motors answer but the model's chain has {n} joints")
-    for motor in motors:
-        if motor.feedback is None or motor.feedback.status[0] == frames.ENABLED:
-            raise HardwareAbort(f"{motor.name} is enabled or does not tell; the arm has to be limp")
-
-
-# Where the bit rate is not ours to choose.
-_FIXED_RATE = ("socketcan", "damiao", "virtual")
-_CLASSIC_TOP = 1_000_000
 
 
 def lifetime_option() -> Any:
@@ -315,34 +283,16 @@ class MapOptions(OptionRecord):
 def setup(asked: Asked) -> int:
     """Find motors, and change one of them."""
     options = record_from(SetupOptions, asked.values)
-    if options.changes and options.motor is None:
+    changes = any(given.key != "motor" for given in given_options(options))
+    if changes and options.motor is None:
         raise InputError("--motor says which motor to change, for instance --motor 1")
-    if options.scan:
-        return _scan(asked)
     with asked.bus(refuse_motion) as link:
         inspection = inspect_bus(link)
         asked.console.lines(motor_table(inspection))
-        if options.changes:
-            for line in MotorSetup(link, _only(inspection, options)).apply(options, _sure):
+        if changes:
+            for line in MotorSetup(link, _only(inspection, options)).apply(options):
                 asked.console.stage(line)
         return 0 if inspection.motors else 1
-
-
-def _scan(asked: Asked) -> int:
-    if asked.address.interface in _FIXED_RATE:
-        raise InputError(
-            f"the bit rate of {asked.address.interface} is set outside of this program (ip link, "
-            "or the adapter's own tool); set one after the other there and run setup without --scan"
-        )
-    heard = 0
-    for rate in sorted((rate for rate in BIT_RATES if rate <= _CLASSIC_TOP), reverse=True):
-        with asked.bus(refuse_motion, replace(asked.timing, bitrate=float(rate))) as link:
-            inspection = inspect_bus(link)
-        found = len(inspection.motors)
-        heard += found
-        asked.console.stage(f"{rate} bit/s: {found} motors")
-        asked.console.lines(motor_table(inspection) if found else [])
-    return 0 if heard else 1
 
 
 def _only(inspection: Inspection, options: SetupOptions) -> InspectedMotor:
@@ -360,18 +310,6 @@ def _only(inspection: Inspection, options: SetupOptions) -> InspectedMotor:
     return meant[0]
 
 
-def _sure(question: str) -> bool:
-    if not sys.stdin.isatty():
-        raise InputError("nobody can confirm: standard input is no terminal")
-    return _answer(f"{question} Type yes: ").strip().lower() == "yes"
-
-
-def _answer(prompt: str) -> str:
-    with contextlib.suppress(EOFError):
-        return input(prompt)
-    raise InputError("standard input has ended")
-
-
 def monitor(asked: Asked) -> int:
     """Show the motors' states again and again; enables nothing."""
     options, console = record_from(MonitorOptions, asked.values), asked.console
@@ -381,14 +319,14 @@ def monitor(asked: Asked) -> int:
             console.stage("no motor answers: check power, wiring and bit rate")
             return 1
         with contextlib.suppress(KeyboardInterrupt):
-            _watch(RegisterClient(link), motors, options, asked)
+            _watch(link, motors, options, console)
     return 0
 
 
 def _watch(
-    client: RegisterClient, motors: Sequence[InspectedMotor], options: MonitorOptions, asked: Asked
+    link: GuardedLink, motors: Sequence[InspectedMotor], options: MonitorOptions, console: Console
 ) -> None:
-    clock, console = asked.clock, asked.console
+    client, clock = RegisterClient(link), link.clock
     ends = clock.now() + (options.lifetime or float("inf"))
     while True:
         lines = list(state_table([(motor, state_of(client, motor)) for motor in motors]))
@@ -404,12 +342,8 @@ def map_joints(asked: Asked) -> int:
     options, robot = record_from(MapOptions, asked.values), asked.robot
     if options.output.exists():
         raise InputError(f"{options.output} exists; choose another --output")
-
-    def ask(words: str) -> None:
-        _answer(f"{words}; then press Enter: ")
-
     with asked.bus(refuse_motion) as link:
-        rows = map_by_hand(link, robot, ask)
+        rows = map_by_hand(link, robot)
     write_joint_map(options.output, rows)
     asked.console.stage(f"written to {options.output}; give it to play with --joint-map")
     return 0

@@ -125,22 +125,17 @@ def id_problems(motors: Sequence[tuple[Any, int, int]]) -> Iterator[str]:
     A motor compares the low eight bits of every frame's id, replies of other motors included, and
     a reply carries only the low four bits of the sender's id.
     """
-    for bus in sorted({each[0] for each in motors}):
-        yield from _clashes(*zip(*(each[1:] for each in motors if each[0] == bus)))
-
-
-def _clashes(can_ids: Sequence[int], master_ids: Sequence[int]) -> Iterator[str]:
-    for i in can_ids:
+    for column, name in ((1, "CAN"), (2, "master")):
+        used = [(each[0], each[column]) for each in motors]
+        for _, i in sorted({place for place in used if used.count(place) > 1}):
+            yield f"{name} id {i:#04x} is used by more than one motor; each needs its own"
+    for bus, i, master in motors:
         if not 1 <= i <= 15:
             yield f"CAN id {i} is outside 1 to 15, where replies can be told apart"
-    for name, values in (("CAN", can_ids), ("master", master_ids)):
-        for i in sorted({i for i in values if values.count(i) > 1}):
-            yield f"{name} id {i:#04x} is used by more than one motor; each needs its own"
-    for i, master in zip(can_ids, master_ids):
         if not 0 <= master <= 0x7FE:
             yield f"master id {master:#x} of the motor with CAN id {i} is outside 0 to 0x7fe"
-        for other in can_ids:
-            if other != i and master & 0xFF == other:
+        for place, other, _ in motors:
+            if place == bus and other != i and master & 0xFF == other:
                 yield (
                     f"replies of the motor with CAN id {i} (master id {master:#x}) would be taken "
                     f"as commands by the motor with CAN id {other}; use {i + MASTER_ID_OFFSET:#x}"
@@ -210,10 +205,11 @@ def read_joint_map(path: str | os.PathLike[str]) -> tuple[DamiaoJoint, ...]:
             f"{path}: expected the columns {', '.join(_COLUMNS)} (at least {', '.join(_NEEDED)})"
         )
     rows = tuple(_row(line, f"{path}, row {k}") for k, line in enumerate(table, start=1))
+    if not rows:
+        raise InputError(f"{path} has no lines")
     names = [row.name for row in rows]
-    twice = [name for name in names if names.count(name) > 1]
-    if twice or not rows:
-        raise InputError(f"{path} names {twice[0]} twice" if twice else f"{path} has no lines")
+    for name in (name for name in names if names.count(name) > 1):
+        raise InputError(f"{path} names {name} twice")
     for problem in id_problems([(row.channel, row.can_id, row.master_id) for row in rows]):
         raise InputError(f"{path}: {problem}")
     return rows
@@ -240,10 +236,9 @@ def mapped(
     not cover the joints, or names a bus that is not among the open ``channels``.
     """
     by_name = {row.name: row for row in rows}
-    absent = [name for name in names if name not in by_name]
-    if absent:
-        raise InputError(f"the joint map has no line for {absent[0]}; it has {', '.join(by_name)}")
-    chosen = [by_name[name] for name in names] if names else list(rows)
+    for name in (name for name in names if name not in by_name):
+        raise InputError(f"the joint map has no line for {name}; it has {', '.join(by_name)}")
+    chosen = [by_name[name] for name in names] if names else rows
     if len(chosen) != len(joints):
         raise InputError(
             f"the joint map has {len(chosen)} joints but the trajectory {len(joints)}: give one "
@@ -251,15 +246,14 @@ def mapped(
         )
     # An adapter may have got another name; but never play one arm's motion on the other arm.
     several = len(channels) > 1 or len({row.channel for row in rows}) > 1
-    for row in chosen:
+    mounted = []
+    for joint, row in zip(joints, chosen):
         where = row.channel
         if several and where and where not in channels:
             raise InputError(
                 f"the joint map puts {row.name} on {where}; open it with --channel {where}"
             )
-    mounted = []
-    for joint, row in zip(joints, chosen):
-        bus = channels.index(row.channel) if row.channel in channels else 0
+        bus = channels.index(where) if where in channels else 0
         channel = channels[bus] if len(channels) > 1 else ""
         mounted.append(replace(row, motor_type=joint.motor_type, bus=bus, channel=channel))
     return tuple(mounted)
