@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-import pytest
-
-from robot_sysid.commands import identify, motors, payload, plan, run
+from robot_sysid.commands import identify, payload, plan, run
 from robot_sysid.commands.arguments import PYTHON_ONLY, ConsoleOptions
 from robot_sysid.motion.problem import DEFAULT_NOISE_TORQUE
 from robot_sysid.records.options import options_of
@@ -15,7 +13,6 @@ from tests.support.option_tables import TABLES
 
 TEXTS = [path.read_text(encoding="utf-8") for path in option_tables.PAGES]
 PAGE = TEXTS[1]
-MOTORS = {name: motors.build_parser(name) for name in ("check", "play", "simulate")}
 CONSOLE = {"--help", "-h", "--help-all", "--version"}
 
 
@@ -39,25 +36,6 @@ def test_the_tables_are_what_the_generator_writes():
 
 def test_every_table_is_there_once():
     assert sorted(n for text in TEXTS for n in option_tables.tables_in(text)) == sorted(TABLES)
-
-
-@pytest.mark.parametrize("name", MOTORS)
-def test_every_option_of_motors_is_in_a_table_or_named_beside_it(name):
-    of_motors = [title for title in TABLES if title.startswith("motors: ")]
-    known = group(*of_motors) | {"-y"}
-    beside = {"--model", "--joint-map", "--mesh-dir", "--joint", "--keyframe"}
-    assert flags(MOTORS[name]) <= known | beside
-    assert all(f"`{flag}" in PAGE for flag in beside)
-
-
-def test_what_is_said_to_belong_to_one_command_of_motors_does():
-    choices = {each.flag for each in options_of(motors.PlayChoices).values()}
-    simulated = {each.flag for each in options_of(motors.SimulatedMotorOptions).values()}
-    recording = group("motors: recording")
-    for name, parser in MOTORS.items():
-        assert (choices <= flags(parser)) == (name == "play")
-        assert (simulated <= flags(parser)) == (name == "simulate")
-        assert (recording <= flags(parser)) == (name != "check")
 
 
 OF_EXCITATION = {"--excitation", "--excitation-time-budget"}

@@ -5,23 +5,11 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 from hypothesis import given
-from hypothesis import strategies as st
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.model.inertia import body_theta
 from robot_sysid.regressor import derive_regressor, wrench_regressor
-from tests.support.arms import SEEDS, random_rotation, rigid_bodies
-
-SPEEDS = st.sampled_from([0.0, 1e-6, 1.0, 100.0])
-
-
-def newton_euler_wrench(theta, omega, alpha, acceleration):
-    """[n, f] about the body origin; ``acceleration`` of that origin is classical, minus gravity."""
-    mass, com, inertia = spatial.com_from_theta(theta)
-    at_com = acceleration + np.cross(alpha, com) + np.cross(omega, np.cross(omega, com))
-    force = mass * at_com
-    moment = inertia @ alpha + np.cross(omega, inertia @ omega) + np.cross(com, force)
-    return np.concatenate((moment, force))
+from tests.support.arms import SEEDS, random_rotation
 
 
 def wrench_scale(theta, omega, alpha, acceleration):
@@ -44,17 +32,6 @@ def test_numeric_regressor_is_the_symbolic_one():
     expected = np.array(matrix.subs(dict(zip(symbols, values))), dtype=float)
     actual = wrench_regressor(values[None, :6], values[None, 6:])[:, :, 0]
     np.testing.assert_allclose(actual, expected, rtol=1e-14, atol=1e-14)
-
-
-@given(rigid_bodies(), SEEDS, SPEEDS, SPEEDS)
-def test_regressor_times_theta_is_the_newton_euler_wrench(theta, seed, spin, acceleration):
-    rng = np.random.default_rng(seed)
-    omega, alpha = spin * rng.normal(size=3), spin**2 * rng.normal(size=3)
-    v, linear = rng.normal(size=3), acceleration * rng.normal(size=3)
-    wrench = regressor_of(omega, alpha, v, linear) @ theta
-    expected = newton_euler_wrench(theta, omega, alpha, linear)
-    scale = wrench_scale(theta, omega, alpha, np.abs(linear) + np.linalg.norm(omega) * abs(v))
-    np.testing.assert_array_less(np.abs(wrench - expected), 1e-12 * scale + 1e-30)
 
 
 def free_body(theta):

@@ -18,7 +18,6 @@ from robot_sysid.trajectory import (
     generate_excitation_trajectory,
     sample_count,
     sample_times,
-    window,
 )
 from tests.support import arms
 from tests.support.arms import SEEDS, robot_of
@@ -145,17 +144,6 @@ def test_samples_are_the_same_however_they_are_cut(duration, rate, chunk):
     assert times[0] == 0.0
     assert duration - 1.0 / rate < times[-1] <= duration
     assert np.all(np.diff(times) > 0.0)
-
-
-def test_window_rises_from_zero_to_one_and_falls_back():
-    time = np.linspace(0.0, 10.0, 1001)
-    w, dw, ddw = window(time, 10.0, 2.0)
-    assert np.all((w >= 0.0) & (w <= 1.0))
-    np.testing.assert_array_equal(w[200:801], 1.0)
-    assert np.all(dw[:500] >= 0.0)
-    np.testing.assert_allclose(w, w[::-1], atol=1e-12)
-    np.testing.assert_allclose(dw, -dw[::-1], atol=1e-12)
-    assert np.max(np.abs(ddw[[0, 200, 800, 1000]])) < 1e-12
 
 
 def test_a_joint_whose_weight_exceeds_its_limit_is_named_and_the_rest_still_moves():

@@ -37,21 +37,6 @@ def values(*arguments):
 
 
 @pytest.mark.parametrize(
-    ("words", "value"),
-    [
-        ("", {}),
-        ("--fan --heat 90", {"fan": True, "heat": 90.0}),
-        ("--dish a.txt --mode bottom", {"dish": Path("a.txt"), "mode": "bottom"}),
-        ("--seat -1 2e-1", {"seat": (-1.0, 0.2)}),
-        ("--tray 3 --tray 0x10", {"tray": (3, 16)}),
-        ("--spice salt pepper", {"spice": ("salt", "pepper")}),
-    ],
-)
-def test_words_become_values_and_lists_tuples(words, value):
-    assert values(*words.split()) == value
-
-
-@pytest.mark.parametrize(
     ("arguments", "words"),
     [
         ("--heat hot", "argument --heat: invalid float value: 'hot'"),
@@ -68,13 +53,6 @@ def test_what_cannot_be_read_is_one_line_that_names_the_option(arguments, words)
     message = str(caught.value)
     assert words in message and "\n" not in message
     assert message.endswith("(robot-sysid bake --help-all lists all options)")
-
-
-def test_console_options_are_apart_and_exclude_each_other():
-    given, console = parsed(lambda full: parser(), ["-v", "--debug"])
-    assert given == {} and (console.verbose, console.quiet, console.debug) == (True, False, True)
-    with pytest.raises(InputError, match="--verbose and --quiet exclude each other"):
-        values("--quiet", "--verbose")
 
 
 def test_the_help_shows_units_defaults_exit_codes_and_main_options_alone(capsys):

@@ -65,18 +65,5 @@ def test_a_warning_stops_unless_it_is_accepted(command):
     assert "warn: the torque of joint joint1 stands still" in printed.out
 
 
-def test_the_keyframe_is_the_one_that_was_named(command):
-    said = command.refused("log", "log.csv", "arm.xml", "--keyframe", "nowhere")
-    assert "no such keyframe" in said
-
-
 def test_titles_cannot_steer_the_terminal(command):
     assert "\x1b" not in command.run("log", "odd.csv").out
-
-
-def test_memory_that_is_not_enough_is_one_line(command, monkeypatch):
-    def starve(*arguments):
-        raise MemoryError
-
-    monkeypatch.setattr("robot_sysid.commands.log._checked", starve)
-    assert "the memory is not enough" in command.refused("log", "log.csv", "arm.xml")

@@ -130,9 +130,3 @@ def test_lists_that_do_not_fit_the_joints_are_refused(command, arm):
     for option in ("--velocity-deadband", "--noise-torque", "--max-torque"):
         message = command.refused(arm, *SHORT, "--plant-model", arm, option, "0.1,0.2")
         assert f"{option} takes one number, or one for each of the 4 joints" in message
-
-
-def test_a_file_that_is_called_like_a_command_is_a_path_away(command, arm):
-    (arm.parent / "plan").write_text(TUBES)
-    assert "required: MODEL" in command.refused("plan")
-    assert "Loading robot model from plan" in command.run("./plan", *SHORT).out

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from robot_sysid.dynamics.kinematics import ArmDynamics, ChainKinematics
+from robot_sysid.dynamics.kinematics import ArmDynamics
 from robot_sysid.dynamics.newton_euler import LinkDynamics
 from tests.support import arms
 from tests.support.arms import SEEDS, random_chain, random_motion, robot_of
@@ -41,12 +41,3 @@ def test_links_give_mujocos_torque_on_odd_arms(name):
     robot = robot_of(arms.MODELS[name])
     motion = random_motion(np.random.default_rng(0), robot.n_joints, SAMPLES)
     assert_equals_mujoco(robot, motion)
-
-
-def test_the_last_link_moves_like_the_terminal_body():
-    robot = robot_of(arms.SEVEN)
-    motion = random_motion(np.random.default_rng(1), robot.n_joints, SAMPLES)
-    links, body = LinkDynamics(robot).motion(*motion), ChainKinematics(robot).evaluate(*motion)
-    np.testing.assert_allclose(links.velocity[-1].T, body.velocity, rtol=0.0, atol=1e-12)
-    np.testing.assert_allclose(links.acceleration[-1].T, body.acceleration, rtol=0.0, atol=1e-11)
-    np.testing.assert_allclose(robot.links[-1].theta, robot.prior.theta, rtol=0.0, atol=1e-15)

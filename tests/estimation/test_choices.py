@@ -7,8 +7,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from robot_sysid.dynamics import spatial
@@ -66,13 +64,6 @@ def test_a_stretch_that_shows_friction_far_more_than_others_does_not_hide_it():
     assert is_clearly_lower(before / 5.0, before)
 
 
-@given(st.floats(1e-12, 1e12), st.lists(st.floats(0.1, 10.0), min_size=5, max_size=5))
-def test_units_do_not_decide(scale, ratios):
-    before = np.linspace(1.0, 3.0, 5)
-    after = before * np.array(ratios)
-    assert is_clearly_lower(scale * after, scale * before) == is_clearly_lower(after, before)
-
-
 def chosen(plant, robot, more, offered=False, given=None, seed=1, duration=10.0):
     """(choice, its fit) of a log with more torque, of the exact motion, than the plant has."""
     plan = plan_of(plant, seed, duration)
@@ -125,12 +116,6 @@ def test_the_joint_that_has_a_term_takes_it(plant, robot, term, more):
     assert found.errors["joint1"][f"{BASIC}-{term}"] < 0.9 * found.errors["joint1"][BASIC]
     if term == "stribeck":
         assert fit.point.speed["stribeck"][1] == pytest.approx(0.05, rel=0.2)
-
-
-def test_friction_that_is_given_is_taken(plant, robot):
-    found, fit = chosen(plant, robot, lambda motion: root(motion), given="coulomb-viscous")
-    assert names(found) == ["coulomb-viscous"] * 3 and found.errors == {}
-    assert fit.choice.friction == found.choice.friction
 
 
 def shared_motor(motion):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.couplings import COUPLED_TERMS, coupling, neighbours, read_couplings
+from robot_sysid.estimation.couplings import COUPLED_TERMS, coupling, read_couplings
 from robot_sysid.records import Motion
 from tests.support import arms
 
@@ -35,14 +35,6 @@ def test_power_is_the_same_on_both_sides(robot):
     place = {term: index for index, term in enumerate(COUPLED_TERMS)}
     assert power[:, place["viscous"]] == pytest.approx(speed**2)
     assert power[:, place["coulomb"]] == pytest.approx(np.abs(speed))
-
-
-def test_a_coupling_is_named_after_its_joints(robot):
-    assert coupling(robot, np.array([0.0, 1.0, 1.0])).name == "joint1+joint2"
-    assert coupling(robot, np.array([-1.0, 0.0, 0.5])).name == "-joint0+0.5*joint2"
-    assert [each.name for each in neighbours(robot)] == [
-        *("joint0+joint1", "joint0-joint1", "joint1+joint2", "joint1-joint2")
-    ]
 
 
 def test_a_file_may_name_motors_or_hold_a_matrix(robot, tmp_path):

@@ -31,7 +31,7 @@ def coloured(shape, rng):
     return lfilter([1.0], [1.0, -keep], np.sqrt(1.0 - keep**2) * white(shape, rng), axis=0)
 
 
-@pytest.mark.parametrize("noise", [white, coloured])
+@pytest.mark.parametrize("noise", [pytest.param(white, marks=pytest.mark.slow), coloured])
 def test_errors_are_the_spread_of_many_recordings(noise):
     """Noise is all that is not known; what has a memory counts by its memory."""
     arm, off, stated = TrueArm(SMALL, 1, wrong=0.0), [], []

@@ -92,14 +92,6 @@ def test_torques_times_k_give_bodies_times_k():
     assert np.mean([fit.value(f"scale[{joint}]") for joint in JOINTS]) == pytest.approx(0, abs=1e-9)
 
 
-def test_the_payload_is_what_the_link_gained():
-    """The link question of empty and of loaded recordings alone, and the payload question."""
-    empty, loaded = pair(1, wrong=0.0)
-    link, total = (fitted(ROBOT, [each]).values[:10] for each in (empty, loaded))
-    both = fitted(ROBOT, [empty, loaded], loaded=True)
-    assert off_by(both.values[:10], link) < 1e-6 and off_by(payload(both), total - link) < 1e-6
-
-
 def test_a_drift_of_friction_is_told_from_the_payload():
     recordings = TrueArm(ROBOT, 3).abba(3, drift=0.15)
     fit = fitted(ROBOT, recordings, SURE, loaded=True, drifts=True)

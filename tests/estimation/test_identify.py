@@ -62,7 +62,6 @@ def test_what_there_is_to_say_is_said_once_with_what_it_is_about(robot, noisy):
 @pytest.mark.parametrize(
     "options",
     [
-        {"velocity_deadband": (0.01, 0.02, 0.03)},
         {"no_friction": True, "friction_model": None},
         {"torques": "terminal", "friction_model": "auto"},
         {"delay": "auto", "tilt": "auto", "link_uncertainty": 0.0},

@@ -79,10 +79,6 @@ def test_a_log_turned_in_its_joints_is_refused(robot, noisy):
     assert result.verdict is Verdict.NO_BETTER and result.failure
 
 
-def test_a_right_model_is_as_good_as_before(plant, noisy):
-    assert of_link(plant, noisy).verdict is Verdict.AS_GOOD
-
-
 # ---- payload
 
 
@@ -108,20 +104,9 @@ def test_a_payload_is_told_in_the_flange_frame_with_its_errors(recordings):
     assert result.payload.torque_scale == {} and "drift[joint0]" not in result.sensors
 
 
-def flipped(recordings):
-    return [replace(each, is_loaded=not each.is_loaded) for each in recordings]
-
-
-@pytest.mark.parametrize(
-    ("spoil", "question", "verdict"),
-    [
-        (flipped, {}, Verdict.SWAPPED),
-        (list, {"known_mass": 3.0, "scale_prior": 3.0}, Verdict.WRONG_WEIGHT),
-    ],
-)
-def test_each_way_to_be_wrong_is_refused(recordings, spoil, question, verdict):
-    result = of_payload(spoil(recordings), **question)
-    assert result.verdict is verdict and result.failure
+def test_another_weight_than_was_said_is_refused(recordings):
+    result = of_payload(recordings, known_mass=3.0, scale_prior=3.0)
+    assert result.verdict is Verdict.WRONG_WEIGHT and result.failure
 
 
 def test_a_known_mass_is_the_payloads_and_tells_scales(recordings):

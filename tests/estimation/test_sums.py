@@ -64,14 +64,6 @@ def test_the_sum_gives_the_estimate_and_the_file_of_all_logs(robot, parts, toget
     np.testing.assert_allclose(thetas[0][-1], thetas[1][-1], atol=5e-3)
 
 
-def test_a_third_round_gives_the_errors_of_all_logs(robot, logs, parts, together):
-    second = sum(parts)
-    found = answer_from(robot, sum(log_information(robot, [x], OPTIONS, second) for x in logs))
-    errors = together.errors.whole.standard_errors
-    assert np.max(apart(found, together) / errors) < 0.02
-    assert found.errors.whole.standard_errors == pytest.approx(errors, rel=0.01)
-
-
 def test_two_logs_of_a_sum_test_each_other(robot, parts):
     (test,) = answer_from(robot, parts[0] + parts[1], parts[2]).tests
     assert test.rmse == pytest.approx(0.1 * np.sqrt(2.0 * CUTOFF / RATE), rel=0.2)

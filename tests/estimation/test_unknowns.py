@@ -71,14 +71,6 @@ def test_a_question_has_the_priors_of_its_causes(question, expected):
         assert not any(name.startswith(("scale", "zero", "load", "delay")) for name in names)
 
 
-def test_what_is_sought_with_a_delay_and_a_tilt_settles():
-    found = asked(EstimationOptions(delay="auto", tilt="auto"), friction="coulomb-stribeck")
-    speeds = {f"stribeck_speed[{joint}]" for joint in ROBOT.joint_names}
-    assert set(found.settle) == {"delay", "tilt_1", "tilt_2"} | speeds
-    assert set(found.settle) <= set(found.kept_names)
-    assert not asked(in_file=True, kept_parts=("gravity",)).settle
-
-
 def test_sizes_are_those_that_were_said():
     options = EstimationOptions(scale_uncertainty=4.0, zero_uncertainty=1.0)
     groups = {group.cause: group for group in asked(options).groups}

@@ -49,15 +49,6 @@ def test_an_attribute_is_changed_and_nothing_else(tmp_path, element, name, value
     assert edits.text().decode() == TEXT.replace(before, after, 1)
 
 
-def test_edits_that_overlap_are_a_mistake_of_ours(tmp_path):
-    document = document_of(tmp_path, TEXT)
-    edits = Edits(document)
-    for node in list(document.walk())[2:4]:
-        edits.replace(node, "")
-    with pytest.raises(ValueError, match="overlapping"):
-        edits.text()
-
-
 @pytest.mark.parametrize(
     ("text", "expected"),
     [

@@ -11,19 +11,12 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.edits import Edits
-from robot_sysid.mjcf.updated_model import (
-    changed_model_text,
-    find_element,
-    write_actuator,
-    write_joint,
-)
+from robot_sysid.mjcf.updated_model import changed_model_text, write_actuator, write_joint
 from robot_sysid.mjcf.write_back import (
     ActuatorChange,
     BodyChange,
@@ -87,27 +80,6 @@ def write(source, label, plan, target, mesh_dir=None):
     target.write_bytes(text)
 
 
-@pytest.fixture(scope="module")
-def arm_files(tmp_path_factory):
-    """Suffix to file and compiled model."""
-    path = write_files(tmp_path_factory.mktemp("arm"), {"arm.xml": ARM, "arm.urdf": URDF})
-    files = [path, path.with_suffix(".urdf")]
-    return {file.suffix: (file, compile_model(file).mj_model) for file in files}
-
-
-@pytest.mark.parametrize(("suffix", "label"), [(".xml", "link2"), (".urdf", "l2")])
-@given(seed=seeds)
-def test_the_compiled_composite_is_the_identified_one(arm_files, suffix, label, seed):
-    rng = np.random.default_rng(seed)
-    source, original = arm_files[suffix]
-    before = composite_theta(original, original.qpos0, original.body(label).id)
-    theta = before + random_theta(rng, 10.0 ** rng.uniform(-2, 1))
-    target = source.parent / "out" / f"updated{suffix}"
-    _, mj_model, body = exported(source, label, theta, target, original=original)
-    scale = spatial.parameter_scale(theta[0], spatial.characteristic_length(theta))
-    assert np.max(np.abs(composite_theta(mj_model, mj_model.qpos0, body) - theta) / scale) < 1e-12
-
-
 def test_only_the_inertial_and_the_comment_change(tmp_path):
     source = write_files(tmp_path, {"m.xml": ARM})
     plan = WriteBack(THETA)
@@ -135,17 +107,6 @@ def test_its_own_output_can_be_exported_again(tmp_path):
     exported(first, "link2", 2.0 * THETA, second)
     assert second.read_bytes() == first.read_bytes()
     assert second.read_bytes().count(b"System ID") == 1
-
-
-def test_a_group_can_be_lumped_into_the_terminal_body(tmp_path):
-    source = write_files(tmp_path, {"m.urdf": URDF})
-    original = compile_model(source).mj_model
-    composite = 0.5 * subtree_bodies(original, original.qpos0, original.body("l2").id)[1].theta
-    plan, mj_model, body = exported(source, "l2", composite, tmp_path / "out" / "m.urdf")
-    assert [b.name for b in plan.lumped] == ["tool"] and mj_model.body("tool").mass == 0.0
-    found = composite_theta(mj_model, mj_model.qpos0, body)
-    np.testing.assert_allclose(found, composite, atol=1e-12)
-    assert "'tool' weigh nothing" in (tmp_path / "out" / "m.urdf").read_text()
 
 
 INCLUDING = {
@@ -239,15 +200,6 @@ def changed(tmp_path, files, change=CHANGE):
 
 def with_options(*options):
     return ARM.replace("  <worldbody>", "\n".join([*options, "  <worldbody>"]))
-
-
-def test_an_option_is_added_and_nothing_else(tmp_path):
-    lines = changed(tmp_path, {"m.xml": ARM}).splitlines()
-    comment = (
-        "  <!-- System ID: gravity identified with RMSE 0.000123 Nm; in place of 0 0 -9.81, "
-        "because the arm does not stand as the file said -->"
-    )
-    assert lines == [ARM.splitlines()[0], comment, f"  <option {WRITTEN}/>", *ARM.splitlines()[1:]]
 
 
 @pytest.mark.parametrize(
@@ -369,40 +321,6 @@ def test_a_joint_that_would_drive_itself_is_refused(tmp_path, change):
     document = read_document(write_files(tmp_path, {"m.xml": MIXED}))
     with pytest.raises(ExportError, match="joint 'last' cannot get .*drive itself"):
         with_joints(document, change)
-
-
-REPEATED = MIXED.replace("<body>\n      <body>", '<replicate count="2"><body>\n      <body>')
-REPEATED = REPEATED.replace("</body>\n  </worldbody>", "</body></replicate>\n  </worldbody>")
-
-
-@pytest.mark.parametrize(
-    ("text", "label"),
-    [(MIXED, "first"), (MIXED, "#9"), (MIXED, "#x"), (REPEATED, "last"), (REPEATED, "#1")],
-)
-def test_a_joint_that_is_not_there_or_repeated_is_refused(tmp_path, text, label):
-    document = read_document(write_files(tmp_path, {"m.xml": text}))
-    with pytest.raises(ExportError, match="attached, repeated or generated part"):
-        find_element(document, "joint", label)
-
-
-DAMPED = urdf_robot(
-    urdf_link("base"),
-    urdf_link("l1", urdf_inertial()),
-    urdf_link("l2", urdf_inertial()),
-    urdf_joint("base", "l1"),
-    urdf_joint("l1", "l2").replace("</joint>", '<dynamics damping="0.7" friction="0.2"/></joint>'),
-)
-
-
-def test_a_urdf_gets_its_dynamics_element(tmp_path):
-    document = read_document(write_files(tmp_path, {"m.urdf": DAMPED}))
-    changes = [JointChange("base_l1", damping=1.5, frictionloss=0.5), JointChange("l1_l2", None, 3)]
-    model = mujoco.MjModel.from_xml_string(with_joints(document, *changes))
-    np.testing.assert_array_equal(model.dof_damping, [1.5, 3.0])
-    np.testing.assert_array_equal(model.dof_frictionloss, [0.5, 0.2])
-    assert with_joints(document, JointChange("base_l1")) == DAMPED
-    with pytest.raises(ExportError, match="cannot hold the rotor inertia of joint 'l1_l2'"):
-        with_joints(document, JointChange("l1_l2", armature=0.1))
 
 
 @pytest.mark.skipif(not hasattr(mujoco.MjModel, "dof_dampingpoly"), reason="MuJoCo before 3.7")

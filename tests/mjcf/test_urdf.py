@@ -24,13 +24,6 @@ def arm(tmp_path, content, *more):
     return read_document(write_files(tmp_path, {"m.urdf": urdf_robot(*parts)}))
 
 
-def test_line_numbers_stay_those_of_the_file(tmp_path):
-    content = urdf_inertial(rpy="0.1 0 0").replace("><", ">\n<")
-    content += urdf_mesh("collision", "gone.stl").replace("><", ">\n<")
-    text, _ = compilable_urdf(arm(tmp_path, content))
-    assert text.count(b"\n") == (tmp_path / "m.urdf").read_bytes().count(b"\n")
-
-
 def test_a_missing_collision_mesh_is_left_out_where_the_link_has_an_inertial(tmp_path):
     text, notes = compilable_urdf(arm(tmp_path, urdf_inertial() + urdf_mesh("collision", "x.stl")))
     assert b"<collision>" not in text

@@ -41,16 +41,6 @@ class Oven(OptionRecord):
     mode: str = option("top", "where from", choices=("top", "bottom"))
 
 
-def test_flags_and_keys_follow_the_fields_or_what_is_said():
-    found = options_of(Oven)
-    assert list(found) == ["heat", "fan_speed", "trays", "recipe", "mode"]
-    assert [each.flag for each in found.values()] == [
-        *("--heat", "--fan", "--trays", "--recipe", "--mode")
-    ]
-    assert found["fan_speed"].key == "fan"
-    assert option(None, "", flag="--no-such-thing").metadata["option"].key == "no_such_thing"
-
-
 @pytest.mark.parametrize(
     "value, expected",
     [

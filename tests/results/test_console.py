@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,7 +17,6 @@ from robot_sysid.results.console import (
     SURE,
     WORSE,
     block_lines,
-    folder_text,
     limitations,
     more_lines,
     result_lines,
@@ -192,21 +190,6 @@ def test_a_payloads_block():
     assert line(lines, "Terminal link with it: 2.000 ± 0.010 kg")
     assert "  b.csv (loaded): 1.190 ± 0.010 kg" in lines
     assert "The mass is known to 0.83 %" in lines
-
-
-def test_torque_scales_have_intervals():
-    scales = {"joint0": Figure(1.02, 0.01)}
-    lines = more_lines(payload(known_mass=2.0, torque_scale=scales))
-    assert line(lines, "Torque scales by the known mass of 2 kg")
-    assert "  joint0: 1.0200 [1.0004, 1.0396]" in lines
-
-
-@pytest.mark.parametrize(
-    ("folder", "text"),
-    [("out", "./out/"), ("./out", "./out/"), ("../out", "../out/"), ("/a/b", "/a/b/"), (".", "./")],
-)
-def test_a_folder_reads_like_a_folder(folder, text):
-    assert folder_text(Path(folder)) == text
 
 
 def only(result):

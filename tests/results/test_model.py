@@ -15,7 +15,6 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import ExportError
 from robot_sysid.estimation.result import about
-from robot_sysid.mjcf.write_back import ActuatorChange, JointChange
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.model.flange import find_flange
 from robot_sysid.model.inertia import body_theta, composite_theta, subtree_bodies
@@ -31,7 +30,7 @@ from robot_sysid.records import (
 )
 from robot_sysid.records.atomic_files import whole_files
 from robot_sysid.results import model as model_module
-from robot_sysid.results.model import ModelTarget, most_inflated, write_joints, write_model
+from robot_sysid.results.model import ModelTarget, most_inflated, write_model
 from robot_sysid.results.record import (
     LINK,
     PAYLOAD,
@@ -327,18 +326,6 @@ def test_a_urdf_gets_friction_and_gravity_but_says_what_it_cannot_hold(robots):
         assert_same_theta(after.theta, before)
 
 
-@since(3, 7)
-def test_nonlinear_damping_stands_behind_the_linear_one(tmp_path):
-    robot = load_robot_model(write_files(tmp_path, {"arm.xml": arms.DRY_FRICTION}))
-    joints = {
-        "joint0": {"quadratic": Figure(0.3, 0.1), "cubic": Figure(0.2, 0.1)},
-        "joint1": {"viscous": Figure(0.25, 0.01), "cubic": Figure(0.1, 0.1)},
-    }
-    found, _ = written(robot, result_of(robot, file=file_of(robot, joints=joints)))
-    np.testing.assert_array_equal(found.dof_damping, [2.0, 0.25, 2.0])
-    np.testing.assert_array_equal(found.dof_dampingpoly, [[0.3, 0.2], [0.0, 0.1], [0.0, 0.0]])
-
-
 def test_a_link_is_not_written_where_a_later_joint_moves_its_body(tmp_path):
     robot = load_robot_model(write_files(tmp_path, {"arm.xml": arms.SHARED_BODIES}))
     thetas = new_links(robot, np.random.default_rng(0))
@@ -394,20 +381,6 @@ def test_fingers_that_leave_no_possible_gripper_are_made_lighter(tmp_path, also_
     # Any more of the fingers would leave an impossible gripper.
     more = 1.001 * shares[0] * sum(parts[name] for name in fingers)
     assert not spatial.is_consistent(theta - more)
-
-
-@since(3, 1)
-def test_servos_get_their_gains(tmp_path):
-    text = arms.THREE.replace(
-        "</mujoco>", '<actuator><position joint="joint2" kp="10"/></actuator></mujoco>'
-    )
-    robot = load_robot_model(write_files(tmp_path, {"arm.xml": text}))
-    with target_of(robot) as target:
-        joints = [JointChange("joint1", frictionloss=0.4)]
-        assert write_joints(robot, joints, [ActuatorChange(0, 12.0, 0.5)], target) == ()
-    found = compile_model(target.path).mj_model
-    assert found.actuator_gainprm[0, 0] == 12.0 and found.dof_frictionloss[1] == 0.4
-    assert found.actuator_biasprm[0, 2] == -0.5
 
 
 @pytest.mark.slow

@@ -20,7 +20,7 @@ from robot_sysid.signals.filters import design_low_pass
 from robot_sysid.signals.process import ProcessedSignals
 from tests.support import arms
 
-RATE, DURATION, CUTOFF = 50.0, 20.0, 5.0
+RATE, DURATION, CUTOFF = 50.0, 12.0, 5.0
 PAYLOAD = spatial.theta_from_com(
     1.2, np.array([0.03, -0.02, 0.08]), np.array([[6, 1, 0.5], [1, 7, -0.4], [0.5, -0.4, 4]]) * 1e-3
 )

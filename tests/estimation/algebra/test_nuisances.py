@@ -23,7 +23,7 @@ from robot_sysid.estimation.algebra.nuisances import (
 )
 from robot_sysid.estimation.algebra.uncertainty import white_uncertainty
 from tests.support.arms import SEEDS, rigid_bodies
-from tests.support.estimates import explained, identified
+from tests.support.estimates import explained
 from tests.support.model_files import random_theta
 
 NAMES = (*spatial.PARAMETER_NAMES, "d0", "d1", "d2", "d3", "e0", "e1")
@@ -122,18 +122,6 @@ def test_links_are_known_to_their_share(first, second, share):
         assert np.linalg.eigvalsh(own / np.outer(*[np.sqrt(np.diag(own))] * 2))[0] > 0.0
     together = covariance[0, 10] / np.sqrt(covariance[0, 0] * covariance[10, 10])
     assert together == pytest.approx(0.5, rel=1e-6)
-
-
-@pytest.mark.parametrize("method", ["ols", "wls"])
-def test_data_without_noise_gives_the_truth_whatever_the_prior(method):
-    rng = np.random.default_rng(2)
-    groups = groups_of(rng)
-    body = spatial.theta_from_com(2.0, np.array([0.1, 0.0, 0.2]), np.diag([0.02, 0.03, 0.04]))
-    truth = np.concatenate((body, groups[0].mean + 3.0, [0.5, -0.5]))
-    information, _ = information_of(rng, truth, 0.0)
-    found = identified(information, np.zeros(16), method, nuisances=groups)
-    np.testing.assert_allclose(found.values, truth, rtol=0.0, atol=1e-5)
-    assert set(found.error_budget) == {"links", "scale"}
 
 
 def test_what_one_aspect_contradicts_is_not_lost_among_the_others():
