@@ -273,8 +273,6 @@ def of_own_simulation(estimate: Estimate) -> Verdict:
     """Return how the identification of a model's own simulation ended."""
     errors = estimate.standard_errors
     weak = np.inf if errors is None else errors[0]
-    if not estimate.inertial.is_consistent:
-        return Verdict.INCONSISTENT
     if np.isfinite(weak) and weak > max(_KNOWN_MASS, 0.5 * estimate.inertial.mass):
         return Verdict.TOO_WEAK
     seen = estimate.identifiability
@@ -288,11 +286,7 @@ def result_of(answer: Answer, data: DataOrigin) -> Result:
     """Return everything that is said of the arm from recordings of it alone."""
     fit, robot, file = answer.fit, answer.robot, None
     links, tests, notes = tuple(answer.links()), (answer.validation, *answer.tests), answer.notes
-    findings: list[Judged] = []
-    if not spatial.is_consistent(fit.values[:10]):
-        said = "the terminal link is not a possible rigid body"
-        findings.append((Verdict.INCONSISTENT, said))
-    findings += unexplained(fit, tests, answer.acceleration_error)
+    findings = [*unexplained(fit, tests, answer.acceleration_error)]
     findings += implausible_link(robot, links[-1])
     common = _common(answer, data)
     seen = common.estimate.identifiability

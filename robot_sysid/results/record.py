@@ -40,10 +40,6 @@ class Verdict(Enum):
         "the model predicted torques that were not fitted about as well as noise allows before, "
         "and so does the written one"
     )
-    INCONSISTENT = (
-        "the estimate is not a possible rigid body (its pseudo-inertia is not positive definite); "
-        "use --torques chain, or a longer or faster motion"
-    )
     TOO_WEAK = (
         "the data does not tell the link's mass from zero (it is less than two standard errors); "
         "move faster, wider or longer (--excitation optimal)"
