@@ -11,7 +11,7 @@ from robot_sysid.estimation.algebra.consistent_links import ConsistentLinks, Lin
 from robot_sysid.estimation.algebra.identifiability import N_INERTIAL, analyse_identifiability
 from robot_sysid.estimation.algebra.information import joint_rmse
 from robot_sysid.estimation.algebra.least_squares import least_squares, ordinary
-from robot_sysid.estimation.algebra.uncertainty import white_uncertainty
+from robot_sysid.estimation.algebra.uncertainty import uncertainty
 from robot_sysid.records import Array, Estimate, SquareRootInformation
 
 
@@ -24,15 +24,15 @@ def identify_parameters(
         prior: (p,) the model's own values, in the order of ``information.names``.
         possible: replace a link that no rigid body can be by the best that one can.
     """
-    equations = ordinary(information, prior)
-    values = free = least_squares(information, prior, 1.0 / equations.noise)
+    noise = ordinary(information, prior)
+    values = free = least_squares(information, prior, 1.0 / noise)
     if possible and not spatial.is_consistent(free[:N_INERTIAL]):
         usual = np.append(prior[:N_INERTIAL], np.zeros(len(prior) - N_INERTIAL))
         problem = LinksProblem((np.arange(N_INERTIAL),), usual)
-        values = ConsistentLinks(*equations.whitened(), problem).best()
-    errors = white_uncertainty(information, 1.0 / equations.noise, equations.noise)
+        values = ConsistentLinks(*information.stacked(1.0 / noise), problem).best()
+    errors = uncertainty(information, 1.0 / noise, noise)
     counts = {joint.joint: joint.n_samples for joint in information.joints}
-    noise = dict(zip(counts, equations.noise.tolist()))
+    each = dict(zip(counts, noise.tolist()))
     squared = float(np.sum(information.squared_residuals(values)))
     return Estimate(
         names=information.names,
@@ -43,9 +43,9 @@ def identify_parameters(
         method="ols",
         covariance=errors.covariance,
         standard_errors=errors.standard_errors,
-        noise_errors=errors.noise_errors,
+        noise_errors=errors.standard_errors,
         data_share=errors.data_share,
-        noise_per_joint={joint: noise[joint] for joint, count in counts.items() if count},
+        noise_per_joint={joint: each[joint] for joint, count in counts.items() if count},
         samples=counts,
         effective_samples={joint: float(count) for joint, count in counts.items()},
         constrained=bool(np.any(values != free)),

@@ -240,12 +240,12 @@ def estimate_of(answer: Answer) -> Estimate:
         method="wls",
         covariance=whole.covariance[np.ix_(order, order)],
         standard_errors=whole.standard_errors[order],
-        noise_errors=np.sqrt(np.maximum(np.diag(errors.noise), 0.0))[order],
+        noise_errors=np.sqrt(np.maximum(np.diag(whole.noise), 0.0))[order],
         error_budget={cause: p[order] for cause, p in errors.of(np.eye(len(order)))[2].items()},
         data_share=errors.share(fit)[order],
         noise_per_joint=fit.noise_per_joint,
         samples=counts,
-        effective_samples=dict(zip(counts, errors.effective)),
+        effective_samples=dict(zip(counts, whole.effective)),
         constrained=fit.constrained,
     )
 
@@ -258,7 +258,7 @@ def base_parameters(fit: Fit, errors: FitErrors) -> BaseParameters:
     names = fit.columns.bodies()
     order = np.sort(np.concatenate([names[n] for n in names if n != "payload"]))
     sought = fit.unknowns
-    matrix, right = fit.evidence.whole.stacked(1.0 / fit.weighted.noise)
+    matrix, right = fit.evidence.whole.stacked(fit.weights)
     found = base_combinations(matrix[:, order], parameter_scale(len(order) // 10))
     rest = np.setdiff1d(sought.kept, order)
     spread = np.zeros((len(order), len(order)))

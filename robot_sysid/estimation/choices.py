@@ -139,7 +139,7 @@ class HeldOut:
 
 def held_out(fit: Fit) -> HeldOut:
     """Return what judges choices around a fit."""
-    return HeldOut(fit.evidence, fit.weighted.noise)
+    return HeldOut(fit.evidence, 1.0 / fit.weights)
 
 
 def _prior_rows(sought: Unknowns) -> Array:
@@ -249,7 +249,7 @@ def _tried(
         tried = {term: np.full(robot.n_joints, bent.tried[number]) for term, bent in BENT.items()}
         point = replace(fit.point, speed=tried, values=fit.values, exact_load=True)
         _, data = fitter.around(point)
-        judge, around = HeldOut(data, fit.weighted.noise), replace(fit, evidence=data)
+        judge, around = HeldOut(data, 1.0 / fit.weights), replace(fit, evidence=data)
         for name in CANDIDATES:
             model = friction_model(name)
             if number and not model.bent:

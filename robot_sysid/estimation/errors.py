@@ -18,14 +18,9 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics.equations import Equations
 from robot_sysid.estimation.algebra.autocorrelation import JointResiduals, collect_residuals
-from robot_sysid.estimation.algebra.information import restricted, sample_counts
+from robot_sysid.estimation.algebra.information import restricted
 from robot_sysid.estimation.algebra.nuisances import misfits
-from robot_sysid.estimation.algebra.uncertainty import (
-    Uncertainty,
-    coloured_uncertainty,
-    joint_space,
-    white_uncertainty,
-)
+from robot_sysid.estimation.algebra.uncertainty import Uncertainty, joint_space, uncertainty
 from robot_sysid.estimation.columns import Columns, Point
 from robot_sysid.estimation.dataset import Dataset, DecimatedSamples
 from robot_sysid.estimation.fit import ChosenRows, Fit
@@ -44,19 +39,15 @@ class FitErrors:
 
     Attributes:
         whole: of all causes, noise correlated in time.
-        noise: (k, k) covariance of what torque noise explains.
-        causes: cause to the same of what it explains.
+        causes: cause to the covariance (k, k) of what it explains.
         data: (k, k) normal matrix of the data alone, weighted.
-        effective: (joints,) number of independent samples.
         common: how far all torque scales may be off together, where nothing tells it (a share).
         conflicts: causes that the data asks for more clearly than chance does.
     """
 
     whole: Uncertainty
-    noise: Array
     causes: Mapping[str, Array]
     data: Array
-    effective: tuple[float, ...]
     common: float = 0.0
     conflicts: tuple[PriorConflict, ...] = ()
 
@@ -85,7 +76,7 @@ class FitErrors:
         if self.common and theta is not None:
             covariance = covariance + self.common**2 * np.outer(theta, theta)
             budget[SCALES] = np.hypot(budget[SCALES], self.common * np.abs(theta))
-        return covariance, spread(self.noise), budget
+        return covariance, spread(self.whole.noise), budget
 
     def shown(self, change: Array) -> NDArray[np.bool_]:
         """Return (m,) whether combinations (m, k) contain nothing that the data hides."""
@@ -115,22 +106,18 @@ def fit_errors(
         pull: (joints, p) what the low-pass may move the estimate by, see ``filtering_bias``; None
             works it out from the rows.
     """
-    information, weights = fit.information, 1.0 / fit.weighted.noise
+    information, weights = fit.information, fit.weights
     left = list(residuals)
     if fit.samples and not left:
         values, root = fit.values[fit.unknowns.kept], joint_space(information, weights)
         given = fit.rows, values, root.inverse_root(), weights
         left = collect_residuals(information, *given)
     left = [replace(r, products=d * r.products) for r, d in zip(left, fit.inflation)]
-    whole = white_uncertainty(information, weights, fit.weighted.noise)
-    effective = sample_counts(information).tolist()
-    if left:
-        whole, effective = coloured_uncertainty(information, weights, left)
+    whole = uncertainty(information, weights, 1.0 / weights, left)
     causes = {
         group.cause: whole.inverse @ group.precision(information.names) @ whole.inverse
         for group in fit.unknowns.groups
     }
-    noise = whole.covariance - sum(causes.values(), np.zeros_like(whole.covariance))
     if pull is None:
         point = replace(fit.point, values=fit.values)
         pairs = zip([each.delayed(point.delay) for each in fit.columns.datasets], fit.samples)
@@ -143,8 +130,9 @@ def fit_errors(
         spread = np.hypot(whole.standard_errors, np.sqrt(np.maximum(np.diag(part), 0.0)))
         whole = replace(whole, covariance=whole.covariance + part, standard_errors=spread)
     matrix = replace(information, prior=None).stacked(weights)[0]
-    counts = tuple(n / d for n, d in zip(effective, fit.inflation.tolist()))
-    return FitErrors(whole, noise, causes, matrix.T @ matrix, counts, _common(fit), found)
+    counts = tuple(n / d for n, d in zip(whole.effective, fit.inflation.tolist()))
+    whole = replace(whole, effective=counts)
+    return FitErrors(whole, causes, matrix.T @ matrix, _common(fit), found)
 
 
 def _conflicts(fit: Fit) -> tuple[PriorConflict, ...]:
@@ -152,7 +140,7 @@ def _conflicts(fit: Fit) -> tuple[PriorConflict, ...]:
     if fit.question.loaded or fit.question.in_file:
         return ()
     plain = restricted(fit.evidence.whole, fit.unknowns.kept_names, fit.unknowns.held)
-    return misfits(plain, fit.weighted.noise, fit.unknowns.groups)
+    return misfits(plain, 1.0 / fit.weights, fit.unknowns.groups)
 
 
 def _more(
@@ -170,7 +158,7 @@ def _more(
     places = fit.columns.at(fit.unknowns.at_bound)
     places = places[fit.evidence.shown[places]]
     if len(places):
-        matrix, _ = fit.evidence.whole.stacked(1.0 / fit.weighted.noise)
+        matrix, _ = fit.evidence.whole.stacked(fit.weights)
         seen, held = matrix[:, fit.unknowns.kept], matrix[:, places]
         moved = inverse @ (seen.T @ held)
         left = held.T @ held - (seen.T @ held).T @ moved
@@ -182,7 +170,7 @@ def residuals_to_add(fit: Fit, samples: DecimatedSamples) -> list[JointResiduals
 
     A fit of their sum may hold other friction at its bound than this one.
     """
-    sought, weights = fit.unknowns, 1.0 / fit.weighted.noise
+    sought, weights = fit.unknowns, fit.weights
     every = replace(sought, kept=np.union1d(sought.kept, fit.columns.at(sought.at_bound)))
     names, own = fit.columns.names, joint_space(fit.information, weights).inverse_root()
     root = np.zeros((len(names), own.shape[1]))

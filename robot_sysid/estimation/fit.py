@@ -14,7 +14,6 @@ from robot_sysid.errors import SysidError
 from robot_sysid.estimation.algebra.consistent_links import ConsistentLinks, LinksProblem
 from robot_sysid.estimation.algebra.information import combined, restricted
 from robot_sysid.estimation.algebra.least_squares import (
-    WeightedEquations,
     joint_noise,
     least_squares,
     noise_floor,
@@ -108,7 +107,8 @@ class Fit:
         samples: each recording's rows; none where only their information is there.
         evidence: what they say.
         unknowns: what was sought, and what was known.
-        weighted: the whitened information (k parameters), priors included.
+        information: what data and priors say of the k parameters that are sought.
+        weights: (joints,) by which each joint's equations count [1/(N m)].
         inflation: (joints,) by how much less than independent samples each joint's count.
         free: (p,) the estimate before bodies had to be possible.
         values: (p,) the estimate.
@@ -121,20 +121,16 @@ class Fit:
     samples: tuple[DecimatedSamples, ...]
     evidence: Evidence
     unknowns: Unknowns
-    weighted: WeightedEquations
+    information: SquareRootInformation
+    weights: Array
     inflation: Array
     free: Array
     values: Array
 
     @property
-    def information(self) -> SquareRootInformation:
-        """What data and priors say of the k parameters that are sought."""
-        return self.weighted.information
-
-    @property
     def noise(self) -> Array:
         """Standard deviation (joints,) of the torque noise of one sample [N m]."""
-        return np.asarray(self.weighted.noise / np.sqrt(self.inflation))
+        return 1.0 / (self.weights * np.sqrt(self.inflation))
 
     @property
     def noise_per_joint(self) -> dict[str, float]:
@@ -249,7 +245,7 @@ def _rests(fit: Fit, after: Point) -> bool:
     steady = [k for k in kept if fit.columns.names[k] not in fit.unknowns.settle]
     moved = np.zeros(len(fit.values))
     moved[steady] = (after.values - before.values)[steady]
-    effect = fit.weighted.whitened()[0] @ moved[kept]
+    effect = fit.information.stacked(fit.weights)[0] @ moved[kept]
     turn = float(np.linalg.norm(np.cross(after.gravity, before.gravity)))
     turn /= float(after.gravity @ after.gravity) or 1.0
     speeds = zip((after.speed or {}).values(), (before.speed or {}).values())
@@ -285,63 +281,66 @@ def solved(
     for _ in range(_MOST_BOUNDS):
         sought = inside or sought
         for _ in range(_WIDENING_ROUNDS if visits is not None else 1):
-            sought, equations, free = _bounded(columns, sought, data, counted, noise)
-            noise = equations.noise / np.sqrt(counted)
+            sought, known, free, counts = _bounded(columns, sought, data, counted, noise)
+            noise = counts / np.sqrt(counted)
             if visits is None:
                 break
             rows, found = ChosenRows(samples, sought), free[sought.kept]
-            before, counted = counted, visits.inflation(equations.information, rows, found)
+            before, counted = counted, visits.inflation(known, rows, found)
             if np.array_equal(before, counted):
                 break
-        values = possible(sought, equations, free)
+        values = possible(sought, known, 1.0 / counts, free)
         # Bodies that have to be possible push others across their bounds.
         inside = sought.bounded(values)
         if inside is None:
             break
     values = np.clip(values, sought.lower, sought.upper)
-    return Fit(
-        columns, question, choice, point, samples, data, sought, equations, counted, free, values
-    )
+    made = columns, question, choice, point, samples, data, sought
+    return Fit(*made, known, 1.0 / counts, counted, free, values)
 
 
 def _bounded(
     columns: Columns, sought: Unknowns, data: Evidence, inflation: Array, noise: Array | None
-) -> tuple[Unknowns, WeightedEquations, Array]:
-    """Return (what is sought in the end, the weighted equations, values (p,)) within bounds."""
+) -> tuple[Unknowns, SquareRootInformation, Array, Array]:
+    """Return (what is sought in the end, what is known of it, values (p,) within bounds, noise).
+
+    The noise (joints,) is what each joint's equations are divided by [N m].
+    """
     while True:  # each round holds at least one more parameter
         prior = columns.prior[sought.kept]
         plain = restricted(data.whole, sought.kept_names, sought.held)
-        found = weighted(with_prior(plain, sought.groups), prior, start=noise)
-        noise = found.noise
-        found = replace(found, noise=found.noise * np.sqrt(inflation))
-        groups = widened_groups(plain, found.noise, sought.groups)
-        sought = replace(sought, groups=groups)
-        found = _sharpened(replace(found, information=with_prior(plain, groups)), prior)
-        values = sought.full(least_squares(found.information, prior, 1.0 / found.noise))
+        noise = weighted(with_prior(plain, sought.groups), prior, start=noise)
+        counts = noise * np.sqrt(inflation)
+        sought = replace(sought, groups=widened_groups(plain, counts, sought.groups))
+        known = with_prior(plain, sought.groups)
+        counts = _sharpened(known, counts, prior)
+        values = sought.full(least_squares(known, prior, 1.0 / counts))
         inside = sought.bounded(values)
         if inside is None:
-            return sought, found, np.clip(values, sought.lower, sought.upper)
+            return sought, known, np.clip(values, sought.lower, sought.upper), counts
         sought = inside
 
 
-def _sharpened(found: WeightedEquations, prior: Array) -> WeightedEquations:
-    """Return the equations with less noise where there is hardly any.
+def _sharpened(information: SquareRootInformation, noise: Array, prior: Array) -> Array:
+    """Return less noise (joints,) where there is hardly any [N m].
 
     Beside priors no noise is taken to be smaller than a floor. Of exact data the priors would then
     weigh more than they need to.
     """
-    bare, floor = replace(found.information, prior=None), noise_floor(found.information)
-    noise = found.noise
-    if found.information.prior is None or np.all(noise > _AT_FLOOR * floor):
-        return found
+    bare, floor = replace(information, prior=None), noise_floor(information)
+    at_floor, found = noise <= _AT_FLOOR * floor, noise
+    if information.prior is None or not np.any(at_floor):
+        return noise
     for _ in range(_SHARPER):
-        values = least_squares(found.information, prior, 1.0 / noise)
-        least = np.maximum(joint_noise(bare, values, 1.0 / noise), _SHARPEST * floor)
-        noise = np.where(found.noise <= _AT_FLOOR * floor, least, found.noise)
-    return replace(found, noise=noise)
+        values = least_squares(information, prior, 1.0 / found)
+        least = np.maximum(joint_noise(bare, values, 1.0 / found), _SHARPEST * floor)
+        found = np.where(at_floor, least, noise)
+    return found
 
 
-def possible(sought: Unknowns, equations: WeightedEquations, free: Array) -> Array:
+def possible(
+    sought: Unknowns, information: SquareRootInformation, weights: Array, free: Array
+) -> Array:
     """Return the best values (p,) with which all bodies that are sought are possible.
 
     Where they are possible already, that is the plain estimate.
@@ -349,7 +348,7 @@ def possible(sought: Unknowns, equations: WeightedEquations, free: Array) -> Arr
     if all(spatial.is_consistent(free[places]) for places, _ in sought.bodies.values()):
         return free
     problem = links_problem(sought)
-    return sought.full(ConsistentLinks(*equations.whitened(), problem).best())
+    return sought.full(ConsistentLinks(*information.stacked(weights), problem).best())
 
 
 def links_problem(sought: Unknowns) -> LinksProblem:

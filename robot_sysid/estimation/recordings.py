@@ -39,7 +39,7 @@ def alone(fit: Fit, parts: Sequence[SquareRootInformation]) -> tuple[Array, Arra
     Returns:
         (values (k,) of what is sought, their errors by white noise alone, their whole errors).
     """
-    weights, sought = 1.0 / fit.weighted.noise, fit.unknowns
+    weights, sought = fit.weights, fit.unknowns
     plain = restricted(combined(parts), sought.kept_names, sought.held)
     matrix, right = with_prior(plain, sought.groups).stacked(weights)
     of_data = plain.stacked(weights)[0]
@@ -65,7 +65,7 @@ def logs_compared(
     parts = [combined([each.information() for each in log]) for log in logs.values()]
     squares = [np.sum([each.squared_torque() for each in log], axis=0) for log in logs.values()]
     data = Evidence(tuple(parts), np.array(squares), fit.evidence.torque)
-    wrong = HeldOut(data, fit.weighted.noise).of(fit)
+    wrong = HeldOut(data, 1.0 / fit.weights).of(fit)
     joints = [joint.joint for joint in fit.information.joints]
     tests = tuple(
         validation_of(
@@ -179,9 +179,9 @@ def masses_apart(fit: Fit, samples: Sequence[DecimatedSamples]) -> tuple[Array, 
     priors = [replace(g, widened=1.0) for g in sought.groups if g.cause != WEIGHT]
     known = with_prior(combined([wider(*pair) for pair in enumerate(samples)]), priors)
     prior = np.append(fit.columns.prior[kept], np.zeros(N_INERTIAL * count))
-    found = weighted(known, prior)
-    space = visible_space(found.whitened()[0])
-    values = least_squares(known, prior, 1.0 / found.noise)
+    weights = 1.0 / weighted(known, prior)
+    space = visible_space(known.stacked(weights)[0])
+    values = least_squares(known, prior, weights)
     places = [names.index(f"m({k})") for k in range(count)]
     errors = np.sqrt(np.diag(space.inverse())[places])
     return np.append(0.0, values[places]), np.append(0.0, errors)

@@ -187,7 +187,7 @@ def test_each_block_is_predicted_from_the_others(robot, noisy):
 def test_the_error_is_that_of_the_noise(payload_fit):
     judge = held_out(payload_fit)
     found = judge.validation(judge.of(payload_fit), "parts")
-    noise = np.sqrt(np.mean(payload_fit.weighted.noise**2))
+    noise = np.sqrt(np.mean(payload_fit.weights**-2.0))
     assert found.rmse == pytest.approx(noise, rel=0.15)
     assert 0.0 < found.relative_error < 0.05
     assert tuple(found.rmse_per_joint) == payload_fit.columns.joints

@@ -75,14 +75,14 @@ def filtered_fit(plant, cutoff, seed, **sensors):
 def test_a_cutoff_close_to_the_motion_is_paid_for(plant, cutoff):
     """Motion of up to 0.6 Hz: noise alone, as the residuals show it, does not explain the error."""
     errors, off = filtered_fit(plant, cutoff, 2, encoder_resolution=1e-6)
-    assert np.max(off / np.sqrt(np.diag(errors.noise))) > 4.0
+    assert np.max(off / np.sqrt(np.diag(errors.whole.noise))) > 4.0
     assert np.max(off / errors.whole.standard_errors) < WITHIN
 
 
 def test_beside_noise_the_low_pass_does_not_count(plant):
     errors, off = filtered_fit(plant, 8.0, 1, noise_torque=0.1, encoder_resolution=1e-4)
     part = np.sqrt(np.diag(errors.causes[FILTERING]))
-    assert np.all(part < 0.05 * np.sqrt(np.diag(errors.noise)))
+    assert np.all(part < 0.05 * np.sqrt(np.diag(errors.whole.noise)))
     assert np.max(off / errors.whole.standard_errors) < WITHIN
 
 

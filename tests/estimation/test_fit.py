@@ -70,7 +70,7 @@ def test_another_last_link_is_recovered_whatever_is_uncertain(seed):
         assert off_by(fit.values[:10], arm.thetas[-1]) < allowed
         # Exact data makes no error smaller than a millionth of the torque would.
         torque = np.sqrt(np.mean(recording.torque**2))
-        assert np.all(fit.weighted.noise > 0.9e-6 * torque) or options.link_uncertainty == 0.0
+        assert np.all(1.0 / fit.weights > 0.9e-6 * torque) or options.link_uncertainty == 0.0
         truth = arm.values(fit.columns)[fit.unknowns.kept]
         np.testing.assert_allclose(fit.values[fit.unknowns.kept], truth, atol=1e-6)
 
@@ -163,7 +163,9 @@ def test_a_recording_given_twice_says_no_more(robot, noisy):
     (log,), options = datasets_of(robot, noisy, **KNOWN)
     once, twice = (fitted(robot, [log] * count, options) for count in (1, 2))
     assert np.all(twice.inflation > 1.7) and np.all(once.inflation < 1.3)
-    roots = [np.linalg.inv(np.linalg.qr(f.weighted.whitened()[0], "r")) for f in (once, twice)]
+    roots = [
+        np.linalg.inv(np.linalg.qr(f.information.stacked(f.weights)[0], "r")) for f in (once, twice)
+    ]
     errors = [np.linalg.norm(root, axis=1) for root in roots]
     assert np.all((errors[1] > 0.85 * errors[0]) & (errors[1] < 1.05 * errors[0]))
     moved = (twice.values - once.values)[once.unknowns.kept]

@@ -90,7 +90,7 @@ def test_another_log_is_predicted_down_to_its_noise(plant, robot, noisy):
     others, _ = datasets_of(robot, other)
     found = validated(fit, others, "other.csv")
     assert found.source == "other.csv"
-    assert found.rmse < 1.3 * np.sqrt(np.mean(fit.weighted.noise**2))
+    assert found.rmse < 1.3 * np.sqrt(np.mean(fit.weights**-2.0))
     heavier, _ = datasets_of(robot, replace(other, tau=1.2 * other.tau))
     assert validated(fit, heavier, "x").relative_error > 3.0 * found.relative_error
 

@@ -7,14 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from robot_sysid.estimation.algebra.autocorrelation import collect_residuals
-from robot_sysid.estimation.algebra.information import sample_counts
 from robot_sysid.estimation.algebra.least_squares import least_squares, ordinary, weighted
 from robot_sysid.estimation.algebra.nuisances import with_prior
-from robot_sysid.estimation.algebra.uncertainty import (
-    coloured_uncertainty,
-    joint_space,
-    white_uncertainty,
-)
+from robot_sysid.estimation.algebra.uncertainty import joint_space, uncertainty
 from robot_sysid.solver import identify_parameters
 
 METHODS = {"ols": ordinary, "wls": weighted}
@@ -33,14 +28,14 @@ def identified(information, prior, method="ols", samples=None, nuisances=()):
     last parameters.
     """
     information = with_prior(information, nuisances)
-    noise = METHODS[method](information, prior).noise
+    noise = METHODS[method](information, prior)
     weights = 1.0 / noise
     values = least_squares(information, prior, weights)
-    errors, effective = white_uncertainty(information, weights, noise), sample_counts(information)
+    left = []
     if samples is not None:
         root = joint_space(information, weights).inverse_root()
         left = collect_residuals(information, samples, values, root, weights)
-        errors, effective = coloured_uncertainty(information, weights, left)
+    errors = uncertainty(information, weights, noise, left)
     joints = [joint.joint for joint in information.joints]
     return replace(
         identify_parameters(information, prior),
@@ -48,8 +43,8 @@ def identified(information, prior, method="ols", samples=None, nuisances=()):
         method=method,
         covariance=errors.covariance,
         standard_errors=errors.standard_errors,
-        noise_errors=errors.noise_errors,
+        noise_errors=np.sqrt(np.maximum(np.diag(errors.noise), 0.0)),
         error_budget={g.cause: explained(errors, g, information.names) for g in nuisances},
         noise_per_joint=dict(zip(joints, noise.tolist())),
-        effective_samples=dict(zip(joints, effective)),
+        effective_samples=dict(zip(joints, errors.effective)),
     )

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from robot_sysid.estimation.algebra.identifiability import VisibleSpace, visible_space
@@ -17,8 +15,8 @@ _MOST_ROUNDS, _SETTLED = 30, 1e-6
 _NOISE_FLOOR, _NOISE_FLOOR_WITH_PRIOR, _RIDGE = 1e-9, 1e-4, 1e-12
 
 
-def ordinary(information: SquareRootInformation, prior: Array) -> WeightedEquations:
-    """Weigh all joints alike; the common noise comes from all residuals together."""
+def ordinary(information: SquareRootInformation, prior: Array) -> Array:
+    """Return the noise (joints,) that all joints have in common, from all residuals [N m]."""
     ones, common = np.ones(len(information.joints)), 1.0
     for _ in range(_MOST_ROUNDS):
         values, paid = _solved(information, prior, ones / common)
@@ -28,7 +26,7 @@ def ordinary(information: SquareRootInformation, prior: Array) -> WeightedEquati
         # Without a prior the estimate does not depend on the size of the noise.
         if information.prior is None or abs(common / before - 1.0) < _SETTLED:
             break
-    return WeightedEquations(information, common * ones)
+    return common * ones
 
 
 def least_squares(information: SquareRootInformation, prior: Array, weights: Array) -> Array:
@@ -44,15 +42,13 @@ def least_squares(information: SquareRootInformation, prior: Array, weights: Arr
     return prior + visible_space(matrix).solve(right - matrix @ prior)
 
 
-def weighted(
-    information: SquareRootInformation, prior: Array, start: Array | None = None
-) -> WeightedEquations:
-    """Find noise and estimate in turns until the noise settles, from (joints,) noise on.
+def weighted(information: SquareRootInformation, prior: Array, start: Array | None = None) -> Array:
+    """Return the noise (joints,) [N m], found in turns with the estimate until it settles.
 
     Iterated feasible generalised least squares; for independent normal noise the fixed point is
     the maximum-likelihood estimate (Oberhofer, Kmenta 1974).
     """
-    noise = ordinary(information, prior).noise if start is None else start
+    noise = ordinary(information, prior) if start is None else start
     normal = None if information.prior is None else _Normal(information, prior)
     for _ in range(_MOST_ROUNDS):
         solved = None if normal is None else normal.solved(1.0 / noise)
@@ -60,7 +56,7 @@ def weighted(
         before, noise = noise, _noise(information, values, paid)
         if np.max(np.abs(noise / before - 1.0)) < _SETTLED:
             break
-    return WeightedEquations(information, noise)
+    return noise
 
 
 class _Normal:
@@ -98,23 +94,6 @@ class _Normal:
             for (at, gram), weight in zip(self._parts, weights)
         ]
         return values, np.array(paid)
-
-
-@dataclass(frozen=True)
-class WeightedEquations:
-    """Equations ready to be solved: divided by the noise they are all alike.
-
-    Attributes:
-        information: the equations.
-        noise: (joints,) standard deviation to divide each joint's equations by [N m].
-    """
-
-    information: SquareRootInformation
-    noise: Array
-
-    def whitened(self) -> tuple[Array, Array]:
-        """Return (A (M, p), b (M,)) with residuals of unit variance."""
-        return self.information.stacked(1.0 / self.noise)
 
 
 def noise_floor(information: SquareRootInformation) -> float:

@@ -13,13 +13,15 @@ nothing is known: the covariance is zero there, the standard errors are infinite
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.estimation.algebra.autocorrelation import JointResiduals
 from robot_sysid.estimation.algebra.identifiability import VisibleSpace, visible_space
+from robot_sysid.estimation.algebra.information import sample_counts
 from robot_sysid.records import Array, SquareRootInformation
 
 # Measured: a fourth round changes errors by less than 0.2 % (the third by 0.8 %).
@@ -31,108 +33,83 @@ class Uncertainty:
     """What is known about the errors of an estimate.
 
     Attributes:
-        covariance: (p, p).
+        covariance, noise: (p, p) of the whole error, and of the part that torque noise explains.
         standard_errors: (p,) infinite where only the model's value is known.
-        noise_errors: (p,) the part of them that torque noise explains.
         data_share: (p,) 1 where the data alone decides, 0 where the prior does.
         inverse: (p, p) C.
+        effective: (joints,) number of independent samples.
     """
 
     covariance: Array
+    noise: Array
     standard_errors: Array
-    noise_errors: Array
     data_share: Array
     inverse: Array
+    effective: tuple[float, ...]
 
 
-def white_uncertainty(
-    information: SquareRootInformation, weights: Array, noise: Array
+def uncertainty(
+    information: SquareRootInformation,
+    weights: Array,
+    noise: Array,
+    residuals: Sequence[JointResiduals] = (),
 ) -> Uncertainty:
-    """Return the uncertainty if each joint's noise is independent from sample to sample.
+    """Return how far an estimate may be off.
 
     Args:
         weights: (joints,) 1 / (what each joint's equations were divided by) [1/(N m)].
-        noise: (joints,) noise standard deviation [N m].
+        noise: (joints,) standard deviation of noise without memory [N m], where there are no
+            residuals.
+        residuals: what a pass over the samples left, which says how noise is correlated in time.
     """
-    size = len(information.names)
-    score = np.zeros((size, size))
-    for joint, weight, sigma in zip(information.joints, weights, noise):
-        rows = joint.triangle[:, :-1]
-        score[np.ix_(joint.columns, joint.columns)] += weight**4 * sigma**2 * rows.T @ rows
-    return _uncertainty(information, weights, score)
-
-
-def coloured_uncertainty(
-    information: SquareRootInformation, weights: Array, residuals: Sequence[JointResiduals]
-) -> tuple[Uncertainty, list[float]]:
-    """Return the uncertainty under noise that is correlated in time.
-
-    Args:
-        information, weights: as in ``white_uncertainty``.
-        residuals: what a pass over the samples left.
-
-    Returns:
-        (uncertainty, effective number of samples of each joint).
-    """
-    size = len(information.names)
-    inverse, score = joint_space(information, weights).inverse(), np.zeros((size, size))
-    for _ in range(_ROUNDS):
-        kernels = _fit_kernels(residuals, weights, inverse, score)
-        score = _score(residuals, weights, kernels, size)
-    effective = [joint.effective_samples(c) for joint, c in zip(residuals, kernels)]
-    return _uncertainty(information, weights, score), effective
+    space = joint_space(information, weights)
+    inverse, score = space.inverse(), np.zeros((len(information.names),) * 2)
+    effective = sample_counts(information).tolist()
+    for _ in range(_ROUNDS if residuals else 0):
+        kernels = list(_kernels(residuals, weights, inverse, score))
+        omegas = [np.tensordot(c, joint.sums, axes=1) for c, joint in zip(kernels, residuals)]
+        score = _score([joint.columns for joint in residuals], omegas, weights, len(score))
+        effective = [joint.effective_samples(c) for c, joint in zip(kernels, residuals)]
+    if not residuals:
+        rows = [joint.triangle[:, :-1] for joint in information.joints]
+        white = [sigma**2 * each.T @ each for sigma, each in zip(noise, rows)]
+        score = _score([j.columns for j in information.joints], white, weights, len(score))
+    of_noise = inverse @ score @ inverse
+    # The precision of what the information knew before the data.
+    prior = information.prior
+    known = np.zeros((0, len(score))) if prior is None else prior[:, :-1]
+    covariance = of_noise + inverse @ (known.T @ known) @ inverse
+    covariance = 0.5 * (covariance + covariance.T)
+    errors = np.where(space.identified, np.sqrt(np.maximum(np.diag(covariance), 0.0)), np.inf)
+    # The part of each parameter that lies in the visible directions.
+    share = np.clip(1.0 - np.sum(space.null**2, axis=1), 0.0, 1.0)
+    return Uncertainty(covariance, of_noise, errors, share, inverse, tuple(effective))
 
 
 def joint_space(information: SquareRootInformation, weights: Array) -> VisibleSpace:
-    """Return what data and prior knowledge see together; its inverse is C. Arguments as above."""
+    """Return what data and prior knowledge see together; its inverse is C."""
     return visible_space(information.stacked(weights)[0])
 
 
 def _score(
-    residuals: Sequence[JointResiduals], weights: Array, kernels: Sequence[Array], size: int
+    columns: Sequence[NDArray[np.int64]], omegas: Sequence[Array], weights: Array, size: int
 ) -> Array:
     """Return sum_j w_j^4 Omega_j (p, p)."""
     score = np.zeros((size, size))
-    for joint, weight, kernel in zip(residuals, weights, kernels):
-        omega = np.tensordot(kernel, joint.sums, axes=1)
-        score[np.ix_(joint.columns, joint.columns)] += weight**4 * omega
+    for at, omega, weight in zip(columns, omegas, weights):
+        score[np.ix_(at, at)] += weight**4 * omega
     return score
 
 
-def _fit_kernels(
+def _kernels(
     residuals: Sequence[JointResiduals], weights: Array, inverse: Array, score: Array
-) -> list[Array]:
-    """Return each joint's noise; ``score`` from the last round tells what others' noise adds."""
+) -> Iterator[Array]:
+    """Yield each joint's noise; ``score`` of the last round tells what others' noise adds."""
     spread = inverse @ score @ inverse
-    found = []
     for joint, weight in zip(residuals, weights):
         at = np.ix_(joint.columns, joint.columns)
-        own = weight**2 * inverse[at]
-        leaked = 0.0
+        own, leaked = weight**2 * inverse[at], 0.0
         if np.any(score):
             mine = own @ np.tensordot(joint.fit(own, 0.0), joint.sums, axes=1) @ own
             leaked = float(np.sum((spread[at] - mine) * joint.sums[0])) / max(joint.count, 1)
-        found.append(joint.fit(own, max(leaked, 0.0)))
-    return found
-
-
-def _uncertainty(information: SquareRootInformation, weights: Array, score: Array) -> Uncertainty:
-    space = joint_space(information, weights)
-    inverse = space.inverse()
-    noise = inverse @ score @ inverse
-    # The precision of what the information knew before the data.
-    size = len(information.names)
-    known = np.zeros((0, size)) if information.prior is None else information.prior[:, :-1]
-    covariance = noise + inverse @ (known.T @ known) @ inverse
-    covariance = 0.5 * (covariance + covariance.T)
-    errors, of_noise = (
-        np.where(space.identified, _spread(spread), np.inf) for spread in (covariance, noise)
-    )
-    # The part of each parameter that lies in the visible directions.
-    share = np.clip(1.0 - np.sum(space.null**2, axis=1), 0.0, 1.0)
-    return Uncertainty(covariance, errors, of_noise, share, inverse)
-
-
-def _spread(covariance: Array) -> Array:
-    """Return the standard deviations (p,) of a covariance (p, p)."""
-    return np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        yield joint.fit(own, max(leaked, 0.0))

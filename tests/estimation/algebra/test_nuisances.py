@@ -21,7 +21,7 @@ from robot_sysid.estimation.algebra.nuisances import (
     widened_groups,
     with_prior,
 )
-from robot_sysid.estimation.algebra.uncertainty import white_uncertainty
+from robot_sysid.estimation.algebra.uncertainty import uncertainty
 from tests.support.arms import SEEDS, rigid_bodies
 from tests.support.estimates import explained
 from tests.support.model_files import random_theta
@@ -76,9 +76,9 @@ def test_errors_by_cause_add_up_in_squares(seed):
     rng = np.random.default_rng(seed)
     groups = groups_of(rng)
     information = with_prior(information_of(rng, rng.normal(size=16))[0], groups)
-    found = white_uncertainty(information, np.array([10.0]), np.array([0.1]))
+    found = uncertainty(information, np.array([10.0]), np.array([0.1]))
     parts = [explained(found, group, NAMES) for group in groups]
-    total = found.noise_errors**2 + np.sum(np.square(parts), axis=0)
+    total = np.diag(found.noise) + np.sum(np.square(parts), axis=0)
     np.testing.assert_allclose(total, found.standard_errors**2, rtol=1e-8)
 
 

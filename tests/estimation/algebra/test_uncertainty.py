@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.estimation.algebra.uncertainty import white_uncertainty
+from robot_sysid.estimation.algebra.uncertainty import uncertainty
 from tests.support.arms import SEEDS
 from tests.support.estimates import identified
 from tests.support.smooth_arm import SmoothArm, information_of_samples, samples_of
@@ -38,7 +38,7 @@ def test_white_covariance_is_the_sandwich_of_the_dense_rows(seed):
     normal = sum(w**2 * r.T @ r for w, r in zip(weights, rows))
     score = sum(w**4 * s**2 * r.T @ r for w, s, r in zip(weights, noise, rows))
     expected = np.linalg.solve(normal, np.linalg.solve(normal, score).T)
-    found = white_uncertainty(information, weights, noise)
+    found = uncertainty(information, weights, noise)
     np.testing.assert_allclose(found.covariance, expected, rtol=1e-7, atol=1e-12)
     np.testing.assert_allclose(found.standard_errors**2, np.diag(expected), rtol=1e-7)
 
