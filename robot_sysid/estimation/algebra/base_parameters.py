@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_sysid.estimation.algebra.identifiability import in_words
 from robot_sysid.records import Array
 
 RELATIVE_CUT = 1e-8
@@ -52,7 +53,7 @@ class BaseCombinations:
     def names(self, names: Sequence[str]) -> tuple[str, ...]:
         """Return the combinations in words, with the parameters' names (p,)."""
         return tuple(
-            _in_words(row, int(first), names) for row, first in zip(self.matrix, self.leading)
+            in_words(row, int(first), names) for row, first in zip(self.matrix, self.leading)
         )
 
 
@@ -103,13 +104,3 @@ def essential(base: Array, nuisance: Array, right: Array) -> NDArray[np.bool_]:
             break
         kept[np.flatnonzero(kept)[int(np.argmax(relative))]] = False
     return kept
-
-
-def _in_words(row: Array, first: int, names: Sequence[str]) -> str:
-    text = names[first]
-    for index in np.flatnonzero(row).tolist():
-        weight = float(row[index])
-        if index != first:
-            size = "" if abs(abs(weight) - 1.0) < _ROUNDING else f"{abs(weight):.4g}*"
-            text += f" {'-' if weight < 0.0 else '+'} {size}{names[index]}"
-    return text

@@ -139,8 +139,8 @@ def _condition(matrix: Array) -> float:
     return float(singular[0] / singular[rank - 1]) if rank else float("inf")
 
 
-# What is zero in words, and what is the same number with two digits.
-_TOLERANCE, _ROUNDING = 1e-6, 5e-3
+# What is zero in words; what is the same number with three digits.
+_TOLERANCE, _SAME = 1e-6, 5e-4
 _FIRST_MOMENT, _INERTIA = range(1, 4), range(4, 10)
 _SINGLE = {
     "m": "mass",
@@ -160,7 +160,23 @@ def describe(null: Array, scale: Array, names: Sequence[str]) -> tuple[str, ...]
         scale: (p,) parameters = scale * scaled coordinates.
         names: (p,) parameter names, the ten inertial ones first.
     """
-    return tuple(_phrase(v * scale, names) for v in readable_basis(null))
+    found = []
+    for row in (vector * scale for vector in readable_basis(null)):
+        first = int(np.argmax(np.abs(row) > (1.0 - _SAME) * np.max(np.abs(row))))
+        alone = np.count_nonzero(row) == 1
+        found.append(_single(names[first]) if alone else in_words(row / row[first], first, names))
+    return tuple(found)
+
+
+def in_words(weights: Array, first: int, names: Sequence[str]) -> str:
+    """Return a combination of parameters whose weight (p,) at ``first`` is one."""
+    text = names[first]
+    for index in np.flatnonzero(weights).tolist():
+        weight = float(weights[index])
+        if index != first:
+            size = "" if abs(abs(weight) - 1.0) < _SAME else f"{abs(weight):.4g}*"
+            text += f" {'-' if weight < 0.0 else '+'} {size}{names[index]}"
+    return text
 
 
 def readable_basis(null: Array) -> list[Array]:
@@ -207,46 +223,7 @@ def _is_new(candidate: Array, found: list[Array]) -> bool:
     return bool(np.linalg.norm(rest) > _TOLERANCE)
 
 
-def _phrase(direction: Array, names: Sequence[str]) -> str:
-    used = [int(k) for k in np.flatnonzero(direction)]
-    unit = direction / np.linalg.norm(direction)
-    unit = unit * np.sign(unit[used[0]])
-    if len(used) == 1:
-        return _single(names[used[0]])
-    if set(used) <= set(_FIRST_MOMENT):
-        return f"first moment along {_axis(unit[1:4])}"
-    if set(used) <= set(_INERTIA):
-        return _inertia_phrase(unit, used, names)
-    return _combination(unit, used, names)
-
-
 def _single(name: str) -> str:
     kind, _, joint = name.partition("[")
     words = _SINGLE.get(kind, f"inertia {name}" if name in spatial.PARAMETER_NAMES else kind)
     return f"{words} of {joint.removesuffix(']')}" if joint else words
-
-
-def _inertia_phrase(unit: Array, used: list[int], names: Sequence[str]) -> str:
-    if len(used) == 2 and abs(abs(unit[used[0]]) - abs(unit[used[1]])) < _ROUNDING:
-        same = unit[used[0]] * unit[used[1]] > 0.0
-        kind, sign = ("sum", "+") if same else ("difference", "-")
-        return f"the {kind} {names[used[0]]} {sign} {names[used[1]]}"
-    moments, axes = np.linalg.eigh(spatial.symmetric_from_six(unit[4:10]))
-    spread = np.abs(moments - np.array([0.0, moments[2], moments[2]]))
-    if np.max(spread) < _ROUNDING * moments[2]:
-        return f"the sum of the two inertias transverse to {_axis(axes[:, 0])}"
-    return _combination(unit, used, names)
-
-
-def _axis(vector: Array) -> str:
-    """Return the words for a unit vector (3,)."""
-    leading = vector[np.argmax(np.abs(vector) > _ROUNDING)]
-    entries = np.round(vector * np.sign(leading), 2) + 0.0
-    return "(" + ", ".join(f"{entry:g}" for entry in entries) + ")"
-
-
-def _combination(unit: Array, used: list[int], names: Sequence[str]) -> str:
-    text = f"{unit[used[0]]:.2g} {names[used[0]]}"
-    for k in used[1:]:
-        text += f" {'-' if unit[k] < 0 else '+'} {abs(unit[k]):.2g} {names[k]}"
-    return text
