@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.preview.motion import RATE, Shown, at_times
-from robot_sysid.preview.studio import NO_RENDERER, Colour, Picture, Studio, add_ghost, backend
+from robot_sysid.preview.studio import NO_RENDERER, Picture, Studio, backend
 from robot_sysid.records import RobotModel
 from robot_sysid.records.atomic_files import require_writable, whole_files
 from robot_sysid.records.progress import Progress
@@ -24,7 +24,6 @@ from robot_sysid.records.progress import Progress
 _SIZE, _PANEL = (640, 480), 400
 _GIF_STEP = 2
 """Every which picture goes into a .gif: half of them, for it packs each one for itself."""
-GHOST: Colour = (0.90, 0.45, 0.05, 0.45)
 NO_DISPLAY = "--view needs a display and there is none here; --video FILE.mp4 renders without one"
 _PAUSE = 1.0
 """Rest before the viewer plays the motion again [s]."""
@@ -55,15 +54,12 @@ def write_film(robot: RobotModel, shown: Shown, path: Path, progress: Progress) 
     if is_gif:
         options = {"mode": "I", "duration": 1000.0 * step / RATE, "loop": 0}
     frames, (strips, columns) = range(0, len(shown.time), step), _strips(shown)
-    no_ghost = np.full_like(shown.q[0], np.nan)
     with whole_files() as files, Studio(robot, *_SIZE) as studio:
         studio.look_at_arm(shown.q[:: max(1, len(shown.q) // 50)])
         writer: Any
         with imageio.get_writer(files.draft(path), **options) as writer:
             for done, k in enumerate(frames, start=1):
                 studio.pose(shown.q[k])
-                ghost = no_ghost if shown.ghost is None else shown.ghost[k]
-                add_ghost(studio.robot, ghost, GHOST, studio.scene)
                 beside = strips.copy()
                 beside[:, columns[k]] = _CURSOR
                 writer.append_data(np.hstack((studio.picture(), beside)))
@@ -124,12 +120,8 @@ def _play_once(robot: RobotModel, shown: Shown, data: Any, window: Any) -> None:
         now = time.monotonic() - began
         if now > shown.time[-1] + _PAUSE:
             return
-        q = at_times(now, shown.time, shown.q)
         with window.lock():
-            data.qpos[robot.qpos_index] = q
+            data.qpos[robot.qpos_index] = at_times(now, shown.time, shown.q)
             mujoco.mj_forward(robot.mj_model, data)
-            if shown.ghost is not None and window.user_scn is not None:
-                window.user_scn.ngeom = 0
-                add_ghost(robot, at_times(now, shown.time, shown.ghost), GHOST, window.user_scn)
         window.sync()
         time.sleep(0.01)

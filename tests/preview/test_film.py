@@ -14,6 +14,7 @@ from tests.support import arms
 
 FLOOR = '<geom type="plane" size="1 1 .1" pos="0 0 -1"/>'
 RUN = ("--duration", "2", "--sample-rate", "100", "--seed", "1", "--excitation", "sines")
+COLOUR = (0.90, 0.45, 0.05, 0.45)
 drawing = pytest.mark.skipif(
     importlib.util.find_spec("imageio") is None or studio.backend() is None,
     reason="neither EGL nor OSMesa here",
@@ -50,7 +51,7 @@ def test_without_a_renderer_or_a_library_there_is_one_line(command, arm, monkeyp
 
 
 def test_a_log_needs_its_model_to_be_shown(command, arm):
-    said = command.run("log", arm.parent / "log.csv", "--trajectory", "plan.json", code=2).err
+    said = command.run("log", arm.parent / "log.csv", "--video", "log.gif", code=2).err
     assert "need the MODEL" in said
 
 
@@ -90,7 +91,7 @@ def test_a_motion_becomes_a_film(command, arm, suffix):
 
 @drawing
 @pytest.mark.slow
-def test_a_ghost_is_drawn_and_an_impossible_body_is_told():
+def test_an_ellipsoid_is_drawn_and_an_impossible_body_is_told():
     robot = arms.robot_of(arms.THREE)
     with studio.Studio(robot, 320, 240) as opened:
         opened.look_at_arm(robot.reference[None])
@@ -98,6 +99,6 @@ def test_a_ghost_is_drawn_and_an_impossible_body_is_told():
         assert np.all(plain[0, 0] > 240)
         opened.pose(robot.reference)
         theta = robot.prior.theta.copy()
-        assert opened.add_ellipsoid(robot.body_id, theta, film.GHOST)
+        assert opened.add_ellipsoid(robot.body_id, theta, COLOUR)
         assert np.max(np.abs(opened.picture().astype(int) - plain)) > 30
-        assert not opened.add_ellipsoid(robot.body_id, -theta, film.GHOST)
+        assert not opened.add_ellipsoid(robot.body_id, -theta, COLOUR)
