@@ -44,7 +44,14 @@ from robot_sysid.records.torque_scale import write_torque_scale
 from robot_sysid.results.console import block_lines, clamping_lines, folder_text, more_lines
 from robot_sysid.results.model import CHECKPOINTS, ModelTarget, write_model
 from robot_sysid.results.record import Result
-from robot_sysid.results.rollout import play_held_out, play_other, refusal, torque_error
+from robot_sysid.results.rollout import (
+    LAST_FIFTH,
+    fitted_rows,
+    play,
+    refusal,
+    split_time,
+    torque_error,
+)
 from robot_sysid.simulation.closed_loop import PlantSimulation
 from robot_sysid.simulation.loading import load_plant
 from robot_sysid.simulator import ArmTorque
@@ -105,19 +112,10 @@ class Analysis:
 class Outcome:
     """What a run produced, what was written, and what was asked of it."""
 
-    analysis: Analysis
+    result: Result
+    traces: Callable[[], Traces]
     saved: Saved
     output: OutputOptions
-
-    @property
-    def result(self) -> Result:
-        """What was identified."""
-        return self.analysis.result
-
-    @property
-    def traces(self) -> Callable[[], Traces]:
-        """Makes what a report draws."""
-        return self.analysis.traces
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -418,25 +416,24 @@ def written(config: Config, robot: RobotModel, found: Analysis, progress: Progre
         write_torque_scale(scales, factors)
     for note in saved.notes:
         progress.note(note)
-    return Outcome(replace(found, result=result), saved, config.output)
+    return Outcome(result, found.traces, saved, config.output)
 
 
 def _played(config: SysidConfig, robot: RobotModel, analysis: Analysis) -> RolloutTest:
     """Return how the model before and the one to be written move beside the arm."""
     answer, mesh_dir = analysis.answer, config.model.mesh_dir
     assert answer is not None
-
+    datasets = analysis.tests or answer.fit.columns.datasets
+    signals = [each.signals for each in datasets if each.signals is not None]
     if analysis.tests:
-        signals = [each.signals for each in analysis.tests if each.signals is not None]
-        return play_other(robot, signals, partial(write_model, analysis.result, robot), mesh_dir)
-    signals = [each.signals for each in answer.fit.columns.datasets if each.signals is not None]
+        return play(robot, signals, partial(write_model, analysis.result, robot), mesh_dir)
 
-    def again(masks: Sequence[np.ndarray], target: ModelTarget) -> None:
-        found = refit(answer, masks, config.output.keep)
-        result = result_of(found, analysis.result.data)
-        write_model(result, robot, target)
+    def again(target: ModelTarget) -> None:
+        """Choose everything anew from the beginning of every log alone, and write that."""
+        found = refit(answer, [fitted_rows(log) for log in signals], config.output.keep)
+        write_model(result_of(found, analysis.result.data), robot, target)
 
-    return play_held_out(robot, signals, again, mesh_dir)
+    return play(robot, signals, again, mesh_dir, split_time, LAST_FIFTH)
 
 
 def _motor_file(config: SysidConfig, robot: RobotModel, plan: MotionPlan) -> MotorFile | None:

@@ -7,7 +7,6 @@ torques that a file predicts are told beside it, judged as a file too: compiled,
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -41,46 +40,24 @@ SERVO_WORDS = (
     "measured motion"
 )
 
-Masks = Sequence[NDArray[np.bool_]]
 
-
-def play_held_out(
+def play(
     robot: RobotModel,
     signals: Sequence[ProcessedSignals],
-    write: Callable[[Masks, ModelTarget], object],
+    write: Callable[[ModelTarget], object],
     mesh_dir: Path | None,
+    since: Callable[[ProcessedSignals], float] = lambda log: -np.inf,
+    held_out: str = "the validation log",
 ) -> RolloutTest:
-    """Fit the beginning of every log, and play its end with the model before and with that one.
-
-    Everything is chosen anew from the beginning alone. What is written in the end comes from all
-    that was recorded.
+    """Play logs with the model before and with the one that ``write`` writes, read from its file.
 
     Args:
-        write: fits some of the decimated rows (K,) of each log, and writes that into a model.
+        since: from when on a log is played [s]; ``split_time`` where the rest was fitted.
+        held_out: what that is, in words.
+
+    Returns:
+        The figures, or why there are none.
     """
-    masks = [fitted_rows(log) for log in signals]
-    return _played(robot, signals, partial(write, masks), mesh_dir, split_time, LAST_FIFTH)
-
-
-def play_other(
-    robot: RobotModel,
-    others: Sequence[ProcessedSignals],
-    write: Callable[[ModelTarget], object],
-    mesh_dir: Path | None,
-) -> RolloutTest:
-    """Play a validation log with the model before and with the one that ``write`` writes."""
-    return _played(robot, others, write, mesh_dir, lambda log: -np.inf, "the validation log")
-
-
-def _played(
-    robot: RobotModel,
-    signals: Sequence[ProcessedSignals],
-    write: Callable[[ModelTarget], object],
-    mesh_dir: Path | None,
-    since: Callable[[ProcessedSignals], float],
-    held_out: str,
-) -> RolloutTest:
-    """Return a test, or one that says why there are no figures; the model is read from a file."""
     try:
         pieces = [p for log in signals for p in playback.pieces_of_signals(log, since(log))]
         checkpoints = signals[0].motion(signals[0].spread(CHECKPOINTS))
@@ -170,25 +147,19 @@ def rollout_entry(test: RolloutTest | None) -> dict[str, Any] | None:
         ratio = after / before if before > 0.0 else None
         return {"before": before, "after": after, "ratio": ratio}
 
-    errors = [
-        {
-            "loop": error.loop,
-            "horizon": error.horizon,
-            "windows": error.windows,
-            "diverged": dict(zip(("before", "after"), error.diverged)),
-            "overall": figures(*error.overall),
-            "joints": dict(
-                zip(test.joint_names, map(figures, error.before.tolist(), error.after.tolist()))
-            ),
-        }
-        for error in test.errors
-    ]
     return {
         "held_out": test.held_out,
         "closed_loop_is": test.servo,
-        "is_better": test.is_better,
-        "score": test.score,
-        "errors": errors,
+        **{name: getattr(test, name) for name in ("is_better", "score")},
+        "errors": [
+            {
+                **{name: getattr(error, name) for name in ("loop", "horizon", "windows")},
+                "diverged": dict(zip(("before", "after"), error.diverged)),
+                "overall": figures(*error.overall),
+                "joints": dict(zip(test.joint_names, map(figures, error.before, error.after))),
+            }
+            for error in test.errors
+        ],
         "notes": list(test.notes),
     }
 

@@ -11,9 +11,10 @@ from robot_sysid.errors import ExportError, InputError
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement, Motion
 from robot_sysid.results.rollout import (
+    LAST_FIFTH,
     compare,
-    play_held_out,
-    play_other,
+    fitted_rows,
+    play,
     refusal,
     rollout_entry,
     rollout_lines,
@@ -59,22 +60,16 @@ def writes(xml):
 
 def test_what_is_played_was_not_fitted_for_it(signals):
     """The written file is played, on the end of the log."""
-    seen = []
-
-    def write(masks, target):
-        seen.extend(masks)
-        writes(TRUTH)(target)
-
-    test = play_held_out(arm(0.5), [signals], write, None)
+    test = play(arm(0.5), [signals], writes(TRUTH), None, split_time, LAST_FIFTH)
     assert test.is_better and {error.horizon for error in test.errors} == {0.1, 0.3, 1.0}
-    (rows,), time = seen, signals.decimated_time()
+    rows, time = fitted_rows(signals), signals.decimated_time()
     reach = signals.low_pass.half_width / signals.rate
     assert 0.7 < np.mean(rows) < 0.8
     assert np.max(time[rows]) + reach < split_time(signals) - reach
 
 
 def test_another_log_is_played_whole(signals):
-    test = play_other(arm(0.5), [signals], writes(TRUTH), None)
+    test = play(arm(0.5), [signals], writes(TRUTH), None)
     assert test.is_better and test.held_out == "the validation log"
     assert 3.0 in {error.horizon for error in test.errors}
 
@@ -95,7 +90,7 @@ def test_nothing_played_is_no_proof(signals, error):
     def fails(_):
         raise error("it cannot hold this")
 
-    test = play_other(arm(), [signals], fails, None)
+    test = play(arm(), [signals], fails, None)
     assert test.score is None and not test.is_better
     assert "it cannot hold this" in test.refusal and "it cannot hold this" in refusal(test, ())
     assert refusal(test, ("rollout",)) is None
