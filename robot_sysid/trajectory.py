@@ -15,7 +15,8 @@ from typing import Callable
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.records import Array, Motion, MotionPlan, RobotModel, checked_array
+from robot_sysid.records import Array, Motion, MotionPlan, RobotModel
+from robot_sysid.records.arm import check_arrays
 from robot_sysid.records.options import OptionRecord, option, speed_factor, whole_number
 
 FREQUENCY_BAND_HZ = (0.1, 0.6)
@@ -110,12 +111,8 @@ class SineTrajectory:
     fade: float
 
     def __post_init__(self) -> None:
-        joints = np.shape(self.center)[0]
-        object.__setattr__(self, "center", checked_array(self.center, (joints,), "center"))
-        terms = np.shape(self.amplitude)[1]
-        for name in ("amplitude", "frequency_hz", "phase"):
-            value = checked_array(getattr(self, name), (joints, terms), name)
-            object.__setattr__(self, name, value)
+        shape = (np.shape(self.center)[0], np.shape(self.amplitude)[1])
+        check_arrays(self, center=shape[:1], amplitude=shape, frequency_hz=shape, phase=shape)
         if not 0.0 < 2.0 * self.fade <= self.duration:
             raise InputError(f"fade {self.fade} s does not fit twice into {self.duration} s")
 

@@ -86,10 +86,11 @@ def startable(problem: ExcitationProblem) -> ExcitationProblem:
         InputError: no pose is free of collisions and held; says which bodies, or which joint.
     """
     collisions = problem.obstacles.at_rest["deep"]
-    share = _needed(problem, problem.rest[None])[0]
+    still, share = (_needed(problem, problem.rest[None], speed)[0] for speed in (0.0, CREEP))
     worst = int(np.argmax(share))
     if share[worst] < 1.0 and not collisions:
         return problem
+    joint, allowed = problem.joint_names[worst], problem.limits.torque[worst]
     if collisions:
         reason = f"at rest the model is in a collision: {'; '.join(collisions)}"
         remedy = (
@@ -97,8 +98,13 @@ def startable(problem: ExcitationProblem) -> ExcitationProblem:
             "body2=> under its <contact> if these parts cannot meet"
         )
     else:
-        reason = _too_heavy(problem, worst, share[worst])
-        joint = problem.joint_names[worst]
+        is_held = still[worst] < 1.0
+        what = "moving off against gravity and dry friction" if is_held else "holding still"
+        reason = (
+            f"{what} takes {(share if is_held else still)[worst] * allowed:.3g} "
+            f"{'N' if problem.robot.is_slide[worst] else 'N·m'} at joint {joint}, more than "
+            f"{100.0 * TORQUE_MARGIN:.0f} % of its torque limit of {allowed / TORQUE_MARGIN:g}"
+        )
         remedy = f"raise the torque limit of {joint} in the model if the joint can carry it"
     # One that is held and touches nothing, if possible with a free way there.
     found = list(islice(_held(problem), MOST_WAYS))
@@ -123,25 +129,10 @@ def contact_on_the_way(problem: ExcitationProblem, start: Array) -> str | None:
     return None if touched is None else touched.label
 
 
-def _needed(problem: ExcitationProblem, poses: Array) -> Array:
+def _needed(problem: ExcitationProblem, poses: Array, creep: float = CREEP) -> Array:
     """Return the share (N, n) of torque limits to hold poses (N, n), or to creep off either way."""
-    return np.max([_share(problem, poses, speed) for speed in (0.0, CREEP, -CREEP)], axis=0)
-
-
-def _share(problem: ExcitationProblem, poses: Array, speed: float = 0.0) -> Array:
-    return np.asarray(np.abs(problem.torque_at(poses, speed)) / problem.limits.torque)
-
-
-def _too_heavy(problem: ExcitationProblem, worst: int, share: float) -> str:
-    name, allowed = problem.joint_names[worst], problem.limits.torque[worst]
-    unit = "N·m" if np.any(problem.chain.screws[:3, worst]) else "N"
-    still = float(_share(problem, problem.rest[None])[0, worst])
-    what = "holding still" if still >= 1.0 else "moving off against gravity and dry friction"
-    return (
-        f"{what} takes {(still if still >= 1.0 else share) * allowed:.3g} {unit} at joint {name}, "
-        f"more than {100.0 * TORQUE_MARGIN:.0f} % of its torque limit of "
-        f"{allowed / TORQUE_MARGIN:g}"
-    )
+    torque = np.abs([problem.torque_at(poses, speed) for speed in {0.0, creep, -creep}])
+    return np.asarray(np.max(torque, axis=0) / problem.limits.torque)
 
 
 def _held(problem: ExcitationProblem) -> Iterator[Array]:

@@ -24,7 +24,8 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.json_files import read_json
-from robot_sysid.records import Array, Motion, MotionPlan, checked_array
+from robot_sysid.records import Array, Motion, MotionPlan
+from robot_sysid.records.arm import check_arrays
 from robot_sysid.records.atomic_files import whole_file
 from robot_sysid.trajectory import Series, SineTrajectory, faded, motion_chunks, smooth_step, window
 
@@ -71,28 +72,16 @@ class FourierBasis:
         """Frequency of the last harmonic [Hz]."""
         return self.harmonics * self.base_frequency_hz
 
-    def waves(self, time: Array) -> tuple[Any, Any]:
-        """Return exp(i k W t) (N, K + 1), by products: far cheaper than sines; and i k W (K + 1,).
-
-        The second is what each derivative multiplies them by [1/s].
-        """
-        base = 2j * np.pi * self.base_frequency_hz
-        first = np.exp(base * np.asarray(time, dtype=float))
-        order = np.arange(self.harmonics + 1.0)
-        return np.vander(first, self.harmonics + 1, increasing=True), base * order
-
     def evaluate(self, time: Array) -> Series:
         """Return the functions and their first and second derivatives (N, 2 K + 1)."""
-        waves, rates = self.waves(time)
-        turned = (waves * rates**k for k in range(3))
+        time, base = np.asarray(time, dtype=float), 2j * np.pi * self.base_frequency_hz
+        # exp(i k W t) by products, which are far cheaper than sines.
+        waves = np.vander(np.exp(base * time), self.harmonics + 1, increasing=True)
+        turned = (waves * (base * np.arange(self.harmonics + 1.0)) ** k for k in range(3))
         s, ds, dds = (np.hstack((w.real[:, :1], w.imag[:, 1:], w.real[:, 1:])) for w in turned)
-        return self.at_rest(time, (s, ds, dds))
-
-    def at_rest(self, time: Array, series: Series) -> Series:
-        """Return a series (N, M) and its derivatives under the window, where there is one."""
         if self.fade == 0.0:
-            return series
-        return faded(window(np.asarray(time, dtype=float), self.duration, self.fade), series)
+            return s, ds, dds
+        return faded(window(time, self.duration, self.fade), (s, ds, dds))
 
 
 @dataclass(frozen=True)
@@ -109,10 +98,7 @@ class FourierTrajectory:
     coefficients: Array
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "rest", checked_array(self.rest, (None,), "rest"))
-        shape = (len(self.rest), self.basis.size)
-        value = checked_array(self.coefficients, shape, "Fourier coefficients")
-        object.__setattr__(self, "coefficients", value)
+        check_arrays(self, rest=(None,), coefficients=(len(self.rest), self.basis.size))
 
     @property
     def duration(self) -> float:
@@ -126,11 +112,7 @@ class FourierTrajectory:
 
     def evaluate(self, time: Array) -> Motion:
         """Return position, velocity and acceleration at times (N,) [s]."""
-        offset, a, b = np.split(self.coefficients, (1, 1 + self.basis.harmonics), axis=1)
-        (waves, rates), turned = self.basis.waves(time), np.hstack((1j * offset, a + 1j * b))
-        # All joints in one product each, before any window.
-        s, ds, dds = ((waves @ (rates**k * turned).T).imag for k in range(3))
-        s, ds, dds = self.basis.at_rest(time, (s, ds, dds))
+        s, ds, dds = (f @ self.coefficients.T for f in self.basis.evaluate(time))
         return Motion(np.asarray(time, dtype=float), self.rest + s, ds, dds)
 
 
@@ -152,17 +134,14 @@ class LineTrajectory:
     ramps: Array | None = None
 
     def __post_init__(self) -> None:
-        points = checked_array(self.points, (None, None), "points")
-        moves = checked_array(self.moves, (len(points) - 1,), "moves")
-        dwells = checked_array(self.dwells, (len(points),), "dwells")
-        if len(points) < 2 or np.any(moves <= 0.0) or np.any(dwells < 0.0):
+        count = len(self.points)
+        check_arrays(self, points=(None, None), moves=(count - 1,), dwells=(count,))
+        if count < 2 or np.any(self.moves <= 0.0) or np.any(self.dwells < 0.0):
             raise InputError("moves between poses take time, and rests are not negative")
-        fields = {"points": points, "moves": moves, "dwells": dwells}
         if self.ramps is not None:
-            ramps = fields["ramps"] = checked_array(self.ramps, (len(moves),), "ramps")
-            if np.any(ramps <= 0.0) or np.any(2.0 * ramps > moves):
+            check_arrays(self, ramps=(count - 1,))
+            if np.any(self.ramps <= 0.0) or np.any(2.0 * self.ramps > self.moves):
                 raise InputError("a sweep takes time, and its ramps fit into it twice")
-        self.__dict__.update(fields)
 
     @property
     def duration(self) -> float:

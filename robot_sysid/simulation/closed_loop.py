@@ -137,11 +137,10 @@ class ClosedLoop:
         return limited
 
     def _lost_message(self, error: Array, time: float) -> str:
-        relative = np.abs(error) / self._lost
-        joint = int(np.argmax(np.where(np.isnan(relative), np.inf, relative)))
-        name = self._plant.joint_names[joint]
-        limited = np.flatnonzero(self.limited)
-        if self._arm.has_diverged() or not np.all(np.abs(error) < _DIVERGED * self._lost):
+        relative = np.nan_to_num(np.abs(error) / self._lost, nan=np.inf)
+        joint, names = int(np.argmax(relative)), self._plant.joint_names
+        name, limited = names[joint], [names[j] for j in np.flatnonzero(self.limited)]
+        if self._arm.has_diverged() or np.max(relative) >= _DIVERGED:
             return (
                 f"the simulated plant diverged at {time:.3f} s (joint {name}): the likely cause "
                 "is a spring too stiff for the time step, or a link with an impossible mass or "
@@ -150,11 +149,10 @@ class ClosedLoop:
             )
         unit = "m" if self._plant.is_slide[joint] else "rad"
         head = f"joint {name} is {abs(error[joint]):.2g} {unit} off its trajectory at {time:.3f} s"
-        if len(limited):
-            names = ", ".join(self._plant.joint_names[j] for j in limited)
+        if limited:
             return (
-                f"{head}: the torque limit of {names} is too low for this motion; lower "
-                "--max-velocity or correct the limit in the plant model"
+                f"{head}: the torque limit of {', '.join(limited)} is too low for this motion; "
+                "lower --max-velocity or correct the limit in the plant model"
             )
         return (
             f"{head}, though no torque limit was met: the likely cause is a spring or friction "

@@ -99,23 +99,3 @@ def test_equals_mujoco(xml, seed):
         (ours.acceleration.T, theirs.acceleration),
     ):
         assert np.max(np.abs(mine - yours)) < 1e-10 * max(1.0, np.max(np.abs(yours)))
-
-
-@pytest.mark.parametrize("xml", [arms.SEVEN, arms.SLIDE_IN_CHAIN, arms.SHARED_BODIES])
-def test_gradient_of_a_chain_motion_equals_differences(xml):
-    robot = robot_of(xml)
-    rng = np.random.default_rng(3)
-    chain, n = screw_chain(robot), robot.n_joints
-    motion, direction = rng.normal(size=(3, 4, n)), rng.normal(size=(3, 4, n))
-    adjoints = rng.normal(size=(6, n, 4)), rng.normal(size=(6, 4)), rng.normal(size=(6, 4))
-
-    def scalar(at):
-        out = chain.evaluate(*at)
-        return sum(
-            np.sum(adjoint * value)
-            for adjoint, value in zip(adjoints, (out.jacobian, out.velocity, out.acceleration))
-        )
-
-    gradient = chain.evaluate(*motion).vjp(*adjoints)
-    exact = sum(np.sum(g * d) for g, d in zip(gradient, direction))
-    assert exact == pytest.approx(slope(scalar, motion, direction), rel=1e-7)

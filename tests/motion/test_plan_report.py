@@ -9,10 +9,8 @@ import pytest
 
 from robot_sysid.motion.limit_check import check_limits
 from robot_sysid.motion.prediction import plan_lines, predict
-from robot_sysid.motion.trajectories import FourierTrajectory
 from robot_sysid.trajectory import generate_excitation_trajectory
-from tests.motion.test_prediction import a_plan
-from tests.support import arms, witness
+from tests.support import witness
 from tests.support.arms import X, Y, Z
 from tests.support.excitation_arms import TUBES, problem, robot, tube_arm
 from tests.support.releases import since
@@ -32,14 +30,6 @@ def sines(xml, seed=0):
 def the(lines, start):
     (line,) = [line for line in lines if line.startswith(start)]
     return line
-
-
-def test_what_a_still_arm_does_not_show_is_said():
-    some = problem(arms.THREE)
-    still = FourierTrajectory(a_plan(arms.THREE).basis, some.rest, np.zeros((3, 7)))
-    text = "\n".join(report(some, still))
-    assert "not identified" in text
-    assert "This motion does not show mass: move more joints" in text
 
 
 def test_the_speed_of_the_tools_fastest_point_is_that_of_its_last_tube():

@@ -12,7 +12,6 @@ import pytest
 
 from robot_sysid.dynamics.kinematics import ArmDynamics
 from robot_sysid.errors import InputError, SimulationError
-from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
 from robot_sysid.simulation.closed_loop import ClosedLoop, PlantSimulation
 from robot_sysid.simulation.forward_dynamics import ForwardPlant
@@ -30,14 +29,8 @@ from tests.support.closed_loop_proof import (
     ramp_torque,
     recorded,
 )
-from tests.support.places import MODELS
 
 # The heaviest, one of two arms, the lightest with stiff damping.
-PUBLIC_ARMS = {
-    "kinova_gen3/gen3.xml": None,
-    "aloha/aloha.xml": "left/wrist_rotate",
-    "so101/so101_new_calib.xml": "wrist_roll",
-}
 
 
 def swing(robot, speed=1.0, duration=4.0, frequency=0.5):
@@ -173,19 +166,6 @@ def test_a_wrist_without_armature_is_reported_because_its_friction_never_saturat
     assert loop.ramp_use.never_full
     for joint in loop.ramp_use.never_full:
         assert any(f"frictionloss of {joint} (2 N m) is never reached" in n for n in loop.notes())
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(PUBLIC_ARMS))
-def test_public_arms_follow_their_trajectory(name):
-    path = MODELS / name
-    if not path.exists():
-        pytest.skip("public models are not here")
-    robot = load_robot_model(path, joint=PUBLIC_ARMS[name])
-    plan = excitation(robot, duration=5.0)
-    log = recorded(ClosedLoop(robot, plan, 500.0))
-    assert len(log) == 2501
-    assert np.max(np.abs(log.q - plan.evaluate(log.time).q)) < 1e-3
 
 
 RATE = 200.0

@@ -149,9 +149,3 @@ def test_a_slow_light_joint_is_the_one_that_never_gets_there():
     assert "wrist (1 N m) is never reached" in sentence
     assert "above about 1.9 rad/s" in sentence and "below 1 rad/s" in sentence
     assert "0.53 N m s/rad" in sentence
-
-
-def test_a_joint_at_rest_is_said_to_show_nothing():
-    sentences = use_of(np.zeros((10, 3)), np.zeros((10, 3))).sentences()
-    assert [text.split()[0] for text in sentences] == ["shoulder", "wrist"]
-    assert all("does not move" in text for text in sentences)

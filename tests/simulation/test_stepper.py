@@ -80,15 +80,6 @@ def test_any_damping_is_stable(damping):
         assert speed <= 2.0 * 9.81 * 0.1 / damping * 1.001
 
 
-def test_joints_outside_the_chain_stay_where_they_are():
-    robot = arms.robot_of(arms.HOME_KEYFRAME)
-    arm = ArmStepper(robot)
-    run(arm, 0.5, 0.1)
-    others = np.setdiff1d(np.arange(robot.mj_model.nq), robot.qpos_index)
-    assert len(others) == 2
-    np.testing.assert_array_equal(arm._data.qpos[others], robot.reference_qpos[others])
-
-
 def test_a_state_that_is_not_finite_is_said():
     arm = one_hinge()
     with pytest.raises(SimulationError, match="diverged"):

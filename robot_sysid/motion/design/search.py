@@ -27,17 +27,14 @@ from robot_sysid.motion.design.optimise import (
     improve,
     is_over,
 )
-from robot_sysid.motion.limit_check import EXACT_UP_TO, LimitCheck, check_limits, checked_time
+from robot_sysid.motion.limit_check import LimitCheck, check_limits
 from robot_sysid.motion.problem import OBSTACLE_LENGTH, ROUNDING
 from robot_sysid.motion.trajectories import FourierTrajectory
 from robot_sysid.records import Array
 from robot_sysid.records.progress import Progress
 
-CHECK_COST, EXACT_COST = 1.0 / 40.0, 1.0 / 9.0
-"""Time that is left for the last check, per time of motion that it looks at; exactly, if short.
-
-Measured with a seven-joint arm (docs/excitation.md).
-"""
+CHECK_TIME = 2.0
+"""Time that is left for the last check [s]: as long as it takes for a seven-joint arm and 15 s."""
 RAISED, NEARER, WORTH_TELLING = 0.1, 0.005, 0.005
 """Change of a limit [share], of clearances [m], by which its worth is told; the least that is."""
 _CUT: Mapping[str, tuple[str, ...]] = {
@@ -79,13 +76,6 @@ class ExcitationResult:
     prices: Mapping[str, float]
     stopped: str
     notes: tuple[str, ...]
-
-
-def check_time(design: Design) -> float:
-    """Return about how long the check of the limits of what is found takes [s]."""
-    still = np.zeros((design.problem.n_joints, design.basis.size))
-    looked_at = checked_time(design.trajectory(still))
-    return max(CHECK_COST * looked_at, EXACT_COST * min(EXACT_UP_TO, looked_at))
 
 
 def design_excitation(
@@ -132,7 +122,7 @@ def _search(
     """Draw, choose, improve; fill the lists, and return what cut the search, or ""."""
     options = design.options
     budget, rounds = options.time_budget, 0 if design.for_arm else options.rounds
-    deadline = optimise.clock() + budget - min(0.5 * budget, check_time(design))
+    deadline = optimise.clock() + budget - min(0.5 * budget, CHECK_TIME)
     done, jobs = 0, options.draws + rounds * options.n_starts
 
     def tell() -> None:

@@ -11,9 +11,7 @@ from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
 from robot_sysid.motion.design.optimise import (
-    EXTRA_SLACK,
     GRID_PER_CYCLE,
-    LIMIT_SHARE,
     Candidate,
     constraints_of,
     first_candidate,
@@ -63,16 +61,6 @@ def test_gradient_equals_differences(seed):
     exact = np.sum(objective(x)[1] * direction)
     value = slope(lambda at: objective(at)[0], x, direction)
     assert value == pytest.approx(exact, rel=1e-4, abs=1e-4 * (1.0 + np.abs(exact)))
-
-
-def test_the_objective_is_the_criterion_and_multipliers_grow_where_limits_are_exceeded():
-    some = design(arms.THREE)
-    objective = objective_of(some, np.zeros((len(some.grid), 14)))
-    x = best_draw(some).x
-    assert objective(0.9 * x)[0] == some.criterion_of(0.9 * x)
-    value = constraints_of(some.problem, some.motion(2.0 * x), LIMIT_SHARE, EXTRA_SLACK).value
-    assert np.any(value > 0.0)
-    assert np.array_equal(objective(2.0 * x)[2] > 0.0, value > 0.0)
 
 
 def deviations(some, plan, rate, smooth):
@@ -185,31 +173,3 @@ def test_the_gradient_of_constraints_equals_differences(limits, seed):
     # A coordinate that passes zero within the step has a kink there: two slopes.
     slopes = np.array([ahead - here, here - behind]) / 1e-6
     assert min(abs(slopes - exact)) < 1e-4 * size
-
-
-def test_values_are_shares_of_the_limits_minus_one():
-    some = problem(arms.THREE, max_acceleration=5.0)
-    limits = some.limits
-    q = np.vstack((limits.upper, limits.lower, 0.5 * (limits.lower + limits.upper)))
-    qd, qdd = np.tile(limits.velocity, (3, 1)), np.tile(-0.5 * limits.acceleration, (3, 1))
-    value = constraints_of(some, (q, qd, qdd)).value
-    expected = np.full((3, 14), -1.0)
-    expected[:2, :3], expected[:, 3:6], expected[:, 6:9] = 0.0, 0.0, -0.5
-    assert np.allclose(value[:, :13], expected[:, :13])
-
-
-def test_gradient_of_the_clearance_equals_differences():
-    some, rng, checked = problem(TUBES_AND_POST), np.random.default_rng(2), 0
-    still, weight = np.zeros((1, 4)), np.eye(18)[-1:]
-    while checked < 10:
-        q, direction = rng.uniform(-1.5, 1.5, size=(2, 1, 4))
-
-        def value(at):
-            return constraints_of(some, (at, still, still)).value[0, -1]
-
-        if value(q) <= -0.9:
-            continue
-        exact = np.sum(constraints_of(some, (q, still, still)).vjp(weight)[0] * direction)
-        if value(q + 1e-4 * direction) + value(q - 1e-4 * direction) - 2 * value(q) < 1e-6:
-            checked += 1
-            assert exact == pytest.approx(slope(value, q, direction), rel=1e-3, abs=1e-3)
