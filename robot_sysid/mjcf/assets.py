@@ -62,10 +62,9 @@ def asset_folders(document: ModelDocument, mesh_dir: Path | None = None) -> Asse
         texture = compiler.get("texturedir") or both or texture
         strip = compiler.get("strippath") or strip
     given = None if mesh_dir is None else Path(mesh_dir).absolute()
-    textures = _joined(document.path.parent, texture)
-    if given is not None and not os.path.isdir(textures):
-        textures = given
-    meshes = given or _joined(document.path.parent, mesh)
+    meshes, textures = (_joined(document.path.parent, name) for name in (mesh, texture))
+    if given is not None:
+        meshes, textures = given, textures if os.path.isdir(textures) else given
     return AssetFolders(meshes, textures, strip.lower() == "true", given is not None)
 
 
@@ -153,12 +152,8 @@ def _in_packages(
 
 
 def relocated_text(edits: Edits, folder: Path | None, mesh_dir: Path | None = None) -> bytes:
-    """Return the UTF-8 text of an edited document as it must read in another folder.
-
-    References that can be found name the file as seen from there; the others stay as they are.
-
-    Args:
-        folder: where the text will live; None makes every path absolute and inlines all includes.
+    """Return the UTF-8 text of an edited document as it must read in another folder; None makes
+    every path absolute and inlines all includes. References that cannot be found stay as they are.
     """
     document, edits.folder = edits.document, folder
     assets = find_assets(document, mesh_dir)
@@ -176,11 +171,8 @@ def relocated_text(edits: Edits, folder: Path | None, mesh_dir: Path | None = No
 
 
 def bundled_text(document: ModelDocument, names: Mapping[Path, str]) -> bytes:
-    """Return the UTF-8 text of a document that stands alone beside copies of its assets.
-
-    Args:
-        document: the model; all that it includes is inlined.
-        names: asset file to its copy's path, relative to the text.
+    """Return the UTF-8 text of a document, all includes inlined, beside copies of its assets:
+    ``names`` gives each one's path relative to the text.
     """
     edits = Edits(document)
     edits.inlined = set(document.files)

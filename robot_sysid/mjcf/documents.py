@@ -29,12 +29,8 @@ _START_TAG = re.compile(rb"""<[^\s/>]+(?:[^>"']|"[^"]*"|'[^']*')*>""")
 
 @dataclass(eq=False)
 class SourceFile:
-    """One XML file.
-
-    Attributes:
-        raw: its bytes on disk.
-        text: the same as UTF-8 without byte order mark.
-        elements: all its elements in document order, the root first.
+    """One XML file: its bytes on disk, the same as UTF-8 without byte order mark, and all its
+    elements in document order, the root first.
     """
 
     path: Path
@@ -116,12 +112,7 @@ class Node:
 
 @dataclass(frozen=True)
 class ModelDocument:
-    """A model file with everything it includes.
-
-    Attributes:
-        kind: "mjcf" or "urdf".
-        files: the main file and the included ones, in the order MuJoCo reads them.
-    """
+    """A model file of a kind ("mjcf" or "urdf"), and what it includes in MuJoCo's order."""
 
     kind: str
     files: tuple[SourceFile, ...]
@@ -164,10 +155,7 @@ class ModelDocument:
 
 
 def read_document(path: Path) -> ModelDocument:
-    """Read a model file and what it includes.
-
-    Args:
-        path: an MJCF (root ``<mujoco>``) or URDF (root ``<robot>``) file.
+    """Read a model file, MJCF (root ``<mujoco>``) or URDF (``<robot>``), and what it includes.
 
     Raises:
         InputError: the file is missing, a folder or unreadable.
@@ -212,9 +200,7 @@ def _read_include(node: Node, known: dict[Path, SourceFile], depth: int) -> Sour
     if path is None:
         raise ModelError(f"{where}: included file {name} not found (looked in {above.parent})")
     if path.resolve() in known:
-        raise ModelError(
-            f"{where}: {name} is included twice or includes itself; each file may be included once"
-        )
+        raise ModelError(f"{where}: {name} is included twice or includes itself; include it once")
     if depth > _DEEPEST:
         raise ModelError(f"{where}: includes are nested more than {_DEEPEST} deep")
     included = _read(path, known, depth)

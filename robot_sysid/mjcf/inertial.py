@@ -17,12 +17,9 @@ _SMALLEST_NORMAL = float(np.finfo(float).tiny)
 
 
 def mjcf_inertial(theta: Array, principal: bool = False) -> str:
-    """Return MJCF for theta (10,), exact to the last digit.
-
-    MuJoCo's ``fullinertia`` is about the CENTRE OF MASS, in the order xx yy zz xy xz yz.
+    """Return MJCF for theta (10,), in the body frame about its origin, exact to the last digit.
 
     Args:
-        theta: (10,) parameters in the body frame, inertia about its origin.
         principal: write principal moments and axes instead of the full matrix; MuJoCo before 3.14
             finds the axes of a full matrix to six digits only.
     """
@@ -86,11 +83,8 @@ def setting_number(document: ModelDocument, name: str) -> float:
 def check_settings(
     document: ModelDocument, body: Node, theta: Array, gets_child: bool = False
 ) -> None:
-    """Raise ExportError where the compiler would change what is written.
-
-    Args:
-        theta: (10,) what is written.
-        gets_child: whether it goes into a new body that is welded to ``body``.
+    """Raise ExportError where the compiler would change theta (10,) as it is written, of a body or
+    of a child that it gets.
     """
     if setting_number(document, "settotalmass") > 0.0:
         _refuse(document, "settotalmass", "rescales the mass of every body; remove it")

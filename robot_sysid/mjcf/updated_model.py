@@ -35,14 +35,10 @@ from robot_sysid.records import Array
 def changed_model_text(
     source: Path, change: ModelChange, folder: Path, mesh_dir: Path | None = None
 ) -> bytes:
-    """Return the text of a model file with a change made.
+    """Return the text of a model file with a change made, for the folder where it will live.
 
     Of an MJCF with includes, the included files that lead to something changed, and those that
     contain paths, take the place of their ``<include>``; the others stay included.
-
-    Args:
-        folder: where the text will live.
-        mesh_dir: the user's mesh folder, if any.
 
     Raises:
         ExportError: a body or joint is not written out in the file, a name is taken, or a setting
@@ -98,13 +94,11 @@ def _weld(edits: Edits, body: WeldedBody, change: ModelChange) -> None:
     document, joint = edits.document, f"{body.name}_joint"
     carrier = find_element(document, "body", body.carrier)
     check_settings(document, carrier, body.theta, gets_child=True)
-    is_urdf, bodies = (
-        document.kind == "urdf",
-        {n.get("name") for n in document.walk("body", "link")},
-    )
+    is_urdf = document.kind == "urdf"
+    taken = {"world", *(node.get("name") or "" for node in document.walk("body", "link"))}
     joints = {node.get("name") for node in document.walk("joint")}
-    if not body.name.strip() or body.name in {*bodies, "world"} or (is_urdf and joint in joints):
-        listed = ", ".join(sorted(name for name in {*bodies, "world"} if name))
+    if not body.name.strip() or body.name in taken or (is_urdf and joint in joints):
+        listed = ", ".join(sorted(filter(None, taken)))
         raise ExportError(
             f"{document.path}: the new body cannot be called '{body.name}', because that name is "
             f"empty or taken; bodies of the model: {listed}"
@@ -154,20 +148,13 @@ def _write_gravity(edits: Edits, gravity: tuple[float, float, float], rmse: floa
 
 
 def write_joint(edits: Edits, change: JointChange) -> None:
-    """Give a joint its new numbers.
-
-    Raises:
-        ExportError: the joint is not written out in the file, a URDF cannot hold the number, or a
-            joint with it would drive itself.
-    """
+    """Give a joint its new numbers, or raise ExportError where the file cannot hold them."""
     document, is_urdf = edits.document, edits.document.kind == "urdf"
     further = {"nonlinear damping": min(change.polynomial)} if change.polynomial else {}
     for name, value in {**change.numbers, **further}.items():
         if not 0.0 <= value < math.inf:
-            raise ExportError(
-                f"joint '{change.label}' cannot get {name} {value:.4g}: it would drive itself, or "
-                "is no number"
-            )
+            fault = f"cannot get {name} {value:.4g}: it would drive itself, or is no number"
+            raise ExportError(f"joint '{change.label}' {fault}")
     node = find_element(document, "joint", change.label)
     written = {name: number(value) for name, value in change.numbers.items()}
     if is_urdf:
@@ -214,21 +201,14 @@ _MULTIPLIERS = ("replicate", "attach", "composite", "flexcomp")
 
 
 def find_element(document: ModelDocument, kind: str, label: str) -> Node:
-    """Return the element of a compiled body (a ``<link>`` in a URDF) or joint.
-
-    Args:
-        kind: "body" or "joint".
-        label: its name, or "#7" for the nameless one with MuJoCo id 7.
-
-    Raises:
-        ExportError: it is not written out in the file, or there are several.
+    """Return the element of a compiled "body" (a ``<link>`` in a URDF) or "joint" by its name, or
+    "#7" for the nameless one with MuJoCo id 7; ExportError unless it is written out just once.
     """
     nodes = list(_in_order(document, kind))
     found = [n for n in nodes if n.get("name") == label and n.tag not in _MULTIPLIERS]
     if len(found) > 1:
-        raise ExportError(
-            f"{document.path}: {kind} '{label}' stands in the file {len(found)} times"
-        )
+        fault = f"{kind} '{label}' stands in the file {len(found)} times"
+        raise ExportError(f"{document.path}: {fault}")
     by_number = re.fullmatch(r"#(\d+)", label)
     if by_number and not found and document.kind == "mjcf":
         # The world is body 0; behind a multiplier nobody knows the number.

@@ -31,13 +31,8 @@ LARGEST = 1e12
 def compilable_urdf(
     document: ModelDocument, mesh_dir: Path | None = None, with_minimum: bool = False
 ) -> tuple[bytes, tuple[str, ...]]:
-    """Return (text MuJoCo can compile, notes on what had to be changed).
-
-    Args:
-        with_minimum: give moving links without mass a minimum.
-
-    Raises:
-        ModelError: a mesh that determines a link's inertia is missing.
+    """Return (text MuJoCo can compile, notes on what had to be changed), or raise ModelError where
+    a mesh that decides a link's inertia is missing; moving links without mass may get a minimum.
     """
     edits = Edits(document)
     # Line numbers in MuJoCo's messages must stay those of the file.
@@ -88,10 +83,8 @@ def _use_absolute_meshes(edits: Edits, mesh_dir: Path | None) -> Iterator[str]:
     if collisions:
         yield (
             "collision meshes that are missing or unreadable to MuJoCo were left out "
-            f"({', '.join(sorted(collisions))}); "
-            "the dynamics do not change, because these links have their own <inertial>; a written "
-            "model still names them, so MuJoCo by itself loads it only once they are there, in a "
-            "format it reads"
+            f"({', '.join(sorted(collisions))}), which changes no dynamics; a written model still "
+            "names them, so MuJoCo by itself loads it only once they are there"
         )
 
 

@@ -30,10 +30,8 @@ class WriteBack:
     Attributes:
         theta: (10,) inertial parameters of the terminal body alone, in its own frame.
         lumped: the bodies whose inertia went into the terminal body and which weigh nothing now.
-        note: one sentence on that, or None.
         inflated: by how much all moments of inertia are larger than identified [kg m^2].
-        scaled: the bodies on joints of their own of which only a part is left.
-        scale: that part.
+        scaled, scale: the bodies on joints of their own of which only that part is left.
     """
 
     theta: Array
@@ -166,12 +164,7 @@ JOINT_NUMBERS = ("armature", "damping", "frictionloss")
 
 @dataclass(frozen=True)
 class BodyChange:
-    """New inertia for a body.
-
-    Attributes:
-        label: the body's name, or "#7" for the nameless body with id 7.
-        addition: words for the comment before it, beside those of the plan.
-    """
+    """New inertia for a body, called "#7" where it has no name, and more words for its comment."""
 
     label: str
     body_id: int
@@ -191,10 +184,8 @@ class JointChange:
     Attributes:
         label: the joint's name, or "#3" for the nameless joint with id 3.
         armature: rotor inertia seen at the joint [kg m^2 or kg]; a URDF cannot hold it.
-        damping: viscous friction [N m s/rad or N s/m].
-        frictionloss: Coulomb friction [N m or N].
+        damping, frictionloss: viscous and Coulomb friction [N m s/rad, N m or N s/m, N].
         polynomial: damping beyond the linear one, of qd abs(qd) and of qd^3; MuJoCo 3.7 and later.
-        words: what a comment says of the numbers; empty for their names alone.
     """
 
     label: str
@@ -213,11 +204,7 @@ class JointChange:
 
 @dataclass(frozen=True)
 class ActuatorChange:
-    """New gains for a position actuator.
-
-    Attributes:
-        actuator: its MuJoCo id, counted in the order of the file.
-    """
+    """New gains for a position actuator, by its MuJoCo id."""
 
     actuator: int
     stiffness: float
@@ -241,13 +228,8 @@ class WeldedBody:
 
 @dataclass(frozen=True)
 class ModelChange:
-    """All that is written into a model.
-
-    Attributes:
-        rmse: of the identification [N m], for the comments.
-        welded: a new body, or None.
-        gravity: in the model's world frame [m/s^2]; None leaves what the file says.
-        principal: see ``inertial.mjcf_inertial``.
+    """All that is written into a model; the residual [N m] is for the comments, gravity [m/s^2] in
+    the world frame, and ``principal`` as in ``inertial.mjcf_inertial``.
     """
 
     bodies: tuple[BodyChange, ...]

@@ -41,13 +41,8 @@ _MUST_BE_FINITE = (
 
 @dataclass(frozen=True)
 class CompiledModel:
-    """A compiled model file.
-
-    Attributes:
-        notes: what had to be assumed and what MuJoCo warned about, one sentence each.
-        sha256: of the main file's bytes followed by those of the files it includes.
-        kind: "mjcf" or "urdf".
-        velocity_limits: joint name to the speed limit a URDF states [rad/s or m/s].
+    """A compiled model file ("mjcf" or "urdf"), what had to be assumed or was warned of, the hash
+    of all its bytes, includes too, and the speed limits that a URDF states [rad/s or m/s].
     """
 
     mj_model: Any
@@ -79,13 +74,10 @@ def warnings_as_notes(progress: Progress) -> Iterator[None]:
 
 
 def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
-    """Compile an MJCF or URDF file.
+    """Compile an MJCF or URDF file; what cannot be read or compiled is one line of an error.
 
     Args:
         mesh_dir: folder that replaces the file's mesh folder (and, in a URDF, its packages).
-
-    Raises:
-        InputError, ModelError: the file cannot be read or MuJoCo refuses it; one line.
     """
     document = read_document(path)
     if mesh_dir is not None and not os.path.isdir(mesh_dir):
@@ -93,10 +85,8 @@ def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
         raise ModelError(f"mesh folder {mesh_dir} {fault}; check --mesh-dir")
     point = locale.localeconv()["decimal_point"]
     if point != ".":  # MuJoCo would end the numbers of an OBJ mesh at their points
-        raise ModelError(
-            f"this program's locale has {point!r} for a decimal point, with which MuJoCo reads "
-            "wrong numbers from OBJ meshes; call locale.setlocale(locale.LC_NUMERIC, 'C') first"
-        )
+        remedy = "call locale.setlocale(locale.LC_NUMERIC, 'C') first"
+        raise ModelError(f"with {point!r} for a decimal point MuJoCo misreads OBJ meshes; {remedy}")
     with captured_warnings() as warnings:
         if document.kind == "urdf":
             mj_model, notes = _compile_urdf(document, mesh_dir)
@@ -173,13 +163,8 @@ _ALREADY_EXACT = 1e-13
 def restore_exact_inertias(
     mj_model: Any, inertias: Mapping[str, tuple[float, Array, Array]]
 ) -> None:
-    """Give compiled bodies the inertia their links state, where MuJoCo's differs by inaccuracy.
-
-    Values that a compiler setting changed on purpose are left alone.
-
-    Args:
-        mj_model: compiled URDF; changed in place.
-        inertias: link name to (mass, centre of mass (3,), inertia about it (3, 3)).
+    """Give compiled bodies, in place, the inertia that their links state (``link_inertias``), where
+    MuJoCo's differs by inaccuracy; what a compiler setting changed on purpose is left alone.
     """
     changed = False
     for name, (_, _, inertia) in inertias.items():
@@ -203,22 +188,15 @@ MOST_CELLS = 5e7
 """Largest height field, texture or block of user data, in numbers: 0.4 GB of doubles."""
 MOST_COPIES = 3000
 """Copies of a part; MuJoCo takes the square of their number, a minute for 20 000."""
-_CELLS = {
-    "hfield": ("nrow", "ncol"),
-    "texture": ("width", "height"),
-    "numeric": ("size",),
+_CELLS: Mapping[str, tuple[str, ...]] = {
+    "hfield": ("nrow", "ncol"), "texture": ("width", "height"), "numeric": ("size",),
     "user": ("dim",),
-}
+}  # fmt: skip
 _COPIED = ("replicate", "composite", "flexcomp")
 
 
 def refuse_hazards(document: ModelDocument, mesh_dir: Path | None = None) -> None:
-    """Refuse an MJCF document that MuJoCo must not even be shown.
-
-    Raises:
-        ModelError: it refers to a pipe or device, attaches itself, asks for a huge field or for
-            copies without end, or has the name of a class with a format in it.
-    """
+    """Raise ModelError for an MJCF document that MuJoCo must not even be shown."""
     _refuse_element(document, document.root, 1.0)
     _refuse_files(document, mesh_dir, (), set())
 
@@ -235,17 +213,13 @@ def _refuse_element(document: ModelDocument, node: Node, times: float) -> None:
     if node.tag == "size":
         cells = max([_bytes(node) / 100.0, *map(_product, node.attributes.values())])
     if cells > MOST_CELLS:
-        raise ModelError(
-            f"{document.path}: a {node.tag} of {cells:.3g} cells; at most "
-            f"{MOST_CELLS:.0e} are read, and identification needs none of them"
-        )
+        fault = f"a {node.tag} of {cells:.3g} cells; at most {MOST_CELLS:.0e} are read"
+        raise ModelError(f"{document.path}: {fault}")
     if node.tag in _COPIED:
         times *= max(1.0, _product(node.get("count")))
     if times > MOST_COPIES:
-        raise ModelError(
-            f"{document.path}: a {node.tag} makes {times:.3g} copies; at most {MOST_COPIES} are "
-            "read, and identification needs none of them"
-        )
+        fault = f"a {node.tag} makes {times:.3g} copies; at most {MOST_COPIES} are read"
+        raise ModelError(f"{document.path}: {fault}")
     for child in node.children():
         _refuse_element(document, child, times)
 

@@ -52,14 +52,9 @@ def find_flange(robot: RobotModel, text: str | None = None) -> Flange:
     fault = "no such site or body"
     for kind in _OBJECTS:
         if mujoco.mj_name2id(robot.mj_model, int(_OBJECTS[kind]), wanted) >= 0:
-            fault = (
-                f"{kind} '{wanted}' moves against the terminal body, or stands before it, so it is "
-                "no flange"
-            )
-    raise ModelError(
-        f"flange {wanted}: {fault}; fixed to body '{robot.body_name}' are: {listed}; or give x,y,z "
-        "in metres"
-    )
+            fault = f"{kind} '{wanted}' moves against the terminal body, or stands before it"
+    there = f"fixed to body '{robot.body_name}' are: {listed}; or give x,y,z in metres"
+    raise ModelError(f"flange {wanted}: {fault}; {there}")
 
 
 def place_in_carrier(robot: RobotModel, flange: Flange) -> tuple[Array, Array]:
@@ -108,7 +103,8 @@ def _likely(robot: RobotModel, sites: _Frames, bodies: _Frames) -> Flange:
         found = next(filter(None, called), [])
         if not found:
             continue
-        if not all(_is_at(flange, found[0]) for flange in found):
+        poses = [np.column_stack((flange.rotation, flange.translation)) for flange in found]
+        if not np.allclose(poses, poses[0], rtol=0.0, atol=1e-9):
             listed = ", ".join(flange.name for flange in found)
             raise ModelError(f"{listed} could each be the flange; choose one by its name")
         words = f"{found[0].name} was taken for the flange, because of its name"
@@ -119,11 +115,6 @@ def _likely(robot: RobotModel, sites: _Frames, bodies: _Frames) -> Flange:
         f"the frame of that body is taken; others that can be named: {listed}"
     )
     return replace(terminal, note=note)
-
-
-def _is_at(ours: Flange, theirs: Flange) -> bool:
-    pairs = ((ours.rotation, theirs.rotation), (ours.translation, theirs.translation))
-    return all(np.allclose(*pair, rtol=0.0, atol=1e-9) for pair in pairs)
 
 
 def _from_numbers(robot: RobotModel, text: str) -> Flange:
@@ -140,10 +131,8 @@ def _from_numbers(robot: RobotModel, text: str) -> Flange:
         )
     translation = np.array(numbers[:3])
     if np.max(np.abs(translation)) > REACH:
-        raise ModelError(
-            f"flange {text}: more than {REACH:g} m away from body '{robot.body_name}'; the "
-            "numbers are metres, not millimetres"
-        )
+        fault = f"more than {REACH:g} m away from body '{robot.body_name}'"
+        raise ModelError(f"flange {text}: {fault}; the numbers are metres, not millimetres")
     # Rz(yaw) Ry(pitch) Rx(roll), as in a URDF.
     turn = Rotation.from_euler("xyz", numbers[3:] or [0.0] * 3, degrees=True).as_matrix()
     return Flange(text.replace(" ", ""), turn, translation, robot.body_name, robot.body_id)

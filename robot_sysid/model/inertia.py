@@ -45,10 +45,7 @@ def subtree_bodies(mj_model: Any, qpos: Array, body_id: int) -> tuple[SubtreeBod
 
 
 def composite_theta(mj_model: Any, qpos: Array, body_id: int) -> Array:
-    """Return theta (10,) of a body together with everything below it, held at ``qpos``.
-
-    Expressed in the body's own frame, inertia about its origin.
-    """
+    """Return theta (10,), in its own frame, of a body with everything below it, at ``qpos``."""
     return np.sum([body.theta for body in subtree_bodies(mj_model, qpos, body_id)], axis=0)
 
 
@@ -104,12 +101,8 @@ def arm_links(mj_model: Any, qpos: Array, chain: Sequence[int]) -> tuple[ArmLink
 def link_bodies(
     mj_model: Any, qpos: Array, body: int, later: Sequence[int]
 ) -> tuple[SubtreeBody, ...]:
-    """Return the bodies that make a link, the link's own body first; none where ``later`` has it.
-
-    Args:
-        qpos: (nq,) configuration.
-        body: the body that the link's joint moves.
-        later: the bodies that later chain joints move.
+    """Return the bodies that make the link of a joint's body, that one first, at ``qpos`` (nq,);
+    none where ``later``, the bodies that later chain joints move, has it.
     """
     if body in later:
         return ()

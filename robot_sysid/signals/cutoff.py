@@ -51,13 +51,11 @@ _SHORTEST = 64
 
 @dataclass(frozen=True)
 class Spectra:
-    """Spectra of the acceleration at F frequencies [Hz].
+    """Spectra (F, n) of the acceleration at F frequencies [Hz]: what is motion, what is not.
 
     Attributes:
         rate: sample rate of the readings [Hz].
         count, length: of the readings, and of the parts of them that are averaged.
-        frequency: (F,).
-        motion, noise: (F, n) what is motion, what is not.
         level: (n,) spectrum of the noise of position.
     """
 
@@ -84,13 +82,9 @@ def choose_cutoff(spectra: Spectra) -> tuple[float, float, str]:
     errors = np.array([_error(c, spectra) for c in candidates])
     fit = np.flatnonzero(errors <= max(_HARMLESS, _NEARLY_BEST * errors.min()))
     best = candidates[fit[-1]]
-    sigma = np.sqrt(spectra.level * rate / 2.0)
-    expected = float(np.sqrt(errors[fit[-1]]))
-    reason = (
-        f"cut-off {best:.3g} Hz chosen from the data: position noise "
-        f"{sigma.min():.2g} to {sigma.max():.2g} rad, expected error of the acceleration "
-        f"{percent(expected)}"
-    )
+    sigma, expected = np.sqrt(spectra.level * rate / 2.0), float(np.sqrt(errors[fit[-1]]))
+    reason = f"cut-off {best:.3g} Hz chosen from the data: position noise {sigma.min():.2g} to "
+    reason += f"{sigma.max():.2g} rad, expected error of the acceleration {percent(expected)}"
     return float(best), expected, reason
 
 

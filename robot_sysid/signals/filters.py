@@ -39,8 +39,7 @@ class LowPass:
     """A zero-phase low-pass that also decimates samples out to its own bandwidth.
 
     Attributes:
-        cutoff: frequency passed with half its amplitude [Hz].
-        rate: sample rate it works at [Hz].
+        cutoff, rate: frequency passed with half its amplitude, and of the samples [Hz].
         kernel: (2 M + 1,) symmetric weights that add up to one.
         step: every how many samples one filtered sample is kept when decimating.
     """

@@ -77,19 +77,15 @@ _MOSTLY = 0.5
 
 @dataclass(frozen=True)
 class ProcessedSignals:
-    """Signals on a uniform grid of N samples, motion low-passed, torque still raw.
+    """Signals on a uniform grid of N samples, motion (N, n) low-passed, torque still raw.
 
     Attributes:
-        time: (N,) [s].
-        q, qd, qdd: (N, n) low-passed positions and their derivatives.
         tau: (N, n) torques, uniform but not filtered, so that they pass the low-pass exactly as
             often as the regressor columns do [N m].
-        bridged: (N,) whether the samples around this one bridge a long hole in the log, or a
-            corner of motion that is known exactly elsewhere.
+        bridged: (N,) whether a long hole in the log, or a corner of motion without noise, is near.
         deadband: (n,) speed below which the direction of a joint's friction is not sure [rad/s].
         flat: the filter that positions have passed; of one weight where they are free of noise.
-        acceleration_error: expected error of the acceleration, as a part of it; 0 where the
-            cut-off was given.
+        acceleration_error: expected, as a part of it; 0 where the cut-off was given.
     """
 
     time: Array
@@ -137,10 +133,8 @@ class ProcessedSignals:
         return self.motion(self.low_pass.centres(len(self)))
 
     def refiltered(self) -> tuple[NDArray[np.int64], Motion]:
-        """Return the motion (R, n) as it might also be, and at which decimated rows.
-
-        That is after a second pass of its low-pass; where it passed none, as derivatives of the
-        next lower order have it. Not at the ends, where there is no such result.
+        """Return the motion (R, n) as it might also be, and at which decimated rows but the ends:
+        after a second pass of its low-pass; where it passed none, by the next lower derivatives.
         """
         less = FINE_REACH - 1 if self.exact else 0
         low_pass = replace(self.low_pass if self.exact else self.flat, step=self.low_pass.step)
@@ -150,13 +144,11 @@ class ProcessedSignals:
         whole = slice(at[0] - reach, at[-1] + reach + 1) if len(rows) else slice(0)
         q, qd, qdd = self.q[whole], self.qd[whole], self.qdd[whole]
         if not self.exact:
-            q, qd, qdd = (low_pass.decimated(values) for values in (q, qd, qdd))
-            return rows, Motion(self.time[at], q, qd, qdd)
+            return rows, Motion(self.time[at], *map(low_pass.decimated, (q, qd, qdd)))
         inner = slice(less, len(q) - less)
-        first = first_derivative(q, self.rate, less) - qd[inner]
-        second = second_derivative(q, self.rate, less) - qdd[inner]
-        qd, qdd = self.qd[at] + low_pass.decimated(first), self.qdd[at] + low_pass.decimated(second)
-        return rows, Motion(self.time[at], self.q[at], qd, qdd)
+        first = low_pass.decimated(first_derivative(q, self.rate, less) - qd[inner])
+        second = low_pass.decimated(second_derivative(q, self.rate, less) - qdd[inner])
+        return rows, Motion(self.time[at], self.q[at], self.qd[at] + first, self.qdd[at] + second)
 
     def spread(self, most: int) -> NDArray[np.int64]:
         """Return at most so many samples, spread evenly over the log."""
@@ -177,18 +169,15 @@ class ProcessedSignals:
         return weights.decimated((np.abs(self.qd) < self.deadband).astype(float))
 
     def one_way_joints(self, joint_names: Sequence[str]) -> Iterator[str]:
-        """Yield a sentence per joint that hardly moves both ways.
-
-        sign(qd) then never takes both values, and Coulomb friction looks like a constant offset.
-        """
+        """Yield a sentence per joint whose sign(qd) hardly takes both values."""
         forward = np.mean(self.qd > self.deadband, axis=0)
         backward = np.mean(self.qd < -self.deadband, axis=0)
         for joint in np.flatnonzero(np.minimum(forward, backward) < ENOUGH_EACH_WAY).tolist():
             yield (
                 f"{joint_names[joint]} moves faster than {self.deadband[joint]:.2g} rad/s in "
                 f"{100.0 * forward[joint]:.0f} % of the samples forwards and in "
-                f"{100.0 * backward[joint]:.0f} % backwards; Coulomb friction and offset can only "
-                "be told apart where it does both, so let it move faster and both ways"
+                f"{100.0 * backward[joint]:.0f} % backwards; to tell Coulomb friction from an "
+                "offset, let it move faster and both ways"
             )
 
     def usable(self) -> NDArray[np.bool_]:
@@ -216,10 +205,8 @@ class LogPiece(Measurement):
     def choice(self) -> tuple[float, float, str]:
         """Return ``choose_cutoff`` of the piece, or raise InputError where it is too short."""
         if self.spectra is None:
-            raise InputError(
-                f"{len(resampled(self).q)} samples are too few to choose a cut-off from; record "
-                "longer, or give --cutoff HZ"
-            )
+            few = f"{len(resampled(self).q)} samples are too few to choose a cut-off from"
+            raise InputError(f"{few}; record longer, or give --cutoff HZ")
         return choose_cutoff(self.spectra)
 
 
@@ -230,16 +217,13 @@ def process(
     deadband: PerJoint | None = None,
     least_deadband: Sequence[float] = (),
 ) -> ProcessedSignals:
-    """Turn a log into signals.
+    """Turn a log into signals, or raise InputError where the cut-off does not fit it.
 
     Args:
         cutoff: of the low-pass [Hz]; None chooses it from the data.
         deadband: speed below which a joint's friction has no sure direction [rad/s], one number or
             one per joint; None takes 0.5 % of the joint's peak speed, zero uses all rows.
         least_deadband: (n,) where the deadband is taken from the data, it is at least this [rad/s].
-
-    Raises:
-        InputError: the log is too short for its cut-off, or the cut-off does not fit its rate.
     """
     uniform, expected = resampled(measurement), 0.0
     piece = measurement if isinstance(measurement, LogPiece) else LogPiece(**vars(measurement))
@@ -252,8 +236,7 @@ def process(
     if len(uniform.q) < needed:
         raise InputError(
             f"the log's {len(uniform.q) / low_pass.rate:.3g} s are too short for a cut-off of "
-            f"{low_pass.cutoff:.3g} Hz, which needs {needed / low_pass.rate:.3g} s; record longer "
-            "or give a higher --cutoff"
+            f"{low_pass.cutoff:.3g} Hz, which needs {needed / low_pass.rate:.3g} s; record longer"
         )
     corners = _corners(uniform, low_pass)
     flat, reach = replace(low_pass, kernel=np.ones(1)), FINE_REACH

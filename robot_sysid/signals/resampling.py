@@ -29,13 +29,9 @@ _RARELY = 0.01
 
 @dataclass(frozen=True)
 class UniformSignals:
-    """Positions and torques on a uniform grid.
+    """Positions and torques (N, n) on a uniform grid from ``start`` [s] with ``rate`` [Hz].
 
-    Attributes:
-        start: time of the first sample [s].
-        rate: sample rate [Hz].
-        q, tau: (N, n) [rad, N m].
-        gap: (N,) length of the hole in the log that a sample bridges [s]; zero where there is none.
+    ``gap`` (N,) is the length of the hole in the log that a sample bridges [s], or zero.
     """
 
     start: float
@@ -118,7 +114,7 @@ def _interpolated(measurement: Measurement, rate: float, why: str = "") -> Unifo
     # A last sample that rounding puts just beyond the end is still on the grid.
     count = math.floor((last - first) * rate + 1e-6) + 1
     grid = np.minimum(first + np.arange(count) / rate, last)
-    q, tau = np.empty((count, measurement.q.shape[1])), np.empty((count, measurement.q.shape[1]))
+    q, tau = np.empty((2, count, measurement.q.shape[1]))
     for joint in range(q.shape[1]):
         stamps = time if own is None else own[:, joint]
         fresh = is_fresh(stamps)
@@ -172,7 +168,10 @@ def pieces_of(samples: Measurement) -> tuple[Measurement, ...]:
     edges = [0, *cuts.tolist(), len(samples)]
     span = float(samples.time[-1] - samples.time[0])
     most = MOST_ROWS if span <= MOST_TIME else min(MOST_ROWS, round(PART_TIME / np.median(step)))
-    spans = [part for a, b in zip(edges, edges[1:]) for part in _cut(a, b, most) if b - a > 1]
+    # Equal parts of each piece, none with more rows than that.
+    parts = [np.linspace(a, b, -(-(b - a) // most) + 1) for a, b in zip(edges, edges[1:])]
+    cut = (part.astype(int).tolist() for part in parts if part[-1] - part[0] > 1)
+    spans = [span for ends in cut for span in zip(ends, ends[1:])]
     if len(spans) == 1:
         return (samples,)
     long = [(a, b) for a, b in spans if samples.time[b - 1] - samples.time[a] >= SHORTEST]
@@ -207,13 +206,6 @@ def _spread(samples: Measurement, spans: list[tuple[int, int]]) -> list[tuple[in
     total = float(sum(time[b - 1] - time[a] for a, b in moving))
     count = max(1, int(len(moving) * min(1.0, MOST_TIME / total)))
     return [moving[k] for k in np.linspace(0, len(moving) - 1, count).round().astype(int)]
-
-
-def _cut(start: int, stop: int, most: int) -> list[tuple[int, int]]:
-    """Return the ends of equal parts of a piece, none with more than ``most`` rows."""
-    count = -(-(stop - start) // most)
-    edges = np.linspace(start, stop, count + 1).astype(int).tolist()
-    return list(zip(edges, edges[1:]))
 
 
 def part_of(samples: Measurement, start: int, stop: int) -> Measurement:
