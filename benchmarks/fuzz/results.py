@@ -16,7 +16,7 @@ from benchmarks.fuzz.harness import Case, written
 from benchmarks.fuzz.mutations import damaged, damaged_json
 from robot_sysid.logs.reader import earlier_logs
 from robot_sysid.records.results import PARAMS_NAME
-from robot_sysid.report.page import html, save_data, sections_comparing, sections_of
+from robot_sysid.report.page import html, save_data, sections_of
 from robot_sysid.report.runs import DATA_NAME, fingerprint, load_run
 from tests.support import arms, reports
 
@@ -59,8 +59,8 @@ def use(case: Case, folder: Path) -> None:
     place = written(case, folder)
     run = load_run(place)
     if "page" in case:
-        html("a page", sections_of(run))
-        html("a comparison", sections_comparing([run, run]))
+        html("a page", sections_of([run]))
+        html("a comparison", sections_of([run, run]))
     earlier_logs(place / PARAMS_NAME, _robot())
 
 

@@ -294,19 +294,39 @@ def dots(axes: Any, places: Array, values: Array) -> None:
     axes.plot(places[known], values[known], ".", color=MEASURED, ms=2.5, alpha=0.7)
 
 
-def bars(
+def ranges(
     canvas: Any,
-    groups: Sequence[str],
-    series: Sequence[tuple[str, Any, str]],
+    names: Sequence[str],
+    values: Array,
+    *errors: Array,
     label: str,
-    mark: float | None = None,
+    line: float | None = None,
+) -> None:
+    """Draw named values (n,) in rows with their errors (n,), the first as thin bars.
+
+    Args:
+        line: what all of them are compared with.
+    """
+    axes, places = canvas.subplots(), -np.arange(len(names), dtype=float)
+    if line is not None:
+        axes.axvline(line, color=MEASURED)
+    for error, width in zip(errors, (1.0, 3.0)):
+        style: Any = {"color": AFTER, "elinewidth": width, "capsize": 3 if width == 1.0 else 0}
+        axes.errorbar(values, places, xerr=np.nan_to_num(error), fmt="o", **style)
+    axes.set_yticks(places, [shortened(name, 26) for name in names])
+    axes.set_ylim(0.4 - len(names), 0.6)
+    axes.set_xlabel(label)
+    axes.locator_params(axis="x", nbins=4)
+
+
+def bars(
+    canvas: Any, groups: Sequence[str], series: Sequence[tuple[str, Any, str]], label: str
 ) -> None:
     """Draw bars beside each other.
 
     Args:
         series: (name, heights (n,), colour) of the first, second, ... bar of each group; what is
             not finite is not drawn.
-        mark: where a dashed line is drawn.
     """
     axes = canvas.subplots()
     width, places = 0.8 / len(series), np.arange(len(groups), dtype=float)
@@ -317,8 +337,6 @@ def bars(
         axes.bar(at, drawable, 0.92 * width, label=shortened(name, 60), **style)
     axes.set_xticks(places, [shortened(name) for name in groups], rotation=20, ha="right")
     axes.set_ylabel(label)
-    if mark is not None:
-        axes.axhline(mark, color=OTHER, ls="--", lw=1.0)
     legend(canvas, axes, 3 if all(len(name) < 20 for name, _, _ in series) else 1)
 
 

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import base64
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from robot_sysid import __version__
+from robot_sysid.errors import InputError
 from robot_sysid.records.atomic_files import require_writable, whole_files
 from robot_sysid.records.data import Traces
 from robot_sysid.report.drawing import Section, inline, png, svg
@@ -25,38 +25,29 @@ from robot_sysid.report.sections.picture import picture
 _TEMPLATE = Path(__file__).with_name("template.html")
 
 
-def sections_of(run: Run, mesh_dir: Path | None = None) -> list[Section]:
-    """Return all parts of a run's page."""
-    makers = (
+_ODD = (ArithmeticError, AttributeError, LookupError, OSError, TypeError, ValueError)
+"""What a part raises where a result file that somebody changed by hand holds something odd."""
+
+
+def sections_of(runs: Sequence[Run], mesh_dir: Path | None = None) -> list[Section]:
+    """Return all parts of the page about a run, or about several beside each other.
+
+    Raises:
+        InputError: a result file holds something odd.
+    """
+    alone: tuple[Callable[[Run], Section | None], ...] = (
         *(verdict.verdict, card, scatter, parameters, visibility),
         *(signals.torques, signals.residuals, signals.friction, signals.excitation),
-        *(signals.errors, signals.rollout),
-        partial(picture, mesh_dir=mesh_dir),
+        *(signals.errors, signals.rollout, partial(picture, mesh_dir=mesh_dir)),
         verdict.next_steps,
     )
-    return list(_made(makers, run))
-
-
-def sections_comparing(runs: Sequence[Run]) -> list[Section]:
-    """Return all parts of a page about several runs."""
-    makers = comparison.verdicts, comparison.compared, comparison.friction_beside
-    return list(_made((*makers, comparison.predicted), runs))
-
-
-def _made(
-    makers: Sequence[Callable[[Any], Section | None]], about: Run | Sequence[Run]
-) -> Iterator[Section]:
-    """Yield the parts; where the result file holds something odd, what it was in a part's place."""
-    odd = (ArithmeticError, AttributeError, LookupError, OSError, TypeError, ValueError)
-    for maker in makers:
-        name = getattr(maker, "__name__", "picture")
-        try:
-            section = maker(about)
-        except odd as error:
-            cause = f"this part cannot be shown: the result holds {type(error).__name__}: {error}"
-            section = Section(name, name.capitalize().replace("_", " "), missing=(cause,))
-        if section is not None:
-            yield section
+    try:
+        if len(runs) > 1:
+            return [maker(runs) for maker in comparison.PARTS]
+        return [section for maker in alone if (section := maker(runs[0])) is not None]
+    except _ODD as error:
+        cause = f"{type(error).__name__}: {error}"
+        raise InputError(f"{runs[0].folder}: a result cannot be shown ({cause})") from None
 
 
 def html(title: str, sections: Sequence[Section]) -> str:
@@ -106,20 +97,19 @@ def write_report(
     With ``plots``, each figure is written as PNG and SVG, too.
 
     Raises:
-        InputError: a folder holds no result, or nothing can be written.
+        InputError: a folder holds no result or one that cannot be shown, or nothing can be
+            written.
     """
     runs = [load_run(folder) for folder in folders]
     require_writable(destination)
-    if len(runs) == 1:
-        sections = sections_of(runs[0], mesh_dir)
-        title, name = f"robot-sysid: {runs[0].name}", REPORT_NAME
-    else:
-        sections = sections_comparing(runs)
-        title, name = f"robot-sysid: {len(runs)} runs", COMPARISON_NAME
+    about, name = runs[0].name, REPORT_NAME
+    if len(runs) > 1:
+        about, name = f"{len(runs)} runs", COMPARISON_NAME
+    sections = sections_of(runs, mesh_dir)
     written = []
     with whole_files() as files:
         if page:
-            files.write(destination / name, html(title, sections))
+            files.write(destination / name, html(f"robot-sysid: {about}", sections))
             written.append(destination / name)
         for figure in (each for section in sections for each in section.figures if plots):
             kinds = {".png": png(figure)}

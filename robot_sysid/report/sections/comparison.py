@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from robot_sysid.records.figures import THETA, with_error
 from robot_sysid.report import drawing
 from robot_sysid.report.drawing import Figure, Section, drawn, table
 from robot_sysid.report.runs import Run
-from robot_sysid.report.sections.signals import error_bars, error_sets
+from robot_sysid.report.sections.signals import error_numbers, error_sets
 
 
 def verdicts(runs: Sequence[Run]) -> Section:
@@ -53,15 +52,10 @@ def _parameter(runs: dict[str, Run], k: int) -> Figure:
     found = [(float(body.after[k]), float(body.errors[k])) for body in bodies]
     rows = [(name, *drawing.cells(*pair)) for name, pair in zip(runs, found)]
     numbers = ("run", f"{label} [{unit}]", "± standard error"), rows
+    values, errors = np.array(found).T
 
     def draw(canvas: Any) -> None:
-        ax = canvas.subplots()
-        for j, ((value, error), (colour, marker)) in enumerate(zip(found, cycle(drawing.SERIES))):
-            ax.errorbar(value, -j, xerr=np.nan_to_num(error), fmt=marker, color=colour, capsize=3)
-        ax.set_yticks([-j for j in range(len(runs))], [drawing.shortened(name) for name in runs])
-        ax.set_ylim(0.4 - len(runs), 0.6)
-        ax.set_xlabel(f"{label} [{unit}]")
-        ax.locator_params(axis="x", nbins=4)
+        drawing.ranges(canvas, list(runs), values, errors, label=f"{label} [{unit}]")
 
     caption = f"{label} of each run [{unit}]."
     return drawn(f"compare-{label}", caption, numbers, 1.0 + 0.3 * len(runs), draw)
@@ -69,17 +63,12 @@ def _parameter(runs: dict[str, Run], k: int) -> Figure:
 
 def predicted(runs: Sequence[Run]) -> Section:
     """Return the torque errors of each run, of each joint where its file holds them."""
-    every = {name: list(error_sets(run)) for name, run in names(runs).items()}
-    rows = [(name, each.words, *each.cells) for name, sets in every.items() for each in sets]
-    header = ("run", "data", "error [N·m]", "of the torque")
-    last = [
-        sets[-1]._replace(words=f"{name}: {sets[-1].words}", colour=colour)
-        for (colour, _), (name, sets) in zip(cycle(drawing.SERIES), every.items())
-        if sets
+    sets = [
+        each._replace(words=f"{name}: {each.words}")
+        for name, run in names(runs).items()
+        for each in error_sets(run)
     ]
-    words = "of every run on the data farthest from what it was fitted to."
-    figures = (error_bars("compare-errors", last, words),) if last else ()
-    return Section("predicted", "Prediction errors", (), (table(header, rows),), figures)
+    return Section("predicted", "Prediction errors", (), (table(*error_numbers(sets)),))
 
 
 def friction_beside(runs: Sequence[Run]) -> Section:
@@ -91,3 +80,7 @@ def friction_beside(runs: Sequence[Run]) -> Section:
     keys = dict.fromkeys(key for each in found.values() for key in each)
     rows = [(*key, *(each.get(key, "–") for each in found.values())) for key in keys]
     return Section("friction", "Friction", tables=(table(("joint", "term", *found), rows),))
+
+
+PARTS = verdicts, compared, friction_beside, predicted
+"""What a page about several runs consists of."""

@@ -11,7 +11,7 @@ import numpy as np
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.records.figures import THETA, percent, with_error
 from robot_sysid.report import drawing
-from robot_sysid.report.drawing import AFTER, BEFORE, MEASURED, Figure, Section, Table, drawn, table
+from robot_sysid.report.drawing import AFTER, Figure, Section, Table, drawn, table
 from robot_sysid.report.runs import Body, Run, number
 
 _GROUPS = ((0, 1, "mass"), (1, 4, "first moment"), (4, 10, "inertia about the origin"))
@@ -211,16 +211,8 @@ def scatter(run: Run) -> Section | None:
     )
 
     def draw(canvas: Any) -> None:
-        ax = canvas.subplots()
-        places = -np.arange(len(names), dtype=float)
-        ax.axvline(run.bodies[0].after[0], color=MEASURED, label="all together")
-        thin: Any = {"fmt": "none", "ecolor": BEFORE, "lw": 1.0, "capsize": 3}
-        ax.errorbar(masses, places, xerr=np.nan_to_num(whole), **thin)
-        thick: Any = {"fmt": "o", "color": AFTER, "elinewidth": 3.0, "label": "one alone"}
-        ax.errorbar(masses, places, xerr=np.nan_to_num(noise), **thick)
-        ax.set_yticks(places, [drawing.shortened(name, 26) for name in names])
-        ax.set_xlabel("mass [kg]")
-        drawing.legend(canvas, ax)
+        line = float(run.bodies[0].after[0])
+        drawing.ranges(canvas, names, masses, whole, noise, label="mass [kg]", line=line)
 
     masses_drawn = drawn("scatter", caption, (header, rows), 1.6 + 0.3 * len(names), draw)
     words = (

@@ -24,15 +24,13 @@ from robot_sysid.report.drawing import (
     Table,
     curves,
     drawn,
+    table,
 )
 from robot_sysid.report.runs import LONGEST_LAG, ReportData, Run, number
 from robot_sysid.results.record import Figure as Estimated
 
 _NEAR = 0.5
 """Share of what a joint moved through within which a limit is near enough to be drawn."""
-_MOST_SETS = 7
-"""Bars beside each other that can be told apart, one for each hatching."""
-_WHEN = {"before": BEFORE, "after": AFTER}
 
 
 def torques(run: Run) -> Section | None:
@@ -199,29 +197,23 @@ def excitation(run: Run) -> Section | None:
     section = _by_joint(run, "excitation", "Excitation", words, _motion)
     if section is None or run.data is None:
         return None
-    return replace(section, figures=(_shares(run.data), *section.figures))
+    return replace(section, tables=(_shares(run.data),))
 
 
-def _shares(data: ReportData) -> Figure:
+def _shares(data: ReportData) -> Table:
     load = np.where(np.isfinite(data.measured), np.abs(data.measured), 0.0)
-    series = [
-        ("range of positions", 100.0 * np.ptp(data.q, axis=0) / (data.upper - data.lower), AFTER),
-        ("speed", 100.0 * np.max(np.abs(data.qd), axis=0) / data.velocity, BEFORE),
-        ("torque", 100.0 * np.max(load, axis=0) / data.torque, drawing.TRUTH),
-    ]
+    limits = {
+        "range of positions": (np.ptp(data.q, axis=0), data.upper - data.lower),
+        "speed": (np.max(np.abs(data.qd), axis=0), data.velocity),
+        "torque": (np.max(load, axis=0), data.torque),
+    }
+    shares = [100.0 * used / limit for used, limit in limits.values()]
     rows = [
-        (name, *(f"{share[j]:.0f}" if share[j] > 0.0 else "no limit" for _, share, _ in series))
-        for j, name in enumerate(data.joints)
+        (joint, *(f"{each[j]:.0f}" if each[j] > 0.0 else "no limit" for each in shares))
+        for j, joint in enumerate(data.joints)
     ]
-    numbers = ("joint", *(f"{what} [% of limit]" for what, _, _ in series)), rows
-    caption = (
-        "Share of each limit that the motion used [%]; a joint without a bar has no limit of that "
-        "kind in its model. Over 100 % the recording went beyond what the model allows."
-    )
-    draw = partial(
-        drawing.bars, groups=data.joints, series=series, label="share of limit [%]", mark=100.0
-    )
-    return drawn("excitation", caption, numbers, 3.2, draw, drawing.WIDE)
+    note = "Over 100 % the recording went beyond what the model allows."
+    return table(("joint", *(f"{what} [% of limit]" for what in limits)), rows, note)
 
 
 def _motion(data: ReportData, joint: int) -> Figure:
@@ -250,64 +242,60 @@ class ErrorSet(NamedTuple):
     test: Validation
     colour: str
 
-    @property
-    def cells(self) -> tuple[float, str]:
-        """Error [N m] and its share of the torque, as cells of a table."""
-        share = self.test.relative_error
-        return number(self.test.rmse), "–" if share is None else percent(share)
-
-    def of(self, joints: Sequence[str]) -> list[float]:
-        """Return the error [N m] of each joint; NaN where it is not known."""
-        return [number(self.test.rmse_per_joint.get(joint)) for joint in joints]
-
 
 def errors(run: Run) -> Section:
     """Return the errors on fitted and held-out data and on other logs, before and after."""
-    sets = list(error_sets(run))
-    title = "Prediction errors"
+    sets, title = list(error_sets(run)), "Prediction errors"
     if not sets:
         return Section("errors", title, missing=("the result file holds no errors per joint",))
-    words = (
-        "of the fit itself on what was fitted and what was not, and of the model and the written "
-        "one, as files, on what was not."
+    caption = (
+        "Root mean square error of the predicted torque of each joint [N·m, N for slides]: of the "
+        "fit itself on what was fitted and what was not, and of the model and the written one, as "
+        "files, on what was not."
     )
-    told = () if len(sets) > 1 else ("Nothing was held out: other motion may be predicted worse.",)
-    return Section("errors", title, told, figures=(error_bars("errors", sets, words),))
-
-
-def error_bars(name: str, sets: Sequence[ErrorSet], words: str) -> Figure:
-    """Return the errors per joint of some sets of data, the first of them as bars too."""
-    joints = list(dict.fromkeys(joint for each in sets for joint in each.test.rmse_per_joint))
-    rows = [(each.words, *each.cells, *each.of(joints)) for each in sets]
-    header = ("data", "all joints [N·m]", "of the torque", *(f"{j} [N·m or N]" for j in joints))
-    start = "Root mean square error of the predicted torque of each joint [N·m, N for slides]: "
-    if len(sets) > _MOST_SETS:
-        words += f" The figure shows the first {_MOST_SETS} of {len(sets)}, the table all."
-    series = [(each.words, each.of(joints), each.colour) for each in sets[:_MOST_SETS]]
+    if len(sets) > len(drawing.HATCHES):
+        caption += f" The figure shows the first {len(drawing.HATCHES)} of {len(sets)}."
+    header, rows = error_numbers(sets)
+    bars = zip((row[3:] for row in rows), sets, drawing.HATCHES)
+    series = [(each.words, heights, each.colour) for heights, each, _ in bars]
+    joints = [name.rpartition(" [")[0] for name in header[3:]]
     width = drawing.WIDE if len(joints) > 2 else drawing.NARROW
     draw = partial(drawing.bars, groups=joints, series=series, label="error [N·m]")
-    return drawn(name, start + words, (header, rows), 2.8 + 0.2 * len(series), draw, width)
+    height = 2.8 + 0.2 * len(series)
+    figures = (drawn("errors", caption, (header, rows), height, draw, width),)
+    told = () if len(sets) > 1 else ("Nothing was held out: other motion may be predicted worse.",)
+    return Section("errors", title, told, figures=figures)
+
+
+def error_numbers(sets: Sequence[ErrorSet]) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:
+    """Return header and rows: data, error [N m], its share of the torque, error of each joint."""
+    joints = dict.fromkeys(joint for each in sets for joint in each.test.rmse_per_joint)
+    header = ("data", "all joints [N·m]", "of the torque", *(f"{j} [N·m or N]" for j in joints))
+    rows: list[tuple[Any, ...]] = []
+    for words, test, _ in sets:
+        share = "–" if test.relative_error is None else percent(test.relative_error)
+        alone = (number(test.rmse_per_joint.get(joint)) for joint in joints)
+        rows.append((words, number(test.rmse), share, *alone))
+    return header, rows
 
 
 def error_sets(run: Run) -> Iterator[ErrorSet]:
     """Yield all errors per joint that the result file holds, those farthest from the fit last."""
-    content, file, tests = run.content, run.content["file"], run.content["validation"]
-    rmse = content["rmse_per_joint"]
-    if rmse:
-        fitted = Validation("", 0, content["rmse"], None, rmse, {})
+    content, file, tests = run.content, run.content["file"] or {"others": ()}, []
+    if content["rmse_per_joint"]:
+        fitted = Validation("", 0, content["rmse"], None, content["rmse_per_joint"], {})
         yield ErrorSet("fitted", fitted, MEASURED)
-    pairs = [] if file is None else [(file["before"], file["after"])]
-    found = [("fit", test, OTHER) for test in tests[:1]] + _pairs(pairs)
-    found += [("fit", test, drawing.TRUTH) for test in tests[1:]]
-    found += _pairs([] if file is None else [(e["before"], e["after"]) for e in file["others"]])
-    for words, test, colour in found:
+    for fits, colour, pairs in (
+        (content["validation"][:1], OTHER, [file]),
+        (content["validation"][1:], drawing.TRUTH, file["others"]),
+    ):
+        tests += [("fit", test, colour) for test in fits]
+        for pair in pairs:
+            tests.append(("model before", pair.get("before"), BEFORE))
+            tests.append(("written model", pair.get("after"), AFTER))
+    for words, test, colour in tests:
         if test is not None and test.rmse_per_joint:
             yield ErrorSet(f"{words}: {test.source}", test, colour)
-
-
-def _pairs(pairs: Sequence[tuple[Any, Any]]) -> list[tuple[str, Any, str]]:
-    both = (("model before", BEFORE), ("written model", AFTER))
-    return [(words, test, c) for pair in pairs for test, (words, c) in zip(pair, both)]
 
 
 def rollout(run: Run) -> Section | None:
@@ -316,21 +304,19 @@ def rollout(run: Run) -> Section | None:
     if found is None:
         return None
     words = f"Both models were played on {found['held_out']}; in closed loop with"
-    said = [f"{words} {found['closed_loop_is']}."]
+    said = [
+        f"{words} {found['closed_loop_is']}.",
+        "Root mean square position error of the model before -> after [rad, m for slides]:",
+    ]
     score = found["score"]
     if score is not None:
         better = "smaller" if score < 1.0 else "not smaller"
-        said.append(f"Errors are {better} than before: {score:.3g} times, all together.")
-    figures = tuple(_played(test, k) for k, test in enumerate(found["errors"]))
-    return Section("rollout", "Played in the simulator", said, (), figures, found["notes"])
-
-
-def _played(test: Mapping[str, Any], place: int) -> Figure:
-    joints = {"all": test["overall"], **test["joints"]}
-    pairs = {when: [number(each[when]) for each in joints.values()] for when in _WHEN}
-    series = [(when, heights, _WHEN[when]) for when, heights in pairs.items()]
-    played = f"{test['loop']}, {drawing.text(test['horizon'])} s"
-    error = "root mean square position error of the model before and after [rad, m for slides]"
-    numbers = ("joint", *(f"{when} [rad or m]" for when in _WHEN)), zip(joints, *pairs.values())
-    draw = partial(drawing.bars, groups=list(joints), series=series, label="position error [rad]")
-    return drawn(f"rollout-{place}", f"{played}: {error}.", numbers, 3.2, draw)
+        said.insert(1, f"Errors are {better} than before: {score:.3g} times, all together.")
+    rows = []
+    for test in found["errors"]:
+        both = [(test["overall"]), *test["joints"].values()]
+        cells = (f"{drawing.text(e['before'])} -> {drawing.text(e['after'])}" for e in both)
+        rows.append((f"{test['loop']}, {drawing.text(test['horizon'])} s", *cells))
+    joints = found["errors"][0]["joints"] if rows else ()
+    tables = (table(("played", "all", *joints), rows),) if rows else ()
+    return Section("rollout", "Played in the simulator", said, tables, (), found["notes"])
