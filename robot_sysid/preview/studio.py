@@ -14,7 +14,6 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics import spatial
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, RobotModel
 
@@ -104,15 +103,12 @@ class Studio:
             for start, end in zip(self.data.xpos[ids[:-1]], self.data.xpos[ids[1:]]):
                 self._connect(mujoco.mjtGeom.mjGEOM_CAPSULE, 0.015, _BONE, start, end)
 
-    def look(self, at: Array, distance: float) -> None:
-        """Point the camera at a place (3,) from a distance [m]; holds from the next pose on."""
-        self.camera.lookat, self.camera.distance = at, distance
-
     def look_at_arm(self, postures: Array) -> None:
         """Point the camera so that the arm stays in the picture in all postures (N, n)."""
         points = np.concatenate([self._corners(q) for q in postures])
         low, high = np.min(points, axis=0), np.max(points, axis=0)
-        self.look(0.5 * (low + high), 0.75 * float(np.linalg.norm(high - low)) + 0.1)
+        self.camera.lookat = 0.5 * (low + high)
+        self.camera.distance = 0.75 * float(np.linalg.norm(high - low)) + 0.1
         self.pose(postures[0])
 
     def _corners(self, q: Array) -> Array:
@@ -126,44 +122,14 @@ class Studio:
         radii = self._model.geom_rbound[geoms][:, None]
         return np.concatenate((self.data.xpos[ids], centres - radii, centres + radii))
 
-    def glass(self, opacity: float) -> None:
-        """Make what is in the picture so far transparent, floor and wall apart."""
-        for geom in self.scene.geoms[: self.scene.ngeom]:
-            if geom.type != mujoco.mjtGeom.mjGEOM_PLANE and geom.emission < 1.0:
-                geom.rgba[3] *= opacity
-
-    def add_ellipsoid(self, body: int, theta: Array, colour: Colour) -> bool:
-        """Add the homogeneous ellipsoid of a body's mass and inertia, its centre as a dot.
-
-        With half axes a, b, c it has I_xx = m (b^2 + c^2) / 5, so that
-        a^2 = 5 (I_yy + I_zz - I_xx) / (2 m). Returns whether there is such an ellipsoid; none has
-        where theta is no possible body.
-        """
-        mass, com, inertia = spatial.com_from_theta(theta)
-        moments, axes = spatial.principal_axes(inertia)
-        squares = 2.5 * (np.sum(moments) - 2.0 * moments) / max(mass, 1e-12)
-        turn = self.data.xmat[body].reshape(3, 3)
-        place = self.data.xpos[body] + turn @ com
-        possible = mass > 0.0 and bool(np.all(squares > 0.0))
-        dot = (*colour[:3], 1.0)
-        self._add(mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, 0.008), place, np.eye(3), dot)
-        if possible:
-            self._add(mujoco.mjtGeom.mjGEOM_ELLIPSOID, np.sqrt(squares), place, turn @ axes, colour)
-        return possible
-
-    def _add(self, kind: Any, size: Array, place: Array, turn: Array, colour: Colour) -> None:
-        if self.scene.ngeom >= self.scene.maxgeom:
-            return
-        geom = self.scene.geoms[self.scene.ngeom]
-        rgba = np.array(colour, dtype=np.float32)
-        mujoco.mjv_initGeom(geom, kind, size, place, np.ascontiguousarray(turn).ravel(), rgba)
-        self.scene.ngeom += 1
-
     def _connect(self, kind: Any, width: float, colour: Colour, start: Array, end: Array) -> None:
         """Add a shape that reaches from one place (3,) to another one, if they differ."""
-        if np.any(start != end) and self.scene.ngeom < self.scene.maxgeom:
-            self._add(kind, np.ones(3), start, np.eye(3), colour)
-            mujoco.mjv_connector(self.scene.geoms[self.scene.ngeom - 1], kind, width, start, end)
+        if np.all(start == end) or self.scene.ngeom >= self.scene.maxgeom:
+            return
+        geom, rgba = self.scene.geoms[self.scene.ngeom], np.array(colour, dtype=np.float32)
+        mujoco.mjv_initGeom(geom, kind, np.ones(3), start, np.eye(3).ravel(), rgba)
+        mujoco.mjv_connector(geom, kind, width, start, end)
+        self.scene.ngeom += 1
 
     def picture(self) -> Picture:
         """Return the picture (height, width, 3)."""
