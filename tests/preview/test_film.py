@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from robot_sysid.errors import InputError
-from robot_sysid.preview import film, studio
+from robot_sysid.preview import film
 from robot_sysid.preview.motion import film_path
 from tests.support import arms
 
 FLOOR = '<geom type="plane" size="1 1 .1" pos="0 0 -1"/>'
 RUN = ("--duration", "2", "--sample-rate", "100", "--seed", "1", "--excitation", "sines")
 drawing = pytest.mark.skipif(
-    importlib.util.find_spec("imageio") is None or studio.backend() is None,
+    importlib.util.find_spec("imageio") is None or film.backend() is None,
     reason="neither EGL nor OSMesa here",
 )
 
