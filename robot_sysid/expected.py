@@ -52,7 +52,7 @@ def expect(
     # What the model's own simulation along the motion says of the link's equations.
     friction = friction_per_joint(problem.robot, "terminal", TERMINAL_FRICTION)
     motions = motion_chunks(plan, min(rate, MOST_SHOWN / plan.duration))
-    equations = Equations(problem.robot, _torques(problem), friction)
+    equations = Equations(problem.robot, problem.torques, friction)
     simulated = simulate_inverse(problem.robot, motions)
     shown = analyse_identifiability(collect_sysid_data(equations, simulated))
     sigma = problem.sigma * np.sqrt(rate / sample_rate)
@@ -70,10 +70,6 @@ def expect(
     except SysidError:
         return prediction
     return replace(prediction, stated=answer.errors.whole.standard_errors[:10])
-
-
-def _torques(problem: ExcitationProblem) -> str:
-    return "chain" if len(problem.rows) > 1 else "terminal"
 
 
 def _rehearsal(
@@ -95,10 +91,9 @@ def _seen(
     """Return the information that a recording with noise sigma holds for its identification."""
     robot, band = problem.robot, options.velocity_deadband
     signals = process(recording, robot.joint_names, options.cutoff, band)
-    torques = _torques(problem)
     assert options.friction is not None
-    friction = friction_per_joint(robot, torques, options.friction)
-    samples = decimated_equations(Equations(robot, torques, friction), signals)
+    friction = friction_per_joint(robot, problem.torques, options.friction)
+    samples = decimated_equations(Equations(robot, problem.torques, friction), signals)
     # The rows are slow: what counts of white noise that passed the filter is its density at low
     # frequencies, which the filter leaves alone, spread over the samples each row stands for.
     noise = sigma / np.sqrt(signals.low_pass.step)

@@ -19,11 +19,11 @@ from typing import NamedTuple
 import numpy as np
 
 from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.equations import Equations, other_links
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_model
-from robot_sysid.dynamics.newton_euler import LinkDynamics
 from robot_sysid.dynamics.screws import ChainMotion, ScrewChain
 from robot_sysid.motion.problem import ExcitationProblem
-from robot_sysid.records import Array, MotionPlan
+from robot_sysid.records import Array, Measurement, MotionPlan
 from robot_sysid.regressor import wrench_regressor
 
 _RIDGE = 1e-10
@@ -220,25 +220,21 @@ def arm_criterion(problem: ExcitationProblem, plan: MotionPlan) -> float:
     does not count (Bayesian D-optimality; Chaloner, Verdinelli, "Bayesian experimental design: a
     review", Statistical Science 10(3), 1995).
     """
+    robot, others = problem.robot, other_links(problem.robot)
+    equations = Equations(robot, problem.torques, (_OWN,) * robot.n_joints, links=others)
+    own = np.where(np.array(_OWN.terms) == "armature", _UNIT_ROTOR, 1.0)
+    last, *rest = (_known(robot.links[link].theta) for link in (-1, *others))
+    scale = np.concatenate((last, np.tile(own, len(problem.rows)), *rest))
     motion = plan.evaluate(np.arange(0.0, plan.duration, 1.0 / ARM_RATE_HZ))
-    robot = problem.robot
-    links = [k for k, link in enumerate(robot.links) if link.has_mass]
-    columns = LinkDynamics(robot).motion(motion.q, motion.qd, motion.qdd).columns(links)
-    scale = []
-    for theta in (robot.links[k].theta for k in links):
-        length = max(spatial.characteristic_length(theta), 1e-3)
-        scale.append(KNOWN * spatial.parameter_scale(float(theta[0]), length))
-    columns = columns * np.concatenate(scale)
-    sigma = np.full(problem.n_joints, np.inf)
-    sigma[list(problem.rows)] = problem.sigma
-    size = np.where(np.array(_OWN.terms) == "armature", _UNIT_ROTOR, 1.0)
-    total = np.eye(columns.shape[-1] + len(size) * problem.n_joints)
-    for joint in range(problem.n_joints):
-        nothing = np.zeros(len(motion.time))
-        own = _OWN.columns(motion.qd[:, joint], motion.qdd[:, joint], nothing) * size
-        rows = np.zeros((len(motion.time), len(total)))
-        rows[:, : columns.shape[-1]] = columns[:, joint]
-        place = columns.shape[-1] + joint * len(size)
-        rows[:, place : place + len(size)] = own
-        total += rows.T @ rows / sigma[joint] ** 2
+    data = Measurement(motion.time, motion.q, motion.qd, np.zeros_like(motion.q), motion.qdd)
+    total = np.eye(len(scale))
+    for (rows, _), columns, sigma in zip(equations.rows(data), equations.columns, problem.sigma):
+        rows = rows * scale[columns] / sigma
+        total[np.ix_(columns, columns)] += rows.T @ rows
     return -float(np.linalg.slogdet(total)[1]) / (2.0 * len(total))
+
+
+def _known(theta: Array) -> Array:
+    """Return how well the model is taken to know each of a link's parameters (10,)."""
+    length = max(spatial.characteristic_length(theta), 1e-3)
+    return KNOWN * spatial.parameter_scale(float(theta[0]), length)

@@ -19,10 +19,7 @@ from tests.support.excitation_arms import TUBES, TUBES_AND_POST, options, robot
 
 class Listener(Progress):
     def __init__(self):
-        self.steps, self.notes = [], []
-
-    def advance(self, label, done, total, text):
-        self.steps.append((label, done, total))
+        self.notes = []
 
     def note(self, message):
         self.notes.append(message)
