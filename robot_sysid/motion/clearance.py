@@ -20,7 +20,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -74,14 +74,8 @@ class Closest:
     space: HalfSpace | None = None
 
 
-@dataclass(frozen=True)
-class Slack:
-    """How much room N configurations have.
-
-    Attributes:
-        value: (N,) smallest slack [m], at most the horizon.
-        gradient: (N, n) with respect to the joint positions.
-    """
+class Slack(NamedTuple):
+    """Smallest slack (N,) of N configurations, at most the horizon [m], and its gradient (N, n)."""
 
     value: Array
     gradient: Array
@@ -96,7 +90,6 @@ class Clearance:
 
     Attributes:
         is_empty: whether nothing at all is looked at: a model without collision geometry.
-        horizon: largest slack that is told apart [m]; what is farther away counts as this far.
         rates: approach bounds (P, n): pairs of row p approach at rates[p] @ abs(qd) [m/s] at most.
         at_rest: pairs of bodies that need words, each with its distance in the starting
             configuration: "ignored" are neighbours inside each other, which are not looked at;
@@ -106,8 +99,6 @@ class Clearance:
             arm does, and so are not looked at any more.
         left_at_rest: (half-space, body, how far outside [m]) of what is outside already at rest.
     """
-
-    horizon = HORIZON
 
     def __init__(
         self, robot: RobotModel, rest: Array, clearance: float, half_spaces: Sequence[HalfSpace]
@@ -126,7 +117,7 @@ class Clearance:
         # Where nothing is in the way, no motion uses up any of its room.
         self.rates = approach_rates(robot, self._data, part) * (not self.is_empty)
         self._rows = part[:, None] * (robot.n_joints + 1) + part
-        self._free = np.append(np.full(len(self.rates) - 1, np.inf), self.horizon)
+        self._free = np.append(np.full(len(self.rates) - 1, np.inf), HORIZON)
         self.at_rest = self._learn_pairs(clearance)
         self.neighbours = self._settle_neighbours(rest)
         drop_pairs(model, part, np.isneginf(self._required))
@@ -246,7 +237,7 @@ class Clearance:
         apart = float(np.min(least[harmless], initial=np.inf))
         self._required[harmless | harmless.T] = -np.inf
         label = self._label(*pair) if np.any(harmless) else ""
-        return Closest(min(apart, self.horizon), apart, label)
+        return Closest(min(apart, HORIZON), apart, label)
 
     def _sweep(self, rest: Array, joint: int, positions: Array, least: Array) -> float:
         """Note the least distances (nbody, nbody) of pairs with just this joint between them.
@@ -271,7 +262,7 @@ class Clearance:
         Lowers the budget (P,) of each row of ``rates`` to the least slack of its pairs.
         """
         self._place(q)
-        near = Closest(self.horizon)
+        near = Closest(HORIZON)
         if self._data.ncon:
             distance, bodies = self._contact_bodies()
             first, second = bodies.T
@@ -288,7 +279,7 @@ class Clearance:
 
     def _above(self, spaces: HalfSpaces, near: Closest, budget: Array | None) -> Closest:
         """Return what is nearest, where it is a half-space that is."""
-        for each, height, lowest in spaces.heights(self._data, self.horizon):
+        for each, height, lowest in spaces.heights(self._data, HORIZON):
             body, slack = spaces.solids[each].body, height - spaces.required[each]
             k = int(np.argmin(slack))
             if budget is not None:

@@ -14,7 +14,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from robot_sysid.dynamics.kinematics import subtree
+from robot_sysid.dynamics.kinematics import posed, subtree
 from robot_sysid.model.chain import body_label
 from robot_sysid.model.contacts import parts_of
 from robot_sysid.motion.options import HalfSpace
@@ -152,7 +152,7 @@ def swept_space(robot: RobotModel, q: Array) -> tuple[Array, Array, str]:
 
     At chain positions q (N, n), in axes of the world.
     """
-    model, data = robot.mj_model, _resting(robot)
+    model, data = robot.mj_model, posed(robot.mj_model, robot.reference_qpos)
     solids = solids_of(model, np.flatnonzero(parts_of(robot)).tolist())
     bodies, reach = [solid.body for solid in solids], np.full((len(solids), 6), -np.inf)
     for part in np.array_split(q, 1 + len(q) // _AT_ONCE):
@@ -184,8 +184,7 @@ def outermost_points(robot: RobotModel) -> tuple[Array, Array]:
 
     In the terminal body's frame [m]. All of the link is within the convex hull of these balls.
     """
-    data, body = _resting(robot), robot.body_id
-    mujoco.mj_kinematics(robot.mj_model, data)
+    data, body = posed(robot.mj_model, robot.reference_qpos), robot.body_id
     solids = solids_of(robot.mj_model, subtree(robot.mj_model, body))
     axes = data.xmat[body].reshape(3, 3)
     points, radius = [np.zeros((0, 3))], [np.zeros(0)]
@@ -196,12 +195,6 @@ def outermost_points(robot: RobotModel) -> tuple[Array, Array]:
     all_points, all_radius = np.vstack(points), np.concatenate(radius)
     kept = _on_the_hull(all_points, all_radius)
     return all_points[kept], all_radius[kept]
-
-
-def _resting(robot: RobotModel) -> Any:
-    data = mujoco.MjData(robot.mj_model)
-    data.qpos[:] = robot.reference_qpos
-    return data
 
 
 def _on_the_hull(points: Array, radius: Array) -> Any:

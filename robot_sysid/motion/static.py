@@ -295,15 +295,13 @@ def sweep_lines(problem: ExcitationProblem, plan: MotionPlan) -> list[str]:
 
 def _free_way(problem: ExcitationProblem, joint: int) -> Array:
     """Return how far (2,) a joint may go down (negative) and up from rest, the others resting."""
-    found = np.zeros(2)
-    ends = problem.limits.lower[joint], problem.limits.upper[joint]
+    found, ends = np.zeros(2), (problem.limits.lower[joint], problem.limits.upper[joint])
     for side, (sign, end) in enumerate(zip((-1.0, 1.0), ends)):
         room = min(abs(end - problem.rest[joint]), WIDEST)
         steps = np.arange(0.0, max(room, _STEP), _STEP)
         at = np.tile(problem.rest, (len(steps), 1))
         at[:, joint] += sign * steps
-        fits = _fits(problem, at)
-        free = len(steps) if np.all(fits) else int(np.argmin(fits))
+        free = int(np.argmin(np.append(_fits(problem, at), False)))
         found[side] = sign * max(free - 1, 0) * _STEP
     return found
 

@@ -64,21 +64,14 @@ def _hinges_and_slides(mj_model: Any) -> list[str]:
 def joint_differences(robot: RobotModel, plant: RobotModel) -> tuple[str, ...]:
     """Return in words how the chain of a plant differs from the robot's; empty if it does not."""
     ours, theirs = robot.joint_names, plant.joint_names
-    missing = ", ".join(name for name in ours if name not in theirs)
-    extra = ", ".join(name for name in theirs if name not in ours)
-    found = []
-    if len(ours) != len(theirs):
-        found.append(f"{len(theirs)} joints in the chain instead of {len(ours)}")
-    found += [f"missing {missing}"] if missing else []
-    found += [f"not in the robot: {extra}"] if extra else []
-    if not found and ours != theirs:
-        found.append(f"order {', '.join(theirs)} instead of {', '.join(ours)}")
-    kinds = dict(zip(theirs, plant.is_slide))
-    for name, slide in zip(ours, robot.is_slide):
-        if kinds.get(name, slide) != slide:
-            ours_is, its = ("slide", "hinge") if slide else ("hinge", "slide")
-            found.append(f"{name} is a {its} instead of a {ours_is}")
-    return tuple(found)
+    if ours != theirs:
+        return (f"{', '.join(theirs)} instead of {', '.join(ours)}",)
+    kinds = ("hinge", "slide")
+    return tuple(
+        f"{name} is a {kinds[int(slides)]} instead of a {kinds[int(own)]}"
+        for name, slides, own in zip(ours, plant.is_slide, robot.is_slide)
+        if slides != own
+    )
 
 
 def _geometry_notes(robot: RobotModel, plant: RobotModel) -> tuple[str, ...]:

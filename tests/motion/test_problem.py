@@ -65,13 +65,6 @@ def test_without_a_band_only_an_asked_limit_binds_accelerations():
     assert np.array_equal(asked, np.where(arm.is_slide, np.inf, 3.0))
 
 
-def test_the_workspace_binds_the_terminal_link_alone():
-    some = problem(TUBES, workspace=(-2.0, 2.0, -2.0, 2.0, 0.9, 2.0))
-    folded = np.array([0.0, 0.0, 0.0, 2.2])
-    assert some.obstacles.closest(folded).slack < 0.0
-    assert "link3 and the workspace's zmin" in some.obstacles.closest(folded).label
-
-
 SOME = Tool(np.random.default_rng(0).normal(size=(7, 3)), np.array([0.0, 0.0, 0.3, 0, 0.1, 0, 0]))
 
 

@@ -159,15 +159,6 @@ def test_without_leaving_out_the_ramp_friction_would_be_wrong(arm, proof):
     assert loop.ramp_use.never_full == () == loop.notes()
 
 
-def test_a_wrist_without_armature_is_reported_because_its_friction_never_saturates(arm):
-    plant = plant_from(arm, armature=0.0, coulomb=2.0)
-    loop = ClosedLoop(plant, excitation(arm, duration=4.0), 200.0)
-    recorded(loop)
-    assert loop.ramp_use.never_full
-    for joint in loop.ramp_use.never_full:
-        assert any(f"frictionloss of {joint} (2 N m) is never reached" in n for n in loop.notes())
-
-
 RATE = 200.0
 
 
