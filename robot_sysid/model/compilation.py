@@ -86,7 +86,9 @@ def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
     point = locale.localeconv()["decimal_point"]
     if point != ".":  # MuJoCo would end the numbers of an OBJ mesh at their points
         remedy = "call locale.setlocale(locale.LC_NUMERIC, 'C') first"
-        raise ModelError(f"with {point!r} for a decimal point MuJoCo misreads OBJ meshes; {remedy}")
+        raise ModelError(
+            f"a locale that has {point!r} for a decimal point spoils OBJ meshes; {remedy}"
+        )
     with captured_warnings() as warnings:
         if document.kind == "urdf":
             mj_model, notes = _compile_urdf(document, mesh_dir)
